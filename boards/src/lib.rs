@@ -31,7 +31,7 @@ pub use robot::{
 };
 use source::{Folder, Source};
 
-const ROBOTS: [&str; 13] = [
+const ROBOTS: [&str; 14] = [
     "osmc-bench",
     "osmc-evaluation",
     "openscout",
@@ -45,8 +45,9 @@ const ROBOTS: [&str; 13] = [
     "suction-pad",
     "gas-scout",
     "field-rover",
+    "deformobot",
 ];
-const WORLDS: [&str; 4] = ["square", "stand", "factory", "open-field"];
+const WORLDS: [&str; 5] = ["square", "stand", "factory", "open-field", "gate"];
 const CARRIERS: [&str; 1] = ["r4-carrier"];
 
 /// The names of the robots that are part of the program.

@@ -18,7 +18,7 @@ use toml::{
 use crate::error::{BoardError, Location};
 
 /// The files that are part of the program: path below `boards/`, text.
-const BUILT_IN: [(&str, &str); 26] = [
+const BUILT_IN: [(&str, &str); 28] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
     ("osmc-evaluation.toml", include_str!("../osmc-evaluation.toml")),
@@ -45,6 +45,8 @@ const BUILT_IN: [(&str, &str); 26] = [
     ("worlds/factory.toml", include_str!("../worlds/factory.toml")),
     ("worlds/open-field.toml", include_str!("../worlds/open-field.toml")),
     ("suction-pad.toml", include_str!("../suction-pad.toml")),
+    ("deformobot.toml", include_str!("../deformobot.toml")),
+    ("worlds/gate.toml", include_str!("../worlds/gate.toml")),
 ];
 
 /// Where the files that a file names are looked up.

@@ -2,6 +2,7 @@
 
 mod berry_picker;
 mod cable_loop;
+mod deformable;
 mod flow;
 mod suction_pad;
 mod two_fingers;
@@ -13,8 +14,8 @@ use r4_protocol::{
     config::BoardConfig,
 };
 use r4_world::{
-    Ankle, AnyBody, Axle, BalanceTail, Body as _, Cable, Chassis, ChassisError, Lift, Link, Outline, Person, Point,
-    Pose, Scene, SceneError, SlipLaw, Surface, TailError, Tyre, Wearer, Wheel, Wheeled,
+    Ankle, AnyBody, Axle, BalanceTail, Body as _, BoxSpec, Cable, Chassis, ChassisError, Lift, Link, Outline, Person,
+    Point, Pose, Scene, SceneError, SlipLaw, Surface, TailError, Tyre, Wearer, Wheel, Wheeled,
 };
 use serde::Deserialize;
 
@@ -36,6 +37,8 @@ use crate::{
 pub(super) enum Body {
     /// A chassis on wheels.
     Wheeled(Box<WheeledTable>),
+    /// A robot on wheels in a shell that narrows.
+    Deformable(Box<deformable::DeformableTable>),
     /// A person with a tail of two links.
     BalanceTail(Box<TailTable>),
     /// Two fingers with an object between them.
@@ -224,6 +227,7 @@ impl Body {
         let shafts = Shafts { reader, config, channels: Vec::new() };
         match self {
             Self::Wheeled(table) => table.check(shafts),
+            Self::Deformable(table) => table.check(shafts),
             Self::BalanceTail(table) => table.check(shafts),
             Self::TwoFingers(table) => table.check(shafts),
             Self::CableLoop(table) => table.check(shafts),
@@ -288,10 +292,21 @@ impl TailTable {
 
 impl WheeledTable {
     fn check(&self, mut shafts: Shafts<'_>) -> Result<SimulatedBody, BoardError> {
-        let (table, reader) = (self, shafts.reader);
+        let mut wheeled = self.chassis(&mut shafts, "body.wheeled")?;
+        if let Some(outline_m) = &self.outline_m {
+            let outline = Outline::new(outline_m.clone());
+            let source = shafts.reader.source;
+            wheeled = wheeled.with_outline(outline.map_err(|why| source.rule("body.wheeled.outline_m", why))?);
+        }
+        Ok(SimulatedBody { kind: AnyBody::Wheeled(Box::new(wheeled)), channels: shafts.channels })
+    }
+
+    /// Wheels and what they carry, without an outline; `table` is where they are described.
+    fn chassis(&self, shafts: &mut Shafts<'_>, table: &str) -> Result<Wheeled, BoardError> {
+        let reader = shafts.reader;
         let mut wheels = Vec::new();
-        for (index, wheel) in table.wheel.iter().enumerate() {
-            let path = format!("body.wheeled.wheel[{index}]");
+        for (index, wheel) in self.wheel.iter().enumerate() {
+            let path = format!("{table}.wheel[{index}]");
             if wheel.caster && (wheel.channel.is_some() || wheel.steered || wheel.tyre.is_some()) {
                 return Err(reader.rule(path, "a caster has no channel, no tyre and is not steered"));
             }
@@ -302,32 +317,25 @@ impl WheeledTable {
                 shaft: driven.transpose()?,
                 inverted: wheel.inverted,
                 steered: wheel.steered,
-                tyre: (!wheel.caster).then(|| wheel.tyre.unwrap_or(table.tyre).into()),
+                tyre: (!wheel.caster).then(|| wheel.tyre.unwrap_or(self.tyre).into()),
             });
         }
-        let axle = table.steering.as_ref().map(|steering| shafts.axle(steering)).transpose()?;
+        let steering = format!("{table}.steering");
+        let axle = self.steering.as_ref().map(|axle| shafts.axle(axle, &steering)).transpose()?;
         let chassis = Chassis {
-            mass_kg: table.mass_kg,
-            inertia_kg_m2: table.inertia_kg_m2,
-            centre_m: table.centre_m,
-            height_m: table.height_m,
+            mass_kg: self.mass_kg,
+            inertia_kg_m2: self.inertia_kg_m2,
+            centre_m: self.centre_m,
+            height_m: self.height_m,
         };
-        let channels = shafts.channels;
-        let mut wheeled = Wheeled::new(chassis, wheels, axle, channels.len()).map_err(|why| {
+        Wheeled::new(chassis, wheels, axle, shafts.channels.len()).map_err(|why| {
             let path = match why {
-                ChassisError::Wheel { wheel } | ChassisError::Tyre { wheel, .. } => {
-                    format!("body.wheeled.wheel[{wheel}]")
-                }
-                ChassisError::Axle => "body.wheeled.steering".into(),
-                _ => "body.wheeled".into(),
+                ChassisError::Wheel { wheel } | ChassisError::Tyre { wheel, .. } => format!("{table}.wheel[{wheel}]"),
+                ChassisError::Axle => steering,
+                _ => table.into(),
             };
             reader.source.rule(path, why)
-        })?;
-        if let Some(outline_m) = &table.outline_m {
-            let outline = Outline::new(outline_m.clone());
-            wheeled = wheeled.with_outline(outline.map_err(|why| reader.source.rule("body.wheeled.outline_m", why))?);
-        }
-        Ok(SimulatedBody { kind: AnyBody::Wheeled(Box::new(wheeled)), channels })
+        })
     }
 }
 
@@ -356,8 +364,7 @@ impl Shafts<'_> {
         may_turn(&self.config.motors).into_iter().chain(others_that_turn(self.config)).collect()
     }
 
-    fn axle(&mut self, steering: &SteeringTable) -> Result<Axle, BoardError> {
-        let path = "body.wheeled.steering";
+    fn axle(&mut self, steering: &SteeringTable, path: &str) -> Result<Axle, BoardError> {
         let motors = &self.config.motors;
         let (known, rad_per_unit) = match (steering.rad_per_m, steering.rad_per_rad) {
             (Some(rad_per_m), None) => (may_slide(motors), rad_per_m),
@@ -515,6 +522,8 @@ pub(super) struct WorldTable {
     walls: Vec<Wall>,
     #[serde(default, rename = "post")]
     posts: Vec<Post>,
+    #[serde(default, rename = "box")]
+    boxes: Vec<Carton>,
     #[serde(default, rename = "person")]
     people: Vec<Walker>,
     #[serde(default, rename = "surface")]
@@ -551,6 +560,26 @@ struct Post {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
+struct Carton {
+    size_m: [f64; 2],
+    mass_kg: f64,
+    /// Static.
+    friction: f64,
+    #[serde(default = "alike")]
+    kinetic_share: f64,
+    /// Of its centre.
+    place_m: Point,
+    #[serde(default, deserialize_with = "finite")]
+    yaw_rad: f64,
+}
+
+/// Kinetic friction that is the static one.
+const fn alike() -> f64 {
+    1.0
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Walker {
     radius_m: f64,
     /// Time, s, and place, m.
@@ -577,6 +606,11 @@ impl WorldTable {
         }
         for (index, post) in self.posts.iter().enumerate() {
             at("post", index, scene.add_post(post.centre_m, post.radius_m))?;
+        }
+        for (index, carton) in self.boxes.iter().enumerate() {
+            let Carton { size_m, mass_kg, friction, kinetic_share, place_m: [x_m, y_m], yaw_rad } = *carton;
+            let spec = BoxSpec { size_m, mass_kg, friction, kinetic_share };
+            at("box", index, scene.add_box(spec, Pose { x_m, y_m, yaw_rad }))?;
         }
         for (index, Walker { radius_m, path }) in self.people.iter().enumerate() {
             let path = path.iter().map(|[at_s, x_m, y_m]| (*at_s, [*x_m, *y_m])).collect();

@@ -15,6 +15,7 @@ const CAR: &str = include_str!("../../openpodcar.toml");
 const SKID_STEERED: &str = include_str!("../../openscout.toml");
 const TAIL: &str = include_str!("../../balance-tail.toml");
 const LOOP: &str = include_str!("../../cable-loop.toml");
+const SHELL: &str = include_str!("../../deformobot.toml");
 const CARRIER: &str = include_str!("../../r4-carrier.toml");
 
 /// One mistake: `from` is replaced once by `to`, and the error is reported in the line that then has `line`, or where
@@ -426,6 +427,18 @@ const SKID_MISTAKES: &[Mistake] = &[
     ),
     there(
         "[[simulation.rail]]",
+        "[[world.box]]\nsize_m = [0.2, 0.0]\nmass_kg = 1.0\nfriction = 0.4\nplace_m = [1, 0]\n\n[[simulation.rail]]",
+        "world.box[0]",
+        "`size_m` and `mass_kg` above 0",
+    ),
+    there(
+        "[[simulation.rail]]",
+        "[[world.box]]\nsize_m = [0.2, 0.2]\nmass_kg = 1.0\nfriction = 0.4\nkinetic_share = 1.5\nplace_m = [1, 0]\n\n[[simulation.rail]]",
+        "world.box[0]",
+        "`kinetic_share` from 0 to 1",
+    ),
+    there(
+        "[[simulation.rail]]",
         "[[world.surface]]\npoints_m = [[0, 0], [1, 0], [0, 1]]\nslope = [2, 0]\n\n[[simulation.rail]]",
         "world.surface[0]",
         "45 degrees",
@@ -569,6 +582,46 @@ const LOOP_MISTAKES: &[Mistake] = &[
     there("reading = \"force_n\"", "reading = \"force_kg\"", "simulation.force[0].body.reading", "no `force_kg`"),
 ];
 
+const SHELL_MISTAKES: &[Mistake] = &[
+    there("panel_m = 0.21", "panel_m = 0.0", "body.deformable.shell.panel_m", "must be above 0"),
+    mistake(
+        "ends_rad = [0.58, 1.0471976]",
+        "ends_rad = [1.1, 1.2]",
+        "[body.deformable.shell]",
+        "body.deformable.shell",
+        "rest_rad between them",
+    ),
+    mistake(
+        "late_s = 0.2",
+        "late_s = 30.0",
+        "[body.deformable.whiskers]",
+        "body.deformable.whiskers",
+        "late_s at most 100 times every_s",
+    ),
+    mistake(
+        "channel = \"servo0\"\npanel_m",
+        "channel = \"dhb1\"\npanel_m",
+        "channel = \"dhb1\"\npanel_m",
+        "body.deformable.shell.channel",
+        "the shell needs its own",
+    ),
+    there("channel = \"servo0\"\npanel_m", "channel = \"servo1\"\npanel_m", "body.deformable.shell.channel", "servo1"),
+    there(
+        "height_m = 0.03",
+        "outline_m = [[0.1, -0.1], [0.1, 0.1], [-0.1, 0.0]]",
+        "body.deformable.wheeled.outline_m",
+        "leave `outline_m` out",
+    ),
+    mistake(
+        "place_m = [0.0, 0.08]",
+        "place_m = [0.0, 0.08]\nsteered = true",
+        "[body.deformable.wheeled]",
+        "body.deformable.wheeled.steering",
+        "a steered wheel needs an axle",
+    ),
+    there("reading = \"right_rad\"", "reading = \"right_deg\"", "simulation.analog[1].body.reading", "no `right_deg`"),
+];
+
 const CARRIER_MISTAKES: &[Mistake] = &[
     there("\"PJ8\"", "\"PL8\"", "pins[0].stm32", "`PL8` is not a pin"),
     there(
@@ -683,6 +736,7 @@ fn mistakes_in_a_robot_file() {
         (SKID_STEERED, SKID_MISTAKES),
         (TAIL, TAIL_MISTAKES),
         (LOOP, LOOP_MISTAKES),
+        (SHELL, SHELL_MISTAKES),
     ];
     let mistakes = robots.into_iter().flat_map(|(robot, mistakes)| mistakes.iter().map(move |m| (robot, m)));
     let wrong: Vec<_> = mistakes.filter_map(|(robot, m)| check(m, robot, "robot.toml", load)).collect();

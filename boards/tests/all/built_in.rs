@@ -357,6 +357,28 @@ fn the_cable_loop_has_the_published_numbers() {
     assert_eq!(channels, ["dhb0", "stepper0", "stepper1", "stepper2"]);
 }
 
+/// Printed: narrow 24 cm, 66 % of the width at rest; boxes of 22 x 16.5 cm, 24 cm apart, 20 cm before the robot, 10 kg in each; 200 ms.
+#[test]
+fn deformobot_and_its_gate_have_the_published_numbers() {
+    let robot = load("deformobot").unwrap();
+    let body = robot.simulation.body.unwrap();
+    let AnyBody::Deformable(robot) = &body.kind else { panic!("a shell") };
+    let channels: Vec<_> = body.channels.iter().map(ToString::to_string).collect();
+    assert_eq!(channels, ["servo0", "dhb0", "dhb1"]);
+    let shell = robot.shell();
+    let wide_m = shell.width_m(shell.rest_rad);
+    assert!((0.24 / wide_m - 0.66).abs() < 1e-3, "{wide_m}");
+    assert!(shell.width_m(shell.angle_rad(1.0)) < 0.24);
+    assert_eq!((robot.whiskers().every_s, robot.whiskers().late_s), (0.2, 0.2));
+    let gate = r4_boards::load_world("gate").unwrap().scene;
+    let [left, right] = gate.boxes() else { panic!("two boxes") };
+    assert_eq!((left.spec().size_m, left.spec()), ([0.165, 0.22], right.spec()));
+    let inner_m = left.corners_m()[0][1] - right.corners_m()[1][1];
+    let before_m = left.corners_m()[2][0] - 0.5 * shell.length_m(shell.rest_rad);
+    assert!((inner_m - 0.24).abs() < 1e-9 && (before_m - 0.20).abs() < 1e-6, "{inner_m}, {before_m}");
+    assert!(left.spec().mass_kg > 10.0);
+}
+
 #[test]
 fn every_world_is_read() {
     for name in r4_boards::world_names() {

@@ -159,7 +159,7 @@ impl Drive {
         if let Some(axle) = body.axle() {
             shafts[axle.shaft].position = axle.straight;
         }
-        let scene = Scene::default();
+        let mut scene = Scene::default();
         let steps = (DURATION_S / LEGS as f64 / MAX_STEP_S) as usize;
         let mut speeds = Vec::new();
         for leg in &self.legs {
@@ -170,7 +170,7 @@ impl Drive {
                 }
             }
             for step in 0..steps {
-                body.step(&scene, 0.0, &shafts, &mut loads, MAX_STEP_S);
+                body.step(&mut scene, 0.0, &shafts, &mut loads, MAX_STEP_S);
                 if step.is_multiple_of(SAMPLE_STEPS) {
                     let twist = body.twist();
                     speeds.push([twist.forward_m_s, twist.left_m_s, 0.5 * twist.yaw_rad_s]);

@@ -3,8 +3,8 @@
 use std::ops::{Deref, DerefMut};
 
 use crate::{
-    berry::BerryPicker, cable_loop::CableLoop, grip::TwoFingers, outline::Outline, scene::Scene, suction::SuctionPad,
-    tail::BalanceTail, wheeled::Wheeled,
+    berry::BerryPicker, cable_loop::CableLoop, deformable::Deformable, grip::TwoFingers, outline::Outline,
+    scene::Scene, suction::SuctionPad, tail::BalanceTail, wheeled::Wheeled,
 };
 
 /// Position and heading on the plane.
@@ -84,8 +84,8 @@ pub trait Body {
 
     /// One step of `step_s`, s, at most [`crate::MAX_STEP_S`], from `time_s` on in `scene`: from the motion of the shafts to the load
     /// of each over the step, N m or N, positive towards positive positions. `shafts` and `loads` have one entry for each of
-    /// [`Body::shafts`].
-    fn step(&mut self, scene: &Scene, time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64);
+    /// [`Body::shafts`]. Boxes of the scene that it pushes move with it.
+    fn step(&mut self, scene: &mut Scene, time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64);
 
     /// Where its frame is.
     fn pose(&self) -> Pose;
@@ -158,6 +158,8 @@ pub enum AnyBody {
     Wheeled(Box<Wheeled>),
     /// A person with a tail on the back.
     BalanceTail(Box<BalanceTail>),
+    /// A robot on wheels in a shell that narrows.
+    Deformable(Box<Deformable>),
     /// Two fingers with an object between them.
     TwoFingers(Box<TwoFingers>),
     /// A gripper with a loop that closes round a vial.
@@ -174,6 +176,7 @@ impl Deref for AnyBody {
     fn deref(&self) -> &Self::Target {
         match self {
             Self::Wheeled(body) => &**body,
+            Self::Deformable(body) => &**body,
             Self::BalanceTail(body) => &**body,
             Self::TwoFingers(body) => &**body,
             Self::CableLoop(body) => &**body,
@@ -187,6 +190,7 @@ impl DerefMut for AnyBody {
     fn deref_mut(&mut self) -> &mut Self::Target {
         match self {
             Self::Wheeled(body) => &mut **body,
+            Self::Deformable(body) => &mut **body,
             Self::BalanceTail(body) => &mut **body,
             Self::TwoFingers(body) => &mut **body,
             Self::CableLoop(body) => &mut **body,

@@ -10,6 +10,7 @@
 mod berry;
 mod body;
 pub mod cable_loop;
+mod deformable;
 mod dice;
 mod field;
 mod grip;
@@ -24,6 +25,7 @@ mod wheeled;
 pub use berry::{AirSupply, Berry, BerryError, BerryPicker, CoilValve, Cylinder, Fate, Fingers, Place, ToolAxes};
 pub use body::{AnyBody, Body, Inertial, Pose, ShaftMotion, Twist};
 pub use cable_loop::{CableLoop, CableLoopError};
+pub use deformable::{Deformable, DeformableError, Shell, Whiskers};
 pub use field::{
     Balance, Charge, Cloud, Electric, ElectricSpec, Field, FieldError, FieldKind, Flow, FlowError, FlowSpec, Lag,
     Plume, PlumeSpec, Wander,
@@ -31,7 +33,7 @@ pub use field::{
 pub use grip::{Encoders, Finger, GripError, Held, Pads, Palm, Touch, TwoFingers};
 pub use outline::{Outline, OutlineError};
 pub use pneumatic::{ATMOSPHERE_PA, Chamber, Restriction};
-pub use scene::{Floor, Person, Point, Scene, SceneError, Surface};
+pub use scene::{BoxSpec, Floor, MovableBox, Person, Point, Scene, SceneError, Surface};
 pub use suction::{
     Cup, LIMIT_STRETCH, Line, MEMBRANES, MIDDLE, Membrane, MembraneState, Strip, SuctionError, SuctionPad, SuctionState,
 };

@@ -6,11 +6,11 @@
 
 use crate::{
     body::Pose,
-    scene::{Disc, Point, Scene, Segment, cross, dot, is_inside, length, minus, plus},
+    scene::{Disc, MovableBox, Point, Scene, Segment, cross, dot, is_inside, length, minus, plus},
 };
 
 /// Thickness of the bumper, m: our choice, that of foam on robots of some 10 kg.
-const BUMPER_M: f64 = 0.02;
+pub(crate) const BUMPER_M: f64 = 0.02;
 /// Angular frequency of the mass on one spring of the bumper, rad/s. A body of 2 m/s, head-on, presses it by 2.5 mm; with half of it,
 /// by 4.9 mm. In the longest step the spring's phase goes on by 0.075 rad.
 const STIFFNESS_RAD_S: f64 = 300.0;
@@ -34,6 +34,8 @@ pub struct Outline {
     radius_m: f64,
     /// Way that body and obstacles can go together before anything can touch, m.
     free_m: f64,
+    /// Half the sum of what pressed on it from both sides in its last step, N.
+    squeezed_n: f64,
 }
 
 /// A force on a body, at a point.
@@ -71,7 +73,7 @@ impl Outline {
             return Err(OutlineError);
         }
         let radius_m = corners_m.iter().map(|corner| length(*corner)).fold(0.0, f64::max);
-        Ok(Self { corners_m, radius_m, free_m: 0.0 })
+        Ok(Self { corners_m, radius_m, free_m: 0.0, squeezed_n: 0.0 })
     }
 
     /// Its corners in the body's frame, m.
@@ -97,15 +99,30 @@ impl Outline {
         self.free_m = 0.0;
     }
 
-    /// Gives `push` every force of the scene on it. Nothing is looked at before the body can have come near.
+    /// Force that squeezed it across in its last step, N.
+    pub(crate) const fn squeezed_n(&self) -> f64 {
+        self.squeezed_n
+    }
+
+    /// Gives it other corners, which must be as [`Outline::new`] wants them.
+    pub(crate) fn reshape(&mut self, corners_m: &[Point]) {
+        self.corners_m.clear();
+        self.corners_m.extend_from_slice(corners_m);
+        self.radius_m = corners_m.iter().map(|corner| length(*corner)).fold(0.0, f64::max);
+        self.free_m = 0.0;
+    }
+
+    /// Gives `push` every force of the scene on it, and the boxes in it their reactions. Nothing is looked at before the body can have
+    /// come near.
     pub(crate) fn touch(
         &mut self,
-        scene: &Scene,
+        scene: &mut Scene,
         time_s: f64,
         step_s: f64,
         moving: &Moving,
         mut push: impl FnMut(Push),
     ) {
+        self.squeezed_n = 0.0;
         self.free_m -= (length(moving.velocity_m_s) + scene.fastest_m_s()) * step_s;
         if self.free_m > 0.0 {
             return;
@@ -116,6 +133,12 @@ impl Outline {
         if self.free_m > 0.0 {
             return;
         }
+        let (sin, cos) = libm::sincos(moving.pose.yaw_rad);
+        let squeezed_n = &mut self.squeezed_n;
+        let mut push = |one: Push| {
+            *squeezed_n += 0.5 * (cos * one.force_n[1] - sin * one.force_n[0]).abs();
+            push(one);
+        };
         let corners: Vec<Point> = self.corners_m.iter().map(|corner| moving.pose.to_world(*corner)).collect();
         for segment in scene.segments() {
             if length(minus(segment.nearest(origin), origin)) < reach_m {
@@ -127,17 +150,43 @@ impl Outline {
                 post(&disc, &corners, |depth_m, normal, at| push(moving.pushed(depth_m, normal, at)));
             }
         }
+        for one in scene.boxes_mut() {
+            let centre = [one.pose().x_m, one.pose().y_m];
+            if length(minus(centre, origin)) < reach_m + 0.5 * length(one.spec().size_m) {
+                let mut pushes = Vec::new();
+                meet(one, &corners, |depth_m, normal, at| pushes.push(moving.pushed_by(one, depth_m, normal, at)));
+                for Push { force_n, at_m } in pushes {
+                    one.push([-force_n[0], -force_n[1]], at_m);
+                    push(Push { force_n, at_m });
+                }
+            }
+        }
     }
 }
 
 impl Moving {
     /// Force of the bumper that is pressed by `depth_m`, m, at a point, along the unit `normal` away from the obstacle.
     fn pushed(&self, depth_m: f64, normal: Point, at_m: Point) -> Push {
+        Self::bumped(self.velocity_at(at_m), self.mass_kg, depth_m, normal, at_m)
+    }
+
+    /// The same by a box, which gives way: both masses swing on the spring.
+    fn pushed_by(&self, one: &MovableBox, depth_m: f64, normal: Point, at_m: Point) -> Push {
+        let mass_kg = self.mass_kg * one.spec().mass_kg / (self.mass_kg + one.spec().mass_kg);
+        Self::bumped(minus(self.velocity_at(at_m), one.velocity_at(at_m)), mass_kg, depth_m, normal, at_m)
+    }
+
+    /// World frame, m/s.
+    fn velocity_at(&self, at_m: Point) -> Point {
         let arm = minus(at_m, [self.pose.x_m, self.pose.y_m]);
-        let velocity = plus(self.velocity_m_s, [-arm[1], arm[0]], self.yaw_rad_s);
+        plus(self.velocity_m_s, [-arm[1], arm[0]], self.yaw_rad_s)
+    }
+
+    /// `velocity` is that of the body's point relative to the obstacle's, m/s; `mass_kg` swings on the spring.
+    fn bumped(velocity: Point, mass_kg: f64, depth_m: f64, normal: Point, at_m: Point) -> Push {
         let away_m_s = dot(velocity, normal);
-        let stiffness = self.mass_kg * STIFFNESS_RAD_S * STIFFNESS_RAD_S;
-        let damping = 2.0 * DAMPING * self.mass_kg * STIFFNESS_RAD_S;
+        let stiffness = mass_kg * STIFFNESS_RAD_S * STIFFNESS_RAD_S;
+        let damping = 2.0 * DAMPING * mass_kg * STIFFNESS_RAD_S;
         // It never pulls.
         let pressed_n = (stiffness * depth_m - damping * away_m_s).max(0.0);
         let along = [-normal[1], normal[0]];
@@ -184,6 +233,58 @@ fn post(disc: &Disc, corners: &[Point], mut press: impl FnMut(f64, Point, Point)
     }
 }
 
+/// Corners of a box within the bumper, and corners of the bumper, which is mitred here, within the box.
+fn meet(one: &MovableBox, corners: &[Point], mut press: impl FnMut(f64, Point, Point)) {
+    let (bumper, its_corners) = (mitred(corners), one.corners_m());
+    for corner in its_corners {
+        if let Some((depth_m, inwards)) = sunk(corner, &bumper) {
+            press(depth_m, inwards, corner);
+        }
+    }
+    for corner in bumper {
+        if let Some((depth_m, [x, y])) = sunk(corner, &its_corners) {
+            press(depth_m, [-x, -y], corner);
+        }
+    }
+}
+
+/// Into a convex polygon that goes counterclockwise, across its edge from one corner to the next.
+fn inwards(from: Point, to: Point) -> Point {
+    let along = minus(to, from);
+    let size = length(along);
+    [-along[1] / size, along[0] / size]
+}
+
+/// The outline with its bumper, whose corners are mitred.
+fn mitred(corners: &[Point]) -> Vec<Point> {
+    let count = corners.len();
+    let corner = |number: usize| {
+        let (before, at, after) =
+            (corners[(number + count - 1) % count], corners[number], corners[(number + 1) % count]);
+        let (first, second) = (inwards(before, at), inwards(at, after));
+        let miter = -BUMPER_M / (1.0 + dot(first, second));
+        plus(plus(at, first, miter), second, miter)
+    };
+    (0..count).map(corner).collect()
+}
+
+/// How far a point is inside a convex polygon that goes counterclockwise, m, by its nearest edge, and inwards across that; `None` outside.
+fn sunk(point: Point, corners: &[Point]) -> Option<(f64, Point)> {
+    let mut nearest: Option<(f64, Point)> = None;
+    for (number, to) in corners.iter().enumerate() {
+        let from = corners[number.checked_sub(1).unwrap_or(corners.len() - 1)];
+        let inwards = inwards(from, *to);
+        let depth_m = dot(minus(point, from), inwards);
+        if depth_m <= 0.0 {
+            return None;
+        }
+        if nearest.is_none_or(|(least_m, _)| depth_m < least_m) {
+            nearest = Some((depth_m, inwards));
+        }
+    }
+    nearest
+}
+
 /// A point that pokes at an edge of the outline, which gives way towards the inside. At corners [`wall`] has it already.
 fn poke(point: Point, corners: &[Point], press: &mut impl FnMut(f64, Point, Point)) {
     let mut shallowest: Option<(f64, Point)> = None;
@@ -191,8 +292,7 @@ fn poke(point: Point, corners: &[Point], press: &mut impl FnMut(f64, Point, Poin
         let from = corners[number.checked_sub(1).unwrap_or(corners.len() - 1)];
         let along = minus(*to, from);
         let size = length(along);
-        // Into the outline, which is counterclockwise.
-        let inwards = [-along[1] / size, along[0] / size];
+        let inwards = inwards(from, *to);
         let (way, depth_m) = (minus(point, from), dot(minus(point, from), inwards) + BUMPER_M);
         if depth_m <= 0.0 {
             return;
@@ -210,6 +310,7 @@ fn poke(point: Point, corners: &[Point], press: &mut impl FnMut(f64, Point, Poin
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::BoxSpec;
 
     fn square(half_m: f64) -> Outline {
         Outline::new(vec![[half_m, -half_m], [half_m, half_m], [-half_m, half_m], [-half_m, -half_m]]).unwrap()
@@ -219,7 +320,7 @@ mod tests {
     fn pushes(scene: &Scene, pose: Pose) -> (Point, f64) {
         let moving = Moving { pose, velocity_m_s: [0.0; 2], yaw_rad_s: 0.0, mass_kg: 10.0 };
         let (mut sum, mut moment) = ([0.0; 2], 0.0);
-        square(0.2).touch(scene, 0.0, 0.0, &moving, |push| {
+        square(0.2).touch(&mut scene.clone(), 0.0, 0.0, &moving, |push| {
             sum = plus(sum, push.force_n, 1.0);
             moment += cross(minus(push.at_m, [pose.x_m, pose.y_m]), push.force_n);
         });
@@ -253,6 +354,24 @@ mod tests {
         let (force, moment) = pushes(&scene, Pose::default());
         assert!((force[0] + 0.01 * STIFFNESS_N_M).abs() < 1e-6 && force[1].abs() < 1e-6, "{force:?}");
         assert!((moment - 0.1 * 0.01 * STIFFNESS_N_M).abs() < 1e-6, "{moment}");
+    }
+
+    /// Corners of a box on the edge, corners of the outline on a wider box: the same depth pushes the same way, and the box back.
+    #[test]
+    fn a_box_pushes_and_is_pushed_alike() {
+        let moving = Moving { pose: Pose::default(), velocity_m_s: [0.0; 2], yaw_rad_s: 0.0, mass_kg: 10.0 };
+        for across_m in [0.2, 0.8] {
+            let mut scene = Scene::default();
+            let spec = BoxSpec { size_m: [0.2, across_m], mass_kg: 10.0, friction: 0.0, kinetic_share: 1.0 };
+            scene.add_box(spec, Pose { x_m: 0.31, ..Pose::default() }).unwrap();
+            let mut sum = [0.0; 2];
+            square(0.2).touch(&mut scene, 0.0, 0.0, &moving, |push| sum = plus(sum, push.force_n, 1.0));
+            // Two corners, half of the mass.
+            assert!((sum[0] + 0.01 * STIFFNESS_N_M).abs() < 1e-6 && sum[1].abs() < 1e-9, "{across_m}: {sum:?}");
+            scene.step_boxes(1e-3);
+            let speed_m_s = scene.boxes()[0].velocity_at([0.31, 0.0])[0];
+            assert!((speed_m_s * 10.0 + sum[0] * 1e-3).abs() < 1e-9, "momentum: {speed_m_s}");
+        }
     }
 
     #[test]

@@ -131,6 +131,8 @@ pub struct Wheeled {
     downhill_m_s2: [f64; 2],
     /// Over the last step.
     yaw_rad_s2: f64,
+    /// What pushes it in its next step beside wheels and outline: body frame, N, and moment about the centre of mass, N m.
+    pushed: [f64; 3],
 }
 
 impl Wheeled {
@@ -188,6 +190,7 @@ impl Wheeled {
             acceleration_m_s2: [0.0; 2],
             downhill_m_s2: [0.0; 2],
             yaw_rad_s2: 0.0,
+            pushed: [0.0; 3],
         };
         body.press();
         Ok(body)
@@ -236,6 +239,19 @@ impl Wheeled {
         &self.normals_n
     }
 
+    /// Takes a force at a point, body frame, N and m, for its next step.
+    pub(crate) fn push(&mut self, [forward_n, left_n]: [f64; 2], at_m: [f64; 2]) {
+        let arm_m = [at_m[0] - self.chassis.centre_m[0], at_m[1] - self.chassis.centre_m[1]];
+        self.pushed[0] += forward_n;
+        self.pushed[1] += left_n;
+        self.pushed[2] += arm_m[0] * left_n - arm_m[1] * forward_n;
+    }
+
+    /// Its outline, to be reshaped.
+    pub(crate) fn outline_mut(&mut self) -> Option<&mut Outline> {
+        self.outline.as_mut()
+    }
+
     /// Presses the wheels down by weight and acceleration.
     fn press(&mut self) {
         let Chassis { mass_kg, height_m, .. } = self.chassis;
@@ -246,10 +262,11 @@ impl Wheeled {
     }
 
     /// Force of slopes and obstacles in the body's frame, N, and its moment about the centre of mass, N m.
-    fn outside(&mut self, scene: &Scene, time_s: f64, step_s: f64) -> [f64; 3] {
+    fn outside(&mut self, scene: &mut Scene, time_s: f64, step_s: f64) -> [f64; 3] {
         self.downhill_m_s2 = [0.0; 2];
+        let pushed = std::mem::take(&mut self.pushed);
         if scene.is_plain() && scene.is_empty() {
-            return [0.0; 3];
+            return pushed;
         }
         let (sin, cos) = libm::sincos(self.pose.yaw_rad);
         let to_body = |[x, y]: [f64; 2]| [cos * x + sin * y, cos * y - sin * x];
@@ -257,7 +274,7 @@ impl Wheeled {
         let weight_n = self.chassis.mass_kg * GRAVITY_M_S2;
         let [forward, left] = to_body(slope);
         self.downhill_m_s2 = [-GRAVITY_M_S2 * forward, -GRAVITY_M_S2 * left];
-        let mut sum = [-weight_n * forward, -weight_n * left, 0.0];
+        let mut sum = [pushed[0] - weight_n * forward, pushed[1] - weight_n * left, pushed[2]];
         let twist = self.twist();
         let Some(outline) = &mut self.outline else { return sum };
         let velocity_m_s =
@@ -289,7 +306,7 @@ impl Body for Wheeled {
         self.shafts
     }
 
-    fn step(&mut self, scene: &Scene, time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
+    fn step(&mut self, scene: &mut Scene, time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
         loads.fill(0.0);
         let [mut forward_n, mut left_n, mut yaw_nm] = self.outside(scene, time_s, step_s);
         for (number, wheel) in self.wheels.iter().enumerate() {
@@ -335,6 +352,7 @@ impl Body for Wheeled {
         // By the mean velocity of the step: with that of its end alone a robot that speeds up to 0.47 m/s is 0.12 mm ahead of its
         // wheels, of 3 mm that soft tyres slip meanwhile.
         self.pose = self.pose.moved(before.mean(self.twist()), step_s);
+        scene.step_boxes(step_s);
     }
 
     fn pose(&self) -> Pose {
@@ -447,7 +465,7 @@ mod tests {
         let shafts: Vec<_> = speeds.iter().map(|speed| ShaftMotion { position: 0.0, speed: *speed }).collect();
         let mut loads = vec![0.0; speeds.len()];
         for _ in 0..(duration_s / MAX_STEP_S).round() as usize {
-            body.step(&Scene::default(), 0.0, &shafts, &mut loads, MAX_STEP_S);
+            body.step(&mut Scene::default(), 0.0, &shafts, &mut loads, MAX_STEP_S);
         }
         loads
     }
@@ -549,7 +567,7 @@ mod tests {
         let shafts =
             [ShaftMotion { position: 0.0, speed: 2.0 }, ShaftMotion { position: 0.05 + steer_rad / 4.0, speed: 0.0 }];
         let mut loads = [0.0; 2];
-        (0..40_000).for_each(|_| body.step(&Scene::default(), 0.0, &shafts, &mut loads, MAX_STEP_S));
+        (0..40_000).for_each(|_| body.step(&mut Scene::default(), 0.0, &shafts, &mut loads, MAX_STEP_S));
         let twist = body.twist();
         let radius_m = twist.at([-HALF_BASE_M, 0.0])[0] / twist.yaw_rad_s;
         let expected_m = 2.0 * HALF_BASE_M / steer_rad.tan();
@@ -580,7 +598,7 @@ mod tests {
             };
             let (mut deepest_m, before) = (f64::NEG_INFINITY, energy(body.twist));
             for step in 0..16_000 {
-                body.step(&scene, f64::from(step) * MAX_STEP_S, &[], &mut [], MAX_STEP_S);
+                body.step(&mut scene, f64::from(step) * MAX_STEP_S, &[], &mut [], MAX_STEP_S);
                 let corners = body.outline().unwrap().corners_m().iter();
                 deepest_m = corners.map(|corner| body.pose().to_world(*corner)[0] - 1.0).fold(deepest_m, f64::max);
             }
@@ -597,12 +615,12 @@ mod tests {
         scene.add_surface(crate::Surface { corners_m, friction: None, slope: [0.0, 0.1] }).unwrap();
         let mut body = rolling();
         body.set_pose(Pose { yaw_rad: std::f64::consts::FRAC_PI_2, ..Pose::default() });
-        (0..4000).for_each(|_| body.step(&scene, 0.0, &[], &mut [], MAX_STEP_S));
+        (0..4000).for_each(|_| body.step(&mut scene, 0.0, &[], &mut [], MAX_STEP_S));
         let forward_m_s = body.twist().forward_m_s;
         assert!((forward_m_s + 0.1 * GRAVITY_M_S2).abs() < 1e-9, "{forward_m_s} m/s after a second");
         // Locked wheels hold it, by the springs of their bristles, 1 / (c L) each.
         let mut held = Wheeled::new(CHASSIS, wheels(TYRE), None, 4).unwrap();
-        (0..40_000).for_each(|_| held.step(&scene, 0.0, &[ShaftMotion::default(); 4], &mut [0.0; 4], MAX_STEP_S));
+        (0..40_000).for_each(|_| held.step(&mut scene, 0.0, &[ShaftMotion::default(); 4], &mut [0.0; 4], MAX_STEP_S));
         let bent_m = 0.1 * GRAVITY_M_S2 * CHASSIS.mass_kg * TYRE.compliance_per_n[1] * TYRE.relaxation_m / 4.0;
         assert!((held.pose().y_m + bent_m).abs() < 1e-6, "{:?}, {bent_m}", held.pose());
     }
@@ -615,7 +633,7 @@ mod tests {
         scene.add_surface(crate::Surface { corners_m, friction: Some(0.1), slope: [0.0; 2] }).unwrap();
         let mut body = Wheeled::new(CHASSIS, wheels(TYRE), None, 4).unwrap();
         body.twist.forward_m_s = 1.0;
-        (0..8000).for_each(|_| body.step(&scene, 0.0, &[ShaftMotion::default(); 4], &mut [0.0; 4], MAX_STEP_S));
+        (0..8000).for_each(|_| body.step(&mut scene, 0.0, &[ShaftMotion::default(); 4], &mut [0.0; 4], MAX_STEP_S));
         let expected_m = 1.0 / (2.0 * 0.1 * GRAVITY_M_S2);
         // Bristles bend by 3 mu N c L = 3.6 mm at first, as in the braking distance above.
         assert!((body.pose().x_m - expected_m).abs() < 4e-3, "{} m, {expected_m} m", body.pose().x_m);

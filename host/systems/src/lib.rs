@@ -31,6 +31,7 @@ mod statistic;
 pub mod study;
 pub mod suction;
 pub mod tail;
+pub mod whisker;
 
 pub use about::{About, Arm, Limit, Metric, Paper, Source, Target};
 pub use error::Error;
@@ -104,6 +105,7 @@ pub trait System: Sync {
 pub fn all() -> &'static [&'static dyn System] {
     &[
         &skidcal::Skidcal,
+        &whisker::Whisker,
         &osmc::Osmc,
         &cloop::Cloop,
         &inhand::Inhand,

@@ -1,7 +1,7 @@
 //! From the values of trials to a number with an interval.
 
 use r4_maths::statistics::{
-    Alternative, Bootstrap, Interval, QuantileRule, StatisticsError, mcnemar_exact, mean, quantile,
+    Alternative, Bootstrap, Interval, QuantileRule, StatisticsError, mcnemar_exact, mean, quantile, standard_deviation,
     wilcoxon_signed_rank, wilson,
 };
 
@@ -17,6 +17,8 @@ pub enum Statistic {
     Mean,
     /// Quantile of this probability: 0.5 is the median.
     Quantile(f64),
+    /// Standard deviation, by the number of trials less one.
+    Deviation,
     /// Share of trials whose value is 1; the others have 0.
     Share,
 }
@@ -47,6 +49,7 @@ impl Statistic {
                 let interval = wilson(successes, values.len() as u64, CONFIDENCE)?;
                 Ok(Summary { value: mean(values)?, interval, method: "share, Wilson 95 %" })
             }
+            Self::Deviation => resampled(values, "standard deviation, bootstrap 95 %", standard_deviation),
             Self::Mean => resampled(values, "mean, bootstrap 95 %", mean),
             Self::Quantile(probability) => {
                 let method = if probability == 0.5 { "median, bootstrap 95 %" } else { "quantile, bootstrap 95 %" };

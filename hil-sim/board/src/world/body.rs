@@ -88,7 +88,7 @@ impl Coupling {
     /// stepped again.
     pub(super) fn step(
         &mut self,
-        scene: &Scene,
+        scene: &mut Scene,
         [from_ns, until_ns]: [u64; 2],
         movers: &mut Movers<'_>,
         mut advance: impl FnMut(&mut Motor, f64),
@@ -133,7 +133,7 @@ impl Coupling {
     }
 
     /// Brings the body to now, and gives the shafts its loads.
-    fn catch_up(&mut self, scene: &Scene, now_ns: u64, movers: &mut Movers<'_>) {
+    fn catch_up(&mut self, scene: &mut Scene, now_ns: u64, movers: &mut Movers<'_>) {
         for (motion, shaft) in self.motions.iter_mut().zip(&self.shafts) {
             let (position, speed) = match *shaft {
                 Shaft::Motor(number) => {

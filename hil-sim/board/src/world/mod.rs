@@ -226,7 +226,7 @@ impl World {
                     steppers: &mut self.steppers,
                     relays: &self.relays,
                 };
-                body.step(&self.scene, [self.now_ns, until_ns], &mut movers, advance);
+                body.step(&mut self.scene, [self.now_ns, until_ns], &mut movers, advance);
             }
             None => self.motors.iter_mut().for_each(|motor| advance(motor, dt_s)),
         }

@@ -559,7 +559,7 @@ impl Body for BerryPicker {
         3
     }
 
-    fn step(&mut self, _scene: &Scene, _time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
+    fn step(&mut self, _scene: &mut Scene, _time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
         loads.fill(0.0);
         let motion = |shaft: usize| shafts.get(shaft).copied().unwrap_or_default();
         let axes = self.axes.shafts.map(motion);

@@ -42,7 +42,7 @@ fn go(picker: &mut BerryPicker, is_closed: bool, reach_m: f64, over_s: f64) {
         let at_m = from_m + (reach_m - from_m) * step as f64 / steps as f64;
         let relay = ShaftMotion { position: f64::from(u8::from(is_closed)), speed: 0.0 };
         let reach = ShaftMotion { position: at_m / 0.01, speed: (reach_m - from_m) / over_s / 0.01 };
-        picker.step(&Scene::default(), 0.0, &[relay, reach, ShaftMotion::default()], &mut [0.0; 3], STEP_S);
+        picker.step(&mut Scene::default(), 0.0, &[relay, reach, ShaftMotion::default()], &mut [0.0; 3], STEP_S);
     }
 }
 

@@ -537,7 +537,7 @@ impl Body for CableLoop {
         4
     }
 
-    fn step(&mut self, _: &Scene, time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
+    fn step(&mut self, _: &mut Scene, time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
         loads.fill(0.0);
         let position = |number: usize| shafts.get(number).map_or(0.0, |shaft| shaft.position);
         self.state.time_s = time_s;

@@ -39,7 +39,7 @@ fn drive(body: &mut CableLoop, from: [f64; 2], to: [f64; 2], over_s: f64) -> f64
         let at = |axis: usize| ShaftMotion { position: from[axis] + share * (to[axis] - from[axis]), speed: 0.0 };
         let time_s = body.state.time_s + STEP_S;
         body.step(
-            &Scene::default(),
+            &mut Scene::default(),
             time_s,
             &[at(1), at(0), ShaftMotion::default(), ShaftMotion::default()],
             &mut loads,

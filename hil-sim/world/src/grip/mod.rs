@@ -429,7 +429,7 @@ impl Body for TwoFingers {
         3
     }
 
-    fn step(&mut self, _: &Scene, _: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
+    fn step(&mut self, _: &mut Scene, _: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
         loads.fill(0.0);
         let [left, right, palm] = shafts else { return };
         let end_rad = [left, right].map(|shaft| UPRIGHT_RAD + shaft.position);

@@ -36,7 +36,7 @@ impl Hand {
             self.at = [0, 1, 2].map(|number| from[number] + (to[number] - from[number]) * step as f64 / steps);
             let speed = |number: usize| (to[number] - from[number]) / over_s;
             let shafts = [0, 1, 2].map(|number| ShaftMotion { position: self.at[number], speed: speed(number) });
-            self.body.step(&Scene::default(), 0.0, &shafts, &mut [0.0; 3], MAX_STEP_S);
+            self.body.step(&mut Scene::default(), 0.0, &shafts, &mut [0.0; 3], MAX_STEP_S);
         }
     }
 
@@ -150,7 +150,7 @@ fn encoders_show_whole_steps() {
     let shafts = [0.1, -0.1, 0.2].map(|position| ShaftMotion { position, speed: 0.0 });
     let mut sum = 0.0;
     for _ in 0..4000 {
-        body.step(&Scene::default(), 0.0, &shafts, &mut [0.0; 3], MAX_STEP_S);
+        body.step(&mut Scene::default(), 0.0, &shafts, &mut [0.0; 3], MAX_STEP_S);
         let steps = body.reading(2) / encoders.step_rad;
         assert!((steps - steps.round()).abs() < 1e-9);
         sum += body.reading(2);

@@ -1,11 +1,16 @@
-//! The planar world: walls, posts, people who walk, floors with their own friction, and slopes.
+//! The planar world: walls, posts, people who walk, boxes that can be pushed, floors with their own friction, and slopes.
 //!
-//! It is a function of time: what moves follows a path that is given, and nothing that a body does moves it.
+//! All of it but the boxes is a function of time. Boxes are where bodies have pushed them: the step of a [`Wheeled`](crate::Wheeled)
+//! body, or of one built on it, moves them, so that a scene with boxes has one such body.
 
+mod boxes;
 mod shapes;
 
+pub use boxes::{BoxSpec, MovableBox};
 pub use shapes::Point;
 pub(crate) use shapes::{Disc, Segment, cross, dot, is_inside, length, minus, plus};
+
+use crate::Pose;
 
 /// Somebody who walks straight from place to place.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,6 +71,11 @@ pub enum SceneError {
     /// A path whose times do not increase.
     #[error("`path` needs points [time_s, x_m, y_m] with finite numbers and increasing times")]
     Path,
+    /// A box without a size, mass or place.
+    #[error(
+        "a box needs `size_m` and `mass_kg` above 0, `friction` of 0 or more, `kinetic_share` from 0 to 1 and a finite place"
+    )]
+    Box,
     /// Friction or slope that a floor cannot have.
     #[error("`friction` must be 0 or more, and `slope` at most 1 each way: 45 degrees")]
     Floor,
@@ -78,6 +88,8 @@ pub struct Scene {
     discs: Vec<Disc>,
     people: Vec<Person>,
     surfaces: Vec<Surface>,
+    boxes: Vec<MovableBox>,
+    /// Of the people.
     fastest_m_s: f64,
 }
 
@@ -153,6 +165,43 @@ impl Scene {
         Ok(())
     }
 
+    /// Puts a box down, at rest.
+    ///
+    /// # Errors
+    /// [`SceneError::Box`]
+    pub fn add_box(&mut self, spec: BoxSpec, pose: Pose) -> Result<(), SceneError> {
+        self.boxes.push(MovableBox::new(spec, pose)?);
+        Ok(())
+    }
+
+    /// Takes all boxes away.
+    pub fn clear_boxes(&mut self) {
+        self.boxes.clear();
+    }
+
+    /// Its boxes, where they are now.
+    #[must_use]
+    pub fn boxes(&self) -> &[MovableBox] {
+        &self.boxes
+    }
+
+    pub(crate) fn boxes_mut(&mut self) -> &mut [MovableBox] {
+        &mut self.boxes
+    }
+
+    /// Lets all boxes slide under what pushed them.
+    pub(crate) fn step_boxes(&mut self, step_s: f64) {
+        self.boxes.iter_mut().for_each(|one| one.step(step_s));
+    }
+
+    /// Edges of the boxes.
+    fn edges(&self) -> impl Iterator<Item = Segment> {
+        self.boxes.iter().flat_map(|one| {
+            let corners = one.corners_m();
+            [0, 1, 2, 3].map(|number| Segment { from: corners[number], to: corners[(number + 1) % 4] })
+        })
+    }
+
     /// The people in it.
     #[must_use]
     pub fn people(&self) -> &[Person] {
@@ -172,7 +221,7 @@ impl Scene {
     /// Highest speed at which anything in it moves, m/s.
     #[must_use]
     pub fn fastest_m_s(&self) -> f64 {
-        self.fastest_m_s
+        self.boxes.iter().map(MovableBox::fastest_m_s).fold(self.fastest_m_s, f64::max)
     }
 
     /// Whether the floor is level and without its own friction everywhere.
@@ -184,7 +233,7 @@ impl Scene {
     /// Whether nothing stands on the floor.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.segments.is_empty() && self.discs.is_empty() && self.people.is_empty()
+        self.segments.is_empty() && self.discs.is_empty() && self.people.is_empty() && self.boxes.is_empty()
     }
 
     /// The floor under a point.
@@ -199,8 +248,9 @@ impl Scene {
     pub fn ray_m(&self, time_s: f64, from: Point, direction_rad: f64, farthest_m: f64) -> Option<f64> {
         let (sin, cos) = libm::sincos(direction_rad);
         let walls = self.segments.iter().filter_map(|segment| segment.hit(from, [cos, sin]));
+        let boxes = self.edges().filter_map(|edge| edge.hit(from, [cos, sin]));
         let discs = self.round(time_s).filter_map(|disc| disc.hit(from, [cos, sin]));
-        nearest(walls.chain(discs), farthest_m)
+        nearest(walls.chain(boxes).chain(discs), farthest_m)
     }
 
     /// Distance from a point to the nearest obstacle in a cone about a direction, m: what an ultrasonic sensor hears first. `None`
@@ -233,15 +283,25 @@ impl Scene {
             let edges = [right, left].into_iter().filter_map(|edge| disc.hit(from, edge));
             nearest(straight.into_iter().chain(edges), farthest_m)
         };
-        nearest(self.segments.iter().filter_map(wall).chain(self.round(time_s).filter_map(disc)), farthest_m)
+        let boxes: Vec<Segment> = self.edges().collect();
+        let straight = self.segments.iter().chain(&boxes).filter_map(wall);
+        nearest(straight.chain(self.round(time_s).filter_map(disc)), farthest_m)
     }
 
     /// Distance from a point to the nearest obstacle, m; infinite in an empty scene, 0 inside one.
     #[must_use]
     pub fn clearance_m(&self, time_s: f64, point: Point) -> f64 {
         let walls = self.segments.iter().map(|segment| length(minus(segment.nearest(point), point)));
+        let boxes = self.boxes.iter().map(|one| {
+            let corners = one.corners_m();
+            if is_inside(&corners, point) {
+                return 0.0;
+            }
+            let edge = |number: usize| Segment { from: corners[number], to: corners[(number + 1) % 4] };
+            (0..4).map(|number| length(minus(edge(number).nearest(point), point))).fold(f64::INFINITY, f64::min)
+        });
         let discs = self.round(time_s).map(|disc| disc.distance_m(point).max(0.0));
-        walls.chain(discs).fold(f64::INFINITY, f64::min)
+        walls.chain(boxes).chain(discs).fold(f64::INFINITY, f64::min)
     }
 
     pub(crate) fn segments(&self) -> &[Segment] {

@@ -358,7 +358,7 @@ impl Body for SuctionPad {
         self.lines.iter().flat_map(|line| [line.stepper, line.valve]).max().map_or(0, |most| most + 1)
     }
 
-    fn step(&mut self, _scene: &Scene, _time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
+    fn step(&mut self, _scene: &mut Scene, _time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
         let strip_pa = self.push();
         self.step_cups(step_s);
         for (number, strip_pa) in strip_pa.into_iter().enumerate() {

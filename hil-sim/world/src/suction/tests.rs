@@ -42,12 +42,12 @@ fn run(
 ) {
     let mut shafts = [ShaftMotion::default(); 6];
     let mut loads = [0.0; 6];
-    let scene = Scene::default();
+    let mut scene = Scene::default();
     for step in 0..(seconds / MAX_STEP_S).round() as u32 {
         let time_s = f64::from(step) * MAX_STEP_S;
         shafts[2].position = pushed_m3(time_s) / (LINE.lead_m * LINE.bore_m2) * TAU;
         shafts[3].position = f64::from(u8::from(valve));
-        pad.step(&scene, time_s, &shafts, &mut loads, MAX_STEP_S);
+        pad.step(&mut scene, time_s, &shafts, &mut loads, MAX_STEP_S);
         look(pad);
     }
 }

@@ -478,7 +478,7 @@ impl Body for BalanceTail {
         2
     }
 
-    fn step(&mut self, _: &Scene, time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
+    fn step(&mut self, _: &mut Scene, time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64) {
         loads.fill(0.0);
         let shafts = [0, 1].map(|number| shafts.get(number).copied().unwrap_or_default());
         self.carried_kg = self.lift.map_or(0.0, |Lift { at_s, over_s, mass_kg, .. }| {

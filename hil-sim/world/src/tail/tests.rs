@@ -50,7 +50,7 @@ fn oracle_tail(load_kg: f64) -> BalanceTail {
 fn run(body: &mut BalanceTail, shafts: [ShaftMotion; 2], for_s: f64, step_s: f64) -> [f64; 2] {
     let mut loads = [0.0; 2];
     for step in 0..(for_s / step_s).round() as u32 {
-        body.step(&Scene::default(), f64::from(step) * step_s, &shafts, &mut loads, step_s);
+        body.step(&mut Scene::default(), f64::from(step) * step_s, &shafts, &mut loads, step_s);
     }
     loads
 }
@@ -180,7 +180,7 @@ fn angular_momentum_grows_by_what_acts_from_outside() {
             let rate = 3.0 + number as f64;
             *shaft = ShaftMotion { position: 8.0 * (rate * at_s).sin(), speed: 8.0 * rate * (rate * at_s).cos() };
         }
-        body.step(&Scene::default(), at_s, &shafts, &mut loads, MAX_STEP_S);
+        body.step(&mut Scene::default(), at_s, &shafts, &mut loads, MAX_STEP_S);
         let still = TailState { rate_rad_s: [0.0; 3], ..body.state };
         let moment = body.motion(&still).force.iter().sum::<f64>() + body.ankle_nm();
         grown += MAX_STEP_S * 0.5 * (moment + moment_before.unwrap_or(moment));
@@ -214,7 +214,7 @@ fn pulleys_take_their_share_in_the_direction_of_motion() {
         let mut loads = [0.0; 2];
         for step in 0..20_000 {
             shafts[0] = ShaftMotion { position: speed * f64::from(step) * MAX_STEP_S, speed };
-            body.step(&Scene::default(), 0.0, &shafts, &mut loads, MAX_STEP_S);
+            body.step(&mut Scene::default(), 0.0, &shafts, &mut loads, MAX_STEP_S);
         }
         let share = if speed > 0.0 { 1.0 / left } else { left };
         let expected_nm = -weight_nm(&body) * share / 25.0;
@@ -241,7 +241,7 @@ fn a_load_is_taken_up_over_its_time_and_leans_the_person_forwards() {
     let mut loads = [0.0; 2];
     for step in 0..60_000 {
         let at_s = f64::from(step) * MAX_STEP_S;
-        body.step(&Scene::default(), at_s, &HELD, &mut loads, MAX_STEP_S);
+        body.step(&mut Scene::default(), at_s, &HELD, &mut loads, MAX_STEP_S);
         let expected_kg = (10.0 * (at_s - 1.0) / 0.5).clamp(0.0, 10.0);
         assert!((body.carried_kg - expected_kg).abs() < 1e-9);
         assert!(at_s > 1.0 || body.wearer_x_m().abs() < 1e-12, "nothing moves before");
@@ -260,7 +260,7 @@ fn an_ankle_gives_no_more_than_its_limit_and_a_trunk_that_falls_stays_down() {
     body.set_lift(Some(LOAD));
     let mut loads = [0.0; 2];
     for step in 0..20_000 {
-        body.step(&Scene::default(), f64::from(step) * MAX_STEP_S, &HELD, &mut loads, MAX_STEP_S);
+        body.step(&mut Scene::default(), f64::from(step) * MAX_STEP_S, &HELD, &mut loads, MAX_STEP_S);
         assert!(body.ankle_nm().abs() <= 30.0);
     }
     assert_eq!((body.state.angle_rad[0], body.state.rate_rad_s[0]), (LIES_RAD, 0.0));

@@ -57,7 +57,7 @@ fn follow(car: &mut Wheeled, rim_m_s: [f64; 4], rows: &[Row], mut compare: impl 
     let mut steps = 0;
     for row in rows {
         while f64::from(steps) * MAX_STEP_S < row[0] - 1e-9 {
-            car.step(&Scene::default(), 0.0, &shafts, &mut [0.0; 4], MAX_STEP_S);
+            car.step(&mut Scene::default(), 0.0, &shafts, &mut [0.0; 4], MAX_STEP_S);
             steps += 1;
         }
         compare(car, row);

@@ -100,10 +100,10 @@ fn turns_at(body: &Wheeled, (left, right): (f64, f64)) -> f64 {
     }
     let mut body = body.clone();
     let mut loads = vec![0.0; shafts.len()];
-    let scene = Scene::default();
+    let mut scene = Scene::default();
     let mut before = f64::NAN;
     for step in 1..=(SETTLES_S / MAX_STEP_S) as usize {
-        body.step(&scene, 0.0, &shafts, &mut loads, MAX_STEP_S);
+        body.step(&mut scene, 0.0, &shafts, &mut loads, MAX_STEP_S);
         // Every 50 ms: what has changed by less than 1e-6 meanwhile has settled.
         if step.is_multiple_of(200) {
             let now = body.twist().yaw_rad_s;

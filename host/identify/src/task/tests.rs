@@ -163,7 +163,7 @@ fn every_model_writes_what_a_simulated_board_loads() {
                 let mut loads = vec![0.0; body.shafts()];
                 // 1 s: slowly rolling wheels have taken it along.
                 for _ in 0..4000 {
-                    body.step(&Scene::default(), 0.0, &shafts, &mut loads, MAX_STEP_S);
+                    body.step(&mut Scene::default(), 0.0, &shafts, &mut loads, MAX_STEP_S);
                 }
                 assert!((0.2..0.4).contains(&body.twist().forward_m_s), "{}: {:?}", info.name, body.twist());
             }

@@ -38,7 +38,7 @@ pub(super) fn recorded(truth: &Truth, repeats: Repeats, mut noise: Noise) -> Res
                 let speed = |left: &bool| rim_m_s[usize::from(!left)] / skid.drive.wheel_radius_m;
                 let motion = |left| ShaftMotion { position: 0.0, speed: speed(left) };
                 let shafts: Vec<_> = is_left.iter().map(motion).collect();
-                body.kind.step(&Scene::default(), time_s, &shafts, &mut loads, MAX_STEP_S);
+                body.kind.step(&mut Scene::default(), time_s, &shafts, &mut loads, MAX_STEP_S);
                 time_s += MAX_STEP_S;
                 for side in [0, 1] {
                     let most_m_s = RAMP_M_S2 * MAX_STEP_S;

@@ -75,7 +75,7 @@ fn run(body: &mut BalanceTail, case: &Case, drive: Drive<'_>) -> Vec<Moment> {
         for (motor, shaft) in motors.iter().zip(shaft_of) {
             shafts[shaft] = motor.shaft;
         }
-        body.step(&Scene::default(), time_s, &shafts, &mut loads, MAX_STEP_S);
+        body.step(&mut Scene::default(), time_s, &shafts, &mut loads, MAX_STEP_S);
         if step % watched_every == 0 {
             let torque_nm = motors.map(|motor| motor.torque_nm);
             moments.push(Moment::of(body, time_s, torque_nm, motors.map(|motor| motor.shaft.speed)));

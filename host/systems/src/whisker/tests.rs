@@ -1,0 +1,205 @@
+use std::pin::pin;
+
+use futures::future::{Either, select};
+use r4_protocol::SafetyState;
+use rayon::prelude::*;
+
+use super::*;
+
+fn trial(arm: &'static str, seed: u64) -> Trial {
+    Trial { arm, seed, board: "sim:deformobot".parse().expect("a board") }
+}
+
+/// A trial on perfect actuators.
+fn perfect(arm: &'static str, seed: u64, load: Load, law: impl Fn(&Setup) -> Law) -> Run {
+    let robot = r4_boards::load(ABOUT.robot).expect("built in");
+    let setup = Setup { settles_s: 0.0, ..Setup::of(&robot).expect("a shell") };
+    let case = case(&trial(arm, seed), load);
+    kinematic::drive(&robot, &setup, &case, &mut law(&setup)).expect("a case")
+}
+
+fn values(arm: &'static str, seed: u64) -> Values {
+    Whisker.run(&trial(arm, seed)).expect("a trial")
+}
+
+/// Way of an arm between heavy boxes on perfect actuators, mean of some seeds, m.
+fn heavy_m(arm: &'static str, seeds: std::ops::RangeInclusive<u64>) -> f64 {
+    let seeds: Vec<u64> = seeds.collect();
+    let way_m = |seed: &u64| {
+        let mut values = Values::new();
+        evaluate(Load::Heavy, &perfect(arm, *seed, Load::Heavy, |setup| law(arm, setup)), &mut values);
+        values["way_heavy_m"]
+    };
+    seeds.par_iter().map(way_m).sum::<f64>() / seeds.len() as f64
+}
+
+#[test]
+fn on_a_simulated_board_the_robot_passes_boxes_of_every_load() {
+    let ours = values(OURS, 1);
+    for load in Load::ALL {
+        assert_eq!(ours[&format!("passed_{}", load.name())], 1.0, "{ours:?}");
+        assert!(ours[&format!("way_{}_m", load.name())] > 0.8, "{ours:?}");
+    }
+    // Narrower than the gap of 24 cm between boxes that stand.
+    assert!(ours["width_heavy_m"] < 0.24 && ours["class"] == 1.0, "{ours:?}");
+    assert_eq!(values(OURS, 1), ours, "the same seed, bit for bit");
+}
+
+/// What each part of ours is for; the body is the same in all.
+#[test]
+fn without_prediction_shape_or_waiting_ours_comes_less_far() {
+    let ours_m = heavy_m(OURS, 1..=6);
+    assert!(ours_m > 0.85, "{ours_m}");
+    for (arm, least_m) in [(NO_PREDICTION, 0.05), (NO_SHAPE, 0.02), (NO_WAIT, 0.2), (PRINTED, 0.02)] {
+        let way_m = heavy_m(arm, 1..=6);
+        assert!(way_m < ours_m - least_m, "{arm}: {way_m} m, ours {ours_m} m");
+    }
+}
+
+/// Between heavy boxes: the board trips, the robot stops within the travel of a stop, and the boxes stay; the servo has no pulses any more.
+#[test]
+fn a_released_dead_man_stops_the_robot_in_the_gap() {
+    let trial = trial(OURS, 3);
+    let case = case(&trial, Load::Heavy);
+    let (rig, setup) = prepared(&trial, &case).expect("a robot");
+    let mut law = law(OURS, &setup);
+    let work = async |session: &Session<'_>| {
+        let board = session.virtual_board()?;
+        let release = async {
+            loop {
+                session.board.sleep_s(0.02).await;
+                let body = protocol::truth(session).expect("virtual").expect("a shell");
+                if r4_world::Body::pose(&body).x_m > 0.45 {
+                    board.dead_man().set(false);
+                    return body;
+                }
+            }
+        };
+        let drive = pin!(protocol::drive(session, &setup, &mut law, case.waits_s));
+        let (released, ended) = match select(drive, pin!(release)).await {
+            Either::Right((released, drive)) => (released, drive.await),
+            Either::Left(_) => unreachable!("it was never in the gap"),
+        };
+        session.board.sleep_s(2.0).await;
+        let still = protocol::truth(session)?.expect("a shell");
+        let boxes = board.world().scene().boxes().to_vec();
+        Ok::<_, r4_rig::Error>((ended.map(drop), session.board.safety().0, released, still, boxes))
+    };
+    let ((ended, state, released, still, boxes), _) = rig.run(None, work).expect("a session");
+    assert!(matches!(&ended, Err(r4_rig::Error::Board(_))), "{ended:?}");
+    assert_eq!(state, SafetyState::Tripped);
+    let [before, after] = [&released, &still].map(|body| r4_world::Body::pose(body).x_m);
+    // 0.187 m/s at a friction of 0.6 stop in 3 mm; the rest is the stop's time.
+    assert!((0.0..0.03).contains(&(after - before)), "{before} {after}");
+    let twist = r4_world::Body::twist(&still);
+    assert!(twist.forward_m_s.abs() < 1e-3 && twist.yaw_rad_s.abs() < 1e-2, "{twist:?}");
+    let width_m = still.shell().width_m(still.angle_rad());
+    assert!(width_m < 0.245, "it does not open: {width_m}");
+    let centre_m = 0.21 + scene::AHEAD_M + 0.5 * scene::BOX_M[0];
+    assert!(boxes.iter().all(|one| (one.pose().x_m - centre_m).abs() < 1e-3), "{boxes:?}");
+}
+
+#[test]
+fn a_robot_without_a_shell_is_refused() {
+    let trial = Trial { board: "sim:openscout".parse().expect("a board"), ..trial(OURS, 1) };
+    let error = Whisker.run(&trial).expect_err("wheels").to_string();
+    assert!(error.contains("no [body.deformable]"), "{error}");
+}
+
+#[test]
+fn hidden_effects_are_named_and_clean_whiskers_show_none() {
+    for (arm, metric) in
+        [(BLIND_DEAD_TIME, "effect_named"), (BLIND_HYSTERESIS, "effect_named"), (BLIND_CLEAN, "clean_quiet")]
+    {
+        let found = values(arm, 2);
+        assert_eq!(found[metric], 1.0, "{arm}: {found:?}");
+        if metric == "effect_named" {
+            assert!(found["effect_rmse_after"] < 0.8 * found["effect_rmse_before"], "{arm}: {found:?}");
+        }
+    }
+}
+
+/// How the coefficients of the paper's form were found: 200 sampled sets on seeds 1 to 20, heavy boxes, perfect actuators.
+#[test]
+#[ignore = "a search of minutes"]
+fn the_papers_coefficients_are_searched() {
+    let mut sampler = crate::Sampler::new(1, 9);
+    let mut tried: Vec<(f64, f64, Coefficients)> = Vec::new();
+    for _ in 0..200 {
+        let mut at = |low: f64, high: f64| sampler.uniform(low, high);
+        let coefficients = Coefficients { a: at(0.0, 0.6), b: at(0.0, 0.8), c: at(-0.15, 0.1), returns: at(0.0, 0.2) };
+        let way_m = |seed: u64| {
+            let run = perfect(PRINTED, seed, Load::Heavy, |setup| Law::Printed(Printed::new(coefficients, setup)));
+            let mut values = Values::new();
+            evaluate(Load::Heavy, &run, &mut values);
+            (values["way_heavy_m"], values["passed_heavy"])
+        };
+        let ways: Vec<(f64, f64)> = (1..=20).into_par_iter().map(way_m).collect();
+        let mean = |of: fn(&(f64, f64)) -> f64| ways.iter().map(of).sum::<f64>() / ways.len() as f64;
+        tried.push((mean(|way| way.0), mean(|way| way.1), coefficients));
+    }
+    tried.sort_by(|one, other| other.0.total_cmp(&one.0));
+    for (way_m, passed, coefficients) in tried.iter().take(12) {
+        println!("{way_m:.4} m, passed {passed:.2}, {coefficients:?}");
+    }
+}
+
+/// How the weights of the classes were found.
+#[test]
+#[ignore = "prints what is in class.rs"]
+fn the_classes_are_learned() {
+    use nalgebra::{DMatrix, DVector};
+    let of = |load: Load, seeds: std::ops::RangeInclusive<u64>| -> Vec<[f64; class::FEATURES]> {
+        let seeds: Vec<u64> = seeds.collect();
+        let one = |seed: &u64| class::features(&perfect(OURS, *seed, load, |setup| law(OURS, setup)));
+        seeds.par_iter().filter_map(one).collect()
+    };
+    let learned: Vec<_> = Load::ALL.iter().map(|load| of(*load, 1..=200)).collect();
+    let size = class::FEATURES;
+    let means: Vec<DVector<f64>> = learned
+        .iter()
+        .map(|all| DVector::from_fn(size, |row, _| all.iter().map(|one| one[row]).sum::<f64>() / all.len() as f64))
+        .collect();
+    let mut pooled = DMatrix::zeros(size, size);
+    let count: usize = learned.iter().map(Vec::len).sum();
+    for (all, mean) in learned.iter().zip(&means) {
+        for one in all {
+            let off = DVector::from_column_slice(one) - mean;
+            pooled += &off * off.transpose() / (count - 3) as f64;
+        }
+    }
+    let inverse = pooled.try_inverse().expect("features that vary");
+    for mean in &means {
+        let weights = &inverse * mean;
+        println!(
+            "[{:.2}, {}],",
+            -0.5 * mean.dot(&weights),
+            weights.iter().map(|w| format!("{w:.3}")).collect::<Vec<_>>().join(", ")
+        );
+    }
+}
+
+/// Rows of some arms on a board, without the program: `ARMS=paper,ours SEEDS=200001,200 cargo test ... -- --ignored --nocapture`.
+#[test]
+#[ignore = "a study of minutes"]
+fn rows_are_printed() {
+    let variable = |name: &str, default: &str| std::env::var(name).unwrap_or_else(|_| default.to_owned());
+    let seeds = variable("SEEDS", "200001,4");
+    let seeds: Vec<u64> = seeds.split(',').filter_map(|part| part.parse().ok()).collect();
+    for name in variable("ARMS", OURS).split(',') {
+        let arm = ABOUT.arm(name).expect("an arm").name;
+        let seeds: Vec<u64> = (seeds[0]..seeds[0] + seeds[1]).collect();
+        let all: Vec<_> = seeds.par_iter().map(|seed| Whisker.run(&trial(arm, *seed))).collect();
+        let failed: Vec<String> = all.iter().filter_map(|one| Some(one.as_ref().err()?.to_string())).collect();
+        println!("{arm}: {} trials, not run {failed:?}", all.len());
+        for metric in ABOUT.metrics {
+            let values: Vec<f64> = all.iter().flatten().filter_map(|one| one.get(metric.name).copied()).collect();
+            if let Ok(summary) = metric.statistic.of(&values) {
+                println!(
+                    "  {} {:.4} [{:.4}, {:.4}]",
+                    metric.name, summary.value, summary.interval.low, summary.interval.high
+                );
+            }
+        }
+    }
+}
