@@ -17,6 +17,8 @@ const LEFT: [f64; 2] = [40.0, 545.0];
 const SCALE: f64 = 14.0;
 const TOP: f64 = 30.0;
 const FOOT: f64 = 44.0;
+/// By which cells overlap, so that no line shows between them where their edges are rounded.
+const OVERLAP: f64 = 0.3;
 /// Colours of low to high values, from matplotlib's "viridis", and of paths on them.
 const COLORS: [[f64; 3]; 5] =
     [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [94.0, 201.0, 98.0], [253.0, 231.0, 37.0]];
@@ -61,11 +63,21 @@ fn draw(svg: &mut String, view: &View, (low, high): (f64, f64), [left, top]: [f6
         escaped(&view.title)
     )?;
     writeln!(svg, "<g shape-rendering=\"crispEdges\">")?;
-    for (index, value) in view.values.iter().enumerate() {
-        let (column, row) = (index % view.columns.max(1), index / view.columns.max(1));
-        let (x, y) = (left + column as f64 * cell, top + SIDE - (row + 1) as f64 * cell);
-        let color = color((value - low) / (high - low));
-        writeln!(svg, "<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{cell:.2}\" height=\"{cell:.2}\" fill=\"{color}\"/>")?;
+    for (row, values) in view.values.chunks(view.columns.max(1)).enumerate() {
+        let y = top + SIDE - (row + 1) as f64 * cell;
+        let colors: Vec<String> = values.iter().map(|value| color((value - low) / (high - low))).collect();
+        let mut column = 0;
+        // Neighbours of one colour are one rectangle.
+        for alike in colors.chunk_by(|one, other| one == other) {
+            let (x, width) = (left + column as f64 * cell, alike.len() as f64 * cell + OVERLAP);
+            writeln!(
+                svg,
+                "<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{width:.2}\" height=\"{:.2}\" fill=\"{}\"/>",
+                cell + OVERLAP,
+                alike[0]
+            )?;
+            column += alike.len();
+        }
     }
     writeln!(svg, "</g>")?;
     for (path, color) in view.paths.iter().zip(PATHS) {
