@@ -563,11 +563,11 @@ struct Post {
 struct Carton {
     size_m: [f64; 2],
     mass_kg: f64,
-    /// Static.
+    /// Coefficient of static friction on the floor, 1.
     friction: f64,
     #[serde(default = "alike")]
     kinetic_share: f64,
-    /// Of its centre.
+    /// Place of its centre in the world, m.
     place_m: Point,
     #[serde(default, deserialize_with = "finite")]
     yaw_rad: f64,

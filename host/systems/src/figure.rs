@@ -51,6 +51,8 @@ pub struct View {
     pub values: Vec<f64>,
     /// At most four.
     pub paths: Vec<Curve>,
-    /// Places, m.
+    /// Places, m, from the origin.
     pub marks_m: Vec<[f64; 2]>,
+    /// What the places are, for the legend.
+    pub marks_name: &'static str,
 }

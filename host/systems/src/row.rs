@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Limit, Source};
+use crate::{Limit, Source, Summary};
 
 /// One metric of one arm over all seeds of a study.
 ///
@@ -44,4 +44,35 @@ pub struct Row {
     /// Whether it does.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub met: Option<bool>,
+}
+
+impl Row {
+    /// A row of a system's own arm about this machine's speed, over `n` values, which no seed repeats.
+    pub(crate) fn timed(
+        [system, arm]: [&str; 2],
+        [metric, unit]: [&str; 2],
+        n: usize,
+        seeds: [u64; 2],
+        summary: Summary,
+        target: Limit,
+    ) -> Self {
+        Self {
+            system: system.to_owned(),
+            arm: arm.to_owned(),
+            metric: metric.to_owned(),
+            unit: unit.to_owned(),
+            n,
+            failed: 0,
+            value: summary.value,
+            lo: summary.interval.low,
+            hi: summary.interval.high,
+            method: summary.method.to_owned(),
+            paired_p: None,
+            source: Source::Measured,
+            board: "kinematic".to_owned(),
+            seeds,
+            target: Some(target),
+            met: Some(target.is_held_by(summary.value)),
+        }
+    }
 }

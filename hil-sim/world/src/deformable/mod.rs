@@ -113,24 +113,24 @@ impl Shell {
 /// Why a deformable robot cannot be computed.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum DeformableError {
-    /// The shell's numbers.
+    /// Numbers of the shell that make no hexagon.
     #[error(
         "the shell needs ends_rad [narrowest, widest] above 0 and at most a right angle with rest_rad between them, per_rad other than 0, \
          holds_n above 0, and a width of at least {least_m} m when narrow"
     )]
     Shell {
-        /// m
+        /// Smallest width that a shell may have, m.
         least_m: f64,
     },
     /// A shaft that the body does not have.
     #[error("there is no shaft {shaft}: the body couples {shafts}")]
     Shaft {
-        /// Its number.
+        /// Number of the shaft that was asked for.
         shaft: usize,
         /// How many there are.
         shafts: usize,
     },
-    /// The whiskers' numbers.
+    /// Numbers of the whiskers that are out of range.
     #[error(
         "whiskers need a length, stiffness and every_s above 0, rest_rad from 0 to half a turn, hinge_m not to the right, no negative \
          hysteresis, noise or late_s, and late_s at most 100 times every_s"
@@ -168,7 +168,7 @@ impl Deformable {
     /// The same robot of other numbers, at rest at the same place.
     ///
     /// # Errors
-    /// As [`Deformable::new`].
+    /// What [`Deformable::new`] refuses, of the changed numbers.
     pub fn changed(&self, change: impl FnOnce(&mut Shell, &mut Whiskers)) -> Result<Self, DeformableError> {
         let (mut shell, mut whiskers) = (self.shell, self.whiskers);
         change(&mut shell, &mut whiskers);
@@ -183,7 +183,7 @@ impl Deformable {
         &self.base
     }
 
-    /// The shell.
+    /// Lengths, angles and strength of the shell.
     #[must_use]
     pub const fn shell(&self) -> &Shell {
         &self.shell

@@ -14,7 +14,7 @@ use crate::{
 pub struct Whiskers {
     /// Hinge of the left one from the nose: forwards (negative: behind it) and to the left, m.
     pub hinge_m: [f64; 2],
-    /// m
+    /// Length from the hinge to the tip, m.
     pub length_m: f64,
     /// How far the left one points to the left of forwards when free, rad.
     pub rest_rad: f64,

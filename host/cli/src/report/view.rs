@@ -147,7 +147,7 @@ fn legend(svg: &mut String, view: &View, [left, top]: [f64; 2]) -> std::fmt::Res
             x + 8.0,
             y - 4.0
         )?;
-        writeln!(svg, "<text x=\"{}\" y=\"{y}\" fill=\"#57606A\">sample</text>", x + 18.0)?;
+        writeln!(svg, "<text x=\"{}\" y=\"{y}\" fill=\"#57606A\">{}</text>", x + 18.0, escaped(view.marks_name))?;
     }
     Ok(())
 }

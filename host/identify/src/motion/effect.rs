@@ -348,7 +348,8 @@ impl Effect {
             ),
             Self::Backlash => (
                 vec![sized(s.units.gap_name, distance, level(0.02 * s.distance))],
-                // With 0.02 instead of the two in the middle, a play of 0.2 rad in 14 rad was not found (tuning seed 60660042).
+                // With 0.02 instead of the two in the middle, a play of 0.33 rad was missed where the recordings had long holds (tuning
+                // board 60660042, noise of seed 660000).
                 [0.003, 0.01, 0.03, 0.1].iter().map(|share| vec![share * s.distance]).collect(),
             ),
             Self::Compliance => (

@@ -157,22 +157,23 @@ impl Windows {
 
 /// A recording as a centred sensor would have made it; `None` where the sensor went backwards.
 fn centred(run: &MotionRun, amplitude_rad: f64, phase_rad: f64) -> Option<MotionRun> {
-    /// Of Newton's method, which triples the digits: enough for amplitudes up to [`LARGEST`].
-    const ROUNDS: usize = 12;
-    const LARGEST: f64 = 0.9;
-    if amplitude_rad.is_nan() || amplitude_rad.abs() > LARGEST {
+    /// An amplitude of 1 stands still once a turn, and beyond it the sensor goes backwards.
+    const LARGEST_RAD: f64 = 0.9;
+    if amplitude_rad.is_nan() || amplitude_rad.abs() > LARGEST_RAD {
         return None;
     }
-    let angle_of = |measured: f64| {
-        let mut angle = measured;
-        for _ in 0..ROUNDS {
-            let (sin, cos) = (angle + phase_rad).sin_cos();
-            angle -= (angle + amplitude_rad * sin - measured) / (1.0 + amplitude_rad * cos);
-        }
-        angle
-    };
-    let measured = run.all.measured.iter().map(|&measured| angle_of(measured)).collect();
-    Some(run.measuring(measured))
+    let angle_rad = |measured_rad: &f64| centred_rad(*measured_rad, amplitude_rad, phase_rad);
+    Some(run.measuring(run.all.measured.iter().map(angle_rad).collect()))
+}
+
+/// The angle, rad, at which a sensor with this eccentricity shows `measured_rad`: by Newton's method, to rounding for amplitudes up to 0.9.
+fn centred_rad(measured_rad: f64, amplitude_rad: f64, phase_rad: f64) -> f64 {
+    let mut angle_rad = measured_rad;
+    for _ in 0..8 {
+        let (sin, cos) = (angle_rad + phase_rad).sin_cos();
+        angle_rad -= (angle_rad + amplitude_rad * sin - measured_rad) / (1.0 + amplitude_rad * cos);
+    }
+    angle_rad
 }
 
 /// The samples between two moments.
@@ -628,8 +629,23 @@ impl Seen {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::TAU;
+
     use super::*;
     use crate::data::{Quantity, Run, Signal};
+
+    #[test]
+    fn an_eccentric_sensor_is_read_back_at_every_angle_and_phase() {
+        for amplitude_rad in [-0.9_f64, 0.05, 0.5, 0.9] {
+            for place in 0..200_u32 * 60 {
+                let (phase_rad, angle_rad) = (f64::from(place / 60) * TAU / 200.0, f64::from(place % 60) * TAU / 60.0);
+                let measured_rad = angle_rad + amplitude_rad * (angle_rad + phase_rad).sin();
+                let off_rad = centred_rad(measured_rad, amplitude_rad, phase_rad) - angle_rad;
+                // Rounding of the angle, over the least slope of 0.1.
+                assert!(off_rad.abs() < 1e-13, "{amplitude_rad} rad, {phase_rad} rad at {angle_rad} rad: {off_rad}");
+            }
+        }
+    }
 
     #[test]
     fn a_turn_is_where_and_when_the_way_back_began() {

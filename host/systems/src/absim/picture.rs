@@ -47,6 +47,7 @@ pub(super) fn views(trial: &Trial) -> Result<Vec<View>, Error> {
         values: values.to_vec(),
         paths: Vec::new(),
         marks_m: Vec::new(),
+        marks_name: "sample",
     };
     let samples = mission.taken();
     let title = format!("Map after {} samples, RMS error {:.0} kPa", samples.len(), mission.rmse_kpa());

@@ -16,7 +16,7 @@ use super::{
     scene::Scene,
     wall::{Charging, Wall},
 };
-use crate::{Error, Limit, Row, Source, Statistic, Summary, sampler::Sampler};
+use crate::{Error, Limit, Row, Statistic, Summary, sampler::Sampler};
 
 /// Robots of the fleet that is promised to run at 1000 times real time, and the side of its field, m.
 const ROBOTS: usize = 20;
@@ -91,23 +91,8 @@ impl Program for Patrol {
 pub(super) fn rows(is_quick: bool) -> Result<Vec<Row>, Error> {
     let repeats = if is_quick { QUICK_REPEATS } else { REPEATS };
     let seeds = [1_001, 1_000 + repeats as u64];
-    let row = |metric: &str, n: usize, summary: Summary, target: Limit| Row {
-        system: NAME.to_owned(),
-        arm: OURS.to_owned(),
-        metric: metric.to_owned(),
-        unit: "1".to_owned(),
-        n,
-        failed: 0,
-        value: summary.value,
-        lo: summary.interval.low,
-        hi: summary.interval.high,
-        method: summary.method.to_owned(),
-        paired_p: None,
-        source: Source::Measured,
-        board: "kinematic".to_owned(),
-        seeds,
-        target: Some(target),
-        met: Some(target.is_held_by(summary.value)),
+    let row = |metric: &str, n: usize, summary: Summary, target: Limit| {
+        Row::timed([NAME, OURS], [metric, "1"], n, seeds, summary, target)
     };
     let mut rows = Vec::new();
     let many = |seed| Scene::sampled(seed, ROBOTS, SIDE_M, SAMPLES);

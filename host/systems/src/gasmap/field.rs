@@ -9,7 +9,7 @@ use r4_maps::{
 };
 
 use super::survey::PUBLISHED;
-use crate::{Limit, Row, Source, Statistic};
+use crate::{Limit, Row, Statistic};
 
 /// Readings of the timed map, one a second along a lane.
 const READINGS: usize = 100;
@@ -78,23 +78,6 @@ pub(super) fn rows(is_quick: bool) -> Result<Vec<Row>, crate::Error> {
         why: error.to_string(),
     };
     let summary = Statistic::Quantile(0.5).of(&times_ms(readings).map_err(failed)?)?;
-    let target = Limit::AtMost(50.0);
-    Ok(vec![Row {
-        system: super::NAME.to_owned(),
-        arm: super::OURS.to_owned(),
-        metric: "update_75000_cells_ms".to_owned(),
-        unit: "ms".to_owned(),
-        n: readings,
-        failed: 0,
-        value: summary.value,
-        lo: summary.interval.low,
-        hi: summary.interval.high,
-        method: summary.method.to_owned(),
-        paired_p: None,
-        source: Source::Measured,
-        board: "kinematic".to_owned(),
-        seeds: [0, 0],
-        target: Some(target),
-        met: Some(target.is_held_by(summary.value)),
-    }])
+    let names = [super::NAME, super::OURS];
+    Ok(vec![Row::timed(names, ["update_75000_cells_ms", "ms"], readings, [0, 0], summary, Limit::AtMost(50.0))])
 }

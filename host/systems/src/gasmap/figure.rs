@@ -108,6 +108,7 @@ pub(super) fn views(trial: &Trial) -> Result<Vec<View>, Error> {
             values: (0..COLUMNS * COLUMNS).map(value).collect(),
             paths: path.map(curve).into_iter().collect(),
             marks_m: vec![hall.case.source_m],
+            marks_name: "leak",
         }
     };
     let minutes = |of: &Surveyed| of.until_s / 60.0;

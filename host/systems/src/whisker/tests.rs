@@ -178,28 +178,3 @@ fn the_classes_are_learned() {
         );
     }
 }
-
-/// Rows of some arms on a board, without the program: `ARMS=paper,ours SEEDS=200001,200 cargo test ... -- --ignored --nocapture`.
-#[test]
-#[ignore = "a study of minutes"]
-fn rows_are_printed() {
-    let variable = |name: &str, default: &str| std::env::var(name).unwrap_or_else(|_| default.to_owned());
-    let seeds = variable("SEEDS", "200001,4");
-    let seeds: Vec<u64> = seeds.split(',').filter_map(|part| part.parse().ok()).collect();
-    for name in variable("ARMS", OURS).split(',') {
-        let arm = ABOUT.arm(name).expect("an arm").name;
-        let seeds: Vec<u64> = (seeds[0]..seeds[0] + seeds[1]).collect();
-        let all: Vec<_> = seeds.par_iter().map(|seed| Whisker.run(&trial(arm, *seed))).collect();
-        let failed: Vec<String> = all.iter().filter_map(|one| Some(one.as_ref().err()?.to_string())).collect();
-        println!("{arm}: {} trials, not run {failed:?}", all.len());
-        for metric in ABOUT.metrics {
-            let values: Vec<f64> = all.iter().flatten().filter_map(|one| one.get(metric.name).copied()).collect();
-            if let Ok(summary) = metric.statistic.of(&values) {
-                println!(
-                    "  {} {:.4} [{:.4}, {:.4}]",
-                    metric.name, summary.value, summary.interval.low, summary.interval.high
-                );
-            }
-        }
-    }
-}
