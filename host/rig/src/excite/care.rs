@@ -24,11 +24,13 @@ pub struct Care {
     /// Share of the duty beyond friction.
     pub(super) strength: f64,
     repeats: usize,
+    /// Whether it moved in a recording that was kept: one in which it stands tells what holds it.
+    has_moved: bool,
 }
 
 impl Default for Care {
     fn default() -> Self {
-        Self { patience: FIRST_PATIENCE, strength: 1.0, repeats: 0 }
+        Self { patience: FIRST_PATIENCE, strength: 1.0, repeats: 0, has_moved: false }
     }
 }
 
@@ -46,13 +48,16 @@ impl Care {
     /// is made.
     ///
     /// # Errors
-    /// [`ExciteError::Immovable`] when the motor did not move though the board would have stopped it before it was let go, or the
+    /// [`ExciteError::Immovable`] when the motor has not moved in any recording though the board would have stopped it before it was let go, or the
     /// error that came in when another attempt does not help.
     pub fn judge(&mut self, excitation: &Excitation, excited: Result<Excited, Error>) -> Result<Next, Error> {
         let is_unlimited = self.patience.is_infinite();
         let immovable = ExciteError::Immovable { channel: excitation.channel };
         let again = match &excited {
-            Ok(Excited { moved: true }) => return Ok(Next::Keep),
+            Ok(Excited { moved }) if *moved || self.has_moved => {
+                self.has_moved = true;
+                return Ok(Next::Keep);
+            }
             Ok(_) if is_unlimited => return Err(immovable.into()),
             Ok(_) => {
                 self.patience = f64::INFINITY;
@@ -175,6 +180,13 @@ mod tests {
             let Error::Excite(why) = second else { panic!("{second}") };
             assert!(matches!(*why, ExciteError::Immovable { .. }), "{why}");
         }
-        assert_eq!(Care::default().judge(&MOTOR, Ok(Excited { moved: true })).expect("kept"), Next::Keep);
+    }
+
+    #[test]
+    fn a_motor_that_moved_once_may_stand_in_another_recording() {
+        let mut care = Care::default();
+        for moved in [true, false] {
+            assert_eq!(care.judge(&MOTOR, Ok(Excited { moved })).expect("kept"), Next::Keep, "{moved}");
+        }
     }
 }
