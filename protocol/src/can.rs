@@ -34,7 +34,7 @@ use heapless::Vec;
 
 use crate::{
     cycle::{CYCLE_CHANNELS, CYCLE_FRAME, Cycle, whole},
-    frame::{MAX_FRAME, encode_frame},
+    frame::{Check, MAX_FRAME, encode_with},
 };
 
 /// Most data bytes of a classic frame.
@@ -287,7 +287,7 @@ impl Inbound {
         self.seq = self.seq.wrapping_add(1);
         let mut buffer = [0; MAX_FRAME];
         // Every cycle has this length.
-        if let Ok(frame) = encode_frame(&cycle, &mut buffer)
+        if let Ok(frame) = encode_with(&cycle, Check::Long, &mut buffer)
             && let Ok(frame) = frame.try_into()
         {
             self.cycle = frame;
@@ -307,7 +307,7 @@ mod tests {
     use super::*;
     use crate::{
         cycle::NOTHING,
-        frame::{FrameDecoder, FrameError},
+        frame::{FrameDecoder, FrameError, encode_frame},
         message::{Request, ToDevice},
     };
 
@@ -319,8 +319,8 @@ mod tests {
         encode_frame(message, &mut [0; MAX_FRAME]).expect("it fits").to_vec()
     }
 
-    fn stats(seq: u16) -> ToDevice {
-        ToDevice::Request { seq, request: Request::Stats }
+    fn bye(seq: u16) -> ToDevice {
+        ToDevice::Request { seq, request: Request::Bye }
     }
 
     fn cycle(seq: u8, set: [i16; CYCLE_CHANNELS]) -> ToDevice {
@@ -350,10 +350,10 @@ mod tests {
     #[test]
     fn set_points_become_cycles_between_the_frames_of_the_byte_stream() {
         let mut inbound = Inbound::new(NODE);
-        let stream = [frame(&stats(1)), frame(&stats(2))].concat();
+        let stream = [frame(&bye(1)), frame(&bye(2))].concat();
         let mut pieces = cut(&stream);
         inbound.take(STREAM, pieces.next().unwrap()).unwrap();
-        assert_eq!(decode(&drain(&mut inbound, 64)), [Ok(stats(1))], "the second has not come whole");
+        assert_eq!(decode(&drain(&mut inbound, 64)), [Ok(bye(1))], "the second has not come whole");
         // In the middle of the second: not after it, and not in it.
         inbound.take(SHORT, &setpoints([1, -1, 0, NOTHING])).unwrap();
         assert_eq!(decode(&drain(&mut inbound, 3)), [Ok(cycle(0, [1, -1, 0, NOTHING]))]);
@@ -361,7 +361,7 @@ mod tests {
         for piece in pieces {
             inbound.take(STREAM, piece).unwrap();
         }
-        assert_eq!(decode(&drain(&mut inbound, 1)), [Ok(cycle(1, [2; 4])), Ok(stats(2))]);
+        assert_eq!(decode(&drain(&mut inbound, 1)), [Ok(cycle(1, [2; 4])), Ok(bye(2))]);
     }
 
     #[test]
@@ -390,23 +390,23 @@ mod tests {
         }
         assert_eq!(inbound.take(STREAM, &[1; 65]), Err(NotTaken::Length));
         assert_eq!(drain(&mut inbound, 64), []);
-        inbound.take(STREAM, &frame(&stats(1))[..]).unwrap();
+        inbound.take(STREAM, &frame(&bye(1))[..]).unwrap();
         assert_eq!(inbound.take(STREAM, &[1, 0]), Err(NotTaken::Full), "a whole frame waits");
-        assert_eq!(decode(&drain(&mut inbound, 64)), [Ok(stats(1))]);
+        assert_eq!(decode(&drain(&mut inbound, 64)), [Ok(bye(1))]);
     }
 
     #[test]
     fn a_frame_that_is_too_long_is_one_error_and_the_next_is_taken() {
         for len in [MAX_FRAME - 1, MAX_FRAME, MAX_FRAME + 1, 5000] {
             let mut inbound = Inbound::new(NODE);
-            let stream = [&std::vec![7; len][..], &[0], &frame(&stats(1))].concat();
+            let stream = [&std::vec![7; len][..], &[0], &frame(&bye(1))].concat();
             let mut bytes = List::new();
             for piece in cut(&stream) {
                 inbound.take(STREAM, piece).unwrap();
                 bytes.extend(drain(&mut inbound, 64));
             }
             assert_eq!(decode(&bytes).len(), 2, "{len}");
-            assert_eq!(decode(&bytes)[1], Ok(stats(1)), "{len}");
+            assert_eq!(decode(&bytes)[1], Ok(bye(1)), "{len}");
             assert_eq!(decode(&bytes)[0], decode(&stream)[0], "{len}");
         }
     }
@@ -418,11 +418,11 @@ mod tests {
             assert_eq!(inbound.take(STREAM, data), Ok(()), "nothing waits");
             assert_eq!(drain(&mut inbound, 64), []);
         }
-        let filled = [&[0; 3][..], &frame(&stats(1)), &[0; 3]].concat();
+        let filled = [&[0; 3][..], &frame(&bye(1)), &[0; 3]].concat();
         for piece in cut(&filled) {
             inbound.take(STREAM, piece).unwrap();
         }
-        assert_eq!(drain(&mut inbound, 64), frame(&stats(1)));
+        assert_eq!(drain(&mut inbound, 64), frame(&bye(1)));
     }
 
     #[test]
@@ -473,7 +473,7 @@ mod tests {
                     stream.extend(garbage);
                     stream.push(0);
                 }
-                stream.extend(frame(&stats(*seq)));
+                stream.extend(frame(&bye(*seq)));
             }
             let pieces: List<List<u8>> =
                 if fd { cut_fd(&stream).map(|data| data.to_vec()).collect() } else { cut(&stream).map(<[u8]>::to_vec).collect() };

@@ -2,7 +2,7 @@
 //!
 //! [`Request::Bind`](crate::Request::Bind) says once which channels are meant, in which mode and by which scales. Then each
 //! [`Cycle`] down is answered by one [`CycleState`] up, at once. With checksum, COBS and delimiter they take [`CYCLE_FRAME`]
-//! and [`CYCLE_STATE_FRAME`] bytes, 64 together, whatever is in them: numbers are little-endian byte arrays, because
+//! and [`CYCLE_STATE_FRAME`] bytes, 66 together, whatever is in them: numbers are little-endian byte arrays, because
 //! postcard writes other integers with as many bytes as their value needs.
 //!
 //! # Units
@@ -40,7 +40,7 @@ use crate::{
 /// Most channels of a cycle.
 pub const CYCLE_CHANNELS: usize = 4;
 /// Bytes of the frame of a [`Cycle`], delimiter included.
-pub const CYCLE_FRAME: usize = 19;
+pub const CYCLE_FRAME: usize = 21;
 /// Bytes of the frame of a [`CycleState`], delimiter included.
 pub const CYCLE_STATE_FRAME: usize = 45;
 /// One step of a duty, share of the supply.

@@ -1,23 +1,81 @@
-//! Frames on a byte link: `COBS(postcard message | CRC-16 little-endian) 0x00`.
+//! Frames on a byte link: `COBS(postcard message | checksum, little-endian) 0x00`.
 //!
 //! A frame never contains 0x00, so a receiver that joins in the middle, or lost bytes, is in step again after one
-//! delimiter. The CRC is CRC-16/IBM-SDLC (polynomial 0x1021 reflected, as a UART sends bits), over the message before COBS.
+//! delimiter. The checksum is over the message before COBS, and there are two of them ([`Check`]):
 //!
-//! It finds every error of up to three bits, or within 16 bits in a row, that leaves COBS codes and zeros where they are. A
+//! | messages | checksum | bytes |
+//! | --- | --- | --- |
+//! | commands: cycles, and all requests but `Hello`, `Bye` and `Stop` | CRC-32/ISO-HDLC, that of zlib: polynomial 0x04C11DB7 reflected | 4 |
+//! | `Hello`, `Bye`, `Stop`, heartbeats, and all that a board says | CRC-16/IBM-SDLC: polynomial 0x1021 reflected, as a UART sends bits | 2 |
+//!
+//! A command with the shorter one is not taken.
+//!
+//! The shorter one finds every error of up to three bits, or within 16 bits in a row, that leaves COBS codes and zeros where they are. A
 //! damaged code becomes many wrong bits: measured with the same polynomial unreflected, of frames with one wrong bit 5 in
-//! 187 million passed for another message, of frames with three 1 in a million. So nothing dangerous hangs on one frame: set
-//! points are checked against their channel's range and age, and a stop is repeated by the missing heartbeat.
+//! 187 million passed for another message, of frames with three 1 in a million. That is too much for what arms a board or moves a motor;
+//! `Stop` has it because a stop is taken from hosts of every version, and what it stops may be started again.
 
-use crc::{CRC_16_IBM_SDLC, Crc};
+use crc::{CRC_16_IBM_SDLC, CRC_32_ISO_HDLC, Crc};
 use serde::{Serialize, de::DeserializeOwned};
+
+use crate::{
+    cycle::{Cycle, CycleState},
+    message::{Request, ToDevice, ToHost},
+};
 
 /// Longest message in a frame, before CRC and COBS. Chosen so that COBS adds exactly one byte.
 pub const MAX_MESSAGE: usize = 250;
 /// Longest frame: message, CRC, COBS overhead, delimiter.
-pub const MAX_FRAME: usize = MAX_MESSAGE + CRC_LEN + 2;
+pub const MAX_FRAME: usize = MAX_MESSAGE + LONG_LEN + 2;
 
-const CRC_LEN: usize = 2;
-const CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_SDLC);
+const SHORT_LEN: usize = 2;
+const SHORT: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_SDLC);
+const LONG_LEN: usize = 4;
+const LONG: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+/// Checksum of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Check {
+    /// CRC-16/IBM-SDLC.
+    Short,
+    /// CRC-32/ISO-HDLC, of commands.
+    Long,
+}
+
+/// What travels in frames.
+pub trait Message: Serialize + DeserializeOwned {
+    /// The checksum that its frames have.
+    fn check(&self) -> Check;
+}
+
+impl Message for ToDevice {
+    fn check(&self) -> Check {
+        match self {
+            Self::Heartbeat { .. }
+            | Self::Request { request: Request::Hello { .. } | Request::Bye | Request::Stop, .. } => Check::Short,
+            Self::Request { .. } | Self::Cycle(_) => Check::Long,
+        }
+    }
+}
+
+/// On a link that carries nothing but cycles.
+impl Message for Cycle {
+    fn check(&self) -> Check {
+        Check::Long
+    }
+}
+
+impl Message for CycleState {
+    fn check(&self) -> Check {
+        Check::Short
+    }
+}
+
+impl Message for ToHost {
+    fn check(&self) -> Check {
+        Check::Short
+    }
+}
 
 /// The message does not fit a frame, so it was not sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,15 +85,33 @@ pub struct MessageTooLong;
 ///
 /// # Errors
 /// [`MessageTooLong`] when the message needs more than [`MAX_MESSAGE`] bytes.
-pub fn encode_frame<'b, T: Serialize>(
+pub fn encode_frame<'b, T: Message>(message: &T, buffer: &'b mut [u8; MAX_FRAME]) -> Result<&'b [u8], MessageTooLong> {
+    encode_with(message, message.check(), buffer)
+}
+
+/// As [`encode_frame`], of anything that postcard takes, with a checksum that is asked for.
+///
+/// # Errors
+/// [`MessageTooLong`] when it needs more than [`MAX_MESSAGE`] bytes.
+pub fn encode_with<'b, T: Serialize>(
     message: &T,
+    check: Check,
     buffer: &'b mut [u8; MAX_FRAME],
 ) -> Result<&'b [u8], MessageTooLong> {
-    let mut plain = [0; MAX_MESSAGE + CRC_LEN];
+    let mut plain = [0; MAX_MESSAGE + LONG_LEN];
     let len = postcard::to_slice(message, &mut plain[..MAX_MESSAGE]).map_err(|_| MessageTooLong)?.len();
-    let crc = CRC.checksum(&plain[..len]);
-    plain[len..len + CRC_LEN].copy_from_slice(&crc.to_le_bytes());
-    let end = cobs::encode(&plain[..len + CRC_LEN], buffer);
+    let (message, after) = plain.split_at_mut(len);
+    let end = match check {
+        Check::Short => {
+            after[..SHORT_LEN].copy_from_slice(&SHORT.checksum(message).to_le_bytes());
+            len + SHORT_LEN
+        }
+        Check::Long => {
+            after[..LONG_LEN].copy_from_slice(&LONG.checksum(message).to_le_bytes());
+            len + LONG_LEN
+        }
+    };
+    let end = cobs::encode(&plain[..end], buffer);
     buffer[end] = 0;
     Ok(&buffer[..=end])
 }
@@ -54,8 +130,12 @@ pub enum FrameError {
         /// Over what was received.
         calculated: u16,
     },
-    /// Undamaged, but no message of this version.
-    NotAMessage,
+    /// Undamaged, but no message of this version, or a command with the shorter checksum.
+    NotAMessage {
+        /// Number of the request or of the response that it is, which both kinds of message begin with in all versions; `None` of other
+        /// messages. A request is refused by it, and who waits for a response is told by it that there was one.
+        seq: Option<u16>,
+    },
 }
 
 /// Takes bytes as they come and gives messages.
@@ -82,7 +162,7 @@ impl FrameDecoder {
     }
 
     /// Takes one byte. `Some` when it ended a frame.
-    pub fn push<T: DeserializeOwned>(&mut self, byte: u8) -> Option<Result<T, FrameError>> {
+    pub fn push<T: Message>(&mut self, byte: u8) -> Option<Result<T, FrameError>> {
         if byte != 0 {
             match self.buffer.get_mut(self.len) {
                 Some(slot) => {
@@ -104,17 +184,36 @@ impl FrameDecoder {
         }
     }
 
-    fn decode<T: DeserializeOwned>(frame: &mut [u8]) -> Result<T, FrameError> {
+    fn decode<T: Message>(frame: &mut [u8]) -> Result<T, FrameError> {
         let len = cobs::decode_in_place(frame).map_err(|_| FrameError::Malformed)?;
-        let (message, received) = frame[..len].split_last_chunk::<CRC_LEN>().ok_or(FrameError::Malformed)?;
-        let (received, calculated) = (u16::from_le_bytes(*received), CRC.checksum(message));
-        if received != calculated {
-            return Err(FrameError::Checksum { received, calculated });
-        }
+        let (message, check) = checked(&frame[..len])?;
         // `take` and not `from_bytes`: bytes left over are a longer message of another version, not of this one.
-        match postcard::take_from_bytes(message) {
-            Ok((message, [])) => Ok(message),
-            _ => Err(FrameError::NotAMessage),
+        match postcard::take_from_bytes::<T>(message) {
+            Ok((message, [])) if message.check() == check => Ok(message),
+            _ => Err(FrameError::NotAMessage { seq: seq(message) }),
         }
     }
+}
+
+/// The message of a frame, without COBS, and the checksum that fits. The longer one first: of a command, the shorter one fits by chance once
+/// in 65 536 times, and then two bytes would be left over.
+fn checked(frame: &[u8]) -> Result<(&[u8], Check), FrameError> {
+    if let Some((message, received)) = frame.split_last_chunk::<LONG_LEN>()
+        && u32::from_le_bytes(*received) == LONG.checksum(message)
+    {
+        return Ok((message, Check::Long));
+    }
+    let (message, received) = frame.split_last_chunk::<SHORT_LEN>().ok_or(FrameError::Malformed)?;
+    let (received, calculated) = (u16::from_le_bytes(*received), SHORT.checksum(message));
+    if received == calculated {
+        Ok((message, Check::Short))
+    } else {
+        Err(FrameError::Checksum { received, calculated })
+    }
+}
+
+/// Number of a request or response of any version: the first variant of both directions, and then it.
+fn seq(message: &[u8]) -> Option<u16> {
+    let (&first, rest) = message.split_first()?;
+    (first == 0).then(|| postcard::take_from_bytes(rest).ok())?.map(|(seq, _)| seq)
 }

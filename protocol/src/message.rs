@@ -76,11 +76,12 @@ pub enum ToHost {
 /// What a host can ask.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum Request {
-    /// Opens a session. Must come first; its encoding never changes, so that any two versions can refuse each other.
+    /// Opens a session. Must come first; its encoding never changes, so that any two versions can agree or refuse each other: see
+    /// [`crate::version`].
     Hello {
-        /// [`crate::VERSION`] of the host.
+        /// [`crate::VERSION`] in which the host wants to talk.
         version: u16,
-        /// [`crate::SCHEMA_HASH`] of the host.
+        /// [`crate::SCHEMA_HASH`] of that version.
         schema: u64,
     },
     /// Closes the session: disarms, ends subscriptions, and the missing heartbeat no longer trips.
@@ -396,9 +397,9 @@ pub struct DeviceStats {
 /// Why a request was not carried out. Nothing was changed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum Refusal {
-    /// The host speaks another version of the protocol.
+    /// The board does not speak that version of the protocol.
     ProtocolMismatch {
-        /// [`crate::VERSION`] of the board.
+        /// The newest that it speaks: its [`crate::VERSION`].
         version: u16,
         /// [`crate::SCHEMA_HASH`] of the board.
         schema: u64,
@@ -540,6 +541,8 @@ pub enum Refusal {
         /// rad/s or m/s
         limit: f32,
     },
+    /// An undamaged request that the board does not know: it came with a later version.
+    UnknownMessage,
 }
 
 impl fmt::Display for Refusal {
@@ -552,6 +555,7 @@ impl fmt::Display for Refusal {
                 crate::VERSION,
                 crate::SCHEMA_HASH
             ),
+            Self::UnknownMessage => f.write_str("the board's firmware does not know this request: flash that of this release"),
             Self::NoSession => f.write_str("no session is open: connect again"),
             Self::InUse => f.write_str("another host is connected to this board: end its session first"),
             Self::UnknownChannel { channel } => {

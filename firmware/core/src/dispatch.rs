@@ -5,12 +5,13 @@ use embassy_time::Instant;
 use heapless::{String, Vec};
 use r4_protocol::{
     ChannelId, ChannelInfo, DeviceInfo, LogInfo, Mode, ModeInfo, ParameterInfo, PathPoint, Range, Refusal, Reply,
-    Request, SCHEMA_HASH, SetError, Setpoint, ToDevice, ToHost, Unit, VERSION,
+    Request, SetError, Setpoint, Spoken, ToDevice, ToHost, Unit,
     channel::MAX_MODES,
     config::{
         BoardConfig, ControlConfig, DAC_FULL_SCALE_V, HomingConfig, MotorConfig, Place, RelayRole, Reverse,
         SensorDescription, StepperConfig,
     },
+    version::{SPOKEN, accept},
 };
 
 use crate::{
@@ -70,6 +71,17 @@ pub(crate) fn dispatch<M: RawMutex>(shared: &Shared<M>, link: u8, host: &mut Hos
             Outcome::Answer(response(shared, seq, answer(shared, link, host, request, now)))
         }
     }
+}
+
+/// Refuses an undamaged request of a later version. It may be a set point of a kind that is not known here: all that the host wanted before
+/// ends.
+pub(crate) fn unknown<M: RawMutex>(shared: &Shared<M>, link: u8, seq: u16, now: Instant) -> ToHost {
+    if shared.has_session(link) {
+        for (_, place) in shared.config().channels() {
+            shared.withdraw(place, now.as_micros(), false);
+        }
+    }
+    response(shared, seq, Err(Refusal::UnknownMessage))
 }
 
 /// Whether a request waits for flash or for an external device.
@@ -138,9 +150,7 @@ fn answer<M: RawMutex>(
 ) -> Result<Reply, Refusal> {
     match request {
         Request::Hello { version, schema } => {
-            if (version, schema) != (VERSION, SCHEMA_HASH) {
-                return Err(Refusal::ProtocolMismatch { version: VERSION, schema: SCHEMA_HASH });
-            }
+            accept(&SPOKEN, Spoken { version, schema })?;
             let session = shared.open_session(link, now)?;
             host.clear();
             return Ok(Reply::Hello(device_info(shared, session, now)));

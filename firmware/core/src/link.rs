@@ -5,12 +5,12 @@ use embassy_sync::{
     blocking_mutex::{Mutex, raw::NoopRawMutex, raw::RawMutex},
     channel::Channel,
 };
-use embassy_time::{Duration, Timer};
+use embassy_time::{Duration, Instant, Timer};
 use embedded_io_async::{Read, Write};
-use r4_protocol::{FrameDecoder, Refusal, Request, ToDevice, ToHost, encode_frame, frame::MAX_FRAME};
+use r4_protocol::{FrameDecoder, FrameError, Refusal, Request, ToDevice, ToHost, encode_frame, frame::MAX_FRAME};
 
 use crate::{
-    dispatch::{Host, Outcome, carry_out, dispatch},
+    dispatch::{Host, Outcome, carry_out, dispatch, unknown},
     shared::Shared,
 };
 
@@ -66,7 +66,14 @@ async fn receive<M: RawMutex, R: Read>(
                 Ok(_) => stats.frames = stats.frames.wrapping_add(1),
                 Err(_) => stats.bad_frames = stats.bad_frames.wrapping_add(1),
             });
-            let Ok(message) = frame else { continue };
+            let message = match frame {
+                Ok(message) => message,
+                Err(FrameError::NotAMessage { seq: Some(seq) }) => {
+                    answers.send(unknown(shared, number, seq, Instant::now())).await;
+                    continue;
+                }
+                Err(_) => continue,
+            };
             match host.lock(|host| dispatch(shared, number, &mut host.borrow_mut(), message)) {
                 Outcome::Nothing => {}
                 Outcome::Answer(answer) => answers.send(answer).await,
@@ -122,7 +129,10 @@ mod tests {
     use std::{collections::VecDeque, rc::Rc, task::Waker, vec::Vec};
 
     use embedded_io_async::ErrorType;
-    use r4_protocol::{DeviceStats, Reply, SCHEMA_HASH, VERSION};
+    use r4_protocol::{
+        DeviceStats, Reply, SCHEMA_HASH, SafetyState, VERSION,
+        frame::{Check, encode_with},
+    };
 
     use super::*;
     use crate::{
@@ -230,5 +240,18 @@ mod tests {
         assert_eq!(bytes.iter().filter(|byte| **byte == 0).count(), 1);
         let stats = DeviceStats { frames: 2, bad_frames: 1, ..DeviceStats::default() };
         assert_eq!(Bench::answers(&bytes), [ToHost::Response { seq: 2, result: Ok(Reply::Stats(stats)) }]);
+        // A request that came with a later version, and one whose checksum is too short for a command.
+        for unknown in [
+            encode_with(&(0u8, 3u16, 200u8), Check::Long, &mut [0; MAX_FRAME]).expect("it fits").to_vec(),
+            encode_with(&ToDevice::Request { seq: 3, request: Request::Arm }, Check::Short, &mut [0; MAX_FRAME])
+                .expect("it fits")
+                .to_vec(),
+        ] {
+            bench.to_board.put(&unknown);
+            bench.tasks.settle();
+            let refused = ToHost::Response { seq: 3, result: Err(Refusal::UnknownMessage) };
+            assert_eq!(Bench::answers(&bench.to_host.take()), [refused]);
+        }
+        assert_eq!(bench.board.safety().state, SafetyState::Disarmed);
     }
 }

@@ -143,9 +143,11 @@ fn of_driver(error: &Error) -> (Kind, Option<ChannelId>) {
             | Refusal::OutOfRange { channel, .. }
             | Refusal::BadGains { channel },
         ) => (Kind::Refused, Some(channel)),
-        Error::Refused(_) | Error::NameTooLong { .. } | Error::StreamOpen | Error::CycleLength { .. } => {
-            (Kind::Refused, None)
-        }
+        Error::Refused(_)
+        | Error::UnknownAnswer { .. }
+        | Error::NameTooLong { .. }
+        | Error::StreamOpen
+        | Error::CycleLength { .. } => (Kind::Refused, None),
         Error::TimedOut { .. } | Error::LinkLost { .. } | Error::LinkFailed { .. } | Error::WrongReply { .. } => {
             (Kind::LinkLost, None)
         }

@@ -15,15 +15,16 @@ use futures::{
 };
 use r4_protocol::{
     Causes, ChannelId, ChannelInfo, DeviceInfo, DeviceStats, FaultInfo, FaultSnapshot, HotWinding, ImageInfo, LogInfo,
-    Mode, ParameterInfo, ParameterKey, PathPoint, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint,
-    Telemetry, ToDevice, VERSION,
+    Mode, ParameterInfo, ParameterKey, PathPoint, Refusal, Reply, Request, SafetyState, Sample, Setpoint, Spoken,
+    Telemetry, ToDevice,
     config::{LINK_TIMEOUT_MS, MAX_NAME, PidGains, Tuning},
     message::{MAX_POINTS, MAX_RAW},
+    version::{self, SPOKEN},
 };
 
 use crate::{
     Clock, Error,
-    connection::State,
+    connection::{Answer, State},
     streams::{LogStream, SampleStream, SentStream, TelemetryStream, lock},
 };
 
@@ -114,12 +115,28 @@ impl<C: Clock> Board<C> {
         Ok(Self { wire, info, channels })
     }
 
-    /// Says hello until it is answered: the first bytes on a fresh link are often lost or glued to others.
+    /// Says hello in the newest version that both speak.
     async fn hello(wire: &Wire<C>) -> Result<(DeviceInfo, u64), Error> {
+        let mut says = SPOKEN[0];
+        loop {
+            let refused = match Self::hello_in(says, wire).await {
+                Err(Error::Refused(Refusal::ProtocolMismatch { version, schema })) => Spoken { version, schema },
+                told => return told,
+            };
+            let Some(other) = version::again(&SPOKEN, says, refused) else {
+                let Spoken { version, schema } = refused;
+                return Err(Refusal::ProtocolMismatch { version, schema }.into());
+            };
+            says = other;
+        }
+    }
+
+    /// Says hello until it is answered: the first bytes on a fresh link are often lost or glued to others.
+    async fn hello_in(Spoken { version, schema }: Spoken, wire: &Wire<C>) -> Result<(DeviceInfo, u64), Error> {
         let mut waited_ms = 0;
         for after_ms in HELLO_TIMEOUTS_MS {
             let sent_us = wire.clock.now_us();
-            let hello = Request::Hello { version: VERSION, schema: SCHEMA_HASH };
+            let hello = Request::Hello { version, schema };
             // Not the same one again: each opens a session of its own, and the last one counts.
             match wire.request_within("hello", hello, after_ms).await {
                 // Heartbeats go by it: with another there would be none, or nothing else.
@@ -709,7 +726,8 @@ impl<C: Clock> Wire<C> {
             waited_ms = if waited_ms + 2 * repeat_ms > after_ms { after_ms } else { waited_ms + repeat_ms };
             let until_us = begin_us + u64::from(waited_ms) * 1000;
             match select(&mut answer, pin!(self.clock.sleep_until(until_us))).await {
-                Either::Left((Ok(result), _)) => return Ok(result?),
+                Either::Left((Ok(Answer::Told(result)), _)) => return Ok(result?),
+                Either::Left((Ok(Answer::Unknown), _)) => return Err(Error::UnknownAnswer { request: name }),
                 // The link ended, which dropped the sender.
                 Either::Left((Err(_), _)) => return Err(ended()),
                 Either::Right(((), _)) => {}

@@ -14,8 +14,8 @@ use futures::{
     future::{Either, select},
 };
 use r4_protocol::{
-    Causes, ChannelId, CycleChannel, DeviceInfo, FrameDecoder, HotWinding, LogChunk, Refusal, Reply, Request,
-    SafetyState, Telemetry, ToDevice, ToHost, cycle::CYCLE_CHANNELS, encode_frame, frame::MAX_FRAME,
+    Causes, ChannelId, CycleChannel, DeviceInfo, FrameDecoder, FrameError, HotWinding, LogChunk, Refusal, Reply,
+    Request, SafetyState, Telemetry, ToDevice, ToHost, cycle::CYCLE_CHANNELS, encode_frame, frame::MAX_FRAME,
 };
 
 use crate::{
@@ -31,10 +31,17 @@ const HEARTBEATS_PER_TIMEOUT: u64 = 4;
 /// The link counts as lost after this many link timeouts without an answer: the board has tripped long before.
 const SILENT_TIMEOUTS: u64 = 5;
 
+/// What a request is answered with.
+pub(crate) enum Answer {
+    Told(Result<Reply, Refusal>),
+    /// Something of a later version.
+    Unknown,
+}
+
 /// What a [`Board`] and its connection share.
 #[derive(Default)]
 pub(crate) struct State {
-    pub(crate) pending: HashMap<u16, oneshot::Sender<Result<Reply, Refusal>>>,
+    pub(crate) pending: HashMap<u16, oneshot::Sender<Answer>>,
     pub(crate) telemetry: Streams<Telemetry>,
     pub(crate) safety: Option<(SafetyState, Causes)>,
     /// As the last heartbeat told.
@@ -82,14 +89,16 @@ impl State {
         ToDevice::Heartbeat { session: info.session, host_us: now_us }
     }
 
+    fn answered(&mut self, seq: u16, answer: Answer) {
+        // An answer that nobody waits for any more came after its time-out.
+        if let Some(waiting) = self.pending.remove(&seq) {
+            let _ = waiting.send(answer);
+        }
+    }
+
     fn receive(&mut self, message: ToHost, now_us: u64) {
         match message {
-            ToHost::Response { seq, result } => {
-                // An answer that nobody waits for any more came after its time-out.
-                if let Some(waiting) = self.pending.remove(&seq) {
-                    let _ = waiting.send(result);
-                }
-            }
+            ToHost::Response { seq, result } => self.answered(seq, Answer::Told(result)),
             ToHost::Heartbeat { host_us, device_us, state, causes, hot } => {
                 self.hot.clear();
                 self.hot.extend_from_slice(&hot);
@@ -198,6 +207,7 @@ async fn receive<C: Clock, R: Read>(state: &Mutex<State>, clock: &C, mut rx: R) 
         for byte in &buffer[..len] {
             match decoder.push(*byte) {
                 Some(Ok(message)) => state.receive(message, now_us),
+                Some(Err(FrameError::NotAMessage { seq: Some(seq) })) => state.answered(seq, Answer::Unknown),
                 Some(Err(_)) => state.bad_frames += 1,
                 None => {}
             }

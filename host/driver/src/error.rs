@@ -40,6 +40,14 @@ pub enum Error {
         /// The latched causes; none when it was disarmed.
         causes: Causes,
     },
+    /// The board's answer came with a later version of the protocol than this program speaks.
+    #[error(
+        "this program does not know the board's answer to `{request}`: use the program of the firmware's release, or a later one"
+    )]
+    UnknownAnswer {
+        /// What was asked.
+        request: &'static str,
+    },
     /// The motor follows another set point, or its telemetry has stopped.
     #[error("{channel} no longer follows this set point: somebody else commands it too, or ended its telemetry")]
     NotFollowed {

@@ -321,6 +321,12 @@ pub trait Family: Model {
     /// Sets of base values to begin a fit from, found from the data.
     fn starts(&self, runs: &[&Self::Run]) -> Vec<Vec<f64>>;
 
+    /// Base values by what was declared of the plant beforehand, if anything was. What is missing may have bent a fit of the base
+    /// model so far that no slope leads from there to the truth; what was believed before is another place to begin.
+    fn declared(&self) -> Option<Vec<f64>> {
+        None
+    }
+
     /// The moments of [`Model::measured`], s.
     fn time_s<'r>(&self, run: &'r Self::Run) -> &'r [f64];
 

@@ -7,11 +7,13 @@ use r4_protocol::{
     channel::MAX_MODES,
     cycle::{CYCLE_FRAME, CYCLE_STATE_FRAME},
     encode_frame,
-    frame::{MAX_FRAME, MAX_MESSAGE, MessageTooLong},
+    frame::{Check, MAX_FRAME, MAX_MESSAGE, Message, MessageTooLong},
     message::MAX_SAMPLES,
 };
 
-use crate::{frame, payload, receive, samples, strategies};
+use serde::{Deserialize, Serialize};
+
+use crate::{frame, payload, raw, receive, samples, strategies};
 
 /// Bytes of the longest message to a board: a `Follow` of as many points as it takes.
 const LONGEST_TO_DEVICE: usize = 110;
@@ -54,17 +56,17 @@ proptest! {
     }
 }
 
-/// What is promised of a cycle of four motors: 64 bytes for both frames, checksums, COBS and delimiters included. There is no
+/// What is promised of a cycle of four motors: 66 bytes for both frames, checksums, COBS and delimiters included. There is no
 /// byte to spare: a field more, or one that takes more bytes for some values, breaks it.
 #[test]
-fn both_frames_of_a_cycle_are_64_bytes_whatever_is_in_them() {
+fn both_frames_of_a_cycle_are_66_bytes_whatever_is_in_them() {
     for (name, cycle) in samples::cycles() {
         assert_eq!(frame(&ToDevice::Cycle(cycle)).len(), CYCLE_FRAME, "{name}");
     }
     for (name, state) in samples::cycle_states() {
         assert_eq!(frame(&ToHost::Cycle(state)).len(), CYCLE_STATE_FRAME, "{name}");
     }
-    const { assert!(CYCLE_FRAME + CYCLE_STATE_FRAME <= 64) };
+    const { assert!(CYCLE_FRAME + CYCLE_STATE_FRAME <= 66) };
 }
 
 proptest! {
@@ -75,12 +77,19 @@ proptest! {
     }
 }
 
-/// A stand-in for a message: as long as its test wants it.
-type Bytes = heapless::Vec<u8, 400>;
+/// A stand-in for a command: as long as its test wants it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Bytes(heapless::Vec<u8, 400>);
+
+impl Message for Bytes {
+    fn check(&self) -> Check {
+        Check::Long
+    }
+}
 
 /// `len` bytes with their length before them.
 fn bytes_of_encoded_length(len: usize, value: u8) -> Bytes {
-    let bytes: Bytes = core::iter::repeat_n(value, len - 2).collect();
+    let bytes = Bytes(core::iter::repeat_n(value, len - 2).collect());
     assert_eq!(payload(&bytes).len(), len, "a length of 128 or more takes two bytes");
     bytes
 }
@@ -93,6 +102,20 @@ fn the_longest_frame_goes_through_and_a_longer_message_is_not_sent() {
         assert_eq!(receive::<Bytes>(&frame(&longest)), [Ok(longest)]);
         let longer = bytes_of_encoded_length(MAX_MESSAGE + 1, value);
         assert_eq!(encode_frame(&longer, &mut [0; MAX_FRAME]), Err(MessageTooLong));
+    }
+}
+
+/// Whatever a bad link makes of a frame with 16 bits of checksum, it is no command.
+#[test]
+fn a_command_with_the_shorter_checksum_is_not_taken_and_a_heartbeat_with_the_longer_one_neither() {
+    for (name, message) in samples::to_device() {
+        let other = match message.check() {
+            Check::Short => Check::Long,
+            Check::Long => Check::Short,
+        };
+        let seq = if let ToDevice::Request { seq, .. } = message { Some(seq) } else { None };
+        let told = receive::<ToDevice>(&raw(&message, other));
+        assert_eq!(told, [Err(FrameError::NotAMessage { seq })], "{name}");
     }
 }
 
@@ -139,11 +162,23 @@ fn a_frame_too_short_for_a_checksum_is_malformed() {
 #[test]
 fn a_message_of_another_version_is_not_a_message() {
     let unknown_variant = 3u8;
-    assert_eq!(receive::<ToDevice>(&frame(&unknown_variant)), [Err(FrameError::NotAMessage)]);
+    let nameless = FrameError::NotAMessage { seq: None };
+    assert_eq!(receive::<ToDevice>(&raw(&unknown_variant, Check::Short)), [Err(nameless)]);
     let heartbeat = ToDevice::Heartbeat { session: 7, host_us: 1 };
-    assert_eq!(receive::<ToDevice>(&frame(&(heartbeat, 0u8))), [Err(FrameError::NotAMessage)], "a field more");
-    assert_eq!(receive::<ToDevice>(&frame(&(1u8, 7u8))), [Err(FrameError::NotAMessage)], "a field less");
-    assert_eq!(receive::<ToDevice>(&frame(&())), [Err(FrameError::NotAMessage)], "nothing");
+    assert_eq!(receive::<ToDevice>(&raw(&(heartbeat, 0u8), Check::Short)), [Err(nameless)], "a field more");
+    assert_eq!(receive::<ToDevice>(&raw(&(1u8, 7u8), Check::Short)), [Err(nameless)], "a field less");
+    assert_eq!(receive::<ToDevice>(&raw(&(), Check::Short)), [Err(nameless)], "nothing");
+    // A request and a response are told by their number: they are refused, or given up.
+    for seq in [0, 127, 128, u16::MAX] {
+        let numbered = FrameError::NotAMessage { seq: Some(seq) };
+        assert_eq!(receive::<ToDevice>(&raw(&(0u8, seq, 200u8), Check::Short)), [Err(numbered)], "an unknown request");
+        assert_eq!(
+            receive::<ToHost>(&raw(&(0u8, seq, 1u8, 200u8), Check::Short)),
+            [Err(numbered)],
+            "an unknown refusal"
+        );
+    }
+    assert_eq!(receive::<ToDevice>(&raw(&0u8, Check::Short)), [Err(nameless)], "a request without a number");
 }
 
 /// A board with more samples or longer names than this version's is another version's: an error, not a cut-off list.
@@ -152,7 +187,7 @@ fn lists_longer_than_this_versions_are_not_a_message() {
     let sample = Sample::Scalar { channel: ChannelId::new(ChannelKind::Supply, 0), value: 24.5 };
     let one_more: heapless::Vec<_, { MAX_SAMPLES + 1 }> = [sample; MAX_SAMPLES + 1].into_iter().collect();
     let telemetry = (2u8, 1u8, 0u8, 0u8, one_more);
-    assert_eq!(receive::<ToHost>(&frame(&telemetry)), [Err(FrameError::NotAMessage)]);
+    assert_eq!(receive::<ToHost>(&raw(&telemetry, Check::Short)), [Err(FrameError::NotAMessage { seq: None })]);
 }
 
 fn largest_channel() -> ChannelInfo {

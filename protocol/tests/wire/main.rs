@@ -20,13 +20,22 @@ mod samples;
 mod strategies;
 mod words;
 
-use r4_protocol::{FrameDecoder, FrameError, encode_frame, frame::MAX_FRAME};
-use serde::{Serialize, de::DeserializeOwned};
+use r4_protocol::{
+    FrameDecoder, FrameError, encode_frame,
+    frame::{Check, MAX_FRAME, Message, encode_with},
+};
+use serde::Serialize;
 
 /// One frame, delimiter included.
-fn frame<T: Serialize>(message: &T) -> Vec<u8> {
+fn frame<T: Message>(message: &T) -> Vec<u8> {
     let mut buffer = [0; MAX_FRAME];
     encode_frame(message, &mut buffer).expect("the message fits").to_vec()
+}
+
+/// A frame of anything, with the checksum that is asked for.
+fn raw<T: Serialize>(message: &T, check: Check) -> Vec<u8> {
+    let mut buffer = [0; MAX_FRAME];
+    encode_with(message, check, &mut buffer).expect("it fits").to_vec()
 }
 
 /// What comes before CRC and COBS.
@@ -36,13 +45,13 @@ fn payload<T: Serialize>(message: &T) -> Vec<u8> {
 }
 
 /// Everything a fresh decoder makes of `bytes`.
-fn receive<T: DeserializeOwned>(bytes: &[u8]) -> Vec<Result<T, FrameError>> {
+fn receive<T: Message>(bytes: &[u8]) -> Vec<Result<T, FrameError>> {
     let mut decoder = FrameDecoder::new();
     bytes.iter().filter_map(|byte| decoder.push(*byte)).collect()
 }
 
 /// Whether a fresh decoder takes exactly one message from `frame`, and it is `message`. Compares bytes: a NaN comes back
 /// with every bit, but is not equal to itself.
-fn gives_back<T: Serialize + DeserializeOwned>(frame: &[u8], message: &T) -> bool {
+fn gives_back<T: Message>(frame: &[u8], message: &T) -> bool {
     matches!(&receive::<T>(frame)[..], [Ok(received)] if payload(received) == payload(message))
 }

@@ -19,8 +19,10 @@ use proptest::{
     strategy::{Strategy, ValueTree},
     test_runner::TestRunner,
 };
-use r4_protocol::{FrameDecoder, FrameError};
-use serde::{Serialize, de::DeserializeOwned};
+use r4_protocol::{
+    FrameDecoder, FrameError,
+    frame::{Check, Message},
+};
 
 use crate::{frame, strategies};
 
@@ -51,13 +53,15 @@ struct Seen {
     passed: u32,
     /// And postcard took them.
     taken: u32,
+    /// And were commands.
+    commands: u32,
     /// Held nothing.
     empty: u32,
     /// Were what somebody sent after all, such as a frame that is there twice.
     sent: u32,
 }
 
-fn damage_many<T: Serialize + DeserializeOwned>(messages: impl Strategy<Value = T>, seed: u64) {
+fn damage_many<T: Message>(messages: impl Strategy<Value = T>, seed: u64) {
     let mut runner = TestRunner::deterministic();
     let good: Vec<Vec<u8>> =
         (0..GOOD).map(|_| frame(&messages.new_tree(&mut runner).expect("no filters").current())).collect();
@@ -84,8 +88,8 @@ fn damage_many<T: Serialize + DeserializeOwned>(messages: impl Strategy<Value = 
             match heard {
                 None | Some(Err(FrameError::TooLong | FrameError::Malformed)) => {}
                 Some(Err(FrameError::Checksum { .. })) => seen.checked += 1,
-                Some(Err(FrameError::NotAMessage)) if NOTHING == *piece => seen.empty += 1,
-                Some(Err(FrameError::NotAMessage)) => {
+                Some(Err(FrameError::NotAMessage { .. })) if NOTHING == *piece => seen.empty += 1,
+                Some(Err(FrameError::NotAMessage { .. })) => {
                     seen.checked += 1;
                     seen.passed += 1;
                 }
@@ -96,6 +100,7 @@ fn damage_many<T: Serialize + DeserializeOwned>(messages: impl Strategy<Value = 
                     seen.checked += is_wrong;
                     seen.passed += is_wrong;
                     seen.taken += is_wrong;
+                    seen.commands += is_wrong * u32::from(message.check() == Check::Long);
                 }
             }
         }
@@ -113,6 +118,8 @@ fn damage_many<T: Serialize + DeserializeOwned>(messages: impl Strategy<Value = 
     let most = expected + 4.0 * expected.sqrt();
     println!("{seen:?}; expected at most {expected:.1} past the checksum, bound {most:.1}");
     assert!(seen.checked > DAMAGED / 3, "{seen:?}: much of the damage must be for the checksum to find");
+    // One in 2^32: of five million, one in a thousand times.
+    assert_eq!(seen.commands, 0, "{seen:?}");
     assert!(f64::from(seen.passed) <= most, "{seen:?}: more than {most:.1} passed the checksum");
 }
 

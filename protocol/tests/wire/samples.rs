@@ -74,8 +74,8 @@ pub(crate) fn to_host() -> Vec<(&'static str, ToHost)> {
     rows.extend(telemetry().map(|(name, telemetry)| (name, ToHost::Telemetry(telemetry))));
     rows.extend(cycle_states().map(|(name, state)| (name, ToHost::Cycle(state))));
     rows.extend([
-        ("log-chunk", ToHost::Log(LogChunk { position: 1000, bytes: raw(&[0x02, 0x80, 0x00]) })),
-        ("log-chunk-none", ToHost::Log(LogChunk { position: 0, bytes: raw(&[]) })),
+        ("log-chunk", ToHost::Log(LogChunk { position: 1000, bytes: some_bytes(&[0x02, 0x80, 0x00]) })),
+        ("log-chunk-none", ToHost::Log(LogChunk { position: 0, bytes: some_bytes(&[]) })),
         ("log-chunk-largest", ToHost::Log(largest_log())),
     ]);
     rows
@@ -216,7 +216,7 @@ fn requests() -> Vec<(&'static str, Request)> {
     };
     let gains = PidGains { kp: 0.5, ki: 2.0, kd: 0.0625 };
     let subscribe = |kind, index| Request::Subscribe { channel: ChannelId::new(kind, index), period_ms: 20 };
-    let i2c = |bytes: &[u8], read| Request::I2cTransfer { bus: 1, address: 0x48, write: raw(bytes), read };
+    let i2c = |bytes: &[u8], read| Request::I2cTransfer { bus: 1, address: 0x48, write: some_bytes(bytes), read };
     let mut requests = vec![
         ("hello", Request::Hello { version: 1, schema: SCHEMA }),
         ("hello-largest", Request::Hello { version: u16::MAX, schema: u64::MAX }),
@@ -271,7 +271,7 @@ fn requests() -> Vec<(&'static str, Request)> {
         ("i2c-write", i2c(&[0x01, 0x00, 0xFF], 0)),
         ("i2c-write-read", i2c(&[0x00], 2)),
         ("i2c-read-largest", i2c(&[], MAX_RAW as u8)),
-        ("uart-write", Request::UartWrite { port: 0, bytes: raw(b"G0 X1\n") }),
+        ("uart-write", Request::UartWrite { port: 0, bytes: some_bytes(b"G0 X1\n") }),
         ("uart-write-largest", Request::UartWrite { port: u8::MAX, bytes: largest_raw() }),
         ("uart-read", Request::UartRead { port: 1 }),
     ];
@@ -312,7 +312,7 @@ fn requests() -> Vec<(&'static str, Request)> {
     requests
 }
 
-fn raw(bytes: &[u8]) -> heapless::Vec<u8, MAX_RAW> {
+fn some_bytes(bytes: &[u8]) -> heapless::Vec<u8, MAX_RAW> {
     bytes.iter().copied().collect()
 }
 
@@ -454,8 +454,8 @@ fn later_replies() -> Vec<(&'static str, Reply)> {
                 supplies_v: heapless::Vec::new(),
             }),
         ),
-        ("bytes", Reply::Bytes(raw(&[0x00, 0x80, 0xFF]))),
-        ("bytes-none", Reply::Bytes(raw(&[]))),
+        ("bytes", Reply::Bytes(some_bytes(&[0x00, 0x80, 0xFF]))),
+        ("bytes-none", Reply::Bytes(some_bytes(&[]))),
         ("bytes-largest", Reply::Bytes(largest_raw())),
         ("welcome-largest", largest_welcome()),
     ]
@@ -484,6 +484,7 @@ fn refusals() -> Vec<(&'static str, Refusal)> {
         ("refused-bad-gains", Refusal::BadGains { channel: ACTUATOR1 }),
         ("refused-too-many-subscriptions", Refusal::TooManySubscriptions),
         ("refused-clock-ahead", Refusal::ClockAhead { ahead_ms: u32::MAX }),
+        ("refused-unknown-message", Refusal::UnknownMessage),
     ]
 }
 

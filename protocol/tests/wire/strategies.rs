@@ -195,7 +195,8 @@ fn refusal() -> BoxedStrategy<Refusal> {
             Refusal::Busy,
             Refusal::NoLog,
             Refusal::NoImage,
-            Refusal::NoBootloader
+            Refusal::NoBootloader,
+            Refusal::UnknownMessage
         ]),
         any::<u8>().prop_map(|address| Refusal::NoAcknowledge { address }),
         channel().prop_map(|channel| Refusal::BadBinding { channel }),

@@ -16,7 +16,10 @@ use r4_fuzz::script::{WAIT, frame, of_messages};
 use r4_links::legacy::Packet;
 use r4_log::{About, Tap, Wall};
 use r4_plants::{Model, PlantSpec, catalogue};
-use r4_protocol::{FrameDecoder, Mode, Setpoint, ToDevice, ToHost, encode_frame, frame::MAX_FRAME};
+use r4_protocol::{
+    FrameDecoder, Mode, Setpoint, ToDevice, ToHost, encode_frame,
+    frame::{Check, MAX_FRAME, Message},
+};
 use r4_sim::{Pace, SimBoard, Simulation, flash::Flash};
 
 fn main() {
@@ -239,11 +242,11 @@ fn session(robot: &str, work: Work) -> Vec<Said> {
 }
 
 /// The message of a frame as it is encoded.
-fn plain<T: serde::de::DeserializeOwned + serde::Serialize>(decoder: &mut FrameDecoder, byte: u8) -> Option<Vec<u8>> {
+fn plain<T: Message>(decoder: &mut FrameDecoder, byte: u8) -> Option<Vec<u8>> {
     let message = decoder.push::<T>(byte)?.ok()?;
     let mut buffer = [0; MAX_FRAME];
     let sent = encode_frame(&message, &mut buffer).unwrap();
-    // COBS adds one byte here, the checksum two, the end one: what lies between is found by trying.
+    // COBS adds one byte here, the checksum two or four, the end one: what lies between is found by trying.
     let mut plain = vec![0; sent.len()];
     let mut from = 0;
     let mut to = 0;
@@ -256,8 +259,8 @@ fn plain<T: serde::de::DeserializeOwned + serde::Serialize>(decoder: &mut FrameD
             to += 1;
         }
     }
-    plain.truncate(to - 2);
-    assert_eq!(frame(&plain), sent);
+    plain.truncate(to - if message.check() == Check::Long { 4 } else { 2 });
+    assert_eq!(frame::<T>(&plain), sent);
     Some(plain)
 }
 

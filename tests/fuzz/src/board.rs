@@ -8,7 +8,7 @@ use r4_boards::Robot;
 use r4_protocol::{ChannelId, FrameDecoder, Request, ToDevice, ToHost};
 use r4_sim::{Clock, Pace, SimBoard, Simulation, link::Receiver};
 
-use crate::script::{Step, steps};
+use crate::script::{Step, frame, steps};
 
 const MS: u64 = 1_000_000;
 /// Until a board takes its first message.
@@ -46,7 +46,7 @@ pub fn link(bytes: &[u8]) -> bool {
 /// When the board does, says what is no message, moves though nobody asked to arm it, or drives anything after its host has
 /// gone.
 pub fn dispatcher(script: &[u8]) -> bool {
-    run(every_interface(), steps(script))
+    run(every_interface(), steps(script, |_, message| frame::<ToDevice>(message)))
 }
 
 /// Whether the board took anything.

@@ -1,7 +1,9 @@
 //! The frame decoder.
 
-use r4_protocol::{FrameDecoder, FrameError, Request, ToDevice, ToHost, encode_frame, frame::MAX_FRAME};
-use serde::{Serialize, de::DeserializeOwned};
+use r4_protocol::{
+    FrameDecoder, FrameError, Request, ToDevice, ToHost, encode_frame,
+    frame::{MAX_FRAME, Message},
+};
 
 /// Any bytes into a decoder. What it takes comes back when it is sent again; the good frame behind a delimiter is taken.
 ///
@@ -13,7 +15,7 @@ pub fn frames(bytes: &[u8]) -> bool {
     to_device || to_host
 }
 
-fn direction<T: Serialize + DeserializeOwned>(bytes: &[u8], good: &T) -> bool {
+fn direction<T: Message>(bytes: &[u8], good: &T) -> bool {
     let mut decoder = FrameDecoder::new();
     let mut taken = 0;
     for byte in bytes {
@@ -37,7 +39,7 @@ fn direction<T: Serialize + DeserializeOwned>(bytes: &[u8], good: &T) -> bool {
 
 /// The encoding of what was decoded is decoded to the same. Not of any bytes: postcard takes numbers written with more bytes
 /// than they need.
-fn comes_back<T: Serialize + DeserializeOwned>(message: &T) {
+fn comes_back<T: Message>(message: &T) {
     let (mut first, mut second) = ([0; MAX_FRAME], [0; MAX_FRAME]);
     let sent = encode_frame(message, &mut first).expect("no longer than what it came from");
     let mut decoder = FrameDecoder::new();

@@ -5,10 +5,10 @@ use std::{collections::VecDeque, convert::Infallible, io::Cursor};
 use embedded_io_async::{ErrorType, Read, Write};
 use r4_driver::with_board;
 use r4_log::{About, Log, Tap, Wall, Warning};
-use r4_protocol::{Mode, Setpoint};
+use r4_protocol::{Mode, Setpoint, ToDevice, ToHost};
 use r4_sim::{Clock, Pace, Simulation};
 
-use crate::script::{Step, steps};
+use crate::script::{Step, frame, steps};
 
 const MS: u64 = 1_000_000;
 
@@ -77,7 +77,8 @@ impl Write for Nowhere {
 pub fn driver(script: &[u8]) -> bool {
     let mut simulation = Simulation::new(Pace::Free);
     let clock = simulation.clock();
-    let board = Scripted { steps: steps(script).collect(), clock: clock.clone() };
+    let board =
+        Scripted { steps: steps(script, |_, message| frame::<ToHost>(message)).collect(), clock: clock.clone() };
     let session = with_board(board, Nowhere, VirtualClock(clock), async |board| {
         let channels: Vec<_> = board.channels().iter().take(4).cloned().collect();
         let _ = board.arm().await;
@@ -121,7 +122,10 @@ pub fn tap(script: &[u8]) -> bool {
         },
     );
     let mut now_us = 0;
-    for (number, step) in steps(script).enumerate() {
+    let framed = |number, message: &[u8]| {
+        if number % 2 == 0 { frame::<ToDevice>(message) } else { frame::<ToHost>(message) }
+    };
+    for (number, step) in steps(script, framed).enumerate() {
         match step {
             Step::Wait(ms) => now_us += ms * 1000,
             Step::Frame(bytes) if number % 2 == 0 => tap.sent(now_us, &bytes),

@@ -3,10 +3,7 @@
 //! A byte says what follows: below [`WAIT`] the length of a message, whose bytes come next and are put into a sound frame;
 //! from there on a pause of 1 ms, 2 ms, 4 ms and so on. Every sequence of bytes is a script.
 
-use r4_protocol::{
-    encode_frame,
-    frame::{MAX_FRAME, MAX_MESSAGE},
-};
+use r4_protocol::frame::{Check, MAX_FRAME, MAX_MESSAGE, Message, encode_with};
 use serde::{Serialize, Serializer, ser::SerializeTuple};
 
 /// The first byte that is a pause; above all lengths of messages.
@@ -21,18 +18,20 @@ pub enum Step {
     Wait(u64),
 }
 
-/// The steps of a script.
-pub fn steps(script: &[u8]) -> impl Iterator<Item = Step> {
+/// The steps of a script, whose messages are made frames by their number and [`frame`].
+pub fn steps(script: &[u8], framed: impl Fn(usize, &[u8]) -> Vec<u8>) -> impl Iterator<Item = Step> {
     let mut rest = script;
+    let mut number = 0..;
     std::iter::from_fn(move || {
         let (first, after) = rest.split_first()?;
+        let number = number.next()?;
         if *first >= WAIT {
             rest = after;
             return Some(Step::Wait(1 << (first - WAIT)));
         }
         let (message, after) = after.split_at(usize::from(*first).min(after.len()));
         rest = after;
-        Some(Step::Frame(frame(message)))
+        Some(Step::Frame(framed(number, message)))
     })
 }
 
@@ -51,14 +50,15 @@ pub fn of_messages<'m>(messages: impl IntoIterator<Item = &'m [u8]>) -> Vec<u8> 
     script
 }
 
-/// Bytes as a sound frame.
+/// Bytes as a sound frame, with the checksum that they need if they are a message.
 ///
 /// # Panics
 /// When they are more than [`MAX_MESSAGE`].
 #[must_use]
-pub fn frame(message: &[u8]) -> Vec<u8> {
+pub fn frame<T: Message>(message: &[u8]) -> Vec<u8> {
     let mut buffer = [0; MAX_FRAME];
-    encode_frame(&Raw(message), &mut buffer).expect("no longer than a message").to_vec()
+    let check = postcard::from_bytes::<T>(message).map_or(Check::Short, |message| message.check());
+    encode_with(&Raw(message), check, &mut buffer).expect("no longer than a message").to_vec()
 }
 
 /// Bytes as they are, without a length before them.

@@ -3,7 +3,7 @@
 extern crate std;
 
 use r4_protocol::{
-    Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState,
+    Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, SCHEMA_HASH, VERSION,
     config::{FeedForward, Tuning},
     cycle::NOTHING,
 };
@@ -505,6 +505,24 @@ fn a_cycle_carries_points_of_paths() {
             assert_eq!(taken, stopped, "{steps:?} {after_us:?}");
         }
     }
+}
+
+/// It may have been a newer set point, of a kind that this board does not know.
+#[test]
+fn a_request_of_a_later_version_is_refused_and_ends_what_is_in_force() {
+    let mut bench = Bench::armed();
+    let unknown = |bench: &Bench, link| unknown(bench.board, link, 9, Instant::now());
+    let refused = ToHost::Response { seq: 9, result: Err(Refusal::UnknownMessage) };
+    let runs = Setpoint { mode: Mode::Speed, value: 0.5 };
+    bench.set(LINK, id("osmc0"), runs, now_us()).expect("taken");
+    assert_eq!(bench.taken(Place::Motor(0)), Some(runs));
+    bench.pass_ms(2);
+    // Who has no session commands nothing, and ends nothing.
+    assert_eq!(unknown(&bench, OTHER_LINK), refused);
+    assert_eq!(bench.taken(Place::Motor(0)), None, "nothing new");
+    assert_eq!(unknown(&bench, LINK), refused);
+    assert_eq!(bench.taken(Place::Motor(0)), Some(Setpoint { mode: Mode::Speed, value: 0.0 }));
+    assert_eq!(bench.board.stats().refused, 2);
 }
 
 /// Before a greeting a board says what it speaks, ends nothing, and stops; it answers nothing else, also not later.

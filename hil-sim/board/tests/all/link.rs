@@ -49,7 +49,11 @@ fn a_noisy_line_loses_frames_and_says_so() {
         device.board.disturb_link(None, None);
         let lost = host.stats().await.bad_frames - before;
         assert!((1..40).contains(&lost), "{lost} frames lost");
-        assert_eq!(answers + lost as usize, 400, "each frame is taken or counted");
+        // Two frames whose delimiter is hit are one; 0.6 delimiters are, of 400.
+        assert!(
+            (397..=400).contains(&(answers + lost as usize)),
+            "each frame is taken or counted: {answers} and {lost}"
+        );
         nothing_moved(device);
     });
 }

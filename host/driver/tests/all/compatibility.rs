@@ -1,4 +1,4 @@
-//! Boards of the version before, by what they were recorded to say, and one that says what none can: the host is told so by a
+//! Boards of the versions that are no longer spoken, by what they were recorded to say, and one that says what none can: the host is told so by a
 //! typed error.
 
 use std::{collections::VecDeque, convert::Infallible};
@@ -6,10 +6,25 @@ use std::{collections::VecDeque, convert::Infallible};
 use crate::simulated::{VirtualClock, simulated_link};
 use embedded_io_async::{ErrorType, Read};
 use r4_driver::{Board, Error, with_board};
-use r4_protocol::{Causes, DeviceInfo, Refusal, Reply, SafetyState, ToHost, VERSION, encode_frame, frame::MAX_FRAME};
+use r4_protocol::{
+    Causes, DeviceInfo, Refusal, Reply, SafetyState, ToHost, VERSION, encode_frame,
+    frame::{Check, MAX_FRAME, encode_with},
+};
 
-/// Frames of every message, direction, name and bytes.
-const GOLDEN: &str = include_str!("../../../../protocol/tests/golden/v4.txt");
+/// Frames of every message of each, direction, name and bytes.
+const GOLDEN: [&str; 11] = [
+    include_str!("../../../../protocol/tests/golden/v1.txt"),
+    include_str!("../../../../protocol/tests/golden/v2.txt"),
+    include_str!("../../../../protocol/tests/golden/v3.txt"),
+    include_str!("../../../../protocol/tests/golden/v4.txt"),
+    include_str!("../../../../protocol/tests/golden/v5.txt"),
+    include_str!("../../../../protocol/tests/golden/v6.txt"),
+    include_str!("../../../../protocol/tests/golden/v7.txt"),
+    include_str!("../../../../protocol/tests/golden/v8.txt"),
+    include_str!("../../../../protocol/tests/golden/v9.txt"),
+    include_str!("../../../../protocol/tests/golden/v10.txt"),
+    include_str!("../../../../protocol/tests/golden/v11.txt"),
+];
 /// A session of a host with a board, who and bytes.
 const SESSION: &str = include_str!("../../../../protocol/tests/golden/v4-session.txt");
 
@@ -61,16 +76,27 @@ fn a_board_of_version_4_is_named_with_both_versions() {
     }
 }
 
-/// A board of version 4 that took the hello, which none does: no panic, no session on what today's host reads otherwise.
+/// A board of an older version that took the hello, which none does: no panic, no session on what today's host reads otherwise.
 #[test]
-fn no_message_of_version_4_opens_a_session() {
-    let said = rows(GOLDEN, "to-host");
-    assert!(said.len() > 60, "{} messages", said.len());
-    for bytes in said.iter().chain(&rows(GOLDEN, "to-device")) {
-        let error = told(vec![bytes.clone()]);
-        assert!(matches!(error, Error::LinkFailed { .. }), "{error:?} of {bytes:02x?}");
+fn no_message_of_an_older_version_opens_a_session() {
+    for (version, golden) in (1..).zip(GOLDEN) {
+        let said = rows(golden, "to-host");
+        assert!(said.len() > 30, "version {version}: {} messages", said.len());
+        for bytes in said.iter().chain(&rows(golden, "to-device")) {
+            let error = told(vec![bytes.clone()]);
+            let is_none = matches!(error, Error::LinkFailed { .. } | Error::UnknownAnswer { .. });
+            assert!(is_none, "version {version}: {error:?} of {bytes:02x?}");
+        }
+        assert!(matches!(told(said), Error::LinkFailed { .. }), "version {version}");
     }
-    assert!(matches!(told(said), Error::LinkFailed { .. }));
+}
+
+/// The hello that it answers has the number 0.
+#[test]
+fn an_answer_of_a_later_version_ends_the_wait_and_is_named() {
+    let unknown = encode_with(&(0u8, 0u16, 0u8, 200u8), Check::Short, &mut [0; MAX_FRAME]).expect("a frame").to_vec();
+    let error = told(vec![unknown]);
+    assert!(matches!(error, Error::UnknownAnswer { request: "hello" }), "{error:?}");
 }
 
 /// Heartbeats are sent four to a time-out: without end at one moment where that is 0.

@@ -441,6 +441,10 @@ impl Family for Motion {
         self.starting_values(runs)
     }
 
+    fn declared(&self) -> Option<Vec<f64>> {
+        self.declared_base()
+    }
+
     fn movable(&self, structure: Structure) -> Structure {
         self.movable(structure)
     }

@@ -79,6 +79,38 @@ impl Motion {
         Physical { inertia: constant / (resistance_ohm * dynamics.k), constant, resistance_ohm, viscous }
     }
 
+    /// Base values of a motor as its plant file declares it: the inverse of [`Self::physical`]. `None` without such a file, and of an
+    /// axis and a servo, which have numbers that no plant file tells.
+    pub(super) fn declared_base(&self) -> Option<Vec<f64>> {
+        let plant = self.known.plant.as_ref().filter(|_| matches!(self.kind, Kind::DcMotor | Kind::LinearActuator))?;
+        let (constant, inertia, resistance_ohm, viscous) = match plant.model() {
+            Model::DcGearMotor(motor) => (
+                motor.torque_constant_nm_per_a * motor.gear_ratio,
+                motor.inertia_kg_m2,
+                motor.resistance_ohm,
+                motor.viscous_nm_s_per_rad,
+            ),
+            Model::LinearActuator(actuator) => {
+                let turns_rad_per_m = TAU / actuator.lead_m_per_rev;
+                (
+                    actuator.torque_constant_nm_per_a * turns_rad_per_m,
+                    actuator.moving_mass_kg + actuator.rotor_inertia_kg_m2 * turns_rad_per_m.powi(2),
+                    actuator.resistance_ohm,
+                    actuator.viscous_n_s_per_m,
+                )
+            }
+        };
+        // Of the damping times the resistance: what the winding gives, and all.
+        let (winding, friction) = (constant * constant, viscous * resistance_ohm);
+        let damping = winding + friction;
+        let mut base = vec![0.0; self.base.len()];
+        (base[0], base[1]) = (constant / damping, inertia * resistance_ohm / damping);
+        if let Some(place) = self.places.b_open {
+            base[place] = friction / damping;
+        }
+        Some(base)
+    }
+
     /// Share of the damping that is not back-EMF, of an effect that tells it.
     fn viscous_share(&self, structure: &Structure) -> Option<f64> {
         const TELLING: [Effect; 3] = [Effect::LoadFriction, Effect::SupplySag, Effect::WindingHeating];

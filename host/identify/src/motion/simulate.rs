@@ -17,7 +17,7 @@ use crate::family::{Acts, Curve, Simulated, Structure, Term};
 use r4_maths::spline::Spline;
 use r4_plants::Dependence;
 
-use super::{Kind, Motion, MotionRun, effect::Effect, through};
+use super::{Kind, Motion, MotionRun, effect::Effect, smooth::Swinging, through};
 
 /// What a free run tells beside the output, sample by sample.
 #[derive(Clone, Debug, Default)]
@@ -687,6 +687,8 @@ struct Sensor {
     of_speed: bool,
     gap: f64,
     compliance: Option<(f64, f64)>,
+    /// Way and speed by which what hangs on the spring is behind the output at first.
+    stretched: (f64, f64),
     lag_s: f64,
     hold_s: f64,
     eccentricity: Option<Wave>,
@@ -747,7 +749,7 @@ impl Sensor {
     fn begin(&self, position: f64, speed: f64) -> SensorState {
         SensorState {
             output: (position, speed),
-            sprung: (position, speed),
+            sprung: (position - self.stretched.0, speed - self.stretched.1),
             sensed: if self.of_speed { speed } else { position },
             truth: if self.of_speed { speed } else { position },
             held: f64::NAN,
@@ -851,6 +853,33 @@ fn swing(compliance: (f64, f64), state: &mut SensorState, before: (f64, f64), st
         (position + behind + way_by_way * way + way_by_rate * rate, speed + rate_by_way * way + rate_by_rate * rate);
 }
 
+/// Way and speed by which what hangs on a spring is behind the output where a part of a recording begins, by how it was seen to
+/// accelerate. A part may begin in the middle of a swing; a whole recording begins at rest.
+fn stretched((natural_hz, damping): (f64, f64), motion: &Motion, run: &MotionRun) -> Option<(f64, f64)> {
+    /// Standard deviation of the weights, in periods of the swing: within three on each side, what drives it hardly changes.
+    const SHARE: f64 = 0.1;
+    /// The same, in samples at least, and how many deviations away a weight is none.
+    const LEAST_SAMPLES: f64 = 1.5;
+    const ENDS: f64 = 3.0;
+    if run.from == 0 {
+        return None;
+    }
+    let (time_s, measured) = (&run.all.time_s, &run.all.measured);
+    let now_s = time_s[run.from];
+    let width_s = (SHARE / natural_hz).max(LEAST_SAMPLES * motion.scales.period_s);
+    let first = time_s.partition_point(|time_s| *time_s < now_s - ENDS * width_s);
+    let last = time_s.partition_point(|time_s| *time_s <= now_s + ENDS * width_s);
+    let omega = TAU * natural_hz;
+    let swinging = Swinging::through(&time_s[first..last], &measured[first..last], now_s, (omega, width_s))?;
+    let [slope, bend, third] = swinging.derivatives;
+    let (acceleration, jerk) = if motion.of_speed { (slope, bend) } else { (bend, third) };
+    // Exact for a swing at the natural frequency, which is what is left of the past.
+    let stiffness = omega * omega * (1.0 + 4.0 * damping * damping);
+    let way = (acceleration - 2.0 * damping / omega * jerk) / stiffness;
+    let speed = (jerk + 2.0 * damping * omega * acceleration) / stiffness;
+    Some((way, speed)).filter(|(way, speed)| way.is_finite() && speed.is_finite())
+}
+
 /// A structure with every number where the simulation wants it.
 struct Plan<'s> {
     input: Input,
@@ -883,6 +912,7 @@ impl<'s> Plan<'s> {
             of_speed: motion.of_speed,
             gap: one(Effect::Backlash, 0.0),
             compliance: two(Effect::Compliance),
+            stretched: (0.0, 0.0),
             lag_s: one(Effect::SensorLag, 0.0),
             hold_s: one(Effect::SensorHold, 0.0),
             eccentricity: wave(Effect::Eccentricity),
@@ -959,6 +989,12 @@ impl<'s> Plan<'s> {
     /// The same for a run, with what was before it.
     fn of(motion: &Motion, structure: &'s Structure, initial: &[f64], run: &MotionRun) -> Self {
         let mut plan = Self::new(motion, structure, initial);
+        if let Some(stretched) = plan.sensor.compliance.and_then(|compliance| stretched(compliance, motion, run)) {
+            // What was seen at first is what hangs on the spring.
+            plan.sensor.stretched = stretched;
+            plan.mechanics.position += stretched.0;
+            plan.mechanics.speed += stretched.1;
+        }
         plan.mechanics.remember(motion, run);
         plan
     }
@@ -1364,6 +1400,7 @@ mod tests {
                 of_speed: false,
                 gap: 0.0,
                 compliance: Some((natural_hz, damping)),
+                stretched: (0.0, 0.0),
                 lag_s: 0.0,
                 hold_s: 0.0,
                 eccentricity: None,
@@ -1400,6 +1437,7 @@ mod tests {
                 of_speed: false,
                 gap: 0.0,
                 compliance: None,
+                stretched: (0.0, 0.0),
                 lag_s,
                 hold_s: 0.0,
                 eccentricity: None,

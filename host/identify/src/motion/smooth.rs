@@ -1,6 +1,6 @@
 //! Series that are smooth but for noise.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 
 /// The parabola through points, at a moment.
 #[derive(Clone, Copy, Debug)]
@@ -35,6 +35,36 @@ impl Parabola {
         let inverse = normal.try_inverse()?;
         let found = inverse * right;
         Some(Self { value: found[0], slope: found[1], bend: found[2], variance: [inverse[(0, 0)], inverse[(1, 1)]] })
+    }
+}
+
+/// A uniform motion and a swing through points, by least squares with normal weights around a moment.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Swinging {
+    /// First three derivatives of both at that moment.
+    pub(super) derivatives: [f64; 3],
+}
+
+impl Swinging {
+    /// Of a swing of `omega` rad/s, with weights of standard deviation `width_s`; `None` where there are too few points.
+    pub(super) fn through(times: &[f64], values: &[f64], at_s: f64, (omega, width_s): (f64, f64)) -> Option<Self> {
+        let mut normal = Matrix4::<f64>::zeros();
+        let mut right = Vector4::<f64>::zeros();
+        let mut count = 0;
+        for (time_s, value) in times.iter().zip(values).filter(|(_, value)| value.is_finite()) {
+            let t = time_s - at_s;
+            let row = Vector4::new(1.0, t / width_s, (omega * t).cos(), (omega * t).sin());
+            let weight = (-0.5 * (t / width_s).powi(2)).exp();
+            normal += weight * row * row.transpose();
+            right += weight * row * *value;
+            count += 1;
+        }
+        if count < 4 {
+            return None;
+        }
+        let [_, even, cosine, sine] = normal.cholesky()?.solve(&right).into();
+        let derivatives = [even / width_s + omega * sine, -omega.powi(2) * cosine, -omega.powi(3) * sine];
+        Some(Self { derivatives })
     }
 }
 
@@ -104,6 +134,17 @@ mod tests {
         let expected = [1.0 + 0.8 - 0.48, 2.0 - 2.4, -6.0];
         assert!([at.value, at.slope, at.bend].iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{at:?}");
         assert!(Parabola::through(&times[..3], &values[..3], 0.1).is_none());
+    }
+
+    #[test]
+    fn a_swing_on_a_uniform_motion_comes_out_as_it_is() {
+        let times: Vec<f64> = (0..9).map(|n| 0.1 * f64::from(n)).collect();
+        let values: Vec<f64> = times.iter().map(|t| 1.0 - 2.0 * t + 3.0 * (5.0 * t).sin()).collect();
+        let found = Swinging::through(&times, &values, 0.4, (5.0, 0.2)).expect("nine points").derivatives;
+        let phase = 2.0_f64;
+        let expected = [-2.0 + 15.0 * phase.cos(), -75.0 * phase.sin(), -375.0 * phase.cos()];
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
+        assert!(Swinging::through(&times[..3], &values[..3], 0.1, (5.0, 0.2)).is_none());
     }
 
     #[test]

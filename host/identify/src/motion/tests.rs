@@ -76,6 +76,38 @@ fn coulomb_friction_takes_its_share_of_the_steady_speed_or_holds() {
     assert!(free_run(&model, &run, &[("coulomb-friction", &[240.1])]).iter().all(|speed| *speed == 0.0));
 }
 
+/// A part of a recording that begins in the middle of a swing is predicted by what was seen of it: to 3 % of the swing, which is what its
+/// damping does within the window that sees it, and not to all of it.
+#[test]
+fn a_part_goes_on_swinging() {
+    // 1.3 s with an input, and then none: not a whole number of swings, which would end them.
+    let input: Vec<f64> = (0..801).map(|sample| if sample < 260 { 0.5 } else { 0.0 }).collect();
+    for compliance in [[1.0, 0.03], [3.0, 0.2]] {
+        let made = |measured: Vec<f64>| {
+            let recorded = [run((Quantity::Number, input.clone()), (Quantity::Angle, measured), 5e-3)];
+            let known = Known { supply_v: Some(12.0), ..Known::default() };
+            let (model, mut runs, _) = Motion::new(Kind::DcMotor, &known, &recorded, &[]).expect("a model");
+            (model, runs.remove(0))
+        };
+        let (model, run) = made((0..801).map(f64::from).collect());
+        let swinging = free_run(&model, &run, &[("compliance", &compliance)]);
+        let stiff = free_run(&model, &run, &[]);
+        let (model, run) = made(swinging.clone());
+        let part = model.part(&run, 350, 550);
+        let index = model.catalogue().iter().position(|candidate| candidate.name == "compliance").expect("an effect");
+        let structure =
+            Structure { base: vec![2.0, 0.05, 0.0], terms: vec![Term::Known(index)], added: vec![compliance.to_vec()] };
+        let initial = crate::fit::settle(&model, &structure, &part, 200);
+        let mut predicted = vec![0.0; 200];
+        model.predict(&structure, &initial, &part, &mut predicted);
+        let largest =
+            |differences: &mut dyn Iterator<Item = f64>| differences.fold(0.0_f64, |most, one| most.max(one.abs()));
+        let swing = largest(&mut (350..550).map(|sample| swinging[sample] - stiff[sample]));
+        let off = largest(&mut (350..550).map(|sample| swinging[sample] - predicted[sample - 350]));
+        assert!(off < 0.03 * swing, "{compliance:?}: {off} of {swing}");
+    }
+}
+
 #[test]
 fn a_delay_moves_the_response() {
     let input: Vec<f64> = (0..200).map(|sample| if sample < 50 { 0.0 } else { 0.5 }).collect();
@@ -97,7 +129,7 @@ fn a_dead_zone_takes_its_share_of_the_duty() {
 #[test]
 fn backlash_keeps_the_output_until_the_gap_is_crossed() {
     let recorded = [run(
-        (Quantity::Number, (0..400).map(|sample| if sample < 200 { 0.5 } else { -0.5 }).collect()),
+        (Quantity::Number, (0..400).map(|sample| if sample < 260 { 0.5 } else { -0.5 }).collect()),
         (Quantity::Angle, (0..400).map(f64::from).collect()),
         5e-3,
     )];
@@ -862,6 +894,41 @@ fn early_stamps_are_no_effect() {
         if setup == Setup::MotorSpeed {
             let fault = report.timing_fault().expect("sure of it");
             assert!(fault.ends_with("ms early") && report.verdict.contains(&fault), "{fault}: {}", report.verdict);
+        }
+    }
+}
+
+#[test]
+fn declared_base_values_are_those_that_give_the_plant_file() {
+    for (kind, plant, quantity) in [
+        (
+            Kind::DcMotor,
+            "model = \"dc-gear-motor\"\n[parameters]\nresistance_ohm = 0.6\ninductance_h = 0.001\n\
+             torque_constant_nm_per_a = 0.03\ngear_ratio = 25.0\ninertia_kg_m2 = 0.065\nviscous_nm_s_per_rad = 0.03\n",
+            Quantity::Angle,
+        ),
+        (
+            Kind::LinearActuator,
+            "model = \"linear-actuator\"\n[parameters]\nresistance_ohm = 2.0\ninductance_h = 0.001\n\
+             torque_constant_nm_per_a = 0.02\nlead_m_per_rev = 0.002\nefficiency = 1.0\nrotor_inertia_kg_m2 = 1e-5\n\
+             moving_mass_kg = 3.0\nviscous_n_s_per_m = 150.0\nstroke_m = 0.2\n",
+            Quantity::Length,
+        ),
+    ] {
+        let spec = PlantSpec::from_toml("plant.toml", plant).expect("a plant");
+        let recorded = [run((Quantity::Number, vec![0.5; 101]), (quantity, (0..101).map(f64::from).collect()), 5e-3)];
+        let known = Known { supply_v: Some(12.0), plant: Some(spec.clone()), ..Known::default() };
+        let (model, ..) = Motion::new(kind, &known, &recorded, &[]).expect("a model");
+        let base = model.declared_base().expect("a plant was declared");
+        let file = model.plant_file(&Structure { base, ..Structure::default() }, "the test");
+        let back = PlantSpec::from_toml("plant.toml", &file).expect("a plant");
+        let numbers = |spec: &PlantSpec| -> Vec<f64> {
+            spec.to_toml().lines().filter_map(|line| line.split(" = ").nth(1)?.parse().ok()).collect()
+        };
+        let (declared, back) = (numbers(&spec), numbers(&back));
+        assert!(declared.len() >= 6 && declared.len() == back.len(), "{file}");
+        for (declared, back) in declared.iter().zip(&back) {
+            assert!((declared - back).abs() <= 1e-9 * declared.abs(), "{declared} {back}: {file}");
         }
     }
 }

@@ -413,7 +413,7 @@ impl<F: Family> Search<'_, F> {
     }
 
     fn base(&self) -> Fit {
-        let starts = self.family.starts(&self.whole);
+        let starts: Vec<_> = self.family.starts(&self.whole).into_iter().chain(self.family.declared()).collect();
         let initial = fit::guessed(self.family, &self.whole);
         let structure = |base: &Vec<f64>| Structure { base: base.clone(), ..Structure::default() };
         let screened: Vec<Fit> = starts

@@ -107,9 +107,14 @@ impl<F: Family> Search<'_, F> {
         let with = |values: &Vec<f64>| self.with(current, term.clone(), values);
         let as_it_is = |structure| (structure, current.initial.clone());
         let mut starts: Vec<Structure> = candidate.starts.iter().map(with).collect();
+        let by_declared = self.by_declared(&starts);
         if let Some((guessed, guess)) = self.guess(starts.clone(), current, Effort::GLANCE) {
             let same_base = with(guessed.0.added.last().unwrap_or(&vec![]));
-            return Begun { starts: vec![guessed, as_it_is(same_base)], guess, term };
+            return Begun {
+                starts: [guessed, as_it_is(same_base)].into_iter().chain(by_declared).collect(),
+                guess,
+                term,
+            };
         }
         if starts.len() > MOST_STARTS {
             let cost = |structure: &Structure| fit::cost(self.family, &self.runs, structure, &current.initial);
@@ -117,18 +122,35 @@ impl<F: Family> Search<'_, F> {
             costs.sort_by(|a, b| a.0.total_cmp(&b.0));
             starts = costs.into_iter().take(NEAREST).map(|(_, start)| start).collect();
         }
-        Begun { starts: starts.into_iter().map(as_it_is).collect(), guess: f64::INFINITY, term }
+        Begun { starts: starts.into_iter().map(as_it_is).chain(by_declared).collect(), guess: f64::INFINITY, term }
+    }
+
+    /// The best of an effect's starts on the declared base, and the initial states that go with it.
+    fn by_declared(&self, starts: &[Structure]) -> Option<Start> {
+        let base = self.family.declared()?;
+        let cost = |start: &Structure| {
+            let start = Structure { base: base.clone(), ..start.clone() };
+            let initial = self.settled_early(&start);
+            (fit::cost(self.family, &self.runs, &start, &initial), (start, initial))
+        };
+        let all = starts.par_iter().map(cost);
+        all.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, start)| start)
     }
 
     /// What the family guesses, with initial states by how each run begins, and what the guess leaves.
     fn guess(&self, starts: Vec<Structure>, current: &Fit, effort: Effort) -> Option<(Start, f64)> {
         let (structure, guess) = self.family.guess(starts, current, &self.runs, effort)?;
+        let initial = self.settled_early(&structure);
+        Some(((structure, initial), guess))
+    }
+
+    /// Initial states by how each run begins.
+    fn settled_early(&self, structure: &Structure) -> Vec<Vec<f64>> {
         let settled = |run: &&F::Run| {
             let samples = self.family.measured(run).len();
-            fit::settle(self.family, &structure, run, (samples / 4).max(LEAST_SAMPLES))
+            fit::settle(self.family, structure, run, (samples / 4).max(LEAST_SAMPLES))
         };
-        let initial = self.runs.iter().map(settled).collect();
-        Some(((structure, initial), guess))
+        self.runs.iter().map(settled).collect()
     }
 
     /// Every curve that may be added, with where its fit begins; none over what a curve of the model acts on already.

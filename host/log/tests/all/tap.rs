@@ -7,11 +7,13 @@ use crate::common::{OSMC, SUPPLY, header, messages};
 use r4_log::{About, Log, LoggedRequest, RecordError, Recorded, Tap, Wall};
 use r4_protocol::{
     Cause, Causes, ChannelInfo, DeviceInfo, Mode, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint,
-    Telemetry, ToDevice, ToHost, VERSION, config::PidGains, encode_frame, frame::MAX_FRAME,
+    Telemetry, ToDevice, ToHost, VERSION,
+    config::PidGains,
+    encode_frame,
+    frame::{MAX_FRAME, Message},
 };
-use serde::Serialize;
 
-fn frame(message: &impl Serialize) -> Vec<u8> {
+fn frame(message: &impl Message) -> Vec<u8> {
     encode_frame(message, &mut [0; MAX_FRAME]).unwrap().to_vec()
 }
 

@@ -13,7 +13,7 @@ use r4_protocol::{ChannelId, ChannelInfo, ChannelKind, Mode, Parameter, SafetySt
 use care::Guard;
 pub use care::{Care, Excited, Next};
 pub use error::ExciteError;
-pub use plan::{Plan, TRAIN};
+pub use plan::{MORE, Plan, TRAIN};
 
 use crate::{Error, Session, parameters::Parameters};
 

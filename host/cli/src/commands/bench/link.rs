@@ -23,9 +23,11 @@ use futures::future::{Either, select};
 use r4_driver::{Board, Clock, CycleReport, Cycles, Error, with_board};
 use r4_links::{Address, RealClock, monotonic_ns};
 use r4_protocol::{
-    ChannelId, CycleOutcome, FrameDecoder, Mode, ToDevice, ToHost, cycle::CYCLE_CHANNELS, frame::MAX_FRAME,
+    ChannelId, CycleOutcome, FrameDecoder, Mode, ToDevice, ToHost,
+    cycle::CYCLE_CHANNELS,
+    frame::{MAX_FRAME, Message},
 };
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde::{Deserialize, Serialize};
 
 use super::DEFAULT;
 use crate::{
@@ -38,7 +40,7 @@ use crate::{
 /// Has four motors, as a cycle has.
 const FOUR_MOTORS: &str = "openscout";
 /// Of a cycle, for both frames together.
-const BYTES: usize = 64;
+const BYTES: usize = 66;
 /// Of a round trip over a pseudo-terminal, µs: half of them are shorter.
 const ROUND_TRIP_US: f64 = 100.0;
 /// In a second, without loss.
@@ -225,7 +227,7 @@ struct Scale {
 }
 
 impl Scale {
-    fn weigh<T: DeserializeOwned>(&self, bytes: &[u8], is_cycle: fn(&T) -> bool) {
+    fn weigh<T: Message>(&self, bytes: &[u8], is_cycle: fn(&T) -> bool) {
         if !self.on.get() {
             return;
         }
