@@ -5,12 +5,19 @@
 #ifndef R4_H
 #define R4_H
 
-#define R4_SCHEMA_HASH 0x47557f5b672e889cULL
-#define R4_CRC_POLYNOMIAL 0x1021U
-#define R4_CRC_POLYNOMIAL_REFLECTED 0x8408U
-#define R4_CRC_INITIAL 0xffffU
-#define R4_CRC_FINAL_XOR 0xffffU
-#define R4_CRC_CHECK 0x906eU
+#define R4_SCHEMA_HASH 0x2fcc40f32856d804ULL
+/* CRC-16/IBM-SDLC, in 2 bytes, low byte first. */
+#define R4_CRC16_POLYNOMIAL 0x1021UL
+#define R4_CRC16_REFLECTED 0x8408UL
+#define R4_CRC16_INITIAL 0xffffUL
+#define R4_CRC16_FINAL_XOR 0xffffUL
+#define R4_CRC16_CHECK 0x906eUL
+/* CRC-32/ISO-HDLC, in 4 bytes, low byte first. */
+#define R4_CRC32_POLYNOMIAL 0x04c11db7UL
+#define R4_CRC32_REFLECTED 0xedb88320UL
+#define R4_CRC32_INITIAL 0xffffffffUL
+#define R4_CRC32_FINAL_XOR 0xffffffffUL
+#define R4_CRC32_CHECK 0xcbf43926UL
 
 /* Most analog inputs. */
 #define R4_ANALOG_INPUTS 6
@@ -21,7 +28,7 @@
 /* Most channels of a cycle. */
 #define R4_CYCLE_CHANNELS 4
 /* Bytes of the frame of a `Cycle`, delimiter included. */
-#define R4_CYCLE_FRAME 19
+#define R4_CYCLE_FRAME 21
 /* Bytes of the frame of a `CycleState`, delimiter included. */
 #define R4_CYCLE_STATE_FRAME 45
 /* Most outputs of the processor's own DAC. */
@@ -46,7 +53,7 @@
 /* Most bytes of the firmware's version. */
 #define R4_MAX_FIRMWARE 16
 /* Longest frame: message, CRC, COBS overhead, delimiter. */
-#define R4_MAX_FRAME 254
+#define R4_MAX_FRAME 256
 /* Most bytes in one `LogChunk`. */
 #define R4_MAX_LOG 64
 /* Longest message in a frame, before CRC and COBS. Chosen so that COBS adds exactly one byte. */
@@ -87,8 +94,8 @@
 #define R4_STOP_BRAKE_MAX_MS 5000
 /* Most switches. */
 #define R4_SWITCHES 4
-/* Version of the messages in this crate. A board and a host talk only when theirs are equal. */
-#define R4_VERSION 11
+/* Newest version of the messages in this crate. */
+#define R4_VERSION 12
 
 /* Host to board. */
 enum r4_to_device {
@@ -104,9 +111,9 @@ enum r4_to_device {
 
 /* What a host can ask. */
 enum r4_request {
-    R4_REQUEST_HELLO = 0, /* Opens a session. Must come first; its encoding never changes, so that any two versions can refuse each other.
- *     u16 version: `VERSION` of the host.
- *     u64 schema: `SCHEMA_HASH` of the host. */
+    R4_REQUEST_HELLO = 0, /* Opens a session. Must come first; its encoding never changes, so that any two versions can agree or refuse each other: see `version`.
+ *     u16 version: `VERSION` in which the host wants to talk.
+ *     u64 schema: `SCHEMA_HASH` of that version. */
     R4_REQUEST_BYE = 1, /* Closes the session: disarms, ends subscriptions, and the missing heartbeat no longer trips. */
     R4_REQUEST_DESCRIBE = 2, /* Describes channel number `index` in the board's list.
  *     u8 index: 0 to `DeviceInfo::channels` - 1. */
@@ -469,8 +476,8 @@ enum r4_unit {
 
 /* Why a request was not carried out. Nothing was changed. */
 enum r4_refusal {
-    R4_REFUSAL_PROTOCOL_MISMATCH = 0, /* The host speaks another version of the protocol.
- *     u16 version: `VERSION` of the board.
+    R4_REFUSAL_PROTOCOL_MISMATCH = 0, /* The board does not speak that version of the protocol.
+ *     u16 version: The newest that it speaks: its `VERSION`.
  *     u64 schema: `SCHEMA_HASH` of the board. */
     R4_REFUSAL_NO_SESSION = 1, /* No session: `Request::Hello` must come first. */
     R4_REFUSAL_IN_USE = 2, /* Another host's session is alive. */
@@ -530,6 +537,7 @@ enum r4_refusal {
  *     ChannelId channel: As asked.
  *     f32 asked: rad/s or m/s
  *     f32 limit: rad/s or m/s */
+    R4_REFUSAL_UNKNOWN_MESSAGE = 32, /* An undamaged request that the board does not know: it came with a later version. */
 };
 
 /* HotWinding: A motor with `Winding::hot`.

@@ -25,6 +25,26 @@ class ProtocolError(Exception):
     pass
 
 
+class Checksum:
+    """Page: Frames."""
+
+    def __init__(self, of):
+        self.bytes = of["bytes"]
+        width = 8 * self.bytes
+        self.polynomial = int(format(int(of["polynomial"], 16), "0{}b".format(width))[::-1], 2)
+        self.initial, self.final = int(of["initial"], 16), int(of["final_xor"], 16)
+        if self.of(b"123456789") != int(of["check_of_123456789"], 16).to_bytes(self.bytes, "little"):
+            raise ProtocolError("the checksum is not that of the schema")
+
+    def of(self, data):
+        total = self.initial
+        for byte in data:
+            total ^= byte
+            for _ in range(8):
+                total = (total >> 1) ^ (self.polynomial if total & 1 else 0)
+        return (total ^ self.final).to_bytes(self.bytes, "little")
+
+
 class Codec:
     """Frames (page: Frames) and values (page: Encoding), by the types of the schema."""
 
@@ -33,22 +53,24 @@ class Codec:
         self.version = schema["version"]
         self.schema_hash = int(schema["schema_hash"], 16)
         self.max_frame = schema["framing"]["max_frame"]
-        crc = schema["framing"]["crc"]
-        self.polynomial = int("{:016b}".format(int(crc["polynomial"], 16))[::-1], 2)
-        self.initial, self.final = int(crc["initial"], 16), int(crc["final_xor"], 16)
-        if self.checksum(b"123456789") != int(crc["check_of_123456789"], 16):
-            raise ProtocolError("the checksum is not that of the schema")
+        self.checks = {name: Checksum(of) for name, of in schema["framing"]["checksums"].items()}
+        self.short_of = set(schema["framing"]["short_of"])
 
-    def checksum(self, data):
-        total = self.initial
-        for byte in data:
-            total ^= byte
-            for _ in range(8):
-                total = (total >> 1) ^ (self.polynomial if total & 1 else 0)
-        return total ^ self.final
+    def check(self, kind, value):
+        """The checksum that a message of this direction has."""
+        if kind == "ToHost":
+            return self.checks["short"]
+        name, inner = (value, None) if isinstance(value, str) else next(iter(value.items()))
+        whole = "ToDevice::" + name
+        if name == "Request":
+            request = inner["request"]
+            whole = "Request::" + (request if isinstance(request, str) else next(iter(request)))
+        return self.checks["short" if whole in self.short_of else "long"]
 
-    def frame(self, message):
-        pieces = (message + struct.pack("<H", self.checksum(message))).split(b"\0")
+    def frame(self, kind, value):
+        """One message as a frame, with its delimiter."""
+        message = self.encode(kind, value)
+        pieces = (message + self.check(kind, value).of(message)).split(b"\0")
         out = b""
         for number, piece in enumerate(pieces):
             while len(piece) >= 254:
@@ -58,8 +80,8 @@ class Codec:
             out += bytes([len(piece) + 1]) + piece
         return out + b"\0"
 
-    def unframe(self, frame):
-        """Of a frame without its delimiter."""
+    def unframe(self, kind, frame):
+        """The message in a frame without its delimiter."""
         plain, at = b"", 0
         while at < len(frame):
             code = frame[at]
@@ -69,9 +91,12 @@ class Codec:
             at += code
             if code != 0xFF and at < len(frame):
                 plain += b"\0"
-        if len(plain) < 2 or struct.unpack("<H", plain[-2:])[0] != self.checksum(plain[:-2]):
-            raise ProtocolError("wrong checksum")
-        return plain[:-2]
+        for check in self.checks.values():
+            if len(plain) >= check.bytes and check.of(plain[: -check.bytes]) == plain[-check.bytes :]:
+                value = self.decode(kind, plain[: -check.bytes])
+                if self.check(kind, value) is check:
+                    return value
+        raise ProtocolError("wrong checksum")
 
     def encode(self, kind, value):
         if kind == "bool":
@@ -204,10 +229,10 @@ def vectors(codec, schema):
     for direction, kind in schema["messages"].items():
         for vector in schema["vectors"][direction]:
             frame, message = bytes.fromhex(vector["frame"]), bytes.fromhex(vector["message"])
-            value = codec.decode(kind, codec.unframe(frame[:-1]))
-            if codec.unframe(frame[:-1]) != message or not same(value, vector["value"]):
+            value = codec.unframe(kind, frame[:-1])
+            if not same(value, vector["value"]):
                 raise ProtocolError("{} is read as {}".format(vector["name"], value))
-            if codec.encode(kind, vector["value"]) != message or codec.frame(message) != frame:
+            if codec.encode(kind, vector["value"]) != message or codec.frame(kind, vector["value"]) != frame:
                 raise ProtocolError("{} is written otherwise".format(vector["name"]))
             checked += 1
     return {"vectors": checked}
@@ -246,7 +271,7 @@ class Board:
         return time.monotonic_ns() // 1000
 
     def send(self, message):
-        frame = self.codec.frame(self.codec.encode("ToDevice", message))
+        frame = self.codec.frame("ToDevice", message)
         while frame:
             frame = frame[os.write(self.link, frame) :]
 
@@ -264,7 +289,7 @@ class Board:
             raise ProtocolError("the link was closed")
         *frames, self.received = (self.received + data).split(b"\0")
         for frame in filter(None, frames):
-            self.take(self.codec.decode("ToHost", self.codec.unframe(frame)))
+            self.take(self.codec.unframe("ToHost", frame))
 
     def take(self, message):
         ((kind, value),) = message.items()

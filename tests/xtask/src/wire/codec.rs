@@ -1,24 +1,75 @@
 //! Frames and messages read by nothing but what the page says: this is what tells that it says enough.
 
+use r4_protocol::frame::Check;
 use serde_json::{Map, Value as Json, json};
 
 use super::model::{Field, Kind, Model, Shape, Variant};
 
-/// CRC-16/IBM-SDLC bit by bit, as the page describes it.
-pub(super) fn crc(bytes: &[u8]) -> u16 {
-    let algorithm = crc::CRC_16_IBM_SDLC;
-    let reflected = algorithm.poly.reverse_bits();
-    let sum = bytes.iter().fold(algorithm.init, |sum, byte| {
-        (0..8).fold(sum ^ u16::from(*byte), |sum, _| if sum & 1 == 1 { sum >> 1 ^ reflected } else { sum >> 1 })
-    });
-    sum ^ algorithm.xorout
+/// A checksum of frames, as the page describes it.
+pub(super) struct Checksum {
+    pub(super) name: &'static str,
+    /// On the wire, low byte first.
+    pub(super) bytes: usize,
+    pub(super) polynomial: u32,
+    /// The polynomial as it is used, bit-reversed.
+    pub(super) reflected: u32,
+    pub(super) initial: u32,
+    pub(super) final_xor: u32,
+    /// Of the ASCII digits 1 to 9.
+    pub(super) check: u32,
 }
 
-/// The message in a frame, delimiter included.
+/// Of the two that frames have.
+pub(super) fn checksum(of: Check) -> Checksum {
+    match of {
+        Check::Short => {
+            let crc::Algorithm { poly, init, xorout, check, .. } = crc::CRC_16_IBM_SDLC;
+            Checksum {
+                name: "CRC-16/IBM-SDLC",
+                bytes: 2,
+                polynomial: poly.into(),
+                reflected: poly.reverse_bits().into(),
+                initial: init.into(),
+                final_xor: xorout.into(),
+                check: check.into(),
+            }
+        }
+        Check::Long => {
+            let crc::Algorithm { poly, init, xorout, check, .. } = crc::CRC_32_ISO_HDLC;
+            Checksum {
+                name: "CRC-32/ISO-HDLC",
+                bytes: 4,
+                polynomial: poly,
+                reflected: poly.reverse_bits(),
+                initial: init,
+                final_xor: xorout,
+                check,
+            }
+        }
+    }
+}
+
+impl Checksum {
+    /// Bit by bit.
+    pub(super) fn of(&self, bytes: &[u8]) -> u32 {
+        let sum = bytes.iter().fold(self.initial, |sum, byte| {
+            (0..8)
+                .fold(sum ^ u32::from(*byte), |sum, _| if sum & 1 == 1 { sum >> 1 ^ self.reflected } else { sum >> 1 })
+        });
+        sum ^ self.final_xor
+    }
+
+    /// A number of its width, in hexadecimal.
+    pub(super) fn hex(&self, number: u32) -> String {
+        format!("{number:#0width$x}", width = 2 + 2 * self.bytes)
+    }
+}
+
+/// The message in a frame, delimiter included, that has this checksum.
 ///
 /// # Errors
 /// What of COBS or the checksum is wrong.
-pub(super) fn payload(frame: &[u8]) -> Result<Vec<u8>, String> {
+pub(super) fn payload(frame: &[u8], check: Check) -> Result<Vec<u8>, String> {
     let [body @ .., 0] = frame else { return Err("no delimiter".into()) };
     let (mut plain, mut rest) = (Vec::new(), body);
     while let [code, after @ ..] = rest {
@@ -29,8 +80,11 @@ pub(super) fn payload(frame: &[u8]) -> Result<Vec<u8>, String> {
             plain.push(0);
         }
     }
-    let Some((message, [low, high])) = plain.split_last_chunk::<2>() else { return Err("no checksum".into()) };
-    if crc(message) == u16::from_le_bytes([*low, *high]) { Ok(message.to_vec()) } else { Err("checksum".into()) }
+    let checksum = checksum(check);
+    let end = plain.len().checked_sub(checksum.bytes).ok_or("no checksum")?;
+    let (message, received) = plain.split_at(end);
+    let calculated = checksum.of(message).to_le_bytes();
+    if calculated[..checksum.bytes] == *received { Ok(message.to_vec()) } else { Err("checksum".into()) }
 }
 
 /// Reads a message by the model.
@@ -155,19 +209,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_checksum_is_that_of_the_catalogue() {
-        assert_eq!(crc(b"123456789"), crc::CRC_16_IBM_SDLC.check);
+    fn checksums_are_those_of_the_catalogue() {
+        for of in [Check::Short, Check::Long] {
+            let checksum = checksum(of);
+            assert_eq!(checksum.of(b"123456789"), checksum.check, "{}", checksum.name);
+        }
+        assert_eq!(checksum(Check::Short).hex(0x21), "0x0021");
     }
 
     #[test]
     fn damage_is_seen() {
-        let frame = [0x01, 0x05, 0x05, 0x03, 0x01, 0x2D, 0xFD, 0x00];
-        assert_eq!(payload(&frame), Ok(vec![0, 5, 3, 1][..0].to_vec()).or(payload(&frame)));
-        assert!(payload(&frame[..7]).is_err_and(|problem| problem == "no delimiter"));
+        // Bye with number 3, a golden row of all versions.
+        let frame = [0x01, 0x05, 0x03, 0x01, 0x2D, 0xFD, 0x00];
+        assert_eq!(payload(&frame, Check::Short), Ok(vec![0, 3, 1]));
+        assert!(payload(&frame, Check::Long).is_err() && payload(&frame[..6], Check::Short).is_err());
         for place in 0..frame.len() - 1 {
             let mut damaged = frame;
             damaged[place] ^= 1;
-            assert_ne!(payload(&damaged), payload(&frame), "byte {place}");
+            assert!(payload(&damaged, Check::Short).is_err(), "byte {place}");
         }
     }
 }

@@ -29,18 +29,31 @@ local function unstuff(bytes)
     at = at + code
     if code ~= 0xFF and at <= n then plain[#plain + 1] = 0 end
   end
-  if #plain < 2 then return nil, "no checksum" end
-  local high, low = table.remove(plain), table.remove(plain)
-  local sum = CRC_INITIAL
-  for _, byte in ipairs(plain) do
-    sum = bit.bxor(sum, byte)
-    for _ = 1, 8 do
-      local shifted = bit.rshift(sum, 1)
-      sum = bit.band(sum, 1) == 1 and bit.bxor(shifted, CRC_REFLECTED) or shifted
+  -- The long one first: it is that of most messages to a board.
+  for which = #CHECKSUMS, 1, -1 do
+    local check = CHECKSUMS[which]
+    local length = #plain - check.bytes
+    if length >= 0 then
+      local sum = check.initial
+      for place = 1, length do
+        sum = bit.bxor(sum, plain[place])
+        for _ = 1, 8 do
+          local shifted = bit.rshift(sum, 1)
+          sum = bit.band(sum, 1) == 1 and bit.bxor(shifted, check.reflected) or shifted
+        end
+      end
+      sum = bit.bxor(sum, check.final)
+      local fits = true
+      for place = 0, check.bytes - 1 do
+        fits = fits and bit.band(bit.rshift(sum, 8 * place), 0xFF) == plain[length + 1 + place]
+      end
+      if fits then
+        for _ = 1, check.bytes do table.remove(plain) end
+        return plain
+      end
     end
   end
-  if bit.bxor(sum, CRC_FINAL) ~= low + 256 * high then return nil, "wrong checksum" end
-  return plain
+  return nil, "wrong checksum"
 end
 
 local Reader = {}
@@ -132,12 +145,12 @@ function Reader:named(name, label, tree)
   return inner and text .. " " .. inner or text
 end
 
-local function dissect_frame(tvb, pinfo, tree, to_device)
+local function dissect_frame(range, pinfo, tree, to_device)
   local bytes = {}
-  for place = 0, tvb:len() - 2 do bytes[#bytes + 1] = tvb(place, 1):uint() end
+  for place = 0, range:len() - 2 do bytes[#bytes + 1] = range(place, 1):uint() end
   if #bytes == 0 then return end
-  local branch = tree:add(r4, tvb)
-  branch:add(field.frame, tvb)
+  local branch = tree:add(r4, range)
+  branch:add(field.frame, range)
   branch:add(field.to_device, to_device):set_generated()
   local message, problem = unstuff(bytes)
   local short
@@ -186,7 +199,7 @@ function r4.dissector(tvb, pinfo, tree)
       end
       return length
     end
-    dissect_frame(tvb(at, finish - at + 1):tvb(), pinfo, tree, towards)
+    dissect_frame(tvb(at, finish - at + 1), pinfo, tree, towards)
     at = finish + 1
   end
   return length

@@ -1,11 +1,13 @@
 //! `protocol/r4.lua`: the dissector beside this file, with the types as tables.
 
-use std::fmt::Write;
-
-use r4_protocol::{VERSION, frame::MAX_FRAME};
+use r4_protocol::{
+    VERSION,
+    frame::{Check, MAX_FRAME},
+};
 
 use super::{
     Input,
+    codec::checksum,
     model::{Field, Kind, Shape},
 };
 
@@ -13,13 +15,19 @@ const TEMPLATE: &str = include_str!("dissector.lua");
 
 /// The whole file.
 pub(super) fn file(input: &Input) -> Result<String, String> {
-    let algorithm = crc::CRC_16_IBM_SDLC;
-    let mut types = format!(
-        "local VERSION = {VERSION}\nlocal CRC_INITIAL, CRC_REFLECTED, CRC_FINAL = {:#06x}, {:#06x}, {:#06x}\n\nlocal TYPES = {{\n",
-        algorithm.init,
-        algorithm.poly.reverse_bits(),
-        algorithm.xorout
-    );
+    let mut types = format!("local VERSION = {VERSION}\nlocal CHECKSUMS = {{\n");
+    for check in [Check::Short, Check::Long] {
+        let checksum = checksum(check);
+        types += &format!(
+            "  {{ bytes = {}, reflected = {}, initial = {}, final = {} }}, -- {}\n",
+            checksum.bytes,
+            checksum.hex(checksum.reflected),
+            checksum.hex(checksum.initial),
+            checksum.hex(checksum.final_xor),
+            checksum.name
+        );
+    }
+    types += "}\n\nlocal TYPES = {\n";
     for named in &input.model.0 {
         let text = match &named.kind {
             Kind::Struct(of) => format!("  {} = {{ fields = {} }},\n", named.name, fields(of)),
@@ -30,7 +38,7 @@ pub(super) fn file(input: &Input) -> Result<String, String> {
                 format!("  {} = {{ variants = {{\n{}  }} }},\n", named.name, variants.collect::<String>())
             }
         };
-        types.write_str(&text).map_err(|error| error.to_string())?;
+        types += &text;
     }
     types.push('}');
     Ok(TEMPLATE.replace("--@TYPES@", &types).replace("--@MAX_FRAME@", &MAX_FRAME.to_string()))

@@ -10,17 +10,17 @@
 //! | `{{variant NAME VARIANT}}` | the number of a variant |
 //! | `{{vector DIRECTION NAME}}` | a golden frame, taken apart |
 //! | `{{causes}}`, `{{parameters}}`, `{{channel_kinds}}` | tables of those |
-//! | `{{schema_hash}}`, `{{crc NAME}}` | what their names say |
+//! | `{{schema_hash}}`, `{{crc short NAME}}`, `{{crc long NAME}}`, `{{short_of}}` | what their names say |
 
 use std::{collections::BTreeSet, fmt::Write};
 
-use r4_protocol::{Cause, ChannelKind, Parameter, SCHEMA_HASH};
+use r4_protocol::{Cause, ChannelKind, Parameter, SCHEMA_HASH, frame::Check};
 
 use super::{
     Input,
-    codec::{crc, payload},
+    codec::{checksum, payload},
     constants::Value,
-    json::{hex, one_line, variant_of},
+    json::{hex, one_line, short_of, variant_of},
     model::{Field, Kind, Named},
     source::Source,
 };
@@ -71,14 +71,17 @@ fn put(input: &Input, words: &[&str], shown: &mut BTreeSet<String>) -> Result<St
         ["parameters"] => parameters(input),
         ["channel_kinds"] => channel_kinds(input),
         ["schema_hash"] => Ok(format!("{SCHEMA_HASH:#018x}")),
-        ["crc", what] => {
-            let algorithm = ::crc::CRC_16_IBM_SDLC;
+        ["short_of"] => short_of(input).map(|all| format!("`{}`", all.join("`, `"))),
+        ["crc", which @ ("short" | "long"), what] => {
+            let checksum = checksum(if *which == "short" { Check::Short } else { Check::Long });
             match *what {
-                "polynomial" => Ok(format!("{:#06x}", algorithm.poly)),
-                "reflected" => Ok(format!("{:#06x}", algorithm.poly.reverse_bits())),
-                "initial" => Ok(format!("{:#06x}", algorithm.init)),
-                "final" => Ok(format!("{:#06x}", algorithm.xorout)),
-                "check" => Ok(format!("{:#06x}", algorithm.check)),
+                "name" => Ok(checksum.name.into()),
+                "bytes" => Ok(checksum.bytes.to_string()),
+                "polynomial" => Ok(checksum.hex(checksum.polynomial)),
+                "reflected" => Ok(checksum.hex(checksum.reflected)),
+                "initial" => Ok(checksum.hex(checksum.initial)),
+                "final" => Ok(checksum.hex(checksum.final_xor)),
+                "check" => Ok(checksum.hex(checksum.check)),
                 other => Err(format!("the checksum has no {other}")),
             }
         }
@@ -158,9 +161,17 @@ fn vector(input: &Input, direction: &str, name: &str) -> Result<String, String> 
     let vector =
         input.golden.iter().find(|vector| (vector.direction.as_str(), vector.name.as_str()) == (direction, name));
     let vector = vector.ok_or("there is no such golden frame")?;
-    let message = payload(&vector.frame)?;
+    let short = payload(&vector.frame, Check::Short).map(|message| (Check::Short, message));
+    let (check, message) =
+        short.or_else(|_| payload(&vector.frame, Check::Long).map(|message| (Check::Long, message)))?;
     let spaced = |bytes: &[u8]| bytes.iter().map(|byte| hex(&[*byte])).collect::<Vec<_>>().join(" ");
-    Ok(format!("message   {}\nchecksum  {:#06x}\nframe     {}", spaced(&message), crc(&message), spaced(&vector.frame)))
+    let checksum = checksum(check);
+    Ok(format!(
+        "message   {}\nchecksum  {}\nframe     {}",
+        spaced(&message),
+        checksum.hex(checksum.of(&message)),
+        spaced(&vector.frame)
+    ))
 }
 
 fn causes(input: &Input) -> String {
