@@ -68,8 +68,14 @@ fn put(input: &Input, words: &[&str], shown: &mut BTreeSet<String>) -> Result<St
         ["variant", name, variant] => number(input, name, variant),
         ["vector", direction, name] => vector(input, direction, name),
         ["causes"] => Ok(causes(input)),
-        ["parameters"] => parameters(input),
-        ["channel_kinds"] => channel_kinds(input),
+        ["parameters"] => {
+            shown.insert("Parameter".into());
+            parameters(input)
+        }
+        ["channel_kinds"] => {
+            shown.insert("ChannelKind".into());
+            channel_kinds(input)
+        }
         ["schema_hash"] => Ok(format!("{SCHEMA_HASH:#018x}")),
         ["short_of"] => short_of(input).map(|all| format!("`{}`", all.join("`, `"))),
         ["crc", which @ ("short" | "long"), what] => {
@@ -185,23 +191,28 @@ fn causes(input: &Input) -> String {
 
 fn parameters(input: &Input) -> Result<String, String> {
     let Kind::Enum(variants) = &input.model.get("Parameter")?.kind else { return Err("no enum".into()) };
-    let mut text = String::from("| number | name | of what, and its unit |\n| ---: | --- | --- |\n");
+    let mut text = String::from("| number | variant | name | of what, and its unit |\n| ---: | --- | --- | --- |\n");
     for (number, variant) in variants.iter().enumerate() {
         let parameter: Parameter = variant_of(number)?;
-        line(&mut text, &[&number.to_string(), &format!("`{}`", parameter.name()), &one_line(&variant.doc)]);
+        line(
+            &mut text,
+            &[&number.to_string(), variant.name, &format!("`{}`", parameter.name()), &one_line(&variant.doc)],
+        );
     }
     Ok(text)
 }
 
 fn channel_kinds(input: &Input) -> Result<String, String> {
     let Kind::Enum(variants) = &input.model.get("ChannelKind")?.kind else { return Err("no enum".into()) };
-    let mut text = String::from("| number | written | what it is | measures together |\n| ---: | --- | --- | --- |\n");
+    let mut text = String::from(
+        "| number | variant | written | what it is | measures together |\n| ---: | --- | --- | --- | --- |\n",
+    );
     for (number, variant) in variants.iter().enumerate() {
         let kind: ChannelKind = variant_of(number)?;
         let quantities: Vec<String> =
             kind.quantities().iter().map(|quantity| format!("`{}` [{}]", quantity.field, quantity.unit)).collect();
         let name = format!("`{}0`", kind.name());
-        line(&mut text, &[&number.to_string(), &name, &one_line(&variant.doc), &quantities.join(", ")]);
+        line(&mut text, &[&number.to_string(), variant.name, &name, &one_line(&variant.doc), &quantities.join(", ")]);
     }
     Ok(text)
 }
