@@ -1,11 +1,16 @@
 //! A client that knows the protocol by `docs/protocol.md` and `protocol/schema.json` alone, on a served board.
 
-use std::process::{Command, Stdio};
+use std::{
+    fmt::Write as _,
+    fs,
+    process::{Command, Stdio},
+};
 
 use crate::program::*;
 use serde_json::Value;
 
 const CLIENT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/protocol/client.py");
+const DISSECTOR: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../protocol/r4.lua");
 const SCHEMA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../protocol/schema.json");
 
 /// What the client prints; `None` on a machine without Python, where nothing is tested.
@@ -23,7 +28,7 @@ fn client(argument: &str) -> Option<Value> {
 #[test]
 fn a_codec_by_the_page_reads_and_writes_every_golden_frame() {
     let Some(seen) = client("vectors") else { return };
-    let schema = object(&std::fs::read_to_string(SCHEMA).expect("it is there"));
+    let schema = object(&fs::read_to_string(SCHEMA).expect("it is there"));
     let vectors = ["to_device", "to_host"].map(|direction| array(&schema["vectors"], direction).len());
     assert!(vectors.iter().all(|count| *count > 0), "{vectors:?}");
     assert_eq!(seen["vectors"], vectors.iter().sum::<usize>());
@@ -42,4 +47,50 @@ fn a_client_by_the_page_moves_a_motor() {
     // It counts as settled within 2.7 mrad of its target, and a count of its encoder is 2.6 mrad.
     let (target, end) = (number(&seen, "target_rad"), number(&seen, "to_rad"));
     assert!(target - number(&seen, "from_rad") > 0.29 && (target - end).abs() < 0.006, "{seen}");
+}
+
+/// What the dissector calls a message: its variant, and that of the request or answer in it.
+fn called(value: &Value) -> String {
+    let variant = |value: &Value| match value {
+        Value::String(name) => name.clone(),
+        other => other.as_object().and_then(|object| object.keys().next()).expect("a variant").clone(),
+    };
+    let inner = [&value["Request"]["request"], &value["Response"]["result"]["Ok"], &value["Response"]["result"]["Err"]];
+    match inner.into_iter().find(|inner| !inner.is_null()) {
+        Some(inner) => format!("{} {}", variant(value), variant(inner)),
+        None => variant(value),
+    }
+}
+
+#[test]
+fn the_dissector_names_every_golden_frame() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let schema = object(&fs::read_to_string(SCHEMA).expect("it is there"));
+    for (direction, ports) in [("to_device", "40000,5000"), ("to_host", "5000,40000")] {
+        let vectors = array(&schema["vectors"], direction);
+        let mut dump = String::new();
+        for vector in vectors {
+            let frame = text(vector, "frame").as_bytes();
+            let bytes: Vec<&str> = frame.chunks(2).filter_map(|pair| str::from_utf8(pair).ok()).collect();
+            writeln!(dump, "000000 {}\n", bytes.join(" ")).expect("a string takes it");
+        }
+        let (hex, pcap) = (folder.path().join("hex"), folder.path().join("pcap"));
+        fs::write(&hex, dump).expect("written");
+        let made = Command::new("text2pcap").args(["-q", "-T", ports]).args([&hex, &pcap]).output();
+        let Ok(made) = made else {
+            eprintln!("not run: text2pcap, which comes with tshark, cannot be started");
+            return;
+        };
+        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+        let seen = Command::new("tshark")
+            .arg("-r")
+            .arg(&pcap)
+            .args(["-X", &format!("lua_script:{DISSECTOR}"), "-d", "tcp.port==5000,r4"])
+            .args(["-T", "fields", "-e", "r4.message"])
+            .output()
+            .expect("tshark starts");
+        let seen = String::from_utf8_lossy(&seen.stdout).into_owned();
+        let expected: Vec<String> = vectors.iter().map(|vector| called(&vector["value"])).collect();
+        assert_eq!(seen.lines().collect::<Vec<_>>(), expected, "{direction}");
+    }
 }
