@@ -128,7 +128,7 @@ impl Program for Turns {
         if time_s > TURNS_S + LEAKS_S {
             return None;
         }
-        let way = if (time_s * SPEED_M_S / SWING_M) as u64 % 2 == 0 { 1.0 } else { -1.0 };
+        let way = if ((time_s * SPEED_M_S / SWING_M) as u64).is_multiple_of(2) { 1.0 } else { -1.0 };
         let forward_m_s = if time_s < TURNS_S { way * SPEED_M_S } else { 0.0 };
         Some(Velocity { forward_m_s, yaw_rad_s: 0.0 })
     }

@@ -246,7 +246,7 @@ pub fn found(laps: &[Lap]) -> Result<Option<Found>, Error> {
 const STANDS_S: f64 = 5.0;
 
 /// Drives the laps of [`LAPS`].
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Crossings {
     laps: Vec<Lap>,
     charge: ChargeState,
@@ -255,19 +255,6 @@ pub struct Crossings {
     /// Of the present leg: 0 there, 1 back.
     leg: usize,
     is_straight: bool,
-}
-
-impl Default for Crossings {
-    fn default() -> Self {
-        Self {
-            laps: Vec::new(),
-            charge: ChargeState::default(),
-            stands_until_s: None,
-            follower: None,
-            leg: 0,
-            is_straight: false,
-        }
-    }
 }
 
 impl Crossings {

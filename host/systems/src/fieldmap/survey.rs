@@ -49,7 +49,7 @@ pub struct Mapper {
     charge: ChargeState,
     period_s: f64,
     begin_s: Option<f64>,
-    window: Vec<(f64, Point, f64, f64)>,
+    window: Vec<Taken>,
     /// Voltages with the field of the charge at their time: what other calibrations make readings of.
     taken: Vec<Taken>,
 }
@@ -86,19 +86,19 @@ impl Mapper {
 
     /// Takes a voltage, V, at a place.
     pub fn sense(&mut self, time_s: f64, at: Place, volts: f64) -> Option<Taken> {
-        self.window.push((time_s, [at.x_m, at.y_m], volts, self.charge.field()));
+        self.window.push(Taken { at: [at.x_m, at.y_m], at_s: time_s, volts, charge: self.charge.field() });
         let begin_s = *self.begin_s.get_or_insert(time_s);
         if time_s - begin_s < self.period_s {
             return None;
         }
         self.begin_s = Some(time_s);
         let count = self.window.len() as f64;
-        let mean = |of: &dyn Fn(&(f64, Point, f64, f64)) -> f64| self.window.iter().map(of).sum::<f64>() / count;
+        let mean = |of: &dyn Fn(&Taken) -> f64| self.window.iter().map(of).sum::<f64>() / count;
         let taken = Taken {
-            at: [mean(&|sample| sample.1[0]), mean(&|sample| sample.1[1])],
-            at_s: mean(&|sample| sample.0),
-            volts: mean(&|sample| sample.2),
-            charge: mean(&|sample| sample.3),
+            at: [mean(&|sample| sample.at[0]), mean(&|sample| sample.at[1])],
+            at_s: mean(&|sample| sample.at_s),
+            volts: mean(&|sample| sample.volts),
+            charge: mean(&|sample| sample.charge),
         };
         self.window.clear();
         self.taken.push(taken);
