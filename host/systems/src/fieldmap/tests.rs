@@ -1,5 +1,5 @@
 use r4_maps::{
-    grid::{Frame, Grid},
+    grid::Frame,
     pose::{Pose, distance_m},
     process::Sample,
 };
@@ -14,8 +14,6 @@ use super::{
     swarm::{Base, Member},
     *,
 };
-use crate::Sampler;
-
 fn trial(arm: &'static str, seed: u64) -> Trial {
     Trial { arm, seed, board: "sim:field-rover".parse().expect("a board") }
 }
@@ -106,30 +104,6 @@ fn positions_become_metres_and_damaged_sentences_none() {
         // 1e-6 minutes are 2 mm.
         assert!(distance_m(at, [100.0, -200.0]) < 0.005, "{at:?}");
     }
-}
-
-/// Readings of a field made of a plane and a drift, on a way that comes back: the map has the plane, cell means do not.
-#[test]
-fn place_and_time_are_told_apart_where_the_way_comes_back() {
-    let frame = Frame::new(Pose::default(), 2.0, 10, 10).expect("a grid");
-    let structure = |[x_m, y_m]: [f64; 2]| 30.0 * (x_m / 6.0).sin() * (y_m / 6.0).cos();
-    let drift = |time_s: f64| 25.0 * (time_s / 40.0).sin();
-    let mut noise = Sampler::new(1, 1);
-    let readings: Vec<Sample> = (0..200)
-        .map(|step| {
-            let (row, along) = (step / 20 % 5, step % 20);
-            let x_m = if row % 2 == 0 { f64::from(along) } else { f64::from(19 - along) };
-            let (at, at_s) = ([x_m + 0.5, f64::from(row) * 4.0 + 2.0], 2.0 * f64::from(step));
-            Sample { at, at_s, value: structure(at) + drift(at_s) + noise.normal(0.5) }
-        })
-        .collect();
-    let truth = Grid::from_fn(frame, |cell| structure(frame.centre(cell)));
-    let map = map::by_process(frame, &readings, 400.0, true).expect("a map");
-    let cells = map::per_cell(frame, &readings, 4.0);
-    let (ours, means) = (map::pattern_rmse(&map.mean, &truth), map::pattern_rmse(&cells, &truth));
-    assert!(ours < 0.4 * means, "{ours} {means}");
-    let without = map::by_process(frame, &readings, 400.0, false).expect("a map");
-    assert!(map::pattern_rmse(&without.mean, &truth) > 2.0 * ours);
 }
 
 #[test]
