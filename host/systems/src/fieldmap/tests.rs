@@ -14,19 +14,20 @@ use super::{
     swarm::{Base, Member},
     *,
 };
+
 fn trial(arm: &'static str, seed: u64) -> Trial {
     Trial { arm, seed, board: "sim:field-rover".parse().expect("a board") }
 }
 
 const SOUND: Calibration = Calibration { offset_v: 2.5, form: 1.4, per_rad: 0.04, leak_s: 50.0 };
 
-/// From 15 s to 45 s somebody stands in the first row, 5 m from the start.
+/// From 7 s to 40 s somebody stands in the first row, 5 m from the start.
 fn person() -> Person {
     let (beside, before) = ([7.5, 6.0], [7.5, 2.5]);
     Person { radius_m: 0.25, path: vec![(4.0, beside), (7.0, before), (40.0, before), (43.0, beside)] }
 }
 
-/// The robot stands before a person, readings go on without a gap, and it drives on round them. The map is about as good as without.
+/// The robot stands before a person, readings go on without a gap, and it drives on round them.
 #[test]
 fn a_person_in_the_way_costs_time_and_no_reading() {
     let trial = trial(OURS, 1);
