@@ -44,8 +44,7 @@ const BESIDE_M: f64 = 3.0;
 const CALIBRATED: Calibration = Calibration { offset_v: 2.5, form: 1.4, per_rad: 0.0, leak_s: LEAK_S };
 /// Time in which the body's charge leaks away, s: known from its calibration.
 const LEAK_S: f64 = 60.0;
-/// Units of the numbers, so that the scatter of all is alike: m, share of the plates' field, V/m, V/m. On seeds 1 to 4 the numbers of clean laps
-/// scatter by 0.3 to 1.5 of them.
+/// Units of the numbers, so that the scatter of all is about alike: m, share of the plates' field, V/m, V/m. Our choice.
 const UNITS: [f64; 4] = [0.02, 0.001, 0.1, 0.1];
 /// Purpose of random numbers.
 const OF_CHANGE: u64 = 1_404;

@@ -11,13 +11,14 @@ use crate::rover::Program;
 
 /// A reading is the mean of the mill's signal over this time, s: 0.8 m of way, a fifth of the smallest space charge.
 pub const PERIOD_S: f64 = 2.0;
-/// Distance of the lawn-mower's rows, m: the size of the smallest space charge. With 10 m some charges are between two rows.
+/// Distance of the lawn-mower's rows, m: the size of the smallest space charge. Our choice; other values were not compared.
 pub const SPACING_M: f64 = 5.0;
 /// Laps of the loop.
 pub const LAPS: usize = 3;
 /// Sites that may be next, along a side.
 const SITES: usize = 8;
-/// Of the best sites this many are compared, and the nearest is driven to: with 1 the robot crosses the plot to and fro.
+/// Of the best sites this many are compared, and the nearest is driven to, so that the robot does not cross the plot to and fro. Our
+/// choice; other values were not compared.
 const NEAREST_OF: usize = 4;
 /// What is expected of the plot before there are readings: the middle of the ranges.
 pub const EXPECTED: Kernel =
