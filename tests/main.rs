@@ -13,6 +13,7 @@ mod identify_close;
 mod links;
 mod logs;
 mod program;
+mod protocol;
 mod screen;
 mod systems;
 mod tune;

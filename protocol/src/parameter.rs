@@ -14,61 +14,61 @@ use crate::{channel::ChannelId, config::ConfigError};
 /// Units are those of the field it stands for in [`crate::config`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Schema)]
 pub enum Parameter {
-    /// Of the board: [`crate::config::BoardConfig::link_timeout_ms`].
+    /// Of the board, ms: [`crate::config::BoardConfig::link_timeout_ms`].
     LinkTimeoutMs,
-    /// Of the board: [`crate::config::BoardConfig::air_temperature_c`].
+    /// Of the board, °C: [`crate::config::BoardConfig::air_temperature_c`].
     AirTemperatureC,
-    /// Of the board: [`crate::config::ServoChipConfig::oscillator_hz`].
+    /// Of the board, Hz: [`crate::config::ServoChipConfig::oscillator_hz`].
     ServoOscillatorHz,
-    /// Of a motor.
+    /// Of a motor, share of the supply.
     DutyMax,
     /// Of a motor, 1/s.
     DutySlew,
-    /// Of a motor with feedback or a stepper.
+    /// Of a motor with feedback or a stepper, rad or m.
     PositionMin,
-    /// Of a motor with feedback or a stepper.
+    /// Of a motor with feedback or a stepper, rad or m.
     PositionMax,
-    /// Of a motor with feedback, a servo or a stepper.
+    /// Of a motor with feedback, a servo or a stepper, rad/s or m/s.
     SpeedMax,
-    /// Of a motor's position loop.
+    /// Of a motor's position loop, duty/rad or duty/m.
     PositionKp,
-    /// Of a motor's position loop.
+    /// Of a motor's position loop, duty/(rad s) or duty/(m s).
     PositionKi,
-    /// Of a motor's position loop.
+    /// Of a motor's position loop, duty s/rad or duty s/m.
     PositionKd,
-    /// Of a motor's speed loop.
+    /// Of a motor's speed loop, duty s/rad or duty s/m.
     SpeedKp,
-    /// Of a motor's speed loop.
+    /// Of a motor's speed loop, duty/rad or duty/m.
     SpeedKi,
-    /// Of a motor's speed loop.
+    /// Of a motor's speed loop, duty s²/rad or duty s²/m.
     SpeedKd,
     /// Of a motor with feedback, s.
     SpeedFilter,
-    /// Of a motor's path.
+    /// Of a motor's path, rad/s or m/s.
     ProfileSpeed,
-    /// Of a motor's path.
+    /// Of a motor's path, rad/s² or m/s².
     ProfileAcceleration,
-    /// Of a motor's feed-forward.
+    /// Of a motor's feed-forward, share of the supply.
     StaticDuty,
-    /// Of a motor's feed-forward.
+    /// Of a motor's feed-forward, duty s/rad or duty s/m.
     DutyPerSpeed,
-    /// Of a motor with feedback.
+    /// Of a motor with feedback, rad or m.
     SettleError,
-    /// Of a motor with feedback.
+    /// Of a motor with feedback, rad/s or m/s.
     SettleSpeed,
-    /// Of a motor with feedback.
+    /// Of a motor with feedback, ms.
     SettleTimeMs,
-    /// Of a motor with feedback.
+    /// Of a motor with feedback, share of the supply.
     StallDuty,
-    /// Of a motor with feedback.
+    /// Of a motor with feedback, rad or m.
     StallTravel,
-    /// Of a motor with feedback.
+    /// Of a motor with feedback, ms.
     StallTimeMs,
-    /// Of a motor with feedback.
+    /// Of a motor with feedback, rad or m.
     FollowError,
-    /// Of a motor with feedback.
+    /// Of a motor with feedback, ms.
     FollowTimeMs,
-    /// Of a motor with an encoder, or of an encoder.
+    /// Of a motor with an encoder, or of an encoder, counts in a turn.
     CountsPerTurn,
     /// Of a motor with a potentiometer: 16-bit code of the first calibration point.
     PotLowCode,
@@ -98,7 +98,7 @@ pub enum Parameter {
     ReverseV,
     /// Of a brushless drive, share of full speed per second.
     SpeedSlew,
-    /// Of a stepper.
+    /// Of a stepper, steps in a turn.
     StepsPerTurn,
     /// Of a stepper, rad/s².
     Acceleration,
@@ -110,7 +110,7 @@ pub enum Parameter {
     SafeV,
     /// Of a range sensor that has a limit, m.
     StopBelow,
-    /// Of an analog input or a supply.
+    /// Of an analog input or a supply, V in a step of its 16-bit code.
     VoltsPerCode,
     /// Of an analog input, V.
     OffsetV,
@@ -144,7 +144,7 @@ pub enum Parameter {
     CanNode,
     /// Of the board, kbit/s: [`crate::config::CanConfig::data_kbit_per_s`].
     CanDataRate,
-    /// Of a motor's feed-forward.
+    /// Of a motor's feed-forward, duty s²/rad or duty s²/m.
     DutyPerAcceleration,
     /// Of a motor with feedback, 1/s: [`crate::config::ControlConfig::cascade_per_s`].
     Cascade,

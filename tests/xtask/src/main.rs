@@ -15,6 +15,7 @@
 //! | `programs` | the test programs, and the slowest tests in them |
 //! | `summary` | what became of each step, as a table |
 //! | `meter` | time on the wall and time of the processor |
+//! | `wire` | `cargo xtask protocol`: the wire protocol as a page, a schema, a header and a dissector |
 //! | `weight` | `cargo xtask weight`: what a build of `r4` takes, and what it is spent on |
 
 mod firmware;
@@ -30,6 +31,7 @@ mod summary;
 mod test;
 mod toolchain;
 mod weight;
+mod wire;
 
 mod probe;
 
@@ -42,6 +44,7 @@ use python::Python;
 use size::Size;
 use test::Extent;
 use weight::Weight;
+use wire::Wire;
 
 const USAGE: &str = "\
 usage: cargo xtask <task>
@@ -63,6 +66,8 @@ usage: cargo xtask <task>
                 what encoding and decoding of frames takes; fails over 4 KiB of code for cycles: [--json]
   weight        what `cargo run --release -p r4` takes to build from an empty folder, and its slowest crates; fails over
                 400 s of processor time. --dist: as it is given to others; fails over 15 MB of program. [--json]
+  protocol      docs/protocol.md and what is beside protocol/src, from the protocol's types, comments and constants;
+                --check fails for a file that is not what they make now
   mutants       changes to firmware/core, protocol and host/links that no test notices, by cargo-mutants, and how each is judged
                 (tests/mutants.toml); fails for one that is not. Hours: [--package r4-firmware|r4-protocol|r4-links]
                 [--file FILE]... [--shard K/N] [--tests FILTER] (nextest's)";
@@ -82,6 +87,7 @@ enum Task {
     Protocol { json: bool },
     Mutants(Mutants),
     Weight(Weight),
+    Wire(Wire),
 }
 
 fn main() -> ExitCode {
@@ -104,6 +110,7 @@ fn main() -> ExitCode {
         Ok(Task::Protocol { json }) => protocol::run(&root(), json),
         Ok(Task::Mutants(mutants)) => mutants.run(&root()),
         Ok(Task::Weight(weight)) => weight.run(&root()),
+        Ok(Task::Wire(wire)) => wire.run(&root()),
         Err(problem) => {
             eprintln!("error: {problem}\n\n{USAGE}");
             ExitCode::from(USAGE_ERROR)
@@ -115,7 +122,9 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words[..] {
         ["help" | "--help" | "-h"]
-        | ["test" | "python" | "firmware" | "flash" | "size" | "weight" | "mutants", "--help" | "-h"] => Ok(Task::Help),
+        | ["test" | "python" | "firmware" | "flash" | "size" | "weight" | "mutants" | "protocol", "--help" | "-h"] => {
+            Ok(Task::Help)
+        }
         ["test"] => Ok(Task::Test(Extent::Full)),
         ["test", "--quick"] => Ok(Task::Test(Extent::Quick)),
         ["python", ref words @ ..] => Python::parse(words).map(Task::Python),
@@ -123,6 +132,7 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
         ["flash", ref words @ ..] => Flash::parse(words).map(Task::Flash),
         ["size", "--protocol"] => Ok(Task::Protocol { json: false }),
         ["size", "--protocol", "--json"] => Ok(Task::Protocol { json: true }),
+        ["protocol", ref words @ ..] => Wire::parse(words).map(Task::Wire),
         ["weight", ref words @ ..] => Weight::parse(words).map(Task::Weight),
         ["size", ref words @ ..] => Size::parse(words).map(Task::Size),
         ["mutants", ref words @ ..] => Mutants::parse(words).map(Task::Mutants),

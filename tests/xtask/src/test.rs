@@ -14,6 +14,7 @@ use crate::{
     python::Python,
     summary::{Outcome, Summary},
     toolchain::{self, SYSTEMS, TARGET},
+    wire::Wire,
 };
 
 /// Stand for the folders in which the board's image and the probe are built.
@@ -43,6 +44,8 @@ enum Run {
     Images,
     /// Runs the test programs that these arguments of cargo build, and names the slowest tests.
     Tests(&'static [&'static str]),
+    /// Compares the page of the protocol and what goes with it with what the protocol's types make.
+    Protocol,
     /// Builds the Python package, installs it and runs its tests.
     Python,
     /// Calls cargo.
@@ -89,6 +92,7 @@ const FULL: &[Step] = &[
     FORMAT,
     FORMAT_GIGA,
     FORMAT_PROBE,
+    PROTOCOL,
     // With what the program leaves out by default and needs nothing that is not everywhere.
     step(
         "lints",
@@ -155,6 +159,7 @@ const QUICK: &[Step] = &[
     FORMAT,
     FORMAT_GIGA,
     FORMAT_PROBE,
+    PROTOCOL,
     step(
         "lints",
         cargo(".", &["clippy", "--workspace", "--exclude", "r4-unicorn", "--all-targets", "--", "-D", "warnings"]),
@@ -166,6 +171,7 @@ const QUICK: &[Step] = &[
 const FORMAT: Step = step("format", cargo(".", &["fmt", "--all", "--check"]));
 const FORMAT_GIGA: Step = step("format, giga", cargo("firmware/giga", &["fmt", "--check"]));
 const FORMAT_PROBE: Step = step("format, probe", cargo("hil-sim/probe", &["fmt", "--check"]));
+const PROTOCOL: Step = step("protocol", Run::Protocol);
 
 const QUICK_TESTS: &[&str] =
     &["test", "--workspace", "--exclude", "r4-unicorn", "--exclude", "r4-emu", "--exclude", "r4-fuzz"];
@@ -221,6 +227,7 @@ fn execute(step: &Step, root: &Path) -> Result<(), String> {
             println!("{}", Firmware::new(robot, image).build(root)?);
             Ok(())
         }),
+        Run::Protocol => Wire::Check.go(root),
         Run::Python => Python::default().test(root),
         Run::Tests(arguments) => programs::run(root, arguments, &unless_set(SAME_CASES)),
         Run::Cargo { folder, arguments, environment } => {
@@ -260,6 +267,7 @@ impl Step {
                 format!("rustfmt, clippy, the targets {TARGET}, {}, cmake and libclang", SYSTEMS.join(", "))
             }
             Run::Tests(arguments) => command_line(".", SAME_CASES, arguments),
+            Run::Protocol => "cargo xtask protocol --check".into(),
             Run::Python => "cargo xtask python".into(),
             Run::Images => "cargo xtask firmware, for each robot that tests emulate".into(),
             Run::Cargo { folder, arguments, environment } => command_line(folder, environment, arguments),
@@ -284,10 +292,10 @@ mod tests {
             executed.push(step.name);
             if step.name == "lints" { Err("a warning".into()) } else { Ok(()) }
         });
-        assert_eq!(executed, ["toolchain", "format", "format, giga", "format, probe", "lints"]);
+        assert_eq!(executed, ["toolchain", "format", "format, giga", "format, probe", "protocol", "lints"]);
         assert_eq!(summary.failed(), Some("lints"));
         assert_eq!(problem, "a warning");
-        assert_eq!(summary.to_string().matches("not run").count(), FULL.len() - 5, "{summary}");
+        assert_eq!(summary.to_string().matches("not run").count(), FULL.len() - 6, "{summary}");
     }
 
     #[test]
