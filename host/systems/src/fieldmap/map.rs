@@ -30,7 +30,7 @@ pub struct Map {
     pub mean: Grid<f64>,
     /// Kernel that fits the readings best.
     pub kernel: Kernel,
-    /// Temporal part each [`AVERAGED_S`], s and V/m, from the readings' mean on.
+    /// Temporal part each `AVERAGED_S`, s and V/m, from the readings' mean on.
     pub time_part: Vec<(f64, f64)>,
     /// Standard deviation of the spatial part in each cell, V/m.
     pub deviation: Grid<f64>,
