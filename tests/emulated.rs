@@ -146,6 +146,21 @@ fn a_cup_is_detached_on_an_emulated_board() {
     assert!(emulated <= 20e3 && (emulated - simulated).abs() <= 60.0, "{emulated} Pa, {simulated} Pa");
 }
 
+/// WHISKER on the real image: its whiskers are read by the emulated converter, and boxes of every load are passed.
+#[test]
+#[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]
+fn boxes_are_passed_on_an_emulated_board() {
+    let [emulated, simulated] = trials("whisker", "deformobot");
+    for load in ["light", "moderate", "heavy"] {
+        assert_eq!(emulated(&format!("passed_{load}")), 1.0, "{load}");
+        // What a whisker shows comes at another phase of the program's 10 ms: a sample may be known one period of 200 ms later, in which the
+        // robot goes 37 mm.
+        let way = format!("way_{load}_m");
+        let [emulated, simulated] = [emulated(&way), simulated(&way)];
+        assert!((emulated - simulated).abs() < 0.037, "{load}: {emulated} m, {simulated} m");
+    }
+}
+
 /// The log over a link: served on a pseudo-terminal, decoded by the ELF that is found by the robot's name.
 #[test]
 #[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]

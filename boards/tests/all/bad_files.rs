@@ -16,6 +16,9 @@ const SKID_STEERED: &str = include_str!("../../openscout.toml");
 const TAIL: &str = include_str!("../../balance-tail.toml");
 const LOOP: &str = include_str!("../../cable-loop.toml");
 const SHELL: &str = include_str!("../../deformobot.toml");
+const FINGERS: &str = include_str!("../../two-finger-gripper.toml");
+const SUCTION: &str = include_str!("../../suction-pad.toml");
+const PICKER: &str = include_str!("../../berry-picker.toml");
 const CARRIER: &str = include_str!("../../r4-carrier.toml");
 
 /// One mistake: `from` is replaced once by `to`, and the error is reported in the line that then has `line`, or where
@@ -622,6 +625,137 @@ const SHELL_MISTAKES: &[Mistake] = &[
     there("reading = \"right_rad\"", "reading = \"right_deg\"", "simulation.analog[1].body.reading", "no `right_deg`"),
 ];
 
+const FINGERS_MISTAKES: &[Mistake] = &[
+    there("left = \"servo0\"", "left = \"servo3\"", "body.two-fingers.left", "no channel that turns `servo3`"),
+    mistake(
+        "right = \"servo1\"",
+        "right = \"servo0\"",
+        "[body.two-fingers]",
+        "body.two-fingers",
+        "left, right and palm need a channel of their own each",
+    ),
+    mistake(
+        "m_per_rad = 0.040",
+        "m_per_rad = 0.0",
+        "[body.two-fingers.palm]",
+        "body.two-fingers.palm",
+        "m_per_rad other than 0",
+    ),
+    there("zero_m = 0.061", "zero_m = -0.061", "body.two-fingers.palm.zero_m", "must be above 0"),
+    there("inertia_kg_m2 = 2e-4", "inertia_kg_m2 = 0.0", "body.two-fingers.finger.inertia_kg_m2", "must be above 0"),
+    mistake(
+        "stiffness_n_per_m = 8e4",
+        "stiffness_n_per_m = 8e9",
+        "[body.two-fingers.pads]",
+        "body.two-fingers.pads",
+        "stiff for this object and these fingers",
+    ),
+    there("friction = 0.8", "friction = -0.8", "body.two-fingers.pads.friction", "must be 0 or above"),
+    mistake(
+        "edge_m = 0.015",
+        "edge_m = 0.016",
+        "[body.two-fingers.object]",
+        "body.two-fingers.object",
+        "edges from 0 to half the side",
+    ),
+    there("step_rad = 0.001533981", "step_rad = 0.0", "body.two-fingers.encoder.step_rad", "must be above 0"),
+    there("reading = \"palm_rad\"", "reading = \"palm_m\"", "simulation.analog[2].body.reading", "no `palm_m`"),
+];
+
+const SUCTION_MISTAKES: &[Mistake] = &[
+    mistake(
+        "stepper = \"stepper1\"",
+        "stepper = \"stepper0\"",
+        "[[body.suction-pad.membrane]]\nstepper = \"stepper0\"\nvalve = \"relay3\"",
+        "body.suction-pad.membrane[1]",
+        "a stepper and a valve of its own",
+    ),
+    there("valve = \"relay4\"", "valve = \"relay5\"", "body.suction-pad.membrane[2].valve", "no relay `relay5`"),
+    there(
+        "burst_stretch = 4.0 #",
+        "burst_strain = 4.0 #",
+        "body.suction-pad.membrane[0].burst_strain",
+        "unknown field `burst_strain`",
+    ),
+    mistake(
+        "burst_stretch = 4.0 #",
+        "burst_stretch = 1.2 #",
+        "[[body.suction-pad.membrane]]",
+        "body.suction-pad.membrane[0]",
+        "a burst beyond a stretch of 1.5",
+    ),
+    mistake(
+        "peel = 0.35 #",
+        "peel = 1.35 #",
+        "[[body.suction-pad.cup]]",
+        "body.suction-pad.cup[0]",
+        "a peeling share from 0 to 1",
+    ),
+    mistake(
+        "critical_ratio = 0.3 }\norifice",
+        "critical_ratio = 1.3 }\norifice",
+        "[body.suction-pad.line]",
+        "body.suction-pad.line",
+        "critical ratios from 0 to below 1",
+    ),
+    there("suction_pa = 11600.0 #", "suction_pa = nan #", "body.suction-pad.cup[0].suction_pa", "must be above 0"),
+    there("middle = 1.0", "middle = -1.0", "body.suction-pad.strip.middle", "must be 0 or above"),
+    mistake(
+        "[body.suction-pad.strip]",
+        "[body.suction-pad]\nsupply_pa = -1.0\n[body.suction-pad.strip]",
+        "supply_pa = -1.0",
+        "body.suction-pad.supply_pa",
+        "must be 0 or above",
+    ),
+    there(
+        "reading = \"pressure_2_pa\"",
+        "reading = \"pressure_3_pa\"",
+        "simulation.analog[2].body.reading",
+        "no `pressure_3_pa`",
+    ),
+];
+
+const PICKER_MISTAKES: &[Mistake] = &[
+    there(
+        "channel = \"relay0\"\non_s",
+        "channel = \"relay1\"\non_s",
+        "body.berry-picker.valve.channel",
+        "no relay `relay1`",
+    ),
+    there("row = \"stepper1\"", "row = \"stepper0\"", "body.berry-picker.axes.row", "a motor of its own"),
+    mistake(
+        "runs_between_pa = [5.0e5, 6.0e5]",
+        "runs_between_pa = [6.0e5, 5.0e5]",
+        "[body.berry-picker.supply]",
+        "body.berry-picker.supply",
+        "a compressor that stops above where it starts",
+    ),
+    mistake(
+        "rod_m = 0.005",
+        "rod_m = 0.017",
+        "[body.berry-picker.cylinder]",
+        "body.berry-picker.cylinder",
+        "a bore above its rod",
+    ),
+    there("dead_m3 = 2.0e-6", "dead_l = 0.002", "body.berry-picker.cylinder.dead_l", "unknown field `dead_l`"),
+    mistake(
+        "on_s = 0.020",
+        "delay_s = 0.020",
+        "delay_s = 0.020",
+        "body.berry-picker.valve.delay_s",
+        "unknown field `delay_s`",
+    ),
+    there("pad_m = 0.008", "pad_m = 0.0", "body.berry-picker.fingers.pad_m", "must be above 0"),
+    mistake(
+        "detach_n = 1.5",
+        "detach_n = -1.5",
+        "[[body.berry-picker.berry]]",
+        "body.berry-picker.berry[0]",
+        "berry 0 needs a size",
+    ),
+    there("reading = \"trigger\"", "reading = \"handle\"", "simulation.switch[0].reading", "no `handle`"),
+];
+
 const CARRIER_MISTAKES: &[Mistake] = &[
     there("\"PJ8\"", "\"PL8\"", "pins[0].stm32", "`PL8` is not a pin"),
     there(
@@ -737,6 +871,9 @@ fn mistakes_in_a_robot_file() {
         (TAIL, TAIL_MISTAKES),
         (LOOP, LOOP_MISTAKES),
         (SHELL, SHELL_MISTAKES),
+        (FINGERS, FINGERS_MISTAKES),
+        (SUCTION, SUCTION_MISTAKES),
+        (PICKER, PICKER_MISTAKES),
     ];
     let mistakes = robots.into_iter().flat_map(|(robot, mistakes)| mistakes.iter().map(move |m| (robot, m)));
     let wrong: Vec<_> = mistakes.filter_map(|(robot, m)| check(m, robot, "robot.toml", load)).collect();

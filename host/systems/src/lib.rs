@@ -15,6 +15,7 @@ pub mod berry;
 pub mod cloop;
 pub mod effects;
 mod error;
+pub mod fieldmap;
 mod figure;
 pub mod gasmap;
 pub mod inhand;
@@ -24,6 +25,7 @@ mod parquet;
 #[cfg(not(feature = "parquet"))]
 #[path = "no_parquet.rs"]
 mod parquet;
+pub mod rover;
 mod row;
 mod sampler;
 pub mod skidcal;
@@ -111,6 +113,7 @@ pub fn all() -> &'static [&'static dyn System] {
         &inhand::Inhand,
         &berry::BerryPicking,
         &suction::Suction,
+        &fieldmap::Fieldmap,
         &absim::Absim,
         &gasmap::Gasmap,
         &tail::Tail,

@@ -178,7 +178,8 @@ fn record(system: &dyn System, trial: &Trial) -> Result<Record, Error> {
     Ok(record(values, None))
 }
 
-/// The rows of records, one for each metric of each arm on each kind of board.
+/// The rows of records, one for each metric of each arm on each kind of board. A metric without a target of which there are fewer than two
+/// values has none.
 ///
 /// # Errors
 /// Records of an unknown system, an arm of which no trial could be run, or values without a statistic.
@@ -201,7 +202,8 @@ pub fn rows(records: &[Record]) -> Result<Vec<Row>, Error> {
         let seeds = [seeds().min().unwrap_or(0), seeds().max().unwrap_or(0)];
         for metric in about.metrics {
             let values: Vec<f64> = ours.iter().filter_map(|record| record.values.get(metric.name).copied()).collect();
-            if values.is_empty() {
+            // One value has no interval: what few trials have, such as a time to what seldom happens, is no row and no reason to lose all others.
+            if values.is_empty() || values.len() < 2 && metric.target(arm).is_none() {
                 continue;
             }
             let summary = metric.statistic.of(&values)?;
@@ -347,6 +349,22 @@ mod tests {
         };
         let error = rows(&[failed(1), failed(2)]).expect_err("nothing ran").to_string();
         assert!(error.contains("none of 2 trials") && error.contains("no [body]"), "{error}");
+    }
+
+    /// Diameters of a vial that was gripped once in three trials: no interval, and the other rows stay.
+    #[test]
+    fn a_metric_with_one_value_is_no_row() {
+        let of = |seed, values: &[(&str, f64)]| Record {
+            system: "cloop".into(),
+            values: values.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect(),
+            ..record("paper", seed, 0.0)
+        };
+        let records = [of(1, &[("failed", 0.0), ("diameter_error_m", 1e-4)]), of(2, &[("failed", 1.0)])];
+        let named: Vec<String> = rows(&records).expect("rows").into_iter().map(|row| row.metric).collect();
+        assert_eq!(named, ["failed"]);
+        // What has a target is not left out.
+        let with_target = records.map(|record| Record { arm: "ours".into(), ..record });
+        assert!(rows(&with_target).is_err());
     }
 
     #[test]

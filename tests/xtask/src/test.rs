@@ -67,7 +67,7 @@ const fn cargo(folder: &'static str, arguments: &'static [&'static str]) -> Run 
 }
 
 /// The images that tests run on the emulated board.
-const IMAGES: [(&str, &str); 11] = [
+const IMAGES: [(&str, &str); 12] = [
     ("osmc-bench", "bare"),
     ("osmc-bench", "hosted"),
     ("openscout", "bare"),
@@ -79,6 +79,7 @@ const IMAGES: [(&str, &str); 11] = [
     ("two-finger-gripper", "bare"),
     ("berry-picker", "bare"),
     ("suction-pad", "bare"),
+    ("deformobot", "bare"),
 ];
 
 /// The same cases of property tests each time: what turns red is the change. Other cases are for who works on the code.

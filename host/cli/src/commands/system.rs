@@ -119,7 +119,8 @@ pub(crate) fn run(args: &Args, what: &Systems) -> anyhow::Result<bool> {
 
 /// `r4 bench systems`: every system's study, on seeds that had no say in any constant.
 pub(crate) fn bench(args: &Args, bench: BenchSystems) -> anyhow::Result<bool> {
-    let mut rows = Vec::new();
+    let mut rows: Vec<Row> = Vec::new();
+    let mut is_complete = true;
     for system in r4_systems::all() {
         let seeds = bench.seeds.unwrap_or(if bench.quick { QUICK_SEEDS } else { BENCH_SEEDS });
         let study = Study {
@@ -129,10 +130,35 @@ pub(crate) fn bench(args: &Args, bench: BenchSystems) -> anyhow::Result<bool> {
             board: board(args, *system),
             shard: Shard::default(),
         };
-        rows.extend(study::rows(&records(*system, &study)?)?);
+        let found = study::rows(&records(*system, &study)?)?;
+        is_complete &= has_all_targets(*system, &found);
+        rows.extend(found);
         rows.extend(system.timings(bench.quick)?);
     }
-    print(args, rows)
+    let targets = rows.iter().filter(|row| row.target.is_some()).count();
+    let missed: Vec<&Row> = rows.iter().filter(|row| row.met == Some(false)).collect();
+    eprintln!("r4: {} of {targets} targets met", targets - missed.len());
+    for row in missed {
+        let Row { system, arm, metric, unit, value, lo, hi, n, failed, .. } = row;
+        let limit = row.target.map_or(String::new(), limit);
+        eprintln!(
+            "r4: not met: {system}, arm {arm}: {metric} is {value} {unit} [{lo}, {hi}] in {n} trials, {failed} could not be run; it must be {limit}"
+        );
+    }
+    Ok(print(args, rows)? && is_complete)
+}
+
+/// Whether each of a system's targets has a row; says which have none.
+fn has_all_targets(system: &dyn System, rows: &[Row]) -> bool {
+    let about = system.about();
+    let targets = about.metrics.iter().flat_map(|metric| metric.targets.iter().map(move |target| (metric, target)));
+    let without: Vec<_> = targets
+        .filter(|(metric, target)| !rows.iter().any(|row| row.arm == target.arm && row.metric == metric.name))
+        .collect();
+    for (metric, target) in &without {
+        eprintln!("r4: not met: {}, arm {}: no trial has a {}", about.name, target.arm, metric.name);
+    }
+    without.is_empty()
 }
 
 /// The board of `--board`, or a simulated one of the system's robot.

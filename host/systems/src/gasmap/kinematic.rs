@@ -4,7 +4,8 @@ use r4_maps::pose::Point;
 use r4_rig::Place;
 use r4_world::Lag;
 
-use super::{protocol::Program, scene::Hall, survey::SENSOR_M};
+use super::{scene::Hall, survey::SENSOR_M};
+use crate::rover::Program;
 
 /// Step, s.
 const STEP_S: f64 = 0.1;

@@ -17,13 +17,11 @@ use r4_boards::Robot;
 use r4_maps::pose::Point;
 use r4_rig::{Follower, Limits, Place, Velocity};
 
-use super::{
-    protocol::Program,
-    survey::{SENSOR_M, limits},
-};
+use super::survey::{SENSOR_M, limits};
 use crate::{
     Error, Sampler,
     effects::{Effect, Found, Search},
+    rover::Program,
 };
 
 /// Laps, each at one of these speeds in turn, m/s: one after the other, so that the wind's turning is not taken for an effect of speed. The

@@ -4,8 +4,8 @@
 //! Gauss-Markov random field whose means follow from Gaussian belief propagation as readings arrive each second; the robot drives to the
 //! reachable place of the best utility.
 //!
-//! The robot's program is a [`survey`]: it is given poses and the sensor's signal, keeps the map (`r4-maps`) and says velocities. [`protocol`]
-//! runs it on a board, with its pose from wheels, gyroscope and two lidar beams on the floor [`plan`] ([`localise`]); [`kinematic`] on perfect
+//! The robot's program is a [`survey`]: it is given poses and the sensor's signal, keeps the map (`r4-maps`) and says velocities. The drive
+//! of `crate::rover` runs it on a board, with its pose from wheels, gyroscope and two lidar beams on the floor [`plan`] ([`localise`]); [`kinematic`] on perfect
 //! actuators. [`goals`] has both utilities, the paper's and ours. [`scene`] samples leaks, [`missing`] finds what the model of the sensor
 //! lacks, [`field`] measures means, variances and times of the map itself.
 //!
@@ -21,7 +21,6 @@ pub mod kinematic;
 pub mod localise;
 pub mod missing;
 pub mod plan;
-pub mod protocol;
 pub mod scene;
 pub mod survey;
 
@@ -31,11 +30,12 @@ use r4_world::Person;
 
 use crate::{
     About, Arm, Error, Figure, Limit, Metric, Paper, Row, Source, Statistic, System, Target, Trial, Values, View,
+    rover::{self, Driven, Program, Setup},
 };
 use goals::{Utility, Variances};
+use localise::Beams;
 use missing::{Change, Crossings};
 use plan::CELL_M;
-use protocol::{Driven, Program, Setup};
 use scene::{Case, Hall};
 use survey::{PUBLISHED, Settings, Strategy, Survey, WEIGHTS, replayed, rmse};
 
@@ -270,8 +270,9 @@ pub(crate) fn on_board(trial: &Trial, hall: &Hall, settings: Settings, people: V
 }
 
 fn driven(trial: &Trial, rig: &Rig, hall: &Hall, program: &mut impl Program) -> Result<Driven, Error> {
-    let setup = Setup::of(rig).map_err(|why| unsuitable(trial, why))?;
-    let work = async |session: &Session<'_>| protocol::run(session, &setup, &hall.plan, program).await;
+    let setup = Setup::of(rig, survey::limits().stop_m).map_err(|why| unsuitable(trial, why))?;
+    let mut beams = Beams::new(hall.plan.clone());
+    let work = async |session: &Session<'_>| rover::run(session, &setup, &mut beams, program).await;
     Ok(rig.run(None, work)?.0)
 }
 

@@ -13,8 +13,8 @@ use r4_rig::{Follower, Limits, Place, Velocity};
 use super::{
     goals::{self, Variances},
     plan::Plan,
-    protocol::Program,
 };
+use crate::rover::Program;
 
 /// Period of readings, s: the paper's 1 Hz.
 pub const PERIOD_S: f64 = 1.0;

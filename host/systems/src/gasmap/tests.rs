@@ -39,7 +39,7 @@ fn a_person_in_the_way_costs_time_and_no_reading() {
     let off_m = driven.path.iter().map(|(_, at, truth)| r4_maps::pose::distance_m(*at, *truth)).fold(0.0, f64::max);
     assert!(off_m < 0.10, "{off_m} m");
     // Walls within reach are seen about ten times a second; the person is not one of them.
-    assert!(driven.beams[0] > 100 && driven.beams[1] > 0, "{:?}", driven.beams);
+    assert!(driven.fixes[0] > 100 && driven.fixes[1] > 0, "{:?}", driven.fixes);
     assert_eq!(driven, run(vec![person()]).driven.as_ref().expect("again"), "the same seed, bit for bit");
 }
 

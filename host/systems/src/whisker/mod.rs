@@ -35,6 +35,7 @@ const OURS: &str = "ours";
 const NO_PREDICTION: &str = "ablation:no-prediction";
 const NO_SHAPE: &str = "ablation:no-shape";
 const NO_WAIT: &str = "ablation:no-wait";
+const NO_HOLD: &str = "ablation:no-hold";
 const NO_DEAD_TIME: &str = "baseline:paper-without-dead-time";
 const PERFECT: &str = "baseline:perfect-actuators";
 const BLIND_DEAD_TIME: &str = "blind:dead-time";
@@ -75,11 +76,12 @@ static ABOUT: About = About {
         board(PRINTED, "the paper's form, d servo = a bend^2 + b bend + c every 200 ms, with coefficients of our own"),
         board(
             OURS,
-            "corners of the boxes by rays from where the hinges were when a sample was taken, width and way by them",
+            "narrows at the first touch and opens behind what the whiskers leaned on, by rays from where the hinges were when a sample was taken",
         ),
         board(NO_PREDICTION, "ours with samples taken for what is there when they are shown"),
         board(NO_SHAPE, "ours with the hinges taken to be where they are at rest"),
         board(NO_WAIT, "ours that opens once the whiskers are free"),
+        board(NO_HOLD, "ours that opens where the corners seem far enough out"),
         board(NO_DEAD_TIME, "the paper's form with samples that are taken every 10 ms and shown at once"),
         Arm {
             name: PERFECT,
@@ -162,6 +164,7 @@ fn law(arm: &str, setup: &Setup) -> Law {
         NO_PREDICTION => Uses { prediction: false, ..Uses::ALL },
         NO_SHAPE => Uses { shape: false, ..Uses::ALL },
         NO_WAIT => Uses { waits: false, ..Uses::ALL },
+        NO_HOLD => Uses { holds: false, ..Uses::ALL },
         _ => Uses::ALL,
     };
     Law::Ours(Box::new(Ours::new(setup.clone(), uses)))
@@ -264,5 +267,7 @@ fn figure(trial: &Trial) -> Result<Figure, Error> {
     })
 }
 
+#[cfg(test)]
+mod mujoco;
 #[cfg(test)]
 mod tests;

@@ -174,7 +174,7 @@ fn doc(attributes: &[Attribute]) -> String {
     text.join("\n").trim().to_owned()
 }
 
-/// Of links to items only the item: [`crate::a::B`] and [`B`](crate::a::B) become `B`.
+/// Of links to items only the item: both forms of a link to `crate::a::B`, with and without a text of its own, become `B`.
 fn unlinked(line: &str) -> String {
     let mut text = String::new();
     let mut rest = line;

@@ -1,4 +1,5 @@
-//! A survey on a board: wheels, gyroscope, gas sensor and ultrasonic sensors by telemetry, lidars by the UART connectors.
+//! A rover's program on a board: wheels, gyroscope, a sensor of the field and ultrasonic sensors by telemetry, what corrects the pose by the
+//! UART connectors.
 
 use r4_boards::{Drive, SkidSteer};
 use r4_maps::pose::Point;
@@ -7,30 +8,56 @@ use r4_rig::{
     Error, GroundDrive, Place, Rig, Session, Velocity, inertial_reading, inertial_sensor, round::arm_again, sides_rad,
 };
 
-use super::{
-    localise::{BEAMS, Frames, Localised},
-    plan::Plan,
-};
+use super::pose::PoseFilter;
 
 /// What the robot does with what it measures.
 pub trait Program {
-    /// Takes a sample of the gas sensor's signal, ppm, at a time, s, and a pose of the robot.
-    fn sense(&mut self, time_s: f64, at: Place, signal_ppm: f64);
+    /// Takes a sample of the field sensor's signal, in the unit of [`Setup`], at a time, s, and a pose of the robot.
+    fn sense(&mut self, time_s: f64, at: Place, signal: f64);
+
+    /// Takes the angle by which the wheels turned since the last time, rad, in their mean and without sign.
+    fn rolled(&mut self, time_s: f64, angle_rad: f64) {
+        let _ = (time_s, angle_rad);
+    }
 
     /// The next velocity, with `free_m` in front; `None` at the end.
     fn drive(&mut self, time_s: f64, at: Place, free_m: f64) -> Option<Velocity>;
 }
 
+impl<P: Program + ?Sized> Program for &mut P {
+    fn sense(&mut self, time_s: f64, at: Place, signal: f64) {
+        (**self).sense(time_s, at, signal);
+    }
+
+    fn rolled(&mut self, time_s: f64, angle_rad: f64) {
+        (**self).rolled(time_s, angle_rad);
+    }
+
+    fn drive(&mut self, time_s: f64, at: Place, free_m: f64) -> Option<Velocity> {
+        (**self).drive(time_s, at, free_m)
+    }
+}
+
+/// What corrects the pose.
+pub trait Fix {
+    /// UART connector to read in this turn of the program; `None` for none.
+    fn port(&self, turn: usize) -> Option<u8>;
+
+    /// Corrects the pose by bytes of a connector.
+    fn correct(&mut self, port: u8, bytes: &[u8], pose: &mut PoseFilter);
+
+    /// Readings that corrected the pose, and that were left out.
+    fn counts(&self) -> [u64; 2];
+}
+
 /// Period of the program and of the wheels' telemetry, ms.
 const PERIOD_MS: u16 = 20;
-/// Of the gas sensor's telemetry, ms.
-const GAS_MS: u16 = 100;
+/// Of the field sensor's telemetry, ms.
+const SIGNAL_MS: u16 = 100;
 /// Of the ultrasonic sensors', ms.
 const RANGE_MS: u16 = 60;
 /// Boards stop set points older than this, ms: five periods.
 const SETPOINT_TTL_MS: u16 = 100;
-/// Farthest reading of a lidar that is used, m: it has 12.
-const FARTHEST_M: f64 = 11.5;
 /// How long the gyroscope is averaged at rest before the wheels are armed, s.
 const RESTS_S: f64 = 2.0;
 /// How often a trip's causes are looked for to be gone, s.
@@ -41,30 +68,48 @@ const CLEAR_EVERY_S: f64 = 1.0;
 pub struct Setup {
     drive: SkidSteer,
     gyroscope: ChannelId,
-    gas: ChannelId,
+    sensor: ChannelId,
     ranges: Vec<ChannelId>,
     zero_v: f64,
-    volts_per_ppm: f64,
+    volts_per_unit: f64,
+    /// Way that the program keeps free in front, m.
+    stop_m: f64,
 }
 
 impl Setup {
-    /// Of a robot's file; the gas sensor's line is what its data sheet says.
+    /// Of a robot's file; the field sensor's line is what its data sheet says. The robot's program keeps `stop_m` free in front, m.
     ///
     /// # Errors
     /// In words: what the robot lacks.
-    pub fn of(rig: &Rig) -> Result<Self, String> {
+    pub fn of(rig: &Rig, stop_m: f64) -> Result<Self, String> {
         let robot = rig.robot().map_err(|error| error.to_string())?;
         let gyroscope = inertial_sensor(&robot)?;
         let Some(Drive::SkidSteer(drive)) = robot.drive.clone() else {
             return Err("it has no [drive.skid-steer]".into());
         };
-        let gas = robot.simulation.analogs.iter().find_map(|analog| Some((analog.channel, analog.field.as_ref()?)));
-        let (gas, reading) = gas.ok_or("it has no [[simulation.analog]] with a field")?;
+        let sensor = robot.simulation.analogs.iter().find_map(|analog| Some((analog.channel, analog.field.as_ref()?)));
+        let (sensor, reading) = sensor.ok_or("it has no [[simulation.analog]] with a field")?;
         let ranges: Vec<ChannelId> = robot.config.ranges.iter().map(|range| range.id).collect();
         if ranges.is_empty() {
             return Err("it has no [[range]]: it would not see people".into());
         }
-        Ok(Self { drive, gyroscope, gas, ranges, zero_v: reading.zero_v, volts_per_ppm: reading.volts_per_unit })
+        Ok(Self {
+            drive,
+            gyroscope,
+            sensor,
+            ranges,
+            zero_v: reading.zero_v,
+            volts_per_unit: reading.volts_per_unit,
+            stop_m,
+        })
+    }
+}
+
+impl Setup {
+    /// The same with the sensor's voltage as its signal, V.
+    #[must_use]
+    pub fn in_volts(self) -> Self {
+        Self { zero_v: 0.0, volts_per_unit: 1.0, ..self }
     }
 }
 
@@ -75,13 +120,13 @@ pub struct Driven {
     pub path: Vec<(f64, Point, Point)>,
     /// Distance of wheels and gyroscope alone from the truth, m, each period.
     pub dead_reckoned_off_m: Vec<f64>,
-    /// Beams that agreed with the plan, and that did not.
-    pub beams: [u64; 2],
+    /// Readings that corrected the pose, and that were left out.
+    pub fixes: [u64; 2],
     /// Trips of the board that were cleared.
     pub trips: usize,
-    /// Longest time between two samples of the gas sensor, s.
+    /// Longest time between two samples of the field sensor, s.
     pub gap_s: f64,
-    /// Samples of the gas sensor.
+    /// Samples of the field sensor.
     pub samples: usize,
     /// Time during which the robot stood for something in front, s.
     pub stood_s: f64,
@@ -94,7 +139,7 @@ pub struct Driven {
 pub async fn run(
     session: &Session<'_>,
     setup: &Setup,
-    plan: &Plan,
+    fix: &mut impl Fix,
     program: &mut impl Program,
 ) -> Result<Driven, Error> {
     let board = session.board;
@@ -102,7 +147,7 @@ pub async fn run(
     for channel in wheels.iter().chain([&setup.gyroscope]) {
         board.subscribe(*channel, PERIOD_MS).await?;
     }
-    board.subscribe(setup.gas, GAS_MS).await?;
+    board.subscribe(setup.sensor, SIGNAL_MS).await?;
     for channel in &setup.ranges {
         board.subscribe(*channel, RANGE_MS).await?;
     }
@@ -111,17 +156,16 @@ pub async fn run(
     let mut pilot = Pilot {
         session,
         setup,
-        plan,
-        at: Localised::at(start, bias_rad_s),
-        reckoned: Localised::at(start, bias_rad_s),
-        frames: Default::default(),
+        at: PoseFilter::at(start, bias_rad_s),
+        reckoned: PoseFilter::at(start, bias_rad_s),
         ranges_m: vec![f64::INFINITY; setup.ranges.len()],
         before: None,
-        gas_at_s: None,
+        sides_rad: [0.0; 2],
+        signal_at_s: None,
         driven: Driven::default(),
     };
-    session.armed(async || pilot.drive(program, &wheels).await).await?;
-    pilot.driven.beams = pilot.at.counts();
+    session.armed(async || pilot.drive(fix, program, &wheels).await).await?;
+    pilot.driven.fixes = fix.counts();
     Ok(pilot.driven)
 }
 
@@ -142,19 +186,24 @@ async fn rest(session: &Session<'_>, setup: &Setup) -> Result<f64, Error> {
 struct Pilot<'s> {
     session: &'s Session<'s>,
     setup: &'s Setup,
-    plan: &'s Plan,
-    at: Localised,
-    reckoned: Localised,
-    frames: [Frames; 2],
+    at: PoseFilter,
+    reckoned: PoseFilter,
     ranges_m: Vec<f64>,
     /// Time, s, and mean angle of all wheels, rad.
     before: Option<(f64, f64)>,
-    gas_at_s: Option<f64>,
+    /// Angles of the left and right wheels at that time, rad.
+    sides_rad: [f64; 2],
+    signal_at_s: Option<f64>,
     driven: Driven,
 }
 
 impl Pilot<'_> {
-    async fn drive(&mut self, program: &mut impl Program, wheels: &[ChannelId]) -> Result<(), Error> {
+    async fn drive(
+        &mut self,
+        fix: &mut impl Fix,
+        program: &mut impl Program,
+        wheels: &[ChannelId],
+    ) -> Result<(), Error> {
         let board = self.session.board;
         let ground = GroundDrive::new(Drive::SkidSteer(self.setup.drive.clone()));
         let speeds: Vec<_> = wheels.iter().map(|channel| (*channel, Mode::Speed)).collect();
@@ -177,8 +226,13 @@ impl Pilot<'_> {
                 let way_m = (angle_rad - before_rad) * self.setup.drive.wheel_radius_m;
                 self.at.move_on(way_m, rate_rad_s, now_s - before_s);
                 self.reckoned.move_on(way_m, rate_rad_s, now_s - before_s);
+                program.rolled(board.now_s() - begin_s, rolled_rad([left_rad, right_rad], self.sides_rad));
             }
-            self.look(turn % BEAMS.len()).await?;
+            self.sides_rad = [left_rad, right_rad];
+            if let Some(port) = fix.port(turn) {
+                let bytes = board.uart_read(port).await?;
+                fix.correct(port, &bytes, &mut self.at);
+            }
             let time_s = board.now_s() - begin_s;
             self.note(time_s);
             if frame.state == SafetyState::Tripped {
@@ -197,7 +251,7 @@ impl Pilot<'_> {
             }
             let free_m = self.ranges_m.iter().copied().fold(f64::INFINITY, f64::min);
             let Some(velocity) = program.drive(time_s, self.at.place(), free_m) else { return Ok(()) };
-            if velocity == Velocity::default() && free_m < super::survey::limits().stop_m {
+            if velocity == Velocity::default() && free_m < self.setup.stop_m {
                 self.driven.stood_s += f64::from(PERIOD_MS) * 1e-3;
             }
             let values: Vec<f64> =
@@ -207,16 +261,16 @@ impl Pilot<'_> {
         Ok(())
     }
 
-    /// Takes the samples of the gas sensor and of the ultrasonic sensors.
+    /// Takes the samples of the field sensor and of the ultrasonic sensors.
     fn sense(&mut self, program: &mut impl Program, time_s: f64, samples: &[Sample]) {
         for sample in samples {
             let Sample::Reading { channel, value, quality, .. } = *sample else { continue };
             let value = f64::from(value);
-            if channel == self.setup.gas && quality == Quality::Good {
-                let gap_s = self.gas_at_s.replace(time_s).map_or(0.0, |before_s| time_s - before_s);
+            if channel == self.setup.sensor && quality == Quality::Good {
+                let gap_s = self.signal_at_s.replace(time_s).map_or(0.0, |before_s| time_s - before_s);
                 self.driven.gap_s = self.driven.gap_s.max(gap_s);
                 self.driven.samples += 1;
-                program.sense(time_s, self.at.place(), (value - self.setup.zero_v) / self.setup.volts_per_ppm);
+                program.sense(time_s, self.at.place(), (value - self.setup.zero_v) / self.setup.volts_per_unit);
             }
             if channel.kind == ChannelKind::Range
                 && let Some(range) = self.setup.ranges.iter().position(|range| *range == channel)
@@ -230,18 +284,6 @@ impl Pilot<'_> {
         }
     }
 
-    /// Reads a lidar and corrects the pose by its newest reading.
-    async fn look(&mut self, port: usize) -> Result<(), Error> {
-        let bytes = self.session.board.uart_read(port as u8).await?;
-        let readings = self.frames[port].take(&bytes);
-        let seen: Vec<f64> = readings.into_iter().flatten().filter(|reading_m| *reading_m < FARTHEST_M).collect();
-        if !seen.is_empty() {
-            let mean_m = seen.iter().sum::<f64>() / seen.len() as f64;
-            self.at.correct(self.plan.walls_m(), BEAMS[port], mean_m, FARTHEST_M);
-        }
-        Ok(())
-    }
-
     fn note(&mut self, time_s: f64) {
         let Some(truth) = self.session.true_place() else { return };
         let Place { x_m, y_m, .. } = self.at.place();
@@ -249,4 +291,9 @@ impl Pilot<'_> {
         let Place { x_m, y_m, .. } = self.reckoned.place();
         self.driven.dead_reckoned_off_m.push((x_m - truth.x_m).hypot(y_m - truth.y_m));
     }
+}
+
+/// Mean angle by which both sides' wheels turned, without sign, rad.
+fn rolled_rad(now_rad: [f64; 2], before_rad: [f64; 2]) -> f64 {
+    f64::midpoint((now_rad[0] - before_rad[0]).abs(), (now_rad[1] - before_rad[1]).abs())
 }

@@ -1,0 +1,162 @@
+//! Positions of a GNSS receiver: NMEA 0183 sentences to metres east and north of the plot's corner, and the pose that they correct.
+//!
+//! # Source
+//! NMEA 0183, sentence GGA and checksum. Geodetic to earth-centred coordinates and to the local plane: Farrell, *Aided Navigation*, McGraw-Hill 2008,
+//! 2.3 (WGS 84).
+
+use nalgebra::RowVector4;
+use r4_boards::{Robot, UartDevice};
+use r4_maps::pose::Point;
+
+use crate::rover::{Fix, PoseFilter};
+
+/// WGS 84: semi-major axis, m, and flattening.
+const AXIS_M: f64 = 6_378_137.0;
+const FLATTENING: f64 = 1.0 / 298.257_223_563;
+/// The connector is read each so many turns of the program: 40 ms, in which the robot goes 16 mm.
+const TURNS: usize = 2;
+/// Standard deviation of a position for the filter, m. The receiver's is 0.02 m and keeps for a minute, which a filter of white noise does not
+/// know. Our choice; other values were not compared.
+const DEVIATION_M: f64 = 0.05;
+/// Positions farther off than this are left out, in standard deviations.
+const GATE: f64 = 5.0;
+/// Longest sentence of the standard, bytes.
+const SENTENCE_MAX: usize = 82;
+
+/// Place on the ellipsoid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Geodetic {
+    /// Positive to the north, rad.
+    pub latitude_rad: f64,
+    /// Positive to the east, rad.
+    pub longitude_rad: f64,
+    /// m
+    pub height_m: f64,
+}
+
+impl Geodetic {
+    /// Earth-centred, earth-fixed, m.
+    fn earth_centred_m(self) -> [f64; 3] {
+        let squared = FLATTENING * (2.0 - FLATTENING);
+        let ((sin, cos), (sin_east, cos_east)) = (self.latitude_rad.sin_cos(), self.longitude_rad.sin_cos());
+        let normal_m = AXIS_M / (1.0 - squared * sin * sin).sqrt();
+        let across_m = (normal_m + self.height_m) * cos;
+        [across_m * cos_east, across_m * sin_east, (normal_m * (1.0 - squared) + self.height_m) * sin]
+    }
+
+    /// East and north of `origin` in its tangent plane, m.
+    #[must_use]
+    pub fn east_north_m(self, origin: Self) -> Point {
+        let (here, there) = (self.earth_centred_m(), origin.earth_centred_m());
+        let [x, y, z] = [0, 1, 2].map(|axis| here[axis] - there[axis]);
+        let ((sin, cos), (sin_east, cos_east)) = (origin.latitude_rad.sin_cos(), origin.longitude_rad.sin_cos());
+        [-sin_east * x + cos_east * y, -sin * cos_east * x - sin * sin_east * y + cos * z]
+    }
+}
+
+/// Bytes of a receiver as they come.
+#[derive(Clone, Debug, Default)]
+pub struct Sentences {
+    line: Vec<u8>,
+}
+
+impl Sentences {
+    /// Takes bytes and returns the positions that they complete. Sentences with a wrong checksum, of another kind or without a position
+    /// are none.
+    pub fn take(&mut self, bytes: &[u8]) -> Vec<Geodetic> {
+        let mut positions = Vec::new();
+        for byte in bytes {
+            match byte {
+                b'$' => self.line.clear(),
+                b'\n' => positions.extend(std::str::from_utf8(&self.line).ok().and_then(position)),
+                _ if self.line.len() < SENTENCE_MAX => self.line.push(*byte),
+                _ => {}
+            }
+        }
+        positions
+    }
+}
+
+/// Position of a GGA sentence between `$` and the line's end.
+fn position(line: &str) -> Option<Geodetic> {
+    let (content, checksum) = line.trim_end().split_once('*')?;
+    if u8::from_str_radix(checksum, 16).ok()? != content.bytes().fold(0, |sum, byte| sum ^ byte) {
+        return None;
+    }
+    let fields: Vec<&str> = content.split(',').collect();
+    let [kind, _, north, south, east, west, quality, _, _, height, ..] = *fields else { return None };
+    if !kind.ends_with("GGA") || quality == "0" {
+        return None;
+    }
+    Some(Geodetic {
+        latitude_rad: angle_rad(north, 2)? * if south == "S" { -1.0 } else { 1.0 },
+        longitude_rad: angle_rad(east, 3)? * if west == "W" { -1.0 } else { 1.0 },
+        height_m: height.parse().ok()?,
+    })
+}
+
+/// Degrees and minutes, of which `digits` are of whole degrees.
+fn angle_rad(text: &str, digits: usize) -> Option<f64> {
+    let (whole, minutes) = text.split_at_checked(digits)?;
+    Some((whole.parse::<f64>().ok()? + minutes.parse::<f64>().ok()? / 60.0).to_radians())
+}
+
+/// A receiver on the robot.
+#[derive(Clone, Debug)]
+pub struct Receiver {
+    port: u8,
+    /// Corner of the plot.
+    origin: Geodetic,
+    /// Place of the aerial on the robot, m.
+    aerial_m: Point,
+    sentences: Sentences,
+    counts: [u64; 2],
+}
+
+impl Receiver {
+    /// The receiver of a robot's file.
+    ///
+    /// # Errors
+    /// In words: a robot without one.
+    pub fn of(robot: &Robot) -> Result<Self, String> {
+        let receiver = robot.simulation.uarts.iter().find_map(|uart| match uart.device {
+            UartDevice::Gnss(gnss) => Some((uart.port, gnss)),
+            UartDevice::Lidar(_) => None,
+        });
+        let (port, gnss) = receiver.ok_or("it has no [[simulation.gnss]]")?;
+        let origin = Geodetic {
+            latitude_rad: gnss.origin.latitude_deg.to_radians(),
+            longitude_rad: gnss.origin.longitude_deg.to_radians(),
+            height_m: gnss.origin.height_m,
+        };
+        Ok(Self { port, origin, aerial_m: gnss.place_m, sentences: Sentences::default(), counts: [0; 2] })
+    }
+}
+
+impl Fix for Receiver {
+    fn port(&self, turn: usize) -> Option<u8> {
+        turn.is_multiple_of(TURNS).then_some(self.port)
+    }
+
+    fn correct(&mut self, _: u8, bytes: &[u8], pose: &mut PoseFilter) {
+        for position in self.sentences.take(bytes) {
+            let seen_m = position.east_north_m(self.origin);
+            let mut is_good = true;
+            for axis in 0..2 {
+                let (sin, cos) = pose.state()[2].sin_cos();
+                let [ahead_m, aside_m] = self.aerial_m;
+                let from_middle_m = [cos * ahead_m - sin * aside_m, sin * ahead_m + cos * aside_m];
+                let mut row = RowVector4::zeros();
+                row[axis] = 1.0;
+                row[2] = [-from_middle_m[1], from_middle_m[0]][axis];
+                let off_m = seen_m[axis] - (pose.state()[axis] + from_middle_m[axis]);
+                is_good &= pose.correct(&row, off_m, DEVIATION_M, GATE);
+            }
+            self.counts[usize::from(!is_good)] += 1;
+        }
+    }
+
+    fn counts(&self) -> [u64; 2] {
+        self.counts
+    }
+}

@@ -1,0 +1,106 @@
+//! Maps of readings: by place and time, and the simpler ones that they are compared with.
+
+use r4_maps::{
+    grid::{Frame, Grid},
+    pose::{Point, distance_m},
+    process::{Kernel, Process, ProcessError, Sample},
+};
+use r4_maths::minimise::Effort;
+
+/// Least and greatest parameters of the kernel on a plot of 40 m: from the ranges of what may be there, as `About::sampled` has them, and
+/// wider by half. The noise is that of the place within a reading and of what a cloud changes over the plot.
+const LEAST: Kernel = Kernel { place_deviation: 10.0, length_m: 3.0, time_deviation: 10.0, time_s: 40.0, noise: 0.5 };
+const GREATEST: Kernel =
+    Kernel { place_deviation: 60.0, length_m: 12.0, time_deviation: 60.0, time_s: 2000.0, noise: 8.0 };
+/// Without a time term, all that changes is noise.
+const NO_TIME: f64 = 1e-3;
+const NOISE_WITHOUT_TIME: f64 = 80.0;
+/// Effort of the fit. Our choice, made for speed; other values were not compared.
+const EFFORT: Effort = Effort { points: 8, generations: 6, simplex: 60 };
+const FIT_SEED: u64 = 14;
+/// Readings of which the kernel is fitted, at most: every n-th, since the time of a fit grows with their cube.
+const FITTED: usize = 220;
+/// How often the temporal part is averaged over the mission, s.
+const AVERAGED_S: f64 = 20.0;
+
+/// A map of the mean over a mission, and what it is made of.
+#[derive(Clone, Debug)]
+pub struct Map {
+    /// Mean of the field over the mission in each cell, V/m.
+    pub mean: Grid<f64>,
+    /// Kernel that fits the readings best.
+    pub kernel: Kernel,
+    /// Temporal part each `AVERAGED_S`, s and V/m, from the readings' mean on.
+    pub time_part: Vec<(f64, f64)>,
+    /// Standard deviation of the spatial part in each cell, V/m.
+    pub deviation: Grid<f64>,
+}
+
+/// Map by place and time; without a time term all that changes is taken for noise.
+///
+/// # Errors
+/// Readings that make no regression.
+pub fn by_process(frame: Frame, readings: &[Sample], until_s: f64, has_time: bool) -> Result<Map, ProcessError> {
+    let offset = readings.iter().map(|sample| sample.value).sum::<f64>() / readings.len().max(1) as f64;
+    let centred: Vec<Sample> =
+        readings.iter().map(|sample| Sample { value: sample.value - offset, ..*sample }).collect();
+    let few: Vec<Sample> = centred.iter().step_by(centred.len().div_ceil(FITTED).max(1)).copied().collect();
+    let (low, high) = if has_time {
+        (LEAST, GREATEST)
+    } else {
+        let of = |kernel: Kernel| Kernel { time_deviation: NO_TIME, time_s: LEAST.time_s, ..kernel };
+        (of(LEAST), Kernel { noise: NOISE_WITHOUT_TIME, ..of(GREATEST) })
+    };
+    let kernel = *Process::of(LEAST, &few)?.fitted(low, high, EFFORT, FIT_SEED)?.kernel();
+    let process = Process::of(kernel, &centred)?;
+    let steps = (until_s / AVERAGED_S).ceil().max(1.0) as usize;
+    let middle = frame.centre(frame.cell(frame.cells() / 2));
+    let time_part: Vec<(f64, f64)> = (0..steps)
+        .map(|step| (step as f64 + 0.5) * until_s / steps as f64)
+        .map(|at_s| (at_s, process.predict(middle, at_s).time.mean))
+        .collect();
+    let time_mean = time_part.iter().map(|(_, mean)| mean).sum::<f64>() / steps as f64;
+    let mut mean = Grid::filled(frame, 0.0);
+    let mut deviation = Grid::filled(frame, 0.0);
+    for index in 0..frame.cells() {
+        let place = process.predict(frame.centre(frame.cell(index)), 0.0).place;
+        mean.values_mut()[index] = offset + time_mean + place.mean;
+        deviation.values_mut()[index] = place.variance.sqrt();
+    }
+    Ok(Map { mean, kernel, time_part, deviation })
+}
+
+/// Map of the mean of the readings in each square of `side_m`; one without a reading has that of the nearest square with one.
+#[must_use]
+pub fn per_cell(frame: Frame, readings: &[Sample], side_m: f64) -> Grid<f64> {
+    let of = |at: Point| at.map(|metres| (metres / side_m).floor() as i64);
+    let mut squares: std::collections::BTreeMap<[i64; 2], (f64, f64)> = std::collections::BTreeMap::new();
+    for sample in readings {
+        let (sum, count) = squares.entry(of(sample.at)).or_default();
+        *sum += sample.value;
+        *count += 1.0;
+    }
+    let middle = |square: &[i64; 2]| square.map(|number| (number as f64 + 0.5) * side_m);
+    Grid::from_fn(frame, |cell| {
+        let at = frame.centre(cell);
+        let nearest = squares.get(&of(at)).or_else(|| {
+            let far = |square: &[i64; 2]| distance_m(middle(square), at);
+            squares.iter().min_by(|a, b| far(a.0).total_cmp(&far(b.0))).map(|(_, mean)| mean)
+        });
+        nearest.map_or(0.0, |(sum, count)| sum / count)
+    })
+}
+
+/// Root mean square difference of two maps, in their unit.
+#[must_use]
+pub fn rmse(map: &Grid<f64>, truth: &Grid<f64>) -> f64 {
+    r4_maths::statistics::rmse(truth.values(), map.values()).unwrap_or(f64::NAN)
+}
+
+/// The same without the difference of their means: the error of the pattern alone.
+#[must_use]
+pub fn pattern_rmse(map: &Grid<f64>, truth: &Grid<f64>) -> f64 {
+    let mean = |grid: &Grid<f64>| grid.values().iter().sum::<f64>() / grid.values().len() as f64;
+    let shift = mean(map) - mean(truth);
+    rmse(&map.map(|value| value - shift), truth)
+}

@@ -1,0 +1,243 @@
+//! Robots that share an open field: each goes where it expects the most for its time, by what it has heard over a link that comes and goes.
+//!
+//! Samples go to a base when the link is up; with them the robot hears of the others' samples and goals. The base says when the spatial part
+//! is known well enough. Time is common to all: samples at many places at one moment tell drift from place.
+
+use std::{cell::RefCell, rc::Rc};
+
+use r4_maps::{
+    grid::{Frame, Grid},
+    pose::Point,
+    process::{Kernel, Process, ProcessError, Sample},
+};
+use r4_rig::{Follower, Limits, Place, Velocity};
+
+use super::{
+    mill::Calibration,
+    scene::{Plot, from_m},
+    survey::{Mapper, limits},
+};
+use crate::{rover::Program, sampler::Sampler};
+
+/// What is expected of the open field: the middle of the ranges.
+pub const EXPECTED: Kernel =
+    Kernel { place_deviation: 40.0, length_m: 130.0, time_deviation: 30.0, time_s: 150.0, noise: 5.0 };
+/// The uncertainty to be reached: root mean square deviation of the spatial part, V/m; half of what is expected before a reading.
+pub const ENOUGH_V_PER_M: f64 = 20.0;
+/// A reading is the mean over this time, s: 13 m of way.
+pub const PERIOD_S: f64 = 30.0;
+/// Places at which uncertainty is looked at, and to which robots may go, along a side.
+const SITES: usize = 10;
+/// How often the base looks, s.
+const LOOKS_S: f64 = 20.0;
+/// A goal costs this besides its way, s: the mean over a reading and the turn.
+const OVERHEAD_S: f64 = 60.0;
+/// Mean times for which a link is up and down, s.
+const UP_S: f64 = 120.0;
+const DOWN_S: f64 = 60.0;
+/// Fair weather, V/m: what is expected everywhere.
+const FAIR_V_PER_M: f64 = 80.0;
+/// Purpose of random numbers.
+const OF_LINKS: u64 = 1_403;
+/// When it ends at the latest, s: with 0.45 m/s the wheels have then turned for less than the 5.6 km of the robot's file.
+pub const LATEST_S: f64 = 12_000.0;
+
+/// What has come to the base.
+#[derive(Debug)]
+pub struct Base {
+    process: Process,
+    /// Goals of the robots, as they were last heard of.
+    claims: Vec<Option<Point>>,
+    sites: Vec<Point>,
+    looked_s: f64,
+    /// Root mean square deviation of the spatial part, V/m, over time, s.
+    pub deviation: Vec<(f64, f64)>,
+    /// When it was low enough, s.
+    pub reached_s: Option<f64>,
+}
+
+impl Base {
+    /// A base for so many robots.
+    ///
+    /// # Errors
+    /// [`ProcessError`].
+    pub fn new(plot: &Plot, robots: usize) -> Result<Rc<RefCell<Self>>, ProcessError> {
+        let pitch_m = plot.side_m / SITES as f64;
+        let site = |number: usize| [number % SITES, number / SITES].map(|place| (place as f64 + 0.5) * pitch_m);
+        Ok(Rc::new(RefCell::new(Self {
+            process: Process::new(EXPECTED)?,
+            claims: vec![None; robots],
+            sites: (0..SITES * SITES).map(site).collect(),
+            looked_s: 0.0,
+            deviation: Vec::new(),
+            reached_s: None,
+        })))
+    }
+
+    /// Samples that arrived, in their order.
+    #[must_use]
+    pub fn samples(&self) -> &[Sample] {
+        self.process.samples()
+    }
+
+    fn look(&mut self, time_s: f64) {
+        if time_s - self.looked_s < LOOKS_S || self.reached_s.is_some() {
+            return;
+        }
+        self.looked_s = time_s;
+        let squares: f64 = self.sites.iter().map(|site| self.process.predict(*site, time_s).place.variance).sum();
+        let deviation = (squares / self.sites.len() as f64).sqrt();
+        self.deviation.push((time_s, deviation));
+        if deviation <= ENOUGH_V_PER_M {
+            self.reached_s = Some(time_s);
+        }
+    }
+}
+
+/// A link that is up and down for times of exponential distribution.
+#[derive(Debug)]
+struct Link {
+    sampler: Sampler,
+    is_up: bool,
+    until_s: f64,
+}
+
+impl Link {
+    fn is_up(&mut self, time_s: f64) -> bool {
+        while time_s >= self.until_s {
+            self.is_up = !self.is_up;
+            let mean_s = if self.is_up { UP_S } else { DOWN_S };
+            self.until_s -= mean_s * self.sampler.uniform(1e-9, 1.0).ln();
+        }
+        self.is_up
+    }
+}
+
+/// One robot.
+#[derive(Debug)]
+pub struct Member {
+    number: usize,
+    base: Rc<RefCell<Base>>,
+    mapper: Mapper,
+    link: Link,
+    /// Samples of the base that it has heard of, goals of the others, and samples that wait for the link.
+    known: Vec<Sample>,
+    heard: Vec<Option<Point>>,
+    waiting: Vec<Sample>,
+    follower: Follower,
+    goal: Option<Point>,
+}
+
+/// Speeds on open ground.
+fn speeds() -> Limits {
+    Limits { speed_m_s: 0.45, reached_m: 1.0, ..limits() }
+}
+
+impl Member {
+    /// The robot of a number, from 0.
+    #[must_use]
+    pub fn new(base: Rc<RefCell<Base>>, number: usize, seed: u64, calibration: Calibration) -> Self {
+        let sampler = Sampler::new(seed, OF_LINKS + number as u64);
+        let heard = base.borrow().claims.clone();
+        Self {
+            number,
+            base,
+            mapper: Mapper::new(calibration, PERIOD_S),
+            link: Link { sampler, is_up: false, until_s: 0.0 },
+            known: Vec::new(),
+            heard,
+            waiting: Vec::new(),
+            follower: Follower::new(speeds(), []),
+            goal: None,
+        }
+    }
+
+    /// Samples that wait for the link.
+    #[cfg(test)]
+    pub(super) fn waiting(&self) -> usize {
+        self.waiting.len()
+    }
+
+    /// Sends what waits and hears what is new.
+    fn exchange(&mut self, time_s: f64) {
+        if !self.link.is_up(time_s) {
+            return;
+        }
+        let mut base = self.base.borrow_mut();
+        for sample in self.waiting.drain(..) {
+            // A sample that cannot be told from another adds nothing.
+            let _ = base.process.add(sample);
+        }
+        base.claims[self.number] = self.goal;
+        base.look(time_s);
+        let new = base.samples().get(self.known.len()..).unwrap_or_default();
+        self.known.extend_from_slice(new);
+        self.heard.clone_from(&base.claims);
+    }
+
+    /// The site that reduces the variance of all sites most for its time, with the others' goals as if they were measured already.
+    fn next(&self, time_s: f64, at: Place) -> Option<Point> {
+        let others = self.heard.iter().enumerate().filter(|(number, _)| *number != self.number);
+        let claimed = others.filter_map(|(_, goal)| Some(Sample { at: (*goal)?, at_s: time_s, value: 0.0 }));
+        let samples: Vec<Sample> = self.known.iter().chain(&self.waiting).copied().chain(claimed).collect();
+        let process = Process::of(EXPECTED, &samples).ok()?;
+        let base = self.base.borrow();
+        let covariance = process.place_covariance(&base.sites);
+        let worth = |site: &usize| {
+            let gain = covariance.column(*site).norm_squared() / (covariance[(*site, *site)] + EXPECTED.noise.powi(2));
+            gain / (from_m(at, base.sites[*site]) / speeds().speed_m_s + OVERHEAD_S)
+        };
+        let far_enough = |site: &usize| from_m(at, base.sites[*site]) > 2.0 * speeds().reached_m;
+        let best = (0..base.sites.len()).filter(far_enough).max_by(|a, b| worth(a).total_cmp(&worth(b)))?;
+        Some(base.sites[best])
+    }
+}
+
+impl Program for Member {
+    fn sense(&mut self, time_s: f64, at: Place, volts: f64) {
+        if let Some(taken) = self.mapper.sense(time_s, at, volts) {
+            let sample = taken.by(self.mapper.calibration());
+            self.waiting.push(Sample { value: sample.value - FAIR_V_PER_M, ..sample });
+        }
+        self.exchange(time_s);
+    }
+
+    fn rolled(&mut self, time_s: f64, angle_rad: f64) {
+        self.mapper.rolled(time_s, angle_rad);
+    }
+
+    fn drive(&mut self, time_s: f64, at: Place, free_m: f64) -> Option<Velocity> {
+        if time_s >= LATEST_S || self.base.borrow().reached_s.is_some() {
+            return None;
+        }
+        if let Some(velocity) = self.follower.velocity(at, free_m) {
+            return Some(velocity);
+        }
+        let goal = self.next(time_s, at)?;
+        self.goal = Some(goal);
+        self.follower = Follower::new(speeds(), [goal]);
+        Some(self.follower.velocity(at, free_m).unwrap_or_default())
+    }
+}
+
+/// Where robots start: in a row across the middle of the plot, 2 m apart.
+#[must_use]
+pub fn starts(plot: &Plot, robots: usize) -> Vec<Place> {
+    let middle_m = plot.side_m / 2.0;
+    let place = |number: usize| Place { x_m: middle_m, y_m: middle_m + 2.0 * number as f64, yaw_rad: 0.0 };
+    (0..robots).map(place).collect()
+}
+
+/// Map of the mean over a mission, V/m, of the base's samples.
+///
+/// # Errors
+/// Samples that make no regression.
+pub fn map(frame: Frame, samples: &[Sample], until_s: f64) -> Result<Grid<f64>, ProcessError> {
+    let process = Process::of(EXPECTED, samples)?;
+    let steps = (until_s / LOOKS_S).ceil().max(1.0);
+    let times_s = (0..steps as usize).map(|step| (step as f64 + 0.5) * until_s / steps);
+    let middle = frame.centre(frame.cell(frame.cells() / 2));
+    let drift = times_s.map(|time_s| process.predict(middle, time_s).time.mean).sum::<f64>() / steps;
+    let value = |cell| FAIR_V_PER_M + drift + process.predict(frame.centre(cell), 0.0).place.mean;
+    Ok(Grid::from_fn(frame, value))
+}
