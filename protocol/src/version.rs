@@ -8,7 +8,8 @@
 //! 3. Another refuses, and tells its own newest one ([`Refusal::ProtocolMismatch`]). A host that speaks that one says hello again, in it.
 //!
 //! The bytes of hello and of its refusal are the same in all versions. What the other side does not know all the same, a request or an answer
-//! that came with a later version, is refused by name ([`Refusal::UnknownMessage`]) and changes nothing.
+//! that came with a later version, is refused by name ([`Refusal::UnknownMessage`]); it is not carried out, and a board ends the set points in
+//! force, because it may have been a newer one.
 
 use postcard_schema::key::hash::fnv1a64::hash_ty_path;
 
