@@ -9,7 +9,7 @@ fn a_served_board_is_measured_over_its_pseudo_terminal() {
     let told = object(&seen.out);
     assert_eq!(
         (&told["cycle_bytes"], &told["lost"], &told["armed"]),
-        (&64.into(), &0.into(), &true.into()),
+        (&66.into(), &0.into(), &true.into()),
         "{seen:?}"
     );
     for field in
@@ -42,7 +42,7 @@ fn a_board_at_the_end_of_a_link_is_measured_without_arming_it() {
     assert_eq!(told["link"], board.as_str());
     assert_eq!(
         (&told["cycle_bytes"], &told["lost"], &told["armed"]),
-        (&64.into(), &0.into(), &false.into()),
+        (&66.into(), &0.into(), &false.into()),
         "{seen:?}"
     );
     assert!(told["clock_error_us_p99"].is_null() && told["clock_uncertainty_us"].as_f64() > Some(0.0), "{told}");
