@@ -621,6 +621,6 @@ mod tests {
         weigh(&frame[..5]);
         weigh(&frame[5..]);
         weigh(&other);
-        assert_eq!((scale.longest.get(), frame.len()), (19, 19));
+        assert_eq!((scale.longest.get(), frame.len()), (21, 21));
     }
 }
