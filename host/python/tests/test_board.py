@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import _thread
 import math
+import signal
 import subprocess
 import sys
 import threading
@@ -152,10 +153,13 @@ def test_a_stop_ends_what_is_waited_for(armed: r4.BlockingBoard) -> None:
 
 
 def test_ctrl_c_ends_waiting_and_the_board_goes_on(bench: r4.BlockingBoard) -> None:
+    # Python leaves SIGINT alone where it was started with it ignored, as in the background of a shell.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     timer = threading.Timer(0.3, _thread.interrupt_main)
     timer.start()
     with pytest.raises(KeyboardInterrupt):
         bench.run_for(1e7)
+    signal.signal(signal.SIGINT, before)
     assert bench.state()[0] == "disarmed"
 
 
