@@ -28,8 +28,10 @@ use rand_pcg::{
 const COUNT_RAD: f64 = TAU / 2400.0;
 /// The bench's settle error: how far from its target a motor may come to rest.
 const SETTLE_RAD: f64 = 0.0027;
-/// How far a load may slip until it is held.
-const SLIP_RAD: f64 = 5.0 * COUNT_RAD;
+/// How far a load may slip until it is held, where its set point comes again and again.
+const SLIP_RAD: f64 = 4.0 * COUNT_RAD;
+/// The same of a load that is carried to a place and held there, whenever it came: 0.1 to 5.2 counts were seen in 40 moments 50 us apart.
+const LOADED_SLIP_RAD: f64 = 5.5 * COUNT_RAD;
 /// The most a duty may change in one period of 1 ms at the bench's 20 a second.
 const SLEW_STEP: f32 = 0.020;
 /// Rounding of a duty near 1 in f32, several times.
@@ -164,21 +166,26 @@ fn a_settled_motor_holds_a_load_and_lets_go_where_friction_holds_it() {
     // With friction 0.05 N m it takes duty 0.60 to keep the load from falling and 0.64 to lift it, with 0.18 N m 0.67 to
     // lift it: all below the 0.8 that counts as a stall.
     let load = Effect::ConstantLoad(ConstantLoad { force: 0.15 });
-    for (friction_nm, needs_duty) in [(0.05, true), (0.18, false)] {
+    // At moments across two control periods.
+    let moments = (0..20).map(|number| 100_000 * number);
+    let cases = [(0.05, true), (0.18, false)];
+    for (after_ns, (friction_nm, needs_duty)) in moments.flat_map(|after_ns| cases.map(|case| (after_ns, case))) {
         let robot = osmc_bench();
         bench(&robot, async |bench| {
             let friction = Effect::CoulombFriction(CoulombFriction { level: friction_nm });
             // Nothing holds the load before the motors' supply is on: it comes once that is.
             bench.host.arm().await.unwrap();
-            bench.sleep_ms(100).await;
+            bench.clock.sleep(100 * MS + after_ns).await;
             bench.board.world().set_plant(ROTARY, motor_with(&robot, &[load, friction]));
             bench.host.move_to(ROTARY, 1.0, 10.0).await.unwrap_or_else(|e| panic!("friction {friction_nm} N m: {e}"));
             let farthest = farthest_from(bench, ROTARY, 1.0, 20_000).await;
-            // It slips once, before its duty stays what the load takes: seen 3.6 and 4.3 counts, by where
-            // in a control period the load comes.
-            assert!(farthest <= SLIP_RAD, "friction {friction_nm} N m: {farthest} rad away");
+            // It slips once, before its duty stays what the load takes.
+            assert!(farthest <= LOADED_SLIP_RAD, "friction {friction_nm} N m, {after_ns} ns: {farthest} rad away");
             let duty = bench.device().duty(ROTARY);
-            if needs_duty {
+            if after_ns > 0 {
+                // At some of these moments it has just slipped, and takes hold again: seen 0.49.
+                assert!(duty < 0.66, "friction {friction_nm} N m, {after_ns} ns: {duty}");
+            } else if needs_duty {
                 assert!((0.59..0.66).contains(&duty), "{duty}");
             } else {
                 assert_eq!(duty, 0.0);
