@@ -529,7 +529,7 @@ enum r4_refusal {
     R4_REFUSAL_NO_BOOTLOADER = 27, /* No bootloader has started this firmware: it is a bare image, or a simulated board's. */
     R4_REFUSAL_LATE = 28, /* The first point of a path was dated no later than it arrived.
  *     u32 late_us: How much earlier. */
-    R4_REFUSAL_PATH_FULL = 29, /* The board has no room for so many points of a path.
+    R4_REFUSAL_PATH_FULL = 29, /* The board has no room for that many points of a path.
  *     u8 room: How many it could take. */
     R4_REFUSAL_BAD_PATH = 30, /* A path without points, with two at one moment or in the wrong order.
  *     ChannelId channel: As asked. */

@@ -25,7 +25,7 @@
 //! | `actuator` | rod, µm | m/s, filtered | at the bridge | rests at its position |
 //! | `osmc`, `dhb` with nothing that measures | 0 | 0 | at the bridge | never |
 //! | `stepper` | steps told | rad/s told | 0 | rests at its position |
-//! | `bldc` | 0 | [`NOTHING`] | share told | never |
+//! | `bldc` | 0 | [`NOTHING`] | share that was commanded | never |
 //! | none bound | 0 | [`NOTHING`] | [`NOTHING`] | never |
 
 use postcard_schema::Schema;

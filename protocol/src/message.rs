@@ -522,7 +522,7 @@ pub enum Refusal {
         /// How much earlier.
         late_us: u32,
     },
-    /// The board has no room for so many points of a path.
+    /// The board has no room for that many points of a path.
     PathFull {
         /// How many it could take.
         room: u8,

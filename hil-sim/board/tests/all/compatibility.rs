@@ -3,29 +3,10 @@
 use crate::harness::{Device, RawHost, osmc_bench, raw_bench};
 use r4_protocol::{Refusal, Reply, SCHEMA_HASH, SafetyState, ToHost, VERSION};
 
-/// Frames of every message of each, direction, name and bytes.
-const GOLDEN: [&str; 11] = [
-    include_str!("../../../../protocol/tests/golden/v1.txt"),
-    include_str!("../../../../protocol/tests/golden/v2.txt"),
-    include_str!("../../../../protocol/tests/golden/v3.txt"),
-    include_str!("../../../../protocol/tests/golden/v4.txt"),
-    include_str!("../../../../protocol/tests/golden/v5.txt"),
-    include_str!("../../../../protocol/tests/golden/v6.txt"),
-    include_str!("../../../../protocol/tests/golden/v7.txt"),
-    include_str!("../../../../protocol/tests/golden/v8.txt"),
-    include_str!("../../../../protocol/tests/golden/v9.txt"),
-    include_str!("../../../../protocol/tests/golden/v10.txt"),
-    include_str!("../../../../protocol/tests/golden/v11.txt"),
-];
-/// A session of a host with a board, who and bytes.
-const SESSION: &str = include_str!("../../../../protocol/tests/golden/v4-session.txt");
+#[path = "../../../../protocol/tests/golden/tables.rs"]
+mod tables;
 
-/// Bytes of the rows that begin with `who`.
-fn rows(table: &str, who: &str) -> Vec<Vec<u8>> {
-    let rows = table.lines().filter(|line| line.starts_with(who)).filter_map(|line| line.rsplit(' ').next());
-    rows.map(|hex| (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).expect("hex")).collect())
-        .collect()
-}
+use tables::{GOLDEN, SESSION, rows};
 
 fn mismatch() -> Refusal {
     Refusal::ProtocolMismatch { version: VERSION, schema: SCHEMA_HASH }

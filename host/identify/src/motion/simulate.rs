@@ -873,7 +873,7 @@ fn stretched((natural_hz, damping): (f64, f64), motion: &Motion, run: &MotionRun
     let swinging = Swinging::through(&time_s[first..last], &measured[first..last], now_s, (omega, width_s))?;
     let [slope, bend, third] = swinging.derivatives;
     let (acceleration, jerk) = if motion.of_speed { (slope, bend) } else { (bend, third) };
-    // Exact for a swing at the natural frequency, which is what is left of the past.
+    // Exact for an oscillation at the natural frequency: the only transient that lasts into a part.
     let stiffness = omega * omega * (1.0 + 4.0 * damping * damping);
     let way = (acceleration - 2.0 * damping / omega * jerk) / stiffness;
     let speed = (jerk + 2.0 * damping * omega * acceleration) / stiffness;

@@ -14,7 +14,7 @@ use crate::{Curve, Error, Figure, Panel, Trial, View};
 
 /// Cells along a side of a view.
 const COLUMNS: usize = 80;
-/// One in so many of the path's points is drawn.
+/// Number of the path's points for each one that is drawn.
 const EVERY: usize = 50;
 
 struct Trials {

@@ -13,7 +13,7 @@ use crate::rover::{Fix, PoseFilter};
 /// WGS 84: semi-major axis, m, and flattening.
 const AXIS_M: f64 = 6_378_137.0;
 const FLATTENING: f64 = 1.0 / 298.257_223_563;
-/// The connector is read each so many turns of the program: 40 ms, in which the robot goes 16 mm.
+/// Number of the program's periods (20 ms) between reads of the connector: the robot goes 16 mm meanwhile.
 const TURNS: usize = 2;
 /// Standard deviation of a position for the filter, m. The receiver's is 0.02 m and keeps for a minute, which a filter of white noise does not
 /// know. Our choice; other values were not compared.
@@ -30,7 +30,7 @@ pub struct Geodetic {
     pub latitude_rad: f64,
     /// Positive to the east, rad.
     pub longitude_rad: f64,
-    /// m
+    /// Height above the ellipsoid, m.
     pub height_m: f64,
 }
 

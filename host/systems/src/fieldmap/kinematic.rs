@@ -7,7 +7,7 @@ use r4_world::Field;
 use super::scene::{Mill, Scene, VOLTS_PER_UNIT};
 use crate::rover::Program;
 
-/// Step, s.
+/// Time step of the simulation without a board, s.
 const STEP_S: f64 = 0.2;
 /// Radius of the wheels, m, of the robot's file.
 const WHEEL_M: f64 = 0.056;

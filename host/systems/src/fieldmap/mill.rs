@@ -27,7 +27,7 @@ const SPEED_M_S: f64 = 0.3;
 pub struct Calibration {
     /// Voltage without a field, V; the charge at rest is part of it.
     pub offset_v: f64,
-    /// Form factor, 1.
+    /// Field at the mill over the undisturbed field (form factor), 1.
     pub form: f64,
     /// Field that a radian of the wheels adds (a), V/m.
     pub per_rad: f64,
@@ -73,7 +73,7 @@ impl ChargeState {
         }
     }
 
-    /// V/m
+    /// Undisturbed field by this reading, V/m.
     #[must_use]
     pub const fn field(&self) -> f64 {
         self.field
@@ -149,7 +149,7 @@ pub fn calibrated(means_v: &[f64], turns: &Turns) -> Result<Calibration, String>
         per_rad: parameters[0],
         leak_s: parameters[1].clamp(0.0, 8.0).exp(),
     };
-    // The offset again: what is left of the charge at rest, or of drift, is not the wheels'.
+    // The offset is fitted again: remaining charge at rest and drift do not come from the wheels.
     let residuals = |parameters: &[f64]| {
         let calibration = with(parameters);
         let (mut charge, mut rolled) = (ChargeState::default(), turns.rolled.iter().peekable());

@@ -1,4 +1,4 @@
-//! What the model of a field mill lacks, from laps through a pair of plates.
+//! Effects missing from the model of a field mill, found in laps through a pair of plates.
 //!
 //! Plates of a known voltage stand across a lane in a hall without a field. The robot drives through them to and fro, at two speeds, and stands
 //! before each lap. The base model is the calibrated mill: an offset that may have moved, and nothing else. Of each lap four numbers are
@@ -61,7 +61,7 @@ pub enum Change {
     Form(f64),
     /// Field that a radian of the wheels adds, V/m.
     Charge(f64),
-    /// Time constant, s.
+    /// A first-order lag of the mill's signal, by its time constant, s.
     Lag(f64),
 }
 
@@ -121,11 +121,11 @@ pub fn hide(change: Option<Change>, robot: &mut Robot) {
 /// One sample: time, s, place along the lane, m, and field by the calibration, V/m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// s
+    /// Time of the reading, s.
     pub time_s: f64,
-    /// m
+    /// Position along the lane, m.
     pub place_m: f64,
-    /// V/m
+    /// Measured field, V/m.
     pub field: f64,
     /// Field of the charge if a radian of the wheels adds 1 V/m, V/m.
     pub per_charge: f64,

@@ -6,7 +6,7 @@
 //! [`mill`] makes the undisturbed field of the mill's voltage, by a calibration between plates. [`survey`] drives over a plot, [`map`] makes a
 //! map of its readings by place and time (`r4-maps`), and the simpler maps that it is compared with. [`swarm`] has several robots share an
 //! open field. [`gnss`] corrects the pose, [`scene`] samples fields and mills, [`kinematic`] runs the same programs on perfect actuators,
-//! [`missing`] finds what the model of the mill lacks.
+//! [`missing`] finds effects that the model of the mill does not have.
 //!
 //! # Differences from the paper
 //! - It prints no map error, no calibration and no swarm: its arm here is what it describes, a loop with means of cells.

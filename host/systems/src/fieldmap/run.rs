@@ -256,7 +256,7 @@ pub(super) fn swarmed(trial: &Trial, scene: &Scene, calibration: Calibration, ro
     Ok(Swarmed { reached_s: base.reached_s, samples: base.samples().to_vec() })
 }
 
-/// A search for what the model of the mill lacks.
+/// Runs the blind arm: searches laps between plates for an effect missing from the mill's model.
 pub(super) fn blind(trial: &Trial, hidden: &str) -> Result<Values, Error> {
     let change = Change::named(hidden, trial.seed);
     let found = missing::found(&laps(trial, change)?)?;

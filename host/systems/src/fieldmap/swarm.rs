@@ -57,7 +57,7 @@ pub struct Base {
 }
 
 impl Base {
-    /// A base for so many robots.
+    /// A base station for `robots` robots.
     ///
     /// # Errors
     /// [`ProcessError`].
