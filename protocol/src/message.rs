@@ -557,7 +557,7 @@ impl fmt::Display for Refusal {
             ),
             Self::UnknownMessage => f.write_str("the board's firmware does not know this request: flash that of this release"),
             Self::NoSession => f.write_str("no session is open: connect again"),
-            Self::InUse => f.write_str("another host is connected to this board: end its session first"),
+            Self::InUse => f.write_str("another host commands this board: end its session first"),
             Self::UnknownChannel { channel } => {
                 write!(f, "the board has no channel {channel}: `r4 info` lists those it has")
             }

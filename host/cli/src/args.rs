@@ -101,6 +101,22 @@ pub(crate) enum LogLevel {
     Error,
 }
 
+/// Where `serve` serves a board if not told otherwise.
+const SERVED_AT: &str = "127.0.0.1:4404";
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Share {
+    /// The board, as --board names one; a simulated one runs in real time
+    #[arg(value_name = "BOARD")]
+    pub(crate) board: Option<Target>,
+    /// At this address; port 0 is any that is free
+    #[arg(long, default_value = SERVED_AT, value_name = "ADDRESS")]
+    pub(crate) tcp: SocketAddr,
+    /// Let other machines connect; needs --key, which is then what clients must have
+    #[arg(long, requires = "key_file")]
+    pub(crate) public: bool,
+}
+
 #[derive(Clone, Debug, clap::Args)]
 #[command(group = ArgGroup::new("where").required(true).args(["pty", "tcp", "slcan", "can"]))]
 #[command(group = ArgGroup::new("bus").args(["slcan", "can"]))]

@@ -77,6 +77,7 @@ fn opens_a_session(command: &Command) -> bool {
         | Command::Uart(_)
         | Command::Bridge { .. }
         | Command::Log(crate::commands::log::Log::Record(_)) => true,
+        Command::Serve(share) => share.board.is_none(),
         Command::Identify(identify) => identify.is_on_a_board(),
         Command::Demo(_)
         | Command::Flash(_)

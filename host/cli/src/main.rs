@@ -55,7 +55,10 @@ fn main() -> ExitCode {
         // Watching ends when the person who watches says so.
         Err(error)
             if session::was_interrupted(&error)
-                && matches!(command, Command::Watch(_) | Command::Monitor(_) | Command::Sim { .. }) =>
+                && matches!(
+                    command,
+                    Command::Watch(_) | Command::Monitor(_) | Command::Serve(_) | Command::Sim { .. }
+                ) =>
         {
             ExitCode::SUCCESS
         }
@@ -117,6 +120,7 @@ fn run(args: &Args, command: &Command) -> anyhow::Result<bool> {
         Command::System { what } => commands::system::run(args, what),
         Command::Evaluate { what } => commands::evaluate::run(args, what),
         Command::Ports => commands::ports::run(args),
+        Command::Serve(share) => commands::share::run(args, share),
         Command::Sim { what: Sim::Serve(serve) } => commands::serve::run(args, serve),
         Command::Sim { what: Sim::Reveal(reveal) } => commands::reveal::run(args, reveal),
         Command::Bench { what } => commands::bench::run(args, what),

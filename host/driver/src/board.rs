@@ -104,7 +104,7 @@ impl<C: Clock> Board<C> {
         let (info, sent_us) = Self::hello(&wire).await?;
         let heartbeat = lock(&wire.state).open(&info, sent_us, wire.clock.now_us());
         // Also wakes the transmitter, which keeps the session from now on.
-        let _ = wire.outgoing.unbounded_send(heartbeat);
+        wire.send(heartbeat);
         let mut channels = Vec::new();
         for index in 0..info.channels {
             match wire.request("describe", Request::Describe { index }).await? {
@@ -637,7 +637,7 @@ impl<C: Clock> Board<C> {
 }
 
 /// How long the answer to `request` may take.
-fn timeout_ms(request: &Request) -> u32 {
+pub(crate) fn timeout_ms(request: &Request) -> u32 {
     match request {
         Request::SaveParameters | Request::Fault { .. } | Request::FaultSnapshot { .. } => FLASH_TIMEOUT_MS,
         _ => REQUEST_TIMEOUT_MS,
@@ -692,8 +692,7 @@ impl<C: Clock> Wire<C> {
     /// Sends a request whose answer nobody waits for.
     pub(crate) fn tell(&self, request: Request) {
         let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
-        // After the end of the link there is nobody to tell.
-        let _ = self.outgoing.unbounded_send(ToDevice::Request { seq, request });
+        self.send(ToDevice::Request { seq, request });
     }
 
     async fn request(&self, name: &'static str, request: Request) -> Result<Reply, Error> {
@@ -702,49 +701,70 @@ impl<C: Clock> Wire<C> {
     }
 
     async fn request_within(&self, name: &'static str, request: Request, after_ms: u32) -> Result<Reply, Error> {
-        let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
-        let (sender, mut answer) = oneshot::channel();
-        {
-            let mut state = lock(&self.state);
-            if let Some(end) = &state.end {
-                return Err(end.clone());
-            }
-            state.pending.insert(seq, sender);
-        }
-        // Also when this future is dropped, nobody waits any more.
-        let _waiting = Waiting { state: &self.state, seq };
-        let timed_out = Error::TimedOut { request: name, after_ms };
-        let ended = || lock(&self.state).end.clone().unwrap_or(timed_out.clone());
+        let mut waiting = self.begin(name)?;
         let repeat_ms = if may_be_repeated(&request) { REPEAT_AFTER_MS } else { after_ms };
         let begin_us = self.clock.now_us();
         let mut waited_ms = 0;
         while waited_ms < after_ms {
             // With the same number: whichever answer comes first is taken, and the other is passed over.
-            if self.outgoing.unbounded_send(ToDevice::Request { seq, request: request.clone() }).is_err() {
-                return Err(ended());
-            }
+            self.send(ToDevice::Request { seq: waiting.seq, request: request.clone() });
             waited_ms = if waited_ms + 2 * repeat_ms > after_ms { after_ms } else { waited_ms + repeat_ms };
             let until_us = begin_us + u64::from(waited_ms) * 1000;
-            match select(&mut answer, pin!(self.clock.sleep_until(until_us))).await {
-                Either::Left((Ok(Answer::Told(result)), _)) => return Ok(result?),
-                Either::Left((Ok(Answer::Unknown), _)) => return Err(Error::UnknownAnswer { request: name }),
-                // The link ended, which dropped the sender.
-                Either::Left((Err(_), _)) => return Err(ended()),
-                Either::Right(((), _)) => {}
+            if let Some(result) = waiting.answer(self.clock.sleep_until(until_us)).await {
+                return result;
             }
         }
-        Err(timed_out)
+        Err(Error::TimedOut { request: name, after_ms })
+    }
+
+    /// Makes a number for a request, whose answer is waited for from now on.
+    ///
+    /// # Errors
+    /// Why the link has ended.
+    pub(crate) fn begin(&self, name: &'static str) -> Result<Waiting, Error> {
+        let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
+        let (sender, answer) = oneshot::channel();
+        let mut state = lock(&self.state);
+        if let Some(end) = &state.end {
+            return Err(end.clone());
+        }
+        state.pending.insert(seq, sender);
+        Ok(Waiting { state: self.state.clone(), name, seq, answer })
+    }
+
+    /// Sends a message after those before. After the end of the link there is nobody to tell.
+    pub(crate) fn send(&self, message: ToDevice) {
+        let _ = self.outgoing.unbounded_send(message);
     }
 }
 
 /// A request that waits for its answer.
-struct Waiting<'s> {
-    state: &'s Mutex<State>,
-    seq: u16,
+pub(crate) struct Waiting {
+    state: Arc<Mutex<State>>,
+    name: &'static str,
+    pub(crate) seq: u16,
+    answer: oneshot::Receiver<Answer>,
 }
 
-impl Drop for Waiting<'_> {
+impl Waiting {
+    /// The answer, or why there will be none; `None` when `until` was first.
+    pub(crate) async fn answer(&mut self, until: impl Future<Output = ()>) -> Option<Result<Reply, Error>> {
+        match select(&mut self.answer, pin!(until)).await {
+            Either::Left((Ok(Answer::Told(result)), _)) => Some(result.map_err(Error::from)),
+            Either::Left((Ok(Answer::Unknown), _)) => Some(Err(Error::UnknownAnswer { request: self.name })),
+            // The link ended, which dropped the sender.
+            Either::Left((Err(_), _)) => {
+                let end = lock(&self.state).end.clone();
+                Some(Err(end.unwrap_or(Error::TimedOut { request: self.name, after_ms: 0 })))
+            }
+            Either::Right(((), _)) => None,
+        }
+    }
+}
+
+/// Also when nobody waits any more.
+impl Drop for Waiting {
     fn drop(&mut self) {
-        lock(self.state).pending.remove(&self.seq);
+        lock(&self.state).pending.remove(&self.seq);
     }
 }

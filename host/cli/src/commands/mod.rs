@@ -26,6 +26,7 @@ pub(crate) mod report;
 pub(crate) mod reveal;
 pub(crate) mod scenario;
 pub(crate) mod serve;
+pub(crate) mod share;
 pub(crate) mod state;
 pub(crate) mod system;
 pub(crate) mod tune;
