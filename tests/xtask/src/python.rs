@@ -7,7 +7,10 @@ use std::{
     time::Instant,
 };
 
-use crate::{firmware, toolchain};
+use crate::{
+    firmware,
+    toolchain::{self, call},
+};
 
 /// The package, in the repository.
 const PACKAGE: &str = "host/python";
@@ -143,18 +146,6 @@ fn tools(root: &Path, folder: &Path) -> Result<Tools, String> {
     call(tools.python().args(["-m", "pip", "install", "--quiet", "--requirement"]).arg(root.join(PINNED)))?;
     fs::write(&installed, pinned).map_err(|error| format!("cannot write {}: {error}", installed.display()))?;
     Ok(tools)
-}
-
-/// Runs a command, which says by itself what it has to say.
-fn call(command: &mut Command) -> Result<(), String> {
-    let status = command.status();
-    let words = [command.get_program()].into_iter().chain(command.get_args());
-    let shown = words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ");
-    match status {
-        Ok(status) if status.success() => Ok(()),
-        Ok(status) => Err(format!("`{shown}` ended with {status}")),
-        Err(error) => Err(format!("`{shown}` cannot be started: {error}")),
-    }
 }
 
 #[cfg(test)]

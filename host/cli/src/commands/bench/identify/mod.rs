@@ -181,8 +181,14 @@ impl IdentifyRows {
             Self::Pendulum => Some("bam_xl330_pendulum"),
             Self::Micromouse => Some("micromouse_drv8833"),
             Self::Backlash => Some("sts_servo_backlash"),
-            Self::Osmc => Some("osmc_tables"),
-            Self::Speed | Self::Blind | Self::Pairs | Self::Clean | Self::Unlisted | Self::Broken | Self::Close => None,
+            Self::Osmc
+            | Self::Speed
+            | Self::Blind
+            | Self::Pairs
+            | Self::Clean
+            | Self::Unlisted
+            | Self::Broken
+            | Self::Close => None,
         }
     }
 
