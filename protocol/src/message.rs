@@ -223,6 +223,27 @@ pub enum Request {
     },
 }
 
+impl Request {
+    /// Whether a board does it once where it is sent again with the same `seq`, in sessions of version
+    /// [`REPEATS.since`](crate::version::REPEATS) and later: doing it again would be something else by then, as arming after a disarm, or a set point after
+    /// a newer one.
+    #[must_use]
+    pub const fn is_done_once(&self) -> bool {
+        matches!(
+            self,
+            Self::Arm
+                | Self::Clear
+                | Self::Set { .. }
+                | Self::Follow { .. }
+                | Self::SetGains { .. }
+                | Self::SetTuning { .. }
+                | Self::SetParameter { .. }
+                | Self::SetName { .. }
+                | Self::ResetParameters
+        )
+    }
+}
+
 /// Most points in one [`Request::Follow`].
 pub const MAX_POINTS: usize = 4;
 /// Points that a board keeps for each channel, the ones it has passed not counted.

@@ -1,6 +1,11 @@
 //! One client of a shared board: what it asks, and what it is answered.
 
-use std::{cell::Cell, future::poll_fn, pin::pin};
+use std::{
+    cell::{Cell, RefCell},
+    collections::VecDeque,
+    future::poll_fn,
+    pin::pin,
+};
 
 use embedded_io_async::{Read, Write};
 use futures::{
@@ -13,7 +18,7 @@ use r4_protocol::{
     ChannelId, Cycle, CycleOutcome, CycleState, DeviceInfo, FrameDecoder, FrameError, Refusal, Reply, Request, Spoken,
     ToDevice, ToHost,
     cycle::{CYCLE_CHANNELS, CycleMotor},
-    version::{SPOKEN, accept},
+    version::{REPEATS, SPOKEN, accept},
 };
 
 use crate::{
@@ -62,6 +67,15 @@ struct Served<'s, 'b, C: Clock> {
     broker: &'s Broker<'b, C>,
     number: u64,
     under_way: Cell<usize>,
+    /// Requests that are done once, newest last, with their answers where these have come.
+    once: RefCell<VecDeque<Once>>,
+}
+
+/// A request that is done once, however often the client sends it.
+struct Once {
+    seq: u16,
+    request: Request,
+    answer: Option<ToHost>,
 }
 
 /// What the first of two futures ends with.
@@ -72,13 +86,13 @@ async fn first<T>(one: impl Future<Output = T>, other: impl Future<Output = T>) 
 impl<C: Clock> Broker<'_, C> {
     /// Serves a client on a link until it leaves. Dropping the future is a client that is gone.
     pub async fn client<R: Read, W: Write>(&self, rx: R, tx: W) -> Left {
-        let served = Served { broker: self, number: self.sit(), under_way: Cell::new(0) };
+        let served = Served { broker: self, number: self.sit(), under_way: Cell::new(0), once: RefCell::default() };
         let (later, answers) = unbounded();
         let answering = answers.for_each_concurrent(None, |answer: Later<'_>| async {
             let answer = answer.await;
             served.under_way.set(served.under_way.get() - 1);
             if let Some(answer) = answer {
-                served.tell(&answer);
+                served.answered(answer);
             }
         });
         let answering = async {
@@ -165,10 +179,41 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         Left::Gone
     }
 
+    /// Whether this was asked before; if it was answered, it is again.
+    fn is_repeat(&self, seq: u16, request: &Request) -> bool {
+        let mut once = self.once.borrow_mut();
+        let known = once.iter().find(|known| known.seq == seq && known.request == *request);
+        if let Some(known) = known {
+            if let Some(answer) = &known.answer {
+                self.tell(answer);
+            }
+            return true;
+        }
+        // A number is only that of the last request that had it.
+        once.retain(|known| known.seq != seq);
+        if request.is_done_once() {
+            if once.len() == REPEATS.remembered {
+                once.pop_front();
+            }
+            once.push_back(Once { seq, request: request.clone(), answer: None });
+        }
+        false
+    }
+
+    fn answered(&self, answer: ToHost) {
+        self.tell(&answer);
+        if let ToHost::Response { seq, .. } = answer
+            && let Some(known) = self.once.borrow_mut().iter_mut().find(|known| known.seq == seq)
+        {
+            known.answer = Some(answer);
+        }
+    }
+
     fn message(&self, message: ToDevice, later: &UnboundedSender<Later<'s>>) {
         match message {
             ToDevice::Heartbeat { session, host_us } => self.heartbeat(session, host_us),
             ToDevice::Cycle(cycle) => self.cycle(cycle),
+            ToDevice::Request { seq, request } if self.is_repeat(seq, &request) => {}
             ToDevice::Request { seq, request } => {
                 if let Some(answer) = self.request(seq, request) {
                     self.later(later, answer);
@@ -285,7 +330,7 @@ impl<'s, C: Clock> Served<'s, '_, C> {
             }
             (None, _) => return Some(self.pass_on(seq, request)),
         };
-        self.tell(&ToHost::Response { seq, result: told });
+        self.answered(ToHost::Response { seq, result: told });
         None
     }
 
@@ -335,6 +380,7 @@ impl<'s, C: Clock> Served<'s, '_, C> {
     /// Closes the session. What this returns is ready when the board is disarmed, if the client commanded it.
     fn close(&self) -> impl Future<Output = ()> + use<C> {
         self.seat(|seat| (seat.session, seat.log) = (None, None));
+        self.once.borrow_mut().clear();
         self.unsubscribe();
         let ended = self.broker.desk.borrow_mut().command.end(self.number);
         self.broker.wake();

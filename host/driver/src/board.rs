@@ -5,7 +5,7 @@ use std::{
     pin::pin,
     sync::{
         Arc, Mutex,
-        atomic::{AtomicU16, Ordering},
+        atomic::{AtomicBool, AtomicU16, Ordering},
     },
 };
 
@@ -19,7 +19,7 @@ use r4_protocol::{
     Telemetry, ToDevice,
     config::{LINK_TIMEOUT_MS, MAX_NAME, PidGains, Tuning},
     message::{MAX_POINTS, MAX_RAW},
-    version::{self, SPOKEN},
+    version::{self, REPEATS, SPOKEN},
 };
 
 use crate::{
@@ -53,6 +53,8 @@ pub(crate) struct Wire<C> {
     pub(crate) state: Arc<Mutex<State>>,
     outgoing: mpsc::UnboundedSender<ToDevice>,
     next_seq: AtomicU16,
+    /// The board does what is sent again once: see [`REPEATS`].
+    repeats: AtomicBool,
 }
 
 /// How long [`Board::drive`] follows a motor.
@@ -101,7 +103,8 @@ const MEAN_SPEED_S: f64 = 0.1;
 impl<C: Clock> Board<C> {
     /// Says hello and asks for every channel.
     pub(crate) async fn open(wire: Wire<C>) -> Result<Self, Error> {
-        let (info, sent_us) = Self::hello(&wire).await?;
+        let (info, sent_us, version) = Self::hello(&wire).await?;
+        wire.repeats.store(version >= REPEATS.since, Ordering::Relaxed);
         let heartbeat = lock(&wire.state).open(&info, sent_us, wire.clock.now_us());
         // Also wakes the transmitter, which keeps the session from now on.
         wire.send(heartbeat);
@@ -116,12 +119,13 @@ impl<C: Clock> Board<C> {
     }
 
     /// Says hello in the newest version that both speak.
-    async fn hello(wire: &Wire<C>) -> Result<(DeviceInfo, u64), Error> {
+    /// Returns that, too, and when the hello was sent.
+    async fn hello(wire: &Wire<C>) -> Result<(DeviceInfo, u64, u16), Error> {
         let mut says = SPOKEN[0];
         loop {
             let refused = match Self::hello_in(says, wire).await {
                 Err(Error::Refused(Refusal::ProtocolMismatch { version, schema })) => Spoken { version, schema },
-                told => return told,
+                told => return told.map(|(info, sent_us)| (info, sent_us, says.version)),
             };
             let Some(other) = version::again(&SPOKEN, says, refused) else {
                 let Spoken { version, schema } = refused;
@@ -644,10 +648,10 @@ pub(crate) fn timeout_ms(request: &Request) -> u32 {
     }
 }
 
-/// Whether doing it twice is doing it once, so that it may be sent again when no answer comes. Not what moves, arms, clears or
-/// reaches an external device, and not what waits for flash, of which a board does one after another.
-fn may_be_repeated(request: &Request) -> bool {
-    matches!(
+/// Whether it may be sent again when no answer comes: doing it twice is doing it once, or the board does it once (`remembers`). Not what is
+/// dated or reaches an external device, and not what waits for flash, of which a board does one after another.
+fn may_be_repeated(request: &Request, remembers: bool) -> bool {
+    let is_same_twice = matches!(
         request,
         Request::Describe { .. }
             | Request::Stats
@@ -659,14 +663,16 @@ fn may_be_repeated(request: &Request) -> bool {
             | Request::Disarm
             | Request::Stop
             | Request::Bye
-    )
+    );
+    let is_dated = matches!(request, Request::Set { .. } | Request::Follow { .. });
+    is_same_twice || remembers && request.is_done_once() && !is_dated
 }
 
 impl<C: Clock> Wire<C> {
     pub(crate) fn new(clock: C, state: Arc<Mutex<State>>, outgoing: mpsc::UnboundedSender<ToDevice>) -> Self {
         // Not from 0: an answer to a host before us, still under way, must not pass for one to us.
         let next_seq = AtomicU16::new((clock.now_us() >> 4) as u16);
-        Self { clock, state, outgoing, next_seq }
+        Self { clock, state, outgoing, next_seq, repeats: AtomicBool::new(false) }
     }
 
     pub(crate) async fn done(&self, name: &'static str, request: Request) -> Result<(), Error> {
@@ -702,7 +708,8 @@ impl<C: Clock> Wire<C> {
 
     async fn request_within(&self, name: &'static str, request: Request, after_ms: u32) -> Result<Reply, Error> {
         let mut waiting = self.begin(name)?;
-        let repeat_ms = if may_be_repeated(&request) { REPEAT_AFTER_MS } else { after_ms };
+        let repeat_ms =
+            if may_be_repeated(&request, self.repeats.load(Ordering::Relaxed)) { REPEAT_AFTER_MS } else { after_ms };
         let begin_us = self.clock.now_us();
         let mut waited_ms = 0;
         while waited_ms < after_ms {

@@ -338,6 +338,34 @@ fn sessions_are_each_clients_own() {
     });
 }
 
+/// What a client sends again because it missed the answer.
+#[test]
+fn a_repeat_is_answered_and_not_passed_on() {
+    shared(async |door, _| {
+        let mut client = Raw::new(door);
+        let session = client.hello().await;
+        let steps = [
+            (1, Request::Arm, SafetyState::Armed),
+            (2, Request::Disarm, SafetyState::Disarmed),
+            (1, Request::Arm, SafetyState::Disarmed),
+            (3, Request::Arm, SafetyState::Armed),
+        ];
+        for (step, (seq, request, expected)) in steps.into_iter().enumerate() {
+            client.send(&ToDevice::Request { seq, request }).await;
+            while client.next().await != (ToHost::Response { seq, result: Ok(Reply::Done) }) {}
+            client.send(&ToDevice::Heartbeat { session, host_us: step as u64 }).await;
+            let state = loop {
+                match client.next().await {
+                    ToHost::Heartbeat { host_us, state, .. } if host_us == step as u64 => break state,
+                    _ => {}
+                }
+            };
+            assert_eq!(state, expected, "{step}");
+        }
+        Ok(())
+    });
+}
+
 /// A client that commands, and sends something of a later version.
 #[test]
 fn what_is_not_known_leaves_nothing_in_force() {
