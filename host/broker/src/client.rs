@@ -120,9 +120,10 @@ impl<C: Clock> Broker<'_, C> {
     }
 
     /// Subscribes to a channel at the board as the clients want it now. Returns the period if that is another than before, ms.
-    fn common_period(&self, channel: ChannelId) -> Option<u16> {
+    pub(crate) fn common_period(&self, channel: ChannelId) -> Option<u16> {
         let desk = &mut *self.desk.borrow_mut();
-        let wanted = common_ms(desk.seats.values().map(|seat| seat.subscriptions.period_ms(channel)));
+        let of_clients = desk.seats.values().map(|seat| seat.subscriptions.period_ms(channel));
+        let wanted = common_ms(of_clients.chain(desk.watched.get(&channel).copied()));
         let before = if wanted > 0 { desk.periods.insert(channel, wanted) } else { desk.periods.remove(&channel) };
         (before.unwrap_or(0) != wanted).then_some(wanted)
     }

@@ -32,7 +32,7 @@ use client::Seat;
 use command::Command;
 use futures::future::{Either, join4, select};
 use r4_driver::{Board, Clock, Error, HeartbeatAnswer};
-use r4_protocol::{CycleState, LogChunk, Refusal, Request, Telemetry, ToHost};
+use r4_protocol::{ChannelId, CycleState, LogChunk, Refusal, Request, Telemetry, ToHost};
 use subscriptions::Periods;
 
 pub use client::Left;
@@ -55,6 +55,8 @@ struct Desk {
     command: Command,
     /// What the board is subscribed to.
     periods: Periods,
+    /// What is watched by who has the broker, beside the clients.
+    watched: Periods,
     /// Of [`Broker::supervise`].
     waker: Option<Waker>,
 }
@@ -64,6 +66,18 @@ impl<'b, C: Clock> Broker<'b, C> {
     #[must_use]
     pub fn new(board: &'b Board<C>) -> Self {
         Self { board, desk: RefCell::default() }
+    }
+
+    /// Subscribes to a channel beside the clients, for who listens to the board's own session: samples of it come at least every `period_ms`.
+    ///
+    /// # Errors
+    /// As [`Board::subscribe`].
+    pub async fn watch(&self, channel: ChannelId, period_ms: u16) -> Result<(), Error> {
+        self.desk.borrow_mut().watched.insert(channel, period_ms);
+        match self.common_period(channel) {
+            Some(period_ms) => self.board.subscribe(channel, period_ms).await,
+            None => Ok(()),
+        }
     }
 
     /// Passes on what the board says, and looks after the client that commands. Ends with the board's link, and says why.

@@ -68,6 +68,24 @@ pub(crate) struct Args {
     /// Record what the command does to this log: telemetry, requests and states, as `log` reads them
     #[arg(long, global = true, value_name = "FILE")]
     pub(crate) record: Option<PathBuf>,
+    /// Where what would be recorded is told live: see [`Foxglove`]
+    #[arg(skip)]
+    pub(crate) live: Option<SocketAddr>,
+}
+
+/// For verbs that are looked on at.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub(crate) struct Foxglove {
+    /// Show it live in Foxglove or Lichtblick, which connect to this address of this machine [default: 127.0.0.1:8765]
+    #[arg(
+        long,
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "127.0.0.1:8765",
+        hide_default_value = true,
+        value_name = "ADDRESS"
+    )]
+    pub(crate) foxglove: Option<SocketAddr>,
 }
 
 impl Args {
@@ -115,6 +133,8 @@ pub(crate) struct Share {
     /// Let other machines connect; needs --key, which is then what clients must have
     #[arg(long, requires = "key_file")]
     pub(crate) public: bool,
+    #[command(flatten)]
+    pub(crate) live: Foxglove,
 }
 
 #[derive(Clone, Debug, clap::Args)]
@@ -469,6 +489,8 @@ pub(crate) struct Watch {
     /// Stop after this long
     #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
+    #[command(flatten)]
+    pub(crate) live: Foxglove,
 }
 
 pub(crate) fn seconds(text: &str) -> Result<f64, String> {

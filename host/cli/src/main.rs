@@ -6,6 +6,7 @@ mod commands;
 mod emulated;
 mod failure;
 mod known;
+mod live;
 mod output;
 mod plants;
 mod record;

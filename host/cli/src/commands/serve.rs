@@ -91,7 +91,7 @@ pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
     session::catch_interrupts();
     let (place, address) = place(&args, serve)?;
     let told = |origin| output::json(&FirstLine { place: address, epoch_ns: monotonic_ns(origin) });
-    power_up(&args, place, &session::is_interrupted, told).map(|()| true)
+    power_up(&args, place, (&session::is_interrupted, true), told).map(|()| true)
 }
 
 /// The arguments of a virtual board that is served.
@@ -102,11 +102,12 @@ fn virtual_board(args: &Args, board: &Target) -> anyhow::Result<Args> {
     Ok(Args { board: board.clone(), ..args.clone() })
 }
 
-/// Powers a virtual board up and serves it until `ends` says so. `ready` is called once that begins, with the real time at virtual time 0.
+/// Powers a virtual board up and serves it until `ends` says so; `tells_shifts` on stdout. `ready` is called once that begins, with the
+/// real time at virtual time 0.
 fn power_up(
     args: &Args,
     place: Place,
-    ends: &dyn Fn() -> bool,
+    (ends, tells_shifts): (&dyn Fn() -> bool, bool),
     ready: impl FnOnce(Instant) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
     let mut simulation = Simulation::new(Pace::Free);
@@ -114,7 +115,7 @@ fn power_up(
     if matches!(args.board, Target::Sim(_)) {
         board.set_link_baud(NO_TIME);
     }
-    let served = Served::new(&mut simulation, board.clone(), ends)?;
+    let served = Served { tells_shifts, ..Served::new(&mut simulation, board.clone(), ends)? };
     ready(served.origin)?;
     let served = r4_links::block_on(served.run(place));
     if let Some(file) = file {
@@ -149,7 +150,7 @@ impl Background {
             move || {
                 let told = |_| is_ready.send(()).context("nobody waits for the board");
                 let place = Place::Door(Door::new(listener, Some(key)));
-                match power_up(&args, place, &|| ends.load(Ordering::Relaxed), told) {
+                match power_up(&args, place, (&|| ends.load(Ordering::Relaxed), false), told) {
                     Err(error) if error.is::<session::Interrupted>() => Ok(()),
                     ended => ended,
                 }
@@ -257,6 +258,8 @@ struct Served<'s> {
     /// The board asks to be restarted.
     restart: Rc<Cell<bool>>,
     ends: &'s dyn Fn() -> bool,
+    /// Whether a [`Shifted`] is a line on stdout.
+    tells_shifts: bool,
 }
 
 impl<'s> Served<'s> {
@@ -268,7 +271,7 @@ impl<'s> Served<'s> {
         let outbox = Rc::<Outbox>::default();
         let restart = Rc::<Cell<bool>>::default();
         let to_board = connect(simulation, &board, &outbox, &restart)?;
-        Ok(Self { simulation, board, to_board, outbox, origin: Instant::now(), restart, ends })
+        Ok(Self { simulation, board, to_board, outbox, origin: Instant::now(), restart, ends, tells_shifts: true })
     }
 
     async fn run(mut self, place: Place) -> anyhow::Result<()> {
@@ -354,7 +357,9 @@ impl<'s> Served<'s> {
             );
             // Only for who listens.
             let from_ns = self.simulation.clock().now_ns();
-            let _ = output::json(&Shifted { epoch_ns: monotonic_ns(self.origin), from_ns });
+            if self.tells_shifts {
+                let _ = output::json(&Shifted { epoch_ns: monotonic_ns(self.origin), from_ns });
+            }
         }
         let clock = self.simulation.clock();
         let to_ns = begin.saturating_duration_since(self.origin).as_nanos() as u64;

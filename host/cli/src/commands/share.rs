@@ -32,6 +32,9 @@ use crate::{
 /// Most clients at once.
 const CLIENTS: usize = 64;
 
+/// Period of all channels where they are looked on at, ms.
+const LIVE_MS: u16 = 50;
+
 /// The first line.
 #[derive(Serialize)]
 struct FirstLine {
@@ -40,7 +43,7 @@ struct FirstLine {
 
 pub(crate) fn run(args: &Args, share: &Share) -> anyhow::Result<bool> {
     let board = share.board.clone().unwrap_or_else(|| args.board.clone());
-    let args = Args { board, ..args.clone() };
+    let args = Args { board, live: share.live.foxglove, ..args.clone() };
     session::catch_interrupts();
     // First, so that a port that is taken costs nothing.
     let (door, at) = door(&args, share.tcp, share.public)?;
@@ -66,7 +69,7 @@ fn serve(
             let key = args.key.as_ref().map_or_else(String::new, |path| format!(" --key {}", path.display()));
             eprintln!("r4: {} is served at tcp:{at}; for example: r4 monitor --board tcp:{at}{key}", args.board);
         }
-        serve_clients(session, &mut door).await
+        serve_clients(session, &mut door, args.live.is_some()).await
     };
     let tell = |event| eprintln!("r4: {}", session::told(&event));
     let meanwhile = async |_: &HostClock| pending().await;
@@ -77,8 +80,13 @@ fn serve(
 }
 
 /// Serves whoever comes, until the board's link ends.
-async fn serve_clients(session: &Session<'_>, door: &mut Door) -> anyhow::Result<Infallible> {
+async fn serve_clients(session: &Session<'_>, door: &mut Door, is_live: bool) -> anyhow::Result<Infallible> {
     let broker = Broker::new(session.board);
+    if is_live {
+        for channel in session.board.channels() {
+            broker.watch(channel.id, LIVE_MS).await?;
+        }
+    }
     let mut clients = FuturesUnordered::new();
     let serving = poll_fn(|context| {
         while let Poll::Ready(comer) = door.poll_next(context) {
