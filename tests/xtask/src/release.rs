@@ -11,8 +11,8 @@ use crate::{
     toolchain::{self, call},
 };
 
-/// What is linked in beside the program's own: debug probes and the emulated processor. Gamepads need a library of the system.
-const FEATURES: &str = "dfu,emu,parquet,probe";
+/// What is linked in beside the program's own: debug probes, the emulated processor, live views. Gamepads need a library of the system.
+const FEATURES: &str = "dfu,emu,live,parquet,probe";
 /// Shells whose completions are in the archive, and how their files are called.
 const SHELLS: [(&str, &str); 4] = [("bash", "r4.bash"), ("zsh", "_r4"), ("fish", "r4.fish"), ("powershell", "r4.ps1")];
 /// What is put beside the program as it is.

@@ -112,7 +112,7 @@ const FULL: &[Step] = &[
                 "--workspace",
                 "--all-targets",
                 "--features",
-                "r4/dfu,r4/emu,r4/parquet,r4/probe",
+                "r4/dfu,r4/emu,r4/live,r4/parquet,r4/probe",
                 "--",
                 "-D",
                 "warnings",
