@@ -42,13 +42,15 @@ fn a_codec_by_the_page_reads_and_writes_every_golden_frame() {
 fn a_client_by_the_page_moves_a_motor() {
     let first = VERSION + 1;
     let newer = ["--first-version", &first.to_string()];
-    let cases: [(&[&str], &str, &str, &[&str], &[u16]); 4] = [
-        (&["sim", "serve", "osmc-bench", "--tcp"], "tcp", "", &newer, &[first]),
-        (&["sim", "serve", "osmc-bench", "--pty"], "pty", "serial:", &[], &[]),
-        (&["sim", "serve", "osmc-bench", "--slcan"], "slcan", "slcan:", &[], &[]),
-        (&["serve", "sim:osmc-bench", "--tcp", "127.0.0.1:0"], "tcp", "", &[], &[]),
-    ];
-    for (serve, kind, scheme, options, refused) in cases {
+    let sim = |link| ["sim", "serve", "osmc-bench", link];
+    let shared = ["serve", "sim:osmc-bench", "--tcp", "127.0.0.1:0"];
+    let known: (&[&str], &[u16]) = (&[], &[]);
+    for (serve, kind, scheme, (options, refused)) in [
+        (&sim("--tcp")[..], "tcp", "", (&newer[..], &[first][..])),
+        (&sim("--pty"), "pty", "serial:", known),
+        (&sim("--slcan"), "slcan", "slcan:", known),
+        (&shared, "tcp", "", known),
+    ] {
         let mut server = start(command(serve));
         let place = object(&next(server.out.as_ref().expect("stdout"), server.begin).expect("a first line"));
         server.out = None;
