@@ -6,7 +6,7 @@
 //! - Each client has a session, subscriptions and a place in the firmware's log of its own. A channel is subscribed to at the board with the
 //!   greatest common divisor of the periods that clients want, and each client gets samples of its own period.
 //! - The first client that sends a command (arming, set points, parameters, external buses) commands the board until it says goodbye, is gone or
-//!   silent. Commands of others are refused with [`Refusal::InUse`](r4_protocol::Refusal::InUse), and change nothing. A stop is taken from any client.
+//!   silent. Commands of others are refused with [`Refusal::InUse`], and change nothing. A stop is taken from any client.
 //! - While the board may be armed, it gets a heartbeat only when the client that commands has sent one. Where that client, its machine or
 //!   its network fails, the board trips within its link time-out as if the client were connected to it. Clients that only watch
 //!   cannot delay that.
