@@ -292,7 +292,8 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         let has_session = self.seat(|seat| seat.session.is_some()) == Some(true);
         let role = role(&request);
         let refusal = match role {
-            _ if self.under_way.get() >= UNDER_WAY => Some(Refusal::Busy),
+            // A stop is never too much.
+            Role::Watch | Role::Command | Role::Session if self.under_way.get() >= UNDER_WAY => Some(Refusal::Busy),
             Role::Watch | Role::Command if !has_session => Some(Refusal::NoSession),
             Role::Command if !broker.desk.borrow_mut().command.claim(self.number) => Some(OTHER_COMMANDS),
             _ => None,

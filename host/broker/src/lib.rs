@@ -174,12 +174,14 @@ impl<'b, C: Clock> Broker<'b, C> {
             self.board.keep_heartbeat(ends.keeps_heartbeat);
             if ends.disarms {
                 match self.ended().await {
-                    Ok(()) => self.desk.borrow_mut().command.ended(),
+                    Ok(()) => {
+                        self.desk.borrow_mut().command.ended();
+                        continue;
+                    }
                     // It goes on without heartbeats, and is asked again.
                     Err(Error::TimedOut { .. } | Error::Refused(_)) => {}
                     Err(error) => return error,
                 }
-                continue;
             }
             let look = self.board.sleep_s(timeout_us as f64 * 1e-6 / LOOKS_PER_TIMEOUT);
             select(pin!(self.woken()), pin!(look)).await;

@@ -366,6 +366,40 @@ fn a_repeat_is_answered_and_not_passed_on() {
     });
 }
 
+/// More than the board answers in time: the rest is refused, and a stop is not.
+#[test]
+fn a_flood_of_requests_keeps_no_stop_out() {
+    shared(async |door, board| {
+        let mut client = Raw::new(door);
+        client.hello().await;
+        let mut frames = Vec::new();
+        let requests = (100..300).map(|seq| (seq, Request::Stats)).chain([(99, Request::Stop)]);
+        for (seq, request) in requests {
+            let message = ToDevice::Request { seq, request };
+            frames.extend_from_slice(encode_frame(&message, &mut [0; MAX_FRAME]).expect("fits"));
+        }
+        // In one go, as a client writes that waits for nothing.
+        let writing = client.port.tx.write_all(&frames);
+        writing.await.expect("never fails");
+        let (mut answered, mut busy) = (0, 0);
+        loop {
+            match client.next().await {
+                ToHost::Response { seq: 99, result } => {
+                    assert_eq!(result, Ok(Reply::Done));
+                    break;
+                }
+                ToHost::Response { result: Ok(_), .. } => answered += 1,
+                ToHost::Response { result: Err(Refusal::Busy), .. } => busy += 1,
+                _ => {}
+            }
+        }
+        assert!(answered > 0 && busy > 0, "{answered} {busy}");
+        board.sleep_s(0.1).await;
+        assert_eq!(board.safety().0, SafetyState::Tripped);
+        Ok(())
+    });
+}
+
 /// A client that commands, and sends something of a later version.
 #[test]
 fn what_is_not_known_leaves_nothing_in_force() {
