@@ -73,7 +73,8 @@ fn unpack(packed: &Path, published: &[&Package]) -> Result<PathBuf, String> {
     let mut patches = "[patch.crates-io]\n".to_owned();
     for package in published {
         let archive = packed.join(format!("{}.crate", folder(package)));
-        call(Command::new("tar").arg("-xzf").arg(&archive).arg("-C").arg(&unpacked))?;
+        // As of now: the packages' own times are all the same, and cargo would take changed files for those compiled before.
+        call(Command::new("tar").arg("-xzmf").arg(&archive).arg("-C").arg(&unpacked))?;
         let path = unpacked.join(folder(package));
         patches += &format!("{} = {{ path = {:?} }}\n", package.name, path.display().to_string());
     }
