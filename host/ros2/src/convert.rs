@@ -159,17 +159,20 @@ pub fn battery(stamp: Time, channel: ChannelId, voltage: f32) -> BatteryState {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::LazyLock;
+
     use proptest::prelude::*;
     use r4_boards::Drive;
     use r4_protocol::{Mode, Setpoint, Unit};
 
     use super::*;
 
-    fn openscout() -> SkidSteer {
+    /// Read once: a property is tried on it some hundred times.
+    static OPENSCOUT: LazyLock<SkidSteer> = LazyLock::new(|| {
         let drive = r4_boards::load("openscout").expect("built in").drive;
         let Some(Drive::SkidSteer(robot)) = drive else { panic!("it steers by its sides") };
         robot
-    }
+    });
 
     #[test]
     fn the_planar_covariance_is_at_x_y_and_yaw() {
@@ -187,7 +190,7 @@ mod tests {
         #[test]
         fn a_velocity_has_a_covariance(forward_m_s in -2.0..2.0f64, yaw_rad_s in -3.0..3.0f64) {
             let [[forward, _, both], _, [_, _, turn]] =
-                velocity_covariance(&openscout(), Velocity { forward_m_s, yaw_rad_s }, 0.02);
+                velocity_covariance(&OPENSCOUT, Velocity { forward_m_s, yaw_rad_s }, 0.02);
             prop_assert!(forward >= 0.0 && turn >= 0.0);
             // Rounding of products of these sizes.
             prop_assert!(forward * turn - both * both >= -1e-12);
@@ -205,9 +208,8 @@ mod tests {
 
     #[test]
     fn one_side_that_turns_is_a_curve_around_the_other() {
-        let robot = openscout();
-        let velocity = Velocity::of_sides(&robot, [0.0, 2.0]);
-        let [[forward, _, both], _, [_, _, turn]] = velocity_covariance(&robot, velocity, 0.5);
+        let velocity = Velocity::of_sides(&OPENSCOUT, [0.0, 2.0]);
+        let [[forward, _, both], _, [_, _, turn]] = velocity_covariance(&OPENSCOUT, velocity, 0.5);
         // By hand: the right side's 0.112 m/s, over 0.5 s, with 1e-4 m: 2.24e-5 m²/s².
         let side = 1e-4 * 0.112 / 0.5;
         for (is, expected) in [(forward, side / 4.0), (both, side / 0.7), (turn, side / 0.35 / 0.35)] {
@@ -217,12 +219,11 @@ mod tests {
 
     #[test]
     fn odometry_says_the_same_in_its_message_and_in_its_transform() {
-        let robot = openscout();
-        let mut counted = Odometry::new(&robot);
+        let mut counted = Odometry::new(&OPENSCOUT);
         counted.look(0.0, 0.0);
         counted.look(1.0, 3.0);
         let stamp = Time { sec: 7, nanosec: 8 };
-        let message = odometry(stamp, &robot, &counted, Velocity { forward_m_s: 0.2, yaw_rad_s: 0.1 }, 0.02);
+        let message = odometry(stamp, &OPENSCOUT, &counted, Velocity { forward_m_s: 0.2, yaw_rad_s: 0.1 }, 0.02);
         assert_eq!((message.header.frame_id.as_str(), message.child_frame_id.as_str()), ("odom", "base_link"));
         assert_eq!(message.twist.twist.linear.x, 0.2);
         assert_eq!(message.twist.twist.angular.z, 0.1);
