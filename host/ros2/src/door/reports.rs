@@ -13,6 +13,10 @@ use crate::{
 
 /// Something for ROS.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "each is handed on at once, none is kept: a box would be an allocation for each odometry"
+)]
 pub enum Report {
     /// `odom`
     Odometry(Odometry),
