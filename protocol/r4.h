@@ -95,7 +95,7 @@
 /* Most switches. */
 #define R4_SWITCHES 4
 /* Newest version of the messages in this crate. */
-#define R4_VERSION 12
+#define R4_VERSION 13
 
 /* Host to board. */
 enum r4_to_device {

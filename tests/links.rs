@@ -94,11 +94,13 @@ const VERBS: [&[&str]; 18] = [
 #[test]
 fn every_verb_works_on_every_kind_of_link() {
     thread::scope(|scope| {
-        for how in ["--pty", "--slcan", "--tcp"] {
+        let sim = |how| ["sim", "serve", "every-interface", how];
+        let shared = ["serve", "sim:every-interface", "--tcp", "127.0.0.1:0"];
+        for how in [sim("--pty"), sim("--slcan"), sim("--tcp"), shared] {
             scope.spawn(move || {
-                let served = Served::new("every-interface", how);
+                let served = Served::with(&how);
                 let info = object(&served.good(VERBS[0]));
-                assert_eq!(text(&info, "robot"), "every-interface", "{how}");
+                assert_eq!(text(&info, "robot"), "every-interface", "{how:?}");
                 for verb in &VERBS[1..] {
                     served.good(verb);
                 }
@@ -116,6 +118,9 @@ fn what_is_not_there_is_named() {
         (&["--board", "serial:/dev/null", "scenario", "a.toml"], &["a.toml"]),
         (&["sim", "serve", "osmc-bench", "--tcp=0.0.0.0:0"], &["from other machines"]),
         (&["sim", "serve", "osmc-bench"], &["--pty"]),
+        (&["serve", "sim:osmc-bench", "--tcp", "0.0.0.0:0"], &["from other machines", "--public"]),
+        (&["serve", "serial:/dev/nothing-here", "--tcp", "127.0.0.1:0"], &["/dev/nothing-here does not exist"]),
+        (&["serve", "sim:no-such-robot", "--tcp", "127.0.0.1:0"], &["no-such-robot"]),
         (&["--board", "emu:osmc-bench", "debug", "--gdb", "0.0.0.0:0"], &["from other machines", "--public"]),
     ]);
 }
@@ -508,6 +513,40 @@ fn clients_of_a_socket_do_not_disturb_each_other() {
     watching.out = None;
     drop(watching);
     served.good(&["info"]);
+}
+
+/// A board behind a pseudo-terminal, which is for one program, shared among three.
+#[test]
+fn a_shared_board_is_recorded_whoever_commands_it() {
+    let folder = TempDir::new().expect("a folder");
+    let terminal = Served::new("osmc-bench", "--pty");
+    let shared = Served::with(&["serve", &terminal.board, "--tcp", "127.0.0.1:0"]);
+    let log = folder.path().join("run.mcap");
+    let recording = start(command(&["--board", &shared.board, "log", "record", "osmc0", "--out", path(&log)]));
+    shared.good(&["move", "osmc0", "20deg"]);
+    let mut watching = start(command(&["--board", &shared.board, "watch", "osmc0", "--json"]));
+    next(watching.out.as_ref().expect("stdout"), watching.begin).expect("a line");
+    // The one that commands is killed while the motor turns.
+    let driving = start(command(&["--board", &shared.board, "speed", "osmc0", "1rad/s", "--for", "30"]));
+    let turning = |line: &String| object(line)["channels"][0]["duty"].as_f64() > Some(0.05);
+    let turns = std::iter::from_fn(|| next(watching.out.as_ref().expect("stdout"), watching.begin)).find(turning);
+    assert!(turns.is_some());
+    let refused = shared.r4(&["move", "osmc0", "0deg"]);
+    assert!(refused.code == Some(4) && refused.err.contains("another host commands"), "{refused:?}");
+    drop(driving);
+    let tripped = std::iter::from_fn(|| next(watching.out.as_ref().expect("stdout"), watching.begin))
+        .find(|line| object(line)["state"] == "tripped")
+        .expect("it trips");
+    assert_eq!(object(&tripped)["causes"], serde_json::json!(["link lost"]), "{tripped}");
+    watching.out = None;
+    drop(watching);
+    let interrupted =
+        Command::new("kill").args(["-INT", &recording.child.id().to_string()]).status().expect("kill runs");
+    assert!(interrupted.success());
+    assert_eq!(recording.finish().code, Some(0));
+    let info = good_json(&["log", "info", path(&log), "--json"]);
+    assert_eq!((&info["warnings"], &info["missing"]), (&serde_json::json!([]), &0.into()), "{info}");
+    assert_eq!(array(&info, "gaps").len(), 0, "{info}");
 }
 
 /// A key that comes through a pipe may take its time, but no longer than the user wants to wait.

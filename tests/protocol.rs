@@ -1,4 +1,5 @@
-//! A client that knows the protocol by `docs/protocol.md` and `protocol/schema.json` alone, on a served board.
+//! A client that knows the protocol by `docs/protocol.md` and `protocol/schema.json` alone, on served boards: it was written without a look at
+//! the sources.
 
 use std::{
     fmt::Write as _,
@@ -7,6 +8,7 @@ use std::{
 };
 
 use crate::program::*;
+use r4_protocol::VERSION;
 use serde_json::Value;
 
 const CLIENT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/protocol/client.py");
@@ -14,39 +16,59 @@ const DISSECTOR: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../protocol/r4.
 const SCHEMA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../protocol/schema.json");
 
 /// What the client prints; `None` on a machine without Python, where nothing is tested.
-fn client(argument: &str) -> Option<Value> {
-    let started = Command::new("python3").args([CLIENT, SCHEMA, argument]).stdin(Stdio::null()).output();
+fn client(arguments: &[&str]) -> Option<Value> {
+    let started = Command::new("python3").args([CLIENT, SCHEMA]).args(arguments).stdin(Stdio::null()).output();
     let Ok(output) = started else {
         eprintln!("not run: python3 cannot be started");
         return None;
     };
     let err = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{argument}: {err}");
-    Some(object(&String::from_utf8_lossy(&output.stdout)))
+    let out = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{arguments:?}: {out}{err}");
+    Some(object(&out))
 }
 
 #[test]
 fn a_codec_by_the_page_reads_and_writes_every_golden_frame() {
-    let Some(seen) = client("vectors") else { return };
+    let Some(seen) = client(&["vectors"]) else { return };
     let schema = object(&fs::read_to_string(SCHEMA).expect("it is there"));
     let vectors = ["to_device", "to_host"].map(|direction| array(&schema["vectors"], direction).len());
     assert!(vectors.iter().all(|count| *count > 0), "{vectors:?}");
     assert_eq!(seen["vectors"], vectors.iter().sum::<usize>());
 }
 
+/// Over each kind of link, and through a broker; from a version that is still to come on, too.
 #[test]
 fn a_client_by_the_page_moves_a_motor() {
-    let mut server = start(command(&["sim", "serve", "osmc-bench", "--tcp"]));
-    let place = object(&next(server.out.as_ref().expect("stdout"), server.begin).expect("a first line"));
-    server.out = None;
-    let Some(seen) = client(text(&place, "tcp")) else { return };
-    assert_eq!((text(&seen, "robot"), text(&seen, "state")), ("osmc-bench", "Disarmed"));
-    assert!(number(&seen, "channels") > 1.0 && number(&seen, "telemetry") > 1.0, "{seen}");
-    // The motor goes 0.3 rad at less than 2.5 rad/s: that takes several of the heartbeats, 50 ms apart.
-    assert!(number(&seen, "heartbeats") > 2.0, "{seen}");
-    // It counts as settled within 2.7 mrad of its target, and a count of its encoder is 2.6 mrad.
-    let (target, end) = (number(&seen, "target_rad"), number(&seen, "to_rad"));
-    assert!(target - number(&seen, "from_rad") > 0.29 && (target - end).abs() < 0.006, "{seen}");
+    let first = VERSION + 1;
+    let newer = ["--first-version", &first.to_string()];
+    let sim = |link| ["sim", "serve", "osmc-bench", link];
+    let shared = ["serve", "sim:osmc-bench", "--tcp", "127.0.0.1:0"];
+    let known: (&[&str], &[u16]) = (&[], &[]);
+    for (serve, kind, scheme, (options, refused)) in [
+        (&sim("--tcp")[..], "tcp", "", (&newer[..], &[first][..])),
+        (&sim("--pty"), "pty", "serial:", known),
+        (&sim("--slcan"), "slcan", "slcan:", known),
+        (&shared, "tcp", "", known),
+    ] {
+        let mut server = start(command(serve));
+        let place = object(&next(server.out.as_ref().expect("stdout"), server.begin).expect("a first line"));
+        server.out = None;
+        let link = format!("{scheme}{}", text(&place, kind));
+        let Some(seen) = client(&[&[link.as_str()], options].concat()) else { return };
+        assert_eq!((text(&seen, "robot"), text(&seen, "state")), ("osmc-bench", "Disarmed"));
+        assert_eq!(
+            (&seen["protocol_version"], &seen["refused_versions"]),
+            (&VERSION.into(), &refused.into()),
+            "{link}"
+        );
+        assert!(number(&seen, "channels") > 1.0 && number(&seen, "telemetry") > 1.0, "{seen}");
+        // The motor goes 0.3 rad at less than 2.5 rad/s: that takes several of the heartbeats, 50 ms apart.
+        assert!(number(&seen, "heartbeats") > 2.0, "{seen}");
+        // It counts as settled within 2.7 mrad of its target, and a count of its encoder is 2.6 mrad.
+        let (target, end) = (number(&seen, "target_rad"), number(&seen, "to_rad"));
+        assert!(target - number(&seen, "from_rad") > 0.29 && (target - end).abs() < 0.006, "{seen}");
+    }
 }
 
 /// What the dissector calls a message: its variant, and that of the request or answer in it.

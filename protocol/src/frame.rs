@@ -8,7 +8,7 @@
 //! | commands: cycles, and all requests but `Hello`, `Bye` and `Stop` | CRC-32/ISO-HDLC, that of zlib: polynomial 0x04C11DB7 reflected | 4 |
 //! | `Hello`, `Bye`, `Stop`, heartbeats, and all that a board says | CRC-16/IBM-SDLC: polynomial 0x1021 reflected, as a UART sends bits | 2 |
 //!
-//! A command with the shorter one is not taken.
+//! A command with the shorter one is not taken. The others are taken with the longer one, too.
 //!
 //! The shorter one finds every error of up to three bits, or within 16 bits in a row, that leaves COBS codes and zeros where they are. A
 //! damaged code becomes many wrong bits: measured with the same polynomial unreflected, of frames with one wrong bit 5 in
@@ -189,7 +189,8 @@ impl FrameDecoder {
         let (message, check) = checked(&frame[..len])?;
         // `take` and not `from_bytes`: bytes left over are a longer message of another version, not of this one.
         match postcard::take_from_bytes::<T>(message) {
-            Ok((message, [])) if message.check() == check => Ok(message),
+            // The longer one finds more errors: with it anything is taken, a stop above all.
+            Ok((message, [])) if check == Check::Long || message.check() == check => Ok(message),
             _ => Err(FrameError::NotAMessage { seq: seq(message) }),
         }
     }

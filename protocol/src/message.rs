@@ -223,6 +223,27 @@ pub enum Request {
     },
 }
 
+impl Request {
+    /// Whether a board does it once where it is sent again with the same `seq`, in sessions of version
+    /// [`REPEATS.since`](crate::version::REPEATS) and later: doing it again would be something else by then, as arming after a disarm, or a set point after
+    /// a newer one.
+    #[must_use]
+    pub const fn is_done_once(&self) -> bool {
+        matches!(
+            self,
+            Self::Arm
+                | Self::Clear
+                | Self::Set { .. }
+                | Self::Follow { .. }
+                | Self::SetGains { .. }
+                | Self::SetTuning { .. }
+                | Self::SetParameter { .. }
+                | Self::SetName { .. }
+                | Self::ResetParameters
+        )
+    }
+}
+
 /// Most points in one [`Request::Follow`].
 pub const MAX_POINTS: usize = 4;
 /// Points that a board keeps for each channel, the ones it has passed not counted.
@@ -557,7 +578,7 @@ impl fmt::Display for Refusal {
             ),
             Self::UnknownMessage => f.write_str("the board's firmware does not know this request: flash that of this release"),
             Self::NoSession => f.write_str("no session is open: connect again"),
-            Self::InUse => f.write_str("another host is connected to this board: end its session first"),
+            Self::InUse => f.write_str("another host commands this board: end its session first"),
             Self::UnknownChannel { channel } => {
                 write!(f, "the board has no channel {channel}: `r4 info` lists those it has")
             }

@@ -16,7 +16,7 @@ use postcard_schema::key::hash::fnv1a64::hash_ty_path;
 use crate::{Cause, Refusal, ToDevice, ToHost, channel, config, cycle, log, message};
 
 /// Newest version of the messages in this crate.
-pub const VERSION: u16 = 12;
+pub const VERSION: u16 = 13;
 
 /// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
 ///
@@ -59,7 +59,20 @@ pub struct Spoken {
 
 /// Every version that this crate speaks, newest first. A new one goes in front, with the hash of the one before written out: see
 /// `CHANGELOG.md`.
-pub const SPOKEN: [Spoken; 1] = [Spoken { version: VERSION, schema: SCHEMA_HASH }];
+pub const SPOKEN: [Spoken; 2] =
+    [Spoken { version: VERSION, schema: SCHEMA_HASH }, Spoken { version: 12, schema: 0x2FCC_40F3_2856_D804 }];
+
+/// From which version on a request may be sent again with the same `seq`, to be done once.
+pub const REPEATS: Repeats = Repeats { since: 13, remembered: 8 };
+
+/// What a board remembers of requests that it has answered, so that a host may ask again where no answer came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Repeats {
+    /// Version of the session from which on it does.
+    pub since: u16,
+    /// How many requests.
+    pub remembered: usize,
+}
 
 /// The board's answer to a hello in `asked`: the version of the session.
 ///

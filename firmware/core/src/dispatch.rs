@@ -11,7 +11,7 @@ use r4_protocol::{
         BoardConfig, ControlConfig, DAC_FULL_SCALE_V, HomingConfig, MotorConfig, Place, RelayRole, Reverse,
         SensorDescription, StepperConfig,
     },
-    version::{SPOKEN, accept},
+    version::{REPEATS, SPOKEN, accept},
 };
 
 use crate::{
@@ -25,6 +25,10 @@ use crate::{
     storage::{Done, Job, parameters::Changes},
     telemetry::Subscriptions,
 };
+
+mod repeats;
+
+use repeats::Repeats;
 
 /// What becomes of a message.
 pub(crate) enum Outcome {
@@ -42,6 +46,9 @@ pub(crate) struct Host {
     pub(crate) subscriptions: Subscriptions,
     pub(crate) log: Feed,
     bound: Bound,
+    /// Of the session.
+    version: u16,
+    repeats: Repeats,
 }
 
 impl Host {
@@ -49,6 +56,28 @@ impl Host {
         self.subscriptions.clear();
         self.log.clear();
         self.bound.clear();
+        self.repeats.clear();
+    }
+
+    /// Answers a request: one that was answered before with the same words, without doing it again.
+    fn answer<M: RawMutex>(
+        &mut self,
+        shared: &Shared<M>,
+        link: u8,
+        (seq, request): (u16, Request),
+        now: Instant,
+    ) -> Result<Reply, Refusal> {
+        if self.version < REPEATS.since || !shared.has_session(link) || !request.is_done_once() {
+            self.repeats.forget(seq);
+            return answer(shared, link, self, request, now);
+        }
+        if let Some(before) = self.repeats.answer(seq, &request) {
+            return before;
+        }
+        self.repeats.forget(seq);
+        let result = answer(shared, link, self, request.clone(), now);
+        self.repeats.remember(seq, request, &result);
+        result
     }
 }
 
@@ -68,7 +97,8 @@ pub(crate) fn dispatch<M: RawMutex>(shared: &Shared<M>, link: u8, host: &mut Hos
             Outcome::Later { seq, request }
         }
         ToDevice::Request { seq, request } => {
-            Outcome::Answer(response(shared, seq, answer(shared, link, host, request, now)))
+            let result = host.answer(shared, link, (seq, request), now);
+            Outcome::Answer(response(shared, seq, result))
         }
     }
 }
@@ -150,9 +180,10 @@ fn answer<M: RawMutex>(
 ) -> Result<Reply, Refusal> {
     match request {
         Request::Hello { version, schema } => {
-            accept(&SPOKEN, Spoken { version, schema })?;
+            let version = accept(&SPOKEN, Spoken { version, schema })?;
             let session = shared.open_session(link, now)?;
             host.clear();
+            host.version = version;
             return Ok(Reply::Hello(device_info(shared, session, now)));
         }
         // Ending nothing is no error, and a stop is taken from anyone.

@@ -68,6 +68,24 @@ pub(crate) struct Args {
     /// Record what the command does to this log: telemetry, requests and states, as `log` reads them
     #[arg(long, global = true, value_name = "FILE")]
     pub(crate) record: Option<PathBuf>,
+    /// Where what would be recorded is told live: see [`Foxglove`]
+    #[arg(skip)]
+    pub(crate) live: Option<SocketAddr>,
+}
+
+/// For verbs that are looked on at.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub(crate) struct Foxglove {
+    /// Show it live in Foxglove or Lichtblick, which connect to this address of this machine [default: 127.0.0.1:8765]
+    #[arg(
+        long,
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "127.0.0.1:8765",
+        hide_default_value = true,
+        value_name = "ADDRESS"
+    )]
+    pub(crate) foxglove: Option<SocketAddr>,
 }
 
 impl Args {
@@ -99,6 +117,24 @@ pub(crate) enum LogLevel {
     Warn,
     /// What fails.
     Error,
+}
+
+/// Where `serve` serves a board if not told otherwise.
+const SERVED_AT: &str = "127.0.0.1:4404";
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Share {
+    /// The board, as --board names one; a simulated one runs in real time
+    #[arg(value_name = "BOARD")]
+    pub(crate) board: Option<Target>,
+    /// At this address; port 0 is any that is free
+    #[arg(long, default_value = SERVED_AT, value_name = "ADDRESS")]
+    pub(crate) tcp: SocketAddr,
+    /// Let other machines connect; needs --key, which is then what clients must have
+    #[arg(long, requires = "key_file")]
+    pub(crate) public: bool,
+    #[command(flatten)]
+    pub(crate) live: Foxglove,
 }
 
 #[derive(Clone, Debug, clap::Args)]
@@ -453,6 +489,8 @@ pub(crate) struct Watch {
     /// Stop after this long
     #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
+    #[command(flatten)]
+    pub(crate) live: Foxglove,
 }
 
 pub(crate) fn seconds(text: &str) -> Result<f64, String> {

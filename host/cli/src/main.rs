@@ -6,6 +6,7 @@ mod commands;
 mod emulated;
 mod failure;
 mod known;
+mod live;
 mod output;
 mod plants;
 mod record;
@@ -57,7 +58,11 @@ fn main() -> ExitCode {
             if session::was_interrupted(&error)
                 && matches!(
                     command,
-                    Command::Watch(_) | Command::Monitor(_) | Command::Ros2(_) | Command::Sim { .. }
+                    Command::Watch(_)
+                        | Command::Monitor(_)
+                        | Command::Ros2(_)
+                        | Command::Serve(_)
+                        | Command::Sim { .. }
                 ) =>
         {
             ExitCode::SUCCESS
@@ -121,6 +126,7 @@ fn run(args: &Args, command: &Command) -> anyhow::Result<bool> {
         Command::System { what } => commands::system::run(args, what),
         Command::Evaluate { what } => commands::evaluate::run(args, what),
         Command::Ports => commands::ports::run(args),
+        Command::Serve(share) => commands::share::run(args, share),
         Command::Sim { what: Sim::Serve(serve) } => commands::serve::run(args, serve),
         Command::Sim { what: Sim::Reveal(reveal) } => commands::reveal::run(args, reveal),
         Command::Bench { what } => commands::bench::run(args, what),

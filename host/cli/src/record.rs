@@ -8,7 +8,7 @@ use std::{
 use anyhow::bail;
 use r4_rig::recording::{self, Output, SharedTap};
 
-use crate::args::Args;
+use crate::{args::Args, live};
 
 /// A tap for a session with the board that `args` name.
 pub(crate) fn tap(args: &Args, output: Output) -> SharedTap {
@@ -48,20 +48,33 @@ pub(crate) fn is_made() {
 
 /// The recording of one session, or of several that a lost link parts, to a file.
 pub(crate) struct Recording {
-    path: String,
+    /// `None` where it only is told to who looks on.
+    path: Option<String>,
     recording: recording::Recording,
 }
 
 impl Recording {
-    /// What `--record` asks for.
+    /// What `--record` and `--foxglove` ask for.
     pub(crate) fn open(args: &Args) -> anyhow::Result<Option<Self>> {
-        let Some(path) = args.record.clone() else { return Ok(None) };
+        if args.record.is_none() && args.live.is_none() {
+            return Ok(None);
+        }
+        let live = args.live.map(live::serve).transpose()?;
+        let tap = |output| {
+            let tap = tap(args, output);
+            if let Some(live) = live {
+                tap.borrow_mut().tell(live);
+            }
+            tap
+        };
+        let Some(path) = args.record.clone() else {
+            return Ok(Some(Self { path: None, recording: recording::Recording::nowhere(tap) }));
+        };
         if RECORDED.swap(true, Ordering::Relaxed) {
             bail!("--record holds one session, and this opens several: it cannot be recorded as a whole");
         }
         let name = path.display().to_string();
-        let recording = recording::Recording::create(path, |output| tap(args, output))?;
-        Ok(Some(Self { path: name, recording }))
+        Ok(Some(Self { path: Some(name), recording: recording::Recording::create(path, tap)? }))
     }
 
     pub(crate) fn tap(&self) -> SharedTap {
@@ -71,8 +84,8 @@ impl Recording {
     /// Ends the file once the session is over. What went wrong in the session goes before what went wrong here.
     pub(crate) fn close<T>(self, result: anyhow::Result<T>) -> anyhow::Result<T> {
         let recording::Closed { bad_frames, result: closed } = self.recording.close();
-        if bad_frames > 0 {
-            eprintln!("r4: {bad_frames} frames from the board were damaged: what they said is not in {}", self.path);
+        if let (1.., Some(path)) = (bad_frames, &self.path) {
+            eprintln!("r4: {bad_frames} frames from the board were damaged: what they said is not in {path}");
         }
         match (result, closed) {
             (Ok(value), Ok(())) => Ok(value),

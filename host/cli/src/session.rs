@@ -13,7 +13,7 @@ use std::{
 use anyhow::{Context, bail};
 use futures::future::{Either, select};
 use r4_driver::Error as DriverError;
-use r4_links::{Event, Key, Restart};
+use r4_links::{Address, Event, Key, Restart};
 pub(crate) use r4_rig::{Elapsed, HostClock, Interrupted, Session, Target};
 use r4_rig::{Error, Interrupt, Notice, Recorded, Rig, recording::SharedTap};
 use r4_sim::Pace;
@@ -178,12 +178,38 @@ fn begin(session: &Session<'_>) {
 pub(crate) fn keep<T>(
     args: &Args,
     default_pace: Pace,
+    work: impl AsyncFnMut(&Session<'_>) -> anyhow::Result<T>,
+    tell: impl FnMut(Event),
+    meanwhile: impl AsyncFnOnce(&HostClock) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
+    let Target::Link(address) = &args.board else {
+        let mut work = work;
+        return Ok(run(args, default_pace, async |session: &Session<'_>| work(session).await)?.0);
+    };
+    keep_on(args, &rig(args, default_pace)?, address, work, tell, meanwhile)
+}
+
+/// The same on a virtual board that this program serves at an address, with a key.
+pub(crate) fn keep_served<T>(
+    args: &Args,
+    (address, key): (&Address, &Key),
+    work: impl AsyncFnMut(&Session<'_>) -> anyhow::Result<T>,
+    tell: impl FnMut(Event),
+    meanwhile: impl AsyncFnOnce(&HostClock) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
+    let mut rig = rig(args, Pace::RealTime(1.0))?;
+    rig.key = Some(key.clone());
+    keep_on(args, &rig, address, work, tell, meanwhile)
+}
+
+fn keep_on<T>(
+    args: &Args,
+    rig: &Rig,
+    address: &Address,
     mut work: impl AsyncFnMut(&Session<'_>) -> anyhow::Result<T>,
     tell: impl FnMut(Event),
     meanwhile: impl AsyncFnOnce(&HostClock) -> anyhow::Result<T>,
 ) -> anyhow::Result<T> {
-    let Target::Link(address) = &args.board else { return Ok(run(args, default_pace, work)?.0) };
-    let rig = rig(args, default_pace)?;
     catch_interrupts();
     let recording = Recording::open(args)?;
     let tap: Option<SharedTap> = recording.as_ref().map(Recording::tap);

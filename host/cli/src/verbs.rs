@@ -4,7 +4,8 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand, parser::ValueSour
 
 use crate::{
     args::{
-        Args, Bench, Bldc, Debug, Demo, Held, Home, I2c, Motion, Relay, Scenario, Serve, Step, Uart, Watch, seconds,
+        Args, Bench, Bldc, Debug, Demo, Held, Home, I2c, Motion, Relay, Scenario, Serve, Share, Step, Uart, Watch,
+        seconds,
     },
     commands::{self, bridge::Bridge, config::Config},
 };
@@ -134,6 +135,8 @@ pub(crate) enum Command {
     },
     /// Serial ports, and which of them are boards
     Ports,
+    /// Share a board: one program commands it, any number watch, at tcp:127.0.0.1:4404 unless told otherwise; until Ctrl-C
+    Serve(Share),
     /// Make a virtual board that other programs connect to
     Sim {
         #[command(subcommand)]

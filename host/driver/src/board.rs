@@ -5,7 +5,7 @@ use std::{
     pin::pin,
     sync::{
         Arc, Mutex,
-        atomic::{AtomicU16, Ordering},
+        atomic::{AtomicBool, AtomicU16, Ordering},
     },
 };
 
@@ -19,7 +19,7 @@ use r4_protocol::{
     Telemetry, ToDevice,
     config::{LINK_TIMEOUT_MS, MAX_NAME, PidGains, Tuning},
     message::{MAX_POINTS, MAX_RAW},
-    version::{self, SPOKEN},
+    version::{self, REPEATS, SPOKEN},
 };
 
 use crate::{
@@ -53,6 +53,8 @@ pub(crate) struct Wire<C> {
     pub(crate) state: Arc<Mutex<State>>,
     outgoing: mpsc::UnboundedSender<ToDevice>,
     next_seq: AtomicU16,
+    /// The board does what is sent again once: see [`REPEATS`].
+    repeats: AtomicBool,
 }
 
 /// How long [`Board::drive`] follows a motor.
@@ -101,10 +103,11 @@ const MEAN_SPEED_S: f64 = 0.1;
 impl<C: Clock> Board<C> {
     /// Says hello and asks for every channel.
     pub(crate) async fn open(wire: Wire<C>) -> Result<Self, Error> {
-        let (info, sent_us) = Self::hello(&wire).await?;
+        let (info, sent_us, version) = Self::hello(&wire).await?;
+        wire.repeats.store(version >= REPEATS.since, Ordering::Relaxed);
         let heartbeat = lock(&wire.state).open(&info, sent_us, wire.clock.now_us());
         // Also wakes the transmitter, which keeps the session from now on.
-        let _ = wire.outgoing.unbounded_send(heartbeat);
+        wire.send(heartbeat);
         let mut channels = Vec::new();
         for index in 0..info.channels {
             match wire.request("describe", Request::Describe { index }).await? {
@@ -116,12 +119,13 @@ impl<C: Clock> Board<C> {
     }
 
     /// Says hello in the newest version that both speak.
-    async fn hello(wire: &Wire<C>) -> Result<(DeviceInfo, u64), Error> {
+    /// Returns that, too, and when the hello was sent.
+    async fn hello(wire: &Wire<C>) -> Result<(DeviceInfo, u64, u16), Error> {
         let mut says = SPOKEN[0];
         loop {
             let refused = match Self::hello_in(says, wire).await {
                 Err(Error::Refused(Refusal::ProtocolMismatch { version, schema })) => Spoken { version, schema },
-                told => return told,
+                told => return told.map(|(info, sent_us)| (info, sent_us, says.version)),
             };
             let Some(other) = version::again(&SPOKEN, says, refused) else {
                 let Spoken { version, schema } = refused;
@@ -637,17 +641,17 @@ impl<C: Clock> Board<C> {
 }
 
 /// How long the answer to `request` may take.
-fn timeout_ms(request: &Request) -> u32 {
+pub(crate) fn timeout_ms(request: &Request) -> u32 {
     match request {
         Request::SaveParameters | Request::Fault { .. } | Request::FaultSnapshot { .. } => FLASH_TIMEOUT_MS,
         _ => REQUEST_TIMEOUT_MS,
     }
 }
 
-/// Whether doing it twice is doing it once, so that it may be sent again when no answer comes. Not what moves, arms, clears or
-/// reaches an external device, and not what waits for flash, of which a board does one after another.
-fn may_be_repeated(request: &Request) -> bool {
-    matches!(
+/// Whether it may be sent again when no answer comes: doing it twice is doing it once, or the board does it once (`remembers`). Not what is
+/// dated or reaches an external device, and not what waits for flash, of which a board does one after another.
+fn may_be_repeated(request: &Request, remembers: bool) -> bool {
+    let is_same_twice = matches!(
         request,
         Request::Describe { .. }
             | Request::Stats
@@ -659,14 +663,16 @@ fn may_be_repeated(request: &Request) -> bool {
             | Request::Disarm
             | Request::Stop
             | Request::Bye
-    )
+    );
+    let is_dated = matches!(request, Request::Set { .. } | Request::Follow { .. });
+    is_same_twice || remembers && request.is_done_once() && !is_dated
 }
 
 impl<C: Clock> Wire<C> {
     pub(crate) fn new(clock: C, state: Arc<Mutex<State>>, outgoing: mpsc::UnboundedSender<ToDevice>) -> Self {
         // Not from 0: an answer to a host before us, still under way, must not pass for one to us.
         let next_seq = AtomicU16::new((clock.now_us() >> 4) as u16);
-        Self { clock, state, outgoing, next_seq }
+        Self { clock, state, outgoing, next_seq, repeats: AtomicBool::new(false) }
     }
 
     pub(crate) async fn done(&self, name: &'static str, request: Request) -> Result<(), Error> {
@@ -692,8 +698,7 @@ impl<C: Clock> Wire<C> {
     /// Sends a request whose answer nobody waits for.
     pub(crate) fn tell(&self, request: Request) {
         let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
-        // After the end of the link there is nobody to tell.
-        let _ = self.outgoing.unbounded_send(ToDevice::Request { seq, request });
+        self.send(ToDevice::Request { seq, request });
     }
 
     async fn request(&self, name: &'static str, request: Request) -> Result<Reply, Error> {
@@ -702,49 +707,71 @@ impl<C: Clock> Wire<C> {
     }
 
     async fn request_within(&self, name: &'static str, request: Request, after_ms: u32) -> Result<Reply, Error> {
-        let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
-        let (sender, mut answer) = oneshot::channel();
-        {
-            let mut state = lock(&self.state);
-            if let Some(end) = &state.end {
-                return Err(end.clone());
-            }
-            state.pending.insert(seq, sender);
-        }
-        // Also when this future is dropped, nobody waits any more.
-        let _waiting = Waiting { state: &self.state, seq };
-        let timed_out = Error::TimedOut { request: name, after_ms };
-        let ended = || lock(&self.state).end.clone().unwrap_or(timed_out.clone());
-        let repeat_ms = if may_be_repeated(&request) { REPEAT_AFTER_MS } else { after_ms };
+        let mut waiting = self.begin(name)?;
+        let repeat_ms =
+            if may_be_repeated(&request, self.repeats.load(Ordering::Relaxed)) { REPEAT_AFTER_MS } else { after_ms };
         let begin_us = self.clock.now_us();
         let mut waited_ms = 0;
         while waited_ms < after_ms {
             // With the same number: whichever answer comes first is taken, and the other is passed over.
-            if self.outgoing.unbounded_send(ToDevice::Request { seq, request: request.clone() }).is_err() {
-                return Err(ended());
-            }
+            self.send(ToDevice::Request { seq: waiting.seq, request: request.clone() });
             waited_ms = if waited_ms + 2 * repeat_ms > after_ms { after_ms } else { waited_ms + repeat_ms };
             let until_us = begin_us + u64::from(waited_ms) * 1000;
-            match select(&mut answer, pin!(self.clock.sleep_until(until_us))).await {
-                Either::Left((Ok(Answer::Told(result)), _)) => return Ok(result?),
-                Either::Left((Ok(Answer::Unknown), _)) => return Err(Error::UnknownAnswer { request: name }),
-                // The link ended, which dropped the sender.
-                Either::Left((Err(_), _)) => return Err(ended()),
-                Either::Right(((), _)) => {}
+            if let Some(result) = waiting.answer(self.clock.sleep_until(until_us)).await {
+                return result;
             }
         }
-        Err(timed_out)
+        Err(Error::TimedOut { request: name, after_ms })
+    }
+
+    /// Makes a number for a request, whose answer is waited for from now on.
+    ///
+    /// # Errors
+    /// Why the link has ended.
+    pub(crate) fn begin(&self, name: &'static str) -> Result<Waiting, Error> {
+        let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
+        let (sender, answer) = oneshot::channel();
+        let mut state = lock(&self.state);
+        if let Some(end) = &state.end {
+            return Err(end.clone());
+        }
+        state.pending.insert(seq, sender);
+        Ok(Waiting { state: self.state.clone(), name, seq, answer })
+    }
+
+    /// Sends a message after those before. After the end of the link there is nobody to tell.
+    pub(crate) fn send(&self, message: ToDevice) {
+        let _ = self.outgoing.unbounded_send(message);
     }
 }
 
 /// A request that waits for its answer.
-struct Waiting<'s> {
-    state: &'s Mutex<State>,
-    seq: u16,
+pub(crate) struct Waiting {
+    state: Arc<Mutex<State>>,
+    name: &'static str,
+    pub(crate) seq: u16,
+    answer: oneshot::Receiver<Answer>,
 }
 
-impl Drop for Waiting<'_> {
+impl Waiting {
+    /// The answer, or why there will be none; `None` when `until` was first.
+    pub(crate) async fn answer(&mut self, until: impl Future<Output = ()>) -> Option<Result<Reply, Error>> {
+        match select(&mut self.answer, pin!(until)).await {
+            Either::Left((Ok(Answer::Told(result)), _)) => Some(result.map_err(Error::from)),
+            Either::Left((Ok(Answer::Unknown), _)) => Some(Err(Error::UnknownAnswer { request: self.name })),
+            // The link ended, which dropped the sender.
+            Either::Left((Err(_), _)) => {
+                let end = lock(&self.state).end.clone();
+                Some(Err(end.unwrap_or(Error::TimedOut { request: self.name, after_ms: 0 })))
+            }
+            Either::Right(((), _)) => None,
+        }
+    }
+}
+
+/// Also when nobody waits any more.
+impl Drop for Waiting {
     fn drop(&mut self) {
-        lock(self.state).pending.remove(&self.seq);
+        lock(&self.state).pending.remove(&self.seq);
     }
 }

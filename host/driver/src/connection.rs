@@ -14,12 +14,12 @@ use futures::{
     future::{Either, select},
 };
 use r4_protocol::{
-    Causes, ChannelId, CycleChannel, DeviceInfo, FrameDecoder, FrameError, HotWinding, LogChunk, Refusal, Reply,
-    Request, SafetyState, Telemetry, ToDevice, ToHost, cycle::CYCLE_CHANNELS, encode_frame, frame::MAX_FRAME,
+    Causes, ChannelId, CycleChannel, CycleState, DeviceInfo, FrameDecoder, FrameError, HotWinding, LogChunk, Refusal,
+    Reply, Request, SafetyState, Telemetry, ToDevice, ToHost, cycle::CYCLE_CHANNELS, encode_frame, frame::MAX_FRAME,
 };
 
 use crate::{
-    Board, Clock, Error,
+    Board, Clock, Error, HeartbeatAnswer,
     board::Wire,
     clock_map::ClockMap,
     cycles::{self, CycleQueue},
@@ -53,6 +53,10 @@ pub(crate) struct State {
     pub(crate) samples: SampleStreams,
     pub(crate) sent: Streams<Sent>,
     pub(crate) log: Streams<LogChunk>,
+    pub(crate) heartbeats: Streams<HeartbeatAnswer>,
+    pub(crate) cycle_answers: Streams<CycleState>,
+    /// Heartbeats are sent by [`Board::send_heartbeat`] alone.
+    pub(crate) relays_heartbeats: bool,
     /// What the board has been asked for, and every how many ms.
     pub(crate) subscriptions: Vec<(ChannelId, u16)>,
     /// What the board takes cycles for, as it was last told.
@@ -69,6 +73,12 @@ struct Session {
     last_heard_us: u64,
 }
 
+impl Session {
+    fn heartbeat(self, now_us: u64) -> ToDevice {
+        ToDevice::Heartbeat { session: self.id, host_us: now_us }
+    }
+}
+
 impl State {
     /// Date of a set point decided now, on the board's clock, µs. Later than all before, also when the estimate of that clock
     /// was corrected backwards: the board tells by it whether a refused set point is newer than the one in force.
@@ -81,12 +91,15 @@ impl State {
     pub(crate) fn open(&mut self, info: &DeviceInfo, sent_us: u64, now_us: u64) -> ToDevice {
         self.clock.seen(sent_us, info.device_us, now_us);
         self.safety = Some((info.state, info.causes));
-        self.session = Some(Session {
-            id: info.session,
-            timeout_us: u64::from(info.link_timeout_ms) * 1000,
-            last_heard_us: now_us,
-        });
-        ToDevice::Heartbeat { session: info.session, host_us: now_us }
+        let timeout_us = u64::from(info.link_timeout_ms) * 1000;
+        let session = Session { id: info.session, timeout_us, last_heard_us: now_us };
+        self.session = Some(session);
+        session.heartbeat(now_us)
+    }
+
+    /// A heartbeat of the session; `None` before there is one.
+    pub(crate) fn heartbeat(&self, now_us: u64) -> Option<ToDevice> {
+        self.session.map(|session| session.heartbeat(now_us))
     }
 
     fn answered(&mut self, seq: u16, answer: Answer) {
@@ -107,6 +120,8 @@ impl State {
                 if let Some(session) = &mut self.session {
                     session.last_heard_us = now_us;
                 }
+                let hot = self.hot.clone();
+                self.heartbeats.push(&HeartbeatAnswer { host_us, device_us, state, causes, hot });
             }
             ToHost::Telemetry(telemetry) => {
                 self.safety = Some((telemetry.state, telemetry.causes));
@@ -119,6 +134,7 @@ impl State {
                     self.safety = Some((state, told.causes()));
                 }
                 self.cycles.answered(told, now_us, self.clock.device_us(now_us));
+                self.cycle_answers.push(&told);
             }
         }
     }
@@ -149,6 +165,8 @@ impl State {
         self.samples.end(&error);
         self.sent.end(&error);
         self.log.end(&error);
+        self.heartbeats.end(&error);
+        self.cycle_answers.end(&error);
         self.cycles.wake_user();
         error
     }
@@ -253,13 +271,19 @@ async fn transmit<C: Clock, W: Write>(
     // In turn, so that neither requests nor cycles can starve the other.
     let mut cycles_first = false;
     loop {
-        let session = lock(state).session;
+        let (session, relays) = {
+            let state = lock(state);
+            (state.session, state.relays_heartbeats)
+        };
         let message = match session {
             // Before all else, so that no amount of requests can starve it.
             Some(session) if clock.now_us() >= next_heartbeat_us => {
                 let host_us = clock.now_us();
                 next_heartbeat_us = host_us + session.timeout_us / HEARTBEATS_PER_TIMEOUT;
-                Some(ToDevice::Heartbeat { session: session.id, host_us })
+                if relays {
+                    continue;
+                }
+                Some(session.heartbeat(host_us))
             }
             Some(_) => {
                 cycles_first = !cycles_first;

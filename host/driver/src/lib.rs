@@ -64,6 +64,7 @@ mod clock_map;
 mod connection;
 mod cycles;
 mod error;
+mod relay;
 mod streams;
 pub mod tune;
 
@@ -71,6 +72,7 @@ pub use board::{Board, Motion, Until};
 pub use connection::with_board;
 pub use cycles::{CycleCounters, CycleMotion, CycleReport, Cycles};
 pub use error::Error;
+pub use relay::HeartbeatAnswer;
 pub use streams::{ChannelSample, LogStream, SampleStream, Sent, SentStream, Stream, TelemetryStream};
 
 /// Where the driver takes its time from.

@@ -94,6 +94,16 @@ impl Key {
         Self(bytes)
     }
 
+    /// A key that nobody else has.
+    ///
+    /// # Errors
+    /// Where the operating system gives no random numbers.
+    pub fn random() -> io::Result<Self> {
+        let pattern = PATTERN.parse().map_err(broken)?;
+        let private = snow::Builder::new(pattern).generate_keypair().map_err(broken)?.private;
+        private.try_into().map(Self).map_err(|_| io::Error::other("a private key of another length"))
+    }
+
     /// Reads 64 hex digits from a file that only its owner may read.
     ///
     /// # Errors

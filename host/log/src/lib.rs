@@ -51,6 +51,7 @@ mod container;
 mod coverage;
 mod csv;
 mod header;
+mod live;
 mod message;
 mod read;
 mod record;
@@ -62,6 +63,7 @@ mod write;
 pub use compare::{Difference, compare};
 pub use coverage::Coverage;
 pub use header::{Header, Recorded};
+pub use live::{Live, LiveTopic};
 pub use message::quality_name;
 pub use read::{
     EncoderSample, EncoderSeries, Gap, Log, LogError, Logged, LoggedCommand, LoggedRefusal, LoggedRequest, MotorSample,

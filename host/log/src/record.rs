@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use crate::{
     header::{self, Header},
+    live::{Live, LiveTopic},
     message::{
         self, COMMAND_TOPIC, CommandMessage, EncoderMessage, GAP_TOPIC, GapMessage, MotorMessage, REFUSAL_TOPIC,
         REQUEST_TOPIC, STATE_TOPIC, ScalarMessage, Schema, SensorMessage, StateMessage, finite, is_linear,
@@ -70,6 +71,7 @@ pub struct Recorder<W: Write> {
     shift_us: i64,
     topics: BTreeMap<String, Topic>,
     state: Option<(SafetyState, Causes)>,
+    live: Option<Box<dyn Live>>,
 }
 
 impl<W: Write> Recorder<W> {
@@ -82,7 +84,14 @@ impl<W: Write> Recorder<W> {
         let mcap = FileWriter::new(writer, concat!("r4-log/", env!("CARGO_PKG_VERSION")), metadata)?;
         let offset_ns = header.recorded.as_ref().and_then(|recorded| recorded.clock_offset_ns).unwrap_or_default();
         let channels = header.channels.clone();
-        Ok(Self { mcap, channels, offset_ns, shift_us: 0, topics: BTreeMap::new(), state: None })
+        Ok(Self { mcap, channels, offset_ns, shift_us: 0, topics: BTreeMap::new(), state: None, live: None })
+    }
+
+    /// Tells all that is recorded from now on to `live`, too.
+    #[must_use]
+    pub fn with_live(mut self, live: Option<Box<dyn Live>>) -> Self {
+        self.live = live;
+        self
     }
 
     /// Records every sample of a frame, and the safety state where it changed.
@@ -248,12 +257,19 @@ impl<W: Write> Recorder<W> {
         let topic = match self.topics.get_mut(name) {
             Some(topic) => topic,
             None => {
-                let id = self.mcap.channel(name, &schema())?;
+                let schema = schema();
+                let id = self.mcap.channel(name, &schema)?;
+                if let Some(live) = &mut self.live {
+                    live.topic(&LiveTopic { number: id, name, schema: &schema.name, json_schema: &schema.json });
+                }
                 self.topics.entry(name.to_owned()).or_insert(Topic { id, messages: 0 })
             }
         };
         let header = MessageHeader { channel_id: topic.id, sequence: topic.messages, log_time, publish_time };
         topic.messages = topic.messages.wrapping_add(1);
+        if let Some(live) = &mut self.live {
+            live.message(header.channel_id, log_time, &data);
+        }
         Ok(self.mcap.message(&header, &data)?)
     }
 }

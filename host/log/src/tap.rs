@@ -7,7 +7,7 @@ use r4_protocol::{
     ToHost, VERSION,
 };
 
-use crate::{Gap, Header, RecordError, Recorded, Recorder};
+use crate::{Gap, Header, Live, RecordError, Recorded, Recorder};
 
 /// What a link's bytes do not say of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -66,6 +66,8 @@ pub struct Tap<W: Write> {
     shift_us: i64,
     samples: u64,
     bad_frames: u64,
+    /// Until the board has described itself.
+    live: Option<Box<dyn Live>>,
 }
 
 /// What has become of the file.
@@ -98,7 +100,13 @@ impl<W: Write> Tap<W> {
             shift_us: 0,
             samples: 0,
             bad_frames: 0,
+            live: None,
         }
+    }
+
+    /// Tells all that is recorded to `live`, too. To be called before the board has described itself.
+    pub fn tell(&mut self, live: Box<dyn Live>) {
+        self.live = Some(live);
     }
 
     /// Takes it that all bytes from here on are of a link that was opened anew. Once the board has described itself on it, the time
@@ -323,7 +331,7 @@ impl<W: Write> Tap<W> {
                     seed: self.about.seed,
                     recorded: Some(recorded),
                 };
-                let mut recorder = Recorder::new(writer, &header)?;
+                let mut recorder = Recorder::new(writer, &header)?.with_live(self.live.take());
                 recorder.state(info.device_us, info.state, info.causes)?;
                 File::Open(Box::new(recorder))
             }

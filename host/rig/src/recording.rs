@@ -23,6 +23,8 @@ pub enum Output {
     File(BufWriter<File>),
     /// Into memory.
     Memory(Cursor<Vec<u8>>),
+    /// Nowhere: it is only told to who looks on.
+    Nowhere(io::Sink),
 }
 
 impl Write for Output {
@@ -30,6 +32,7 @@ impl Write for Output {
         match self {
             Self::File(file) => file.write(bytes),
             Self::Memory(memory) => memory.write(bytes),
+            Self::Nowhere(sink) => sink.write(bytes),
         }
     }
 
@@ -37,6 +40,7 @@ impl Write for Output {
         match self {
             Self::File(file) => file.flush(),
             Self::Memory(memory) => memory.flush(),
+            Self::Nowhere(sink) => sink.flush(),
         }
     }
 }
@@ -99,13 +103,14 @@ pub fn finish(tap: SharedTap) -> Result<Option<Output>, RecordingError> {
 pub fn bytes(output: Option<Output>) -> Vec<u8> {
     match output {
         Some(Output::Memory(memory)) => memory.into_inner(),
-        Some(Output::File(_)) | None => Vec::new(),
+        Some(Output::File(_) | Output::Nowhere(_)) | None => Vec::new(),
     }
 }
 
 /// The recording of one session, or of several that a lost link parts, in a file.
 pub struct Recording {
-    path: PathBuf,
+    /// `None` where it only is told to who looks on.
+    path: Option<PathBuf>,
     tap: SharedTap,
 }
 
@@ -125,9 +130,14 @@ impl Recording {
     /// [`RecordingError::NotCreated`]
     pub fn create(path: PathBuf, tap: impl FnOnce(Output) -> SharedTap) -> Result<Self, RecordingError> {
         match File::create(&path) {
-            Ok(file) => Ok(Self { tap: tap(Output::File(BufWriter::new(file))), path }),
+            Ok(file) => Ok(Self { tap: tap(Output::File(BufWriter::new(file))), path: Some(path) }),
             Err(source) => Err(RecordingError::NotCreated { path, source }),
         }
+    }
+
+    /// The same without a file.
+    pub fn nowhere(tap: impl FnOnce(Output) -> SharedTap) -> Self {
+        Self { tap: tap(Output::Nowhere(io::sink())), path: None }
     }
 
     /// The recording, for a session.
@@ -144,10 +154,15 @@ impl Recording {
             Ok(Some(_)) => Ok(()),
             Ok(None) => {
                 // The session failed, and says why.
-                let _ = fs::remove_file(&self.path);
+                if let Some(path) = &self.path {
+                    let _ = fs::remove_file(path);
+                }
                 Ok(())
             }
-            Err(source) => Err(RecordingError::NotComplete { path: self.path, source: Box::new(source) }),
+            Err(source) => Err(match self.path {
+                Some(path) => RecordingError::NotComplete { path, source: Box::new(source) },
+                None => source,
+            }),
         };
         Closed { bad_frames, result }
     }

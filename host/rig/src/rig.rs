@@ -6,6 +6,7 @@ use futures::future::{Either, select};
 use r4_boards::Robot;
 use r4_driver::{Clock as _, Error as DriverError, with_board};
 use r4_links::{Address, Event, Key, OpenError, RealClock, is_of_link, with_reconnect};
+use r4_protocol::Refusal;
 use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, flash::Flash};
 
 use crate::{
@@ -407,7 +408,11 @@ impl Rig {
         let result = match select(pin!(work), pin!(interrupted)).await {
             Either::Left((result, _)) => result,
             Either::Right(((), _)) => {
-                session.board.disarm().await.map_err(Error::NotDisarmed)?;
+                match session.board.disarm().await {
+                    // Of a shared board, that another program commands: what that has armed is not ours to end.
+                    Ok(()) | Err(DriverError::Refused(Refusal::InUse)) => {}
+                    Err(error) => return Err(Error::NotDisarmed(error).into()),
+                }
                 Err(Error::Interrupted(Interrupted).into())
             }
         };

@@ -209,7 +209,9 @@ fn survives<T: Message>(bytes: &[u8]) {
     for check in [Check::Short, Check::Long] {
         match &receive::<T>(&raw(&Raw(bytes), check))[..] {
             // postcard takes numbers written with more bytes than they need, so the bytes may differ.
-            [Ok(message)] => assert!(message.check() == check && gives_back(&frame(message), message)),
+            [Ok(message)] => {
+                assert!((check == Check::Long || message.check() == check) && gives_back(&frame(message), message));
+            }
             [Err(error)] => assert!(matches!(error, FrameError::NotAMessage { .. }), "{error:?}"),
             other => panic!("one frame gave {} results", other.len()),
         }

@@ -18,16 +18,22 @@
 //! | `summary` | what became of each step, as a table |
 //! | `meter` | time on the wall and time of the processor |
 //! | `wire` | `cargo xtask protocol`: the wire protocol as a page, a schema, a header and a dissector |
+//! | `licences` | `cargo xtask licences`: whether what is linked in may be passed on |
+//! | `package` | `cargo xtask package`: the crates as they are published, and the program built of them |
+//! | `release` | `cargo xtask release`: the program in an archive, with what goes with it |
 //! | `weight` | `cargo xtask weight`: what a build of `r4` takes, and what it is spent on |
 
 mod firmware;
 mod flash;
 mod image;
+mod licences;
 mod meter;
 mod mutants;
+mod package;
 mod programs;
 mod protocol;
 mod python;
+mod release;
 mod ros2;
 mod size;
 mod summary;
@@ -45,6 +51,7 @@ use firmware::Firmware;
 use flash::Flash;
 use mutants::Mutants;
 use python::Python;
+use release::Release;
 use ros2::Ros2;
 use size::Size;
 use test::Extent;
@@ -76,6 +83,10 @@ usage: cargo xtask <task>
                 400 s of processor time. --dist: as it is given to others; fails over 15 MB of program. [--json]
   protocol      docs/protocol.md and what is beside protocol/src, from the protocol's types, comments and constants;
                 --check fails for a file that is not what they make now
+  licences      licences and sources of all that is linked in, by deny.toml
+  package       the crates as crates.io would get them, and the program compiled of these
+  release       the program with manual pages, completions and udev rules in an archive, for the system that this runs on:
+                target/release-archives; [--program FILE] packs that and builds none
   mutants       changes to firmware/core, protocol and host/links that no test notices, by cargo-mutants, and how each is judged
                 (tests/mutants.toml); fails for one that is not. Hours: [--package r4-firmware|r4-protocol|r4-links]
                 [--file FILE]... [--shard K/N] [--tests FILTER] (nextest's)";
@@ -97,6 +108,9 @@ enum Task {
     Mutants(Mutants),
     Weight(Weight),
     Wire(Wire),
+    Licences,
+    Package,
+    Release(Release),
 }
 
 fn main() -> ExitCode {
@@ -121,9 +135,22 @@ fn main() -> ExitCode {
         Ok(Task::Mutants(mutants)) => mutants.run(&root()),
         Ok(Task::Weight(weight)) => weight.run(&root()),
         Ok(Task::Wire(wire)) => wire.run(&root()),
+        Ok(Task::Licences) => ended(licences::check(&root())),
+        Ok(Task::Package) => ended(package::check(&root())),
+        Ok(Task::Release(release)) => release.run(&root()),
         Err(problem) => {
             eprintln!("error: {problem}\n\n{USAGE}");
             ExitCode::from(USAGE_ERROR)
+        }
+    }
+}
+
+fn ended(result: Result<(), String>) -> ExitCode {
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(problem) => {
+            eprintln!("error: {problem}");
+            ExitCode::FAILURE
         }
     }
 }
@@ -133,7 +160,7 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
     match words[..] {
         ["help" | "--help" | "-h"]
         | [
-            "test" | "python" | "ros2" | "firmware" | "flash" | "size" | "weight" | "mutants" | "protocol",
+            "test" | "python" | "ros2" | "firmware" | "flash" | "size" | "weight" | "mutants" | "protocol" | "release",
             "--help" | "-h",
         ] => Ok(Task::Help),
         ["test"] => Ok(Task::Test(Extent::Full)),
@@ -151,6 +178,9 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
         [] => Err("no task given".into()),
         ["test", "--quick", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
         ["probe"] => Ok(Task::Probe),
+        ["licences"] => Ok(Task::Licences),
+        ["package"] => Ok(Task::Package),
+        ["release", ref words @ ..] => Release::parse(words).map(Task::Release),
         [unknown, ..] => Err(format!("there is no task `{unknown}`")),
     }
 }

@@ -8,8 +8,9 @@ use std::{
 };
 
 use crate::{
-    firmware, toolchain,
-    venv::{Venv, call},
+    firmware,
+    toolchain::{self, call},
+    venv::Venv,
 };
 
 /// The package, in the repository.

@@ -9,7 +9,7 @@ use std::{
 
 use crate::{
     firmware, toolchain,
-    venv::{Venv, call},
+    venv::Venv,
 };
 
 /// The tests, in the repository; beside them a file for each distribution with what is pinned.

@@ -9,9 +9,11 @@ use std::{
 
 use crate::{
     firmware::{self, Firmware},
+    licences,
     meter::Meter,
-    programs,
+    package, programs,
     python::Python,
+    release::Release,
     summary::{Outcome, Summary},
     toolchain::{self, SYSTEMS, TARGET},
     wire::Wire,
@@ -46,6 +48,12 @@ enum Run {
     Tests(&'static [&'static str]),
     /// Compares the page of the protocol and what goes with it with what the protocol's types make.
     Protocol,
+    /// Compares licences and sources of what is linked in with what may be.
+    Licences,
+    /// Packages the crates and compiles the program of these.
+    Packages,
+    /// Makes the archive of a release, of the program that the tests have built.
+    Release,
     /// Builds the Python package, installs it and runs its tests.
     Python,
     /// Calls cargo.
@@ -93,6 +101,7 @@ const FULL: &[Step] = &[
     FORMAT_GIGA,
     FORMAT_PROBE,
     PROTOCOL,
+    step("licences", Run::Licences),
     // With what the program leaves out by default and needs nothing that is not everywhere.
     step(
         "lints",
@@ -103,7 +112,7 @@ const FULL: &[Step] = &[
                 "--workspace",
                 "--all-targets",
                 "--features",
-                "r4/dfu,r4/emu,r4/parquet,r4/probe",
+                "r4/dfu,r4/emu,r4/live,r4/parquet,r4/probe",
                 "--",
                 "-D",
                 "warnings",
@@ -139,10 +148,12 @@ const FULL: &[Step] = &[
     ),
     // Compiled and not linked: it needs no tools of theirs.
     step("other systems", cargo(".", &["check", "--package", "r4", "--target", SYSTEMS[0], "--target", SYSTEMS[1]])),
+    step("packages", Run::Packages),
     step("images", Run::Images),
     step("build tests", cargo(".", &["test", "--workspace", "--features", "r4/emu,r4/parquet", "--no-run"])),
     step("tests", Run::Tests(&["test", "--workspace", "--features", "r4/emu,r4/parquet"])),
     step("python", Run::Python),
+    step("archive", Run::Release),
     step("examples", cargo(".", &["test", "--workspace", "--features", "r4/emu,r4/parquet", "--doc"])),
     step(
         "docs",
@@ -228,6 +239,9 @@ fn execute(step: &Step, root: &Path) -> Result<(), String> {
             Ok(())
         }),
         Run::Protocol => Wire::Check.go(root),
+        Run::Licences => licences::check(root),
+        Run::Packages => package::check(root),
+        Run::Release => Release::of_tests(root)?.make(root).map(|archive| println!("{}", archive.display())),
         Run::Python => Python::default().test(root),
         Run::Tests(arguments) => programs::run(root, arguments, &unless_set(SAME_CASES)),
         Run::Cargo { folder, arguments, environment } => {
@@ -268,6 +282,9 @@ impl Step {
             }
             Run::Tests(arguments) => command_line(".", SAME_CASES, arguments),
             Run::Protocol => "cargo xtask protocol --check".into(),
+            Run::Licences => "cargo xtask licences".into(),
+            Run::Packages => "cargo xtask package".into(),
+            Run::Release => "cargo xtask release --program target/debug/r4".into(),
             Run::Python => "cargo xtask python".into(),
             Run::Images => "cargo xtask firmware, for each robot that tests emulate".into(),
             Run::Cargo { folder, arguments, environment } => command_line(folder, environment, arguments),
@@ -292,10 +309,10 @@ mod tests {
             executed.push(step.name);
             if step.name == "lints" { Err("a warning".into()) } else { Ok(()) }
         });
-        assert_eq!(executed, ["toolchain", "format", "format, giga", "format, probe", "protocol", "lints"]);
+        assert_eq!(executed, ["toolchain", "format", "format, giga", "format, probe", "protocol", "licences", "lints"]);
         assert_eq!(summary.failed(), Some("lints"));
         assert_eq!(problem, "a warning");
-        assert_eq!(summary.to_string().matches("not run").count(), FULL.len() - 6, "{summary}");
+        assert_eq!(summary.to_string().matches("not run").count(), FULL.len() - 7, "{summary}");
     }
 
     #[test]

@@ -20,6 +20,18 @@ pub(crate) fn cargo() -> OsString {
     env::var_os("CARGO").unwrap_or_else(|| "cargo".into())
 }
 
+/// Runs a command, which says by itself what it has to say.
+pub(crate) fn call(command: &mut Command) -> Result<(), String> {
+    let status = command.status();
+    let words = [command.get_program()].into_iter().chain(command.get_args());
+    let shown = words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ");
+    match status {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(format!("`{shown}` ended with {status}")),
+        Err(error) => Err(format!("`{shown}` cannot be started: {error}")),
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Part {
     Rustfmt,

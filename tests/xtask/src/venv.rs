@@ -6,6 +6,8 @@ use std::{
     process::Command,
 };
 
+use crate::toolchain::call;
+
 /// A Python environment.
 pub(crate) struct Venv(PathBuf);
 
@@ -43,17 +45,5 @@ impl Venv {
         // What is in the environment only, and no files beside the sources.
         python.env_remove("PYTHONPATH").env("PYTHONDONTWRITEBYTECODE", "1").env("PIP_DISABLE_PIP_VERSION_CHECK", "1");
         python
-    }
-}
-
-/// Runs a command, which says by itself what it has to say.
-pub(crate) fn call(command: &mut Command) -> Result<(), String> {
-    let status = command.status();
-    let words = [command.get_program()].into_iter().chain(command.get_args());
-    let shown = words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ");
-    match status {
-        Ok(status) if status.success() => Ok(()),
-        Ok(status) => Err(format!("`{shown}` ended with {status}")),
-        Err(error) => Err(format!("`{shown}` cannot be started: {error}")),
     }
 }

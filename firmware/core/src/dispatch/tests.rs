@@ -3,7 +3,7 @@
 extern crate std;
 
 use r4_protocol::{
-    Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, SCHEMA_HASH, VERSION,
+    Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, SCHEMA_HASH, SafetyState, VERSION,
     config::{FeedForward, Tuning},
     cycle::NOTHING,
 };
@@ -26,12 +26,13 @@ struct Bench {
     board: Board,
     host: Host,
     tasks: Tasks,
+    seq: u16,
 }
 
 impl Bench {
     fn armed() -> Self {
         let board = board(robot("every-interface"), ResetCause::Normal);
-        let mut bench = Self { board, host: Host::default(), tasks: Tasks::default() };
+        let mut bench = Self { board, host: Host::default(), tasks: Tasks::default(), seq: 0 };
         let hello = Request::Hello { version: VERSION, schema: SCHEMA_HASH };
         assert!(matches!(bench.ask(LINK, hello), Ok(Reply::Hello(_))));
         bench.again();
@@ -48,7 +49,12 @@ impl Bench {
     }
 
     fn ask(&mut self, link: u8, request: Request) -> Result<Reply, Refusal> {
-        match dispatch(self.board, link, &mut self.host, ToDevice::Request { seq: 0, request }) {
+        self.seq += 1;
+        self.ask_as(self.seq, link, request)
+    }
+
+    fn ask_as(&mut self, seq: u16, link: u8, request: Request) -> Result<Reply, Refusal> {
+        match dispatch(self.board, link, &mut self.host, ToDevice::Request { seq, request }) {
             Outcome::Answer(ToHost::Response { result, .. }) => result,
             _ => panic!("answered at once"),
         }
@@ -292,7 +298,7 @@ fn id(name: &str) -> ChannelId {
 /// A board that nobody has greeted.
 fn alone() -> Bench {
     let board = board(robot("every-interface"), ResetCause::Normal);
-    Bench { board, host: Host::default(), tasks: Tasks::default() }
+    Bench { board, host: Host::default(), tasks: Tasks::default(), seq: 0 }
 }
 
 /// Of each kind, what it measures or takes, in what, how often, how finely, and how it can be commanded.
@@ -826,4 +832,72 @@ fn a_cycle_that_comes_twice_stops_nothing() {
         assert_eq!(bench.cycle(cycle).outcome(), outcome);
         assert_eq!(bench.taken(Place::Motor(0)), stopped.then_some(speed(0.0)));
     }
+}
+
+/// What the host has asked once is done once, however often it is sent, and however the board stands by then.
+#[test]
+fn a_request_that_is_sent_again_is_answered_and_not_done_again() {
+    let mut bench = Bench::armed();
+    assert_eq!(bench.ask_as(1000, LINK, Request::Disarm), Ok(Reply::Done));
+    assert_eq!(bench.ask_as(1001, LINK, Request::Arm), Ok(Reply::Done));
+    assert_eq!(bench.ask_as(1002, LINK, Request::Disarm), Ok(Reply::Done));
+    let state = |bench: &Bench| bench.board.safety().state;
+    assert_eq!(bench.ask_as(1001, LINK, Request::Arm), Ok(Reply::Done));
+    assert_eq!(state(&bench), SafetyState::Disarmed);
+    // A refusal, too.
+    bench.board.trip(r4_protocol::Cause::HostStop);
+    let refused = bench.ask_as(1003, LINK, Request::Arm);
+    assert!(matches!(refused, Err(Refusal::Tripped { .. })), "{refused:?}");
+    assert_eq!(bench.ask_as(1004, LINK, Request::Clear), Ok(Reply::Done));
+    assert_eq!(bench.ask_as(1003, LINK, Request::Arm), refused);
+    assert_eq!(state(&bench), SafetyState::Disarmed);
+    bench.board.trip(r4_protocol::Cause::HostStop);
+    assert_eq!(bench.ask_as(1004, LINK, Request::Clear), Ok(Reply::Done));
+    assert_eq!(state(&bench), SafetyState::Tripped);
+    // A set point behind a newer one, twice.
+    assert_eq!(bench.ask_as(1010, LINK, Request::Clear), Ok(Reply::Done));
+    assert_eq!(bench.ask_as(1011, LINK, Request::Arm), Ok(Reply::Done));
+    let channel = "osmc0".parse().expect("a channel");
+    let place = bench.board.config().place(channel).expect("it has one");
+    let duty = |value| {
+        let (setpoint, sent_us) = (Setpoint { mode: Mode::Duty, value }, Instant::now().as_micros());
+        Request::Set { channel, setpoint, sent_us, ttl_ms: TTL_MS }
+    };
+    for (seq, value, taken) in [(1012, 0.1, Some(0.1)), (1013, 0.2, Some(0.2)), (1012, 0.1, None)] {
+        assert_eq!(bench.ask_as(seq, LINK, duty(value)), Ok(Reply::Done));
+        assert_eq!(bench.taken(place).map(|setpoint| setpoint.value), taken, "{seq}");
+    }
+    bench.board.trip(r4_protocol::Cause::HostStop);
+    // With a number of its own it is another.
+    assert_eq!(bench.ask_as(1005, LINK, Request::Clear), Ok(Reply::Done));
+    assert_eq!(bench.ask_as(1006, LINK, Request::Arm), Ok(Reply::Done));
+    assert_eq!(state(&bench), SafetyState::Armed);
+}
+
+/// Of hosts that do not count: a number is only that of the last request that had it.
+#[test]
+fn a_number_that_is_used_for_something_else_is_no_repeat() {
+    let mut bench = Bench::armed();
+    for _ in 0..3 {
+        assert_eq!(bench.ask_as(7, LINK, Request::Disarm), Ok(Reply::Done));
+        assert_eq!(bench.board.safety().state, SafetyState::Disarmed);
+        assert_eq!(bench.ask_as(7, LINK, Request::Arm), Ok(Reply::Done));
+        assert_eq!(bench.board.safety().state, SafetyState::Armed);
+    }
+}
+
+/// Nothing is remembered from another session, nor in one of a version that knows nothing of it.
+#[test]
+fn each_session_begins_with_nothing_remembered() {
+    let mut bench = Bench::armed();
+    let old = r4_protocol::version::SPOKEN[1];
+    assert_eq!(old.version, 12);
+    for spoken in [r4_protocol::version::SPOKEN[0], old] {
+        let Spoken { version, schema } = spoken;
+        assert!(matches!(bench.ask_as(1, LINK, Request::Hello { version, schema }), Ok(Reply::Hello(_))));
+        assert_eq!(bench.ask_as(2, LINK, Request::Arm), Ok(Reply::Done));
+        assert_eq!(bench.ask_as(3, LINK, Request::Disarm), Ok(Reply::Done));
+    }
+    assert_eq!(bench.ask_as(2, LINK, Request::Arm), Ok(Reply::Done));
+    assert_eq!(bench.board.safety().state, SafetyState::Armed);
 }

@@ -27,6 +27,7 @@ pub(crate) mod reveal;
 pub(crate) mod ros2;
 pub(crate) mod scenario;
 pub(crate) mod serve;
+pub(crate) mod share;
 pub(crate) mod state;
 pub(crate) mod system;
 pub(crate) mod tune;

@@ -1,6 +1,6 @@
 //! `r4 sim serve`: a virtual board in real time, for programs that connect to it as to a real one.
 
-mod clients;
+pub(super) mod clients;
 mod terminal;
 
 use std::{
@@ -12,7 +12,13 @@ use std::{
     path::PathBuf,
     pin::pin,
     rc::Rc,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+        mpsc,
+    },
     task::Poll,
+    thread::{self, JoinHandle},
     time::{Duration, Instant},
 };
 
@@ -21,7 +27,7 @@ use async_io::{Async, Timer};
 use clients::Clients;
 use embedded_io_async::{Read, Write};
 use futures::future::{Either, select};
-use r4_links::{Descriptor, Key, Receiver, Transmitter, bus::End, monotonic_ns, slcan};
+use r4_links::{Address, Descriptor, Door, Key, Receiver, Transmitter, bus::End, monotonic_ns, slcan};
 use r4_protocol::can::Node;
 use r4_sim::ResetCause;
 use r4_sim::{Pace, Simulation, VirtualBoard, link::Port};
@@ -77,28 +83,95 @@ enum Place {
     /// One client, or none, all the time.
     Port(Option<Terminal>, Receiver, Transmitter),
     /// Clients come and go.
-    Listener(Async<TcpListener>, Option<Key>),
+    Door(Door),
 }
 
 pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
+    let args = virtual_board(args, &serve.robot)?;
+    session::catch_interrupts();
+    let (place, address) = place(&args, serve)?;
+    let told = |origin| output::json(&FirstLine { place: address, epoch_ns: monotonic_ns(origin) });
+    power_up(&args, place, (&session::is_interrupted, true), told).map(|()| true)
+}
+
+/// The arguments of a virtual board that is served.
+fn virtual_board(args: &Args, board: &Target) -> anyhow::Result<Args> {
     if args.pace.is_some() {
         bail!("a served board runs in real time, as its clients do: leave --pace out");
     }
-    let args = Args { board: serve.robot.clone(), ..args.clone() };
+    Ok(Args { board: board.clone(), ..args.clone() })
+}
+
+/// Powers a virtual board up and serves it until `ends` says so; `tells_shifts` on stdout. `ready` is called once that begins, with the
+/// real time at virtual time 0.
+fn power_up(
+    args: &Args,
+    place: Place,
+    (ends, tells_shifts): (&dyn Fn() -> bool, bool),
+    ready: impl FnOnce(Instant) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
     let mut simulation = Simulation::new(Pace::Free);
-    let (board, file) = session::rig(&args, Pace::Free)?.power_up(&mut simulation)?;
+    let (board, file) = session::rig(args, Pace::Free)?.power_up(&mut simulation)?;
     if matches!(args.board, Target::Sim(_)) {
         board.set_link_baud(NO_TIME);
     }
-    session::catch_interrupts();
-    let (place, address) = place(&args, serve)?;
-    let served = Served::new(&mut simulation, board.clone())?;
-    output::json(&FirstLine { place: address, epoch_ns: monotonic_ns(served.origin) })?;
+    let served = Served { tells_shifts, ..Served::new(&mut simulation, board.clone(), ends)? };
+    ready(served.origin)?;
     let served = r4_links::block_on(served.run(place));
     if let Some(file) = file {
         file.write(&board.flash())?;
     }
-    served.map(|()| true)
+    served
+}
+
+/// A virtual board that a thread of this program serves, for this program alone.
+pub(super) struct Background {
+    pub(super) address: Address,
+    pub(super) key: Key,
+    ends: Arc<AtomicBool>,
+    thread: JoinHandle<anyhow::Result<()>>,
+}
+
+impl Background {
+    /// Powers the board up.
+    ///
+    /// # Errors
+    /// As [`power_up`].
+    pub(super) fn start(args: &Args) -> anyhow::Result<Self> {
+        let args = virtual_board(args, &args.board)?;
+        let key = Key::random().context("cannot make a key")?;
+        let listener = Async::<TcpListener>::bind(([127, 0, 0, 1], 0)).context("cannot listen on this machine")?;
+        let at = listener.get_ref().local_addr().context("cannot listen on this machine")?;
+        let address = Address::Tcp { host: at.ip().to_string(), port: at.port() };
+        let ends = Arc::<AtomicBool>::default();
+        let (is_ready, ready) = mpsc::channel();
+        let thread = thread::Builder::new().name(args.board.to_string()).spawn({
+            let (key, ends) = (key.clone(), ends.clone());
+            move || {
+                let told = |_| is_ready.send(()).context("nobody waits for the board");
+                let place = Place::Door(Door::new(listener, Some(key)));
+                match power_up(&args, place, (&|| ends.load(Ordering::Relaxed), false), told) {
+                    Err(error) if error.is::<session::Interrupted>() => Ok(()),
+                    ended => ended,
+                }
+            }
+        });
+        let started = Self { address, key, ends, thread: thread.context("cannot start a thread")? };
+        match ready.recv() {
+            Ok(()) => Ok(started),
+            // It has ended, and says why.
+            Err(_) => Err(started.end().err().unwrap_or_else(|| anyhow!("the board did not start"))),
+        }
+    }
+
+    /// Switches the board off, which writes its flash.
+    ///
+    /// # Errors
+    /// What went wrong with the board.
+    pub(super) fn end(self) -> anyhow::Result<()> {
+        self.ends.store(true, Ordering::Relaxed);
+        self.thread.join().unwrap_or_else(|_| Err(anyhow!("the simulated board failed")))
+    }
 }
 
 /// Makes what the board is served on, and where that is.
@@ -121,7 +194,13 @@ fn place(args: &Args, serve: &Serve) -> anyhow::Result<(Place, Where)> {
         return bus(interface, end()?);
     }
     let address = serve.tcp.ok_or_else(|| anyhow!("nowhere to serve the board"))?;
-    let only_for_some = serve.public && args.key.is_some();
+    let (door, at) = door(args, address, serve.public)?;
+    Ok((Place::Door(door), Where::Tcp(at.to_string())))
+}
+
+/// Listens for clients at an address, which is this machine's own unless `public` and a key say otherwise. Returns where it is.
+pub(super) fn door(args: &Args, address: SocketAddr, public: bool) -> anyhow::Result<(Door, SocketAddr)> {
+    let only_for_some = public && args.key.is_some();
     if !address.ip().is_loopback() && !only_for_some {
         bail!(
             "{address} can be reached from other machines, and whoever reaches it moves the robot: serve it on 127.0.0.1, or \
@@ -129,8 +208,8 @@ fn place(args: &Args, serve: &Serve) -> anyhow::Result<(Place, Where)> {
         );
     }
     let listener = Async::<TcpListener>::bind(address).with_context(|| format!("cannot listen at {address}"))?;
-    let at: SocketAddr = listener.get_ref().local_addr().context("cannot listen")?;
-    Ok((Place::Listener(listener, session::key(args)?), Where::Tcp(at.to_string())))
+    let at = listener.get_ref().local_addr().context("cannot listen")?;
+    Ok((Door::new(listener, session::key(args)?), at))
 }
 
 #[cfg(target_os = "linux")]
@@ -178,20 +257,27 @@ struct Served<'s> {
     origin: Instant,
     /// The board asks to be restarted.
     restart: Rc<Cell<bool>>,
+    ends: &'s dyn Fn() -> bool,
+    /// Whether a [`Shifted`] is a line on stdout.
+    tells_shifts: bool,
 }
 
 impl<'s> Served<'s> {
-    fn new(simulation: &'s mut Simulation, board: Rc<dyn VirtualBoard>) -> anyhow::Result<Self> {
+    fn new(
+        simulation: &'s mut Simulation,
+        board: Rc<dyn VirtualBoard>,
+        ends: &'s dyn Fn() -> bool,
+    ) -> anyhow::Result<Self> {
         let outbox = Rc::<Outbox>::default();
         let restart = Rc::<Cell<bool>>::default();
         let to_board = connect(simulation, &board, &outbox, &restart)?;
-        Ok(Self { simulation, board, to_board, outbox, origin: Instant::now(), restart })
+        Ok(Self { simulation, board, to_board, outbox, origin: Instant::now(), restart, ends, tells_shifts: true })
     }
 
     async fn run(mut self, place: Place) -> anyhow::Result<()> {
         let served = match place {
             Place::Port(_pty, mut rx, mut tx) => self.with_client(&mut rx, &mut tx).await,
-            Place::Listener(listener, key) => self.with_clients(Clients::new(listener, key, self.outbox.clone())).await,
+            Place::Door(door) => self.with_clients(Clients::new(door, self.outbox.clone())).await,
         };
         if self.outbox.dropped.get() > 0 {
             eprintln!("r4: {} bytes of the board were dropped: nobody read them", self.outbox.dropped.get());
@@ -243,7 +329,7 @@ impl<'s> Served<'s> {
         let mut outside = pin!(outside);
         loop {
             self.catch_up()?;
-            if session::is_interrupted() {
+            if (self.ends)() {
                 return Err(session::Interrupted.into());
             }
             let next = self.simulation.clock().next_wake().map(|next_ns| self.origin + Duration::from_nanos(next_ns));
@@ -271,7 +357,9 @@ impl<'s> Served<'s> {
             );
             // Only for who listens.
             let from_ns = self.simulation.clock().now_ns();
-            let _ = output::json(&Shifted { epoch_ns: monotonic_ns(self.origin), from_ns });
+            if self.tells_shifts {
+                let _ = output::json(&Shifted { epoch_ns: monotonic_ns(self.origin), from_ns });
+            }
         }
         let clock = self.simulation.clock();
         let to_ns = begin.saturating_duration_since(self.origin).as_nanos() as u64;

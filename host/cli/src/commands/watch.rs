@@ -143,6 +143,7 @@ impl Watched {
 }
 
 pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
+    let args = &Args { live: watch.live.foxglove, ..args.clone() };
     let mut end_s = None;
     let lost = RefCell::new(None);
     let tell = |event| {

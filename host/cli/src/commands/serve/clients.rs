@@ -1,39 +1,39 @@
 //! Clients of a board that is served on a socket. All are greeted side by side; the one that opens a session first is the
 //! board's host, and until it is gone the others hear that the board is in use.
 //!
-//! Nobody can hold a place: who does not prove to have the key in time, does not open a session or sends no heartbeats is
-//! dropped. What a client sends before its session, and half a frame that it leaves behind, reach no other's session.
+//! Nobody can hold a place: who does not open a session or sends no heartbeats is dropped. What a client sends before its session, and half a frame that it leaves behind, reach no other's session.
 
 use std::{
     cell::{Cell, RefCell},
     future::{Future, poll_fn},
     io,
-    net::TcpListener,
     pin::{Pin, pin},
     rc::Rc,
     task::{Context, Poll},
     time::{Duration, Instant},
 };
 
-use async_io::{Async, Timer};
+use async_io::Timer;
 use embedded_io_async::{Read, Write};
 use futures::future::{Either, select};
-use r4_links::{Descriptor, Key, Receiver, Transmitter, secure};
+use r4_links::{Comer, Door, Link, Receiver};
 use r4_protocol::{FrameDecoder, Refusal, Request, ToDevice, ToHost, encode_frame, frame::MAX_FRAME};
 
 use super::Outbox;
 
-/// A client proves to have the key within this time.
-const GREETING: Duration = Duration::from_secs(2);
 /// A client without a session, or whose heartbeats do not come, is dropped after this time: ten times as long as a board waits.
 const SILENT: Duration = Duration::from_secs(2);
 /// Most clients at once. Of more, the one that has waited longest without a session goes.
 const CLIENTS: usize = 64;
 
+/// What is said of who does not have the key.
+pub(in super::super) const TURNED_AWAY: &str = "r4: a client without the key was turned away";
+/// What is said of who is silent.
+pub(in super::super) const DROPPED: &str = "r4: a client without a session or heartbeats was dropped";
+
 /// Everyone who is connected.
 pub(super) struct Clients {
-    listener: Async<TcpListener>,
-    key: Option<Rc<Key>>,
+    door: Door,
     connected: Vec<Client>,
     desk: Rc<Desk>,
     next_number: u64,
@@ -49,8 +49,6 @@ struct Client {
 enum Left {
     /// It closed its end, or its link failed.
     Gone,
-    /// It did not prove to have the key.
-    Stranger,
     /// It opened no session, or sent no heartbeats.
     Silent,
 }
@@ -64,9 +62,9 @@ struct Desk {
 }
 
 impl Clients {
-    pub(super) fn new(listener: Async<TcpListener>, key: Option<Key>, outbox: Rc<Outbox>) -> Self {
+    pub(super) fn new(door: Door, outbox: Rc<Outbox>) -> Self {
         let desk = Desk { host: Cell::new(None), to_board: RefCell::default(), outbox };
-        Self { listener, key: key.map(Rc::new), connected: Vec::new(), desk: Rc::new(desk), next_number: 0 }
+        Self { door, connected: Vec::new(), desk: Rc::new(desk), next_number: 0 }
     }
 
     /// What the host has sent to the board.
@@ -75,8 +73,12 @@ impl Clients {
     /// The listener's.
     pub(super) async fn next(&mut self) -> io::Result<Vec<u8>> {
         poll_fn(|context| {
-            if let Poll::Ready(Err(error)) = self.accept(context) {
-                return Poll::Ready(Err(error));
+            while let Poll::Ready(comer) = self.door.poll_next(context) {
+                match comer {
+                    Ok(Comer::Client(link)) => self.connect(link),
+                    Ok(Comer::Stranger) => eprintln!("{TURNED_AWAY}"),
+                    Err(error) => return Poll::Ready(Err(error)),
+                }
             }
             self.serve(context);
             let bytes = self.desk.to_board.take();
@@ -85,27 +87,7 @@ impl Clients {
         .await
     }
 
-    /// Takes whoever has come; never ready but with an error.
-    fn accept(&mut self, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        loop {
-            match self.listener.get_ref().accept() {
-                Ok((stream, _)) => {
-                    // One that is gone again already is nothing to the others.
-                    if let Ok(descriptor) = r4_links::tcp(stream) {
-                        self.connect(descriptor);
-                    }
-                }
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    futures::ready!(self.listener.poll_readable(context))?;
-                }
-                Err(error) if matches!(error.kind(), io::ErrorKind::ConnectionAborted | io::ErrorKind::Interrupted) => {
-                }
-                Err(error) => return Poll::Ready(Err(error)),
-            }
-        }
-    }
-
-    fn connect(&mut self, descriptor: Descriptor) {
+    fn connect(&mut self, link: Link) {
         if self.connected.len() >= CLIENTS
             && let Some(longest) = self.connected.iter().position(|client| self.desk.host.get() != Some(client.number))
         {
@@ -113,7 +95,7 @@ impl Clients {
         }
         let number = self.next_number;
         self.next_number += 1;
-        let task = Box::pin(served(descriptor, self.key.clone(), self.desk.clone(), number));
+        let task = Box::pin(served(link, self.desk.clone(), number));
         self.connected.push(Client { number, task });
     }
 
@@ -123,8 +105,7 @@ impl Clients {
             let Poll::Ready(left) = client.task.as_mut().poll(context) else { return true };
             match left {
                 Left::Gone => {}
-                Left::Stranger => eprintln!("r4: a client without the key was turned away"),
-                Left::Silent => eprintln!("r4: a client without a session or heartbeats was dropped"),
+                Left::Silent => eprintln!("{DROPPED}"),
             }
             if desk.host.get() == Some(client.number) {
                 desk.host.set(None);
@@ -136,20 +117,7 @@ impl Clients {
     }
 }
 
-async fn served(descriptor: Descriptor, key: Option<Rc<Key>>, desk: Rc<Desk>, number: u64) -> Left {
-    let greeted = async {
-        match &key {
-            None => Ok((Receiver::Bytes(descriptor.clone()), Transmitter::Bytes(descriptor))),
-            Some(key) => {
-                let (rx, tx) = secure::server(descriptor, key).await?;
-                Ok::<_, io::Error>((Receiver::Secure(rx), Transmitter::Secure(tx)))
-            }
-        }
-    };
-    let (rx, mut tx) = match select(pin!(greeted), Timer::after(GREETING)).await {
-        Either::Left((Ok(ends), _)) => ends,
-        Either::Left((Err(_), _)) | Either::Right(_) => return Left::Stranger,
-    };
+async fn served(Link { rx, mut tx }: Link, desk: Rc<Desk>, number: u64) -> Left {
     let heard = Cell::new(Instant::now());
     let answers = RefCell::new(Vec::new());
     let receiving = receive(rx, &desk, number, &heard, &answers);

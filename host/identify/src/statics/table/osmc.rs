@@ -1,4 +1,4 @@
-//! The laws declared for the printed tables of the OSMC evaluation (`data/osmc_tables`).
+//! The laws declared for the printed tables of the OSMC evaluation (`data/osmc_tables` of this crate).
 
 use r4_maths::statistics::RootMeanSquare;
 
@@ -15,16 +15,16 @@ pub struct Printed {
 }
 
 impl Printed {
-    /// As they are in `data/osmc_tables`.
+    /// As they are in `data/osmc_tables` of this crate.
     ///
     /// # Errors
     /// If these files are damaged.
     pub fn new() -> Result<Self, TableError> {
         let read = |text: &str| Rows::read(text.as_bytes());
         Ok(Self {
-            rotary: read(include_str!("../../../../../data/osmc_tables/table1_rotary.csv"))?,
-            linear: read(include_str!("../../../../../data/osmc_tables/table2_linear.csv"))?,
-            gains: read(include_str!("../../../../../data/osmc_tables/tables345_gains.csv"))?,
+            rotary: read(include_str!("../../../data/osmc_tables/table1_rotary.csv"))?,
+            linear: read(include_str!("../../../data/osmc_tables/table2_linear.csv"))?,
+            gains: read(include_str!("../../../data/osmc_tables/tables345_gains.csv"))?,
         })
     }
 }

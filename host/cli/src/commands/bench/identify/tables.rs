@@ -1,16 +1,13 @@
 //! The printed tables of the OSMC evaluation: which laws they ask for, what they refuse, and what nothing explains.
 
-use std::fs::File;
-
 use anyhow::Context;
 use r4_identify::statics::table::{
-    Ladder, Rows,
+    Ladder,
     gains::{GainsEffort, GainsLadder, loop_ladders},
     osmc::{Printed, closed_forms, linear, rotary},
 };
 
 use super::{Bench, Bound, Row};
-use crate::args::IdentifyRows;
 
 /// A rung of a ladder: its law, and the RMSE that others computed for it, with the last digit they wrote.
 type Rung = (&'static str, f64, f64);
@@ -62,16 +59,7 @@ fn chosen(data: &str, ladder: &Ladder, law: &str, at_most: f64) -> Row {
 
 pub(super) fn osmc(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     const LOOP: &str = "OSMC Tables 3-5";
-    let read = |name: &str| {
-        let path = bench.folder(IdentifyRows::Osmc).join(name);
-        let file = File::open(&path).with_context(|| format!("cannot read {}", path.display()))?;
-        anyhow::Ok(Rows::read(file)?)
-    };
-    let printed = Printed {
-        rotary: read("table1_rotary.csv")?,
-        linear: read("table2_linear.csv")?,
-        gains: read("tables345_gains.csv")?,
-    };
+    let printed = Printed::new()?;
     bench.progress.set_message("printed laws");
     let (rotary, linear) = (rotary(&printed, bench.seed)?, linear(&printed, bench.seed)?);
     let short = linear.rejected.iter().find(|refused| refused.law.ends_with("stops short"));

@@ -1,0 +1,242 @@
+//! Which client commands the board, and when that ends.
+
+use futures::channel::oneshot;
+use r4_protocol::{Request, SafetyState};
+
+/// A command may still be on its way to the board for this long after it was passed on, µs: what a driver waits for an answer.
+const UNDER_WAY_US: u64 = 600_000;
+/// A client that is silent for this many link time-outs no longer commands. The board has tripped after one.
+const SILENT_TIMEOUTS: u64 = 2;
+
+/// What a request is, to a board that is shared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Role {
+    /// Opens or closes the client's session.
+    Session,
+    /// Changes nothing for others: any client may.
+    Watch,
+    /// Any client may, with or without a session.
+    Stop,
+    /// Changes the board: for the client that commands.
+    Command,
+}
+
+/// The role of a request. Without a wildcard: a new request has to be decided about.
+pub(crate) const fn role(request: &Request) -> Role {
+    match request {
+        Request::Hello { .. } | Request::Bye => Role::Session,
+        Request::Describe { .. }
+        | Request::Subscribe { .. }
+        | Request::Stats
+        | Request::DescribeParameter { .. }
+        | Request::Fault { .. }
+        | Request::FaultSnapshot { .. }
+        | Request::Log { .. }
+        | Request::Image => Role::Watch,
+        Request::Stop => Role::Stop,
+        Request::Arm
+        | Request::Disarm
+        | Request::Clear
+        | Request::Set { .. }
+        | Request::SetGains { .. }
+        | Request::SetParameter { .. }
+        | Request::SetName { .. }
+        | Request::SaveParameters
+        | Request::ResetParameters
+        | Request::Restart
+        | Request::I2cTransfer { .. }
+        | Request::UartWrite { .. }
+        // Takes bytes that another client may be waiting for.
+        | Request::UartRead { .. }
+        | Request::Bind { .. }
+        | Request::Bootloader
+        | Request::Follow { .. }
+        | Request::SetTuning { .. } => Role::Command,
+    }
+}
+
+/// Who commands the board.
+#[derive(Default)]
+pub(crate) struct Command {
+    holder: Holder,
+    /// Until when an [`Request::Arm`] may be under way, by the host's clock, µs.
+    arming_until_us: u64,
+    /// When the last heartbeat left that was answered, by the host's clock, µs.
+    answered_us: u64,
+    /// When the client that commands, or commanded, was last heard, by the host's clock, µs.
+    heard_us: u64,
+    /// Those who wait for the end of [`Holder::Ending`].
+    waiting: Vec<oneshot::Sender<()>>,
+}
+
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
+enum Holder {
+    #[default]
+    Nobody,
+    Client(u64),
+    /// The client has ended its session.
+    Ending,
+    /// The client is gone without a goodbye, or silent.
+    Lost,
+}
+
+/// What is to be done now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Ends {
+    /// The broker keeps the board's heartbeat by itself: nothing can move, or nobody commands.
+    pub(crate) keeps_heartbeat: bool,
+    /// The board is to be disarmed, and then [`Command::ended`] called.
+    pub(crate) disarms: bool,
+}
+
+impl Command {
+    pub(crate) const fn is_held(&self) -> bool {
+        matches!(self.holder, Holder::Client(_))
+    }
+
+    /// Number of the client that commands.
+    pub(crate) const fn holder(&self) -> Option<u64> {
+        if let Holder::Client(number) = self.holder { Some(number) } else { None }
+    }
+
+    /// Whether `number` commands from now on.
+    pub(crate) fn claim(&mut self, number: u64) -> bool {
+        if self.holder == Holder::Nobody {
+            self.holder = Holder::Client(number);
+        }
+        self.holder == Holder::Client(number)
+    }
+
+    /// An [`Request::Arm`] leaves now.
+    pub(crate) const fn arming(&mut self, now_us: u64) {
+        self.arming_until_us = now_us + UNDER_WAY_US;
+    }
+
+    /// A heartbeat that left at `sent_us` was answered.
+    pub(crate) fn heard(&mut self, sent_us: u64) {
+        self.answered_us = self.answered_us.max(sent_us);
+    }
+
+    /// Client `number` has ended its session. If it commanded, the end of that is told to who waits for what this returns.
+    pub(crate) fn end(&mut self, number: u64) -> Option<oneshot::Receiver<()>> {
+        (self.holder() == Some(number)).then(|| {
+            self.holder = Holder::Ending;
+            let (sender, receiver) = oneshot::channel();
+            self.waiting.push(sender);
+            receiver
+        })
+    }
+
+    /// Client `number` is gone without a goodbye.
+    pub(crate) fn lose(&mut self, number: u64) {
+        if self.holder() == Some(number) {
+            self.holder = Holder::Lost;
+        }
+    }
+
+    /// The board is disarmed, and nothing of the client that commanded is left.
+    pub(crate) fn ended(&mut self) {
+        if matches!(self.holder, Holder::Ending | Holder::Lost) {
+            self.holder = Holder::Nobody;
+        }
+        for waiting in self.waiting.drain(..) {
+            // Gone by now, perhaps.
+            let _ = waiting.send(());
+        }
+    }
+
+    /// Whether outputs may move, or begin to, for all that is known of the board, which was last seen in `state`.
+    fn may_be_armed(&self, now_us: u64, state: SafetyState) -> bool {
+        state == SafetyState::Armed || now_us.min(self.answered_us) < self.arming_until_us
+    }
+
+    /// What is to be done at `now_us`. `heard_us`: when the client that commands was last heard.
+    pub(crate) fn look(&mut self, now_us: u64, timeout_us: u64, state: SafetyState, heard_us: Option<u64>) -> Ends {
+        self.heard_us = heard_us.unwrap_or(self.heard_us);
+        let is_silent = now_us.saturating_sub(self.heard_us) > SILENT_TIMEOUTS * timeout_us;
+        if matches!(self.holder, Holder::Client(_)) && is_silent {
+            self.holder = Holder::Lost;
+        }
+        let may_be_armed = self.may_be_armed(now_us, state);
+        match self.holder {
+            Holder::Nobody => Ends { keeps_heartbeat: true, disarms: false },
+            Holder::Client(_) => Ends { keeps_heartbeat: !may_be_armed, disarms: false },
+            Holder::Ending => Ends { keeps_heartbeat: !may_be_armed, disarms: true },
+            // First the board trips by itself: then it says that the link was lost.
+            Holder::Lost => Ends { keeps_heartbeat: !may_be_armed, disarms: is_silent || !may_be_armed },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TIMEOUT_US: u64 = 200_000;
+
+    fn held_since(us: u64) -> Command {
+        let mut command = Command::default();
+        assert!(command.claim(1) && !command.claim(2));
+        command.look(us, TIMEOUT_US, SafetyState::Disarmed, Some(us));
+        command
+    }
+
+    #[test]
+    fn a_board_that_may_be_armed_has_no_heartbeat_of_the_broker() {
+        let mut command = held_since(0);
+        let kept = |command: &mut Command, now_us, state| {
+            command.look(now_us, TIMEOUT_US, state, Some(now_us)).keeps_heartbeat
+        };
+        assert!(kept(&mut command, 1, SafetyState::Disarmed) && kept(&mut command, 2, SafetyState::Tripped));
+        assert!(!kept(&mut command, 3, SafetyState::Armed));
+        // Until a heartbeat that left after all that may be under way says that it is not.
+        command.arming(10);
+        assert!(!kept(&mut command, 11, SafetyState::Disarmed));
+        command.heard(UNDER_WAY_US);
+        assert!(!kept(&mut command, 2 * UNDER_WAY_US, SafetyState::Disarmed));
+        command.heard(UNDER_WAY_US + 10);
+        assert!(kept(&mut command, 2 * UNDER_WAY_US, SafetyState::Disarmed));
+    }
+
+    #[test]
+    fn who_is_lost_is_waited_for_until_the_board_has_tripped() {
+        let mut command = held_since(0);
+        command.lose(2);
+        assert!(command.is_held());
+        command.lose(1);
+        let lost = |command: &mut Command, now_us| command.look(now_us, TIMEOUT_US, SafetyState::Armed, None);
+        assert_eq!(lost(&mut command, 2 * TIMEOUT_US), Ends { keeps_heartbeat: false, disarms: false });
+        assert!(!command.claim(2));
+        assert_eq!(lost(&mut command, 2 * TIMEOUT_US + 1), Ends { keeps_heartbeat: false, disarms: true });
+        command.ended();
+        assert!(command.claim(2));
+    }
+
+    #[test]
+    fn who_is_lost_with_a_disarmed_board_is_waited_for_no_longer() {
+        let mut command = held_since(0);
+        command.lose(1);
+        let ends = command.look(1, TIMEOUT_US, SafetyState::Disarmed, None);
+        assert_eq!(ends, Ends { keeps_heartbeat: true, disarms: true });
+    }
+
+    #[test]
+    fn who_is_silent_no_longer_commands() {
+        let mut command = held_since(0);
+        let look =
+            |command: &mut Command, now_us| command.look(now_us, TIMEOUT_US, SafetyState::Armed, Some(0)).disarms;
+        assert!(!look(&mut command, 2 * TIMEOUT_US));
+        assert!(look(&mut command, 2 * TIMEOUT_US + 1) && !command.is_held());
+    }
+
+    #[test]
+    fn a_goodbye_is_answered_when_the_board_is_disarmed() {
+        let mut command = held_since(0);
+        assert!(command.end(2).is_none());
+        let mut ended = command.end(1).expect("it commanded");
+        assert!(command.look(1, TIMEOUT_US, SafetyState::Armed, None).disarms);
+        assert_eq!(ended.try_recv(), Ok(None));
+        command.ended();
+        assert_eq!(ended.try_recv(), Ok(Some(())));
+    }
+}

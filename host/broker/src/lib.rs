@@ -1,0 +1,221 @@
+//! One board for several programs: one commands it, all watch.
+//!
+//! A [`Broker`] has the only session with the board. Its clients speak the protocol of a board with it, so that every program which can talk
+//! to a board can be a client:
+//!
+//! - Each client has a session, subscriptions and a place in the firmware's log of its own. A channel is subscribed to at the board with the
+//!   greatest common divisor of the periods that clients want, and each client gets samples of its own period.
+//! - The first client that sends a command (arming, set points, parameters, external buses) commands the board until it says goodbye, is gone or
+//!   silent. Commands of others are refused with [`Refusal::InUse`], and change nothing. A stop is taken from any client.
+//! - While the board may be armed, it gets a heartbeat only when the client that commands has sent one. Where that client, its machine or
+//!   its network fails, the board trips within its link time-out as if the client were connected to it. Clients that only watch
+//!   cannot delay that.
+//! - A client that says goodbye leaves the board disarmed.
+//!
+//! Nothing here knows what the links are or whether time is real.
+
+mod client;
+mod command;
+mod log;
+mod outbox;
+mod subscriptions;
+
+use std::{
+    cell::RefCell,
+    collections::BTreeMap,
+    future::poll_fn,
+    pin::pin,
+    task::{Poll, Waker},
+};
+
+use client::Seat;
+use command::Command;
+use futures::future::{Either, join4, select};
+use r4_driver::{Board, Clock, Error, HeartbeatAnswer};
+use r4_protocol::{ChannelId, CycleState, LogChunk, Refusal, Request, Telemetry, ToHost};
+use subscriptions::Periods;
+
+pub use client::Left;
+
+/// How often within the board's link time-out the broker looks after the client that commands.
+const LOOKS_PER_TIMEOUT: f64 = 4.0;
+
+/// A board that is shared. Give [`Broker::run`] and the clients' futures to one executor, side by side.
+pub struct Broker<'b, C> {
+    board: &'b Board<C>,
+    desk: RefCell<Desk>,
+}
+
+/// What the clients have in common.
+#[derive(Default)]
+struct Desk {
+    seats: BTreeMap<u64, Seat>,
+    next_client: u64,
+    next_session: u16,
+    command: Command,
+    /// What the board is subscribed to.
+    periods: Periods,
+    /// What is watched by who has the broker, beside the clients.
+    watched: Periods,
+    /// Of [`Broker::supervise`].
+    waker: Option<Waker>,
+}
+
+impl<'b, C: Clock> Broker<'b, C> {
+    /// Shares `board`, of which nobody else may be using the session.
+    #[must_use]
+    pub fn new(board: &'b Board<C>) -> Self {
+        Self { board, desk: RefCell::default() }
+    }
+
+    /// Subscribes to a channel beside the clients, for who listens to the board's own session: samples of it come at least every `period_ms`.
+    ///
+    /// # Errors
+    /// As [`Board::subscribe`].
+    pub async fn watch(&self, channel: ChannelId, period_ms: u16) -> Result<(), Error> {
+        self.desk.borrow_mut().watched.insert(channel, period_ms);
+        match self.common_period(channel) {
+            Some(period_ms) => self.board.subscribe(channel, period_ms).await,
+            None => Ok(()),
+        }
+    }
+
+    /// Passes on what the board says, and looks after the client that commands. Ends with the board's link, and says why.
+    pub async fn run(&self) -> Error {
+        let (mut telemetry, mut cycles) = (self.board.telemetry(), self.board.cycle_answers());
+        let (mut log, mut heartbeats) = (self.board.log_chunks(), self.board.heartbeat_answers());
+        let passing_on = join4(
+            async {
+                while let Ok(frame) = telemetry.next().await {
+                    self.telemetry(&frame)
+                }
+            },
+            async {
+                while let Ok(answer) = cycles.next().await {
+                    self.cycle(answer)
+                }
+            },
+            async {
+                while let Ok(chunk) = log.next().await {
+                    self.log(&chunk)
+                }
+            },
+            async {
+                loop {
+                    match heartbeats.next().await {
+                        Ok(answer) => self.heartbeat(&answer),
+                        Err(error) => return error,
+                    }
+                }
+            },
+        );
+        match select(pin!(passing_on), pin!(self.supervise())).await {
+            Either::Left(((.., error), _)) | Either::Right((error, _)) => error,
+        }
+    }
+
+    /// Number of clients that have a session, and whether one of them commands.
+    #[must_use]
+    pub fn clients(&self) -> (usize, bool) {
+        let desk = self.desk.borrow();
+        (desk.seats.values().filter(|seat| seat.session.is_some()).count(), desk.command.is_held())
+    }
+
+    fn telemetry(&self, frame: &Telemetry) {
+        let Desk { seats, periods, .. } = &mut *self.desk.borrow_mut();
+        for seat in seats.values_mut() {
+            if let Some(frame) = seat.subscriptions.due(frame, periods) {
+                seat.outbox.push_if_room(&ToHost::Telemetry(frame));
+            }
+        }
+    }
+
+    fn log(&self, chunk: &LogChunk) {
+        for seat in self.desk.borrow_mut().seats.values_mut() {
+            if let Some(chunk) = seat.log.as_mut().and_then(|reader| reader.unread(chunk)) {
+                seat.outbox.push_if_room(&ToHost::Log(chunk));
+            }
+        }
+    }
+
+    fn cycle(&self, answer: CycleState) {
+        let desk = &mut *self.desk.borrow_mut();
+        if let Some(seat) = desk.command.holder().and_then(|number| desk.seats.get_mut(&number)) {
+            seat.outbox.push(&ToHost::Cycle(answer));
+        }
+    }
+
+    /// Answers the heartbeat of the client that commands, for which this one was sent.
+    fn heartbeat(&self, answer: &HeartbeatAnswer) {
+        let desk = &mut *self.desk.borrow_mut();
+        desk.command.heard(answer.host_us);
+        let Some(seat) = desk.command.holder().and_then(|number| desk.seats.get_mut(&number)) else { return };
+        let Some((relayed_us, host_us)) = seat.relayed else { return };
+        if relayed_us == answer.host_us {
+            seat.relayed = None;
+            let HeartbeatAnswer { device_us, state, causes, ref hot, .. } = *answer;
+            let hot = hot.iter().copied().collect();
+            seat.outbox.push(&ToHost::Heartbeat { host_us, device_us, state, causes, hot });
+        }
+    }
+
+    /// Looks after the client that commands: keeps heartbeats where nothing can move, and disarms the board where the client is gone.
+    async fn supervise(&self) -> Error {
+        let timeout_us = u64::from(self.board.info().link_timeout_ms) * 1000;
+        loop {
+            let now_us = self.board.host_now_us();
+            let (state, _) = self.board.safety();
+            let ends = {
+                let desk = &mut *self.desk.borrow_mut();
+                let heard_us =
+                    desk.command.holder().and_then(|number| desk.seats.get(&number)).map(|seat| seat.heard_us);
+                desk.command.look(now_us, timeout_us, state, heard_us)
+            };
+            self.board.keep_heartbeat(ends.keeps_heartbeat);
+            if ends.disarms {
+                match self.ended().await {
+                    Ok(()) => {
+                        self.desk.borrow_mut().command.ended();
+                        continue;
+                    }
+                    // It goes on without heartbeats, and is asked again.
+                    Err(Error::TimedOut { .. } | Error::Refused(_)) => {}
+                    Err(error) => return error,
+                }
+            }
+            let look = self.board.sleep_s(timeout_us as f64 * 1e-6 / LOOKS_PER_TIMEOUT);
+            select(pin!(self.woken()), pin!(look)).await;
+        }
+    }
+
+    /// Takes back what a client that commanded has left at the board.
+    async fn ended(&self) -> Result<(), Error> {
+        self.board.disarm().await?;
+        let nothing = Request::Bind { channels: heapless::Vec::new(), ttl_ms: 0 };
+        match self.board.pass_on(nothing).await {
+            // A board that takes no empty binding has none.
+            Ok(_) | Err(Error::Refused(_)) => Ok(()),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Ready when something has changed that [`Broker::supervise`] looks at.
+    async fn woken(&self) {
+        let mut first = true;
+        poll_fn(|context| {
+            self.desk.borrow_mut().waker = Some(context.waker().clone());
+            if std::mem::take(&mut first) { Poll::Pending } else { Poll::Ready(()) }
+        })
+        .await;
+    }
+
+    fn wake(&self) {
+        let waker = self.desk.borrow_mut().waker.take();
+        if let Some(waker) = waker {
+            waker.wake();
+        }
+    }
+}
+
+/// What a client is told that may not command now.
+const OTHER_COMMANDS: Refusal = Refusal::InUse;

@@ -1,0 +1,151 @@
+//! `cargo xtask release`: the program as it is given to others, with manual pages, completions, udev rules and licences, in one archive.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, ExitCode},
+};
+
+use crate::{
+    firmware::target_folder,
+    toolchain::{self, call},
+};
+
+/// What is linked in beside the program's own: debug probes, the emulated processor, live views. Gamepads need a library of the system.
+const FEATURES: &str = "dfu,emu,live,parquet,probe";
+/// Shells whose completions are in the archive, and how their files are called.
+const SHELLS: [(&str, &str); 4] = [("bash", "r4.bash"), ("zsh", "_r4"), ("fish", "r4.fish"), ("powershell", "r4.ps1")];
+/// What is put beside the program as it is.
+const FILES: [&str; 4] = ["README.md", "LICENSE-MIT", "LICENSE-APACHE", "host/udev/70-r4.rules"];
+
+/// What goes into the archive.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Release {
+    /// A program that is there already, in place of one that is built for others.
+    program: Option<PathBuf>,
+}
+
+impl Release {
+    /// Reads the words after `release`.
+    pub(crate) fn parse(words: &[&str]) -> Result<Self, String> {
+        match words {
+            [] => Ok(Self::default()),
+            ["--program", program] => Ok(Self { program: Some(program.into()) }),
+            ["--program"] => Err("`--program` needs a file".into()),
+            [extra, ..] => Err(format!("`release` takes no `{extra}`")),
+        }
+    }
+
+    /// The task.
+    pub(crate) fn run(&self, root: &Path) -> ExitCode {
+        match self.make(root) {
+            Ok(archive) => {
+                println!("{}", archive.display());
+                ExitCode::SUCCESS
+            }
+            Err(problem) => {
+                eprintln!("error: {problem}");
+                ExitCode::FAILURE
+            }
+        }
+    }
+
+    /// With the program that the tests have built.
+    pub(crate) fn of_tests(root: &Path) -> Result<Self, String> {
+        Ok(Self { program: Some(built(&target_folder(root)?, "debug")) })
+    }
+
+    /// Packs the program, for the system that this runs on. Returns the archive.
+    pub(crate) fn make(&self, root: &Path) -> Result<PathBuf, String> {
+        let target = target_folder(root)?;
+        let program = match &self.program {
+            Some(program) => program.clone(),
+            None => {
+                let mut build = Command::new(toolchain::cargo());
+                build.args(["build", "--locked", "--package", "r4", "--profile", "dist", "--features", FEATURES]);
+                call(build.current_dir(root))?;
+                built(&target, "dist")
+            }
+        };
+        let name = format!("r4-{}-{}", env!("CARGO_PKG_VERSION"), host()?);
+        let releases = target.join("release-archives");
+        let folder = releases.join(&name);
+        // An older one's files would be taken for this one's.
+        let _ = fs::remove_dir_all(&folder);
+        fill(root, &program, &folder)?;
+        let archive = releases.join(format!("{name}.tar.gz"));
+        call(Command::new("tar").arg("-czf").arg(&archive).arg("-C").arg(&releases).arg(&name))?;
+        Ok(archive)
+    }
+}
+
+/// Where cargo leaves the program.
+fn built(target: &Path, profile: &str) -> PathBuf {
+    target.join(profile).join(format!("r4{}", std::env::consts::EXE_SUFFIX))
+}
+
+/// Puts everything into a folder; what the program writes itself is written by it.
+fn fill(root: &Path, program: &Path, folder: &Path) -> Result<(), String> {
+    let failed = |path: &Path| {
+        let path = path.display().to_string();
+        move |error: std::io::Error| format!("{path}: {error}")
+    };
+    let (manual, completions) = (folder.join("man/man1"), folder.join("completions"));
+    for folder in [&manual, &completions] {
+        fs::create_dir_all(folder).map_err(failed(folder))?;
+    }
+    for file in FILES.map(|file| root.join(file)).iter().chain([&program.to_owned()]) {
+        let to = folder.join(file.file_name().unwrap_or_default());
+        fs::copy(file, to).map_err(failed(file))?;
+    }
+    call(Command::new(program).args(["man", "--out"]).arg(&manual).stdout(std::process::Stdio::null()))?;
+    for (shell, file) in SHELLS {
+        let script = Command::new(program).args(["completions", shell]).output().map_err(failed(program))?;
+        if !script.status.success() {
+            return Err(format!("`r4 completions {shell}` ended with {}", script.status));
+        }
+        fs::write(completions.join(file), script.stdout).map_err(failed(&completions))?;
+    }
+    Ok(())
+}
+
+/// The system that this runs on, as the compiler calls it.
+fn host() -> Result<String, String> {
+    let version =
+        Command::new("rustc").arg("-vV").output().map_err(|error| format!("rustc cannot be started: {error}"))?;
+    let said = String::from_utf8_lossy(&version.stdout).into_owned();
+    let host = said.lines().find_map(|line| line.strip_prefix("host: "));
+    host.map(Into::into).ok_or_else(|| format!("rustc does not say for what it compiles: {said}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn command_lines_are_understood() {
+        assert_eq!(Release::parse(&[]), Ok(Release { program: None }));
+        assert_eq!(Release::parse(&["--program", "a/r4"]), Ok(Release { program: Some("a/r4".into()) }));
+        assert!(Release::parse(&["--program"]).is_err_and(|problem| problem.contains("needs a file")));
+        assert!(Release::parse(&["--fast"]).is_err_and(|problem| problem.contains("--fast")));
+    }
+
+    /// What the workflow for releases has machines type, and what it takes up.
+    #[test]
+    fn the_workflow_types_what_is_understood() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let workflow = fs::read_to_string(root.join(".github/workflows/release.yml")).expect("it is there");
+        let tasks: Vec<Vec<String>> = workflow
+            .lines()
+            .filter_map(|line| line.split_once("cargo xtask "))
+            .map(|(_, words)| words.split_whitespace().map(String::from).collect())
+            .collect();
+        assert!(tasks.len() >= 2, "{tasks:?}");
+        for words in tasks {
+            crate::parse(&words).unwrap_or_else(|problem| panic!("{words:?}: {problem}"));
+        }
+        assert!(
+            workflow.contains("target/release-archives/*.tar.gz") && workflow.contains("target/python/wheels/*.whl")
+        );
+    }
+}
