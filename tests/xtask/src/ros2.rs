@@ -8,7 +8,8 @@ use std::{
 };
 
 use crate::{
-    firmware, toolchain,
+    firmware,
+    toolchain::{self, call},
     venv::Venv,
 };
 
