@@ -257,12 +257,15 @@ mod tests {
         }
     }
 
+    /// One of the numbers of a twist.
+    type Number = fn(&mut Twist) -> &mut f64;
+
     #[test]
     fn a_twist_is_refused_for_each_number_that_is_none() {
         let whole = Twist { linear: Vector3 { x: 0.3, y: 0.0, z: 0.0 }, angular: Vector3 { x: 0.0, y: 0.0, z: -0.7 } };
         assert_eq!(velocity(&whole), Ok(Velocity { forward_m_s: 0.3, yaw_rad_s: -0.7 }));
         for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            let spoiled: [(&str, fn(&mut Twist) -> &mut f64); 6] = [
+            let spoiled: [(&str, Number); 6] = [
                 ("linear.x", |twist| &mut twist.linear.x),
                 ("linear.y", |twist| &mut twist.linear.y),
                 ("linear.z", |twist| &mut twist.linear.z),
