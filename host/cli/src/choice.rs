@@ -76,6 +76,7 @@ fn opens_a_session(command: &Command) -> bool {
         | Command::I2c(_)
         | Command::Uart(_)
         | Command::Bridge { .. }
+        | Command::Ros2(_)
         | Command::Log(crate::commands::log::Log::Record(_)) => true,
         Command::Serve(share) => share.board.is_none(),
         Command::Identify(identify) => identify.is_on_a_board(),

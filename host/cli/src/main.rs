@@ -58,7 +58,11 @@ fn main() -> ExitCode {
             if session::was_interrupted(&error)
                 && matches!(
                     command,
-                    Command::Watch(_) | Command::Monitor(_) | Command::Serve(_) | Command::Sim { .. }
+                    Command::Watch(_)
+                        | Command::Monitor(_)
+                        | Command::Ros2(_)
+                        | Command::Serve(_)
+                        | Command::Sim { .. }
                 ) =>
         {
             ExitCode::SUCCESS
@@ -115,6 +119,7 @@ fn run(args: &Args, command: &Command) -> anyhow::Result<bool> {
         Command::Scenario(scenario) => commands::scenario::run(args, scenario),
         Command::Debug(debug) => commands::debug::run(args, debug),
         Command::Bridge { what } => commands::bridge::run(args, what),
+        Command::Ros2(ros2) => commands::ros2::run(args, ros2),
         Command::Log(log) => commands::log::run(args, log),
         Command::Report(report) => commands::report::run(args, report),
         Command::Identify(identify) => commands::identify::run(args, identify),

@@ -114,6 +114,8 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: Bridge,
     },
+    /// Be the board's node in ROS 2, until Ctrl-C
+    Ros2(commands::ros2::Ros2),
     /// Record runs, look at them, and play them again on a simulated board
     #[command(subcommand)]
     Log(commands::log::Log),

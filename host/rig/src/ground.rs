@@ -19,6 +19,13 @@ impl Velocity {
     pub fn times(self, factor: f64) -> Self {
         Self { forward_m_s: self.forward_m_s * factor, yaw_rad_s: self.yaw_rad_s * factor }
     }
+
+    /// Velocity of a robot whose left and right wheels turn at these speeds, rad/s, without slip along them.
+    #[must_use]
+    pub fn of_sides(robot: &SkidSteer, [left_rad_s, right_rad_s]: [f64; 2]) -> Self {
+        let [left_m_s, right_m_s] = [left_rad_s, right_rad_s].map(|speed| speed * robot.wheel_radius_m);
+        Self { forward_m_s: (left_m_s + right_m_s) / 2.0, yaw_rad_s: (right_m_s - left_m_s) / robot.track_m }
+    }
 }
 
 /// A robot that drives over the ground.
@@ -56,16 +63,31 @@ impl GroundDrive {
 /// Mean positions of the left and the right wheels in a telemetry frame, rad; `None` unless it has all of them.
 #[must_use]
 pub fn sides_rad<C: Clock>(board: &Board<C>, drive: &SkidSteer, samples: &[Sample]) -> Option<[f64; 2]> {
-    let mean = |side: &[ChannelId]| {
-        let mut sum_rad = 0.0;
-        for wheel in side {
-            let counts = samples.iter().find_map(|sample| match *sample {
-                Sample::Motor { channel, position, .. } if channel == *wheel => Some(position),
-                _ => None,
-            })?;
-            sum_rad += f64::from(counts) * f64::from(board.channel(*wheel).ok()?.resolution);
+    of_sides(drive, samples, |sample| match *sample {
+        Sample::Motor { channel, position, .. } => {
+            Some(f64::from(position) * f64::from(board.channel(channel).ok()?.resolution))
         }
-        Some(sum_rad / side.len() as f64)
+        _ => None,
+    })
+}
+
+/// Mean speeds of the left and the right wheels in a telemetry frame, rad/s; `None` unless it has all of them.
+#[must_use]
+pub fn sides_rad_s(drive: &SkidSteer, samples: &[Sample]) -> Option<[f64; 2]> {
+    of_sides(drive, samples, |sample| match *sample {
+        Sample::Motor { speed, .. } => Some(f64::from(speed)),
+        _ => None,
+    })
+}
+
+/// Means over the wheels of each side of a number in their samples.
+fn of_sides(drive: &SkidSteer, samples: &[Sample], number: impl Fn(&Sample) -> Option<f64>) -> Option<[f64; 2]> {
+    let mean = |side: &[ChannelId]| {
+        let numbers = side.iter().map(|wheel| {
+            let is_motor = |sample: &&Sample| sample.channel() == *wheel && matches!(sample, Sample::Motor { .. });
+            number(samples.iter().find(is_motor)?)
+        });
+        Some(numbers.sum::<Option<f64>>()? / side.len() as f64)
     };
     Some([mean(&drive.left)?, mean(&drive.right)?])
 }
@@ -122,6 +144,18 @@ mod tests {
         let channels: Vec<_> =
             openscout.setpoints(Velocity::default()).iter().map(|(channel, _)| channel.to_string()).collect();
         assert_eq!(channels, ["dhb0", "dhb2", "dhb1", "dhb3"]);
+    }
+
+    #[test]
+    fn speeds_of_wheels_are_the_velocity_that_they_were_made_of() {
+        let openscout = robot("openscout");
+        let Drive::SkidSteer(drive) = openscout.drive() else { panic!() };
+        for (forward_m_s, yaw_rad_s) in [(0.3, 0.0), (0.0, 1.2), (-0.2, -0.4)] {
+            let [left, _, right, _] = values(&openscout, forward_m_s, yaw_rad_s)[..] else { panic!("four wheels") };
+            let back = Velocity::of_sides(drive, [left, right].map(f64::from));
+            // f32 on wheels of 10 rad/s: 1e-6 rad/s times 0.056 m over 0.175 m.
+            assert!((back.forward_m_s - forward_m_s).abs() < 1e-6 && (back.yaw_rad_s - yaw_rad_s).abs() < 1e-6);
+        }
     }
 
     #[test]

@@ -56,7 +56,7 @@ pub use clock::HostClock;
 pub use error::Error;
 pub use flash_file::{FlashFile, FlashFileError};
 pub use fleet::Fleet;
-pub use ground::{GroundDrive, Velocity, sides_rad};
+pub use ground::{GroundDrive, Velocity, sides_rad, sides_rad_s};
 pub use inertial::{InertialReading, inertial_reading, inertial_sensor};
 pub use interrupt::{Interrupt, Interrupted};
 pub use motion::{Driven, HeldOutput, NotReached, Unsuitable};

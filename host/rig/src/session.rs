@@ -11,8 +11,8 @@ use r4_protocol::{
 use r4_sim::VirtualBoard;
 
 use crate::{
-    Error, HostClock, NotVirtual, Notice, Place, Target, cable::CableState, heat::Warned, recording::SharedTap,
-    rig::Notify,
+    Error, GroundDrive, HostClock, NotVirtual, Notice, Place, Target, cable::CableState, heat::Warned,
+    recording::SharedTap, rig::Notify,
 };
 
 /// How often hot windings are looked for, s: heartbeats report them.
@@ -66,6 +66,17 @@ impl Session<'_> {
     #[must_use]
     pub fn target(&self) -> &Target {
         self.target
+    }
+
+    /// How the robot drives over the ground, if its file is known: a board does not describe that. At the end of a link it is known for
+    /// the name of a built-in robot.
+    #[must_use]
+    pub fn ground_drive(&self) -> Option<GroundDrive> {
+        let name = match self.target {
+            Target::Sim(name) | Target::Emu(name) => name,
+            Target::Link(_) => r4_boards::names().find(|name| *name == self.board.info().robot.as_str())?,
+        };
+        r4_boards::load(name).ok()?.drive.map(GroundDrive::new)
     }
 
     /// True position of a motor's output, rad or m: of a virtual board only.

@@ -5,6 +5,8 @@
 //! | `probe` | builds the program that checks an emulated Cortex-M7 |
 //! | `test` | the steps of `cargo xtask test`, in their order |
 //! | `python` | `cargo xtask python`: the Python package as a wheel, installed and tested |
+//! | `ros2` | `cargo xtask ros2`: the ROS 2 node beside stock rclpy |
+//! | `venv` | Python environments with what is pinned |
 //! | `firmware` | `cargo xtask firmware`: the image for the Giga |
 //! | `flash` | `cargo xtask flash`: the image written into the board |
 //! | `size` | `cargo xtask size`: what that image takes, and whether it may |
@@ -32,10 +34,12 @@ mod programs;
 mod protocol;
 mod python;
 mod release;
+mod ros2;
 mod size;
 mod summary;
 mod test;
 mod toolchain;
+mod venv;
 mod weight;
 mod wire;
 
@@ -48,6 +52,7 @@ use flash::Flash;
 use mutants::Mutants;
 use python::Python;
 use release::Release;
+use ros2::Ros2;
 use size::Size;
 use test::Extent;
 use weight::Weight;
@@ -61,6 +66,9 @@ usage: cargo xtask <task>
   test --quick  for daily work: without the emulated processor, the corpus of bad input and the documentation
   python        the Python package (host/python): a wheel, installed into an environment of its own and tested there; [--wheel] only
                 the wheel, [--dist] as it is given to others, [--bench] with steps of environments per second
+  ros2          the program with its feature ros2 beside stock rclpy of Jazzy and Kilted, each in an environment of its own; skipped
+                where their wheels cannot be had, an error instead with R4_ROS2_REQUIRED=1: [--only jazzy|kilted],
+                [--program FILE] one that is built already
   firmware      the image for the Arduino Giga, into target/firmware:
                 [--robot NAME|FILE.toml] (default osmc-bench), [--image bare|hosted] (default bare)
   flash         the same, built and written into the board: by probe-rs over a debug probe [--probe VID:PID[:SERIAL]],
@@ -92,6 +100,7 @@ enum Task {
     Probe,
     Test(Extent),
     Python(Python),
+    Ros2(Ros2),
     Firmware(Firmware),
     Flash(Flash),
     Size(Size),
@@ -118,6 +127,7 @@ fn main() -> ExitCode {
         Ok(Task::Probe) => probe::run(&root()),
         Ok(Task::Test(extent)) => test::run(&root(), extent),
         Ok(Task::Python(python)) => python.run(&root()),
+        Ok(Task::Ros2(ros2)) => ros2.run(&root()),
         Ok(Task::Firmware(firmware)) => firmware.run(&root()),
         Ok(Task::Flash(flash)) => flash.run(&root()),
         Ok(Task::Size(size)) => size.run(&root()),
@@ -150,12 +160,13 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
     match words[..] {
         ["help" | "--help" | "-h"]
         | [
-            "test" | "python" | "firmware" | "flash" | "size" | "weight" | "mutants" | "protocol" | "release",
+            "test" | "python" | "ros2" | "firmware" | "flash" | "size" | "weight" | "mutants" | "protocol" | "release",
             "--help" | "-h",
         ] => Ok(Task::Help),
         ["test"] => Ok(Task::Test(Extent::Full)),
         ["test", "--quick"] => Ok(Task::Test(Extent::Quick)),
         ["python", ref words @ ..] => Python::parse(words).map(Task::Python),
+        ["ros2", ref words @ ..] => Ros2::parse(words).map(Task::Ros2),
         ["firmware", ref words @ ..] => Firmware::parse(words).map(Task::Firmware),
         ["flash", ref words @ ..] => Flash::parse(words).map(Task::Flash),
         ["size", "--protocol"] => Ok(Task::Protocol { json: false }),

@@ -1,15 +1,16 @@
 //! `cargo xtask python`: the Python package, built as a wheel, installed into an environment of its own, and tested there.
 
 use std::{
-    env, fs,
+    fs,
     path::{Path, PathBuf},
-    process::{Command, ExitCode},
+    process::ExitCode,
     time::Instant,
 };
 
 use crate::{
     firmware,
     toolchain::{self, call},
+    venv::Venv,
 };
 
 /// The package, in the repository.
@@ -57,7 +58,7 @@ impl Python {
     /// Builds, installs and tests.
     pub(crate) fn test(&self, root: &Path) -> Result<(), String> {
         let folder = firmware::target_folder(root)?.join("python");
-        let tools = tools(root, &folder)?;
+        let tools = Venv::with(root, &folder, PINNED)?;
         let wheel = self.wheel(root, &folder, &tools)?;
         println!("{}", wheel.display());
         if self.only_wheel {
@@ -89,7 +90,7 @@ impl Python {
     }
 
     /// Builds the wheel; its path. With the profile of the tests it shares what they have compiled.
-    fn wheel(&self, root: &Path, folder: &Path, tools: &Tools) -> Result<PathBuf, String> {
+    fn wheel(&self, root: &Path, folder: &Path, tools: &Venv) -> Result<PathBuf, String> {
         let wheels = folder.join("wheels");
         // An older version's would be taken for this one's.
         let _ = fs::remove_dir_all(&wheels);
@@ -106,46 +107,6 @@ impl Python {
             _ => Err(format!("maturin has left no wheel in {}", wheels.display())),
         }
     }
-}
-
-/// A Python environment.
-struct Tools(PathBuf);
-
-impl Tools {
-    fn interpreter(&self) -> PathBuf {
-        self.0.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" })
-    }
-
-    /// Its interpreter, with its programs in front of others'.
-    fn python(&self) -> Command {
-        let mut python = Command::new(self.interpreter());
-        let programs = self.interpreter().parent().map(Path::to_owned).unwrap_or_default();
-        let others = env::var_os("PATH").unwrap_or_default();
-        if let Ok(path) = env::join_paths([programs].into_iter().chain(env::split_paths(&others))) {
-            python.env("PATH", path);
-        }
-        // What is in the environment only, and no files beside the sources.
-        python.env_remove("PYTHONPATH").env("PYTHONDONTWRITEBYTECODE", "1").env("PIP_DISABLE_PIP_VERSION_CHECK", "1");
-        python
-    }
-}
-
-/// The environment with what is pinned; made unless there is one with just that.
-fn tools(root: &Path, folder: &Path) -> Result<Tools, String> {
-    let pinned = fs::read_to_string(root.join(PINNED)).map_err(|error| format!("cannot read {PINNED}: {error}"))?;
-    let tools = Tools(folder.join("environment"));
-    let installed = folder.join("installed.txt");
-    if fs::read_to_string(&installed).is_ok_and(|installed| installed == pinned) && tools.interpreter().exists() {
-        return Ok(tools);
-    }
-    fs::create_dir_all(folder).map_err(|error| format!("cannot make {}: {error}", folder.display()))?;
-    let python = env::var_os("PYTHON").unwrap_or_else(|| "python3".into());
-    call(Command::new(python).args(["-m", "venv", "--clear"]).arg(&tools.0)).map_err(|problem| {
-        format!("{problem}\nPython 3.10 or later with its module venv is needed; PYTHON names another")
-    })?;
-    call(tools.python().args(["-m", "pip", "install", "--quiet", "--requirement"]).arg(root.join(PINNED)))?;
-    fs::write(&installed, pinned).map_err(|error| format!("cannot write {}: {error}", installed.display()))?;
-    Ok(tools)
 }
 
 #[cfg(test)]

@@ -24,6 +24,7 @@ pub(crate) mod raw;
 pub(crate) mod relay;
 pub(crate) mod report;
 pub(crate) mod reveal;
+pub(crate) mod ros2;
 pub(crate) mod scenario;
 pub(crate) mod serve;
 pub(crate) mod share;

@@ -21,7 +21,7 @@ use r4_sim::Pace;
 use crate::{
     args::Args,
     screen::{self, Commands, Screen},
-    session::{self, Session, Target},
+    session::{self, Session},
 };
 use r4_rig::quantity::{Quantity, speed_unit};
 
@@ -93,7 +93,7 @@ pub(crate) fn run(args: &Args, drive: &Drive) -> anyhow::Result<bool> {
     screen::check(args, "r4 drive", "`r4 speed` and `r4 duty` turn a motor without one")?;
     let mut gamepad = if drive.gamepad { Some(Gamepad::open()?) } else { None };
     session::run(args, Pace::RealTime(1.0), async |session| {
-        let pair = Pair::find(args, drive, session)?;
+        let pair = Pair::find(drive, session)?;
         let state = RefCell::new(pair.state(args, session));
         let mut screen = Screen::open()?;
         let heard_s = RefCell::new(session.board.now_s());
@@ -129,8 +129,8 @@ pub(crate) fn run(args: &Args, drive: &Drive) -> anyhow::Result<bool> {
 }
 
 impl Pair {
-    fn find(args: &Args, drive: &Drive, session: &Session<'_>) -> anyhow::Result<Self> {
-        let geometry = geometry(args, session);
+    fn find(drive: &Drive, session: &Session<'_>) -> anyhow::Result<Self> {
+        let geometry = session.ground_drive().map(|drive| drive.drive().clone());
         let mut pair = match (&geometry, drive.left.is_empty()) {
             (_, false) => Self::of(drive.left.clone(), drive.right.clone()),
             (Some(Geometry::SkidSteer(robot)), true) => Self {
@@ -276,16 +276,6 @@ impl Pair {
             message: String::new(),
         }
     }
-}
-
-/// How the robot moves over the ground, if anybody knows: a board does not tell.
-fn geometry(args: &Args, session: &Session<'_>) -> Option<Geometry> {
-    let robot = &session.board.info().robot;
-    let name = match &args.board {
-        Target::Sim(name) | Target::Emu(name) => name,
-        Target::Link(_) => r4_boards::names().find(|name| *name == robot.as_str())?,
-    };
-    r4_boards::load(name).ok()?.drive
 }
 
 impl State {

@@ -1,0 +1,61 @@
+//! `r4 ros2`
+
+use crate::args::Args;
+
+/// Commands come on `cmd_vel` (`geometry_msgs/TwistStamped`), `cmd_vel_unstamped` (`Twist`) and `joint_commands` (`JointState`);
+/// `odom`, `/tf`, `joint_states`, sensors, `/diagnostics` and `~/state` are published. Nothing moves before the service `~/arm` is
+/// called; `true` on `estop` (`std_msgs/Bool`) or the service `~/estop` trips, `~/clear` leaves a trip behind. Motors stop when no
+/// command came for the board's link time-out. ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and
+/// RMW_IMPLEMENTATION are those of ROS. No ROS installation is needed. `docs/ros2.md` has the topics, frames and units.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Ros2 {
+    /// Namespace of the node, its topics and its services, as in robot1
+    #[arg(long, value_name = "NAMESPACE", default_value = "", hide_default_value = true)]
+    pub(crate) namespace: String,
+    /// Leave the transform from odom to base_link to another node, as a filter is one
+    #[arg(long)]
+    pub(crate) no_tf: bool,
+}
+
+#[cfg(not(feature = "ros2"))]
+pub(crate) fn run(_: &Args, _: &Ros2) -> anyhow::Result<bool> {
+    anyhow::bail!("this r4 was built without ROS 2: build it with `cargo build --release -p r4 --features ros2`")
+}
+
+#[cfg(feature = "ros2")]
+pub(crate) fn run(args: &Args, ros2: &Ros2) -> anyhow::Result<bool> {
+    use r4_ros2::{
+        Discovery, Door, Namespace, RosClock, Stamp,
+        dds::{Node, NodeError},
+    };
+    use r4_sim::Pace;
+
+    use crate::session;
+
+    if args.pace == Some(Pace::Free) {
+        anyhow::bail!(
+            "--pace max: other nodes live by the clock, and commands grow old by it; leave it out, or give a factor"
+        );
+    }
+    let namespace: Namespace = ros2.namespace.parse()?;
+    let discovery = Discovery::from_environment()?;
+    let served = session::run(args, Pace::RealTime(1.0), async |session| {
+        let clock = if session.target().is_virtual() {
+            RosClock::Simulated { start: Stamp::of_machine() }
+        } else {
+            RosClock::Machine
+        };
+        let serve = async {
+            let node = Node::open(session, discovery, &namespace)?;
+            let (name, board) = (namespace.resolve("~/"), args.board.described());
+            println!("node {} for {board}; {discovery}", name.trim_end_matches('/'));
+            node.serve(session, Door { clock, has_transform: !ros2.no_tf }).await
+        };
+        serve.await.map_err(|error| match error {
+            // By which the exit code is found.
+            NodeError::Board(error) => anyhow::Error::from(error),
+            error => anyhow::Error::from(error),
+        })
+    });
+    served.map(|_| true)
+}

@@ -1,0 +1,129 @@
+//! Topics and services by which the node is commanded, on a thread of their own.
+
+use std::pin::pin;
+
+use futures::{
+    FutureExt, StreamExt,
+    channel::{mpsc::UnboundedSender, oneshot},
+    future::{join, join_all, select},
+};
+use ros2_client::{Message, Node as RosNode, QosProfile, Server, ServiceTypeName, Subscription};
+use serde::de::DeserializeOwned;
+
+use super::{NodeError, best_effort, latched, mapping, name, steady, type_name};
+use crate::{
+    Order, Request, Stamp,
+    environment::Services,
+    message::{Bool, JointState, TriggerRequest, TriggerResponse, Twist, TwistStamped},
+    names::Namespace,
+};
+
+impl Message for TriggerRequest {}
+impl Message for TriggerResponse {}
+
+/// The services, and what they do.
+const SERVICES: [(&str, Request); 4] =
+    [("~/arm", Request::Arm), ("~/disarm", Request::Disarm), ("~/clear", Request::Clear), ("~/estop", Request::Stop)];
+
+pub(super) struct Inputs {
+    stamped: Subscription<TwistStamped>,
+    unstamped: Subscription<Twist>,
+    joints: Subscription<JointState>,
+    /// Of publishers that latch, and of others: a reader that asks for the last value is not matched with a publisher without one.
+    estop: [Subscription<Bool>; 2],
+    services: Vec<(Request, Server<TriggerRequest, TriggerResponse>)>,
+}
+
+impl Inputs {
+    pub(super) fn new(node: &mut RosNode, namespace: &Namespace, services: Services) -> Result<Self, NodeError> {
+        let stamped = topic(node, namespace, "cmd_vel", "geometry_msgs/TwistStamped", steady())?;
+        let unstamped = topic(node, namespace, "cmd_vel_unstamped", "geometry_msgs/Twist", steady())?;
+        let joints = topic(node, namespace, "joint_commands", "sensor_msgs/JointState", steady())?;
+        let estop = [latched(), best_effort()].map(|qos| topic(node, namespace, "estop", "std_msgs/Bool", qos));
+        let [of_latching, of_others] = estop;
+        let services = SERVICES.map(|(service, request)| {
+            let absolute = namespace.resolve(service);
+            let kind = ServiceTypeName::new("std_srvs", "Trigger");
+            let made = node.create_server(mapping(services), &name(&absolute)?, &kind, steady(), steady());
+            Ok((request, made.map_err(|source| NodeError::Create { name: absolute, source })?))
+        });
+        let services = services.into_iter().collect::<Result<_, NodeError>>()?;
+        Ok(Self { stamped, unstamped, joints, estop: [of_latching?, of_others?], services })
+    }
+
+    /// Hands over what comes, until `ended` is.
+    pub(super) async fn run(self, orders: &UnboundedSender<Order>, ended: oneshot::Receiver<()>) {
+        let Self { stamped, unstamped, joints, estop: [of_latching, of_others], services } = &self;
+        let topics = vec![
+            hand_over(stamped, orders, "cmd_vel", |TwistStamped { header, twist }| Order::Velocity {
+                stamp: Stamp::from_time(header.stamp),
+                twist,
+            })
+            .boxed_local(),
+            // Without a stamp it counts as of now.
+            hand_over(unstamped, orders, "cmd_vel_unstamped", |twist| Order::Velocity {
+                stamp: Some(Stamp::default()),
+                twist,
+            })
+            .boxed_local(),
+            hand_over(joints, orders, "joint_commands", |joints| Order::Joints {
+                stamp: Stamp::from_time(joints.header.stamp),
+                joints,
+            })
+            .boxed_local(),
+            hand_over(of_latching, orders, "estop", |Bool { data }| Order::Estop(data)).boxed_local(),
+            hand_over(of_others, orders, "estop", |Bool { data }| Order::Estop(data)).boxed_local(),
+        ];
+        let services = services.iter().map(|(request, server)| answer(*request, server, orders));
+        select(pin!(join(join_all(topics), join_all(services))), ended).await;
+    }
+}
+
+fn topic<M: 'static>(
+    node: &mut RosNode,
+    namespace: &Namespace,
+    topic: &str,
+    of: &str,
+    qos: QosProfile,
+) -> Result<Subscription<M>, NodeError> {
+    let absolute = namespace.resolve(topic);
+    let topic = name(&absolute)?;
+    let made = node.create_topic(&topic, type_name(of), &qos);
+    let made = made.and_then(|topic| node.create_subscription(&topic, Some(qos)));
+    made.map_err(|source| NodeError::Create { name: absolute, source })
+}
+
+async fn hand_over<M: DeserializeOwned + 'static>(
+    subscription: &Subscription<M>,
+    orders: &UnboundedSender<Order>,
+    topic: &'static str,
+    order: impl Fn(M) -> Order,
+) {
+    let mut messages = pin!(subscription.async_stream());
+    while let Some(message) = messages.next().await {
+        let order = match message {
+            Ok((message, _)) => order(message),
+            Err(error) => Order::Unreadable { topic, why: error.to_string() },
+        };
+        // Where the session has ended nobody takes it.
+        if orders.unbounded_send(order).is_err() {
+            return;
+        }
+    }
+}
+
+async fn answer(request: Request, server: &Server<TriggerRequest, TriggerResponse>, orders: &UnboundedSender<Order>) {
+    let mut calls = server.receive_request_stream();
+    while let Some(call) = calls.next().await {
+        // A call that cannot be read has nobody to be answered to.
+        let Ok((id, _)) = call else { continue };
+        let (answer, answered) = oneshot::channel();
+        let response = match orders.unbounded_send(Order::Call { request, answer }) {
+            Ok(()) => answered.await.ok(),
+            Err(_) => None,
+        };
+        let ended = || TriggerResponse { success: false, message: "the session with the board has ended".into() };
+        // Whoever called may be gone.
+        let _ = server.async_send_response(id, response.unwrap_or_else(ended)).await;
+    }
+}

@@ -1,0 +1,94 @@
+//! Topics that the node publishes.
+
+use std::collections::BTreeMap;
+
+use r4_protocol::{ChannelId, ChannelKind};
+use r4_rig::Session;
+use ros2_client::{Node as RosNode, Publisher, QosProfile};
+use serde::Serialize;
+
+use super::{NodeError, latched, name, steady, type_name};
+use crate::{
+    Report,
+    message::{BatteryState, Clock, DiagnosticArray, Imu, JointState, Odometry, Range, TFMessage, Text, TwistStamped},
+    names::{self, Namespace},
+};
+
+pub(super) struct Outputs {
+    odometry: Publisher<Odometry>,
+    transform: Publisher<TFMessage>,
+    joints: Publisher<JointState>,
+    imus: BTreeMap<ChannelId, Publisher<Imu>>,
+    ranges: BTreeMap<ChannelId, Publisher<Range>>,
+    batteries: BTreeMap<ChannelId, Publisher<BatteryState>>,
+    diagnostics: Publisher<DiagnosticArray>,
+    state: Publisher<Text>,
+    commanded: Publisher<TwistStamped>,
+    /// Of a simulated board only: a second clock would be followed by whoever uses simulated time.
+    clock: Option<Publisher<Clock>>,
+}
+
+impl Outputs {
+    pub(super) fn new(node: &mut RosNode, namespace: &Namespace, session: &Session<'_>) -> Result<Self, NodeError> {
+        let mut make = Maker { node, namespace };
+        let (mut imus, mut ranges, mut batteries) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        for channel in session.board.channels().iter().map(|info| info.id) {
+            let Some(topic) = names::topic(channel) else { continue };
+            match channel.kind {
+                ChannelKind::Imu => drop(imus.insert(channel, make.topic(&topic, "sensor_msgs/Imu", steady())?)),
+                ChannelKind::Supply => {
+                    drop(batteries.insert(channel, make.topic(&topic, "sensor_msgs/BatteryState", steady())?));
+                }
+                _ => drop(ranges.insert(channel, make.topic(&topic, "sensor_msgs/Range", steady())?)),
+            }
+        }
+        let is_virtual = session.target().is_virtual();
+        Ok(Self {
+            odometry: make.topic("odom", "nav_msgs/Odometry", steady())?,
+            transform: make.topic("/tf", "tf2_msgs/TFMessage", steady())?,
+            joints: make.topic("joint_states", "sensor_msgs/JointState", steady())?,
+            imus,
+            ranges,
+            batteries,
+            diagnostics: make.topic("/diagnostics", "diagnostic_msgs/DiagnosticArray", steady())?,
+            state: make.topic("~/state", "std_msgs/String", latched())?,
+            commanded: make.topic("~/cmd_vel_out", "geometry_msgs/TwistStamped", steady())?,
+            clock: is_virtual.then(|| make.topic("/clock", "rosgraph_msgs/Clock", steady())).transpose()?,
+        })
+    }
+
+    /// Publishes; whether it could.
+    pub(super) fn publish(&self, report: Report) -> bool {
+        match report {
+            Report::Odometry(message) => self.odometry.publish(message).is_ok(),
+            Report::Transform(message) => self.transform.publish(message).is_ok(),
+            Report::Joints(message) => self.joints.publish(message).is_ok(),
+            Report::Imu(channel, message) => of(&self.imus, channel, message),
+            Report::Range(channel, message) => of(&self.ranges, channel, message),
+            Report::Battery(channel, message) => of(&self.batteries, channel, message),
+            Report::Diagnostics(message) => self.diagnostics.publish(message).is_ok(),
+            Report::State(message) => self.state.publish(message).is_ok(),
+            Report::Commanded(message) => self.commanded.publish(message).is_ok(),
+            Report::Clock(message) => self.clock.as_ref().is_none_or(|clock| clock.publish(message).is_ok()),
+        }
+    }
+}
+
+fn of<M: Serialize>(publishers: &BTreeMap<ChannelId, Publisher<M>>, channel: ChannelId, message: M) -> bool {
+    publishers.get(&channel).is_some_and(|publisher| publisher.publish(message).is_ok())
+}
+
+struct Maker<'n> {
+    node: &'n mut RosNode,
+    namespace: &'n Namespace,
+}
+
+impl Maker<'_> {
+    fn topic<M: Serialize>(&mut self, topic: &str, of: &str, qos: QosProfile) -> Result<Publisher<M>, NodeError> {
+        let absolute = self.namespace.resolve(topic);
+        let topic = name(&absolute)?;
+        let made = self.node.create_topic(&topic, type_name(of), &qos);
+        let made = made.and_then(|topic| self.node.create_publisher(&topic, Some(qos)));
+        made.map_err(|source| NodeError::Create { name: absolute, source })
+    }
+}

@@ -1,0 +1,166 @@
+//! `/diagnostics`: how the board is, why it stopped and what to do about it.
+
+use r4_protocol::{Causes, HotWinding, SafetyState};
+
+use crate::message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, Level, Time};
+
+/// What diagnostics are about.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Health {
+    /// Name of the robot, as the board says it.
+    pub robot: String,
+    /// Name of the board, as it was opened.
+    pub board: String,
+    /// Version of the board's firmware.
+    pub firmware: String,
+    /// Where the supervisor stands.
+    pub state: SafetyState,
+    /// Why it tripped.
+    pub causes: Causes,
+    /// Whether the e-stop topic says so.
+    pub is_estop_engaged: bool,
+    /// After this long without a command motors stop, s.
+    pub timeout_s: f64,
+    /// Commands that the board took.
+    pub taken: u64,
+    /// Commands that were refused.
+    pub refused: u64,
+    /// Why the newest command was refused; `None` when it was not.
+    pub refusal: Option<String>,
+    /// Messages that could not be published.
+    pub unpublished: u64,
+    /// Frames from the board that were damaged.
+    pub bad_frames: u64,
+    /// Windings that are close to what they withstand.
+    pub hot: Vec<HotWinding>,
+}
+
+/// The state of the supervisor, in a line, as `~/state` has it: `armed`, `disarmed`, `tripped: link lost`.
+#[must_use]
+pub fn state(state: SafetyState, causes: Causes) -> String {
+    match state {
+        SafetyState::Tripped => format!("{state}: {causes}"),
+        SafetyState::Armed | SafetyState::Disarmed => state.to_string(),
+    }
+}
+
+impl Health {
+    /// The message. One status for the supervisor, one for commands, one for motors.
+    #[must_use]
+    pub fn diagnostics(&self, stamp: Time) -> DiagnosticArray {
+        let status = vec![self.supervisor(), self.commands(), self.motors()];
+        DiagnosticArray { header: Header::new(stamp, ""), status }
+    }
+
+    fn status(&self, part: &str, (level, message): (Level, String), values: &[(&str, String)]) -> DiagnosticStatus {
+        let value = |(key, value): &(&str, String)| KeyValue { key: (*key).to_owned(), value: value.clone() };
+        DiagnosticStatus {
+            level: level as u8,
+            name: format!("{}: {part}", self.robot),
+            message,
+            hardware_id: self.board.clone(),
+            values: values.iter().map(value).collect(),
+        }
+    }
+
+    fn supervisor(&self) -> DiagnosticStatus {
+        let at = state(self.state, self.causes);
+        let said = match self.state {
+            SafetyState::Tripped => {
+                let advice: Vec<_> = self.causes.iter().map(|cause| cause.advice()).collect();
+                (Level::Error, format!("{at}; {}; then ~/clear", advice.join("; ")))
+            }
+            _ if self.is_estop_engaged => (Level::Warn, format!("{at}; the e-stop topic is engaged")),
+            SafetyState::Disarmed => (Level::Ok, format!("{at}; ~/arm lets it move")),
+            SafetyState::Armed => (Level::Ok, at),
+        };
+        self.status(
+            "supervisor",
+            said,
+            &[
+                ("state", self.state.to_string()),
+                ("causes", self.causes.to_string()),
+                ("e-stop topic", if self.is_estop_engaged { "engaged" } else { "released" }.to_owned()),
+                ("firmware", self.firmware.clone()),
+                ("damaged frames", self.bad_frames.to_string()),
+            ],
+        )
+    }
+
+    fn commands(&self) -> DiagnosticStatus {
+        let said = match &self.refusal {
+            Some(why) => (Level::Warn, format!("the newest command was refused: {why}")),
+            None => (Level::Ok, "taken".to_owned()),
+        };
+        self.status(
+            "commands",
+            said,
+            &[
+                ("taken", self.taken.to_string()),
+                ("refused", self.refused.to_string()),
+                ("motors stop without a command after, s", self.timeout_s.to_string()),
+                ("messages not published", self.unpublished.to_string()),
+            ],
+        )
+    }
+
+    fn motors(&self) -> DiagnosticStatus {
+        let hot = |winding: &HotWinding| format!("{} at {} %", winding.channel, winding.heat_percent);
+        let said = match &self.hot[..] {
+            [] => (Level::Ok, "windings are cool".to_owned()),
+            some => {
+                let names = some.iter().map(hot).collect::<Vec<_>>().join(", ");
+                (Level::Warn, format!("hot windings: {names} of what they withstand; ask less of them"))
+            }
+        };
+        self.status("motors", said, &[])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::{Cause, ChannelId, ChannelKind};
+
+    use super::*;
+
+    fn health() -> Health {
+        Health {
+            robot: "openscout".into(),
+            board: "sim:openscout".into(),
+            firmware: "0.1.0".into(),
+            state: SafetyState::Armed,
+            causes: Causes::NONE,
+            is_estop_engaged: false,
+            timeout_s: 0.2,
+            taken: 3,
+            refused: 0,
+            refusal: None,
+            unpublished: 0,
+            bad_frames: 0,
+            hot: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_trip_says_why_and_what_to_do() {
+        let causes = Causes::only(Cause::LinkLost);
+        let tripped = Health { state: SafetyState::Tripped, causes, ..health() };
+        let [supervisor, commands, motors] = &tripped.diagnostics(Time::default()).status[..] else { panic!("three") };
+        assert_eq!((supervisor.level, supervisor.hardware_id.as_str()), (2, "sim:openscout"));
+        assert!(supervisor.message.starts_with("tripped: link lost; ") && supervisor.message.ends_with("then ~/clear"));
+        assert!(supervisor.message.contains(Cause::LinkLost.advice()));
+        assert_eq!((commands.level, motors.level), (0, 0));
+        assert_eq!(state(SafetyState::Tripped, causes), "tripped: link lost");
+    }
+
+    #[test]
+    fn what_someone_should_look_at_is_a_warning() {
+        let hot = vec![HotWinding { channel: ChannelId::new(ChannelKind::Dhb, 1), heat_percent: 93 }];
+        let warned = Health { hot, refusal: Some("too old".into()), is_estop_engaged: true, ..health() };
+        let status = warned.diagnostics(Time::default()).status;
+        assert_eq!(status.iter().map(|status| status.level).collect::<Vec<_>>(), [1, 1, 1]);
+        assert!(status[2].message.contains("dhb1 at 93 %") && status[1].message.ends_with("too old"));
+        let well = health().diagnostics(Time::default()).status;
+        assert!(well.iter().all(|status| status.level == 0));
+    }
+}

@@ -1,0 +1,104 @@
+//! Names of the node, its topics and services.
+
+use r4_protocol::{ChannelId, ChannelKind};
+
+/// Name of the node.
+pub const NODE: &str = "r4";
+
+/// A namespace cannot be one of ROS.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{asked:?} is no namespace: give names of letters, digits and single underscores that begin with a letter, with slashes between \
+     them, as in robot1 or fleet/robot1"
+)]
+pub struct NotANamespace {
+    asked: String,
+}
+
+/// A namespace, from the root.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Namespace(Vec<String>);
+
+impl std::str::FromStr for Namespace {
+    type Err = NotANamespace;
+
+    fn from_str(asked: &str) -> Result<Self, NotANamespace> {
+        let tokens: Vec<String> = match asked.strip_prefix('/').unwrap_or(asked) {
+            "" => Vec::new(),
+            names => names.split('/').map(str::to_owned).collect(),
+        };
+        let is_name = |token: &String| {
+            token.starts_with(|first: char| first.is_ascii_alphabetic())
+                && token.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '_')
+                && !token.contains("__")
+        };
+        if tokens.iter().all(is_name) { Ok(Self(tokens)) } else { Err(NotANamespace { asked: asked.to_owned() }) }
+    }
+}
+
+impl Namespace {
+    /// As nodes have it: `/`, or `/fleet/robot1`.
+    #[must_use]
+    pub fn absolute(&self) -> String {
+        format!("/{}", self.0.join("/"))
+    }
+
+    /// The absolute name of a topic or service: one with a slash in front is that already, one behind `~/` is the node's own.
+    #[must_use]
+    pub fn resolve(&self, name: &str) -> String {
+        let tokens = self.0.iter().map(String::as_str);
+        let own = match (name.strip_prefix('/'), name.strip_prefix("~/")) {
+            (Some(_), _) => return name.to_owned(),
+            (None, Some(own)) => tokens.chain([NODE, own]).collect::<Vec<_>>(),
+            (None, None) => tokens.chain([name]).collect(),
+        };
+        format!("/{}", own.join("/"))
+    }
+}
+
+/// Topic of a channel's readings: the first of its kind has the name that programs look for. `None` for a channel that is in
+/// `joint_states`, or that is not published.
+#[must_use]
+pub fn topic(channel: ChannelId) -> Option<String> {
+    let ChannelId { kind, index } = channel;
+    Some(match (kind, index) {
+        (ChannelKind::Imu, 0) => "imu/data".to_owned(),
+        (ChannelKind::Imu, _) => format!("imu{index}/data"),
+        // A part of a name cannot begin with a digit, as in range/0.
+        (ChannelKind::Range | ChannelKind::Distance, _) => channel.to_string(),
+        (ChannelKind::Supply, 0) => "battery_state".to_owned(),
+        (ChannelKind::Supply, _) => format!("supply{index}/battery_state"),
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_absolute_once_resolved() {
+        for (namespace, name, resolved) in [
+            ("", "cmd_vel", "/cmd_vel"),
+            ("/", "cmd_vel", "/cmd_vel"),
+            ("", "~/arm", "/r4/arm"),
+            ("robot1", "imu/data", "/robot1/imu/data"),
+            ("/fleet/robot1", "~/arm", "/fleet/robot1/r4/arm"),
+            ("robot1", "/diagnostics", "/diagnostics"),
+        ] {
+            let namespace: Namespace = namespace.parse().expect(namespace);
+            assert_eq!(namespace.resolve(name), resolved);
+        }
+        assert_eq!(topic("range1".parse().expect("a channel")).as_deref(), Some("range1"));
+        assert_eq!(topic("imu0".parse().expect("a channel")).as_deref(), Some("imu/data"));
+        assert_eq!("a/b".parse::<Namespace>().expect("a namespace").absolute(), "/a/b");
+        assert_eq!("".parse::<Namespace>().expect("the root").absolute(), "/");
+    }
+
+    #[test]
+    fn others_are_refused() {
+        for bad in ["1robot", "robot-1", "a//b", "a/", "a__b", "~", "röbot", "a b"] {
+            assert!(bad.parse::<Namespace>().is_err(), "{bad}");
+        }
+    }
+}
