@@ -2,7 +2,7 @@
 //!
 //! A [`Door`] is a session's side: it takes [`Order`]s, which are messages and service calls from ROS, and gives [`Report`]s, which are
 //! messages for ROS. It decides only what may go through ([`Gate`]); velocities to wheels, odometry and stopping are those of
-//! [`r4_rig`] and of the board. The other side is [`dds`], with the feature of that name: topics, services and discovery by RustDDS,
+//! [`r4_rig`] and of the board. The other side is `dds`, with the feature of that name: topics, services and discovery by RustDDS,
 //! without a ROS installation.
 //!
 //! Frames are those of REP-103 and REP-105, units SI.
