@@ -22,7 +22,7 @@ use r4_protocol::{
 };
 
 use crate::{
-    Broker, OTHER_COMMANDS,
+    Broker,
     command::{Role, role},
     log::LogReader,
     outbox::Outbox,
@@ -45,9 +45,9 @@ pub enum Left {
     Slow,
 }
 
-/// What the broker knows of a client.
-pub(crate) struct Seat {
-    /// Number of the open session.
+/// State of a client that others see, too.
+pub(crate) struct ClientState {
+    /// Number of the open session; `None` before hello and after bye.
     pub(crate) session: Option<u16>,
     /// When its last heartbeat or hello came, by the host's clock, µs.
     pub(crate) heard_us: u64,
@@ -66,7 +66,10 @@ type Later<'s> = LocalBoxFuture<'s, Option<ToHost>>;
 struct Served<'s, 'b, C: Clock> {
     broker: &'s Broker<'b, C>,
     number: u64,
+    /// Requests that wait for the board's answer.
     under_way: Cell<usize>,
+    /// Version of the protocol in which the session was opened, 0 before there is one.
+    version: Cell<u16>,
     /// Requests that are done once, newest last, with their answers where these have come.
     once: RefCell<VecDeque<Once>>,
 }
@@ -86,7 +89,13 @@ async fn first<T>(one: impl Future<Output = T>, other: impl Future<Output = T>) 
 impl<C: Clock> Broker<'_, C> {
     /// Serves a client on a link until it leaves. Dropping the future is a client that is gone.
     pub async fn client<R: Read, W: Write>(&self, rx: R, tx: W) -> Left {
-        let served = Served { broker: self, number: self.sit(), under_way: Cell::new(0), once: RefCell::default() };
+        let served = Served {
+            broker: self,
+            number: self.register(),
+            under_way: Cell::new(0),
+            version: Cell::new(0),
+            once: RefCell::default(),
+        };
         let (later, answers) = unbounded();
         let answering = answers.for_each_concurrent(None, |answer: Later<'_>| async {
             let answer = answer.await;
@@ -103,11 +112,11 @@ impl<C: Clock> Broker<'_, C> {
         first(first(link, served.silence()), answering).await
     }
 
-    fn sit(&self) -> u64 {
+    fn register(&self) -> u64 {
         let heard_us = self.board.host_now_us();
-        let desk = &mut *self.desk.borrow_mut();
-        desk.next_client += 1;
-        let seat = Seat {
+        let shared = &mut *self.shared.borrow_mut();
+        shared.next_client += 1;
+        let client = ClientState {
             session: None,
             heard_us,
             relayed: None,
@@ -115,34 +124,34 @@ impl<C: Clock> Broker<'_, C> {
             log: None,
             outbox: Outbox::default(),
         };
-        desk.seats.insert(desk.next_client, seat);
-        desk.next_client
+        shared.clients.insert(shared.next_client, client);
+        shared.next_client
     }
 
     /// Subscribes to a channel at the board as the clients want it now. Returns the period if that is another than before, ms.
     pub(crate) fn common_period(&self, channel: ChannelId) -> Option<u16> {
-        let desk = &mut *self.desk.borrow_mut();
-        let of_clients = desk.seats.values().map(|seat| seat.subscriptions.period_ms(channel));
-        let wanted = common_ms(of_clients.chain(desk.watched.get(&channel).copied()));
-        let before = if wanted > 0 { desk.periods.insert(channel, wanted) } else { desk.periods.remove(&channel) };
+        let shared = &mut *self.shared.borrow_mut();
+        let of_clients = shared.clients.values().map(|client| client.subscriptions.period_ms(channel));
+        let wanted = common_ms(of_clients.chain(shared.watched.get(&channel).copied()));
+        let before = if wanted > 0 { shared.periods.insert(channel, wanted) } else { shared.periods.remove(&channel) };
         (before.unwrap_or(0) != wanted).then_some(wanted)
     }
 }
 
 impl<'s, C: Clock> Served<'s, '_, C> {
-    /// Something with the client's seat, which it has for as long as it is served.
-    fn seat<T>(&self, with: impl FnOnce(&mut Seat) -> T) -> Option<T> {
-        self.broker.desk.borrow_mut().seats.get_mut(&self.number).map(with)
+    /// Gives the client's state to `with`; `None` never happens while it is served.
+    fn state<T>(&self, with: impl FnOnce(&mut ClientState) -> T) -> Option<T> {
+        self.broker.shared.borrow_mut().clients.get_mut(&self.number).map(with)
     }
 
     fn tell(&self, message: &ToHost) {
-        self.seat(|seat| seat.outbox.push(message));
+        self.state(|client| client.outbox.push(message));
     }
 
     async fn send(&self, mut tx: impl Write) -> Left {
         loop {
             let bytes = poll_fn(|context| {
-                let poll = self.seat(|seat| seat.outbox.poll(context));
+                let poll = self.state(|client| client.outbox.poll(context));
                 poll.unwrap_or(std::task::Poll::Pending)
             });
             let Ok(bytes) = bytes.await else { return Left::Slow };
@@ -154,7 +163,7 @@ impl<'s, C: Clock> Served<'s, '_, C> {
 
     async fn silence(&self) -> Left {
         loop {
-            let heard_us = self.seat(|seat| seat.heard_us).unwrap_or(0);
+            let heard_us = self.state(|client| client.heard_us).unwrap_or(0);
             let silent_us = self.broker.board.host_now_us().saturating_sub(heard_us);
             let Some(left_us) = SILENT_US.checked_sub(silent_us).filter(|left_us| *left_us > 0) else {
                 return Left::Silent;
@@ -163,7 +172,7 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         }
     }
 
-    /// Ends with the link.
+    /// Handles all that the client sends, until its link ends.
     async fn receive(&self, mut rx: impl Read, later: &UnboundedSender<Later<'s>>) -> Left {
         let mut decoder = FrameDecoder::new();
         let mut buffer = [0; 4096];
@@ -180,7 +189,8 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         Left::Gone
     }
 
-    /// Whether this was asked before; if it was answered, it is again.
+    /// Whether the client has sent this before, as a board does it ([`REPEATS`]): if it was answered, it is again. A repeat is never passed
+    /// on: the driver repeats by itself, and to the board this would be another request.
     fn is_repeat(&self, seq: u16, request: &Request) -> bool {
         let mut once = self.once.borrow_mut();
         let known = once.iter().find(|known| known.seq == seq && known.request == *request);
@@ -192,7 +202,7 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         }
         // A number is only that of the last request that had it.
         once.retain(|known| known.seq != seq);
-        if request.is_done_once() {
+        if request.is_done_once() && self.version.get() >= REPEATS.since {
             if once.len() == REPEATS.remembered {
                 once.pop_front();
             }
@@ -230,7 +240,7 @@ impl<'s, C: Clock> Served<'s, '_, C> {
     }
 
     fn commands(&self) -> bool {
-        self.broker.desk.borrow().command.holder() == Some(self.number)
+        self.broker.shared.borrow().command.holder() == Some(self.number)
     }
 
     /// A heartbeat of the client that commands is one for the board, whose answer is the answer. One of another client is
@@ -238,10 +248,10 @@ impl<'s, C: Clock> Served<'s, '_, C> {
     fn heartbeat(&self, session: u16, host_us: u64) {
         let board = self.broker.board;
         let now_us = board.host_now_us();
-        let is_known = self.seat(|seat| {
-            let is_known = seat.session == Some(session);
+        let is_known = self.state(|client| {
+            let is_known = client.session == Some(session);
             if is_known {
-                seat.heard_us = now_us;
+                client.heard_us = now_us;
             }
             is_known
         });
@@ -250,7 +260,7 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         }
         if self.commands() {
             let relayed = Some((board.send_heartbeat(), host_us));
-            self.seat(|seat| seat.relayed = relayed);
+            self.state(|client| client.relayed = relayed);
             return;
         }
         let (state, causes) = board.safety();
@@ -289,20 +299,20 @@ impl<'s, C: Clock> Served<'s, '_, C> {
     /// Answers a request at once, or by what this returns.
     fn request(&self, seq: u16, request: Request) -> Option<Later<'s>> {
         let (broker, board) = (self.broker, self.broker.board);
-        let has_session = self.seat(|seat| seat.session.is_some()) == Some(true);
+        let has_session = self.state(|client| client.session.is_some()) == Some(true);
         let role = role(&request);
         let refusal = match role {
             // A stop is never too much.
             Role::Watch | Role::Command | Role::Session if self.under_way.get() >= UNDER_WAY => Some(Refusal::Busy),
             Role::Watch | Role::Command if !has_session => Some(Refusal::NoSession),
-            Role::Command if !broker.desk.borrow_mut().command.claim(self.number) => Some(OTHER_COMMANDS),
+            Role::Command if !broker.shared.borrow_mut().command.claim(self.number) => Some(Refusal::InUse),
             _ => None,
         };
         let told = match (refusal, &request) {
             (Some(refusal), _) => Err(refusal),
             (None, Request::Hello { version, schema }) => {
                 match accept(&SPOKEN, Spoken { version: *version, schema: *schema }) {
-                    Ok(_) => return Some(self.hello(seq)),
+                    Ok(version) => return Some(self.hello(seq, version)),
                     Err(refusal) => Err(refusal),
                 }
             }
@@ -313,13 +323,13 @@ impl<'s, C: Clock> Served<'s, '_, C> {
             }
             (None, Request::Subscribe { channel, period_ms }) => return self.subscribe(seq, *channel, *period_ms),
             (None, Request::Log { on }) => {
-                self.seat(|seat| seat.log = on.then(LogReader::default));
-                let is_read = broker.desk.borrow().seats.values().any(|seat| seat.log.is_some());
+                self.state(|client| client.log = on.then(LogReader::default));
+                let is_read = broker.shared.borrow().clients.values().any(|client| client.log.is_some());
                 // For each that begins the board begins anew.
                 return Some(self.pass_on(seq, Request::Log { on: *on || is_read }));
             }
             (None, Request::Arm) => {
-                broker.desk.borrow_mut().command.arming(board.host_now_us());
+                broker.shared.borrow_mut().command.arming(board.host_now_us());
                 // From now on it depends on the client's.
                 board.keep_heartbeat(false);
                 return Some(self.pass_on(seq, request));
@@ -351,20 +361,21 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         .boxed_local()
     }
 
-    /// Opens a session. What an earlier one of this client commanded ends first.
-    fn hello(&self, seq: u16) -> Later<'s> {
+    /// Opens a session of a version. What an earlier one of this client commanded ends first.
+    fn hello(&self, seq: u16, version: u16) -> Later<'s> {
         let (broker, number) = (self.broker, self.number);
         let ended = self.close();
+        self.version.set(version);
         async move {
             ended.await;
-            let desk = &mut *broker.desk.borrow_mut();
-            desk.next_session = desk.next_session.wrapping_add(1);
-            let seat = desk.seats.get_mut(&number)?;
-            (seat.session, seat.heard_us) = (Some(desk.next_session), broker.board.host_now_us());
+            let shared = &mut *broker.shared.borrow_mut();
+            shared.next_session = shared.next_session.wrapping_add(1);
+            let client = shared.clients.get_mut(&number)?;
+            (client.session, client.heard_us) = (Some(shared.next_session), broker.board.host_now_us());
             let (state, causes) = broker.board.safety();
             let device_us = broker.board.device_us();
             let info =
-                DeviceInfo { session: desk.next_session, device_us, state, causes, ..broker.board.info().clone() };
+                DeviceInfo { session: shared.next_session, device_us, state, causes, ..broker.board.info().clone() };
             Some(ToHost::Response { seq, result: Ok(Reply::Hello(info)) })
         }
         .boxed_local()
@@ -381,10 +392,10 @@ impl<'s, C: Clock> Served<'s, '_, C> {
 
     /// Closes the session. What this returns is ready when the board is disarmed, if the client commanded it.
     fn close(&self) -> impl Future<Output = ()> + use<C> {
-        self.seat(|seat| (seat.session, seat.log) = (None, None));
+        self.state(|client| (client.session, client.log) = (None, None));
         self.once.borrow_mut().clear();
         self.unsubscribe();
-        let ended = self.broker.desk.borrow_mut().command.end(self.number);
+        let ended = self.broker.shared.borrow_mut().command.end(self.number);
         self.broker.wake();
         async move {
             if let Some(ended) = ended {
@@ -400,41 +411,29 @@ impl<'s, C: Clock> Served<'s, '_, C> {
             self.tell(&response(Err(Refusal::UnknownChannel { channel })));
             return None;
         }
-        let before_ms = self.seat(|seat| seat.subscriptions.set(channel, period_ms)).unwrap_or(0);
+        let before_ms = self.state(|client| client.subscriptions.set(channel, period_ms)).unwrap_or(0);
         let Some(common_ms) = broker.common_period(channel) else {
             self.tell(&response(Ok(Reply::Done)));
             return None;
         };
-        let first = broker.board.pass_on(Request::Subscribe { channel, period_ms: common_ms });
+        let asked = broker.board.pass_on(Request::Subscribe { channel, period_ms: common_ms });
         let answer = async move {
-            let told = match first.await {
-                // Lost on the way. What is wanted by now:
-                Err(Error::TimedOut { .. }) => {
-                    let period_ms = broker.desk.borrow().periods.get(&channel).copied().unwrap_or(0);
-                    broker.board.subscribe(channel, period_ms).await
-                }
-                told => told.map(|_| ()),
-            };
-            let result = match told {
-                Ok(()) => Ok(Reply::Done),
-                Err(why) => {
-                    let seat = &mut broker.desk.borrow_mut();
-                    seat.periods.remove(&channel);
-                    if let Some(seat) = seat.seats.get_mut(&number) {
-                        seat.subscriptions.set(channel, before_ms);
-                    }
-                    let Error::Refused(refusal) = why else { return None };
-                    Err(refusal)
-                }
-            };
-            Some(response(result))
+            let Err(why) = asked.await else { return Some(response(Ok(Reply::Done))) };
+            let shared = &mut *broker.shared.borrow_mut();
+            // Nothing is known of it: the next that subscribes asks again.
+            shared.periods.remove(&channel);
+            if let Some(client) = shared.clients.get_mut(&number) {
+                client.subscriptions.set(channel, before_ms);
+            }
+            let Error::Refused(refusal) = why else { return None };
+            Some(response(Err(refusal)))
         };
         Some(answer.boxed_local())
     }
 
     /// Ends the client's subscriptions, at the board where nobody else has one.
     fn unsubscribe(&self) {
-        let channels = self.seat(|seat| std::mem::take(&mut seat.subscriptions)).unwrap_or_default();
+        let channels = self.state(|client| std::mem::take(&mut client.subscriptions)).unwrap_or_default();
         for channel in channels.channels() {
             if let Some(period_ms) = self.broker.common_period(channel) {
                 // One that is lost leaves samples that nobody gets.
@@ -448,9 +447,9 @@ impl<C: Clock> Drop for Served<'_, '_, C> {
     fn drop(&mut self) {
         self.unsubscribe();
         {
-            let desk = &mut *self.broker.desk.borrow_mut();
-            desk.command.lose(self.number);
-            desk.seats.remove(&self.number);
+            let shared = &mut *self.broker.shared.borrow_mut();
+            shared.command.lose(self.number);
+            shared.clients.remove(&self.number);
         }
         self.broker.wake();
     }

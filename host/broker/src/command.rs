@@ -80,9 +80,9 @@ enum Holder {
     Lost,
 }
 
-/// What is to be done now.
+/// Result of a look at the commanding client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Ends {
+pub(crate) struct Look {
     /// The broker keeps the board's heartbeat by itself: nothing can move, or nobody commands.
     pub(crate) keeps_heartbeat: bool,
     /// The board is to be disarmed, and then [`Command::ended`] called.
@@ -90,10 +90,6 @@ pub(crate) struct Ends {
 }
 
 impl Command {
-    pub(crate) const fn is_held(&self) -> bool {
-        matches!(self.holder, Holder::Client(_))
-    }
-
     /// Number of the client that commands.
     pub(crate) const fn holder(&self) -> Option<u64> {
         if let Holder::Client(number) = self.holder { Some(number) } else { None }
@@ -117,7 +113,8 @@ impl Command {
         self.answered_us = self.answered_us.max(sent_us);
     }
 
-    /// Client `number` has ended its session. If it commanded, the end of that is told to who waits for what this returns.
+    /// Ends the command of client `number`, which has said goodbye. Returns `None` where it did not command, and otherwise what is ready once
+    /// the board is disarmed.
     pub(crate) fn end(&mut self, number: u64) -> Option<oneshot::Receiver<()>> {
         (self.holder() == Some(number)).then(|| {
             self.holder = Holder::Ending;
@@ -151,7 +148,7 @@ impl Command {
     }
 
     /// What is to be done at `now_us`. `heard_us`: when the client that commands was last heard.
-    pub(crate) fn look(&mut self, now_us: u64, timeout_us: u64, state: SafetyState, heard_us: Option<u64>) -> Ends {
+    pub(crate) fn look(&mut self, now_us: u64, timeout_us: u64, state: SafetyState, heard_us: Option<u64>) -> Look {
         self.heard_us = heard_us.unwrap_or(self.heard_us);
         let is_silent = now_us.saturating_sub(self.heard_us) > SILENT_TIMEOUTS * timeout_us;
         if matches!(self.holder, Holder::Client(_)) && is_silent {
@@ -159,11 +156,11 @@ impl Command {
         }
         let may_be_armed = self.may_be_armed(now_us, state);
         match self.holder {
-            Holder::Nobody => Ends { keeps_heartbeat: true, disarms: false },
-            Holder::Client(_) => Ends { keeps_heartbeat: !may_be_armed, disarms: false },
-            Holder::Ending => Ends { keeps_heartbeat: !may_be_armed, disarms: true },
+            Holder::Nobody => Look { keeps_heartbeat: true, disarms: false },
+            Holder::Client(_) => Look { keeps_heartbeat: !may_be_armed, disarms: false },
+            Holder::Ending => Look { keeps_heartbeat: !may_be_armed, disarms: true },
             // First the board trips by itself: then it says that the link was lost.
-            Holder::Lost => Ends { keeps_heartbeat: !may_be_armed, disarms: is_silent || !may_be_armed },
+            Holder::Lost => Look { keeps_heartbeat: !may_be_armed, disarms: is_silent || !may_be_armed },
         }
     }
 }
@@ -202,12 +199,12 @@ mod tests {
     fn who_is_lost_is_waited_for_until_the_board_has_tripped() {
         let mut command = held_since(0);
         command.lose(2);
-        assert!(command.is_held());
+        assert_eq!(command.holder(), Some(1));
         command.lose(1);
         let lost = |command: &mut Command, now_us| command.look(now_us, TIMEOUT_US, SafetyState::Armed, None);
-        assert_eq!(lost(&mut command, 2 * TIMEOUT_US), Ends { keeps_heartbeat: false, disarms: false });
+        assert_eq!(lost(&mut command, 2 * TIMEOUT_US), Look { keeps_heartbeat: false, disarms: false });
         assert!(!command.claim(2));
-        assert_eq!(lost(&mut command, 2 * TIMEOUT_US + 1), Ends { keeps_heartbeat: false, disarms: true });
+        assert_eq!(lost(&mut command, 2 * TIMEOUT_US + 1), Look { keeps_heartbeat: false, disarms: true });
         command.ended();
         assert!(command.claim(2));
     }
@@ -217,7 +214,7 @@ mod tests {
         let mut command = held_since(0);
         command.lose(1);
         let ends = command.look(1, TIMEOUT_US, SafetyState::Disarmed, None);
-        assert_eq!(ends, Ends { keeps_heartbeat: true, disarms: true });
+        assert_eq!(ends, Look { keeps_heartbeat: true, disarms: true });
     }
 
     #[test]
@@ -226,7 +223,7 @@ mod tests {
         let look =
             |command: &mut Command, now_us| command.look(now_us, TIMEOUT_US, SafetyState::Armed, Some(0)).disarms;
         assert!(!look(&mut command, 2 * TIMEOUT_US));
-        assert!(look(&mut command, 2 * TIMEOUT_US + 1) && !command.is_held());
+        assert!(look(&mut command, 2 * TIMEOUT_US + 1) && command.holder().is_none());
     }
 
     #[test]

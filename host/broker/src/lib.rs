@@ -6,7 +6,7 @@
 //! - Each client has a session, subscriptions and a place in the firmware's log of its own. A channel is subscribed to at the board with the
 //!   greatest common divisor of the periods that clients want, and each client gets samples of its own period.
 //! - The first client that sends a command (arming, set points, parameters, external buses) commands the board until it says goodbye, is gone or
-//!   silent. Commands of others are refused with [`Refusal::InUse`], and change nothing. A stop is taken from any client.
+//!   silent. Commands of others are refused with [`InUse`](r4_protocol::Refusal::InUse), and change nothing. A stop is taken from any client.
 //! - While the board may be armed, it gets a heartbeat only when the client that commands has sent one. Where that client, its machine or
 //!   its network fails, the board trips within its link time-out as if the client were connected to it. Clients that only watch
 //!   cannot delay that.
@@ -28,11 +28,11 @@ use std::{
     task::{Poll, Waker},
 };
 
-use client::Seat;
+use client::ClientState;
 use command::Command;
 use futures::future::{Either, join4, select};
 use r4_driver::{Board, Clock, Error, HeartbeatAnswer};
-use r4_protocol::{ChannelId, CycleState, LogChunk, Refusal, Request, Telemetry, ToHost};
+use r4_protocol::{ChannelId, CycleState, LogChunk, Request, Telemetry, ToHost};
 use subscriptions::Periods;
 
 pub use client::Left;
@@ -43,21 +43,22 @@ const LOOKS_PER_TIMEOUT: f64 = 4.0;
 /// A board that is shared. Give [`Broker::run`] and the clients' futures to one executor, side by side.
 pub struct Broker<'b, C> {
     board: &'b Board<C>,
-    desk: RefCell<Desk>,
+    shared: RefCell<Shared>,
 }
 
-/// What the clients have in common.
+/// State that the clients share.
 #[derive(Default)]
-struct Desk {
-    seats: BTreeMap<u64, Seat>,
+struct Shared {
+    /// Connected clients by their numbers.
+    clients: BTreeMap<u64, ClientState>,
     next_client: u64,
     next_session: u16,
     command: Command,
-    /// What the board is subscribed to.
+    /// Subscriptions at the board.
     periods: Periods,
-    /// What is watched by who has the broker, beside the clients.
+    /// Subscriptions of [`Broker::watch`].
     watched: Periods,
-    /// Of [`Broker::supervise`].
+    /// Wakes [`Broker::supervise`] before its next look is due.
     waker: Option<Waker>,
 }
 
@@ -65,15 +66,16 @@ impl<'b, C: Clock> Broker<'b, C> {
     /// Shares `board`, of which nobody else may be using the session.
     #[must_use]
     pub fn new(board: &'b Board<C>) -> Self {
-        Self { board, desk: RefCell::default() }
+        Self { board, shared: RefCell::default() }
     }
 
-    /// Subscribes to a channel beside the clients, for who listens to the board's own session: samples of it come at least every `period_ms`.
+    /// Subscribes to a channel beside the clients, for a caller that reads the board's own session, as a recording does. Samples come at
+    /// least every `period_ms`, more often where a client wants them so.
     ///
     /// # Errors
-    /// As [`Board::subscribe`].
+    /// Those of [`Board::subscribe`]: the board has no room, or its link has ended.
     pub async fn watch(&self, channel: ChannelId, period_ms: u16) -> Result<(), Error> {
-        self.desk.borrow_mut().watched.insert(channel, period_ms);
+        self.shared.borrow_mut().watched.insert(channel, period_ms);
         match self.common_period(channel) {
             Some(period_ms) => self.board.subscribe(channel, period_ms).await,
             None => Ok(()),
@@ -114,68 +116,64 @@ impl<'b, C: Clock> Broker<'b, C> {
         }
     }
 
-    /// Number of clients that have a session, and whether one of them commands.
-    #[must_use]
-    pub fn clients(&self) -> (usize, bool) {
-        let desk = self.desk.borrow();
-        (desk.seats.values().filter(|seat| seat.session.is_some()).count(), desk.command.is_held())
-    }
-
     fn telemetry(&self, frame: &Telemetry) {
-        let Desk { seats, periods, .. } = &mut *self.desk.borrow_mut();
-        for seat in seats.values_mut() {
-            if let Some(frame) = seat.subscriptions.due(frame, periods) {
-                seat.outbox.push_if_room(&ToHost::Telemetry(frame));
+        let Shared { clients, periods, .. } = &mut *self.shared.borrow_mut();
+        for client in clients.values_mut() {
+            if let Some(frame) = client.subscriptions.due(frame, periods) {
+                client.outbox.push_if_room(&ToHost::Telemetry(frame));
             }
         }
     }
 
     fn log(&self, chunk: &LogChunk) {
-        for seat in self.desk.borrow_mut().seats.values_mut() {
-            if let Some(chunk) = seat.log.as_mut().and_then(|reader| reader.unread(chunk)) {
-                seat.outbox.push_if_room(&ToHost::Log(chunk));
+        for client in self.shared.borrow_mut().clients.values_mut() {
+            if let Some(chunk) = client.log.as_mut().and_then(|reader| reader.unread(chunk)) {
+                client.outbox.push_if_room(&ToHost::Log(chunk));
             }
         }
     }
 
     fn cycle(&self, answer: CycleState) {
-        let desk = &mut *self.desk.borrow_mut();
-        if let Some(seat) = desk.command.holder().and_then(|number| desk.seats.get_mut(&number)) {
-            seat.outbox.push(&ToHost::Cycle(answer));
+        let shared = &mut *self.shared.borrow_mut();
+        if let Some(client) = shared.command.holder().and_then(|number| shared.clients.get_mut(&number)) {
+            client.outbox.push(&ToHost::Cycle(answer));
         }
     }
 
     /// Answers the heartbeat of the client that commands, for which this one was sent.
     fn heartbeat(&self, answer: &HeartbeatAnswer) {
-        let desk = &mut *self.desk.borrow_mut();
-        desk.command.heard(answer.host_us);
-        let Some(seat) = desk.command.holder().and_then(|number| desk.seats.get_mut(&number)) else { return };
-        let Some((relayed_us, host_us)) = seat.relayed else { return };
+        let shared = &mut *self.shared.borrow_mut();
+        shared.command.heard(answer.host_us);
+        let Some(client) = shared.command.holder().and_then(|number| shared.clients.get_mut(&number)) else { return };
+        let Some((relayed_us, host_us)) = client.relayed else { return };
         if relayed_us == answer.host_us {
-            seat.relayed = None;
+            client.relayed = None;
             let HeartbeatAnswer { device_us, state, causes, ref hot, .. } = *answer;
             let hot = hot.iter().copied().collect();
-            seat.outbox.push(&ToHost::Heartbeat { host_us, device_us, state, causes, hot });
+            client.outbox.push(&ToHost::Heartbeat { host_us, device_us, state, causes, hot });
         }
     }
 
-    /// Looks after the client that commands: keeps heartbeats where nothing can move, and disarms the board where the client is gone.
+    /// Watches the commanding client: keeps the board's heartbeat while nothing can move, and disarms the board when the client is gone.
     async fn supervise(&self) -> Error {
         let timeout_us = u64::from(self.board.info().link_timeout_ms) * 1000;
         loop {
             let now_us = self.board.host_now_us();
             let (state, _) = self.board.safety();
-            let ends = {
-                let desk = &mut *self.desk.borrow_mut();
-                let heard_us =
-                    desk.command.holder().and_then(|number| desk.seats.get(&number)).map(|seat| seat.heard_us);
-                desk.command.look(now_us, timeout_us, state, heard_us)
+            let look = {
+                let shared = &mut *self.shared.borrow_mut();
+                let heard_us = shared
+                    .command
+                    .holder()
+                    .and_then(|number| shared.clients.get(&number))
+                    .map(|client| client.heard_us);
+                shared.command.look(now_us, timeout_us, state, heard_us)
             };
-            self.board.keep_heartbeat(ends.keeps_heartbeat);
-            if ends.disarms {
+            self.board.keep_heartbeat(look.keeps_heartbeat);
+            if look.disarms {
                 match self.ended().await {
                     Ok(()) => {
-                        self.desk.borrow_mut().command.ended();
+                        self.shared.borrow_mut().command.ended();
                         continue;
                     }
                     // It goes on without heartbeats, and is asked again.
@@ -183,8 +181,8 @@ impl<'b, C: Clock> Broker<'b, C> {
                     Err(error) => return error,
                 }
             }
-            let look = self.board.sleep_s(timeout_us as f64 * 1e-6 / LOOKS_PER_TIMEOUT);
-            select(pin!(self.woken()), pin!(look)).await;
+            let next_look = self.board.sleep_s(timeout_us as f64 * 1e-6 / LOOKS_PER_TIMEOUT);
+            select(pin!(self.woken()), pin!(next_look)).await;
         }
     }
 
@@ -203,19 +201,16 @@ impl<'b, C: Clock> Broker<'b, C> {
     async fn woken(&self) {
         let mut first = true;
         poll_fn(|context| {
-            self.desk.borrow_mut().waker = Some(context.waker().clone());
+            self.shared.borrow_mut().waker = Some(context.waker().clone());
             if std::mem::take(&mut first) { Poll::Pending } else { Poll::Ready(()) }
         })
         .await;
     }
 
     fn wake(&self) {
-        let waker = self.desk.borrow_mut().waker.take();
+        let waker = self.shared.borrow_mut().waker.take();
         if let Some(waker) = waker {
             waker.wake();
         }
     }
 }
-
-/// What a client is told that may not command now.
-const OTHER_COMMANDS: Refusal = Refusal::InUse;

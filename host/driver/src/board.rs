@@ -142,7 +142,7 @@ impl<C: Clock> Board<C> {
             let sent_us = wire.clock.now_us();
             let hello = Request::Hello { version, schema };
             // Not the same one again: each opens a session of its own, and the last one counts.
-            match wire.request_within("hello", hello, after_ms).await {
+            match wire.send_request("hello", hello, Some(after_ms)).await {
                 // Heartbeats go by it: with another there would be none, or nothing else.
                 Ok(Reply::Hello(info)) if LINK_TIMEOUT_MS.contains(&info.link_timeout_ms) => {
                     return Ok((info, sent_us));
@@ -641,7 +641,7 @@ impl<C: Clock> Board<C> {
 }
 
 /// How long the answer to `request` may take.
-pub(crate) fn timeout_ms(request: &Request) -> u32 {
+fn timeout_ms(request: &Request) -> u32 {
     match request {
         Request::SaveParameters | Request::Fault { .. } | Request::FaultSnapshot { .. } => FLASH_TIMEOUT_MS,
         _ => REQUEST_TIMEOUT_MS,
@@ -702,33 +702,56 @@ impl<C: Clock> Wire<C> {
     }
 
     async fn request(&self, name: &'static str, request: Request) -> Result<Reply, Error> {
-        let after_ms = timeout_ms(&request);
-        self.request_within(name, request, after_ms).await
+        self.send_request(name, request, None).await
     }
 
-    async fn request_within(&self, name: &'static str, request: Request, after_ms: u32) -> Result<Reply, Error> {
-        let mut waiting = self.begin(name)?;
-        let repeat_ms =
-            if may_be_repeated(&request, self.repeats.load(Ordering::Relaxed)) { REPEAT_AFTER_MS } else { after_ms };
-        let begin_us = self.clock.now_us();
-        let mut waited_ms = 0;
-        while waited_ms < after_ms {
-            // With the same number: whichever answer comes first is taken, and the other is passed over.
-            self.send(ToDevice::Request { seq: waiting.seq, request: request.clone() });
-            waited_ms = if waited_ms + 2 * repeat_ms > after_ms { after_ms } else { waited_ms + repeat_ms };
-            let until_us = begin_us + u64::from(waited_ms) * 1000;
-            if let Some(result) = waiting.answer(self.clock.sleep_until(until_us)).await {
-                return result;
+    /// Sends a request, at once and before everything that is sent later. The future is its answer, and sends the request again where that may
+    /// be done and no answer comes. Without `after_ms` the answer may take as long as the request allows.
+    ///
+    /// # Errors
+    /// Of the future: [`Error::TimedOut`], a refusal, or why the link has ended.
+    pub(crate) fn send_request(
+        &self,
+        name: &'static str,
+        request: Request,
+        after_ms: Option<u32>,
+    ) -> impl Future<Output = Result<Reply, Error>> + use<C> {
+        let after_ms = after_ms.unwrap_or_else(|| timeout_ms(&request));
+        let repeat_ms = match may_be_repeated(&request, self.repeats.load(Ordering::Relaxed)) {
+            true => REPEAT_AFTER_MS,
+            false => after_ms,
+        };
+        let (clock, outgoing) = (self.clock.clone(), self.outgoing.clone());
+        let begin_us = clock.now_us();
+        let waiting = self.begin(name);
+        // After the end of the link there is nobody to send it to.
+        let send = move |seq| drop(outgoing.unbounded_send(ToDevice::Request { seq, request: request.clone() }));
+        if let Ok(waiting) = &waiting {
+            send(waiting.seq);
+        }
+        async move {
+            let mut waiting = waiting?;
+            let mut waited_ms = 0;
+            loop {
+                waited_ms = if waited_ms + 2 * repeat_ms > after_ms { after_ms } else { waited_ms + repeat_ms };
+                let until_us = begin_us + u64::from(waited_ms) * 1000;
+                if let Some(result) = waiting.answer(clock.sleep_until(until_us)).await {
+                    return result;
+                }
+                if waited_ms >= after_ms {
+                    return Err(Error::TimedOut { request: name, after_ms });
+                }
+                // With the same number: whichever answer comes first is taken, and the other is passed over.
+                send(waiting.seq);
             }
         }
-        Err(Error::TimedOut { request: name, after_ms })
     }
 
     /// Makes a number for a request, whose answer is waited for from now on.
     ///
     /// # Errors
     /// Why the link has ended.
-    pub(crate) fn begin(&self, name: &'static str) -> Result<Waiting, Error> {
+    fn begin(&self, name: &'static str) -> Result<Waiting, Error> {
         let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
         let (sender, answer) = oneshot::channel();
         let mut state = lock(&self.state);
@@ -746,16 +769,16 @@ impl<C: Clock> Wire<C> {
 }
 
 /// A request that waits for its answer.
-pub(crate) struct Waiting {
+struct Waiting {
     state: Arc<Mutex<State>>,
     name: &'static str,
-    pub(crate) seq: u16,
+    seq: u16,
     answer: oneshot::Receiver<Answer>,
 }
 
 impl Waiting {
     /// The answer, or why there will be none; `None` when `until` was first.
-    pub(crate) async fn answer(&mut self, until: impl Future<Output = ()>) -> Option<Result<Reply, Error>> {
+    async fn answer(&mut self, until: impl Future<Output = ()>) -> Option<Result<Reply, Error>> {
         match select(&mut self.answer, pin!(until)).await {
             Either::Left((Ok(Answer::Told(result)), _)) => Some(result.map_err(Error::from)),
             Either::Left((Ok(Answer::Unknown), _)) => Some(Err(Error::UnknownAnswer { request: self.name })),

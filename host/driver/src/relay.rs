@@ -4,7 +4,6 @@ use r4_protocol::{Causes, Cycle, CycleState, HotWinding, Reply, Request, SafetyS
 
 use crate::{
     Board, Clock, Error,
-    board::timeout_ms,
     streams::{LogStream, Stream, lock},
 };
 
@@ -58,22 +57,12 @@ impl<C: Clock> Board<C> {
         lock(&self.wire.state).heartbeats.open()
     }
 
-    /// Passes a request on. It is on its way when this returns, before all that is asked for later; it is sent once.
+    /// Passes a request on. It is on its way when this returns, before all that is asked for later; it is sent again as the driver's own are.
     ///
     /// # Errors
     /// Of the future: those of any request.
     pub fn pass_on(&self, request: Request) -> impl Future<Output = Result<Reply, Error>> + use<C> {
-        const NAME: &str = "request passed on";
-        let (after_ms, clock) = (timeout_ms(&request), self.wire.clock.clone());
-        let waiting = self.wire.begin(NAME);
-        if let Ok(waiting) = &waiting {
-            self.wire.send(ToDevice::Request { seq: waiting.seq, request });
-        }
-        async move {
-            let until_us = clock.now_us() + u64::from(after_ms) * 1000;
-            let answer = waiting?.answer(clock.sleep_until(until_us)).await;
-            answer.unwrap_or(Err(Error::TimedOut { request: NAME, after_ms }))
-        }
+        self.wire.send_request("request passed on", request, None)
     }
 
     /// Passes a cycle on. Its answer comes by [`Board::cycle_answers`]; [`Board::stream`] must not be in use.

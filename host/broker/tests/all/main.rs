@@ -20,8 +20,9 @@ use r4_broker::{Broker, Left};
 use r4_driver::{Board, Clock, Error, with_board};
 use r4_protocol::{
     Cause, ChannelId, ChannelKind, FrameDecoder, Mode, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Setpoint,
-    ToDevice, ToHost, VERSION, encode_frame,
+    Spoken, ToDevice, ToHost, VERSION, encode_frame,
     frame::{Check, MAX_FRAME, encode_with},
+    version::SPOKEN,
 };
 use r4_sim::link::{Port, Receiver, Sender, serial};
 use simulated::{VirtualClock, simulated_link};
@@ -58,7 +59,7 @@ impl Read for End {
     }
 }
 
-/// Where clients connect.
+/// Connects clients to the broker under test, over links of virtual time.
 struct Door {
     clock: VirtualClock,
     coming: UnboundedSender<(End, Sender)>,
@@ -177,7 +178,7 @@ fn a_stop_is_taken_from_any_client() {
 }
 
 /// A client that fails while a motor moves, at twenty moments between its heartbeats: the board trips by itself, in the time of its link
-/// time-out, whoever else watches; and afterwards another client may command.
+/// time-out, while another client watches; and afterwards another client may command.
 #[test]
 fn a_client_that_fails_trips_the_board_as_on_a_link_of_its_own() {
     for moment in 0..20 {
@@ -334,6 +335,23 @@ fn sessions_are_each_clients_own() {
         assert_eq!(one.request(Request::Bye).await, Ok(Reply::Done));
         assert_eq!(one.request(Request::Stats).await, Err(Refusal::NoSession));
         assert!(other.request(Request::Stats).await.is_ok());
+        Ok(())
+    });
+}
+
+/// In a session of version 12 a number says nothing: the same request with it is another.
+#[test]
+fn a_session_of_an_older_version_has_no_repeats() {
+    let old = SPOKEN[1];
+    assert_eq!(old.version, 12);
+    shared(async |door, board| {
+        let mut client = Raw::new(door);
+        let Spoken { version, schema } = old;
+        assert!(matches!(client.request(Request::Hello { version, schema }).await, Ok(Reply::Hello(_))));
+        assert_eq!(client.request(Request::Arm).await, Ok(Reply::Done));
+        board.stop().await?;
+        let refused = client.request(Request::Arm).await;
+        assert!(matches!(refused, Err(Refusal::Tripped { .. })), "{refused:?}");
         Ok(())
     });
 }
