@@ -46,7 +46,7 @@ pub(crate) struct Host {
     pub(crate) subscriptions: Subscriptions,
     pub(crate) log: Feed,
     bound: Bound,
-    /// Of the session.
+    /// Version of the protocol in which the session was opened; 0 before the first.
     version: u16,
     repeats: Repeats,
 }

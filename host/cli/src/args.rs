@@ -68,12 +68,12 @@ pub(crate) struct Args {
     /// Record what the command does to this log: telemetry, requests and states, as `log` reads them
     #[arg(long, global = true, value_name = "FILE")]
     pub(crate) record: Option<PathBuf>,
-    /// Where what would be recorded is told live: see [`Foxglove`]
+    /// Address at which a live view of what would be recorded is served, from [`Foxglove`]
     #[arg(skip)]
     pub(crate) live: Option<SocketAddr>,
 }
 
-/// For verbs that are looked on at.
+/// Option of the verbs that have a live view.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct Foxglove {
     /// Show it live in Foxglove or Lichtblick, which connect to this address of this machine [default: 127.0.0.1:8765]

@@ -4,10 +4,10 @@ use std::net::SocketAddr;
 
 use r4_log::Live;
 
-/// Serves who looks on at an address of this machine.
+/// Serves viewers at a loopback address.
 ///
 /// # Errors
-/// Where the address is none of this machine's own or taken, or this program was built without.
+/// When other machines reach the address, its port is taken, or this program was built without the feature `live`.
 pub(crate) fn serve(address: SocketAddr) -> anyhow::Result<Box<dyn Live>> {
     if !address.ip().is_loopback() {
         return Err(Open(address).into());
@@ -15,7 +15,7 @@ pub(crate) fn serve(address: SocketAddr) -> anyhow::Result<Box<dyn Live>> {
     server::serve(address)
 }
 
-/// Whoever reaches it would see all that the board does: the protocol has no key.
+/// The protocol has no key: every program that reaches the address sees all that the board does.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "{0} can be reached from other machines, and nothing asks those for a key: serve it on 127.0.0.1, and let others in by ssh -L {port}:127.0.0.1:{port}",
@@ -31,25 +31,21 @@ mod server {
     use foxglove::{ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServerHandle};
     use r4_log::{Live, LiveTopic};
 
-    /// A topic that changes rarely is told again after this time, for those who have come since, ns of the log.
-    const AGAIN_NS: u64 = 1_000_000_000;
-    /// Topics that hold until they change.
-    const HOLDING: [&str; 1] = ["/state"];
+    /// The last message of a topic that is sent on change only is repeated after this time, ns of the log: a viewer that connects
+    /// later has to see it, and the protocol does not latch.
+    const REPEAT_NS: u64 = 1_000_000_000;
+    /// The topic that is sent on change only.
+    const ON_CHANGE: &str = "/state";
 
-    /// Topics, and who looks on.
+    /// WebSocket server, and the log's topics as it has them.
     struct Server {
         context: Arc<Context>,
-        topics: BTreeMap<u16, Topic>,
-        /// Until it is dropped.
+        /// By their numbers in the log; without those that the library refused.
+        topics: BTreeMap<u16, Arc<RawChannel>>,
+        /// Last message of [`ON_CHANGE`]: its topic, itself, and when it was sent, ns.
+        held: Option<(u16, Vec<u8>, u64)>,
+        /// Serves until it is dropped.
         _server: WebSocketServerHandle,
-    }
-
-    struct Topic {
-        /// `None` where the library does not take it, of which was told.
-        channel: Option<Arc<RawChannel>>,
-        /// The last message and when it was told, of one that holds.
-        held: Option<(Vec<u8>, u64)>,
-        holds: bool,
     }
 
     pub(super) fn serve(address: SocketAddr) -> anyhow::Result<Box<dyn Live>> {
@@ -65,7 +61,7 @@ mod server {
             address.ip(),
             server.port()
         );
-        Ok(Box::new(Server { context, topics: BTreeMap::new(), _server: server }))
+        Ok(Box::new(Server { context, topics: BTreeMap::new(), held: None, _server: server }))
     }
 
     impl Live for Server {
@@ -73,25 +69,26 @@ mod server {
             let schema = Schema::new(topic.schema, "jsonschema", topic.json_schema.as_bytes().to_vec());
             let builder =
                 ChannelBuilder::new(topic.name).context(&self.context).message_encoding("json").schema(schema);
-            let channel =
-                builder.build_raw().inspect_err(|why| eprintln!("r4: {} is not live: {why}", topic.name)).ok();
-            let holds = HOLDING.contains(&topic.name);
-            self.topics.insert(topic.number, Topic { channel, held: None, holds });
+            match builder.build_raw() {
+                Ok(channel) => drop(self.topics.insert(topic.number, channel)),
+                Err(why) => eprintln!("r4: {} is not live: {why}", topic.name),
+            }
         }
 
         fn message(&mut self, topic: u16, log_time_ns: u64, json: &[u8]) {
             let at = || PartialMetadata { log_time: Some(log_time_ns) };
-            if let Some(Topic { channel: Some(channel), held, holds }) = self.topics.get_mut(&topic) {
+            if let Some(channel) = self.topics.get(&topic) {
                 channel.log_with_meta(json, at());
-                *held = holds.then(|| (json.to_vec(), log_time_ns));
-            }
-            for Topic { channel, held, .. } in self.topics.values_mut() {
-                if let (Some(channel), Some((message, told_ns))) = (channel, held)
-                    && log_time_ns.saturating_sub(*told_ns) >= AGAIN_NS
-                {
-                    channel.log_with_meta(message, at());
-                    *told_ns = log_time_ns;
+                if channel.topic() == ON_CHANGE {
+                    self.held = Some((topic, json.to_vec(), log_time_ns));
                 }
+            }
+            if let Some((topic, message, sent_ns)) = &mut self.held
+                && log_time_ns.saturating_sub(*sent_ns) >= REPEAT_NS
+                && let Some(channel) = self.topics.get(topic)
+            {
+                channel.log_with_meta(message, at());
+                *sent_ns = log_time_ns;
             }
         }
     }

@@ -48,7 +48,7 @@ pub(crate) fn is_made() {
 
 /// The recording of one session, or of several that a lost link parts, to a file.
 pub(crate) struct Recording {
-    /// `None` where it only is told to who looks on.
+    /// `None` for a recording that is discarded, as of a live view without `--record`.
     path: Option<String>,
     recording: recording::Recording,
 }

@@ -178,12 +178,11 @@ fn begin(session: &Session<'_>) {
 pub(crate) fn keep<T>(
     args: &Args,
     default_pace: Pace,
-    work: impl AsyncFnMut(&Session<'_>) -> anyhow::Result<T>,
+    mut work: impl AsyncFnMut(&Session<'_>) -> anyhow::Result<T>,
     tell: impl FnMut(Event),
     meanwhile: impl AsyncFnOnce(&HostClock) -> anyhow::Result<T>,
 ) -> anyhow::Result<T> {
     let Target::Link(address) = &args.board else {
-        let mut work = work;
         return Ok(run(args, default_pace, async |session: &Session<'_>| work(session).await)?.0);
     };
     keep_on(args, &rig(args, default_pace)?, address, work, tell, meanwhile)

@@ -26,11 +26,11 @@ pub mod bus;
 pub mod can;
 mod clock;
 mod descriptor;
-mod door;
 #[cfg(test)]
 mod fake_board;
 mod key_file;
 pub mod legacy;
+mod listener;
 mod open;
 pub mod ports;
 #[cfg(unix)]
@@ -45,7 +45,7 @@ pub use address::{Address, BadAddress, CanInterface, DEFAULT_BAUD};
 pub use async_io::block_on;
 pub use clock::{RealClock, monotonic_ns};
 pub use descriptor::Descriptor;
-pub use door::{Comer, Door};
+pub use listener::{Accepted, Listener};
 pub use open::{Link, OpenError, Receiver, Transmitter, open, tcp};
 pub use reconnect::{Event, Restart, is_of_link, with_reconnect};
 pub use secure::Key;

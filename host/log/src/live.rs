@@ -1,11 +1,11 @@
-//! A log as it comes, for those who look on.
+//! A log while it is recorded, for live views.
 
 /// Topic of a log, with what describes its messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LiveTopic<'a> {
-    /// Number in this log.
+    /// Number in this log, by which its messages come.
     pub number: u16,
-    /// As in `/osmc0`.
+    /// Name in the log, as in `/osmc0`.
     pub name: &'a str,
     /// Name of the schema, as in `r4.Motor`.
     pub schema: &'a str,
@@ -13,7 +13,7 @@ pub struct LiveTopic<'a> {
     pub json_schema: &'a str,
 }
 
-/// Who gets what a recording holds, while it is recorded: the same topics, schemas and times.
+/// Receiver of what a recording holds, while it is recorded: the same topics, schemas and times.
 pub trait Live {
     /// A topic begins. Each comes before its first message.
     fn topic(&mut self, topic: &LiveTopic<'_>);

@@ -23,7 +23,7 @@ pub enum Output {
     File(BufWriter<File>),
     /// Into memory.
     Memory(Cursor<Vec<u8>>),
-    /// Nowhere: it is only told to who looks on.
+    /// Discarded: the recording is for live views only ([`Tap::tell`]).
     Nowhere(io::Sink),
 }
 
@@ -109,7 +109,7 @@ pub fn bytes(output: Option<Output>) -> Vec<u8> {
 
 /// The recording of one session, or of several that a lost link parts, in a file.
 pub struct Recording {
-    /// `None` where it only is told to who looks on.
+    /// `None` for a recording that is discarded.
     path: Option<PathBuf>,
     tap: SharedTap,
 }
@@ -135,7 +135,7 @@ impl Recording {
         }
     }
 
-    /// The same without a file.
+    /// Makes a recording without a file, for live views.
     pub fn nowhere(tap: impl FnOnce(Output) -> SharedTap) -> Self {
         Self { tap: tap(Output::Nowhere(io::sink())), path: None }
     }

@@ -417,7 +417,7 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
     }
 }
 
-/// Whoever called may be gone.
+/// Answers a service call. A caller that is gone by now gets none.
 fn respond(answer: Option<oneshot::Sender<TriggerResponse>>, response: TriggerResponse) {
     if let Some(answer) = answer {
         let _ = answer.send(response);

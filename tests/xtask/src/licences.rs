@@ -2,7 +2,7 @@
 //!
 //! It reads the lists that cargo-deny reads, so that each test run can look at them without a program that takes minutes to build.
 
-use std::{collections::BTreeMap, fs, path::Path, process::Command};
+use std::{collections::BTreeMap, fs, path::Path};
 
 use serde::Deserialize;
 use spdx::{Expression, ParseMode};
@@ -40,11 +40,6 @@ struct Exception {
 }
 
 #[derive(Deserialize)]
-struct Metadata {
-    packages: Vec<Package>,
-}
-
-#[derive(Deserialize)]
 struct Package {
     name: String,
     version: String,
@@ -57,17 +52,8 @@ struct Package {
 pub(crate) fn check(root: &Path) -> Result<(), String> {
     let policy = fs::read_to_string(root.join(POLICY)).map_err(|error| format!("cannot read {POLICY}: {error}"))?;
     let policy: Policy = toml::from_str(&policy).map_err(|error| format!("{POLICY}: {error}"))?;
-    let metadata = Command::new(toolchain::cargo())
-        .args(["metadata", "--format-version", "1", "--all-features", "--locked"])
-        .current_dir(root)
-        .output()
-        .map_err(|error| format!("cargo cannot be started: {error}"))?;
-    if !metadata.status.success() {
-        return Err(String::from_utf8_lossy(&metadata.stderr).into_owned());
-    }
-    let metadata: Metadata =
-        serde_json::from_slice(&metadata.stdout).map_err(|error| format!("cargo metadata: {error}"))?;
-    let others: Vec<&Package> = metadata.packages.iter().filter(|package| package.source.is_some()).collect();
+    let packages: Vec<Package> = toolchain::packages(root, true)?;
+    let others: Vec<&Package> = packages.iter().filter(|package| package.source.is_some()).collect();
     let problems = problems(&policy.licenses, &others);
     if problems.is_empty() {
         println!("{} packages of others, all under licences of {POLICY}", others.len());

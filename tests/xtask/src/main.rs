@@ -126,8 +126,8 @@ fn main() -> ExitCode {
         }
         Ok(Task::Probe) => probe::run(&root()),
         Ok(Task::Test(extent)) => test::run(&root(), extent),
-        Ok(Task::Python(python)) => python.run(&root()),
-        Ok(Task::Ros2(ros2)) => ros2.run(&root()),
+        Ok(Task::Python(python)) => ended(python.test(&root())),
+        Ok(Task::Ros2(ros2)) => ended(ros2.test(&root())),
         Ok(Task::Firmware(firmware)) => firmware.run(&root()),
         Ok(Task::Flash(flash)) => flash.run(&root()),
         Ok(Task::Size(size)) => size.run(&root()),
@@ -137,7 +137,7 @@ fn main() -> ExitCode {
         Ok(Task::Wire(wire)) => wire.run(&root()),
         Ok(Task::Licences) => ended(licences::check(&root())),
         Ok(Task::Package) => ended(package::check(&root())),
-        Ok(Task::Release(release)) => release.run(&root()),
+        Ok(Task::Release(release)) => ended(release.make(&root())),
         Err(problem) => {
             eprintln!("error: {problem}\n\n{USAGE}");
             ExitCode::from(USAGE_ERROR)
@@ -145,6 +145,7 @@ fn main() -> ExitCode {
     }
 }
 
+/// Exit code of a task; a problem is printed.
 fn ended(result: Result<(), String>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -17,11 +17,6 @@ use crate::{
 const PROGRAM: &str = "r4";
 
 #[derive(Deserialize)]
-struct Metadata {
-    packages: Vec<Package>,
-}
-
-#[derive(Deserialize)]
 struct Package {
     name: String,
     version: String,
@@ -31,17 +26,8 @@ struct Package {
 
 /// Packages all that can be published, and compiles the program of what is in the packages.
 pub(crate) fn check(root: &Path) -> Result<(), String> {
-    let metadata = Command::new(toolchain::cargo())
-        .args(["metadata", "--format-version", "1", "--no-deps", "--locked"])
-        .current_dir(root)
-        .output()
-        .map_err(|error| format!("cargo cannot be started: {error}"))?;
-    if !metadata.status.success() {
-        return Err(String::from_utf8_lossy(&metadata.stderr).into_owned());
-    }
-    let metadata: Metadata =
-        serde_json::from_slice(&metadata.stdout).map_err(|error| format!("cargo metadata: {error}"))?;
-    let (kept, published): (Vec<_>, Vec<_>) = metadata.packages.iter().partition(|package| package.publish.is_some());
+    let packages: Vec<Package> = toolchain::packages(root, false)?;
+    let (kept, published): (Vec<_>, Vec<_>) = packages.iter().partition(|package| package.publish.is_some());
     let target = target_folder(root)?;
     let mut packaging = Command::new(toolchain::cargo());
     // Compiled below, all together: cargo would compile each for itself. What is not committed may be tried, too.

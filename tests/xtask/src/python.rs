@@ -3,7 +3,6 @@
 use std::{
     fs,
     path::{Path, PathBuf},
-    process::ExitCode,
     time::Instant,
 };
 
@@ -42,17 +41,6 @@ impl Python {
             }
         }
         Ok(python)
-    }
-
-    /// The task.
-    pub(crate) fn run(&self, root: &Path) -> ExitCode {
-        match self.test(root) {
-            Ok(()) => ExitCode::SUCCESS,
-            Err(problem) => {
-                eprintln!("error: {problem}");
-                ExitCode::FAILURE
-            }
-        }
     }
 
     /// Builds, installs and tests.

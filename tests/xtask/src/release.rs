@@ -3,7 +3,7 @@
 use std::{
     fs,
     path::{Path, PathBuf},
-    process::{Command, ExitCode},
+    process::Command,
 };
 
 use crate::{
@@ -36,27 +36,13 @@ impl Release {
         }
     }
 
-    /// The task.
-    pub(crate) fn run(&self, root: &Path) -> ExitCode {
-        match self.make(root) {
-            Ok(archive) => {
-                println!("{}", archive.display());
-                ExitCode::SUCCESS
-            }
-            Err(problem) => {
-                eprintln!("error: {problem}");
-                ExitCode::FAILURE
-            }
-        }
-    }
-
     /// With the program that the tests have built.
     pub(crate) fn of_tests(root: &Path) -> Result<Self, String> {
         Ok(Self { program: Some(built(&target_folder(root)?, "debug")) })
     }
 
-    /// Packs the program, for the system that this runs on. Returns the archive.
-    pub(crate) fn make(&self, root: &Path) -> Result<PathBuf, String> {
+    /// Packs the program into an archive for the system that this runs on, and prints where that is.
+    pub(crate) fn make(&self, root: &Path) -> Result<(), String> {
         let target = target_folder(root)?;
         let program = match &self.program {
             Some(program) => program.clone(),
@@ -75,7 +61,8 @@ impl Release {
         fill(root, &program, &folder)?;
         let archive = releases.join(format!("{name}.tar.gz"));
         call(Command::new("tar").arg("-czf").arg(&archive).arg("-C").arg(&releases).arg(&name))?;
-        Ok(archive)
+        println!("{}", archive.display());
+        Ok(())
     }
 }
 

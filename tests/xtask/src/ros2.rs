@@ -3,7 +3,7 @@
 use std::{
     env,
     path::{Path, PathBuf},
-    process::{Command, ExitCode},
+    process::Command,
     time::Instant,
 };
 
@@ -50,17 +50,6 @@ impl Ros2 {
             }
         }
         Ok(ros2)
-    }
-
-    /// The task.
-    pub(crate) fn run(&self, root: &Path) -> ExitCode {
-        match self.test(root) {
-            Ok(()) => ExitCode::SUCCESS,
-            Err(problem) => {
-                eprintln!("error: {problem}");
-                ExitCode::FAILURE
-            }
-        }
     }
 
     /// Builds the program and tests it beside each distribution.

@@ -112,7 +112,7 @@ const FULL: &[Step] = &[
                 "--workspace",
                 "--all-targets",
                 "--features",
-                "r4/dfu,r4/emu,r4/live,r4/parquet,r4/probe",
+                "r4/dfu,r4/emu,r4/live,r4/parquet,r4/probe,r4/ros2",
                 "--",
                 "-D",
                 "warnings",
@@ -241,7 +241,7 @@ fn execute(step: &Step, root: &Path) -> Result<(), String> {
         Run::Protocol => Wire::Check.go(root),
         Run::Licences => licences::check(root),
         Run::Packages => package::check(root),
-        Run::Release => Release::of_tests(root)?.make(root).map(|archive| println!("{}", archive.display())),
+        Run::Release => Release::of_tests(root)?.make(root),
         Run::Python => Python::default().test(root),
         Run::Tests(arguments) => programs::run(root, arguments, &unless_set(SAME_CASES)),
         Run::Cargo { folder, arguments, environment } => {

@@ -10,6 +10,8 @@ use std::{
     process::Command,
 };
 
+use serde::{Deserialize, de::DeserializeOwned};
+
 /// The Cortex-M7 of the Giga.
 pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
 /// The other systems that the program is compiled for.
@@ -18,6 +20,26 @@ pub(crate) const SYSTEMS: [&str; 2] = ["aarch64-apple-darwin", "x86_64-pc-window
 /// The cargo that runs this, so that every step uses the same toolchain.
 pub(crate) fn cargo() -> OsString {
     env::var_os("CARGO").unwrap_or_else(|| "cargo".into())
+}
+
+/// Packages as `cargo metadata` reports them, without those of others or with the ones of every feature.
+pub(crate) fn packages<P: DeserializeOwned>(root: &Path, with_others: bool) -> Result<Vec<P>, String> {
+    #[derive(Deserialize)]
+    struct Metadata<P> {
+        packages: Vec<P>,
+    }
+
+    let which = if with_others { "--all-features" } else { "--no-deps" };
+    let metadata = Command::new(cargo())
+        .args(["metadata", "--format-version", "1", "--locked", which])
+        .current_dir(root)
+        .output()
+        .map_err(|error| format!("cargo cannot be started: {error}"))?;
+    if !metadata.status.success() {
+        return Err(String::from_utf8_lossy(&metadata.stderr).into_owned());
+    }
+    let read: Result<Metadata<P>, _> = serde_json::from_slice(&metadata.stdout);
+    read.map(|metadata| metadata.packages).map_err(|error| format!("cargo metadata: {error}"))
 }
 
 /// Runs a command, which says by itself what it has to say.

@@ -1,4 +1,4 @@
-//! `r4 ros2`
+//! `r4 ros2`: the board as a ROS 2 node, in programs that are built with it.
 
 use crate::args::Args;
 
@@ -17,9 +17,18 @@ pub(crate) struct Ros2 {
     pub(crate) no_tf: bool,
 }
 
+/// What this program was not built with.
+#[cfg(not(feature = "ros2"))]
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "this r4 was built without ROS 2. Build one with it, in the repository:\n  \
+     cargo install --locked --path host/cli --features ros2"
+)]
+struct NotBuilt;
+
 #[cfg(not(feature = "ros2"))]
 pub(crate) fn run(_: &Args, _: &Ros2) -> anyhow::Result<bool> {
-    anyhow::bail!("this r4 was built without ROS 2: build it with `cargo build --release -p r4 --features ros2`")
+    Err(NotBuilt.into())
 }
 
 #[cfg(feature = "ros2")]
@@ -30,7 +39,7 @@ pub(crate) fn run(args: &Args, ros2: &Ros2) -> anyhow::Result<bool> {
     };
     use r4_sim::Pace;
 
-    use crate::session;
+    use crate::{output, session};
 
     if args.pace == Some(Pace::Free) {
         anyhow::bail!(
@@ -48,14 +57,15 @@ pub(crate) fn run(args: &Args, ros2: &Ros2) -> anyhow::Result<bool> {
         let serve = async {
             let node = Node::open(session, discovery, &namespace)?;
             let (name, board) = (namespace.resolve("~/"), args.board.described());
-            println!("node {} for {board}; {discovery}", name.trim_end_matches('/'));
-            node.serve(session, Door { clock, has_transform: !ros2.no_tf }).await
+            output::line(format_args!("node {} for {board}; {discovery}", name.trim_end_matches('/')))?;
+            let served = node.serve(session, Door { clock, has_transform: !ros2.no_tf }).await;
+            served.map_err(|error| match error {
+                // By which the exit code is found.
+                NodeError::Board(error) => anyhow::Error::from(error),
+                error => anyhow::Error::from(error),
+            })
         };
-        serve.await.map_err(|error| match error {
-            // By which the exit code is found.
-            NodeError::Board(error) => anyhow::Error::from(error),
-            error => anyhow::Error::from(error),
-        })
+        serve.await
     });
     served.map(|_| true)
 }

@@ -27,7 +27,7 @@ use async_io::{Async, Timer};
 use clients::Clients;
 use embedded_io_async::{Read, Write};
 use futures::future::{Either, select};
-use r4_links::{Address, Descriptor, Door, Key, Receiver, Transmitter, bus::End, monotonic_ns, slcan};
+use r4_links::{Address, Descriptor, Key, Listener, Receiver, Transmitter, bus::End, monotonic_ns, slcan};
 use r4_protocol::can::Node;
 use r4_sim::ResetCause;
 use r4_sim::{Pace, Simulation, VirtualBoard, link::Port};
@@ -83,7 +83,7 @@ enum Place {
     /// One client, or none, all the time.
     Port(Option<Terminal>, Receiver, Transmitter),
     /// Clients come and go.
-    Door(Door),
+    Listener(Listener),
 }
 
 pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
@@ -91,7 +91,7 @@ pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
     session::catch_interrupts();
     let (place, address) = place(&args, serve)?;
     let told = |origin| output::json(&FirstLine { place: address, epoch_ns: monotonic_ns(origin) });
-    power_up(&args, place, (&session::is_interrupted, true), told).map(|()| true)
+    power_up(&args, place, Until { ends: &session::is_interrupted, reports_shifts: true }, told).map(|()| true)
 }
 
 /// The arguments of a virtual board that is served.
@@ -102,12 +102,20 @@ fn virtual_board(args: &Args, board: &Target) -> anyhow::Result<Args> {
     Ok(Args { board: board.clone(), ..args.clone() })
 }
 
-/// Powers a virtual board up and serves it until `ends` says so; `tells_shifts` on stdout. `ready` is called once that begins, with the
-/// real time at virtual time 0.
+/// How long a virtual board is served, and for whom.
+#[derive(Clone, Copy)]
+struct Until<'s> {
+    /// Asked every [`LOOK_EVERY`].
+    ends: &'s dyn Fn() -> bool,
+    /// Whether each [`Shifted`] is a line on stdout.
+    reports_shifts: bool,
+}
+
+/// Powers a virtual board up and serves it. `ready` is called once that begins, with the real time at virtual time 0.
 fn power_up(
     args: &Args,
     place: Place,
-    (ends, tells_shifts): (&dyn Fn() -> bool, bool),
+    until: Until<'_>,
     ready: impl FnOnce(Instant) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
     let mut simulation = Simulation::new(Pace::Free);
@@ -115,7 +123,7 @@ fn power_up(
     if matches!(args.board, Target::Sim(_)) {
         board.set_link_baud(NO_TIME);
     }
-    let served = Served { tells_shifts, ..Served::new(&mut simulation, board.clone(), ends)? };
+    let served = Served::new(&mut simulation, board.clone(), until)?;
     ready(served.origin)?;
     let served = r4_links::block_on(served.run(place));
     if let Some(file) = file {
@@ -133,15 +141,15 @@ pub(super) struct Background {
 }
 
 impl Background {
-    /// Powers the board up.
+    /// Powers the board up on a thread of its own, and returns when it can be connected to.
     ///
     /// # Errors
-    /// As [`power_up`].
+    /// Why the board does not start: an unknown robot, a wrong plant or flash file, `--pace`.
     pub(super) fn start(args: &Args) -> anyhow::Result<Self> {
         let args = virtual_board(args, &args.board)?;
         let key = Key::random().context("cannot make a key")?;
-        let listener = Async::<TcpListener>::bind(([127, 0, 0, 1], 0)).context("cannot listen on this machine")?;
-        let at = listener.get_ref().local_addr().context("cannot listen on this machine")?;
+        let socket = Async::<TcpListener>::bind(([127, 0, 0, 1], 0)).context("cannot listen on this machine")?;
+        let at = socket.get_ref().local_addr().context("cannot listen on this machine")?;
         let address = Address::Tcp { host: at.ip().to_string(), port: at.port() };
         let ends = Arc::<AtomicBool>::default();
         let (is_ready, ready) = mpsc::channel();
@@ -149,8 +157,9 @@ impl Background {
             let (key, ends) = (key.clone(), ends.clone());
             move || {
                 let told = |_| is_ready.send(()).context("nobody waits for the board");
-                let place = Place::Door(Door::new(listener, Some(key)));
-                match power_up(&args, place, (&|| ends.load(Ordering::Relaxed), false), told) {
+                let place = Place::Listener(Listener::new(socket, Some(key)));
+                let until = Until { ends: &|| ends.load(Ordering::Relaxed), reports_shifts: false };
+                match power_up(&args, place, until, told) {
                     Err(error) if error.is::<session::Interrupted>() => Ok(()),
                     ended => ended,
                 }
@@ -194,12 +203,13 @@ fn place(args: &Args, serve: &Serve) -> anyhow::Result<(Place, Where)> {
         return bus(interface, end()?);
     }
     let address = serve.tcp.ok_or_else(|| anyhow!("nowhere to serve the board"))?;
-    let (door, at) = door(args, address, serve.public)?;
-    Ok((Place::Door(door), Where::Tcp(at.to_string())))
+    let (listener, at) = listen(args, address, serve.public)?;
+    Ok((Place::Listener(listener), Where::Tcp(at.to_string())))
 }
 
-/// Listens for clients at an address, which is this machine's own unless `public` and a key say otherwise. Returns where it is.
-pub(super) fn door(args: &Args, address: SocketAddr, public: bool) -> anyhow::Result<(Door, SocketAddr)> {
+/// Listens for clients at an address: one of this machine's own, or any with `public` and a key. Returns the address with the port that a 0
+/// became.
+pub(super) fn listen(args: &Args, address: SocketAddr, public: bool) -> anyhow::Result<(Listener, SocketAddr)> {
     let only_for_some = public && args.key.is_some();
     if !address.ip().is_loopback() && !only_for_some {
         bail!(
@@ -207,9 +217,9 @@ pub(super) fn door(args: &Args, address: SocketAddr, public: bool) -> anyhow::Re
              with --public and a --key that only those have who may"
         );
     }
-    let listener = Async::<TcpListener>::bind(address).with_context(|| format!("cannot listen at {address}"))?;
-    let at = listener.get_ref().local_addr().context("cannot listen")?;
-    Ok((Door::new(listener, session::key(args)?), at))
+    let socket = Async::<TcpListener>::bind(address).with_context(|| format!("cannot listen at {address}"))?;
+    let at = socket.get_ref().local_addr().context("cannot listen")?;
+    Ok((Listener::new(socket, session::key(args)?), at))
 }
 
 #[cfg(target_os = "linux")]
@@ -257,27 +267,21 @@ struct Served<'s> {
     origin: Instant,
     /// The board asks to be restarted.
     restart: Rc<Cell<bool>>,
-    ends: &'s dyn Fn() -> bool,
-    /// Whether a [`Shifted`] is a line on stdout.
-    tells_shifts: bool,
+    until: Until<'s>,
 }
 
 impl<'s> Served<'s> {
-    fn new(
-        simulation: &'s mut Simulation,
-        board: Rc<dyn VirtualBoard>,
-        ends: &'s dyn Fn() -> bool,
-    ) -> anyhow::Result<Self> {
+    fn new(simulation: &'s mut Simulation, board: Rc<dyn VirtualBoard>, until: Until<'s>) -> anyhow::Result<Self> {
         let outbox = Rc::<Outbox>::default();
         let restart = Rc::<Cell<bool>>::default();
         let to_board = connect(simulation, &board, &outbox, &restart)?;
-        Ok(Self { simulation, board, to_board, outbox, origin: Instant::now(), restart, ends, tells_shifts: true })
+        Ok(Self { simulation, board, to_board, outbox, origin: Instant::now(), restart, until })
     }
 
     async fn run(mut self, place: Place) -> anyhow::Result<()> {
         let served = match place {
             Place::Port(_pty, mut rx, mut tx) => self.with_client(&mut rx, &mut tx).await,
-            Place::Door(door) => self.with_clients(Clients::new(door, self.outbox.clone())).await,
+            Place::Listener(listener) => self.with_clients(Clients::new(listener, self.outbox.clone())).await,
         };
         if self.outbox.dropped.get() > 0 {
             eprintln!("r4: {} bytes of the board were dropped: nobody read them", self.outbox.dropped.get());
@@ -329,7 +333,7 @@ impl<'s> Served<'s> {
         let mut outside = pin!(outside);
         loop {
             self.catch_up()?;
-            if (self.ends)() {
+            if (self.until.ends)() {
                 return Err(session::Interrupted.into());
             }
             let next = self.simulation.clock().next_wake().map(|next_ns| self.origin + Duration::from_nanos(next_ns));
@@ -357,7 +361,7 @@ impl<'s> Served<'s> {
             );
             // Only for who listens.
             let from_ns = self.simulation.clock().now_ns();
-            if self.tells_shifts {
+            if self.until.reports_shifts {
                 let _ = output::json(&Shifted { epoch_ns: monotonic_ns(self.origin), from_ns });
             }
         }

@@ -3,6 +3,7 @@
 use std::{
     convert::Infallible,
     future::{pending, poll_fn},
+    mem,
     net::SocketAddr,
     pin::{Pin, pin},
     task::Poll,
@@ -14,14 +15,14 @@ use futures::{
     stream::FuturesUnordered,
 };
 use r4_broker::{Broker, Left};
-use r4_links::{Comer, Door};
+use r4_links::{Accepted, Listener};
 use r4_sim::Pace;
 use serde::Serialize;
 
 use super::serve::{
     Background,
     clients::{DROPPED, TURNED_AWAY},
-    door,
+    listen,
 };
 use crate::{
     args::{Args, Share},
@@ -32,10 +33,10 @@ use crate::{
 /// Most clients at once.
 const CLIENTS: usize = 64;
 
-/// Period of all channels where they are looked on at, ms.
+/// Period of the samples in live views, ms: 20 a second are smooth to the eye, and little on any link.
 const LIVE_MS: u16 = 50;
 
-/// The first line.
+/// First line on stdout: where clients connect.
 #[derive(Serialize)]
 struct FirstLine {
     tcp: String,
@@ -45,31 +46,31 @@ pub(crate) fn run(args: &Args, share: &Share) -> anyhow::Result<bool> {
     let board = share.board.clone().unwrap_or_else(|| args.board.clone());
     let args = Args { board, live: share.live.foxglove, ..args.clone() };
     session::catch_interrupts();
-    // First, so that a port that is taken costs nothing.
-    let (door, at) = door(&args, share.tcp, share.public)?;
+    // Before the board, which takes longer: a port that is taken is reported at once.
+    let listening = listen(&args, share.tcp, share.public)?;
     let virtual_board = match args.board {
         Target::Link(_) => None,
         Target::Sim(_) | Target::Emu(_) => Some(Background::start(&args)?),
     };
-    let served = serve(&args, virtual_board.as_ref(), (door, at));
+    let served = serve(&args, virtual_board.as_ref(), listening);
     let ended = virtual_board.map_or(Ok(()), Background::end);
-    // What went wrong with a virtual board is why its link ended.
+    // A failure of a virtual board goes first: it is why the link to it ended.
     ended.and(served).map(|never| match never {})
 }
 
 fn serve(
     args: &Args,
     virtual_board: Option<&Background>,
-    (mut door, at): (Door, SocketAddr),
+    (mut listener, at): (Listener, SocketAddr),
 ) -> anyhow::Result<Infallible> {
     let mut is_told = false;
     let work = async |session: &Session<'_>| {
-        if !std::mem::replace(&mut is_told, true) {
+        if !mem::replace(&mut is_told, true) {
             output::json(&FirstLine { tcp: at.to_string() })?;
             let key = args.key.as_ref().map_or_else(String::new, |path| format!(" --key {}", path.display()));
             eprintln!("r4: {} is served at tcp:{at}; for example: r4 monitor --board tcp:{at}{key}", args.board);
         }
-        serve_clients(session, &mut door, args.live.is_some()).await
+        serve_clients(session, &mut listener, args.live.is_some()).await
     };
     let tell = |event| eprintln!("r4: {}", session::told(&event));
     let meanwhile = async |_: &HostClock| pending().await;
@@ -79,8 +80,8 @@ fn serve(
     }
 }
 
-/// Serves whoever comes, until the board's link ends.
-async fn serve_clients(session: &Session<'_>, door: &mut Door, is_live: bool) -> anyhow::Result<Infallible> {
+/// Serves clients until the board's link ends.
+async fn serve_clients(session: &Session<'_>, listener: &mut Listener, is_live: bool) -> anyhow::Result<Infallible> {
     let broker = Broker::new(session.board);
     if is_live {
         for channel in session.board.channels() {
@@ -89,13 +90,13 @@ async fn serve_clients(session: &Session<'_>, door: &mut Door, is_live: bool) ->
     }
     let mut clients = FuturesUnordered::new();
     let serving = poll_fn(|context| {
-        while let Poll::Ready(comer) = door.poll_next(context) {
-            match comer {
-                Ok(Comer::Client(_)) if clients.len() >= CLIENTS => {
+        while let Poll::Ready(accepted) = listener.poll_accept(context) {
+            match accepted {
+                Ok(Accepted::Client(_)) if clients.len() >= CLIENTS => {
                     eprintln!("r4: a client was turned away: {CLIENTS} are connected");
                 }
-                Ok(Comer::Client(link)) => clients.push(broker.client(link.rx, link.tx)),
-                Ok(Comer::Stranger) => eprintln!("{TURNED_AWAY}"),
+                Ok(Accepted::Client(link)) => clients.push(broker.client(link.rx, link.tx)),
+                Ok(Accepted::Stranger) => eprintln!("{TURNED_AWAY}"),
                 Err(error) => return Poll::Ready(error),
             }
         }
@@ -109,7 +110,7 @@ async fn serve_clients(session: &Session<'_>, door: &mut Door, is_live: bool) ->
         Poll::Pending
     });
     match select(pin!(serving), pin!(broker.run())).await {
-        Either::Left((error, _)) => Err(error.into()),
+        Either::Left((error, _)) => Err(anyhow::Error::from(error).context("cannot accept clients")),
         Either::Right((error, _)) => Err(error.into()),
     }
 }

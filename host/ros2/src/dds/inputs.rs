@@ -123,7 +123,7 @@ async fn answer(request: Request, server: &Server<TriggerRequest, TriggerRespons
             Err(_) => None,
         };
         let ended = || TriggerResponse { success: false, message: "the session with the board has ended".into() };
-        // Whoever called may be gone.
+        // The caller may be gone by now.
         let _ = server.async_send_response(id, response.unwrap_or_else(ended)).await;
     }
 }

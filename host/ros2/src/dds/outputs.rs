@@ -24,7 +24,7 @@ pub(super) struct Outputs {
     diagnostics: Publisher<DiagnosticArray>,
     state: Publisher<Text>,
     commanded: Publisher<TwistStamped>,
-    /// Of a simulated board only: a second clock would be followed by whoever uses simulated time.
+    /// Of a simulated board only: nodes that use simulated time follow every publisher of it.
     clock: Option<Publisher<Clock>>,
 }
 

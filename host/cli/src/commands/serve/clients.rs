@@ -16,7 +16,7 @@ use std::{
 use async_io::Timer;
 use embedded_io_async::{Read, Write};
 use futures::future::{Either, select};
-use r4_links::{Comer, Door, Link, Receiver};
+use r4_links::{Accepted, Link, Listener, Receiver};
 use r4_protocol::{FrameDecoder, Refusal, Request, ToDevice, ToHost, encode_frame, frame::MAX_FRAME};
 
 use super::Outbox;
@@ -33,7 +33,7 @@ pub(in super::super) const DROPPED: &str = "r4: a client without a session or he
 
 /// Everyone who is connected.
 pub(super) struct Clients {
-    door: Door,
+    listener: Listener,
     connected: Vec<Client>,
     desk: Rc<Desk>,
     next_number: u64,
@@ -62,9 +62,9 @@ struct Desk {
 }
 
 impl Clients {
-    pub(super) fn new(door: Door, outbox: Rc<Outbox>) -> Self {
+    pub(super) fn new(listener: Listener, outbox: Rc<Outbox>) -> Self {
         let desk = Desk { host: Cell::new(None), to_board: RefCell::default(), outbox };
-        Self { door, connected: Vec::new(), desk: Rc::new(desk), next_number: 0 }
+        Self { listener, connected: Vec::new(), desk: Rc::new(desk), next_number: 0 }
     }
 
     /// What the host has sent to the board.
@@ -73,10 +73,10 @@ impl Clients {
     /// The listener's.
     pub(super) async fn next(&mut self) -> io::Result<Vec<u8>> {
         poll_fn(|context| {
-            while let Poll::Ready(comer) = self.door.poll_next(context) {
-                match comer {
-                    Ok(Comer::Client(link)) => self.connect(link),
-                    Ok(Comer::Stranger) => eprintln!("{TURNED_AWAY}"),
+            while let Poll::Ready(accepted) = self.listener.poll_accept(context) {
+                match accepted {
+                    Ok(Accepted::Client(link)) => self.connect(link),
+                    Ok(Accepted::Stranger) => eprintln!("{TURNED_AWAY}"),
                     Err(error) => return Poll::Ready(Err(error)),
                 }
             }

@@ -1,4 +1,4 @@
-//! Where clients of a board come in: a TCP port, and behind it the proof that they have the key.
+//! TCP listener for clients of a board, who prove to have the key before they are let in.
 
 use std::{
     collections::VecDeque,
@@ -18,39 +18,39 @@ use crate::{Descriptor, Key, Link, Receiver, Transmitter, secure, tcp};
 
 /// A client proves to have the key within this time.
 const GREETING: Duration = Duration::from_secs(2);
-/// Most clients that have not proven it yet. Of more, the one that has come first goes.
+/// Most clients that have not proven it yet. Of more, the oldest is disconnected.
 const GREETED_AT_ONCE: usize = 64;
 
-/// A TCP port, and the key that clients must have.
-pub struct Door {
-    listener: Async<TcpListener>,
+/// TCP listener, and the key that clients must have.
+pub struct Listener {
+    socket: Async<TcpListener>,
     key: Option<Rc<Key>>,
     greeted: VecDeque<Pin<Box<dyn Future<Output = Option<Link>>>>>,
 }
 
-/// Who has come.
+/// Result of one connection.
 #[derive(Debug)]
-pub enum Comer {
-    /// A client.
+pub enum Accepted {
+    /// Link to a client that has proven to have the key, where one is asked for.
     Client(Link),
-    /// Somebody who did not prove to have the key in time, and was turned away.
+    /// The client did not prove it in time, and was disconnected.
     Stranger,
 }
 
-impl Door {
-    /// A door at a port that is listened at. With a key only those come in who have it, and all they send is encrypted.
+impl Listener {
+    /// Takes a socket that listens. With a key only clients that have it are let in, and what they send is encrypted.
     #[must_use]
-    pub fn new(listener: Async<TcpListener>, key: Option<Key>) -> Self {
-        Self { listener, key: key.map(Rc::new), greeted: VecDeque::new() }
+    pub fn new(socket: Async<TcpListener>, key: Option<Key>) -> Self {
+        Self { socket, key: key.map(Rc::new), greeted: VecDeque::new() }
     }
 
-    /// Ready with the next that comes. Clients are greeted side by side: nobody can keep another out.
+    /// Accepts the next client. Poll it until it is pending. Handshakes run side by side: a client that stalls keeps no other out.
     ///
     /// # Errors
-    /// The listener's.
-    pub fn poll_next(&mut self, context: &mut Context<'_>) -> Poll<io::Result<Comer>> {
-        while let Poll::Ready(accepted) = self.poll_accept(context) {
-            let descriptor = accepted?;
+    /// Those of the operating system when it accepts connections; one that was aborted is none.
+    pub fn poll_accept(&mut self, context: &mut Context<'_>) -> Poll<io::Result<Accepted>> {
+        while let Poll::Ready(socket) = self.poll_socket(context) {
+            let descriptor = socket?;
             if self.greeted.len() == GREETED_AT_ONCE {
                 self.greeted.pop_front();
             }
@@ -59,24 +59,23 @@ impl Door {
         for place in 0..self.greeted.len() {
             if let Poll::Ready(link) = self.greeted[place].as_mut().poll(context) {
                 self.greeted.remove(place);
-                // Others may be ready, too: whoever polls this does so until it is pending.
-                return Poll::Ready(Ok(link.map_or(Comer::Stranger, Comer::Client)));
+                return Poll::Ready(Ok(link.map_or(Accepted::Stranger, Accepted::Client)));
             }
         }
         Poll::Pending
     }
 
-    fn poll_accept(&self, context: &mut Context<'_>) -> Poll<io::Result<Descriptor>> {
+    fn poll_socket(&self, context: &mut Context<'_>) -> Poll<io::Result<Descriptor>> {
         loop {
-            match self.listener.get_ref().accept() {
-                // One that is gone again already is nothing to the others.
+            match self.socket.get_ref().accept() {
+                // One that is closed already concerns no other client.
                 Ok((stream, _)) => {
                     if let Ok(descriptor) = tcp(stream) {
                         return Poll::Ready(Ok(descriptor));
                     }
                 }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    futures::ready!(self.listener.poll_readable(context))?;
+                    futures::ready!(self.socket.poll_readable(context))?;
                 }
                 Err(error) if matches!(error.kind(), io::ErrorKind::ConnectionAborted | io::ErrorKind::Interrupted) => {
                 }
