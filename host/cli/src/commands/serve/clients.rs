@@ -1,7 +1,8 @@
 //! Clients of a board that is served on a socket. All are greeted side by side; the one that opens a session first is the
 //! board's host, and until it is gone the others hear that the board is in use.
 //!
-//! Nobody can hold a place: who does not open a session or sends no heartbeats is dropped. What a client sends before its session, and half a frame that it leaves behind, reach no other's session.
+//! A client that opens no session, or sends no heartbeats in one, is dropped, so that none can keep others out. Bytes that a client
+//! sends before its session, and an incomplete frame that it leaves behind, never reach the session of another.
 
 use std::{
     cell::{Cell, RefCell},
