@@ -21,6 +21,7 @@
 //! | `licences` | `cargo xtask licences`: whether what is linked in may be passed on |
 //! | `package` | `cargo xtask package`: the crates as they are published, and the program built of them |
 //! | `release` | `cargo xtask release`: the program in an archive, with what goes with it |
+//! | `prose` | `cargo xtask prose`: counts that show how readable comments and pages are |
 //! | `weight` | `cargo xtask weight`: what a build of `r4` takes, and what it is spent on |
 
 mod firmware;
@@ -31,6 +32,7 @@ mod meter;
 mod mutants;
 mod package;
 mod programs;
+mod prose;
 mod protocol;
 mod python;
 mod release;
@@ -50,6 +52,7 @@ use std::{env, path::PathBuf, process::ExitCode};
 use firmware::Firmware;
 use flash::Flash;
 use mutants::Mutants;
+use prose::Prose;
 use python::Python;
 use release::Release;
 use ros2::Ros2;
@@ -87,6 +90,7 @@ usage: cargo xtask <task>
   package       the crates as crates.io would get them, and the program compiled of these
   release       the program with manual pages, completions and udev rules in an archive, for the system that this runs on:
                 target/release-archives; [--program FILE] packs that and builds none
+  prose         counts of comments and pages that are hard to read, by the words of docs/glossary.md: [--json]
   mutants       changes to firmware/core, protocol and host/links that no test notices, by cargo-mutants, and how each is judged
                 (tests/mutants.toml); fails for one that is not. Hours: [--package r4-firmware|r4-protocol|r4-links]
                 [--file FILE]... [--shard K/N] [--tests FILTER] (nextest's)";
@@ -110,6 +114,7 @@ enum Task {
     Wire(Wire),
     Licences,
     Package,
+    Prose(Prose),
     Release(Release),
 }
 
@@ -137,6 +142,7 @@ fn main() -> ExitCode {
         Ok(Task::Wire(wire)) => wire.run(&root()),
         Ok(Task::Licences) => ended(licences::check(&root())),
         Ok(Task::Package) => ended(package::check(&root())),
+        Ok(Task::Prose(prose)) => prose.run(&root()),
         Ok(Task::Release(release)) => ended(release.make(&root())),
         Err(problem) => {
             eprintln!("error: {problem}\n\n{USAGE}");
@@ -174,6 +180,7 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
         ["size", "--protocol", "--json"] => Ok(Task::Protocol { json: true }),
         ["protocol", ref words @ ..] => Wire::parse(words).map(Task::Wire),
         ["weight", ref words @ ..] => Weight::parse(words).map(Task::Weight),
+        ["prose", ref words @ ..] => Prose::parse(words).map(Task::Prose),
         ["size", ref words @ ..] => Size::parse(words).map(Task::Size),
         ["mutants", ref words @ ..] => Mutants::parse(words).map(Task::Mutants),
         [] => Err("no task given".into()),
