@@ -18,14 +18,14 @@ fn openscout_drives_round_a_room_and_stops_for_people() {
     let rows = report["rows"].as_array().expect("rows");
     assert!(rows.iter().all(|row| row["met"] == true), "{report:#}");
     let value = |what: &str| rows.iter().find(|row| row["what"] == what).and_then(|row| row["value"].as_f64());
-    assert_eq!((value("corners reached"), value("trips of the board")), (Some(4.0), Some(1.0)), "{report:#}");
+    assert_eq!((value("corners reached"), value("trips")), (Some(4.0), Some(1.0)), "{report:#}");
     let events: Vec<_> =
         report["events"].as_array().expect("events").iter().map(|event| event["what"].as_str()).collect();
-    let stops = Some("stops for what is in front");
-    let (goes_on, tripped) = (Some("goes on"), Some("tripped: proximity"));
+    let stops = Some("stops for an obstacle");
+    let (goes_on, tripped) = (Some("continues"), Some("tripped: proximity"));
     assert_eq!(events, [stops, goes_on, stops, tripped, Some("cleared and armed again"), goes_on]);
     let page = fs::read_to_string(folder.path().join("report.html")).expect("a report");
-    for there in ["class=\"map\"", "where its wheels say", "tripped: proximity", "Slip:", "by the range sensors"] {
+    for there in ["class=\"map\"", "path by odometry", "tripped: proximity", "Slip:", "by the range sensors"] {
         assert!(page.contains(there), "{there}");
     }
     // The log has what the host asked for, in whole microseconds; in the same world the wheels come within some counts of it.

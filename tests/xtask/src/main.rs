@@ -21,6 +21,7 @@
 //! | `licences` | `cargo xtask licences`: whether what is linked in may be passed on |
 //! | `package` | `cargo xtask package`: the crates as they are published, and the program built of them |
 //! | `release` | `cargo xtask release`: the program in an archive, with what goes with it |
+//! | `pictures` | `cargo xtask pictures`: the pictures on the first page |
 //! | `prose` | `cargo xtask prose`: counts that show how readable comments and pages are |
 //! | `weight` | `cargo xtask weight`: what a build of `r4` takes, and what it is spent on |
 
@@ -31,6 +32,7 @@ mod licences;
 mod meter;
 mod mutants;
 mod package;
+mod pictures;
 mod programs;
 mod prose;
 mod protocol;
@@ -52,6 +54,7 @@ use std::{env, path::PathBuf, process::ExitCode};
 use firmware::Firmware;
 use flash::Flash;
 use mutants::Mutants;
+use pictures::Pictures;
 use prose::Prose;
 use python::Python;
 use release::Release;
@@ -90,6 +93,7 @@ usage: cargo xtask <task>
   package       the crates as crates.io would get them, and the program compiled of these
   release       the program with manual pages, completions and udev rules in an archive, for the system that this runs on:
                 target/release-archives; [--program FILE] packs that and builds none
+  pictures      docs/pictures, of what the program makes now; needs Chromium: [--program FILE] one that is built already
   prose         counts of comments and pages that are hard to read, by the words of docs/glossary.md: [--json]
   mutants       changes to firmware/core, protocol and host/links that no test notices, by cargo-mutants, and how each is judged
                 (tests/mutants.toml); fails for one that is not. Hours: [--package r4-firmware|r4-protocol|r4-links]
@@ -114,6 +118,7 @@ enum Task {
     Wire(Wire),
     Licences,
     Package,
+    Pictures(Pictures),
     Prose(Prose),
     Release(Release),
 }
@@ -142,6 +147,7 @@ fn main() -> ExitCode {
         Ok(Task::Wire(wire)) => wire.run(&root()),
         Ok(Task::Licences) => ended(licences::check(&root())),
         Ok(Task::Package) => ended(package::check(&root())),
+        Ok(Task::Pictures(pictures)) => ended(pictures.make(&root())),
         Ok(Task::Prose(prose)) => prose.run(&root()),
         Ok(Task::Release(release)) => ended(release.make(&root())),
         Err(problem) => {
@@ -167,7 +173,8 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
     match words[..] {
         ["help" | "--help" | "-h"]
         | [
-            "test" | "python" | "ros2" | "firmware" | "flash" | "size" | "weight" | "mutants" | "protocol" | "release",
+            "test" | "python" | "ros2" | "firmware" | "flash" | "size" | "weight" | "pictures" | "prose" | "mutants"
+            | "protocol" | "release",
             "--help" | "-h",
         ] => Ok(Task::Help),
         ["test"] => Ok(Task::Test(Extent::Full)),
@@ -180,6 +187,7 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
         ["size", "--protocol", "--json"] => Ok(Task::Protocol { json: true }),
         ["protocol", ref words @ ..] => Wire::parse(words).map(Task::Wire),
         ["weight", ref words @ ..] => Weight::parse(words).map(Task::Weight),
+        ["pictures", ref words @ ..] => Pictures::parse(words).map(Task::Pictures),
         ["prose", ref words @ ..] => Prose::parse(words).map(Task::Prose),
         ["size", ref words @ ..] => Size::parse(words).map(Task::Size),
         ["mutants", ref words @ ..] => Mutants::parse(words).map(Task::Mutants),

@@ -123,9 +123,9 @@ impl Map {
             row += 22.0;
         }
         for (color, what, is_there) in [
-            ("#CC79A7", "people and their ways", !self.people_m.is_empty()),
+            ("#CC79A7", "people and their paths", !self.people_m.is_empty()),
             ("#1B1F24", "walls and posts", !(self.walls_m.is_empty() && self.posts_m.is_empty())),
-            ("#9AA4AE", "the robot's outline", !self.outlines_m.is_empty()),
+            ("#9AA4AE", "outline of the robot", !self.outlines_m.is_empty()),
         ] {
             if is_there {
                 let _ =

@@ -66,8 +66,8 @@ impl fmt::Display for Event {
         match self {
             Self::Tripped(causes) => write!(f, "tripped: {causes}"),
             Self::ArmedAgain => f.write_str("cleared and armed again"),
-            Self::Stands => f.write_str("stops for what is in front"),
-            Self::GoesOn => f.write_str("goes on"),
+            Self::Stands => f.write_str("stops for an obstacle"),
+            Self::GoesOn => f.write_str("continues"),
         }
     }
 }

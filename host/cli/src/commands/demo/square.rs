@@ -1,7 +1,7 @@
 //! The demo of a robot that drives: [`r4_rig::round`] in a room with people, with a report.
 //!
-//! The robot uses what the board measures: positions of wheels and ranges. Its true place comes from the simulation and goes into the
-//! report only.
+//! The robot uses only what the board measures: wheel positions and ranges. Its true pose comes from the simulation and goes into
+//! the report only.
 
 use std::path::PathBuf;
 
@@ -36,19 +36,19 @@ const TELEMETRY_MS: u16 = 20;
 const TIMEOUT_S: f64 = 120.0;
 /// Period of attempts to clear a trip, s.
 const CLEAR_EVERY_S: f64 = 0.5;
-/// Every fifth look, each 0.1 s, is a point of the ways on the map.
+/// Samples per point of the paths on the map: one point each 0.1 s.
 const PLACE_EVERY: usize = 5;
-/// Every fiftieth look, each second, the robot's outline is drawn on the map.
+/// Samples per outline of the robot on the map: one each second.
 const OUTLINE_EVERY: usize = 50;
 const NO_BODY: &str = "the robot does not stand on a floor: --world lifts it, or its file has no [body]";
-/// Least distance to a person that is promised, m.
+/// Least distance to a person for which the demo passes, m.
 const PERSON_M: f64 = 0.05;
-/// Largest error of the odometry at the end that is promised, m: 2.5 % of the way.
+/// Largest position error of the odometry at the end for which the demo passes, m: 2.5 % of the path.
 const ODOMETRY_M: f64 = 0.2;
 
 /// Measurements of a telemetry frame, with the truth of the simulation at that moment.
 #[derive(Clone, Copy, Debug)]
-struct Look {
+struct Sample {
     known: Measured,
     /// True pose of the body.
     truth: Pose,
@@ -58,7 +58,7 @@ struct Look {
     person_m: f64,
 }
 
-impl Look {
+impl Sample {
     fn odometry_off_m(&self) -> f64 {
         (self.known.place.x_m - self.truth.x_m).hypot(self.known.place.y_m - self.truth.y_m)
     }
@@ -73,7 +73,7 @@ struct Event {
 }
 
 struct Run {
-    looks: Vec<Look>,
+    samples: Vec<Sample>,
     events: Vec<Event>,
     corners: usize,
     trips: usize,
@@ -85,8 +85,8 @@ struct Row {
     what: &'static str,
     value: f64,
     unit: &'static str,
-    /// What is promised of it, if anything.
-    promised: Option<String>,
+    /// Limit that the value has to meet, in words; `None` where it is only reported.
+    limit: Option<String>,
     met: bool,
 }
 
@@ -139,7 +139,7 @@ async fn drive(session: &Session<'_>, robot: &SkidSteer) -> anyhow::Result<Run> 
         clear_every_s: CLEAR_EVERY_S,
         timeout_s: TIMEOUT_S,
     };
-    let mut run = Run { looks: Vec::new(), events: Vec::new(), corners: 0, trips: 0, map: scene(session)? };
+    let mut run = Run { samples: Vec::new(), events: Vec::new(), corners: 0, trips: 0, map: scene(session)? };
     let corners = round::drive(session, robot, &round, |observation| match observation {
         Observation::Measured(measured) => run.looked(session, measured),
         Observation::Event(time_s, event) => run.happened(session, time_s, event),
@@ -170,19 +170,19 @@ impl Run {
             for person in world.scene().people() {
                 person_m = person_m.min(outline.distance_m(truth, person.place_m(time_s), person.radius_m));
             }
-            if self.looks.len().is_multiple_of(OUTLINE_EVERY) {
+            if self.samples.len().is_multiple_of(OUTLINE_EVERY) {
                 let corners = outline.corners_m().iter().map(|corner| truth.to_world(*corner));
                 self.map.outlines_m.push(corners.collect());
             }
         }
-        if self.looks.len().is_multiple_of(PLACE_EVERY) {
+        if self.samples.len().is_multiple_of(PLACE_EVERY) {
             let places = [[truth.x_m, truth.y_m], [known.place.x_m, known.place.y_m]];
             self.map.ways_m.iter_mut().zip(places).for_each(|((_, way), place)| way.push(place));
         }
         // Of the wheels' middles, along the robot.
         let half_m = body.wheels().iter().map(|wheel| wheel.place_m[1].abs()).sum::<f64>() / body.wheels().len() as f64;
         let ground_m_s = [half_m, -half_m].map(|left_m| twist.at([0.0, left_m])[0]);
-        self.looks.push(Look { known, truth, ground_m_s, person_m });
+        self.samples.push(Sample { known, truth, ground_m_s, person_m });
         Ok(())
     }
 }
@@ -201,20 +201,20 @@ fn scene(session: &Session<'_>) -> anyhow::Result<Map> {
             .iter()
             .map(|person| (person.path.iter().map(|(_, place)| *place).collect(), person.radius_m))
             .collect(),
-        ways_m: vec![("where the robot was".into(), Vec::new()), ("where its wheels say".into(), Vec::new())],
+        ways_m: vec![("true path".into(), Vec::new()), ("path by odometry".into(), Vec::new())],
         ..Map::default()
     })
 }
 
 fn rows(run: &Run) -> Vec<Row> {
-    let last = run.looks.last();
-    let person_m = run.looks.iter().map(|look| look.person_m).fold(f64::INFINITY, f64::min);
-    let error_m = last.map_or(f64::NAN, Look::odometry_off_m);
-    let error_deg = last.map_or(f64::NAN, |look| (look.known.place.yaw_rad - look.truth.yaw_rad).to_degrees());
-    let way = |pair: &[Look]| (pair[1].truth.x_m - pair[0].truth.x_m).hypot(pair[1].truth.y_m - pair[0].truth.y_m);
-    let way_m: f64 = run.looks.windows(2).map(way).sum();
+    let last = run.samples.last();
+    let person_m = run.samples.iter().map(|sample| sample.person_m).fold(f64::INFINITY, f64::min);
+    let error_m = last.map_or(f64::NAN, Sample::odometry_off_m);
+    let error_deg = last.map_or(f64::NAN, |sample| (sample.known.place.yaw_rad - sample.truth.yaw_rad).to_degrees());
+    let way = |pair: &[Sample]| (pair[1].truth.x_m - pair[0].truth.x_m).hypot(pair[1].truth.y_m - pair[0].truth.y_m);
+    let way_m: f64 = run.samples.windows(2).map(way).sum();
     let stood_s: f64 = run
-        .looks
+        .samples
         .windows(2)
         .filter(|pair| pair[0].known.velocity == Velocity::default())
         .map(|pair| pair[1].known.time_s - pair[0].known.time_s)
@@ -222,55 +222,49 @@ fn rows(run: &Run) -> Vec<Row> {
     let corners = run.corners as f64;
     let all = CORNERS_M.len() as f64;
     vec![
+        Row { what: "corners reached", value: corners, unit: "", limit: Some(format!("{all}")), met: corners == all },
         Row {
-            what: "corners reached",
-            value: corners,
-            unit: "",
-            promised: Some(format!("{all}")),
-            met: corners == all,
-        },
-        Row {
-            what: "nearest to a person",
+            what: "least distance to a person",
             value: person_m,
             unit: "m",
-            promised: Some(format!("at least {PERSON_M}")),
+            limit: Some(format!("at least {PERSON_M}")),
             met: person_m >= PERSON_M,
         },
         Row {
-            what: "odometry off at the end",
+            what: "odometry error at the end",
             value: error_m,
             unit: "m",
-            promised: Some(format!("at most {ODOMETRY_M}")),
+            limit: Some(format!("at most {ODOMETRY_M}")),
             met: error_m <= ODOMETRY_M,
         },
-        Row { what: "heading off at the end", value: error_deg, unit: "deg", promised: None, met: true },
-        Row { what: "way", value: way_m, unit: "m", promised: None, met: true },
+        Row { what: "heading error at the end", value: error_deg, unit: "deg", limit: None, met: true },
+        Row { what: "path length", value: way_m, unit: "m", limit: None, met: true },
         Row {
             what: "time",
-            value: last.map_or(f64::NAN, |look| look.known.time_s),
+            value: last.map_or(f64::NAN, |sample| sample.known.time_s),
             unit: "s",
-            promised: None,
+            limit: None,
             met: true,
         },
-        Row { what: "stood still", value: stood_s, unit: "s", promised: None, met: true },
-        Row { what: "trips of the board", value: run.trips as f64, unit: "", promised: None, met: true },
+        Row { what: "time at standstill", value: stood_s, unit: "s", limit: None, met: true },
+        Row { what: "trips", value: run.trips as f64, unit: "", limit: None, met: true },
     ]
 }
 
 fn print(report: &Report, elapsed: Elapsed) -> anyhow::Result<()> {
     output::line(format_args!("a room on {} (simulated)", report.board))?;
-    let mut table = table::new(&["", "value", "promised", ""], 1..2);
-    for Row { what, value, unit, promised, met } in &report.rows {
+    let mut table = table::new(&["", "value", "limit", ""], 1..2);
+    for Row { what, value, unit, limit, met } in &report.rows {
         table.add_row([
             (*what).to_owned(),
             format!("{value:.3} {unit}"),
-            promised.clone().unwrap_or_default(),
-            if promised.is_none() {
+            limit.clone().unwrap_or_default(),
+            if limit.is_none() {
                 ""
             } else if *met {
                 "ok"
             } else {
-                "not held"
+                "not met"
             }
             .to_owned(),
         ]);
@@ -292,23 +286,23 @@ fn print(report: &Report, elapsed: Elapsed) -> anyhow::Result<()> {
 fn page_table(rows: &[Row]) -> report::Table {
     let column = |title: &str, align| Column { title: title.into(), unit: None, align };
     report::Table {
-        caption: "The way".into(),
+        caption: "Result".into(),
         note: Some(
-            "Simulated robot, room and people. The robot knows its wheels and two ultrasonic sensors; where it really was only \
-             the simulation knows. After a trip the demo plays the person who clears it and arms again."
+            "Simulated robot, room and people. The robot drives by its wheel encoders and two ultrasonic sensors; the true path is \
+             known to the simulation only. After a trip the demo clears it and arms again, as a person would."
                 .into(),
         ),
         columns: vec![
             column("", Align::Left),
             column("Value", Align::Right),
             column("Unit", Align::Left),
-            column("Promised", Align::Left),
+            column("Limit", Align::Left),
             column("Result", Align::Left),
         ],
         rows: rows
             .iter()
             .map(|row| {
-                let result = match row.promised {
+                let result = match row.limit {
                     None => Cell::Text(String::new()),
                     Some(_) => Cell::Verdict { pass: row.met, text: if row.met { "met".into() } else { "not met".into() } },
                 };
@@ -316,7 +310,7 @@ fn page_table(rows: &[Row]) -> report::Table {
                     Cell::Text(row.what.into()),
                     Cell::Number { value: row.value, decimals: 3 },
                     Cell::Text(row.unit.into()),
-                    Cell::Text(row.promised.clone().unwrap_or_default()),
+                    Cell::Text(row.limit.clone().unwrap_or_default()),
                     result,
                 ]
             })
@@ -326,12 +320,12 @@ fn page_table(rows: &[Row]) -> report::Table {
 
 /// Ranges, speeds and slip over time.
 fn overlays(run: &Run, robot: &SkidSteer) -> Vec<Overlay> {
-    let line = |name: &str, value: &dyn Fn(&Look) -> f64| {
-        let points = run.looks.iter().map(|look| (look.known.time_s, value(look)));
+    let line = |name: &str, value: &dyn Fn(&Sample) -> f64| {
+        let points = run.samples.iter().map(|sample| (sample.known.time_s, value(sample)));
         (name.to_owned(), points.filter(|(_, value)| value.is_finite()).collect::<Vec<_>>())
     };
     let slip = |name: &str, side: usize| {
-        let points = run.looks.windows(2).map(|pair| {
+        let points = run.samples.windows(2).map(|pair| {
             let (from, to) = (&pair[0], &pair[1]);
             let rolled_m = (to.known.sides_rad[side] - from.known.sides_rad[side]) * robot.wheel_radius_m;
             let rim_m_s = rolled_m / (to.known.time_s - from.known.time_s);
@@ -341,20 +335,20 @@ fn overlays(run: &Run, robot: &SkidSteer) -> Vec<Overlay> {
     };
     vec![
         Overlay {
-            title: "Free way in front (m)".into(),
+            title: "Free distance in front (m)".into(),
             since: "the start",
             lines: vec![
-                line("kept free", &|_| LIMITS.stop_m),
-                line("by the range sensors, at most 2 m", &|look| look.known.free_m.min(2.0)),
-                line("true distance to the nearest person, at most 2 m", &|look| look.person_m.min(2.0)),
+                line("stop distance", &|_| LIMITS.stop_m),
+                line("by the range sensors, at most 2 m", &|sample| sample.known.free_m.min(2.0)),
+                line("true distance to the nearest person, at most 2 m", &|sample| sample.person_m.min(2.0)),
             ],
         },
         Overlay {
             title: "Speed (m/s)".into(),
             since: "the start",
             lines: vec![
-                line("asked for", &|look| look.known.velocity.forward_m_s),
-                line("of the robot", &|look| f64::midpoint(look.ground_m_s[0], look.ground_m_s[1])),
+                line("set point", &|sample| sample.known.velocity.forward_m_s),
+                line("true", &|sample| f64::midpoint(sample.ground_m_s[0], sample.ground_m_s[1])),
             ],
         },
         Overlay {
@@ -365,7 +359,7 @@ fn overlays(run: &Run, robot: &SkidSteer) -> Vec<Overlay> {
         Overlay {
             title: "Error of the odometry (m)".into(),
             since: "the start",
-            lines: vec![line("promised at the end", &|_| ODOMETRY_M), line("error", &Look::odometry_off_m)],
+            lines: vec![line("limit at the end", &|_| ODOMETRY_M), line("error", &Sample::odometry_off_m)],
         },
     ]
 }
