@@ -569,7 +569,7 @@ fn a_servo_is_held_at_an_angle() {
     let seen = every(&["servo", "servo3", "30deg"]);
     assert_eq!(
         (seen.code, seen.out.as_str()),
-        (Some(0), "servo3 was told 30.00 deg for 2 s, on sim:every-interface (simulated); now disarmed\n")
+        (Some(0), "servo3 had the set point 30.00 deg for 2 s, on sim:every-interface (simulated); now disarmed\n")
     );
     every_refused([
         (&["servo", "servo3", "60deg"][..], &["servo3", "position from -44.98 deg to 44.98 deg"][..]),
@@ -607,7 +607,7 @@ fn a_voltage_is_given() {
     let seen = every(&["dac", "dac1", "0.5V", "--for", "1"]);
     assert_eq!(
         (seen.code, seen.out.as_str()),
-        (Some(0), "dac1 was told 0.50 V for 1 s, on sim:every-interface (simulated); now at its safe voltage\n")
+        (Some(0), "dac1 had the set point 0.50 V for 1 s, on sim:every-interface (simulated); now at its safe voltage\n")
     );
     every_refused([
         (&["dac", "dac1", "0.1V"][..], &["dac1", "0.50 V to 2.80 V"][..]),

@@ -141,17 +141,17 @@ pub fn hide_as(draw: Draw, spec: &PlantSpec, supply_v: f64, seed: u64) -> Hidden
 pub const NEVER: &[(&str, &str)] = &[
     ("encoder-scale", "a board that counts wrong shows nothing but another gain"),
     ("encoder-offset", "an encoder's zero is wherever power came on"),
-    ("encoder-sign", "a board trips on it at once, which tells it"),
-    ("input-sign", "a board trips on it at once, which tells it"),
+    ("encoder-sign", "a board trips on it at once, which gives it away"),
+    ("input-sign", "a board trips on it at once, which gives it away"),
     ("missed-edges", "what is lost is lost for good, and looks like another gain by speed"),
-    ("potentiometer-dead-spot", "a board trips on a jumping wiper, which tells it"),
+    ("potentiometer-dead-spot", "a board trips on a jumping wiper, which gives it away"),
     ("random-load", "it is a function of nothing that is recorded"),
     ("sensor-noise", "it is a function of nothing that is recorded"),
 ];
 
 /// What else is not hidden by [`hide`], and why.
 pub const NOT_ON_BOARDS: &[(&str, &str)] =
-    &[("sensor-hold", "a board takes the jumps for a broken sensor and trips, which tells it")];
+    &[("sensor-hold", "a board takes the jumps for a broken sensor and trips, which gives it away")];
 
 /// In what something is hidden, and how it is looked at.
 pub(crate) struct Search<'a> {

@@ -239,7 +239,7 @@ pub(crate) fn told(event: &Event) -> String {
         Event::Lost { why } => format!("{why}; trying again"),
         Event::Back { after, restart } => {
             let what = match restart {
-                None => "the board ran on meanwhile",
+                None => "the board kept running",
                 Some(Restart::Watchdog) => "device reset: watchdog",
                 Some(Restart::Power) => "device reset: power, button or new firmware",
             };

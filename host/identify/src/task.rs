@@ -524,7 +524,7 @@ fn traces<F: Family>(
 
 fn verdict(model: &str, unit: &str, effects: &[EffectReport], baseline: &Scores, last: &Scores, white: bool) -> String {
     let percent = 100.0 * last.holdout.nrmse;
-    let end = if white { "what is left is noise" } else { "what is left is not only noise" };
+    let end = if white { "the residual is white noise" } else { "the residual is not white" };
     if effects.is_empty() {
         return format!(
             "No effect found: the {model} model alone leaves {:.3e} {unit} of the held-out data ({percent:.1} %); {end}.",

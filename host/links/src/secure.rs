@@ -171,7 +171,7 @@ pub enum Distrust {
     #[error("the other end does not have this key: both need the same file")]
     Key,
     /// A record is not the other end's, or not the next one.
-    #[error("a record was changed, repeated or left out on the way")]
+    #[error("a record was changed, repeated or omitted on the way")]
     Record,
 }
 

@@ -521,7 +521,7 @@ pub(crate) fn gap_schema() -> Schema {
         "r4.Gap",
         &[
             ("without_link_s", "number", "How long nothing was heard from the board, by the host's clock, s"),
-            ("restarted", "boolean", "Whether the board has restarted meanwhile"),
+            ("restarted", "boolean", "true if the board has restarted in between"),
             ("clock_shift_us", "integer", "From here on publish times are the board's clock plus this, us"),
         ],
     )

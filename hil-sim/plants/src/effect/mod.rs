@@ -189,7 +189,7 @@ effects! {
     Compliance, "compliance", Transmission, ANY, [Acceleration, History],
         "The output hangs on the motor side by a spring with a damper.";
     EncoderScale, "encoder-scale", Sensor, ANY, [Position],
-        "The sensor tells a multiple of the position.";
+        "The sensor measures a multiple of the position.";
     EncoderOffset, "encoder-offset", Sensor, ANY, [Position],
         "The sensor's zero is elsewhere.";
     Eccentricity, "eccentricity", Sensor, ROTARY, [Position],
@@ -203,7 +203,7 @@ effects! {
     EncoderSign, "encoder-sign", Sensor, ANY, [Position],
         "The sensor counts the other way round.";
     SensorHold, "sensor-hold", Sensor, ANY, [Speed, History],
-        "The position is read from time to time only, and told unchanged in between.";
+        "The position is sampled periodically and held in between.";
     SensorNoise, "sensor-noise", Sensor, ANY, [Time],
         "A random error of given deviation and correlation time.";
 }

@@ -21,7 +21,7 @@ struct Outcome {
     mode: String,
     unit: String,
     set: f64,
-    /// What the output was told at the end; null if nothing.
+    /// Set point of the output at the end, in words; null if it has none.
     value: f64,
     seconds: f64,
     /// Whether that was what was asked for.
@@ -84,7 +84,7 @@ fn run(args: &Args, order: Order) -> anyhow::Result<bool> {
             held,
         })?;
     } else {
-        output::line(format_args!("{channel} was told {what} for {seconds} s, on {board}; {afterwards}"))?;
+        output::line(format_args!("{channel} had the set point {what} for {seconds} s, on {board}; {afterwards}"))?;
     }
     if !held {
         let reached = set.like(value, unit);

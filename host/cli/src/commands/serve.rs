@@ -156,7 +156,7 @@ impl Background {
         let thread = thread::Builder::new().name(args.board.to_string()).spawn({
             let (key, ends) = (key.clone(), ends.clone());
             move || {
-                let told = |_| is_ready.send(()).context("nobody waits for the board");
+                let told = |_| is_ready.send(()).context("no task waits for the board");
                 let place = Place::Listener(Listener::new(socket, Some(key)));
                 let until = Until { ends: &|| ends.load(Ordering::Relaxed), reports_shifts: false };
                 match power_up(&args, place, until, told) {
@@ -284,7 +284,7 @@ impl<'s> Served<'s> {
             Place::Listener(listener) => self.with_clients(Clients::new(listener, self.outbox.clone())).await,
         };
         if self.outbox.dropped.get() > 0 {
-            eprintln!("r4: {} bytes of the board were dropped: nobody read them", self.outbox.dropped.get());
+            eprintln!("r4: {} bytes of the board were dropped: no client read them", self.outbox.dropped.get());
         }
         served
     }
@@ -356,7 +356,7 @@ impl<'s> Served<'s> {
             let too_much = behind - HURRY;
             self.origin += too_much;
             eprintln!(
-                "r4: this machine was busy for {} ms; the board's time stood still meanwhile",
+                "r4: this machine was busy for {} ms; the board's clock stood still",
                 too_much.as_millis()
             );
             // Only for who listens.

@@ -162,7 +162,7 @@ pub enum DataError {
     },
     /// A column was given for two roles.
     #[error(
-        "column `{column}` was given for both `{first}` and `{second}`: a model cannot be told from itself, name two columns"
+        "column `{column}` was given for both `{first}` and `{second}`: a model cannot be compared with itself; name two columns"
     )]
     ColumnTwice {
         /// Which.
@@ -238,7 +238,7 @@ pub enum DataError {
     },
     /// The input is the same all the time.
     #[error(
-        "`{column}` ({role}) is {value} all the time, so nothing tells what it does: record steps to several values in both directions, with rests between"
+        "`{column}` ({role}) is {value} all the time, so its effect cannot be identified: record steps to several values in both directions, with rests between"
     )]
     ConstantInput {
         /// What for.

@@ -20,7 +20,7 @@ const fn parameter(name: &'static str, unit: &'static str, what: &'static str) -
 }
 
 const SUPPLY: ParameterInfo =
-    parameter("supply_v", "V", "of the supply, where the input is a duty and no column tells it");
+    parameter("supply_v", "V", "of the supply, where the input is a duty and no column has it");
 const RESISTANCE: ParameterInfo = parameter(
     "resistance_ohm",
     "ohm",
@@ -32,7 +32,7 @@ impl Motion {
     #[must_use]
     pub fn info(kind: Kind) -> ModelInfo {
         let input = role("input", true, true, "duty -1..1, V, or N");
-        let output = role("output", true, false, "position or speed; the unit in the column's name tells");
+        let output = role("output", true, false, "position or speed, by the unit in the column's name");
         let supply = role("supply", false, true, "voltage of the supply");
         let speed =
             role("speed", false, false, "of the output by another sensor; compared with it, nothing is fitted to it");

@@ -40,7 +40,7 @@ pub enum CalibrateError {
         channel: ChannelId,
     },
     /// The shaft is said not to have turned.
-    #[error("what did not turn tells nothing")]
+    #[error("a shaft that did not turn cannot be calibrated")]
     NotTurned,
     /// The counts fall while the shaft turns forwards.
     #[error("{channel} counts backwards: change `inverted` of its encoder in the robot's file, not its scale")]
@@ -80,10 +80,10 @@ pub enum CalibrateError {
         channel: ChannelId,
     },
     /// The robot went nowhere, or backwards.
-    #[error("a robot that did not go forwards tells no radius")]
+    #[error("a robot that did not drive forwards gives no radius")]
     NoRadius,
     /// The robot turned nowhere, or to the right.
-    #[error("a robot that did not turn to the left tells no track")]
+    #[error("a robot that did not turn to the left gives no track width")]
     NoTrack,
     /// An answer to something else.
     #[error("`{answer}` is not what was asked for: {why}")]

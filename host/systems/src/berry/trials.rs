@@ -201,7 +201,7 @@ pub enum TrialsError {
         with_both: usize,
     },
     /// All participants used the tools in the same order.
-    #[error("all participants used the tools in the same order: order and tool cannot be told apart; see `order`")]
+    #[error("all participants used the tools in the same order: order and tool cannot be separated; see `order`")]
     OneOrder,
     /// A statistic has no value.
     #[error(transparent)]

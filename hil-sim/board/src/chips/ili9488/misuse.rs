@@ -87,7 +87,7 @@ impl fmt::Display for ScreenMisuse {
                     Some(after) => write!(f, "command 0x{after:02X}")?,
                     None => f.write_str("the reset")?,
                 }
-                write!(f, ": the controller may lose it or what it loads meanwhile; wait {needed_ns} ns")
+                write!(f, ": the controller may lose it, or what it loads at that time; wait {needed_ns} ns")
             }
             Self::ParametersMissing { command, sent, needed } => write!(
                 f,
@@ -107,7 +107,7 @@ impl fmt::Display for ScreenMisuse {
                  MADCTL swaps columns and pages"
             ),
             Self::PixelsWhileAsleep => f.write_str(
-                "pixels sent to a panel that sleeps: the memory takes them and nobody sees them; send SLPOUT first",
+                "pixels sent to a panel that sleeps: the memory takes them but they are not shown; send SLPOUT first",
             ),
             Self::PixelsBeyondWindow { window } => write!(
                 f,

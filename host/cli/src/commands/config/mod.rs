@@ -363,7 +363,7 @@ fn import(args: &Args, path: &std::path::Path) -> anyhow::Result<bool> {
         let wanted: Vec<_> = changes.iter().map(|(_, info, _)| (info.key, info.set)).collect();
         let (place, error) = match set_all(session.board, &wanted).await {
             Ok(None) => {
-                let unsure = "cannot save; after a restart `r4 config show` tells what holds";
+                let unsure = "cannot save; after a restart `r4 config show` prints what holds";
                 session.board.save_parameters().await.context(unsure)?;
                 return Ok(changes);
             }

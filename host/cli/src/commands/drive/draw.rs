@@ -88,7 +88,7 @@ pub(super) fn draw(frame: &mut Frame<'_>, state: &State) {
     let dead_man = if state.hand.is_held {
         Span::styled(" HELD ", Style::new().add_modifier(Modifier::BOLD | Modifier::REVERSED))
     } else {
-        Span::raw("released: wheels are told to stand still")
+        Span::raw("released: the wheels get set points of zero")
     };
     let bold = Style::new().add_modifier(Modifier::BOLD);
     let mut lines = vec![
@@ -102,7 +102,7 @@ pub(super) fn draw(frame: &mut Frame<'_>, state: &State) {
         axis("turn", -state.hand.turn, ["left", "right"]),
         state.steering.as_ref().map_or_else(Line::default, front_wheels),
         Line::styled(
-            format!("{:<7}{:<12}{:>18}{:>20}{:>10}", "side", "channel", "told", "speed", "duty"),
+            format!("{:<7}{:<12}{:>18}{:>20}{:>10}", "side", "channel", "set point", "speed", "duty"),
             Style::new().add_modifier(Modifier::UNDERLINED),
         ),
     ];
@@ -131,7 +131,7 @@ fn front_wheels(steered: &Steered) -> Line<'static> {
         let side = if rad < 0.0 { " right" } else { " left" };
         format!("{degrees} deg{}", if is_straight { "" } else { side })
     };
-    let told = steered.told_rad.map_or("stay as they are".into(), |rad| format!("told {}", angle(rad)));
+    let told = steered.told_rad.map_or("stay as they are".into(), |rad| format!("set point {}", angle(rad)));
     let at = steered.at_rad.map_or("-".into(), angle);
     Line::raw(format!("{:<15}at {at}, {told}", "front wheels"))
 }

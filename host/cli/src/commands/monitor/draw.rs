@@ -262,7 +262,7 @@ fn words(state: &State) -> (String, String) {
     }
     let advice = match (state.causes.iter().next(), state.safety) {
         (Some(cause), _) => cause.advice(),
-        (None, SafetyState::Armed) => "outputs follow what they are told",
+        (None, SafetyState::Armed) => "outputs follow set points",
         (None, SafetyState::Disarmed) => "outputs are safe",
         (None, SafetyState::Tripped) => "outputs are safe; clear it when it is safe to go on",
     };
@@ -502,7 +502,7 @@ fn title(row: &Row) -> String {
     }
     if let Some(Sample::Motor { setpoint: Setpoint { mode, value }, settled, homed, winding, .. }) = row.sample {
         let unit = row.info.mode(mode).map_or(Unit::Duty, |info| info.unit);
-        title += &format!(", told {mode} {}", Quantity::new(value.into(), unit));
+        title += &format!(", set point {mode} {}", Quantity::new(value.into(), unit));
         title += if settled { ", settled" } else { "" };
         title += if homed { ", homed" } else { "" };
         if let Some(winding) = winding {

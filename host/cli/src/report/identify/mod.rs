@@ -170,7 +170,7 @@ fn write_effect(body: &mut String, effect: &EffectReport, scale: &Scale) -> std:
                 format!("{} \u{2192} {}{}", scale.text(before), scale.with_unit(after), change(before, after)),
             ),
             (
-                "Error on blocks left out",
+                "Error in block cross-validation",
                 format!("{} \u{2192} {}", scale.text(blocks_before), scale.with_unit(blocks_after)),
             ),
             ("Blocks that got better", format!("{} of {}", evidence.blocks_better[0], evidence.blocks_better[1])),
@@ -194,7 +194,7 @@ fn write_effect(body: &mut String, effect: &EffectReport, scale: &Scale) -> std:
             note: None,
             columns: vec![
                 column("Rival", None, Align::Left),
-                column("Error on blocks left out", Some(&scale.unit), Align::Right),
+                column("Error in block cross-validation", Some(&scale.unit), Align::Right),
                 column("Record this to tell them apart", None, Align::Left),
             ],
             rows: rows.collect(),
@@ -380,7 +380,7 @@ fn one_panel(title: &str, over: &str, unit: &str, at: &[f64], range: (f64, f64),
 }
 
 fn write_left(body: &mut String, report: &Report, scale: &Scale) -> std::fmt::Result {
-    body.push_str("<section id=\"left\">\n<h2>What was not taken, and what is left</h2>\n");
+    body.push_str("<section id=\"left\">\n<h2>Rejected effects, and the residual</h2>\n");
     if !report.rejected.is_empty() {
         let rows = report.rejected.iter().map(|rejected| {
             let error = Cell::Text(scale.text(rejected.blocked_rmse));
@@ -391,7 +391,7 @@ fn write_left(body: &mut String, report: &Report, scale: &Scale) -> std::fmt::Re
             note: None,
             columns: vec![
                 column("Effect", None, Align::Left),
-                column("Error on blocks left out", Some(&scale.unit), Align::Right),
+                column("Error in block cross-validation", Some(&scale.unit), Align::Right),
                 column("Why not", None, Align::Left),
             ],
             rows: rows.collect(),

@@ -254,7 +254,7 @@ pub fn loop_ladders(printed: &Printed, effort: GainsEffort, seed: u64) -> Result
         "Fitted to the printed tables: up to {}; static friction {}; target {}; not explained: {}.",
         ladders.first().map_or("nothing", |ladder| ladder.chosen),
         if refused { "is not needed" } else { "is not excluded" },
-        if target_identified { "told by the tables" } else { "not told by the tables (270 and 360 deg do alike)" },
+        if target_identified { "shown by the tables" } else { "not shown by the tables (270 and 360 deg do alike)" },
         if unexplained.is_empty() { "nothing".to_owned() } else { unexplained.join(", ") },
     );
     Ok(GainsReport {
@@ -263,7 +263,7 @@ pub fn loop_ladders(printed: &Printed, effort: GainsEffort, seed: u64) -> Result
         unexplained,
         experiments: vec![
             "the error 15 s, 60 s and 300 s after a move: creep shrinks it, static friction does not",
-            "one move with its target and a time-stamped position: tells target, units and how rise is counted",
+            "one move with its target and a time-stamped position: shows target, units and the definition of the rise time",
             "the same move for Kd from 0 to 10, five times each: shows whether the rise falls with Kd at all",
         ],
         verdict,

@@ -808,7 +808,7 @@ fn print(
     ))?;
     report.print_outputs(&lines, markdown)?;
     output::line("*  promised; the other limits follow from the board's configuration")?;
-    output::line("-  out of reach: the chip or the bus that would have to be told does not answer")?;
+    output::line("-  out of reach: the chip or the bus that would be written does not answer")?;
     output::line("times count from the event; for an object, from the end of the echo that shows it")?;
     report.print_plants(&lines, groups, markdown)
 }
