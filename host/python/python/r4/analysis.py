@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias, Union
+from typing import Any, Literal, TypeAlias, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,12 +141,25 @@ def study(
     seeds: int = 20,
     board: str | None = None,
     shard: str | None = None,
+    engine: Literal["threads", "ray"] = "threads",
 ) -> Study:
-    """Runs arms of a robot system (:func:`systems`) over seeds, on all cores: what ``r4 system study`` prints.
+    """Runs arms of a robot system (:func:`systems`) over seeds: what ``r4 system study`` prints.
 
     ``arms`` are all unless some are named. ``board`` is the system's own unless another is named. ``shard="2/4"`` runs a part: it has
     records and no rows, and :func:`merge` makes the whole of all parts.
+
+    ``engine`` is ``"threads"``, all cores of this machine, or ``"ray"``, the Ray cluster that ``ray.init`` has connected to, or a local
+    one. Results are the same to the bit, also when workers die in between: their parts are run again.
     """
+    if engine == "ray":
+        if shard is not None:
+            raise ValueError("engine=\"ray\" makes shards of its own: leave shard out")
+        from . import _ray
+
+        asked = {"system": system, "arms": list(arms), "first_seed": first_seed, "seeds": seeds, "board": board}
+        return merge(_ray.parts(asked))
+    if engine != "threads":
+        raise ValueError(f"engine={engine!r}: give \"threads\" or \"ray\"")
     rows, records = _native.study(
         system, arms=list(arms), first_seed=first_seed, seeds=seeds, board=board, shard=shard
     )
