@@ -1,8 +1,8 @@
 //! Exact discretisation of a linear system whose inputs are constant over the step.
 //!
-//! For `dx/dt = A x + b` with constant `b`, a step of `h` is `x(h) = E x(0) + P b` and its integral `∫x = P x(0) + Q
-//! b`, with `E = exp(A h)`, `P = ∫E`, `Q = ∫P`. The inputs, not the stiffness of the system, limit the step: the
-//! electrical time constant of a motor sets no limit.
+//! For `dx/dt = A x + b` with constant `b`, a step of `h` is `x(h) = E x(0) + P b` and its integral
+//! `∫x = P x(0) + Q b`, with `E = exp(A h)`, `P = ∫E`, `Q = ∫P`. The inputs, not the stiffness of the system, limit the
+//! step: the electrical time constant of a motor sets no limit.
 
 /// Discretised first-order system `dx/dt = b - rate · x`, for one step length.
 #[derive(Clone, Copy, Debug, Default)]

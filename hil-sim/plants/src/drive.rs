@@ -9,8 +9,8 @@ pub struct Drive {
     /// Signed share of the period for which the supply is across the motor, -1..=1; positive drives towards positive
     /// positions.
     pub duty: f64,
-    /// Share of the period for which the terminals are open, 0..=1. It takes precedence: `|duty|` is clipped to `1 -
-    /// coast`.
+    /// Share of the period for which the terminals are open, 0..=1. It takes precedence: `|duty|` is clipped to
+    /// `1 - coast`.
     pub coast: f64,
 }
 

@@ -34,9 +34,10 @@ fitted! {
 fitted! {
     /// Brushed, permanent-magnet motor turning a lead screw that moves a rod between two end stops.
     ///
-    /// The equations of [`DcGearMotor`] with `N = 2π / lead` in rad/m and the mass of the rod plus the rotor's `inertia
-    /// · N²`. The share of the force that the screw loses acts as dry friction proportional to the force it transmits,
-    /// so a rod pushed from outside has to overcome it too. The end stops at `0` and `stroke_m` take all speed.
+    /// The equations of [`DcGearMotor`] with `N = 2π / lead` in rad/m and the mass of the rod plus the rotor's
+    /// `inertia · N²`. The share of the force that the screw loses acts as dry friction proportional to the force it
+    /// transmits, so a rod pushed from outside has to overcome it too. The end stops at `0` and `stroke_m` take all
+    /// speed.
     ///
     /// # Source
     /// The model as [`DcGearMotor`]; the screw: Budynas, Nisbett, *Shigley's Mechanical Engineering Design*,

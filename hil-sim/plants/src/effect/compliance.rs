@@ -6,8 +6,8 @@ use crate::{
 };
 
 fitted! {
-    /// The output hangs on the motor side by a spring with a damper: `y'' = w² (x - y) + 2 d w (x' - y')`, with `w = 2π
-    /// f`, `x` the position of the motor side and `y` that of the output.
+    /// The output hangs on the motor side by a spring with a damper: `y'' = w² (x - y) + 2 d w (x' - y')`, with
+    /// `w = 2π f`, `x` the position of the motor side and `y` that of the output.
     ///
     /// The output is light compared with the motor side, which feels no reaction; the inertia of the plant is all at
     /// the motor side.
