@@ -157,6 +157,7 @@ impl Simulation {
                         Poll::Pending => continue,
                     }
                 }
+                // nothing is ready, so time advances to the next wake
                 let Some(next_ns) = self.clock.next_wake() else {
                     ready.end();
                     return None;

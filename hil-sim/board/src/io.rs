@@ -61,6 +61,7 @@ impl I2c for BoardBus {
         clock.sleep_until(end_ns).await;
         let result = {
             let mut world = self.world.borrow_mut();
+            // bytes keep the times they had from START on
             world.on_bus(self.controller, |bus| bus.execute(start_ns, address, operations))
         };
         match result {

@@ -134,12 +134,14 @@ impl StopWatch {
                 let commanded = |id| world.stepper(id).map_or(0, |driver| driver.commanded());
                 let steps = config.steppers.iter().map(|stepper| stepper.id).map(commanded).collect();
                 let before = std::mem::replace(&mut self.steps, steps);
+                // no step since the last sample
                 before == self.steps
             }
             Outputs::Servos => {
                 let Some(chip) = world.servo_pwm() else { return true };
                 let pulses = (LED0..LED0 + 4 * PWM_OUTPUTS).map(|register| chip.borrow().register(register)).collect();
                 let before = std::mem::replace(&mut self.pulses, pulses);
+                // servos hold their positions while their pulses stay the same
                 let holds = config.servo_pwm.is_some_and(|chip| chip.hold_when_safe);
                 (holds && before == self.pulses) || all_off(&chip.borrow())
             }

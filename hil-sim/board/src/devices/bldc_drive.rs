@@ -415,8 +415,10 @@ impl BldcDrive {
                 let (way_rad, next_rad_s) = towards(target_rad_s, self.spec.time_constant_s);
                 let torque_nm = torque_for(next_rad_s);
                 let reached_rad_s = pushed(torque_max_nm.copysign(torque_nm)).1;
+                // highest speed of the step, so that power stays within its limit all through it
                 let fastest_rad_s = speed_rad_s.abs().max(reached_rad_s.abs().min(next_rad_s.abs()));
                 let gives = torque_nm * speed_rad_s > 0.0 || torque_nm * next_rad_s > 0.0;
+                // no limit of power for a motor that decelerates
                 let most_nm = if gives { torque_max_nm.min(power_max_w / fastest_rad_s) } else { torque_max_nm };
                 if torque_nm.abs() <= most_nm { (way_rad, next_rad_s) } else { pushed(most_nm.copysign(torque_nm)) }
             }
@@ -426,6 +428,7 @@ impl BldcDrive {
                 let moves = if speed_rad_s == 0.0 { self.load_nm } else { speed_rad_s };
                 let (way_rad, next_rad_s) = pushed(-brake_nm.copysign(moves));
                 if next_rad_s * speed_rad_s < 0.0 {
+                    // standstill within the step: friction does not reverse the rotor
                     let stopped_s = step_s * speed_rad_s / (speed_rad_s - next_rad_s);
                     (0.5 * speed_rad_s * stopped_s, 0.0)
                 } else {

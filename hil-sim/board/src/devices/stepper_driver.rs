@@ -319,6 +319,7 @@ impl StepperDriver {
         let interval_s = (step.rise_ns - last.rise_ns) as f64 * 1e-9;
         let step_hz = 1.0 / interval_s;
         if last.forward != step.forward {
+            // reversal only from a speed at which the rotor can stop
             if self.longest_interval_s().is_some() {
                 self.stall(step.rise_ns, step_hz);
                 return;
@@ -332,6 +333,7 @@ impl StepperDriver {
         if step_hz <= self.spec.start_stop_hz || missing_hz.abs() <= change_hz {
             self.rotor.speed_hz = step_hz;
         } else if missing_hz.abs() <= reach_hz {
+            // speed differs from the rate of the steps by no more than the start-stop rate
             self.rotor.speed_hz += change_hz * missing_hz / reach_hz;
         } else {
             self.stall(step.rise_ns, step_hz);

@@ -186,6 +186,7 @@ impl World {
         let glitch_ns = signal.next_glitch_ns().unwrap_or(u64::MAX).max(now_ns);
         let count = signal.count();
         let Some(Turning { position, speed, acceleration, driven }) = self.turned_by(index) else { return glitch_ns };
+        // an edge that is already due
         if position.floor() as i64 != count {
             return now_ns;
         }
@@ -274,6 +275,7 @@ impl World {
         });
         latch.look(self.clock.now_ns(), &mut counter);
         self.index_latches[index] = latch;
+        // counts that only the simulation skips: a timer does not lose them
         if let Counter::Timer(timer) = &mut counter {
             timer.add(left_out);
         }

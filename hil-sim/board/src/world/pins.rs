@@ -488,6 +488,7 @@ impl Pins {
             match (edge.high, echo.rise_ns, echo.fall_ns) {
                 (true, None, _) => echo.rise_ns = Some(edge.at_ns),
                 (false, Some(_), None) => echo.fall_ns = Some(edge.at_ns),
+                // edges after the first pulse, and a fall before it
                 _ => {}
             }
         }

@@ -117,7 +117,7 @@ pub struct Axes {
 pub struct Vial {
     /// Outer diameter of the vial, m.
     pub diameter_m: f64,
-    /// Mass of the vial with its content, kg.
+    /// Mass of the vial, kg.
     pub mass_kg: f64,
     /// Height from bottom to top, m.
     pub height_m: f64,

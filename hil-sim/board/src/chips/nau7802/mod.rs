@@ -186,6 +186,7 @@ impl Nau7802 {
             self.calibrate(end_ns, mv_v);
             self.felt_ns = self.felt_ns.max(end_ns);
             self.begin_period(end_ns);
+            // no conversion from before the calibration stays in the filter
             self.past = [0.0; 4];
         }
         let Some(period_ns) = self.period_ns() else {

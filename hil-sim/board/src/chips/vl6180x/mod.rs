@@ -199,6 +199,7 @@ impl Vl6180x {
                 self.flag = 0b100;
             }
             let period_ns = (u64::from(self.register(0x01B)) + 1) * 10_000_000;
+            // next measurement of a series: a period after this one began, but not before it ends
             self.next_ns = (ranging.began_ns + period_ns).max(end_ns);
         }
         self.felt_ns = self.felt_ns.max(until_ns);
