@@ -1,11 +1,11 @@
 //! Drives a simulated board from code: `cargo run --release -p r4-sim --example drive`.
 //!
-//! What is inside `with_board` is what a program for a real board would say; only the link and the clock differ.
+//! The code inside `with_board` is the same as for a real board; only the link and the clock differ.
 
 use r4_driver::{Clock, with_board};
 use r4_sim::{Pace, SimBoard, Simulation};
 
-/// The simulation's clock, as the driver wants it.
+/// Clock of the simulation, as the driver's trait requires it.
 #[derive(Clone)]
 struct VirtualClock(r4_sim::Clock);
 

@@ -1,4 +1,4 @@
-//! One simulated board: the firmware's tasks on the world's lines.
+//! Simulated board: the firmware's tasks on the world's lines.
 
 use std::{cell::RefCell, ops::Deref, pin::Pin, rc::Rc};
 
@@ -26,7 +26,7 @@ use crate::{
     world::{Controller, Processor, World},
 };
 
-/// Clock of the screen's SPI.
+/// Clock frequency of the screen's SPI, Hz.
 const SCREEN_SPI_HZ: u32 = 20_000_000;
 
 /// A board that runs the firmware's own tasks in a [`Simulation`].
@@ -54,7 +54,7 @@ impl VirtualBoard for SimBoard {
 
     fn restart_requested(&self) -> Pin<Box<dyn Future<Output = ()> + '_>> {
         let shared = self.shared.borrow().clone();
-        // It has no bootloader.
+        // a simulated board has no bootloader, so both kinds of restart are the same
         Box::pin(async move {
             shared.restart_requested().await;
         })
@@ -65,12 +65,12 @@ impl SimBoard {
     /// Powers up a board for `robot` with nothing saved in its flash, its dead-man's handle held and no stop pressed.
     ///
     /// # Errors
-    /// When the robot's file does not describe a world to simulate.
+    /// [`SimError`] if the robot's file does not describe a world to simulate.
     pub fn start(simulation: &mut Simulation, robot: &Robot, seed: u64) -> Result<Self, SimError> {
         Self::start_with(simulation, robot, seed, Flash::new(storage::SECTORS))
     }
 
-    /// The same with a `flash` that another board has had, or the same one before.
+    /// As [`SimBoard::start`], with a `flash` of an earlier board.
     ///
     /// # Errors
     /// As [`SimBoard::start`].
@@ -88,10 +88,10 @@ impl SimBoard {
         Ok(board)
     }
 
-    /// Starts the firmware, as the board's binary does.
+    /// Starts the firmware's tasks, as the board's binary does.
     fn boot(&self, simulation: &mut Simulation, reset: ResetCause) {
         let (clock, world, built_in) = (self.clock(), self.shared_world(), &self.robot().config);
-        // Reading takes no time.
+        // reading the flash takes no time
         let mut flash = FlashPort(self.shared_flash());
         let loaded = block_on(storage::parameters::load(&mut flash, built_in));
         let shared = clock.enter(|| Rc::new(Shared::new(loaded.config, built_in.clone(), reset)));
@@ -126,7 +126,7 @@ impl SimBoard {
             uart_tx: [transmitter(0), transmitter(1)],
         };
         let hardware = Processor(world.clone());
-        // Highest priority first, as the board's interrupt executors have it.
+        // highest priority first, as in the board's interrupt executors
         let mut tasks = Vec::new();
         let of = shared.clone();
         tasks.push(simulation.spawn(async move { supervise(&of, pins).await }));
@@ -153,9 +153,9 @@ impl SimBoard {
         }
     }
 
-    /// Plugs a screen in, and starts the firmware's task for it. Returns the screen, to look at.
+    /// Connects a screen, and starts the firmware's task for it. Returns the screen, for queries.
     ///
-    /// Not part of every simulated board: most runs look at no screen, and drawing costs them time.
+    /// Not part of every simulated board: most runs do not query a screen, and drawing costs them time.
     pub fn plug_screen(&self, simulation: &mut Simulation) -> ScreenWiring {
         let wiring = ScreenWiring::new(self.clock().clone(), SCREEN_SPI_HZ);
         self.screen.replace(Some(wiring.clone()));

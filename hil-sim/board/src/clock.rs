@@ -1,4 +1,4 @@
-//! Virtual time: integer nanoseconds, moved on only by the [`Simulation`](crate::Simulation).
+//! Virtual time: integer nanoseconds, advanced only by the [`Simulation`](crate::Simulation).
 
 use std::{
     cell::{Cell, RefCell},
@@ -11,10 +11,10 @@ use std::{
     task::{Context, Poll, Waker},
 };
 
-/// Nanoseconds in a tick of `embassy-time`.
+/// Nanoseconds per tick of `embassy-time`.
 const NS_PER_TICK: u64 = 1_000_000_000 / embassy_time_driver::TICK_HZ;
 
-/// The clock of one simulation, and what waits for it.
+/// The clock of one simulation, with the tasks that wait for it.
 #[derive(Clone, Default)]
 pub struct Clock(Rc<Inner>);
 
@@ -22,37 +22,37 @@ pub struct Clock(Rc<Inner>);
 struct Inner {
     now_ns: Cell<u64>,
     timers: RefCell<Vec<Timer>>,
-    /// Tasks that are to be polled. Wakers can be sent to other threads, so this can too.
+    /// Number of tasks to be polled. Wakers can be sent to other threads, so this counter can too.
     ready: Arc<AtomicUsize>,
 }
 
-/// One sleeping task: the earliest moment at which it asked to be woken.
+/// A sleeping task, with the earliest time at which it asked to be woken.
 struct Timer {
     at_ns: u64,
     waker: Waker,
 }
 
-/// A timer that waits for nothing; its waker is kept for the task's next sleep.
+/// Time of a timer that waits for nothing; its waker is kept for the task's next sleep.
 const IDLE: u64 = u64::MAX;
 
 impl Clock {
-    /// Nanoseconds since the simulation started.
+    /// Time since the simulation started, ns.
     #[must_use]
     pub fn now_ns(&self) -> u64 {
         self.0.now_ns.get()
     }
 
-    /// Ready once the clock shows `at_ns` or later.
+    /// Future that is ready once the clock shows `at_ns` or later.
     pub fn sleep_until(&self, at_ns: u64) -> Sleep {
         Sleep { clock: self.clone(), at_ns }
     }
 
-    /// Ready after `ns`.
+    /// Future that is ready after `ns`.
     pub fn sleep(&self, ns: u64) -> Sleep {
         self.sleep_until(self.now_ns().saturating_add(ns))
     }
 
-    /// Wakes `waker` at `at_ns`, or before: a woken task asks again for whatever it still waits for.
+    /// Wakes `waker` at `at_ns`, or before: a woken task asks again for everything it still waits for.
     pub(crate) fn wake_at(&self, at_ns: u64, waker: &Waker) {
         let mut timers = self.0.timers.borrow_mut();
         match timers.iter_mut().find(|timer| timer.waker.will_wake(waker)) {
@@ -61,23 +61,23 @@ impl Clock {
         }
     }
 
-    /// Drops what a task asked for that has ended.
+    /// Drops the timers of a task that has ended.
     pub(crate) fn forget(&self, waker: &Waker) {
         self.0.timers.borrow_mut().retain(|timer| !timer.waker.will_wake(waker));
     }
 
-    /// When the next sleeper wakes, or `None` when nobody sleeps.
+    /// Time at which the next sleeper wakes, ns; `None` if no task sleeps.
     #[must_use]
     pub fn next_wake(&self) -> Option<u64> {
         self.0.timers.borrow().iter().map(|timer| timer.at_ns).min().filter(|at_ns| *at_ns != IDLE)
     }
 
-    /// Lets time pass while a task runs: to `to_ns`, but not beyond the next sleeper's wake time. Whoever is due then is
-    /// woken. Returns the time that it is now; never goes back.
+    /// Lets time pass while a task runs: to `to_ns`, but not beyond the next sleeper's wake time, which wakes it.
+    /// Returns the present time; time never goes back.
     ///
-    /// For a task that is a processor of its own, an emulator: it moves the clock to the moment of all that it does, and
-    /// [gives way](Clock::give_way) before each such step while [`Clock::is_anyone_ready`]. So every task still runs at
-    /// the time at which it asked to, and order and times depend on virtual time only. The pace of a
+    /// This is for a task that is a processor of its own, an emulator: it moves the clock to the time of each of its
+    /// steps, and [gives way](Clock::give_way) before each such step while [`Clock::is_anyone_ready`]. So every task
+    /// still runs at the time at which it asked to, and order and times depend on virtual time only. The pace of a
     /// [`Simulation`](crate::Simulation) is kept when a task gives way.
     ///
     /// ```
@@ -104,23 +104,23 @@ impl Clock {
         self.now_ns()
     }
 
-    /// Whether a task of the simulation, or its main one, waits to be polled; one that is being polled does not.
+    /// True if a task of the simulation, or its main one, waits to be polled; one that is being polled does not count.
     #[must_use]
     pub fn is_anyone_ready(&self) -> bool {
         self.0.ready.load(Ordering::Relaxed) > 0
     }
 
-    /// Where tasks count those of them that are to be polled.
+    /// Counter of the tasks to be polled, which the tasks update.
     pub(crate) fn ready_counter(&self) -> Arc<AtomicUsize> {
         self.0.ready.clone()
     }
 
-    /// Lets all other tasks run that are ready, those of lower priority too, at the same virtual time.
+    /// Future that lets all other ready tasks run, those of lower priority too, at the same virtual time.
     pub fn give_way(&self) -> GiveWay {
         GiveWay { clock: self.clone(), given: false }
     }
 
-    /// Moves to `to_ns` and wakes whoever is due. Time never goes back.
+    /// Moves to `to_ns` and wakes all sleepers that are due. Time never goes back.
     pub(crate) fn advance(&self, to_ns: u64) {
         self.0.now_ns.set(to_ns.max(self.now_ns()));
         for timer in self.0.timers.borrow_mut().iter_mut().filter(|timer| timer.at_ns <= to_ns) {
@@ -129,9 +129,9 @@ impl Clock {
         }
     }
 
-    /// Runs `f` with this clock behind `embassy-time`.
+    /// Runs `f` with `embassy-time` on this clock.
     pub(crate) fn enter<T>(&self, f: impl FnOnce() -> T) -> T {
-        /// Puts the clock of an outer simulation back, also when `f` panics.
+        /// Restores the clock of an outer simulation, also if `f` panics.
         struct Restore(Option<Clock>);
         impl Drop for Restore {
             fn drop(&mut self) {
@@ -143,7 +143,7 @@ impl Clock {
     }
 }
 
-/// See [`Clock::sleep_until`].
+/// Future of [`Clock::sleep_until`] and [`Clock::sleep`].
 pub struct Sleep {
     clock: Clock,
     at_ns: u64,
@@ -161,7 +161,7 @@ impl Future for Sleep {
     }
 }
 
-/// See [`Clock::give_way`].
+/// Future of [`Clock::give_way`], ready at its second poll.
 pub struct GiveWay {
     clock: Clock,
     given: bool,
@@ -174,18 +174,18 @@ impl Future for GiveWay {
         if std::mem::replace(&mut self.given, true) {
             return Poll::Ready(());
         }
-        // Time stands still until nobody is ready; then this is due.
+        // time stands still until no other task is ready; then this timer is due
         self.clock.wake_at(self.clock.now_ns(), context.waker());
         Poll::Pending
     }
 }
 
 thread_local! {
-    /// The clock of the simulation that this thread is running.
+    /// Clock of the simulation that this thread is running.
     static CURRENT: RefCell<Option<Clock>> = const { RefCell::new(None) };
 }
 
-/// `embassy-time` on the clock of the running simulation, so that firmware needs no other time than its own.
+/// Driver of `embassy-time` on the clock of the running simulation, so that firmware needs no other time than its own.
 struct VirtualTime;
 
 impl embassy_time_driver::Driver for VirtualTime {
@@ -196,7 +196,7 @@ impl embassy_time_driver::Driver for VirtualTime {
     fn schedule_wake(&self, at: u64, waker: &Waker) {
         CURRENT.with_borrow(|clock| match clock {
             Some(clock) => clock.wake_at(at.saturating_mul(NS_PER_TICK), waker),
-            // Outside a simulation no time passes: let the caller look again rather than sleep for ever.
+            // outside a simulation no time passes: the caller polls again rather than sleeping indefinitely
             None => waker.wake_by_ref(),
         });
     }

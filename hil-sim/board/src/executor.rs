@@ -1,4 +1,4 @@
-//! A simulation: tasks in order of priority, on one virtual clock.
+//! Simulation: tasks in order of priority, on one virtual clock.
 
 use std::{
     pin::{Pin, pin},
@@ -12,19 +12,19 @@ use std::{
 
 use crate::clock::Clock;
 
-/// How virtual time relates to the clock on the wall.
+/// Relation between virtual time and real time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pace {
-    /// As fast as the machine can.
+    /// Virtual time passes as fast as the machine can compute it.
     Free,
-    /// This many virtual seconds in a real one, for a person who watches; slower where the machine cannot.
+    /// Virtual seconds per real second, for a person who watches; slower if the machine cannot keep up.
     RealTime(f64),
 }
 
 /// Tasks and their clock. Code takes no virtual time; only waiting does.
 ///
-/// Deterministic: tasks that are ready at the same moment run in order of priority, and the scan starts again from the
-/// highest after each, as on a processor whose interrupts preempt. No thread, no wall clock, except for [`Pace`].
+/// Deterministic: tasks that are ready at the same time run in order of priority, and the scan restarts from the
+/// highest after each, as on a processor whose interrupts preempt. No thread and no real time, except for [`Pace`].
 pub struct Simulation {
     clock: Clock,
     tasks: Vec<Task>,
@@ -32,7 +32,7 @@ pub struct Simulation {
     pace: Pace,
 }
 
-/// A task of a [`Simulation`].
+/// Identifier of a task of a [`Simulation`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TaskId(u64);
 
@@ -43,20 +43,20 @@ struct Task {
     waker: Waker,
 }
 
-/// Whether a task is to be polled.
+/// Flag that a task is to be polled.
 struct Ready {
     state: AtomicU8,
-    /// Of the simulation: how many tasks are.
+    /// Number of such tasks in the simulation.
     count: Arc<AtomicUsize>,
 }
 
 impl Ready {
     const WAITING: u8 = 0;
     const READY: u8 = 1;
-    /// Whoever still has a waker changes nothing any more.
+    /// The task has ended; wakers that still exist have no effect.
     const ENDED: u8 = 2;
 
-    /// Of a task that has to be polled a first time.
+    /// A flag already set, for a task that has to be polled a first time.
     fn new(clock: &Clock) -> Arc<Self> {
         let ready = Arc::new(Self { state: AtomicU8::new(Self::WAITING), count: clock.ready_counter() });
         ready.wake_by_ref();
@@ -67,7 +67,7 @@ impl Ready {
         self.state.load(Ordering::Relaxed) == Self::READY
     }
 
-    /// Whether the task was ready; it is not after.
+    /// Clears the flag, and returns true if it was set.
     fn take(&self) -> bool {
         self.leave(Self::WAITING)
     }
@@ -117,7 +117,7 @@ impl Simulation {
         self.clock.clone()
     }
 
-    /// Adds a task below all that are there.
+    /// Adds a task with the lowest priority so far.
     pub fn spawn(&mut self, future: impl Future<Output = ()> + 'static) -> TaskId {
         let ready = Ready::new(&self.clock);
         let id = TaskId(self.next_id);
@@ -126,7 +126,7 @@ impl Simulation {
         id
     }
 
-    /// Drops a task where it stands, as a reset does; one that has ended already is no error.
+    /// Drops a task in its present state, as a reset does; a task that has already ended is ignored.
     pub fn end(&mut self, id: TaskId) {
         if let Some(index) = self.tasks.iter().position(|task| task.id == id) {
             self.remove(index);
@@ -135,7 +135,7 @@ impl Simulation {
 
     /// Runs until `main` is done, as the task of the lowest priority.
     ///
-    /// Returns `None` when `main` waits for something that can never happen: nothing is ready and nobody sleeps.
+    /// Returns `None` if `main` waits for something that can never happen: no task is ready and none sleeps.
     pub fn block_on<T>(&mut self, main: impl Future<Output = T>) -> Option<T> {
         let mut main = pin!(main);
         let ready = Ready::new(&self.clock);
@@ -157,6 +157,7 @@ impl Simulation {
                         Poll::Pending => continue,
                     }
                 }
+                // nothing is ready, so time advances to the next wake
                 let Some(next_ns) = self.clock.next_wake() else {
                     ready.end();
                     return None;
@@ -167,7 +168,7 @@ impl Simulation {
         })
     }
 
-    /// Polls the highest task that is ready; false when there is none.
+    /// Polls the ready task of the highest priority; false if there is none.
     fn poll_one(&mut self) -> bool {
         let Some(index) = self.tasks.iter().position(|task| task.ready.is_ready()) else {
             return false;
@@ -190,7 +191,7 @@ impl Simulation {
         if let Pace::RealTime(factor) = self.pace {
             let due_s = next_ns.saturating_sub(begin_ns) as f64 * 1e-9 / factor;
             let due = Duration::try_from_secs_f64(due_s).unwrap_or(Duration::MAX);
-            // Pacing for a person: the only place in the simulator that looks at the wall.
+            // pacing for a person: the only place in the simulator that uses real time
             std::thread::sleep(due.saturating_sub(wall.elapsed()));
         }
     }
@@ -220,7 +221,8 @@ mod tests {
         assert_eq!(*seen.borrow(), [(200, "b"), (300, "a"), (400, "b"), (600, "a"), (600, "b")]);
     }
 
-    /// A task that lets time pass by itself stops for others when they are due: nobody runs late, also those below it.
+    /// A task that advances time by itself stops when others are due, so that no task is late, even one of lower
+    /// priority.
     #[test]
     fn who_runs_ahead_stops_at_the_next_sleeper_and_gives_way() {
         let mut simulation = Simulation::default();
@@ -253,7 +255,7 @@ mod tests {
             [ahead(70), ahead(100), (100, "below"), main(100), main(100), ahead(170), ahead(240), ahead(250)];
         assert_eq!(seen.borrow()[..8], expected);
         assert_eq!(seen.borrow()[8..], [main(250)]);
-        // Nobody counts who has ended, also if woken once more.
+        // an ended task is not counted, even if its waker is called once more
         simulation.end(below);
         assert!(!simulation.clock().is_anyone_ready());
     }

@@ -1,11 +1,11 @@
-//! The flash of the STM32H747, as a driver shows it: sectors, words that can be programmed once, and what is left of both
-//! when the power goes.
+//! Flash memory of the STM32H747 as a driver sees it: sectors, words that can be programmed once, and the effects of a
+//! power cut.
 //!
-//! Sectors of 128 KiB and flash words of 32 bytes, each with its own error correction (RM0399, 4.3). A word that is
-//! programmed again does not fit its correction any more; reading such a word is a bus error, which a driver reports. An
-//! erase takes 1 s and programming a word 0.1 ms, about what the datasheet gives as typical.
+//! Sectors have 128 KiB and flash words 32 bytes, each word with its own error correction (RM0399, 4.3). A word that is
+//! programmed again no longer matches its correction code; reading it is a bus error, which a driver reports. An erase
+//! takes 1 s and programming a word 0.1 ms, about the typical values of the datasheet.
 //!
-//! A power cut during one of these steps leaves what [`Tear`] says. Everything else stays as it was.
+//! A power cut during one of these steps has the effect described by [`Tear`]. Everything else stays.
 
 use std::fmt;
 
@@ -17,45 +17,45 @@ use rand_pcg::{
 
 use crate::Clock;
 
-/// Bytes of a sector of the STM32H747.
+/// Size of a sector of the STM32H747, bytes.
 pub const SECTOR_BYTES: usize = 128 * 1024;
-/// Bytes of a flash word.
+/// Size of a flash word, bytes.
 pub const WORD_BYTES: usize = 32;
 
 const ERASE_NS: u64 = 1_000_000_000;
 const PROGRAM_NS: u64 = 100_000;
 
-/// What a power cut leaves of the word that was being programmed, or of the sector that was being erased.
+/// Effect of a power cut on the word being programmed, or on the sector being erased.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tear {
-    /// What was there before: it had hardly begun.
+    /// The old content stays: the step had hardly begun.
     Nothing,
     /// The word, or each word of the sector, fails its error correction.
     Unreadable,
-    /// The first half of the word or sector is as it was to be, the rest as it was; the correction says nothing.
+    /// The first half of the word or sector is new, the rest old; the correction detects nothing.
     FirstHalf,
-    /// The second half is as it was to be, the rest as it was; the correction says nothing.
+    /// The second half is new, the rest old; the correction detects nothing.
     SecondHalf,
-    /// Each bit had its own pace. The correction notices most of it, repairs single bits, and now and then is wrong.
+    /// Each bit has changed at random. The correction detects most of it, repairs single bits, and is sometimes wrong.
     Bits {
-        /// Chooses which.
+        /// Seed of the random selection.
         seed: u64,
     },
 }
 
-/// What a driver does with what the flash says.
+/// Error of a flash driver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlashError {
-    /// The address or length is not one of words, or of sectors for an erase.
+    /// Address or length that is not a multiple of a word, or of a sector for an erase.
     NotAligned,
-    /// Beyond the end.
+    /// Range beyond the end of the flash.
     OutOfBounds,
-    /// Error correction found more than it can repair.
+    /// Word with more errors than the correction can repair.
     Unreadable {
-        /// The first such word.
+        /// Address of the first such word.
         address: u32,
     },
-    /// The power is off.
+    /// Access to a flash without power.
     NoPower,
 }
 
@@ -93,20 +93,20 @@ impl Word {
     const UNREADABLE: Self = Self { bytes: [0; WORD_BYTES], readable: false };
 }
 
-/// Some sectors of flash. `SECTOR` is their size in bytes; small ones make tests fast.
+/// A number of flash sectors. `SECTOR` is their size in bytes; small ones make tests fast.
 #[derive(Clone)]
 pub struct Flash<const SECTOR: usize = SECTOR_BYTES> {
     words: Vec<Word>,
     clock: Option<Clock>,
     steps: u64,
-    /// The power goes in this step.
+    /// Step in which the power is cut, and its effect.
     cut: Option<(u64, Tear)>,
     has_power: bool,
     programmed_twice: Vec<u32>,
 }
 
 impl<const SECTOR: usize> Flash<SECTOR> {
-    /// Erased sectors, whose steps take no time.
+    /// A flash of erased sectors, whose steps take no time.
     #[must_use]
     pub fn new(sectors: usize) -> Self {
         Self {
@@ -119,19 +119,20 @@ impl<const SECTOR: usize> Flash<SECTOR> {
         }
     }
 
-    /// The same, with steps that take their time on `clock`.
+    /// The same flash with steps that take time on `clock`.
     #[must_use]
     pub fn with_clock(self, clock: Clock) -> Self {
         Self { clock: Some(clock), ..self }
     }
 
-    /// Words programmed and sectors erased since power-up.
+    /// Number of words programmed and sectors erased since power-up.
     #[must_use]
     pub fn steps(&self) -> u64 {
         self.steps
     }
 
-    /// Addresses of words that were programmed without having been erased: the chip says nothing and they become unreadable.
+    /// Addresses of words that were programmed without an erase: the chip does not report it, and they become
+    /// unreadable.
     #[must_use]
     pub fn programmed_twice(&self) -> &[u32] {
         &self.programmed_twice
@@ -142,24 +143,25 @@ impl<const SECTOR: usize> Flash<SECTOR> {
         self.cut = Some((self.steps + steps, tear));
     }
 
-    /// Whether the power is on.
+    /// True while the power is on.
     #[must_use]
     pub fn has_power(&self) -> bool {
         self.has_power
     }
 
-    /// Power again, and no cut planned.
+    /// Restores the power, and cancels a planned cut.
     pub fn power_up(&mut self) {
         (self.steps, self.cut, self.has_power) = (0, None, true);
     }
 
-    /// The content, to be kept in a file: for each word 1 if it can be read or else 0, and its bytes.
+    /// Content for a file: for each word a byte, 1 if it is readable and 0 otherwise, and its data.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         self.words.iter().flat_map(|word| [word.readable.into()].into_iter().chain(word.bytes)).collect()
     }
 
-    /// A flash with the content from [`Flash::to_bytes`], or `None` if it is something else, or not that of whole sectors.
+    /// A flash with the content of [`Flash::to_bytes`]; `None` for any other data, or if it is not a number of whole
+    /// sectors.
     #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let (words, rest) = bytes.as_chunks::<{ 1 + WORD_BYTES }>();
@@ -177,7 +179,7 @@ impl<const SECTOR: usize> Flash<SECTOR> {
         Some(Self { words: words.iter().map(word).collect(), ..Self::new(0) })
     }
 
-    /// Whatever the content was, it is now these bytes, from `address` on, which is that of a word.
+    /// Replaces the content by `bytes` from `address` on, which is that of a word, whatever the content was.
     pub fn overwrite(&mut self, address: u32, bytes: &[u8]) {
         let (words, _) = bytes.as_chunks();
         for (word, bytes) in self.words.iter_mut().skip(address as usize / WORD_BYTES).zip(words) {
@@ -185,13 +187,13 @@ impl<const SECTOR: usize> Flash<SECTOR> {
         }
     }
 
-    /// Words from `address` on lose what they held, as when a reset falls into their programming: they cannot be read.
+    /// Makes words from `address` on unreadable, as a reset during their programming does.
     pub fn spoil(&mut self, address: u32, words: u32) {
         let first = address as usize / WORD_BYTES;
         self.words.iter_mut().skip(first).take(words as usize).for_each(|word| *word = Word::UNREADABLE);
     }
 
-    /// The next step, if the power lasts: after it, what a cut within it leaves.
+    /// Executes the next step while the power lasts; returns the effect if the power is cut in it.
     async fn step(&mut self, takes_ns: u64) -> Result<Option<Tear>, FlashError> {
         self.check_power()?;
         if let Some(clock) = &self.clock {
@@ -223,11 +225,11 @@ impl<const SECTOR: usize> Flash<SECTOR> {
 }
 
 impl Tear {
-    /// What `before` became on the way to `after`.
+    /// Content after a power cut on the way from `before` to `after`.
     fn apply(self, before: &[Word], after: &[Word]) -> Vec<Word> {
         let halves = |first: &[Word], second: &[Word]| -> Vec<Word> {
             if let ([first], [second]) = (first, second) {
-                // What is half of one word and half of another, and passes.
+                // half of one word and half of another, undetected by the correction
                 let mut bytes = second.bytes;
                 bytes[..WORD_BYTES / 2].copy_from_slice(&first.bytes[..WORD_BYTES / 2]);
                 return vec![Word { bytes, readable: first.readable && second.readable }];
@@ -242,7 +244,7 @@ impl Tear {
             Self::SecondHalf => halves(before, after),
             Self::Bits { seed } => {
                 let mut random = Pcg64::seed_from_u64(seed);
-                // How far it has come, in 256ths: the same for all cells, which differ a little.
+                // progress in 256ths, common to all cells, which differ a little
                 let progress = random.next_u32() as u8;
                 before
                     .iter()
@@ -254,7 +256,7 @@ impl Tear {
     }
 }
 
-/// A word of which each bit that changes has changed with probability `progress` / 256.
+/// A word in which each bit that changes has changed with probability `progress` / 256.
 fn torn_bits(random: &mut Pcg64, progress: u8, before: &Word, after: &Word) -> Word {
     let mut bytes = before.bytes;
     for (byte, after) in bytes.iter_mut().zip(after.bytes) {
@@ -265,8 +267,8 @@ fn torn_bits(random: &mut Pcg64, progress: u8, before: &Word, after: &Word) -> W
         }
     }
     let differs = |from: &Word| from.bytes.iter().zip(bytes).map(|(a, b)| (a ^ b).count_ones()).sum::<u32>();
-    // Error correction repairs one bit. More it notices, but for one pattern in four (its 10 bits tell 1024 patterns apart,
-    // of which 267 look like a whole word or one with a single error).
+    // Error correction repairs one bit. It detects more, except for one pattern in four (its 10 bits distinguish 1024
+    // patterns, of which 267 look like a valid word or one with a single error).
     if differs(before) <= 1 {
         *before
     } else if differs(after) <= 1 {

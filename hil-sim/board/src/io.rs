@@ -1,4 +1,4 @@
-//! The processor's peripherals, as the firmware reaches them through its traits.
+//! Peripherals of the processor, as the firmware accesses them through its traits.
 
 use std::{cell::RefCell, convert::Infallible, future::poll_fn, rc::Rc, task::Poll};
 
@@ -14,19 +14,19 @@ use crate::{
     world::{Controller, World},
 };
 
-/// The controller gives a transfer up after this long without progress: twice the longest transfer on this bus.
+/// Time without progress after which the controller aborts a transfer, ns: twice the longest transfer on this bus.
 const BUS_TIMEOUT_NS: u64 = 1_000_000;
 
-/// An I2C controller.
+/// I2C controller of the processor.
 ///
-/// A transfer acts on the chips at the moment of its STOP, with the exact time of each byte. One that is not
-/// acknowledged is reported when it would have ended: late by what was left of it, at most 0.45 ms on this board.
+/// A transfer acts on the chips at the time of its STOP, with the exact time of each byte. One that is not acknowledged
+/// is reported when it would have ended: too late by its remaining bytes, at most 0.45 ms on this board.
 pub(crate) struct BoardBus {
     pub(crate) world: Rc<RefCell<World>>,
     pub(crate) controller: Controller,
 }
 
-/// A transfer that failed, to the firmware.
+/// Failed transfer, as the firmware sees it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BusError(Fault);
 
@@ -51,7 +51,7 @@ impl I2c for BoardBus {
             let clock = world.clock().clone();
             let bus = world.bus_of(self.controller);
             if !bus.lines_are_free(clock.now_ns()) {
-                // The controller sees that before it begins, and says so at once.
+                // the controller detects a stuck bus before it starts
                 return Err(BusError(Fault::StuckLow { since_ns: clock.now_ns() }));
             }
             let start_ns = bus.earliest_start_ns(clock.now_ns());
@@ -61,6 +61,7 @@ impl I2c for BoardBus {
         clock.sleep_until(end_ns).await;
         let result = {
             let mut world = self.world.borrow_mut();
+            // bytes keep the times they had from START on
             world.on_bus(self.controller, |bus| bus.execute(start_ns, address, operations))
         };
         match result {
@@ -87,13 +88,13 @@ impl Bus for BoardBus {
     }
 }
 
-/// The receiver of a UART connector.
+/// Receiver of a UART connector.
 pub(crate) struct UartReceiver {
     pub(crate) world: Rc<RefCell<World>>,
     pub(crate) connector: usize,
 }
 
-/// The transmitter of a UART connector.
+/// Transmitter of a UART connector.
 pub(crate) struct UartTransmitter {
     pub(crate) world: Rc<RefCell<World>>,
     pub(crate) connector: usize,
@@ -146,14 +147,14 @@ impl Write for UartTransmitter {
     }
 }
 
-/// The processor's flash.
+/// Flash of the processor, as the firmware's driver.
 pub(crate) struct FlashPort(pub(crate) Rc<RefCell<Flash>>);
 
 impl embedded_storage_async::nor_flash::ErrorType for FlashPort {
     type Error = FlashError;
 }
 
-// Nobody else borrows it while a step takes its time, but a test that looks at a board at work.
+// During a step, only a test that inspects a running board could borrow it too.
 #[allow(clippy::await_holding_refcell_ref, reason = "one owner; see above")]
 impl ReadNorFlash for FlashPort {
     const READ_SIZE: usize = Flash::<SECTOR_BYTES>::READ_SIZE;

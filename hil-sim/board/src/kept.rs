@@ -1,4 +1,4 @@
-//! The part of a board's flash that keeps parameters and trips, looked at before a board starts with it.
+//! The part of a board's flash that stores parameters and trips, for inspection before a board starts with it.
 
 use embassy_futures::block_on;
 use r4_firmware::storage;
@@ -7,12 +7,12 @@ use r4_protocol::config::BoardConfig;
 
 use crate::flash::Flash;
 
-/// Its sectors.
+/// Number of sectors that store them.
 pub const SECTORS: usize = storage::SECTORS;
 
-/// What a board that was built with `config` uses when it starts with `flash`.
+/// Parameters and trips that a board built with `config` uses when it starts with `flash`.
 #[must_use]
 pub fn review(flash: &Flash, config: &BoardConfig) -> Loaded {
-    // Reading takes no time.
+    // reading the flash takes no time
     block_on(storage::parameters::load(&mut flash.clone(), config))
 }

@@ -7,11 +7,11 @@
 //!    host task ── link.rs: bytes with the speed of a UART ── firmware's link task
 //! ```
 //!
-//! A processor can also drive the world's pins and buses itself, with its own timing: `world/wires.rs`. What every board
-//! has, whatever runs on its processor, is its [`Surroundings`].
+//! A processor can also drive the world's pins and buses itself, with its own timing: `world/wires.rs`. The environment
+//! of a board, independent of what runs on its processor, is the type that [`VirtualBoard`] dereferences to.
 //!
-//! Chip models are written from datasheets and share no constant with the firmware's drivers. What a real chip ignores
-//! in silence is reported ([`misuse`]). Same robot, same seed, same host: same bits, on every machine.
+//! Chip models are written from datasheets and share no constant with the firmware's drivers. Requests that a real chip
+//! silently ignores are reported ([`misuse`]). Same robot, same seed, same host: same bits, on every machine.
 //!
 //! ```
 //! use r4_sim::{Pace, SimBoard, Simulation};

@@ -11,7 +11,7 @@ use std::{
 use embedded_hal::digital::{ErrorType, InputPin, OutputPin};
 use embedded_hal_async::digital::Wait;
 
-/// A line that someone outside drives and the processor reads.
+/// A line driven from outside and read by the processor.
 #[derive(Default)]
 pub struct Line {
     high: Cell<bool>,
@@ -20,13 +20,13 @@ pub struct Line {
 }
 
 impl Line {
-    /// A line at a level.
+    /// A line at an initial level.
     #[must_use]
     pub fn new(high: bool) -> Rc<Self> {
         Rc::new(Self { high: Cell::new(high), ..Self::default() })
     }
 
-    /// Drives the line; wakes whoever waits for an edge.
+    /// Drives the line, and wakes all tasks that wait for an edge.
     pub fn set(&self, high: bool) {
         if self.high.replace(high) != high {
             self.edges.set(self.edges.get() + 1);
@@ -34,13 +34,13 @@ impl Line {
         }
     }
 
-    /// The level.
+    /// Present level of the line.
     #[must_use]
     pub fn is_high(&self) -> bool {
         self.high.get()
     }
 
-    /// Edges since the line was made.
+    /// Number of edges since the line was created.
     #[must_use]
     pub fn edges(&self) -> u64 {
         self.edges.get()
@@ -59,7 +59,7 @@ impl Line {
 pub(crate) struct InputLine(pub(crate) Rc<Line>);
 
 impl InputLine {
-    /// Ready at the first edge after the call after which `wanted` holds.
+    /// Waits for the first edge after the call after which `wanted` holds.
     async fn edge(&mut self, wanted: impl Fn(bool) -> bool) {
         let mut seen = self.0.edges.get();
         poll_fn(|context| {
@@ -121,14 +121,14 @@ impl Wait for InputLine {
     }
 }
 
-/// The processor's end of an output line; `drive` is told each change.
+/// The processor's end of an output line; `drive` is called at each change.
 pub(crate) struct OutputLine<F> {
     high: Option<bool>,
     drive: F,
 }
 
 impl<F: FnMut(bool)> OutputLine<F> {
-    /// A line not driven yet.
+    /// A line that is not driven yet.
     pub(crate) fn new(drive: F) -> Self {
         Self { high: None, drive }
     }
@@ -160,7 +160,8 @@ mod tests {
     use super::*;
     use crate::Simulation;
 
-    /// A task that polls, as an emulator does, and one that waits, as the firmware's does: both see each edge at its time.
+    /// A task that polls, as an emulator does, and one that waits, as the firmware's does: both see each edge at its
+    /// time.
     #[test]
     fn an_edge_wakes_all_who_look_at_its_time() {
         let mut simulation = Simulation::default();

@@ -1,4 +1,4 @@
-//! A byte link with the speed of a UART: two pipes whose bytes arrive when they would.
+//! Byte link with the speed of a UART: two pipes whose bytes arrive with the delay of the wire.
 
 use std::{
     cell::RefCell,
@@ -16,7 +16,7 @@ use crate::{
     uart::{LineNoise, UartByte, ns_per_byte},
 };
 
-/// Bytes a sender may have under way before it has to wait, as in a UART driver's ring buffer.
+/// Number of bytes a sender may have in transmission before it has to wait, as in a UART driver's ring buffer.
 const BUFFER: usize = 1024;
 
 /// One direction of a link.
@@ -28,16 +28,16 @@ struct Pipe {
     noise: Option<LineNoise>,
 }
 
-/// A byte under way.
+/// A byte in transmission.
 struct OnWire {
-    /// When its last bit arrives.
+    /// Time at which its last bit arrives, ns.
     at_ns: u64,
-    /// What arrives then; `None` where noise hid it.
+    /// Byte that arrives then; `None` if noise hid it.
     byte: Option<UartByte>,
 }
 
 impl Pipe {
-    /// Sends a byte that has arrived at `at_ns`.
+    /// Sends a byte that arrives at `at_ns`.
     fn push(&mut self, at_ns: u64, value: u8) {
         let sent = UartByte::clean(at_ns, value);
         let byte = self.noise.as_mut().map_or(Some(sent), |noise| noise.pass(sent));
@@ -56,9 +56,9 @@ pub struct Sender(Rc<RefCell<Pipe>>);
 
 /// One end of a link.
 pub struct Port {
-    /// What comes from the other end.
+    /// Receiver of bytes from the other end.
     pub rx: Receiver,
-    /// What goes to the other end.
+    /// Sender of bytes to the other end.
     pub tx: Sender,
 }
 
@@ -78,7 +78,7 @@ pub fn serial(clock: &Clock, baud: u32) -> (Port, Port) {
     (Port { rx: Receiver(back.clone()), tx: Sender(there.clone()) }, Port { rx: Receiver(there), tx: Sender(back) })
 }
 
-/// Both directions of a link, to disturb.
+/// Both directions of a link, for disturbances.
 #[derive(Clone)]
 pub struct Cable {
     to_device: Rc<RefCell<Pipe>>,
@@ -86,33 +86,33 @@ pub struct Cable {
 }
 
 impl Cable {
-    /// The cable of which `device` is the far end.
+    /// The cable whose far end is `device`.
     #[must_use]
     pub fn of(device: &Port) -> Self {
         Self { to_device: device.rx.0.clone(), to_host: device.tx.0.clone() }
     }
 
-    /// Bytes take the time of this rate from now on, bits per second.
+    /// Sets the bit rate from now on, bits per second.
     pub fn set_baud(&self, baud: u32) {
         for pipe in [&self.to_device, &self.to_host] {
             pipe.borrow_mut().ns_per_byte = ns_per_byte(baud);
         }
     }
 
-    /// Disturbs what is sent to the device from now on; `None` ends that.
+    /// Disturbs bytes sent to the device from now on; `None` ends it.
     pub fn disturb_to_device(&self, noise: Option<LineNoise>) {
         self.to_device.borrow_mut().noise = noise;
     }
 
-    /// Disturbs what is sent to the host from now on; `None` ends that.
+    /// Disturbs bytes sent to the host from now on; `None` ends it.
     pub fn disturb_to_host(&self, noise: Option<LineNoise>) {
         self.to_host.borrow_mut().noise = noise;
     }
 }
 
-/// For a device that makes its own timing.
+/// Interface for a device with its own timing.
 impl Receiver {
-    /// The next byte that has arrived up to and at `now_ns`, with everything that a receiver can see of it.
+    /// Next byte that has arrived up to and at `now_ns`, with all receiver flags.
     pub fn take_arrived(&mut self, now_ns: u64) -> Option<UartByte> {
         let mut pipe = self.0.borrow_mut();
         loop {
@@ -123,7 +123,7 @@ impl Receiver {
         }
     }
 
-    /// When the next byte arrives of those that are under way; that of one that was not taken yet lies in the past.
+    /// Arrival time of the next byte in transmission, ns; in the past for a byte that was not taken yet.
     #[must_use]
     pub fn next_arrival_ns(&self) -> Option<u64> {
         self.0.borrow().under_way.iter().find(|on_wire| on_wire.byte.is_some()).map(|next| next.at_ns)
@@ -135,10 +135,10 @@ impl Receiver {
     }
 }
 
-/// For a device that makes its own timing.
+/// Interface for a device with its own timing.
 impl Sender {
-    /// Puts a byte on the wire whose stop bit ends at `at_ns`, not before that of the one before it. Nothing is held
-    /// back: the device's own transmitter does that.
+    /// Puts a byte on the wire whose stop bit ends at `at_ns`, not before that of the preceding byte. There is no flow
+    /// control: that is up to the device's own transmitter.
     pub fn push(&mut self, at_ns: u64, byte: u8) {
         let mut pipe = self.0.borrow_mut();
         let at_ns = pipe.under_way.back().map_or(at_ns, |last| at_ns.max(last.at_ns));
@@ -163,7 +163,7 @@ impl Read for Receiver {
             while len < buffer.len()
                 && let Some(arrived) = pipe.under_way.pop_front_if(|on_wire| on_wire.at_ns <= now_ns)
             {
-                // A driver drops what has no stop bit.
+                // a driver drops bytes without a stop bit
                 if let Some(byte) = arrived.byte.filter(|byte| !byte.framing_error) {
                     buffer[len] = byte.value;
                     len += 1;
@@ -173,7 +173,7 @@ impl Read for Receiver {
                 return Poll::Ready(Ok(len));
             }
             match pipe.under_way.back() {
-                // A receiver that sleeps until the line falls idle, as a UART with idle detection does.
+                // the receiver sleeps until the line falls idle, as a UART with idle detection does
                 Some(last) => pipe.clock.wake_at(last.at_ns, context.waker()),
                 None => pipe.reader = Some(context.waker().clone()),
             }
@@ -232,7 +232,7 @@ mod tests {
             received
         });
         assert_eq!(received.as_deref(), Some(&b"0123456789"[..]));
-        // 10 bytes x 10 bits at 1 Mbit/s.
+        // 10 bytes x 10 bits at 1 Mbit/s
         assert_eq!(clock.now_ns(), 100_000);
     }
 
@@ -256,7 +256,7 @@ mod tests {
         assert_eq!((&buffer, clock.now_ns()), (b"xyz", 17_360));
     }
 
-    /// Every byte of an inverted line loses its start bit; spikes change nothing but a flag.
+    /// Every byte on an inverted line loses its start bit; spikes only set a flag.
     #[test]
     fn noise_acts_on_what_is_sent_after_it_began() {
         let mut simulation = Simulation::default();

@@ -1,7 +1,7 @@
-//! What a chip or the bus was asked to do that its datasheet forbids or silently ignores.
+//! Requests to a chip or the bus that its datasheet forbids or that it silently ignores.
 //!
-//! Real silicon says nothing: a servo runs at the wrong rate, a bridge loses its gate charge. The models behave as the
-//! silicon does and also keep a note, so that a test can ask for none.
+//! Real silicon does not report them: a servo runs at the wrong rate, a bridge loses its gate charge. The models behave
+//! as the silicon does and also record it, so that a test can require that there is none.
 
 use core::fmt;
 
@@ -10,9 +10,9 @@ use crate::chips::ili9488::ScreenMisuse;
 /// One leg of a full bridge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Leg {
-    /// The leg that drives motor terminal A.
+    /// Leg that drives motor terminal A.
     A,
-    /// The leg that drives motor terminal B.
+    /// Leg that drives motor terminal B.
     B,
 }
 
@@ -25,286 +25,286 @@ impl fmt::Display for Leg {
     }
 }
 
-/// What was done wrong. The text (`Display`) says what the real part does and what to do instead.
+/// Kind of misuse. The text (`Display`) says what the real part does and what to do instead.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum MisuseKind {
-    /// A register address the chip does not have was selected.
+    /// Access to a register address that the chip does not have.
     UnmappedRegister {
-        /// The address sent.
+        /// Register address that was sent.
         register: u8,
     },
-    /// The reserved test register was written.
+    /// Write to the reserved test register.
     TestModeWritten {
-        /// The value sent.
+        /// Value that was sent.
         value: u8,
     },
-    /// PRE_SCALE was written while the chip was awake.
+    /// Write to PRE_SCALE while the chip is awake.
     PrescaleWhileAwake {
-        /// The value sent.
+        /// Value that was sent.
         value: u8,
-        /// The value that stays in force.
+        /// Value that stays in force.
         kept: u8,
     },
-    /// PRE_SCALE was written with a value under the hardware minimum.
+    /// Write to PRE_SCALE with a value below the hardware minimum.
     PrescaleBelowMinimum {
-        /// The value sent.
+        /// Value that was sent.
         value: u8,
-        /// The value the chip took.
+        /// Value that the chip took.
         taken: u8,
     },
-    /// A 1 was written to RESTART before the oscillator had had time to start.
+    /// A 1 written to RESTART before the oscillator had time to start.
     RestartTooEarly {
-        /// Time since SLEEP was cleared; 0 if it is still set or was cleared by the same write.
+        /// Time since SLEEP was cleared, ns; 0 if it is still set or was cleared by the same write.
         awake_ns: u64,
-        /// Time the datasheet asks for.
+        /// Time that the datasheet requires, ns.
         needed_ns: u64,
     },
-    /// PWM registers were written while the oscillator was starting.
+    /// Write to PWM registers while the oscillator is starting.
     OutputsBeforeOscillatorReady {
-        /// Time since SLEEP was cleared.
+        /// Time since SLEEP was cleared, ns.
         awake_ns: u64,
-        /// Time the datasheet asks for.
+        /// Time that the datasheet requires, ns.
         needed_ns: u64,
     },
-    /// EXTCLK was set without being asleep first.
+    /// EXTCLK set while the chip was not asleep.
     ExternalClockWhileAwake,
-    /// The chip was woken with EXTCLK set, and nothing drives the pin.
+    /// Wake-up with EXTCLK set, but no clock at the pin.
     ExternalClockMissing,
-    /// The same count was written for switching on and for switching off.
+    /// The same count for switching on and for switching off.
     OnEqualsOff {
-        /// The output, 0 to 15.
+        /// Index of the output, 0 to 15.
         channel: u8,
-        /// The count written to both.
+        /// Count that was written to both.
         count: u16,
     },
-    /// Full OFF was written to part of a channel while outputs change on ACK.
+    /// Full OFF written to part of a channel while outputs change on ACK.
     FullOffNotApplied {
-        /// The output, 0 to 15.
+        /// Index of the output, 0 to 15.
         channel: u8,
     },
-    /// Several chips drove the bus in the same read.
+    /// Several chips that drove the bus in the same read.
     SeveralReaders {
-        /// The address read from, 7 bits.
+        /// Address that was read from, 7 bits.
         address: u8,
-        /// How many chips answered.
+        /// Number of chips that answered.
         chips: usize,
     },
     /// A read of no bytes.
     EmptyRead {
-        /// The address read from, 7 bits.
+        /// Address that was read from, 7 bits.
         address: u8,
     },
-    /// Both inputs of a leg were high at the same time, with the high side switched.
+    /// Both inputs of a leg high at the same time, with the high side switched.
     ShootThroughAttempt {
-        /// The leg.
+        /// Leg of the bridge.
         leg: Leg,
-        /// For how many of the 4096 counts of a cycle.
+        /// Duration in counts of the cycle's 4096.
         counts: u16,
     },
-    /// A high side is switched while its low side never turns on.
+    /// A switched high side whose low side never turns on.
     HighSideWithoutRefresh {
-        /// The leg.
+        /// Leg of the bridge.
         leg: Leg,
     },
-    /// The direction was reversed without both low sides having been off for a whole PWM period.
+    /// Reversal of direction without both low sides off for a whole PWM period.
     ReversalWithoutDeadTime {
-        /// For how long both had been off.
+        /// Time for which both had been off, ns.
         off_ns: u64,
-        /// One PWM period.
+        /// Required time, one PWM period, ns.
         needed_ns: u64,
     },
-    /// An address between or behind the registers was read or written.
+    /// Access to an address between or behind the registers.
     UnimplementedRegister {
-        /// The address.
+        /// Register address that was sent.
         register: u8,
     },
-    /// A register that can only be read was written.
+    /// Write to a read-only register.
     ReadOnlyRegister {
-        /// Its address.
+        /// Address of the register.
         register: u8,
     },
-    /// A port was read with its pin 7, which is documented as an output only, set as an input.
+    /// Read of a port whose pin 7, documented as an output only, is set as an input.
     Pin7ReadAsInput {
-        /// The letter of the port.
+        /// Letter of the port.
         port: char,
     },
-    /// A command was sent while the EEPROM was being written.
+    /// Command sent while the EEPROM was being written.
     EepromBusy {
-        /// Its first byte.
+        /// First byte of the command.
         command: u8,
-        /// How long the write still takes.
+        /// Remaining time of the write, ns.
         ready_in_ns: u64,
     },
-    /// The supply went away while the EEPROM was being written.
+    /// Loss of supply while the EEPROM was being written.
     EepromWriteInterrupted {
-        /// How long the write would still have taken.
+        /// Remaining time of the write, ns.
         ready_in_ns: u64,
     },
-    /// A command ended before its last byte.
+    /// Command that ended before its last byte.
     CommandIncomplete {
-        /// Its first byte.
+        /// First byte of the command.
         command: u8,
     },
-    /// A byte that starts no command, or follows a complete one.
+    /// Byte that starts no command, or follows a complete one.
     UnexpectedByte {
-        /// The byte.
+        /// Value of the byte.
         byte: u8,
     },
-    /// A command that reads or writes the chip's address bits, without the LDAC edge that has to go with it.
+    /// Command that reads or writes the chip's address bits, without the LDAC edge it requires.
     AddressCommand {
-        /// Its first byte.
+        /// First byte of the command.
         command: u8,
     },
-    /// LDAC went high again too soon.
+    /// LDAC pulse that is too short.
     LdacPulseTooShort {
-        /// For how long it was low.
+        /// Time for which LDAC was low, ns.
         low_ns: u64,
-        /// Time the datasheet asks for.
+        /// Time that the datasheet requires, ns.
         needed_ns: u64,
     },
 
     // ---- actuators ----
-    /// A motor was driven for more of the PWM cycle than its bridge allows.
+    /// Motor driven for more of the PWM cycle than its bridge allows.
     DutyAboveLimit {
-        /// For how many of the 4096 counts of a cycle.
+        /// Duration in counts of the cycle's 4096.
         counts: u16,
-        /// As many are allowed.
+        /// Limit in counts of the cycle's 4096.
         limit_counts: u16,
     },
-    /// A supply above the rating of the part.
+    /// Supply voltage above the rating of the part.
     SupplyAboveLimit {
-        /// The supply.
+        /// Voltage of the supply, mV.
         supply_mv: u64,
-        /// The rating.
+        /// Rating of the part, mV.
         limit_mv: u64,
     },
-    /// Both direction inputs of a bridge were high at the same time.
+    /// Both direction inputs of a bridge high at the same time.
     InputsOverlap {
-        /// For how many of the 4096 counts of a cycle.
+        /// Duration in counts of the cycle's 4096.
         counts: u16,
     },
-    /// The direction was reversed without both inputs having been low for a whole PWM period.
+    /// Reversal of direction without both inputs low for a whole PWM period.
     ReversalWithoutPause {
-        /// For how long both had been low, or the bridge off.
+        /// Time for which both had been low, or the bridge off, ns.
         idle_ns: u64,
-        /// One PWM period.
+        /// Required time, one PWM period, ns.
         needed_ns: u64,
     },
-    /// A servo pulse shorter or longer than the servo takes for one.
+    /// Servo pulse shorter or longer than the servo accepts.
     ServoPulseOutsideWindow {
-        /// Its width; the whole frame for a line that is always high.
+        /// Pulse width, ns; the whole frame for a line that is always high.
         pulse_ns: u64,
-        /// The shortest it takes.
+        /// Shortest accepted width, ns.
         low_ns: u64,
-        /// The longest it takes.
+        /// Longest accepted width, ns.
         high_ns: u64,
     },
-    /// Servo pulses that come too often or too seldom.
+    /// Servo pulses with a frame that is too short or too long.
     ServoFrameOutsideWindow {
-        /// From pulse to pulse.
+        /// Time from pulse to pulse, ns.
         frame_ns: u64,
-        /// The shortest it takes.
+        /// Shortest accepted frame, ns.
         low_ns: u64,
-        /// The longest it takes.
+        /// Longest accepted frame, ns.
         high_ns: u64,
     },
-    /// A servo was driven against its mechanical end stop for long.
+    /// Servo driven against its mechanical end stop for long.
     ServoHeldAgainstStop {
-        /// For how long when this was noted.
+        /// Duration at the time of the report, ns.
         held_ns: u64,
     },
-    /// The throttle input of a drive is at a voltage the drive does not tolerate.
+    /// Throttle voltage that the drive does not tolerate.
     ThrottleOutsideWindow {
-        /// The voltage; `None` if it is not a number.
+        /// Throttle voltage, mV; `None` for NaN.
         throttle_mv: Option<i64>,
-        /// The lowest it tolerates.
+        /// Lowest tolerated voltage, mV.
         low_mv: i64,
-        /// The highest it tolerates.
+        /// Highest tolerated voltage, mV.
         high_mv: i64,
     },
-    /// A drive was given its supply with the throttle outside the dead zone.
+    /// Supply of a drive switched on with the throttle outside the dead zone.
     ThrottleBeforeNeutral {
-        /// The voltage.
+        /// Voltage of the throttle, mV.
         throttle_mv: i64,
     },
-    /// A drive was told to turn the other way while turning.
+    /// Change of direction while a drive is turning.
     DirectionChangedWhileTurning {
-        /// How fast it turned.
+        /// Speed at the change, mrad/s.
         speed_mrad_s: i64,
     },
-    /// The step input of a stepper driver was high or low for too short a time.
+    /// Step input of a stepper driver high or low for too short a time.
     StepPulseTooShort {
-        /// Which of the two.
+        /// True for the high time, false for the low time.
         high: bool,
-        /// For how long.
+        /// Duration of the level, ns.
         lasted_ns: u64,
-        /// Time the datasheet asks for.
+        /// Time that the datasheet requires, ns.
         needed_ns: u64,
     },
-    /// A step came too soon after a change of direction.
+    /// Step too soon after a change of direction.
     DirectionSetupTooShort {
-        /// Time between the two.
+        /// Time between the two, ns.
         setup_ns: u64,
-        /// Time the datasheet asks for.
+        /// Time that the datasheet requires, ns.
         needed_ns: u64,
     },
-    /// The direction changed too soon after the edge of a step.
+    /// Change of direction too soon after the edge of a step.
     DirectionHoldTooShort {
-        /// Time between the two.
+        /// Time between the two, ns.
         held_ns: u64,
-        /// Time the datasheet asks for.
+        /// Time that the datasheet requires, ns.
         needed_ns: u64,
     },
-    /// A step came too soon after a stepper driver was enabled.
+    /// Step too soon after a stepper driver was enabled.
     StepBeforeEnabled {
-        /// Time since it was enabled.
+        /// Time since it was enabled, ns.
         enabled_ns: u64,
-        /// Time the datasheet asks for.
+        /// Time that the datasheet requires, ns.
         needed_ns: u64,
     },
-    /// A step came while a stepper driver was disabled or had no supply.
+    /// Step while a stepper driver was disabled or had no supply.
     StepWhileDisabled,
-    /// The rotor of a stepper motor could not follow the steps.
+    /// Rotor of a stepper motor that could not follow the steps.
     StepperStalled {
-        /// Rate of the steps; 0 when they ended too suddenly.
+        /// Rate of the steps, steps/s; 0 if they ended too suddenly.
         step_hz: u64,
-        /// Speed of the rotor, in steps.
+        /// Speed of the rotor, steps/s.
         rotor_hz: u64,
     },
     // Sensors.
-    /// An ultrasonic module's trigger was too short.
+    /// Trigger of an ultrasonic module that is too short.
     TriggerTooShort {
-        /// For how long it was high.
+        /// Time for which it was high, ns.
         high_ns: u64,
-        /// Time the data sheet asks for.
+        /// Time that the data sheet requires, ns.
         needed_ns: u64,
     },
-    /// An ultrasonic module was triggered before its last echo had ended.
+    /// Trigger of an ultrasonic module before its last echo had ended.
     TriggerWhileBusy {
-        /// How long it still takes.
+        /// Time until the module is free, ns.
         free_in_ns: u64,
     },
-    /// An ultrasonic module was triggered soon after its last ping.
+    /// Trigger of an ultrasonic module soon after its last ping.
     PingTooSoon {
-        /// Time since then.
+        /// Time since the last ping, ns.
         since_ns: u64,
-        /// Time the data sheet asks for.
+        /// Time that the data sheet requires, ns.
         needed_ns: u64,
     },
-    /// More bytes than a page holds were sent to an EEPROM in one write.
+    /// Write to an EEPROM of more bytes than a page holds.
     PageOverrun {
-        /// Where the write started.
+        /// Address of the first byte.
         word: u8,
-        /// What a page holds.
+        /// Size of a page, bytes.
         page_bytes: usize,
     },
-    /// A write to an EEPROM was ended by something else than STOP.
+    /// Write to an EEPROM that ended without STOP.
     WriteWithoutStop {
-        /// The bytes that were sent.
+        /// Number of bytes that were sent.
         bytes: usize,
     },
-    /// Something with the screen's controller.
+    /// Violation of the screen controller's datasheet.
     Screen(ScreenMisuse),
 }
 
@@ -538,16 +538,16 @@ impl fmt::Display for MisuseKind {
     }
 }
 
-/// One thing done wrong: when, to which part, what.
+/// One misuse: its time, the part, and its kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Misuse {
-    /// Virtual time.
+    /// Virtual time of the misuse, ns.
     pub time_ns: u64,
-    /// The kind of part, for example `"PCA9685"`.
+    /// Kind of part, for example `"PCA9685"`.
     pub chip: &'static str,
-    /// Its 7-bit I2C address; for a part without one, its number on the board.
+    /// Seven-bit I2C address of the part; for a part without one, its number on the board.
     pub address: u8,
-    /// What was done.
+    /// Kind of misuse with its values.
     pub kind: MisuseKind,
 }
 
@@ -557,7 +557,7 @@ impl fmt::Display for Misuse {
     }
 }
 
-/// How many were seen, and the first of them. Takes no memory until something goes wrong.
+/// Number of misuses, and the first of them. Allocates nothing until there is one.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MisuseLog {
     total: u64,
@@ -565,16 +565,16 @@ pub struct MisuseLog {
 }
 
 impl MisuseLog {
-    /// As many are kept; the rest are counted.
+    /// Number of misuses that are kept; the rest are only counted.
     pub const KEPT: usize = 64;
 
-    /// Nothing seen.
+    /// An empty log, without allocation.
     #[must_use]
     pub const fn new() -> Self {
         Self { total: 0, first: Vec::new() }
     }
 
-    /// Counts one, and keeps it while there is room.
+    /// Counts a misuse, and keeps it while there is room.
     #[cold]
     pub fn report(&mut self, misuse: Misuse) {
         self.total = self.total.saturating_add(1);
@@ -583,25 +583,25 @@ impl MisuseLog {
         }
     }
 
-    /// All that were seen, kept or not.
+    /// Number of all misuses, kept or not.
     #[must_use]
     pub const fn total(&self) -> u64 {
         self.total
     }
 
-    /// The first of them, oldest first.
+    /// Kept misuses, oldest first.
     #[must_use]
     pub fn first(&self) -> &[Misuse] {
         &self.first
     }
 
-    /// Whether nothing was seen.
+    /// True if there was no misuse.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.total == 0
     }
 
-    /// Forgets everything.
+    /// Resets the log to empty.
     pub fn clear(&mut self) {
         self.total = 0;
         self.first.clear();

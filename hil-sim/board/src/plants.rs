@@ -1,4 +1,4 @@
-//! Other physics for a robot's motors than its files describe.
+//! Replacement of the physics that a robot's files describe for its motors.
 
 use r4_boards::{PlantFile, Robot};
 use r4_plants::{PlantError, PlantKind, PlantSpec};
@@ -7,38 +7,38 @@ use r4_protocol::ChannelId;
 /// A motor of a robot as it is simulated.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotorPlant {
-    /// Whose bridge drives it.
+    /// Channel of the bridge that drives it.
     pub channel: ChannelId,
-    /// Its physics.
+    /// Description of its physics.
     pub spec: PlantSpec,
-    /// Of its rail without load.
+    /// Voltage of its rail without load, V.
     pub supply_v: f64,
 }
 
-/// Why a motor cannot have a plant.
+/// Reasons why a motor cannot have a plant.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ReplaceError {
-    /// There is no such motor.
+    /// Channel that is no simulated motor.
     #[error("{file} has no simulated motor {channel}: it has {}", list(known))]
     NoSuchMotor {
-        /// Of the robot.
+        /// Name of the robot's file.
         file: String,
-        /// Which was asked for.
+        /// Channel that was given.
         channel: ChannelId,
-        /// Which there are.
+        /// Channels of the simulated motors.
         known: Vec<ChannelId>,
     },
-    /// What measures it would not fit.
+    /// Plant of the other kind, which the motor's sensors would not fit.
     #[error("{channel} is a {has} plant, and this one is {asked}: name another channel or plant")]
     Kind {
-        /// Which motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// What it is.
+        /// Kind of its present plant.
         has: PlantKind,
-        /// What it was to be.
+        /// Kind of the new plant.
         asked: PlantKind,
     },
-    /// The robot's own file of it is wrong.
+    /// Error in the robot's own file of the plant.
     #[error(transparent)]
     Plant(#[from] PlantError),
 }
@@ -48,10 +48,10 @@ fn list(channels: &[ChannelId]) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
 
-/// Every simulated motor of a robot, in the order of its file.
+/// All simulated motors of a robot, in the order of its file.
 ///
 /// # Errors
-/// When a plant's file is wrong.
+/// [`PlantError`] if a plant's file is wrong.
 pub fn plants(robot: &Robot) -> Result<Vec<MotorPlant>, PlantError> {
     let simulation = &robot.simulation;
     let plant = |motor: &r4_boards::SimulatedMotor| {
@@ -65,11 +65,11 @@ pub fn plants(robot: &Robot) -> Result<Vec<MotorPlant>, PlantError> {
     simulation.motors.iter().map(plant).collect()
 }
 
-/// Gives a motor other physics: every board that is made of `robot` afterwards has them.
+/// Replaces the physics of a motor, for every board that is created from `robot` afterwards.
 ///
 /// # Errors
-/// When there is no such motor, or a rotary plant was to take the place of a linear one or the other way round; nothing
-/// is changed then.
+/// [`ReplaceError`] if there is no such motor, or if a rotary plant would replace a linear one or the other way round;
+/// `robot` is unchanged then.
 pub fn replace_plant(robot: &mut Robot, channel: ChannelId, name: &str, spec: &PlantSpec) -> Result<(), ReplaceError> {
     let motors = &mut robot.simulation.motors;
     let known = motors.iter().map(|motor| motor.channel).collect();

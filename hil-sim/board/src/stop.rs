@@ -1,4 +1,5 @@
-//! How long each kind of a board's outputs takes until it is safe, seen from outside: pins, chips and voltages.
+//! Measurement of the time until each kind of a board's outputs is safe, as seen from outside: pins, chips and
+//! voltages.
 
 use std::fmt;
 
@@ -9,23 +10,23 @@ use r4_protocol::{
 
 use crate::{chips::pca9685::Pca9685, surroundings::Surroundings, world::World};
 
-/// Outputs of a PCA9685.
+/// Number of outputs of a PCA9685.
 const PWM_OUTPUTS: u8 = 16;
-/// LED0_ON_L, the first of four registers of each output (PCA9685 datasheet, table 4).
+/// Register LED0_ON_L, the first of four registers of each output (PCA9685 datasheet, table 4).
 const LED0: u8 = 0x06;
-/// Full OFF, in the last of those four (7.3.3).
+/// Full OFF bit in the last of those four (7.3.3).
 const FULL_OFF: u8 = 0x10;
-/// Codes of both DACs.
+/// Number of codes of both DACs.
 const DAC_CODES: f64 = 4096.0;
 /// Full scale of the processor's own DAC, V: its reference.
 const OWN_DAC_V: f64 = 3.3;
-/// A voltage is the wanted one within so many codes: half a code of rounding, and what a sum of floats leaves.
+/// Tolerance of a voltage, codes: half a code of rounding, and the error of a sum of floats.
 const WITHIN_CODES: f64 = 0.6;
 
-/// A kind of output, and what counts as safe.
+/// A kind of output, with its condition for being safe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Outputs {
-    /// The relay in the motors' supply: told to open, over the bus.
+    /// Relay in the motors' supply: commanded open, over the bus.
     MotorPower,
     /// Bridges: no transistor conducts, by the hardware lines or by the chip's outputs.
     Bridges,
@@ -35,18 +36,18 @@ pub enum Outputs {
     Bldcs,
     /// Steppers: no further pulse.
     Steppers,
-    /// Servos: no new pulse width where they hold when safe, no pulse where they do not.
+    /// Servos: no new pulse width if they hold when safe, no pulse if they do not.
     Servos,
     /// The processor's analog outputs: at their safe voltage.
     Dacs,
 }
 
 impl Outputs {
-    /// All of them.
+    /// All kinds, in the order of declaration.
     pub const ALL: [Self; 7] =
         [Self::MotorPower, Self::Bridges, Self::BridgeChips, Self::Bldcs, Self::Steppers, Self::Servos, Self::Dacs];
 
-    /// Whether a board has them.
+    /// True if a board has outputs of this kind.
     #[must_use]
     pub fn are_on(self, config: &BoardConfig) -> bool {
         match self {
@@ -74,10 +75,10 @@ impl fmt::Display for Outputs {
     }
 }
 
-/// Tells since when each kind of output is safe without interruption, to the resolution at which it looks.
+/// Records the time since which each kind of output is safe without interruption, with the resolution of its samples.
 ///
-/// A time is never too early: it is that of the first look at which all of a kind were seen safe. Steppers and held
-/// servos are so when nothing has changed since the look before.
+/// A time is never too early: it is that of the first sample in which all outputs of a kind were safe. Steppers and
+/// held servos are safe if nothing has changed since the sample before.
 pub struct StopWatch {
     safe_since_ns: [Option<u64>; Outputs::ALL.len()],
     steps: Vec<i64>,
@@ -85,7 +86,7 @@ pub struct StopWatch {
 }
 
 impl StopWatch {
-    /// Takes the first look.
+    /// Starts with a first sample.
     #[must_use]
     pub fn new(board: &Surroundings) -> Self {
         let mut watch = Self { safe_since_ns: [None; Outputs::ALL.len()], steps: Vec::new(), pulses: Vec::new() };
@@ -93,7 +94,7 @@ impl StopWatch {
         watch
     }
 
-    /// Looks at all outputs now.
+    /// Samples all outputs at the present time.
     pub fn look(&mut self, board: &Surroundings) {
         let config = &board.robot().config;
         let mut world = board.world();
@@ -105,7 +106,7 @@ impl StopWatch {
         }
     }
 
-    /// Since when `outputs` are safe; `None` when they were not at the last look.
+    /// Time since which `outputs` are safe, ns; `None` if they were not at the last sample.
     #[must_use]
     pub fn safe_since_ns(&self, outputs: Outputs) -> Option<u64> {
         self.safe_since_ns[outputs as usize]
@@ -133,12 +134,14 @@ impl StopWatch {
                 let commanded = |id| world.stepper(id).map_or(0, |driver| driver.commanded());
                 let steps = config.steppers.iter().map(|stepper| stepper.id).map(commanded).collect();
                 let before = std::mem::replace(&mut self.steps, steps);
+                // no step since the last sample
                 before == self.steps
             }
             Outputs::Servos => {
                 let Some(chip) = world.servo_pwm() else { return true };
                 let pulses = (LED0..LED0 + 4 * PWM_OUTPUTS).map(|register| chip.borrow().register(register)).collect();
                 let before = std::mem::replace(&mut self.pulses, pulses);
+                // servos hold their positions while their pulses stay the same
                 let holds = config.servo_pwm.is_some_and(|chip| chip.hold_when_safe);
                 (holds && before == self.pulses) || all_off(&chip.borrow())
             }
@@ -150,15 +153,15 @@ impl StopWatch {
     }
 }
 
-/// A plant that moves less than this in [`REST_NS`] is at rest: it is slower than 0.05 rad/s, 3 degrees a second, or 0.5 mm/s.
+/// Travel within [`REST_NS`] below which a plant is at rest: slower than 0.05 rad/s, 3 degrees a second, or 0.5 mm/s.
 const REST_TRAVEL_RAD: f64 = 0.01;
 const REST_TRAVEL_M: f64 = 1e-4;
 const REST_NS: u64 = 200_000_000;
 
-/// Follows the plants that can run on, from a moment on: since when nothing drives them any more, and how long and how far they
-/// then still move. Servos hold, and are not among them.
+/// Follows the plants that can run on: the time from which nothing drives them, and how long and how far they still
+/// move. Servos hold, and are not among them.
 ///
-/// Times are those of the first look at which it was seen, so never too early.
+/// Times are those of the first sample that shows it, so never too early.
 pub struct RunOut {
     plants: Vec<Plant>,
 }
@@ -166,32 +169,32 @@ pub struct RunOut {
 struct Plant {
     channel: ChannelId,
     start: f64,
-    /// Where it was when it had last moved by `rest_travel`, and when that was.
+    /// Position after the last travel of `rest_travel`, and its time, ns.
     last: f64,
     moved_ns: u64,
     rest_travel: f64,
-    /// Since when it is off.
+    /// Time since which it is off, ns.
     off_ns: Option<u64>,
-    /// Of a stepper.
+    /// Commanded step count of a stepper.
     commanded: i64,
 }
 
-/// How a plant ran out.
+/// Result for a plant that ran out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ran {
-    /// Whose it is.
+    /// Channel of the plant.
     pub channel: ChannelId,
-    /// Virtual time at which its output went off for good: no transistor conducts, the speed input is neutral, no pulse
-    /// follows. `None` while it is not.
+    /// Virtual time at which its output went off permanently, ns: no transistor conducts, the speed input is neutral,
+    /// no pulse follows. `None` while it is on.
     pub off_ns: Option<u64>,
-    /// Virtual time at which it came to rest; `None` while it moves.
+    /// Virtual time at which it came to rest, ns; `None` while it moves.
     pub rest_ns: Option<u64>,
-    /// How far it is from where it was when [`RunOut`] began, rad or m.
+    /// Distance from its position at the creation of [`RunOut`], rad or m.
     pub distance: f64,
 }
 
 impl RunOut {
-    /// Begins now.
+    /// Starts at the present time and positions.
     #[must_use]
     pub fn new(board: &Surroundings) -> Self {
         let config = &board.robot().config;
@@ -208,7 +211,7 @@ impl RunOut {
         Self { plants: plants.collect() }
     }
 
-    /// Looks at all plants now.
+    /// Samples all plants at the present time.
     pub fn look(&mut self, board: &Surroundings) {
         let config = &board.robot().config;
         let full_scale_v = config.bldc_dac.map_or(0.0, |chip| f64::from(chip.full_scale_v));
@@ -231,13 +234,13 @@ impl RunOut {
         }
     }
 
-    /// Whether every plant is off and at rest, as of the last look at `now_ns`.
+    /// True if every plant is off and at rest, at the last sample, taken at `now_ns`.
     #[must_use]
     pub fn is_over(&self, now_ns: u64) -> bool {
         self.plants.iter().all(|plant| plant.off_ns.is_some() && now_ns >= plant.moved_ns + REST_NS)
     }
 
-    /// What became of each plant, as of the last look at `now_ns`.
+    /// Result for each plant, at the last sample, taken at `now_ns`.
     #[must_use]
     pub fn ran(&self, board: &Surroundings, now_ns: u64) -> Vec<Ran> {
         let mut world = board.world();
@@ -251,12 +254,12 @@ impl RunOut {
     }
 }
 
-/// Whether a voltage is the wanted one, as nearly as a converter can make it.
+/// True if a voltage equals the wanted one within the resolution of a converter.
 fn is_near(volts: f64, wanted_v: f32, full_scale_v: f64) -> bool {
     (volts - f64::from(wanted_v)).abs() <= WITHIN_CODES * full_scale_v / DAC_CODES
 }
 
-/// Whether every output is full OFF.
+/// True if every output is full OFF.
 fn all_off(chip: &Pca9685) -> bool {
     (0..PWM_OUTPUTS).all(|output| chip.register(LED0 + 4 * output + 3).is_some_and(|high| high & FULL_OFF != 0))
 }

@@ -1,4 +1,5 @@
-//! What is around a board's processor, whatever runs on it: the world, stop lines, lights, flash and the link to the host.
+//! Environment of a board's processor, independent of what runs on it: the world, stop lines, lights, flash and the
+//! link to the host.
 
 use std::{
     cell::{Cell, RefCell, RefMut},
@@ -23,79 +24,80 @@ use crate::{
     world::World,
 };
 
-/// Bits per second of the link to the host, as on the board's UART connectors.
+/// Bit rate of the link to the host, bits/s, as on the board's UART connectors.
 const LINK_BAUD: u32 = 1_000_000;
-/// Friction that no motor overcomes, N m or N.
+/// Friction of a blocked motor, which none overcomes, N m or N.
 const BLOCKED: f64 = 1e3;
 
-/// Why a board cannot be simulated.
+/// Reasons why a board cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum SimError {
-    /// Its file does not say what is true.
+    /// File without a description of the simulated world.
     #[error("{file} has no [simulation] part, so there is no world to simulate: add one")]
     NoSimulation {
-        /// Of the robot.
+        /// Name of the robot's file.
         file: String,
     },
-    /// A motor starts where it cannot be.
+    /// Motor that starts beyond an end stop.
     #[error("{file}: {channel} starts at {start}, beyond its end stop at {stop}: correct its start in [simulation]")]
     StartBeyondStop {
-        /// Of the robot.
+        /// Name of the robot's file.
         file: String,
-        /// Which motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// rad or m
+        /// Start position, rad or m.
         start: f64,
-        /// rad or m
+        /// Position of the end stop, rad or m.
         stop: f64,
     },
-    /// A plant's file is wrong.
+    /// Error in a plant's file.
     #[error(transparent)]
     Plant(#[from] PlantError),
 }
 
-/// A board in a [`Simulation`], for programs and tests that do not care what runs on its processor: the firmware's own
-/// tasks ([`SimBoard`](crate::SimBoard)) or an emulated chip.
+/// A board in a [`Simulation`], for programs and tests that do not depend on what runs on its processor: the firmware's
+/// own tasks ([`SimBoard`](crate::SimBoard)) or an emulated chip.
 pub trait VirtualBoard: Deref<Target = Surroundings> {
-    /// Resets the processor, as a watchdog or a request to restart does: the world and the chips stay as they are, the
-    /// firmware starts anew. Hosts have to [`Surroundings::connect`] again.
+    /// Resets the processor, as a watchdog or a request to restart does: the world and the chips keep their state, the
+    /// firmware starts anew. Hosts have to connect again.
     fn restart(&self, simulation: &mut Simulation, cause: ResetCause);
 
-    /// Ready when a host has asked for a restart that somebody else has to make: see [`VirtualBoard::restart`]. An emulated
-    /// processor resets itself.
+    /// Ready when a host has requested a restart that the caller has to execute: see [`VirtualBoard::restart`]. An
+    /// emulated processor resets itself.
     fn restart_requested(&self) -> Pin<Box<dyn Future<Output = ()> + '_>> {
         Box::pin(pending())
     }
 
-    /// Why the board has stopped for ever, if it has: an emulated processor met what its models do not have.
+    /// Reason why the board has stopped permanently, if it has: an emulated processor reached something that its models
+    /// lack.
     fn failure(&self) -> Option<String> {
         None
     }
 }
 
-/// The lights on the board.
+/// State of the lights on the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Lights {
-    /// Tripped.
+    /// Red light, on while tripped.
     pub red: bool,
-    /// Armed.
+    /// Green light, on while armed.
     pub green: bool,
-    /// A host is connected.
+    /// Blue light, on while a host is connected.
     pub blue: bool,
 }
 
 /// One of the lights on the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Light {
-    /// [`Lights::red`].
+    /// The red light, [`Lights::red`].
     Red,
-    /// [`Lights::green`].
+    /// The green light, [`Lights::green`].
     Green,
-    /// [`Lights::blue`].
+    /// The blue light, [`Lights::blue`].
     Blue,
 }
 
-/// See the module. Whoever makes a board around a processor holds one; hands out shared parts of it to the processor.
+/// Environment of a processor, see the module. A board owns one, and shares parts of it with its processor.
 pub struct Surroundings {
     robot: Robot,
     clock: Clock,
@@ -110,11 +112,11 @@ pub struct Surroundings {
 }
 
 impl Surroundings {
-    /// What is around a board for `robot`, on `clock`, which must be at 0: the dead-man's handle is held, no stop is
-    /// pressed, lights are off, no host is there.
+    /// The environment of a board for `robot`, on `clock`, which must be at 0: the dead-man's handle is held, no stop
+    /// is pressed, lights are off, no host is connected.
     ///
     /// # Errors
-    /// When the robot's file does not describe a world to simulate.
+    /// [`SimError`] if the robot's file does not describe a world to simulate.
     pub fn new(clock: Clock, robot: &Robot, seed: u64, flash: Flash) -> Result<Self, SimError> {
         if robot.simulation.is_empty() {
             return Err(SimError::NoSimulation { file: robot.file.clone() });
@@ -141,39 +143,39 @@ impl Surroundings {
         })
     }
 
-    // For programs and tests.
+    // interface for programs and tests
 
-    /// The robot that it is.
+    /// Robot that the board belongs to.
     #[must_use]
     pub fn robot(&self) -> &Robot {
         &self.robot
     }
 
-    /// The world, to look at and to break. Must not be kept over an `await`.
+    /// The world, for queries and faults. Must not be kept over an `await`.
     #[must_use]
     pub fn world(&self) -> RefMut<'_, World> {
         self.world.borrow_mut()
     }
 
-    /// The processor's flash, to look at and to cut the power of. Must not be kept over an `await`.
+    /// The processor's flash, for inspection and power cuts. Must not be kept over an `await`.
     #[must_use]
     pub fn flash(&self) -> RefMut<'_, Flash> {
         self.flash.borrow_mut()
     }
 
-    /// The dead-man's handle: high while held.
+    /// Line of the dead-man's handle: high while held.
     #[must_use]
     pub fn dead_man(&self) -> &Line {
         &self.dead_man
     }
 
-    /// The auxiliary stop: high while not pressed.
+    /// Line of the auxiliary stop: high while not pressed.
     #[must_use]
     pub fn auxiliary_stop(&self) -> &Line {
         &self.auxiliary_stop
     }
 
-    /// The lights on the board.
+    /// Present state of the lights.
     #[must_use]
     pub fn lights(&self) -> Lights {
         self.lights.get()
@@ -184,8 +186,8 @@ impl Surroundings {
         self.host.take()
     }
 
-    /// Bits per second of the link from now on, 1 Mbit/s before: that of a simulated board can be as fast as USB, or of no
-    /// time at all, where an emulated one's is the UART that its firmware has set up.
+    /// Sets the bit rate of the link from now on, bits/s; 1 Mbit/s before. The link of a simulated board can be as fast
+    /// as USB, or take no time at all; that of an emulated one has the rate of the UART that its firmware has set up.
     pub fn set_link_baud(&self, baud: u32) {
         self.link_baud.set(baud);
         if let Some(cable) = &*self.cable.borrow() {
@@ -193,8 +195,8 @@ impl Surroundings {
         }
     }
 
-    /// Disturbs what is sent on the link from now on, to the device and to the host; `None` is a quiet line. Ends with the
-    /// next start of the processor.
+    /// Disturbs the link from now on, to the device and to the host; `None` is a quiet line. Ends with the next start
+    /// of the processor.
     pub fn disturb_link(&self, to_device: Option<LineNoise>, to_host: Option<LineNoise>) {
         if let Some(cable) = &*self.cable.borrow() {
             cable.disturb_to_device(to_device);
@@ -202,10 +204,10 @@ impl Surroundings {
         }
     }
 
-    /// Blocks what a motor drives, or gives it the physics of the robot's file again; at rest where it is.
+    /// Blocks the load of a motor, or restores the physics of the robot's file; at rest at the present position.
     ///
     /// # Errors
-    /// When its plant cannot be blocked.
+    /// [`PlantError`] if its plant cannot be blocked.
     pub fn block_motor(&self, channel: ChannelId, blocked: bool) -> Result<(), PlantError> {
         let Some(motor) = self.robot.simulation.motors.iter().find(|motor| motor.channel == channel) else {
             return Ok(());
@@ -219,39 +221,39 @@ impl Surroundings {
         Ok(())
     }
 
-    // For whoever makes a board of it.
+    // interface for the implementation of a board
 
-    /// The clock it follows.
+    /// The clock of the environment.
     #[must_use]
     pub fn clock(&self) -> &Clock {
         &self.clock
     }
 
-    /// The world, to share with the processor.
+    /// The world, shared with the processor.
     #[must_use]
     pub fn shared_world(&self) -> Rc<RefCell<World>> {
         self.world.clone()
     }
 
-    /// The flash, to share with the processor.
+    /// The flash, shared with the processor.
     #[must_use]
     pub fn shared_flash(&self) -> Rc<RefCell<Flash>> {
         self.flash.clone()
     }
 
-    /// The dead-man's line, to share with the processor.
+    /// The dead-man's line, shared with the processor.
     #[must_use]
     pub fn dead_man_line(&self) -> Rc<Line> {
         self.dead_man.clone()
     }
 
-    /// The auxiliary stop's line, to share with the processor.
+    /// The auxiliary stop's line, shared with the processor.
     #[must_use]
     pub fn auxiliary_stop_line(&self) -> Rc<Line> {
         self.auxiliary_stop.clone()
     }
 
-    /// What the processor's line to a light does: it lights while low.
+    /// Function for the processor's line to a light, which is on while the line is low.
     pub fn light_line(&self, light: Light) -> impl FnMut(bool) + use<> {
         let lights = self.lights.clone();
         move |high| {
@@ -266,7 +268,8 @@ impl Surroundings {
         }
     }
 
-    /// Lays a new link for a processor that starts: its end, of which the other waits for [`Surroundings::connect`].
+    /// Creates a new link for a processor that starts, and returns its end; the other end waits for
+    /// [`connect`](Self::connect).
     #[must_use]
     pub fn new_link(&self) -> Port {
         let (host, device) = serial(&self.clock, self.link_baud.get());

@@ -1,42 +1,42 @@
-//! Bytes on a UART's line as a receiver takes them, and what disturbs them.
+//! Bytes on a UART line as a receiver takes them, and their disturbances.
 
 use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
 use crate::sensors::uniform;
 
-/// Bits on the wire for one byte: start, eight data, stop.
+/// Number of bits on the wire for one byte: start, eight data, stop.
 pub(crate) const BITS_PER_BYTE: u64 = 10;
 
-/// How long a byte is on the wire; 0 baud counts as 1.
+/// Duration of a byte on the wire, ns; 0 baud counts as 1.
 pub(crate) fn ns_per_byte(baud: u32) -> u64 {
     BITS_PER_BYTE * 1_000_000_000 / u64::from(baud.max(1))
 }
 
-/// A byte as it arrives.
+/// A byte as it arrives, with the receiver's flags.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UartByte {
-    /// When its stop bit ends.
+    /// Time at which its stop bit ends, ns.
     pub at_ns: u64,
-    /// Its value.
+    /// Value of the data bits.
     pub value: u8,
-    /// The stop bit was low.
+    /// Framing error: the stop bit was low.
     pub framing_error: bool,
-    /// Not all samples of a bit were the same; the majority decided it.
+    /// Noise flag: not all samples of a bit were equal; the majority decided it.
     pub noise: bool,
 }
 
 impl UartByte {
-    /// One that nothing disturbed.
+    /// A byte that was not disturbed.
     #[must_use]
     pub const fn clean(at_ns: u64, value: u8) -> Self {
         Self { at_ns, value, framing_error: false, noise: false }
     }
 }
 
-/// What a disturbed line does to bytes, drawn for each when it is sent.
+/// Random disturbance of bytes on a line, sampled when a byte is sent.
 ///
-/// A data bit that flips changes the value, a stop bit that flips is a framing error. One that flips in the start bit
-/// hides the byte: that a receiver may then take a later bit for a start is not modelled.
+/// A flipped data bit changes the value, a flipped stop bit is a framing error. A flipped start bit hides the byte:
+/// that a receiver may then take a later bit for a start bit is not modelled.
 #[derive(Clone, Debug)]
 pub struct LineNoise {
     bit_errors: f64,
@@ -45,13 +45,14 @@ pub struct LineNoise {
 }
 
 impl LineNoise {
-    /// Shares of bits, 0 to 1: `bit_errors` arrive inverted, `spikes` arrive right with a sample that differs.
+    /// A disturbance with shares of bits, 0 to 1: `bit_errors` arrive inverted, `spikes` arrive correctly with one
+    /// sample that differs.
     #[must_use]
     pub fn new(bit_errors: f64, spikes: f64, seed: u64) -> Self {
         Self { bit_errors, spikes, generator: Pcg64::seed_from_u64(seed) }
     }
 
-    /// What arrives of a byte that was sent; `None` when it is not seen at all.
+    /// Byte that arrives for one that was sent; `None` if it is not detected at all.
     pub fn pass(&mut self, sent: UartByte) -> Option<UartByte> {
         let mut byte = sent;
         let mut seen = true;
@@ -75,7 +76,7 @@ impl LineNoise {
 mod tests {
     use super::*;
 
-    /// 100 000 bytes: each count within 4 standard deviations of what the shares say.
+    /// Shares over 100 000 bytes: each count within 4 standard deviations of its expectation.
     #[test]
     fn bits_are_disturbed_as_often_as_said() {
         const BYTES: u32 = 100_000;
@@ -100,7 +101,7 @@ mod tests {
         near(hidden, f64::from(BYTES), 0.01);
         near(framing, seen, 0.01);
         near(flipped, 8.0 * seen, 0.01);
-        // 0.98 of bits without; all ten bits of a byte that was seen
+        // 0.98 of the bits have none; all ten bits of a detected byte
         near(spiked, seen, 1.0 - (1.0 - 0.02_f64 / 0.99) * 0.98_f64.powi(9));
     }
 

@@ -1,26 +1,27 @@
-//! One step of a linear system under constant inputs, exactly.
+//! Exact discretisation of a linear system whose inputs are constant over the step.
 //!
 //! For `dx/dt = A x + b` with constant `b`, a step of `h` is `x(h) = E x(0) + P b` and its integral
-//! `∫x = P x(0) + Q b`, with `E = exp(A h)`, `P = ∫E`, `Q = ∫P`. So a step may be as long as the inputs are constant,
-//! however stiff the system: the electrical time constant of a motor sets no limit.
+//! `∫x = P x(0) + Q b`, with `E = exp(A h)`, `P = ∫E`, `Q = ∫P`. The inputs, not the stiffness of the system, limit the
+//! step: the electrical time constant of a motor sets no limit.
 
-/// `dx/dt = b - rate · x`, a step long.
+/// Discretised first-order system `dx/dt = b - rate · x`, for one step length.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct FirstOrder {
-    /// `E`.
+    /// Transition `E = exp(-rate · h)`: share of the initial state that remains after the step.
     pub(crate) kept: f64,
-    /// `P`.
+    /// Integral `P = ∫E` over the step, s.
     pub(crate) integral: f64,
-    /// `Q`.
+    /// Double integral `Q = ∫P` over the step, s².
     pub(crate) double_integral: f64,
 }
 
 impl FirstOrder {
-    /// `rate` 1/s, not negative.
+    /// Discretises for `rate`, 1/s, not negative, and a step of `step_s`.
     pub(crate) fn new(rate: f64, step_s: f64) -> Self {
         let z = rate * step_s;
         if z < 1e-2 {
-            // The closed form below loses 1/z of its digits; here the terms left out are below z⁵/2520 = 4e-14.
+            // Below 1e-2 the closed form loses 1/z of its digits; the omitted terms of this series are below z⁵/2520 =
+            // 4e-14.
             let double = 0.5 - z * (1.0 / 6.0 - z * (1.0 / 24.0 - z * (1.0 / 120.0 - z / 720.0)));
             let double_integral = step_s * step_s * double;
             let integral = step_s - rate * double_integral;
@@ -32,8 +33,8 @@ impl FirstOrder {
     }
 }
 
-/// `a I + b A` for a 2 x 2 matrix `A` known by trace and determinant. Every function of `A` has this form
-/// (Cayley-Hamilton), so products of them are a few multiplications.
+/// Matrix `a I + b A` for a 2 x 2 matrix `A` known by trace and determinant. Every function of `A` has this form
+/// (Cayley-Hamilton), so a product of two takes a few multiplications.
 #[derive(Clone, Copy, Debug)]
 struct Polynomial {
     a: f64,
@@ -49,7 +50,7 @@ impl Polynomial {
         Self { a: factor * self.a, b: factor * self.b }
     }
 
-    /// `A² = trace · A - determinant · I`.
+    /// Product of two polynomials, reduced by `A² = trace · A - determinant · I`.
     fn times(self, other: Self, trace: f64, determinant: f64) -> Self {
         let square = self.b * other.b;
         Self { a: self.a * other.a - square * determinant, b: self.a * other.b + self.b * other.a + square * trace }
@@ -61,7 +62,7 @@ impl Polynomial {
     }
 }
 
-/// 1/1, 1/2 … 1/16: multiplying is several times as fast as dividing.
+/// Reciprocals 1/1, 1/2 … 1/16: a multiplication is several times as fast as a division.
 const RECIPROCALS: [f64; 16] = {
     let mut table = [1.0; 16];
     let mut n = 0;
@@ -72,20 +73,20 @@ const RECIPROCALS: [f64; 16] = {
     table
 };
 
-/// `dx/dt = A x + b` with two states, a step long.
+/// Discretised second-order system `dx/dt = A x + b`, for one step length.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SecondOrder {
-    /// `E`.
+    /// Transition `E = exp(A h)`: state after the step from the state before.
     pub(crate) transition: [[f64; 2]; 2],
-    /// `P`.
+    /// Integral `P = ∫E`: state after the step from the constant input `b`.
     pub(crate) integral: [[f64; 2]; 2],
-    /// `Q`.
+    /// Double integral `Q = ∫P`: integral of the state over the step from the constant input `b`.
     pub(crate) double_integral: [[f64; 2]; 2],
 }
 
 impl SecondOrder {
-    /// By power series over a step short against every time constant, doubled until it is long enough. Serves
-    /// overdamped, critical and oscillating systems alike.
+    /// Discretises by scaling and squaring: a power series over a step short against every time constant, doubled until
+    /// it spans `step_s`. Serves overdamped, critical and oscillating systems alike.
     ///
     /// # Source
     /// Moler, Van Loan, *Nineteen dubious ways to compute the exponential of a matrix, twenty-five years later*,
@@ -93,14 +94,14 @@ impl SecondOrder {
     pub(crate) fn new(matrix: [[f64; 2]; 2], step_s: f64) -> Self {
         let [[m00, m01], [m10, m11]] = matrix;
         let (trace, determinant) = (m00 + m11, m00 * m11 - m01 * m10);
-        // no eigenvalue is larger: their sum is the trace, their product the determinant
+        // upper bound of the eigenvalues' magnitudes: their sum is the trace, their product the determinant
         let fastest = trace.abs() + libm::sqrt(determinant.abs());
         let (_, exponent) = libm::frexp(fastest * step_s);
         let doublings = (exponent + 1).max(0);
         let mut h = libm::scalbn(step_s, -doublings);
 
-        // Terms h^n A^n / n! of E; divided by n + 1 and n + 2 more, of P and Q. fastest · h is below 1/2, so what
-        // is left out after 15 of them is below 2^-15 / 15! = 2e-17; of a short step, most are left out.
+        // Terms h^n A^n / n! of E; divided by n + 1 and n + 2 more, of P and Q. fastest · h is below 1/2, so the
+        // remainder after 15 terms is below 2^-15 / 15! = 2e-17; a short step needs fewer terms.
         let a = Polynomial { a: 0.0, b: 1.0 };
         let mut term = Polynomial { a: 1.0, b: 0.0 };
         let mut size = 1.0;
@@ -117,6 +118,7 @@ impl SecondOrder {
                 break;
             }
         }
+        // exp over 2h from exp over h; Q before P before E, because each update uses the undoubled values of the others
         for _ in 0..doublings {
             q = q.plus(p.scaled(h)).plus(e.times(q, trace, determinant));
             p = p.plus(e.times(p, trace, determinant));

@@ -1,21 +1,23 @@
-//! What a bridge does to a motor's terminals.
+//! Drive of a bridge: duty and coast share at the motor's terminals.
 
-/// What the bridge does to the motor's terminals, averaged over a PWM period.
+/// Action of the bridge on the motor's terminals, averaged over a PWM period.
 ///
-/// Of the period, the supply is across the motor for `|duty|` and the terminals are open for `coast`; for the rest they
-/// are shorted (brake). Ripple within the period is left out: exact for a PWM fast against `L/R`.
+/// For `|duty|` of the period the supply is across the motor, for `coast` the terminals are open, and for the rest they
+/// are shorted (brake). Ripple within the period is not modelled: exact for a PWM period that is short against `L/R`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drive {
-    /// Signed share of time the supply is across the motor, -1..=1; positive drives towards positive positions.
+    /// Signed share of the period for which the supply is across the motor, -1..=1; positive drives towards positive
+    /// positions.
     pub duty: f64,
-    /// Share of time the terminals are open, 0..=1. It comes first: `|duty|` is at most what it leaves.
+    /// Share of the period for which the terminals are open, 0..=1. It takes precedence: `|duty|` is clipped to
+    /// `1 - coast`.
     pub coast: f64,
 }
 
 impl Drive {
-    /// Terminals open: the current decays through the bridge's diodes, then nothing brakes but friction.
+    /// Terminals open: the current decays through the bridge's diodes, afterwards only friction brakes.
     pub const COAST: Self = Self { duty: 0.0, coast: 1.0 };
-    /// Terminals shorted.
+    /// Terminals shorted: the motor brakes against its back-EMF.
     pub const BRAKE: Self = Self { duty: 0.0, coast: 0.0 };
 
     /// Supply across the motor for a signed share of time, brake for the rest (slow decay).
@@ -30,7 +32,7 @@ impl Drive {
         Self { duty, coast: 1.0 - duty.abs() }
     }
 
-    /// Both shares in their ranges.
+    /// Clips both shares to their ranges, `coast` first.
     pub(crate) fn clipped(self) -> Self {
         let coast = self.coast.clamp(0.0, 1.0);
         Self { duty: self.duty.clamp(coast - 1.0, 1.0 - coast), coast }

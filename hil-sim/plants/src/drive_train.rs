@@ -7,15 +7,15 @@
 //! ```
 //!
 //! The linear part is stepped exactly ([`crate::discretisation`]) under inputs held over the step. Friction, and the
-//! diodes of an open bridge, are *dry*: a level of force (voltage) against motion (current), of any size up to the level
-//! at zero. Each is a constant input while its variable keeps its sign; where the speed would change sign the step is
-//! cut there, so a stop is a stop (speed 0.0 to the bit) and a reversal costs no time. There is no smoothing and no
-//! chatter.
+//! diodes of an open bridge, are *dry*: at rest a force (voltage) of any magnitude up to a level, in motion a constant
+//! level against the motion (current). Each is a constant input while its variable keeps its sign; where the speed
+//! would change sign the step is cut, so a stop is a stop (speed 0.0 to the bit) and a reversal costs no time. There is
+//! no smoothing and no chatter.
 //!
 //! # Accuracy
-//! Exact to rounding for constant input, constant load and Coulomb friction while moving. What depends on speed or
-//! position is taken half-way through the step: second order. The instant of a stop is found by a secant: second order.
-//! An impact on an end stop and a break-away take effect at a boundary of steps: first order, within
+//! Exact to rounding for constant input, constant load and Coulomb friction while moving. Terms that depend on speed or
+//! position are evaluated half-way through the step: second order. The instant of a stop is found by a secant: second
+//! order. An impact on an end stop and a break-away take effect at a boundary of steps: first order, within
 //! [`MAX_STEP_S`].
 
 use crate::{
@@ -24,22 +24,23 @@ use crate::{
     model::{DcGearMotor, LinearActuator, Model},
 };
 
-/// Longest step taken. Short against what friction and load do at the 1 kHz at which plants are controlled; the
+/// Longest step, s. Short against the changes of friction and load at the 1 kHz at which plants are controlled; the
 /// electrical time constant needs no shorter one.
 pub(crate) const MAX_STEP_S: f64 = 2.5e-4;
-/// Lengths of shorter steps that are kept.
+/// Number of shorter step lengths whose discretisation is cached.
 const PARTS: usize = 8;
 
-/// Below this `L/R` the current follows the voltage at once: `i = (u − k v) / R`. It settles 250 times within a step.
+/// Limit of `L/R`, s, below which the current follows the voltage at once: `i = (u − k v) / R`. It settles 250 times
+/// within a step.
 const QUASI_STATIC_S: f64 = 1e-6;
 
-/// Two body diodes in series, 0.7 V each, in the path of a current through an open bridge.
+/// Forward voltage of the two body diodes in series, 0.7 V each, in the path of a current through an open bridge.
 const DIODES_V: f64 = 1.4;
 
-/// How often a step may be cut: a stop, a reversal, and one more.
+/// Largest number of cuts of one step: a stop, a reversal, and one more.
 const MAX_CUTS: usize = 3;
 
-/// What the bridge puts across the motor.
+/// Electrical side of a step: drive, supply and resistances.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Terminals {
     pub(crate) duty: f64,
@@ -47,23 +48,23 @@ pub(crate) struct Terminals {
     pub(crate) supply_v: f64,
     /// Resistance of the supply, in series with the motor while it is across it.
     pub(crate) source_ohm: f64,
-    /// Share by which the winding's resistance is above its cold one.
+    /// Relative rise of the winding's resistance above its cold value; 0 when cold.
     pub(crate) winding_rise: f64,
 }
 
-/// What moves.
+/// State of the motor side: current, speed, position.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Motion {
     pub(crate) current_a: f64,
-    /// Of the motor side, in output units.
+    /// Speed of the motor side, in output units: rad/s or m/s.
     pub(crate) speed: f64,
-    /// Of the motor side, in output units.
+    /// Position of the motor side, in output units: rad or m.
     pub(crate) position: f64,
-    /// Mean over the last step: where the next one will be half-way.
+    /// Mean acceleration over the last step, which extrapolates the speed to the middle of the next one.
     acceleration: f64,
 }
 
-/// Constants of a base model, in output units.
+/// Constants of a base model, referred to the output shaft or rod.
 #[derive(Clone, Copy, Debug)]
 struct Constants {
     resistance_ohm: f64,
@@ -71,9 +72,9 @@ struct Constants {
     force_per_ampere: f64,
     mass: f64,
     viscous: f64,
-    /// Dry friction per transmitted force.
+    /// Dry friction per unit of transmitted force: 1 - efficiency of a lead screw, 0 for a gear motor.
     loss: f64,
-    /// Positions of the end stops.
+    /// Positions of the lower and upper end stop, m; `None` for a rotary output.
     stops: Option<[f64; 2]>,
 }
 
@@ -106,22 +107,22 @@ impl From<&LinearActuator> for Constants {
     }
 }
 
-/// The linear part over one length of step and one resistance of the circuit.
+/// Discretised linear part for one step length and one resistance of the circuit.
 #[derive(Clone, Copy, Debug, Default)]
 struct Step {
     step_s: f64,
     circuit_ohm: f64,
-    /// Current and speed together; not used in the quasi-static case.
+    /// Current and speed coupled; not used in the quasi-static case.
     coupled: SecondOrder,
     /// Speed alone with the current settled; used in the quasi-static case only.
     settled: FirstOrder,
     /// Speed alone with the terminals open.
     open: FirstOrder,
-    /// Share of the current left at rest.
+    /// Share of the current that remains after the step at zero speed and voltage.
     current_kept: f64,
 }
 
-/// Electrical input over a step: the mean voltage, and the level of the diodes against the current.
+/// Electrical input over a step: the mean voltage, and the level of the diodes that opposes the current.
 #[derive(Clone, Copy, Debug)]
 struct Voltage {
     mean_v: f64,
@@ -148,8 +149,8 @@ impl Constants {
         Step { step_s, circuit_ohm, coupled, settled, open, current_kept }
     }
 
-    /// Sign of the current while the diodes act: its own or, from zero, that of a voltage which overcomes them.
-    /// 0 when it stays zero.
+    /// Sign of the current while the diodes conduct: its own sign or, from zero, that of a voltage which exceeds the
+    /// diodes' level. 0 when the current stays zero.
     fn current_sign(&self, motion: &Motion, voltage: Voltage) -> f64 {
         if motion.current_a != 0.0 {
             return motion.current_a.signum();
@@ -158,7 +159,7 @@ impl Constants {
         if driving_v.abs() <= voltage.diodes_v { 0.0 } else { driving_v.signum() }
     }
 
-    /// Current after a step at rest.
+    /// Current after a step with the motor side at rest.
     fn current_at_rest(&self, step: &Step, motion: &Motion, voltage: Voltage) -> f64 {
         let sign = self.current_sign(motion, voltage);
         let settled_a = (voltage.mean_v - sign * voltage.diodes_v) / step.circuit_ohm;
@@ -166,7 +167,7 @@ impl Constants {
         if voltage.diodes_v > 0.0 && current_a * sign <= 0.0 { 0.0 } else { current_a }
     }
 
-    /// Motion after a step under a constant force besides the motor's, end stops aside.
+    /// Motion after a step under a constant force besides the motor's, without end stops.
     fn free(&self, step: &Step, motion: &Motion, voltage: Voltage, force: f64) -> Motion {
         let sign = self.current_sign(motion, voltage);
         if voltage.diodes_v > 0.0 && sign == 0.0 {
@@ -202,13 +203,13 @@ impl Constants {
         Motion { current_a: (terminal_v - k * next.speed) / step.circuit_ohm, ..next }
     }
 
-    /// The current is zero but for a `charge_as` at the start of the step, which acts as a blow.
+    /// Motion with open terminals. A `charge_as` that still flows at the start of the step acts as an impulse.
     fn with_open_terminals(&self, step: &Step, motion: &Motion, force: f64, charge_as: f64) -> Motion {
         let kicked = Motion { speed: motion.speed + self.force_per_ampere * charge_as / self.mass, ..*motion };
         Motion { current_a: 0.0, ..first_order(&step.open, &kicked, force / self.mass) }
     }
 
-    /// Charge that still flows until the diodes block: from `i(t) = (i₀ + V/R) exp(−R t/L) − V/R` down to 0, with `V`
+    /// Charge that flows until the diodes block, A s: from `i(t) = (i₀ + V/R) exp(−R t/L) − V/R` down to 0, with `V`
     /// the voltage against the current.
     fn charge_until_open(&self, step: &Step, motion: &Motion, terminal_v: f64) -> f64 {
         let sign = motion.current_a.signum();
@@ -228,7 +229,7 @@ impl Constants {
         })
     }
 
-    /// Inelastic: a stop takes all speed.
+    /// Motion limited to the end stops. The impact is inelastic: a stop takes all speed.
     fn stopped(&self, motion: Motion) -> Motion {
         match self.stops {
             Some([low, _]) if motion.position < low => {
@@ -254,10 +255,11 @@ fn first_order(step: &FirstOrder, motion: &Motion, acceleration: f64) -> Motion 
 #[derive(Clone, Debug)]
 pub(crate) struct DriveTrain {
     constants: Constants,
-    /// The full step and the last shorter ones; the linear part is worth keeping.
+    /// Cached discretisations of the full step and of the last shorter ones, so that the linear part is not discretised
+    /// anew at every step.
     full: Step,
     parts: [Step; PARTS],
-    /// Which of them is replaced next.
+    /// Index of the cached part that is replaced next.
     next_part: usize,
     pub(crate) motion: Motion,
 }
@@ -277,29 +279,30 @@ impl DriveTrain {
         }
     }
 
-    /// At rest, without current, at this position or the end stop before it.
+    /// Puts the motor side at rest, without current, at this position or the end stop before it.
     pub(crate) fn rest_at(&mut self, position: f64) {
         self.motion = self.constants.stopped(Motion { position, ..Motion::default() });
     }
 
-    /// Where half of the step will have been gone, to first order.
+    /// Position half-way through the step, extrapolated at the present speed (first order).
     pub(crate) fn position_half_way(&self, step_s: f64) -> f64 {
         self.motion.position + 0.5 * step_s * self.motion.speed
     }
 
-    /// What the speed will be half-way through the step, to first order; not beyond 0.
+    /// Speed half-way through the step, extrapolated at the last acceleration (first order); 0 where it would change
+    /// sign.
     pub(crate) fn speed_half_way(&self, step_s: f64) -> f64 {
         let Motion { speed, acceleration, .. } = self.motion;
         let half_way = speed + 0.5 * step_s * acceleration;
         if half_way * speed > 0.0 { half_way } else { 0.0 }
     }
 
-    /// Lost in the winding.
+    /// Power lost in the winding, W.
     pub(crate) fn winding_power_w(&self, winding_rise: f64) -> f64 {
         self.motion.current_a * self.motion.current_a * self.constants.resistance_ohm * (1.0 + winding_rise)
     }
 
-    /// One step of at most [`MAX_STEP_S`] under a constant load, positive towards positive positions.
+    /// Advances by one step of at most [`MAX_STEP_S`] under a constant load, positive towards positive positions.
     pub(crate) fn advance(&mut self, terminals: &Terminals, friction: &Frictions<'_>, load: f64, step_s: f64) {
         let mut left_s = step_s;
         for cut in 0..=MAX_CUTS {
@@ -310,7 +313,8 @@ impl DriveTrain {
         }
     }
 
-    /// Time gone: all of it or, if the plant came to a stop and the step may be cut, the time until then.
+    /// Advances until the end of the step or, if the plant stops and the step may be cut, until the stop. Returns the
+    /// time passed, s.
     fn advance_to_stop(
         &mut self,
         terminals: &Terminals,
@@ -394,8 +398,9 @@ impl DriveTrain {
     }
 }
 
-/// While coasting a current flows on through the body diodes against the supply. The rail is taken to float up to the
-/// back-EMF rather than to brake the motor, so a plant without supply coasts too.
+/// Mean voltage of the drive, and the level of the diodes. While coasting a current flows on through the body diodes
+/// against the supply. The rail is taken to float up to the back-EMF rather than to brake the motor, so a plant without
+/// supply coasts too.
 fn voltage(terminals: &Terminals, back_emf_v: f64) -> Voltage {
     let diodes_v = if terminals.coast > 0.0 {
         terminals.coast * (terminals.supply_v.max(back_emf_v.abs()) + DIODES_V)

@@ -1,110 +1,110 @@
-//! What can be wrong with the description of a plant.
+//! Errors in the description of a plant.
 
 use crate::kind::PlantKind;
 
-/// Why a plant description could not be read.
+/// Reasons why a plant description could not be read.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PlantError {
     /// Not TOML, or not the shape of a plant file.
     #[error("{source_name}:{line}: {error}")]
     Toml {
-        /// File, as the caller named it.
+        /// Name of the file, as the caller passed it.
         source_name: String,
-        /// Line in it, from 1.
+        /// Line in the file, from 1.
         line: usize,
-        /// What the TOML reader says, with the offending line.
+        /// Error of the TOML reader, with the offending line.
         error: toml::de::Error,
     },
-    /// A field that does not exist, is missing, or holds what it must not.
+    /// A field that does not exist, is missing, or holds an invalid value.
     #[error("{source_name}:{line}: {error}")]
     Field {
-        /// File, as the caller named it.
+        /// Name of the file, as the caller passed it.
         source_name: String,
-        /// Line in it, from 1; where the table begins for a missing field.
+        /// Line in the file, from 1; the start of the table for a missing field.
         line: usize,
-        /// Which field, and what is wrong.
+        /// Path of the field and its problem.
         error: InvalidField,
     },
 }
 
-/// A field of a plant description and what is wrong with it.
+/// A field of a plant description and its problem.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{field}: {problem}")]
 pub struct InvalidField {
     /// Path from the top of the description, effects counted from 0: `effects[1].torque_nm`.
     pub field: String,
-    /// What is wrong.
+    /// Problem with the field's value or name.
     pub problem: Problem,
 }
 
-/// What is wrong with a field.
+/// Problem with a field of a plant description.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Problem {
-    /// Outside what the parameter may be, or not a number.
+    /// Value outside the parameter's bounds, or not a number.
     #[error("{value} is outside {lower:?}..={upper:?} {unit}")]
     OutOfRange {
-        /// What was asked for.
+        /// Value that was given.
         value: f64,
-        /// Smallest value allowed.
+        /// Smallest value allowed, inclusive.
         lower: f64,
-        /// Largest value allowed.
+        /// Largest value allowed, inclusive.
         upper: f64,
-        /// Unit of all three.
+        /// Unit of the value and both bounds.
         unit: &'static str,
     },
-    /// There is no such thing.
+    /// Unknown name of a model, effect or parameter.
     #[error("unknown; known are {}", known.join(", "))]
     Unknown {
-        /// What there is instead.
+        /// Names that exist instead.
         known: Vec<&'static str>,
     },
-    /// Must be given and is not.
+    /// Required field that is missing.
     #[error("missing; write a number in {unit}")]
     Missing {
-        /// Unit in which it is to be given.
+        /// Unit in which the value must be given.
         unit: &'static str,
     },
-    /// Must be a number and is not.
+    /// Value that must be a number.
     #[error("not a number")]
     NotANumber,
-    /// Must be a text and is not.
+    /// Value that must be the name of an effect.
     #[error("not the name of an effect")]
     NotAName,
-    /// Must be a list of numbers and is not.
+    /// Value that must be a list of numbers.
     #[error("not a list of numbers")]
     NotNumbers,
-    /// A table must have corners.
+    /// Number of knots of a table outside 1 to the limit.
     #[error("{corners} corners; write 1 to {most}")]
     Corners {
-        /// How many it has.
+        /// Number of knots given.
         corners: usize,
-        /// How many it may have.
+        /// Largest number of knots allowed.
         most: usize,
     },
-    /// A table has a value for each corner.
+    /// Table whose two lists differ in length; each knot needs one value.
     #[error("{values} of them for {corners} corners; write one for each in at")]
     Lengths {
-        /// In `at`.
+        /// Number of knots in `at`.
         corners: usize,
-        /// In `values`.
+        /// Number of values in `values`.
         values: usize,
     },
-    /// The corners of a table go up.
+    /// Knots of a table that do not increase.
     #[error("corner {corner} is not above the one before; two corners at one place are a jump, more are not possible")]
     NotIncreasing {
-        /// Which, counted from 0.
+        /// Index of the offending knot, from 0.
         corner: usize,
     },
-    /// The effect exists, but only on the other kind of plant.
+    /// Effect that exists, but only on the other kind of plant.
     #[error("does not exist on {kind} plants")]
     WrongKind {
-        /// What the plant is.
+        /// Kind of this plant.
         kind: PlantKind,
     },
-    /// There are only so many effects.
+    /// Index of an effect that the plant does not have.
     #[error("no such effect: the plant has {effects}")]
     NoSuchEffect {
-        /// How many there are.
+        /// Number of effects the plant has.
         effects: usize,
     },
 }

@@ -1,13 +1,13 @@
-//! How a plant's output moves, which decides the units of everything at it.
+//! Kinds of plants, rotary and linear, which decide the units at the output.
 
 use std::fmt;
 
-/// How the output moves, and with it the unit of everything at the output.
+/// Kind of motion of the output, which decides the unit of every quantity there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PlantKind {
-    /// rad, rad/s, N m.
+    /// Rotary output: rad, rad/s, N m.
     Rotary,
-    /// m, m/s, N.
+    /// Linear output: m, m/s, N.
     Linear,
 }
 
@@ -17,7 +17,7 @@ impl fmt::Display for PlantKind {
     }
 }
 
-/// One thing for each kind of plant.
+/// One value for each kind of plant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PerKind<T> {
     pub(crate) rotary: T,

@@ -10,22 +10,22 @@
 //! | module | subject |
 //! | --- | --- |
 //! | `text` | plant files: TOML to [`PlantSpec`] and back |
-//! | [`plant`] | [`Plant`]: what is stepped |
+//! | [`plant`] | [`Plant`]: a plant with its state, stepped in time |
 //! | `stages` | which stage of a plant steps an effect |
-//! | [`spec`] | [`PlantSpec`]: what a plant is made of |
-//! | [`effect`] | every effect, and the [`catalogue()`] of them; a [`Table`] for what has no name |
+//! | [`spec`] | [`PlantSpec`]: the description of a plant |
+//! | [`effect`] | every effect, and the [`catalogue()`] of them; a [`Table`] for an effect without a name |
 //! | [`model`] | the base models and their parameters |
-//! | [`drive`] | [`Drive`]: what a bridge does to the terminals |
+//! | [`drive`] | [`Drive`]: duty and coast share at the motor's terminals |
 //! | [`parameter`] | named, bounded parameters with units, which an identifier can vary |
-//! | [`error`] | what can be wrong with a plant's description |
-//! | [`kind`] | [`PlantKind`]: whether the output turns or slides |
+//! | [`error`] | errors in a plant's description |
+//! | [`kind`] | [`PlantKind`]: rotary or linear output |
 //!
 //! A module uses those below it in this table, never one above; `tests::arrows` reads the sources and holds them to it.
 //!
-//! An effect is one small type that the simulator steps; the identifier borrows its name and writes it into plant files, but
-//! has formulas of its own. Effects act at seven
-//! *insertion points*, in the order of the picture; several at one point act in the order of the file
-//! (where that matters: frictions and loads add up, and a delay may be anywhere in its input).
+//! An effect is one small type that the simulator steps; the identifier uses its name in plant files, but has formulas
+//! of its own. Effects act at seven *insertion points*, in the order of the picture; several at one point act in the
+//! order of the file (which matters except for frictions and loads, which add up, and for a delay among the input
+//! effects).
 //!
 //! Everything is SI, `f64`, and at the output shaft or rod. The same description, seed and sequence of
 //! [`Plant::advance`] calls give the same bits on every machine.
@@ -51,7 +51,7 @@
 //! for _ in 0..500 {
 //!     wheel.advance(Drive::with_brake(0.5), 24.0, 1e-3);
 //! }
-//! assert!(wheel.speed() > 9.0 && wheel.speed() < 9.6); // 0.5 · 24 V / (25 · 0.05 V s/rad), less what friction takes
+//! assert!(wheel.speed() > 9.0 && wheel.speed() < 9.6); // 0.5 · 24 V / (25 · 0.05 V s/rad), less friction
 //! # Ok::<(), r4_plants::PlantError>(())
 //! ```
 

@@ -5,21 +5,21 @@ use crate::{
     kind::{PerKind, PlantKind},
 };
 
-/// What a parameter is called and may be.
+/// Name, unit and bounds of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameter {
     names: PerKind<&'static str>,
     units: PerKind<&'static str>,
-    /// Smallest value allowed.
+    /// Smallest value allowed, inclusive.
     pub lower: f64,
-    /// Largest value allowed.
+    /// Largest value allowed, inclusive.
     pub upper: f64,
-    /// A plausible value to start a fit from, strong enough to be seen.
+    /// A plausible value to start a fit from, large enough that its effect shows.
     pub typical: f64,
 }
 
 impl Parameter {
-    /// Called the same on rotary and linear plants.
+    /// A parameter with the same name and unit on rotary and linear plants, without bounds.
     pub(crate) const fn new(name: &'static str, unit: &'static str) -> Self {
         Self {
             names: PerKind { rotary: name, linear: name },
@@ -30,7 +30,7 @@ impl Parameter {
         }
     }
 
-    /// Called this on linear plants, where metres and newtons take the place of radians and newton metres.
+    /// Sets name and unit on linear plants, where metres and newtons take the place of radians and newton metres.
     pub(crate) const fn linear(mut self, name: &'static str, unit: &'static str) -> Self {
         self.names.linear = name;
         self.units.linear = unit;
@@ -61,7 +61,7 @@ impl Parameter {
         self.units.of(kind)
     }
 
-    /// Whether the value may be used.
+    /// Checks that the value is within the bounds.
     ///
     /// # Errors
     /// [`Problem::OutOfRange`] outside `lower..=upper`, and for NaN.
@@ -73,7 +73,7 @@ impl Parameter {
     }
 }
 
-/// A base model or an effect seen as a list of numbers.
+/// A base model or an effect, seen as a list of numbers.
 pub trait Fitted {
     /// The parameters, in the order in which they are written to files.
     fn parameters(&self) -> &'static [Parameter];
@@ -81,7 +81,8 @@ pub trait Fitted {
     /// Value of the parameter at this index of [`Fitted::parameters`]; `None` past its end.
     fn value(&self, index: usize) -> Option<f64>;
 
-    /// The same, to be written; it is not checked here but where a [`crate::PlantSpec`] takes it.
+    /// Mutable value of the parameter at this index; `None` past the end. Bounds are not checked here but where a
+    /// [`crate::PlantSpec`] takes the value.
     fn value_mut(&mut self, index: usize) -> Option<&mut f64>;
 
     /// Value of the parameter of this name on a plant of this kind; `None` if there is none.
@@ -92,7 +93,7 @@ pub trait Fitted {
     /// Sets the parameter of this name on a plant of this kind.
     ///
     /// # Errors
-    /// [`Problem::Unknown`] lists the names there are; [`Problem::OutOfRange`] as in [`Parameter::check`]. Nothing is
+    /// [`Problem::Unknown`] lists the known names; [`Problem::OutOfRange`] as in [`Parameter::check`]. Nothing is
     /// changed then.
     fn set(&mut self, kind: PlantKind, name: &str, value: f64) -> Result<(), Problem> {
         let parameters = self.parameters();
@@ -108,7 +109,8 @@ fn index_of(parameters: &[Parameter], kind: PlantKind, name: &str) -> Option<usi
     parameters.iter().position(|parameter| parameter.name(kind) == name)
 }
 
-/// A struct of `f64` fields, or of none, each with its [`Parameter`]: the struct, its `PARAMETERS` table, `TYPICAL`, and [`Fitted`].
+/// Defines a struct of `f64` fields, or of none, each with its [`Parameter`]: the struct, its `PARAMETERS` table,
+/// `TYPICAL`, and [`Fitted`].
 macro_rules! fitted {
     ($(#[$meta:meta])* pub struct $name:ident {
         $($(#[$field_meta:meta])* pub $field:ident: $parameter:expr;)*

@@ -1,4 +1,4 @@
-//! A plant: a base model and its effects, stepped.
+//! A plant: a base model with its effects and their state, stepped in time.
 
 use crate::{
     drive::Drive,
@@ -29,47 +29,49 @@ pub struct Plant {
     now_s: f64,
     delay: Option<DelayLine>,
     input: Vec<InputStage>,
-    /// Whether what acts may change while the drive does not.
+    /// True when the acting drive may change while the commanded one does not: delays, ramps, holds, tables, unlisted
+    /// effects.
     input_has_memory: bool,
     tables: Tables,
     pushes: Vec<SpeedForce>,
-    /// Where the motor side last turned round, and which way it has gone since.
+    /// Position and time of the motor side's last reversal, and its last nonzero speed, whose sign is the direction
+    /// since then.
     turned_at: f64,
     turned_s: f64,
     went: f64,
-    /// What hysteresis pushed back with there.
+    /// Hysteresis force at the last reversal, N m or N.
     wound: f64,
     unlisted: Vec<Box<dyn Unlisted>>,
     source_ohm: f64,
     heats: Vec<Heat>,
     friction: Vec<FrictionStage>,
     loads: Vec<LoadStage>,
-    /// Of what the output is coupled to.
+    /// Load from outside, set by [`Plant::set_load`], N m or N.
     outside: f64,
     transmission: Vec<TransmissionStage>,
     sensor: Vec<SensorStage>,
     sensor_has_memory: bool,
-    /// The duty as it came out of the delays.
+    /// Duty at the output of the delays, before the other input effects.
     arrived: f64,
     acting: Drive,
-    /// What the unlisted effects do over this step.
+    /// Contribution of the unlisted effects to this step.
     done: Doing,
     position: f64,
     speed: f64,
     sensed_position: f64,
 }
 
-/// So long ago has a plant turned that never has, s: beyond every corner of a table.
+/// Time of the last reversal of a plant that never reversed, s: so long ago that it is beyond every knot of a table.
 const NEVER_S: f64 = -1e12;
 
-/// Effects without a name, by what they are on; forces over speed are [`SpeedForce`]s instead.
+/// Effects without a name, by the quantity they act on; forces over speed are [`SpeedForce`]s instead.
 #[derive(Clone, Debug, Default)]
 struct Tables {
     force: Vec<Table>,
     friction: Vec<Table>,
     gain: Vec<Table>,
     input: Vec<Table>,
-    /// Those that [wind](winds), and the others.
+    /// Hysteresis tables that [wind](winds), and the others.
     hysteresis: Vec<Table>,
     against: Vec<Table>,
 }
@@ -92,7 +94,7 @@ impl Tables {
     }
 }
 
-/// A hysteresis that comes to an end.
+/// True for a hysteresis over travel without a period, whose force settles with the travel since the reversal.
 fn winds(table: &Table) -> bool {
     table.over() == Over::History && table.period().is_none()
 }
@@ -101,17 +103,17 @@ fn is_speed_force(table: &Table) -> bool {
     table.on() == On::Force && table.over() == Over::Speed
 }
 
-/// A step shorter than this is not worth taking: the rounding of longer ones adds up to it.
+/// Shortest step, s; the rounding errors of longer ones add up to this.
 const SHORTEST_STEP_S: f64 = 1e-12;
 
 impl Plant {
-    /// At rest at position 0, without current, its noises started from `seed`.
+    /// A plant at rest at position 0, without current; its noises start from `seed`.
     #[must_use]
     pub fn new(spec: &PlantSpec, seed: u64) -> Self {
         Self::with_unlisted(spec, seed, Vec::new())
     }
 
-    /// The same, and what its description cannot hold.
+    /// As [`Plant::new`], with effects that a description cannot hold.
     #[must_use]
     pub fn with_unlisted(spec: &PlantSpec, seed: u64, unlisted: Vec<Box<dyn Unlisted>>) -> Self {
         let kind = spec.kind();
@@ -167,15 +169,15 @@ impl Plant {
         plant
     }
 
-    /// Whether the output turns or slides.
+    /// Kind of motion of the output.
     #[must_use]
     pub fn kind(&self) -> PlantKind {
         self.kind
     }
 
     /// Puts the plant at rest at a position, without current; the backlash is centred and the sensor has settled.
-    /// What is under way in the input goes on. A position beyond an end stop becomes the stop; one that is not finite
-    /// is ignored.
+    /// Delayed commands and the other memory of the input stay. A position beyond an end stop becomes the stop; one
+    /// that is not finite is ignored.
     pub fn set_position(&mut self, position: f64) {
         if !position.is_finite() {
             return;
@@ -191,22 +193,23 @@ impl Plant {
         self.sensed_position = self.sensor.iter_mut().fold(self.position, |told, stage| stage.settle(told));
     }
 
-    /// Sets the force with which something outside pushes the output from now on, N m or N, towards positive positions: a body, a
-    /// hand. One that is not finite is ignored.
+    /// Sets the force with which something outside (a body, a hand) pushes the output from now on, N m or N, towards
+    /// positive positions. One that is not finite is ignored.
     ///
-    /// It acts on the motor side of a backlash or spring, as the loads among the effects do.
+    /// The force acts on the motor side of a backlash or spring, as the loads among the effects do.
     pub fn set_load(&mut self, force: f64) {
         if force.is_finite() {
             self.outside = force;
         }
     }
 
-    /// Lets time pass under a constant drive and a supply of `supply_v` before sag.
+    /// Advances time by `dt_s` under a constant drive and a supply of `supply_v` before sag.
     ///
-    /// Any `dt_s`, in steps of at most [`Plant::max_step_s`]; its cost is proportional to their number. Cutting a
-    /// stretch of time into other calls changes the result only by the error of the steps, which is nil for the linear
-    /// part, and by which random numbers fall where. A duty or coast out of range is clipped and a negative supply is
-    /// taken as 0. The call is ignored when `dt_s` is not positive or anything is not finite: no time passes then.
+    /// `dt_s` may be of any length; it is divided into steps of at most [`Plant::max_step_s`], and the cost is
+    /// proportional to their number. Other divisions into calls change the result only by the error of the steps, which
+    /// is nil for the linear part, and by the assignment of random numbers to steps. A duty or coast out of range is
+    /// clipped and a negative supply is taken as 0. The call is ignored, without time passing, when `dt_s` is not
+    /// positive or any argument is not finite.
     pub fn advance(&mut self, drive: Drive, supply_v: f64, dt_s: f64) {
         let finite = drive.duty.is_finite() && drive.coast.is_finite() && supply_v.is_finite() && dt_s.is_finite();
         if !finite || dt_s <= 0.0 {
@@ -237,13 +240,13 @@ impl Plant {
         }
     }
 
-    /// Longest step into which [`Plant::advance`] divides its time, in seconds.
+    /// Longest step into which [`Plant::advance`] divides its time, s.
     #[must_use]
     pub fn max_step_s(&self) -> f64 {
         MAX_STEP_S
     }
 
-    /// The drive that has arrived by now; ends the step at the next one's arrival.
+    /// Drive at the output of the delays; shortens the step so that it ends at the next change.
     fn through_delay(&mut self, drive: Drive, step_s: &mut f64) -> Drive {
         let Some(delay) = &mut self.delay else {
             return drive;
@@ -278,7 +281,7 @@ impl Plant {
         Drive { duty: self.done.duty, ..drive }.clipped()
     }
 
-    /// Value of a table half-way through a step.
+    /// Value of a table, its argument taken half-way through a step.
     fn looked_up(&self, table: &Table, duty: f64, supply_v: f64, step_s: f64) -> f64 {
         table.value(match table.over() {
             Over::Input => duty,
@@ -291,7 +294,7 @@ impl Plant {
         })
     }
 
-    /// Remembers where the motor side turned round, somewhere in the step from `before` on.
+    /// Records a reversal of the motor side in the step that started at position `before`.
     fn look_back(&mut self, before: f64) {
         let speed = self.train.motion.speed;
         if speed * self.went < 0.0 {
@@ -303,7 +306,7 @@ impl Plant {
         }
     }
 
-    /// What hysteresis pushes back with at a place: from what it was at the last turn, less and less of which is left.
+    /// Hysteresis force at a position, N m or N. The force at the last reversal decays to the table's last value.
     fn hysteresis(&self, position: f64) -> f64 {
         let tables = &self.tables.hysteresis;
         if tables.is_empty() || self.went == 0.0 {
@@ -354,37 +357,37 @@ impl Plant {
         self.sensed_position = self.sensor.iter_mut().fold(self.position, |told, stage| stage.apply(told, step_s));
     }
 
-    /// True position of the output.
+    /// True position of the output, rad or m.
     #[must_use]
     pub fn position(&self) -> f64 {
         self.position
     }
 
-    /// True speed of the output; 0 while the motor side crosses a gap.
+    /// True speed of the output, rad/s or m/s; 0 while the motor side crosses a gap.
     #[must_use]
     pub fn speed(&self) -> f64 {
         self.speed
     }
 
-    /// Position and speed of the motor's side, before backlash and compliance, in the units of the output.
+    /// Position and speed of the motor side, before backlash and compliance, in the units of the output.
     #[must_use]
     pub fn motor_side(&self) -> (f64, f64) {
         (self.train.motion.position, self.train.motion.speed)
     }
 
-    /// What an ideal sensor of the position would be coupled to, after the sensor effects; not yet counts or codes.
+    /// Position after the sensor effects, rad or m, from which an ideal sensor would derive its counts or codes.
     #[must_use]
     pub fn sensed_position(&self) -> f64 {
         self.sensed_position
     }
 
-    /// Current in the winding, positive driving towards positive positions.
+    /// Current in the winding, A; positive drives towards positive positions.
     #[must_use]
     pub fn motor_current_a(&self) -> f64 {
         self.train.motion.current_a
     }
 
-    /// Current drawn from the rail, averaged over a PWM period; negative when the motor feeds back.
+    /// Current drawn from the supply, A, averaged over a PWM period; negative when the motor feeds back.
     #[must_use]
     pub fn supply_current_a(&self) -> f64 {
         let current_a = self.train.motion.current_a;

@@ -1,4 +1,4 @@
-//! What a plant is made of.
+//! Description of a plant: base model, effects, source.
 
 use crate::{
     effect::{Effect, check_values, table::Table},
@@ -8,8 +8,8 @@ use crate::{
     parameter::Fitted,
 };
 
-/// A base model, its effects, and where the numbers come from. Every value is in range: there is no other way to make
-/// one, so a [`crate::Plant`] can be built from any.
+/// A base model, its effects, and the source of the numbers. Every constructor and setter checks the bounds, so a
+/// [`crate::Plant`] can be built from any `PlantSpec`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlantSpec {
     model: Model,
@@ -19,10 +19,10 @@ pub struct PlantSpec {
 }
 
 impl PlantSpec {
-    /// A plant of these parts. `source` tells where the numbers come from.
+    /// A plant of these parts. `source` says where the numbers come from.
     ///
     /// # Errors
-    /// [`InvalidField`] names the first parameter out of range, or an effect the model cannot have.
+    /// [`InvalidField`] names the first parameter out of range, or an effect that this kind of plant cannot have.
     pub fn new(model: Model, source: impl Into<String>, effects: Vec<Effect>) -> Result<Self, InvalidField> {
         let kind = model.kind();
         check_values(&model, kind)
@@ -33,62 +33,62 @@ impl PlantSpec {
         Ok(Self { model, source: source.into(), effects, tables: Vec::new() })
     }
 
-    /// The base model.
+    /// Base model of the plant.
     #[must_use]
     pub fn model(&self) -> &Model {
         &self.model
     }
 
-    /// Whether the output turns or slides.
+    /// Kind of motion of the output.
     #[must_use]
     pub fn kind(&self) -> PlantKind {
         self.model.kind()
     }
 
-    /// Where the numbers come from.
+    /// Source of the numbers, as free text.
     #[must_use]
     pub fn source(&self) -> &str {
         &self.source
     }
 
-    /// The effects; those at one insertion point act in this order.
+    /// Named effects; those at one insertion point act in this order.
     #[must_use]
     pub fn effects(&self) -> &[Effect] {
         &self.effects
     }
 
-    /// Effects without a name. Those on the input act behind the others there.
+    /// Effects without a name. Those on the input act after the named ones.
     #[must_use]
     pub fn tables(&self) -> &[Table] {
         &self.tables
     }
 
-    /// Adds an effect without a name behind the others.
+    /// Appends an effect without a name.
     pub fn push_table(&mut self, table: Table) {
         self.tables.push(table);
     }
 
-    /// Takes an effect without a name away; `None` if there is none at this index.
+    /// Removes an effect without a name; `None` if there is none at this index.
     pub fn remove_table(&mut self, index: usize) -> Option<Table> {
         (index < self.tables.len()).then(|| self.tables.remove(index))
     }
 
-    /// Says anew where the numbers come from.
+    /// Replaces the source of the numbers.
     pub fn set_source(&mut self, source: impl Into<String>) {
         self.source = source.into();
     }
 
-    /// Adds an effect behind the others.
+    /// Appends a named effect.
     ///
     /// # Errors
-    /// As [`PlantSpec::new`]; nothing is changed then.
+    /// As [`PlantSpec::new`]; the description is unchanged then.
     pub fn push_effect(&mut self, effect: Effect) -> Result<(), InvalidField> {
         effect.check(self.kind()).map_err(|error| in_effect(self.effects.len(), error))?;
         self.effects.push(effect);
         Ok(())
     }
 
-    /// Takes an effect away; `None` if there is none at this index.
+    /// Removes a named effect; `None` if there is none at this index.
     pub fn remove_effect(&mut self, index: usize) -> Option<Effect> {
         (index < self.effects.len()).then(|| self.effects.remove(index))
     }
@@ -96,7 +96,7 @@ impl PlantSpec {
     /// Sets a parameter of the base model by name.
     ///
     /// # Errors
-    /// As [`Fitted::set`]; nothing is changed then.
+    /// As [`Fitted::set`]; the description is unchanged then.
     pub fn set_parameter(&mut self, name: &str, value: f64) -> Result<(), InvalidField> {
         let kind = self.kind();
         self.model
@@ -107,7 +107,7 @@ impl PlantSpec {
     /// Sets a parameter of an effect by name.
     ///
     /// # Errors
-    /// As [`Fitted::set`], and [`Problem::NoSuchEffect`]; nothing is changed then.
+    /// As [`Fitted::set`], and [`Problem::NoSuchEffect`] past the last effect; the description is unchanged then.
     pub fn set_effect_parameter(&mut self, index: usize, name: &str, value: f64) -> Result<(), InvalidField> {
         let kind = self.kind();
         let effects = self.effects.len();

@@ -1,6 +1,7 @@
-//! Which stage of a plant steps each effect of its description.
+//! Mapping from each effect of a description to the stage that steps it.
 //!
-//! The stages stand beside their effects and do not know the list of all of them ([`Effect`]), which is made of them.
+//! The stages are defined beside their effects and do not know the enum of all effects ([`Effect`]), which is composed
+//! of them.
 
 use crate::{
     drive::Drive,
@@ -22,7 +23,7 @@ use crate::{
 };
 
 impl DelayLine {
-    /// The delays of a plant together; `None` if it has none.
+    /// All delays of a plant added up; `None` if it has none.
     pub(crate) fn of<'a>(effects: impl Iterator<Item = &'a Effect>) -> Option<Self> {
         let delays = effects
             .filter_map(|effect| if let Effect::InputDelay(delay) = effect { Some(delay.delay_s) } else { None });
@@ -65,7 +66,8 @@ impl FrictionStage {
 }
 
 impl LoadStage {
-    /// The stage of a load; `None` for an effect that acts elsewhere. `stream` tells two noises of one plant apart.
+    /// The stage of a load; `None` for an effect that acts elsewhere. `stream` separates the random numbers of two
+    /// noises of one plant.
     pub(crate) fn new(effect: &Effect, kind: PlantKind, seed: u64, stream: usize) -> Option<Self> {
         Some(match effect {
             Effect::ConstantLoad(load) => Self::Constant(*load),

@@ -17,10 +17,10 @@ use crate::{
     spec::{PlantSpec, in_effect},
 };
 
-/// Keys and values, each with where it stands.
+/// Keys and values of a table, each with its place in the text.
 type Fields = BTreeMap<Spanned<String>, Spanned<Value>>;
 
-/// A plant file before anything in it is believed.
+/// A plant file as parsed, before its names and values are checked.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Raw {
@@ -32,7 +32,7 @@ struct Raw {
     effects: Vec<Spanned<Fields>>,
 }
 
-/// A value in a table.
+/// A value in a table of the file.
 enum Value {
     Number(f64),
     Text(String),
@@ -60,7 +60,7 @@ impl<'de> Deserialize<'de> for Value {
     }
 }
 
-/// What is wrong, and where in the text.
+/// Problem with a field and its byte range in the text.
 struct Fault {
     span: Range<usize>,
     error: InvalidField,
@@ -73,7 +73,7 @@ impl Fault {
 }
 
 impl PlantSpec {
-    /// Reads a plant file. `source_name` is what messages call it.
+    /// Reads a plant file. `source_name` is the file's name in error messages.
     ///
     /// # Errors
     /// [`PlantError`] with the file, the line and the field.
@@ -81,8 +81,7 @@ impl PlantSpec {
         read(source_name, text)
     }
 
-    /// The plant as a file, which [`PlantSpec::from_toml`] reads back to the bit. Comments of a file it was read from
-    /// are not kept.
+    /// The plant as a file, which [`PlantSpec::from_toml`] reads back to the bit. Comments of a file are not kept.
     #[must_use]
     pub fn to_toml(&self) -> String {
         write(self)
@@ -103,7 +102,7 @@ fn read(source_name: &str, text: &str) -> Result<PlantSpec, PlantError> {
     })
 }
 
-/// Within a larger TOML document. Errors name the field; the line is that of the plant's table.
+/// Deserialises a plant nested in a larger TOML document. Errors name the field; the line is that of the plant's table.
 impl<'de> Deserialize<'de> for PlantSpec {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         spec(Raw::deserialize(deserializer)?).map_err(|fault| de::Error::custom(fault.error))
@@ -128,7 +127,7 @@ fn spec(raw: Raw) -> Result<PlantSpec, Fault> {
             effects.push(effect(kind, fields).map_err(within)?);
         }
     }
-    // All of it was checked above, with better places for its errors.
+    // PlantSpec::new checks again what was checked above, where the errors have a better place in the text.
     let spec = PlantSpec::new(model, raw.source, effects).map_err(|error| Fault { span: raw.model.span(), error });
     let mut spec = spec?;
     tables.into_iter().for_each(|table| spec.push_table(table));
@@ -148,7 +147,7 @@ fn is_table(fields: &Fields) -> bool {
         .any(|(key, value)| key.get_ref() == TAG && matches!(value.get_ref(), Value::Text(name) if name == TABLE))
 }
 
-/// An effect without a name.
+/// Reads an effect without a name.
 fn table(fields: &Spanned<Fields>) -> Result<Table, Fault> {
     const KEYS: [&str; 5] = ["over", "on", "period", "at", "values"];
     let entry = |name: &str| fields.get_ref().iter().find(|(key, _)| key.get_ref() == name).map(|(_, value)| value);
@@ -207,7 +206,8 @@ fn effect(kind: PlantKind, table: &Spanned<Fields>) -> Result<Effect, Fault> {
     Ok(effect)
 }
 
-/// Sets every parameter from a table that has all of them and, but for what `is_else` says, nothing else.
+/// Sets every parameter from a table that must hold all of them and nothing else, except keys for which `is_else` is
+/// true.
 fn fill(
     fitted: &mut dyn Fitted,
     kind: PlantKind,
@@ -252,7 +252,7 @@ fn write(spec: &PlantSpec) -> String {
         if let Some(period) = table.period() {
             let _ = writeln!(text, "period = {period:?}");
         }
-        // a list of floats is written the same in Rust and TOML
+        // Debug output of a list of floats in Rust is also valid TOML
         let _ = writeln!(text, "at = {:?}\nvalues = {:?}", table.at(), table.values());
     }
     text
@@ -261,7 +261,7 @@ fn write(spec: &PlantSpec) -> String {
 fn write_values(text: &mut String, kind: PlantKind, fitted: &dyn Fitted) {
     for (index, parameter) in fitted.parameters().iter().enumerate() {
         if let Some(value) = fitted.value(index) {
-            // Rust's shortest form that reads back to the same bits is also TOML's
+            // Rust's shortest form that reads back to the same bits is also valid TOML
             let _ = writeln!(text, "{} = {value:?}", parameter.name(kind));
         }
     }

@@ -1,4 +1,4 @@
-//! What every body has in common, and the kinds there are.
+//! The [`Body`] trait, its frames and motions, and the kinds of bodies.
 
 use std::ops::{Deref, DerefMut};
 
@@ -10,23 +10,24 @@ use crate::{
 /// Position and heading on the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pose {
-    /// m, world frame.
+    /// World x of the origin, m.
     pub x_m: f64,
-    /// m, world frame.
+    /// World y of the origin, m.
     pub y_m: f64,
-    /// rad, counterclockwise from the world's x axis; not wrapped.
+    /// Heading, rad, counterclockwise from the world's x axis; not wrapped.
     pub yaw_rad: f64,
 }
 
 impl Pose {
-    /// A point given in the body's frame, m, in the world's.
+    /// Transforms a point from the body's frame to the world's, m.
     #[must_use]
     pub fn to_world(&self, [x_m, y_m]: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = libm::sincos(self.yaw_rad);
         [self.x_m + cos * x_m - sin * y_m, self.y_m + sin * x_m + cos * y_m]
     }
 
-    /// The pose `after_s` later, s, with this velocity in the body's frame: by the mean heading, second order in the time.
+    /// The pose `after_s` seconds later at a constant velocity in the body's frame: by the mean heading, second order
+    /// in the time.
     #[must_use]
     pub fn moved(&self, twist: Twist, after_s: f64) -> Self {
         let Twist { forward_m_s, left_m_s, yaw_rad_s } = twist;
@@ -42,11 +43,11 @@ impl Pose {
 /// Velocity in the body's frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Twist {
-    /// Forwards, m/s.
+    /// Velocity component forwards, m/s.
     pub forward_m_s: f64,
-    /// To the left, m/s.
+    /// Velocity component to the left, m/s.
     pub left_m_s: f64,
-    /// Counterclockwise, rad/s.
+    /// Yaw rate, rad/s, counterclockwise.
     pub yaw_rad_s: f64,
 }
 
@@ -68,75 +69,76 @@ impl Twist {
     }
 }
 
-/// Motion of a shaft's output at the beginning of a step. A relay is a shaft at 1 while its contact is closed and at 0 while it is open.
+/// Motion of a shaft's output at the beginning of a step. A relay is a shaft at 1 while its contact is closed and at 0
+/// while it is open.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ShaftMotion {
-    /// rad or m.
+    /// Position of the output, rad or m.
     pub position: f64,
-    /// rad/s or m/s.
+    /// Speed of the output, rad/s or m/s.
     pub speed: f64,
 }
 
-/// Something that couples shafts by forces.
+/// A mechanism that couples shafts by forces.
 pub trait Body {
     /// Number of shafts, in the order in which their motions and loads are given.
     fn shafts(&self) -> usize;
 
-    /// One step of `step_s`, s, at most [`crate::MAX_STEP_S`], from `time_s` on in `scene`: from the motion of the shafts to the load
-    /// of each over the step, N m or N, positive towards positive positions. `shafts` and `loads` have one entry for each of
-    /// [`Body::shafts`]. Boxes of the scene that it pushes move with it.
+    /// Advances the body from `time_s` by one step of `step_s`, s, at most [`crate::MAX_STEP_S`]. Takes the motion of
+    /// the shafts and writes the load of each over the step, N m or N, positive towards positive positions. `shafts`
+    /// and `loads` have one entry for each of [`Body::shafts`]. Boxes of the scene that the body pushes move with it.
     fn step(&mut self, scene: &mut Scene, time_s: f64, shafts: &[ShaftMotion], loads: &mut [f64], step_s: f64);
 
-    /// Where its frame is.
+    /// Pose of the body's frame in the world.
     fn pose(&self) -> Pose;
 
-    /// Puts it somewhere, at rest.
+    /// Moves the body to a pose, at rest.
     fn set_pose(&mut self, pose: Pose);
 
-    /// How its frame moves.
+    /// Velocity of the body's frame, in that frame.
     fn twist(&self) -> Twist;
 
-    /// What an inertial sensor feels at the origin of its frame, over the last step.
+    /// Readings of an ideal inertial sensor at the origin of the body's frame, over the last step.
     fn inertial(&self) -> Inertial;
 
-    /// What bumps into things; `None` passes through them.
+    /// Outline that collides with obstacles; `None` passes through them.
     fn outline(&self) -> Option<&Outline> {
         None
     }
 
-    /// Names of the quantities that sensors on the body measure, each with its unit as a suffix (`pressure_0_pa`): robots' files
-    /// connect analog inputs, switches and sensors on the bus to them.
+    /// Names of the quantities that sensors on the body measure, each with its unit as a suffix (`pressure_0_pa`).
+    /// Robot files connect analog inputs, switches and bus sensors to them.
     fn readings(&self) -> &'static [&'static str] {
         &[]
     }
 
-    /// One of [`Body::readings`], by its number, over the last step; 0 beyond their number.
+    /// Value of one of [`Body::readings`] over the last step, by index; 0 past the last.
     fn reading(&self, number: usize) -> f64 {
         let _ = number;
         0.0
     }
 }
 
-/// What an inertial sensor feels: x forwards, y to the left, z upwards along the part that carries it.
+/// Input of an inertial sensor: x forwards, y to the left, z upwards along the part that carries it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Inertial {
-    /// Acceleration less that of free fall, m/s²: upwards 9.8 at rest.
+    /// Acceleration minus gravity, m/s²: +9.8 on the upward axis at rest.
     pub specific_force_m_s2: [f64; 3],
-    /// rad/s
+    /// Angular rates about x, y and z, rad/s.
     pub rate_rad_s: [f64; 3],
-    /// rad/s²
+    /// Angular accelerations about x, y and z, rad/s².
     pub angular_acceleration_rad_s2: [f64; 3],
 }
 
 impl Inertial {
-    /// Of a level body that does not move: it feels what holds it against gravity.
+    /// Input of a level body at rest, which measures the reaction to gravity.
     pub const AT_REST: Self = Self {
         specific_force_m_s2: [0.0, 0.0, crate::GRAVITY_M_S2],
         rate_rad_s: [0.0; 3],
         angular_acceleration_rad_s2: [0.0; 3],
     };
 
-    /// The same at another point of the part, m from the first: `f + α × r + ω × (ω × r)`.
+    /// Input at another point of the same part, `place_m` from the first: `f + α × r + ω × (ω × r)`.
     #[must_use]
     pub fn at(&self, place_m: [f64; 3]) -> Self {
         let turning = cross(self.rate_rad_s, place_m);
@@ -151,7 +153,7 @@ fn cross([ax, ay, az]: [f64; 3], [bx, by, bz]: [f64; 3]) -> [f64; 3] {
     [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
 }
 
-/// A body of any kind, as a robot's file names it.
+/// A body of any kind, as robot files name it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AnyBody {
     /// A chassis on wheels.
@@ -164,7 +166,7 @@ pub enum AnyBody {
     TwoFingers(Box<TwoFingers>),
     /// A gripper with a loop that closes round a vial.
     CableLoop(Box<CableLoop>),
-    /// A gripper before a bush.
+    /// A gripper in front of a bush.
     BerryPicker(Box<BerryPicker>),
     /// A strip with suction cups and inflatable membranes.
     SuctionPad(Box<SuctionPad>),
@@ -204,7 +206,7 @@ impl DerefMut for AnyBody {
 mod tests {
     use super::*;
 
-    /// On a turntable of 2 rad/s that speeds up by 3 rad/s², 0.5 m from the axis: centripetal `w² r`, tangential `a r`.
+    /// A sensor on a turntable at 2 rad/s and 3 rad/s², 0.5 m from the axis: centripetal `w² r`, tangential `a r`.
     #[test]
     fn a_sensor_away_from_the_axis_feels_the_turn() {
         let axis = Inertial {

@@ -1,6 +1,6 @@
-//! Random numbers of a body or field: the same on every machine, and cheap to copy with what draws them.
+//! Random numbers of a body or field: equal on every machine, and cheap to copy with their owner.
 
-/// The generator SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014).
+/// Generator SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Dice(u64);
 
@@ -17,7 +17,7 @@ impl Dice {
         word ^ (word >> 31)
     }
 
-    /// A number of mean 0 and variance 1: the sum of twelve uniform ones less six.
+    /// Approximately normal number with mean 0 and variance 1: the sum of twelve uniform ones minus six.
     pub(crate) fn normal(&mut self) -> f64 {
         let mut sum = -6.0;
         for _ in 0..3 {

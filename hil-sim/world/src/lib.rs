@@ -1,7 +1,7 @@
 //! Bodies that couple a robot's shafts, and the planar world they move in.
 //!
-//! A [`Body`] takes the motion of the shafts that a board drives and gives each shaft its load. It is stepped together with the shafts'
-//! plants, in steps short enough that the coupling by forces is stable: see [`MAX_STEP_S`].
+//! A [`Body`] takes the motion of the shafts that a board drives and gives each shaft its load. It is stepped together
+//! with the shafts' plants, in steps short enough for the coupling by forces to be stable: see [`MAX_STEP_S`].
 //!
 //! # Frames and units
 //! SI throughout. The world's x and y are horizontal; a body's x points forwards, y to its left, and its yaw turns
@@ -41,7 +41,7 @@ pub use tail::{Ankle, BalanceTail, Cable, Lift, Link, TailError, TailState, Wear
 pub use tyre::{Contact, SlipLaw, Springs, Tyre, TyreError};
 pub use wheeled::{Axle, Chassis, ChassisError, Wheel, Wheeled};
 
-/// Longest step of a body, s. Plants take no longer ones either, so that a body costs its shafts no further steps.
+/// Longest step of a body, s. Plants take no longer ones either, so a body adds no steps to its shafts.
 pub const MAX_STEP_S: f64 = 2.5e-4;
 /// Standard acceleration of free fall, m/s².
 pub const GRAVITY_M_S2: f64 = 9.806_65;

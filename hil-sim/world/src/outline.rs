@@ -1,8 +1,8 @@
-//! The outline of a body and what it bumps into.
+//! Outline of a body and its contact with obstacles.
 //!
-//! A bumper of [`BUMPER_M`] is all around the outline: a damped spring that pushes where a corner of the outline, or of an obstacle,
-//! is within it. Its stiffness follows from the body's mass, so that the longest step stays short against the spring's period.
-//! Forces along the wall rub with [`FRICTION`].
+//! A bumper of thickness [`BUMPER_M`] surrounds the outline: a damped spring that pushes where a corner of the outline,
+//! or of an obstacle, is within it. Its stiffness follows from the body's mass, so that the longest step stays short
+//! against the spring's period. Sliding along a wall is subject to [`FRICTION`].
 
 use crate::{
     body::Pose,
@@ -11,17 +11,17 @@ use crate::{
 
 /// Thickness of the bumper, m: our choice, that of foam on robots of some 10 kg.
 pub(crate) const BUMPER_M: f64 = 0.02;
-/// Angular frequency of the mass on one spring of the bumper, rad/s. A body of 2 m/s, head-on, presses it by 2.5 mm; with half of it,
-/// by 4.9 mm. In the longest step the spring's phase goes on by 0.075 rad.
+/// Angular frequency of the mass on one spring of the bumper, rad/s. A head-on impact at 2 m/s compresses it by 2.5 mm;
+/// with half the frequency, by 4.9 mm. The spring's phase advances by 0.075 rad in the longest step.
 const STIFFNESS_RAD_S: f64 = 300.0;
-/// Damping of that oscillator against critical damping, 1. Head-on, a bump at 2 m/s gives back 27 % of the speed.
+/// Damping ratio of that oscillator. A head-on impact at 2 m/s returns 27 % of the speed.
 const DAMPING: f64 = 0.4;
-/// Friction of the bumper on walls, 1: our choice.
+/// Friction coefficient of the bumper on walls: our choice.
 const FRICTION: f64 = 0.3;
-/// Sliding speed from which all of it rubs, m/s.
+/// Sliding speed at which friction reaches its full value, m/s.
 const SLIDING_M_S: f64 = 0.01;
 
-/// Why an outline cannot be computed.
+/// Error of a polygon that is no outline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`outline_m` needs at least three corners [x, y], counterclockwise and convex, around the frame's origin")]
 pub struct OutlineError;
@@ -30,38 +30,38 @@ pub struct OutlineError;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outline {
     corners_m: Vec<Point>,
-    /// Of the farthest corner, m.
+    /// Distance of the farthest corner from the origin, m.
     radius_m: f64,
-    /// Way that body and obstacles can go together before anything can touch, m.
+    /// Relative travel of body and obstacles before contact is possible, m.
     free_m: f64,
-    /// Half the sum of what pressed on it from both sides in its last step, N.
+    /// Half the sum of the transverse force components on both sides in the last step, N.
     squeezed_n: f64,
 }
 
-/// A force on a body, at a point.
+/// A force on a body and its point of action.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Push {
-    /// World frame, N.
+    /// Force in the world frame, N.
     pub(crate) force_n: Point,
-    /// World frame, m.
+    /// Point of action in the world frame, m.
     pub(crate) at_m: Point,
 }
 
-/// How a body stands and moves, world frame.
+/// Pose and motion of a body, world frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Moving {
     pub(crate) pose: Pose,
-    /// Of the frame's origin, m/s.
+    /// Velocity of the frame's origin, m/s.
     pub(crate) velocity_m_s: Point,
     pub(crate) yaw_rad_s: f64,
     pub(crate) mass_kg: f64,
 }
 
 impl Outline {
-    /// Around the origin of the body's frame.
+    /// An outline with the given corners, counterclockwise around the origin of the body's frame, m.
     ///
     /// # Errors
-    /// [`OutlineError`] where it is not convex, or the wrong way round.
+    /// [`OutlineError`] if it is not convex, or clockwise.
     pub fn new(corners_m: Vec<Point>) -> Result<Self, OutlineError> {
         let count = corners_m.len();
         let corner = |number: usize| corners_m[number % count];
@@ -76,7 +76,7 @@ impl Outline {
         Ok(Self { corners_m, radius_m, free_m: 0.0, squeezed_n: 0.0 })
     }
 
-    /// Its corners in the body's frame, m.
+    /// Corners in the body's frame, m.
     #[must_use]
     pub fn corners_m(&self) -> &[Point] {
         &self.corners_m
@@ -94,17 +94,17 @@ impl Outline {
         (0..corners.len()).map(to_edge).fold(f64::INFINITY, f64::min) - radius_m
     }
 
-    /// Forgets how far it was from everything: the body has been put elsewhere.
+    /// Resets the distance to obstacles after the body was moved to another pose.
     pub(crate) fn moved(&mut self) {
         self.free_m = 0.0;
     }
 
-    /// Force that squeezed it across in its last step, N.
+    /// Transverse squeeze in the last step, N.
     pub(crate) const fn squeezed_n(&self) -> f64 {
         self.squeezed_n
     }
 
-    /// Gives it other corners, which must be as [`Outline::new`] wants them.
+    /// Replaces the corners, which must satisfy the conditions of [`Outline::new`].
     pub(crate) fn reshape(&mut self, corners_m: &[Point]) {
         self.corners_m.clear();
         self.corners_m.extend_from_slice(corners_m);
@@ -112,8 +112,8 @@ impl Outline {
         self.free_m = 0.0;
     }
 
-    /// Gives `push` every force of the scene on it, and the boxes in it their reactions. Nothing is looked at before the body can have
-    /// come near.
+    /// Calls `push` with every contact force on the body, and applies the reactions to boxes. Obstacles are only
+    /// searched once the body may have reached one.
     pub(crate) fn touch(
         &mut self,
         scene: &mut Scene,
@@ -165,29 +165,30 @@ impl Outline {
 }
 
 impl Moving {
-    /// Force of the bumper that is pressed by `depth_m`, m, at a point, along the unit `normal` away from the obstacle.
+    /// Force of a bumper compressed by `depth_m`, m, at a point, along the unit vector `normal` away from the obstacle.
     fn pushed(&self, depth_m: f64, normal: Point, at_m: Point) -> Push {
         Self::bumped(self.velocity_at(at_m), self.mass_kg, depth_m, normal, at_m)
     }
 
-    /// The same by a box, which gives way: both masses swing on the spring.
+    /// As [`Moving::pushed`], for a movable box: the reduced mass of body and box oscillates on the spring.
     fn pushed_by(&self, one: &MovableBox, depth_m: f64, normal: Point, at_m: Point) -> Push {
         let mass_kg = self.mass_kg * one.spec().mass_kg / (self.mass_kg + one.spec().mass_kg);
         Self::bumped(minus(self.velocity_at(at_m), one.velocity_at(at_m)), mass_kg, depth_m, normal, at_m)
     }
 
-    /// World frame, m/s.
+    /// Velocity of a point of the body, world frame, m/s.
     fn velocity_at(&self, at_m: Point) -> Point {
         let arm = minus(at_m, [self.pose.x_m, self.pose.y_m]);
         plus(self.velocity_m_s, [-arm[1], arm[0]], self.yaw_rad_s)
     }
 
-    /// `velocity` is that of the body's point relative to the obstacle's, m/s; `mass_kg` swings on the spring.
+    /// Contact force for the velocity of the body's point relative to the obstacle's, m/s, and the mass on the spring,
+    /// kg.
     fn bumped(velocity: Point, mass_kg: f64, depth_m: f64, normal: Point, at_m: Point) -> Push {
         let away_m_s = dot(velocity, normal);
         let stiffness = mass_kg * STIFFNESS_RAD_S * STIFFNESS_RAD_S;
         let damping = 2.0 * DAMPING * mass_kg * STIFFNESS_RAD_S;
-        // It never pulls.
+        // a bumper never pulls
         let pressed_n = (stiffness * depth_m - damping * away_m_s).max(0.0);
         let along = [-normal[1], normal[0]];
         let sliding = (dot(velocity, along) / SLIDING_M_S).clamp(-1.0, 1.0);
@@ -196,7 +197,8 @@ impl Moving {
     }
 }
 
-/// Corners of the outline at a wall, and ends of the wall at the outline. `origin` is on the side to which the wall pushes.
+/// Contacts of the outline's corners with a wall, and of the wall's ends with the outline. `origin` is on the side to
+/// which the wall pushes.
 fn wall(segment: &Segment, corners: &[Point], origin: Point, mut press: impl FnMut(f64, Point, Point)) {
     let along = minus(segment.to, segment.from);
     let size = length(along);
@@ -233,7 +235,7 @@ fn post(disc: &Disc, corners: &[Point], mut press: impl FnMut(f64, Point, Point)
     }
 }
 
-/// Corners of a box within the bumper, and corners of the bumper, which is mitred here, within the box.
+/// Contacts of a box's corners with the bumper, and of the bumper's corners, mitred here, with the box.
 fn meet(one: &MovableBox, corners: &[Point], mut press: impl FnMut(f64, Point, Point)) {
     let (bumper, its_corners) = (mitred(corners), one.corners_m());
     for corner in its_corners {
@@ -248,14 +250,14 @@ fn meet(one: &MovableBox, corners: &[Point], mut press: impl FnMut(f64, Point, P
     }
 }
 
-/// Into a convex polygon that goes counterclockwise, across its edge from one corner to the next.
+/// Unit normal of the edge between two corners, into a convex counterclockwise polygon.
 fn inwards(from: Point, to: Point) -> Point {
     let along = minus(to, from);
     let size = length(along);
     [-along[1] / size, along[0] / size]
 }
 
-/// The outline with its bumper, whose corners are mitred.
+/// Corners of the outline offset by the bumper, with mitred corners.
 fn mitred(corners: &[Point]) -> Vec<Point> {
     let count = corners.len();
     let corner = |number: usize| {
@@ -268,7 +270,8 @@ fn mitred(corners: &[Point]) -> Vec<Point> {
     (0..count).map(corner).collect()
 }
 
-/// How far a point is inside a convex polygon that goes counterclockwise, m, by its nearest edge, and inwards across that; `None` outside.
+/// Depth of a point inside a convex counterclockwise polygon, m, from its nearest edge, and the inward normal of that
+/// edge; `None` outside.
 fn sunk(point: Point, corners: &[Point]) -> Option<(f64, Point)> {
     let mut nearest: Option<(f64, Point)> = None;
     for (number, to) in corners.iter().enumerate() {
@@ -285,7 +288,7 @@ fn sunk(point: Point, corners: &[Point]) -> Option<(f64, Point)> {
     nearest
 }
 
-/// A point that pokes at an edge of the outline, which gives way towards the inside. At corners [`wall`] has it already.
+/// Contact of a point with an edge of the outline, which yields inwards. Contacts at corners are found by [`wall`].
 fn poke(point: Point, corners: &[Point], press: &mut impl FnMut(f64, Point, Point)) {
     let mut shallowest: Option<(f64, Point)> = None;
     for (number, to) in corners.iter().enumerate() {
@@ -316,7 +319,7 @@ mod tests {
         Outline::new(vec![[half_m, -half_m], [half_m, half_m], [-half_m, half_m], [-half_m, -half_m]]).unwrap()
     }
 
-    /// Sum of forces and moment about the origin of a body at a pose, at rest.
+    /// Sum of the contact forces and their moment about the origin, for a body at rest at a pose.
     fn pushes(scene: &Scene, pose: Pose) -> (Point, f64) {
         let moving = Moving { pose, velocity_m_s: [0.0; 2], yaw_rad_s: 0.0, mass_kg: 10.0 };
         let (mut sum, mut moment) = ([0.0; 2], 0.0);
@@ -337,7 +340,7 @@ mod tests {
         assert_eq!(at(0.77), ([0.0; 2], 0.0), "the bumper ends at 0.78");
         let (force, moment) = at(0.79);
         assert!((force[0] + 2.0 * 0.01 * STIFFNESS_N_M).abs() < 1e-6 && force[1] == 0.0 && moment.abs() < 1e-9);
-        // From the other side the other way.
+        // from the other side it pushes the opposite way
         let (behind, _) = at(1.21);
         assert!((behind[0] - 2.0 * 0.01 * STIFFNESS_N_M).abs() < 1e-6, "{behind:?}");
     }
@@ -356,7 +359,8 @@ mod tests {
         assert!((moment - 0.1 * 0.01 * STIFFNESS_N_M).abs() < 1e-6, "{moment}");
     }
 
-    /// Corners of a box on the edge, corners of the outline on a wider box: the same depth pushes the same way, and the box back.
+    /// Corners of a box at an edge, and corners of the outline at a wider box: the same depth gives the same force, and
+    /// its reaction on the box.
     #[test]
     fn a_box_pushes_and_is_pushed_alike() {
         let moving = Moving { pose: Pose::default(), velocity_m_s: [0.0; 2], yaw_rad_s: 0.0, mass_kg: 10.0 };
@@ -366,7 +370,7 @@ mod tests {
             scene.add_box(spec, Pose { x_m: 0.31, ..Pose::default() }).unwrap();
             let mut sum = [0.0; 2];
             square(0.2).touch(&mut scene, 0.0, 0.0, &moving, |push| sum = plus(sum, push.force_n, 1.0));
-            // Two corners, half of the mass.
+            // two corners in contact, reduced mass half the body's
             assert!((sum[0] + 0.01 * STIFFNESS_N_M).abs() < 1e-6 && sum[1].abs() < 1e-9, "{across_m}: {sum:?}");
             scene.step_boxes(1e-3);
             let speed_m_s = scene.boxes()[0].velocity_at([0.31, 0.0])[0];

@@ -4,26 +4,27 @@
 const AIR_J_KG_K: f64 = 287.05;
 /// Temperature of the reference air of ISO 6358-1, 3.3, K: 100 kPa, 20 °C, 65 % relative humidity.
 const REFERENCE_K: f64 = 293.15;
-/// Density of the same, kg/m³.
+/// Density of the reference air of ISO 6358-1, kg/m³.
 pub(crate) const REFERENCE_KG_M3: f64 = 1.185;
-/// Standard atmosphere, Pa.
+/// Pressure of the standard atmosphere, Pa.
 pub const ATMOSPHERE_PA: f64 = 101_325.0;
 
-/// A valve, tube or leak as ISO 6358-1 describes it.
+/// Flow restriction (valve, tube or leak) as defined by ISO 6358-1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Restriction {
     /// Sonic conductance, m³/(s Pa) of reference air: 1e-8 is 1 dm³/(s bar).
     pub conductance_m3_s_pa: f64,
-    /// Critical pressure ratio, 0 to 1: below it the flow does not depend on the pressure behind. 0.2 to 0.5 for valves.
+    /// Critical ratio of downstream to upstream pressure, 0 to 1: below it the flow is choked and independent of the
+    /// downstream pressure. 0.2 to 0.5 for valves.
     pub critical_ratio: f64,
 }
 
 impl Restriction {
-    /// Pressure ratio above which the flow is taken as linear in the pressure difference (ISO 6358's law has an infinite slope at 1,
-    /// which no fixed step integrates).
+    /// Pressure ratio above which the flow is taken as linear in the pressure difference (ISO 6358's law has an
+    /// infinite slope at 1, which no fixed step integrates).
     const LAMINAR_RATIO: f64 = 0.999;
 
-    /// Mass flow from one side to the other at 20 °C, kg/s; negative from `to_pa` to `from_pa`.
+    /// Mass flow from `from_pa` to `to_pa` at 20 °C, kg/s; negative in the other direction. Pressures are absolute.
     #[must_use]
     pub fn flow_kg_s(&self, from_pa: f64, to_pa: f64) -> f64 {
         if to_pa > from_pa {
@@ -44,14 +45,14 @@ impl Restriction {
         choked_kg_s * share
     }
 
-    /// Flow over the choked one at a pressure ratio above the critical one.
+    /// Ratio of the flow to the choked one, above the critical pressure ratio.
     fn subsonic(&self, ratio: f64) -> f64 {
         let over = (ratio - self.critical_ratio) / (1.0 - self.critical_ratio);
         (1.0 - over * over).max(0.0).sqrt()
     }
 
-    /// Highest rate at which the flow evens out the pressure of a chamber of `volume_m3` with its surroundings, 1/s: that near equal
-    /// pressures. Times a step's length it must stay below 1, or the pressure of [`Chamber::step`] swings.
+    /// Largest relaxation rate of the pressure in a chamber of `volume_m3` towards its environment, 1/s: that near
+    /// equal pressures. Its product with the step must stay below 1, or the pressure of [`Chamber::step`] oscillates.
     #[must_use]
     pub fn relaxation_per_s(&self, volume_m3: f64, polytropic_exponent: f64) -> f64 {
         let steepest = self.subsonic(Self::LAMINAR_RATIO) / (1.0 - Self::LAMINAR_RATIO);
@@ -63,35 +64,35 @@ impl Restriction {
 /// Air in a volume that may change.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Chamber {
-    /// Pa
+    /// Absolute pressure inside, Pa.
     pub pressure_pa: f64,
-    /// m³
+    /// Volume of the chamber, m³.
     pub volume_m3: f64,
-    /// 1 for air that keeps the walls' temperature, 1.4 for air that exchanges no heat.
+    /// Polytropic exponent: 1 for isothermal air, 1.4 for adiabatic.
     pub polytropic_exponent: f64,
 }
 
 impl Chamber {
-    /// At the pressure of the atmosphere.
+    /// A chamber at atmospheric pressure.
     #[must_use]
     pub const fn at_rest(volume_m3: f64, polytropic_exponent: f64) -> Self {
         Self { pressure_pa: ATMOSPHERE_PA, volume_m3, polytropic_exponent }
     }
 
-    /// One step: `inflow_kg_s` at 20 °C comes in while the volume grows to `volume_m3`.
+    /// Advances by one step, in which `inflow_kg_s` at 20 °C enters while the volume changes to `volume_m3`.
     ///
     /// Second order in the step: `dp/dt = n / V (R T ṁ - p dV/dt)` (energy balance of an ideal gas with a polytropic exponent).
     pub fn step(&mut self, inflow_kg_s: f64, volume_m3: f64, step_s: f64) {
         let exponent = self.polytropic_exponent;
         let middle_m3 = f64::midpoint(self.volume_m3, volume_m3);
-        // What is there expands as p V^n, what comes in adds to it.
+        // the content expands as p V^n, the inflow adds to it
         let expanded_pa = self.pressure_pa * libm::pow(self.volume_m3 / volume_m3, exponent);
         let added_pa = exponent * AIR_J_KG_K * REFERENCE_K * inflow_kg_s * step_s / middle_m3;
         self.pressure_pa = (expanded_pa + added_pa).max(0.0);
         self.volume_m3 = volume_m3;
     }
 
-    /// Pressure above that of the atmosphere, Pa.
+    /// Pressure above atmosphere (gauge), Pa.
     #[must_use]
     pub fn gauge_pa(&self) -> f64 {
         self.pressure_pa - ATMOSPHERE_PA
@@ -106,19 +107,20 @@ mod tests {
 
     const VALVE: Restriction = Restriction { conductance_m3_s_pa: 1e-8, critical_ratio: 0.3 };
 
-    /// The definition of sonic conductance: 1 dm³/(s bar) passes 6 dm³/s of reference air at 6 bar absolute into the atmosphere.
+    /// Definition of sonic conductance: 1 dm³/(s bar) passes 6 dm³/s of reference air at 6 bar absolute into the
+    /// atmosphere.
     #[test]
     fn a_choked_valve_passes_its_conductance() {
         let flow_kg_s = VALVE.flow_kg_s(6e5, 1e5);
         assert!((flow_kg_s / (6e-3 * 1.185) - 1.0).abs() < 1e-12, "{flow_kg_s}");
-        // Any pressure behind it below the critical ratio is the same.
+        // any downstream pressure below the critical ratio gives the same flow
         assert_eq!(VALVE.flow_kg_s(6e5, 0.0), flow_kg_s);
-        // ISO 6358's example of the ellipse: half way between critical ratio and 1 it is sqrt(1 - 1/4).
+        // ISO 6358's example of the ellipse: half way between critical ratio and 1 it is sqrt(1 - 1/4)
         let half = VALVE.flow_kg_s(1e5, 0.65e5) / VALVE.flow_kg_s(1e5, 0.0);
         assert!((half - 0.75_f64.sqrt()).abs() < 1e-12, "{half}");
     }
 
-    /// `t = V / (C rho0 R T0 n)` is the time in which a choked vessel falls to 1/e: p' = -n R T C rho0 p / V.
+    /// Time constant `t = V / (C rho0 R T0 n)` of a vessel with choked outflow: p' = -n R T C rho0 p / V.
     #[test]
     fn a_vessel_empties_with_its_time_constant() {
         let mut vessel = Chamber { pressure_pa: 20e5, volume_m3: 1e-3, polytropic_exponent: 1.0 };
@@ -127,7 +129,7 @@ mod tests {
             let outflow_kg_s = VALVE.flow_kg_s(vessel.pressure_pa, 1e5);
             vessel.step(-outflow_kg_s, 1e-3, time_constant_s * 1e-4);
         }
-        // An explicit step of T/10 000 is off by 1/2 of that.
+        // an explicit step of T/10 000 is off by half of that
         let expected_pa = 20e5 / std::f64::consts::E;
         assert!((vessel.pressure_pa / expected_pa - 1.0).abs() < 1e-4, "{}", vessel.pressure_pa);
     }
@@ -144,7 +146,8 @@ mod tests {
         }
     }
 
-    /// At nine tenths of the limit an explicit step comes near the pressure outside from one side; beyond twice the limit it runs away.
+    /// At nine tenths of the limit an explicit step approaches the outside pressure from one side; beyond twice the
+    /// limit it diverges.
     #[test]
     fn a_step_is_stable_up_to_its_limit() {
         let volume_m3 = 1e-6;
@@ -169,8 +172,8 @@ mod tests {
             let flow = valve.flow_kg_s(from_pa, to_pa);
             prop_assert_eq!(valve.flow_kg_s(to_pa, from_pa), -flow);
             prop_assert!(flow * (from_pa - to_pa) >= 0.0);
-            // A thousandth of a pascal more changes it by no more than the steepest place of the law, at the laminar limit: there the
-            // slope is sqrt(2 / 0.001 / (1 - b)) / p at most.
+            // A thousandth of a pascal changes the flow by at most the steepest slope of the law, at the laminar limit:
+            // sqrt(2 / 0.001 / (1 - b)) / p.
             let next = valve.flow_kg_s(from_pa, to_pa + 1e-3);
             let steepest = 1e-8 * 1.185 * (2.0 / 1e-3 / (1.0 - ratio)).sqrt() * 2.0;
             prop_assert!((next - flow).abs() <= steepest * 1e-3 + 1e-18, "{} {}", flow, next);

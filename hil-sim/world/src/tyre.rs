@@ -1,22 +1,22 @@
-//! A tyre's contact with the ground: a brush of bristles that bend, roll out of the contact patch, and slide.
+//! Contact of a tyre with the ground: a brush of bristles that bend, roll out of the contact patch, and slide.
 //!
-//! The bristles bend by the slip velocity and roll out within the relaxation length, so that a steady slip bends them in proportion to
-//! it and a standing wheel is held by a spring:
+//! The bristles bend by the slip velocity and roll out within the relaxation length, so a steady slip bends them in
+//! proportion to it and a standing wheel is held by a spring:
 //!
 //! ```text
 //! dz/dt = v_slip - |v_rim| z / L          z: deflection, L: relaxation length
 //! f     = z / (c L)                       steady: f = v_slip / (c |v_rim|)
 //! ```
 //!
-//! `f` is the force of bristles that all adhere. [`SlipLaw`] says how much of it is left when those at the rear of the patch slide; at
-//! most friction times normal force. A deflection beyond that does not grow, so that a wheel that slid adheres at once when it
-//! stops sliding.
+//! `f` is the force of bristles that all adhere. [`SlipLaw`] gives the share that remains while those at the rear of
+//! the patch slide; the limit is friction times normal force. A deflection beyond that does not grow, so a sliding
+//! wheel adheres at once when it stops sliding.
 //!
 //! # Source
 //! Pacejka, *Tire and Vehicle Dynamics*, 3rd edition, Butterworth-Heinemann 2012: the brush model, 3.2; the relaxation length with a
 //! standing wheel and its damping, 8.6.
 
-/// How force follows slip on the way to friction.
+/// Law by which the force follows slip up to the friction limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SlipLaw {
     /// The brush with a parabolic distribution of pressure: `F = mu N (3 r - 3 r² + r³)` with `r = f / 3 mu N`.
@@ -26,20 +26,21 @@ pub enum SlipLaw {
     Linear,
 }
 
-/// A tyre on the ground.
+/// Parameters of a tyre on the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tyre {
-    /// Slip per force along and across the wheel, 1/N: slip velocity over rim speed. `c_long` and `c_lat` of a `wheel_slip` plugin.
+    /// Slip (slip velocity over rim speed) per force, along and across the wheel, 1/N: `c_long` and `c_lat` of a
+    /// `wheel_slip` plugin.
     pub compliance_per_n: [f64; 2],
-    /// Most force per normal force, 1.
+    /// Friction coefficient: largest force over normal force.
     pub friction: f64,
-    /// How far the wheel rolls until a force has followed slip by 1 - 1/e, m.
+    /// Relaxation length, m: distance over which a force follows slip by 1 - 1/e.
     pub relaxation_m: f64,
-    /// Law of sliding.
+    /// Law of partial sliding.
     pub law: SlipLaw,
 }
 
-/// Why a tyre cannot be computed.
+/// Reasons why a tyre cannot be simulated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TyreError {
     /// A compliance is not positive and finite.
@@ -62,10 +63,10 @@ impl Tyre {
     pub const TYPICAL: Self =
         Self { compliance_per_n: [0.005, 0.02], friction: 0.8, relaxation_m: 0.03, law: SlipLaw::Brush };
 
-    /// The same tyre, if it can be computed.
+    /// Returns the tyre if its parameters are valid.
     ///
     /// # Errors
-    /// The first field that is wrong.
+    /// [`TyreError`] names the first invalid field.
     pub fn checked(self) -> Result<Self, TyreError> {
         let positive = |value: f64| value > 0.0 && value.is_finite();
         if !self.compliance_per_n.into_iter().all(positive) {
@@ -81,7 +82,7 @@ impl Tyre {
     }
 }
 
-/// A tyre as its contact is computed.
+/// Constants of a tyre, precomputed for its contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Springs {
     /// Force of all bristles per deflection along and across the wheel, N/m.
@@ -100,10 +101,12 @@ impl From<&Tyre> for Springs {
     }
 }
 
-/// Rim speed below which a standing wheel's bristles are damped, m/s: above it rolling out damps more than that.
+/// Rim speed below which a standing wheel's bristles are damped, m/s: above it, rolling out gives more damping than
+/// that.
 const STANDING_M_S: f64 = 0.1;
-/// Force of the bristles' own damping, as the time in which a slip velocity bends them as much, s. A robot of 12 kg that stands on
-/// four wheels of 0.005 1/N and 0.05 m and is pushed then swings with a tenth after a period of 0.17 s; with half of it, a third.
+/// Damping of the bristles, s: the time in which a slip velocity causes an equal deflection. A standing robot of 12 kg
+/// on four wheels of 0.005 1/N and 0.05 m then oscillates after a push with a tenth of the amplitude after a period of
+/// 0.17 s; with half the damping, with a third.
 const DAMPING_S: f64 = 20e-3;
 
 /// State of one contact.
@@ -116,8 +119,9 @@ pub struct Contact {
 impl Contact {
     /// Force of the ground on the wheel, along and across it, N, over a step of `step_s`.
     ///
-    /// `springs` are those of its tyre; `slip_m_s` is the velocity of the rim's contact point over the ground, along and across; `rim_m_s` the speed at which the wheel
-    /// rolls; `normal_n` the force it stands on the ground with; `friction` replaces the tyre's where the ground has its own.
+    /// `springs` are those of its tyre; `slip_m_s` is the velocity of the rim's contact point over the ground, along
+    /// and across; `rim_m_s` is the rolling speed of the rim; `normal_n` is the normal force; `friction` is the
+    /// coefficient of the tyre, or of the ground if it has its own.
     pub fn step(
         &mut self,
         springs: &Springs,
@@ -132,9 +136,9 @@ impl Contact {
             *self = Self::default();
             return [0.0; 2];
         }
-        // Backward Euler: stable however far the wheel rolls in a step, and exact once it has settled.
+        // backward Euler: stable for any distance rolled in a step, and exact in the steady state
         let kept = 1.0 / (1.0 + rim_m_s.abs() * step_s * springs.per_relaxation_m);
-        // As far as bristles bend when all of them slide.
+        // deflection force at which all bristles slide
         let slides_n = if springs.law == SlipLaw::Brush { 3.0 * most_n } else { most_n };
         let [long_n_m, lat_n_m] = springs.stiffness_n_m;
         let [mut long_m, mut lat_m] = self.deflection_m;
@@ -149,7 +153,7 @@ impl Contact {
         let damped_s = (1.0 - rim_m_s.abs() * (1.0 / STANDING_M_S)).max(0.0) * DAMPING_S;
         let adhering_n = [-long_n_m * (long_m + damped_s * slip_m_s[0]), -lat_n_m * (lat_m + damped_s * slip_m_s[1])];
         let size_n = squared(adhering_n).sqrt();
-        // Share of that force that remains while the rear of the patch slides.
+        // share of that force that remains while the rear of the patch slides
         let left = match springs.law {
             SlipLaw::Linear if size_n <= most_n => 1.0,
             SlipLaw::Brush if size_n < slides_n => {
@@ -178,7 +182,7 @@ mod tests {
         Tyre { compliance_per_n: [0.005, 0.02], friction: 0.8, relaxation_m: 0.05, law }
     }
 
-    /// Force after so long at a constant slip.
+    /// Force after settling at a constant slip.
     fn settled(tyre: &Tyre, slip_m_s: [f64; 2], rim_m_s: f64, normal_n: f64) -> [f64; 2] {
         let mut contact = Contact::default();
         let steps = (20.0 * tyre.relaxation_m / rim_m_s / STEP_S) as usize;
@@ -189,8 +193,8 @@ mod tests {
     }
 
     proptest! {
-        /// `F = v_slip / (c v_rim)` for little slip, whatever the normal force: exact for the linear law, and but for the share that
-        /// slides, the first term left out, for the brush.
+        /// Force `F = v_slip / (c v_rim)` for small slip, for any normal force: exact for the linear law, and for the
+        /// brush up to the share that slides, its first neglected term.
         #[test]
         fn little_slip_makes_a_force_in_proportion(
             slip in -1e-3..1e-3f64, across in -1e-3..1e-3f64, rim_m_s in 0.2..3.0f64, normal_n in 20.0..200.0f64,
@@ -202,7 +206,7 @@ mod tests {
                 let size = expected[0].hypot(expected[1]);
                 let sliding = if law == SlipLaw::Brush { size / (3.0 * tyre.friction * normal_n) } else { 0.0 };
                 for (got, expected) in force.into_iter().zip(expected) {
-                    // exp(-20) of it has not settled.
+                    // exp(-20) of it has not settled
                     prop_assert!((got - expected).abs() <= (sliding + 1e-8) * size, "{got} {expected}");
                 }
             }
@@ -223,7 +227,7 @@ mod tests {
         }
     }
 
-    /// All bristles slide, in the direction of the slip if both ways are as stiff.
+    /// All bristles slide, in the direction of the slip if both stiffnesses are equal.
     #[test]
     fn a_locked_wheel_brakes_with_friction() {
         let tyre = Tyre { compliance_per_n: [0.005; 2], ..tyre(SlipLaw::Brush) };
@@ -231,7 +235,7 @@ mod tests {
         let force =
             (0..4000).map(|_| contact.step(&Springs::from(&tyre), 0.8, [3.0, 4.0], 0.0, 100.0, STEP_S)).last().unwrap();
         assert!((force[0] + 48.0).abs() < 1e-9 && (force[1] + 64.0).abs() < 1e-9, "{force:?}");
-        // Back by half of the deflection that slides, 3 mu N c L = 60 mm, at 1 m/s: the rest adheres.
+        // back by half of the deflection at sliding, 3 mu N c L = 60 mm, at 1 m/s: the rest adheres
         let back = (0..120)
             .map(|_| contact.step(&Springs::from(&tyre), 0.8, [-0.6, -0.8], 0.0, 100.0, STEP_S))
             .last()
@@ -241,7 +245,7 @@ mod tests {
         assert!((back[0] + 0.6 * left).abs() < 1e-6 && (back[1] + 0.8 * left).abs() < 1e-6, "{back:?}, {left}");
     }
 
-    /// Two thirds of what sliding takes leave `1 - (1 - 2/3)³` of friction.
+    /// Two thirds of the slip at full sliding leave `1 - (1 - 2/3)³` of friction.
     #[test]
     fn a_brush_slides_from_the_rear() {
         let tyre = tyre(SlipLaw::Brush);

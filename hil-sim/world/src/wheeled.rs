@@ -1,17 +1,19 @@
-//! A rigid chassis on wheels: skid-steer, differential and Ackermann robots, by which wheels are driven and which are steered.
+//! Rigid chassis on wheels: skid-steer, differential and Ackermann robots, depending on the driven and the steered
+//! wheels.
 //!
 //! ```text
 //! m (dvx/dt - w vy) = sum Fx         Iz dw/dt = sum (x Fy - y Fx)
 //! m (dvy/dt + w vx) = sum Fy         load of a shaft = -F_long R
 //! ```
 //!
-//! Wheels are stiff springs of equal rate under a stiff chassis: each stands on the ground with what weight and the acceleration of the
-//! last step press on it ([`Chassis::height_m`]); one that would be pulled stands in the air. The robot neither pitches nor rolls.
-//! A wheel's own inertia belongs to its shaft's plant, and nothing of the robot's mass.
+//! Wheels are stiff springs of equal rate under a stiff chassis: each has the normal force due to weight and the
+//! acceleration of the last step ([`Chassis::height_m`]); a wheel with a negative one is in the air. The robot neither
+//! pitches nor rolls. A wheel's own inertia belongs to its shaft's plant and is no part of the robot's mass.
 //!
 //! # Accuracy
-//! Forces hold over a step: first order in [`crate::MAX_STEP_S`]. Stable while a step is short against the time in which the tyres'
-//! springs move a wheel: `dt < 2 sqrt(J c L) / R`, which [`Wheeled::new`] cannot check, for inertias `J` are the plants'.
+//! Forces hold over a step: first order in [`crate::MAX_STEP_S`]. Stable while a step is short against the time in
+//! which the tyres' springs move a wheel: `dt < 2 sqrt(J c L) / R`, which [`Wheeled::new`] cannot check because the
+//! inertias `J` belong to the plants.
 
 use crate::{
     GRAVITY_M_S2,
@@ -21,16 +23,16 @@ use crate::{
     tyre::{Contact, Springs, Tyre, TyreError},
 };
 
-/// What the wheels carry.
+/// Mass properties of the chassis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Chassis {
-    /// Everything but the rotating parts, kg.
+    /// Mass of everything but the rotating parts, kg.
     pub mass_kg: f64,
-    /// About the vertical axis through the centre of mass, kg m².
+    /// Moment of inertia about the vertical axis through the centre of mass, kg m².
     pub inertia_kg_m2: f64,
     /// Centre of mass in the body's frame, m.
     pub centre_m: [f64; 2],
-    /// Of the centre of mass over the ground, m: what moves load between wheels.
+    /// Height of the centre of mass above the ground, m, which causes load transfer between wheels.
     pub height_m: f64,
 }
 
@@ -39,34 +41,35 @@ pub struct Chassis {
 pub struct Wheel {
     /// Contact point when not steered, m.
     pub place_m: [f64; 2],
-    /// m.
+    /// Radius of the wheel, m.
     pub radius_m: f64,
-    /// Shaft that drives it, by its number; `None` rolls freely without inertia.
+    /// Shaft number that drives it; `None` rolls freely without inertia.
     pub shaft: Option<usize>,
-    /// Whether a positive speed of the shaft drives backwards.
+    /// True if a positive speed of the shaft drives backwards.
     pub inverted: bool,
-    /// Whether the [`Axle`] steers it.
+    /// True if the [`Axle`] steers the wheel.
     pub steered: bool,
-    /// Its tyre; `None` for a caster or ball that carries and slides without friction.
+    /// Tyre of the wheel; `None` for a caster or ball that carries and slides without friction.
     pub tyre: Option<Tyre>,
 }
 
 /// Steering of an Ackermann robot: wheels turn about one point on the line through the axle that is not steered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Axle {
-    /// Shaft whose position steers, by its number.
+    /// Shaft number whose position steers.
     pub shaft: usize,
     /// Angle of a wheel in the middle per unit of the shaft's position, rad/rad or rad/m.
     pub rad_per_unit: f64,
-    /// Position of the shaft at which wheels point straight ahead, rad or m.
+    /// Position of the shaft for straight wheels, rad or m.
     pub straight: f64,
-    /// x of the axle that is not steered, in the body's frame, m.
+    /// Position of the axle that is not steered, x in the body's frame, m.
     pub fixed_x_m: f64,
-    /// Distance behind the steering axis at which the tyre's lateral force acts, m: what the actuator has to hold.
+    /// Trail: distance behind the steering axis at which the tyre's lateral force acts, m. The actuator holds the
+    /// resulting torque.
     pub trail_m: f64,
 }
 
-/// Why a chassis cannot be computed.
+/// Reasons why a chassis cannot be simulated.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum ChassisError {
     /// Mass or inertia is not positive, or the height is negative.
@@ -75,23 +78,23 @@ pub enum ChassisError {
     /// A wheel's radius is not positive, or its place not finite.
     #[error("wheel {wheel}: `radius_m` must be positive and `place_m` finite")]
     Wheel {
-        /// Its number, from 0.
+        /// Index of the wheel, from 0.
         wheel: usize,
     },
-    /// A wheel's tyre.
+    /// Parameters of a wheel's tyre.
     #[error("wheel {wheel}: {source}")]
     Tyre {
-        /// Its number, from 0.
+        /// Index of the wheel, from 0.
         wheel: usize,
-        /// What is wrong.
+        /// Error of the tyre.
         source: TyreError,
     },
     /// A shaft that the body does not have.
     #[error("there is no shaft {shaft}: the body couples {shafts}")]
     Shaft {
-        /// Its number.
+        /// Shaft number that was given.
         shaft: usize,
-        /// How many there are.
+        /// Number of shafts of the body.
         shafts: usize,
     },
     /// Wheels on one line, or fewer than three, do not carry a chassis.
@@ -107,7 +110,7 @@ pub enum ChassisError {
     Axle,
 }
 
-/// A chassis on wheels.
+/// A chassis on wheels with its state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wheeled {
     chassis: Chassis,
@@ -115,31 +118,32 @@ pub struct Wheeled {
     axle: Option<Axle>,
     shafts: usize,
     contacts: Vec<Contact>,
-    /// Of each wheel's tyre.
+    /// Precomputed constants of each wheel's tyre; `None` for a caster.
     springs: Vec<Option<Springs>>,
     /// Normal force of each wheel, N; 0 in the air.
     normals_n: Vec<f64>,
-    /// Normal force of each wheel for a weight of 1 N, and for moments of 1 N m that press forward and left wheels down.
+    /// Normal force of each wheel for a weight of 1 N, and for moments of 1 N m that load front and left wheels.
     support: Vec<[f64; 3]>,
-    /// What bumps into things; `None` passes through them.
+    /// Outline that collides with obstacles; `None` passes through them.
     outline: Option<Outline>,
     pose: Pose,
     twist: Twist,
-    /// Of the centre of mass over the last step, body frame, m/s².
+    /// Acceleration of the centre of mass over the last step, body frame, m/s².
     acceleration_m_s2: [f64; 2],
-    /// What of it is gravity along a slope.
+    /// Component of that acceleration due to gravity along a slope.
     downhill_m_s2: [f64; 2],
-    /// Over the last step.
+    /// Yaw acceleration over the last step, rad/s².
     yaw_rad_s2: f64,
-    /// What pushes it in its next step beside wheels and outline: body frame, N, and moment about the centre of mass, N m.
+    /// Additional force for the next step, besides wheels and outline: body frame, N, and moment about the centre of
+    /// mass, N m.
     pushed: [f64; 3],
 }
 
 impl Wheeled {
-    /// At rest at the origin.
+    /// A body at rest at the origin.
     ///
     /// # Errors
-    /// [`ChassisError`] names what cannot be computed.
+    /// [`ChassisError`] names the part whose parameters are out of range.
     pub fn new(chassis: Chassis, wheels: Vec<Wheel>, axle: Option<Axle>, shafts: usize) -> Result<Self, ChassisError> {
         let positive = |value: f64| value > 0.0 && value.is_finite();
         let finite = |place: [f64; 2]| place.into_iter().all(f64::is_finite);
@@ -196,13 +200,13 @@ impl Wheeled {
         Ok(body)
     }
 
-    /// Gives it an outline, which bumps into what stands in its way.
+    /// Adds an outline, which collides with obstacles.
     #[must_use]
     pub fn with_outline(self, outline: Outline) -> Self {
         Self { outline: Some(outline), ..self }
     }
 
-    /// The same body of other numbers, at rest at the same place.
+    /// The same body with changed parameters, at rest at the same pose.
     ///
     /// # Errors
     /// As [`Wheeled::new`].
@@ -221,13 +225,13 @@ impl Wheeled {
         &self.chassis
     }
 
-    /// Its steering; `None` for a robot that steers by its wheels' speeds.
+    /// Steering of the body; `None` for a robot that steers by its wheels' speeds.
     #[must_use]
     pub fn axle(&self) -> Option<&Axle> {
         self.axle.as_ref()
     }
 
-    /// Its wheels.
+    /// Wheels of the body.
     #[must_use]
     pub fn wheels(&self) -> &[Wheel] {
         &self.wheels
@@ -239,7 +243,7 @@ impl Wheeled {
         &self.normals_n
     }
 
-    /// Takes a force at a point, body frame, N and m, for its next step.
+    /// Adds a force at a point, body frame, N and m, for the next step.
     pub(crate) fn push(&mut self, [forward_n, left_n]: [f64; 2], at_m: [f64; 2]) {
         let arm_m = [at_m[0] - self.chassis.centre_m[0], at_m[1] - self.chassis.centre_m[1]];
         self.pushed[0] += forward_n;
@@ -247,12 +251,12 @@ impl Wheeled {
         self.pushed[2] += arm_m[0] * left_n - arm_m[1] * forward_n;
     }
 
-    /// Its outline, to be reshaped.
+    /// Outline of the body, for reshaping.
     pub(crate) fn outline_mut(&mut self) -> Option<&mut Outline> {
         self.outline.as_mut()
     }
 
-    /// Presses the wheels down by weight and acceleration.
+    /// Updates the wheels' normal forces from weight and acceleration.
     fn press(&mut self) {
         let Chassis { mass_kg, height_m, .. } = self.chassis;
         let [forward_nm, left_nm] = self.acceleration_m_s2.map(|acceleration| -mass_kg * acceleration * height_m);
@@ -290,12 +294,12 @@ impl Wheeled {
         sum
     }
 
-    /// Angle at which a wheel is steered, rad, and by how much that grows with the shaft's position.
+    /// Steering angle of a wheel, rad, and its derivative by the shaft's position.
     fn steered(&self, wheel: &Wheel, shafts: &[ShaftMotion]) -> (f64, f64) {
         let Some(axle) = self.axle.filter(|_| wheel.steered) else { return (0.0, 0.0) };
         let position = shafts.get(axle.shaft).map_or(0.0, |shaft| shaft.position);
         let middle = (position - axle.straight) * axle.rad_per_unit;
-        // About the point from which the middle of the axle is seen under that angle.
+        // Ackermann geometry: all wheels turn about the point given by the steering angle in the middle of the axle
         let (tan, wheelbase_m) = (libm::tan(middle), wheel.place_m[0] - axle.fixed_x_m);
         (libm::atan(wheelbase_m * tan / (wheelbase_m - wheel.place_m[1] * tan)), axle.rad_per_unit)
     }
@@ -318,7 +322,7 @@ impl Body for Wheeled {
             let (along, across) = (cos * forward + sin * left, cos * left - sin * forward);
             let way = if wheel.inverted { -1.0 } else { 1.0 };
             let driven = wheel.shaft.and_then(|shaft| shafts.get(shaft));
-            // A wheel that rolls freely turns as the ground has it.
+            // a freely rolling wheel turns with the ground
             let rim_m_s = driven.map_or(along, |shaft| way * shaft.speed * wheel.radius_m);
             let slip = [along - rim_m_s, across];
             let floor = if scene.is_plain() { None } else { scene.floor(self.pose.to_world(wheel.place_m)).friction };
@@ -349,8 +353,8 @@ impl Body for Wheeled {
             left_m_s: left_m_s + (self.acceleration_m_s2[1] - yaw_rad_s * forward_m_s) * step_s,
             yaw_rad_s: yaw_rad_s + self.yaw_rad_s2 * step_s,
         };
-        // By the mean velocity of the step: with that of its end alone a robot that speeds up to 0.47 m/s is 0.12 mm ahead of its
-        // wheels, of 3 mm that soft tyres slip meanwhile.
+        // Mean velocity of the step: with that of its end alone a robot that accelerates to 0.47 m/s is 0.12 mm ahead
+        // of its wheels, compared with 3 mm of slip of soft tyres.
         self.pose = self.pose.moved(before.mean(self.twist()), step_s);
         scene.step_boxes(step_s);
     }
@@ -370,7 +374,7 @@ impl Body for Wheeled {
     }
 
     fn twist(&self) -> Twist {
-        // Kept is that of the centre of mass.
+        // the state is the velocity of the centre of mass
         let [x_m, y_m] = self.chassis.centre_m;
         let [forward_m_s, left_m_s] = self.twist.at([-x_m, -y_m]);
         Twist { forward_m_s, left_m_s, ..self.twist }
@@ -383,7 +387,7 @@ impl Body for Wheeled {
             specific_force_m_s2: [
                 forward_m_s2 - self.downhill_m_s2[0],
                 left_m_s2 - self.downhill_m_s2[1],
-                // It neither rises nor tilts: on a slope the sum is larger than gravity by its square, 0.5 % at 10 %.
+                // the robot neither rises nor tilts: on a slope the sum exceeds gravity by the square, 0.5 % at 10 %
                 GRAVITY_M_S2,
             ],
             rate_rad_s: [0.0, 0.0, self.twist.yaw_rad_s],
@@ -397,8 +401,8 @@ impl Body for Wheeled {
     }
 }
 
-/// Normal forces of wheels, stiff springs of equal rate under a stiff chassis, by weight and moments: `N = a + b x + c y` with the sums
-/// that balance. `None` where that has no solution.
+/// Normal forces of wheels, stiff springs of equal rate under a stiff chassis, by weight and moments:
+/// `N = a + b x + c y` with the sums that balance. `None` if that has no solution.
 fn support(wheels: &[Wheel], centre_m: [f64; 2]) -> Option<Vec<[f64; 3]>> {
     let arms = wheels.iter().map(|wheel| [wheel.place_m[0] - centre_m[0], wheel.place_m[1] - centre_m[1]]);
     let arms: Vec<_> = arms.collect();
@@ -412,7 +416,7 @@ fn support(wheels: &[Wheel], centre_m: [f64; 2]) -> Option<Vec<[f64; 3]>> {
     Some(arms.iter().map(|arm| [force(weight, arm), force(pitch, arm), force(roll, arm)]).collect())
 }
 
-/// Cramer's rule; `None` for wheels on one line, to rounding.
+/// Solves a linear system by Cramer's rule; `None` for wheels on one line, to rounding.
 fn solved(matrix: [[f64; 3]; 3], right: [f64; 3]) -> Option<[f64; 3]> {
     let determinant = |m: [[f64; 3]; 3]| {
         m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
@@ -460,7 +464,7 @@ mod tests {
         places.into_iter().enumerate().map(wheel).collect()
     }
 
-    /// Turns the shafts at these speeds for so long, whatever their loads; returns those of the last step.
+    /// Runs the shafts at constant speeds for `duration_s`, whatever their loads; returns the loads of the last step.
     fn run(body: &mut Wheeled, speeds: &[f64], duration_s: f64) -> Vec<f64> {
         let shafts: Vec<_> = speeds.iter().map(|speed| ShaftMotion { position: 0.0, speed: *speed }).collect();
         let mut loads = vec![0.0; speeds.len()];
@@ -470,8 +474,8 @@ mod tests {
         loads
     }
 
-    /// `b F_long = l F_lat` with the linear law: `w / w_t = r b² / (l² + r b²)`, `r = c_lat / c_long` (Trimble, Fox 2023, the ratio
-    /// of the two tests, solved for the rate).
+    /// Balance `b F_long = l F_lat` with the linear law: `w / w_t = r b² / (l² + r b²)`, `r = c_lat / c_long` (Trimble,
+    /// Fox 2023, the ratio of the two tests, solved for the rate).
     #[test]
     fn a_spin_turns_as_the_ratio_of_the_compliances_says() {
         for ratio in [1.0, 5.0, 10.0] {
@@ -483,13 +487,13 @@ mod tests {
             let (l2, b2) = (HALF_BASE_M * HALF_BASE_M, HALF_TRACK_M * HALF_TRACK_M);
             let expected = rim_m_s / HALF_TRACK_M * ratio * b2 / (l2 + ratio * b2);
             let Twist { forward_m_s, left_m_s, yaw_rad_s } = body.twist();
-            // Settled to rounding: it is an equilibrium, which no step length moves.
+            // settled to rounding: an equilibrium, independent of the step length
             assert!((yaw_rad_s / expected - 1.0).abs() < 1e-9, "{yaw_rad_s}, {expected}");
             assert!(forward_m_s.abs() < 1e-9 && left_m_s.abs() < 1e-9);
         }
     }
 
-    /// `v² / 2 mu g`, with load moving to the front wheels meanwhile, which keeps the sum.
+    /// Braking distance `v² / 2 mu g`; the load transfer to the front wheels keeps the sum.
     #[test]
     fn locked_wheels_brake_within_the_distance_of_friction() {
         for (height_m, law) in [(0.0, SlipLaw::Linear), (0.15, SlipLaw::Brush)] {
@@ -505,14 +509,14 @@ mod tests {
                 farthest_m = farthest_m.max(body.pose().x_m - before);
             }
             let expected_m = 2.0 * 2.0 / (2.0 * 0.8 * GRAVITY_M_S2);
-            // No shorter, to a step at 2 m/s; longer while bristles bend, by less than half of the mu N c L at which those of the
-            // linear law slide, 2.9 mm, or a quarter of three times that.
+            // Not shorter, except for a step at 2 m/s; longer while bristles bend, by less than half of the mu N c L at
+            // which those of the linear law slide, 2.9 mm, or a quarter of three times that.
             assert!((-5e-4..5e-3).contains(&(farthest_m - expected_m)), "{farthest_m}, {expected_m}");
             assert!(body.twist().forward_m_s.abs() < 1e-3, "it stands");
         }
     }
 
-    /// What the ground gives the chassis it takes from the shafts.
+    /// Force balance: the ground's force on the chassis equals the load of the shafts.
     #[test]
     fn shafts_carry_the_force_that_drives() {
         let mut body = Wheeled::new(CHASSIS, wheels(TYRE), None, 4).unwrap();
@@ -521,7 +525,7 @@ mod tests {
         assert!(forward > 0.1);
         let force_n = -loads.iter().sum::<f64>() / RADIUS_M;
         assert!((force_n - 30.0 * forward).abs() < 1e-9 * force_n, "{force_n}");
-        // An inverted wheel turns the other way for the same.
+        // an inverted wheel turns the opposite way for the same force
         let mut inverted = wheels(TYRE);
         inverted.iter_mut().for_each(|wheel| wheel.inverted = true);
         let mut body = Wheeled::new(CHASSIS, inverted, None, 4).unwrap();
@@ -529,7 +533,8 @@ mod tests {
         assert!(mirrored.iter().zip(&loads).all(|(one, other)| *one == -other));
     }
 
-    /// Two thirds of the weight on the axle that is twice as near; accelerating with `a` moves `m a h / 2 l` to the rear.
+    /// Two thirds of the weight are on the axle that is twice as near; an acceleration `a` moves `m a h / 2 l` to the
+    /// rear.
     #[test]
     fn weight_and_acceleration_are_shared_by_leverage() {
         let chassis = Chassis { centre_m: [HALF_BASE_M / 3.0, 0.0], height_m: 0.2, ..CHASSIS };
@@ -551,7 +556,8 @@ mod tests {
         }
     }
 
-    /// Slowly, with tyres far from friction, the rear axle's middle goes round in `wheelbase / tan(steer)`.
+    /// At low speed, with tyres far from friction, the middle of the rear axle has a turning radius of
+    /// `wheelbase / tan(steer)`.
     #[test]
     fn an_ackermann_robot_turns_about_the_line_of_its_rear_axle() {
         let mut wheels = wheels(Tyre { compliance_per_n: [1e-4; 2], ..TYRE });
@@ -559,7 +565,7 @@ mod tests {
             wheel.steered = wheel.place_m[0] > 0.0;
             wheel.shaft = None;
         });
-        // The other rear wheel rolls freely: two of one speed would resist the turn.
+        // the other rear wheel rolls freely: two of one speed would resist the turn
         wheels[2].shaft = Some(0);
         let axle = Axle { shaft: 1, rad_per_unit: 4.0, straight: 0.05, fixed_x_m: -HALF_BASE_M, trail_m: 0.01 };
         let mut body = Wheeled::new(CHASSIS, wheels, Some(axle), 2).unwrap();
@@ -571,12 +577,12 @@ mod tests {
         let twist = body.twist();
         let radius_m = twist.at([-HALF_BASE_M, 0.0])[0] / twist.yaw_rad_s;
         let expected_m = 2.0 * HALF_BASE_M / steer_rad.tan();
-        // Slip angles of the forces that turn the robot: `m v² c_lat / wheelbase` of it, 3e-4.
+        // slip angles of the forces that turn the robot: `m v² c_lat / wheelbase` of it, 3e-4
         assert!((radius_m / expected_m - 1.0).abs() < 1e-3, "{radius_m} m, {expected_m} m");
         assert!(loads[1].abs() > 0.0, "the actuator holds the wheels");
     }
 
-    /// Freely rolling wheels, so that nothing but the scene moves it.
+    /// A body with freely rolling wheels, which only the scene moves.
     fn rolling() -> Wheeled {
         let mut wheels = wheels(TYRE);
         wheels.iter_mut().for_each(|wheel| wheel.shaft = None);
@@ -602,7 +608,7 @@ mod tests {
                 let corners = body.outline().unwrap().corners_m().iter();
                 deepest_m = corners.map(|corner| body.pose().to_world(*corner)[0] - 1.0).fold(deepest_m, f64::max);
             }
-            // It is touched, and the bumper of 20 mm keeps it off the wall.
+            // contact is made, and the bumper of 20 mm keeps it off the wall
             assert!((-0.02..0.0).contains(&deepest_m), "{deepest_m} m");
             assert!(energy(body.twist) < 0.5 * before && body.pose().x_m < 0.7, "{:?}", body.twist);
         }
@@ -618,14 +624,14 @@ mod tests {
         (0..4000).for_each(|_| body.step(&mut scene, 0.0, &[], &mut [], MAX_STEP_S));
         let forward_m_s = body.twist().forward_m_s;
         assert!((forward_m_s + 0.1 * GRAVITY_M_S2).abs() < 1e-9, "{forward_m_s} m/s after a second");
-        // Locked wheels hold it, by the springs of their bristles, 1 / (c L) each.
+        // locked wheels hold it, by the springs of their bristles, 1 / (c L) each
         let mut held = Wheeled::new(CHASSIS, wheels(TYRE), None, 4).unwrap();
         (0..40_000).for_each(|_| held.step(&mut scene, 0.0, &[ShaftMotion::default(); 4], &mut [0.0; 4], MAX_STEP_S));
         let bent_m = 0.1 * GRAVITY_M_S2 * CHASSIS.mass_kg * TYRE.compliance_per_n[1] * TYRE.relaxation_m / 4.0;
         assert!((held.pose().y_m + bent_m).abs() < 1e-6, "{:?}, {bent_m}", held.pose());
     }
 
-    /// Friction of the floor takes the place of the tyre's.
+    /// Friction of the floor replaces the tyre's.
     #[test]
     fn locked_wheels_slide_farther_on_ice() {
         let mut scene = Scene::default();
@@ -635,7 +641,7 @@ mod tests {
         body.twist.forward_m_s = 1.0;
         (0..8000).for_each(|_| body.step(&mut scene, 0.0, &[ShaftMotion::default(); 4], &mut [0.0; 4], MAX_STEP_S));
         let expected_m = 1.0 / (2.0 * 0.1 * GRAVITY_M_S2);
-        // Bristles bend by 3 mu N c L = 3.6 mm at first, as in the braking distance above.
+        // bristles bend by 3 mu N c L = 3.6 mm at first, as in the braking distance above
         assert!((body.pose().x_m - expected_m).abs() < 4e-3, "{} m, {expected_m} m", body.pose().x_m);
     }
 

@@ -1,6 +1,6 @@
 //! Register-level models of the chips on the board, each written from its datasheet.
 //!
-//! A model shares no constant with the firmware's driver of the same chip: a wrong address in the driver must not
+//! A model shares no constant with the firmware's driver of the same chip, so that a wrong address in the driver cannot
 //! cancel itself out here.
 
 pub mod as5600;
@@ -13,33 +13,33 @@ pub mod nau7802;
 pub mod pca9685;
 pub mod vl6180x;
 
-/// Counts in one PWM cycle of a [`Line`].
+/// Number of counts in one PWM cycle of a [`Line`].
 pub const COUNTS: u16 = 4096;
 
-/// What one digital output does: a steady level, or a pattern that repeats every PWM cycle.
+/// State of one digital output: a steady level, or a pattern that repeats every PWM cycle.
 ///
 /// All lines of one chip share the start of the cycle, so their counts can be compared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Line {
-    /// Driven low.
+    /// Driven to low level.
     #[default]
     Low,
-    /// Driven high.
+    /// Driven to high level.
     High,
-    /// Not driven; whatever is connected decides.
+    /// Not driven; the external circuit sets the level.
     HighZ,
     /// High from count `on` up to, not including, count `off`; past the end of the cycle if `off` is not above `on`.
-    /// Counts are 0 to 4095 and differ. An open-drain output releases the line where this says high.
+    /// Counts are 0 to 4095 and differ. An open-drain output releases the line while high.
     Pwm {
-        /// Where the line goes high.
+        /// Count at which the line goes high.
         on: u16,
-        /// Where the line goes low.
+        /// Count at which the line goes low.
         off: u16,
     },
 }
 
 impl Line {
-    /// Whether the line is high at `count` of a cycle; `floating` is the level it takes when not driven.
+    /// True if the line is high at `count` of a cycle; `floating` is the level of a line that is not driven.
     #[must_use]
     pub const fn is_high_at(self, count: u16, floating: bool) -> bool {
         match self {
@@ -52,7 +52,7 @@ impl Line {
         }
     }
 
-    /// Counts of a cycle for which the line is high; `floating` is the level it takes when not driven.
+    /// Number of counts of a cycle with the line high; `floating` is the level of a line that is not driven.
     #[must_use]
     pub const fn counts_high(self, floating: bool) -> u16 {
         match self {
@@ -81,8 +81,8 @@ impl Line {
     }
 }
 
-/// The stretches of a PWM cycle in which none of `lines` changes: where each begins, and how many counts it has. `EDGES` must
-/// be room for the edges of all, two each, and the beginning of the cycle.
+/// Intervals of a PWM cycle in which none of `lines` changes: start of each, and its number of counts. `EDGES` must
+/// have room for two edges of every line and the start of the cycle.
 pub(crate) fn stretches<const EDGES: usize>(lines: impl IntoIterator<Item = Line>) -> impl Iterator<Item = (u16, u16)> {
     let mut edges = [0; EDGES];
     let mut used = 1;

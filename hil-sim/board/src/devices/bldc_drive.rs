@@ -1,10 +1,10 @@
 //! Drive of a brushless motor with an analog throttle, a direction line and a brake line.
 //!
 //! # Throttle
-//! In the dead zone the motor coasts. Above it speed rises in a straight line to full speed at `forward_v`. Below it a
-//! drive that reverses by voltage does the same the other way; one that reverses by its line coasts.
+//! In the dead zone the motor coasts. Above it the commanded speed rises linearly to full speed at `forward_v`. Below
+//! it a drive that reverses by voltage does the same in the other direction; one that reverses by its line coasts.
 //!
-//! # What the drive does, first row that holds
+//! #  Behaviour, by the first row that applies
 //! | when | motor |
 //! | --- | --- |
 //! | no supply | coasts; the drive is locked when supply returns |
@@ -14,23 +14,24 @@
 //! | turning against the wanted direction | coasts to a standstill first |
 //! | otherwise | speed approaches the commanded one with the drive's time constant |
 //!
-//! A drive of four quadrants ([`BldcDriveSpec::four_quadrant`]) also brakes and holds by its motor: it follows its throttle through
-//! the dead zone, where it commands a standstill, and through a change of direction.
+//! A four-quadrant drive ([`BldcDriveSpec::four_quadrant`]) also brakes and holds with its motor: it follows its
+//! throttle through the dead zone, where it commands a standstill, and through a change of direction.
 //!
 //! # Loaded shafts
-//! With a [`Rotor`] the motor has an inertia, limits of torque and power, and takes a load ([`BldcDrive::set_load`]). The speed loop
-//! then is a gain: the torque is `inertia / time constant` times the missing speed, up to the limits, so that without a load
-//! speed approaches the commanded one with the time constant, and under a load it lags behind by what the load takes.
+//! With a [`Rotor`] the motor has an inertia, limits of torque and power, and takes a load ([`BldcDrive::set_load`]).
+//! The speed loop is proportional: the torque is `inertia / time constant` times the speed error, up to the limits.
+//! Without a load the speed approaches the commanded one with the time constant, and under a load it has a steady
+//! error.
 //!
 //! # Modelling choices
-//! - The lock: drives of vehicles refuse to start off with the throttle open. Not stated for any one in particular.
-//! - A brake works without a dead zone seen, and not without supply.
-//! - A motor that coasts loses speed with a time constant of its own, and stands below 1 % of top speed.
+//! - The lock: drives of vehicles refuse to start with the throttle open. No source states it for a particular drive.
+//! - The brake works even if no dead zone was seen, but not without supply.
+//! - A coasting motor loses speed with a time constant of its own, and stands below 1 % of top speed.
 //!
 //! # Time
-//! Between changes speed and position have closed forms, so how often they are looked at changes no bit of them. A motor with a
-//! [`Rotor`] is stepped instead, in steps of at most 0.25 ms: exact under a constant load, but for the step in which it
-//! reaches or leaves a limit.
+//! Between changes speed and position have closed forms, so the frequency of queries does not change the result. A
+//! motor with a [`Rotor`] is stepped instead, in steps of at most 0.25 ms: exact under a constant load, except in a
+//! step in which it reaches or leaves a limit.
 //!
 //! Not modelled: current, commutation, torque ripple, braking resistors and heat.
 
@@ -39,65 +40,67 @@ use crate::misuse::{Misuse, MisuseKind, MisuseLog};
 
 /// Share of top speed below which a coasting motor stands.
 const STANDSTILL: f64 = 0.01;
-/// Longest step of a motor with a [`Rotor`], ns: that of a body, which holds loads as long.
+/// Longest step of a motor with a [`Rotor`], ns: that of a body, which holds loads for as long.
 const STEP_NS: u64 = 250_000;
 
-/// How a drive is told to turn backwards.
+/// Method by which a drive reverses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Reverse {
-    /// By its direction line at this level.
+    /// Reverses while its direction line has this level.
     ByLine {
-        /// The level for backwards.
+        /// Level of the line for backwards.
         when_high: bool,
     },
-    /// By a throttle below the dead zone; the direction line has no effect.
+    /// Reverses with a throttle below the dead zone; the direction line has no effect.
     ByVoltage {
-        /// Throttle for full speed backwards.
+        /// Throttle for full speed backwards, V.
         full_v: f64,
     },
 }
 
-/// What a drive is like. All numbers finite, times and speeds above 0, pairs in rising order.
+/// Parameters of a drive and its motor. All numbers are finite, times and speeds above 0, pairs in rising order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BldcDriveSpec {
-    /// Throttle at which the motor rests, ends included.
+    /// Throttle range in which the motor rests, V, ends included.
     pub dead_zone_v: [f64; 2],
-    /// Throttle for full speed forwards, above the dead zone.
+    /// Throttle for full speed forwards, above the dead zone, V.
     pub forward_v: f64,
-    /// How it turns backwards.
+    /// Method by which it turns backwards.
     pub reverse: Reverse,
-    /// Throttle it tolerates, ends included.
+    /// Throttle range that the drive tolerates, V, ends included.
     pub tolerated_v: [f64; 2],
-    /// Level of a direction line that nothing drives.
+    /// Level of a direction line that is not driven.
     pub direction_pull: bool,
-    /// Level of a brake line that nothing drives.
+    /// Level of a brake line that is not driven.
     pub brake_pull: bool,
-    /// Level of the brake line that brakes.
+    /// Active level of the brake line.
     pub brake_when_high: bool,
-    /// Full speed.
+    /// Full speed of the motor, rad/s.
     pub top_speed_rad_s: f64,
-    /// Of the approach to a commanded speed.
+    /// Time constant of the approach to a commanded speed, s.
     pub time_constant_s: f64,
-    /// Of a motor that coasts.
+    /// Time constant of a coasting motor, s.
     pub coast_time_constant_s: f64,
-    /// While braking, without a rotor.
+    /// Deceleration of the brake for a motor without a rotor, rad/s².
     pub brake_rad_s2: f64,
-    /// Whether it brakes and holds by its motor, in place of coasting in the dead zone and before it turns round.
+    /// True for a drive that brakes and holds with its motor instead of coasting in the dead zone and before a
+    /// reversal.
     pub four_quadrant: bool,
-    /// What makes the motor take loads; `None` for one that turns as its drive wants.
+    /// Inertia and limits of a motor that takes loads; `None` for one that turns as its drive commands.
     pub rotor: Option<Rotor>,
 }
 
-/// Inertia of a motor and what its drive can do to it. All above 0.
+/// Inertia of a motor and the limits of its drive. All are above 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rotor {
-    /// Of the motor and of what turns with it, kg m².
+    /// Moment of inertia of the motor and everything that turns with it, kg m².
     pub inertia_kg_m2: f64,
     /// Highest torque of the drive, in both directions, N m.
     pub torque_max_nm: f64,
-    /// Highest mechanical power that the drive gives, W; infinite for none. What the motor takes back is limited by torque alone.
+    /// Highest mechanical power that the drive delivers, W; may be infinite. Power returned by the motor is limited by
+    /// torque alone.
     pub power_max_w: f64,
-    /// Torque of the brake, N m: dry friction, which also holds.
+    /// Friction torque of the brake, N m, which also holds at rest.
     pub brake_nm: f64,
 }
 
@@ -118,16 +121,16 @@ impl BldcDriveSpec {
     }
 }
 
-/// What is connected to a drive.
+/// Inputs of a drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BldcInputs {
-    /// Speed input.
+    /// Voltage of the throttle input, V.
     pub throttle_v: f64,
-    /// Direction input. A weak pull-up of the driving chip counts as high.
+    /// Level of the direction input. A weak pull-up of the driving chip counts as high.
     pub direction: PinState,
-    /// Brake input.
+    /// Level of the brake input.
     pub brake: PinState,
-    /// Whether the drive has its supply.
+    /// True while the drive has its supply.
     pub supplied: bool,
 }
 
@@ -139,7 +142,7 @@ const fn level(pin: PinState, pull: bool) -> bool {
     }
 }
 
-/// What the motor does since the last change.
+/// Mode of the motor since the last change.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Mode {
     Coast,
@@ -147,7 +150,7 @@ enum Mode {
     Drive { target_rad_s: f64 },
 }
 
-/// A point of the motion, from which the rest follows.
+/// State of the motion at one time, from which it is extrapolated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Anchor {
     at_ns: u64,
@@ -164,13 +167,13 @@ pub struct BldcDrive {
     now_ns: u64,
     anchor: Anchor,
     mode: Mode,
-    /// Whether the dead zone was seen since the drive was locked.
+    /// True once the dead zone was seen after the drive was locked.
     ready: bool,
-    /// Whether the throttle was outside what the drive tolerates.
+    /// True while the throttle is outside the tolerated range, so that it is reported once.
     out_of_window: bool,
-    /// Wanted direction: -1 or 1.
+    /// Commanded direction: -1 or 1.
     direction: f64,
-    /// What pushes the shaft, N m, towards positive positions. Without effect on a motor without a rotor.
+    /// External torque on the shaft, N m, towards positive positions. No effect on a motor without a rotor.
     load_nm: f64,
     /// Mean torque of drive and brake over the last step, N m.
     torque_nm: f64,
@@ -178,11 +181,11 @@ pub struct BldcDrive {
 }
 
 impl BldcDrive {
-    /// What it is called in reports.
+    /// Name of the drive in reports.
     pub const NAME: &str = "BLDC drive";
 
     /// A drive without supply at rest at position 0, its throttle in the dead zone and its lines not driven; `number`
-    /// tells it from others in reports.
+    /// identifies it in reports.
     #[must_use]
     pub fn new(number: u8, spec: BldcDriveSpec) -> Self {
         let inputs = BldcInputs {
@@ -209,7 +212,7 @@ impl BldcDrive {
         drive
     }
 
-    /// Inputs from `at_ns` on. Costs next to nothing while nothing changes.
+    /// Sets the inputs from `at_ns` on. Cheap while they do not change.
     pub fn update(&mut self, at_ns: u64, inputs: &BldcInputs) {
         self.advance(at_ns);
         if *inputs == self.inputs {
@@ -223,7 +226,7 @@ impl BldcDrive {
         self.mode = self.wanted_mode();
     }
 
-    /// Brings the motor to `to_ns`; a time before one already seen counts as that one.
+    /// Advances the motor to `to_ns`; an earlier time than one already seen counts as that one.
     pub fn advance(&mut self, to_ns: u64) {
         let to_ns = to_ns.max(self.now_ns);
         if let Some(rotor) = self.spec.rotor {
@@ -232,7 +235,7 @@ impl BldcDrive {
                 self.turn(&rotor, step_ns as f64 * 1e-9);
                 self.now_ns += step_ns;
                 self.anchor.at_ns = self.now_ns;
-                // A drive that coasts to a standstill before it turns round may have reached it.
+                // a drive that coasts to a standstill before a reversal may have reached it
                 self.mode = self.wanted_mode();
             }
             return;
@@ -246,20 +249,20 @@ impl BldcDrive {
         self.now_ns = to_ns;
     }
 
-    /// Speed of the motor, as of the last call with a time; positive is forwards.
+    /// Speed of the motor at the last call with a time, rad/s; positive is forwards.
     #[must_use]
     pub fn speed_rad_s(&self) -> f64 {
         self.motion().1
     }
 
-    /// Angle turned, as of the last call with a time.
+    /// Angle of the shaft at the last call with a time, rad.
     #[must_use]
     pub fn position_rad(&self) -> f64 {
         self.motion().0
     }
 
-    /// Sets the torque with which something outside pushes the shaft from now on, N m, towards positive positions. One that is not
-    /// finite is ignored.
+    /// Sets the torque with which something outside pushes the shaft from now on, N m, towards positive positions. One
+    /// that is not finite is ignored.
     pub fn set_load(&mut self, load_nm: f64) {
         if load_nm.is_finite() {
             self.load_nm = load_nm;
@@ -272,42 +275,42 @@ impl BldcDrive {
         self.torque_nm
     }
 
-    /// What it is like.
+    /// Parameters of the drive and its motor.
     #[must_use]
     pub const fn spec(&self) -> &BldcDriveSpec {
         &self.spec
     }
 
-    /// Whether nothing but friction and loads acts on the motor.
+    /// True while only friction and loads act on the motor.
     #[must_use]
     pub const fn is_coasting(&self) -> bool {
         matches!(self.mode, Mode::Coast)
     }
 
-    /// Whether the drive takes its throttle: the supply is on, and the dead zone has been seen since.
+    /// True while the drive follows its throttle: the supply is on, and the dead zone has been seen since.
     #[must_use]
     pub const fn is_ready(&self) -> bool {
         self.ready
     }
 
-    /// Whether the drive brakes.
+    /// True while the drive brakes.
     #[must_use]
     pub const fn is_braking(&self) -> bool {
         matches!(self.mode, Mode::Brake)
     }
 
-    /// What was done that the drive ignores or suffers from.
+    /// Inputs so far that the drive ignores or that damage it.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// The same, to be cleared.
+    /// Misuses so far, mutable, so that a test can clear them.
     pub const fn misuse_mut(&mut self) -> &mut MisuseLog {
         &mut self.misuse
     }
 
-    /// Locks and unlocks the drive.
+    /// Locks and unlocks the drive by its throttle.
     fn look_at_throttle(&mut self, supply_came: bool) {
         let throttle_v = self.inputs.throttle_v;
         let [low_v, high_v] = self.spec.tolerated_v;
@@ -328,7 +331,8 @@ impl BldcDrive {
         }
     }
 
-    /// Without supply nobody looks; a change made then counts when supply returns.
+    /// Follows the direction input. Without supply it is not sampled; a change made then takes effect when supply
+    /// returns.
     fn look_at_direction(&mut self) {
         if !self.inputs.supplied {
             return;
@@ -341,7 +345,7 @@ impl BldcDrive {
         self.direction = wanted;
     }
 
-    /// By voltage, the last one asked for outside the dead zone.
+    /// Commanded direction; by voltage, the last one requested outside the dead zone.
     fn wanted_direction(&self) -> f64 {
         let backwards = match self.spec.reverse {
             Reverse::ByLine { when_high } => level(self.inputs.direction, self.spec.direction_pull) == when_high,
@@ -353,7 +357,7 @@ impl BldcDrive {
         if backwards { -1.0 } else { 1.0 }
     }
 
-    /// The table of the module, for the speed at the anchor.
+    /// Mode by the table of the module, for the speed at the anchor.
     fn wanted_mode(&self) -> Mode {
         let share = self.spec.command(self.inputs.throttle_v).abs();
         if !self.inputs.supplied {
@@ -375,7 +379,7 @@ impl BldcDrive {
         STANDSTILL * self.spec.top_speed_rad_s
     }
 
-    /// When a coasting motor will stand; `None` if it does already, or does not coast.
+    /// Time at which a coasting motor reaches a standstill, ns; `None` if it stands or does not coast.
     fn standstill_ns(&self) -> Option<u64> {
         let speed_rad_s = self.anchor.speed_rad_s.abs();
         if self.mode != Mode::Coast || speed_rad_s == 0.0 {
@@ -386,12 +390,12 @@ impl BldcDrive {
         Some(self.anchor.at_ns.saturating_add(after_ns))
     }
 
-    /// Lets a loaded motor turn for `step_s`.
+    /// Advances a motor with a rotor by `step_s`.
     fn turn(&mut self, rotor: &Rotor, step_s: f64) {
         let Anchor { position_rad, speed_rad_s, .. } = self.anchor;
         let Rotor { inertia_kg_m2, torque_max_nm, power_max_w, brake_nm } = *rotor;
         let load_rad_s2 = self.load_nm / inertia_kg_m2;
-        // Exact for a torque in proportion to the missing speed, under a constant load.
+        // exact for a torque proportional to the speed error, under a constant load
         let towards = |target_rad_s: f64, time_constant_s: f64| {
             let gone = -(-step_s / time_constant_s).exp_m1();
             let missing_rad_s = target_rad_s + load_rad_s2 * time_constant_s - speed_rad_s;
@@ -411,17 +415,20 @@ impl BldcDrive {
                 let (way_rad, next_rad_s) = towards(target_rad_s, self.spec.time_constant_s);
                 let torque_nm = torque_for(next_rad_s);
                 let reached_rad_s = pushed(torque_max_nm.copysign(torque_nm)).1;
+                // highest speed of the step, so that power stays within its limit all through it
                 let fastest_rad_s = speed_rad_s.abs().max(reached_rad_s.abs().min(next_rad_s.abs()));
                 let gives = torque_nm * speed_rad_s > 0.0 || torque_nm * next_rad_s > 0.0;
+                // no limit of power for a motor that decelerates
                 let most_nm = if gives { torque_max_nm.min(power_max_w / fastest_rad_s) } else { torque_max_nm };
                 if torque_nm.abs() <= most_nm { (way_rad, next_rad_s) } else { pushed(most_nm.copysign(torque_nm)) }
             }
-            // Dry friction: it holds at a standstill, up to its torque.
+            // dry friction holds at a standstill, up to its torque
             Mode::Brake if speed_rad_s == 0.0 && self.load_nm.abs() <= brake_nm => (0.0, 0.0),
             Mode::Brake => {
                 let moves = if speed_rad_s == 0.0 { self.load_nm } else { speed_rad_s };
                 let (way_rad, next_rad_s) = pushed(-brake_nm.copysign(moves));
                 if next_rad_s * speed_rad_s < 0.0 {
+                    // standstill within the step: friction does not reverse the rotor
                     let stopped_s = step_s * speed_rad_s / (speed_rad_s - next_rad_s);
                     (0.5 * speed_rad_s * stopped_s, 0.0)
                 } else {
@@ -437,7 +444,7 @@ impl BldcDrive {
         self.anchor.speed_rad_s = next_rad_s;
     }
 
-    /// Position and speed now.
+    /// Position, rad, and speed, rad/s, at the present time.
     fn motion(&self) -> (f64, f64) {
         let Anchor { at_ns, position_rad, speed_rad_s } = self.anchor;
         if self.spec.rotor.is_some() {
@@ -486,8 +493,8 @@ mod tests {
 
     const SECOND_NS: u64 = 1_000_000_000;
 
-    /// The donor controller of OpenPodCar: 0 V fast reverse, 5 V fast forward, dead zone 1.92 V to 2.71 V. It tolerates
-    /// codes 1000 to 2519 of 4095 at 5 V. Motion is made up.
+    /// Donor controller of OpenPodCar: 0 V fast reverse, 5 V fast forward, dead zone 1.92 V to 2.71 V. It tolerates
+    /// codes 1000 to 2519 of 4095 at 5 V. The dynamics are synthetic.
     const BY_VOLTAGE: BldcDriveSpec = BldcDriveSpec {
         dead_zone_v: [1.92, 2.71],
         forward_v: 5.0,
@@ -518,7 +525,7 @@ mod tests {
     const BACKWARDS: BldcInputs = BldcInputs { direction: Driven(true), ..FULL };
     const BRAKED: BldcInputs = BldcInputs { brake: Driven(true), ..FULL };
 
-    /// A drive by line that takes its throttle, with `inputs` from time 0 on.
+    /// A drive that reverses by its line and follows its throttle, with `inputs` from time 0 on.
     fn ready(inputs: BldcInputs) -> BldcDrive {
         let mut drive = BldcDrive::new(3, BY_LINE);
         drive.update(0, &REST);
@@ -575,7 +582,7 @@ mod tests {
             (FULL, 20.0),
             (BldcInputs { throttle_v: 1.0, ..FULL }, coasted),
             (BRAKED, 10.0),
-            // brake wins
+            // the brake has priority
             (BldcInputs { throttle_v: 1.0, ..BRAKED }, 10.0),
             (BldcInputs { direction: Driven(true), ..BRAKED }, 10.0),
             (BldcInputs { throttle_v: 9.0, ..BRAKED }, 10.0),
@@ -694,7 +701,7 @@ mod tests {
         assert_eq!(kinds(&drive), [MisuseKind::DirectionChangedWhileTurning { speed_mrad_s: 20_000 }]);
         drive.advance(29 * SECOND_NS);
         assert!(drive.speed_rad_s() > 0.0);
-        // stands at 29.21 s, then 20 rad/s backwards with 0.5 s: 1e-4 is the microsecond of the stand
+        // stands at 29.21 s, then 20 rad/s backwards with 0.5 s: 1e-4 is the microsecond of the standstill
         drive.advance(30 * SECOND_NS);
         let after_s = 30.0 - 20.0 - 2.0 * 100.0f64.ln();
         assert!((drive.speed_rad_s() + 20.0 * (1.0 - (-after_s / 0.5).exp())).abs() < 1e-4);
@@ -737,14 +744,14 @@ mod tests {
         assert_eq!(kinds(&drive), [MisuseKind::DirectionChangedWhileTurning { speed_mrad_s }]);
         drive.advance(30 * SECOND_NS);
         assert!(drive.speed_rad_s() > 19.9);
-        // its direction line does nothing
+        // its direction line has no effect
         drive.update(30 * SECOND_NS, &BldcInputs { direction: Driven(true), ..at(5.0) });
         drive.advance(31 * SECOND_NS);
         assert!(drive.speed_rad_s() > 19.9);
     }
 
     const ROTOR: Rotor = Rotor { inertia_kg_m2: 0.01, torque_max_nm: 0.3, power_max_w: 2.0, brake_nm: 0.2 };
-    /// A servo drive: 4 quadrants about 2.5 V, 5 ms.
+    /// Servo drive: four quadrants about 2.5 V, 5 ms.
     const LOADED: BldcDriveSpec = BldcDriveSpec {
         dead_zone_v: [2.499, 2.501],
         reverse: Reverse::ByVoltage { full_v: 0.0 },
@@ -755,7 +762,7 @@ mod tests {
         ..BY_VOLTAGE
     };
 
-    /// A loaded drive that takes its throttle, with `throttle_v` and `load_nm` from time 0 on.
+    /// A loaded drive that follows its throttle, with `throttle_v` and `load_nm` from time 0 on.
     fn loaded(spec: BldcDriveSpec, throttle_v: f64, load_nm: f64) -> BldcDrive {
         let mut drive = BldcDrive::new(3, spec);
         drive.update(0, &BldcInputs { throttle_v: 2.5, ..REST });
@@ -769,10 +776,10 @@ mod tests {
     fn a_loaded_drive_lags_behind_its_command_by_what_the_load_takes() {
         let mut drive = loaded(LOADED, 2.5 + 2.499 / 20.0 * 0.1 + 0.001, -0.1);
         drive.advance(SECOND_NS);
-        // 0.1 rad/s commanded, 0.1 N m / 2 N m s/rad less; 200 time constants later the rest is rounding.
+        // 0.1 rad/s commanded, minus 0.1 N m / 2 N m s/rad; after 200 time constants the difference is rounding
         assert!((drive.speed_rad_s() - 0.05).abs() < 1e-9, "{}", drive.speed_rad_s());
         assert!((drive.torque_nm() - 0.1).abs() < 1e-9);
-        // In the dead zone it holds, and is pushed back as slowly.
+        // in the dead zone it holds, and is pushed back with the same error
         drive.update(SECOND_NS, &BldcInputs { throttle_v: 2.5, ..REST });
         drive.advance(2 * SECOND_NS);
         assert!((drive.speed_rad_s() + 0.05).abs() < 1e-9);
@@ -791,11 +798,11 @@ mod tests {
                 torque_until_s = at_ns as f64 * 1e-9;
             }
         }
-        // 0.3 N m up to 2 W / 0.3 N m = 6.67 rad/s, at 30 rad/s^2, to 0.1 ms of a look; then J w dw/dt = P.
+        // 0.3 N m up to 2 W / 0.3 N m = 6.67 rad/s, at 30 rad/s^2, to the 0.1 ms of a sample; then J w dw/dt = P
         let (corner_rad_s, corner_s): (f64, f64) = (2.0 / 0.3, 2.0 / 0.3 / 30.0);
         assert!((torque_until_s - corner_s).abs() < 2e-4, "{torque_until_s}");
         let after_rad_s = (corner_rad_s.powi(2) + 2.0 * 2.0 / 0.01 * (0.5 - corner_s)).sqrt();
-        // Power is held by the higher speed of a step of 0.1 ms: less by half its growth, at 14 rad/s^2.
+        // the power limit uses the higher speed of a step of 0.1 ms: too low by half its growth, at 14 rad/s^2
         assert!((drive.speed_rad_s() - after_rad_s).abs() < 2e-3, "{after_rad_s} {}", drive.speed_rad_s());
     }
 
@@ -804,13 +811,13 @@ mod tests {
         let mut drive = loaded(LOADED, 3.5, 0.0);
         drive.advance(2 * SECOND_NS);
         drive.update(2 * SECOND_NS, &BldcInputs { throttle_v: 1.5, ..REST });
-        // From 8 rad/s to -8 rad/s by 0.3 N m: 30 rad/s^2 back to 0.
+        // from 8 rad/s to -8 rad/s with 0.3 N m: 30 rad/s^2 down to 0
         drive.advance(2 * SECOND_NS + 100_000_000);
         assert!((drive.speed_rad_s() - (8.0 - 3.0)).abs() < 0.01, "{}", drive.speed_rad_s());
         drive.advance(4 * SECOND_NS);
         assert!((drive.speed_rad_s() + 8.0).abs() < 0.01, "{}", drive.speed_rad_s());
         assert!(drive.misuse().is_empty());
-        // One of two quadrants coasts first, with 2 s, and is reported.
+        // a two-quadrant drive coasts first, with 2 s, and the change is reported
         let mut drive = loaded(BldcDriveSpec { four_quadrant: false, ..LOADED }, 3.5, 0.0);
         drive.advance(2 * SECOND_NS);
         let before_rad_s = drive.speed_rad_s();
@@ -839,7 +846,7 @@ mod tests {
         assert!((drive.position_rad() - from_rad - from_rad_s * from_rad_s / 40.0).abs() < 1e-9);
     }
 
-    /// A load that a spring makes, held over each step: its frequency and energy, without the drive.
+    /// Spring load held over each step: frequency and energy without the drive.
     #[test]
     fn a_coasting_rotor_on_a_spring_swings_by_its_inertia() {
         let spec = BldcDriveSpec { coast_time_constant_s: 1e7, ..LOADED };
@@ -848,7 +855,7 @@ mod tests {
         let (stiffness_nm_per_rad, mut crossings) = (1.0, 0);
         for step in 1..=40_000u64 {
             let before_rad = drive.position_rad();
-            // Half a step ahead: so a held load neither adds nor takes energy.
+            // half a step ahead, so that a held load neither adds nor removes energy
             let middle_rad = before_rad + 0.5 * 0.25e-3 * drive.speed_rad_s();
             drive.set_load(-stiffness_nm_per_rad * middle_rad);
             drive.advance(step * STEP_NS);
@@ -858,7 +865,7 @@ mod tests {
         assert_eq!(crossings, 31);
         let energy_j =
             0.5 * 0.01 * drive.speed_rad_s().powi(2) + 0.5 * stiffness_nm_per_rad * drive.position_rad().powi(2);
-        // Coasting takes 10 s / 1e7 s of it, and (w h)^2 / 4 = 1.6e-6 swings.
+        // coasting removes 10 s / 1e7 s of it, and (w h)^2 / 4 = 1.6e-6 oscillates
         assert!((energy_j / 0.005 - 1.0).abs() < 1e-5, "{energy_j}");
     }
 
@@ -909,7 +916,8 @@ mod tests {
                 drive.advance(at_ns);
                 let (speed_rad_s, dt_s) = (drive.speed_rad_s(), wait_ns as f64 * 1e-9);
                 prop_assert!(speed_rad_s.abs() <= 20.0);
-                // trapezium rule: the steepest change is 80 rad/s^2 over 2 ms, and the snap to a stand is 0.2 rad/s
+                // trapezoidal rule: the steepest change is 80 rad/s^2 over 2 ms, and the jump to a standstill is 0.2
+                // rad/s
                 let way_rad = 0.5 * (before.1 + speed_rad_s) * dt_s;
                 prop_assert!((drive.position_rad() - before.0 - way_rad).abs() <= 0.2 * dt_s + 1e-9);
             }

@@ -1,4 +1,4 @@
-//! One motor of a DHB-12 (also sold as DBH-12) dual H-bridge, 5 V to 15 V, 30 A a motor.
+//! One motor channel of a DHB-12 (also sold as DBH-12) dual H-bridge, 5 V to 15 V, 30 A per motor.
 //!
 //! # Truth table (library of the same family's DBH-1)
 //! | supply | EN | IN1 | IN2 | motor |
@@ -10,11 +10,12 @@
 //! | good | 1 | 0 | 0 | brakes (assumed) |
 //! | good | 1 | 1 | 1 | brakes (assumed), reported |
 //!
-//! # Assumed, as no source says it
-//! - Equal inputs brake: both low turn both low sides on, both high both high sides. The library calls braking untested.
-//! - An input that is not driven is low, so an unplugged ribbon coasts.
+//! #  Assumptions without a source
+//! - Equal inputs brake: both low turn on both low sides, both high both high sides. The library calls braking
+//!   untested.
+//! - An input that is not driven is low, so an unplugged ribbon cable coasts.
 //! - Above 15 V the bridge turns off. The real one may be destroyed.
-//! - Above a duty of 98 %, which the library forbids, the output follows all the same.
+//! - Above a duty of 98 %, which the library forbids, the output still follows.
 //!
 //! Not modelled: current sense output CT, current limit, heat, dead time between the FETs of a leg.
 
@@ -22,25 +23,25 @@ use super::osmc::BridgeOutput;
 use crate::chips::{COUNTS, Line, stretches};
 use crate::misuse::{Misuse, MisuseKind, MisuseLog};
 
-/// Lowest supply.
+/// Lowest supply voltage, V.
 const SUPPLY_MIN_V: f64 = 5.0;
-/// Highest supply.
+/// Highest supply voltage, V.
 const SUPPLY_MAX_V: f64 = 15.0;
-/// 98 % of a cycle, rounded down: the most the library of the family allows.
+/// Highest duty that the library of the family allows, 98 % of a cycle, in counts, rounded down.
 const DUTY_LIMIT_COUNTS: u16 = 4014;
 
-/// The three inputs of one motor. They come from one PWM chip, so their cycles start together.
+/// Inputs of one motor. They come from one PWM chip, so their cycles start together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DhbInputs {
-    /// Forward.
+    /// Line to input IN1, forward.
     pub in1: Line,
-    /// Reverse.
+    /// Line to input IN2, reverse.
     pub in2: Line,
-    /// Enable.
+    /// Line to input EN, enable.
     pub en: Line,
 }
 
-/// Counts of one PWM cycle, 0 to 4096 each; the rest of the cycle coasts.
+/// Counts of one PWM cycle in each state, 0 to 4096; the remainder coasts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Shares {
     forward: u16,
@@ -50,7 +51,7 @@ struct Shares {
 }
 
 impl Shares {
-    /// Adds up the stretches in which no line changes.
+    /// Adds up the intervals in which no line changes.
     fn of(inputs: &DhbInputs) -> Self {
         let mut shares = Self::default();
         for (from, length) in stretches::<7>([inputs.in1, inputs.in2, inputs.en]) {
@@ -92,7 +93,7 @@ enum Supply {
 }
 
 impl Supply {
-    /// NaN counts as low.
+    /// Class of a supply voltage; NaN counts as low.
     fn of(supply_v: f64) -> Self {
         if supply_v > SUPPLY_MAX_V {
             Self::TooHigh
@@ -110,7 +111,7 @@ enum Direction {
     Reverse,
 }
 
-/// The bridge of one motor, with what it remembers: last direction, and what was done against its rules.
+/// Bridge of one motor, with its last direction and the misuses so far.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DhbMotor {
     number: u8,
@@ -118,16 +119,16 @@ pub struct DhbMotor {
     supply: Supply,
     output: BridgeOutput,
     direction: Option<Direction>,
-    /// Since when no enabled input has been high; `None` while one is at some time of a cycle.
+    /// Start of the time without an enabled input at high level, ns; `None` while one is high at some time of a cycle.
     idle_since_ns: Option<u64>,
     misuse: MisuseLog,
 }
 
 impl DhbMotor {
-    /// What it is called in reports.
+    /// Name of the bridge in reports.
     pub const NAME: &str = "DHB-12 bridge";
 
-    /// A bridge without supply, its inputs low; `number` tells it from others in reports.
+    /// A bridge without supply, its inputs low; `number` identifies it in reports.
     #[must_use]
     pub const fn new(number: u8) -> Self {
         Self {
@@ -141,7 +142,7 @@ impl DhbMotor {
         }
     }
 
-    /// What the motor sees from `at_ns` on. Costs next to nothing while nothing changes.
+    /// Sets the inputs from `at_ns` on, and returns the output to the motor. Cheap while they do not change.
     ///
     /// `pwm_period_ns` is that of the chip that drives the inputs.
     pub fn update(&mut self, at_ns: u64, inputs: &DhbInputs, pwm_period_ns: u64, supply_v: f64) -> BridgeOutput {
@@ -161,25 +162,25 @@ impl DhbMotor {
         self.output
     }
 
-    /// What the motor sees, as of the last [`update`](Self::update).
+    /// Output to the motor at the last [`update`](Self::update).
     #[must_use]
     pub const fn output(&self) -> BridgeOutput {
         self.output
     }
 
-    /// What was done against the rules of the bridge.
+    /// Misuses so far: inputs that violate the rules of the bridge.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// The same, to be cleared.
+    /// Misuses so far, mutable, so that a test can clear them.
     pub const fn misuse_mut(&mut self) -> &mut MisuseLog {
         &mut self.misuse
     }
 
     fn change(&mut self, at_ns: u64, pwm_period_ns: u64) {
-        // without a good supply as with EN low
+        // without a good supply it behaves as with EN low
         let shares = if self.supply == Supply::Good { Shares::of(&self.inputs) } else { Shares::default() };
         self.output = shares.output();
         self.check_reversal(at_ns, &shares, pwm_period_ns);
@@ -197,7 +198,7 @@ impl DhbMotor {
         }
     }
 
-    /// Both directions within one cycle are a reversal without a pause too.
+    /// Reports a reversal without a pause, also if both directions occur in one cycle.
     fn check_reversal(&mut self, at_ns: u64, shares: &Shares, needed_ns: u64) {
         let idle_ns = self.idle_since_ns.map_or(0, |since_ns| at_ns.saturating_sub(since_ns));
         let (next, reversed, idle_ns) = match (shares.forward > 0, shares.reverse > 0) {
@@ -279,7 +280,7 @@ mod tests {
         bridge.update(1, &STOPPED, PERIOD_NS, 12.0);
         let output = bridge.update(1 + PERIOD_NS, &reverse(3072), PERIOD_NS, 12.0);
         assert_eq!(output, BridgeOutput { duty: -0.75, coast: 0.0, brake: 0.25 });
-        // switched at EN the rest of the cycle coasts
+        // switched at EN, the remainder of the cycle coasts
         let output = bridge.update(2, &inputs(Line::Low, Line::High, pwm(0, 1024)), PERIOD_NS, 12.0);
         assert_eq!(output, BridgeOutput { duty: -0.25, coast: 0.75, brake: 0.0 });
         assert!(bridge.misuse().is_empty(), "{:?}", bridge.misuse());
@@ -367,7 +368,7 @@ mod tests {
             Just(Line::High),
             Just(Line::HighZ),
             (0..COUNTS, 0..COUNTS).prop_map(|(on, off)| pwm(on, off)),
-            // edges that coincide
+            // coinciding edges
             (0..4u16, 0..4u16).prop_map(|(on, off)| pwm(on * 1024, off * 1024)),
         ]
     }

@@ -1,16 +1,16 @@
-//! Actuators and their drives, by the lines that go into them.
+//! Actuators and their drives, described by their input lines.
 //!
 //! | type | part | modelled | not modelled |
 //! | --- | --- | --- | --- |
 //! | [`osmc::OsmcBridge`] | OSMC full bridge behind an HIP4081A | truth table, exact to the PWM count; lock-out; bootstrap; dead time between directions | currents, heat |
 //! | [`dhb::DhbMotor`] | DHB-12 dual H-bridge, one motor | truth table, exact to the PWM count; supply range; duty limit; pause before a reversal | current sense and limit, heat, dead time of the FETs |
-//! | [`rc_servo::RcServo`] | hobby servo | windows for pulse and frame, rate, dead band, end stops, limp without pulses or supply | load, acceleration, current, servos that hold without pulses |
+//! | [`rc_servo::RcServo`] | hobby servo | windows for pulse and frame, rate, dead band, end stops, no torque without pulses or supply | load, acceleration, current, servos that hold without pulses |
 //! | [`bldc_drive::BldcDrive`] | brushless drive with analog throttle, and its motor | dead zone, lock until neutral, direction by line or voltage, brake, first-order speed | load, current, commutation |
 //! | [`stepper_driver::StepperDriver`] | M542-class stepper driver, and the motor's rotor | times of step, direction and enable; start-stop rate and acceleration; stall | torque, load, resonance, optocoupler current |
 //!
-//! Each takes integer nanoseconds and does nothing until it is called; being looked at often changes no bit of it. What
-//! a part ignores or suffers from is done as the part does it, and kept as [`misuse`](crate::misuse). Every number has
-//! its source where it stands: maker's data, or a choice of the model and called so.
+//! Each takes times in integer nanoseconds and does nothing until it is called; the frequency of queries does not
+//! change the result. An input that a part ignores or that damages it has the effect of the real part, and is recorded
+//! as [`misuse`](crate::misuse). Every number states its source: maker's data, or a modelling choice.
 
 pub mod bldc_drive;
 pub mod dhb;

@@ -9,13 +9,13 @@
 //! | 0 | good | 0 | 1 | off | on |
 //! | 0 | good | 0 | 0 | off | off |
 //!
-//! The low input wins, so the driver never shorts the supply. Inputs have pull-ups: one that is not driven counts as
-//! high, and a floating DIS as disabled.
+//! The low input has priority, so the driver never shorts the supply. Inputs have pull-ups: one that is not driven
+//! counts as high, and a floating DIS as disabled.
 //!
-//! # What counts as misuse
-//! The published way to drive the board holds both high inputs high and switches one low input: there both inputs of a
-//! leg are high together on purpose. So a high input that is static high is never an attempt to shoot through; a high
-//! input that is itself switched, and high at the same time as its low input, is one.
+//! #  Misuse
+//! The published way to drive the board holds both high inputs high and switches one low input: both inputs of a leg
+//! are then high together on purpose. A static high input is therefore never a shoot-through attempt; a high input that
+//! is itself switched, and high at the same time as its low input, is one.
 //!
 //! The dead time between the two FETs of a leg (set by resistors, below a microsecond) is shorter than a count and not
 //! modelled; neither are the 400 ns for which both low FETs turn on at power-up (Intersil AN9404).
@@ -23,12 +23,12 @@
 use crate::chips::{COUNTS, Line, stretches};
 use crate::misuse::{Leg, Misuse, MisuseKind, MisuseLog};
 
-/// The driver stops all FETs when its supply falls below this (AN9404, nominal).
+/// Supply voltage below which the driver turns off all FETs, V (AN9404, nominal).
 const LOCKOUT_FALLING_V: f64 = 8.25;
-/// The driver starts when its supply rises to this (AN9404, nominal).
+/// Supply voltage at which the driver starts, V (AN9404, nominal).
 const LOCKOUT_RISING_V: f64 = 8.75;
 
-/// The logic header of the board. The four lines come from one PWM chip, so their cycles start together.
+/// Logic header of the board. The four lines come from one PWM chip, so their cycles start together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BridgeInputs {
     /// High side of leg A.
@@ -39,26 +39,26 @@ pub struct BridgeInputs {
     pub bhi: Line,
     /// Low side of leg B.
     pub bli: Line,
-    /// DIS pin high: all FETs off.
+    /// Level of the DIS pin; high turns off all FETs.
     pub disabled: bool,
 }
 
-/// What the motor sees over one PWM cycle, as shares of the cycle.
+/// Output of a bridge over one PWM cycle, as shares of the cycle.
 ///
 /// Forward is leg A high and leg B low. With both directions in one cycle `duty` is the difference, so the three do not
 /// always add up to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BridgeOutput {
-    /// Supply across the motor from A to B, less the share from B to A: -1 to 1.
+    /// Share with the supply across the motor from A to B, minus the share from B to A: -1 to 1.
     pub duty: f64,
-    /// At least one leg has both FETs off: the terminals float, current decays through body diodes only.
+    /// Share in which at least one leg has both FETs off: the terminals float, current decays through body diodes only.
     pub coast: f64,
-    /// Both terminals on the same rail: the motor is shorted.
+    /// Share with both terminals on the same rail: the motor is shorted.
     pub brake: f64,
 }
 
 impl BridgeOutput {
-    /// All FETs off.
+    /// Output with all FETs off.
     pub const COAST: Self = Self { duty: 0.0, coast: 1.0, brake: 0.0 };
 }
 
@@ -80,25 +80,25 @@ const fn leg_state(high_input: bool, low_input: bool) -> LegState {
     }
 }
 
-/// Counts of one PWM cycle, 0 to 4096 each.
+/// Counts of one PWM cycle in each state, 0 to 4096.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Sweep {
     forward: u16,
     reverse: u16,
     coast: u16,
     brake: u16,
-    /// Both inputs of a leg high.
+    /// Counts with both inputs of a leg high.
     both_a: u16,
     both_b: u16,
 }
 
-/// Level of an input: not driven is high, by the pull-ups in the driver.
+/// Level of an input; one that is not driven is high, by the pull-ups in the driver.
 const fn is_high(line: Line, count: u16) -> bool {
     line.is_high_at(count, true)
 }
 
 impl Sweep {
-    /// Adds up the stretches in which no line changes.
+    /// Adds up the intervals in which no line changes.
     fn of(inputs: &BridgeInputs) -> Self {
         let mut sweep = Self::default();
         for (from, length) in stretches::<9>([inputs.ahi, inputs.ali, inputs.bhi, inputs.bli]) {
@@ -131,7 +131,7 @@ impl Sweep {
     }
 }
 
-/// The average over one PWM cycle, exact to the count, of a bridge with a good supply.
+/// Average over one PWM cycle, exact to the count, for a bridge with a good supply.
 #[must_use]
 pub fn average(inputs: &BridgeInputs) -> BridgeOutput {
     if inputs.disabled { BridgeOutput::COAST } else { Sweep::of(inputs).output() }
@@ -143,7 +143,7 @@ enum Direction {
     Reverse,
 }
 
-/// One bridge, with what it remembers: supply lock-out, last direction, and what was done against its rules.
+/// One bridge, with its supply lock-out, last direction, and the misuses so far.
 #[derive(Clone, Debug)]
 pub struct OsmcBridge {
     number: u8,
@@ -151,16 +151,16 @@ pub struct OsmcBridge {
     inputs: BridgeInputs,
     output: BridgeOutput,
     direction: Option<Direction>,
-    /// Since when both low FETs have been off; `None` while one is on at some time of a cycle.
+    /// Start of the time with both low FETs off, ns; `None` while one is on at some time of a cycle.
     lows_off_since_ns: Option<u64>,
     misuse: MisuseLog,
 }
 
 impl OsmcBridge {
-    /// What it is called in reports.
+    /// Name of the bridge in reports.
     pub const NAME: &str = "OSMC bridge";
 
-    /// A bridge without supply and disabled; `number` tells it from others in reports.
+    /// A bridge without supply and disabled; `number` identifies it in reports.
     #[must_use]
     pub const fn new(number: u8) -> Self {
         let inputs = BridgeInputs { ahi: Line::Low, ali: Line::Low, bhi: Line::Low, bli: Line::Low, disabled: true };
@@ -175,9 +175,9 @@ impl OsmcBridge {
         }
     }
 
-    /// What the motor sees from `at_ns` on. Costs next to nothing while nothing changes.
+    /// Sets the inputs from `at_ns` on, and returns the output to the motor. Cheap while they do not change.
     ///
-    /// `gate_supply_v` is the driver's own supply: 12 V from the board's regulator, less when the battery is too low for
+    /// `gate_supply_v` is the driver's own supply: 12 V from the board's regulator, less if the battery is too low for
     /// that. `pwm_period_ns` is that of the chip that drives the inputs.
     pub fn update(
         &mut self,
@@ -197,25 +197,25 @@ impl OsmcBridge {
         self.output
     }
 
-    /// What the motor sees, as of the last [`update`](Self::update).
+    /// Output to the motor at the last [`update`](Self::update).
     #[must_use]
     pub const fn output(&self) -> BridgeOutput {
         self.output
     }
 
-    /// Whether the driver's supply is good: off below 8.25 V, on from 8.75 V.
+    /// True while the driver's supply is good: off below 8.25 V, on from 8.75 V.
     #[must_use]
     pub const fn is_powered(&self) -> bool {
         self.powered
     }
 
-    /// What was done against the rules of the driver.
+    /// Misuses so far: inputs that violate the rules of the driver.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// The same, to be cleared.
+    /// Misuses so far, mutable, so that a test can clear them.
     pub const fn misuse_mut(&mut self) -> &mut MisuseLog {
         &mut self.misuse
     }
@@ -239,7 +239,7 @@ impl OsmcBridge {
         }
     }
 
-    /// Both directions within one cycle are a reversal without dead time too.
+    /// Reports a reversal without dead time, also if both directions occur in one cycle.
     fn check_reversal(&mut self, at_ns: u64, sweep: &Sweep, needed_ns: u64) {
         let off_ns = self.lows_off_since_ns.map_or(0, |since_ns| at_ns.saturating_sub(since_ns));
         let (next, reversed, off_ns) = match (sweep.forward > 0, sweep.reverse > 0) {
@@ -291,7 +291,7 @@ mod tests {
         BridgeInputs { ahi, ali, bhi, bli, disabled: false }
     }
 
-    /// The published scheme: both high inputs high, one low input switched.
+    /// Published drive scheme: both high inputs high, one low input switched.
     const fn forward(counts: u16) -> BridgeInputs {
         inputs(Line::High, Line::Low, Line::High, pwm(0, counts))
     }
@@ -319,7 +319,7 @@ mod tests {
             // one leg open
             ([High, Low, Low, Low], 0.0, 1.0, 0.0),
             ([Low, Low, Low, High], 0.0, 1.0, 0.0),
-            // the low input wins
+            // the low input has priority
             ([High, High, High, Low], -1.0, 0.0, 0.0),
             ([High, High, High, High], 0.0, 0.0, 1.0),
             // not driven is high
@@ -375,7 +375,7 @@ mod tests {
     fn both_inputs_high_is_reported_when_the_high_side_is_switched() {
         let mut bridge = OsmcBridge::new(3);
         let output = bridge.update(7, &inputs(pwm(0, 2000), pwm(1500, 4000), Line::Low, Line::High), PERIOD_NS, 12.0);
-        // the low side wins from 1500: 1500 forward, 2500 braked, 96 open
+        // the low side has priority from 1500: 1500 forward, 2500 braked, 96 open
         assert_eq!(output.duty, 1500.0 / 4096.0);
         assert_eq!(output.coast, 96.0 / 4096.0);
         assert_eq!(kinds(&bridge), [MisuseKind::ShootThroughAttempt { leg: Leg::A, counts: 500 }]);
@@ -429,7 +429,7 @@ mod tests {
             Just(Line::High),
             Just(Line::HighZ),
             (0..COUNTS, 0..COUNTS).prop_map(|(on, off)| Line::Pwm { on, off }),
-            // edges that coincide
+            // coinciding edges
             (0..4u16, 0..4u16).prop_map(|(on, off)| Line::Pwm { on: on * 1024, off: off * 1024 }),
         ]
     }

@@ -1,55 +1,56 @@
 //! Hobby RC servo: pulses of 500 us to 2500 us, 40 to 333 times a second, command an angle.
 //!
 //! # Behaviour
-//! The horn moves at a constant rate towards the commanded angle and stops where the rest is within the dead band, or at
-//! an end stop. So it rests one dead band short, on the side it came from. Nothing but the servo moves the horn.
+//! The horn moves at a constant rate towards the commanded angle and stops when the difference is within the dead band,
+//! or at an end stop. It therefore rests one dead band short, on the side it came from. Only the servo moves the horn.
 //!
 //! | supply | pulses | horn |
 //! | --- | --- | --- |
-//! | off | any | limp |
+//! | off | any | no torque |
 //! | on | valid | follows, held |
-//! | on | none, or outside the window for pulse or frame | held for 25 ms, the longest valid frame, then limp |
+//! | on | none, or outside the window for pulse or frame | held for 25 ms, the longest valid frame, then no torque |
 //!
-//! A new pulse width counts from the moment the line changes, at most one frame before a real servo has measured it.
+//! A new pulse width acts at the time the line changes, at most one frame before a real servo has measured it.
 //!
 //! # Time
-//! Between changes of the signal the motion has a closed form, so how often it is looked at changes no bit of it.
+//! Between changes of the signal the motion has a closed form, so the frequency of queries does not change the result.
 //!
 //! Not modelled: load and back-driving, acceleration, current, heat, digital servos that hold without pulses.
 
 use crate::chips::{COUNTS, Line};
 use crate::misuse::{Misuse, MisuseKind, MisuseLog};
 
-/// Pulses that servos of all usual makes take.
+/// Pulse range that servos of all usual makes accept, ns.
 const PULSE_MIN_NS: u64 = 500_000;
 const PULSE_MAX_NS: u64 = 2_500_000;
-/// 333 Hz, the fastest frame digital servos are sold for; rounded to allow that rate itself.
+/// Shortest frame, ns: 333 Hz, the fastest that digital servos are sold for, rounded to include that rate.
 const FRAME_MIN_NS: u64 = 3_003_003;
-/// 40 Hz.
+/// Longest frame, ns: 40 Hz.
 const FRAME_MAX_NS: u64 = 25_000_000;
-/// Without a valid pulse for the longest frame the servo lets go.
+/// Time without a valid pulse, the longest frame, after which the servo loses its torque, ns.
 const LIMP_AFTER_NS: u64 = FRAME_MAX_NS;
-/// Driven against a stop for so long is reported: a modelling choice, well above the time to correct a set point.
+/// Time driven against a stop after which it is reported, ns: a modelling choice, well above the time to correct a set
+/// point.
 const STOP_TOLERATED_NS: u64 = 1_000_000_000;
 
-/// What a servo is like. All finite, `pulse_max_s` above `pulse_min_s`, `stop_max_rad` not below `stop_min_rad`.
+/// Parameters of a servo. All are finite, `pulse_max_s` above `pulse_min_s`, `stop_max_rad` not below `stop_min_rad`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RcServoSpec {
-    /// Pulse for `angle_at_min_rad`.
+    /// Pulse width for `angle_at_min_rad`, s.
     pub pulse_min_s: f64,
-    /// Pulse for `angle_at_max_rad`; the line through the two goes on to both sides.
+    /// Pulse width for `angle_at_max_rad`, s; the line through both points extends on both sides.
     pub pulse_max_s: f64,
-    /// Angle commanded by `pulse_min_s`.
+    /// Angle commanded by `pulse_min_s`, rad.
     pub angle_at_min_rad: f64,
-    /// Angle commanded by `pulse_max_s`; below the other for a servo that turns the other way.
+    /// Angle commanded by `pulse_max_s`, rad; below the other for a servo of the opposite direction.
     pub angle_at_max_rad: f64,
-    /// Speed of the horn without load.
+    /// Speed of the horn without load, rad/s.
     pub rate_rad_s: f64,
-    /// A pulse that differs by no more than this from that of the present angle moves nothing.
+    /// Dead band, s: a pulse that differs from the present angle's by no more than this moves nothing.
     pub dead_band_s: f64,
-    /// Mechanical end stop.
+    /// Lower mechanical end stop, rad.
     pub stop_min_rad: f64,
-    /// The other one.
+    /// Upper mechanical end stop, rad.
     pub stop_max_rad: f64,
 }
 
@@ -72,15 +73,15 @@ impl RcServoSpec {
 struct Motion {
     from_ns: u64,
     from_rad: f64,
-    /// Where it ends.
+    /// Angle at its end, rad.
     to_rad: f64,
-    /// When it ends.
+    /// Time of its end, ns.
     until_ns: u64,
-    /// Whether it ends at a stop short of the command.
+    /// True if it ends at a stop short of the command.
     into_stop: bool,
 }
 
-/// One servo.
+/// One servo with its horn.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RcServo {
     number: u8,
@@ -89,22 +90,22 @@ pub struct RcServo {
     signal: Line,
     frame_ns: u64,
     powered: bool,
-    /// Commanded angle; `None` while limp.
+    /// Commanded angle, rad; `None` without torque.
     target_rad: Option<f64>,
-    /// When the servo lets go; `u64::MAX` while pulses come.
+    /// Time at which the servo loses its torque, ns; `u64::MAX` while pulses come.
     limp_ns: u64,
     motion: Motion,
-    /// Since when it has been driven against a stop.
+    /// Start of the time driven against a stop, ns.
     against_stop_since_ns: Option<u64>,
     stop_reported: bool,
     misuse: MisuseLog,
 }
 
 impl RcServo {
-    /// What it is called in reports.
+    /// Name of the servo in reports.
     pub const NAME: &str = "RC servo";
 
-    /// A servo without supply whose horn is at `angle_rad`; `number` tells it from others in reports.
+    /// A servo without supply whose horn is at `angle_rad`; `number` identifies it in reports.
     #[must_use]
     pub fn new(number: u8, spec: RcServoSpec, angle_rad: f64) -> Self {
         let angle_rad = spec.within_stops(angle_rad);
@@ -124,10 +125,10 @@ impl RcServo {
         }
     }
 
-    /// Signal and supply from `at_ns` on. Costs next to nothing while nothing changes.
+    /// Sets signal and supply from `at_ns` on. Cheap while they do not change.
     ///
-    /// `frame_ns` is the PWM cycle of the chip that drives the signal, as its real oscillator makes it: pulse width and
-    /// repetition both follow from it.
+    /// `frame_ns` is the PWM cycle of the chip that drives the signal, as its real oscillator gives it: pulse width and
+    /// repetition rate both follow from it.
     pub fn update(&mut self, at_ns: u64, signal: Line, frame_ns: u64, powered: bool) {
         self.advance(at_ns);
         if (signal, frame_ns, powered) == (self.signal, self.frame_ns, self.powered) {
@@ -145,7 +146,7 @@ impl RcServo {
         }
     }
 
-    /// Brings the servo to `to_ns`; a time before one already seen counts as that one.
+    /// Advances the servo to `to_ns`; an earlier time than one already seen counts as that one.
     pub fn advance(&mut self, to_ns: u64) {
         let to_ns = to_ns.max(self.now_ns);
         if self.limp_ns <= to_ns {
@@ -155,7 +156,7 @@ impl RcServo {
         self.pass(to_ns);
     }
 
-    /// Angle of the horn, as of the last call with a time.
+    /// Angle of the horn at the last call with a time, rad.
     #[must_use]
     pub fn angle_rad(&self) -> f64 {
         let Motion { from_ns, from_rad, to_rad, until_ns, .. } = self.motion;
@@ -166,37 +167,37 @@ impl RcServo {
         if to_rad > from_rad { (from_rad + way_rad).min(to_rad) } else { (from_rad - way_rad).max(to_rad) }
     }
 
-    /// Speed of the horn, as of the last call with a time.
+    /// Speed of the horn at the last call with a time, rad/s.
     #[must_use]
     pub fn speed_rad_s(&self) -> f64 {
         let Motion { from_rad, to_rad, until_ns, .. } = self.motion;
         if self.now_ns >= until_ns { 0.0 } else { self.spec.rate_rad_s.copysign(to_rad - from_rad) }
     }
 
-    /// Whether its supply is on.
+    /// True while the supply is on.
     #[must_use]
     pub const fn is_powered(&self) -> bool {
         self.powered
     }
 
-    /// Whether it holds or moves its horn; limp otherwise.
+    /// True while the servo holds or moves its horn; without torque otherwise.
     #[must_use]
     pub const fn is_holding(&self) -> bool {
         self.target_rad.is_some()
     }
 
-    /// What was done that servos ignore or suffer from.
+    /// Inputs so far that servos ignore or that damage them.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// The same, to be cleared.
+    /// Misuses so far, mutable, so that a test can clear them.
     pub const fn misuse_mut(&mut self) -> &mut MisuseLog {
         &mut self.misuse
     }
 
-    /// Pulse of the signal; `None` for no pulse and, reported, for one the servo ignores.
+    /// Pulse width of the signal, ns; `None` for no pulse and, reported, for one that the servo ignores.
     fn valid_pulse_ns(&mut self) -> Option<u64> {
         let counts = self.signal.counts_high(false);
         if counts == 0 {
@@ -218,7 +219,7 @@ impl RcServo {
         (pulse_fits && frame_fits).then_some(pulse_ns)
     }
 
-    /// Starts from where the horn is towards the target.
+    /// Starts the motion from the present angle to the target.
     fn set_off(&mut self) {
         let from_rad = self.angle_rad();
         let mut to_rad = from_rad;
@@ -235,7 +236,7 @@ impl RcServo {
         let duration_ns = ((to_rad - from_rad).abs() / self.spec.rate_rad_s * 1e9).ceil() as u64;
         let until_ns = self.now_ns.saturating_add(duration_ns);
         self.motion = Motion { from_ns: self.now_ns, from_rad, to_rad, until_ns, into_stop };
-        // a new command further into the stop it is at is still the same push
+        // a new command further into the same stop continues the same push
         let at_stop = into_stop && until_ns <= self.now_ns;
         if !at_stop {
             self.against_stop_since_ns = None;
@@ -249,7 +250,7 @@ impl RcServo {
         self.set_off();
     }
 
-    /// Lets time pass under one motion.
+    /// Advances time within one motion.
     fn pass(&mut self, to_ns: u64) {
         self.now_ns = to_ns;
         if !self.motion.into_stop || to_ns < self.motion.until_ns {
@@ -274,11 +275,11 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// 50 Hz within the PCA9685's steps: prescaler 121 at 25 MHz.
+    /// Frame for 50 Hz within the PCA9685's steps: prescaler 121 at 25 MHz.
     const FRAME_NS: u64 = 19_988_480;
     const SECOND_NS: u64 = 1_000_000_000;
 
-    /// 1 ms to 2 ms are -1 rad to 1 rad, so 1 us is 2 mrad; a slope of one that is easy to follow by hand.
+    /// Servo with 1 ms to 2 ms for -1 rad to 1 rad, so 1 us is 2 mrad; a slope that is easy to check by hand.
     const SPEC: RcServoSpec = RcServoSpec {
         pulse_min_s: 1e-3,
         pulse_max_s: 2e-3,
@@ -295,7 +296,7 @@ mod tests {
         Line::Pwm { on: 0, off: counts }
     }
 
-    /// Frame in which 1024 counts are a quarter: `pulse_ns` wide.
+    /// Frame in which 1024 counts, a quarter, are `pulse_ns` wide.
     const fn frame_for(pulse_ns: u64) -> u64 {
         pulse_ns * 4
     }
@@ -331,14 +332,14 @@ mod tests {
         for (cycle_ns, expected_ns) in [(FRAME_NS, 1_498_160), (FRAME_NS * 103 / 100, 1_543_104)] {
             let mut servo = servo();
             servo.update(0, pulse(307), cycle_ns, true);
-            // 307 of 4096 counts; the nanosecond is what rounding down leaves
+            // 307 of 4096 counts; rounding down costs up to a nanosecond
             assert!(servo.valid_pulse_ns().expect("in the window").abs_diff(expected_ns) <= 1);
         }
     }
 
     #[test]
     fn dead_band_decides_whether_it_moves() {
-        // 5 us is the band; 1 us to both sides of it
+        // 5 us is the dead band; 1 us to both sides of it
         for (pulse_ns, moves) in [(1_504_000, false), (1_506_000, true), (1_496_000, false), (1_494_000, true)] {
             let mut servo = servo();
             servo.update(0, pulse(1024), frame_for(pulse_ns), true);
@@ -352,7 +353,7 @@ mod tests {
         for (pulse_ns, valid) in [(499_999, false), (500_000, true), (2_500_000, true), (2_500_001, false)] {
             let mut servo = servo();
             servo.update(7, pulse(1024), frame_for(pulse_ns), true);
-            // a quarter of the frame: 2 ms to 10 ms; the shortest is too short a frame as well
+            // a quarter of the frame: 2 ms to 10 ms; for the shortest one the frame is too short as well
             let reported = kinds(&servo).iter().any(|kind| matches!(kind, MisuseKind::ServoPulseOutsideWindow { .. }));
             assert_eq!(reported, !valid, "{pulse_ns}");
         }
@@ -431,13 +432,13 @@ mod tests {
         servo.advance(1_374_999_999);
         assert_eq!(servo.angle_rad(), 1.5);
         assert!(servo.misuse().is_empty());
-        // further into the stop goes on with the same push
+        // further into the stop continues the same push
         servo.update(1_374_999_999, pulse(1024), frame_for(2_500_000), true);
         servo.advance(1_375_000_000);
         assert_eq!(servo.misuse().first()[0].time_ns, 1_375_000_000);
         servo.advance(9 * SECOND_NS);
         assert_eq!(kinds(&servo), [held]);
-        // away and back is another one
+        // away and back is a new one
         servo.update(10 * SECOND_NS, pulse(1024), frame_for(1_500_000), true);
         servo.update(11 * SECOND_NS, pulse(1024), frame_for(2_400_000), true);
         servo.advance(20 * SECOND_NS);
@@ -446,7 +447,7 @@ mod tests {
 
     #[test]
     fn within_a_dead_band_of_the_stop_it_does_not_push() {
-        // 1.5 rad is 2.25 ms; 5 us more is the band, 1 ns less for rounding
+        // 1.5 rad is 2.25 ms; 5 us more is the dead band, 1 ns less for rounding
         for (pulse_ns, pushes) in [(2_254_999, false), (2_256_000, true)] {
             let mut servo = RcServo::new(0, SPEC, 1.5);
             servo.update(0, pulse(1024), frame_for(pulse_ns), true);
@@ -499,7 +500,7 @@ mod tests {
                 at_ns += wait_ns;
                 servo.advance(at_ns);
                 let way_rad = (servo.angle_rad() - before_rad).abs();
-                // ends are put at whole nanoseconds: 4e-9 rad
+                // ends are at whole nanoseconds: 4e-9 rad
                 prop_assert!(way_rad <= SPEC.rate_rad_s * wait_ns as f64 * 1e-9 + 5e-9);
                 prop_assert!((SPEC.stop_min_rad..=SPEC.stop_max_rad).contains(&servo.angle_rad()));
             }

@@ -1,7 +1,7 @@
-//! Stepper driver of the M542 class, and whether the rotor of its motor can follow.
+//! Stepper driver of the M542 class, with a model of whether the rotor of its motor can follow.
 //!
 //! # Rules for the inputs
-//! DM542T, and where the M542 V2 is slower, that one:
+//! Limits of the DM542T, or of the M542 V2 where that is slower:
 //!
 //! | rule | limit |
 //! | --- | --- |
@@ -9,40 +9,40 @@
 //! | direction set up before, held after the rising edge of a step | 5 us |
 //! | enabled before the first step | 5 ms |
 //!
-//! A real driver may or may not take a step that breaks one; here it is always dropped, and reported. A step is counted
-//! 5 us after its edge, when it can no longer break a rule. An unconnected enable input is enabled. The position is kept
-//! while disabled: the motor is not loaded.
+//! A real driver may or may not take a step that violates a rule; here it is always dropped, and reported. A step is
+//! counted 5 us after its edge, when it can no longer violate a rule. An unconnected enable input is enabled. The
+//! position is kept while disabled: the motor is not loaded.
 //!
 //! # The rotor
 //! - Up to the start-stop rate each step is a start and a stop of its own.
-//! - Above it, the rotor's speed follows the rate of the steps with an acceleration in proportion to what is missing: the
-//!   motor's highest when the two are apart by the start-stop rate. Further apart the rotor falls out of step.
-//! - Steps may end, or turn round, where the rotor or the last interval is no faster than the start-stop rate. So a ramp of
-//!   up to the motor's acceleration is followed, and jitter of less than the start-stop rate averages out.
-//! - A rotor out of step stands until the steps pause for 50 ms. The steps it loses are `commanded` less `position`; a
-//!   sudden end of the steps is reported, but how far the rotor then slips is not modelled.
+//! - Above it, the rotor's speed follows the step rate with an acceleration proportional to the difference, up to the
+//!   motor's highest at a difference of the start-stop rate. With a larger difference the rotor loses synchronism.
+//! - Steps may end or reverse if the rotor or the last interval is no faster than the start-stop rate. A ramp of up to
+//!   the motor's acceleration is therefore followed, and jitter below the start-stop rate averages out.
+//! - A stalled rotor stands until the steps pause for 50 ms. The lost steps are `commanded` minus `position`; a sudden
+//!   end of the steps is reported, but how far the rotor then slips is not modelled.
 //!
 //! Not modelled: torque, load, resonance, current and its reduction at rest, heat, the optocouplers' 5 mA.
 
 use crate::misuse::{Misuse, MisuseKind, MisuseLog};
 
-/// Step input high, and low.
+/// Shortest high and low time of the step input, ns.
 const PULSE_NS: u64 = 2_500;
-/// Direction before and after a step.
+/// Set-up and hold time of the direction input, ns.
 const DIRECTION_NS: u64 = 5_000;
-/// Enabled before the first step.
+/// Time from enable to the first step, ns.
 const ENABLE_NS: u64 = 5_000_000;
-/// A rotor out of step has come to rest after this; a modelling choice.
+/// Time after which a stalled rotor has come to rest, ns; a modelling choice.
 const REST_NS: u64 = 50_000_000;
 
-/// What a driver and its motor are like. All finite and above 0; steps are those of the step input, microsteps.
+/// Parameters of a driver and its motor. All are finite and above 0; steps are those of the step input, microsteps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepperDriverSpec {
-    /// Level of the enable input that enables.
+    /// Level of the enable input that enables: high if true.
     pub enabled_when_high: bool,
-    /// Start-stop rate, also called pull-in rate: what the motor follows at once.
+    /// Start-stop rate, also called pull-in rate, steps/s: followed without a ramp.
     pub start_stop_hz: f64,
-    /// Highest acceleration and deceleration, steps/s^2.
+    /// Highest acceleration and deceleration, steps/s².
     pub acceleration_hz_s: f64,
 }
 
@@ -54,11 +54,11 @@ struct Step {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Rotor {
-    /// The last step that the driver took.
+    /// Last step that the driver took.
     last: Option<Step>,
-    /// Rate of the steps in the last interval.
+    /// Rate of the steps in the last interval, steps/s.
     step_hz: f64,
-    /// In the direction of the last step, not negative.
+    /// Speed in the direction of the last step, steps/s, not negative.
     speed_hz: f64,
     stalled: bool,
 }
@@ -67,24 +67,24 @@ impl Rotor {
     const AT_REST: Self = Self { last: None, step_hz: 0.0, speed_hz: 0.0, stalled: false };
 }
 
-/// One driver with its motor. Calls are in order of time: a time before one already seen counts as that one.
+/// One driver with its motor. Calls are in order of time: an earlier time than one already seen counts as that one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepperDriver {
     number: u8,
     spec: StepperDriverSpec,
     now_ns: u64,
     step_high: bool,
-    /// Last rising and falling edge of the step input.
+    /// Times of the last rising and falling edge of the step input, ns.
     rise_ns: Option<u64>,
     fall_ns: Option<u64>,
     forward: bool,
-    /// Last edge of the direction input.
+    /// Time of the last edge of the direction input, ns.
     direction_ns: Option<u64>,
     enable_input: bool,
     supplied: bool,
-    /// From when on the driver takes steps; `None` while disabled.
+    /// Time from which on the driver takes steps, ns; `None` while disabled.
     ready_ns: Option<u64>,
-    /// A step that may still break a rule.
+    /// Step that may still violate a rule.
     pending: Option<Step>,
     rotor: Rotor,
     commanded: i64,
@@ -93,11 +93,11 @@ pub struct StepperDriver {
 }
 
 impl StepperDriver {
-    /// What it is called in reports.
+    /// Name of the driver in reports.
     pub const NAME: &str = "stepper driver";
 
-    /// A driver whose supply has long been on, with nothing at its enable input, so enabled; step low, direction forward (high).
-    /// `number` tells it from others in reports.
+    /// A driver whose supply has long been on, with an unconnected enable input and so enabled; step low, direction
+    /// forward (high). `number` identifies it in reports.
     #[must_use]
     pub const fn new(number: u8, spec: StepperDriverSpec) -> Self {
         Self {
@@ -120,7 +120,7 @@ impl StepperDriver {
         }
     }
 
-    /// Level of the step input from `t_ns` on; its rising edge is a step.
+    /// Sets the level of the step input from `t_ns` on; its rising edge is a step.
     pub fn step(&mut self, t_ns: u64, high: bool) {
         self.advance(t_ns);
         if high == self.step_high {
@@ -130,7 +130,7 @@ impl StepperDriver {
         if high { self.rise() } else { self.fall() }
     }
 
-    /// Level of the direction input from `t_ns` on; high is forward, towards positive positions.
+    /// Sets the level of the direction input from `t_ns` on; high is forward, towards positive positions.
     pub fn direction(&mut self, t_ns: u64, high: bool) {
         self.advance(t_ns);
         if high == self.forward {
@@ -138,38 +138,38 @@ impl StepperDriver {
         }
         self.forward = high;
         self.direction_ns = Some(self.now_ns);
-        // still pending: its 5 us are not over
+        // a step still pending has not had its hold time of 5 us
         if let Some(step) = self.pending.take() {
             let held_ns = self.now_ns - step.rise_ns;
             self.report(self.now_ns, MisuseKind::DirectionHoldTooShort { held_ns, needed_ns: DIRECTION_NS });
         }
     }
 
-    /// Level of the enable input from `t_ns` on.
+    /// Sets the level of the enable input from `t_ns` on.
     pub fn enable(&mut self, t_ns: u64, high: bool) {
         self.advance(t_ns);
         self.enable_input = high == self.spec.enabled_when_high;
         self.look_at_enable();
     }
 
-    /// Takes the motor supply away or returns it, as a relay does: without it the driver is as disabled.
+    /// Switches the motor supply, as a relay does: without it the driver behaves as disabled.
     pub fn supply(&mut self, t_ns: u64, on: bool) {
         self.advance(t_ns);
         self.supplied = on;
         self.look_at_enable();
     }
 
-    /// `count` pulses `high_ns` long, the first rising at `first_ns`, one every `interval_ns`.
+    /// Sends `count` pulses of `high_ns`, the first rising at `first_ns`, one every `interval_ns`.
     ///
-    /// The same as [`step`](Self::step) for each edge; only, steps at a constant speed that the rotor has reached cost
-    /// nothing.
+    /// Equivalent to [`step`](Self::step) for each edge, but steps at a constant speed that the rotor has reached take
+    /// no computing time.
     pub fn pulses(&mut self, first_ns: u64, interval_ns: u64, count: u64, high_ns: u64) {
         let rise_ns = |index: u64| first_ns.saturating_add(interval_ns.saturating_mul(index));
         let mut index = 0;
         while index < count {
             let at_ns = rise_ns(index);
             let whole = count - 1 - index;
-            // The last one stays a single one, as it is pending after.
+            // the last one stays a single step, because it is pending afterwards
             if whole > 0 && rise_ns(count) < u64::MAX && self.is_steady(at_ns, interval_ns, high_ns) {
                 self.skip(rise_ns(index + whole - 1), whole, high_ns);
                 index += whole;
@@ -181,12 +181,12 @@ impl StepperDriver {
         }
     }
 
-    /// Brings the driver to `to_ns`.
+    /// Advances the driver to `to_ns`.
     pub fn advance(&mut self, to_ns: u64) {
         self.now_ns = self.now_ns.max(to_ns);
         if let Some(step) = self.pending {
             if self.now_ns - step.rise_ns < DIRECTION_NS {
-                // Whether the steps have ended depends on this one.
+                // this step decides if the steps have ended
                 return;
             }
             self.pending = None;
@@ -195,7 +195,7 @@ impl StepperDriver {
         self.look_for_end_of_steps();
     }
 
-    /// Where the rotor is, in steps from where it began; a step is counted 5 us after its edge.
+    /// Position of the rotor, steps from its start; a step is counted 5 us after its edge.
     #[must_use]
     pub const fn position(&self) -> i64 {
         self.position
@@ -216,31 +216,31 @@ impl StepperDriver {
         }
     }
 
-    /// Where the rotor would be had it never stalled: all the steps that the driver took.
+    /// Position of a rotor that never stalls: all steps that the driver took.
     #[must_use]
     pub const fn commanded(&self) -> i64 {
         self.commanded
     }
 
-    /// Whether the rotor is out of step.
+    /// True while the rotor is out of step.
     #[must_use]
     pub const fn is_stalled(&self) -> bool {
         self.rotor.stalled
     }
 
-    /// Whether the driver has its supply and is enabled.
+    /// True while the driver has its supply and is enabled.
     #[must_use]
     pub const fn is_enabled(&self) -> bool {
         self.ready_ns.is_some()
     }
 
-    /// What was done against the rules of driver and motor.
+    /// Inputs so far that violate the rules of driver and motor.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// The same, to be cleared.
+    /// Misuses so far, mutable, so that a test can clear them.
     pub const fn misuse_mut(&mut self) -> &mut MisuseLog {
         &mut self.misuse
     }
@@ -269,7 +269,7 @@ impl StepperDriver {
         if lasted_ns >= PULSE_NS {
             return;
         }
-        // An earlier step may be pending while this one was refused at its rise.
+        // an earlier step may be pending if this one was refused at its rise
         if self.pending.is_some_and(|step| Some(step.rise_ns) == self.rise_ns) {
             self.pending = None;
             let kind = MisuseKind::StepPulseTooShort { high: true, lasted_ns, needed_ns: PULSE_NS };
@@ -277,7 +277,7 @@ impl StepperDriver {
         }
     }
 
-    /// The first rule that a step now breaks.
+    /// First rule that a step at the present time violates; `None` if it is valid.
     fn refusal(&self) -> Option<MisuseKind> {
         let Some(ready_ns) = self.ready_ns else { return Some(MisuseKind::StepWhileDisabled) };
         let lasted_ns = self.since(self.fall_ns);
@@ -300,7 +300,7 @@ impl StepperDriver {
 
     // ---- rotor ----
 
-    /// A step that kept all rules.
+    /// Takes a step that kept all rules.
     fn take(&mut self, step: Step) {
         let way = if step.forward { 1 } else { -1 };
         self.commanded = self.commanded.wrapping_add(way);
@@ -313,12 +313,13 @@ impl StepperDriver {
         self.rotor.last = Some(step);
     }
 
-    /// Speeds the rotor up or slows it down, or finds that it cannot follow.
+    /// Accelerates or decelerates the rotor, or finds that it cannot follow.
     fn follow(&mut self, step: Step) {
         let Some(last) = self.rotor.last else { return };
         let interval_s = (step.rise_ns - last.rise_ns) as f64 * 1e-9;
         let step_hz = 1.0 / interval_s;
         if last.forward != step.forward {
+            // reversal only from a speed at which the rotor can stop
             if self.longest_interval_s().is_some() {
                 self.stall(step.rise_ns, step_hz);
                 return;
@@ -328,10 +329,11 @@ impl StepperDriver {
         let change_hz = self.spec.acceleration_hz_s * interval_s;
         let reach_hz = self.spec.start_stop_hz + change_hz;
         let missing_hz = step_hz - self.rotor.speed_hz;
-        // That a slow step did not come too late was seen when it rose.
+        // a slow step that came too late was detected when it rose
         if step_hz <= self.spec.start_stop_hz || missing_hz.abs() <= change_hz {
             self.rotor.speed_hz = step_hz;
         } else if missing_hz.abs() <= reach_hz {
+            // speed differs from the rate of the steps by no more than the start-stop rate
             self.rotor.speed_hz += change_hz * missing_hz / reach_hz;
         } else {
             self.stall(step.rise_ns, step_hz);
@@ -339,7 +341,7 @@ impl StepperDriver {
         self.rotor.step_hz = step_hz;
     }
 
-    /// No step may be pending.
+    /// Stalls a rotor whose steps end too suddenly, and ends a stall after the pause. No step may be pending.
     fn look_for_end_of_steps(&mut self) {
         let Some(last) = self.rotor.last else { return };
         if !self.rotor.stalled
@@ -355,15 +357,15 @@ impl StepperDriver {
         }
     }
 
-    /// Longest interval to the next step that the rotor can slow down for; `None` if it could also stop.
+    /// Longest interval to the next step for which the rotor can decelerate, s; `None` if it could also stop.
     ///
-    /// An interval `t` is too long where `1 / t < speed - start_stop - acceleration * t`: from the smaller root on. In a
-    /// ramp down the steps may be slower than the rotor already; then theirs counts as the speed.
+    /// An interval `t` is too long where `1 / t < speed - start_stop - acceleration * t`: from the smaller root on. In
+    /// a ramp down the steps may already be slower than the rotor; then their rate counts as the speed.
     fn longest_interval_s(&self) -> Option<f64> {
         let acceleration_hz_s = self.spec.acceleration_hz_s;
         let excess_hz = self.rotor.speed_hz.min(self.rotor.step_hz) - self.spec.start_stop_hz;
         let root_squared = excess_hz * excess_hz - 4.0 * acceleration_hz_s;
-        // in the form that does not subtract numbers of nearly the same size
+        // in the form that avoids cancellation
         (excess_hz > 0.0 && root_squared > 0.0).then(|| 2.0 / (excess_hz + root_squared.sqrt()))
     }
 
@@ -377,7 +379,8 @@ impl StepperDriver {
 
     // ---- many steps at once ----
 
-    /// Whether a pulse at `at_ns` and those after it only count: all as the one before, and the rotor at their speed.
+    /// True if a pulse at `at_ns` and those after it only need counting: equal to the one before, with the rotor at
+    /// their speed.
     fn is_steady(&mut self, at_ns: u64, interval_ns: u64, high_ns: u64) -> bool {
         let low_ns = interval_ns.saturating_sub(high_ns);
         if at_ns < self.now_ns || high_ns < PULSE_NS || low_ns < PULSE_NS || interval_ns >= REST_NS {
@@ -419,7 +422,7 @@ mod tests {
     use proptest::prelude::*;
 
     const MS_NS: u64 = 1_000_000;
-    /// The shortest pulse and interval that the driver takes: 200 kHz.
+    /// Shortest pulse and interval that the driver takes: 200 kHz.
     const HIGH_NS: u64 = 2_500;
 
     const SPEC: StepperDriverSpec =
@@ -429,7 +432,7 @@ mod tests {
         StepperDriver::new(7, SPEC)
     }
 
-    /// A motor that follows anything, to look at the driver alone.
+    /// A driver with a motor that follows any rate, to test the driver alone.
     fn without_inertia() -> StepperDriver {
         StepperDriver::new(7, StepperDriverSpec { start_stop_hz: 1e9, ..SPEC })
     }
@@ -443,7 +446,7 @@ mod tests {
         driver.misuse().first().iter().map(|misuse| misuse.kind).collect()
     }
 
-    /// Position long after, and what was reported.
+    /// Position long after the last step, and the reports.
     fn result(mut driver: StepperDriver) -> (i64, Vec<MisuseKind>) {
         driver.advance(u64::MAX);
         assert_eq!(driver.position(), driver.commanded());
@@ -511,7 +514,7 @@ mod tests {
             let mut driver = without_inertia();
             driver.pulses(0, interval_ns, 1_000, HIGH_NS);
             driver.advance(u64::MAX);
-            // the first step of the faster train is good, and the low time before each later one is too short
+            // the first step of the faster train is valid, and the low time before each later one is too short
             assert_eq!((driver.position(), driver.misuse().total()), (taken, 1_000 - taken as u64));
         }
     }
@@ -582,7 +585,7 @@ mod tests {
             assert_eq!((driver.misuse().first()[0].address, driver.misuse().first()[0].time_ns), (7, 20 * MS_NS));
             assert_eq!(result(driver), (1, vec![MisuseKind::StepWhileDisabled]));
         }
-        // both are needed
+        // both are required
         let mut driver = driver();
         driver.enable(0, true);
         driver.supply(0, false);
@@ -607,7 +610,7 @@ mod tests {
         }
     }
 
-    /// Steps that change from one rate to another evenly; the time of the step that would follow.
+    /// Sends steps that change linearly from one rate to another, and returns the time of the step that would follow.
     fn ramp(driver: &mut StepperDriver, from_ns: u64, from_hz: f64, to_hz: f64, acceleration_hz_s: f64) -> u64 {
         let mut at_ns = from_ns;
         let mut step_hz = from_hz;
@@ -621,7 +624,7 @@ mod tests {
 
     #[test]
     fn follows_ramps_up_to_its_acceleration() {
-        // the nanosecond to which intervals are rounded is 10 Hz at 100 kHz, 1 % of the start-stop rate
+        // the rounding of intervals to a nanosecond is 10 Hz at 100 kHz, 1 % of the start-stop rate
         for (up, down, stalls) in [(0.97, 0.97, false), (0.1, 0.97, false), (1.03, 0.97, true), (0.97, 1.03, true)] {
             let mut driver = driver();
             let acceleration_hz_s = SPEC.acceleration_hz_s;
@@ -643,7 +646,7 @@ mod tests {
             let at_ns = ramp(&mut driver, 0, 500.0, step_hz, 5_000.0);
             driver.pulses(at_ns, (1e9 / step_hz) as u64, 1_000, HIGH_NS);
             driver.advance(u64::MAX);
-            // with 1200 Hz the rotor is below 1000 Hz before it needs the next step: (f - 1000 Hz)^2 < 4 a
+            // at 1200 Hz the rotor is below 1000 Hz before it needs the next step: (f - 1000 Hz)^2 < 4 a
             let kind = MisuseKind::StepperStalled { step_hz: 0, rotor_hz: step_hz as u64 };
             assert_eq!(kinds(&driver), if stalls { vec![kind] } else { vec![] });
             assert_eq!(driver.position(), driver.commanded());
@@ -733,7 +736,7 @@ mod tests {
         ]
     }
 
-    /// Waits around all limits, and the continuation of a train of pulses at its own interval.
+    /// Waiting times around all limits, and `None` for the continuation of a train of pulses at its own interval.
     fn any_wait() -> impl Strategy<Value = Option<u64>> {
         prop_oneof![
             Just(None),
@@ -753,7 +756,7 @@ mod tests {
         ]
     }
 
-    /// Makes a call `wait_ns` after the end of the one before; the time it ends.
+    /// Makes a call `wait_ns` after the end of the one before, and returns the time of its end.
     fn make(driver: &mut StepperDriver, at_ns: u64, call: Call, single: bool) -> u64 {
         match call {
             Call::Step(high) => driver.step(at_ns, high),
@@ -786,7 +789,7 @@ mod tests {
                 at_ns += wait_ns.unwrap_or(0);
                 make(&mut single, at_ns, call, true);
                 at_ns = make(&mut batch, at_ns, call, false);
-                // to the bit, reports too
+                // to the bit, including reports
                 prop_assert_eq!(&batch, &single);
             }
         }

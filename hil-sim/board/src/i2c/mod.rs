@@ -1,11 +1,11 @@
-//! An I2C bus with one controller: every byte at its exact virtual time, in the order of the wire, deterministic.
+//! I2C bus with one controller: every byte at its exact virtual time, in the order of the wire, deterministic.
 //!
-//! The bus is synchronous, and has two ways in. [`I2cBus::execute`] walks a whole transaction at once and tells when each
-//! part of it happened; whoever calls it lets virtual time pass. A controller that makes its own timing goes
-//! [byte by byte](I2cBus::start) and says when each happens. Chips, injected faults, statistics and trace are the same
-//! for both. Timing of the first is that of the NXP I2C-bus specification (UM10204, rev. 6,
-//! table 10), with the controller at the minimum of every parameter and the clock at the set rate, and no clock
-//! stretching (none of the board's chips stretches).
+//! The bus is synchronous, and has two interfaces. [`I2cBus::execute`] runs a whole transaction at once and reports the
+//! times of its parts; the caller lets virtual time pass. A controller with its own timing goes [byte by
+//! byte](I2cBus::start) and passes the time of each. Chips, injected faults, statistics and trace are the same for
+//! both. The timing of the first is that of the NXP I2C-bus specification (UM10204, rev. 6, table 10), with the
+//! controller at the minimum of every parameter and the clock at the set rate, and no clock stretching (none of the
+//! board's chips stretches).
 //!
 //! ```text
 //! START  tHD;STA | 9 clocks: address | 9 clocks per byte | tLOW tSU;STA, START again, tHD;STA | ... | tLOW tSU;STO STOP | tBUF
@@ -27,24 +27,24 @@ use crate::misuse::MisuseLog;
 pub use stepwise::Response;
 use transaction::Transaction;
 
-/// A target on the bus, seen from its two wires.
+/// A target on the bus, as seen from its two wires.
 pub trait I2cChip {
-    /// Whether the chip would acknowledge this 7-bit address now. No side effects.
+    /// True if the chip would acknowledge this 7-bit address now. No side effects.
     fn acknowledges(&self, address: u8, read: bool) -> bool;
-    /// The chip was addressed, and acknowledged; at the end of the 9th clock of the address. Also after a repeated START.
+    /// Handles an acknowledged address, at the end of its 9th clock; also after a repeated START.
     fn start(&mut self, at_ns: u64, address: u8, read: bool);
-    /// A byte from the controller, at the end of its 9th clock; `true` acknowledges it.
+    /// Takes a byte from the controller, at the end of its 9th clock; `true` acknowledges it.
     fn write(&mut self, at_ns: u64, byte: u8) -> bool;
-    /// A byte for the controller, at the end of its 9th clock.
+    /// Returns a byte for the controller, at the end of its 9th clock.
     fn read(&mut self, at_ns: u64) -> u8;
-    /// STOP, after a transaction in which the chip was addressed.
+    /// Handles the STOP of a transaction in which the chip was addressed.
     fn stop(&mut self, at_ns: u64);
 }
 
-/// UM10204, rev. 6, table 10, in nanoseconds; one set per mode, chosen by the rate.
+/// Timing parameters of UM10204, rev. 6, table 10, ns; one set per mode, selected by the rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Timing {
-    /// One clock.
+    /// Period of SCL, ns.
     clock_ns: u64,
     hold_start_ns: u64,
     setup_start_ns: u64,
@@ -54,7 +54,7 @@ struct Timing {
 }
 
 impl Timing {
-    /// Above 1 MHz the times of Fast-mode Plus are used: no chip of the board is faster.
+    /// Parameters for a rate. Above 1 MHz those of Fast-mode Plus apply: no chip of the board is faster.
     fn new(rate_hz: u32) -> Self {
         let clock_ns = 1_000_000_000_u64.div_ceil(u64::from(rate_hz.max(1)));
         let [hold_start_ns, setup_start_ns, setup_stop_ns, low_ns, bus_free_ns] = match rate_hz {
@@ -79,46 +79,46 @@ impl Timing {
     }
 }
 
-/// A transaction that every chip acknowledged.
+/// Result of a transaction that every chip acknowledged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Done {
-    /// START condition; later than asked if the bus was not free.
+    /// Time of the START condition, ns; later than requested if the bus was not free.
     pub start_ns: u64,
-    /// STOP condition. The next START can follow after the bus-free time.
+    /// Time of the STOP condition, ns. The next START can follow after the bus-free time.
     pub end_ns: u64,
 }
 
-/// A transaction that did not go through.
+/// Failure of a transaction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// No chip acknowledged the address.
     AddressNack {
-        /// The address, 7 bits.
+        /// Address that was sent, 7 bits.
         address: u8,
-        /// Direction asked for.
+        /// Direction that was requested: true for a read.
         read: bool,
-        /// STOP condition.
+        /// Time of the STOP condition, ns.
         end_ns: u64,
     },
     /// No chip acknowledged a data byte.
     DataNack {
-        /// The address, 7 bits.
+        /// Address of the transaction, 7 bits.
         address: u8,
-        /// Which: data bytes of the transaction in both directions, counted from 0.
+        /// Index of the byte: data bytes of the transaction in both directions, from 0.
         byte: usize,
-        /// STOP condition.
+        /// Time of the STOP condition, ns.
         end_ns: u64,
     },
     /// SDA or SCL is held low: the transfer never completes. The controller has to time out and to
     /// [recover](I2cBus::recover) the bus.
     StuckLow {
-        /// From when on nothing moved.
+        /// Time from which on the bus is held, ns.
         since_ns: u64,
     },
 }
 
 impl Fault {
-    /// When the transfer ended; `None` if it never does.
+    /// Time at which the transfer ended, ns; `None` if it never does.
     #[must_use]
     pub const fn end_ns(&self) -> Option<u64> {
         match *self {
@@ -148,82 +148,82 @@ impl std::error::Error for Fault {}
 /// A fault to inject.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Disturbance {
-    /// The address is not acknowledged; no chip takes notice.
+    /// The address is not acknowledged, and no chip sees it.
     AddressNack,
-    /// A written data byte is not acknowledged, and not taken. Bytes count as in [`Fault::DataNack`].
+    /// A written data byte is neither acknowledged nor taken. Bytes count as in [`Fault::DataNack`].
     DataNack {
-        /// Which byte.
+        /// Index of the byte, from 0.
         byte: usize,
     },
-    /// Bits of a data byte, written or read, arrive inverted. Bytes count as in [`Fault::DataNack`].
+    /// Bits of a data byte, written or read, are inverted. Bytes count as in [`Fault::DataNack`].
     BitFlip {
-        /// Which byte.
+        /// Index of the byte, from 0.
         byte: usize,
-        /// Which bits.
+        /// Mask of the inverted bits.
         mask: u8,
     },
-    /// The bus is held low, until recovered.
+    /// The bus is held low until it is recovered.
     StuckLow {
-        /// Nine clocks do not help either: a short, not a chip in the middle of a byte.
+        /// True if nine clocks do not free it: a short circuit, not a chip in the middle of a byte.
         persistent: bool,
     },
 }
 
-/// When an injected fault acts.
+/// Transactions in which an injected fault acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Span {
-    /// In transactions that start in `from_ns..until_ns`; a stuck bus also stops one that is under way at `from_ns`, and
-    /// is free again at `until_ns` if it was not recovered before.
+    /// Transactions that start in `from_ns..until_ns`; a stuck bus also interrupts one in progress at `from_ns`, and is
+    /// free again at `until_ns` if it was not recovered before.
     Time {
-        /// First instant.
+        /// Start of the time, ns, inclusive.
         from_ns: u64,
-        /// First instant after it.
+        /// End of the time, ns, exclusive.
         until_ns: u64,
     },
-    /// In the next transactions, as many. A bus that got stuck stays so until recovered, and counts once.
+    /// The next `count` transactions. A bus that is stuck stays so until recovered, and counts once.
     Transfers {
-        /// How many are left.
+        /// Number of transactions left.
         count: u32,
     },
 }
 
-/// What to inject, when, and to whom.
+/// A fault with its time and its address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Injection {
-    /// What happens.
+    /// Kind of the fault.
     pub disturbance: Disturbance,
-    /// When.
+    /// Transactions in which it acts.
     pub span: Span,
-    /// Only in transactions with this address; `None` is any.
+    /// Address of the transactions it is limited to; `None` for all.
     pub address: Option<u8>,
 }
 
-/// What recovery of a stuck bus achieved.
+/// Result of the recovery of a stuck bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Recovery {
-    /// STOP condition after the nine clocks.
+    /// Time of the STOP condition after the nine clocks, ns.
     pub end_ns: u64,
-    /// Whether the lines are free now.
+    /// True if the lines are free now.
     pub released: bool,
 }
 
-/// Counted since the bus was made, or since [`I2cBus::reset_statistics`].
+/// Counters since the bus was created, or since [`I2cBus::reset_statistics`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Statistics {
-    /// Transactions, START to STOP, also those that failed.
+    /// Number of transactions, START to STOP, failed ones included.
     pub transfers: u64,
-    /// Bytes on the wire, addresses included.
+    /// Number of bytes on the wire, addresses included.
     pub bytes: u64,
-    /// Transactions that ended at an address or data byte that was not acknowledged.
+    /// Number of transactions that ended at an address or data byte without acknowledgement.
     pub nacks: u64,
-    /// Transactions that never completed.
+    /// Number of transactions that never completed.
     pub stuck: u64,
-    /// Time for which nobody else could use the bus: START to STOP, and the bus-free time.
+    /// Time for which the bus was occupied, ns: START to STOP, and the bus-free time.
     pub busy_ns: u64,
 }
 
 impl Statistics {
-    /// Share of a time span for which the bus was taken.
+    /// Share of a time span for which the bus was occupied.
     #[must_use]
     pub fn occupancy(&self, span_ns: u64) -> f64 {
         if span_ns == 0 { 0.0 } else { self.busy_ns as f64 / span_ns as f64 }
@@ -233,17 +233,17 @@ impl Statistics {
 /// One transaction as a logic analyser would show it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WireRecord {
-    /// START condition.
+    /// Time of the START condition, ns.
     pub start_ns: u64,
-    /// STOP condition; when it stopped moving, if the bus got stuck.
+    /// Time of the STOP condition, ns; if the bus got stuck, that time.
     pub end_ns: u64,
-    /// The 7-bit address.
+    /// Address of the transaction, 7 bits.
     pub address: u8,
-    /// Data bytes written, as they were on the wire, the one not acknowledged included.
+    /// Data bytes written, as they were on the wire, including one that was not acknowledged.
     pub written: Vec<u8>,
     /// Data bytes read, as they were on the wire.
     pub read: Vec<u8>,
-    /// How it ended.
+    /// Failure of the transaction; `None` if it was completed.
     pub fault: Option<Fault>,
 }
 
@@ -255,11 +255,11 @@ struct Trace {
     read: Vec<u8>,
 }
 
-/// A bus held low.
+/// State of a bus that is held low.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Stuck {
     persistent: bool,
-    /// When it frees itself.
+    /// Time at which it frees itself, ns.
     until_ns: u64,
 }
 
@@ -268,15 +268,16 @@ pub struct I2cBus {
     rate_hz: u32,
     timing: Timing,
     chips: Vec<Rc<RefCell<dyn I2cChip>>>,
-    /// Addressed since the last START; and since the last STOP. Indices, kept to be filled again without allocation.
+    /// Indices of the chips addressed since the last START, and since the last STOP. Kept so that they are filled
+    /// without allocation.
     listening: Vec<usize>,
     addressed: Vec<usize>,
     free_at_ns: u64,
     injections: Vec<Injection>,
     stuck: Option<Stuck>,
-    /// What a controller that goes byte by byte has under way.
+    /// Transaction in progress of a controller that goes byte by byte.
     open: Option<Transaction>,
-    /// Clocks that a controller gave a stuck bus by hand, and since when.
+    /// Start, ns, and number of the clocks that a controller gave a stuck bus by hand.
     recovery: Option<(u64, u8)>,
     statistics: Statistics,
     trace: Option<Trace>,
@@ -296,10 +297,10 @@ impl fmt::Debug for I2cBus {
 }
 
 impl I2cBus {
-    /// What it is called in reports.
+    /// Name of the bus in reports.
     pub const NAME: &str = "I2C bus";
 
-    /// A free bus without chips. The rate is that of SCL; 0 counts as 1.
+    /// A free bus without chips. `rate_hz` is the frequency of SCL; 0 counts as 1.
     #[must_use]
     pub fn new(rate_hz: u32) -> Self {
         Self {
@@ -326,27 +327,27 @@ impl I2cBus {
         self.addressed.reserve(self.chips.len());
     }
 
-    /// Clock rate.
+    /// Clock rate of SCL, Hz.
     #[must_use]
     pub const fn rate_hz(&self) -> u32 {
         self.rate_hz
     }
 
-    /// Sets the clock rate of the following transactions.
+    /// Sets the clock rate of the following transactions, Hz.
     pub fn set_rate_hz(&mut self, rate_hz: u32) {
         self.rate_hz = rate_hz;
         self.timing = Timing::new(rate_hz);
     }
 
-    /// When a transaction asked for at `at_ns` can start: not before the bus-free time after the last one.
+    /// Earliest start of a transaction requested at `at_ns`, ns: not before the bus-free time after the last one.
     #[must_use]
     pub fn earliest_start_ns(&self, at_ns: u64) -> u64 {
         at_ns.max(self.free_at_ns)
     }
 
-    /// From START to STOP of a transaction in which everything is acknowledged. The bus-free time comes on top.
+    /// Duration from START to STOP of a transaction in which everything is acknowledged, ns, without the bus-free time.
     ///
-    /// As `embedded_hal::i2c::I2c::transaction` has it, neighbours of the same direction are one transfer. A list without
+    /// As for `embedded_hal::i2c::I2c::transaction`, neighbours of the same direction are one transfer. A list without
     /// operations takes no time.
     #[must_use]
     pub fn planned_duration_ns(&self, operations: &[Operation<'_>]) -> u64 {
@@ -370,14 +371,15 @@ impl I2cBus {
         if direction.is_some() { duration_ns + timing.stop_ns() } else { 0 }
     }
 
-    /// One transaction, from START at `start_ns` (or when the bus is free) to STOP.
+    /// Runs one transaction, from START at `start_ns` (or when the bus is free) to STOP.
     ///
-    /// Chips get every byte with the time of its 9th clock, so they may be ahead of the caller's clock when this returns:
-    /// the caller lets time pass up to the end before it acts on the result.
+    /// Chips get every byte with the time of its 9th clock, so they may be ahead of the caller's clock when this
+    /// returns: the caller lets time pass up to the end before it uses the result.
     ///
     /// # Errors
-    /// At the first address or byte that is not acknowledged, after which the controller sends STOP; or if the bus is
-    /// held low. What was read until then is in the buffers.
+    /// [`Fault::AddressNack`] or [`Fault::DataNack`] at the first address or byte that is not acknowledged, after which
+    /// the controller sends STOP; [`Fault::StuckLow`] if the bus is held low. The buffers contain the bytes read until
+    /// then.
     pub fn execute(&mut self, start_ns: u64, address: u8, operations: &mut [Operation<'_>]) -> Result<Done, Fault> {
         if operations.is_empty() {
             return Ok(Done { start_ns, end_ns: start_ns });
@@ -385,14 +387,14 @@ impl I2cBus {
         let start_ns = self.earliest_start_ns(start_ns);
         let mut transaction = self.open(start_ns, address);
         let mut at_ns = start_ns;
-        // What failed is in the transaction.
+        // the transaction itself records the failure
         let _ = self.walk(&mut transaction, &mut at_ns, operations);
         let (end_ns, fault) = self.close(transaction, at_ns.saturating_add(self.timing.stop_ns()));
         fault.map_or(Ok(Done { start_ns, end_ns }), Err)
     }
 
-    /// Nine clocks and a STOP from the controller, which free the bus from a chip that was left in the middle of a byte
-    /// (UM10204, rev. 6, 3.1.16). Chips of the interrupted transaction see the STOP.
+    /// Sends nine clocks and a STOP, which free the bus from a chip that was left in the middle of a byte (UM10204,
+    /// rev. 6, 3.1.16). Chips of the interrupted transaction see the STOP.
     pub fn recover(&mut self, at_ns: u64) -> Recovery {
         let start_ns = self.earliest_start_ns(at_ns);
         let end_ns = start_ns.saturating_add(self.timing.byte_ns()).saturating_add(self.timing.stop_ns());
@@ -404,7 +406,7 @@ impl I2cBus {
         Recovery { end_ns, released }
     }
 
-    /// Adds a fault to those that act.
+    /// Adds a fault to the active ones.
     pub fn inject(&mut self, injection: Injection) {
         if let Some(transaction) = &mut self.open {
             transaction.strike(&injection);
@@ -412,7 +414,7 @@ impl I2cBus {
         self.injections.push(injection);
     }
 
-    /// Takes all injected faults away; a stuck bus is free.
+    /// Removes all injected faults; a stuck bus becomes free.
     pub fn clear_injections(&mut self) {
         self.injections.clear();
         self.stuck = None;
@@ -421,34 +423,34 @@ impl I2cBus {
         }
     }
 
-    /// What went over the wire.
+    /// Counters of the traffic on the bus.
     #[must_use]
     pub const fn statistics(&self) -> &Statistics {
         &self.statistics
     }
 
-    /// Counts from zero again.
+    /// Resets the counters to zero.
     pub fn reset_statistics(&mut self) {
         self.statistics = Statistics::default();
     }
 
-    /// Keeps the last transactions, as many as `capacity`; 0 keeps none, which costs nothing.
+    /// Keeps the last `capacity` transactions; 0 keeps none, at no cost.
     pub fn set_trace(&mut self, capacity: usize) {
         self.trace = (capacity > 0).then(|| Trace { capacity, ..Trace::default() });
     }
 
-    /// The kept transactions, oldest first.
+    /// Kept transactions, oldest first.
     pub fn trace(&self) -> impl Iterator<Item = &WireRecord> {
         self.trace.iter().flat_map(|trace| &trace.records)
     }
 
-    /// What was done against the bus specification.
+    /// Violations of the bus specification so far.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// The same, to be cleared.
+    /// Violations so far, mutable, so that a test can clear them.
     pub const fn misuse_mut(&mut self) -> &mut MisuseLog {
         &mut self.misuse
     }

@@ -1,10 +1,10 @@
-//! The bus, with targets that keep what they are told.
+//! Tests of the bus, with targets that record their traffic.
 
 use super::*;
 use crate::misuse::MisuseKind;
 use proptest::prelude::*;
 
-/// Acknowledges one address and as many bytes as told; keeps what it was told, with the time.
+/// Target that acknowledges one address and `takes` bytes, and records starts, bytes and stops with their times.
 #[derive(Default)]
 struct Target {
     address: u8,
@@ -44,7 +44,7 @@ fn bus_with(target: &Rc<RefCell<Target>>) -> I2cBus {
     bus
 }
 
-// 400 kHz: 2500 ns a clock, 22500 ns a byte; hold START 600; tLOW 1300 and set-up STOP 600
+// 400 kHz: clock 2500 ns, byte 22500 ns; hold START 600; tLOW 1300 and set-up STOP 600
 const BYTE_NS: u64 = 22_500;
 const START_NS: u64 = 600;
 const STOP_NS: u64 = 1_900;
@@ -66,7 +66,7 @@ fn every_byte_has_the_time_of_its_ninth_clock() {
 fn planned_durations() {
     let [a, b, c] = [[0_u8; 3], [0; 3], [0; 3]];
     let mut buffer = [0_u8; 4];
-    // rate, operations, expected: clocks, START and repeated START, STOP
+    // rate, operations, expected duration: clocks, START and repeated START, STOP
     let cases: [(u32, &[Operation<'_>], u64); 6] = [
         (400_000, &[], 0),
         (400_000, &[Operation::Write(&[])], START_NS + BYTE_NS + STOP_NS),
@@ -82,7 +82,7 @@ fn planned_durations() {
             &[Operation::Write(&a), Operation::Read(&mut buffer)],
             START_NS + 4 * BYTE_NS + (1_300 + 600 + START_NS) + 5 * BYTE_NS + STOP_NS,
         ),
-        // 10 us a clock; tLOW is half a clock there
+        // clock of 10 us; tLOW is half a clock there
         (100_000, &[Operation::Write(&a)], 4_000 + 36 * 10_000 + 5_000 + 4_000),
     ];
     for (rate_hz, operations, expected_ns) in cases {
@@ -209,7 +209,7 @@ fn an_empty_read_is_reported() {
     assert_eq!(bus.misuse().first()[0].kind, MisuseKind::EmptyRead { address: 0x40 });
 }
 
-/// What a controller gets that goes byte by byte with the bus's own timing: the same as [`I2cBus::execute`] does.
+/// Runs operations byte by byte with the bus's own timing, equivalent to [`I2cBus::execute`].
 fn byte_by_byte(
     bus: &mut I2cBus,
     start_ns: u64,
@@ -289,7 +289,7 @@ fn nine_clocks_by_hand_free_a_bus_that_sticks_in_a_byte() {
         let mut bus = bus_with(&chip);
         assert_eq!(bus.start(50_000, 0x40, false), Response::Ack);
         let span = Span::Time { from_ns: 60_000, until_ns: u64::MAX };
-        // while the transaction is under way
+        // during the transaction
         bus.inject(Injection { disturbance: Disturbance::StuckLow { persistent }, span, address: None });
         assert!(bus.lines_are_free(59_999) && !bus.lines_are_free(60_000));
         assert_eq!(bus.write(72_500, 1), Response::Stuck);
@@ -376,7 +376,7 @@ proptest! {
                 });
             }
             if ends[0] == Err(Response::Stuck) {
-                // Sticking between the last byte and STOP shows only after it.
+                // a bus that sticks between the last byte and STOP is only detected after it
                 prop_assert!(matches!(ends[1], Ok(_) | Err(Response::Stuck)));
             } else {
                 prop_assert_eq!(ends[0], ends[1]);

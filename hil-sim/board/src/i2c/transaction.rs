@@ -1,11 +1,11 @@
-//! What happens on the wires, byte by byte: the same for both ways into the bus.
+//! Events on the wires, byte by byte, common to both interfaces of the bus.
 
 use embedded_hal::i2c::Operation;
 
 use super::{Disturbance, Fault, I2cBus, Injection, Span, Stuck};
 use crate::misuse::{Misuse, MisuseKind};
 
-/// The faults that act on one transaction.
+/// Injected faults that act on one transaction.
 #[derive(Clone, Copy, Debug)]
 struct Disturbed {
     address_nack: bool,
@@ -27,7 +27,7 @@ impl Disturbed {
     };
 }
 
-/// Why a transaction does not go on.
+/// Reasons why a transaction does not continue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Failure {
     Address { read: bool },
@@ -39,15 +39,15 @@ pub(super) enum Failure {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Transaction {
     start_ns: u64,
-    /// The first address.
+    /// First address of the transaction.
     address: u8,
     disturbed: Disturbed,
-    /// Whether what was addressed last is read from.
+    /// True if the last address was for reading; `None` before it.
     reading: Option<bool>,
-    /// Data bytes so far, and those of them since the last address.
+    /// Number of data bytes so far, and since the last address.
     bytes: usize,
     in_segment: usize,
-    /// The first.
+    /// First failure of the transaction.
     failure: Option<Failure>,
 }
 
@@ -60,12 +60,12 @@ impl Transaction {
         self.failure.is_some()
     }
 
-    /// Whether its lines are held low at `now_ns`.
+    /// True while its lines are held low at `now_ns`.
     pub(super) fn is_held(&self, now_ns: u64) -> bool {
         self.disturbed.stuck_at_ns <= now_ns && self.disturbed.stuck.is_some_and(|stuck| now_ns < stuck.until_ns)
     }
 
-    /// Lets a fault act that is injected while the transaction is under way: only a stuck bus does.
+    /// Applies a fault that is injected during the transaction: only a stuck bus acts.
     pub(super) fn strike(&mut self, injection: &Injection) {
         let Disturbance::StuckLow { persistent } = injection.disturbance else { return };
         let Span::Time { from_ns, until_ns } = injection.span else { return };
@@ -76,12 +76,12 @@ impl Transaction {
         }
     }
 
-    /// Takes all injected faults away.
+    /// Removes all injected faults from the transaction.
     pub(super) fn calm(&mut self) {
         self.disturbed = Disturbed::NOT;
     }
 
-    /// Whether the bus has moved up to `at_ns`.
+    /// Checks that the bus was not stuck up to `at_ns`.
     #[inline]
     pub(super) fn moves(&mut self, at_ns: u64) -> Result<(), Failure> {
         if self.disturbed.stuck_at_ns < at_ns { Err(self.fail(Failure::Stuck)) } else { Ok(()) }
@@ -98,7 +98,7 @@ impl Transaction {
 }
 
 impl I2cBus {
-    /// START.
+    /// Starts a transaction (START condition).
     pub(super) fn open(&mut self, start_ns: u64, address: u8) -> Transaction {
         let undisturbed = self.injections.is_empty() && self.stuck.is_none();
         let disturbed = if undisturbed { Disturbed::NOT } else { self.disturbed(start_ns, address) };
@@ -108,7 +108,7 @@ impl I2cBus {
         Transaction { start_ns, address, disturbed, reading: None, bytes: 0, in_segment: 0, failure: None }
     }
 
-    /// Everything between START and STOP; moves `at_ns` to the end of the last clock.
+    /// Runs everything between START and STOP; moves `at_ns` to the end of the last clock.
     pub(super) fn walk(
         &mut self,
         transaction: &mut Transaction,
@@ -143,11 +143,11 @@ impl I2cBus {
             }
         }
         self.check_read(transaction, *at_ns);
-        // a bus that sticks between the last byte and STOP
+        // the bus may stick between the last byte and STOP
         transaction.moves(at_ns.saturating_add(self.timing.stop_ns()))
     }
 
-    /// The address byte, at the end of its 9th clock.
+    /// Sends the address byte, at the end of its 9th clock.
     pub(super) fn put_address(
         &mut self,
         transaction: &mut Transaction,
@@ -179,7 +179,7 @@ impl I2cBus {
         if chips == 0 { Err(transaction.fail(Failure::Address { read })) } else { Ok(()) }
     }
 
-    /// A byte from the controller, at the end of its 9th clock.
+    /// Sends a byte from the controller, at the end of its 9th clock.
     #[inline]
     pub(super) fn put(&mut self, transaction: &mut Transaction, at_ns: u64, sent: u8) -> Result<(), Failure> {
         transaction.moves(at_ns)?;
@@ -201,7 +201,7 @@ impl I2cBus {
         if acknowledged { Ok(()) } else { Err(transaction.fail(Failure::Data { byte })) }
     }
 
-    /// A byte for the controller, at the end of its 9th clock.
+    /// Reads a byte for the controller, at the end of its 9th clock.
     #[inline]
     pub(super) fn get(&mut self, transaction: &mut Transaction, at_ns: u64) -> Result<u8, Failure> {
         transaction.moves(at_ns)?;
@@ -222,7 +222,8 @@ impl I2cBus {
         Ok(on_wire)
     }
 
-    /// STOP at `stop_ns`, or not, where the bus is stuck: when it ended, and why, if not as it should.
+    /// Ends a transaction by STOP at `stop_ns`, unless the bus is stuck. Returns the time of its end and the failure,
+    /// if any.
     pub(super) fn close(&mut self, transaction: Transaction, stop_ns: u64) -> (u64, Option<Fault>) {
         let Transaction { start_ns, address, disturbed, failure, .. } = transaction;
         let mut end_ns = stop_ns;
@@ -248,14 +249,14 @@ impl I2cBus {
         (end_ns, fault)
     }
 
-    /// Counts a stretch in which the bus was taken, with the bus-free time after it.
+    /// Accounts for the time in which the bus was occupied, with the bus-free time after it.
     pub(super) fn occupy(&mut self, start_ns: u64, end_ns: u64) {
         let start_ns = start_ns.max(self.free_at_ns);
         self.free_at_ns = end_ns.saturating_add(self.timing.bus_free_ns);
         self.statistics.busy_ns = self.statistics.busy_ns.saturating_add(self.free_at_ns.saturating_sub(start_ns));
     }
 
-    /// STOP, for all chips addressed since the last one.
+    /// Sends STOP to all chips addressed since the last one.
     pub(super) fn tell_stop(&mut self, stop_ns: u64) {
         for &index in &self.addressed {
             self.chips[index].borrow_mut().stop(stop_ns);
@@ -263,12 +264,12 @@ impl I2cBus {
         self.addressed.clear();
     }
 
-    /// Nine clocks have been given from `start_ns` to `end_ns`: whether what held the bus has let go.
+    /// Applies nine clocks from `start_ns` to `end_ns`, and returns true if the bus is free.
     pub(super) fn release(&mut self, start_ns: u64, end_ns: u64) -> bool {
         let released = self.stuck.is_none_or(|stuck| !stuck.persistent || stuck.until_ns <= end_ns);
         if released {
             self.stuck = None;
-            // what held the bus has let go, also if it would have held it for longer
+            // a chip that released the bus does not hold it again, even if its fault had lasted longer
             self.injections.retain(|injection| {
                 let Span::Time { from_ns, .. } = injection.span else { return true };
                 from_ns > start_ns || injection.disturbance != Disturbance::StuckLow { persistent: false }
@@ -277,7 +278,7 @@ impl I2cBus {
         released
     }
 
-    /// The controller is through with what it addressed last.
+    /// Reports a read without bytes when the controller ends the segment.
     pub(super) fn check_read(&mut self, transaction: &Transaction, at_ns: u64) {
         if transaction.reading == Some(true) && transaction.in_segment == 0 {
             let address = transaction.address;
@@ -290,7 +291,7 @@ impl I2cBus {
         self.misuse.report(Misuse { time_ns, chip: Self::NAME, address, kind });
     }
 
-    /// Collects what acts on a transaction and uses up what is counted in transactions.
+    /// Collects the faults that act on a transaction, and decrements those limited to a number of transactions.
     #[cold]
     fn disturbed(&mut self, start_ns: u64, address: u8) -> Disturbed {
         let mut disturbed = Disturbed::NOT;

@@ -1,4 +1,4 @@
-//! A divided, zener-clamped analog input and the 16-bit converter behind it.
+//! Divided, zener-clamped analog input with the 16-bit converter behind it.
 //!
 //! ```text
 //!  volts ── R upper ──┬── converter, 3.3 V reference
@@ -6,26 +6,26 @@
 //! ```
 //!
 //! # The clamp
-//! A zener does not clamp at one voltage: it leaks before. With `u` the voltage of the unloaded divider, the pin has
+//! A zener does not clamp at one voltage: it leaks below it. With `u` the voltage of the unloaded divider, the pin has
 //!
 //! ```text
 //! v = u - knee · ln(1 + exp((u - clamp) / knee))
 //! ```
 //!
-//! That is a model, not a data sheet: a leakage that grows by e every `knee` volts and, through the divider's
-//! resistance, pulls the reading down. Far below the clamp it changes nothing, at `u = clamp` it takes 0.69 knee, above it
+//! This is a model, not a data sheet: a leakage current that grows by e every `knee` volts and, through the divider's
+//! resistance, lowers the reading. Far below the clamp it has no effect, at `u = clamp` it takes 0.69 knee, above it
 //! the pin stays at the clamp. Its inverse is `u = v - knee · ln(1 - exp((v - clamp) / knee))`.
 
 use rand_pcg::Pcg64;
 
 use super::normal;
 
-/// Nominal reference of the converter.
+/// Nominal reference of the converter, V.
 const REFERENCE_V: f64 = 3.3;
-/// Full scale of the 16-bit converter.
+/// Largest code of the 16-bit converter.
 const CODE_MAX: f64 = 65_535.0;
 
-/// What is wrong with the wiring.
+/// Fault of the wiring.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AnalogFault {
     /// Nothing is connected: the lower resistor pulls the pin to ground.
@@ -34,33 +34,33 @@ pub enum AnalogFault {
     ShortToGround,
     /// The input touches a rail.
     ShortToRail {
-        /// The rail's voltage.
+        /// Voltage of the rail, V.
         volts: f64,
     },
-    /// The divider's lower resistor has come off: the pin sees the input undivided, up to the clamp.
+    /// The divider's lower resistor is open: the pin sees the input undivided, up to the clamp.
     LowerResistorOpen,
 }
 
-/// One input. All fields may be changed at any time; [`new`](Self::new) is one without errors.
+/// Parameters of one input. All fields may be changed at any time; [`new`](Self::new) has no errors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnalogInput {
-    /// Volts at the input for one at the pin, as designed: 15.15 for 50 V.
+    /// Nominal ratio of the voltages at the input and the pin: 15.15 for 50 V.
     pub ratio: f64,
     /// Relative error of the ratio; with two 1 % resistors up to 0.02.
     pub ratio_error: f64,
-    /// What the pin never exceeds.
+    /// Highest voltage of the pin, V.
     pub clamp_v: f64,
-    /// Softness of the clamp, see above; 0 is an ideal one.
+    /// Softness of the clamp, V, see above; 0 is an ideal one.
     pub knee_v: f64,
     /// Relative error of the reference.
     pub reference_error: f64,
-    /// Added by the converter.
+    /// Offset of the converter, codes.
     pub offset_codes: f64,
-    /// Gaussian noise of a single sample.
+    /// Gaussian noise of a single sample, codes rms.
     pub noise_rms_codes: f64,
-    /// Samples that the converter averages in hardware for one reading; 0 counts as 1.
+    /// Number of samples that the converter averages in hardware for one reading; 0 counts as 1.
     pub samples: u16,
-    /// What is wrong, if anything.
+    /// Fault of the wiring, if there is one.
     pub fault: Option<AnalogFault>,
 }
 
@@ -82,10 +82,10 @@ impl AnalogInput {
         }
     }
 
-    /// What the converter reads with `volts` at the input. NaN reads as 0.
+    /// Code of the converter with `volts` at the input. NaN reads as 0.
     ///
-    /// Every sample is a whole code within range; their average is rounded to nearest, as the processor's oversampling
-    /// does.
+    /// Every sample is a whole code within range; their average is rounded to nearest, as by the processor's
+    /// oversampling.
     #[must_use]
     pub fn code(&self, volts: f64, noise: &mut Pcg64) -> u16 {
         if self.noise_rms_codes == 0.0 {
@@ -97,7 +97,7 @@ impl AnalogInput {
         ((sum + samples / 2) / samples) as u16
     }
 
-    /// One sample before it is made a whole code within range.
+    /// One sample before rounding and clipping, codes.
     pub(crate) fn sample(&self, volts: f64, noise: &mut Pcg64) -> f64 {
         let exact = self.exact_code(volts);
         if self.noise_rms_codes == 0.0 {
@@ -106,13 +106,13 @@ impl AnalogInput {
         exact + normal(noise) * self.noise_rms_codes
     }
 
-    /// The same without noise.
+    /// Code of the converter without noise.
     #[must_use]
     pub fn code_without_noise(&self, volts: f64) -> u16 {
         quantized(self.exact_code(volts))
     }
 
-    /// The voltage at the input in the middle of a code, its inverse; `None` at either end of the range, at the clamp, and
+    /// Input voltage for the middle of a code, V, the inverse; `None` at either end of the range, at the clamp, and
     /// with a fault.
     #[must_use]
     pub fn volts(&self, code: u16) -> Option<f64> {
@@ -170,7 +170,7 @@ mod tests {
     #[test]
     fn codes_of_an_input_without_errors() {
         let input = AnalogInput::new(16.0);
-        // 52.8 V is full scale, of 65535 codes; the knee takes 50 mV x exp(-6) = 0.12 mV, 2.5 codes, there
+        // full scale is 52.8 V at 65535 codes; the knee takes 50 mV x exp(-6) = 0.12 mV, 2.5 codes, there
         for (volts, code) in [(0.0, 0), (-5.0, 0), (26.4, 32_768), (12.0, 14_894), (52.8, 65_533), (500.0, 65_535)] {
             assert_eq!(input.code_without_noise(volts), code, "{volts}");
         }

@@ -1,5 +1,5 @@
-//! The output of an AS5600 that is burnt to PWM: its angle as the length of a pulse. Page numbers are those of the datasheet, v1-06 of
-//! 2018-06-20.
+//! Output of an AS5600 whose OTP memory selects PWM: the angle as the length of a pulse. Page numbers are those of the
+//! datasheet, v1-06 of 2018-06-20.
 //!
 //! ```text
 //!  out  |~~~~~~~~~~~~~~~~~~~~~~~~~|_________________|~~~~~
@@ -7,9 +7,10 @@
 //! ```
 //!
 //! # Where the datasheet leaves room
-//! - A frame tells the angle at its rise. The fast slow filter's noise of 0.043° rms (from memory) is on it; its lag of 0.1 ms is not.
-//! - The clock is off by what it is made with, and does not wander. Up to ±5 % (from memory).
-//! - A frame that has begun ends as it would have when the magnet is taken away.
+//! - A frame encodes the angle at its rise. The fast slow filter's noise of 0.043° rms (from memory) is included; its
+//!   lag of 0.1 ms is not.
+//! - The clock has a constant error, up to ±5 % (from memory).
+//! - A frame in progress ends unchanged when the magnet is removed.
 
 use std::{collections::VecDeque, f64::consts::TAU};
 
@@ -20,17 +21,17 @@ use super::{hc_sr04::EchoEdge, normal};
 const NOISE_DEG: f64 = 0.043;
 const FRAME: f64 = 4351.0;
 const HEAD: f64 = 128.0;
-/// More edges than these are not kept for a reader that does not come; the oldest go.
+/// Number of edges kept for a reader that is late; older ones are dropped.
 const EDGES_KEPT: usize = 64;
 
-/// The output of one sensor.
+/// PWM output of one sensor.
 #[derive(Clone, Debug)]
 pub struct As5600Pwm {
     frame_ns: f64,
     magnet: bool,
     felt_ns: u64,
     felt_rad: f64,
-    /// When the next frame begins, without rounding, and when the pulse of this one ends.
+    /// Start of the next frame, not rounded, and end of the pulse of this one, ns.
     next_rise_ns: f64,
     fall_ns: Option<u64>,
     high: bool,
@@ -39,7 +40,7 @@ pub struct As5600Pwm {
 }
 
 impl As5600Pwm {
-    /// A sensor that makes `frames_hz` frames a second from time 0 on. Its noise is drawn from `seed`.
+    /// A sensor with `frames_hz` frames a second from time 0 on. `seed` is that of its noise.
     #[must_use]
     pub fn new(frames_hz: f64, seed: u64) -> Self {
         Self {
@@ -55,12 +56,12 @@ impl As5600Pwm {
         }
     }
 
-    /// Puts a magnet in front of the sensor, or takes it away: the output stays low then (page 31).
+    /// Puts a magnet in front of the sensor, or removes it: the output then stays low (page 31).
     pub const fn set_magnet(&mut self, magnet: bool) {
         self.magnet = magnet;
     }
 
-    /// The magnet has turned evenly since the last call, to `angle_rad` at `until_ns`.
+    /// Advances to `until_ns`, with the angle moving linearly from the last call to `angle_rad`.
     pub fn feel(&mut self, until_ns: u64, angle_rad: f64) {
         let (from_ns, from_rad) = (self.felt_ns, self.felt_rad);
         if until_ns < from_ns {
@@ -74,7 +75,7 @@ impl As5600Pwm {
                 continue;
             }
             let whole_ns = (until_ns - from_ns) as f64;
-            // The first angle of all has no past.
+            // the first angle has no predecessor to interpolate from
             let share = if whole_ns == 0.0 || from_ns == 0 { 1.0 } else { (at_ns - from_ns) as f64 / whole_ns };
             self.rise(at_ns, from_rad + (angle_rad - from_rad) * share);
         }
@@ -99,18 +100,19 @@ impl As5600Pwm {
         self.edges.push_back(EchoEdge { at_ns, high });
     }
 
-    /// The level of the output, as of the last [`As5600Pwm::feel`].
+    /// Level of the output at the last [`As5600Pwm::feel`].
     #[must_use]
     pub const fn is_high(&self) -> bool {
         self.high
     }
 
-    /// The edges up to the last [`As5600Pwm::feel`] that were not taken before, oldest first. Of more than 64 the oldest are lost.
+    /// Edges up to the last [`As5600Pwm::feel`] that were not taken before, oldest first. Of more than 64 the oldest
+    /// are lost.
     pub fn take_edges(&mut self) -> impl Iterator<Item = EchoEdge> {
         self.edges.drain(..)
     }
 
-    /// When the output changes next, or may.
+    /// Earliest time of the next change of the output, ns.
     #[must_use]
     pub fn next_edge_ns(&self) -> u64 {
         self.fall_ns.unwrap_or(self.next_rise_ns as u64)
@@ -133,12 +135,12 @@ mod tests {
             sensor.feel(0, turns * TAU);
             sensor.take_edges().count();
             let edges = edges(&mut sensor, 10_000_000, turns * TAU);
-            // What was under way ends first.
+            // the frame in progress ends first
             let first = edges.iter().position(|(_, high)| *high).unwrap_or(edges.len());
             let [(rise_ns, true), (fall_ns, false), ..] = edges[first..] else { panic!("{edges:?}") };
             assert_eq!(rise_ns, (1e9 / 230.0) as u64);
             let clocks = (fall_ns - rise_ns) as f64 / (1e9 / 230.0 / 4351.0);
-            // Five deviations of 0.49 counts.
+            // five standard deviations of 0.49 counts
             let off = (clocks - 128.0 - counts + 2048.0).rem_euclid(4096.0) - 2048.0;
             assert!(off.abs() < 3.5, "{turns}: {clocks}");
         }
@@ -147,7 +149,7 @@ mod tests {
     #[test]
     fn without_a_magnet_the_output_stays_low() {
         let mut sensor = As5600Pwm::new(115.0, 1);
-        // A frame of 8.7 ms is under way, 4.6 ms of it high.
+        // a frame of 8.7 ms is in progress, high for 4.6 ms
         assert_eq!(edges(&mut sensor, 1_000_000, 3.2).len(), 1);
         sensor.set_magnet(false);
         assert_eq!(edges(&mut sensor, 100_000_000, 3.2).len(), 1);

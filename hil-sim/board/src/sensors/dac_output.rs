@@ -1,25 +1,25 @@
-//! An output of the processor's 12-bit digital-to-analog converter.
+//! Output of the processor's 12-bit digital-to-analog converter.
 //!
-//! `VREF · code / 4096`, then gain and offset error, then what the output can reach: with its buffer on 0.2 V to
-//! VREF - 0.2 V (STM32H747 data sheet, DAC characteristics; recalled, not read again), without it all from 0 V to VREF.
-//! Most parts get nearer to the rails than that: the limits are what one may rely on.
+//! `VREF · code / 4096`, then gain and offset error, then the range of the output: with its buffer on 0.2 V to VREF -
+//! 0.2 V (STM32H747 data sheet, DAC characteristics; from memory, not checked), without it 0 V to VREF. Most parts get
+//! closer to the rails: the limits are the guaranteed range.
 
 const CODES: f64 = 4096.0;
-/// The register has as many bits; what is written above them is not there.
+/// Mask of the register's twelve bits; higher bits are ignored.
 const CODE_MASK: u16 = 0x0FFF;
-/// How near the buffer gets to the rails.
+/// Distance of the buffer's range from the rails, V.
 const BUFFER_MARGIN_V: f64 = 0.2;
 
-/// One output. [`new`](Self::new) is one without errors.
+/// Parameters of one output. [`new`](Self::new) has no errors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DacOutput {
-    /// The converter's reference.
+    /// Reference voltage of the converter, V.
     pub reference_v: f64,
-    /// Whether the output buffer is on.
+    /// True while the output buffer is on.
     pub buffered: bool,
-    /// Relative error.
+    /// Relative error of the gain.
     pub gain_error: f64,
-    /// Added to the output.
+    /// Offset added to the output, V.
     pub offset_v: f64,
 }
 
@@ -30,7 +30,7 @@ impl DacOutput {
         Self { reference_v: 3.3, buffered, gain_error: 0.0, offset_v: 0.0 }
     }
 
-    /// The voltage of a code, without load.
+    /// Voltage of a code without load, V.
     #[must_use]
     pub fn volts(&self, code: u16) -> f64 {
         let [low_v, high_v] = self.limits_v();
@@ -38,7 +38,7 @@ impl DacOutput {
         volts.max(low_v).min(high_v)
     }
 
-    /// The code whose voltage is nearest to `volts`, the inverse; `None` where the output cannot reach.
+    /// Code whose voltage is nearest to `volts`, the inverse; `None` outside the range of the output.
     #[must_use]
     pub fn code(&self, volts: f64) -> Option<u16> {
         let [low_v, high_v] = self.limits_v();
@@ -47,7 +47,7 @@ impl DacOutput {
         reachable.then_some(code.round() as u16)
     }
 
-    /// Lowest and highest voltage.
+    /// Lowest and highest voltage, V.
     fn limits_v(&self) -> [f64; 2] {
         let margin_v = if self.buffered { BUFFER_MARGIN_V } else { 0.0 };
         [margin_v, self.reference_v - margin_v]

@@ -1,7 +1,7 @@
-//! A GNSS receiver that sends NMEA 0183 at a UART: for each position one GGA and one RMC sentence.
+//! GNSS receiver that sends NMEA 0183 at a UART: one GGA and one RMC sentence per position.
 //!
-//! Its error is a Gauss-Markov process of first order, apart for east and north. It has a position from the start, and time begins at
-//! noon of 1 January 2026.
+//! The error is a first-order Gauss-Markov process, independent for east and north. A position is available from the
+//! start, and time starts at noon of 1 January 2026.
 //!
 //! # Source
 //! NMEA 0183, 4.11: sentences GGA and RMC, the checksum. WGS 84: NIMA TR8350.2, 3rd edition, semi-major axis and flattening.
@@ -13,16 +13,16 @@ use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
 use super::normal;
 
-/// WGS 84: m, and first eccentricity squared.
+/// WGS 84 ellipsoid: semi-major axis, m, and first eccentricity squared.
 const SEMI_MAJOR_M: f64 = 6_378_137.0;
 const ECCENTRICITY_SQUARED: f64 = 6.694_379_990_14e-3;
-/// Knots in 1 m/s.
+/// Conversion from m/s to knots.
 const KNOTS: f64 = 3600.0 / 1852.0;
-/// Below this speed the course is left out, m/s: four standard deviations of the speed's noise.
+/// Speed below which the course is omitted, m/s: four standard deviations of the speed's noise.
 const MOVES_M_S: f64 = 0.2;
-/// Noise of the speed, m/s: our choice, as makers of receivers state it.
+/// Noise of the speed, m/s: our choice, as makers of receivers specify it.
 const SPEED_DEVIATION_M_S: f64 = 0.05;
-/// Of the day on which time begins, s.
+/// Time of day at the start, s.
 const NOON_S: u64 = 12 * 3600;
 const DAY_S: u64 = 24 * 3600;
 
@@ -31,7 +31,7 @@ const DAY_S: u64 = 24 * 3600;
 pub(crate) struct Gnss {
     pub(crate) spec: SimulatedGnss,
     noise: Pcg64,
-    /// East and north, m.
+    /// Present error, east and north, m.
     error_m: [f64; 2],
 }
 
@@ -47,7 +47,7 @@ impl Gnss {
         1_000_000_000 / u64::from(self.spec.rate_hz)
     }
 
-    /// The sentences of a moment, at a place east and north of the origin, m, with a speed in the same directions, m/s.
+    /// Sentences for a time, at a place east and north of the origin, m, with a velocity in the same directions, m/s.
     pub(crate) fn sentences(&mut self, at_ns: u64, place_m: [f64; 2], speed_m_s: [f64; 2]) -> String {
         let kept = libm::exp(-(self.period_ns() as f64) * 1e-9 / self.spec.correlation_s);
         let fresh = (1.0 - kept * kept).sqrt() * self.spec.deviation_m;
@@ -62,7 +62,7 @@ impl Gnss {
         let (hours, minutes, seconds) =
             (since_midnight_s / 3600 % 24, since_midnight_s / 60 % 60, since_midnight_s % 60);
         let time = format!("{hours:02}{minutes:02}{seconds:02}.{:02}", hundredths % 100);
-        // Nobody simulates a month.
+        // no simulation lasts a month
         let day = 1 + since_midnight_s / DAY_S;
         let [east_m_s, north_m_s] = speed_m_s;
         let speed = libm::hypot(east_m_s, north_m_s);
@@ -77,7 +77,7 @@ impl Gnss {
         text
     }
 
-    /// Latitude and longitude, degrees, of a place near the origin: radii of curvature there.
+    /// Latitude and longitude, degrees, of a place near the origin, by the radii of curvature there.
     fn on_earth(&self, [east_m, north_m]: [f64; 2]) -> (f64, f64) {
         let origin = &self.spec.origin;
         let (sin, cos) = libm::sincos(origin.latitude_deg.to_radians());
@@ -90,7 +90,7 @@ impl Gnss {
     }
 }
 
-/// Degrees and minutes as NMEA has them, with `digits` of whole degrees and the direction: 1e-5 minutes are 2 cm.
+/// Degrees and minutes in NMEA format, with `digits` for whole degrees and the direction letter: 1e-5 minutes are 2 cm.
 fn degrees(angle_deg: f64, digits: usize, [positive, negative]: [&str; 2]) -> String {
     let all = (angle_deg.abs() * 60.0 * 1e5).round() as u64;
     let (whole, minutes) = (all / 6_000_000, all % 6_000_000);
@@ -102,7 +102,7 @@ fn degrees(angle_deg: f64, digits: usize, [positive, negative]: [&str; 2]) -> St
 fn sentence(content: &str) -> String {
     let checksum = content.bytes().fold(0, |sum, byte| sum ^ byte);
     let mut text = String::new();
-    // Writing into a string does not fail.
+    // writing to a String cannot fail
     let _ = write!(text, "${content}*{checksum:02X}\r\n");
     text
 }
@@ -122,19 +122,19 @@ mod tests {
         text.lines().map(|line| line.split(['$', ',', '*']).skip(1).collect()).collect()
     }
 
-    /// The checksum of a sentence from the standard's examples, as receivers' manuals print it.
+    /// Checksum of a published sentence, as printed in receivers' manuals.
     #[test]
     fn checksums_are_those_of_published_sentences() {
         assert!(sentence("GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,").ends_with("*47\r\n"));
         assert!(sentence("GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W").ends_with("*6A\r\n"));
     }
 
-    /// A plane at the origin is 1 cm off at this distance.
+    /// A plane at the origin has an error of 1 cm at this distance.
     #[test]
     fn a_place_has_the_latitude_and_longitude_of_its_distance() {
         let mut gnss = gnss(0.0, 53.2, -0.5);
         let (latitude_deg, longitude_deg) = gnss.on_earth([100.0, -200.0]);
-        // By way of earth-centred coordinates it is at 53.198 202 884, -0.498 503 652; a nanodegree is 0.1 mm.
+        // earth-centred coordinates give 53.198 202 884, -0.498 503 652; a nanodegree is 0.1 mm
         let off = [latitude_deg - 53.198_202_884, longitude_deg + 0.498_503_652];
         assert!(off.iter().all(|off| off.abs() < 1e-7), "{latitude_deg} {longitude_deg}");
         let text = gnss.sentences(1_230_000_000, [0.0; 2], [3.0, 0.0]);
@@ -143,7 +143,7 @@ mod tests {
         assert_eq!((gga[6], gga[9]), ("1", "40.0"));
         let speed_m_s = rmc[7].parse::<f64>().expect("a number") / KNOTS;
         let course_deg = rmc[8].parse::<f64>().expect("a number");
-        // Five standard deviations; 0.05 of 3 m/s are one degree.
+        // five standard deviations; 0.05 of 3 m/s are one degree
         assert!((speed_m_s - 3.0).abs() < 0.25 && (course_deg - 90.0).abs() < 5.0, "{text}");
         assert_eq!(rmc[9], "010126");
     }
@@ -154,11 +154,12 @@ mod tests {
         let text = gnss.sentences(0, [0.0; 2], [0.0; 2]);
         let [gga, rmc] = &fields(&text)[..] else { panic!("{text}") };
         assert_eq!(gga[2..6], ["3300.00000", "S", "15100.00000", "E"]);
-        // Noise reaches 0.2 m/s once in three thousand positions.
+        // noise reaches 0.2 m/s once in three thousand positions
         assert_eq!(rmc[8], "", "{text}");
     }
 
-    /// Ten thousand positions, one correlation time apart: their standard deviation within 5 %, and neighbours correlated by 1/e.
+    /// Ten thousand positions, one correlation time apart: their standard deviation within 5 %, and neighbours
+    /// correlated by 1/e.
     #[test]
     fn errors_are_as_large_and_as_slow_as_said() {
         let mut gnss = gnss(2.0, 0.0, 0.0);

@@ -1,4 +1,4 @@
-//! HC-SR04 ultrasonic range finder, and four of them that hear each other.
+//! HC-SR04 ultrasonic range finder, and an array of four that hear each other.
 //!
 //! ```text
 //!  trigger  __|~~~~|______________________________   high for 10 us or more
@@ -8,15 +8,16 @@
 //! ```
 //!
 //! # Source
-//! ElecFreaks HC-SR04 sheet: trigger of 10 us, 8 cycles, 2 cm to 4 m, 60 ms between pings. From experience, not from the
-//! sheet: the 0.5 ms before the echo rises, the end at 38 ms, and clones that hold it for 200 ms.
+//! ElecFreaks HC-SR04 sheet: trigger of 10 us, 8 cycles, 2 cm to 4 m, 60 ms between pings. From experience, not from
+//! the sheet: the 0.5 ms before the echo rises, the end at 38 ms, and clones that hold it for 200 ms.
 //!
 //! # Where the sheet leaves room
-//! - A trigger counts at its falling edge, and is lost if the module is busy then: from one accepted until the echo falls.
-//! - The target, the air and the noise are those at that edge.
-//! - The width of the echo starts at its rise; for other modules the sound leaves at that moment too.
+//! - A trigger acts at its falling edge, and is lost if the module is busy then: from an accepted trigger until the
+//!   echo falls.
+//! - Target, air and noise are those at that edge.
+//! - The width of the echo starts at its rise; for other modules the sound leaves at that time too.
 //! - A target nearer than 2 cm reads as 2 cm: until then the transducer still rings.
-//! - The first sound that arrives while the echo is high ends it, whoever sent it.
+//! - The first sound that arrives while the echo is high ends it, from any module.
 
 use std::collections::VecDeque;
 
@@ -25,31 +26,31 @@ use rand_pcg::Pcg64;
 use super::interference::{Followed, SquareWave};
 use crate::misuse::{Misuse, MisuseKind, MisuseLog};
 
-/// The shortest trigger that is taken.
+/// Shortest trigger that is accepted, ns.
 const TRIGGER_NS: u64 = 10_000;
-/// From the falling edge of the trigger to the rise of the echo.
+/// Time from the falling edge of the trigger to the rise of the echo, ns.
 const ECHO_DELAY_NS: u64 = 500_000;
-/// The echo's width when nothing comes back.
+/// Width of the echo without a target, ns.
 const TIME_OUT_NS: u64 = 38_000_000;
-/// The same of some clones.
+/// Width of the echo without a target for some clones, ns.
 const STUCK_NS: u64 = 200_000_000;
-/// From ping to ping, so that late echoes have died away.
+/// Shortest time from ping to ping, ns, in which late echoes fade.
 const PERIOD_NS: u64 = 60_000_000;
 const NEAREST_M: f64 = 0.02;
-/// The farthest target that is heard.
+/// Distance of the farthest detectable target, m.
 pub(crate) const FARTHEST_M: f64 = 4.0;
-/// A path longer than to the farthest target and back is not heard.
+/// Longest path of a sound that is detected, m: to the farthest target and back.
 const LONGEST_PATH_M: f64 = 2.0 * FARTHEST_M;
-/// More edges than these are not kept for a reader that does not come; the oldest go.
+/// Number of edges kept for a reader that is late; older ones are dropped.
 const EDGES_KEPT: usize = 64;
 
-/// Speed of sound in dry air at `air_c` degrees Celsius: the usual straight line, good to 0.2 % from -20 to 40.
+/// Speed of sound in dry air at `air_c` °C, m/s: the usual linear formula, accurate to 0.2 % from -20 to 40.
 #[must_use]
 pub fn speed_of_sound_m_s(air_c: f64) -> f64 {
     331.3 + 0.606 * air_c
 }
 
-/// What is wrong with a module.
+/// Fault of a module.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HcSr04Fault {
     /// Dead or unplugged: the echo line stays low.
@@ -58,26 +59,26 @@ pub enum HcSr04Fault {
     StuckHigh,
 }
 
-/// A change of the echo line.
+/// An edge of the echo line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EchoEdge {
-    /// When.
+    /// Time of the edge, ns.
     pub at_ns: u64,
-    /// The level after it.
+    /// Level after the edge.
     pub high: bool,
 }
 
-/// An echo that has not ended.
+/// An echo in progress.
 #[derive(Clone, Copy, Debug)]
 struct Echo {
     rise_ns: u64,
-    /// When it falls, if nobody else is heard before.
+    /// Time of its fall, ns, unless another sound arrives before.
     fall_ns: u64,
-    /// Whether its rise is among the edges already.
+    /// True if the rise is already among the edges.
     risen: bool,
 }
 
-/// One module. Its echo is what the processor's pin sees: the divider from 5 V changes no time.
+/// One module. Its echo line is that at the processor's pin: the divider from 5 V does not change any time.
 #[derive(Clone, Debug)]
 pub struct HcSr04 {
     number: u8,
@@ -91,20 +92,20 @@ pub struct HcSr04 {
     trigger_rose_ns: Option<u64>,
     last_ping_ns: Option<u64>,
     echo: Option<Echo>,
-    /// When sounds of others arrive that are still on their way.
+    /// Arrival times of sounds of other modules that are still on their way, ns.
     arrivals_ns: Vec<u64>,
     interference: Option<Followed>,
-    /// The line's level, interference included.
+    /// Level of the line, interference included.
     high: bool,
     edges: VecDeque<EchoEdge>,
     misuse: MisuseLog,
 }
 
 impl HcSr04 {
-    /// What it is called in reports.
+    /// Name of the module in reports.
     pub const NAME: &str = "HC-SR04";
 
-    /// A module with nothing in front of it, in air of 20 degrees Celsius; `number` tells it from others in reports.
+    /// A module without a target, in air of 20 °C; `number` identifies it in reports.
     #[must_use]
     pub fn new(number: u8, seed: u64) -> Self {
         Self {
@@ -127,29 +128,29 @@ impl HcSr04 {
         }
     }
 
-    /// Puts something in front of the module, for the next ping; `None` takes it away.
+    /// Sets the distance of the target for the next ping; `None` removes it.
     pub fn set_distance_m(&mut self, distance_m: Option<f64>) {
         self.distance_m = distance_m;
     }
 
-    /// What stands behind that, for the next ping; the nearer of both is heard.
+    /// Sets the distance of a background for the next ping; the nearer one of target and background is detected.
     pub fn set_background_m(&mut self, background_m: Option<f64>) {
         self.background_m = background_m;
     }
 
-    /// Changes the air, for the next ping: -50 to 100 degrees Celsius, clipped; NaN changes nothing.
+    /// Sets the air temperature for the next ping: -50 to 100 °C, clipped; NaN is ignored.
     pub fn set_air_c(&mut self, air_c: f64) {
         if !air_c.is_nan() {
             self.air_c = air_c.clamp(-50.0, 100.0);
         }
     }
 
-    /// Gaussian noise of the measured distance.
+    /// Sets the Gaussian noise of the measured distance, mm rms.
     pub fn set_noise_rms_mm(&mut self, noise_rms_mm: f64) {
         self.noise_rms_mm = noise_rms_mm;
     }
 
-    /// Breaks or mends the module. One that goes silent lets a high echo fall; one that gets stuck is deaf at once, and
+    /// Sets or clears a fault. A module that goes silent drops a high echo; one that gets stuck is deaf at once, and
     /// holds its next echo.
     pub fn set_fault(&mut self, at_ns: u64, fault: Option<HcSr04Fault>) {
         self.advance(at_ns);
@@ -162,12 +163,12 @@ impl HcSr04 {
         }
     }
 
-    /// Couples a wave into the echo line, in place of another; edges before the last look are left out.
+    /// Couples a wave into the echo line, replacing another; edges before the last call are omitted.
     pub fn set_interference(&mut self, wave: SquareWave) {
         self.interference = Some(Followed::new(wave, self.now_ns));
     }
 
-    /// Drives the trigger pin. Returns when the sound leaves, if this starts a ping.
+    /// Drives the trigger pin. Returns the time at which the sound leaves, ns, if this starts a ping.
     pub fn trigger(&mut self, at_ns: u64, high: bool) -> Option<u64> {
         self.advance(at_ns);
         if high {
@@ -198,8 +199,8 @@ impl HcSr04 {
         Some(rise_ns)
     }
 
-    /// The sound that another module sent at `ping_ns` comes here over a path of `path_m`; the air is that of now. Not
-    /// heard are paths that are not finite, negative or over 8 m, and what arrives before a time already seen.
+    /// Registers a sound that another module sent at `ping_ns`, over a path of `path_m`; the air is that of now. Paths
+    /// that are not finite, negative or over 8 m are ignored, and so are arrivals before a time already seen.
     pub fn hear(&mut self, ping_ns: u64, path_m: f64) {
         if !(0.0..=LONGEST_PATH_M).contains(&path_m) {
             return;
@@ -210,33 +211,33 @@ impl HcSr04 {
         }
     }
 
-    /// The level of the echo line.
+    /// Level of the echo line at a time.
     pub fn echo_is_high(&mut self, at_ns: u64) -> bool {
         self.advance(at_ns);
         self.high
     }
 
-    /// The edges of the echo line that have happened up to and at `at_ns` and were not taken before, oldest first. Of
-    /// more than 64 the oldest are lost.
+    /// Edges of the echo line up to and at `at_ns` that were not taken before, oldest first. Of more than 64 the oldest
+    /// are lost.
     pub fn take_edges(&mut self, at_ns: u64) -> impl Iterator<Item = EchoEdge> {
         self.advance(at_ns);
         self.edges.drain(..)
     }
 
-    /// When the echo line changes next, as far as is known: a sound of another module can end an echo before that.
+    /// Time of the next known change of the echo line, ns; a sound of another module can end an echo earlier.
     #[must_use]
     pub fn next_edge_ns(&self) -> Option<u64> {
         let wave_ns = self.interference.as_ref().and_then(Followed::next_ns);
         self.next_own_edge_ns().into_iter().chain(wave_ns).min()
     }
 
-    /// What was done against the data sheet.
+    /// Violations of the data sheet so far.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// The same, to be cleared.
+    /// Violations so far, mutable, so that a test can clear them.
     pub const fn misuse_mut(&mut self) -> &mut MisuseLog {
         &mut self.misuse
     }
@@ -256,12 +257,12 @@ impl HcSr04 {
         self.arrivals_ns.retain(|arrival_ns| *arrival_ns > now_ns);
     }
 
-    /// When the module changes the line next by itself.
+    /// Time of the module's own next change of the line, ns.
     fn next_own_edge_ns(&self) -> Option<u64> {
         self.echo.filter(|echo| !echo.risen).map(|echo| echo.rise_ns).or(self.echo_end_ns())
     }
 
-    /// Puts the line to its level at `at_ns`.
+    /// Updates the level of the line at `at_ns`.
     fn show(&mut self, at_ns: u64) {
         let own = self.echo.is_some_and(|echo| echo.risen);
         let inverted = self.interference.as_mut().is_some_and(|wave| {
@@ -275,7 +276,7 @@ impl HcSr04 {
         }
     }
 
-    /// When the echo under way ends: at the first sound that arrives while it is high, unless the module is deaf.
+    /// End of the present echo, ns: the first sound that arrives while it is high, unless the module is deaf.
     fn echo_end_ns(&self) -> Option<u64> {
         let echo = self.echo?;
         let deaf = self.fault == Some(HcSr04Fault::StuckHigh);
@@ -297,7 +298,7 @@ impl HcSr04 {
         let noise = super::normal(&mut self.noise);
         let noise_m = noise * self.noise_rms_mm * 1e-3;
         match [self.distance_m, self.background_m].into_iter().flatten().min_by(f64::total_cmp) {
-            // written so that NaN counts as nothing
+            // written so that NaN counts as no target
             Some(distance_m) if distance_m <= FARTHEST_M => self.flight_ns(2.0 * (distance_m + noise_m).max(NEAREST_M)),
             _ => TIME_OUT_NS,
         }
@@ -316,13 +317,13 @@ impl HcSr04 {
 /// The board's four modules, which hear each other over settable paths.
 #[derive(Clone, Debug)]
 pub struct HcSr04Array {
-    /// The modules, to look at and to break. Trigger them through the array, or the others do not hear it.
+    /// The modules, for queries and faults. Triggers go through the array, so that the other modules hear them.
     pub modules: [HcSr04; Self::MODULES],
     path_m: [[f64; Self::MODULES]; Self::MODULES],
 }
 
 impl HcSr04Array {
-    /// As many as the board has inputs for.
+    /// Number of modules for which the board has inputs.
     pub const MODULES: usize = 4;
 
     /// Four modules that do not hear each other.
@@ -334,8 +335,8 @@ impl HcSr04Array {
         }
     }
 
-    /// Sets the path from one module to another, both ways, directly or over what reflects; infinite is not heard.
-    /// Numbers above 3 change nothing.
+    /// Sets the path between two modules, both ways, directly or over a reflection, m; infinite for none. Numbers above
+    /// 3 are ignored.
     pub fn set_path_m(&mut self, from: usize, to: usize, path_m: f64) {
         for [from, to] in [[from, to], [to, from]] {
             if let Some(path) = self.path_m.get_mut(from).and_then(|paths| paths.get_mut(to)) {
@@ -360,7 +361,7 @@ mod tests {
     use proptest::prelude::*;
 
     const MS: u64 = 1_000_000;
-    /// At 20 degrees Celsius: 331.3 + 12.12.
+    /// Speed of sound at 20 °C, m/s: 331.3 + 12.12.
     const SPEED_M_S: f64 = 343.42;
 
     fn pulse(module: &mut HcSr04, at_ns: u64, high_ns: u64) -> Option<u64> {
@@ -372,7 +373,7 @@ mod tests {
         module.take_edges(at_ns).map(|edge| (edge.at_ns, edge.high)).collect()
     }
 
-    /// Width of one echo, with a fresh trigger at `at_ns`.
+    /// Width of one echo, ns, with a fresh trigger at `at_ns`.
     fn width_ns(module: &mut HcSr04, at_ns: u64) -> u64 {
         pulse(module, at_ns, 10_000).expect("ping");
         let edges = edges(module, at_ns + 1_000 * MS);
@@ -401,7 +402,7 @@ mod tests {
         .enumerate()
         {
             module.set_distance_m(distance_m);
-            // rounded, where the expectation is cut
+            // rounded, where the expectation is truncated
             assert!(width_ns(&mut module, index as u64 * 2_000 * MS).abs_diff(expected_ns) <= 1, "{distance_m:?}");
         }
         assert!(module.misuse().is_empty());
@@ -554,13 +555,13 @@ mod tests {
             .map(|module| edges(module, 100 * MS))
             .map(|edges| edges.get(1).map(|fall| fall.0 - edges[0].0))
             .collect();
-        // 0 and 1 end each other's after 2 ms of flight; 2 hears nobody; 3 was not triggered
+        // 0 and 1 end each other's after 2 ms of flight; 2 hears no other module; 3 was not triggered
         assert_eq!(widths, [Some(2 * MS), Some(2 * MS), Some(38 * MS), None]);
     }
 
     #[test]
     fn a_sound_under_way_is_heard_by_a_later_ping_only_while_it_listens() {
-        // sent at 0.51 ms; on the way for 10 ms
+        // sent at 0.51 ms; on its way for 10 ms
         for (trigger_ns, heard) in [(5 * MS, true), (10 * MS - 11_000, true), (10 * MS, false), (11 * MS, false)] {
             let mut array = HcSr04Array::new(1);
             array.set_path_m(3, 0, SPEED_M_S * 0.010);
@@ -611,10 +612,10 @@ mod tests {
     }
 
     proptest! {
-        /// Looking often changes nothing.
+        /// The frequency of queries does not change the result.
         #[test]
         fn lazy_equals_eager(
-            // (nanoseconds since the last, what, distance or path)
+            // (nanoseconds since the last, action, distance or path)
             actions in prop::collection::vec((0..60 * MS, 0..4_u8, 0.0..9.0_f64), 1..30),
             looks in 1..20_u64,
         ) {

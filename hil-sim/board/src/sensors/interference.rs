@@ -1,24 +1,24 @@
-//! Interference on a digital line: what a loose wire beside a motor's leads or a broken shield couples into it.
+//! Interference on a digital line, as a loose wire beside a motor's leads or a broken shield couples it in.
 
-/// A square wave that inverts a line at its every other half.
+/// A square wave that inverts a line in every other half period.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SquareWave {
-    /// The first edge.
+    /// Time of the first edge, ns.
     pub from_ns: u64,
-    /// The line is as it would be without from then on.
+    /// End of the interference, ns.
     pub until_ns: u64,
-    /// Between two edges; 0 counts as 1.
+    /// Time between two edges, ns; 0 counts as 1.
     pub half_period_ns: u64,
 }
 
 impl SquareWave {
-    /// Whether it inverts the line.
+    /// True if the wave inverts the line at a time.
     #[must_use]
     pub const fn inverts(&self, at_ns: u64) -> bool {
         self.from_ns <= at_ns && at_ns < self.until_ns && self.halves(at_ns).is_multiple_of(2)
     }
 
-    /// Its first edge after `after_ns`, if one is to come.
+    /// Time of the first edge after `after_ns`, ns; `None` if there is none.
     #[must_use]
     pub fn next_edge_ns(&self, after_ns: u64) -> Option<u64> {
         if self.until_ns <= self.from_ns || after_ns >= self.until_ns {
@@ -31,11 +31,11 @@ impl SquareWave {
         if next_ns < self.until_ns {
             return Some(next_ns);
         }
-        // The end is an edge where it cuts a half short that inverts.
+        // the end is an edge if it cuts an inverting half period short
         self.halves(self.until_ns - 1).is_multiple_of(2).then_some(self.until_ns)
     }
 
-    /// Whole halves since the beginning.
+    /// Number of whole half periods since the first edge.
     const fn halves(&self, at_ns: u64) -> u64 {
         (at_ns - self.from_ns) / self.half_ns()
     }
@@ -53,7 +53,7 @@ pub(super) struct Followed {
 }
 
 impl Followed {
-    /// A wave of which the edges up to `now_ns` are not seen.
+    /// A wave whose edges up to `now_ns` are ignored.
     pub(super) fn new(wave: SquareWave, now_ns: u64) -> Self {
         Self { wave, next_ns: wave.next_edge_ns(now_ns) }
     }
@@ -62,14 +62,14 @@ impl Followed {
         self.next_ns
     }
 
-    /// Goes on to `at_ns`.
+    /// Advances the wave to `at_ns`.
     pub(super) fn advance(&mut self, at_ns: u64) {
         if self.next_ns.is_some_and(|next_ns| next_ns <= at_ns) {
             self.next_ns = self.wave.next_edge_ns(at_ns);
         }
     }
 
-    /// Whether the line is inverted at `at_ns`.
+    /// True if the line is inverted at `at_ns`.
     pub(super) const fn inverts(&self, at_ns: u64) -> bool {
         self.wave.inverts(at_ns)
     }
@@ -89,7 +89,7 @@ mod tests {
     }
 
     proptest! {
-        /// Its edges are where its level changes, and nowhere else.
+        /// Edges of the wave are exactly the changes of its level.
         #[test]
         fn edges_are_changes_of_level(from_ns in 0u64..50, length_ns in 0u64..200, half_period_ns in 0u64..40) {
             let wave = SquareWave { from_ns, until_ns: from_ns + length_ns, half_period_ns };

@@ -1,4 +1,4 @@
-//! Devices to talk to on the board's connectors: a UART whose output is wired to its input, and an I2C EEPROM.
+//! Devices on the board's connectors: a UART whose output is wired to its input, and an I2C EEPROM.
 
 use std::collections::VecDeque;
 
@@ -11,20 +11,21 @@ use crate::uart::{LineNoise, UartByte, ns_per_byte};
 struct OnWire {
     start_ns: u64,
     end_ns: u64,
-    /// What arrives; `None` where noise hid it.
+    /// Byte at its arrival; `None` if noise hid it.
     byte: Option<UartByte>,
 }
 
-/// What a read brought.
+/// Result of a read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Received {
-    /// Bytes put into the buffer.
+    /// Number of bytes put into the buffer.
     pub len: usize,
-    /// Bytes lost since the last read, because the receiver was full when they came: the UART's overrun flag.
+    /// Number of bytes lost since the last read, because the receiver was full: the UART's overrun flag.
     pub lost: u64,
 }
 
-/// A UART, 8N1, whose output is wired to its input. The sender never blocks: what is written is on the wire back to back.
+/// A UART, 8N1, whose output is wired to its input. The sender never blocks: written bytes follow each other without
+/// gaps.
 #[derive(Clone, Debug)]
 pub struct UartLoopback {
     ns_per_byte: u64,
@@ -39,8 +40,8 @@ pub struct UartLoopback {
 }
 
 impl UartLoopback {
-    /// A connected pair at `baud` bits per second (0 counts as 1), with a receiver that holds `capacity` bytes: 16 in the
-    /// processor's own FIFO, more with a buffer behind it.
+    /// A connected pair at `baud` bits per second (0 counts as 1), with a receiver that holds `capacity` bytes: 16 in
+    /// the processor's own FIFO, more with a buffer behind it.
     #[must_use]
     pub fn new(baud: u32, capacity: usize) -> Self {
         Self {
@@ -56,7 +57,7 @@ impl UartLoopback {
         }
     }
 
-    /// Sends bytes, after what is being sent already.
+    /// Sends bytes after those in transmission.
     pub fn write(&mut self, at_ns: u64, bytes: &[u8]) {
         self.advance(at_ns);
         let mut start_ns = self.under_way.back().map_or(self.now_ns, |last| last.end_ns);
@@ -67,14 +68,14 @@ impl UartLoopback {
         }
     }
 
-    /// A byte from a sender with its own timing, whose stop bit ended at `at_ns`: at once it has arrived, too.
+    /// Sends a byte with its own timing, whose stop bit ended at `at_ns`; it has arrived at that time.
     pub fn sent(&mut self, at_ns: u64, byte: u8) {
         let start_ns = at_ns.saturating_sub(self.ns_per_byte);
         let start_ns = self.under_way.back().map_or(start_ns, |last| start_ns.max(last.end_ns.min(at_ns)));
         self.put(start_ns, at_ns, byte);
     }
 
-    /// The next byte that has arrived up to and at `at_ns`, for a receiver with its own buffer: none is lost here.
+    /// Next byte that has arrived up to and at `at_ns`, for a receiver with its own buffer: none is lost here.
     pub fn take_arrived(&mut self, at_ns: u64) -> Option<UartByte> {
         self.now_ns = self.now_ns.max(at_ns);
         if let Some(byte) = self.received.pop_front() {
@@ -88,7 +89,7 @@ impl UartLoopback {
         }
     }
 
-    /// Disturbs what is sent from now on; `None` ends that.
+    /// Adds noise to bytes sent from now on; `None` ends it.
     pub fn disturb(&mut self, noise: Option<LineNoise>) {
         self.noise = noise;
     }
@@ -99,12 +100,12 @@ impl UartLoopback {
         self.under_way.push_back(OnWire { start_ns, end_ns, byte });
     }
 
-    /// From start to stop bit, as far as the cable was not plugged since.
+    /// True if the wire was connected from start to stop bit.
     fn was_connected(&self, byte: &OnWire) -> bool {
         self.connected && byte.start_ns >= self.connected_since_ns
     }
 
-    /// Takes what has arrived up to and at `at_ns`, oldest first, as much as `buffer` holds; the rest stays.
+    /// Reads bytes that arrived up to and at `at_ns`, oldest first, as many as `buffer` holds; the others stay.
     pub fn read(&mut self, at_ns: u64, buffer: &mut [u8]) -> Received {
         self.advance(at_ns);
         let len = buffer.len().min(self.received.len());
@@ -114,13 +115,13 @@ impl UartLoopback {
         Received { len, lost: std::mem::take(&mut self.lost) }
     }
 
-    /// When the next byte has arrived that is being sent, also if it will be lost.
+    /// Arrival time of the next byte in transmission, ns, even if it will be lost.
     #[must_use]
     pub fn next_arrival_ns(&self) -> Option<u64> {
         self.under_way.front().map(|next| next.end_ns)
     }
 
-    /// Plugs or unplugs the wire: only bytes that were connected from start to stop bit arrive.
+    /// Connects or disconnects the wire: only bytes that were connected from start to stop bit arrive.
     pub fn set_connected(&mut self, at_ns: u64, connected: bool) {
         self.advance(at_ns);
         if connected && !self.connected {
@@ -132,7 +133,7 @@ impl UartLoopback {
     fn advance(&mut self, to_ns: u64) {
         self.now_ns = self.now_ns.max(to_ns);
         while let Some(next) = self.under_way.pop_front_if(|next| next.end_ns <= self.now_ns) {
-            // A driver drops what has no stop bit.
+            // a driver drops bytes without a stop bit
             let Some(byte) = next.byte.filter(|byte| !byte.framing_error && self.was_connected(&next)) else {
                 continue;
             };
@@ -145,34 +146,34 @@ impl UartLoopback {
     }
 }
 
-/// Bytes of the EEPROM.
+/// Size of the EEPROM, bytes.
 const SIZE: usize = 256;
-/// Bytes of a page.
+/// Size of a page, bytes.
 const PAGE: usize = 8;
-/// Device addresses: 1010 A2 A1 A0.
+/// Lowest device address: 1010 A2 A1 A0.
 const ADDRESS: u8 = 0x50;
-/// How long a write takes at most.
+/// Longest duration of a write, ns.
 const WRITE_NS: u64 = 5_000_000;
 
-/// Where the EEPROM is in a transfer.
+/// Phase of an I2C transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Transfer {
-    /// Not addressed, or read.
+    /// Not addressed, or addressed for reading.
     None,
     /// Addressed for writing; the next byte is a word address.
     WordAddress,
-    /// The next bytes are data.
+    /// Addressed for writing; data bytes follow.
     Data,
 }
 
-/// 24C02: 256 bytes on I2C, in pages of 8. Write-protect is tied low.
+/// EEPROM 24C02: 256 bytes on I2C, in pages of 8. Write-protect is tied low.
 ///
-/// A write starts at STOP and takes 5 ms, during which the chip acknowledges nothing: polling its address shows the end.
-/// A write that passes the end of a page goes on at its start. A read goes on from the last word used, past the end of
-/// the memory at 0.
+/// A write starts at STOP and takes 5 ms, during which the chip acknowledges nothing: polling its address detects the
+/// end. A write past the end of a page continues at its start. A read continues from the last word used, and past the
+/// end of the memory at 0.
 ///
-/// [`acknowledges`](I2cChip::acknowledges) knows no time: whoever runs a transfer calls [`advance`](Self::advance) with its
-/// start first, or the chip stays busy.
+/// [`acknowledges`](I2cChip::acknowledges) has no time: the caller of a transfer first calls [`advance`](Self::advance)
+/// with its start, or the chip stays busy.
 ///
 /// # Source
 /// Atmel AT24C02B data sheet (5126): device operation, write operations, read operations.
@@ -180,10 +181,10 @@ enum Transfer {
 pub struct Eeprom24c02 {
     address: u8,
     memory: [u8; SIZE],
-    /// The next word.
+    /// Address of the next word.
     pointer: u8,
     transfer: Transfer,
-    /// What a write has brought for each byte of the page; where it started, and how many bytes came.
+    /// Data of the present write for each byte of the page, the address of its start, and the number of bytes.
     page: [Option<u8>; PAGE],
     first_word: u8,
     taken: usize,
@@ -193,7 +194,7 @@ pub struct Eeprom24c02 {
 }
 
 impl Eeprom24c02 {
-    /// What it is called in reports.
+    /// Name of the chip in reports.
     pub const NAME: &str = "24C02";
 
     /// A chip as delivered, all bytes 0xFF, at a 7-bit `address` from 0x50 to 0x57; only the three lower bits count.
@@ -213,30 +214,30 @@ impl Eeprom24c02 {
         }
     }
 
-    /// Brings the chip to `to_ns`: a write that ends up to and at that time has ended.
+    /// Advances the chip to `to_ns`, and completes a write that ends by then.
     pub fn advance(&mut self, to_ns: u64) {
         self.now_ns = self.now_ns.max(to_ns);
     }
 
-    /// Whether a write is under way, as of the last [`advance`](Self::advance).
+    /// True while a write is in progress, at the last [`advance`](Self::advance).
     #[must_use]
     pub const fn is_busy(&self) -> bool {
         self.now_ns < self.busy_until_ns
     }
 
-    /// What it holds, with a write that is under way.
+    /// Content of the memory, including a write in progress.
     #[must_use]
     pub const fn memory(&self) -> &[u8; SIZE] {
         &self.memory
     }
 
-    /// What was done to the chip against its data sheet.
+    /// Violations of the data sheet so far.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// The same, to be cleared.
+    /// Violations so far, mutable, so that a test can clear them.
     pub const fn misuse_mut(&mut self) -> &mut MisuseLog {
         &mut self.misuse
     }
@@ -325,11 +326,11 @@ mod tests {
         assert_eq!(uart.next_arrival_ns(), Some(87_805));
         assert_eq!(read(&mut uart, 87_804), (vec![], 0));
         assert_eq!(read(&mut uart, 87_805), (b"a".to_vec(), 0));
-        // joins the one under way
+        // joins the byte in transmission
         uart.write(100_000, b"c");
         assert_eq!(read(&mut uart, 1_000 + 3 * 86_805 - 1), (b"b".to_vec(), 0));
         assert_eq!(read(&mut uart, 1_000 + 3 * 86_805), (b"c".to_vec(), 0));
-        // and starts at once on a line at rest
+        // and starts at once on an idle line
         uart.write(1_000_000, b"d");
         assert_eq!(uart.next_arrival_ns(), Some(1_086_805));
     }
@@ -364,13 +365,13 @@ mod tests {
         uart.set_connected(40_000, true);
         uart.set_connected(55_000, false);
         uart.set_connected(55_001, true);
-        // plugged in already: no change
+        // connected already: no change
         uart.set_connected(65_000, true);
         assert_eq!(read(&mut uart, 100_000), (b"aeg".to_vec(), 0));
     }
 
     proptest! {
-        /// Looking often, without taking anything, changes nothing.
+        /// Queries that take nothing do not change the result.
         #[test]
         fn uart_lazy_equals_eager(
             actions in prop::collection::vec((0..300_000_u64, 0..8_u8, prop::collection::vec(any::<u8>(), 0..30)), 1..20),
@@ -431,7 +432,7 @@ mod tests {
 
     const S: u64 = 1_000_000_000;
 
-    /// 8.68 us a byte at 1.152 Mbit/s; the cable was not there for all of the second byte.
+    /// 8.68 us a byte at 1.152 Mbit/s; the wire was not connected for all of the second byte.
     #[test]
     fn bytes_of_a_sender_with_its_own_timing_come_back_when_they_end() {
         let mut uart = UartLoopback::new(1_152_000, 1);
@@ -455,7 +456,7 @@ mod tests {
         assert_eq!(bench.read(0, 0x10), [0xFF; 4]);
         bench.write(S, &[0x10, 1, 2, 3, 4, 5, 6, 7, 8]).expect("acknowledged");
         assert_eq!(bench.read(2 * S, 0x0F), [0xFF, 1, 2, 3, 4, 5, 6, 7, 8, 0xFF]);
-        // part of a page leaves the rest
+        // part of a page leaves the other bytes
         bench.write(3 * S, &[0x12, 30, 31]).expect("acknowledged");
         assert_eq!(bench.read(4 * S, 0x10), [1, 2, 30, 31, 5]);
         assert_eq!(bench.kinds(), []);
@@ -519,7 +520,7 @@ mod tests {
     }
 
     proptest! {
-        /// Page by page, as its data sheet asks for, anything can be kept.
+        /// Writes page by page, as the data sheet requires, store any data.
         #[test]
         fn keeps_what_is_written_by_the_rules(writes in prop::collection::vec((any::<u8>(), any::<[u8; 8]>()), 1..30)) {
             let mut bench = Bench::new();

@@ -1,8 +1,8 @@
 //! Sensors, switches and loopback devices that are wired to the processor's own pins.
 //!
-//! All are lazy: nothing is scheduled, whoever looks says what time it is. A time before one already seen counts as that
-//! one. Randomness is seeded and drawn when something happens, not when someone looks, so that looking more often
-//! changes nothing.
+//! All are lazy: nothing is scheduled, the caller passes the time. An earlier time than one already seen counts as that
+//! one. Randomness is seeded and sampled at events, not at queries, so the frequency of queries does not change the
+//! result.
 //!
 //! | module | modelled | not modelled |
 //! | --- | --- | --- |
@@ -30,13 +30,13 @@ pub(crate) mod tfmini_s;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::{Pcg64, rand_core::Rng};
 
-/// A number drawn evenly from 0 up to, not including, 1.
+/// Uniform random number from 0 up to, not including, 1.
 pub(crate) fn uniform(generator: &mut Pcg64) -> f64 {
     // the 53 bits that a double can hold
     (generator.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// A number drawn from the normal distribution with mean 0 and standard deviation 1.
+/// Standard normal random number, with mean 0 and standard deviation 1.
 pub(crate) fn normal(generator: &mut Pcg64) -> f64 {
     StandardNormal.sample(generator)
 }

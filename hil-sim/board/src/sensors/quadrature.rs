@@ -1,4 +1,4 @@
-//! A quadrature encoder's two lines, and the processor's counter behind them.
+//! Lines of a quadrature encoder, and the processor's counter behind them.
 //!
 //! Levels follow the whole counts of the shaft's position, `floor(position)`:
 //!
@@ -9,7 +9,7 @@
 //! | 2 | high | high |
 //! | 3 | low | high |
 //!
-//! Between two looks the shaft is taken to turn evenly, which gives every edge its time.
+//! Between two calls the shaft is assumed to turn at constant speed, which gives every edge its time.
 
 use std::num::NonZeroU32;
 
@@ -20,27 +20,27 @@ use super::{
     uniform,
 };
 
-/// At most so many counts are shown edge by edge at one look.
+/// Largest number of counts processed edge by edge in one call.
 const MAX_COUNTS: u64 = 4096;
 
-/// The levels of both lines.
+/// Levels of both lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Levels {
-    /// Line A, which leads when the count rises.
+    /// Level of line A, which leads when the count rises.
     pub a: bool,
-    /// Line B.
+    /// Level of line B.
     pub b: bool,
 }
 
 impl Levels {
-    /// Those of a count.
+    /// Levels at a count.
     #[must_use]
     pub const fn of_count(count: i64) -> Self {
         let quarter = count.rem_euclid(4);
         Self { a: quarter == 1 || quarter == 2, b: quarter >= 2 }
     }
 
-    /// Count mod 4.
+    /// Count modulo 4 of the levels.
     const fn quarter(self) -> u8 {
         match (self.a, self.b) {
             (false, false) => 0,
@@ -54,31 +54,32 @@ impl Levels {
 /// A change of the lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transition {
-    /// When.
+    /// Time of the change, ns.
     pub at_ns: u64,
-    /// The levels after it. They differ from those before in one line; in both after a lost edge.
+    /// Levels after the change. They differ from those before in one line; in both after a lost edge.
     pub levels: Levels,
-    /// Whether the index track is on from then on.
+    /// State of the index track from then on.
     pub index: bool,
 }
 
-/// One of the lines.
+/// One of the two lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Channel {
-    /// Line A.
+    /// Line A, which leads when the count rises.
     A,
-    /// Line B.
+    /// Line B, which lags when the count rises.
     B,
 }
 
-/// What goes wrong at random, drawn once for every edge of the shaft.
+/// Random faults, sampled once for every edge of the shaft.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EdgeNoise {
-    /// Share of edges that chatter: the line goes back once more, [`chatter_ns`](Self::chatter_ns) later and for as long.
+    /// Share of edges with chatter, 0 to 1: the line goes back once more, [`chatter_ns`](Self::chatter_ns) later and
+    /// for as long.
     pub chatter_share: f64,
-    /// See [`chatter_share`](Self::chatter_share).
+    /// Delay and length of the chatter, ns.
     pub chatter_ns: u64,
-    /// Share of edges that are lost.
+    /// Share of edges that are lost, 0 to 1.
     pub lost_share: f64,
 }
 
@@ -97,21 +98,21 @@ impl Glitch {
     }
 }
 
-/// Turns a shaft's position into edges.
+/// Converts a shaft's position to edges.
 #[derive(Clone, Debug)]
 pub struct QuadratureSignal {
     now_ns: u64,
     position_counts: f64,
     count: i64,
-    /// As last shown: those of the count, but for glitches and lost edges.
+    /// Levels as last output: those of the count, except for glitches and lost edges.
     levels: Levels,
     glitches: Vec<Glitch>,
-    /// On A and B.
+    /// Interference on lines A and B.
     interference: [Option<Followed>; 2],
     edges_to_lose: u32,
     noise: EdgeNoise,
     generator: Pcg64,
-    /// Counts from one index pulse to the next.
+    /// Number of counts from one index pulse to the next.
     index_every: Option<NonZeroU32>,
 }
 
@@ -135,68 +136,69 @@ impl QuadratureSignal {
         }
     }
 
-    /// Gives the encoder an index track, on for one count of every so many, beginning with 0: a pulse as wide as a quarter of a line.
+    /// Adds an index track, on for one count in `every`, starting with 0: a pulse of a quarter of an encoder period.
     pub fn set_index(&mut self, every: NonZeroU32) {
         self.index_every = Some(every);
     }
 
-    /// Counts from one index pulse to the next, where the encoder has them.
+    /// Number of counts from one index pulse to the next; `None` without an index track.
     #[must_use]
     pub const fn index_every(&self) -> Option<NonZeroU32> {
         self.index_every
     }
 
-    /// Whether the index track is on, as of the last [`advance`](Self::advance).
+    /// True while the index track is on, at the last [`advance`](Self::advance).
     #[must_use]
     pub fn index(&self) -> bool {
         self.index_every.is_some_and(|every| self.count.rem_euclid(every.get().into()) == 0)
     }
 
-    /// The levels, as of the last [`advance`](Self::advance).
+    /// Levels at the last [`advance`](Self::advance).
     #[must_use]
     pub const fn levels(&self) -> Levels {
         self.levels
     }
 
-    /// The true count, as of the last [`advance`](Self::advance).
+    /// True count at the last [`advance`](Self::advance).
     #[must_use]
     pub const fn count(&self) -> i64 {
         self.count
     }
 
-    /// When a glitch begins or ends next, or interference has an edge, if one is to come.
+    /// Time of the next start or end of a glitch, or edge of interference, ns, if there is one.
     #[must_use]
     pub fn next_glitch_ns(&self) -> Option<u64> {
         let waves_ns = self.interference.iter().flatten().filter_map(Followed::next_ns);
         self.glitches.iter().map(Glitch::next_ns).chain(waves_ns).min()
     }
 
-    /// What goes wrong at random from now on.
+    /// Sets the random faults from now on.
     pub fn set_noise(&mut self, noise: EdgeNoise) {
         self.noise = noise;
     }
 
-    /// Inverts a line from `from_ns`, or the last look if that is later, for `width_ns`.
+    /// Inverts a line for `width_ns`, starting at `from_ns` or the last call if that is later.
     pub fn inject_glitch(&mut self, channel: Channel, from_ns: u64, width_ns: u64) {
         let from_ns = from_ns.max(self.now_ns);
         self.glitches.push(Glitch { channel, from_ns, until_ns: from_ns.saturating_add(width_ns), begun: false });
     }
 
-    /// Couples a wave into a line, in place of another; edges before the last look are left out.
+    /// Couples a wave into a line, replacing another; edges before the last call are omitted.
     pub fn set_interference(&mut self, channel: Channel, wave: SquareWave) {
         self.interference[channel as usize] = Some(Followed::new(wave, self.now_ns));
     }
 
-    /// Loses the next edges of the shaft: the lines show the change with the edge after them only.
+    /// Drops the next edges of the shaft: the lines show the change only with the edge after them.
     pub fn lose_edges(&mut self, count: u32) {
         self.edges_to_lose = self.edges_to_lose.saturating_add(count);
     }
 
-    /// The shaft has turned to `position_counts` by `at_ns`: `sink` gets every change of the lines since the last look, in
-    /// order. A position that is not finite is none: the shaft stays where it is.
+    /// Turns the shaft to `position_counts` by `at_ns`: `sink` gets every change of the lines since the last call, in
+    /// order. A position that is not finite is ignored: the shaft stays.
     ///
-    /// Work is bounded: of more than 4096 counts the first are not shown, in whole turns of four. Returned is how many,
-    /// with their sign; 0 in any sensible use. Whoever adds them to what it counted is exact. They are free of noise.
+    /// Work is bounded: of more than 4096 counts the first are skipped, in multiples of four. Returns their number,
+    /// with sign; 0 in any sensible use. Added to the decoded count it gives the exact one. Skipped counts have no
+    /// noise.
     #[must_use = "counts left out have to be added by whoever counts"]
     pub fn advance(&mut self, at_ns: u64, position_counts: f64, mut sink: impl FnMut(Transition)) -> i64 {
         let from_ns = self.now_ns;
@@ -239,7 +241,7 @@ impl QuadratureSignal {
         }
     }
 
-    /// One edge of the shaft; whether it is to be seen.
+    /// Handles one edge of the shaft; returns false if it is lost.
     fn cross(&mut self, at_ns: u64, direction: i64) -> bool {
         let before = Levels::of_count(self.count);
         self.count += direction;
@@ -280,9 +282,9 @@ impl QuadratureSignal {
 /// One input of the counter.
 #[derive(Clone, Copy, Debug)]
 struct FilteredLine {
-    /// Behind the filter.
+    /// Level behind the filter.
     level: bool,
-    /// Since when the pin has had the other level.
+    /// Time since which the pin has had the other level, ns.
     other_since_ns: Option<u64>,
 }
 
@@ -306,10 +308,10 @@ impl FilteredLine {
     }
 }
 
-/// An STM32 timer in encoder mode 3: counts both edges of both lines, in 16 bits.
+/// STM32 timer in encoder mode 3: counts both edges of both lines, in 16 bits.
 ///
-/// It knows no illegal transition: edges of both lines that leave the filter together are an up and a down, and the count
-/// stays.
+/// It detects no illegal transition: edges of both lines that leave the filter together are one up and one down, and
+/// the count stays.
 #[derive(Clone, Debug)]
 pub struct HardwareCounter {
     filter_ns: u64,
@@ -319,14 +321,14 @@ pub struct HardwareCounter {
 }
 
 impl HardwareCounter {
-    /// A counter at 0, with the lines at `levels`. Its input filter (ICxF) passes what lasts `filter_ns` or longer, and
-    /// delays it by as much; 0 is none.
+    /// A counter at 0, with the lines at `levels`. Its input filter (ICxF) passes levels that last `filter_ns` or
+    /// longer, and delays them by as much; 0 disables it.
     #[must_use]
     pub const fn new(filter_ns: u64, levels: Levels) -> Self {
         Self { filter_ns, count: 0, a: FilteredLine::new(levels.a), b: FilteredLine::new(levels.b) }
     }
 
-    /// The lines change. Times must not go back.
+    /// Takes a change of the lines. Times must not decrease.
     pub fn take(&mut self, transition: Transition) {
         let Transition { at_ns, levels, .. } = transition;
         self.settle(at_ns);
@@ -335,18 +337,18 @@ impl HardwareCounter {
         self.settle(at_ns);
     }
 
-    /// Adds counts that [`QuadratureSignal::advance`] left out.
+    /// Adds counts that [`QuadratureSignal::advance`] skipped.
     pub const fn add(&mut self, counts: i64) {
         self.count = self.count.wrapping_add(counts as u16);
     }
 
-    /// The counter register.
+    /// Value of the counter register at a time.
     pub fn count(&mut self, at_ns: u64) -> u16 {
         self.settle(at_ns);
         self.count
     }
 
-    /// Lets changes through whose time in the filter is over.
+    /// Passes changes whose filter time is over.
     fn settle(&mut self, at_ns: u64) {
         loop {
             let filter_ns = self.filter_ns;
@@ -376,7 +378,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Collects; asserts that nothing is left out.
+    /// Collects the changes, and asserts that none is skipped.
     fn advance(signal: &mut QuadratureSignal, at_ns: u64, position_counts: f64) -> Vec<Transition> {
         let mut seen = Vec::new();
         assert_eq!(signal.advance(at_ns, position_counts, |transition| seen.push(transition)), 0);
@@ -387,7 +389,7 @@ mod tests {
         transitions.iter().map(|transition| (transition.at_ns, transition.levels.quarter())).collect()
     }
 
-    /// A decoder in software: counts, and how often both lines changed at once.
+    /// Software decoder: its count, and the number of simultaneous changes of both lines.
     #[derive(Debug, Default, PartialEq)]
     struct Software {
         levels: Levels,
@@ -421,7 +423,7 @@ mod tests {
         assert_eq!(shown(&advance(&mut signal, 400, 4.5)), [(50, 1), (150, 2), (250, 3), (350, 0)]);
         assert_eq!(shown(&advance(&mut signal, 600, 2.5)), [(450, 3), (550, 2)]);
         assert_eq!(shown(&advance(&mut signal, 700, 2.5)), []);
-        // a position that is reached counts, one that is left downwards does until then
+        // a position counts when it is reached; downwards it does until it is left
         assert_eq!(shown(&advance(&mut signal, 800, 3.0)), [(800, 3)]);
         assert_eq!(shown(&advance(&mut signal, 900, 2.0)), [(800, 2)]);
         assert_eq!((signal.count(), signal.levels()), (2, Levels { a: true, b: true }));
@@ -430,7 +432,7 @@ mod tests {
         assert_eq!(signal.count(), 2);
     }
 
-    /// For one count of every 12, whichever way the shaft comes.
+    /// The index is on for one count in 12, in either direction.
     #[test]
     fn an_index_pulse_is_one_count_wide() {
         let mut signal = QuadratureSignal::new(0.5, 1);
@@ -469,7 +471,7 @@ mod tests {
             assert_eq!(counter.count(1_000_000), way as u16);
             assert_eq!(software.levels, Levels::of_count(way));
         }
-        // as far as a position can be
+        // the largest possible position
         let mut signal = QuadratureSignal::new(-f64::MAX, 1);
         let _ = signal.advance(1, f64::MAX, |_| {});
         assert_eq!(signal.count(), i64::MAX);
@@ -494,7 +496,7 @@ mod tests {
         let mut signal = QuadratureSignal::new(0.5, 1);
         signal.inject_glitch(Channel::B, 100, 20);
         let seen = advance(&mut signal, 200, 2.5);
-        // 10 at 50, the glitch 11 and back, 11 at 150
+        // count 10 at 50, the glitch to 11 and back, 11 at 150
         assert_eq!(shown(&seen), [(50, 1), (100, 2), (120, 1), (150, 2)]);
     }
 
@@ -541,7 +543,7 @@ mod tests {
             counter.take(transition);
         }
         assert_eq!(software, Software { count: 2, illegal: 1, levels: Levels::default() });
-        // the timer says nothing, and is two counts off as well
+        // the timer does not report it, and is two counts off as well
         assert_eq!(counter.count(400), 2);
     }
 
@@ -608,7 +610,7 @@ mod tests {
     }
 
     proptest! {
-        /// Any walk of the shaft ends at its count, in software and in the timer.
+        /// Any motion of the shaft ends at its count, in software and in the timer.
         #[test]
         fn counts_follow_the_shaft(ways in prop::collection::vec((0..1_000_000_u64, -3_000.0..3_000.0_f64), 1..20)) {
             let mut signal = QuadratureSignal::new(0.0, 1);
@@ -635,7 +637,7 @@ mod tests {
             }
         }
 
-        /// An even turn, looked at once or often, with everything that can go wrong.
+        /// A constant-speed turn with all kinds of faults, queried once or often.
         #[test]
         fn lazy_equals_eager(
             // edges fall on whole nanoseconds, so that rounding cannot move them; at most 4000 of them

@@ -1,43 +1,43 @@
-//! A mechanical switch between an input with a pull resistor and a rail.
+//! Mechanical switch between an input with a pull resistor and a rail.
 
 use rand_pcg::{Pcg64, rand_core::SeedableRng};
 
 use super::uniform;
 
-/// Contacts of ordinary switches rest after this long (our choice of a worst case; data sheets say 5 ms to 10 ms).
+/// Bounce time of ordinary switches, ns (our choice of a worst case; data sheets say 5 ms to 10 ms).
 pub const BOUNCE_NS: u64 = 5_000_000;
-/// A contact bounces so many times at most.
+/// Largest number of bounces of a contact.
 const MAX_BOUNCES: f64 = 6.0;
 
-/// What an input reads while nothing drives it, and by that where the switch connects it to.
+/// Pull resistor of an input, which also decides the rail that the switch connects to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pull {
-    /// Reads high; the switch connects to ground.
+    /// Pull-up: an open switch reads high; a closed one connects to ground.
     Up,
-    /// Reads low; the switch connects to the supply.
+    /// Pull-down: an open switch reads low; a closed one connects to the supply.
     Down,
 }
 
-/// Which contact of the switch is used.
+/// Contact of the switch that is used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Contact {
-    /// Open until actuated.
+    /// Normally open: closes when actuated.
     NormallyOpen,
-    /// Closed until actuated.
+    /// Normally closed: opens when actuated.
     NormallyClosed,
 }
 
-/// What is wrong with the wiring.
+/// Fault of the wiring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SwitchFault {
-    /// A wire is cut: reads as pulled.
+    /// Cut wire: reads as the pull resistor.
     CutWire,
-    /// The wires touch, or the contact has welded: reads as closed.
+    /// Short between the wires, or welded contact: reads as closed.
     Shorted,
 }
 
-/// A switch that is actuated and released. Its contact changes at once, then opens and closes again at random times of its
-/// seed, and rests after the bounce time at the latest.
+/// A switch that is actuated and released. Its contact changes at once, then opens and closes at random times, and
+/// rests after the bounce time at the latest.
 #[derive(Clone, Debug)]
 pub struct Switch {
     contact: Contact,
@@ -46,15 +46,14 @@ pub struct Switch {
     fault: Option<SwitchFault>,
     actuated: bool,
     actuated_at_ns: u64,
-    /// Whether the contact was closed before the last actuation, and when it changed after that.
+    /// State of the contact before the last actuation, true if closed, and the times of its changes after it, ns.
     closed_before: bool,
     changes_ns: Vec<u64>,
     generator: Pcg64,
 }
 
 impl Switch {
-    /// A released switch at rest that bounces for up to `bounce_ns`, [`BOUNCE_NS`] if nothing else is known; 0 is an ideal
-    /// one.
+    /// A released switch at rest that bounces for up to `bounce_ns`, [`BOUNCE_NS`] if unknown; 0 is ideal.
     #[must_use]
     pub fn new(contact: Contact, pull: Pull, bounce_ns: u64, seed: u64) -> Self {
         Self {
@@ -89,19 +88,19 @@ impl Switch {
         }
         self.changes_ns.sort_unstable();
         self.changes_ns.dedup();
-        // an even number, so that the contact ends where the first change took it
+        // an even number, so that the contact ends in the state of the first change
         self.changes_ns.truncate(self.changes_ns.len() / 2 * 2);
         if closes != self.closed_before {
             self.changes_ns.insert(0, at_ns);
         }
     }
 
-    /// Breaks or mends the wiring, at once.
+    /// Sets or clears a fault of the wiring, at once.
     pub fn set_fault(&mut self, fault: Option<SwitchFault>) {
         self.fault = fault;
     }
 
-    /// What the input reads. Any time may be asked for; before the last actuation it is the level just before that.
+    /// Level of the input at any time; before the last actuation it is the level just before that.
     #[must_use]
     pub fn is_high(&self, at_ns: u64) -> bool {
         let conducts = match self.fault {
@@ -112,7 +111,7 @@ impl Switch {
         conducts == (self.pull == Pull::Down)
     }
 
-    /// When the contact changes next after `after_ns`, if it is not at rest.
+    /// Time of the contact's next change after `after_ns`, ns, unless it is at rest.
     #[must_use]
     pub fn next_change_ns(&self, after_ns: u64) -> Option<u64> {
         self.changes_ns.iter().copied().find(|change_ns| *change_ns > after_ns)
@@ -147,7 +146,7 @@ mod tests {
                 [10 * MS - 1, 10 * MS, 15 * MS].map(|at_ns| switch.is_high(at_ns)),
                 [released, actuated, actuated]
             );
-            // once more is no change
+            // a repeated actuation is no change
             switch.set_actuated(20 * MS, true);
             assert!(switch.is_high(20 * MS) == actuated && switch.next_change_ns(20 * MS).is_none());
             switch.set_actuated(30 * MS, false);
@@ -182,7 +181,7 @@ mod tests {
         };
         assert_eq!(changes(3), changes(3));
         let all: Vec<_> = (0..100).map(changes).collect();
-        // 0 to 6 bounces, evenly: six in seven bounce at all, with 100 draws surely more than half
+        // 0 to 6 bounces, uniform: six in seven bounce at all, of 100 samples surely more than half
         assert!(all.iter().filter(|changes| changes.len() > 1).count() > 50);
         assert!(all.iter().any(|changes| changes.len() == 1) && all.iter().any(|changes| changes.len() == 13));
         let mut ideal = Switch::new(Contact::NormallyOpen, Pull::Up, 0, 1);
@@ -191,11 +190,11 @@ mod tests {
     }
 
     proptest! {
-        /// What `next_change_ns` leads through is what `is_high` shows at any time, and it ends in time.
+        /// The changes listed by `next_change_ns` are those of `is_high` at any time, and end in time.
         #[test]
         fn lazy_equals_eager(
             seed in any::<u64>(),
-            // also so short that changes fall together
+            // also so short that changes coincide
             bounce_ns in prop_oneof![0..20_u64, Just(BOUNCE_NS)],
             actuations_ns in prop::collection::vec(0..12 * MS, 1..10),
             look_ns in 0..12 * MS,

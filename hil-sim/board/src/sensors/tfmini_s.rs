@@ -1,4 +1,4 @@
-//! Benewake TFmini-S: the distance in one direction by the time of flight of light, at a UART.
+//! Benewake TFmini-S: time-of-flight lidar with one beam, at a UART.
 //!
 //! # Source
 //! Benewake *TFmini-S Product Manual*, SJ-PM-TFmini-S A01: 8N1 at 115 200 baud (5.2), frames of nine bytes with the distance in cm (5.3,
@@ -14,20 +14,20 @@ pub(crate) const PERIOD_NS: u64 = 10_000_000;
 /// Farthest distance at which it detects an obstacle, m.
 pub(crate) const FARTHEST_M: f64 = 12.0;
 const NEAREST_M: f64 = 0.1;
-/// Beginning of a frame.
+/// First two bytes of a frame.
 const HEADER: [u8; 2] = [0x59, 0x59];
-/// Distance of a frame that has none.
+/// Distance value of a frame without a target.
 const NOTHING: u16 = 0xFFFF;
 /// Standard deviation: a third of the accuracy, our choice. In m up to 6 m, and as a share of the distance beyond.
 const DEVIATION_M: f64 = 0.02;
 const DEVIATION_SHARE: f64 = 0.01 / 3.0;
-/// Signal strength of an echo, and of none: the manual calls less than 100 unreliable; the numbers are our choice.
+/// Signal strength with and without an echo: the manual calls less than 100 unreliable; the numbers are our choice.
 const STRONG: u16 = 1000;
 const WEAK: u16 = 50;
-/// Eighths of a degree above -256 °C: 40 °C, our choice.
+/// Temperature value, eighths of a degree above -256 °C: 40 °C, our choice.
 const TEMPERATURE: u16 = (40 + 256) * 8;
 
-/// A sensor with its generator of noise.
+/// A sensor with its noise generator.
 #[derive(Clone, Debug)]
 pub(crate) struct TfminiS {
     noise: Pcg64,
@@ -38,7 +38,7 @@ impl TfminiS {
         Self { noise: Pcg64::seed_from_u64(seed) }
     }
 
-    /// The next frame, of something at a distance, or of nothing within reach.
+    /// Next frame, for a target at a distance, or none within range.
     pub(crate) fn frame(&mut self, distance_m: Option<f64>) -> [u8; 9] {
         let noise = normal(&mut self.noise);
         let seen = distance_m.filter(|distance_m| (NEAREST_M..=FARTHEST_M).contains(distance_m));
@@ -72,7 +72,7 @@ mod tests {
         assert_eq!(TfminiS::new(1).frame(Some(12.5))[2..4], [0xFF, 0xFF], "too far");
     }
 
-    /// 4000 frames: the mean is within 4 standard errors, the deviation within 5 %.
+    /// The mean of 4000 frames is within 4 standard errors, the deviation within 5 %.
     #[test]
     fn distances_scatter_around_the_truth() {
         for (distance_m, deviation_m) in [(2.0, 0.02), (9.0, 0.03)] {
@@ -85,7 +85,7 @@ mod tests {
             let mean = errors.iter().sum::<f64>() / 4000.0;
             let variance = errors.iter().map(|error| (error - mean) * (error - mean)).sum::<f64>() / 4000.0;
             assert!(mean.abs() < 4.0 * deviation_m / 4000f64.sqrt(), "{mean}");
-            // Steps of 1 cm add 2.9 mm.
+            // steps of 1 cm add 2.9 mm
             assert!((variance.sqrt() / deviation_m.hypot(0.0029) - 1.0).abs() < 0.05, "{}", variance.sqrt());
         }
     }

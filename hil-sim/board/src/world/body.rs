@@ -1,4 +1,4 @@
-//! The body that couples motors, and what sees the scene from it.
+//! The body that couples motors, and the sensors on it that see the scene.
 
 use r4_boards::{BodyReading, Mount, RangeView, Robot, SimulatedBody};
 use r4_protocol::{ChannelId, config::RelayConfig};
@@ -12,7 +12,7 @@ use super::{
 };
 use crate::sensors::hc_sr04::FARTHEST_M;
 
-/// Half the angle in which an HC-SR04 hears a flat target (ElecFreaks sheet: 15 degrees), rad.
+/// Half the opening angle in which an HC-SR04 detects a flat target (ElecFreaks sheet: 15 degrees), rad.
 const HALF_CONE_RAD: f64 = 15.0 * std::f64::consts::PI / 180.0;
 
 /// Longest step of a body, ns.
@@ -31,30 +31,30 @@ pub(super) struct Movers<'w> {
 #[derive(Clone, Copy)]
 pub(super) struct Relay {
     pub(super) config: RelayConfig,
-    /// As it was when its line changed last.
+    /// State of the contact at the last change of its line.
     pub(super) is_closed: bool,
 }
 
-/// What turns one of a body's shafts, by its number in the world.
+/// Drive of one of the body's shafts, by its index in the world.
 #[derive(Clone, Copy)]
 enum Shaft {
     Motor(usize),
     Bldc(usize),
-    /// Turns as its pulses say: the model of a servo takes no load.
+    /// Servo, which follows its pulses: its model takes no load.
     Servo(usize),
-    /// Turns as its pulses say: the model of a stepper takes no load.
+    /// Stepper, which follows its pulses: its model takes no load.
     Stepper(usize),
-    /// Stands at 1 while closed, and takes no load.
+    /// Relay, a shaft at 1 while closed, which takes no load.
     Relay(usize),
 }
 
-/// A body and what turns its shafts.
+/// A body with the drives of its shafts.
 pub(super) struct Coupling {
     body: AnyBody,
     shafts: Vec<Shaft>,
     motions: Vec<ShaftMotion>,
     loads: Vec<f64>,
-    /// Time that the shafts are ahead of the body, ns.
+    /// Time by which the shafts are ahead of the body, ns.
     owed_ns: u64,
 }
 
@@ -64,7 +64,7 @@ impl Coupling {
         let named = |channel| simulated.channels.contains(&channel);
         movers.motors.iter_mut().for_each(|motor| motor.coupled = named(motor.channel));
         movers.bldcs.iter_mut().for_each(|bldc| bldc.coupled = named(bldc.channel));
-        // The file's reader has checked that they exist.
+        // the file's reader has checked that they exist
         let place = |channel: &ChannelId| {
             let motor = movers.motors.iter().position(|motor| motor.channel == *channel).map(Shaft::Motor);
             let bldc = || movers.bldcs.iter().position(|bldc| bldc.channel == *channel).map(Shaft::Bldc);
@@ -83,9 +83,9 @@ impl Coupling {
         }
     }
 
-    /// Lets body and shafts go on together. The motors take the steps that they would take alone. The body takes several of them at
-    /// once, up to [`MAX_STEP_S`], so that it costs little where somebody looks at encoders often; its loads hold until it is
-    /// stepped again.
+    /// Advances body and shafts together. The motors take the same steps as without a body. The body takes several of
+    /// them at once, up to [`MAX_STEP_S`], so that frequent queries of encoders cost little; its loads hold until its
+    /// next step.
     pub(super) fn step(
         &mut self,
         scene: &mut Scene,
@@ -108,7 +108,7 @@ impl Coupling {
                 match *shaft {
                     Shaft::Motor(number) => advance(&mut movers.motors[number], step_ns as f64 * 1e-9),
                     Shaft::Bldc(number) => movers.bldcs[number].drive.advance(now_ns),
-                    // They have no load that must not come late: read when the body is stepped.
+                    // they take no load that could be late: read when the body is stepped
                     Shaft::Servo(_) | Shaft::Stepper(_) | Shaft::Relay(_) => {}
                 }
             }
@@ -116,23 +116,23 @@ impl Coupling {
         }
     }
 
-    /// Where the body is after the time that it owes, moving on as in its last step.
+    /// Pose of the body, extrapolated at the velocity of its last step over the time that it lags.
     pub(super) fn pose(&self) -> Pose {
         self.body.pose().moved(self.body.twist(), self.owed_ns as f64 * 1e-9)
     }
 
-    /// How fast its shafts turn, whichever way, in their mean, rad/s or m/s.
+    /// Mean of the absolute speeds of its shafts, rad/s or m/s.
     pub(super) fn turning(&self) -> f64 {
         let speeds = self.motions.iter().map(|motion| motion.speed.abs());
         speeds.sum::<f64>() / self.motions.len().max(1) as f64
     }
 
-    /// What an inertial sensor at the body's origin feels, at most [`MAX_STEP_S`] ago.
+    /// Readings of an ideal inertial sensor at the body's origin, at most [`MAX_STEP_S`] old.
     pub(super) fn inertial(&self) -> Inertial {
         self.body.inertial()
     }
 
-    /// Brings the body to now, and gives the shafts its loads.
+    /// Advances the body to the present time, and sets the shafts' loads.
     fn catch_up(&mut self, scene: &mut Scene, now_ns: u64, movers: &mut Movers<'_>) {
         for (motion, shaft) in self.motions.iter_mut().zip(&self.shafts) {
             let (position, speed) = match *shaft {
@@ -169,13 +169,13 @@ impl Coupling {
         }
     }
 
-    /// What a sensor measures on the body, at most [`MAX_STEP_S`] ago, times its gain and with its offset.
+    /// Output of a sensor on the body, at most [`MAX_STEP_S`] old, with its gain and offset.
     pub(super) fn measured(&self, of: BodyReading) -> f64 {
         of.zero + of.per_unit * self.body.reading(of.number)
     }
 }
 
-/// Where range sensors sit that look at the scene.
+/// Mounts of the range sensors that see the scene.
 pub(super) fn mounts(robot: &Robot) -> [Option<Mount>; RANGE_SENSORS] {
     let mut mounts = [None; RANGE_SENSORS];
     for range in &robot.simulation.ranges {
@@ -187,7 +187,7 @@ pub(super) fn mounts(robot: &Robot) -> [Option<Mount>; RANGE_SENSORS] {
 }
 
 impl World {
-    /// Lets a range sensor on the body see what is in front of it now.
+    /// Updates the distance in front of a range sensor on the body.
     pub(super) fn look_ahead(&mut self, connector: usize) {
         let Some(mount) = self.mounts.get(connector).copied().flatten() else { return };
         let Some(pose) = self.pose() else { return };
@@ -200,38 +200,38 @@ impl World {
         }
     }
 
-    /// Where the body is now; `None` for a robot without one. Since its last step, at most [`MAX_STEP_S`] ago, it moved as it did then.
+    /// Pose of the body; `None` for a robot without one. Extrapolated from its last step, at most [`MAX_STEP_S`] ago.
     pub fn pose(&mut self) -> Option<Pose> {
         self.catch_up();
         self.body.as_ref().map(Coupling::pose)
     }
 
-    /// How the body moves, at most [`MAX_STEP_S`] ago, in its own frame; `None` for a robot without one.
+    /// Velocity of the body in its own frame, at most [`MAX_STEP_S`] old; `None` for a robot without one.
     pub fn twist(&mut self) -> Option<Twist> {
         self.catch_up();
         self.body.as_ref().map(|coupling| coupling.body.twist())
     }
 
-    /// What is around the body.
+    /// Scene around the body.
     #[must_use]
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// The body as it was when somebody looked last; `None` for a robot without one.
+    /// The body at its last update; `None` for a robot without one.
     #[must_use]
     pub fn body(&self) -> Option<&AnyBody> {
         self.body.as_ref().map(|coupling| &coupling.body)
     }
 
-    /// The body, to be changed from outside its shafts: an object that is put down, a load that is taken away. `None` for a robot
-    /// without one.
+    /// The body, mutable, for changes other than by its shafts: an object that is put down, a load that is removed.
+    /// `None` for a robot without one.
     pub fn body_mut(&mut self) -> Option<&mut AnyBody> {
         self.catch_up();
         self.body.as_mut().map(|coupling| &mut coupling.body)
     }
 
-    /// The same as [`World::body`], of a robot on wheels; `None` for all others.
+    /// As [`World::body`], for a robot on wheels; `None` for all others.
     #[must_use]
     pub fn wheeled(&self) -> Option<&Wheeled> {
         if let Some(AnyBody::Wheeled(body)) = self.body() { Some(body) } else { None }

@@ -27,10 +27,10 @@ use crate::{
     misuse::Misuse,
 };
 
-/// Nominal frequency of a PCA9685's oscillator (datasheet 7.3.5).
+/// Nominal frequency of a PCA9685's oscillator, Hz (datasheet 7.3.5).
 const PWM_OSCILLATOR_HZ: u32 = 25_000_000;
 
-/// A robot's board has those chips that it uses.
+/// Chips on the bus. A robot's board has those that it uses.
 pub(super) struct Chips {
     pub(super) osmc_pwm: Option<Rc<RefCell<Pca9685>>>,
     pub(super) dhb_pwm: Option<Rc<RefCell<Pca9685>>>,
@@ -44,7 +44,7 @@ pub(super) struct Chips {
     pub(super) distances: Vec<DistanceSensor>,
 }
 
-/// An IMU and how it sits on the body.
+/// An IMU with its mounting on the body.
 pub(super) struct Imu {
     pub(super) chip: Rc<RefCell<Icm20948>>,
     pub(super) mounting: SimulatedImu,
@@ -57,7 +57,7 @@ impl Imu {
     }
 }
 
-/// A current monitor, and where it is.
+/// A current monitor with its wiring.
 pub(super) struct CurrentMonitor {
     pub(super) chip: Rc<RefCell<Ina226>>,
     pub(super) wiring: SimulatedCurrent,
@@ -75,7 +75,7 @@ impl CurrentMonitor {
     }
 }
 
-/// An angle sensor, and the shaft it is on.
+/// An angle sensor with its shaft.
 pub(super) struct AngleSensor {
     pub(super) chip: Rc<RefCell<As5600>>,
     pub(super) mounting: SimulatedAngle,
@@ -102,7 +102,7 @@ impl LoadCell {
     }
 }
 
-/// An optical distance sensor, and what is in front of it.
+/// An optical distance sensor with its target.
 pub(super) struct DistanceSensor {
     pub(super) chip: Rc<RefCell<Vl6180x>>,
     pub(super) sees: SimulatedDistance,
@@ -134,8 +134,8 @@ impl Chips {
             dhb_pwm: config.dhb_pwm.map(|chip| pwm(chip.address, PWM_OSCILLATOR_HZ)),
             servo_pwm: config.servo_pwm.map(|chip| pwm(chip.address, robot.simulation.servo_oscillator_hz as u32)),
             bldc_dac: config.bldc_dac.map(|chip| {
-                // As the firmware leaves it after its first start: a chip as delivered would give every drive 0 V until then,
-                // which is why drives are connected only after that.
+                // EEPROM as the firmware leaves it after its first start: a new chip would give every drive 0 V until
+                // then, which is why drives are connected only after that
                 let mut kept = [Setting(0); CHANNELS];
                 for bldc in &config.bldcs {
                     let share = f64::from(bldc.neutral_v) / f64::from(chip.full_scale_v);
@@ -156,7 +156,7 @@ impl Chips {
         chips
     }
 
-    /// Lets inertial sensors feel `inertial`, that of the body's origin, up to `until_ns`.
+    /// Advances inertial sensors to `until_ns` with `inertial`, the motion of the body's origin.
     pub(super) fn feel(&self, until_ns: u64, inertial: Inertial) {
         for Imu { chip, mounting } in &self.imus {
             let Inertial { specific_force_m_s2, rate_rad_s, .. } = inertial.at(mounting.place_m);
@@ -170,25 +170,25 @@ impl Chips {
         }
     }
 
-    /// Lets current monitors see what is drawn from a supply or by a motor, A, and at which voltage, up to `until_ns`.
+    /// Advances current monitors to `until_ns` with the current of a supply or motor, A, and its voltage.
     pub(super) fn see_currents(&self, until_ns: u64, drawn: impl Fn(ChannelId) -> Option<[f64; 2]>) {
         for CurrentMonitor { chip, wiring, shunt_ohm } in &self.currents {
-            // The file's reader has checked that it exists.
+            // the file's reader has checked that it exists
             let [current_a, volts] = drawn(wiring.of).unwrap_or_default();
             chip.borrow_mut().feel(until_ns, Inputs { shunt_v: current_a * shunt_ohm, bus_v: volts });
         }
     }
 
-    /// Lets angle sensors see where the shafts of their motors are, rad, up to `until_ns`.
+    /// Advances angle sensors to `until_ns` with the positions of their motors' shafts, rad.
     pub(super) fn see_angles(&self, until_ns: u64, position: impl Fn(ChannelId) -> Option<f64>) {
         for AngleSensor { chip, mounting } in &self.angles {
-            // One that is on no shaft stands still.
+            // a sensor without a shaft stands still
             let shaft_rad = mounting.of.and_then(&position).unwrap_or_default();
             chip.borrow_mut().feel(until_ns, mounting.zero_rad + shaft_rad);
         }
     }
 
-    /// Lets load cells feel what is on them, of the body what `measured` says, up to `until_ns`.
+    /// Advances load cells to `until_ns` with their force; `measured` gives that of the body.
     pub(super) fn see_forces(&self, until_ns: u64, measured: impl Fn(BodyReading) -> Option<f64>) {
         for LoadCell { chip, cell } in &self.forces {
             let force_n = cell.reads.and_then(&measured).unwrap_or(cell.force_n);
@@ -196,7 +196,7 @@ impl Chips {
         }
     }
 
-    /// Lets optical distance sensors see what is in front of them, of the body what `measured` says, up to `until_ns`.
+    /// Advances optical distance sensors to `until_ns` with their target; `measured` gives the distance on the body.
     pub(super) fn see_distances(&self, until_ns: u64, measured: impl Fn(BodyReading) -> Option<f64>) {
         for DistanceSensor { chip, sees } in &self.distances {
             let distance_m = sees.reads.and_then(&measured).or(sees.distance_m);
@@ -209,7 +209,7 @@ impl Chips {
         self.osmc_pwm.iter().chain(&self.dhb_pwm).chain(&self.servo_pwm)
     }
 
-    /// When outputs change next by themselves.
+    /// Time of the next change of an output without a request, ns.
     pub(super) fn next_change_ns(&self) -> Option<u64> {
         self.pwms().filter_map(|chip| chip.borrow().next_change_ns()).min()
     }
@@ -219,14 +219,14 @@ impl Chips {
         self.bldc_dac.iter().for_each(|chip| chip.borrow_mut().advance(to_ns));
     }
 
-    /// Changes whenever an output does.
+    /// Counter that changes whenever an output changes.
     pub(super) fn generation(&self) -> u64 {
         let pwms: u64 = self.pwms().map(|chip| chip.borrow().generation()).sum();
         let dac = self.bldc_dac.as_ref().map_or(0, |chip| chip.borrow().generation());
         pwms + dac + self.expander.as_ref().map_or(0, |chip| chip.borrow().generation())
     }
 
-    /// What the expander does with a pin, 0 to 7 on port A, 8 to 15 on port B.
+    /// State of one of the expander's pins: 0 to 7 on port A, 8 to 15 on port B.
     pub(super) fn pin(&self, bit: u8) -> PinState {
         let port = if bit < 8 { Port::A } else { Port::B };
         self.expander.as_ref().map_or(PinState::Floating, |chip| chip.borrow().pin_level(port, bit % 8))
@@ -236,7 +236,7 @@ impl Chips {
         self.osmc_pwm.iter().chain(&self.dhb_pwm).for_each(|chip| chip.borrow_mut().set_output_enable(at_ns, enabled));
     }
 
-    /// Takes the supply of one chip away and returns it; false when the board does not have it.
+    /// Interrupts the supply of one chip; false if the board does not have it.
     pub(super) fn power_cycle(&self, chip: BoardChip, at_ns: u64) -> bool {
         match chip {
             BoardChip::OsmcPwm => self.osmc_pwm.as_ref().map(|chip| chip.borrow_mut().power_cycle(at_ns)),

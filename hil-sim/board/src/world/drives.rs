@@ -1,4 +1,4 @@
-//! Brushless drives, servos and steppers: what is plugged into the other connectors.
+//! Brushless drives, servos and steppers: the actuators on the other connectors.
 
 use r4_boards::{Robot, SimulatedEncoder};
 use r4_protocol::{
@@ -17,26 +17,26 @@ use crate::{
     misuse::MisuseLog,
 };
 
-/// A drive that coasts takes so many times longer to stop than one that follows its throttle: synthetic.
+/// Ratio of the stopping time of a coasting drive to that of one that follows its throttle: synthetic.
 const COAST_SLOWER: f64 = 2.0;
 /// Time in which a brake stops the motor from full speed, s: synthetic.
 const BRAKE_S: f64 = 0.3;
-/// A drive tolerates this much beyond full speed, V: synthetic.
+/// Tolerated throttle beyond full speed, V: synthetic.
 const TOLERATED_V: f64 = 0.1;
-/// A servo ignores changes of its pulse below this, s: usual for analog servos.
+/// Dead band of a servo's pulse, s: usual for analog servos.
 const SERVO_DEAD_BAND_S: f64 = 2e-6;
-/// Mechanical room beyond the commanded travel, rad: synthetic.
+/// Mechanical travel beyond the commanded one, rad: synthetic.
 const SERVO_ROOM_RAD: f64 = 0.1;
-/// From the start-stop rate to 50 times that in a second: synthetic.
+/// Acceleration of a stepper relative to its start-stop rate, 1/s: 50 times that rate in a second. Synthetic.
 const STEPPER_ACCELERATION_PER_S: f64 = 50.0;
 
 pub(super) struct Bldc {
     pub(super) channel: ChannelId,
     wiring: BldcConfig,
     pub(super) drive: BldcDrive,
-    /// What measures its shaft.
+    /// Encoder on its shaft, if there is one.
     pub(super) encoder: Option<SimulatedEncoder>,
-    /// Whether its shaft is one of the body's.
+    /// True if its shaft is one of the body's.
     pub(super) coupled: bool,
 }
 
@@ -63,7 +63,7 @@ impl Bldc {
         &self.drive
     }
 
-    /// What its drive reaches without a load, rad/s^2.
+    /// Largest acceleration of the drive without load, rad/s².
     pub(super) fn top_acceleration(&self) -> f64 {
         let spec = self.drive.spec();
         let limit =
@@ -120,7 +120,7 @@ pub(super) struct Servo {
 }
 
 impl Servo {
-    /// A servo has its own supply, which no relay takes away.
+    /// Updates the servo's signal. A servo has its own supply, which no relay switches.
     pub(super) fn look(&mut self, at_ns: u64, chips: &Chips) {
         if let Some(chip) = &chips.servo_pwm {
             let chip = chip.borrow();

@@ -1,4 +1,4 @@
-//! Encoder tracks: what is on their lines, and the processor's counters of the simulated firmware.
+//! Encoder tracks: edges on their lines, and the processor's counters in the simulated firmware.
 
 use std::f64::consts::TAU;
 
@@ -14,28 +14,28 @@ use r4_firmware::{
 use super::{Processor, World, drives::Bldc, motor::Motor};
 use crate::sensors::quadrature::{Channel, HardwareCounter, Levels, QuadratureSignal, Transition};
 
-/// Input filter of the encoder timers: 8 samples at a quarter of 120 MHz, so that 1000 counts in a ms pass.
+/// Input filter of the encoder timers, ns: 8 samples at a quarter of 120 MHz, so that 1000 counts in a ms pass.
 const ENCODER_FILTER_NS: u64 = 267;
-/// The first inputs are counted by timers, the others by interrupts.
+/// Number of inputs that are counted by timers; interrupts count the others.
 const ENCODERS_ON_TIMERS: usize = 3;
-/// An edge may be told later than it happens, for which nobody has to look at the shaft as often: by this share of the time
-/// between two edges at its speed, so that no two are told at once,
+/// Delay allowed for reporting an edge, as a share of the time between two edges at the present speed, so that no two
+/// are reported at once. The larger it is, the less often the shaft is sampled.
 const LATE_SHARE: f64 = 0.05;
-/// at least this much,
+/// Smallest delay allowed, ns.
 const LATE_LEAST_NS: u64 = 2_000;
-/// and at most this much, also for a shaft at a standstill that is driven.
+/// Largest delay allowed, ns, also for a driven shaft at a standstill.
 const LATE_MOST_NS: u64 = 20_000;
-/// Whatever the shaft does, an edge of one that moves or is driven is told at most so late.
+/// Largest delay of an edge of a shaft that moves or is driven, for any motion, ns.
 const CEILING_NS: u64 = 100_000;
-/// An edge of a shaft at rest that nothing drives is told at most so late: what moves it is not the board.
+/// Largest delay of an edge of a shaft at rest that nothing drives, ns: something other than the board moves it.
 const REST_NS: u64 = 1_000_000;
-/// A shaft slower than this counts as one at a standstill, counts/s.
+/// Speed below which a shaft counts as standing, counts/s.
 const STANDSTILL: f64 = 1.0;
 
-/// Of the clock by which budgets of edges go.
+/// Ticks per ms of the clock for budgets of edges.
 pub(super) const US_PER_MS: u32 = 1000;
 
-/// That clock.
+/// Time of the clock for budgets of edges, µs.
 pub(super) const fn ticks(at_ns: u64) -> u32 {
     (at_ns / 1000) as u32
 }
@@ -43,32 +43,32 @@ pub(super) const fn ticks(at_ns: u64) -> u32 {
 /// A line of an encoder's connector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EncoderLine {
-    /// A track.
+    /// Line of a track, A or B.
     Track(Channel),
-    /// The switch's, where the index track is on it.
+    /// Line of the switch, if the index track is on it.
     Index,
 }
 
 /// A change of one line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EncoderEdge {
-    /// When.
+    /// Time of the change, ns.
     pub at_ns: u64,
-    /// Which line.
+    /// Line that has changed.
     pub line: EncoderLine,
-    /// The level from then on.
+    /// Level from then on.
     pub high: bool,
 }
 
-/// What the processor makes of an encoder's tracks.
+/// The processor's counter for an encoder's tracks.
 pub(super) enum Counter {
     Timer(HardwareCounter),
-    /// Both tracks share an interrupt's budget of edges.
+    /// Decoder in interrupts; both tracks share its budget of edges.
     Interrupts(Decoder, EdgeBudget),
 }
 
 impl Counter {
-    /// What it has counted.
+    /// Count of the counter.
     fn count(&mut self, now_ns: u64) -> u16 {
         match self {
             Self::Timer(timer) => timer.count(now_ns),
@@ -77,21 +77,21 @@ impl Counter {
     }
 }
 
-/// The interrupt of an index track, which latches the counter. An interrupt's entry takes 0.1 µs of a Cortex-M7, and another of its
-/// priority comes before it.
+/// Interrupt of an index track, which latches the counter. Its entry takes 0.1 µs of a Cortex-M7, and another interrupt
+/// of its priority may come before it.
 #[derive(Clone, Copy, Default)]
 pub(super) struct IndexLatch {
     on: bool,
-    /// When the interrupt that has been called looks.
+    /// Time at which the pending interrupt reads the counter, ns.
     due_ns: Option<u64>,
     at: Option<u16>,
 }
 
-/// From the edge to the latched counter: our choice of an ordinary case.
+/// Time from the edge to the latched counter, ns: our choice of a typical case.
 const LATCH_NS: u64 = 2_000;
 
 impl IndexLatch {
-    /// Looks at the counter, if it is time by `now_ns`.
+    /// Latches the counter if it is due by `now_ns`.
     fn look(&mut self, now_ns: u64, counter: &mut Counter) {
         if let Some(due_ns) = self.due_ns.take_if(|due_ns| *due_ns <= now_ns) {
             self.at = Some(counter.count(due_ns));
@@ -106,7 +106,7 @@ impl IndexLatch {
     }
 }
 
-/// The processor's counters after a reset. Without `interrupts` it listens to timers only.
+/// The processor's counters after a reset. Without `interrupts` only the timers count.
 pub(super) fn counters(encoders: &[QuadratureSignal; 4], interrupts: bool) -> [Option<Counter>; 4] {
     std::array::from_fn(|index| {
         let levels = encoders[index].levels();
@@ -122,35 +122,37 @@ pub(super) fn counters(encoders: &[QuadratureSignal; 4], interrupts: bool) -> [O
     })
 }
 
-/// What turns an encoder, in its counts.
+/// Motion of an encoder's shaft, in its counts.
 struct Turning {
     position: f64,
-    /// Rate at which the count changes, 1/s, negative backwards.
+    /// Rate of the count, 1/s, negative backwards.
     speed: f64,
-    /// Highest of what turns it, counts/s^2.
+    /// Largest acceleration of its drive, counts/s².
     acceleration: f64,
-    /// Whether anything drives it: itself, or by the body another.
+    /// True if it is driven, by its own motor or by another one through the body.
     driven: bool,
 }
 
-/// The earliest that a shaft can have gone `way` in the direction of `speed`, from there with `acceleration`, s.
+/// Earliest time at which a shaft can have travelled `way` in the direction of `speed`, with `acceleration`, s.
 fn earliest_s(way: f64, speed: f64, acceleration: f64) -> f64 {
     2.0 * way / (speed + (speed * speed + 2.0 * acceleration * way).sqrt())
 }
 
 impl World {
-    /// Levels of an encoder's tracks, as of the last [`World::take_encoder_edges`]; both low for an input the board does
+    /// Levels of an encoder's tracks at the last [`World::take_encoder_edges`]; both low for an input the board does
     /// not have.
     #[must_use]
     pub fn encoder_levels(&self, index: usize) -> Levels {
         self.pins.encoders.get(index).map_or(Levels::default(), QuadratureSignal::levels)
     }
 
-    /// Every edge of an encoder's tracks, and of its index on a switch line, up to now that was not told before, in order of time.
+    /// Passes every edge of an encoder's tracks, and of its index on a switch line, up to now that was not passed
+    /// before, in order of time.
     ///
-    /// Between two calls a shaft is taken to turn evenly. Of more than 4096 counts the first are left out, in whole turns
-    /// of four, so that levels stay right: returned is how many, with their sign. A counter is exact that adds them, an
-    /// interrupt would have been lost anyway; 0 for whoever looks once a ms. After a lost edge both tracks change at once.
+    /// Between two calls a shaft is assumed to turn at constant speed. Of more than 4096 counts the first are skipped,
+    /// in multiples of four, so levels stay right; returns their number, with sign. A counter that adds it is exact, an
+    /// interrupt would have been lost anyway; it is 0 with one call per ms. After a lost edge both tracks change at
+    /// once.
     pub fn take_encoder_edges(&mut self, index: usize, mut sink: impl FnMut(EncoderEdge)) -> i64 {
         let mut levels = self.encoder_levels(index);
         let index_low = self.pins.index_low(index);
@@ -168,14 +170,15 @@ impl World {
         })
     }
 
-    /// When to look at an encoder's tracks next so that no edge is told much later than it happens: not before the
-    /// earliest moment at which the shaft can reach the next count, from its speed, the count's place and the highest
-    /// acceleration of its motor at this supply, taken twice. `u64::MAX` for an input without an encoder.
+    /// Time of the next sample of an encoder's tracks, ns, so that no edge is reported much later than it happens: not
+    /// before the earliest time at which the shaft can reach the next count, from its speed, the position in the count
+    /// and twice the largest acceleration of its motor at this supply. `u64::MAX` for an input without an encoder.
     ///
-    /// So each edge is told at most 20 µs late, and at most a twentieth of the time to the next while the shaft turns evenly,
-    /// 100 µs where a load or an end stop jolts it. One at rest that nothing drives is looked at each ms, or when a PWM chip changes its outputs.
+    /// Each edge is reported at most 20 µs late, and at most a twentieth of the time to the next one at constant speed;
+    /// 100 µs if a load or an end stop jolts the shaft. A shaft at rest that nothing drives is sampled each ms, and
+    /// when a PWM chip changes its outputs.
     ///
-    /// Holds as long as nobody changes a line or a chip: ask again after that.
+    /// The time is valid until the caller changes a line or a chip.
     pub fn next_encoder_change_ns(&mut self, index: usize) -> u64 {
         self.catch_up();
         let now_ns = self.now_ns;
@@ -183,6 +186,7 @@ impl World {
         let glitch_ns = signal.next_glitch_ns().unwrap_or(u64::MAX).max(now_ns);
         let count = signal.count();
         let Some(Turning { position, speed, acceleration, driven }) = self.turned_by(index) else { return glitch_ns };
+        // an edge that is already due
         if position.floor() as i64 != count {
             return now_ns;
         }
@@ -195,14 +199,14 @@ impl World {
             let above = position - position.floor();
             let up_s = earliest_s(1.0 - above, speed, acceleration);
             let down_s = earliest_s(above, -speed, acceleration);
-            // Floats that are no time at all, or none, are clipped too.
+            // a float cast to u64 saturates, so infinities and NaN are clipped too
             let late_ns = ((LATE_SHARE / speed.abs() * 1e9) as u64).clamp(LATE_LEAST_NS, LATE_MOST_NS);
             ((up_s.min(down_s) * 1e9) as u64).saturating_add(late_ns).min(CEILING_NS)
         };
         now_ns.saturating_add(after_ns).min(glitch_ns).min(chips_ns.max(now_ns + LATE_LEAST_NS))
     }
 
-    /// What turns an encoder now; `None` for an input without one.
+    /// Motion of an encoder's shaft now; `None` for an input without one.
     fn turned_by(&mut self, index: usize) -> Option<Turning> {
         let on = |input: u8| usize::from(input) == index;
         let drives = |motor: &Motor| motor.drive.duty != 0.0;
@@ -244,7 +248,7 @@ impl World {
         Some(Turning { position, speed, acceleration, driven })
     }
 
-    /// Lets an encoder follow its shaft to now.
+    /// Moves an encoder with its shaft to the present time.
     fn turn(&mut self, index: usize, sink: impl FnMut(Transition)) -> i64 {
         self.catch_up();
         let counts = self.turned_by(index).map_or(0.0, |turning| turning.position);
@@ -252,9 +256,9 @@ impl World {
         self.pins.encoders.get_mut(index).map_or(0, |signal| signal.advance(now_ns, counts, sink))
     }
 
-    /// Lets the processor's counter take what an encoder's tracks have done.
+    /// Feeds an encoder's edges to the processor's counter.
     fn count_encoder(&mut self, index: usize) {
-        // Out of the way of the world while it brings the edges.
+        // taken out of the world, which is borrowed while it passes the edges
         let Some(mut counter) = self.counters.get_mut(index).and_then(Option::take) else { return };
         let mut latch = self.index_latches[index];
         let left_out = self.turn(index, |transition| {
@@ -271,6 +275,7 @@ impl World {
         });
         latch.look(self.clock.now_ns(), &mut counter);
         self.index_latches[index] = latch;
+        // counts that only the simulation skips: a timer does not lose them
         if let Counter::Timer(timer) = &mut counter {
             timer.add(left_out);
         }

@@ -1,14 +1,15 @@
-//! Sensors on the body that read a field of the world where they are.
+//! Sensors on the body that read a field of the world at their place.
 //!
-//! They sample by themselves, at multiples of a period that nobody who looks can change: the world is stepped up to each of these
-//! moments. What the converter sees is at most one period old.
+//! They sample at multiples of a fixed period, independent of queries: the world is stepped up to each of these times.
+//! The input of the converter is at most one period old.
 
 use r4_boards::FieldReading;
 use r4_world::{Field, Lag};
 
 use super::{World, body::Coupling};
 
-/// Period of the samples, ns: our choice, a hundredth of the fastest gas sensors' time constant of 1 s; a robot of 1 m/s goes 10 mm.
+/// Period of the samples, ns: our choice, a hundredth of the fastest gas sensors' time constant of 1 s; a robot at 1
+/// m/s moves 10 mm.
 const PERIOD_NS: u64 = 10_000_000;
 
 /// A sensor with the state of its lag and of the body's charge.
@@ -16,7 +17,7 @@ const PERIOD_NS: u64 = 10_000_000;
 pub struct FieldSensor {
     reading: FieldReading,
     lag: Lag,
-    /// In the field's unit.
+    /// Field of the body's charge, in the field's unit.
     charge: f64,
 }
 
@@ -54,7 +55,7 @@ impl FieldSensor {
 }
 
 impl World {
-    /// Takes the sample that is due now, if one is.
+    /// Takes the sample that is due now, if there is one.
     pub(super) fn sense_fields(&mut self) {
         let Some(at_ns) = self.next_field_ns.filter(|at_ns| *at_ns <= self.now_ns) else { return };
         self.next_field_ns = Some(at_ns + PERIOD_NS);
@@ -66,8 +67,8 @@ impl World {
         }
     }
 
-    /// The field of a name at a place, m, now, in its unit; `None` where the world has none of that name. For programs that compare with
-    /// the truth: looking changes nothing.
+    /// Value of a named field at a place, m, now, in its unit; `None` if the world has no field of that name. For
+    /// comparison with the truth: a query changes nothing.
     pub fn field(&mut self, name: &str, place_m: [f64; 2]) -> Option<f64> {
         self.catch_up();
         let time_s = self.now_ns as f64 * 1e-9;

@@ -1,7 +1,7 @@
-//! What is outside the processor: the bus and its chips, bridges, motors, drives, servos, rails and sensors.
+//! World outside the processor: the bus and its chips, bridges, motors, drives, servos, rails and sensors.
 //!
-//! Nothing here is scheduled. The world is brought up to date when someone looks at it or changes it: from the last
-//! moment to now, in stretches in which no line changes.
+//! Nothing is scheduled here. The world is brought up to date when it is queried or changed: from the last update to
+//! now, in intervals in which no line changes.
 
 mod body;
 mod chips;
@@ -65,7 +65,7 @@ pub struct World {
     chips: Chips,
     relays: Vec<Relay>,
     osmc_disabled: bool,
-    /// Whether bridge inputs may have changed since they were last looked at.
+    /// True if bridge inputs may have changed since their last update.
     stale: bool,
     generation: u64,
     motors: Vec<Motor>,
@@ -73,21 +73,21 @@ pub struct World {
     servos: Vec<Servo>,
     steppers: Vec<stepping::Axis>,
     rails: Vec<Rail>,
-    /// What couples some shafts.
+    /// Body that couples some shafts.
     body: Option<Coupling>,
     scene: Scene,
     fields: Vec<Field>,
-    /// When sensors of fields take their next sample; `None` without any.
+    /// Time of the next sample of the field sensors, ns; `None` without any.
     next_field_ns: Option<u64>,
-    /// Range sensors on the body, by their connectors.
+    /// Mounts of the range sensors on the body, by connector.
     mounts: [Option<Mount>; RANGE_SENSORS],
     pins: Pins,
-    /// The processor's counters of encoder edges; each is taken out while it is fed.
+    /// The processor's counters of encoder edges; each is taken out while edges are passed to it.
     counters: [Option<encoders::Counter>; 4],
     index_latches: [encoders::IndexLatch; 4],
-    /// Whether the robot uses the encoder that interrupts count.
+    /// True if the robot uses the encoder that interrupts count.
     encoder_3: bool,
-    /// Words of the processor's that outlive its resets, and nothing else: zeros after power-on.
+    /// The processor's words that survive its resets; zero after power-on.
     kept_words: [u32; MAX_MOTORS],
     noise: Pcg64,
 }
@@ -95,21 +95,21 @@ pub struct World {
 struct Rail {
     spec: SimulatedRail,
     volts: f64,
-    /// What motors draw from it.
+    /// Current drawn by motors, A; negative while they feed it back.
     current_a: f64,
 }
 
 impl Rail {
-    /// Voltage after `dt_s` in which the motors drew `current_a`, or fed it back.
+    /// Voltage after `dt_s` with a motor current of `current_a`, A, negative if fed back.
     ///
-    /// A battery takes back what motors feed, through its own resistance. A power supply does not: its capacitance keeps what
-    /// is fed, and gives it to the motors first.
+    /// A battery takes back the motors' current through its own resistance. A power supply does not: its capacitance
+    /// stores the charge, and supplies the motors first.
     fn after(&self, current_a: f64, dt_s: f64) -> f64 {
         let source_v = self.spec.emf_v - self.spec.resistance_ohm * current_a;
         match self.spec.capacitance_f {
             None => source_v,
             Some(capacitance_f) => {
-                // While the source gives nothing, only the capacitance moves the rail.
+                // while the source delivers nothing, only the capacitance changes the voltage
                 let lowest_v = self.spec.emf_v - self.spec.resistance_ohm * current_a.max(0.0);
                 (self.volts - current_a * dt_s / capacitance_f).max(lowest_v)
             }
@@ -117,20 +117,20 @@ impl Rail {
     }
 }
 
-/// The processor, as the firmware reaches its peripherals.
+/// The processor, as the firmware accesses its peripherals.
 #[derive(Clone)]
 pub(crate) struct Processor(pub(crate) Rc<RefCell<World>>);
 
-/// Whether a relay's contact is closed: its input is driven to the level that pulls it, not floating.
+/// True if a relay's contact is closed: its input is driven to the active level, not floating.
 fn is_closed(chips: &Chips, relay: &RelayConfig) -> bool {
     chips.pin(relay.bit) == PinState::Driven(!relay.active_low)
 }
 
 impl World {
-    /// The world of `robot` at time 0, its noise drawn from `seed`. It follows `clock`, which must be at 0.
+    /// The world of `robot` at time 0, with noise from `seed`. It follows `clock`, which must be at 0.
     ///
     /// # Errors
-    /// When a plant's file is not right.
+    /// [`PlantError`] if a plant's file is wrong.
     pub fn new(robot: &Robot, clock: Clock, seed: u64) -> Result<Self, PlantError> {
         let mut bus = I2cBus::new(robot.carrier.i2c.rate_hz);
         let chips = Chips::new(robot, &mut bus, seed);
@@ -138,7 +138,7 @@ impl World {
             robot.simulation.rails.iter().map(|spec| Rail { volts: spec.emf_v, current_a: 0.0, spec: *spec }).collect();
         let mut motors = Vec::new();
         for (simulated, index) in robot.simulation.motors.iter().zip(0u8..) {
-            // The file's reader has checked that rail and motor exist.
+            // the file's reader has checked that rail and motor exist
             let rail = rails.iter().position(|rail| rail.spec.channel == simulated.rail).unwrap_or(0);
             let motor = robot.config.motors.iter().find(|motor| motor.id == simulated.channel);
             let Some(wiring) = motor.map(|motor| motor.bridge) else { continue };
@@ -187,13 +187,13 @@ impl World {
         })
     }
 
-    /// The clock this world follows.
+    /// The clock that this world follows.
     #[must_use]
     pub fn clock(&self) -> &Clock {
         &self.clock
     }
 
-    /// Brings everything to the clock's time.
+    /// Advances everything to the clock's time.
     pub fn catch_up(&mut self) {
         let target_ns = self.clock.now_ns();
         self.sense_fields();
@@ -211,7 +211,7 @@ impl World {
         }
     }
 
-    /// Lets physics pass under constant lines.
+    /// Advances physics under constant lines.
     fn step(&mut self, until_ns: u64) {
         let dt_s = (until_ns - self.now_ns) as f64 * 1e-9;
         let advance = |motor: &mut Motor, dt_s: f64| {
@@ -248,7 +248,7 @@ impl World {
             let current_a: f64 = on_rail.map(|motor| motor.plant.supply_current_a()).sum();
             rail.current_a = current_a;
             rail.volts = rail.after(current_a, dt_s);
-            // Near its lock-out the gate driver must be asked each time, not only when a line changes.
+            // near its lock-out the gate driver must be updated each time, not only when a line changes
             self.stale |= rail.volts < motor::GATE_SUPPLY_V;
         }
         self.chips.see_currents(until_ns, |of| {
@@ -259,7 +259,7 @@ impl World {
         });
     }
 
-    /// Lets bridges, drives and servos see their lines and supply as they are now.
+    /// Updates bridges, drives and servos with the present lines and supply.
     pub(crate) fn look_at_lines(&mut self) {
         let generation = self.chips.generation();
         if !self.stale && generation == self.generation {
@@ -274,7 +274,7 @@ impl World {
         for motor in &mut self.motors {
             let chip = if motor.is_on_osmc() { &self.chips.osmc_pwm } else { &self.chips.dhb_pwm };
             let Some(chip) = chip else { continue };
-            // Behind an open relay the bridge has no supply.
+            // behind an open relay the bridge has no supply
             let supply_v = if powered { self.rails[motor.rail].volts } else { 0.0 };
             motor.look(self.now_ns, &chip.borrow(), self.osmc_disabled, supply_v);
         }
@@ -285,13 +285,13 @@ impl World {
             servo.look(self.now_ns, &self.chips);
         }
         for axis in &mut self.steppers {
-            // First the pulses up to now: a driver does not go back in time.
+            // first the pulses up to now: a driver does not go back in time
             axis.catch_up(self.now_ns);
             axis.supply(self.now_ns, powered);
         }
     }
 
-    /// Whether the motors' supply is closed, where it goes over a relay.
+    /// True if the motors' supply is on; a relay may switch it.
     fn is_powered(&self) -> bool {
         let is_open =
             |relay: &Relay| relay.config.role == RelayRole::MotorPower && !is_closed(&self.chips, &relay.config);
@@ -306,7 +306,7 @@ impl World {
         self.steppers.iter_mut().find(|axis| axis.channel.index == connector)
     }
 
-    // For tests, and for programs that compare with the truth.
+    // interface for tests, and for programs that compare with the truth
 
     /// True position of a motor's, servo's, drive's or stepper's output, rad or m; `None` for other channels.
     pub fn position(&mut self, channel: ChannelId) -> Option<f64> {
@@ -321,7 +321,7 @@ impl World {
         position.or_else(|| bldc.map(|bldc| bldc.at(now_ns).position_rad()))
     }
 
-    /// True speed of a motor's or drive's output, rad/s or m/s.
+    /// True speed of a motor's or drive's output, rad/s or m/s; `None` for other channels.
     pub fn speed(&mut self, channel: ChannelId) -> Option<f64> {
         self.catch_up();
         let now_ns = self.now_ns;
@@ -330,65 +330,65 @@ impl World {
         motor.or_else(|| bldc.map(|bldc| bldc.at(now_ns).speed_rad_s()))
     }
 
-    /// Whether a motor's positions are in m, and not in rad.
+    /// True if a motor's positions are in m, false for rad.
     #[must_use]
     pub fn is_linear(&self, channel: ChannelId) -> bool {
         self.motor(channel).is_some_and(|motor| motor.plant.kind() == PlantKind::Linear)
     }
 
-    /// Whether a relay's contact is closed; `None` for a channel without a relay.
+    /// True if a relay's contact is closed; `None` for a channel without a relay.
     #[must_use]
     pub fn relay_closed(&self, channel: ChannelId) -> Option<bool> {
         let relay = self.relays.iter().find(|relay| relay.config.id == channel)?;
         Some(is_closed(&self.chips, &relay.config))
     }
 
-    /// What a motor's bridge does to it now.
+    /// Present output of a motor's bridge; `None` for other channels.
     pub fn drive(&mut self, channel: ChannelId) -> Option<Drive> {
         self.catch_up();
         self.motor(channel).map(|motor| motor.drive)
     }
 
-    /// A brushless drive, to look at.
+    /// A brushless drive, for queries; `None` for other channels.
     pub fn bldc(&mut self, channel: ChannelId) -> Option<&crate::devices::bldc_drive::BldcDrive> {
         self.catch_up();
         let now_ns = self.now_ns;
         self.bldcs.iter_mut().find(|bldc| bldc.channel == channel).map(|bldc| bldc.at(now_ns))
     }
 
-    /// Voltage at the speed input of a brushless drive.
+    /// Voltage at the speed input of a brushless drive, V; `None` for other channels.
     pub fn throttle_v(&mut self, channel: ChannelId) -> Option<f64> {
         self.catch_up();
         let bldc = self.bldcs.iter().find(|bldc| bldc.channel == channel)?;
         Some(bldc.throttle_v(&self.chips))
     }
 
-    /// A servo, to look at.
+    /// A servo, for queries; `None` for other channels.
     pub fn servo(&mut self, channel: ChannelId) -> Option<&crate::devices::rc_servo::RcServo> {
         self.catch_up();
         let now_ns = self.now_ns;
         self.servos.iter_mut().find(|servo| servo.channel == channel).map(|servo| servo.at(now_ns))
     }
 
-    /// A stepper driver, to look at.
+    /// A stepper driver, for queries; `None` for other channels.
     pub fn stepper(&mut self, channel: ChannelId) -> Option<&crate::devices::stepper_driver::StepperDriver> {
         self.catch_up();
         self.steppers.iter().find(|axis| axis.channel == channel).map(|axis| &axis.driver)
     }
 
-    /// A range sensor, to look at and to break; `None` beyond the board's connectors.
+    /// A range sensor, for queries and faults; `None` beyond the board's connectors.
     pub fn range_sensor(&mut self, connector: u8) -> Option<&mut HcSr04> {
         self.catch_up();
         self.pins.rangers.modules.get_mut(usize::from(connector))
     }
 
-    /// What else hangs on the processor's pins.
+    /// Other devices on the processor's pins.
     pub fn pins(&mut self) -> &mut Pins {
         self.catch_up();
         &mut self.pins
     }
 
-    /// Puts a motor's output at a place, at rest.
+    /// Moves a motor's output to a position, at rest.
     pub fn set_position(&mut self, channel: ChannelId, position: f64) {
         self.catch_up();
         if let Some(motor) = self.motors.iter_mut().find(|motor| motor.channel == channel) {
@@ -396,7 +396,7 @@ impl World {
         }
     }
 
-    /// Replaces a motor's physics, at rest where it is.
+    /// Replaces a motor's physics, at rest at the present position.
     pub fn set_plant(&mut self, channel: ChannelId, plant: Plant) {
         self.catch_up();
         if let Some(motor) = self.motors.iter_mut().find(|motor| motor.channel == channel) {
@@ -406,13 +406,13 @@ impl World {
         }
     }
 
-    /// Voltage of a rail.
+    /// Voltage of a rail, V; `None` for other channels.
     pub fn rail_v(&mut self, rail: ChannelId) -> Option<f64> {
         self.catch_up();
         self.rails.iter().find(|known| known.spec.channel == rail).map(|rail| rail.volts)
     }
 
-    /// Changes a rail's voltage without load.
+    /// Sets a rail's voltage without load, V.
     pub fn set_emf(&mut self, rail: ChannelId, emf_v: f64) {
         self.catch_up();
         if let Some(rail) = self.rails.iter_mut().find(|known| known.spec.channel == rail) {
@@ -421,79 +421,79 @@ impl World {
         self.stale = true;
     }
 
-    /// The PWM chip behind the OSMC bridges, to look into and to break.
+    /// PWM chip of the OSMC bridges, for inspection and faults.
     #[must_use]
     pub fn osmc_pwm(&self) -> Option<&Rc<RefCell<Pca9685>>> {
         self.chips.osmc_pwm.as_ref()
     }
 
-    /// The PWM chip behind the DHB bridges.
+    /// PWM chip of the DHB bridges.
     #[must_use]
     pub fn dhb_pwm(&self) -> Option<&Rc<RefCell<Pca9685>>> {
         self.chips.dhb_pwm.as_ref()
     }
 
-    /// The PWM chip behind the servos.
+    /// PWM chip of the servos.
     #[must_use]
     pub fn servo_pwm(&self) -> Option<&Rc<RefCell<Pca9685>>> {
         self.chips.servo_pwm.as_ref()
     }
 
-    /// The DAC behind the brushless drives.
+    /// DAC of the brushless drives' speed inputs.
     #[must_use]
     pub fn bldc_dac(&self) -> Option<&Rc<RefCell<Mcp4728>>> {
         self.chips.bldc_dac.as_ref()
     }
 
-    /// The expander behind relays, directions and brakes.
+    /// Expander for relays, directions and brakes.
     #[must_use]
     pub fn expander(&self) -> Option<&Rc<RefCell<Mcp23017>>> {
         self.chips.expander.as_ref()
     }
 
-    /// An IMU, to look into and to break; `None` for a channel that is none.
+    /// An IMU, for inspection and faults; `None` for other channels.
     #[must_use]
     pub fn imu(&self, channel: ChannelId) -> Option<&Rc<RefCell<Icm20948>>> {
         self.chips.imus.iter().find(|imu| imu.mounting.channel == channel).map(|imu| &imu.chip)
     }
 
-    /// A current monitor, to look into and to break; `None` for a channel that is none.
+    /// A current monitor, for inspection and faults; `None` for other channels.
     #[must_use]
     pub fn current_monitor(&self, channel: ChannelId) -> Option<&Rc<RefCell<Ina226>>> {
         self.chips.currents.iter().find(|monitor| monitor.wiring.channel == channel).map(|monitor| &monitor.chip)
     }
 
-    /// An angle sensor, to look into and to break; `None` for a channel that is none.
+    /// An angle sensor, for inspection and faults; `None` for other channels.
     #[must_use]
     pub fn angle_sensor(&self, channel: ChannelId) -> Option<&Rc<RefCell<As5600>>> {
         self.chips.angles.iter().find(|angle| angle.mounting.channel == channel).map(|angle| &angle.chip)
     }
 
-    /// The converter of a load cell, to look into and to break; `None` for a channel that is none.
+    /// The converter of a load cell, for inspection and faults; `None` for other channels.
     #[must_use]
     pub fn load_cell(&self, channel: ChannelId) -> Option<&Rc<RefCell<Nau7802>>> {
         self.chips.forces.iter().find(|force| force.cell.channel == channel).map(|force| &force.chip)
     }
 
-    /// An optical distance sensor, to look into and to break; `None` for a channel that is none.
+    /// An optical distance sensor, for inspection and faults; `None` for other channels.
     #[must_use]
     pub fn distance_sensor(&self, channel: ChannelId) -> Option<&Rc<RefCell<Vl6180x>>> {
         self.chips.distances.iter().find(|sensor| sensor.sees.channel == channel).map(|sensor| &sensor.chip)
     }
 
-    /// The angle sensor that sends pulses to a range connector, to look at and to break; `None` where there is none.
+    /// The angle sensor that sends pulses to a range connector, for inspection and faults; `None` if there is none.
     pub fn pulse_sensor(&mut self, connector: u8) -> Option<&mut As5600Pwm> {
         self.catch_up();
         self.pins.pulses_at(connector.into()).map(|source| &mut source.sensor)
     }
 
-    /// What motors draw from a rail, A; negative where they feed it.
+    /// Current drawn by motors from a rail, A; negative while they feed it back.
     pub fn rail_current_a(&mut self, rail: ChannelId) -> Option<f64> {
         self.catch_up();
         self.rails.iter().find(|known| known.spec.channel == rail).map(|rail| rail.current_a)
     }
 
-    /// Everything done against a datasheet so far, in order of time.
+    /// All misuses so far, in order of time.
     #[must_use]
     pub fn misuse(&self) -> Vec<Misuse> {
         let mut all: Vec<_> = self.bus.misuse().first().to_vec();

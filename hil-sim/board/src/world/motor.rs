@@ -1,4 +1,4 @@
-//! Motors: a bridge, what turns behind it, and what measures that.
+//! Motors: a bridge, its plant, and the plant's sensors.
 
 use r4_boards::{SimulatedEncoder, SimulatedMotor, SimulatedSensor};
 use r4_plants::{Drive, Model, Plant, PlantError, PlantSpec};
@@ -16,22 +16,22 @@ use crate::{
     misuse::MisuseLog,
 };
 
-/// The bridge's own regulator makes this for its gate driver, or less from a battery that has less.
+/// Voltage of the bridge's own regulator for its gate driver, V; a battery with less gives less.
 pub(super) const GATE_SUPPLY_V: f64 = 12.0;
 
 pub(super) struct Motor {
     pub(super) channel: ChannelId,
     bridge: Bridge,
-    /// Which of the world's rails feeds the bridge.
+    /// Index of the rail that feeds the bridge.
     pub(super) rail: usize,
     pub(super) plant: Plant,
     pub(super) drive: Drive,
     pub(super) sensor: Option<SimulatedSensor>,
-    /// Encoder before backlash and compliance.
+    /// Encoder on the motor side of backlash and compliance.
     pub(super) motor_side: Option<SimulatedEncoder>,
-    /// Whether its shaft is one of the body's.
+    /// True if its shaft is one of the body's.
     pub(super) coupled: bool,
-    /// Of its current at a standstill, by the supply: rad/s^2 or m/s^2 per V.
+    /// Acceleration by its stall current, per volt of supply: rad/s² or m/s² per V.
     acceleration_per_v: f64,
 }
 
@@ -67,17 +67,17 @@ impl Motor {
         })
     }
 
-    /// What the motor reaches when it is reversed at full speed, rad/s^2 or m/s^2: its own voltage adds to the supply's.
+    /// Acceleration on a reversal at full speed, rad/s² or m/s²: its back-EMF adds to the supply.
     pub(super) fn top_acceleration(&self, supply_v: f64) -> f64 {
         2.0 * supply_v.max(0.0) * self.acceleration_per_v
     }
 
-    /// Whether its PWM comes from the OSMC's chip; from the DHB's otherwise.
+    /// True if its PWM comes from the OSMC's chip; from the DHB's otherwise.
     pub(super) const fn is_on_osmc(&self) -> bool {
         matches!(self.bridge, Bridge::Osmc { .. })
     }
 
-    /// Lets the bridge see its lines and supply as they are from `at_ns` on.
+    /// Updates the bridge with its lines and supply from `at_ns` on.
     pub(super) fn look(&mut self, at_ns: u64, pwm: &Pca9685, disabled: bool, supply_v: f64) {
         let line = |output: u8| pwm.line(output.into());
         let output = match &mut self.bridge {
@@ -102,7 +102,7 @@ impl Motor {
     }
 }
 
-/// Without friction and inductance, which both take from it.
+/// Acceleration by the stall current, per volt of supply, without friction and inductance, which both reduce it.
 fn acceleration_per_v(model: &Model) -> f64 {
     match model {
         Model::DcGearMotor(motor) => {

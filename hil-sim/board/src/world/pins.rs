@@ -1,4 +1,4 @@
-//! What hangs on the processor's own pins: range sensors, encoder tracks, switches, analog inputs and outputs, connectors.
+//! Devices on the processor's own pins: range sensors, encoder tracks, switches, analog inputs and outputs, connectors.
 
 use std::{cell::RefCell, num::NonZeroU32, rc::Rc, task::Waker};
 
@@ -36,67 +36,67 @@ use crate::{
     },
 };
 
-/// Full scale of the 16-bit converter.
+/// Largest code of the 16-bit converter.
 const CODE_MAX: f64 = 65_535.0;
-/// The converter's reference, V.
+/// Reference of the converter, V.
 const REFERENCE_V: f64 = 3.3;
-/// Speed of the UART connectors.
+/// Bit rate of the UART connectors, bits/s.
 const UART_BAUD: u32 = 115_200;
-/// What the processor's driver keeps of received bytes until they are read.
+/// Number of received bytes that the processor's driver buffers.
 const UART_BUFFER: usize = 64;
-/// Where the memory on each external I2C connector answers.
+/// Address of the memory on each external I2C connector.
 const EEPROM_ADDRESS: u8 = 0x50;
-/// Clock of the external I2C connectors.
+/// Clock of the external I2C connectors, Hz.
 const EXTERNAL_I2C_HZ: u32 = 100_000;
 
-/// The devices on the processor's pins, to look at and to break.
+/// Devices on the processor's pins, for queries and faults.
 pub struct Pins {
     /// Range sensors, by connector.
     pub rangers: HcSr04Array,
     pub(super) echoes: [Echo; HcSr04Array::MODULES],
     /// Angle sensors that send pulses, in place of range sensors.
     pub(super) pulses: Vec<PulseSource>,
-    /// Of the interrupts of the echoes; `None` where nothing uses one.
+    /// Budgets of edges for the interrupts of the echoes; `None` if no device uses one.
     echo_budgets: [Option<EdgeBudget>; HcSr04Array::MODULES],
     /// Encoder tracks, by connector.
     pub encoders: [QuadratureSignal; 4],
-    /// Switches, by connector.
+    /// Switches with their actuation, by connector.
     pub switches: Vec<SwitchInput>,
-    /// Whether an index track is on at a low level, by connector; `None` where there is none.
+    /// Polarity of the index track, by connector: true if it is active low; `None` without one.
     index_lines: [Option<bool>; 4],
-    /// Divided inputs with what is at each, by input.
+    /// Divided inputs with their sources, by input.
     pub analogs: [Option<AnalogSource>; 6],
     dac: DacOutput,
     dac_v: [f64; 2],
     pub(crate) uarts: [UartPort; 2],
     pub(crate) external_buses: [I2cBus; 2],
     eeproms: [Rc<RefCell<Eeprom24c02>>; 2],
-    /// When the external watchdog was last kicked, and the longest it has waited.
+    /// Time of the external watchdog's last kick, and its longest wait, ns.
     kicked_ns: u64,
     longest_kick_ns: u64,
 }
 
-/// A switch and what actuates it.
+/// A switch with its actuation.
 pub struct SwitchInput {
-    /// The switch.
+    /// State of the switch.
     pub switch: Switch,
     spec: SimulatedSwitch,
 }
 
-/// A divided analog input and the voltage at it.
+/// A divided analog input with the voltage at it.
 #[derive(Clone, Debug)]
 pub struct AnalogSource {
     /// Divider, clamp and converter.
     pub input: AnalogInput,
-    /// V, where nothing of the body is measured here.
+    /// Voltage at the input, V, unless a sensor on the body is connected.
     pub volts: f64,
-    /// What of the body is measured here, in volts.
+    /// Sensor on the body whose voltage is connected here.
     pub reads: Option<BodyReading>,
-    /// The sensor of a field that is here.
+    /// Field sensor that is connected here.
     pub field: Option<FieldSensor>,
 }
 
-/// A UART connector with who waits for bytes from it.
+/// A UART connector, with the task that waits for its bytes.
 pub(crate) struct UartPort {
     pub(crate) line: UartLoopback,
     pub(super) sender: Option<Sender>,
@@ -104,7 +104,7 @@ pub(crate) struct UartPort {
 }
 
 impl UartPort {
-    /// The board sends. A sensor takes no orders.
+    /// Sends bytes from the board. A sensor ignores them.
     pub(crate) fn write(&mut self, at_ns: u64, bytes: &[u8]) {
         if self.sender.is_none() {
             self.line.write(at_ns, bytes);
@@ -112,14 +112,14 @@ impl UartPort {
     }
 }
 
-/// An angle sensor that sends pulses, and what the processor's capture unit has of them.
+/// An angle sensor that sends pulses, and the state of the processor's capture unit for them.
 pub(super) struct PulseSource {
     pub(super) sensor: As5600Pwm,
     pub(super) mounting: SimulatedPulses,
     captured: Pulses,
 }
 
-/// What the processor's capture unit has of one echo line.
+/// State of the processor's capture unit for one echo line.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Echo {
     cleared_ns: u64,
@@ -214,13 +214,13 @@ impl Pins {
         }
     }
 
-    /// The memory on one of the external I2C connectors.
+    /// The memory on one of the external I2C connectors; `None` beyond them.
     #[must_use]
     pub fn eeprom(&self, connector: usize) -> Option<&Rc<RefCell<Eeprom24c02>>> {
         self.eeproms.get(connector)
     }
 
-    /// Voltage at one of the processor's analog outputs.
+    /// Voltage at one of the processor's analog outputs, V; `None` beyond them.
     #[must_use]
     pub fn dac_v(&self, output: usize) -> Option<f64> {
         self.dac_v.get(output).copied()
@@ -234,7 +234,7 @@ impl Pins {
 
     /// The bus at one of the external I2C connectors, at `now_ns`.
     pub(super) fn external_bus(&mut self, connector: usize, now_ns: u64) -> &mut I2cBus {
-        // The memory must know that its write is over before it is asked.
+        // the memory has to detect the end of its write before it is addressed
         self.eeproms[connector].borrow_mut().advance(now_ns);
         &mut self.external_buses[connector]
     }
@@ -243,19 +243,20 @@ impl Pins {
         self.dac_v = [0.0; 2];
     }
 
-    /// An edge of the line to the external watchdog.
+    /// Records an edge of the line to the external watchdog.
     pub(super) fn kick(&mut self, now_ns: u64) {
         self.longest_kick_ns = self.longest_kick_ns.max(now_ns - self.kicked_ns);
         self.kicked_ns = now_ns;
     }
 
-    /// The longest the external watchdog has waited for an edge up to now, ns.
+    /// Longest wait of the external watchdog for an edge up to now, ns.
     #[must_use]
     pub fn longest_kick_ns(&self, now_ns: u64) -> u64 {
         self.longest_kick_ns.max(now_ns - self.kicked_ns)
     }
 
-    /// The UART connectors, whose output is wired to their input where no sensor is.
+    /// The device at a UART connector, whose output is wired to its input unless a sensor is connected; `None` beyond
+    /// them.
     pub fn uart(&mut self, connector: usize) -> Option<&mut UartLoopback> {
         self.uarts.get_mut(connector).map(|port| &mut port.line)
     }
@@ -269,14 +270,14 @@ impl Pins {
 }
 
 impl SwitchInput {
-    /// The channel that reads it.
+    /// Channel that reads the switch.
     #[must_use]
     pub fn channel(&self) -> ChannelId {
         self.spec.channel
     }
 }
 
-/// Lets a switch follow what actuates it, and reads it.
+/// Updates a switch by its actuation, and reads it.
 pub(super) fn switch_is_high(world: &mut World, connector: usize) -> bool {
     if let Some(active_low) = world.pins.index_low(connector) {
         return world.pins.encoders[connector].index() != active_low;
@@ -298,17 +299,18 @@ pub(super) fn switch_is_high(world: &mut World, connector: usize) -> bool {
     world.pins.switches[place].switch.is_high(now_ns)
 }
 
-/// Input of a motor's encoder and the true counts between its index pulses, where its board is told that it has them.
+/// Input of a motor's encoder and the true number of counts between its index pulses, if the board is configured for
+/// them.
 fn index_of(robot: &Robot, motor: &SimulatedMotor) -> Option<(u8, NonZeroU32)> {
     let Some(SimulatedSensor::Encoder { input, lines_per_turn }) = motor.sensor else { return None };
     let config = robot.config.motors.iter().find(|config| config.id == motor.channel)?;
     let Feedback::Encoder { counts_per_turn, counts_per_index, .. } = config.control?.feedback else { return None };
-    // A file that is wrong about the lines of the encoder is as wrong about those of its disc's turn.
+    // a file with wrong lines of the encoder has the same error for a turn of its disc
     let true_counts = f64::from(lines_per_turn) * 4.0 * f64::from(counts_per_index) / f64::from(counts_per_turn);
     Some((input, NonZeroU32::new(true_counts.round() as u32)?))
 }
 
-/// The converter's code without rounding for the potentiometer at `input`, if there is one: a sample.
+/// Sample of the converter, without rounding, for the potentiometer at `input`, if there is one.
 fn potentiometer(world: &mut World, input: usize) -> Option<f64> {
     let (code, noise_rms_codes) = world.motors.iter().find_map(|motor| match motor.sensor {
         Some(SimulatedSensor::Potentiometer { input: of, low, high, noise_rms_codes }) if usize::from(of) == input => {
@@ -322,7 +324,7 @@ fn potentiometer(world: &mut World, input: usize) -> Option<f64> {
     Some(code + noise * noise_rms_codes)
 }
 
-/// What is divided at `input`, and the voltage there: that of a rail, or of a sensor on the body, that is measured there.
+/// The divider at `input`, and the voltage there, V: that of a rail, a sensor on the body, or a set one.
 fn divided<'p>(
     rails: &[Rail],
     body: Option<&Coupling>,
@@ -336,7 +338,7 @@ fn divided<'p>(
     Some((&source.input, rail_v.or_else(field_v).or_else(sensor_v).unwrap_or(source.volts)))
 }
 
-/// What the converter reads at an input.
+/// Code of the converter at an input.
 pub(super) fn analog_code(world: &mut World, input: usize) -> u16 {
     world.catch_up();
     if let Some(code) = potentiometer(world, input) {
@@ -346,7 +348,7 @@ pub(super) fn analog_code(world: &mut World, input: usize) -> u16 {
     divided(rails, body.as_ref(), pins, input).map_or(0, |(source, volts)| source.code(volts, noise))
 }
 
-/// One sample of the voltage at an input.
+/// One sample of the voltage at an input, V.
 pub(super) fn analog_v(world: &mut World, input: usize) -> f64 {
     world.catch_up();
     let code = potentiometer(world, input).or_else(|| {
@@ -362,7 +364,7 @@ impl AnalogInputs for Processor {
     }
 }
 
-/// There is no processor whose cycles could be counted.
+/// A simulated board has no processor whose cycles could be counted.
 impl ControlCycles for Processor {
     const CYCLES_HZ: u32 = 0;
 
@@ -397,7 +399,7 @@ impl AnalogOutputs for Processor {
     }
 }
 
-/// Timer 2 of the processor: it captures the edges of the echoes at 1 MHz.
+/// Timer 2 of the processor, which captures the edges of the echoes at 1 MHz.
 impl Ranging for Processor {
     fn trigger(&mut self, index: u8, high: bool) {
         self.0.borrow_mut().trigger(index.into(), high);
@@ -430,13 +432,13 @@ impl PulseInputs for Processor {
     }
 }
 
-/// Of the capture unit's clock for pulses, which is that of the processor: 10 MHz, 32 bits.
+/// Time of the capture unit's clock for pulses, which is that of the processor: 10 MHz, 32 bits.
 const fn tenths(at_ns: u64) -> u32 {
     (at_ns / 100) as u32
 }
 
 impl World {
-    /// Whether an echo has lost edges by a storm; lets it have another try when it is time.
+    /// True if an echo has lost edges by a storm; enables it again when its time is over.
     pub(super) fn echo_storm(&mut self) -> bool {
         let now_ns = self.clock.now_ns();
         let pins = &mut self.pins;
@@ -450,17 +452,17 @@ impl World {
 }
 
 impl Pins {
-    /// Whether the index track on a switch line pulls it low while it is on; `None` for a line without.
+    /// True if the index track on a switch line is active low; `None` for a line without one.
     pub(super) fn index_low(&self, connector: usize) -> Option<bool> {
         self.index_lines.get(connector).copied().flatten()
     }
 
-    /// The angle sensor that sends pulses to a range connector.
+    /// The angle sensor that sends pulses to a range connector; `None` if there is none.
     pub(super) fn pulses_at(&mut self, connector: usize) -> Option<&mut PulseSource> {
         self.pulses.iter_mut().find(|source| usize::from(source.mounting.connector) == connector)
     }
 
-    /// Lets the capture unit take the edges of an angle sensor's pulses up to where the world is.
+    /// Passes the edges of an angle sensor's pulses up to the world's time to the capture unit.
     fn capture_pulses(&mut self, connector: usize) {
         let Some(budget) = self.echo_budgets.get_mut(connector).and_then(Option::as_mut) else { return };
         let source = self.pulses.iter_mut().find(|source| usize::from(source.mounting.connector) == connector);
@@ -474,7 +476,7 @@ impl Pins {
         }
     }
 
-    /// Lets the capture unit take the edges of an echo up to now.
+    /// Passes the edges of an echo up to now to the capture unit.
     fn capture(&mut self, index: usize, now_ns: u64) -> EchoState {
         let (Some(module), Some(echo)) = (self.rangers.modules.get_mut(index), self.echoes.get_mut(index)) else {
             return EchoState::Idle;
@@ -486,6 +488,7 @@ impl Pins {
             match (edge.high, echo.rise_ns, echo.fall_ns) {
                 (true, None, _) => echo.rise_ns = Some(edge.at_ns),
                 (false, Some(_), None) => echo.fall_ns = Some(edge.at_ns),
+                // edges after the first pulse, and a fall before it
                 _ => {}
             }
         }

@@ -1,4 +1,4 @@
-//! The processor's step generators and the drivers behind them.
+//! The processor's step generators and the drivers connected to them.
 
 use std::collections::VecDeque;
 
@@ -7,21 +7,21 @@ use r4_protocol::ChannelId;
 
 use crate::devices::stepper_driver::{StepperDriver, StepperDriverSpec};
 
-/// Steps and edges of the timers.
+/// Clock of the timers for steps and edges, Hz.
 const TICK_HZ: u32 = 10_000_000;
 const NS_PER_TICK: u64 = 1_000_000_000 / TICK_HZ as u64;
-/// Active time of a pulse.
+/// Active time of a pulse, timer ticks.
 const PULSE_TICKS: u32 = 40;
-/// Events that one axis has room for.
+/// Capacity of an axis for events.
 const ROOM: usize = 512;
 
-/// Pulses at a driver's step input, by the level of its direction input then: what the processor sent, whatever the
-/// driver made of it.
+/// Pulses at a driver's step input, by the level of its direction input: those that the processor sent, even if the
+/// driver dropped them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StepPulses {
-    /// With direction high.
+    /// Number of pulses with direction high.
     pub forward: u64,
-    /// With direction low.
+    /// Number of pulses with direction low.
     pub backward: u64,
 }
 
@@ -38,7 +38,7 @@ enum Wire {
 pub(super) struct Axis {
     pub(super) channel: ChannelId,
     pub(super) driver: StepperDriver,
-    /// Of the output shaft.
+    /// Steps per turn of the output shaft.
     pub(super) steps_per_turn: u32,
     queue: VecDeque<(u64, StepAction)>,
     positive: bool,
@@ -48,9 +48,9 @@ pub(super) struct Axis {
     pulses: StepPulses,
     step_high: bool,
     direction_high: bool,
-    /// Edges of a processor that drives the lines itself, in order of time.
+    /// Edges from a processor that drives the lines itself, in order of time.
     wires: VecDeque<(u64, Wire)>,
-    /// Such a processor has told all edges up to here; the driver is not brought further.
+    /// Time up to which such a processor has reported all edges, ns; the driver does not advance beyond it.
     told_ns: Option<u64>,
 }
 
@@ -58,7 +58,7 @@ impl Axis {
     pub(super) fn new(channel: ChannelId, spec: StepperDriverSpec, steps_per_turn: u32) -> Self {
         let enabled_when_high = spec.enabled_when_high;
         let mut driver = StepperDriver::new(channel.index, spec);
-        // The board holds the enable line inactive until the processor drives it.
+        // the board holds the enable line inactive until the processor drives it
         driver.enable(0, !enabled_when_high);
         let queue = VecDeque::new();
         Self {
@@ -78,7 +78,7 @@ impl Axis {
         }
     }
 
-    /// Carries out what is due by `now_ns`.
+    /// Executes events that are due by `now_ns`.
     pub(super) fn catch_up(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
         if let Some(told_ns) = self.told_ns {
@@ -102,7 +102,7 @@ impl Axis {
         self.driver.advance(now_ns);
     }
 
-    /// Brings the driver to `to_ns`, edge by edge.
+    /// Advances the driver to `to_ns`, edge by edge.
     fn follow_wires(&mut self, to_ns: u64) {
         while let Some((at_ns, wire)) = self.wires.pop_front_if(|(at_ns, _)| *at_ns <= to_ns) {
             match wire {
@@ -124,24 +124,25 @@ impl Axis {
         self.driver.advance(to_ns);
     }
 
-    /// An edge, told up to now and not before what the driver has seen; edges of different lines in any order.
+    /// Records an edge, at a time up to now and not before what the driver has seen; edges of different lines in any
+    /// order.
     fn tell(&mut self, at_ns: u64, wire: Wire) {
         self.told_ns.get_or_insert(self.now_ns);
         let place = self.wires.partition_point(|(earlier_ns, _)| *earlier_ns <= at_ns);
         self.wires.insert(place, (at_ns, wire));
     }
 
-    /// The level of the step input from `at_ns` on.
+    /// Sets the level of the step input from `at_ns` on.
     pub(super) fn step_line(&mut self, at_ns: u64, high: bool) {
         self.tell(at_ns, Wire::Step(high));
     }
 
-    /// The level of the direction input from `at_ns` on.
+    /// Sets the level of the direction input from `at_ns` on.
     pub(super) fn direction_line(&mut self, at_ns: u64, high: bool) {
         self.tell(at_ns, Wire::Direction(high));
     }
 
-    /// The level of the enable input from now, `now_ns`, on.
+    /// Sets the level of the enable input from now, `now_ns`, on.
     pub(super) fn enable(&mut self, now_ns: u64, high: bool) {
         if self.told_ns.is_some() {
             self.tell(now_ns, Wire::Enable(high));
@@ -150,7 +151,7 @@ impl Axis {
         }
     }
 
-    /// Whether the motor's supply is there from now, `now_ns`, on.
+    /// Switches the motor's supply from now, `now_ns`, on.
     pub(super) fn supply(&mut self, now_ns: u64, on: bool) {
         if self.told_ns.is_some() {
             self.tell(now_ns, Wire::Supply(on));
@@ -159,7 +160,7 @@ impl Axis {
         }
     }
 
-    /// All edges up to `up_to_ns` have been told.
+    /// Declares that all edges up to `up_to_ns` have been reported.
     pub(super) fn settle(&mut self, up_to_ns: u64) {
         self.told_ns = self.told_ns.max(Some(up_to_ns));
         self.follow_wires(up_to_ns.min(self.now_ns));
@@ -169,7 +170,7 @@ impl Axis {
         self.pulses
     }
 
-    /// The timer forgets what was queued and counted; lines float to where nothing moves.
+    /// Resets the timer's queue and count; lines float to levels at which nothing moves.
     pub(super) fn reset(&mut self) {
         self.queue.clear();
         self.position = 0;
@@ -180,7 +181,7 @@ impl Axis {
         self.enable(now_ns, !self.enabled_when_high);
     }
 
-    /// Where the shaft really is, rad, from where it stood at time 0.
+    /// True position of the shaft relative to time 0, rad.
     pub(super) fn angle_rad(&self) -> f64 {
         self.driver.position() as f64 / f64::from(self.steps_per_turn) * std::f64::consts::TAU
     }
@@ -195,14 +196,14 @@ impl StepPulses {
         *if forward { &mut self.forward } else { &mut self.backward } += 1;
     }
 
-    /// Forward less backward.
+    /// Number of forward minus backward pulses.
     #[must_use]
     pub const fn net(self) -> i64 {
         self.forward.wrapping_sub(self.backward) as i64
     }
 }
 
-/// The generators of all axes, as the firmware reaches them.
+/// Generators of all axes, as the firmware accesses them.
 impl Steppers for super::Processor {
     const TICK_HZ: u32 = TICK_HZ;
     const PULSE_TICKS: u32 = PULSE_TICKS;
@@ -226,7 +227,7 @@ impl Steppers for super::Processor {
         let Some(axis) = world.axis(axis) else { return 0 };
         let room = ROOM.saturating_sub(axis.queue.len()).min(events.len());
         for event in &events[..room] {
-            // In the future, by less than half the clock's range.
+            // in the future, by less than half the clock's range
             let ahead = event.at.wrapping_sub(now);
             axis.queue.push_back((now_ns / NS_PER_TICK * NS_PER_TICK + u64::from(ahead) * NS_PER_TICK, event.action));
         }

@@ -1,4 +1,4 @@
-//! UART connectors: their output is wired to their input, or a sensor on the body is at one.
+//! UART connectors: the output is wired to the input, or a sensor on the body is connected.
 
 use r4_boards::{Mount, UartDevice};
 
@@ -11,7 +11,7 @@ use crate::{
     uart::UartByte,
 };
 
-/// A sensor that sends by itself, and when it does so next.
+/// A sensor that sends by itself, with the time of its next message, ns.
 pub(super) struct Sender {
     sensor: Sensor,
     next_ns: u64,
@@ -23,7 +23,7 @@ enum Sensor {
 }
 
 impl Sender {
-    /// One that sends for the first time after a period.
+    /// A sender whose first message is after one period.
     pub(super) fn new(device: UartDevice, seed: u64) -> Self {
         let sensor = match device {
             UartDevice::Lidar(mount) => Sensor::Lidar(TfminiS::new(seed), mount),
@@ -41,9 +41,9 @@ impl Sensor {
         }
     }
 
-    /// What it sends of the body as it is now.
+    /// Message of the sensor for the present state of the body.
     fn message(&mut self, at_ns: u64, world: &mut World) -> Vec<u8> {
-        // The file's reader has checked that there is a body.
+        // the file's reader has checked that there is a body
         let (pose, twist) = (world.pose().unwrap_or_default(), world.twist().unwrap_or_default());
         match self {
             Self::Lidar(sensor, mount) => {
@@ -64,8 +64,8 @@ impl Sensor {
 }
 
 impl World {
-    /// Sends the due messages of the sensor at a connector. Each shows the body as it is at this call, so the receiver has to call it at
-    /// [`World::next_uart_ns`].
+    /// Sends the due messages of the sensor at a connector. Each describes the body at this call, so the receiver has
+    /// to call it at [`World::next_uart_ns`].
     pub(crate) fn send_due(&mut self, connector: usize) {
         let now_ns = self.clock.now_ns();
         let Some(mut sender) = self.pins.uarts.get_mut(connector).and_then(|port| port.sender.take()) else { return };
@@ -77,28 +77,28 @@ impl World {
         self.pins.uarts[connector].sender = Some(sender);
     }
 
-    /// When a receiver has to look at a connector again: a byte arrives, or a sensor sends; `None` where neither will be.
+    /// Time of the next event at a connector, ns: a byte arrives, or a sensor sends; `None` if neither will happen.
     pub(crate) fn next_uart_ns(&self, connector: usize) -> Option<u64> {
         let port = self.pins.uarts.get(connector)?;
         let sends_ns = port.sender.as_ref().map(|sender| sender.next_ns);
         port.line.next_arrival_ns().into_iter().chain(sends_ns).min()
     }
 
-    /// A byte has left a connector: its stop bit ended at `at_ns`. Sensors take no orders.
+    /// Takes a byte from the board at a connector: its stop bit ended at `at_ns`. Sensors ignore it.
     pub fn uart_sent(&mut self, connector: usize, at_ns: u64, byte: u8) {
         if let Some(port) = self.pins.uarts.get_mut(connector).filter(|port| port.sender.is_none()) {
             port.line.sent(at_ns, byte);
         }
     }
 
-    /// The next byte that has arrived at a connector up to now.
+    /// Next byte that has arrived at a connector up to now; `None` if there is none.
     pub fn take_uart_arrived(&mut self, connector: usize) -> Option<UartByte> {
         self.send_due(connector);
         let now_ns = self.clock.now_ns();
         self.pins.uart(connector)?.take_arrived(now_ns)
     }
 
-    /// When something happens next at a connector, `u64::MAX` when nothing will; also of a byte that is lost.
+    /// Time of the next event at a connector, ns, also of a byte that is lost; `u64::MAX` if there is none.
     #[must_use]
     pub fn next_uart_arrival_ns(&self, connector: usize) -> u64 {
         self.next_uart_ns(connector).unwrap_or(u64::MAX)

@@ -1,8 +1,8 @@
-//! What the processor's pins are wired to, by connector: levels, volts and bytes, each with its time.
+//! Wiring of the processor's pins, by connector: levels, volts and bytes, each with its time.
 //!
-//! For a processor that drives its pins itself, such as an emulated one. Where a call takes no time it is that of the
-//! world's clock. The simulated firmware's traits, in [`pins`](super::pins) and [`stepping`](super::stepping), are another
-//! way to the same things.
+//! This is the interface for a processor that drives its pins itself, such as an emulated one. A call without a time
+//! acts at the time of the world's clock. The simulated firmware's traits, in [`pins`](super::pins) and
+//! [`stepping`](super::stepping), access the same devices.
 
 use r4_protocol::ChannelId;
 
@@ -12,12 +12,12 @@ use crate::{
     sensors::hc_sr04::EchoEdge,
 };
 
-/// Which of the processor's I2C controllers.
+/// One of the processor's I2C controllers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Controller {
-    /// That of the board's own chips.
+    /// Controller of the board's own chips.
     Board,
-    /// That of an external connector, 0 or 1.
+    /// Controller of an external connector, 0 or 1.
     External(usize),
 }
 
@@ -38,7 +38,7 @@ pub enum BoardChip {
 
 /// Lines that stop outputs.
 impl World {
-    /// The DISABLE line of the OSMC bridges: high is off.
+    /// Sets the DISABLE line of the OSMC bridges: high is off.
     pub fn set_osmc_disabled(&mut self, high: bool) {
         self.catch_up();
         self.osmc_disabled = high;
@@ -46,19 +46,19 @@ impl World {
         self.look_at_lines();
     }
 
-    /// The output-enable line of the motor PWM chips, as the board wires it: high is off.
+    /// Sets the output-enable line of the motor PWM chips, as the board wires it: high is off.
     pub fn set_pwm_outputs_disabled(&mut self, high: bool) {
         self.catch_up();
         self.chips.set_bridge_outputs_enabled(self.clock.now_ns(), !high);
         self.look_at_lines();
     }
 
-    /// An edge of the line to an external watchdog, which every edge kicks; see [`pins::Pins::longest_kick_ns`].
+    /// Sets the line to an external watchdog, which every edge kicks; see [`pins::Pins::longest_kick_ns`].
     pub fn set_heartbeat(&mut self, _high: bool) {
         self.pins.kick(self.clock.now_ns());
     }
 
-    /// The LDAC line of the brushless drives' DAC; low where nobody drives it.
+    /// Sets the LDAC line of the brushless drives' DAC; low while it is not driven.
     pub fn set_ldac(&mut self, high: bool) {
         self.catch_up();
         if let Some(chip) = &self.chips.bldc_dac {
@@ -67,15 +67,15 @@ impl World {
         self.look_at_lines();
     }
 
-    /// A word that the processor keeps over its resets, by its number, to look at and to damage.
+    /// A word that the processor keeps over its resets, by index, for inspection and faults; `None` past the last.
     pub fn kept_word(&mut self, index: usize) -> Option<&mut u32> {
         self.kept_words.get_mut(index)
     }
 
-    /// The processor is reset: its lines float until it drives them again, to where nothing moves; what it counted is
-    /// lost. A transfer that it had under way on a bus stays as it is, without STOP. Trigger lines keep their level.
+    /// Resets the processor: its lines float, to levels at which nothing moves, until it drives them again; its counts
+    /// are lost. A bus transfer in progress stays as it is, without STOP. Trigger lines keep their level.
     pub fn reset_processor(&mut self) {
-        // What the processor keeps over a reset stays.
+        // the words that the processor keeps over a reset stay
         self.catch_up();
         self.set_osmc_disabled(true);
         self.set_pwm_outputs_disabled(true);
@@ -86,40 +86,40 @@ impl World {
     }
 }
 
-/// Stepper drivers, by connector. A driver follows its lines edge by edge, with the times it is told; so nothing of it is
-/// known beyond what [`World::settle_steppers`] says to be complete. Lines of a connector without a driver go nowhere.
+/// Stepper drivers, by connector. A driver follows its lines edge by edge, with the reported times; its state is known
+/// up to the time that [`World::settle_steppers`] declares complete. Lines of a connector without a driver are ignored.
 impl World {
-    /// The step line of a connector has a level from `at_ns` on; its rising edge is a step.
+    /// Sets the step line of a connector from `at_ns` on; its rising edge is a step.
     pub fn step_line(&mut self, connector: usize, at_ns: u64, high: bool) {
         if let Some(axis) = self.axis_at(connector) {
             axis.step_line(at_ns, high);
         }
     }
 
-    /// The direction line of a connector has a level from `at_ns` on; high is forward.
+    /// Sets the direction line of a connector from `at_ns` on; high is forward.
     pub fn direction_line(&mut self, connector: usize, at_ns: u64, high: bool) {
         if let Some(axis) = self.axis_at(connector) {
             axis.direction_line(at_ns, high);
         }
     }
 
-    /// The enable line of all drivers has a level from now on.
+    /// Sets the enable line of all drivers from now on.
     pub fn set_stepper_enable(&mut self, high: bool) {
         let now_ns = self.clock.now_ns();
         self.steppers.iter_mut().for_each(|axis| axis.enable(now_ns, high));
     }
 
-    /// All edges of step and direction lines up to `up_to_ns` have been told, so drivers and motors go on to there. Edges
-    /// told later for an earlier time count as at `up_to_ns`.
+    /// Declares that all edges of step and direction lines up to `up_to_ns` have been reported, so that drivers and
+    /// motors advance to it. Edges reported later for an earlier time count as at `up_to_ns`.
     ///
-    /// To be called before anybody looks at a stepper: whenever the clock is let go, with its time. Not needed, and not
-    /// to be called, by a processor that queues its steps.
+    /// Has to be called before a stepper is queried: whenever the clock is released, with its time. A processor that
+    /// queues its steps must not call it.
     pub fn settle_steppers(&mut self, up_to_ns: u64) {
         self.catch_up();
         self.steppers.iter_mut().for_each(|axis| axis.settle(up_to_ns));
     }
 
-    /// How many pulses a stepper's driver has got; `None` for other channels.
+    /// Number of pulses that a stepper's driver received; `None` for other channels.
     pub fn step_pulses(&mut self, channel: ChannelId) -> Option<StepPulses> {
         self.catch_up();
         self.steppers.iter().find(|axis| axis.channel == channel).map(stepping::Axis::pulses)
@@ -132,16 +132,16 @@ impl World {
 
 /// Range sensors, switches and analog lines, by connector.
 impl World {
-    /// The trigger line of a range sensor has a level from now on.
+    /// Sets the trigger line of a range sensor from now on.
     pub fn trigger(&mut self, connector: usize, high: bool) {
         if !high {
-            // The sound leaves at the falling edge.
+            // the sound leaves at the falling edge
             self.look_ahead(connector);
         }
         self.pins.rangers.trigger(connector, self.clock.now_ns(), high);
     }
 
-    /// The level of the echo line of a range connector.
+    /// Level of the echo line of a range connector.
     pub fn echo_is_high(&mut self, connector: usize) -> bool {
         self.catch_up();
         let now_ns = self.clock.now_ns();
@@ -151,7 +151,7 @@ impl World {
         self.pins.rangers.modules.get_mut(connector).is_some_and(|module| module.echo_is_high(now_ns))
     }
 
-    /// The edges of a range sensor's echo line up to now that were not told before, in order of time.
+    /// Passes the edges of a range sensor's echo line up to now that were not passed before, in order of time.
     pub fn take_echo_edges(&mut self, connector: usize, sink: impl FnMut(EchoEdge)) {
         self.catch_up();
         let now_ns = self.clock.now_ns();
@@ -164,8 +164,8 @@ impl World {
         }
     }
 
-    /// When a range sensor's echo line changes next, as far as is known: `u64::MAX` when nothing is to come. A trigger of
-    /// any sensor can change it: others hear its sound.
+    /// Time of the next known change of a range sensor's echo line, ns; `u64::MAX` for none. A trigger of any sensor
+    /// can change it, because the others hear its sound.
     #[must_use]
     pub fn next_echo_edge_ns(&self, connector: usize) -> u64 {
         let pulses = self.pins.pulses.iter().find(|source| usize::from(source.mounting.connector) == connector);
@@ -176,67 +176,67 @@ impl World {
         module.and_then(|module| module.next_edge_ns()).unwrap_or(u64::MAX)
     }
 
-    /// The level of a switch's line, which a resistor pulls high where there is none.
+    /// Level of a switch's line, which a resistor pulls high if there is no switch.
     pub fn switch_is_high(&mut self, connector: usize) -> bool {
         pins::switch_is_high(self, connector)
     }
 
-    /// The voltage at an analog input of the processor, 0 to 3.3 V: as one sample of a converter without errors sees it,
-    /// so with the noise and the errors of the input. Noise is drawn at each call.
+    /// Voltage at an analog input of the processor, 0 to 3.3 V, as one sample of an ideal converter: with the noise and
+    /// the errors of the input. Noise is sampled at each call.
     pub fn analog_v(&mut self, input: usize) -> f64 {
         pins::analog_v(self, input)
     }
 
-    /// What the processor's 16-bit converter reads at an analog input, as the simulated firmware gets it.
+    /// Code of the processor's 16-bit converter at an analog input, as the simulated firmware gets it.
     pub fn analog_code(&mut self, input: usize) -> u16 {
         pins::analog_code(self, input)
     }
 
-    /// The voltage that the processor's analog output drives from now on; 0 where it drives nothing.
+    /// Sets the voltage of the processor's analog output from now on, V; 0 while it drives nothing.
     pub fn set_dac_v(&mut self, output: usize, volts: f64) {
         self.catch_up();
         self.pins.set_dac_v(output, volts);
     }
 }
 
-/// I2C controllers that make their own timing: as the bus's own [`start`](I2cBus::start) and so on, with the world following.
-/// Times are at most the clock's.
+/// I2C controllers with their own timing: they use the bus's own [`start`](I2cBus::start) and so on, and the world
+/// follows. Times are at most the clock's.
 impl World {
-    /// See [`I2cBus::start`].
+    /// Sends START and an address; see [`I2cBus::start`].
     pub fn i2c_start(&mut self, controller: Controller, at_ns: u64, address: u8, read: bool) -> Response {
         self.on_bus(controller, |bus| bus.start(at_ns, address, read))
     }
 
-    /// See [`I2cBus::write`].
+    /// Sends a byte; see [`I2cBus::write`].
     pub fn i2c_write(&mut self, controller: Controller, at_ns: u64, byte: u8) -> Response {
         self.on_bus(controller, |bus| bus.write(at_ns, byte))
     }
 
-    /// See [`I2cBus::read`].
+    /// Reads a byte; see [`I2cBus::read`].
     pub fn i2c_read(&mut self, controller: Controller, at_ns: u64) -> Option<u8> {
         self.on_bus(controller, |bus| bus.read(at_ns))
     }
 
-    /// See [`I2cBus::stop`].
+    /// Sends STOP; see [`I2cBus::stop`].
     pub fn i2c_stop(&mut self, controller: Controller, at_ns: u64) {
         self.on_bus(controller, |bus| bus.stop(at_ns));
     }
 
-    /// See [`I2cBus::clock_pulse`].
+    /// Sends a clock pulse; see [`I2cBus::clock_pulse`].
     pub fn i2c_clock_pulse(&mut self, controller: Controller, at_ns: u64) {
         self.on_bus(controller, |bus| bus.clock_pulse(at_ns));
     }
 
-    /// See [`I2cBus::lines_are_free`]; now.
+    /// True if both lines are free now; see [`I2cBus::lines_are_free`].
     pub fn i2c_lines_are_free(&mut self, controller: Controller) -> bool {
         let now_ns = self.clock.now_ns();
         self.bus_of(controller).lines_are_free(now_ns)
     }
 
-    /// The bus behind one of the processor's controllers.
+    /// The bus of one of the processor's controllers.
     ///
     /// # Panics
-    /// For an external connector the board does not have.
+    /// For an external connector that the board does not have.
     pub fn bus_of(&mut self, controller: Controller) -> &mut I2cBus {
         match controller {
             Controller::Board => &mut self.bus,
@@ -244,8 +244,8 @@ impl World {
         }
     }
 
-    /// Everything on the bus at its time, and the expander's pins and the DAC's outputs with it; PWM chips change theirs at
-    /// the end of their cycle.
+    /// Executes `work` on a bus, and updates the expander's pins and the DAC's outputs; PWM chips change theirs at the
+    /// end of their cycle.
     pub(crate) fn on_bus<T>(&mut self, controller: Controller, work: impl FnOnce(&mut I2cBus) -> T) -> T {
         self.catch_up();
         let result = work(self.bus_of(controller));
@@ -256,8 +256,8 @@ impl World {
 
 /// Faults of single chips.
 impl World {
-    /// Lets the supply of one chip break in for a moment, while the bus and all others go on: its registers are as after
-    /// power-on, a transfer with it is not acknowledged further. False where the robot has no such chip.
+    /// Interrupts the supply of one chip for a moment, while the bus and all others continue: its registers are as
+    /// after power-on, a transfer with it is not acknowledged further. False if the robot has no such chip.
     pub fn brown_out(&mut self, chip: BoardChip) -> bool {
         self.catch_up();
         let known = self.chips.power_cycle(chip, self.clock.now_ns());

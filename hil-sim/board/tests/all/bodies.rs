@@ -1,4 +1,4 @@
-//! Robots with a body: what their motors do to it and it to them, and what they see and bump into.
+//! Robots with a body: interaction of motors and body, sensors on the body, and collisions.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -48,15 +48,16 @@ fn wheels_drive_the_body_and_roll_with_it() {
         bench.sleep_ms(3000).await;
         let Pose { x_m, y_m, yaw_rad } = pose(bench);
         let rolled_m = bench.position(wheel(0)) * RADIUS_M;
-        // While it accelerates, with about 2 N at each wheel, wheels slip by 2 N x 0.005 1/N = 1 %, over a tenth of the way.
+        // While accelerating with about 2 N at each wheel, wheels slip by 2 N x 0.005 1/N = 1 %, over a tenth of the
+        // distance.
         assert!(x_m > 0.5 && (x_m / rolled_m - 1.0).abs() < 5e-3, "{x_m} m, {rolled_m} m");
         assert!(y_m.abs() < 0.01 && yaw_rad.abs() < 0.02, "{y_m} m, {yaw_rad} rad");
         assert!((twist(bench).forward_m_s - 4.0 * RADIUS_M).abs() < 0.01);
     });
 }
 
-/// The ratio of the tyre's compliances says how much of the wheels' speed turns the robot, if slip is little: with the linear law
-/// `r b² / (l² + r b²)` (Trimble, Fox 2023), 86 %; the brush's slides a little at once.
+/// The ratio of the tyre's compliances decides which share of the wheels' speed turns the robot at small slip: with the
+/// linear law `r b² / (l² + r b²)` (Trimble, Fox 2023), 86 %; with the brush a part slides at once.
 #[test]
 fn a_skid_steer_robot_turns_less_than_its_wheels_say() {
     let robot = openscout(|_| {});
@@ -127,7 +128,7 @@ fn motor(bench: &Bench<'_>, channel: ChannelId) -> [f64; 2] {
     [drive.torque_nm(), drive.speed_rad_s()]
 }
 
-/// What an encoder on a motor's shaft has counted, rad.
+/// Position of an encoder on a motor's shaft by its count, rad.
 async fn counted_rad(bench: &Bench<'_>, index: u8) -> f64 {
     let Sample::Encoder { position, .. } = sample(bench, ChannelId::new(ChannelKind::Encoder, index)).await else {
         panic!("an encoder")
@@ -135,14 +136,15 @@ async fn counted_rad(bench: &Bench<'_>, index: u8) -> f64 {
     f64::from(position) / 2048.0 * std::f64::consts::TAU
 }
 
-/// The motor at the back lifts the tail: its torque is what the cable's statics say, its encoder counts its turns, the person leans
-/// forwards under what then hangs farther behind, and when the host stops the board, the brakes hold all of it.
+/// The motor at the back lifts the tail: its torque is that of the cable's statics, its encoder counts its turns, the
+/// person leans forwards under the weight that then hangs farther behind, and when the host stops the board, the brakes
+/// hold all of it.
 #[test]
 fn a_brushless_drive_lifts_a_tail_and_its_brake_holds_it() {
     let robot = r4_boards::load("balance-tail").expect("built in");
     bench(&robot, async |bench| {
         bench.host.arm().await.unwrap();
-        // Of 80 rad/s; 8 rad/s less what the load takes by the speed loop's gain of 0.25 N m s/rad.
+        // a tenth of 80 rad/s, minus the load over the speed loop's gain of 0.25 N m s/rad
         bench.set(MOTOR_2, Mode::Duty, 0.1).await.unwrap();
         bench.set(MOTOR_1, Mode::Duty, 0.0).await.unwrap();
         bench.sleep_ms(3000).await;
@@ -150,7 +152,7 @@ fn a_brushless_drive_lifts_a_tail_and_its_brake_holds_it() {
         assert!((0.25 * (8.0 - speed_rad_s) - torque_nm).abs() < 0.02, "{torque_nm} N m, {speed_rad_s} rad/s");
         let TailState { angle_rad: [trunk, first, _], .. } = *tail(bench).state();
         assert!(first > 0.3 && trunk < 0.0, "raised by {first} rad, the person at {trunk} rad");
-        // The weight at the back over the ratio, and 10 % of it and 0.3 N m lost on the way up.
+        // the weight at the back over the ratio, plus 10 % of it and 0.3 N m lost on the way up
         let lifted_nm = -9.80665 * tail(bench).tail_x_m() * 6.9;
         let expected_nm = (lifted_nm + 0.3) / 25.0 / 0.99_f64.powi(10);
         assert!((torque_nm / expected_nm - 1.0).abs() < 0.1, "{torque_nm} N m, {expected_nm} N m");
@@ -158,7 +160,7 @@ fn a_brushless_drive_lifts_a_tail_and_its_brake_holds_it() {
         bench.sleep_ms(200).await;
         let stopped_rad = bench.position(MOTOR_2);
         let counted = counted_rad(bench, 1).await;
-        // A count is 3 mrad.
+        // a count is 3 mrad
         assert!((counted - stopped_rad).abs() < 0.004, "{counted} rad, {stopped_rad} rad");
         bench.sleep_ms(2000).await;
         assert_eq!((bench.position(MOTOR_2), motor(bench, MOTOR_2)[1]), (stopped_rad, 0.0));
@@ -166,7 +168,8 @@ fn a_brushless_drive_lifts_a_tail_and_its_brake_holds_it() {
     });
 }
 
-/// The reading as printed: motor 1 at the back has 0.625 N m, which 25 turns into 15.6 N m, and the tail's weight asks for 50 N m.
+/// Values as printed: motor 1 at the back has 0.625 N m, which the ratio of 25 turns into 15.6 N m, and the tail's
+/// weight needs 50 N m.
 #[test]
 fn motor_1_at_the_back_lifts_the_tail_only_a_little() {
     let mut robot = r4_boards::load("balance-tail").expect("built in");
@@ -185,12 +188,12 @@ fn motor_1_at_the_back_lifts_the_tail_only_a_little() {
             );
             highest = highest.max(tail(bench).state().angle_rad[1]);
         }
-        // sin(0.32) of 50 N m, with some swing; upright it would be 1.57.
+        // sin(0.32) of 50 N m, with some oscillation; upright it would be 1.57
         assert!((0.15..0.7).contains(&highest), "{highest} rad");
     });
 }
 
-/// The lift of the file: 10 kg at 0.35 m, 5 s after the start.
+/// Load of the robot file: 10 kg at 0.35 m, 5 s after the start.
 #[test]
 fn a_person_leans_forwards_under_a_load() {
     let robot = r4_boards::load("balance-tail").expect("built in");
@@ -198,8 +201,8 @@ fn a_person_leans_forwards_under_a_load() {
         bench.sleep_ms(4990 - bench.clock.now_ns() / 1_000_000).await;
         assert!(tail(bench).wearer_x_m().abs() < 1e-3, "{} m", tail(bench).wearer_x_m());
         bench.sleep_ms(8000).await;
-        // (10 kg 9.81 m/s2 0.35 m) / (ankle less what gravity takes of person, load and tail: 1200 - 662 - 103 - 25 N m/rad) of
-        // 0.90 m: 75.3 mm, and 0.3 mm less by the sines.
+        // (10 kg 9.81 m/s2 0.35 m) / (stiffness of the ankle minus that of gravity on person, load and tail: 1200 - 662
+        // - 103 - 25 N m/rad) times 0.90 m: 75.3 mm, minus 0.3 mm by the sines
         let x_m = tail(bench).wearer_x_m();
         assert!((x_m - 0.0753).abs() < 1e-3, "{x_m} m");
     });

@@ -1,15 +1,16 @@
-//! Stops that brake before they switch off (IEC 60204-1, category 1): what brakes, for how long, and what ends it at once.
+//! Stops that brake before they switch off (IEC 60204-1, category 1): which outputs brake, for how long, and which
+//! causes end the braking at once.
 
 use crate::harness::{Bench, Device, LINEAR, MS, ROTARY, US, bench, bench_left_alone, bench_with_misuse, osmc_bench};
 use r4_boards::Robot;
 use r4_protocol::{Cause, Causes, ChannelId, ChannelKind, Mode, SafetyState};
 use r4_sim::i2c::Disturbance;
 
-/// What the file of the bench says.
+/// Braking time in the bench's file, ns.
 const BRAKE_NS: u64 = 500 * MS;
-/// The supervisor looks this often.
+/// Period of the supervisor, ns.
 const SUPERVISOR_NS: u64 = MS;
-/// Promised: all motor channels written.
+/// Promised time until all motor channels are written, ns.
 const WRITTEN_NS: u64 = 5 * MS;
 const POWER: ChannelId = ChannelId::new(ChannelKind::Relay, 0);
 
@@ -21,7 +22,7 @@ const fn channel(kind: ChannelKind, index: u8) -> ChannelId {
     ChannelId::new(kind, index)
 }
 
-/// Neither driven nor open: both terminals on one rail.
+/// True if both terminals are on one rail, neither driven nor open.
 fn is_shorted(device: &Device, channel: ChannelId) -> bool {
     let drive = device.board.world().drive(channel).expect("a motor");
     drive.duty == 0.0 && drive.coast == 0.0
@@ -31,7 +32,7 @@ fn has_power(device: &Device) -> bool {
     device.board.world().relay_closed(POWER).expect("the bench has the relay")
 }
 
-/// Time and way until the rotary motor is slower than 0.05 rad/s.
+/// Time, ns, and travel, rad, until the rotary motor is slower than 0.05 rad/s.
 async fn run_out(device: &Device) -> (u64, f64) {
     let from = device.board.world().position(ROTARY).expect("a motor");
     let since_ns = device.clock.now_ns();
@@ -40,22 +41,22 @@ async fn run_out(device: &Device) -> (u64, f64) {
     (rest_ns, device.board.world().position(ROTARY).expect("a motor") - from)
 }
 
-/// As fast as the bench allows.
+/// Runs the rotary motor at the highest speed of the bench.
 async fn run_fast(bench: &Bench<'_>) {
     bench.run_rotary(0).await;
     bench.set(ROTARY, Mode::Duty, 0.9).await.expect("armed");
     bench.sleep_ms(500).await;
 }
 
-/// The electrical time constant of the shorted motor is 70 ms, that of its bearing 2.2 s: a category 0 stop turns on for
-/// ten seconds.
+/// The electrical time constant of the shorted motor is 70 ms, that of its bearing 2.2 s: after a category 0 stop it
+/// turns on for ten seconds.
 #[test]
 fn a_silent_host_leaves_a_braked_shaft_and_not_a_coasting_one() {
     let ran_out = |robot: &Robot| {
         bench_left_alone(robot, run_fast, async |device, ()| {
             let tripped = || device.board.lights().red;
             let since_ns = device.clock.now_ns();
-            // The timeout and 2 ms, and a heartbeat that may still be in the cable.
+            // the timeout and 2 ms, plus a heartbeat that may still be in the cable
             let limit_ns = u64::from(robot.config.link_timeout_ms) * MS + 2 * MS + MS / 4;
             device.wait_until(since_ns, limit_ns, tripped).await.expect("tripped in time");
             run_out(device).await
@@ -68,12 +69,12 @@ fn a_silent_host_leaves_a_braked_shaft_and_not_a_coasting_one() {
         braked_ns / MS,
         coasted_ns / MS
     );
-    // The ramp takes 45 ms, then ln(2.8 / 0.05) = 4 time constants.
+    // the ramp takes 45 ms, then ln(2.8 / 0.05) = 4 time constants
     assert!(braked_ns < 400 * MS && braked_rad < 0.35, "{braked_ns} ns, {braked_rad} rad");
     assert!(coasted_ns > 10 * braked_ns && coasted_rad > 10.0 * braked_rad);
 }
 
-/// Which causes may brake is tried in full in `safety/stop.rs` of the firmware.
+/// The causes that may brake are tested completely in `safety/stop.rs` of the firmware.
 #[test]
 fn a_host_stop_brakes_for_its_time_and_then_switches_off() {
     bench(&braking_bench(), async |bench| {
@@ -82,10 +83,11 @@ fn a_host_stop_brakes_for_its_time_and_then_switches_off() {
         device.record_wire();
         let at_ns = bench.clock.now_ns();
         bench.host.stop().await.expect("a stop is always taken");
-        // 0.9 at 20 a second is 45 ms, the answer is there in 1 ms, and a change takes one control and one PWM period.
+        // 0.9 at 20 a second is 45 ms, the answer arrives within 1 ms, and a change takes one control and one PWM
+        // period
         let shorted = device.wait_until(at_ns, 49 * MS, || is_shorted(&device, ROTARY)).await;
         assert!(shorted.is_some_and(|ns| ns > 40 * MS), "{shorted:?}: the ramp of the configuration");
-        // What does not brake is off within the time that all channels are promised to be written in.
+        // outputs that do not brake are off within the time promised for writing all channels
         assert!(device.is_off(LINEAR));
         assert!(has_power(&device), "brakes need it");
         let off_ns = device.wait_off(at_ns, BRAKE_NS + SUPERVISOR_NS + MS).await.expect("off at its deadline");
@@ -98,7 +100,7 @@ fn a_host_stop_brakes_for_its_time_and_then_switches_off() {
     });
 }
 
-/// Nothing of the promises for the handle is given up while a stop brakes.
+/// The promises for the handle also hold while a stop brakes.
 #[test]
 fn the_handle_ends_a_braking_stop_at_once() {
     bench(&braking_bench(), async |bench| {
@@ -136,8 +138,8 @@ fn without_the_bus_a_braking_stop_is_switched_off_by_the_lines() {
             bench.host.stop().await.expect("a stop is always taken");
             bench.sleep_ms(after_ms).await;
             device.disturb(Disturbance::StuckLow { persistent: true });
-            // Three tries that time out after 1 ms each, with the freeing of the bus between them, or the 5 ms in which the
-            // brakes must be written; then the supervisor.
+            // three tries that time out after 1 ms each, with a recovery of the bus between them, or the 5 ms in which
+            // the brakes must be written; then the supervisor
             let since_ns = stopped_ns + after_ms * MS;
             let off_ns = device.wait_off(since_ns, WRITTEN_NS + 2 * MS + SUPERVISOR_NS).await;
             assert!(off_ns.is_some(), "bus lost after {after_ms} ms: not off");
@@ -145,7 +147,7 @@ fn without_the_bus_a_braking_stop_is_switched_off_by_the_lines() {
     }
 }
 
-/// Arming again ends the stop, and what was commanded before is not resumed.
+/// Arming again ends the stop, and earlier commands are not resumed.
 #[test]
 fn a_braking_stop_can_be_cleared_and_armed_again() {
     bench(&braking_bench(), async |bench| {
@@ -166,7 +168,7 @@ fn a_braking_stop_can_be_cleared_and_armed_again() {
     });
 }
 
-/// Channels of both categories on one board: each stops by its own.
+/// Channels of both categories on one board: each stops by its own category.
 #[test]
 fn channels_that_brake_and_channels_that_coast_stop_side_by_side() {
     const ALL_OFF_NS: u64 = 450 * MS;
@@ -202,7 +204,7 @@ fn channels_that_brake_and_channels_that_coast_stop_side_by_side() {
             world.stepper(channel(ChannelKind::Stepper, index)).expect("a stepper").commanded()
         };
         let [ramping, ended] = [commanded(0), commanded(2)];
-        // The ramps of the DHBs, 0.7 at 10 a second, are the longest.
+        // the ramps of the DHBs, 0.7 at 10 a second, are the longest
         bench.sleep_ms(80).await;
         for motor in
             [ChannelKind::Osmc, ChannelKind::Dhb].into_iter().flat_map(|kind| [channel(kind, 0), channel(kind, 1)])
@@ -210,7 +212,7 @@ fn channels_that_brake_and_channels_that_coast_stop_side_by_side() {
             assert!(is_shorted(&device, motor), "{motor}");
         }
         assert!(bench.board.world().bldc(channel(ChannelKind::Bldc, 0)).expect("a drive").is_braking());
-        // 10 rad/s at 40 rad/s^2 take 250 ms; the drive brakes from full speed in 300 ms.
+        // 10 rad/s at 40 rad/s^2 take 250 ms; the drive brakes from full speed in 300 ms
         bench.clock.sleep_until(at_ns + 300 * MS).await;
         let stepper = |index| {
             let mut world = bench.board.world();
@@ -231,6 +233,6 @@ fn channels_that_brake_and_channels_that_coast_stop_side_by_side() {
         bench.sleep_ms(6).await;
         assert!(!has_power(&device) && !stepper(0).1);
     });
-    // Category 0 of a stepper beyond its start-stop speed, and of no other.
+    // the stepper beyond its start-stop speed stops by category 0, and no other does
     assert!(misuse.len() == 1 && misuse[0].contains("stepper driver 0x02: steps at 0 Hz"), "{misuse:?}");
 }

@@ -1,4 +1,4 @@
-//! Sensors on the bus with the output chips: their drivers on models of the chips, and whole boards that have them.
+//! Sensors on the bus of the output chips: their drivers on models of the chips, and whole boards that have them.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -40,7 +40,7 @@ fn openscout() -> Robot {
 
 const CURRENT: ChannelId = ChannelId::new(ChannelKind::Current, 0);
 
-/// Lets `driver` have the bus to itself, a transfer in each millisecond, until it has a reading.
+/// Runs `driver` alone on the bus, a transfer in each millisecond, until it has a reading.
 fn read(driver: &mut AnyDriver, bus: &mut I2cBus, address: u8, mut pass: impl FnMut(u64)) -> ([f32; 6], Quality) {
     let mut now_ns = 0;
     for _ in 0..1000 {
@@ -52,7 +52,7 @@ fn read(driver: &mut AnyDriver, bus: &mut I2cBus, address: u8, mut pass: impl Fn
         } else {
             bus.execute(now_ns, address, &mut [Operation::Write(exchange.written()), Operation::Read(&mut bytes)])
         };
-        // The longest that a stop may have to wait for.
+        // longest time that a stop may have to wait
         let done = done.unwrap();
         assert!(done.end_ns - done.start_ns <= 450_000, "{exchange:?}");
         now_ns += MS;
@@ -79,13 +79,14 @@ fn an_icm_20948_gives_what_it_feels_at_every_full_scale() {
             let pass = |now_ns: u64| chip.borrow_mut().feel(100 * MS + now_ns, truth);
             let mut driver = AnyDriver::new(&config);
             read(&mut driver, &mut bus, ADDRESS, pass);
-            // The first sample is of a filter that has not settled: at 5 Hz it is one of 5.7 Hz, and 1 s is 36 time constants.
+            // The first sample is of an unsettled filter: at 5 Hz it is one of 5.7 Hz, and 1 s is 36 time constants.
             chip.borrow_mut().feel(2000 * MS, truth);
             let (values, quality) = read(&mut driver, &mut bus, ADDRESS, |now_ns| {
                 chip.borrow_mut().feel(2000 * MS + now_ns, truth);
             });
             assert_eq!(quality, Quality::Good);
-            // Five standard deviations behind the widest filter, 151.8 Hz or 246 Hz, and a count at the largest full scale.
+            // five standard deviations behind the widest filter, 151.8 Hz or 246 Hz, plus a count at the largest full
+            // scale
             for (axis, value) in values.iter().enumerate() {
                 let (expected, tolerance) = if axis < 3 {
                     (truth.acceleration_m_s2[axis], 5.0 * 230e-6 * 9.8 * 19.7 + 0.005)
@@ -114,7 +115,7 @@ fn an_ina226_gives_current_and_voltage_for_every_shunt() {
             let pass = |now_ns| chip.borrow_mut().feel(now_ns, inputs);
             let (values, quality) = read(&mut driver, &mut bus, 0x45, pass);
             assert_eq!(quality, Quality::Good);
-            // Half a count of 2.5 uV and of 1.25 mV, and the rounding of f32.
+            // half a count of 2.5 uV and of 1.25 mV, and the rounding of f32
             let tolerance_a = 1.25e-6 / f64::from(shunt_ohm) + 1e-6 * current_a.abs();
             assert!((f64::from(values[0]) - current_a).abs() < tolerance_a, "{values:?}");
             assert!((f64::from(values[1]) - 12.34).abs() < 0.000_63, "{values:?}");
@@ -144,7 +145,7 @@ fn an_as5600_gives_the_angle_of_its_magnet_with_every_filter() {
             let mut now_ns = 0;
             for angle_rad in [0.0, 1.0, 3.2, 6.2, -0.01, 400.0] {
                 let from_ns = now_ns;
-                // It jumps there, and 20 ms are nine settling times of the slowest filter.
+                // the magnet jumps there, and 20 ms are nine settling times of the slowest filter
                 chip.borrow_mut().feel(from_ns + 1, angle_rad);
                 chip.borrow_mut().feel(from_ns + 20 * MS, angle_rad);
                 let (values, quality) = read(&mut driver, &mut bus, 0x36, |passed_ns| {
@@ -156,7 +157,7 @@ fn an_as5600_gives_the_angle_of_its_magnet_with_every_filter() {
                     continue;
                 }
                 let error = (f64::from(values[0]) - angle_rad + PI).rem_euclid(TAU) - PI;
-                // A count, for it is rounded down, and five deviations; three times as much of a weak magnet.
+                // a count, since it is rounded down, and five deviations; three times as much for a weak magnet
                 let noise = if magnet == Magnet::Weak { 15.0 } else { 5.0 };
                 let tolerance = TAU / 4096.0 + noise * deviation_deg.to_radians();
                 assert!(error.abs() < tolerance, "{averages}, {magnet:?}: {} for {angle_rad}", values[0]);
@@ -210,7 +211,7 @@ fn a_current_monitor_follows_its_supply() {
                     truth[index] += exact[index].unwrap() / 50.0;
                 }
             }
-            // Samples are of other moments than the truth is: the loops move the current by a few per cent.
+            // samples and truth are of different times: the loops change the current by a few per cent
             assert!((measured[0] - truth[0]).abs() < 0.02 + 0.1 * truth[0].abs(), "{measured:?}, {truth:?}");
             assert!((measured[1] - truth[1]).abs() < 0.02, "{measured:?}, {truth:?}");
             assert!(left == 0.0 || truth[0] > 0.2, "turning takes a current: {truth:?}");
@@ -218,7 +219,7 @@ fn a_current_monitor_follows_its_supply() {
     });
 }
 
-/// The newest sample of `imu0`.
+/// Newest sample of `imu0`: values, age in ms, quality.
 async fn imu(bench: &Bench<'_>) -> ([f64; 6], u16, Quality) {
     match sample(bench, IMU).await {
         Sample::Sensor { values, age_ms, quality, .. } => (values.map(f64::from), age_ms, quality),
@@ -247,13 +248,14 @@ fn an_imu_follows_the_body() {
             let mut mean = [0.0; 6];
             for _ in 0..mean_of {
                 let (values, age_ms, quality) = imu(bench).await;
-                // 100 readings a second, each told within 5 ms.
+                // 100 readings a second, each sent within 5 ms
                 assert!(quality == Quality::Good && age_ms <= 20, "{quality}, {age_ms} ms");
                 mean.iter_mut().zip(values).for_each(|(mean, value)| *mean += value / f64::from(mean_of));
             }
             let yaw_rad_s = bench.board.world().twist().expect("it has a body").yaw_rad_s;
             assert!(yaw_rad_s.abs() > 0.5, "it turns: {yaw_rad_s} rad/s");
-            // Noise is 1.6 mrad/s and 0.014 m/s2, less in the mean; how the turn varies by its wheels' loops is more.
+            // Noise is 1.6 mrad/s and 0.014 m/s2, less in the mean; the variation of the turn by the wheels' loops is
+            // larger.
             let rate = mean[5] - mounting.rate_bias_rad_s[2];
             assert!((rate - yaw_rad_s).abs() < 0.02, "{rate} rad/s, {yaw_rad_s} rad/s");
             let up = mean[2] - mounting.acceleration_bias_m_s2[2];
@@ -267,14 +269,14 @@ fn inject(bench: &Bench<'_>, disturbance: Disturbance) {
     bench.board.world().bus.inject(Injection { disturbance, span, address: Some(ADDRESS) });
 }
 
-/// Each fault shows on the channel and nowhere else, and the sensor comes back by itself: it is asked again each second, and takes
-/// 0.2 s to set up.
+/// A fault affects only its channel, and the sensor recovers by itself: it is addressed again each second, and its
+/// set-up takes 0.2 s.
 #[test]
 fn a_sensor_that_fails_is_told_of_and_stops_nothing() {
     type Change = fn(&Bench<'_>);
     let broken: [(Change, Change, Quality, u64); 4] = [
         (|bench| inject(bench, Disturbance::AddressNack), |bench| bench.device().free_bus(), Quality::NoAnswer, 500),
-        // It holds the bus when it is addressed, until it is clocked.
+        // it holds the bus when addressed, until it is clocked
         (
             |bench| inject(bench, Disturbance::StuckLow { persistent: false }),
             |bench| bench.device().free_bus(),
@@ -287,7 +289,7 @@ fn a_sensor_that_fails_is_told_of_and_stops_nothing() {
             Quality::Stale,
             500,
         ),
-        // Asleep after the loss of its supply, and another chip when it is asked again.
+        // asleep after the loss of its supply, and another chip at the next address
         (
             |bench| {
                 let now_ns = bench.clock.now_ns();
@@ -317,7 +319,7 @@ fn a_sensor_that_fails_is_told_of_and_stops_nothing() {
             bench.sleep_ms(1500).await;
         }
         assert_eq!(imu(bench).await.2, Quality::Good);
-        // A wheel has not stopped meanwhile.
+        // the wheels did not stop meanwhile
         let speed = bench.board.world().speed(ChannelId::new(ChannelKind::Dhb, 0)).unwrap();
         assert!((speed - 3.0).abs() < 0.2, "{speed} rad/s");
     });
@@ -342,12 +344,12 @@ fn a_number_at_the_end_of_its_range_is_told() {
     bench(&robot, async |bench| {
         bench.sleep_ms(1000).await;
         let (values, _, quality) = imu(bench).await;
-        // 4 g.
+        // 4 g, the end of the range
         assert!(quality == Quality::Saturated && (values[1] + 39.2266).abs() < 0.01, "{values:?}, {quality}");
     });
 }
 
-/// Every write to the output chips and every reading back, with its time, is as with sensors that are not plugged in, which are asked three
+/// Writes to the output chips and read-backs have the same times as with unplugged sensors, which are addressed three
 /// times a second.
 #[test]
 fn outputs_have_the_bus_when_they_would_have_it_without_a_sensor() {
@@ -356,7 +358,7 @@ fn outputs_have_the_bus_when_they_would_have_it_without_a_sensor() {
             bench.sleep_ms(500).await;
             bench.device().record_wire();
             bench.host.arm().await.unwrap();
-            // Duties, which nothing that is measured changes: looking at the world more often rounds it otherwise.
+            // duties, which do not depend on measurements: sampling the world more often changes its rounding
             for duty in [0.4, -0.6, 0.2, 0.9] {
                 for index in 0..4 {
                     bench.set(ChannelId::new(ChannelKind::Dhb, index), Mode::Duty, duty).await.unwrap();
@@ -375,7 +377,7 @@ fn outputs_have_the_bus_when_they_would_have_it_without_a_sensor() {
     robot.simulation.currents.clear();
     let without: Vec<_> = wire(&robot).into_iter().filter(|record| !is_sensor(record.address)).collect();
     let (sensors, outputs): (Vec<_>, Vec<_>) = with.into_iter().partition(|record| is_sensor(record.address));
-    // 1.1 s, 100 readings a second of two transfers, and 50 of three.
+    // 1.1 s, 100 readings a second of two transfers, and 50 of three
     assert!((340..=420).contains(&sensors.len()), "{}", sensors.len());
     assert!(outputs.len() > 400, "{}", outputs.len());
     let differs = outputs.iter().zip(&without).find(|(with, without)| with != without);
@@ -384,7 +386,7 @@ fn outputs_have_the_bus_when_they_would_have_it_without_a_sensor() {
 
 const FORCE: ChannelId = ChannelId::new(ChannelKind::Force, 0);
 
-/// Half of what its gain leaves of 500 mV/V, and what a force of that is in N for 24.5 N in each mV/V.
+/// Half of the range that the gain leaves of 500 mV/V, and the force of it, N, at 24.5 N per mV/V.
 #[test]
 fn an_nau7802_gives_the_force_at_every_gain_and_rate() {
     for gain in [1, 2, 4, 8, 16, 32, 64, 128] {
@@ -398,13 +400,13 @@ fn an_nau7802_gives_the_force_at_every_gain_and_rate() {
             for share in [0.5, -0.5] {
                 let mv_v = 0.125 + share * 500.0 / f64::from(gain);
                 let from_ns = chip.borrow().felt_ns();
-                // After a step, as much time as the filter takes: ten periods of the slowest rate.
+                // after a step, the settling time of the filter: ten periods of the slowest rate
                 chip.borrow_mut().feel(from_ns + 1000 * MS, mv_v);
                 let pass = |now_ns| chip.borrow_mut().feel(from_ns + 1000 * MS + now_ns, mv_v);
                 let (values, quality) = read(&mut driver, &mut bus, 0x2A, pass);
                 assert_eq!(quality, Quality::Good);
                 let newtons = share * 500.0 / f64::from(gain) * 24.5;
-                // Five deviations of the model's noise at this rate, of an input that is fed with 3 V, and f32.
+                // five standard deviations of the model's noise at this rate, for an input fed with 3 V, plus f32
                 let noise_v = 50e-9_f64.hypot(1.5e-6 / f64::from(gain)) * (f64::from(rate_hz) / 10.0).sqrt();
                 let tolerance_n = 5.0 * noise_v / 3.0 * 1e3 * 24.5 + 1e-6 * newtons.abs();
                 let error_n = (f64::from(values[0]) - newtons).abs();
@@ -415,7 +417,7 @@ fn an_nau7802_gives_the_force_at_every_gain_and_rate() {
     }
 }
 
-/// Beyond its range it says so, and what else is at its address is not taken for it.
+/// Beyond its range the quality says so, and another chip at its address is rejected.
 #[test]
 fn an_nau7802_tells_what_it_cannot_measure() {
     let config = Nau7802Config { gain: 128, newtons_per_mv_v: 24.5, zero_mv_v: 0.0 };
@@ -448,7 +450,7 @@ fn an_nau7802_tells_what_it_cannot_measure() {
     panic!("it was taken for an NAU7802");
 }
 
-/// `openscout` with a load cell of 100 N and 2 mV/V that is not what it is taken for.
+/// `openscout` with a load cell of 100 N and 2 mV/V whose true parameters differ from the configured ones.
 fn with_a_load_cell(newtons_per_mv_v: f64, zero_mv_v: f64, noise_n: f64) -> Robot {
     let mut robot = openscout();
     let chip = SensorChip::Nau7802(Nau7802Config { gain: 128, newtons_per_mv_v: 50.0, zero_mv_v: 0.0 });
@@ -465,11 +467,11 @@ async fn force(bench: &Bench<'_>) -> (f64, u16, Quality) {
     }
 }
 
-/// A cell that gives 48 N for what the board takes for 50 N, with 0.02 mV/V at rest: 60 N look like 63.5 N.
+/// A cell that gives 48 N where the board assumes 50 N, with 0.02 mV/V at rest: 60 N are read as 63.5 N.
 #[test]
 fn a_load_cell_is_read_80_times_a_second_as_the_board_takes_it_to_be() {
     bench(&with_a_load_cell(48.0, 0.02, 0.05), async |bench| {
-        // Regulator, calibration and settling.
+        // time for regulator, calibration and settling
         bench.sleep_ms(1000).await;
         let mut mean_n = 0.0;
         for _ in 0..50 {
@@ -479,7 +481,7 @@ fn a_load_cell_is_read_80_times_a_second_as_the_board_takes_it_to_be() {
             bench.sleep_ms(10).await;
         }
         let expected_n = 50.0 * (0.02 + 60.0 / 48.0);
-        // Five deviations of the mean of some 40 conversions of 0.05 N.
+        // five standard errors of the mean of some 40 conversions of 0.05 N
         assert!((mean_n - expected_n).abs() < 5.0 * 0.05 / 40_f64.sqrt(), "{mean_n} N, not {expected_n} N");
     });
 }
@@ -489,7 +491,7 @@ fn a_load_cell_that_fails_is_told_of_and_comes_back() {
     type Change = fn(&mut Nau7802);
     let broken: [(Change, Change, Quality, u64); 2] = [
         (|chip| chip.set_hung(true), |chip| chip.set_hung(false), Quality::Stale, 500),
-        // It has lost its supply: off, it is set up again, and then it is another one.
+        // supply lost: the chip is off, is set up again, and then it is another one
         (
             |chip| {
                 chip.set_revision(0);
@@ -511,7 +513,7 @@ fn a_load_cell_that_fails_is_told_of_and_comes_back() {
             bench.sleep_ms(2500).await;
             let (newtons, _, quality) = force(bench).await;
             assert_eq!(quality, Quality::Good, "after {expected}");
-            // Noise of a conversion is 1.2 mN, and f32.
+            // noise of a conversion is 1.2 mN, plus f32
             assert!((newtons - 60.0).abs() < 0.02, "{newtons} N after {expected}");
         }
     });
@@ -519,7 +521,7 @@ fn a_load_cell_that_fails_is_told_of_and_comes_back() {
 
 const DISTANCE: ChannelId = ChannelId::new(ChannelKind::Distance, 0);
 
-/// Lets `driver` have the bus until `count` readings, a transfer in each millisecond; `pass` gets the time.
+/// Runs `driver` on the bus until `count` readings, a transfer in each millisecond; `pass` gets the time.
 fn readings(
     driver: &mut AnyDriver,
     bus: &mut I2cBus,
@@ -551,7 +553,7 @@ fn readings(
     panic!("only {} readings", all.len());
 }
 
-/// Also a chip that still ranges as it was told before the board was restarted.
+/// Includes a chip that still measures by its settings of before the board's restart.
 #[test]
 fn a_vl6180x_gives_the_distance_at_every_rate() {
     for rate_hz in [1, 2, 4, 5, 10, 20, 25, 50] {
@@ -567,13 +569,13 @@ fn a_vl6180x_gives_the_distance_at_every_rate() {
             let pass = |now_ns| chip.borrow_mut().feel(from_ns + now_ns, target);
             let all = readings(&mut driver, &mut bus, 0x29, 10, pass);
             for (_, shown_m, quality) in &all {
-                // 3 mm of offset; five deviations of 1 mm up to 50 mm, and a count.
+                // 3 mm of offset; five deviations of 1 mm up to 50 mm, and a count
                 let tolerance_m = 5e-3 * (distance_m / 0.05).max(1.0) + 0.5e-3;
                 assert_eq!(*quality, Quality::Good);
                 assert!((f64::from(*shown_m) - distance_m - 0.003).abs() < tolerance_m, "{shown_m} at {distance_m} m");
             }
             let took_s = (all[9].0 - all[0].0) as f64 * 1e-9;
-            // Looked at each millisecond.
+            // sampled each millisecond
             assert!((took_s - 9.0 / f64::from(rate_hz)).abs() < 0.003, "{rate_hz} Hz: {took_s} s");
         }
         assert_eq!(chip.borrow().misuse().first(), []);
@@ -616,14 +618,14 @@ fn a_distance_sensor_is_read_and_comes_back_after_the_loss_of_its_supply() {
             other => panic!("{other:?}"),
         };
         let near = |(metres, _, quality): (f64, u16, Quality)| {
-            // Five deviations of 1 mm, and half a count.
+            // five deviations of 1 mm, and half a count
             assert!(quality == Quality::Good && (metres - 0.04).abs() < 5.5e-3, "{metres} m, {quality}");
         };
         bench.sleep_ms(600).await;
         for _ in 0..20 {
             let sample = read().await;
             near(sample);
-            // Each 50 ms, and three transfers and the frame of telemetry.
+            // period of 50 ms, plus three transfers and the telemetry frame
             assert!(sample.1 <= 60, "{} ms", sample.1);
             bench.sleep_ms(23).await;
         }

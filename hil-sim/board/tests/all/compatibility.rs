@@ -1,4 +1,4 @@
-//! Hosts of the versions that are no longer spoken, by what they were recorded to say: the board tells them so, and nothing moves.
+//! Hosts of unsupported protocol versions, with recorded traffic: the board reports the mismatch, and nothing moves.
 
 use crate::harness::{Device, RawHost, osmc_bench, raw_bench};
 use r4_protocol::{Refusal, Reply, SCHEMA_HASH, SafetyState, ToHost, VERSION};
@@ -20,7 +20,7 @@ fn nothing_moved(device: &Device) {
     }
 }
 
-/// What the board says in the next 2 ms to `bytes`.
+/// Messages of the board in the 2 ms after `bytes`.
 async fn heard(host: &mut RawHost, bytes: &[u8]) -> Vec<ToHost> {
     host.send_bytes(bytes).await;
     host.listen(2).await
@@ -33,13 +33,13 @@ fn a_host_of_version_4_is_told_the_boards_version() {
         let [hello] = &rows(SESSION, "hello")[..] else { panic!("one row") };
         let told = heard(host, hello).await;
         assert_eq!(told, [ToHost::Response { seq: 0, result: Err(mismatch()) }]);
-        // And goes on as if it had heard nothing: arms, commands half of the supply.
+        // then continues as if the refusal had not arrived: arms, commands half of the supply
         let said = rows(SESSION, "host");
         assert!(said.len() > 10, "a whole session");
         for bytes in said {
             for message in heard(host, &bytes).await {
                 let ToHost::Response { result, .. } = message else { panic!("{message:?} without a session") };
-                // The goodbye at the end is taken, from whoever it is.
+                // the goodbye at the end is accepted from any host
                 let refused = matches!(result, Err(Refusal::NoSession | Refusal::UnknownMessage) | Ok(Reply::Done));
                 assert!(refused || result == Err(mismatch()), "{result:?}");
             }
@@ -49,7 +49,7 @@ fn a_host_of_version_4_is_told_the_boards_version() {
     });
 }
 
-/// Not an error of the host, who is one of today: bytes that another one left on the line, or a recording that is played.
+/// The messages reach a session of a current host: bytes that another host left on the line, or a replayed recording.
 #[test]
 fn no_message_of_an_older_version_moves_anything() {
     raw_bench(&osmc_bench(), async |host, device| {
@@ -63,7 +63,7 @@ fn no_message_of_an_older_version_moves_anything() {
                     let ToHost::Response { result, .. } = message else { panic!("{message:?} to {bytes:02x?}") };
                     answers += 1;
                     match result {
-                        // Commands have another checksum, and no version has the requests of all others.
+                        // commands have another checksum, and no version has the requests of all others
                         Err(Refusal::NoSession | Refusal::UnknownMessage) => {}
                         Ok(Reply::Done) => done += 1,
                         Err(refusal) => assert_eq!(refusal, mismatch()),
@@ -72,7 +72,7 @@ fn no_message_of_an_older_version_moves_anything() {
                 }
                 nothing_moved(device);
             }
-            // Stop and goodbye; heartbeats and cycles are not answered.
+            // stop and goodbye; heartbeats and cycles are not answered
             assert_eq!(done, 2, "version {version}");
             assert!(answers > 20 && answers < said.len(), "version {version}: {answers} answers to {}", said.len());
         }
@@ -80,7 +80,7 @@ fn no_message_of_an_older_version_moves_anything() {
     });
 }
 
-/// What boards say to hosts is no message to a board.
+/// Messages from boards to hosts are not accepted by a board.
 #[test]
 fn no_answer_of_an_older_version_moves_anything() {
     raw_bench(&osmc_bench(), async |host, device| {

@@ -1,7 +1,7 @@
-//! What the control loops do on the simulated bench: speeds held, loads held, ends of travel kept, commands and gains
-//! changed under way, motors other than the one the gains were tried on, feedback lost.
+//! Control loops on the simulated bench: speeds and loads held, ends of travel kept, commands and gains changed during
+//! motion, other motors than the one the gains were tuned on, loss of feedback.
 //!
-//! Positions and speeds are the world's true ones, the duty is the one the board reports. Times are virtual.
+//! Positions and speeds are the world's true ones, the duty is the reported one. Times are virtual.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -24,33 +24,35 @@ use rand_pcg::{
     rand_core::{Rng, SeedableRng},
 };
 
-/// One encoder count of the bench, rad: the firmware knows the shaft no better.
+/// One encoder count of the bench, rad: the resolution of the firmware's position.
 const COUNT_RAD: f64 = TAU / 2400.0;
-/// The bench's settle error: how far from its target a motor may come to rest.
+/// Settle error of the bench, rad: largest distance from its target at which a motor may rest.
 const SETTLE_RAD: f64 = 0.0027;
-/// How far a load may slip until it is held, where its set point comes again and again.
+/// Largest slip of a load until it is held, rad, with a repeated set point.
 const SLIP_RAD: f64 = 4.0 * COUNT_RAD;
-/// The same of a load that is carried to a place and held there, whenever it came: 0.1 to 5.2 counts were seen in 40 moments 50 us apart.
+/// Largest slip of a load that is moved to a position and held there, rad: 0.1 to 5.2 counts were measured in 40 runs
+/// with start times 50 us apart.
 const LOADED_SLIP_RAD: f64 = 5.5 * COUNT_RAD;
-/// The most a duty may change in one period of 1 ms at the bench's 20 a second.
+/// Largest change of duty in one period of 1 ms at the bench's 20 a second.
 const SLEW_STEP: f32 = 0.020;
 /// Rounding of a duty near 1 in f32, several times.
 const DUTY_ROUNDING: f32 = 1e-6;
-/// Between directions the bridge rests with duty 0: the period in which the low side goes off, then two PWM periods of
-/// 0.66 ms, which the control loop sees as up to two of its own. The loop's output moves on meanwhile.
+/// Periods for which the bridge rests with duty 0 between directions: the period in which the low side goes off, then
+/// two PWM periods of 0.66 ms, which the control loop sees as up to two of its own. The loop's output continues to
+/// change meanwhile.
 const REST_PERIODS: f32 = 3.0;
 
-/// What the board reported of a motor.
+/// Reported state of a motor at one time.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
     at_us: u64,
     setpoint: Setpoint,
-    /// rad or m
+    /// Reported position, rad or m.
     position: f64,
     duty: f32,
 }
 
-/// Keeps what the board reports of a motor each millisecond.
+/// Records the reports of a motor each millisecond.
 struct Recorder {
     stream: TelemetryStream,
     channel: ChannelId,
@@ -66,7 +68,7 @@ impl Recorder {
         Self { stream, channel, resolution, seen: Vec::new() }
     }
 
-    /// Lets `ms` pass.
+    /// Records for `ms` milliseconds.
     async fn run(&mut self, bench: &Bench<'_>, ms: u64) {
         for second in 0..ms.div_ceil(1000) {
             bench.sleep_ms((ms - second * 1000).min(1000)).await;
@@ -84,8 +86,8 @@ impl Recorder {
         assert_eq!(self.stream.dropped(), 0);
     }
 
-    /// By how much the duty changed beyond its slew limit, at worst. It may always fall to 0, and after a rest between
-    /// directions it is where the loop has got to meanwhile.
+    /// Largest excess of a duty change over the slew limit. The duty may always fall to 0, and after a rest between
+    /// directions it continues at the loop's output.
     fn worst_beyond_slew(&self) -> f32 {
         let pairs = self.seen.windows(2);
         pairs.map(|pair| beyond_slew(&pair[0], &pair[1])).fold(0.0, f32::max)
@@ -99,7 +101,7 @@ impl Recorder {
 }
 
 fn beyond_slew(before: &Seen, after: &Seen) -> f32 {
-    // A sample held up by an answer may see two periods.
+    // a sample delayed by an answer may cover two periods
     let periods = (after.at_us - before.at_us).div_ceil(1000) as f32;
     match (before.duty == 0.0, after.duty == 0.0) {
         (_, true) => 0.0,
@@ -108,14 +110,14 @@ fn beyond_slew(before: &Seen, after: &Seen) -> f32 {
     }
 }
 
-/// The bench's rotary motor with these effects on top.
+/// The bench's rotary motor with additional effects.
 fn motor_with(robot: &Robot, effects: &[Effect]) -> Plant {
     let mut spec = plant(robot, ROTARY);
     effects.iter().for_each(|effect| spec.push_effect(*effect).unwrap());
     Plant::new(&spec, 1)
 }
 
-/// Largest distance of a motor from `place` in the next `ms`, looking each millisecond.
+/// Largest distance of a motor from `place` in the next `ms`, sampled each millisecond.
 async fn farthest_from(bench: &Bench<'_>, channel: ChannelId, place: f64, ms: u64) -> f64 {
     let mut farthest = 0.0;
     for _ in 0..ms {
@@ -125,7 +127,7 @@ async fn farthest_from(bench: &Bench<'_>, channel: ChannelId, place: f64, ms: u6
     farthest
 }
 
-/// A number in a range, from the seed on the same on every machine.
+/// A random number in a range, the same on every machine for a seed.
 fn draw(random: &mut Pcg64, low: f64, high: f64) -> f64 {
     low + (high - low) * f64::from(random.next_u32()) / f64::from(u32::MAX)
 }
@@ -137,7 +139,7 @@ fn a_speed_is_reached_and_held_through_zero_and_at_zero() {
         let mut report = Vec::new();
         for speed in [1.0, 2.0, -1.5] {
             bench.set(ROTARY, Mode::Speed, speed as f32).await.unwrap();
-            // The path takes at most 0.35 s at 10 rad/s², the integral 1/ki to load: 2 s are several times both.
+            // the path takes at most 0.35 s at 10 rad/s², the integral 1/ki to load: 2 s are several times both
             bench.sleep_ms(2000).await;
             for _ in 0..2 {
                 let before = bench.position(ROTARY);
@@ -145,45 +147,45 @@ fn a_speed_is_reached_and_held_through_zero_and_at_zero() {
                 report.push((speed, bench.position(ROTARY) - before));
             }
         }
-        // 3 %: a count more or less in a second is 0.3 %; the rest is for ripple of the measured speed.
+        // 3 %: one count more or less in a second is 0.3 %; the rest is for ripple of the measured speed
         assert!(report.iter().all(|(wanted, mean)| (mean / wanted - 1.0).abs() < 0.03), "wanted, mean: {report:?}");
 
         bench.set(ROTARY, Mode::Speed, 0.0).await.unwrap();
-        // What it came to rest with is let go with a second of time constant, down to 0.01.
+        // the duty at rest is released with a time constant of a second, down to 0.01
         bench.sleep_ms(6000).await;
         let place = bench.position(ROTARY);
         for _ in 0..1000 {
             bench.sleep_ms(1).await;
             assert_eq!(bench.device().duty(ROTARY), 0.0);
         }
-        // It brakes with a time constant of 70 ms: by then nothing is left but rounding.
+        // it brakes with a time constant of 70 ms: by then only rounding remains
         assert!((bench.position(ROTARY) - place).abs() < 1e-6, "{}", bench.position(ROTARY) - place);
     });
 }
 
 #[test]
 fn a_settled_motor_holds_a_load_and_lets_go_where_friction_holds_it() {
-    // With friction 0.05 N m it takes duty 0.60 to keep the load from falling and 0.64 to lift it, with 0.18 N m 0.67 to
-    // lift it: all below the 0.8 that counts as a stall.
+    // With friction 0.05 N m, duty 0.60 keeps the load from falling and 0.64 lifts it, with 0.18 N m 0.67 lifts it: all
+    // below the 0.8 that counts as a stall.
     let load = Effect::ConstantLoad(ConstantLoad { force: 0.15 });
-    // At moments across two control periods.
+    // start times spread over two control periods
     let moments = (0..20).map(|number| 100_000 * number);
     let cases = [(0.05, true), (0.18, false)];
     for (after_ns, (friction_nm, needs_duty)) in moments.flat_map(|after_ns| cases.map(|case| (after_ns, case))) {
         let robot = osmc_bench();
         bench(&robot, async |bench| {
             let friction = Effect::CoulombFriction(CoulombFriction { level: friction_nm });
-            // Nothing holds the load before the motors' supply is on: it comes once that is.
+            // nothing holds the load before the motors' supply is on, so it is applied after that
             bench.host.arm().await.unwrap();
             bench.clock.sleep(100 * MS + after_ns).await;
             bench.board.world().set_plant(ROTARY, motor_with(&robot, &[load, friction]));
             bench.host.move_to(ROTARY, 1.0, 10.0).await.unwrap_or_else(|e| panic!("friction {friction_nm} N m: {e}"));
             let farthest = farthest_from(bench, ROTARY, 1.0, 20_000).await;
-            // It slips once, before its duty stays what the load takes.
+            // it slips once, before its duty stays at the load's
             assert!(farthest <= LOADED_SLIP_RAD, "friction {friction_nm} N m, {after_ns} ns: {farthest} rad away");
             let duty = bench.device().duty(ROTARY);
             if after_ns > 0 {
-                // At some of these moments it has just slipped, and takes hold again: seen 0.49.
+                // at some of these times it has just slipped, and is being caught: 0.49 was measured
                 assert!(duty < 0.66, "friction {friction_nm} N m, {after_ns} ns: {duty}");
             } else if needs_duty {
                 assert!((0.59..0.66).contains(&duty), "{duty}");
@@ -208,9 +210,9 @@ fn no_mode_drives_beyond_the_end_of_travel() {
         bench.host.arm().await.unwrap();
         let mut recorder = Recorder::start(bench, ROTARY).await;
         let mut report = Vec::new();
-        // The motor brakes with a time constant of 70 ms. Speed mode slows down before the end, at 10 rad/s²; below
-        // 0.7 rad/s the brake alone cannot keep that pace, and 0.7 rad/s · 70 ms are 0.05 rad, the loop's lag as much
-        // again. Duty mode runs into the end at full speed: 2.8 rad/s · 70 ms are 0.20 rad, and two periods.
+        // The motor brakes with a time constant of 70 ms. Speed mode slows down before the end, at 10 rad/s²; below 0.7
+        // rad/s the brake alone cannot decelerate as fast, and 0.7 rad/s · 70 ms are 0.05 rad, the loop's lag as much
+        // again. Duty mode runs into the end at full speed: 2.8 rad/s · 70 ms are 0.20 rad, plus two periods.
         for (mode, value, limit_rad) in [(Mode::Speed, 2.0, 0.10), (Mode::Duty, 0.9, 0.21)] {
             for sign in [1.0, -1.0] {
                 let inward = bench.position(ROTARY);
@@ -221,14 +223,14 @@ fn no_mode_drives_beyond_the_end_of_travel() {
                     beyond = beyond.max(bench.position(ROTARY) * f64::from(sign) - 1.0);
                 }
                 report.push((mode, sign, beyond));
-                // From the end it must get away at once: it is at the end, and was at the other before.
+                // it must get away from the end at once: it is at this end, and was at the other before
                 assert!(bench.position(ROTARY) * f64::from(sign) > 0.95, "{mode} {sign}: {}", bench.position(ROTARY));
                 assert!(inward * f64::from(sign) < 0.05, "{inward}");
                 assert_eq!(bench.device().duty(ROTARY), 0.0, "{mode} {sign}: stands at the end");
                 assert!(beyond < limit_rad, "mode, direction, rad beyond: {report:?}");
             }
         }
-        // At the end in the last direction. The speed loop has to integrate over the dead-band first, there as anywhere.
+        // At the end in the last direction. The speed loop first has to integrate over the dead-band, as anywhere.
         for (mode, value) in [(Mode::Speed, 1.0), (Mode::Duty, 0.8)] {
             let from = bench.position(ROTARY);
             bench.set(ROTARY, mode, value).await.unwrap();
@@ -253,7 +255,8 @@ fn a_load_held_at_the_end_of_travel_is_held_steadily() {
         bench.set(ROTARY, Mode::Position, 1.0).await.unwrap();
         let mut recorder = Recorder::start(bench, ROTARY).await;
         recorder.run(bench, 10_000).await;
-        // A nudge outwards, beyond the end: the duty goes, and comes back with the load at no more than its slew limit.
+        // A push outwards, beyond the end: the duty falls to 0, and returns to the load's at no more than its slew
+        // limit.
         bench.board.world().set_position(ROTARY, 1.001);
         recorder.run(bench, 10_000).await;
         recorder.assert_slew("holding a load at the end");
@@ -263,13 +266,13 @@ fn a_load_held_at_the_end_of_travel_is_held_steadily() {
 
 #[test]
 fn gains_change_without_a_bump_while_moving() {
-    /// The first change, while the motor is still far behind its path; then one every half second.
+    /// Time of the first change, ms, while the motor is still far behind its path; then one every half second.
     const FIRST_MS: u64 = 300;
     let mut robot = osmc_bench();
-    // The duty cap gives 2.8 rad/s: at 2 there is room for the loop to work.
+    // the duty cap gives 2.8 rad/s: at 2 the loop has a margin
     control_of(&mut robot.config, 0).profile.speed = 2.0;
     let config = *control_of(&mut robot.config, 0);
-    // Each millisecond of the motion: duty, and distance from the path.
+    // for each millisecond of the motion: duty, and distance from the path
     let run = |changes: &[PidGains]| {
         bench(&robot, async |bench| {
             bench.host.arm().await.unwrap();
@@ -286,7 +289,7 @@ fn gains_change_without_a_bump_while_moving() {
             path.start(12.0, 0.0);
             let moving = recorder.seen.iter().skip_while(|seen| seen.setpoint.mode != Mode::Position);
             let seen = moving.map(|seen| (seen.duty, 12.0 - f64::from(path.step().to_go) - seen.position));
-            // The path takes 6.2 s.
+            // the path takes 6.2 s
             seen.take(6000).collect::<Vec<_>>()
         })
     };
@@ -303,19 +306,20 @@ fn gains_change_without_a_bump_while_moving() {
     ] {
         let seen = run(&changed);
         let bump = (first - 5..first + 10).map(|ms| (seen[ms].0 - quiet[ms].0).abs()).fold(0.0, f32::max);
-        // How much farther from the path than without changes, at the same time.
+        // additional distance from the path compared with no changes, at the same time
         let worse = seen.iter().zip(&quiet).map(|(seen, quiet)| seen.1.abs() - quiet.1.abs()).fold(0.0, f64::max);
         report.push((what, bump, worse));
     }
-    // Bumpless, the duties only part as the loops do, with the ripple of the measured speed: 0.03 was seen. Twice kp at
-    // once would be 0.12 of duty here. The path suffers by some counts, where kd is more and damps or is none.
+    // With bumpless changes the duties differ only as the loops do, with the ripple of the measured speed: 0.03 was
+    // measured. Twice kp at once would be 0.12 of duty here. The path error grows by some counts where kd, which damps,
+    // changes.
     let good = |(_, bump, worse): &(_, f32, f64)| *bump < 0.04 && *worse < 0.03;
     assert!(report.iter().all(good), "bump of the duty, and rad farther from the path: {report:?}");
 }
 
-/// A radian at up to 17.9 rad/s², the full acceleration after 0, 50 and 100 ms, of one wheel whose robot the other three hold: the wheel
-/// slips, and what moves it is friction more than inertia. So its largest distance from its path is much the same with each, but where the
-/// acceleration jumps the duty does, too.
+/// A radian at up to 17.9 rad/s², the full acceleration after 0, 50 and 100 ms, of one wheel whose robot the other
+/// three hold: the wheel slips, and its motion depends on friction more than on inertia. Its largest distance from its
+/// path is therefore similar for each, but where the acceleration jumps the duty does, too.
 #[test]
 fn a_wheel_with_limited_jerk_is_driven_more_smoothly() {
     const WHEEL: ChannelId = ChannelId::new(ChannelKind::Dhb, 0);
@@ -338,14 +342,14 @@ fn a_wheel_with_limited_jerk_is_driven_more_smoothly() {
         let errors = seen[start..].iter().map(|seen| 1.0 - f64::from(path.step().to_go) - seen.position);
         let worst = errors.fold(0.0, |worst: f64, error| worst.max(error.abs()));
         assert_eq!(path.now().to_go, 0.0, "arrived");
-        // Of 10 ms: after the first of them, in which friction is overcome at once.
+        // from 10 ms on: after the period in which friction is overcome at once
         let moving = &seen[start + 20..];
         let steps = moving.iter().zip(&moving[10..]).map(|(before, after)| (after.duty - before.duty).abs());
         let step = steps.fold(0.0f32, f32::max);
         println!("{jerk} rad/s³, {duty_per_acceleration} duty s²/rad: {worst:.4} rad, {step:.3} of duty in 10 ms");
         (worst, step)
     };
-    // Without a feed-forward of acceleration, which is a model and lands by rules of its own.
+    // without an acceleration feed-forward, which is a model with rules of its own for landing
     let [jump, soft, softer] = [0.0, 358.0, 179.0].map(|jerk| run(jerk, 0.0));
     assert!((softer.0 / jump.0 - 1.0).abs() < 0.1, "{jump:?} {soft:?} {softer:?}");
     assert!(soft.1 < 1.05 * jump.1 && softer.1 < 1.05 * jump.1, "{jump:?} {soft:?} {softer:?}");
@@ -359,7 +363,7 @@ fn a_target_changed_under_way_is_reached_without_overshoot() {
         for name in ["random 1", "random 2", "random 3"] {
             all.push((name, 50, (0..60).map(|_| draw(&mut random, -5.0, 5.0)).collect()));
         }
-        // A joystick: small steps that the path never catches up with.
+        // a joystick: small steps that the path never catches up with
         all.push(("ramp", 50, (1..60).map(|step| 0.1 * f64::from(step)).collect()));
         all
     }
@@ -384,7 +388,7 @@ fn a_target_changed_under_way_is_reached_without_overshoot() {
                 recorder.run(bench, 1).await;
                 look(bench);
             }
-            // It starts at 0. What lies between the outermost targets may be passed; beyond them is overshoot.
+            // It starts at 0. Positions between the outermost targets may be passed; beyond them is overshoot.
             let (low, high) =
                 targets.iter().fold((0.0, 0.0), |(low, high), at| (f64::min(low, *at), f64::max(high, *at)));
             let overshoot = f64::max(low - lowest, highest - high) / (high - low);
@@ -440,18 +444,18 @@ fn travel_until_trip(robot: &Robot, cause: Cause) -> [f64; 2] {
 #[test]
 fn a_move_without_feedback_is_short() {
     let mut dead = osmc_bench();
-    // Plugged into a connector that nobody reads: the counter stands still.
+    // plugged into a connector that is not read: the counter does not change
     let Some(SimulatedSensor::Encoder { input, .. }) = &mut dead.simulation.motors[0].sensor else { unreachable!() };
     *input = 3;
     let mut reversed = osmc_bench();
     let Feedback::Encoder { inverted, .. } = &mut control_of(&mut reversed.config, 0).feedback else { unreachable!() };
     *inverted = true;
     let report = [travel_until_trip(&dead, Cause::Stalled), travel_until_trip(&reversed, Cause::EncoderImplausible)];
-    // From duty 0.8 on a dead sensor is seen after 300 ms, a reversed one after 150 ms and the 0.02 rad of a stall. The
-    // motor does 2.8 rad/s at most, and has 70 ms to get there: less than 0.84 and 0.44 rad. A period and some way
-    // below duty 0.8 come on top.
+    // From duty 0.8 on a dead sensor is detected after 300 ms, a reversed one after 150 ms and the 0.02 rad of a stall.
+    // The motor reaches 2.8 rad/s at most, with 70 ms: less than 0.84 and 0.44 rad. A period and some travel below duty
+    // 0.8 add to it.
     assert!(report[0][0] < 0.85 && report[1][0] < 0.50, "dead, reversed: rad until off and until run down: {report:?}");
-    // Off is coasting: this motor has almost no friction, and a time constant of 2.2 s.
+    // off is coasting: this motor has almost no friction, and a time constant of 2.2 s
     assert!(report.iter().all(|[off, rest]| rest - off < 2.2 * 2.8), "dead, reversed: {report:?}");
 }
 
@@ -484,7 +488,7 @@ fn a_motor_is_within_its_band_soon_after_its_path() {
         bench(&osmc_bench(), async |bench| {
             bench.host.arm().await.unwrap();
             bench.set(ROTARY, Mode::Position, target as f32).await.unwrap();
-            // At 2.5 rad/s and 10 rad/s²; a second for what is then left of dead-band and integral.
+            // at 2.5 rad/s and 10 rad/s²; a second for the remaining dead-band and integral
             bench.sleep_ms(((target / 2.5 + 0.25 + 1.0) * 1e3) as u64).await;
             report.push((target, farthest_from(bench, ROTARY, target, 3000).await));
         });
@@ -493,7 +497,7 @@ fn a_motor_is_within_its_band_soon_after_its_path() {
     assert!(report.iter().all(|(_, farthest)| *farthest <= band), "target, rad away a second after: {report:?}");
 }
 
-/// A motor and an actuator that are not the bench's.
+/// A motor and an actuator with parameters other than the bench's.
 struct Variant {
     motor: PlantSpec,
     supply_v: f64,
@@ -507,10 +511,10 @@ impl Variant {
         let supply_v = draw(random, 20.5, 29.0);
         let volts = supply_v * (0.902 - dead_zone).powf(exponent);
         let friction_share = draw(random, 0.0, 0.10);
-        // The profile runs at 2.5 rad/s: of the bench's kind is what reaches at least 2.6 rad/s at the duty cap, and the
-        // torque constant is what makes it so. With it go, by its square, inertia and viscous friction, so that the motor
-        // stays as quick (70 ms), and in proportion to the torque at the cap, Coulomb friction. In the plant's formula
-        // K (V - K w) / R = B w + T, with K behind the gear, that leaves w = V (1 - T R / K V) / (K (1 + B R / K²)).
+        // The profile runs at 2.5 rad/s, so a motor is comparable to the bench's if it reaches at least 2.6 rad/s at
+        // the duty cap, by its torque constant. Inertia and viscous friction scale with its square, so that the motor's
+        // time constant stays (70 ms), and Coulomb friction with the torque at the cap. In the plant's formula K (V - K
+        // w) / R = B w + T, with K behind the gear, this gives w = V (1 - T R / K V) / (K (1 + B R / K²)).
         let at_cap_rad_s = draw(random, 2.6, 3.2);
         let bench_k: f64 = 25.0 * 0.0293;
         let k = volts * (1.0 - friction_share) / (at_cap_rad_s * (1.0 + 0.03 * 0.6 / (bench_k * bench_k)));
@@ -538,7 +542,7 @@ impl Variant {
     }
 }
 
-/// Sends `channel` through `targets`; how far it was from the worst of them half a second after it said it was there.
+/// Sends `channel` through `targets`; returns its largest error half a second after it reported arrival.
 async fn worst_error(bench: &Bench<'_>, channel: ChannelId, targets: &[f64]) -> Result<f64, r4_driver::Error> {
     let mut worst = 0.0;
     for target in targets {
@@ -588,7 +592,7 @@ fn the_demo_s_set_points_are_reached_by_motors_other_than_the_bench_s() {
     );
 }
 
-/// A host that streams its set points sends the same one again and again.
+/// Repeated equal set points, as from a host that streams them, have no effect at rest.
 #[test]
 fn a_repeated_set_point_does_not_disturb_a_motor_at_rest() {
     let robot = osmc_bench();
@@ -621,7 +625,7 @@ fn speed_zero_holds_a_load() {
         bench.sleep_ms(2000).await;
         let from = bench.position(ROTARY);
         bench.sleep_ms(20_000).await;
-        // Before it was held it sank by 0.1 rad/s, 2 rad in this time.
+        // before this was held it sank at 0.1 rad/s, 2 rad in this time
         assert!((bench.position(ROTARY) - from).abs() < 0.05, "{}", bench.position(ROTARY) - from);
         assert_eq!(bench.safety().await.0, SafetyState::Armed);
     });

@@ -1,6 +1,6 @@
-//! The drivers of the DAC and of servos, and the rules of brushless drives and servos, against the models of the chips.
+//! Drivers of the DAC and of servos, and the rules of brushless drives and servos, against the models of the chips.
 //!
-//! Bytes and bits are those of the MCP4728 and PCA9685 datasheets; the drivers' own constants are not used.
+//! Bytes and bits are literal values of the MCP4728 and PCA9685 datasheets; the drivers' own constants are not used.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::{cell::RefCell, rc::Rc};
@@ -36,14 +36,14 @@ const MS: u64 = 1_000_000;
 const DAC: u8 = 0x60;
 const SERVOS: u8 = 0x42;
 const VDD_V: f64 = 5.0;
-/// A byte and its acknowledge at 400 kHz.
+/// Duration of a byte and its acknowledge at 400 kHz, ns.
 const BYTE_NS: u64 = 22_500;
-/// One code of 4096.
+/// Voltage of one code of 4096, V.
 const CODE_V: f64 = VDD_V / 4096.0;
-/// Neutral of four drives; the second is the 2.05 V of a vehicle's throttle that goes backwards below.
+/// Neutral codes of four drives; the second is the 2.05 V of a vehicle's throttle that reverses below it.
 const NEUTRAL: [u16; 4] = [0, 1679, 4095, 2048];
 
-/// A bus with the two chips, and the fault of one of its transfers.
+/// A bus with the two chips, and a fault for one of its transfers.
 #[derive(Clone)]
 struct Rig {
     clock: Clock,
@@ -56,7 +56,7 @@ struct Rig {
 #[derive(Debug, PartialEq)]
 struct RigError;
 
-/// Something that goes wrong at one byte of a transfer; byte 0 is the address.
+/// A fault at one byte of a transfer; byte 0 is the address.
 #[derive(Clone, Copy, Debug)]
 enum WireFault {
     Nack { byte: u64 },
@@ -87,7 +87,7 @@ impl I2c for Rig {
         }
         let result = self.bus.borrow_mut().execute(start_ns, address, operations);
         if let Err(Fault::StuckLow { .. }) = result {
-            // The controller's time-out; any number does.
+            // time-out of the controller; any duration serves
             self.clock.sleep(MS).await;
         }
         result.map(|_| ()).map_err(|_| RigError)
@@ -101,11 +101,11 @@ impl Rig {
         let (disturbance, span) = match fault {
             WireFault::Nack { byte: 0 } => (Disturbance::AddressNack, once),
             WireFault::Nack { byte } => (Disturbance::DataNack { byte: byte as usize - 1 }, once),
-            // The bus model has no flipped bits in an address: nobody, or another chip, would answer.
+            // the bus model has no flipped bits in an address: no chip, or another one, would answer
             WireFault::Flip { byte: 0, .. } => (Disturbance::AddressNack, once),
             WireFault::Flip { byte, mask } => (Disturbance::BitFlip { byte: byte as usize - 1, mask }, once),
             WireFault::Stuck { byte } => {
-                // In the middle of a byte of 9 clocks.
+                // in the middle of a byte of 9 clocks
                 let from_ns = start_ns + byte * BYTE_NS + BYTE_NS / 2;
                 (Disturbance::StuckLow { persistent: false }, Span::Time { from_ns, until_ns: u64::MAX })
             }
@@ -113,7 +113,7 @@ impl Rig {
         self.bus.borrow_mut().inject(Injection { disturbance, span, address: None });
     }
 
-    /// What is done about a failed transfer.
+    /// Recovers the bus after a failed transfer.
     async fn recover(&self) {
         let end_ns = self.bus.borrow_mut().recover(self.clock.now_ns()).end_ns;
         self.clock.sleep_until(end_ns).await;
@@ -121,7 +121,7 @@ impl Rig {
         *self.fault.borrow_mut() = None;
     }
 
-    /// Lets `ns` pass, and brings the chips there.
+    /// Waits for `ns`, and advances the chips.
     async fn wait(&self, ns: u64) {
         self.clock.sleep(ns).await;
         self.dac.borrow_mut().advance(self.clock.now_ns());
@@ -134,7 +134,7 @@ impl Rig {
         logs.into_iter().flat_map(|log| log.first()).map(|misuse| misuse.kind).collect()
     }
 
-    /// Forgets misuse and what was on the wire.
+    /// Clears the recorded misuse and traffic.
     fn look_from_here(&self) {
         self.bus.borrow_mut().misuse_mut().clear();
         self.dac.borrow_mut().misuse_mut().clear();
@@ -149,7 +149,7 @@ impl Rig {
     fn volts(&self) -> [f64; 4] {
         std::array::from_fn(|channel| {
             let output = self.dac.borrow().output_v(channel);
-            // An output that is powered down gives no voltage that counts.
+            // an output that is powered down has no defined voltage
             if output.impedance == Impedance::Normal { output.volts } else { f64::NAN }
         })
     }
@@ -158,7 +158,7 @@ impl Rig {
         std::array::from_fn(|channel| self.dac.borrow().eeprom(channel).unwrap())
     }
 
-    /// Width of the pulses of a servo, s; 0 without.
+    /// Pulse width of a servo, s; 0 without pulses.
     fn pulse_s(&self, output: u8, oscillator_hz: u32) -> f64 {
         let pwm = self.pwm.borrow();
         match pwm.line(output.into()) {
@@ -174,7 +174,7 @@ fn count_s(pwm: &pca9685::Pca9685, oscillator_hz: u32) -> f64 {
     f64::from(pwm.register(0xFE).unwrap() + 1) / f64::from(oscillator_hz)
 }
 
-/// Runs `work` with chips that were just powered, the DAC with `eeprom` and its slowest write of that.
+/// Runs `work` with chips that were just powered up, the DAC with `eeprom` and its slowest EEPROM write.
 fn on_rig<T>(eeprom: [u16; 4], oscillator_hz: u32, work: impl AsyncFnOnce(Rig) -> T) -> T {
     let mut simulation = Simulation::default();
     let rig = Rig {
@@ -190,7 +190,7 @@ fn on_rig<T>(eeprom: [u16; 4], oscillator_hz: u32, work: impl AsyncFnOnce(Rig) -
     simulation.block_on(work(rig)).expect("time goes on")
 }
 
-/// VREF = VDD, powered, gain 1: the upper four bits are 0.
+/// Settings with VREF = VDD, powered, gain 1: the upper four bits are 0.
 fn settings(codes: [u16; 4]) -> [Setting; 4] {
     codes.map(Setting)
 }
@@ -202,8 +202,8 @@ fn assert_volts(rig: &Rig, codes: [u16; 4]) {
     }
 }
 
-/// Commands that change what the chip holds, complete: fast write, multi-write, sequential and single write with EEPROM,
-/// reference, power-down, gain; any settings.
+/// Complete commands that change the chip's registers: fast write, multi-write, sequential and single write with
+/// EEPROM, reference, power-down, gain; with any settings.
 fn any_dac_command() -> impl Strategy<Value = Vec<u8>> {
     let setting = prop::collection::vec(any::<u8>(), 8);
     prop_oneof![
@@ -225,7 +225,8 @@ fn any_codes() -> impl Strategy<Value = [u16; 4]> {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever EEPROM and registers hold, also in the middle of a write of the EEPROM that a reset of the processor left.
+    /// Set-up succeeds for any content of EEPROM and registers, also during an EEPROM write that a reset of the
+    /// processor left.
     #[test]
     fn the_dac_is_set_up_from_any_state(
         eeprom in any::<[u16; 4]>(),
@@ -247,19 +248,19 @@ proptest! {
             rig.dac.borrow_mut().power_cycle(rig.clock.now_ns());
             assert_volts(&rig, codes);
             assert_eq!(rig.misuse(), []);
-            // The second time there is nothing to write to the EEPROM, also if an output has moved: a multi-write of B.
+            // the second time the EEPROM needs no write, even if an output has moved: a multi-write of B
             rig.write(DAC, &[0x42, 0x95, 0x55]).await.unwrap();
             rig.look_from_here();
             let begin_ns = rig.clock.now_ns();
             Mcp4728::new(DAC).init(&mut rig, codes).await.unwrap();
             assert!(rig.wire().iter().all(|record| record.written.first().is_none_or(|first| first >> 3 == 0b01000)));
-            // RDY/BSY, 12 bytes and 24 bytes: 47.5, 295 and 565 us, and the bus-free time between.
+            // RDY/BSY, 12 bytes and 24 bytes: 47.5, 295 and 565 us, and the bus-free time between
             assert!(rig.clock.now_ns() - begin_ns < 912 * US);
             assert_volts(&rig, codes);
         });
     }
 
-    /// Any codes one after the other: the outputs that change, and no more bytes than up to the last of them.
+    /// Any sequence of codes: only changed outputs are written, with no more bytes than up to the last of them.
     #[test]
     fn fast_writes_set_what_changes(steps in prop::collection::vec(any_codes(), 1..20), keep in any::<[bool; 4]>()) {
         on_rig([0; 4], 25_000_000, async |mut rig| {
@@ -322,7 +323,7 @@ fn an_eeprom_that_stays_busy_is_reported() {
     });
 }
 
-/// A bit flipped in any byte of a fast write never starts a write of the EEPROM, and is found, unless the transfer fails.
+/// A bit flipped in any byte of a fast write never starts an EEPROM write, and is found, unless the transfer fails.
 #[test]
 fn a_flipped_bit_in_a_fast_write_is_found() {
     for bit in 0..8 * 8 {
@@ -334,7 +335,7 @@ fn a_flipped_bit_in_a_fast_write_is_found() {
             let written = chip.set(&mut rig, codes, Some(NEUTRAL)).await;
             assert!(rig.dac.borrow().ready(), "bit {bit} started a write of the EEPROM");
             let found = chip.verify(&mut rig, &codes).await;
-            // The upper two bits of all but the first byte of a fast write do not count.
+            // the upper two bits of all but the first byte of a fast write are ignored
             let ignored = bit >= 16 && bit % 16 >= 6 && bit % 16 < 8;
             assert_eq!(written.is_err() || found.is_err(), !ignored, "bit {bit}: {written:?}, {found:?}");
             assert_eq!(found.is_ok(), ignored, "bit {bit}");
@@ -342,7 +343,7 @@ fn a_flipped_bit_in_a_fast_write_is_found() {
     }
 }
 
-/// What is done with the DAC, one after the other.
+/// A sequence of all operations of the DAC's driver.
 async fn use_dac(rig: &mut Rig) -> Result<(), ChipError<RigError>> {
     let chip = Mcp4728::new(DAC);
     chip.init(rig, NEUTRAL).await?;
@@ -350,7 +351,7 @@ async fn use_dac(rig: &mut Rig) -> Result<(), ChipError<RigError>> {
     chip.verify(rig, &[4095, 1, 2, 3]).await
 }
 
-/// The next servo in turn, if one has a new pulse.
+/// Writes the next servo in turn, if one has a new pulse.
 async fn write_next(servos: &mut Servos, rig: &mut Rig) -> Result<(), RigError> {
     let Some((write, pulse)) = servos.next_write() else { return Ok(()) };
     write.send(rig).await?;
@@ -374,10 +375,10 @@ async fn use_servos(rig: &mut Rig) -> Result<(), ChipError<RigError>> {
     Ok(servos.make_safe(rig).await?)
 }
 
-/// A fault at every byte of every transfer: afterwards the bus is freed, and init brings both chips into their safe state.
+/// After a fault at any byte of any transfer the bus is recovered, and init brings both chips into their safe state.
 #[test]
 fn init_recovers_from_a_fault_at_any_byte() {
-    // The transfers without a fault; RDY/BSY is polled some 50 times, of which any is as good as another.
+    // the transfers without a fault; RDY/BSY is polled some 50 times, all equivalent
     let lengths = on_rig([0x8ABC; 4], 25_000_000, async |mut rig| {
         use_dac(&mut rig).await.unwrap();
         use_servos(&mut rig).await.unwrap();
@@ -401,7 +402,7 @@ fn init_recovers_from_a_fault_at_any_byte() {
                         _ = use_servos(&mut rig).await;
                     }
                     rig.recover().await;
-                    // A bit of PRE_SCALE may have flipped: the longest period there is, 42 ms.
+                    // a bit of PRE_SCALE may have flipped: the longest possible period, 42 ms
                     rig.wait(50 * MS).await;
                     rig.look_from_here();
                     Mcp4728::new(DAC).init(&mut rig, NEUTRAL).await.unwrap();
@@ -409,7 +410,7 @@ fn init_recovers_from_a_fault_at_any_byte() {
                     assert_volts(&rig, NEUTRAL);
                     let mut servos = Servos::new(servo_chip(25e6, false), &[servo(3), servo(15)]);
                     let result = servos.init(&mut rig).await;
-                    // EXTCLK, once set, stays until the supply is cycled (PCA9685 datasheet, 7.3.1): reported.
+                    // EXTCLK, once set, stays until the supply is cycled (PCA9685 datasheet, 7.3.1): reported
                     if rig.pwm.borrow().register(0x00).unwrap() & 0x40 != 0 {
                         assert!(matches!(result, Err(ChipError::Mismatch { register: 0x00, .. })), "{result:?}");
                         return;
@@ -422,7 +423,7 @@ fn init_recovers_from_a_fault_at_any_byte() {
             }
         }
     }
-    // Init of the DAC alone has 2 + 13 + 25 + 10 + 2 + 25 bytes.
+    // init of the DAC alone has 2 + 13 + 25 + 10 + 2 + 25 bytes
     assert!(tried > 6 * 77, "{tried}");
 }
 
@@ -430,7 +431,7 @@ const fn servo_chip(oscillator_hz: f32, hold_when_safe: bool) -> ServoChipConfig
     ServoChipConfig { address: SERVOS, frequency_hz: 50.0, oscillator_hz, hold_when_safe }
 }
 
-/// 0.6 ms at -1 rad to 2.4 ms at 1 rad, 2 rad/s.
+/// Servo with 0.6 ms at -1 rad to 2.4 ms at 1 rad, 2 rad/s.
 const fn servo(output: u8) -> ServoConfig {
     ServoConfig {
         id: ChannelId::new(ChannelKind::Servo, output),
@@ -441,7 +442,7 @@ const fn servo(output: u8) -> ServoConfig {
     }
 }
 
-/// The pulse of [`servo`] at an angle, s.
+/// Pulse width of [`servo`] at an angle, s.
 fn pulse_at(angle: f32) -> f64 {
     1.5e-3 + 0.9e-3 * f64::from(angle)
 }
@@ -449,8 +450,8 @@ fn pulse_at(angle: f32) -> f64 {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Pulses are right to half a count, and the frequency to half a step of the prescaler, once the oscillator is known.
-    /// Whatever the registers held before.
+    /// Pulses are correct to half a count, and the frequency to half a step of the prescaler, once the oscillator is
+    /// known, for any earlier content of the registers.
     #[test]
     fn pulses_follow_the_calibrated_oscillator(
         oscillator_hz in prop::sample::select(vec![24_000_000u32, 25_000_000, 26_200_000]),
@@ -474,10 +475,10 @@ proptest! {
             let half_count_s = 0.5 * count_s(&rig.pwm.borrow(), oscillator_hz);
             for (output, angle) in [0, 9].into_iter().zip(angles) {
                 let error_s = rig.pulse_s(output, oscillator_hz) - pulse_at(angle);
-                // 1e-9 s is what f32 makes of 2.4 ms, several times over.
+                // 1e-9 s is several times the rounding of 2.4 ms in f32
                 assert!(error_s.abs() <= half_count_s + 1e-9, "{error_s} s, half a count is {half_count_s} s");
             }
-            // Half a step in clocks of 4096.
+            // half a step in clocks of 4096
             let period_s = rig.pwm.borrow().pwm_period_ns() as f64 * 1e-9;
             let clocks = f64::from(oscillator_hz) / 4096.0;
             assert!((period_s - 1.0 / f64::from(frequency_hz)).abs() * clocks <= 0.5001);
@@ -494,12 +495,12 @@ fn an_oscillator_that_is_not_calibrated_scales_all_pulses() {
         servos.command(0, 0.0);
         write_next(&mut servos, &mut rig).await.unwrap();
         rig.wait(50 * MS).await;
-        // 1.5 ms by a clock that is 25 / 24 too long; a count is 5 us.
+        // 1.5 ms with a clock period that is 25 / 24 too long; a count is 5 us
         assert!((rig.pulse_s(0, 24_000_000) - 1.5625e-3).abs() < 2.5e-6);
     });
 }
 
-/// Sixteen servos to and fro at full speed, one transfer a millisecond: all take their turn, none is late.
+/// Sixteen servos back and forth at full speed, one transfer a millisecond: all take their turn, none is late.
 #[test]
 fn sixteen_servos_that_move_are_each_written_within_20_ms() {
     on_rig([0; 4], 25_000_000, async |mut rig| {
@@ -517,7 +518,7 @@ fn sixteen_servos_that_move_are_each_written_within_20_ms() {
         rig.look_from_here();
         let begin_ns = rig.clock.now_ns();
         for ms in 1..=800u64 {
-            // 1.8 rad at 2 rad/s take 0.9 s: they are on their way all the time.
+            // 1.8 rad at 2 rad/s take 0.9 s: they move all the time
             for index in (0..16).filter(|_| ms == 1) {
                 servos.command(index, -0.9);
             }
@@ -529,7 +530,7 @@ fn sixteen_servos_that_move_are_each_written_within_20_ms() {
         let wire = rig.wire();
         assert!(wire.iter().all(|record| record.end_ns - record.start_ns == 92_500 && record.written.len() == 3));
         for output in 0..16u8 {
-            // OFF_L is the third of the four registers of an output, which start at 06h.
+            // OFF_L is the third of the four registers of an output, which start at 06h
             let mine = |record: &&WireRecord| record.written[0] == 0x06 + 4 * output + 2;
             let times: Vec<_> = wire.iter().filter(mine).map(|record| record.end_ns).collect();
             let ends = [begin_ns].into_iter().chain(times.iter().copied()).zip(&times);
@@ -539,7 +540,7 @@ fn sixteen_servos_that_move_are_each_written_within_20_ms() {
         rig.wait(25 * MS).await;
         for (index, output) in (0..16u8).enumerate() {
             let asked = pulse_at(servos.angle(index).unwrap());
-            // Of the last 20 ms, at 2 rad/s and 0.9 ms/rad, and half a count.
+            // of the last 20 ms, at 2 rad/s and 0.9 ms/rad, and half a count
             let most_s = 0.02 * 2.0 * 0.9e-3 + 2.5e-6;
             assert!((rig.pulse_s(output, 25_000_000) - asked).abs() <= most_s, "output {output}");
         }
@@ -560,7 +561,7 @@ fn safe_is_no_pulses_or_the_last_ones() {
             rig.wait(50 * MS).await;
             let pulses = [0, 1, 2].map(|output| rig.pulse_s(output, 25_000_000));
             assert!(pulses[0] > 0.0 && pulses[1] > 0.0 && pulses[2] == 0.0, "{pulses:?}");
-            // On its way when the stop comes.
+            // moving when the stop comes
             servos.command(0, -0.5);
             rig.look_from_here();
             servos.make_safe(&mut rig).await.unwrap();
@@ -577,7 +578,7 @@ fn safe_is_no_pulses_or_the_last_ones() {
             } else {
                 assert_eq!((written, held), (vec![vec![0xFD, 0x10]], [0.0; 3]));
                 assert_eq!(servos.angle(0), None);
-                // It starts again where the next command says.
+                // restarts at the next commanded angle
                 servos.command(0, 0.25);
                 write_next(&mut servos, &mut rig).await.unwrap();
                 rig.wait(50 * MS).await;
@@ -595,7 +596,7 @@ fn safe_is_no_pulses_or_the_last_ones() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// From a share to the voltage at the pin: half a code.
+    /// The voltage at the pin corresponds to the share, to half a code.
     #[test]
     fn shares_become_voltages(
         neutral_v in 1.0f32..4.0,
@@ -630,7 +631,7 @@ proptest! {
             let full_v = if share < 0.0 { backwards_v } else { forward_v };
             let expected = f64::from(neutral_v) + f64::from(share.abs()) * f64::from(full_v - neutral_v);
             let volts = rig.volts()[usize::from(output)];
-            // f32 leaves 1e-3 codes of 4096.
+            // f32 leaves 1e-3 codes of 4096
             assert!((volts - expected).abs() <= CODE_V * 0.501, "{volts} V, not {expected} V");
             assert_eq!(rig.misuse(), []);
         });

@@ -1,5 +1,5 @@
-//! Motors whose position comes from other sensors than one encoder: an absolute angle sensor on the bus, and an encoder on either side
-//! of play.
+//! Motors with position sensors other than a single encoder: an absolute angle sensor on the bus, and an encoder on
+//! either side of play.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -26,17 +26,17 @@ const COUNT_RAD: f64 = TAU / 4096.0;
 const SETTLE_RAD: f64 = 0.004;
 /// Angle of the magnet at position 0, rad.
 const ZERO: f32 = 5.0;
-/// Where the shaft stands at power-on, rad: with this zero the angle has gone through its 0 on the way there.
+/// Position of the shaft at power-on, rad: with this zero the angle has passed through 0 on the way there.
 const START: f64 = 2.0;
 
-/// The bench, its encoder replaced by an angle sensor that is read `rate_hz` times a second, its range within one turn.
+/// The bench with an angle sensor, read `rate_hz` times a second, in place of its encoder, its range within one turn.
 fn angle_bench(rate_hz: u16) -> Robot {
     let mut robot = osmc_bench();
     let control = control_of(&mut robot.config, 0);
     control.feedback = Feedback::Angle { angle: 0, zero: ZERO, inverted: false };
     control.position = Range::symmetric(3.1);
-    // Noise of 0.45 counts, rounding included, is 10 mrad/s rms of the speed behind two poles of 10 ms; with 10 ms and twice the noise it would
-    // be 34 mrad/s, and the shaft would not be seen to stand still.
+    // Noise of 0.45 counts, rounding included, is 10 mrad/s rms of the speed behind two poles of 10 ms; with 10 ms and
+    // twice the noise it would be 34 mrad/s, and a standstill would not be detected.
     control.speed_filter_s = 0.020;
     control.settle.speed = 0.05;
     let chip = SensorChip::As5600(As5600Config { averages: 4 });
@@ -48,13 +48,13 @@ fn angle_bench(rate_hz: u16) -> Robot {
     robot
 }
 
-/// What the board says: position, rad, and whether it has settled and knows its place.
+/// Reported position, rad, and flags: settled, and homed.
 async fn told(bench: &Bench<'_>) -> (f64, bool, bool) {
     let Sample::Motor { position, settled, homed, .. } = sample(bench, ROTARY).await else { panic!("a motor") };
     (f64::from(position) * COUNT_RAD, settled, homed)
 }
 
-/// How long it takes to go somewhere until the board says that it has arrived, ms, and how far beyond it goes, rad.
+/// Time of a move until the board reports arrival, ms, and the overshoot, rad.
 async fn go(bench: &Bench<'_>, target: f32) -> (u64, f64) {
     let way = (f64::from(target) - bench.position(ROTARY)).signum();
     bench.set(ROTARY, Mode::Position, target).await.unwrap();
@@ -74,25 +74,25 @@ async fn go(bench: &Bench<'_>, target: f32) -> (u64, f64) {
     }
 }
 
-/// The board knows where the shaft stands before it is asked, and goes where it is sent; without a search for a zero.
+/// The board knows the shaft's position before a command, and moves to targets without homing.
 #[test]
 fn a_motor_with_an_angle_sensor_needs_no_zero_and_goes_where_it_is_sent() {
     for rate_hz in [1000, 500, 250] {
         bench(&angle_bench(rate_hz), async |bench| {
             let (position, _, homed) = told(bench).await;
-            // Rounded down to a count, noise of half a count, and the rounding of the zero.
+            // rounded down to a count, noise of half a count, and the rounding of the zero
             assert!(homed && (position - START).abs() < 3.0 * COUNT_RAD, "{position}");
             let Sample::Sensor { values, quality, .. } = sample(bench, ANGLE).await else { panic!("a sensor") };
             assert_eq!(quality, Quality::Good);
             let shown = (f64::from(values[0]) - f64::from(ZERO)).rem_euclid(TAU);
             assert!((shown - START).abs() < 3.0 * COUNT_RAD, "{shown}");
             bench.host.arm().await.unwrap();
-            // Through the angle's 0, which is at 1.28 rad, and nearly to both ends.
+            // through the angle's 0, which is at 1.28 rad, and nearly to both ends
             for target in [0.0, 3.0, -3.0, 0.5] {
                 let (took_ms, beyond) = go(bench, target).await;
                 let error = bench.position(ROTARY) - f64::from(target);
                 println!("{rate_hz} Hz to {target}: {took_ms} ms, {beyond:.4} rad beyond, {error:+.4} rad off");
-                // Twice the bench's settling error of 4 mrad, which is left alone, a count and its noise.
+                // twice the bench's settling error of 4 mrad, which is not corrected, a count and its noise
                 assert!(error.abs() < 0.008 + 2.0 * COUNT_RAD, "{rate_hz} Hz, {target}: {error}");
             }
             assert_eq!(bench.host.safety().0, SafetyState::Armed);
@@ -100,7 +100,7 @@ fn a_motor_with_an_angle_sensor_needs_no_zero_and_goes_where_it_is_sent() {
     }
 }
 
-/// More than a turn: what is known of the turns is known from the way.
+/// More than a turn: turns are counted by following the angle.
 #[test]
 fn an_angle_is_followed_over_turns() {
     let mut robot = angle_bench(1000);
@@ -127,8 +127,8 @@ fn set_magnet(bench: &Bench<'_>, magnet: Magnet) {
     bench.board.world().angle_sensor(ANGLE).unwrap().borrow_mut().set_magnet(magnet);
 }
 
-/// Without readings that count the motor stops: five of them may be missing, one may be under way, and a period goes by until that is
-/// seen and one until it is carried out.
+/// Without valid readings the motor stops: five of them may be missing, one may be in progress, and a period passes
+/// until that is detected and one until it takes effect.
 #[test]
 fn a_motor_stops_when_its_angle_sensor_is_lost() {
     type Change = fn(&Bench<'_>);
@@ -153,7 +153,7 @@ fn a_motor_stops_when_its_angle_sensor_is_lost() {
                 let (state, causes) = bench.safety().await;
                 assert!(state == SafetyState::Tripped && causes.contains(Cause::EncoderImplausible), "{causes}");
                 repair(bench);
-                // A sensor that did not answer is asked again after a second.
+                // a sensor that did not answer is addressed again after a second
                 bench.sleep_ms(1200).await;
                 let (position, _, homed) = told(bench).await;
                 let truth = bench.position(ROTARY);
@@ -164,7 +164,7 @@ fn a_motor_stops_when_its_angle_sensor_is_lost() {
     }
 }
 
-/// One that only warns goes on.
+/// A quality that is only a warning does not stop the motor.
 #[test]
 fn a_weak_or_strong_magnet_is_told_of_and_stops_nothing() {
     bench(&angle_bench(1000), async |bench| {
@@ -179,7 +179,7 @@ fn a_weak_or_strong_magnet_is_told_of_and_stops_nothing() {
     });
 }
 
-/// A board that is powered up without a magnet does not arm, and does once there is one.
+/// A board powered up without a magnet does not arm, and does once there is one.
 #[test]
 fn a_board_without_its_angle_does_not_arm() {
     bench(&angle_bench(1000), async |bench| {
@@ -195,7 +195,7 @@ fn a_board_without_its_angle_does_not_arm() {
     });
 }
 
-/// Every shaft turns, but this one the wrong way round.
+/// Any shaft turns, but this sensor counts in the wrong direction.
 #[test]
 fn an_angle_that_falls_while_the_motor_drives_up_trips() {
     let mut robot = angle_bench(1000);
@@ -210,11 +210,12 @@ fn an_angle_that_falls_while_the_motor_drives_up_trips() {
     });
 }
 
-/// Of the encoder at the output, 2400 counts to a turn, and of the one on the motor's side, 12 000.
+/// Lines of the encoder at the output, 2400 counts per turn, and of the one on the motor side, 12 000.
 const OUTPUT_LINES: u32 = 600;
 const MOTOR_LINES: u32 = 3000;
 
-/// A geared motor with the bench's electrical numbers, whose duty is a voltage, friction, and play of 2°: 32 rad/s without load and 73 ms.
+/// A geared motor with the bench's electrical parameters, whose duty is a voltage, with friction, and play of 2°: 32
+/// rad/s without load and 73 ms.
 const PLANT: &str = "model = \"dc-gear-motor\"
 source = \"the bench's motor, its driver without dead zone and curve\"
 [parameters]
@@ -232,18 +233,19 @@ effect = \"backlash\"
 gap_rad = 0.034906585
 ";
 
-/// What measures the motor with play.
+/// Position sensors of the motor with play.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Sensors {
-    /// An encoder at the output.
+    /// One encoder, at the output.
     Output,
-    /// The same, and one on the motor's side.
+    /// An encoder at the output, and one on the motor side.
     Both,
-    /// An angle sensor at the output, and an encoder on the motor's side.
+    /// An angle sensor at the output, and an encoder on the motor side.
     AngleAndMotor,
 }
 
-/// The bench with a motor that has play. Gains put both poles of the position loop at 42 rad/s, damped to 0.9, without play.
+/// The bench with a motor that has play. The gains put both poles of the position loop at 42 rad/s, damped to 0.9,
+/// without play.
 fn play_bench(sensors: Sensors) -> Robot {
     let mut robot = if sensors == Sensors::AngleAndMotor { angle_bench(1000) } else { osmc_bench() };
     robot.config.motors[0].winding.as_mut().unwrap().dead_duty = 0.0;
@@ -251,7 +253,8 @@ fn play_bench(sensors: Sensors) -> Robot {
     control.speed_max = 20.0;
     control.position_pid = PidGains { kp: 4.0, ki: 10.0, kd: 0.14 };
     control.profile = ProfileLimits { speed: 5.0, acceleration: 20.0, jerk: 0.0 };
-    // Without a model: an observer at the output alone lands as well as two sensors do (friction.rs), and this is about those.
+    // Without a model: an observer at the output alone lands as well as two sensors do (friction.rs), and this test is
+    // about the sensors.
     control.feed_forward = FeedForward { static_duty: 0.03, duty_per_speed: 0.031, duty_per_acceleration: 0.0 };
     control.settle.speed = 0.05;
     let two = sensors != Sensors::Output;
@@ -268,21 +271,21 @@ fn play_bench(sensors: Sensors) -> Robot {
     robot
 }
 
-/// How a motor with play goes to places and stays there.
+/// Result of moves of a motor with play.
 #[derive(Clone, Copy, Debug, Default)]
 struct Played {
-    /// Furthest beyond a target, rad.
+    /// Largest overshoot of a target, rad.
     overshoot: f64,
-    /// Until the output stays within the settling error for good, at most, s.
+    /// Longest time until the output stays within the settling error, s.
     settled_s: f64,
-    /// How far the output still moves in the last second, rad, and how often the duty turns round in it.
+    /// Travel of the output in the last second, rad, and the number of sign changes of the duty.
     moves: f64,
     turns: u32,
-    /// Furthest off at the end, rad.
+    /// Largest error at the end, rad.
     error: f64,
 }
 
-/// Goes to four places, two of them a little further than the play and back, and stands at each for three seconds.
+/// Moves to four targets, two of them slightly more than the play apart, and stays at each for three seconds.
 fn play(sensors: Sensors) -> Played {
     bench(&play_bench(sensors), async |bench| {
         bench.host.arm().await.unwrap();
@@ -317,8 +320,9 @@ fn play(sensors: Sensors) -> Played {
     })
 }
 
-/// The one at the output alone crosses the play without damping and comes to rest beyond it; with the same gains and one on either side
-/// the motor's side is damped, and its integral waits while it crosses. The noise of the angle sensor, 0.5 mrad, moves nothing.
+/// The encoder at the output alone crosses the play without damping and rests beyond it; with the same gains and one
+/// sensor on either side the motor side is damped, and its integral waits while it crosses. The noise of the angle
+/// sensor, 0.5 mrad, moves nothing.
 ///
 /// Measured: overshoot 38 mrad, not settled in 3 s; two encoders 6.8 mrad, 0.85 s; angle sensor and encoder 9.8 mrad, 0.64 s.
 #[test]
@@ -329,12 +333,12 @@ fn an_encoder_on_either_side_of_play_holds_better_than_one_behind_it() {
     assert!(dual.settled_s < 0.5 * single.settled_s && dual.settled_s < 1.0, "{dual:?}, {single:?}");
     assert!(angle.overshoot < 0.5 * single.overshoot && angle.settled_s < 1.0, "{angle:?}, {single:?}");
     for two in [dual, angle] {
-        // A count of the angle sensor beyond the settling error.
+        // a count of the angle sensor beyond the settling error
         assert!(two.error < SETTLE_RAD + COUNT_RAD && two.moves < COUNT_RAD && two.turns == 0, "{two:?}");
     }
 }
 
-/// More play than there may be: a coupling has slipped, or an encoder lost its shaft.
+/// More play than the limit: a coupling has slipped, or an encoder lost its shaft.
 #[test]
 fn sensors_further_apart_than_the_play_stop_the_motor() {
     let mut robot = play_bench(Sensors::Both);
@@ -348,14 +352,15 @@ fn sensors_further_apart_than_the_play_stop_the_motor() {
     });
 }
 
-/// The bench with the PWM output of its angle sensor at a range connector, in place of the bus; the sensor's clock is `off` as much.
+/// The bench with its angle sensor's PWM output at a range connector, instead of the bus; `off` is the error of the
+/// sensor's clock.
 fn pulse_bench(frames_hz: u16, off: f64) -> Robot {
     let mut robot = angle_bench(1000);
     robot.config.sensors.clear();
     robot.simulation.angles.clear();
     let control = control_of(&mut robot.config, 0);
     control.feedback = Feedback::Pulses { range: 1, frames_hz, zero: ZERO, inverted: false };
-    // A frame that may be a count wrong at each end is noise of 0.6 counts; readings are further apart.
+    // a frame may be a count wrong at each end, noise of 0.6 counts; readings are further apart
     control.speed_filter_s = 0.040;
     robot.config.validate().unwrap();
     let frames_hz = f64::from(frames_hz) * (1.0 + off);
@@ -377,7 +382,7 @@ fn a_motor_goes_where_it_is_sent_by_the_pulses_of_its_angle_sensor() {
                 println!("{frames_hz} frames/s to {target}: {took_ms} ms, {beyond:.4} rad beyond, {error:+.4} rad off");
                 assert!(error.abs() < 2.0 * SETTLE_RAD + 3.0 * COUNT_RAD, "{frames_hz}, {target}: {error}");
             }
-            // Without a magnet there are no pulses: five frames may be missing, one may be under way.
+            // without a magnet there are no pulses: five frames may be missing, one may be in progress
             bench.set(ROTARY, Mode::Position, 3.0).await.unwrap();
             bench.sleep_ms(700).await;
             let since_ns = bench.clock.now_ns();
@@ -396,7 +401,7 @@ fn a_motor_goes_where_it_is_sent_by_the_pulses_of_its_angle_sensor() {
     }
 }
 
-/// A sensor that was burnt to another rate is none.
+/// A sensor programmed to another rate is not accepted.
 #[test]
 fn pulses_of_another_rate_are_no_angle() {
     bench(&pulse_bench(115, 1.0), async |bench| {

@@ -1,4 +1,4 @@
-//! Sensors that read a field of the world, from the field to what the host is told.
+//! Sensors that read a field of the world, from the field to the value at the host.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -12,10 +12,10 @@ use crate::{
 };
 
 const INPUT: ChannelId = ChannelId::new(ChannelKind::Analog, 0);
-/// A code of the divider for 5 V is 76 µV; noise of 2.3 codes and rounding stay below 1 mV.
+/// Tolerance, V: a code of the divider for 5 V is 76 µV; noise of 2.3 codes and rounding stay below 1 mV.
 const CLOSE_V: f64 = 1e-3;
 
-/// A rover in a field of one charge beside it, without other effects than `change` makes.
+/// A rover in a field of one charge beside it, without other effects than those of `change`.
 fn rover(uniform_v_per_m: f64, change: impl FnOnce(&mut FieldReading)) -> Robot {
     let mut robot = r4_boards::load("field-rover").unwrap();
     let charges = vec![Charge { place_m: [0.0, 1.0], size_m: 1.0, peak_v_per_m: 100.0 }];
@@ -55,7 +55,7 @@ fn a_host_reads_the_field_where_the_sensor_is_while_the_body_turns() {
             let place = bench.board.world().pose().unwrap().to_world([0.5, 0.0]);
             let field = bench.board.world().field("electric", place).unwrap();
             let expected_v = 2.5 + 0.005 * 1.4 * field;
-            // The sample is up to 30 ms old: 1 rad/s at 0.5 m in a slope of at most 61 V/m for each m.
+            // the sample is up to 30 ms old: 1 rad/s at 0.5 m in a gradient of at most 61 V/m per metre
             assert!((measured_v - expected_v).abs() < 0.03 * 0.5 * 61.0 * 0.007 + CLOSE_V, "{measured_v} {expected_v}");
             seen.push(measured_v);
         }
@@ -64,7 +64,7 @@ fn a_host_reads_the_field_where_the_sensor_is_while_the_body_turns() {
     });
 }
 
-/// The converter is at the end of its range, which the board's plausible volts leave out.
+/// The converter is at the end of its range, which is outside the board's plausible volts.
 #[test]
 fn the_input_clips_a_field_beyond_its_offset_stage() {
     for (uniform_v_per_m, clipped) in [(-2000.0, 0), (2000.0, u16::MAX)] {
@@ -84,7 +84,7 @@ fn the_input_clips_a_field_beyond_its_offset_stage() {
     }
 }
 
-/// Wheels of 4 rad/s charge the body towards `rest + per_rad * 4 * leak`, and it leaks when they stand.
+/// Wheels at 4 rad/s charge the body towards `rest + per_rad * 4 * leak`, and it discharges while they stand.
 #[test]
 fn wheels_charge_the_body_while_they_turn() {
     let charge = SelfCharge { rest: 5.0, per_rad: 2.0, leak_s: 1.0 };
@@ -98,12 +98,13 @@ fn wheels_charge_the_body_while_they_turn() {
         turn(bench, 4.0).await;
         bench.sleep_ms(6000).await;
         let added = (volts(bench).await - at_rest_v) / 0.007;
-        // 8 V/m; wheels keep 4 rad/s to some percent, and turning on the spot moves the sensor by some mm, 0.6 V/m in 1 cm.
+        // 8 V/m; the wheels keep 4 rad/s to some percent, and turning on the spot moves the sensor by some mm, 0.6 V/m
+        // per cm
         assert!((added - 8.0).abs() < 1.0, "{added} V/m");
     });
 }
 
-/// Read twice, each time with another rhythm of looking: the truth does not depend on it.
+/// Two runs with different sampling: the truth does not depend on it.
 #[test]
 fn who_looks_more_often_sees_the_same_plume() {
     let mut robot = r4_boards::load("gas-scout").unwrap();
@@ -111,7 +112,7 @@ fn who_looks_more_often_sees_the_same_plume() {
     robot.simulation.check_fields().unwrap();
     for field in &mut robot.simulation.fields {
         let FieldKind::Gas(plume) = &mut field.kind else { panic!("gas") };
-        // What a scene may do before the robot is powered up.
+        // a change that a scene may make before the robot is powered up
         **plume = plume.changed(|spec| (spec.source_m, spec.running_s) = ([2.25, 25.25], 30.0)).unwrap();
     }
     let place = [4.2, 25.0];

@@ -1,4 +1,4 @@
-//! Paths of dated points on the simulated bench: how close they are followed, and how they end.
+//! Paths of dated points on the simulated bench: tracking error, and the end of a path.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -11,7 +11,7 @@ use crate::harness::{Bench, LINEAR, ROTARY, US, bench, osmc_bench};
 
 /// One encoder count of the bench, rad.
 const COUNT_RAD: f64 = TAU / 2400.0;
-/// How far from its target a motor may come to rest, rad.
+/// Largest distance from its target at which a motor may rest, rad.
 const SETTLE_RAD: f64 = 0.0027;
 
 /// A point of a path at `at_us`.
@@ -19,11 +19,11 @@ fn point(at_us: u64, position: f64) -> PathPoint {
     PathPoint { at_us, position: position as f32, speed: None, feed_forward: 0.0 }
 }
 
-/// What a path says at a moment, board's µs.
+/// Position of a path at a time of the board, µs.
 type Law<'l> = &'l dyn Fn(u64) -> f64;
 
-/// Streams `law` to `channel` every `every_ms`, `ahead_ms` ahead, for `for_ms`; the distance of each of its samples to the law, with
-/// the board's time.
+/// Streams `law` to `channel` every `every_ms`, `ahead_ms` ahead, for `for_ms`; returns the distance of each of its
+/// samples from the law, with the board's time.
 async fn streamed(
     bench: &Bench<'_>,
     channel: ChannelId,
@@ -48,13 +48,13 @@ async fn streamed(
     seen
 }
 
-/// At 1.5 rad/s from `begin_us` on, after half a second of speeding up.
+/// Ramp of 1.5 rad/s from `begin_us` on, after half a second of acceleration.
 fn ramp(begin_us: u64, at_us: u64) -> f64 {
     let t = at_us.saturating_sub(begin_us) as f64 * 1e-6;
     1.5 * if t < 0.5 { t * t } else { t - 0.25 }
 }
 
-/// Armed, and the motors' supply closed.
+/// Arms, and waits for the motors' supply.
 async fn armed(bench: &Bench<'_>) {
     bench.host.arm().await.unwrap();
     bench.sleep_ms(100).await;
@@ -68,7 +68,7 @@ async fn sample_of(bench: &Bench<'_>, channel: ChannelId) -> (Setpoint, bool) {
     }
 }
 
-/// What is left after 5 s is what the integral has not taken over by then: its time constant is kp / ki = 2 s.
+/// The remaining error after 5 s is that of the integral: its time constant is kp / ki = 2 s.
 #[test]
 fn a_motor_without_load_is_within_two_counts_of_its_path() {
     bench(&osmc_bench(), async |bench| {
@@ -82,7 +82,7 @@ fn a_motor_without_load_is_within_two_counts_of_its_path() {
     });
 }
 
-/// Left at full speed, a path ends `v² / 2 a + v a / 2 j` further on, at rest, and is held there.
+/// A path that ends at full speed comes to rest `v² / 2 a + v a / 2 j` further on, and is held there.
 #[test]
 fn a_path_that_ends_is_left_along_the_profile() {
     let robot = osmc_bench();
@@ -96,7 +96,7 @@ fn a_path_that_ends_is_left_along_the_profile() {
         bench.sleep_ms(5000).await;
         let (setpoint, settled) = sample_of(bench, ROTARY).await;
         assert!(settled && setpoint.mode == Mode::Position, "{setpoint:?}");
-        // The last point was one of every 20 ms, 50 ms ahead of the second's end, where the ramp began 50 ms after it.
+        // the last point was one of every 20 ms, 50 ms ahead of the second's end, and the ramp started 50 ms after it
         let (earliest, latest) = (ramp(begin_us, begin_us + 970_000), ramp(begin_us, begin_us + 1_000_000));
         let stopping = 1.5 * 1.5 / (2.0 * acceleration) + 1.5 * acceleration / (2.0 * jerk);
         let end = f64::from(setpoint.value);
@@ -105,7 +105,7 @@ fn a_path_that_ends_is_left_along_the_profile() {
     });
 }
 
-/// A point that comes late stops the motor; the next path begins where it stands.
+/// A late point stops the motor; the next path starts at its position.
 #[test]
 fn a_late_point_is_refused_and_stops_the_motor() {
     bench(&osmc_bench(), async |bench| {
@@ -134,7 +134,7 @@ fn a_late_point_is_refused_and_stops_the_motor() {
     });
 }
 
-/// Both motors wait for the same date, whenever their points were sent, and leave their places in the same period.
+/// Both motors wait for the same date, independent of the arrival of their points, and start in the same period.
 #[test]
 fn several_channels_begin_in_the_same_period() {
     bench(&osmc_bench(), async |bench| {
@@ -148,7 +148,7 @@ fn several_channels_begin_in_the_same_period() {
             bench.host.follow(channel, &points).await.unwrap();
             bench.sleep_ms(70).await;
         }
-        // The set point that a motor reports is where its path has it.
+        // the set point reported by a motor is that of its path
         let mut left_us = Vec::new();
         for (channel, _) in places {
             bench.host.subscribe(channel, 1).await.unwrap();
@@ -161,7 +161,7 @@ fn several_channels_begin_in_the_same_period() {
                 let Sample::Motor { channel, setpoint, .. } = sample else { continue };
                 let way = places.iter().find(|(other, _)| *other == channel).map_or(0.0, |(_, way)| *way);
                 let last = before.insert(channel, setpoint);
-                // 1 ms after the start it has gone 3e-6 of its way.
+                // 1 ms after the start it has covered 3e-6 of the distance
                 if let Some(last) = last
                     && frame.device_us >= start_us
                     && f64::from((last.value - setpoint.value).abs()) > 1e-6 * way

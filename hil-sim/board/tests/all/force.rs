@@ -1,4 +1,4 @@
-//! Force control on the simulated board: what a force sensor makes the board do, whatever the motor is at.
+//! Force control on the simulated board: reactions to a force sensor in each mode of the motor.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -11,11 +11,11 @@ use r4_protocol::{
 use crate::harness::{Bench, bench};
 
 const FINGER: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
-/// V without force, and N/V.
+/// Sensor voltage without force, V, and its scale, N/V.
 const ZERO_V: f64 = 0.5;
 const N_PER_V: f64 = 10.0;
 
-/// The bench's motor with a force sensor at analog input 2: 0.5 V and 10 N/V, to 20 N, which trips beyond 30 N.
+/// The bench's motor with a force sensor at analog input 2: 0.5 V and 10 N/V, up to 20 N, with a trip beyond 30 N.
 fn finger() -> Robot {
     let mut robot = r4_boards::load("osmc-bench").expect("built in");
     let channel = ChannelId::new(ChannelKind::Analog, 2);
@@ -49,32 +49,33 @@ fn press_sensor(bench: &Bench<'_>, newtons: f64) {
     bench.board.world().pins().analogs[2].as_mut().expect("the sensor's").volts = ZERO_V + newtons / N_PER_V;
 }
 
-/// Mean over half a second, rad/s: cogging and friction ripple.
+/// Mean speed over half a second, rad/s, which averages cogging and friction ripple.
 async fn speed(bench: &Bench<'_>) -> f64 {
     let before = bench.board.world().position(FINGER).expect("a motor");
     bench.sleep_ms(500).await;
     (bench.board.world().position(FINGER).expect("a motor") - before) / 0.5
 }
 
-/// 10 N too little are 1 rad/s, 10 N too much as fast the other way, and within the band it rests.
+/// A force 10 N too low gives 1 rad/s, 10 N too high the same backwards, and within the band it rests.
 #[test]
 fn a_motor_closes_opens_and_rests_by_its_force() {
     bench(&finger(), async |bench| {
         bench.host.arm().await.unwrap();
         bench.set(FINGER, Mode::Force, 12.0).await.unwrap();
-        // The bench's motor takes 0.2 s to any speed.
+        // the bench's motor takes 0.2 s to any speed
         for (newtons, expected) in [(0.0, 1.0), (8.0, 0.4), (12.3, 0.0), (18.0, -0.6)] {
             press_sensor(bench, newtons);
             bench.sleep_ms(400).await;
             let speed = speed(bench).await;
-            // The position loop is still some 10 mrad from the ramp that it follows, and catches up within the half second.
+            // The position loop is still some 10 mrad from the ramp that it follows, and catches up within the half
+            // second.
             assert!((speed - expected).abs() < 0.08, "{newtons} N: {speed} rad/s");
         }
         assert_eq!(bench.host.safety().0, SafetyState::Armed);
     });
 }
 
-/// In any mode, and before it is armed.
+/// The trip occurs in any mode, and before arming.
 #[test]
 fn too_much_force_trips_in_any_mode() {
     for mode in [None, Some((Mode::Duty, 0.0)), Some((Mode::Position, 0.5)), Some((Mode::Force, 5.0))] {
@@ -88,7 +89,7 @@ fn too_much_force_trips_in_any_mode() {
             bench.sleep_ms(50).await;
             let (state, causes) = bench.safety().await;
             assert_eq!((state, causes), (SafetyState::Tripped, Causes::only(Cause::ForceLimit)), "{mode:?}");
-            // Who frees it may go on.
+            // after the force is removed, the motor may go on
             press_sensor(bench, 0.0);
             bench.sleep_ms(50).await;
             bench.host.clear().await.unwrap();
@@ -96,7 +97,7 @@ fn too_much_force_trips_in_any_mode() {
     }
 }
 
-/// A cut wire: 0 V, which the input takes for no reading. A motor in another mode does not need it.
+/// A cut wire gives 0 V, which the input reports as no reading. A motor in another mode does not need it.
 #[test]
 fn a_motor_that_presses_needs_its_sensor() {
     for (mode, value, expected) in [
@@ -114,7 +115,7 @@ fn a_motor_that_presses_needs_its_sensor() {
     }
 }
 
-/// A newer force that is refused does not leave the older one in force: the motor stands.
+/// A refused newer force ends the older one: the motor stands.
 #[test]
 fn a_force_out_of_range_is_refused_and_stops_the_motor() {
     bench(&finger(), async |bench| {
@@ -139,7 +140,7 @@ fn a_force_out_of_range_is_refused_and_stops_the_motor() {
     });
 }
 
-/// The same motor with a load cell on the bus, read 320 times a second, on which 18 N press.
+/// The same motor with a load cell on the bus, read 320 times a second, with a force of 18 N.
 #[test]
 fn a_load_cell_serves_as_an_analog_sensor_does() {
     let mut robot = finger();
@@ -159,7 +160,7 @@ fn a_load_cell_serves_as_an_analog_sensor_does() {
     let force = control.force.as_mut().unwrap();
     force.sensor = ForceSensor::LoadCell { force: 0 };
     bench(&robot, async |bench| {
-        // Its calibration takes half a second.
+        // its calibration takes half a second
         bench.sleep_ms(1000).await;
         bench.host.arm().await.unwrap();
         bench.set(FINGER, Mode::Force, 12.0).await.unwrap();

@@ -1,4 +1,4 @@
-//! Motors whose friction, dead band, play or supply nobody declared: the board learns on line what moves them.
+//! Motors with undeclared friction, dead band, play or supply: the board learns them on line.
 
 use std::f64::consts::TAU;
 
@@ -10,7 +10,7 @@ use crate::{
     whole_board::sample,
 };
 
-/// A motor of 8.7 rad/s and 64 ms; with what a test adds to it.
+/// A motor of 8.7 rad/s and 64 ms, to which a test adds effects.
 const MOTOR: &str = r#"
 model = "dc-gear-motor"
 source = "test"
@@ -22,7 +22,7 @@ gear_ratio = 25.0
 inertia_kg_m2 = 0.2
 viscous_nm_s_per_rad = 0.03
 "#;
-/// Stalled at 24 V it has 27.5 N m; levels here are up to a third of that.
+/// Undeclared effects. Stalled at 24 V the motor has 27.5 N m; levels here are up to a third of that.
 const HIDDEN: [&str; 7] = [
     "",
     "[[effects]]\neffect = \"coulomb-friction\"\ntorque_nm = 6.0",
@@ -33,10 +33,10 @@ const HIDDEN: [&str; 7] = [
     "[[effects]]\neffect = \"coulomb-friction\"\ntorque_nm = 1.0\n[[effects]]\neffect = \"backlash\"\ngap_rad = 0.035",
     "[[effects]]\neffect = \"coulomb-friction\"\ntorque_nm = 3.0\n[[effects]]\neffect = \"supply-sag\"\nsource_ohm = 0.5",
 ];
-/// Counts of an encoder of 600 lines.
+/// Counts per turn of an encoder of 600 lines.
 const TURN: f64 = 2400.0;
 
-/// The bench with this motor, of whose friction its file says nothing.
+/// The bench with this motor, whose file declares no friction.
 fn robot(hidden: &str) -> Robot {
     let mut robot = osmc_bench();
     let control = control_of(&mut robot.config, 0);
@@ -54,8 +54,8 @@ async fn counts(bench: &Bench<'_>) -> f64 {
     f64::from(position)
 }
 
-/// Three moves to whole counts; each comes to within one of them, passes it by at most a hundredth of the way, and stays: in 60 s at
-/// the last nothing moves that the encoder would see, and what the motor is driven with then is below what moves it.
+/// Three moves to whole counts; each ends within one of them, overshoots by at most a hundredth of the distance, and
+/// stays: in 60 s at the last the encoder sees no motion, and the duty is below the break-away level.
 #[test]
 fn whatever_resists_a_motor_comes_to_within_a_count_and_stays() {
     for hidden in HIDDEN {
@@ -72,7 +72,7 @@ fn whatever_resists_a_motor_comes_to_within_a_count_and_stays() {
                 }
                 let error = counts(bench).await - target;
                 assert!(error.abs() <= 1.0, "{hidden}: {error} counts off {target}");
-                // The true position is up to a count beyond what the encoder shows.
+                // the true position is up to a count beyond the encoder's
                 assert!(beyond <= 0.01 * f64::abs(target - from) + 1.0, "{hidden}: {beyond} counts beyond {target}");
                 from = target;
             }

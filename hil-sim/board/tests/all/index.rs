@@ -1,4 +1,4 @@
-//! Index pulses of an encoder on the simulated bench: the zero by them, and counts that were lost.
+//! Index pulses of an encoder on the simulated bench: homing by them, and lost counts.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -14,12 +14,12 @@ use crate::harness::{Bench, ROTARY, bench, control_of, osmc_bench};
 
 /// One encoder count of the bench, rad.
 const COUNT_RAD: f64 = TAU / 2400.0;
-/// A disc on the motor's side of a gear of 8:1.
+/// Counts per index pulse: a disc on the motor side of an 8:1 gear.
 const COUNTS_PER_INDEX: u32 = 300;
-/// Where the index pulse is to be.
+/// Configured position of the index pulse, rad.
 const HOME_RAD: f32 = 0.5;
 
-/// The bench with an encoder whose index pulse is wired to its switch pin, where it is found at up to 2.5 rad/s.
+/// The bench with an encoder whose index pulse is wired to its switch pin, found at up to 2.5 rad/s.
 fn robot() -> Robot {
     let mut robot = osmc_bench();
     robot.config.switches.clear();
@@ -32,7 +32,7 @@ fn robot() -> Robot {
     robot
 }
 
-/// The position that the board tells, counts, and whether it is homed.
+/// Reported position, counts, and the homed flag.
 async fn told(bench: &Bench<'_>) -> (i32, bool) {
     let mut samples = bench.host.samples(ROTARY, 1).await.unwrap();
     match samples.next().await.unwrap().sample {
@@ -41,7 +41,8 @@ async fn told(bench: &Bench<'_>) -> (i32, bool) {
     }
 }
 
-/// From several places, either way, slowly and as fast as the bench goes: the same place of the disc, to the count.
+/// From several positions, in both directions, slowly and at the bench's highest speed: the same place of the disc, to
+/// the count.
 #[test]
 fn the_zero_by_index_is_the_same_to_a_count() {
     let mut zeros = Vec::new();
@@ -54,20 +55,21 @@ fn the_zero_by_index_is_the_same_to_a_count() {
             bench.sleep_ms(6000).await;
             let (position, homed) = told(bench).await;
             assert!(homed, "{start} {speed}");
-            // Where the board comes to rest it calls the pulse's place, but for what settling allows.
+            // the board rests at the pulse's configured position, within the settling error
             assert!((f64::from(position) * COUNT_RAD - f64::from(HOME_RAD)).abs() < 0.004 + COUNT_RAD, "{position}");
-            // How far the board's count is from the shaft's true one, on the disc.
+            // offset of the board's count from the shaft's true one, on the disc
             let true_count = (bench.position(ROTARY) / COUNT_RAD).floor() as i32;
             (true_count - position).rem_euclid(COUNTS_PER_INDEX as i32)
         });
         zeros.push(zero);
     }
-    // The pulse is where the true count is 0, and is told to be at 0.5 rad: 191 counts. A backlash between would add its own.
+    // The pulse is at true count 0, and its configured position is 0.5 rad: 191 counts. A backlash in between would add
+    // its own.
     let exact = (-191i32).rem_euclid(COUNTS_PER_INDEX as i32);
     assert!(zeros.iter().all(|zero| (zero - exact).abs() <= 1), "{zeros:?}, not {exact}");
 }
 
-/// Two lines of the disc that the counter did not see: at the next pulse the board stops, and does not call itself homed any more.
+/// Two lines of the disc that the counter missed: at the next pulse the board stops, and is no longer homed.
 #[test]
 fn lost_lines_are_seen_within_a_turn_of_the_disc() {
     bench(&robot(), async |bench| {
@@ -77,11 +79,11 @@ fn lost_lines_are_seen_within_a_turn_of_the_disc() {
         bench.sleep_ms(4000).await;
         assert!(told(bench).await.1);
         bench.set(ROTARY, Mode::Speed, 2.0).await.unwrap();
-        // Several turns of the disc at full speed: nothing is lost.
+        // several turns of the disc at full speed without a loss
         bench.sleep_ms(3000).await;
         assert_eq!(bench.safety().await.0, SafetyState::Armed);
         bench.board.world().pins().encoders[0].lose_edges(8);
-        // A turn of the disc takes 0.4 s.
+        // a turn of the disc takes 0.4 s
         bench.sleep_ms(500).await;
         let (state, causes) = bench.safety().await;
         assert_eq!(state, SafetyState::Tripped);

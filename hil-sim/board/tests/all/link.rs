@@ -1,5 +1,5 @@
-//! Bytes straight into the board's link: whatever comes is survived, counted or refused, and moves nothing; the next good
-//! frame is taken.
+//! Raw bytes on the board's link: any data is survived, counted or refused, and moves nothing; the next good frame is
+//! accepted.
 
 use crate::harness::{
     Device, LINEAR, MS, ROTARY, RawHost, SUPPLY_24, bench, frame, osmc_bench, power_up, raw_bench, raw_bench_of,
@@ -16,7 +16,7 @@ use r4_sim::{Simulation, uart::LineNoise};
 const NO_MOTOR: ChannelId = ChannelId::new(ChannelKind::Osmc, 3);
 const GAINS: PidGains = PidGains { kp: 1.0, ki: 0.0, kd: 0.0 };
 
-/// A command that is decided now, as the board's clock is the simulation's.
+/// A command with the present time: the board's clock is the simulation's.
 fn set(device: &Device, channel: ChannelId, mode: Mode, value: f32) -> Request {
     set_at(device.clock.now_ns() / 1000, channel, mode, value)
 }
@@ -32,7 +32,7 @@ fn nothing_moved(device: &Device) {
     }
 }
 
-/// A bit error in 5000 bits: of 400 requests of about ten bytes each about one in fifty is lost. Not one is misunderstood,
+/// One bit error in 5000 bits: of 400 requests of about ten bytes about one in fifty is lost. None is misunderstood,
 /// and when the line is quiet again everything is as before.
 #[test]
 fn a_noisy_line_loses_frames_and_says_so() {
@@ -42,7 +42,7 @@ fn a_noisy_line_loses_frames_and_says_so() {
         device.board.disturb_link(Some(LineNoise::new(2e-4, 0.0, 1)), None);
         let mut answers = 0;
         for seq in 1000..1400_u16 {
-            // A delimiter of its own: the noise that takes the one before takes one frame, not two.
+            // a delimiter of its own: noise in the preceding one costs one frame, not two
             host.send_bytes(&[0]).await;
             host.send(&ToDevice::Request { seq, request: Request::Stats }).await;
             let heard = host.listen(2).await;
@@ -56,7 +56,8 @@ fn a_noisy_line_loses_frames_and_says_so() {
     });
 }
 
-/// Not even a delimiter: on a CAN bus others would hear it, and alone on one a controller would repeat it for ever.
+/// The board sends not even a delimiter: on a CAN bus others would receive it, and alone on one a controller would
+/// repeat it indefinitely.
 #[test]
 fn a_board_says_nothing_until_it_is_spoken_to() {
     raw_bench(&osmc_bench(), async |host, _| {
@@ -105,7 +106,7 @@ fn another_version_or_schema_gets_no_session() {
             assert_eq!(refused, Err(Refusal::ProtocolMismatch { version: VERSION, schema: SCHEMA_HASH }));
             assert_eq!(host.ask(Request::Arm).await, Err(Refusal::NoSession));
         }
-        // A refused one does not end the session there is.
+        // a refused hello does not end the existing session
         host.hello().await;
         host.ask(Request::Hello { version: VERSION + 1, schema: SCHEMA_HASH }).await.unwrap_err();
         host.stats().await;
@@ -124,7 +125,7 @@ fn a_simulated_board_has_no_log_and_says_so() {
     });
 }
 
-/// A frame with one of its bytes changed, and still without a delimiter inside.
+/// A frame with one of its bytes changed, without creating a delimiter inside.
 fn changed(mut bytes: Vec<u8>, place: usize) -> Vec<u8> {
     bytes[place] = if bytes[place] == 0xFF { 1 } else { bytes[place] + 1 };
     bytes
@@ -156,7 +157,7 @@ fn damaged_frames_are_counted_and_the_next_good_one_is_taken() {
             host.send_bytes(&bytes).await;
             let after = host.stats().await;
             assert_eq!(after.bad_frames - before.bad_frames, bad, "{what}");
-            // The one that asked.
+            // the frame of the request itself
             assert_eq!(after.frames - before.frames, 1, "{what}");
             host.listen(10).await;
         }
@@ -165,7 +166,7 @@ fn damaged_frames_are_counted_and_the_next_good_one_is_taken() {
     });
 }
 
-/// A frame that lost its delimiter takes the next one with it; the one after is taken.
+/// A frame without its delimiter is lost together with the next one; the one after is accepted.
 #[test]
 fn a_lost_delimiter_costs_one_more_frame() {
     raw_bench(&osmc_bench(), async |host, _| {
@@ -178,7 +179,7 @@ fn a_lost_delimiter_costs_one_more_frame() {
     });
 }
 
-/// What a motor of the bench takes.
+/// Range of a motor of the bench in a mode.
 fn range_of(motor: usize, mode: Mode) -> Range {
     let motor = osmc_bench().config.motors[motor];
     let control = motor.control.expect("a measured motor");
@@ -208,7 +209,7 @@ fn commands_a_channel_cannot_take_are_refused_by_their_reason() {
                 }
             }
         }
-        // 51 ms old with 50 ms to live; a board that has run for less would be asked from before its start.
+        // 51 ms old with 50 ms to live; a board younger than that would get a time before its start
         host.listen(100).await;
         let late = set_at(device.clock.now_ns() / 1000 - 51_000, ROTARY, Mode::Duty, 0.8);
         let bad_gains = PidGains { kp: f32::NAN, ..GAINS };
@@ -235,14 +236,14 @@ fn commands_a_channel_cannot_take_are_refused_by_their_reason() {
             assert_eq!(host.stats().await.refused - before, place);
         }
         nothing_moved(device);
-        // Not because nothing could move: the same with numbers that fit does.
+        // not because nothing could move: the same request with valid numbers does
         host.ask(set(device, ROTARY, Mode::Duty, 0.8)).await.unwrap();
         host.listen(20).await;
         assert!(device.duty(ROTARY) > 0.0);
     });
 }
 
-/// Why a set point is refused that is newer than the one in force.
+/// Reasons for the refusal of a set point that is newer than the one in force.
 #[derive(Clone, Copy, Debug)]
 enum Refused {
     NotFinite,
@@ -273,7 +274,7 @@ impl Refused {
     }
 }
 
-/// What a channel shows.
+/// Newest sample of a channel.
 async fn sample_of(host: &mut RawHost, channel: ChannelId) -> Sample {
     host.ask(Request::Subscribe { channel, period_ms: 1 }).await.expect("a channel");
     let heard = host.listen(3).await;
@@ -286,7 +287,7 @@ async fn sample_of(host: &mut RawHost, channel: ChannelId) -> Sample {
     samples.into_iter().next().expect("a sample each millisecond")
 }
 
-/// Keeps the session for `ms`.
+/// Keeps the session alive for `ms`.
 async fn wait(host: &mut RawHost, session: u16, ms: u64) {
     for part in 0..ms.div_ceil(50) {
         host.send(&ToDevice::Heartbeat { session, host_us: 0 }).await;
@@ -294,8 +295,8 @@ async fn wait(host: &mut RawHost, session: u16, ms: u64) {
     }
 }
 
-/// Disarms and arms `channel`, sets `setpoint`, and lets `then` happen once it is followed; whether it is followed 100 ms
-/// later. A channel that stops does so within them: what ends a ramp at rest counts from its last 0.06 s.
+/// Disarms and arms, sets `setpoint` for a channel, and runs `then` once it is followed; returns true if it is followed
+/// 100 ms later. A channel that stops does so within that time: the end of a ramp to rest counts from its last 0.06 s.
 async fn is_followed_after(
     host: &mut RawHost,
     device: &Device,
@@ -308,7 +309,7 @@ async fn is_followed_after(
     host.ask(Request::Arm).await.expect("accepted");
     let sent_us = now_us(device);
     host.ask(set_at(sent_us, info.id, setpoint.mode, setpoint.value)).await.expect("accepted");
-    // The supply of the motors comes 50 ms after arming.
+    // the motors' supply comes 50 ms after arming
     wait(host, session, 110).await;
     then(host, sent_us).await;
     host.listen(5).await;
@@ -340,18 +341,18 @@ async fn is_followed_after(
     }
 }
 
-/// Every kind of output in every mode, whatever the reason: a set point that is refused ends the older one, but one that is
-/// older itself, or the same again, ends nothing.
+/// For every kind of output and mode, and any reason: a refused set point ends the older one, unless it is older itself
+/// or a repetition.
 #[test]
 fn a_refused_set_point_never_leaves_the_older_one_in_force() {
     raw_bench(&r4_boards::load("every-interface").expect("built in"), async |host, device| {
-        // It answers when all its range sensors have been heard.
+        // it answers when all its range sensors have a reading
         host.listen(1000).await;
         let count = host.hello().await.channels;
         let mut outputs: Vec<ChannelInfo> = Vec::new();
         for index in 0..count {
             let Ok(Reply::Channel(info)) = host.ask(Request::Describe { index }).await else { panic!("described") };
-            // One of each kind: all are built alike. But for servos, which have arrived before anything could be refused.
+            // one of each kind: all are built alike, except servos, which arrive before anything could be refused
             let stays = info.modes.is_empty() || info.id.kind == ChannelKind::Servo;
             if !stays && outputs.iter().all(|known| known.id.kind != info.id.kind) {
                 outputs.push(info);
@@ -364,11 +365,11 @@ fn a_refused_set_point_never_leaves_the_older_one_in_force() {
         assert!(kinds.contains(&ChannelKind::Relay) && kinds.contains(&ChannelKind::Dac), "{kinds:?}");
         let mut cases = 0;
         for info in &outputs {
-            // A point of a path is of the past when it is being followed.
+            // a point of a path is of the past when it is being followed
             for mode in info.modes.iter().filter(|mode| !matches!(mode.mode, Mode::Brake | Mode::Follow)) {
                 let value = match mode.mode {
                     Mode::Switch => 1.0,
-                    // Slow, so that nothing is found within the test.
+                    // slow, so that the home is not found within the test
                     Mode::Home => 0.5,
                     _ => mode.range.max * 0.4,
                 };
@@ -383,7 +384,7 @@ fn a_refused_set_point_never_leaves_the_older_one_in_force() {
                     cases += 1;
                 }
                 let older = async |host: &mut RawHost, sent_us: u64| {
-                    // The same once more, after its time; one from before it, after its time; one from before it that is wrong.
+                    // a repetition, after its time to live; an older one, after its time to live; an invalid older one
                     for (sent_us, value) in [(sent_us, setpoint.value), (sent_us - 1, 0.0), (sent_us - 1, f32::NAN)] {
                         host.ask(set_at(sent_us, info.id, mode.mode, value)).await.expect_err("refused");
                     }
@@ -392,12 +393,12 @@ fn a_refused_set_point_never_leaves_the_older_one_in_force() {
                 assert!(followed, "{} in {}: stopped by an older one", info.id, mode.mode);
             }
         }
-        // 4 modes of a motor that can seek its home, 3 of such a stepper, and 4 others.
+        // 4 modes of a motor that can home, 3 of such a stepper, and 4 others
         assert_eq!(cases, 6 * 11, "{kinds:?}");
     });
 }
 
-/// A brake that is on stays on: neutral would release it.
+/// An active brake stays on: neutral would release it.
 #[test]
 fn a_refused_set_point_releases_no_brake() {
     raw_bench(&r4_boards::load("every-interface").expect("built in"), async |host, device| {
@@ -420,7 +421,7 @@ fn a_refused_set_point_releases_no_brake() {
     });
 }
 
-/// A cycle that is refused ends what its channels followed, be it leased or not; one that is older ends nothing.
+/// A refused cycle ends the set points of its channels, leased or not; an older one ends nothing.
 #[test]
 fn a_refused_cycle_never_leaves_older_set_points_in_force() {
     raw_bench(&osmc_bench(), async |host, device| {
@@ -460,7 +461,7 @@ fn a_refused_cycle_never_leaves_older_set_points_in_force() {
                 };
                 assert_eq!(turn(host, refused).await.outcome(), outcome, "{case}");
                 let told = setpoint_of(host, ROTARY).await;
-                // What is leased ends with its time to live in any case.
+                // a leased set point ends with its time to live in any case
                 let value = if ends || (leased && late) { 0.0 } else { 2.0 };
                 assert_eq!(told, Setpoint { mode: Mode::Speed, value }, "{case}, leased: {leased}");
             }
@@ -490,7 +491,7 @@ fn a_heartbeat_of_another_session_does_not_keep_the_link() {
         for (other, state) in [(0, SafetyState::Armed), (1, SafetyState::Tripped)] {
             let session = host.hello().await.session;
             host.ask(Request::Arm).await.unwrap();
-            // 300 ms, longer than the link timeout of 200 ms.
+            // 300 ms, longer than the link timeout of 200 ms
             let mut answers = 0;
             for _ in 0..6 {
                 host.send(&ToDevice::Heartbeat { session: session.wrapping_add(other), host_us: 7 }).await;
@@ -513,7 +514,7 @@ fn telemetry_of_every_channel_at_the_highest_rate_holds_nothing_up() {
         for channel in &channels {
             bench.host.subscribe(*channel, 1).await.unwrap();
         }
-        // Both motors under way, and turning around.
+        // both motors in motion, and reversing
         for (rotary, linear) in [(3.0, 0.02), (-3.0, 0.005)] {
             bench.set(ROTARY, Mode::Position, rotary).await.unwrap();
             bench.set(LINEAR, Mode::Position, linear).await.unwrap();
@@ -526,7 +527,7 @@ fn telemetry_of_every_channel_at_the_highest_rate_holds_nothing_up() {
                     samples[channels.iter().position(|channel| *channel == sample.channel()).unwrap()] += 1;
                 }
             }
-            // One each millisecond, but for those under way at either end.
+            // one each millisecond, except for those in transmission at either end
             let expected = (bench.clock.now_ns() - begin_ns) / MS;
             assert!(samples.iter().all(|count| expected.abs_diff(*count) <= 2), "{samples:?} in {expected} ms");
         }
@@ -535,8 +536,8 @@ fn telemetry_of_every_channel_at_the_highest_rate_holds_nothing_up() {
     });
 }
 
-/// What the cycles of these tests mean: the bench's rotary motor by its speed, 1 mrad/s a step, its actuator by its position,
-/// 1 um a step.
+/// Binding of the cycles in these tests: the bench's rotary motor by its speed, 1 mrad/s per step, its actuator by its
+/// position, 1 um per step.
 fn bind(ttl_ms: u16) -> Request {
     let channels = [of_cycle(ROTARY, Mode::Speed), of_cycle(LINEAR, Mode::Position)];
     Request::Bind { channels: channels.into_iter().collect(), ttl_ms }
@@ -551,7 +552,7 @@ fn steps(rotary: i16, linear: i16) -> [i16; 4] {
     [rotary, linear, 1234, 5678]
 }
 
-/// Sends `cycle` and gives its answer; panics when there is none, or another message.
+/// Sends `cycle` and returns its answer; panics if there is none, or another message.
 async fn turn(host: &mut RawHost, cycle: Cycle) -> CycleState {
     host.send(&ToDevice::Cycle(cycle)).await;
     match host.listen(2).await[..] {
@@ -572,7 +573,7 @@ fn a_cycle_moves_what_is_bound_and_tells_what_it_does() {
         host.ask(Request::Arm).await.unwrap();
         let start_us = device.board.world().position(LINEAR).unwrap() * 1e6;
         let mut last = None;
-        // 1.5 s: 2 rad/s, and 20 mm from where the rod is.
+        // 1.5 s: 2 rad/s, and 20 mm from the rod's position
         for turn_number in 0..150_u64 {
             let target = start_us as i16 + 10_000;
             let cycle = Cycle::new(turn_number as u8, None, Some(now_us(device)), steps(2000, target));
@@ -610,12 +611,12 @@ fn a_cycle_is_refused_whole_and_always_answered() {
             assert_eq!(state.outcome(), outcome, "{what}");
             refused += u32::from(outcome != CycleOutcome::Taken);
             if outcome != CycleOutcome::Taken {
-                // A period has passed, in which it would have moved.
+                // a period has passed, in which it would have moved
                 nothing_moved(device);
             }
             state
         };
-        // Nothing is taken before the board has started.
+        // no command is accepted before the board has started
         host.listen(100).await;
         let unbound = expect(host, "no session", cycle(1, 100, 0), CycleOutcome::Unbound).await;
         assert_eq!(unbound.motors(), [CycleMotor::NONE; 4]);
@@ -628,7 +629,7 @@ fn a_cycle_is_refused_whole_and_always_answered() {
         host.ask(Request::Arm).await.unwrap();
         host.listen(60).await;
 
-        // 5.001 rad/s where 5 is the most, and 1 um below the rod's range: the other set point is good each time.
+        // 5.001 rad/s with a limit of 5, and 1 um below the rod's range: the other set point is valid each time
         expect(host, "too fast", cycle(5, 5001, 50_00), CycleOutcome::Refused).await;
         expect(host, "too short", cycle(6, 100, -1), CycleOutcome::Refused).await;
         for mode in [Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home] {
@@ -642,14 +643,14 @@ fn a_cycle_is_refused_whole_and_always_answered() {
         let stats = host.stats().await;
         assert_eq!((stats.cycles_refused, stats.refused), (refused, 0));
 
-        // Not because nothing could move: in either of the other modes, and without a date.
+        // not because nothing could move: in either of the other modes, and without a date
         let duty = Cycle::new(9, Some(Mode::Duty), Some(now_us(device)), steps(20_000, NOTHING));
         assert_eq!(turn(host, duty).await.outcome(), CycleOutcome::Taken);
         host.listen(20).await;
         assert!(device.duty(ROTARY) > 0.3 && device.duty(LINEAR) == 0.0);
         let undated = Cycle::new(10, Some(Mode::Position), None, steps(-1000, NOTHING));
         assert_eq!(turn(host, undated).await.outcome(), CycleOutcome::Taken);
-        // The end of the session ends the binding.
+        // the end of the session ends the binding
         host.hello().await;
         assert_eq!(turn(host, cycle(11, 0, 0)).await.outcome(), CycleOutcome::Unbound);
     });
@@ -690,7 +691,7 @@ fn what_no_cycle_can_move_is_not_bound() {
     });
 }
 
-/// Of two channels whose cycles stop coming, the one that has had a single command since goes on.
+/// Two channels whose cycles stop: the one that has had a single command since then continues.
 #[test]
 fn the_set_points_of_cycles_that_stop_coming_end() {
     const TTL_MS: u64 = 50;
@@ -724,7 +725,7 @@ fn the_set_points_of_cycles_that_stop_coming_end() {
                 },
                 _ => None,
             });
-            // Looked at each millisecond, as is what telemetry tells.
+            // sampled each millisecond, as is telemetry
             let after_us = stopped_us.expect("it stops") - sent_us;
             assert!((TTL_MS * 1000..TTL_MS * 1000 + 3000).contains(&after_us), "{mode}: after {after_us} us");
             for _ in 0..15 {
@@ -743,11 +744,11 @@ fn the_set_points_of_cycles_that_stop_coming_end() {
     }
 }
 
-/// The board's clock in a cycle has 32 bits, which wrap after 71 minutes.
+/// The board's clock has 32 bits in a cycle, which wrap after 71 minutes.
 #[test]
 fn cycles_go_on_when_the_32_bits_of_their_clock_wrap() {
     const WRAP_US: u64 = 1 << 32;
-    // Time has been counting before the board is there: it is on for a second when they wrap.
+    // Time starts before the board: it is on for a second when the clock wraps.
     let late = |simulation: &mut Simulation, robot: &Robot| {
         let clock = simulation.clock();
         simulation.block_on(clock.sleep((WRAP_US - 1_000_000) * 1000)).expect("time goes on");
@@ -756,7 +757,7 @@ fn cycles_go_on_when_the_32_bits_of_their_clock_wrap() {
     raw_bench_of(&late, &osmc_bench(), async |host, device| {
         host.hello().await;
         host.ask(bind(50)).await.unwrap();
-        // Nobody is heard meanwhile, which trips; cycles that only ask are answered all the same.
+        // Without heartbeats meanwhile it trips; cycles that only query are still answered.
         host.listen((WRAP_US - 20_000 - now_us(device)) / 1000).await;
         let mut outcomes = Vec::new();
         for seq in 250..=260_u32 {
@@ -776,7 +777,7 @@ fn cycles_go_on_when_the_32_bits_of_their_clock_wrap() {
     });
 }
 
-/// Whole frames, pieces of frames and noise, but never a whole request to arm.
+/// Whole frames, parts of frames and noise, but never a whole request to arm.
 fn any_bytes() -> impl Strategy<Value = Vec<u8>> {
     let message = prop_oneof![
         any::<u64>().prop_map(|schema| Request::Hello { version: VERSION, schema }),
@@ -807,7 +808,7 @@ fn any_bytes() -> impl Strategy<Value = Vec<u8>> {
         (any::<u16>(), any::<u64>()).prop_map(|(session, host_us)| frame(&ToDevice::Heartbeat { session, host_us }));
     let cycle = (any::<u8>(), any::<Option<u64>>(), any::<[i16; 4]>())
         .prop_map(|(seq, sent_us, set)| frame(&ToDevice::Cycle(Cycle::new(seq, None, sent_us, set))));
-    // COBS makes the damage visible to the CRC, never invisible: a flipped bit gives no other valid frame.
+    // COBS makes the damage visible to the CRC: a flipped bit gives no other valid frame
     let damaged = (any::<u16>(), any::<prop::sample::Index>(), 0..8u8).prop_map(|(seq, place, bit)| {
         let mut arm = frame(&ToDevice::Request { seq, request: Request::Arm });
         let place = place.index(arm.len() - 1);
@@ -819,7 +820,7 @@ fn any_bytes() -> impl Strategy<Value = Vec<u8>> {
     prop::collection::vec(piece, 0..12).prop_map(|pieces| pieces.concat())
 }
 
-/// Whether the bench takes `set` for the channels of [`bind`], and what they follow then.
+/// Set points that the bench follows after `set` for the channels of [`bind`]; `None` if it is refused.
 fn followed(mode: Option<Mode>, set: [i16; 4]) -> Option<[Option<Setpoint>; 2]> {
     let of = |motor: usize, bound: CycleChannel| {
         if set[motor] == NOTHING {
@@ -832,14 +833,14 @@ fn followed(mode: Option<Mode>, set: [i16; 4]) -> Option<[Option<Setpoint>; 2]> 
     Some([of(0, of_cycle(ROTARY, Mode::Speed))?, of(1, of_cycle(LINEAR, Mode::Position))?])
 }
 
-/// Mode, age in µs, set points.
+/// Mode, age in µs, and set points of a cycle.
 type AnyCycle = (Option<Mode>, Option<i64>, [i16; 4]);
 
 fn any_cycle() -> impl Strategy<Value = AnyCycle> {
     let modes = vec![Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home];
     let mode = proptest::option::of(proptest::sample::select(modes));
     let steps = || prop_oneof![3 => -50..50_i16, 2 => any::<i16>(), 1 => Just(NOTHING)];
-    // Looking at both motors takes some 10 ms of the time to live.
+    // sampling both motors takes some 10 ms of the time to live
     let age_us = prop_oneof![3 => -30_000..30_000_i64, 1 => 51_000..1_000_000_i64, 1 => -1_000_000..-52_000_i64];
     (mode, proptest::option::of(age_us), [steps(), steps(), steps(), steps()])
 }
@@ -847,7 +848,8 @@ fn any_cycle() -> impl Strategy<Value = AnyCycle> {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, cases: 48, ..ProptestConfig::default() })]
 
-    /// Whatever is in a cycle, the motors follow what single commands could have told them, or what they followed before.
+    /// For any content of a cycle, the motors follow set points that single commands could have set, or their earlier
+    /// ones.
     #[test]
     fn any_cycle_is_followed_as_single_commands_are_or_not_at_all(cycles in prop::collection::vec(any_cycle(), 1..12)) {
         raw_bench(&osmc_bench(), async |host: &mut RawHost, device: &Device| {
@@ -884,7 +886,7 @@ proptest! {
     }
 }
 
-/// What a motor follows, by its telemetry.
+/// Set point that a motor follows, by its telemetry.
 async fn setpoint_of(host: &mut RawHost, channel: ChannelId) -> Setpoint {
     host.ask(Request::Subscribe { channel, period_ms: 1 }).await.expect("a channel");
     let heard = host.listen(2).await;
@@ -913,10 +915,10 @@ proptest! {
                 host.send_bytes(chunk).await;
                 assert!(device.is_off(ROTARY) && device.is_off(LINEAR));
             }
-            // Ends whatever frame is open.
+            // ends any open frame
             host.send_bytes(&[0]).await;
             host.listen(50).await;
-            // Armed without a command is braked, not off.
+            // armed without a command is braked, not off
             assert!(device.is_off(ROTARY) && device.is_off(LINEAR), "armed");
             let causes = host.hello().await.causes;
             assert!(causes == Causes::NONE || causes == Causes::only(Cause::LinkLost), "{causes}");

@@ -1,6 +1,6 @@
-//! The PWM chip's driver and the rules of the bridges, against the chip's and the bridges' models and on the wire.
+//! Driver of the PWM chip and the rules of the bridges, against the models of both and on the wire.
 //!
-//! Register numbers are those of the PCA9685 datasheet, section 7.3; the driver's own constants are not used.
+//! Register numbers are literal values of the PCA9685 datasheet, section 7.3; the driver's own constants are not used.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -28,15 +28,15 @@ const MODE1: u8 = 0x00;
 const MODE2: u8 = 0x01;
 const PRE_SCALE: u8 = 0xFE;
 const LED0_ON_L: u8 = 0x06;
-/// MODE1 after setting up: awake, auto-increment, All Call.
+/// MODE1 after set-up: awake, auto-increment, All Call.
 const RUNNING: u8 = 0x21;
-/// MODE2: totem pole, outputs change on STOP.
+/// MODE2 after set-up: totem pole, outputs change on STOP.
 const TOTEM_POLE: u8 = 0x04;
-/// 25 MHz / 4096 / (3 + 1) = 1526 Hz.
+/// Prescaler for the highest frequency, 25 MHz / 4096 / (3 + 1) = 1526 Hz.
 const FASTEST: u8 = 3;
-/// One PWM period at that: 4096 · 4 / 25 MHz.
+/// PWM period at that prescaler, ns: 4096 · 4 / 25 MHz.
 const PWM_PERIOD_NS: u64 = 655_360;
-/// Everything is read back once in so many calls: the mode, the relays, and four lines of each of two bridges.
+/// Number of read-backs for one round: the mode, the relays, and four lines of each of two bridges.
 const CHECKS: u64 = 10;
 
 fn osmc_lines(motor: &MotorConfig) -> BridgeLines {
@@ -44,13 +44,13 @@ fn osmc_lines(motor: &MotorConfig) -> BridgeLines {
     lines
 }
 
-/// A bus with one PWM chip and the bridges of the bench behind it, which are never disabled.
+/// A bus with one PWM chip and the bridges of the bench, which are never disabled.
 struct Rig {
     clock: Clock,
     bus: I2cBus,
     chip: Rc<RefCell<chip::Pca9685>>,
     bridges: Vec<(BridgeLines, OsmcBridge)>,
-    /// Every state of the chip's outputs since power-up, with its beginning.
+    /// Every state of the chip's outputs since power-up, with its start time.
     history: Vec<(u64, [Line; 16])>,
 }
 
@@ -64,7 +64,7 @@ impl Rig {
         Self { clock, bus, chip, bridges: bridges.collect(), history: vec![(0, [Line::Low; 16])] }
     }
 
-    /// Brings chip and bridges to the clock's time, change by change.
+    /// Advances chip and bridges to the clock's time, change by change.
     fn catch_up(&mut self) {
         let now_ns = self.clock.now_ns();
         loop {
@@ -91,7 +91,7 @@ impl Rig {
         }
     }
 
-    /// Everything done against a datasheet.
+    /// All misuses of chip and bridges.
     fn misuse(&self) -> Vec<String> {
         let (chip, bridges) = (self.chip.borrow(), self.bridges.iter().map(|(_, bridge)| bridge.misuse()));
         let logs = [self.bus.misuse(), chip.misuse()].into_iter().chain(bridges);
@@ -103,7 +103,7 @@ impl Rig {
     }
 }
 
-/// The controller on the rig's bus.
+/// Controller on the rig's bus.
 #[derive(Clone)]
 struct RigBus(Rc<RefCell<Rig>>);
 
@@ -136,7 +136,7 @@ impl I2c for RigBus {
             result
         };
         if let Err(Fault::StuckLow { .. }) = result {
-            // The controller's time-out; any number does.
+            // time-out of the controller; any duration serves
             clock.sleep(MS).await;
         }
         result.map(|_| ()).map_err(|_| RigError)
@@ -162,7 +162,7 @@ fn rig_config() -> BoardConfig {
     config
 }
 
-/// Runs `work` with a rig that was just powered.
+/// Runs `work` with a rig that was just powered up.
 fn on_rig<T>(work: impl AsyncFnOnce(RigBus, Clock) -> T) -> T {
     let mut simulation = Simulation::default();
     let clock = simulation.clock();
@@ -170,7 +170,7 @@ fn on_rig<T>(work: impl AsyncFnOnce(RigBus, Clock) -> T) -> T {
     simulation.block_on(work(RigBus(rig), clock)).expect("time goes on")
 }
 
-/// The same with outputs that are set up.
+/// As [`on_rig`], with outputs that are set up.
 fn with_outputs<T>(work: impl AsyncFnOnce(&mut Outputs<RigBus>, &RigBus, &Clock) -> T) -> T {
     on_rig(async |bus, clock| {
         let mut outputs = Outputs::new(bus.clone(), &rig_config());
@@ -179,7 +179,7 @@ fn with_outputs<T>(work: impl AsyncFnOnce(&mut Outputs<RigBus>, &RigBus, &Clock)
     })
 }
 
-/// One bridge at `duty`, or on the way to it, and nothing else.
+/// Commands `duty` for one bridge; returns the duty that was set on the way to it.
 async fn drive(outputs: &mut Outputs<RigBus>, index: usize, duty: f32) -> Result<f32, OutputFault> {
     let applied = outputs.drive(index, duty);
     outputs.flush(|_| false).await.map(|_| applied)
@@ -190,7 +190,7 @@ fn driver() -> Pca9685 {
     Pca9685::new(config.address, config.frequency_hz)
 }
 
-/// Any write to any register the chip has. Not EXTCLK (MODE1 bit 6): it stays until the supply is cycled, see
+/// Any write to any register of the chip, except EXTCLK (MODE1 bit 6): it stays until the supply is cycled, see
 /// `an_external_clock_is_reported`.
 fn any_write() -> impl Strategy<Value = [u8; 2]> {
     let register = prop_oneof![Just(MODE1), Just(MODE2), 0..=0x45u8, 0xFA..=0xFEu8];
@@ -201,17 +201,17 @@ fn any_write() -> impl Strategy<Value = [u8; 2]> {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever state the chip is in when the firmware starts. The chip takes a change over at the end of the PWM cycle
-    /// it is in (7.3.3), which can be one of 42 ms; from then on nothing is driven high.
+    /// Set-up from any state of the chip ends with all outputs off. A change takes effect at the end of the present PWM
+    /// cycle (7.3.3), which can last 42 ms; from then on nothing is driven high.
     #[test]
     fn setting_up_from_any_state_ends_off(writes in prop::collection::vec(any_write(), 0..40), wait_us in 600u64..50_000) {
         let ended = on_rig(async |mut bus, clock| {
-            // No bridge would take these outputs well.
+            // no bridge tolerates such outputs
             bus.0.borrow_mut().bridges.clear();
             for write in writes {
-                // In any state of MODE1 the chip has this address, so every write is acknowledged.
+                // MODE1 never changes this address, so every write is acknowledged
                 bus.write(0x40, &write).await.unwrap();
-                // Not while the oscillator starts (500 us), which the datasheet asks not to disturb.
+                // outside the start of the oscillator (500 us), which the datasheet asks not to disturb
                 clock.sleep(600 * US).await;
             }
             clock.sleep(wait_us * US).await;
@@ -227,7 +227,7 @@ proptest! {
             clock.sleep(50 * MS).await;
             let mut rig = bus.0.borrow_mut();
             rig.catch_up();
-            // Two transfers of three bytes, 72 us each.
+            // two transfers of three bytes, 72 us each
             let off_ns = begin_ns + 150 * US + last_cycle_ns;
             let changes: Vec<_> = rig.history.iter().filter(|(at_ns, _)| *at_ns > off_ns).copied().collect();
             let modes = [MODE1, MODE2, PRE_SCALE].map(|register| rig.register(register));
@@ -245,7 +245,7 @@ proptest! {
 #[test]
 fn an_external_clock_is_reported() {
     let result = on_rig(async |mut bus, _| {
-        // 7.3.1: SLEEP, then SLEEP and EXTCLK together.
+        // 7.3.1: SLEEP, then SLEEP and EXTCLK together
         bus.write(0x40, &[MODE1, 0x10]).await.unwrap();
         bus.write(0x40, &[MODE1, 0x50]).await.unwrap();
         driver().init(&mut bus).await
@@ -257,10 +257,10 @@ fn an_external_clock_is_reported() {
 fn an_unchanged_direction_writes_two_registers_of_one_line() {
     with_outputs(async |outputs, bus, clock| {
         clock.sleep(5 * MS).await;
-        // Forwards the PWM is on BLI, backwards on ALI.
+        // forwards the PWM is on BLI, backwards on ALI
         let lines = *lines_of(&mut osmc_bench().config);
         for (sign, low_line) in [(1.0, lines.bli), (-1.0, lines.ali)] {
-            // Through the direction change, if there is one.
+            // continue through the direction change, if there is one
             while drive(outputs, 0, 0.25 * sign).await == Ok(0.0) {
                 outputs.begin_tick();
                 clock.sleep(MS).await;
@@ -270,7 +270,7 @@ fn an_unchanged_direction_writes_two_registers_of_one_line() {
                 outputs.begin_tick();
                 assert_eq!(drive(outputs, 0, duty * sign).await, Ok(duty * sign));
                 let written: Vec<_> = bus.0.borrow().bus.trace().map(|record| record.written.clone()).collect();
-                // LEDn_OFF_L is the third of a line's four registers.
+                // LEDn_OFF_L is the third of a line's four registers
                 let expected: Vec<_> =
                     off_count.iter().map(|[low, high]| vec![LED0_ON_L + 4 * low_line + 2, *low, *high]).collect();
                 assert_eq!(written, expected, "at {duty}");
@@ -279,7 +279,7 @@ fn an_unchanged_direction_writes_two_registers_of_one_line() {
     });
 }
 
-/// What a test does to the outputs.
+/// One step of a random test of the outputs.
 #[derive(Clone, Copy, Debug)]
 enum Step {
     Drive { index: usize, duty: f32 },
@@ -293,7 +293,8 @@ fn any_step() -> impl Strategy<Value = Step> {
     let duty = prop_oneof![Just(0.0f32), Just(0.95), Just(-0.95), -0.98f32..0.98];
     let disturbance = prop_oneof![
         Just(Disturbance::AddressNack),
-        // The register pointer. A later byte leaves half a write in the chip until the repeat, which is misuse by itself.
+        // A fault at the register pointer. A later byte would leave half a write in the chip until the repetition,
+        // which is misuse by itself.
         Just(Disturbance::DataNack { byte: 0 }),
         Just(Disturbance::StuckLow { persistent: false }),
     ];
@@ -306,7 +307,8 @@ fn any_step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// From the STOP that took the last low side off to the STOP of each transfer that then set all four lines of a bridge.
+/// Times from the STOP that took the last low side off to the STOP of each transfer that then set all four lines of a
+/// bridge, ns.
 fn rests_before_direction_changes(lines: BridgeLines, trace: &[WireRecord]) -> Vec<u64> {
     let first = LED0_ON_L + 4 * lines.first();
     let low_sides = [lines.ali, lines.bli].map(|line| LED0_ON_L + 4 * line);
@@ -314,7 +316,7 @@ fn rests_before_direction_changes(lines: BridgeLines, trace: &[WireRecord]) -> V
     for record in trace.iter().filter(|record| record.fault.is_none()) {
         let [register, values @ ..] = &record.written[..] else { continue };
         let was_on = on;
-        // Bit 4 of LEDn_OFF_H is full OFF.
+        // bit 4 of LEDn_OFF_H is full OFF
         match values {
             _ if record.written == ALL_OFF => on = false,
             [_, high] if low_sides.contains(&(register - 2)) => on = high & 0x10 == 0,
@@ -335,8 +337,8 @@ fn rests_before_direction_changes(lines: BridgeLines, trace: &[WireRecord]) -> V
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Any duties, at any pace, also with a fault on the bus that passes: neither chip nor bridge is ever used against
-    /// its rules, directions change in one transfer of four lines, and the low sides were off for two PWM periods before.
+    /// For any duties at any pace, also with temporary bus faults: no misuse of chip or bridge, directions change in
+    /// one transfer of four lines, and the low sides were off for two PWM periods before.
     #[test]
     fn any_duties_keep_the_rules_of_the_bridges(steps in prop::collection::vec(any_step(), 1..60)) {
         let (misuse, trace) = with_outputs(async |outputs, bus, clock| {
@@ -370,8 +372,8 @@ proptest! {
         }
     }
 
-    /// A flipped bit in any byte of any write: once everything has been read back, it was found, or it changed nothing
-    /// that a bridge or the chip's timing depends on.
+    /// A flipped bit in any byte of any write: after a round of read-backs it was found, or it changed nothing that a
+    /// bridge or the chip's timing depends on.
     #[test]
     fn a_flipped_bit_is_found_by_reading_back(from in -0.9f32..0.9, to in -0.9f32..0.9, byte in 0..17usize, bit in 0..8u8) {
         let run = |flip: Option<Disturbance>| {
@@ -410,7 +412,7 @@ proptest! {
 
 #[test]
 fn a_wrong_duty_on_the_wire_trips_within_one_round_of_reading_back() {
-    // While armed one thing is read back every 4 periods of 1 ms. The trip's own write follows within 5 ms, as promised.
+    // While armed one item is read back every 4 periods of 1 ms. The trip's own write follows within 5 ms, as promised.
     let limit_ns = CHECKS * 4 * MS + 5 * MS;
     let mut worst_ns = 0;
     for (byte, mask) in [(1, 0x01), (1, 0x80), (2, 0x01), (2, 0x08), (2, 0x10)] {
@@ -418,8 +420,8 @@ fn a_wrong_duty_on_the_wire_trips_within_one_round_of_reading_back() {
             bench.run_rotary(0).await;
             let device = bench.device();
             device.record_wire();
-            // Right after a line was read back there is time for a write before the next look: the flip meets the write.
-            // The mode and the relays take two transfers each, of which the flip would meet the second.
+            // Right after a line was read back there is time for a write before the next read-back: the flip hits the
+            // write. The mode and the relays take two transfers each, of which the flip would hit the second.
             let begin_ns = device.clock.now_ns();
             let line_read = || {
                 let mut reads = device.wire_since(begin_ns).filter(|record| !record.read.is_empty());
@@ -428,7 +430,7 @@ fn a_wrong_duty_on_the_wire_trips_within_one_round_of_reading_back() {
             device.wait_until(begin_ns, 20 * MS, line_read).await.expect("looks");
             let flip_ns = device.clock.now_ns();
             device.inject(Disturbance::BitFlip { byte, mask }, Span::Transfers { count: 1 });
-            // Less than the slew limit of one period: a single write.
+            // less than the slew limit of one period: a single write
             bench.set(ROTARY, Mode::Duty, 0.81).await.unwrap();
             let written_ns = device.wait_all_off_written(flip_ns, limit_ns).await;
             assert!(written_ns.is_some_and(|ns| ns <= limit_ns), "byte {byte}, mask {mask:#04x}: {written_ns:?}");
@@ -441,7 +443,7 @@ fn a_wrong_duty_on_the_wire_trips_within_one_round_of_reading_back() {
     eprintln!("flipped bit: written off after at most {} us", worst_ns / US);
 }
 
-/// Loops that ask for far more than they may get the cap at the bridge, to the next 1/4096, and never more.
+/// Loops that request far more than the cap get the cap at the bridge, to the next 1/4096, and never more.
 #[test]
 fn no_loop_drives_beyond_the_duty_cap() {
     let mut robot = osmc_bench();

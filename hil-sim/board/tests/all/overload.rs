@@ -1,4 +1,4 @@
-//! Overload protection of motors, on the simulated robots: what a blocked motor costs, and that normal work never trips.
+//! Overload protection of motors on the simulated robots: trips of blocked motors, and no trips in normal work.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -17,7 +17,7 @@ use r4_protocol::{
 use r4_sim::Clock;
 
 const WHEEL: ChannelId = ChannelId::new(ChannelKind::Dhb, 0);
-/// More friction than any of the motors overcomes, N m.
+/// Friction that none of the motors overcomes, N m.
 const BLOCKED_NM: f64 = 1e4;
 
 fn openscout() -> Robot {
@@ -29,7 +29,7 @@ fn block(bench: &Bench<'_>, robot: &Robot, channel: ChannelId) {
     bench.device().add_effect(robot, channel, Effect::CoulombFriction(friction));
 }
 
-/// When the board trips after `channel`, blocked, was sent to `duty`, s; `None` where it does not within `limit_s`.
+/// Time from setting `duty` on a blocked `channel` to the trip, s; `None` if there is none within `limit_s`.
 async fn trips_after(bench: &Bench<'_>, channel: ChannelId, duty: f32, limit_s: f64) -> Option<f64> {
     if bench.host.safety().0 != SafetyState::Armed {
         bench.host.arm().await.unwrap();
@@ -48,7 +48,7 @@ async fn trips_after(bench: &Bench<'_>, channel: ChannelId, duty: f32, limit_s: 
     Some(after_s)
 }
 
-/// The heat follows `(i / rated)²` by a lag, from what a restart assumes: after how long a current is too much, s.
+/// Predicted time of the trip, s: the heat follows `(i / rated)²` with a lag, from the value assumed at a restart.
 fn predicted_s(robot: &Robot, channel: ChannelId, duty: f32, supply_v: f32) -> Option<f64> {
     let winding = robot.config.motors.iter().find(|motor| motor.id == channel)?.winding?;
     let current_a = f64::from((duty.abs() - winding.dead_duty) * supply_v / winding.resistance_ohm);
@@ -56,7 +56,7 @@ fn predicted_s(robot: &Robot, channel: ChannelId, duty: f32, supply_v: f32) -> O
     (settled > 1.0).then(|| f64::from(winding.thermal_s) * ((settled - COOLED) / (settled - 1.0)).ln())
 }
 
-/// Below the duty of a stall nothing else watches a motor that takes an open duty.
+/// Below the duty of a stall, overload is the only protection of a motor with an open-loop duty.
 #[test]
 fn a_blocked_wheel_trips_when_its_heat_is_predicted_to_reach_the_limit() {
     let robot = openscout();
@@ -68,8 +68,8 @@ fn a_blocked_wheel_trips_when_its_heat_is_predicted_to_reach_the_limit() {
         })
     });
     for (duty, tripped_s) in duties.into_iter().zip(tripped) {
-        // 12.6 V, less what 0.05 ohm take of the motor's share of the current: within 0.5 %. Half a second of relay, slew and
-        // heartbeats until the host hears of it.
+        // 12.6 V minus the drop on 0.05 ohm by the motor's share of the current: within 0.5 %. Half a second for relay,
+        // slew and heartbeats until the host is informed.
         let predicted_s = predicted_s(&robot, WHEEL, duty, 12.6);
         println!("duty {duty}: tripped after {tripped_s:?} s, predicted {predicted_s:?} s");
         match (tripped_s, predicted_s) {
@@ -84,8 +84,8 @@ fn a_blocked_wheel_trips_when_its_heat_is_predicted_to_reach_the_limit() {
     assert_eq!(tripped[0], None, "1.15 A are less than the rated current");
 }
 
-/// Back and forth without a rest, every motor at the speed of its path: what a robot does all day, on a board that has just
-/// started, with motors that count as hot.
+/// Every motor back and forth without a rest at the speed of its path, as in a robot's daily work, on a board that has
+/// just started, with motors that count as hot.
 #[test]
 fn normal_work_of_every_robot_never_trips() {
     for name in ["osmc-bench", "openscout", "openagribot", "openpodcar"] {
@@ -111,8 +111,8 @@ fn normal_work_of_every_robot_never_trips() {
     }
 }
 
-/// A driving wheel of openagribot, braked hard on a supply that cannot take energy back. Highest voltage of the rail, and
-/// where the supervisor stands afterwards.
+/// Brakes a driving wheel of openagribot hard on a supply that cannot take energy back. Returns the highest voltage of
+/// the rail, and the supervisor's state afterwards.
 fn brakes(robot: &Robot) -> (f64, SafetyState) {
     let rail = ChannelId::new(ChannelKind::Supply, 0);
     let wheel = ChannelId::new(ChannelKind::Osmc, 0);
@@ -130,7 +130,7 @@ fn brakes(robot: &Robot) -> (f64, SafetyState) {
     })
 }
 
-/// The energy of the wheel goes into the rail's capacitance. Without the limit the board trips, and the vehicle coasts.
+/// The energy of the wheel charges the rail's capacitance. Without the limit the board trips, and the vehicle coasts.
 #[test]
 fn braking_on_a_supply_that_takes_nothing_back_stays_below_the_trip() {
     let mut robot = r4_boards::load("openagribot").expect("built in");
@@ -145,7 +145,7 @@ fn braking_on_a_supply_that_takes_nothing_back_stays_below_the_trip() {
     assert!(limited.0 < trip_v && unlimited.0 > trip_v, "{limited:?} {unlimited:?}");
 }
 
-/// openscout with a Hall sensor of 0.5 V/A around 2.5 V for its first wheel.
+/// The openscout with a Hall sensor of 0.5 V/A around 2.5 V for its first wheel.
 fn with_current_sensor() -> Robot {
     let mut robot = openscout();
     let channel = ChannelId::new(ChannelKind::Analog, 0);
@@ -175,7 +175,7 @@ fn sense(bench: &Bench<'_>, volts: f64) {
     bench.board.world().pins().analogs[0].as_mut().expect("the sensor's").volts = volts;
 }
 
-/// A current sensor is used while it can be relied on, in place of the current that follows from the duty.
+/// A valid current sensor replaces the current that is computed from the duty.
 #[test]
 fn a_measured_current_takes_the_place_of_the_computed_one() {
     let robot = with_current_sensor();
@@ -187,10 +187,11 @@ fn a_measured_current_takes_the_place_of_the_computed_one() {
             trips_after(bench, WHEEL, duty, 5.0).await
         })
     };
-    // Twice the rated current: 40 s ln((4 - 0.8) / (4 - 1)) = 2.58 s. Reading and heartbeats take 0.3 s at most, as above.
+    // Twice the rated current: 40 s ln((4 - 0.8) / (4 - 1)) = 2.58 s. Reading and heartbeats take 0.3 s at most, as
+    // above.
     let twice = tripped(2.5 + 0.5 * 2.8, 0.1);
     assert!(twice.is_some_and(|after_s| (2.5..2.9).contains(&after_s)), "{twice:?}");
-    // Where the sensor says 0 A it is believed, whatever the duty; with its wire off, the current is computed again.
+    // A reading of 0 A is used at any duty; with its wire cut, the current is computed again.
     let duty = 0.5;
     let predicted_s = predicted_s(&robot, WHEEL, duty, 12.6).expect("more than the rated current");
     assert!(predicted_s < 4.0, "{predicted_s} s");
@@ -199,7 +200,7 @@ fn a_measured_current_takes_the_place_of_the_computed_one() {
     assert!(broken.is_some_and(|after_s| (predicted_s..predicted_s + 0.3).contains(&after_s)), "{broken:?}");
 }
 
-/// What the board tells of a motor's winding.
+/// Reported state of a motor's winding.
 async fn winding(host: &Board<HostClock>, channel: ChannelId) -> Winding {
     let mut telemetry = host.telemetry();
     host.subscribe(channel, 5).await.unwrap();
@@ -212,7 +213,7 @@ async fn winding(host: &Board<HostClock>, channel: ChannelId) -> Winding {
     heat.expect("every motor of openscout has a winding")
 }
 
-/// Lets a blocked wheel of openscout warm by the current of `duty` until it has this heat, %.
+/// Warms a blocked wheel of openscout by the current of `duty` until it has this heat, %.
 async fn warm(host: &Board<HostClock>, clock: &Clock, duty: f32, heat_percent: u8) {
     host.arm().await.unwrap();
     while winding(host, WHEEL).await.heat_percent < heat_percent {
@@ -230,7 +231,7 @@ fn blocked(robot: &Robot) -> Restarts {
     board
 }
 
-/// Hosts are warned before the trip, in heartbeats and in telemetry; the warning ends after the trip is over.
+/// Hosts are warned before the trip, in heartbeats and in telemetry; the warning ends after the trip.
 #[test]
 fn a_warning_comes_before_the_trip_and_ends_when_the_winding_has_cooled() {
     let robot = openscout();
@@ -264,7 +265,7 @@ fn a_warning_comes_before_the_trip_and_ends_when_the_winding_has_cooled() {
     });
 }
 
-/// Whatever the reset: the winding is as hot after it as before.
+/// For any kind of reset the winding is as hot after it as before.
 #[test]
 fn heat_outlives_a_reset() {
     let robot = openscout();
@@ -280,13 +281,13 @@ fn heat_outlives_a_reset() {
             let other = winding(host, ChannelId::new(ChannelKind::Dhb, 1)).await;
             (winding(host, WHEEL).await, other)
         });
-        // 0.05 % of rounding up, and some 20 ms of cooling in 40 s.
+        // 0.05 % of rounding up, and some 20 ms of cooling in 40 s
         assert!(after.hot && before.heat_percent.abs_diff(after.heat_percent) <= 1, "{cause:?}: {before:?}, {after:?}");
         assert!(other.heat_percent < 80 && !other.hot, "{cause:?}: {other:?} of a motor that has cooled");
     }
 }
 
-/// The way around a trip: a reset instead of waiting until the winding has cooled.
+/// A reset is no way around a trip: the winding still has to cool.
 #[test]
 fn a_reset_does_not_end_an_overload() {
     let robot = openscout();
@@ -307,7 +308,7 @@ fn a_reset_does_not_end_an_overload() {
     });
 }
 
-/// What the processor kept is damaged: the motor starts as after power-on, and the others as they were.
+/// A damaged word that the processor kept: the motor starts as after power-on, and the others keep their heat.
 #[test]
 fn a_damaged_word_is_not_taken_for_a_heat() {
     let robot = openscout();

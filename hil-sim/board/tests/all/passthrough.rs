@@ -1,4 +1,4 @@
-//! Raw access to the external connectors on virtual time: doubles of I2C buses, simulated UARTs.
+//! Raw access to the external connectors on virtual time: test doubles of I2C buses, simulated UARTs.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop where it stands")]
 
@@ -27,27 +27,27 @@ use r4_sim::{
 
 const US: u64 = 1_000;
 const MS: u64 = 1_000_000;
-/// The longest a request may take.
+/// Longest duration of a request, ns.
 const TIMEOUT_NS: u64 = 100 * MS;
-/// One byte at 100 kHz: nine clocks.
+/// Duration of one byte at 100 kHz, ns: nine clocks.
 const I2C_BYTE_NS: u64 = 90 * US;
 const BAUD: u32 = 115_200;
 
-/// Answers a read with its address, counting up, after any write.
+/// Addresses that answer a read with their address, counting up, after any write.
 const ECHOES: [u8; 2] = [0x08, 0x77];
-/// Holds the clock for ever.
+/// Address of a device that holds the clock indefinitely.
 const HANGS: u8 = 0x51;
-/// Acknowledges its address, but no data.
+/// Address of a device that acknowledges its address, but no data.
 const REFUSES_DATA: u8 = 0x52;
-/// The controller sees the line held low.
+/// Address at which the controller finds the line held low.
 const SHORTED: u8 = 0x53;
 
 #[derive(Default)]
 struct BusLog {
-    /// Address, bytes written, bytes read, of each transfer that came to its end.
+    /// Address, bytes written, and number of bytes read of each completed transfer.
     transfers: Vec<(u8, Vec<u8>, usize)>,
     recovered: usize,
-    /// Held until the bus is recovered.
+    /// True while the bus is held, until it is recovered.
     held: bool,
 }
 
@@ -84,7 +84,7 @@ impl I2c for TestBus {
                 }
             }
         }
-        // What lasts no clock is no transfer; controllers refuse it or hang.
+        // a transfer without a clock is invalid; controllers refuse it or hang
         assert!(operations.iter().all(|operation| match operation {
             Operation::Write(bytes) => !bytes.is_empty(),
             Operation::Read(bytes) => !bytes.is_empty(),
@@ -116,11 +116,11 @@ impl Bus for TestBus {
     }
 }
 
-/// A receiver behind a UART that may fail first.
+/// A receiver behind a UART that may fail at first.
 struct Receiver {
     port: r4_sim::link::Receiver,
     clock: Clock,
-    /// Framing errors until this moment.
+    /// Time until which it reports framing errors, ns.
     failing_until_ns: u64,
 }
 
@@ -154,7 +154,7 @@ impl Read for Receiver {
     }
 }
 
-/// A transmitter that may be held by flow control.
+/// A transmitter that flow control may hold.
 struct Transmitter {
     port: r4_sim::link::Sender,
     held: Rc<RefCell<bool>>,
@@ -177,7 +177,7 @@ impl Write for Transmitter {
     }
 }
 
-/// The board's side runs as a task; these are the other ends.
+/// The other ends of the board's side, which runs as a task.
 struct Rig {
     simulation: Simulation,
     clock: Clock,
@@ -195,7 +195,7 @@ impl Rig {
         rig
     }
 
-    /// Not serving yet. The receiver of connector 1 fails until `failing_until_ns`.
+    /// A rig that does not serve yet. The receiver of connector 1 fails until `failing_until_ns`.
     fn idle(failing_until_ns: u64) -> Self {
         let simulation = Simulation::default();
         let clock = simulation.clock();
@@ -224,7 +224,7 @@ impl Rig {
         self.simulation.block_on(self.passthrough.request(request)).unwrap()
     }
 
-    /// What came of a request, and how long it took.
+    /// Result of a request, and its duration, ns.
     fn timed(&mut self, request: &Request) -> (Result<Reply, Refusal>, u64) {
         let begin_ns = self.clock.now_ns();
         let result = self.request(request);
@@ -235,10 +235,10 @@ impl Rig {
         self.simulation.block_on(self.clock.sleep(ns)).unwrap();
     }
 
-    /// Sends from the device at connector `port`, and waits until all has arrived.
+    /// Sends from the device at connector `port`, and waits until all bytes have arrived.
     fn receive(&mut self, port: usize, bytes: &[u8]) {
         self.simulation.block_on(self.devices[port].tx.write_all(bytes)).unwrap().unwrap();
-        // Ten bits each, and one more for what was cut off.
+        // ten bits each, and one more for a truncated one
         self.sleep((bytes.len() as u64 + 1) * 10_000_000_000 / u64::from(BAUD));
     }
 
@@ -262,7 +262,7 @@ fn counted(from: u8, len: u8) -> Result<Reply, Refusal> {
     Ok(Reply::Bytes((0..len).map(|number| from + number).collect()))
 }
 
-/// Drops `request` when `dies` is over, if it is not done before.
+/// Drops `request` when `dies` is ready, if it is not done before.
 async fn give_up(dies: impl Future<Output = ()>, request: impl Future) {
     let (mut dies, mut request) = (pin!(dies), pin!(request));
     poll_fn(|context| match (dies.as_mut().poll(context), request.as_mut().poll(context)) {
@@ -280,7 +280,7 @@ fn i2c_transfers_write_and_read_what_was_asked_on_the_bus_that_was_asked() {
     assert_eq!(rig.request(&transfer(1, 0x08, &[9; 64], 2)), counted(0x08, 2));
     assert_eq!(rig.buses[0].borrow().transfers, [(0x08, vec![1, 2, 3], 0)]);
     assert_eq!(rig.buses[1].borrow().transfers, [(0x77, vec![], 64), (0x08, vec![9; 64], 2)]);
-    // Nine clocks for each byte and each address.
+    // nine clocks for each byte and each address
     assert_eq!(rig.clock.now_ns(), (4 + 65 + 65 + 3) * I2C_BYTE_NS);
     assert!(rig.buses.iter().all(|bus| bus.borrow().recovered == 0));
 }
@@ -326,7 +326,7 @@ fn a_hanging_transfer_ends_in_time_and_stops_neither_reception_nor_the_other_bus
     rig.simulation.block_on(rig.devices[1].tx.write_all(&text)).unwrap().unwrap();
     let passthrough = rig.passthrough.clone();
     let (hanging, clock) = (transfer(0, HANGS, &[1], 1), rig.clock.clone());
-    // 60 bytes are there after 5.2 ms, while the transfer hangs.
+    // 60 bytes have arrived after 5.2 ms, while the transfer hangs
     let seen = Rc::new(RefCell::new(Vec::new()));
     let (reader, log) = (rig.passthrough.clone(), seen.clone());
     rig.simulation.spawn(async move {
@@ -338,7 +338,7 @@ fn a_hanging_transfer_ends_in_time_and_stops_neither_reception_nor_the_other_bus
     let result = rig.simulation.block_on(passthrough.request(&hanging)).unwrap();
     assert_eq!((result, rig.clock.now_ns() - begin_ns), (Err(Refusal::TransferFailed), TIMEOUT_NS));
     assert_eq!(*seen.borrow(), [Ok(Reply::Bytes(text.iter().copied().collect()))]);
-    // Freed after its time-out: 100 us, in which the other bus waits too.
+    // recovered after its time-out: 100 us, in which the other bus waits too
     let (result, ns) = rig.timed(&transfer(1, 0x08, &[1], 1));
     assert_eq!((result, ns), (counted(0x08, 1), 100 * US + 4 * I2C_BYTE_NS));
     assert_eq!(rig.request(&transfer(0, 0x77, &[1], 1)), counted(0x77, 1));
@@ -367,7 +367,7 @@ fn links_take_turns_and_get_their_own_answers() {
     for (link, number, answer) in answers.iter() {
         assert_eq!(*answer, counted(ECHOES[usize::from(link / 2) % 2], 1 + link + number), "link {link}");
     }
-    // In the order in which they asked: nobody is ahead of another by more than one.
+    // in the order of the requests: no link is ahead of another by more than one
     let rounds: Vec<_> = answers.iter().map(|(_, number, _)| *number).collect();
     assert!(rounds.is_sorted(), "{rounds:?}");
 }
@@ -392,10 +392,10 @@ fn waiting_for_a_turn_counts() {
     assert_eq!(rig.request(&transfer(0, 0x08, &[1], 1)), counted(0x08, 1));
 }
 
-/// A link dies at any moment of its request, those at which bytes and transfers end included.
+/// A link ends at any time of its request, including the ends of bytes and transfers.
 #[test]
 fn a_request_that_is_given_up_leaves_the_next_its_own_answer() {
-    // Nine clocks for each of four bytes, and whatever is left undone afterwards.
+    // nine clocks for each of four bytes, and any clean-up afterwards
     for given_up_ns in (0..5 * I2C_BYTE_NS).step_by(10_000) {
         for abandoned in [transfer(0, 0x08, &[1], 1), transfer(0, HANGS, &[1], 1), uart_write(0, &[1; 64])] {
             let mut rig = Rig::new();
@@ -412,7 +412,7 @@ fn a_request_that_is_given_up_leaves_the_next_its_own_answer() {
                 })
                 .unwrap();
             assert_eq!(answer, counted(0x77, 3), "{abandoned:?} given up after {given_up_ns} ns");
-            // Not after the other's time-out: at once, or after freeing the bus.
+            // not after the other's time-out: at once, or after the recovery of the bus
             assert!(ns <= 100 * US + 6 * I2C_BYTE_NS, "{ns} ns");
         }
     }
@@ -430,7 +430,7 @@ fn a_link_that_dies_in_the_queue_gives_its_place_up() {
     });
     rig.simulation
         .block_on(async {
-            // More than can wait at once, were they still waiting.
+            // more than the queue could hold, if they were still waiting
             for _ in 0..50 {
                 give_up(clock.sleep(MS), passthrough.request(&transfer(0, 0x77, &[1], 1))).await;
             }
@@ -448,7 +448,7 @@ fn uart_bytes_come_and_go_on_their_own_connector() {
     assert_eq!((rig.read(1), rig.read(0), rig.read(0)), (b"right".to_vec(), b"left".to_vec(), b"".to_vec()));
     for (port, text) in [(0, b"to the left"), (1, b"to the east")] {
         assert_eq!(rig.request(&uart_write(port, text)), Ok(Reply::Done));
-        // 11 bytes take 0.95 ms.
+        // 11 bytes take 0.95 ms
         rig.sleep(2 * MS);
         let mut buffer = [0; 64];
         let rx = &mut rig.devices[usize::from(port)].rx;

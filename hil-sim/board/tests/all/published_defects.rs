@@ -1,5 +1,6 @@
 //! Ten defects of the control code released with the OSMC evaluation paper (Alabi, Camara, Fox, TAROS 2023; repository
-//! Pelex-a/osh-motor-control), and that this firmware does not have them. One test each, in the paper's order of use.
+//! Pelex-a/osh-motor-control), with tests that this firmware is free of them. One test each, in the paper's order of
+//! use.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -30,29 +31,29 @@ async fn trace(bench: &Bench<'_>, ms: usize) -> Vec<(i32, f32, f32)> {
     samples
 }
 
-/// 1: the position error was set to the target, the count commented out: full duty, open loop.
+/// Defect 1: the position error was set to the target, the count commented out: full duty, open loop.
 #[test]
 fn position_is_closed_loop() {
     bench(&osmc_bench(), async |bench| {
         bench.host.arm().await.unwrap();
         bench.host.move_to(ROTARY, 1.0, 10.0).await.unwrap();
-        // Somebody turns the shaft away, and back beyond: the motor must return from both sides.
+        // The shaft is turned by hand, in both directions: the motor must return from both sides.
         for displaced in [0.5, 1.5] {
-            // By hand: no faster than the motor itself, or the firmware would not believe its sensor.
+            // no faster than the motor itself, or the firmware would reject its sensor
             let from = bench.position(ROTARY);
             for step in 1..=50 {
                 bench.board.world().set_position(ROTARY, from + (displaced - from) * f64::from(step) / 50.0);
                 bench.sleep_ms(1).await;
             }
             bench.sleep_ms(3000).await;
-            // The band in which a settled position is left alone, and the count it is seen by.
+            // the band in which a settled position is not corrected, and the encoder's count
             let band = 2.0 * 0.004 + COUNT_RAD;
             assert!((bench.position(ROTARY) - 1.0).abs() < band, "{}", bench.position(ROTARY));
         }
     });
 }
 
-/// 2: dt from a millisecond clock was 0 in a fast loop: infinite or NaN derivative, NaN also with kd = 0.
+/// Defect 2: dt from a millisecond clock was 0 in a fast loop: infinite or NaN derivative, NaN also with kd = 0.
 #[test]
 fn commands_faster_than_the_loop_give_finite_outputs() {
     bench(&osmc_bench(), async |bench| {
@@ -60,7 +61,7 @@ fn commands_faster_than_the_loop_give_finite_outputs() {
         for kd in [0.0, 0.05] {
             let gains = PidGains { kp: 2.0, ki: 1.0, kd };
             bench.host.set_gains(ROTARY, Mode::Position, gains).await.unwrap();
-            // Many commands within one period of the loop, with gains changed between.
+            // many commands within one period of the loop, with gain changes in between
             for step in 0..200 {
                 bench.set(ROTARY, Mode::Position, step as f32 * 0.001).await.unwrap();
             }
@@ -69,13 +70,13 @@ fn commands_faster_than_the_loop_give_finite_outputs() {
             }
         }
         bench.sleep_ms(3000).await;
-        // The band in which a settled position is left alone, and the count it is seen by.
+        // the band in which a settled position is not corrected, and the encoder's count
         let band = 2.0 * 0.004 + COUNT_RAD;
         assert!((bench.position(ROTARY) - 0.199).abs() < band, "{}", bench.position(ROTARY));
     });
 }
 
-/// 3: time and error started at 0, so the first step counted the time the operator took to type.
+/// Defect 3: time and error started at 0, so the first step included the time the operator took to type.
 #[test]
 fn waiting_before_a_command_changes_nothing() {
     let after = |wait_ms| {
@@ -84,26 +85,26 @@ fn waiting_before_a_command_changes_nothing() {
             bench.sleep_ms(wait_ms).await;
             bench.set(ROTARY, Mode::Position, 1.0).await.unwrap();
             let mut samples = trace(bench, 1000).await;
-            // From the first sample of the motion on: where in a telemetry period the command came is no matter.
+            // from the first sample of the motion on, independent of the command's place in a telemetry period
             let start = samples.iter().position(|(_, _, duty)| *duty > 0.03).unwrap();
             samples.drain(start..).take(900).collect::<Vec<_>>()
         })
     };
     let (at_once, later) = (after(0), after(10_000));
     for (sample, sample_later) in at_once.into_iter().zip(later) {
-        // Until the first count the same, but for the supply's noise, by which duties are scaled: no kick, no integral. Then the PWM chip's cycle, which stands elsewhere after
-        // 10 s, may put an edge into the next period.
+        // Equal until the first count, except for the supply's noise, by which duties are scaled: no kick, no integral.
+        // Afterwards the PWM chip's cycle, whose phase differs after 10 s, may move an edge into the next period.
         let duties_differ = (sample.2 - sample_later.2).abs();
         let exact = sample.0 > 0 || (sample.1 == sample_later.1 && duties_differ < 1e-3);
         assert!(exact && (sample.0 - sample_later.0).abs() <= 1, "{sample:?} {sample_later:?}");
     }
 }
 
-/// 4: no anti-windup.
+/// Defect 4: the integral had no anti-windup.
 #[test]
 fn a_saturated_move_does_not_overshoot() {
     let mut robot = osmc_bench();
-    // A path no motor can follow: a step, in effect.
+    // a path that no motor can follow is in effect a step
     control_of(&mut robot.config, 0).speed_max = 50.0;
     control_of(&mut robot.config, 0).profile.speed = 50.0;
     control_of(&mut robot.config, 0).profile.acceleration = 500.0;
@@ -121,13 +122,13 @@ fn a_saturated_move_does_not_overshoot() {
     });
 }
 
-/// 5: the direction was never 0, so the branch that stopped, and logged the position, was dead code.
+/// Defect 5: the direction was never 0, so the branch that stopped, and logged the position, was dead code.
 #[test]
 fn a_motor_at_its_target_is_off_and_still_logged() {
     bench(&osmc_bench(), async |bench| {
         bench.host.arm().await.unwrap();
         bench.host.move_to(ROTARY, 0.7, 10.0).await.unwrap();
-        // The duty it settled with is let go with a second of time constant, and is none below 0.01.
+        // the duty at rest is released with a time constant of a second, and is 0 below 0.01
         bench.sleep_ms(6000).await;
         assert_eq!(bench.board.world().drive(ROTARY).unwrap().duty, 0.0);
         let samples = trace(bench, 1000).await;
@@ -136,11 +137,11 @@ fn a_motor_at_its_target_is_off_and_still_logged() {
     });
 }
 
-/// 6: a 16-bit count, read without a lock, of one edge in four.
+/// Defect 6: a 16-bit count, read without a lock, of one edge in four.
 #[test]
 fn counts_of_many_turns_are_exact_both_ways() {
     let mut robot: Robot = osmc_bench();
-    // Ten times the lines: 24 000 counts a turn, so that nine turns wrap a 16-bit counter more than three times.
+    // ten times the lines: 24 000 counts a turn, so that nine turns wrap a 16-bit counter more than three times
     let Feedback::Encoder { counts_per_turn, .. } = &mut control_of(&mut robot.config, 0).feedback else {
         unreachable!()
     };
@@ -153,14 +154,14 @@ fn counts_of_many_turns_are_exact_both_ways() {
         bench.host.arm().await.unwrap();
         for turns in [9.0, -9.0, 0.0] {
             let measured = bench.host.move_to(ROTARY, turns * TAU, 120.0).await.unwrap().position;
-            // One count of 24 000, and the shaft may creep on by less than another while it is read.
+            // one count of 24 000, and the shaft may creep by less than another while it is read
             let error = measured - bench.position(ROTARY);
             assert!(error.abs() < 2.0 * TAU / 24_000.0, "{turns} turns: {error} rad");
         }
     });
 }
 
-/// 7: prints at 9600 baud set the rate of the loop.
+/// Defect 7: prints at 9600 baud set the rate of the loop.
 #[test]
 fn telemetry_does_not_change_the_motion() {
     let path = |channels: &[_]| {
@@ -170,7 +171,7 @@ fn telemetry_does_not_change_the_motion() {
             }
             bench.host.arm().await.unwrap();
             let begin_us = bench.host.device_us();
-            // Commands are taken at the next tick: on a millisecond of the board's clock both runs take the same one.
+            // Commands take effect at the next tick: at a millisecond of the board's clock both runs use the same one.
             bench.clock.sleep_until((begin_us / 1000 + 50) * 1_000_000).await;
             let begin_ns = bench.clock.now_ns();
             bench.set(ROTARY, Mode::Position, 1.0).await.unwrap();
@@ -186,38 +187,40 @@ fn telemetry_does_not_change_the_motion() {
     };
     let quiet = path(&[]);
     let loud = path(&[ROTARY, LINEAR, SUPPLY_24, SUPPLY_12]);
-    // The command may travel behind a telemetry frame and so arrive a tick later: at most one tick of motion at 3 rad/s.
+    // The command may be sent after a telemetry frame and so arrive a tick later: at most one tick of motion at 3
+    // rad/s.
     let apart = quiet.iter().zip(&loud).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(apart <= 0.003, "{apart} rad");
 }
 
-/// 8: millimetres were cut to whole ones before they were shown.
+/// Defect 8: millimetres were truncated to whole ones before display.
 #[test]
 fn positions_are_reported_to_the_sensor_s_resolution() {
     bench(&osmc_bench(), async |bench| {
         for position_m in [0.010_4, 0.033_37, 0.080_99] {
             bench.board.world().set_position(LINEAR, position_m);
-            // Such a jump is believed after 100 ms; filters take the rest.
+            // such a jump is accepted after 100 ms; the rest is for filters
             bench.sleep_ms(300).await;
             assert!((reported_m(bench).await - position_m).abs() < 20e-6, "converter noise is 4 um rms: 5 sigma");
         }
     });
 }
 
-/// 9: three potentiometer zeros in one file.
+/// Defect 9: three potentiometer zeros in one file.
 #[test]
 fn both_ends_of_the_stroke_read_true() {
     bench(&osmc_bench(), async |bench| {
         for position_m in [0.0, 0.1] {
             bench.board.world().set_position(LINEAR, position_m);
-            // Such a jump is believed after 100 ms; filters take the rest.
+            // such a jump is accepted after 100 ms; the rest is for filters
             bench.sleep_ms(300).await;
             assert!((reported_m(bench).await - position_m).abs() < 20e-6, "converter noise is 4 um rms: 5 sigma");
         }
     });
 }
 
-/// 10: a misplaced bracket between target and display put 2.99 mm between what was commanded and what was read.
+/// Defect 10: a misplaced bracket between target and display caused a difference of 2.99 mm between command and
+/// reading.
 #[test]
 fn what_is_commanded_is_what_is_read_and_what_is_true() {
     bench(&osmc_bench(), async |bench| {
@@ -225,7 +228,7 @@ fn what_is_commanded_is_what_is_read_and_what_is_true() {
         for target_m in [0.010, 0.085, 0.050] {
             let measured_m = bench.host.move_to(LINEAR, target_m, 30.0).await.unwrap().position;
             let true_m = bench.position(LINEAR);
-            // The settle band is 0.05 mm and left at twice that.
+            // the settle band is 0.05 mm and is left at twice that
             assert!(
                 (measured_m - target_m).abs() < 1e-4 && (true_m - target_m).abs() < 1.2e-4,
                 "{measured_m} {true_m}"

@@ -14,45 +14,45 @@ use r4_sim::{Clock, Simulation};
 
 const US: u64 = 1_000;
 const MS: u64 = 1_000_000;
-/// Between pings, by the datasheet.
+/// Shortest time between pings by the datasheet, ns.
 const SPACING_NS: u64 = 60 * MS;
-/// From the end of the trigger to the rise of the echo.
+/// Time from the end of the trigger to the rise of the echo, ns.
 const DELAY_NS: u64 = 500 * US;
-/// Without a target.
+/// Width of an echo without a target, ns.
 const TIME_OUT_NS: u64 = 38 * MS;
-/// How often the task looks, and what a wait may be rounded up.
+/// Longest delay of the task, ns: its period, and the rounding of a wait.
 const LATE_NS: u64 = MS + 10 * US;
 
-/// What is before a sensor, or wrong with it.
+/// Target or fault of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Front {
-    /// Something so far away, m; the air has 20 °C.
+    /// A target at this distance, m, in air of 20 °C.
     Target(f64),
     Nothing,
     Unplugged,
     /// The echo line is shorted to the supply.
     Shorted,
-    /// As some clones do when nothing reflects: high for 200 ms.
+    /// A clone without a target: the echo is high for 200 ms.
     Slow,
 }
 
 struct Sensor {
     front: Front,
     triggered_ns: Option<u64>,
-    /// The last pulse of its echo line.
+    /// Last pulse of its echo line: rise and fall, ns.
     pulse_ns: Option<(u64, u64)>,
     cleared_ns: u64,
 }
 
-/// The sensors, their connectors' numbers being their places, and what they saw.
+/// The sensors, by connector, and their records.
 struct Bench {
     clock: Clock,
     sensors: Vec<Sensor>,
-    /// Sensor, end and length of each trigger.
+    /// Sensor, end, ns, and length, ns, of each trigger.
     triggers: Vec<(usize, u64, u64)>,
-    /// Triggers while the sensor's echo was high.
+    /// Number of triggers while the sensor's echo was high.
     ignored: usize,
-    /// Place in the configuration, moment, and what was published.
+    /// Index in the configuration, time, ns, and the published reading.
     published: Vec<(usize, u64, RangeReading)>,
 }
 
@@ -71,7 +71,7 @@ impl Ranging for Hardware {
         let length_ns = now_ns - sensor.triggered_ns.take().unwrap();
         let busy = sensor.pulse_ns.is_some_and(|(rise_ns, fall_ns)| (rise_ns..fall_ns).contains(&now_ns));
         let width_ns = match sensor.front {
-            // There and back at 331.3 + 0.606 · 20 m/s.
+            // there and back at 331.3 + 0.606 · 20 m/s
             Front::Target(distance_m) => Some((distance_m * 2e9 / 343.42) as u64),
             Front::Nothing => Some(TIME_OUT_NS),
             Front::Slow => Some(200 * MS),
@@ -108,7 +108,8 @@ impl Ranging for Hardware {
     }
 }
 
-/// Sensors up to 4 m that stop below 0.5 m, behind each `fronts`; the configuration lists them last connector first.
+/// Sensors up to 4 m that stop below 0.5 m, with one of `fronts` each; the configuration lists them last connector
+/// first.
 struct Rig {
     simulation: Simulation,
     bench: Rc<RefCell<Bench>>,
@@ -150,7 +151,7 @@ impl Rig {
         self.simulation.block_on(clock.sleep(ns)).unwrap();
     }
 
-    /// What was published for the sensor at connector `index`, with its moments.
+    /// Readings published for the sensor at connector `index`, with their times, ns.
     fn published(&self, index: usize) -> Vec<(u64, RangeReading)> {
         let place = self.config.iter().position(|config| usize::from(config.id.index) == index).unwrap();
         let bench = self.bench.borrow();
@@ -171,8 +172,8 @@ fn sensors_take_turns_and_leave_echoes_time_to_die_away() {
             assert!(pair[1].1 - pair[0].1 >= SPACING_NS, "{pair:?}");
         }
         assert!(bench.triggers.iter().all(|(_, _, length_ns)| (10 * US..MS).contains(length_ns)));
-        // Each gets its turn in the order of the configuration, as often as the spacing allows; a turn is late by the
-        // trigger and the rounding of one wait, so that ten seconds see the last of 166 turns or not.
+        // Each has its turn in the order of the configuration, as often as the spacing allows; a turn is late by the
+        // trigger and the rounding of one wait, so ten seconds include the last of 166 turns or not.
         let places: Vec<_> = bench.published.iter().map(|(place, ..)| *place).collect();
         assert!(places.iter().enumerate().all(|(turn, place)| turn % fronts.len() == *place), "{places:?}");
         assert!((164..=166).contains(&places.len()), "{} turns", places.len());
@@ -193,7 +194,7 @@ fn readings_are_published_when_their_echoes_end() {
             assert!((end_ns..=end_ns + LATE_NS).contains(&at_ns), "sensor {index}: {} ns late", at_ns - end_ns);
             assert_eq!(reading.updated.as_micros(), at_ns / US);
             match distance_m {
-                // 1 us of resolution is 0.17 mm.
+                // 1 us of resolution is 0.17 mm
                 Some(distance_m) => assert!((f64::from(reading.distance_m) - distance_m).abs() < 2e-4, "{reading:?}"),
                 None => assert_eq!(reading.quality, Quality::OutOfRange),
             }
@@ -210,7 +211,7 @@ fn something_near_stops_with_its_first_reading() {
     rig.bench.borrow_mut().sensors[0].front = Front::Target(0.3);
     rig.run(1_000 * MS);
     let stopped_ns = rig.published(0).iter().find(|(_, reading)| reading.stop).unwrap().0;
-    // The sensor's next turn begins within one cycle of four; its echo takes 0.5 + 1.75 ms.
+    // the sensor's next turn starts within one cycle of four; its echo takes 0.5 + 1.75 ms
     let cycle_ns = 4 * (SPACING_NS + 10 * US);
     assert!(stopped_ns - came_ns < cycle_ns + 3 * MS + LATE_NS, "{} ns", stopped_ns - came_ns);
     rig.bench.borrow_mut().sensors[0].front = Front::Nothing;
@@ -246,7 +247,7 @@ fn a_sensor_that_fails_does_not_stop_the_others() {
 
 #[test]
 fn an_echo_that_ends_between_two_turns_is_nobodys() {
-    // High for 200 ms: stuck in its own turn, over before the next of four, never taken for a distance.
+    // High for 200 ms: stuck in its own turn, over before the next of four, never used as a distance.
     let mut rig = Rig::new(&[Front::Slow, Front::Target(1.0), Front::Target(1.0), Front::Target(1.0)]);
     rig.run(3_000 * MS);
     assert!(rig.published(0).iter().all(|(_, reading)| reading.quality == Quality::Stuck && reading.stop));
@@ -260,7 +261,7 @@ fn an_echo_that_ends_between_two_turns_is_nobodys() {
 fn a_ranging_task_that_dies_stops_the_board() {
     let mut rig = Rig::new(&[Front::Target(1.0), Front::Nothing]);
     rig.run(1_000 * MS);
-    // In the order of the configuration: connector 1, then connector 0.
+    // in the order of the configuration: connector 1, then connector 0
     let newest = [1, 0].map(|index| rig.published(index).last().unwrap().1);
     let cycle = ranging::cycle(2);
     let last = newest[0].updated.min(newest[1].updated);

@@ -1,4 +1,4 @@
-//! What a restart of the processor keeps and what it makes safe, and raw access to the board's connectors.
+//! Restart of the processor, with what it keeps and makes safe, and raw access to the board's connectors.
 
 use std::rc::Rc;
 
@@ -24,7 +24,7 @@ impl Restarts {
         Self { simulation, board }
     }
 
-    /// One session, to its end.
+    /// Runs one session to its end.
     pub(crate) fn session<T>(&mut self, work: impl AsyncFnOnce(&Board<HostClock>, &SimBoard, &Clock) -> T) -> T {
         let port = self.board.connect().expect("nobody is connected");
         let clock = self.simulation.clock();
@@ -68,7 +68,7 @@ fn saved_parameters_hold_from_the_next_start_on() {
         let changed = find(host, KP).await;
         assert_eq!((changed.active, changed.set, changed.built_in), (4.0, 5.5, 4.0));
     });
-    // Not saved: forgotten.
+    // not saved, so lost
     board.restart(ResetCause::Normal);
     board.session(async |host, _, _| {
         assert_eq!(find(host, KP).await.set, 4.0);
@@ -116,13 +116,13 @@ fn trips_are_remembered_with_what_came_before_them() {
     board.session(async |host, _, _| {
         let faults = host.faults().await.unwrap();
         let causes: Vec<_> = faults.iter().map(|fault| fault.causes).collect();
-        // The newest first.
+        // newest first
         assert_eq!(causes, [Causes::only(Cause::HostStop), Causes::only(Cause::DeadMan)]);
         assert!(faults[0].number == faults[1].number + 1 && faults[0].device_us > faults[1].device_us, "{faults:?}");
         let moments = host.fault_snapshots(1).await.unwrap();
         assert!(moments.len() == 20 && moments[0].before_ms >= 190, "{moments:?}");
         assert!(moments.is_sorted_by(|a, b| a.before_ms > b.before_ms));
-        // It was turning until then.
+        // it was turning until then
         let motor = moments[19].motors[0];
         assert!(motor.speed > 0.5 && motor.duty > 0.79 && moments[0].motors[0].position < motor.position, "{motor:?}");
         assert!((moments[19].supplies_v[0] - 24.0).abs() < 2.0);
@@ -157,7 +157,7 @@ fn a_reset_while_driving_ends_safe_and_a_watchdog_s_is_latched() {
         let mut board = Restarts::new(&osmc_bench());
         let port = board.board.connect().expect("nobody is connected");
         let clock = board.simulation.clock();
-        // The host is still there when the processor goes.
+        // the host is still connected when the processor resets
         let drive = async |host: &Board<HostClock>| {
             host.arm().await.unwrap();
             host.set(ROTARY, Setpoint { mode: Mode::Duty, value: 0.8 }).await.unwrap();
@@ -173,7 +173,7 @@ fn a_reset_while_driving_ends_safe_and_a_watchdog_s_is_latched() {
         drop(session);
         assert!(board.board.world().speed(ROTARY).unwrap() > 0.5);
         board.restart(cause);
-        // The lines float to where nothing moves, before any firmware runs.
+        // the lines float to levels at which nothing moves, before any firmware runs
         assert_eq!(board.board.world().drive(ROTARY).unwrap().coast, 1.0);
         board.pass_ms(100);
         assert_eq!(board.board.world().relay_closed(ChannelId::new(ChannelKind::Relay, 0)), Some(false));
@@ -219,7 +219,7 @@ fn a_host_restarts_the_board_unless_it_is_armed() {
 fn raw_connectors_are_reached_from_the_host() {
     let mut board = Restarts::new(&r4_boards::load("every-interface").expect("built in"));
     board.session(async |host, board, clock| {
-        // The memory at the external I2C connectors: a page written and read back.
+        // the memory at the external I2C connectors: a page written and read back
         host.i2c_transfer(0, 0x50, &[0x10, 1, 2, 3], 0).await.unwrap();
         clock.sleep(6 * MS).await;
         assert_eq!(host.i2c_transfer(0, 0x50, &[0x10], 3).await.unwrap(), [1, 2, 3]);
@@ -228,7 +228,7 @@ fn raw_connectors_are_reached_from_the_host() {
         assert!(matches!(nobody, Err(Error::Refused(Refusal::NoAcknowledge { address: 0x33 }))), "{nobody:?}");
         let beyond = host.i2c_transfer(2, 0x50, &[0], 0).await;
         assert!(matches!(beyond, Err(Error::Refused(Refusal::BadTransfer))), "{beyond:?}");
-        // The output of a UART connector is wired to its input.
+        // the output of a UART connector is wired to its input
         host.uart_write(1, b"hello").await.unwrap();
         clock.sleep(10 * MS).await;
         assert_eq!(host.uart_read(1).await.unwrap(), b"hello");
@@ -252,7 +252,7 @@ fn a_screen_shows_the_state_and_disturbs_nothing() {
         host.stop().await.unwrap();
         clock.sleep(500 * MS).await;
         let tripped = colour(20, 60);
-        // Grey, green, red.
+        // grey, green, red
         assert!(armed[1] > armed[0] && tripped[0] > tripped[1], "{disarmed:?} {armed:?} {tripped:?}");
         assert_eq!(host.stats().await.unwrap().late_ticks, 0);
     });
@@ -269,7 +269,7 @@ fn every_robot_comes_up_arms_and_is_driven() {
             for motor in &robot.config.motors {
                 let limit = motor.duty_max.min(0.7);
                 let setpoint = match motor.control {
-                    // A tenth of the way along its range, from where it stands.
+                    // a tenth of its range from its position
                     Some(control) => {
                         let here = board.world().position(motor.id).expect("a motor") as f32;
                         let room = (control.position.max - control.position.min) / 10.0;
@@ -285,7 +285,8 @@ fn every_robot_comes_up_arms_and_is_driven() {
                 match setpoint.mode {
                     Mode::Position => {
                         let wanted = f64::from(setpoint.value) - from;
-                        // Within a twentieth of the way: gains are a starting point, but they must arrive.
+                        // within a twentieth of the distance: gains are a starting point, but the target must be
+                        // reached
                         assert!(
                             (moved - wanted).abs() < 0.05 * wanted.abs(),
                             "{name} {}: {moved} of {wanted}",
@@ -304,7 +305,7 @@ fn every_robot_comes_up_arms_and_is_driven() {
                 assert!(moved > 0.0, "{name} {}: {moved}", bldc.id);
                 turn(0.0).await.unwrap_or_else(|error| panic!("{name}: {error}"));
             }
-            // Two heartbeats: a robot without motors and drives was armed only now.
+            // two heartbeats: a robot without motors and drives was armed only now
             clock.sleep(110 * MS).await;
             assert_eq!(host.safety().0, SafetyState::Armed, "{name}: {}", host.safety().1);
             let stats = host.stats().await.unwrap();
@@ -341,7 +342,7 @@ fn a_reset_leaves_the_direction_of_a_drive_that_still_turns() {
         host.clear().await.unwrap();
         host.arm().await.unwrap();
         clock.sleep(60 * MS).await;
-        // The other way: only after a rest at neutral.
+        // the opposite direction: only after a rest at neutral
         host.set(bldc0, Setpoint { mode: Mode::Duty, value: 0.8 }).await.unwrap();
         clock.sleep(7000 * MS).await;
     });

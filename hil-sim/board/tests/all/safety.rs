@@ -1,8 +1,8 @@
-//! The safety promises of the firmware, on the simulated board: every cause it can meet there trips it, in time, and
-//! stays tripped. Two causes are missing: this board has no range sensors (proximity), and its simulation does not come
-//! out of a watchdog reset.
+//! Safety promises of the firmware, on the simulated board: every cause that can occur there trips it, in time, and
+//! stays tripped. Two causes are missing: this board has no range sensors (proximity), and its simulation does not
+//! start after a watchdog reset.
 //!
-//! Times are virtual. "Off" is the moment at which no transistor of a bridge conducts, by the DISABLE line or by the
+//! Times are virtual. "Off" is the time at which no transistor of a bridge conducts, by the DISABLE line or by the
 //! chip's outputs; "written" is the STOP of the transfer that turns all outputs of the PWM chip off.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -35,9 +35,9 @@ use rand_pcg::{
     rand_core::{Rng, SeedableRng},
 };
 
-/// All motor channels must be written safe this long after the dead-man's handle was released: promised.
+/// Promised time from the release of the dead-man's handle until all motor channels are written safe, ns.
 const WRITTEN_SAFE_NS: u64 = 5 * MS;
-/// The supervisor looks this often at causes without a line of their own.
+/// Period of the supervisor for causes without a line of their own, ns.
 const SUPERVISOR_NS: u64 = MS;
 #[test]
 fn dead_man_released() {
@@ -46,7 +46,8 @@ fn dead_man_released() {
         inject: async |bench, _| bench.board.dead_man().set(false),
         stays: true,
         remedy: |device, _| device.board.dead_man().set(true),
-        // The line's edge wakes the supervisor, which drives DISABLE: the same instant, seen at the first look after it.
+        // the line's edge wakes the supervisor, which drives DISABLE: the same instant, detected by the first poll
+        // after it
         off_ns: 10 * US,
         written_ns: Some(WRITTEN_SAFE_NS),
         moments: 8,
@@ -61,7 +62,7 @@ fn host_stop() {
         inject: async |bench, _| bench.host.stop().await.unwrap(),
         stays: false,
         remedy: nothing,
-        // A request and its answer are below 20 bytes each: 0.4 ms at 1 Mbit/s.
+        // a request and its answer are below 20 bytes each: 0.4 ms at 1 Mbit/s
         off_ns: MS,
         written_ns: Some(WRITTEN_SAFE_NS),
         moments: 8,
@@ -69,7 +70,7 @@ fn host_stop() {
     .check("host stop");
 }
 
-/// A bus fault shows at the next look at the chip; from there the promised 5 ms.
+/// Time until the bridges are off after a bus fault, ns: it is detected at the next read-back, then the promised 5 ms.
 const BUS_FAULT_OFF_NS: u64 = CHECK_EVERY * PERIOD_NS + 5 * MS;
 
 #[test]
@@ -104,15 +105,15 @@ fn chip_does_not_answer() {
 fn bus_too_slow_for_the_control_loop() {
     Trip {
         cause: Cause::ControlOverrun,
-        // A read-back of 8 bytes then takes 7.2 ms, longer than the five periods after which the loop counts as dead.
+        // a read-back of 8 bytes then takes 7.2 ms, longer than the five periods after which the loop counts as dead
         inject: async |bench, _| bench.board.world().bus.set_rate_hz(10_000),
-        // Read-backs of a single byte still fit.
+        // read-backs of a single byte still fit
         stays: false,
         remedy: |device, _| device.board.world().bus.set_rate_hz(400_000),
-        // The slow transfer begins within `CHECK_EVERY` periods; five periods and one look of the supervisor later.
+        // the slow transfer starts within `CHECK_EVERY` periods; five periods and one period of the supervisor later
         off_ns: CHECK_EVERY * PERIOD_NS + 5 * PERIOD_NS + 2 * SUPERVISOR_NS,
-        // ... and then, at 0.9 ms a byte, two bridges' four bytes each and a read-back of ten under way, the expander's four and
-        // the PWM chip's three.
+        // then, at 0.9 ms a byte, two bridges' four bytes each and a read-back of ten in progress, the expander's four
+        // and the PWM chip's three
         written_ns: Some(CHECK_EVERY * PERIOD_NS + 8 * MS + 10 * MS + 4 * MS + 3 * MS),
         moments: 72,
     }
@@ -128,16 +129,16 @@ fn chip_lost_its_supply_for_a_moment() {
         },
         stays: false,
         remedy: nothing,
-        // The outputs of a chip that was just powered are off.
+        // the outputs of a chip that was just powered up are off
         off_ns: 10 * US,
-        // Each of the things read back is read once in `CHECKS` looks; the first few would do.
+        // each item is read back once in `CHECKS` read-backs; the first few would do
         written_ns: Some(CHECKS * CHECK_EVERY * PERIOD_NS + WRITTEN_SAFE_NS),
         moments: 72,
     }
     .check("chip without supply");
 }
 
-/// A rail that jumps from its nominal `from_v` to `to_v` crosses `limit_v` in the supply's 10 ms low-pass.
+/// Trip by a rail that jumps from its nominal `from_v` to `to_v` and crosses `limit_v` in the supply's 10 ms low-pass.
 fn supply_trips(rail: ChannelId, from_v: f64, to_v: f64, limit_v: f64) {
     let crossed_ms = 10.0 * ((from_v - to_v) / (limit_v - to_v)).ln();
     let remedy: fn(&Device, &Robot) = |device, _| {
@@ -149,7 +150,7 @@ fn supply_trips(rail: ChannelId, from_v: f64, to_v: f64, limit_v: f64) {
         inject: async |bench: &Bench<'_>, _: &Robot| bench.board.world().set_emf(rail, to_v),
         stays: true,
         remedy,
-        // One period until it is sampled, and one more for the filter's backward Euler.
+        // one period until it is sampled, and one more for the filter's backward Euler
         off_ns: (crossed_ms * 1e6) as u64 + 2 * PERIOD_NS,
         written_ns: Some((crossed_ms * 1e6) as u64 + 2 * PERIOD_NS + WRITTEN_SAFE_NS),
         moments: 4,
@@ -169,12 +170,14 @@ fn supply_too_low_or_too_high() {
     }
 }
 
-/// A potentiometer may crackle for 5 ms; then a period until it is sampled, and one until that pass is over.
+/// Time for which a potentiometer may crackle, 5 ms; then a period until it is sampled, and one until that pass is
+/// over, ns.
 const CRACKLE_NS: u64 = 5 * MS + 2 * PERIOD_NS;
 
 #[test]
 fn potentiometer_wiper_open_or_shorted() {
-    // Far beyond the converter's range either way: code 0 or 65535, as a wiper at ground or at the reference.
+    // Shifts the reading far beyond the converter's range in either direction: code 0 or 65535, as a wiper at ground or
+    // at the reference.
     fn shift(bench: &Bench<'_>, robot: &Robot, offset: f64) {
         bench.device().add_effect(robot, LINEAR, Effect::EncoderOffset(EncoderOffset { offset }));
     }
@@ -187,8 +190,8 @@ fn potentiometer_wiper_open_or_shorted() {
     Trip { cause, inject: shorted, stays: true, remedy, off_ns, written_ns, moments: 4 }.check("wiper at reference");
 }
 
-/// [`Cause::EncoderImplausible`] is also "impossible speed": half a turn in a millisecond is 600 times the highest speed
-/// that may be asked for, 30 mm in a millisecond 3000 times.
+/// Impossible speed is also [`Cause::EncoderImplausible`]: half a turn in a millisecond is 600 times the highest speed
+/// that may be commanded, 30 mm in a millisecond 3000 times.
 #[test]
 fn feedback_that_jumps() {
     for (channel, jump, off_ns) in [(ROTARY, std::f64::consts::PI, 2 * PERIOD_NS), (LINEAR, 0.03, CRACKLE_NS)] {
@@ -208,8 +211,9 @@ fn feedback_that_jumps() {
     }
 }
 
-/// A driven motor counts as stalled when it covers less than `stall.travel` in a window of `stall.time_ms`. One that
-/// stops in the middle of a window may have covered that before, so the next window tells.
+/// Longest time until a stall trips, ns: a driven motor counts as stalled if it covers less than `stall.travel` in a
+/// window of `stall.time_ms`. One that stops in the middle of a window may have covered that before, so the next window
+/// decides.
 fn longest_stall_ns(channel: ChannelId) -> u64 {
     let config = osmc_bench().config;
     let motor = config.motors.iter().find(|motor| motor.id == channel).expect("the bench has the channel");
@@ -223,7 +227,7 @@ fn motor_jams_under_way() {
         inject: async |bench, robot| {
             bench.set(ROTARY, Mode::Duty, 0.9).await.unwrap();
             bench.sleep_ms(400).await;
-            // 1 kN m: no motor of this bench moves that.
+            // 1 kN m: no motor of this bench moves that
             bench.device().add_effect(robot, ROTARY, Effect::CoulombFriction(CoulombFriction { level: 1e3 }));
         },
         stays: false,
@@ -240,14 +244,14 @@ fn potentiometer_with_a_dead_spot() {
     Trip {
         cause: Cause::Stalled,
         inject: async |bench, robot| {
-            // The rod stands at 10 mm. From 11 mm on the last reading stays; at 10 mm/s it gets there in 0.1 s.
+            // The rod is at 10 mm. From 11 mm on the last reading stays; at 10 mm/s it gets there in 0.1 s.
             let dead_spot = Effect::PotentiometerDeadSpot(PotentiometerDeadSpot { start: 0.011, width: 0.05 });
             bench.device().add_effect(robot, LINEAR, dead_spot);
             bench.set(LINEAR, Mode::Duty, 0.78).await.unwrap();
         },
         stays: false,
         remedy: |device, robot| device.repair(robot, LINEAR),
-        // 0.3 s to the dead spot, starting included.
+        // 0.3 s to the dead spot, including acceleration
         off_ns: 300 * MS + longest_stall_ns(LINEAR),
         written_ns: Some(300 * MS + longest_stall_ns(LINEAR) + WRITTEN_SAFE_NS),
         moments: 1,
@@ -255,10 +259,10 @@ fn potentiometer_with_a_dead_spot() {
     .check("dead spot");
 }
 
-/// Makes a configuration wrong.
+/// Function that makes a configuration wrong.
 type Spoil = fn(&mut BoardConfig);
 
-/// Feedback that counts the wrong way makes the loops run away. From the moment the bridge has the duty from which a stall
+/// Feedback of the wrong sign makes the loops run away. From the time the bridge has the duty from which a stall
 /// counts, the trip comes within the configured time.
 #[test]
 fn feedback_that_counts_the_wrong_way() {
@@ -290,7 +294,7 @@ fn feedback_that_counts_the_wrong_way() {
             let device = bench.device();
             bench.host.arm().await.unwrap();
             bench.set(channel, mode, value).await.unwrap();
-            // The bridge has the duty in steps of 1/4096.
+            // the bridge has the duty in steps of 1/4096
             let hard = || device.duty(channel).abs() > f64::from(stall.duty) - 1.0 / 4096.0;
             let runs_away = device.wait_until(device.clock.now_ns(), 2000 * MS, hard).await;
             assert!(runs_away.is_some(), "{what}, {mode}: the loop must run away");
@@ -314,11 +318,11 @@ fn host_gone_without_a_word() {
         };
         let off_ns = bench_left_alone(&robot, work, async |device, ()| {
             let at_ns = device.clock.now_ns();
-            // Promised: the configured timeout and 2 ms. The last heartbeat was before the host went, or is still in the
-            // cable: a quarter of a millisecond.
+            // Promised: the configured timeout and 2 ms. The last heartbeat was before the host disappeared, or is
+            // still in the cable: a quarter of a millisecond.
             let limit_ns = timeout_ns + 2 * MS + MS / 4;
             let off_ns = device.wait_off(at_ns, limit_ns).await.expect("stops without a host");
-            // A host that sends four heartbeats in each timeout may lose two in a row.
+            // a host that sends four heartbeats per timeout may lose two in a row
             assert!(off_ns >= timeout_ns * 3 / 4 - MS, "{off_ns} ns are no reason yet");
             assert!(device.wait_all_off_written(at_ns, limit_ns + WRITTEN_SAFE_NS).await.is_some());
             off_ns
@@ -395,7 +399,7 @@ async fn never_arms(host: &mut harness::RawHost, device: &Device) {
     assert!(bad(host.hello().await.causes));
 }
 
-/// The shortest and the longest control period a configuration may have.
+/// Boards start without a trip at the shortest and the longest control period that a configuration may have.
 #[test]
 fn any_allowed_control_period_starts_without_a_trip() {
     let with_period = |control_period_us| {
@@ -403,7 +407,7 @@ fn any_allowed_control_period_starts_without_a_trip() {
         robot.config.control_period_us = control_period_us;
         robot
     };
-    // What has to fit on the bus in one period decides the shortest.
+    // the transfers of one period decide the shortest
     let shortest = (500..).step_by(10).find(|us| with_period(*us).config.validate().is_ok()).unwrap();
     println!("the shortest control period of osmc-bench is {shortest} us");
     assert!(shortest <= 600, "{shortest} us");
@@ -427,11 +431,11 @@ fn a_bouncing_dead_mans_handle_cannot_clear() {
             bench.board.dead_man().set(edge % 2 == 1);
             let refused = bench.host.clear().await;
             assert!(matches!(refused, Err(Error::Refused(Refusal::CausesPresent { .. }))), "edge {edge}: {refused:?}");
-            // The request and its answer are below 1 ms.
+            // the request and its answer are below 1 ms
             bench.clock.sleep_until(begin_ns + edge * 2 * MS).await;
         }
         bench.board.dead_man().set(true);
-        // Held counts after 20 ms, and the supervisor looks each millisecond.
+        // the handle counts as held after 20 ms, and the supervisor runs each millisecond
         let held_ns = bench.clock.now_ns();
         bench.clock.sleep_until(held_ns + 18 * MS).await;
         bench.host.clear().await.unwrap_err();
@@ -449,7 +453,7 @@ fn disarming_stops_and_forgets_the_command() {
         device.record_wire();
         let at_ns = bench.clock.now_ns();
         bench.host.disarm().await.unwrap();
-        // A request and its answer: 0.4 ms.
+        // a request and its answer: 0.4 ms
         assert!(device.wait_off(at_ns, MS).await.is_some());
         assert!(device.wait_all_off_written(at_ns, WRITTEN_SAFE_NS).await.is_some());
         assert_eq!(bench.safety().await, (SafetyState::Disarmed, Causes::NONE));
@@ -459,7 +463,7 @@ fn disarming_stops_and_forgets_the_command() {
     });
 }
 
-/// Stop, clear and arm in one piece, faster than a control period: the trip must still reach the outputs.
+/// Stop, clear and arm together, faster than a control period: the trip must still reach the outputs.
 #[test]
 fn a_stop_cleared_at_once_still_stops() {
     bench(&osmc_bench(), async |bench| {
@@ -473,7 +477,7 @@ fn a_stop_cleared_at_once_still_stops() {
                 std::pin::pin!(bench.host.clear()),
                 std::pin::pin!(bench.host.arm()),
             );
-            // All three are sent before the first is waited for.
+            // all three are sent before the first answer
             std::future::poll_fn(|context| {
                 let _ = (stop.as_mut().poll(context), clear.as_mut().poll(context), arm.as_mut().poll(context));
                 std::task::Poll::Ready(())
@@ -484,7 +488,7 @@ fn a_stop_cleared_at_once_still_stops() {
                 written_ns.is_some_and(|ns| ns <= WRITTEN_SAFE_NS),
                 "moment {moment}: written off after {written_ns:?}"
             );
-            // The chip takes it over at the end of a PWM period of 0.66 ms.
+            // the chip takes it over at the end of a PWM period of 0.66 ms
             for _ in 0..20 {
                 bench.sleep_ms(1).await;
                 assert_eq!(device.duty(ROTARY), 0.0, "moment {moment}: the old command goes on");
@@ -501,7 +505,7 @@ fn bus_faults_that_pass_are_counted_and_do_not_trip() {
     for disturbance in
         [Disturbance::AddressNack, Disturbance::DataNack { byte: 0 }, Disturbance::StuckLow { persistent: false }]
     {
-        // In a control loop that writes, and in one that only reads back; at eight moments each.
+        // in a control loop that writes, and in one that only reads back; at eight times each
         for moment in 0..16 {
             bench(&osmc_bench(), async |bench| {
                 bench.run_rotary(moment / 2 * (1137 * US)).await;
@@ -530,11 +534,11 @@ fn clearing_waits_until_the_chip_is_set_up_again() {
             let at_ns = bench.clock.now_ns();
             assert!(bench.board.world().brown_out(BoardChip::OsmcPwm), "the bench has it");
             device.record_wire();
-            // The trip is known by the first write of the safe state; clearing is tried from then on without a pause.
+            // The first write of the safe state shows the trip; clearing is tried from then on without a pause.
             let limit_ns = (CHECKS + 1) * CHECK_EVERY * PERIOD_NS;
             assert!(device.wait_all_off_written(at_ns, limit_ns).await.is_some(), "moment {moment}: not tripped");
             while bench.host.clear().await.is_err() {}
-            // 7.3.1, 7.3.2 and 7.3.5 of the datasheet: awake with auto-increment, totem pole, 1526 Hz.
+            // 7.3.1, 7.3.2 and 7.3.5 of the datasheet: awake with auto-increment, totem pole, 1526 Hz
             let chip = bench.board.world().osmc_pwm().expect("the bench has it").clone();
             let registers = [0x00, 0x01, 0xFE].map(|register| chip.borrow().register(register));
             assert_eq!(registers, [Some(0x21), Some(0x04), Some(3)], "moment {moment}: cleared before it was set up");
@@ -543,7 +547,7 @@ fn clearing_waits_until_the_chip_is_set_up_again() {
     });
 }
 
-/// The promise for the dead-man's handle, at 300 moments of every kind of motion.
+/// The promise for the dead-man's handle, at 300 times in every kind of motion.
 #[test]
 fn dead_man_released_at_any_moment() {
     const SEED: u64 = 0x5AFE;
@@ -559,7 +563,7 @@ fn dead_man_released_at_any_moment() {
                 1 => (Mode::Speed, 2.0, 0.008),
                 _ => (Mode::Position, 6.0, 0.0),
             };
-            // Back and forth, so that reversals are met too.
+            // back and forth, to include reversals
             let sign = if between(0, 2) == 0 { 1.0 } else { -1.0 };
             let linear = if mode == Mode::Position { 0.05 + sign * 0.04 } else { sign * linear };
             bench.set(ROTARY, mode, sign * rotary).await.unwrap();
@@ -570,7 +574,7 @@ fn dead_man_released_at_any_moment() {
             bench.board.dead_man().set(false);
             let off_ns = device.wait_off(at_ns, WRITTEN_SAFE_NS).await;
             let written_ns = device.wait_all_off_written(at_ns, WRITTEN_SAFE_NS).await;
-            // As in `dead_man_released`.
+            // as in `dead_man_released`
             assert!(off_ns.is_some_and(|ns| ns <= 10 * US), "seed {SEED:#x}, case {case}: off after {off_ns:?} ns");
             assert!(
                 written_ns.is_some_and(|ns| ns <= WRITTEN_SAFE_NS),
@@ -588,7 +592,7 @@ fn dead_man_released_at_any_moment() {
     );
 }
 
-/// Both motors' supply goes over relay 0 on this bench.
+/// Relay 0 switches the supply of both motors on this bench.
 #[test]
 fn the_motor_power_relay_follows_arming_and_opens_first() {
     let relay = ChannelId::new(ChannelKind::Relay, 0);
@@ -598,7 +602,7 @@ fn the_motor_power_relay_follows_arming_and_opens_first() {
         bench.host.arm().await.expect("nothing is in the way");
         bench.sleep_ms(20).await;
         assert!(closed());
-        // Commands wait until the supply may be relied on.
+        // commands wait until the supply is reliable
         bench.set(ROTARY, Mode::Duty, 0.8).await.expect("armed");
         assert_eq!(bench.device().duty(ROTARY), 0.0);
         bench.sleep_ms(500).await;
@@ -609,7 +613,7 @@ fn the_motor_power_relay_follows_arming_and_opens_first() {
         bench.board.dead_man().set(false);
         bench.sleep_ms(5).await;
         assert!(!closed());
-        // On the wire: the relays' latches before the PWM chip's all-off, the first of them within a millisecond.
+        // on the wire: the relays' latches before the PWM chip's all-off, the first of them within a millisecond
         let world = bench.board.world();
         let written = |address: u8| {
             let after = world.bus.trace().filter(|record| record.start_ns >= released_ns);
@@ -641,7 +645,7 @@ fn a_general_relay_is_switched_while_armed_and_opens_on_a_stop() {
         }
         let half = bench.set(relay, Mode::Switch, 0.5).await;
         assert!(matches!(half, Err(Error::Refused(Refusal::OutOfRange { .. }))), "{half:?}");
-        // The motors' supply is the supervisor's.
+        // the motors' supply belongs to the supervisor
         let by_hand = bench.set(power, Mode::Switch, 0.0).await;
         assert!(matches!(by_hand, Err(Error::Refused(Refusal::WrongMode { .. }))), "{by_hand:?}");
         bench.host.stop().await.expect("a stop is always taken");
@@ -654,7 +658,7 @@ fn a_general_relay_is_switched_while_armed_and_opens_on_a_stop() {
     });
 }
 
-/// What a host and the world may do to the board, in any order.
+/// Actions of a host and the world in a random test.
 #[derive(Clone, Copy, Debug)]
 enum Act {
     Arm,
@@ -681,8 +685,8 @@ fn acts() -> impl Strategy<Value = Vec<Act>> {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
-    /// Whatever comes in whatever order: what the board does is what this model of it says. Nothing moves unless it is armed
-    /// and was told to since it was, and a stop reaches the bridges within 5 ms.
+    /// For any sequence of actions the board behaves as this model. Nothing moves unless it is armed and was commanded
+    /// since, and a stop reaches the bridges within 5 ms.
     #[test]
     fn nothing_moves_unless_armed_and_told_since(acts in acts()) {
         bench(&osmc_bench(), async |bench| {
@@ -714,14 +718,14 @@ proptest! {
                     }
                     Act::Handle(hold) => {
                         bench.board.dead_man().set(hold);
-                        // Held counts after 20 ms.
+                        // the handle counts as held after 20 ms
                         bench.sleep_ms(25).await;
                         (armed, tripped, held) = (armed && hold, tripped || !hold, hold);
                     }
                     Act::Wait(ms) => bench.sleep_ms(ms).await,
                 }
                 told &= armed;
-                // Longer than any promised stop, and than power takes to come on.
+                // longer than any promised stop, and than power takes to come on
                 bench.sleep_ms(if told { 100 } else { 5 }).await;
                 assert_eq!(device.duty(ROTARY) > 0.0, told, "{place} of {acts:?}");
                 assert_eq!(bench.board.lights().green, armed, "{place} of {acts:?}");

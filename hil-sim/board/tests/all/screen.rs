@@ -1,4 +1,4 @@
-//! The firmware's screen on the controller's model: what a person sees, and what goes over the bus for it.
+//! The firmware's screen on the controller's model: the visible picture, and the bus traffic for it.
 #![allow(clippy::unwrap_used, reason = "test")]
 
 use std::{
@@ -24,19 +24,19 @@ use r4_sim::{
 };
 
 const MS: u64 = 1_000_000;
-/// The fastest clock the controller takes.
+/// Fastest clock of the controller, Hz.
 const CLOCK_HZ: u32 = 20_000_000;
-/// All pixels with three bytes each.
+/// Size of a full picture, bytes, three for each pixel.
 const FULL_PICTURE: u64 = 3 * 480 * 320;
 
-/// What a screen's bus carries for one view after the other, and how the last looks.
+/// Bus traffic of a sequence of views, and the picture of the last one.
 struct Shown {
     picture: Picture,
-    /// For each view.
+    /// Number of bytes for each view.
     bytes: Vec<u64>,
 }
 
-/// Draws `views` on one panel, each over the one before, or everything each time.
+/// Draws `views` on one panel, incrementally or completely each time.
 fn show(views: &[View<'static>], incremental: bool) -> Shown {
     let mut simulation = Simulation::default();
     let wiring = ScreenWiring::new(simulation.clock(), CLOCK_HZ);
@@ -60,7 +60,7 @@ fn show(views: &[View<'static>], incremental: bool) -> Shown {
     })
 }
 
-/// Writes `picture` as a PNG, for people to look at.
+/// Writes `picture` as a PNG, for visual inspection.
 fn write_png(path: &Path, picture: &Picture) {
     let mut file = Vec::new();
     let mut encoder = png::Encoder::new(&mut file, picture.width as u32, picture.height as u32);
@@ -70,7 +70,7 @@ fn write_png(path: &Path, picture: &Picture) {
     fs::write(path, file).unwrap();
 }
 
-/// Reads what [`write_png`] has written.
+/// Reads a picture that [`write_png`] has written.
 fn read_png(path: &Path) -> Picture {
     let file = fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let mut reader = png::Decoder::new(Cursor::new(file)).read_info().unwrap();
@@ -107,7 +107,7 @@ fn disarmed() -> View<'static> {
     }
 }
 
-/// A robot with every kind of bar on its way.
+/// A robot with every kind of bar in motion.
 fn armed() -> View<'static> {
     View {
         robot: "openpodcar-2",
@@ -126,7 +126,7 @@ fn armed() -> View<'static> {
     }
 }
 
-/// Everything that can be wrong, with the longest texts.
+/// All problems at once, with the longest texts.
 fn tripped() -> View<'static> {
     let kinds = [ChannelKind::Actuator, ChannelKind::Stepper, ChannelKind::Servo, ChannelKind::Bldc];
     View {
@@ -164,12 +164,13 @@ fn stalled() -> View<'static> {
     }
 }
 
-/// More causes than a line holds.
+/// More causes than fit in a line.
 fn all_causes() -> View<'static> {
     View { state: SafetyState::Tripped, causes: causes(&Cause::ALL), ..armed() }
 }
 
-/// A trip without a cause, figures at and beyond their limits, NaN among them, and the most bars that have figures.
+/// A trip without a cause, figures at and beyond their limits, including NaN, and the largest number of bars with
+/// figures.
 fn limits() -> View<'static> {
     let values = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 7.5, -7.5, 1.0, -1.0, 0.005];
     View {
@@ -183,8 +184,8 @@ fn limits() -> View<'static> {
     }
 }
 
-/// `R4_UPDATE_GOLDEN=1 cargo test -p r4-sim --test all golden` writes the golden pictures anew. Nothing else judges them: look at
-/// each one that changed.
+/// `R4_UPDATE_GOLDEN=1 cargo test -p r4-sim --test all golden` rewrites the golden pictures. No other check judges
+/// them: inspect each changed one.
 #[test]
 fn pictures_are_the_golden_ones() {
     let mut wrong = Vec::new();
@@ -227,13 +228,13 @@ fn banner_tells_the_state() {
         let Shown { picture, .. } = show(&[view], false);
         assert_eq!((picture.width, picture.height), (480, 320));
         let near = |seen: [u8; 3]| seen.iter().zip(colour).all(|(seen, wanted)| seen.abs_diff(wanted) <= 4);
-        // 18 bits: each part is rounded to a multiple of 4.
+        // 18 bits: each part is rounded to a multiple of 4
         for x in 0..480 {
             for y in [27, 105] {
                 assert!(near(picture.pixel(x, y)), "{name}: {:?} at {x}, {y}", picture.pixel(x, y));
             }
         }
-        // The word: much of it pure white, and a good part of the banner.
+        // the word: much of it pure white, and a good part of the banner
         let white = (0..480).flat_map(|x| (26..106).map(move |y| (x, y)));
         let white = white.filter(|(x, y)| picture.pixel(*x, *y) == [255; 3]).count();
         assert!((3_000..20_000).contains(&white), "{name}: {white} white pixels");
@@ -243,7 +244,7 @@ fn banner_tells_the_state() {
 #[test]
 fn a_full_picture_has_hardly_more_bytes_than_pixels() {
     let shown = show(&[armed()], true);
-    // Letters and bars are drawn over a filled screen: less than a third of it comes twice.
+    // letters and bars are drawn over a filled screen: less than a third of it is sent twice
     assert!((FULL_PICTURE..FULL_PICTURE * 4 / 3).contains(&shown.bytes[0]), "{} bytes", shown.bytes[0]);
 }
 
@@ -257,11 +258,11 @@ fn little_news_is_few_bytes() {
     let views = [armed(), armed(), second, moved, tripped()];
     let Shown { bytes, .. } = show(&views, true);
     assert_eq!(bytes[1], 0, "nothing changed");
-    // One digit of 6 by 12 and one of 9 by 18 pixels, each with its window: CASET, PASET, RAMWR with 8 parameters.
+    // one digit of 6 by 12 and one of 9 by 18 pixels, each with its window: CASET, PASET, RAMWR with 8 parameters
     assert_eq!(bytes[2], 3 * (6 * 12 + 9 * 18) + 2 * 11);
-    // At five pictures a second, four bars on their way are to leave nine tenths of a bus of 20 MHz free.
+    // at five pictures a second, four moving bars must leave nine tenths of a 20 MHz bus free
     assert!(bytes[3] < u64::from(CLOCK_HZ) / 8 / 5 / 10, "{} bytes", bytes[3]);
-    // A new state is the banner and the texts.
+    // a new state changes the banner and the texts
     assert!(bytes[4] < FULL_PICTURE, "{} bytes", bytes[4]);
     println!("bytes: {bytes:?}");
 }
@@ -271,7 +272,7 @@ fn kinds() -> impl Strategy<Value = ChannelKind> {
     prop::sample::select(vec![Osmc, Actuator, Dhb, Bldc, Servo, Stepper])
 }
 
-/// Numbers that a broken sensor makes included.
+/// Voltages, including numbers that a broken sensor gives.
 fn volts() -> impl Strategy<Value = f32> {
     prop_oneof![8 => 0.0..60.0_f32, 1 => any::<f32>()]
 }
@@ -309,7 +310,7 @@ prop_compose! {
     }
 }
 
-/// A view and some that differ from it in a few things, as on a running robot.
+/// A view and others that differ from it in a few items, as on a running robot.
 fn sequences() -> impl Strategy<Value = Vec<View<'static>>> {
     prop::collection::vec((any_view(), any::<u16>()), 2..6).prop_map(|drawn| {
         let mut now = drawn[0].0.clone();
@@ -338,7 +339,7 @@ fn sequences() -> impl Strategy<Value = Vec<View<'static>>> {
 }
 
 proptest! {
-    // Each case sends ten full pictures or so byte by byte.
+    // each case sends about ten full pictures byte by byte
     #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
@@ -351,7 +352,7 @@ proptest! {
     }
 }
 
-/// Waits on the bus itself, so that its time goes on.
+/// Delay on the bus's own clock, so that its time advances.
 struct BusDelay(ScreenSpi);
 
 impl DelayNs for BusDelay {
@@ -371,14 +372,14 @@ fn the_libraries_own_start_breaks_the_datasheet() {
     let early = misuse.iter().filter(|misuse| {
         matches!(misuse.kind, MisuseKind::Screen(ScreenMisuse::CommandTooEarly { after: Some(0x11), .. }))
     });
-    // COLMOD, MADCTL, INVOFF, 0xB6, NORON, DISPON: at once after SLPOUT.
+    // COLMOD, MADCTL, INVOFF, 0xB6, NORON, DISPON: directly after SLPOUT
     assert_eq!(early.count(), 6);
-    // 16 bits per pixel are for parallel interfaces.
+    // 16 bits per pixel are for parallel interfaces
     let format = MisuseKind::Screen(ScreenMisuse::PixelFormat { value: 0x55 });
     assert!(misuse.iter().any(|misuse| misuse.kind == format));
 }
 
-/// Counts seconds.
+/// Source of views that counts seconds.
 struct Uptime(RefCell<u32>);
 
 impl Source for Uptime {
@@ -429,7 +430,7 @@ fn a_failing_bus_is_left_alone_for_five_seconds_and_the_picture_comes_back() {
     spawn(&mut simulation, &wiring, source.clone());
     simulation
         .block_on(async {
-            // Fails at SLPOUT, 120 ms after the reset, and tries again 5 s later.
+            // fails at SLPOUT, 120 ms after the reset, and tries again 5 s later
             clock.sleep_until(5_100 * MS).await;
             assert_eq!(wiring.faults(), 1);
             clock.sleep_until(5_250 * MS).await;
@@ -437,7 +438,7 @@ fn a_failing_bus_is_left_alone_for_five_seconds_and_the_picture_comes_back() {
             wiring.set_fault(false);
             clock.sleep_until(10_600 * MS).await;
             assert!(wiring.is_lit());
-            // And while it runs.
+            // and while it runs
             wiring.set_fault(true);
             clock.sleep_until(11_000 * MS).await;
             assert!(!wiring.is_lit());

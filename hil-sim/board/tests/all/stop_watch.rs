@@ -1,4 +1,4 @@
-//! The stop watch, and that what it sees of steppers is true while other outputs change.
+//! The stop watch, and the truth of its results for steppers while other outputs change.
 
 use crate::harness::{MS, US, bench, bench_with_misuse};
 use r4_protocol::{ChannelId, ChannelKind, Mode};
@@ -8,7 +8,7 @@ const fn channel(kind: ChannelKind, index: u8) -> ChannelId {
     ChannelId::new(kind, index)
 }
 
-/// Bridges that change their outputs in every PWM period once made drivers lose the pulses between.
+/// Bridges that changed their outputs in every PWM period once made drivers lose the pulses in between.
 #[test]
 fn steppers_take_every_pulse_while_bridges_change() {
     let robot = r4_boards::load("every-interface").expect("built in");
@@ -21,7 +21,7 @@ fn steppers_take_every_pulse_while_bridges_change() {
         bench.sleep_ms(2000).await;
         for index in 0..4 {
             let stepper = channel(ChannelKind::Stepper, index);
-            // 2 rad of 1600 steps a turn: 509.3.
+            // 2 rad at 1600 steps a turn: 509.3
             assert_eq!(bench.board.world().stepper(stepper).expect("a stepper").commanded(), 509, "{stepper}");
         }
     });
@@ -61,7 +61,7 @@ fn tells_since_when_each_kind_is_safe() {
         for outputs in Outputs::ALL {
             assert!(after_ns(outputs).is_some_and(|ns| ns <= 5 * MS), "{outputs}: {:?} ns", after_ns(outputs));
         }
-        // The chips are told one after the other.
+        // the chips are written one after the other
         assert!(after_ns(Outputs::MotorPower) < after_ns(Outputs::BridgeChips));
         assert!(after_ns(Outputs::BridgeChips) < after_ns(Outputs::Bldcs));
     });

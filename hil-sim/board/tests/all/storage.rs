@@ -1,4 +1,4 @@
-//! What a board keeps over a restart, on the model of its flash, with the power cut at every step.
+//! Data that a board keeps over a restart, on the model of its flash, with a power cut at every step.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -27,10 +27,10 @@ use r4_sim::{
     flash::{Flash, FlashError, SECTOR_BYTES, Tear, WORD_BYTES},
 };
 
-/// Small sectors are full after few items, so that every step of every phase can be tried.
+/// Size of small sectors, bytes, which are full after few items, so that every step of every phase can be tested.
 const SMALL: usize = 512;
 
-/// What a cut may leave; which bits of a word, and how far an erase came, by five seeds.
+/// Effects of a power cut; five seeds select the bits of a word and the progress of an erase.
 const TEARS: [Tear; 9] = [
     Tear::Nothing,
     Tear::Unreadable,
@@ -43,7 +43,7 @@ const TEARS: [Tear; 9] = [
     Tear::Bits { seed: 5 },
 ];
 
-/// Runs what waits for nothing but its turn.
+/// Runs a future that never waits.
 fn now<T>(future: impl Future<Output = T>) -> T {
     let mut future = pin!(future);
     let mut context = Context::from_waker(Waker::noop());
@@ -54,7 +54,7 @@ fn now<T>(future: impl Future<Output = T>) -> T {
     }
 }
 
-/// A board with nothing but `supplies` supplies of 10 to 30 V.
+/// A board with only `supplies` supplies of 10 to 30 V.
 fn board(robot: &str, supplies: u8) -> BoardConfig {
     let supply = |index| SupplyConfig {
         id: ChannelId::new(ChannelKind::Supply, index),
@@ -101,7 +101,7 @@ fn of_supply(index: u8, parameter: Parameter) -> ParameterKey {
 
 const LINK_TIMEOUT: ParameterKey = ParameterKey { channel: None, parameter: Parameter::LinkTimeoutMs };
 
-/// Changes that tell which save they are from in each of three values.
+/// Changes with the number of their save in each of three values.
 fn changes(number: u16) -> Changes {
     let built_in = board("bench", 2);
     let mut changes = Changes { robot: Some("Ada".try_into().unwrap()), ..Changes::default() };
@@ -122,7 +122,7 @@ fn loaded<const SECTOR: usize>(flash: &mut Flash<SECTOR>) -> Loaded {
     loaded
 }
 
-/// Which of [`changes`] a board starts with; 0 for none. All three values must be of the same save.
+/// Number of the [`changes`] that a board starts with; 0 for none. All three values must be of the same save.
 fn start<const SECTOR: usize>(flash: &mut Flash<SECTOR>) -> u16 {
     let loaded = loaded(flash);
     if loaded.changes == Changes::default() {
@@ -140,8 +140,8 @@ fn keep<const SECTOR: usize>(flash: &mut Flash<SECTOR>, number: u16) -> Result<(
     now(save(flash, "bench", &changes(number)))
 }
 
-/// Does `work` on copies of `flash`, the power being cut at every step in every way, and shows each to `after`. At last,
-/// without a cut.
+/// Runs `work` on copies of `flash` with a power cut at every step and of every kind, and passes each to `after`;
+/// finally without a cut.
 fn cut_everywhere<const SECTOR: usize>(
     flash: &Flash<SECTOR>,
     tears: &[Tear],
@@ -169,7 +169,7 @@ fn cut_everywhere<const SECTOR: usize>(
 fn a_save_that_is_cut_leaves_the_old_or_the_new_also_when_the_recovery_is_cut() {
     let mut flash = Flash::<SMALL>::new(SECTORS);
     let mut longest = 0;
-    // The first save, saves over a save, into a new sector, and with an erase: four saves fill a sector.
+    // the first save, saves over a save, into a new sector, and with an erase: four saves fill a sector
     for number in 0..12 {
         let steps = cut_everywhere(
             &flash,
@@ -201,7 +201,7 @@ fn a_save_that_is_cut_leaves_the_old_or_the_new_also_when_the_recovery_is_cut() 
         keep(&mut flash, number + 1).unwrap();
         assert_eq!(start(&mut flash), number + 1);
     }
-    // `void`, the erase, the seal, two marks of `sequential-storage`, a header, and two words of item.
+    // `void`, the erase, the seal, two marks of `sequential-storage`, a header, and two words of item
     assert_eq!(longest, 8, "an erase was among them");
 }
 
@@ -219,7 +219,7 @@ fn saves_go_on_over_many_erases() {
 fn a_firmware_update_keeps_what_it_knows_and_says_what_it_does_not() {
     let mut flash = Flash::<SECTOR_BYTES>::new(SECTORS);
     keep(&mut flash, 5).unwrap();
-    // The new firmware has one supply less, and a board default that was changed.
+    // the new firmware has one supply less, and a changed board default
     let built_in = BoardConfig { air_temperature_c: 10.0, ..board("bench", 1) };
     let loaded = now(load(&mut flash, &built_in));
     assert_eq!(loaded.saved, Saved::Changes);
@@ -235,7 +235,7 @@ fn a_firmware_update_keeps_what_it_knows_and_says_what_it_does_not() {
 fn numbers_that_would_not_be_valid_are_left_out_and_the_rest_is_not() {
     let mut flash = Flash::<SECTOR_BYTES>::new(SECTORS);
     let values = [
-        // Above what is built in as maximum: valid only after the next.
+        // above the built-in maximum: valid only after the next change
         (of_supply(0, Parameter::VoltsMin), 35.0),
         (of_supply(0, Parameter::VoltsMax), 45.0),
         (LINK_TIMEOUT, f32::NAN),
@@ -261,7 +261,7 @@ fn changes_for_another_robot_are_not_used_and_stay() {
     let loaded = now(load(&mut flash, &other));
     assert_eq!((loaded.saved, &loaded.config), (Saved::OtherRobot("bench".try_into().unwrap()), &other));
     assert_eq!(start(&mut flash), 5);
-    // No changes are a save too.
+    // an empty set of changes is a save too
     now(save(&mut flash, "bench", &Changes::default())).unwrap();
     assert_eq!(start(&mut flash), 0);
 }
@@ -277,12 +277,12 @@ fn what_is_as_built_in_is_no_change() {
     assert_eq!(changes, Changes::default());
 }
 
-/// A trip that tells its number in everything, of `motors` motors and `snapshots` snapshots.
+/// A trip with its number in every field, of `motors` motors and `snapshots` snapshots.
 fn trip(number: u32, motors: usize, snapshots: usize) -> Trip {
     let mut recorder = Recorder::default();
     let end_us = u64::from(number) * 1_000_000;
     for before in (1..=snapshots as u64).rev() {
-        // A position that takes as many bytes as any.
+        // a position of the largest encoded size
         let motor =
             MotorSnapshot { position: i32::MIN + number as i32, speed: number as f32, duty: 1.0 / number as f32 };
         let at_us = end_us - before * u64::from(SNAPSHOT_MS) * 1000;
@@ -295,7 +295,7 @@ fn trip(number: u32, motors: usize, snapshots: usize) -> Trip {
     }
 }
 
-/// As the control loop does.
+/// Hands a trip over as the control loop does.
 fn hand_over(storage: &Storage<NoopRawMutex>, trip: &Trip) {
     for FaultSnapshot { before_ms, motors, supplies_v } in trip.snapshots.clone() {
         storage.note(trip.device_us - u64::from(before_ms) * 1000, motors, supplies_v);
@@ -311,7 +311,7 @@ fn small(number: u32) -> Trip {
     trip(number, 1, 1)
 }
 
-/// Which trips are in the history, from the newest on; each must be as `trip` made it.
+/// Numbers of the trips in the history, newest first; each must equal that of `trip`.
 fn trips<const SECTOR: usize>(flash: &mut Flash<SECTOR>, trip: fn(u32) -> Trip) -> Vec<u32> {
     let mut history = now(History::open(flash));
     let (mut trips, mut numbers) = (Vec::new(), Vec::new());
@@ -339,14 +339,14 @@ fn record<const SECTOR: usize>(flash: &mut Flash<SECTOR>, trip: &Trip) -> Result
 #[test]
 fn a_trip_that_is_cut_is_there_or_not_and_no_older_one_is_lost() {
     let mut flash = Flash::<SMALL>::new(SECTORS);
-    // The first trip, trips behind others, into a new sector, and with an erase: four trips fill a sector.
+    // the first trip, trips after others, into a new sector, and with an erase: four trips fill a sector
     for number in 1..13 {
         let before = trips(&mut flash, small);
         let mut full = flash.clone();
         record(&mut full, &small(number)).unwrap();
         let after = trips(&mut full, small);
         assert_eq!(after[0], number);
-        // At least a whole sector is left of those before.
+        // at least a whole sector of the earlier ones remains
         assert!(after.len() >= before.len().min(4), "{before:?} to {after:?}");
         cut_everywhere(
             &flash,
@@ -372,7 +372,7 @@ fn a_trip_that_is_cut_is_there_or_not_and_no_older_one_is_lost() {
                         } else {
                             assert!(!has_power);
                         }
-                        // Older ones go only by the sector, and the sector before is left.
+                        // older ones are dropped only by the sector, and the sector before remains
                         assert!(first.starts_with(&second), "{first:?} to {second:?}");
                         assert!(second.len() >= kept.min(4).min(first.len()), "{first:?} to {second:?}");
                     },
@@ -391,12 +391,12 @@ fn the_last_trips_are_kept_over_erases_and_power_cuts() {
     for number in 1..=100 {
         let before = flash.clone();
         record(&mut flash, &large(number)).unwrap();
-        // A header and 83 words of item; the first trip in the second sector, which is new, has an erase too.
+        // a header and 83 words of item; the first trip in the second sector, which is new, has an erase too
         let erases = number > 49 && flash.steps() - before.steps() > 84;
         if erases {
             erased_at.get_or_insert(number);
         }
-        // Each with its 160 motors and 80 supplies: a look at all of them now and then.
+        // each has 160 motors and 80 supplies: all of them are checked only sometimes
         if erases || [1, 32, 33, 48, 100].contains(&number) {
             assert_eq!(trips(&mut flash, large), last(number));
         }
@@ -418,7 +418,7 @@ fn the_last_trips_are_kept_over_erases_and_power_cuts() {
             );
         }
     }
-    // Two sectors of 48 trips each.
+    // two sectors of 48 trips each
     assert_eq!(erased_at, Some(97));
     assert_eq!(flash.programmed_twice(), []);
 }
@@ -427,7 +427,7 @@ fn the_last_trips_are_kept_over_erases_and_power_cuts() {
 fn trips_are_counted_over_starts() {
     let mut flash = Flash::<SECTOR_BYTES>::new(SECTORS);
     let mut recorded = Vec::new();
-    // Two trips in a start, none in the next, one in the last.
+    // two trips in a start, none in the next, one in the last
     for trips in [2, 0, 1] {
         let mut history = now(History::open(&mut flash));
         for _ in 0..trips {
@@ -439,7 +439,7 @@ fn trips_are_counted_over_starts() {
     assert_eq!(recorded, [(1, 1), (2, 1), (3, 2)]);
 }
 
-/// Whatever flash holds, the board starts, and what is saved then is kept.
+/// For any content of the flash the board starts, and keeps what is saved then.
 fn survives<const SECTOR: usize>(mut flash: Flash<SECTOR>) -> Result<(), TestCaseError> {
     let loaded = now(load(&mut flash, &board("bench", 2)));
     prop_assert_eq!(loaded.config.validate(), Ok(()));
@@ -447,7 +447,7 @@ fn survives<const SECTOR: usize>(mut flash: Flash<SECTOR>) -> Result<(), TestCas
     for index in 0..history.len() {
         let info = now(history.fault(&mut flash, index));
         prop_assert!(info.is_ok());
-        // What is there, is there; what is not, is said not to be.
+        // a missing snapshot is reported as such
         let _ = now(history.snapshot(&mut flash, index, 0));
     }
     prop_assert_eq!(keep(&mut flash, 7), Ok(()));
@@ -494,7 +494,7 @@ proptest! {
                 1 => word[1..].copy_from_slice(&bytes),
                 _ => word.fill(0xFF),
             }
-            // A word of all ones reads as blank, as does one that was erased.
+            // a word of all ones reads as blank, as does an erased one
             word[0] = word[0].min(1);
         }
         survives(Flash::<SMALL>::from_bytes(&content).unwrap())?;
@@ -525,7 +525,7 @@ fn the_model_refuses_what_the_chip_refuses_and_spoils_what_it_spoils() {
     let mut read = [0; 2];
     now(flash.read(95, &mut read)).unwrap();
     assert_eq!(read, [0x5A, 0xFF]);
-    // The same content once more: its correction bits come out wrong all the same.
+    // the same content once more: its correction bits are wrong all the same
     assert_eq!(now(flash.write(64, &word)), Ok(()));
     assert_eq!(flash.programmed_twice(), [64]);
     assert_eq!(now(flash.read(95, &mut read)), Err(FlashError::Unreadable { address: 64 }));
@@ -534,7 +534,7 @@ fn the_model_refuses_what_the_chip_refuses_and_spoils_what_it_spoils() {
     assert_eq!(read, [0xFF; 2]);
 }
 
-/// The task on flash that takes its time, and what a test does with it.
+/// Runs `test` with the task on a flash whose steps take time.
 fn with_task(test: impl AsyncFnOnce(Rc<Storage<NoopRawMutex>>, Clock)) {
     let mut simulation = Simulation::new(Pace::Free);
     let clock = simulation.clock();
@@ -552,10 +552,10 @@ fn the_task_does_what_it_is_asked() {
     with_task(async |storage, clock| {
         assert_eq!(storage.request(Job::Fault { index: 0 }).await, Err(Refusal::NoSuchFault));
         assert_eq!(storage.request(Job::Save(changes(1))).await, Ok(Done::Saved));
-        // A new flash is erased first: 1 s. Then the seal, a mark, a header and two words of item: 0.1 ms each.
+        // a new flash is erased first: 1 s; then the seal, a mark, a header and two words of item: 0.1 ms each
         assert_eq!(clock.now_ns(), 1_000_000_000 + 5 * 100_000);
         hand_over(&storage, &small(1));
-        // Of the same moments: the first has not been made of them yet.
+        // with the same snapshots: the first trip has not copied them yet
         hand_over(&storage, &small(2));
         let Ok(Done::Fault(info)) = storage.request(Job::Fault { index: 0 }).await else { panic!("no trip") };
         assert_eq!((info.number, info.device_us, info.snapshots), (2, 2_000_000, 1));
@@ -569,7 +569,7 @@ fn the_task_does_what_it_is_asked() {
 #[test]
 fn trips_that_find_no_room_are_counted() {
     with_task(async |storage, clock| {
-        // Nothing is written while this test keeps its turn; two can wait.
+        // the test blocks the task; two trips can wait
         (1..=5).for_each(|number| hand_over(&storage, &small(number)));
         assert_eq!(storage.lost(), 3);
         clock.sleep(3_000_000_000).await;
@@ -582,7 +582,7 @@ fn trips_that_find_no_room_are_counted() {
 fn an_answer_that_nobody_waited_for_is_not_taken_for_the_next() {
     with_task(async |storage, clock| {
         {
-            // Asked, and given up while the flash is being erased.
+            // requested, and dropped while the flash is being erased
             let mut save = pin!(storage.request(Job::Save(changes(1))));
             let mut wait = pin!(clock.sleep(1_000_000));
             poll_fn(|context| {

@@ -1,5 +1,5 @@
-//! Storms of edges on inputs that interrupts count, by the firmware's own rules; what they cost the processor is tried on the
-//! emulated one.
+//! Storms of edges on inputs that interrupts count, by the firmware's own rules; the emulated processor tests their
+//! load.
 
 use std::f32::consts::TAU;
 
@@ -17,13 +17,13 @@ async fn armed(bench: &Bench<'_>) {
     bench.sleep_ms(100).await;
 }
 
-/// A wave of 20 ms that begins now.
+/// A wave of 20 ms that starts now.
 fn wave(bench: &Bench<'_>, half_period_ns: u64) -> SquareWave {
     let from_ns = bench.clock.now_ns();
     SquareWave { from_ns, until_ns: from_ns + 20 * MS, half_period_ns }
 }
 
-/// An encoder that a motor's counts come from has four times its budget at the motor's highest speed, in each robot.
+/// The budget of a motor's encoder is at least four times its edge rate at the motor's highest speed, in each robot.
 #[test]
 fn the_fastest_encoder_of_a_robot_is_no_storm() {
     let mut fastest = 0.0_f32;
@@ -35,7 +35,7 @@ fn the_fastest_encoder_of_a_robot_is_no_storm() {
             }
         }
     }
-    // cable-loop: 8192 counts at 14 rad/s.
+    // cable-loop: 8192 counts at 14 rad/s
     assert!((18.0..19.0).contains(&fastest), "{fastest} counts a ms");
     assert!(4.0 * fastest <= ENCODER_EDGES_PER_MS as f32);
 }
@@ -56,7 +56,7 @@ fn each_input_trips_by_its_storm() {
             let (state, causes) = bench.safety().await;
             assert!(state == SafetyState::Tripped && causes.contains(Cause::InterruptStorm), "input {input}: {causes}");
             assert!(bench.host.clear().await.is_err(), "input {input}: edges are lost yet");
-            // A second until it is listened to again, and a turn of the range sensors.
+            // a second until the input is enabled again, and a turn of the range sensors
             bench.sleep_ms(1700).await;
             bench.host.clear().await.expect("the storm is over");
         }
@@ -80,7 +80,7 @@ fn illegal_transitions_trip_by_feedback_implausible() {
     });
 }
 
-/// Nothing of the bench uses these inputs.
+/// Inputs that the bench does not use.
 #[test]
 fn an_unused_input_has_no_storm() {
     bench(&r4_boards::load("osmc-bench").expect("built in"), async |bench| {

@@ -1,4 +1,4 @@
-//! Sensors on the body that send by a UART connector, read by a host as the board passes their bytes on.
+//! Sensors on the body that send at a UART connector, read by a host through the board.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -7,7 +7,8 @@ use r4_protocol::{ChannelId, ChannelKind, Mode};
 
 use crate::harness::{Bench, MS, bench};
 
-/// A wall 3 m before the robot's middle, a lidar 0.2 m before it, and a receiver without error at the origin of the world.
+/// A wall 3 m in front of the robot's middle, a lidar 0.2 m in front of it, and an error-free receiver at the world's
+/// origin.
 fn robot() -> Robot {
     let mut robot = r4_boards::load("openscout").expect("built in");
     robot.simulation.scene.add_walls(&[[3.0, -5.0], [3.0, 5.0]], false).unwrap();
@@ -19,7 +20,7 @@ fn robot() -> Robot {
     robot
 }
 
-/// Drives forwards for some time, and drops what has come at a connector meanwhile.
+/// Drives forwards for `ms`, and discards the bytes that arrive meanwhile.
 async fn drive(bench: &Bench<'_>, port: u8, ms: u64) {
     bench.host.arm().await.unwrap();
     for index in 0..4 {
@@ -29,7 +30,7 @@ async fn drive(bench: &Bench<'_>, port: u8, ms: u64) {
     while !bench.host.uart_read(port).await.unwrap().is_empty() {}
 }
 
-/// What comes at a connector within `ms`, fetched every 5 ms: a board keeps 22 ms of it.
+/// Bytes that arrive at a connector within `ms`, read every 5 ms: a board buffers 22 ms of them.
 async fn received(bench: &Bench<'_>, port: u8, ms: u64) -> Vec<u8> {
     let mut bytes = Vec::new();
     for _ in 0..ms / 5 {
@@ -58,7 +59,7 @@ fn a_lidar_sees_the_wall_that_the_robot_drives_towards() {
                 rest = &rest[at + 1..];
             }
         }
-        // 100 a second; the first and the last may be cut.
+        // 100 a second; the first and the last may be truncated
         assert!(distances_m.len().abs_diff(periods as usize) <= 2, "{} in {periods}", distances_m.len());
         let twist = bench.board.world().twist().unwrap();
         let pose = bench.board.world().pose().unwrap();
@@ -83,14 +84,14 @@ fn a_receiver_follows_the_robot_over_the_ground() {
             let minutes = fields[4].strip_prefix("000").unwrap().parse::<f64>().unwrap();
             (30.0 - minutes) / 60.0
         };
-        // West of Greenwich: eastwards the longitude falls towards 0.
+        // west of Greenwich: eastwards the longitude falls towards 0
         let last = lines.iter().rev().find(|line| line.starts_with("$GPGGA") && line.contains('*')).unwrap();
-        // A degree on the parallel of 53.2 degrees, by WGS 84: 6 378 137 m / sqrt(1 - e² sin²) cos pi / 180.
+        // a degree on the parallel of 53.2 degrees, by WGS 84: 6 378 137 m / sqrt(1 - e² sin²) cos pi / 180
         let east_m = place(last) * 66_826.57;
-        // A position every 0.1 s, at 0.22 m/s; digits of 1 cm.
+        // a position every 0.1 s, at 0.22 m/s; digits of 1 cm
         assert!((east_m - pose.x_m).abs() < 0.05, "{east_m} m, {} m", pose.x_m);
         assert!(lines.iter().any(|line| line.starts_with("$GPRMC")), "{text}");
-        // It takes no orders, and nothing comes back.
+        // the sensor ignores bytes, and nothing is echoed
         bench.host.uart_write(1, b"hello").await.unwrap();
         let after = received(bench, 1, 100).await;
         assert!(!String::from_utf8_lossy(&after).contains("hello"));

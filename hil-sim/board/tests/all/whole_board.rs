@@ -1,4 +1,5 @@
-//! Every interface of the board, from the host through the whole chain: the robot `every-interface`, which has all of them.
+//! Every interface of the board, from the host through the whole chain, on the robot `every-interface`, which has all
+//! of them.
 
 use std::f64::consts::TAU;
 
@@ -14,11 +15,11 @@ const fn channel(kind: ChannelKind, index: u8) -> ChannelId {
     ChannelId::new(kind, index)
 }
 
-/// The newest sample of a channel.
+/// Newest sample of a channel.
 pub(crate) async fn sample(bench: &Bench<'_>, channel: ChannelId) -> Sample {
     let mut telemetry = bench.host.telemetry();
     bench.host.subscribe(channel, 5).await.expect("it has the channel");
-    // The second one is younger than the subscription.
+    // the second one is younger than the subscription
     let mut seen = 0;
     loop {
         let frame = telemetry.next().await.expect("the link is up");
@@ -50,7 +51,7 @@ fn every_channel_is_described_and_told() {
             assert!(info.rate_hz > 0.0 && info.range.min < info.range.max, "{info:?}");
             assert_eq!(sample(bench, info.id).await.channel(), info.id);
         }
-        // All of them at once: as many frames as that takes.
+        // all channels at once: as many frames as that takes
         let mut telemetry = bench.host.telemetry();
         for id in &channels {
             bench.host.subscribe(*id, 50).await.expect("room for all");
@@ -77,19 +78,20 @@ fn a_rotary_motor_finds_its_zero_by_its_switch() {
             let Sample::Motor { homed, settled, position, .. } = sample(bench, osmc0).await else { panic!("a motor") };
             if homed && settled {
                 let position = f64::from(position) * TAU / 2400.0;
-                // It rests at the place that it took for known, within twice its band and a count: so far it may slip.
+                // It rests at the position that it took as home, within twice its band and a count, which is the
+                // allowed slip.
                 assert!((position - f64::from(homing.position)).abs() <= 0.008 + TAU / 2400.0, "{position} rad");
                 break;
             }
             assert!(bench.clock.now_ns() < 20_000_000_000, "no zero after 20 s");
         }
-        // The switch opens at -1 rad; at a fifth of the seeking speed the debounce of 5 ms and a period cost 1.2 mrad, and the
-        // loop's lag at least as much.
+        // The switch opens at -1 rad; at a fifth of the homing speed the debounce of 5 ms and a period cost 1.2 mrad,
+        // and the loop's lag at least as much.
         let truth = bench.position(osmc0);
         assert!((truth - -1.0).abs() < 0.02, "{truth} rad");
-        // A position now means the same for host and world.
+        // a position is now the same for host and world
         bench.set(osmc0, Mode::Position, 0.5).await.unwrap();
-        // Two of the 2 s in which its integral takes over what the supply, above nominal, no longer adds.
+        // two time constants of 2 s, in which the integral replaces the share of the supply above nominal
         bench.sleep_ms(4000).await;
         assert!((bench.position(osmc0) - 0.5).abs() < 0.02, "{} rad", bench.position(osmc0));
     });
@@ -134,17 +136,17 @@ fn servos_go_where_they_are_sent_and_not_faster_than_they_may() {
         for index in 0..16 {
             bench.set(servo(index), Mode::Position, 0.7 - 0.09 * f32::from(index)).await.unwrap();
         }
-        // The first pulse is the commanded one, and a servo's own speed is what limits it then.
+        // the first pulse is the commanded one, limited only by the servo's own speed
         bench.sleep_ms(1000).await;
         for index in 0..16 {
             let angle = bench.position(servo(index));
-            // One count of the chip is 4.9 us of 1000 us for 1.57 rad: 7.7 mrad, and the servo's dead band 2 us.
+            // one count of the chip is 4.9 us of 1000 us for 1.57 rad: 7.7 mrad, and the servo's dead band is 2 us
             assert!((angle - (0.7 - 0.09 * f64::from(index))).abs() < 0.012, "{}: {angle} rad", servo(index));
         }
         bench.set(servo(0), Mode::Position, -0.7).await.unwrap();
         bench.sleep_ms(140).await;
         let asked = scalar(bench, servo(0)).await;
-        // 5 rad/s for 140 to 160 ms from 0.7 rad.
+        // 5 rad/s for 140 to 160 ms from 0.7 rad
         assert!((-0.15..=0.05).contains(&asked), "{asked} rad");
         bench.host.disarm().await.unwrap();
         bench.sleep_ms(200).await;
@@ -160,7 +162,7 @@ fn brushless_drives_run_reverse_and_brake() {
     let bldc = |index| channel(ChannelKind::Bldc, index);
     bench(&every_interface(), async |bench| {
         let throttle = |index| bench.board.world().throttle_v(bldc(index)).expect("a drive");
-        // bldc3 rests at 2.05 V; one code of 5 V is 1.2 mV.
+        // bldc3 rests at 2.05 V; one code of 5 V is 1.2 mV
         assert!(throttle(0) < 1e-3 && (throttle(3) - 2.05).abs() < 1.3e-3, "{} {}", throttle(0), throttle(3));
         bench.host.arm().await.unwrap();
         for index in [0, 3] {
@@ -172,10 +174,10 @@ fn brushless_drives_run_reverse_and_brake() {
         assert!(speed(0) > 1.0 && speed(3) > 1.0, "{} {}", speed(0), speed(3));
         assert_eq!(scalar(bench, bldc(3)).await, 0.5);
         bench.set(bldc(3), Mode::Duty, -0.5).await.unwrap();
-        // Down, at rest for as long as the robot's file says, and up again.
+        // down, at rest for the time in the robot's file, and up again
         bench.sleep_ms(7000).await;
         assert!(speed(3) < -1.0, "{}", speed(3));
-        // A brake in the same period as a speed is taken.
+        // a brake in the same period as a speed is accepted
         bench.set(bldc(3), Mode::Brake, 1.0).await.unwrap();
         bench.sleep_ms(1000).await;
         assert!(speed(3).abs() < 0.01 && (throttle(3) - 2.05).abs() < 1.3e-3, "{} {}", speed(3), throttle(3));
@@ -196,12 +198,12 @@ fn steppers_go_where_they_are_sent_and_keep_their_books_over_a_stop() {
         bench.sleep_ms(2500).await;
         for index in 0..4 {
             let truth = bench.position(stepper(index));
-            // Half a step of 1600 a turn.
+            // half a step of 1600 a turn
             assert!((truth - 3.0 - f64::from(index)).abs() <= TAU / 3200.0 + 1e-9, "{}: {truth} rad", stepper(index));
             let Sample::Motor { settled, .. } = sample(bench, stepper(index)).await else { panic!("a stepper") };
             assert!(settled);
         }
-        // Stopped in full run: no step is lost in the books, though the motor may have been.
+        // stopped at full speed: the counters lose no step, though the motor may have
         bench.set(stepper(2), Mode::Speed, -10.0).await.unwrap();
         bench.sleep_ms(400).await;
         bench.host.stop().await.unwrap();
@@ -212,7 +214,7 @@ fn steppers_go_where_they_are_sent_and_keep_their_books_over_a_stop() {
         assert!(!homed && commanded < 5 * 1600 / 6, "{commanded} steps");
         assert!(!bench.board.world().stepper(stepper(2)).unwrap().is_enabled());
     });
-    // A motor that is stopped at once from ten times the speed it can stop from: that, and nothing else.
+    // the report of a motor that stops at once from ten times its start-stop speed, and no other
     assert!(misuse.len() == 1 && misuse[0].contains("stepper driver 0x02"), "{misuse:?}");
 }
 
@@ -232,7 +234,8 @@ fn a_stepper_finds_its_zero() {
         }
         bench.set(stepper0, Mode::Position, 1.0).await.unwrap();
         bench.sleep_ms(2000).await;
-        // The switch opens at -0.5 rad and backing off is a tenth of 2 rad/s: 5 ms of debounce and a few periods cost 2 mrad.
+        // the switch opens at -0.5 rad and backing off is a tenth of 2 rad/s: 5 ms of debounce and a few periods cost 2
+        // mrad
         let truth = bench.position(stepper0);
         assert!((truth - 1.0).abs() < 0.01, "{truth} rad");
     });
@@ -252,12 +255,12 @@ fn encoders_and_switches_tell_what_the_world_does() {
                 panic!("an encoder")
             };
             let truth = bench.position(channel(ChannelKind::Osmc, index));
-            // The sample is up to two of its 5 ms old, and then on its way: 20 ms at 2 rad/s.
+            // the sample is up to two of its 5 ms old, plus its transmission: 20 ms at 2 rad/s
             assert!((f64::from(position) * TAU / 2400.0 - truth).abs() < 0.04, "{position} counts, {truth} rad");
             assert!((speed - 2.0).abs() < 0.2, "{speed} rad/s");
             assert_eq!(illegal, 0);
         }
-        // Two tracks that change at once are no shaft; the timers cannot tell, the interrupts can.
+        // two tracks that change at once are no shaft; the timers cannot detect it, the interrupts can
         bench.board.world().pins().encoders[3].lose_edges(1);
         bench.sleep_ms(200).await;
         let Sample::Encoder { illegal, .. } = sample(bench, encoder(3)).await else { panic!("an encoder") };
@@ -288,14 +291,14 @@ fn range_sensors_measure_and_stop_the_board() {
         bench.sleep_ms(1500).await;
         for (index, distance_m) in [(0, 1.0), (1, 0.1), (2, 3.5)] {
             let (value, age_ms, quality) = reading(bench, range(index)).await;
-            // The echo is timed to 1 us: 0.17 mm.
+            // the echo is timed to 1 us: 0.17 mm
             assert!((value - distance_m).abs() < 1e-3, "{index}: {value} m");
-            // Four sensors take turns of 60 ms.
+            // four sensors take turns of 60 ms
             assert!(age_ms <= 260 && quality == Quality::Good, "{index}: {age_ms} ms, {quality}");
         }
         assert_eq!(reading(bench, range(3)).await.2, Quality::OutOfRange);
         bench.host.arm().await.unwrap();
-        // Only range0 stops the board.
+        // only range0 stops the board
         bench.board.world().range_sensor(2).unwrap().set_distance_m(Some(0.05));
         bench.sleep_ms(1000).await;
         assert_eq!(bench.safety().await.0, SafetyState::Armed);
@@ -306,7 +309,7 @@ fn range_sensors_measure_and_stop_the_board() {
         bench.sleep_ms(1000).await;
         bench.host.clear().await.expect("three readings far away");
         bench.host.arm().await.unwrap();
-        // One that says nothing any more stops it too.
+        // a sensor without readings stops it too
         let now_ns = bench.clock.now_ns();
         let silent = Some(r4_sim::sensors::hc_sr04::HcSr04Fault::Silent);
         bench.board.world().range_sensor(0).unwrap().set_fault(now_ns, silent);
@@ -321,7 +324,7 @@ fn analog_inputs_measure_and_tell_what_is_broken() {
     bench(&every_interface(), async |bench| {
         for index in 0..4u8 {
             let (value, _, quality) = reading(bench, analog(index)).await;
-            // A code is 0.76 mV; noise is filtered to less.
+            // a code is 0.76 mV; noise is filtered to less
             let volts = 5.0 * f32::from(index + 1);
             assert!((value - volts).abs() < 2e-3 && quality == Quality::Good, "{index}: {value} V, {quality}");
         }
@@ -342,7 +345,7 @@ fn analog_outputs_follow_while_armed() {
     let dac = |index| channel(ChannelKind::Dac, index);
     bench(&every_interface(), async |bench| {
         let volts = |output| bench.board.world().pins().dac_v(output).unwrap();
-        // A code is 0.8 mV.
+        // a code is 0.8 mV
         assert!(volts(0) < 1e-3 && (volts(1) - 1.65).abs() < 1e-3, "{} {}", volts(0), volts(1));
         assert!(bench.set(dac(0), Mode::Voltage, 1.2).await.is_err(), "not armed");
         bench.host.arm().await.unwrap();
@@ -376,7 +379,7 @@ fn the_auxiliary_stop_trips_and_lights_tell_the_state() {
         bench.sleep_ms(50).await;
         bench.host.clear().await.unwrap();
         assert_eq!(bench.board.lights(), lights(false, false));
-        // The supervisor kicks each ms, whatever else happens.
+        // the supervisor kicks each ms, independent of everything else
         let now_ns = bench.clock.now_ns();
         assert!(bench.board.world().pins().longest_kick_ns(now_ns) <= 2_000_000);
     });
@@ -391,7 +394,7 @@ fn servos_that_hold_do_not_follow_a_command_of_before_the_stop() {
         for index in 0..16 {
             bench.set(servo(index), Mode::Position, 0.7).await.unwrap();
         }
-        // Their pulses are written one in a period: most of them have none yet.
+        // their pulses are written one per period: most of them have none yet
         bench.board.dead_man().set(false);
         bench.sleep_ms(50).await;
         bench.board.dead_man().set(true);
@@ -413,7 +416,7 @@ fn an_arming_begins_with_nothing_of_the_last_one() {
     let bldc0 = channel(ChannelKind::Bldc, 0);
     let dhb0 = channel(ChannelKind::Dhb, 0);
     bench(&every_interface(), async |bench| {
-        // Whenever the two requests meet the control loop, also while it is late.
+        // for any phase of the two requests in the control loop, also while it is late
         for phase in 0..40 {
             bench.host.arm().await.unwrap();
             bench.sleep_ms(60).await;

@@ -1,4 +1,4 @@
-//! The world as a processor sees it that drives its pins and buses itself, with its own timing.
+//! World as seen by a processor that drives its pins and buses itself, with its own timing.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -17,11 +17,11 @@ use r4_sim::{
 
 const US: u64 = 1_000;
 const MS: u64 = 1_000_000;
-/// A clock of I2C at 400 kHz.
+/// Clock period of I2C at 400 kHz, ns.
 const I2C_CLOCK_NS: u64 = 2_500;
 
 const ROTARY: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
-/// Counts in a turn of the bench's encoder 0.
+/// Counts per turn of the bench's encoder 0.
 const COUNTS_PER_TURN: f64 = 2400.0;
 
 fn load(robot: &str) -> Robot {
@@ -34,7 +34,7 @@ fn world(robot: &str) -> (Clock, World) {
     (clock, world)
 }
 
-/// Lets `ns` pass.
+/// Advances the clock by `ns`, and returns the new time.
 fn pass(clock: &Clock, ns: u64) -> u64 {
     clock.run_ahead(clock.now_ns() + ns)
 }
@@ -51,7 +51,7 @@ fn write(clock: &Clock, world: &mut World, controller: Controller, address: u8, 
     response
 }
 
-/// Closes all relays, that of the motors' supply with them.
+/// Closes all relays, including that of the motors' supply.
 fn close_relays(clock: &Clock, world: &mut World, robot: &Robot) {
     let mut levels = [0_u8; 2];
     for relay in &robot.config.relays {
@@ -64,7 +64,7 @@ fn close_relays(clock: &Clock, world: &mut World, robot: &Robot) {
     }
 }
 
-/// Runs the bench's rotary motor forwards at this duty: leg B low, leg A high for so long in each PWM cycle.
+/// Runs the bench's rotary motor forwards at this duty: leg B low, leg A high for that share of each PWM cycle.
 fn drive_rotary(clock: &Clock, world: &mut World, robot: &Robot, duty: f64) {
     let address = robot.config.osmc_pwm.unwrap().address;
     let BridgeConfig::Osmc(BridgeLines { ahi, ali, bli, .. }) = robot.config.motors[0].bridge else {
@@ -72,13 +72,14 @@ fn drive_rotary(clock: &Clock, world: &mut World, robot: &Robot, duty: f64) {
     };
     let mut tell = |bytes: &[u8]| {
         assert_eq!(write(clock, world, Controller::Board, address, bytes), Response::Ack);
-        // The oscillator takes 500 us to start (7.3.1).
+        // the oscillator takes 500 us to start (7.3.1)
         pass(clock, 500 * US);
     };
     // PRE_SCALE 3 for 1526 Hz while asleep; MODE1 awake with auto-increment (datasheet 7.3.1, 7.3.5)
     tell(&[0xFE, 3]);
     tell(&[0x00, 0x20]);
-    // LEDn_ON_L and on (7.3.3): full ON; leg A's low side, which wins, from the duty's count to the end of the cycle
+    // LEDn_ON_L and on (7.3.3): full ON; leg A's low side, which has priority, from the duty's count to the end of the
+    // cycle
     tell(&[0x06 + 4 * ahi, 0, 0x10, 0, 0]);
     tell(&[0x06 + 4 * bli, 0, 0x10, 0, 0]);
     let [low, high] = ((duty * 4096.0) as u16).to_le_bytes();
@@ -87,7 +88,7 @@ fn drive_rotary(clock: &Clock, world: &mut World, robot: &Robot, duty: f64) {
     world.set_osmc_disabled(false);
 }
 
-/// A software decoder that is told single edges.
+/// Software decoder that takes single edges.
 #[derive(Default)]
 struct Decoder {
     a: bool,
@@ -107,7 +108,7 @@ impl Decoder {
     }
 }
 
-/// As an emulator does: it looks when it is told to look next, and never misses an edge by more than is stated.
+/// Follows an encoder as an emulator does: it samples at the announced times, and no edge is later than stated.
 #[test]
 fn encoder_edges_are_told_when_they_happen() {
     let robot = load("osmc-bench");
@@ -138,9 +139,9 @@ fn encoder_edges_are_told_when_they_happen() {
     assert_eq!(decoder.count, turned.floor() as i64);
     assert_eq!(world.encoder_levels(0).a, decoder.a);
     late.sort_unstable();
-    // A twentieth of the time to the next edge, at this speed and from rest as much as it may be: 20 us.
+    // a twentieth of the time to the next edge at this speed, and the limit from rest: 20 us
     assert!(late[late.len() - 1] <= 20 * US, "{:?}", &late[late.len() - 5..]);
-    // In 600 ms: each 100 us at most for what nobody can foresee, and two or three looks for each edge.
+    // in 600 ms: at most every 100 us for unforeseeable motion, and two or three samples for each edge
     let edges = late.len() as u64;
     assert!(looks < 600 * MS / (100 * US) + 3 * edges, "{looks} looks for {edges} edges");
 }
@@ -158,7 +159,7 @@ fn a_shaft_at_rest_is_hardly_looked_at_and_other_inputs_never() {
     assert_eq!(world.next_encoder_change_ns(4), u64::MAX, "there is no such input");
 }
 
-/// A glitch has its time, and is foreseen.
+/// A glitch is reported at its time, which is announced.
 #[test]
 fn a_glitch_on_a_track_is_told_at_its_time() {
     let (clock, mut world) = world("osmc-bench");
@@ -173,7 +174,7 @@ fn a_glitch_on_a_track_is_told_at_its_time() {
     assert_eq!(edges, [(10_300, 10_300, b, true), (10_550, 10_550, b, false)]);
 }
 
-/// Steps at 200 Hz, up and back, told late and lines one after the other, as timers are that nobody looked at.
+/// Steps at 200 Hz, up and back, reported late and line by line, as from timers that were not read in between.
 #[test]
 fn stepper_lines_count_whatever_the_order_in_which_they_are_told() {
     let (clock, mut world) = world("every-interface");
@@ -188,7 +189,7 @@ fn stepper_lines_count_whatever_the_order_in_which_they_are_told() {
     let first_ns = clock.now_ns() + MS;
     let period_ns = 5 * MS;
     pass(&clock, 300 * MS);
-    // 30 forward, 20 back; the direction told first, and with 50 us before the next step.
+    // 30 forward, 20 back; the direction first, and 50 us before the next step
     world.direction_line(1, first_ns - 50 * US, true);
     world.direction_line(1, first_ns + 30 * period_ns - 50 * US, false);
     for step in 0..50 {
@@ -204,17 +205,17 @@ fn stepper_lines_count_whatever_the_order_in_which_they_are_told() {
     assert_eq!(world.step_pulses(stepper).unwrap().net(), 10);
     assert_eq!(world.stepper(stepper).unwrap().commanded(), 10);
     assert_eq!(world.misuse(), []);
-    // A reset of the processor lets the enable line float: a step is lost, and said to be.
+    // a reset of the processor lets the enable line float: a step is lost, and reported
     world.reset_processor();
     world.step_line(1, pass(&clock, MS), true);
     world.settle_steppers(pass(&clock, MS));
     assert_eq!(world.stepper(stepper).unwrap().commanded(), 10);
     assert_eq!(world.misuse().len(), 1);
-    // Lines of a connector without a driver go nowhere.
+    // lines of a connector without a driver are ignored
     world.step_line(9, clock.now_ns(), true);
 }
 
-/// 2 m there and back in air of 20 degrees, 343.42 m/s: 11.647 ms, 0.5 ms after the trigger.
+/// 2 m there and back in air of 20 degrees, 343.42 m/s: 11.647 ms, 0.5 ms after the trigger
 #[test]
 fn an_echo_has_edges_at_foreseen_times() {
     let (clock, mut world) = world("every-interface");
@@ -237,7 +238,7 @@ fn an_echo_has_edges_at_foreseen_times() {
     assert_eq!((edges[1].0, edges[1].2, width_us), (true, false, 11_647));
 }
 
-/// The same input seen as a voltage and as the code of an ideal 16-bit converter, noise and all: same seed, same draws.
+/// The same input as a voltage and as the code of an ideal 16-bit converter, including noise: same seed, same samples.
 #[test]
 fn a_voltage_is_what_the_converter_sees() {
     let [(_, mut volts), (_, mut codes)] = [world("every-interface"), world("every-interface")];
@@ -271,7 +272,8 @@ fn switches_are_high_until_what_they_watch_is_there() {
     }
 }
 
-/// 24C02 on a connector: a page written and read back byte by byte; it answers nothing for the 5 ms of its write.
+/// EEPROM 24C02 on a connector: a page written and read back byte by byte; it does not answer for the 5 ms of its
+/// write.
 #[test]
 fn an_external_bus_goes_byte_by_byte() {
     let (clock, mut world) = world("every-interface");
@@ -298,7 +300,7 @@ fn uart_connectors_give_back_what_they_are_sent_as_the_line_lets_it_through() {
     assert_eq!(world.take_uart_arrived(0), None);
     assert_eq!(world.take_uart_arrived(1), Some(UartByte::clean(95 * US, b'a')));
     assert_eq!((world.take_uart_arrived(1), world.next_uart_arrival_ns(1)), (None, u64::MAX));
-    // One bit in a hundred: of 1000 bytes about one in ten is hit, in one way or another.
+    // one bit in a hundred: of 1000 bytes about one in ten is disturbed
     world.pins().uart(1).unwrap().disturb(Some(LineNoise::new(0.01, 0.0, 3)));
     let mut hit = 0;
     for sent in 0..1000_u32 {
@@ -311,7 +313,7 @@ fn uart_connectors_give_back_what_they_are_sent_as_the_line_lets_it_through() {
     assert!((59..=133).contains(&hit), "{hit}");
 }
 
-/// The DAC takes what it is told when LDAC falls, and at once while it is low.
+/// The DAC takes a code when LDAC falls, and at once while it is low.
 #[test]
 fn ldac_holds_voltages_back() {
     let robot = load("every-interface");
@@ -329,7 +331,7 @@ fn ldac_holds_voltages_back() {
     assert_eq!(world.throttle_v(bldc.id), Some(full_scale_v / 2.0));
 }
 
-/// Each chip forgets what it was told, also in the middle of a transfer, while the others go on.
+/// Each chip loses its state, also in the middle of a transfer, while the others continue.
 #[test]
 fn a_brown_out_resets_one_chip() {
     let robot = load("every-interface");

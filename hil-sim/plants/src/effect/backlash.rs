@@ -5,20 +5,20 @@ use crate::parameter::{Parameter, fitted};
 fitted! {
     /// The output trails the motor side by half a gap in either direction.
     ///
-    /// Hysteresis without dynamics of its own: within the gap the output stays where it is, as a load with friction
-    /// does, and at the end of the gap the motor side takes it along at once. The inertia of the plant is all at the
-    /// motor side; the blow when the gap closes is not modelled.
+    /// Hysteresis without dynamics of its own: within the gap the output stays at rest, as a load with friction does,
+    /// and at the end of the gap it moves with the motor side at once. The inertia of the plant is all at the motor
+    /// side; the impact when the gap closes is not modelled.
     ///
     /// # Source
     /// Nordin, Gutman, *Controlling mechanical systems with backlash: a survey*, Automatica 38 (2002), 3.1: the
     /// "hysteresis model" (friction-driven load).
     pub struct Backlash {
-        /// How far the motor side moves, when it reverses, before the output does.
+        /// Width of the gap: travel of the motor side after a reversal before the output follows, rad or m.
         pub gap: Parameter::new("gap_rad", "rad").linear("gap_m", "m").within(0.0, 10.0).typical(0.02);
     }
 }
 
-/// A gap and where in it the output is.
+/// Half the gap, and the position of the output in it.
 #[derive(Clone, Debug)]
 pub(crate) struct Play {
     half_gap: f64,
@@ -35,7 +35,7 @@ impl Play {
         self.output = position;
     }
 
-    /// Position and speed of the output once the motor side is at `position` with `speed`.
+    /// Position and speed of the output for a motor side at `position` with `speed`.
     pub(crate) fn apply(&mut self, position: f64, speed: f64) -> (f64, f64) {
         let (low, high) = (position - self.half_gap, position + self.half_gap);
         let pushed_up = self.output <= low && speed > 0.0;

@@ -6,31 +6,32 @@ use crate::{
 };
 
 fitted! {
-    /// The output hangs on the motor side by a spring with a damper: `y'' = w² (x - y) + 2 d w (x' - y')`, with `w = 2π f`.
+    /// The output hangs on the motor side by a spring with a damper: `y'' = w² (x - y) + 2 d w (x' - y')`, with
+    /// `w = 2π f`, `x` the position of the motor side and `y` that of the output.
     ///
-    /// The output is light against the motor side, which does not feel it; the inertia of the plant is all at the motor
-    /// side.
+    /// The output is light compared with the motor side, which feels no reaction; the inertia of the plant is all at
+    /// the motor side.
     ///
     /// # Source
     /// Den Hartog, *Mechanical Vibrations*, 4th edition, McGraw-Hill 1956, chapter 2: motion of the support.
     pub struct Compliance {
-        /// At which the output would swing, were there no damping.
+        /// Undamped natural frequency of the output, Hz.
         pub frequency_hz: Parameter::new("frequency_hz", "Hz").within(0.05, 500.0).typical(5.0);
-        /// Share of critical damping.
+        /// Damping ratio; 1 is critical.
         pub damping: Parameter::new("damping", "1").within(0.0, 2.0).typical(0.1);
     }
 }
 
-/// A spring and what hangs on it.
+/// State of the spring between motor side and output.
 #[derive(Clone, Debug)]
 pub(crate) struct Spring {
-    /// Of `[y - x, y' - x']`.
+    /// System matrix for the state `[y - x, y' - x']`.
     matrix: [[f64; 2]; 2],
     step_s: f64,
     step: SecondOrder,
-    /// `[y - x, y' - x']`.
+    /// State `[y - x, y' - x']`: deflection and its rate.
     state: [f64; 2],
-    /// Speed of the motor side before.
+    /// Speed of the motor side after the last step.
     speed: f64,
 }
 
@@ -41,13 +42,14 @@ impl Spring {
         Self { matrix, step_s: 0.0, step: SecondOrder::default(), state: [0.0; 2], speed: 0.0 }
     }
 
-    /// Puts the output where the motor side is, both at rest.
+    /// Moves the output to the motor side, both at rest.
     pub(crate) fn settle(&mut self) {
         self.state = [0.0; 2];
         self.speed = 0.0;
     }
 
-    /// Position and speed of the output once the motor side is at `position` with `speed`, gained evenly over a step.
+    /// Position and speed of the output once the motor side is at `position` with `speed`, under constant acceleration
+    /// over the step.
     pub(crate) fn apply(&mut self, position: f64, speed: f64, step_s: f64) -> (f64, f64) {
         if step_s != self.step_s {
             self.step_s = step_s;

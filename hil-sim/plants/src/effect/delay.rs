@@ -1,7 +1,7 @@
 //! The drive acts a fixed time after it was commanded.
 //!
-//! No other input effect depends on when something happens, so a delay can be before or behind it with the same result.
-//! A plant takes all its delays together, in front: there the drive changes by command only, however the others ramp it.
+//! No other input effect depends on absolute time, so a delay gives the same result before or after it. A plant adds up
+//! all its delays in front of the other input effects: there the drive changes only by command, not by ramps.
 
 use std::collections::VecDeque;
 
@@ -11,23 +11,24 @@ use crate::{
 };
 
 fitted! {
-    /// The drive acts a fixed time after it was commanded: bus cycles, PWM periods, a slow bridge.
+    /// The drive acts a fixed time after its command: bus cycles, PWM periods, a slow bridge.
     ///
-    /// Exact, whatever the steps. Only changes closer together than 1/1024 of the delay are merged, and then act with
-    /// the earlier of them.
+    /// Exact for steps of any length. Only changes closer together than 1/1024 of the delay are merged, and act at the
+    /// time of the earlier one.
     pub struct InputDelay {
-        /// From command to action.
+        /// Time from command to action, s.
         pub delay_s: Parameter::new("delay_s", "s").within(0.0, 1.0).typical(0.01);
     }
 }
 
-/// How many changes may be under way: the queue is allocated once.
+/// Largest number of pending changes: the queue is allocated once.
 const CAPACITY: usize = 1024;
 
-/// Two instants closer than this are the same; far below any step, far above the rounding of a day in seconds.
+/// Tolerance, s, within which two instants are the same: far below any step, far above the rounding of a day in
+/// seconds.
 const SAME_S: f64 = 1e-11;
 
-/// Drives on their way, each with the instant from which it acts.
+/// Pending drives, each with the instant from which it acts.
 #[derive(Clone, Debug)]
 pub(crate) struct DelayLine {
     delay_s: f64,
@@ -38,7 +39,7 @@ pub(crate) struct DelayLine {
 }
 
 impl DelayLine {
-    /// Without anything under way; `delay_s` from command to action.
+    /// A line without pending changes; `delay_s` from command to action.
     pub(crate) fn new(delay_s: f64) -> Self {
         Self {
             delay_s,
@@ -49,12 +50,12 @@ impl DelayLine {
         }
     }
 
-    /// When what acts will change if the command does not; never, if nothing is under way.
+    /// Time of the next change of the acting drive under a constant command, s; infinite if nothing is pending.
     pub(crate) fn next_change_s(&self) -> f64 {
         self.under_way.front().map_or(f64::INFINITY, |(from_s, _)| *from_s)
     }
 
-    /// What acts at `now_s`, when `drive` is commanded.
+    /// Drive that acts at `now_s` while `drive` is commanded.
     pub(crate) fn apply(&mut self, drive: Drive, now_s: f64) -> Drive {
         if drive != self.newest {
             self.newest = drive;

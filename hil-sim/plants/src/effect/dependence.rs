@@ -1,28 +1,28 @@
-//! What an effect's contribution depends on.
+//! Quantities that an effect's contribution depends on.
 
-/// What an effect's contribution is a function of: where its trace shows in a residual.
+/// Quantity of which an effect's contribution is a function, and over which it shows in a residual.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Dependence {
-    /// The commanded duty.
+    /// Duty that is commanded.
     Input,
-    /// The speed of the output.
+    /// Speed of the output.
     Speed,
-    /// The position of the output.
+    /// Position of the output.
     Position,
-    /// The acceleration of the output.
+    /// Acceleration of the output.
     Acceleration,
-    /// The sign of the speed or of the duty.
+    /// Sign of the speed or of the duty.
     Direction,
-    /// Time itself.
+    /// Time since the start.
     Time,
-    /// The voltage of the supply or the current drawn from it.
+    /// Voltage of the supply or the current drawn from it.
     Supply,
-    /// What went before.
+    /// Earlier values of input or output.
     History,
 }
 
 impl Dependence {
-    /// The word used in reports.
+    /// Word for the quantity in reports.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {

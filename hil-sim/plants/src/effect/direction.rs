@@ -1,6 +1,6 @@
 //! The two directions of a motion.
 
-/// Which way something moves or would.
+/// Direction of a motion, or of a force at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Direction {
     Forward,
@@ -8,7 +8,7 @@ pub(crate) enum Direction {
 }
 
 impl Direction {
-    /// Direction of a number that is not 0.
+    /// Direction of a nonzero number.
     pub(crate) fn of(number: f64) -> Self {
         if number > 0.0 { Self::Forward } else { Self::Backward }
     }

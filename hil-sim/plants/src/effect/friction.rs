@@ -1,4 +1,4 @@
-//! Forces against motion: at rest they hold up to their level, in motion they slow down and never turn around.
+//! Friction forces: at rest they hold up to their level, in motion they oppose it and never reverse it.
 
 use super::{
     direction::Direction,
@@ -16,20 +16,20 @@ fitted! {
     /// Armstrong-Hélouvry, Dupont, Canudas de Wit, *A survey of models, analysis tools and compensation methods for
     /// the control of machines with friction*, Automatica 30 (1994), 2.1.
     pub struct CoulombFriction {
-        /// The force.
+        /// Magnitude of the force, N m or N.
         pub level: LEVEL;
     }
 }
 
 fitted! {
-    /// Friction on top of Coulomb's at rest, falling off with speed: `level · exp(-(speed / stribeck)²)`.
+    /// Friction at rest in excess of Coulomb's, which falls with speed: `level · exp(-(speed / stribeck)²)`.
     ///
     /// # Source
     /// As [`CoulombFriction`], 2.1, the Stribeck curve in Gaussian form.
     pub struct StaticFriction {
         /// Excess of the break-away force over the Coulomb force.
         pub level: LEVEL;
-        /// Speed at which 1/e of the excess is left.
+        /// Speed at which 1/e of the excess remains.
         pub stribeck: Parameter::new("stribeck_rad_s", "rad/s").linear("stribeck_m_s", "m/s").within(1e-6, 1e3).typical(0.1);
     }
 }
@@ -37,21 +37,21 @@ fitted! {
 fitted! {
     /// A constant force against motion, different forwards and backwards.
     pub struct DirectionFriction {
-        /// Against motion forwards.
+        /// Force against positive speed, N m or N.
         pub forward: Parameter::new("forward_torque_nm", "N m").linear("forward_force_n", "N").within(0.0, 1e6).typical(0.4);
-        /// Against motion backwards.
+        /// Force against negative speed, N m or N.
         pub backward: Parameter::new("backward_torque_nm", "N m").linear("backward_force_n", "N").within(0.0, 1e6).typical(0.2);
     }
 }
 
 fitted! {
-    /// A force against motion by speed on top of the model's own, different forwards and backwards: a seal's lips, the two
-    /// flanks of a screw.
+    /// A force against motion proportional to speed, in addition to the model's own, different forwards and backwards:
+    /// the lips of a seal, the two flanks of a screw.
     pub struct DirectionViscous {
-        /// Against motion forwards.
+        /// Coefficient against positive speed, N m s/rad or N s/m.
         pub forward: Parameter::new("forward_nm_s_per_rad", "N m s/rad")
             .linear("forward_n_s_per_m", "N s/m").within(0.0, 1e6).typical(0.0);
-        /// Against motion backwards.
+        /// Coefficient against negative speed, N m s/rad or N s/m.
         pub backward: Parameter::new("backward_nm_s_per_rad", "N m s/rad")
             .linear("backward_n_s_per_m", "N s/m").within(0.0, 1e6).typical(0.1);
     }
@@ -61,55 +61,56 @@ fitted! {
     /// A force against motion that varies periodically with position, between 0 and `level`: a bent shaft, a seal, a
     /// worn stretch of screw.
     pub struct PositionFriction {
-        /// At its highest.
+        /// Force at its highest, N m or N.
         pub level: LEVEL;
-        /// How often.
+        /// Periods per turn or per metre.
         pub periods: PERIODS;
-        /// At position 0: 0 is half-way up, π/2 highest.
+        /// Phase at position 0: 0 is half of `level` and rising, π/2 the highest.
         pub phase_rad: PHASE;
     }
 }
 
 fitted! {
-    /// A force against motion by the square of speed: air, a stirrer, a hydraulic damper.
+    /// A force against motion proportional to the square of speed: air, a stirrer, a hydraulic damper.
     pub struct QuadraticDrag {
-        /// Force over speed squared.
+        /// Force over the square of speed.
         pub drag: Parameter::new("drag_nm_s2_per_rad2", "N m s^2/rad^2")
             .linear("drag_n_s2_per_m2", "N s^2/m^2").within(0.0, 1e6).typical(0.01);
     }
 }
 
 fitted! {
-    /// A force against motion that grows with the force the gear transmits: `share · |motor force|` at the output, on top
-    /// of what a [`crate::LinearActuator`] loses by its efficiency.
+    /// A force against motion proportional to the force the gear transmits: `share · |motor force|` at the output, in
+    /// addition to the loss of a [`crate::LinearActuator`] by its efficiency.
     ///
     /// # Source
     /// Pelchen, Schweiger, Otter, *Modeling and simulating the efficiency of gearboxes and of planetary gearboxes*,
     /// 2nd International Modelica Conference (2002): losses of a mesh in proportion to its load.
     pub struct LoadFriction {
-        /// Lost of the force the motor gives.
+        /// Share of the motor's force that is lost, 0 to 0.95.
         pub share: Parameter::new("share", "1").within(0.0, 0.95).typical(0.2);
     }
 }
 
 fitted! {
-    /// Friction of a cold plant on top of that of a warm one: `level · exp(-time / warm-up)`, time since the start.
+    /// Friction of a cold plant in addition to that of a warm one: `level · exp(-time / warm-up)`, time since the
+    /// start.
     pub struct FrictionWarmUp {
-        /// At the start.
+        /// Additional force at the start, N m or N.
         pub level: LEVEL;
-        /// In which it falls by e.
+        /// Time constant of the decay, s.
         pub warm_up_s: Parameter::new("warm_up_s", "s").within(1e-3, 1e6).typical(10.0);
     }
 }
 
-/// A friction effect, ready to be stepped.
+/// A friction effect with its precomputed constants.
 #[derive(Clone, Debug)]
 pub(crate) enum FrictionStage {
     Coulomb(CoulombFriction),
     Static(StaticFriction),
     Direction(DirectionFriction),
     Viscous(DirectionViscous),
-    /// With the factor from position to angle within the period.
+    /// Position friction with the factor from position to angle within the period.
     Position(PositionFriction, f64),
     Drag(QuadraticDrag),
     Load(LoadFriction),
@@ -117,24 +118,24 @@ pub(crate) enum FrictionStage {
     Table(SpeedForce),
 }
 
-/// What a friction may depend on besides the direction.
+/// Quantities besides the direction on which a friction may depend.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Contact {
-    /// Whatever its direction.
+    /// Magnitude of the speed; the sign is ignored.
     pub(crate) speed: f64,
     pub(crate) position: f64,
-    /// Force of the motor at the output, whatever its direction.
+    /// Magnitude of the motor's force at the output.
     pub(crate) transmitted: f64,
     pub(crate) time_s: f64,
 }
 
 impl FrictionStage {
-    /// Whether it is damping rather than dry friction: a table of negative dry friction takes nothing from it.
+    /// True for damping as opposed to dry friction: a table of negative dry friction does not reduce it.
     fn grows_with_speed(&self) -> bool {
         matches!(self, Self::Viscous(_) | Self::Drag(_) | Self::Table(_))
     }
 
-    /// Force against motion in `direction`, never negative; at speed 0, the force it holds against.
+    /// Force against motion in `direction`, never negative; at speed 0, the largest force it holds against.
     #[inline]
     pub(crate) fn level(&self, direction: Direction, contact: &Contact) -> f64 {
         let Contact { speed, position, transmitted, time_s } = *contact;
@@ -142,7 +143,7 @@ impl FrictionStage {
             Self::Coulomb(friction) => friction.level,
             Self::Static(friction) => {
                 let ratio = speed / friction.stribeck;
-                // exp(-40) of a force is below the rounding of the rest
+                // exp(-40) of a force is below the rounding of the other forces
                 if ratio * ratio > 40.0 { 0.0 } else { friction.level * libm::exp(-ratio * ratio) }
             }
             Self::Direction(friction) => match direction {
@@ -164,18 +165,18 @@ impl FrictionStage {
     }
 }
 
-/// Every friction of a plant.
+/// All frictions of a plant at one instant.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Frictions<'a> {
     pub(crate) stages: &'a [FrictionStage],
-    /// Dry friction besides theirs, N m or N; below 0, it takes from theirs.
+    /// Dry friction besides that of the stages, N m or N; a negative value reduces theirs.
     pub(crate) more: f64,
-    /// Since the start.
+    /// Time since the start, s.
     pub(crate) time_s: f64,
 }
 
 impl Frictions<'_> {
-    /// Force against motion in `direction`, N m or N: the sum of all dry friction, not below 0, and what grows with speed.
+    /// Force against motion in `direction`, N m or N: the sum of all dry friction, at least 0, plus the damping.
     #[inline]
     pub(crate) fn level(&self, direction: Direction, speed: f64, position: f64, transmitted: f64) -> f64 {
         let contact = Contact { speed, position, transmitted: transmitted.abs(), time_s: self.time_s };

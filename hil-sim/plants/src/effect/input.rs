@@ -7,16 +7,16 @@ use crate::{
 };
 
 fitted! {
-    /// A duty below a threshold does nothing; above, the output continues from zero: `u - D`, so that full duty gives
+    /// A duty below a threshold has no effect; above, the output continues from zero: `u - D`, so that full duty gives
     /// `1 - D`.
     pub struct DeadZone {
-        /// The threshold.
+        /// Threshold of the duty, 0 to 1.
         pub duty: Parameter::new("duty", "1").within(0.0, 1.0).typical(0.1);
     }
 }
 
 impl DeadZone {
-    /// The duty that is left.
+    /// Duty behind the dead zone.
     #[must_use]
     pub fn apply(&self, duty: f64) -> f64 {
         (duty.abs() - self.duty).max(0.0).copysign(duty)
@@ -24,16 +24,16 @@ impl DeadZone {
 }
 
 fitted! {
-    /// The duty acts by a power of itself, `|u|^p`; full duty stays full. Convex (`p > 1`) is the crawl at small duty
-    /// of a bridge whose current is discontinuous; put it after a [`DeadZone`] for `(u - D)^p`.
+    /// The duty acts as a power of itself, `|u|^p`; full duty stays full. Convex (`p > 1`) is the slow start at small
+    /// duty of a bridge whose current is discontinuous; put it after a [`DeadZone`] for `(u - D)^p`.
     pub struct GainCurve {
-        /// `p`.
+        /// Exponent `p` of the curve.
         pub exponent: Parameter::new("exponent", "1").within(0.1, 10.0).typical(2.0);
     }
 }
 
 impl GainCurve {
-    /// The duty that acts.
+    /// Duty behind the curve, with the sign of `duty`.
     #[must_use]
     pub fn apply(&self, duty: f64) -> f64 {
         libm::pow(duty.abs(), self.exponent).copysign(duty)
@@ -41,15 +41,15 @@ impl GainCurve {
 }
 
 fitted! {
-    /// The duty is clipped.
+    /// The duty is clipped to a symmetric range.
     pub struct Saturation {
-        /// Largest duty, either way.
+        /// Largest magnitude of the duty, 0 to 1.
         pub duty: Parameter::new("duty", "1").within(0.0, 1.0).typical(0.9);
     }
 }
 
 impl Saturation {
-    /// The duty that is left.
+    /// Duty clipped to the range.
     #[must_use]
     pub fn apply(&self, duty: f64) -> f64 {
         duty.clamp(-self.duty, self.duty)
@@ -57,17 +57,17 @@ impl Saturation {
 }
 
 fitted! {
-    /// The duty acts by another factor forwards than backwards.
+    /// The duty acts with different gains forwards and backwards.
     pub struct DirectionAsymmetry {
-        /// Factor on positive duties.
+        /// Gain on positive duties.
         pub forward_gain: Parameter::new("forward_gain", "1").within(0.0, 2.0).typical(1.0);
-        /// Factor on negative duties.
+        /// Gain on negative duties.
         pub backward_gain: Parameter::new("backward_gain", "1").within(0.0, 2.0).typical(0.9);
     }
 }
 
 impl DirectionAsymmetry {
-    /// The duty that acts.
+    /// Duty times the gain of its sign.
     #[must_use]
     pub fn apply(&self, duty: f64) -> f64 {
         duty * if duty > 0.0 { self.forward_gain } else { self.backward_gain }
@@ -75,14 +75,14 @@ impl DirectionAsymmetry {
 }
 
 fitted! {
-    /// The duty acts the other way round: swapped leads.
+    /// The duty acts with the opposite sign: swapped leads.
     pub struct InputSign {}
 }
 
 fitted! {
-    /// The drive is looked at from time to time only, and held in between; the first time at the start.
+    /// The drive is sampled periodically and held in between (zero-order hold); the first sample is at the start.
     pub struct InputHold {
-        /// From one look to the next.
+        /// Sampling period, s.
         pub period_s: Parameter::new("period_s", "s").within(1e-4, 10.0).typical(0.025);
     }
 }
@@ -90,12 +90,12 @@ fitted! {
 fitted! {
     /// The duty acts through a first-order low-pass.
     pub struct DriveLag {
-        /// After a step, 1/e of it is missing by then.
+        /// Time constant, s: 1/e of a step is missing after it.
         pub time_constant_s: Parameter::new("time_constant_s", "s").within(1e-6, 100.0).typical(0.02);
     }
 }
 
-/// An input effect with its memory. The delays are not among them: see [`super::delay`].
+/// An input effect with its memory. Delays are handled by [`super::delay`].
 #[derive(Clone, Debug)]
 pub(crate) enum InputStage {
     DeadZone(DeadZone),
@@ -108,16 +108,16 @@ pub(crate) enum InputStage {
     Lag { time_constant_s: f64, duty: f64 },
 }
 
-/// A look closer than this is now.
+/// Tolerance, s: a sample closer than this is due now.
 const NOW_S: f64 = 1e-11;
 
 impl InputStage {
-    /// Whether its output may change while its input does not.
+    /// True if the output may change while the input does not.
     pub(crate) fn has_memory(&self) -> bool {
         matches!(self, Self::Slew(_) | Self::Hold { .. } | Self::Lag { .. })
     }
 
-    /// How long what comes out may stay constant: a step must not be longer.
+    /// Longest time for which the output stays constant, s: a step must not be longer.
     pub(crate) fn constant_for_s(&self) -> f64 {
         match self {
             Self::Hold { period_s, left_s, .. } => {
@@ -131,7 +131,7 @@ impl InputStage {
         }
     }
 
-    /// What comes out over a step; the mean, where it changes within.
+    /// Output over a step; its mean, if it changes within the step.
     pub(crate) fn apply(&mut self, drive: Drive, step_s: f64) -> Drive {
         let duty = match self {
             Self::DeadZone(zone) => zone.apply(drive.duty),
@@ -183,7 +183,7 @@ mod tests {
 
     #[test]
     fn a_lag_gives_the_mean_of_its_way_whatever_the_steps() {
-        // area of 0.5 (1 − exp(−t/0.2)) over 0.3 s
+        // Integral of 0.5 (1 − exp(−t/0.2)) over 0.3 s.
         let expected = 0.5 * (0.3 - 0.2 * (1.0 - (-1.5f64).exp()));
         for steps in [1, 4, 7] {
             let mut lag = InputStage::new(&Effect::DriveLag(DriveLag { time_constant_s: 0.2 })).unwrap();

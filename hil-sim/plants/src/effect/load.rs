@@ -1,4 +1,4 @@
-//! Forces on the output whatever its motion.
+//! Forces on the output that do not depend on the direction of motion.
 
 use super::{
     noise::{CORRELATION, Noise},
@@ -7,9 +7,10 @@ use super::{
 use crate::parameter::{Parameter, fitted};
 
 fitted! {
-    /// A constant force towards negative positions, such as a weight; negative, towards positive positions.
+    /// A constant force towards negative positions, such as a weight; a negative value pushes towards positive
+    /// positions.
     pub struct ConstantLoad {
-        /// The force.
+        /// Force, N m or N; positive towards negative positions.
         pub force: Parameter::new("torque_nm", "N m").linear("force_n", "N").within(-1e6, 1e6).typical(0.5);
     }
 }
@@ -17,48 +18,48 @@ fitted! {
 fitted! {
     /// A weight off the axis: the torque `-torque · sin(position + phase)`, so that it hangs at `position = -phase`.
     pub struct GravityLoad {
-        /// Weight times distance from the axis.
+        /// Weight times distance from the axis, N m.
         pub torque_nm: Parameter::new("torque_nm", "N m").within(0.0, 1e6).typical(0.5);
-        /// Angle from hanging at position 0.
+        /// Angle from the hanging position at position 0, rad.
         pub phase_rad: PHASE;
     }
 }
 
 fitted! {
-    /// A force by the sine of a multiple of position, whatever the motion: magnets against slots.
+    /// A force sinusoidal in position, whatever the motion: magnets against slots.
     pub struct Cogging {
-        /// Largest force.
+        /// Amplitude of the force, N m or N.
         pub amplitude: Parameter::new("torque_nm", "N m").linear("force_n", "N").within(0.0, 1e6).typical(0.1);
-        /// How often.
+        /// Periods per turn or per metre.
         pub periods: PERIODS;
-        /// At position 0.
+        /// Phase at position 0, rad.
         pub phase_rad: PHASE;
     }
 }
 
 fitted! {
-    /// A random force: Gaussian, with an autocorrelation that falls by e in the correlation time. A stretch of time cut
-    /// into other steps gives another force of the same statistics.
+    /// A random force: Gaussian, with an autocorrelation that falls to 1/e in the correlation time. Other steps over
+    /// the same time give another realisation of the same statistics.
     pub struct RandomLoad {
-        /// Standard deviation.
+        /// Standard deviation of the force, N m or N.
         pub deviation: Parameter::new("deviation_nm", "N m").linear("deviation_n", "N").within(0.0, 1e6).typical(0.05);
-        /// How long it takes to change.
+        /// Correlation time of the force, s.
         pub correlation_s: CORRELATION;
     }
 }
 
-/// A load, ready to be stepped.
+/// A load with its precomputed constants or its noise.
 #[derive(Clone, Debug)]
 pub(crate) enum LoadStage {
     Constant(ConstantLoad),
     Gravity(GravityLoad),
-    /// With the factor from position to angle within the period.
+    /// Cogging with the factor from position to angle within the period.
     Cogging(Cogging, f64),
     Random(Noise),
 }
 
 impl LoadStage {
-    /// Force towards positive positions over a step that is at `position` half-way.
+    /// Force towards positive positions, N m or N, over a step that is at `position` half-way.
     #[inline]
     pub(crate) fn force(&mut self, position: f64, step_s: f64) -> f64 {
         match self {

@@ -1,8 +1,8 @@
-//! Effects: what a real plant does that its base model does not.
+//! Effects: mechanisms of a real plant that its base model lacks.
 //!
 //! Each effect is one type with public parameters, a `PARAMETERS` table and, where it has no memory, the formula itself
-//! as a method. What remembers (delay, lag, noise …) keeps its memory in a private stage that a [`crate::Plant`] builds.
-//! A [`table`] is an effect that has no name, only a shape; an [`unlisted`] one is code that no file can hold.
+//! as a method. An effect with memory (delay, lag, noise …) keeps it in a private stage that a [`crate::Plant`] builds.
+//! A [`table`] is an effect without a name, described by its curve; an [`unlisted`] one is code that no file can hold.
 
 use crate::{
     error::{InvalidField, Problem},
@@ -44,7 +44,7 @@ use sensor::{
 use slew::SlewLimit;
 use supply::{SupplySag, WindingHeating};
 
-/// Where in the plant an effect acts. Those at one point act in the order of the file.
+/// Point in the plant at which an effect acts. Several at one point act in the order of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum InsertionPoint {
     /// On the duty, before it becomes a voltage.
@@ -53,30 +53,30 @@ pub enum InsertionPoint {
     Supply,
     /// On the motor's winding.
     Winding,
-    /// A force against motion, at the motor side of the backlash. Friction levels add up.
+    /// A force against motion, on the motor side of the backlash. Friction levels add up.
     Friction,
-    /// A force whatever the motion, at the motor side of the backlash. Loads add up.
+    /// A force whatever the motion, on the motor side of the backlash. Loads add up.
     Load,
     /// Between the motor side and the output.
     Transmission,
-    /// Between the position of the output and what its sensor tells.
+    /// Between the position of the output and the reading of its sensor.
     Sensor,
 }
 
-/// What is known of an effect before it is fitted.
+/// Catalogue entry of an effect, independent of its values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EffectInfo {
     /// Name in files and reports.
     pub name: &'static str,
-    /// What it does, in one sentence.
+    /// Summary of the mechanism, in one sentence.
     pub summary: &'static str,
-    /// Where it acts.
+    /// Point at which it acts.
     pub insertion: InsertionPoint,
-    /// What its contribution is a function of.
+    /// Quantities that its contribution is a function of.
     pub depends_on: &'static [Dependence],
-    /// Which plants can have it.
+    /// Kinds of plants that can have the effect.
     pub kinds: &'static [PlantKind],
-    /// Names, units and bounds.
+    /// Names, units and bounds of its parameters.
     pub parameters: &'static [Parameter],
     /// The effect with every parameter at its typical value.
     pub typical: Effect,
@@ -85,17 +85,17 @@ pub struct EffectInfo {
 const ANY: &[PlantKind] = &[PlantKind::Rotary, PlantKind::Linear];
 const ROTARY: &[PlantKind] = &[PlantKind::Rotary];
 
-/// The enum and the catalogue from one table, so that neither can lack what the other has.
+/// Defines the enum and the catalogue from one table, so that neither can lack an entry of the other.
 macro_rules! effects {
     ($($variant:ident, $name:literal, $insertion:ident, $kinds:ident, [$($dependence:ident),+], $summary:literal;)+) => {
-        /// Any effect.
+        /// An effect of the catalogue with its parameters.
         #[derive(Clone, Copy, Debug, PartialEq)]
         pub enum Effect {
             $(#[doc = concat!("`", $name, "`: ", $summary)] $variant($variant),)+
         }
 
         $(impl $variant {
-            /// Its page in the catalogue.
+            /// Entry of the effect in the catalogue.
             pub const INFO: EffectInfo = EffectInfo {
                 name: $name,
                 summary: $summary,
@@ -110,7 +110,7 @@ macro_rules! effects {
         static CATALOGUE: &[EffectInfo] = &[$($variant::INFO),+];
 
         impl Effect {
-            /// Its page in the catalogue.
+            /// Entry of the effect in the catalogue.
             #[must_use]
             pub const fn info(&self) -> &'static EffectInfo {
                 match self { $(Self::$variant(_) => &$variant::INFO,)+ }
@@ -208,14 +208,14 @@ effects! {
         "A random error of given deviation and correlation time.";
 }
 
-/// Every effect there is, with its parameters, units and bounds and what it depends on.
+/// All effects with their parameters, units, bounds and dependences.
 #[must_use]
 pub fn catalogue() -> &'static [EffectInfo] {
     CATALOGUE
 }
 
 impl EffectInfo {
-    /// The effect of this name.
+    /// The effect with this name; `None` if the catalogue has none.
     #[must_use]
     pub fn named(name: &str) -> Option<&'static Self> {
         CATALOGUE.iter().find(|info| info.name == name)
@@ -229,7 +229,8 @@ impl Effect {
         self.info().name
     }
 
-    /// What an effect of the bridge makes of a duty, if that takes neither time nor anything but the duty; `None` for all others.
+    /// Duty behind a static effect of the bridge, which depends on the duty only and has no memory (dead zone, gain
+    /// curve, saturation); `None` for all others.
     #[must_use]
     pub fn at_once(&self, duty: f64) -> Option<f64> {
         match self {
@@ -240,7 +241,7 @@ impl Effect {
         }
     }
 
-    /// Whether a plant of this kind can have the effect with these values.
+    /// Checks that a plant of this kind can have the effect with these values.
     ///
     /// # Errors
     /// [`InvalidField`] with `field` `effect` ([`Problem::WrongKind`]) or the name of the first parameter out of range.
@@ -252,7 +253,7 @@ impl Effect {
     }
 }
 
-/// Whether every parameter is in range; the error's `field` is the parameter's name.
+/// Checks that every parameter is in range; the error's `field` is the parameter's name.
 pub(crate) fn check_values(fitted: &dyn Fitted, kind: PlantKind) -> Result<(), InvalidField> {
     for (index, parameter) in fitted.parameters().iter().enumerate() {
         let value = fitted.value(index).unwrap_or(f64::NAN);

@@ -1,14 +1,14 @@
-//! Random numbers with a memory.
+//! Correlated random numbers.
 
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use crate::parameter::Parameter;
 
-/// How long a noise takes to change.
+/// Parameter for the correlation time of a noise.
 pub(crate) const CORRELATION: Parameter = Parameter::new("correlation_s", "s").within(1e-6, 1e6).typical(0.1);
 
-/// A Gaussian process with autocorrelation `exp(-|t| / correlation)` (Ornstein-Uhlenbeck), stepped exactly: its
+/// Gaussian process with autocorrelation `exp(-|t| / correlation)` (Ornstein-Uhlenbeck), stepped exactly: its
 /// statistics do not depend on the steps.
 ///
 /// # Source
@@ -35,7 +35,7 @@ impl Noise {
         self.value
     }
 
-    /// The value after another `step_s`.
+    /// Advances by `step_s` and returns the new value.
     pub(crate) fn next(&mut self, step_s: f64) -> f64 {
         if step_s != self.step_s {
             self.step_s = step_s;

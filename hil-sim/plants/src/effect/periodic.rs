@@ -1,4 +1,4 @@
-//! What effects that repeat themselves over position have in common.
+//! Parameters common to effects that are periodic in position.
 
 use crate::{
     kind::{PerKind, PlantKind},
@@ -10,7 +10,8 @@ pub(crate) const PERIODS: Parameter =
 pub(crate) const PHASE: Parameter =
     Parameter::new("phase_rad", "rad").within(-std::f64::consts::TAU, std::f64::consts::TAU);
 
-/// Radians within the period per unit of position: periods are counted per turn, or per metre.
+/// Factor from position to angle within the period, rad per unit of position: periods are counted per turn, or per
+/// metre.
 pub(crate) fn angle_per_position(kind: PlantKind, periods: f64) -> f64 {
     periods * PerKind { rotary: 1.0, linear: std::f64::consts::TAU }.of(kind)
 }

@@ -1,4 +1,4 @@
-//! Effects between the position of the output and what its sensor tells.
+//! Effects between the position of the output and the reading of its sensor.
 
 use super::{
     noise::{CORRELATION, Noise},
@@ -7,46 +7,47 @@ use super::{
 use crate::parameter::{Parameter, fitted};
 
 fitted! {
-    /// The sensor tells a multiple of the position: counts per turn or volts per metre other than believed.
+    /// The sensor reads a multiple of the position: the assumed counts per turn or volts per metre are wrong.
     pub struct EncoderScale {
-        /// Told over true.
+        /// Ratio of the reading to the true position.
         pub scale: Parameter::new("scale", "1").within(0.1, 10.0).typical(1.01);
     }
 }
 
 fitted! {
-    /// The sensor's zero is elsewhere.
+    /// The sensor's zero is displaced.
     pub struct EncoderOffset {
-        /// Added to the position.
+        /// Offset added to the position, rad or m.
         pub offset: Parameter::new("offset_rad", "rad").linear("offset_m", "m").within(-1e3, 1e3).typical(0.01);
     }
 }
 
 fitted! {
-    /// The sensor's disc sits off the axis: an error once per turn, `amplitude · sin(position + phase)`.
+    /// The sensor's disc is mounted eccentrically: an error once per turn, `amplitude · sin(position + phase)`.
     pub struct Eccentricity {
-        /// Largest error.
+        /// Largest error, rad.
         pub amplitude_rad: Parameter::new("amplitude_rad", "rad").within(0.0, 1.0).typical(0.01);
-        /// At position 0.
+        /// Phase at position 0, rad.
         pub phase_rad: PHASE;
     }
 }
 
 fitted! {
-    /// Above a speed a share of the sensor's edges is lost for good: `(|speed| - threshold) / reference`, at most all.
+    /// Above a speed a share of the sensor's edges is lost permanently: `(|speed| - threshold) / reference`, at most
+    /// all.
     ///
-    /// The lost way adds up with the sign of the motion, so the sensor falls behind whichever way it turns. It is the
-    /// mean that is modelled, not the single edge.
+    /// The lost travel adds up with the sign of the motion, so the reading falls behind in both directions. The model
+    /// gives the mean, not single edges.
     pub struct MissedEdges {
-        /// Speed up to which none is lost.
+        /// Speed up to which no edge is lost, rad/s or m/s.
         pub threshold: Parameter::new("threshold_rad_s", "rad/s").linear("threshold_m_s", "m/s").within(0.0, 1e4).typical(1.0);
-        /// Speed above the threshold at which all would be lost.
+        /// Excess over the threshold at which all edges would be lost, rad/s or m/s.
         pub reference: Parameter::new("reference_rad_s", "rad/s").linear("reference_m_s", "m/s").within(1e-3, 1e6).typical(100.0);
     }
 }
 
 impl MissedEdges {
-    /// Share of the edges lost at a speed, in 0..=1.
+    /// Share of the edges lost at a speed, 0..=1.
     #[must_use]
     pub fn share(&self, speed: f64) -> f64 {
         ((speed.abs() - self.threshold) / self.reference).clamp(0.0, 1.0)
@@ -54,19 +55,19 @@ impl MissedEdges {
 }
 
 fitted! {
-    /// Within a band of positions the wiper has no contact and the last reading before it stays.
+    /// Within a band of positions the wiper has no contact and the last reading before the band stays.
     ///
     /// A plant that starts within the band reads its lower edge.
     pub struct PotentiometerDeadSpot {
-        /// Lower edge of the band.
+        /// Lower edge of the band, rad or m.
         pub start: Parameter::new("start_rad", "rad").linear("start_m", "m").within(-1e3, 1e3).typical(0.05);
-        /// Width of the band.
+        /// Width of the band, rad or m.
         pub width: Parameter::new("width_rad", "rad").linear("width_m", "m").within(0.0, 1e3).typical(0.002);
     }
 }
 
 impl PotentiometerDeadSpot {
-    /// Whether the wiper has no contact.
+    /// True if the wiper has no contact at `position`.
     #[must_use]
     pub fn covers(&self, position: f64) -> bool {
         position > self.start && position < self.start + self.width
@@ -76,31 +77,31 @@ impl PotentiometerDeadSpot {
 fitted! {
     /// The sensor follows the position as a first-order low-pass.
     pub struct SensorLag {
-        /// At constant speed the reading is this late.
+        /// Time constant, s: the delay of the reading at constant speed.
         pub time_constant_s: Parameter::new("time_constant_s", "s").within(1e-6, 100.0).typical(0.01);
     }
 }
 
 fitted! {
-    /// A random error: Gaussian, with an autocorrelation that falls by e in the correlation time. A stretch of time cut
-    /// into other steps gives another error of the same statistics.
+    /// A random error: Gaussian, with an autocorrelation that falls to 1/e in the correlation time. Other steps over
+    /// the same time give another realisation of the same statistics.
     pub struct SensorNoise {
-        /// Standard deviation.
+        /// Standard deviation of the error, rad or m.
         pub deviation: Parameter::new("deviation_rad", "rad").linear("deviation_m", "m").within(0.0, 10.0).typical(1e-3);
-        /// How long it takes to change.
+        /// Correlation time of the error, s.
         pub correlation_s: CORRELATION;
     }
 }
 
 fitted! {
-    /// The sensor counts the other way round: its two lines are swapped.
+    /// The sensor counts in the opposite direction: its two lines are swapped.
     pub struct EncoderSign {}
 }
 
 fitted! {
-    /// The position is read from time to time only, and told unchanged in between; the first time at the start.
+    /// The position is sampled periodically and held in between (zero-order hold); the first sample is at the start.
     pub struct SensorHold {
-        /// From one reading to the next.
+        /// Sampling period, s.
         pub period_s: Parameter::new("period_s", "s").within(1e-4, 10.0).typical(0.025);
     }
 }
@@ -120,12 +121,12 @@ pub(crate) enum SensorStage {
 }
 
 impl SensorStage {
-    /// Whether what it tells depends on more than the position now, so that it must see every step.
+    /// True if the reading depends on more than the present position, so that the stage must be applied in every step.
     pub(crate) fn has_memory(&self) -> bool {
         !matches!(self, Self::Scale(_) | Self::Offset(_) | Self::Eccentricity(_) | Self::Sign)
     }
 
-    /// Forgets, and tells what it tells after a long rest at `position`.
+    /// Resets the memory and returns the reading after a long rest at `position`.
     pub(crate) fn settle(&mut self, position: f64) -> f64 {
         match self {
             Self::MissedEdges { before, lost, .. } => {
@@ -153,7 +154,7 @@ impl SensorStage {
         }
     }
 
-    /// What it tells at `position`, reached from the last one at constant speed in `step_s`.
+    /// Reading at `position`, reached from the last one at constant speed in `step_s`.
     pub(crate) fn apply(&mut self, position: f64, step_s: f64) -> f64 {
         match self {
             Self::Scale(scale) => position * scale.scale,
@@ -174,7 +175,8 @@ impl SensorStage {
                 *held
             }
             Self::Lag { effect, before, reading } => {
-                // exact for a ramp: the reading is `tau · speed` late, and what it differs from that decays
+                // exact for a ramp: the reading lags by `tau · speed`, and its difference from that decays
+                // exponentially
                 let late = effect.time_constant_s * (position - *before) / step_s;
                 let decay = libm::exp(-step_s / effect.time_constant_s);
                 *reading = position - late + (*reading - *before + late) * decay;
@@ -186,7 +188,7 @@ impl SensorStage {
             Self::Hold { period_s, left_s, before, held } => {
                 let late_s = step_s - *left_s;
                 *left_s -= step_s;
-                // a reading on the edge of a step is in it, whatever the rounding of many steps
+                // a sample at the edge of a step belongs to it, despite the rounding of many steps
                 if late_s >= -1e-9 * *period_s {
                     let late_s = late_s % *period_s;
                     *held = position - (position - *before) * (late_s / step_s).clamp(0.0, 1.0);

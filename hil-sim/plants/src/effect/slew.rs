@@ -5,12 +5,12 @@ use crate::parameter::{Parameter, fitted};
 fitted! {
     /// The duty changes at no more than a given rate, from 0 at the start.
     pub struct SlewLimit {
-        /// Change of duty per second, either way.
+        /// Largest change of duty per second, in either direction.
         pub rate_per_s: Parameter::new("rate_per_s", "1/s").within(1e-3, 1e6).typical(10.0);
     }
 }
 
-/// A slew limit and how far it has come.
+/// A slew limit and its present output.
 #[derive(Clone, Debug)]
 pub(crate) struct Slew {
     rate_per_s: f64,
@@ -22,7 +22,8 @@ impl Slew {
         Self { rate_per_s: limit.rate_per_s, duty: 0.0 }
     }
 
-    /// Mean of the duty over a step: half-way up a ramp, less the corner where it ends within the step.
+    /// Mean of the duty over a step: half-way up the ramp, or less than the target by a triangle if the ramp ends
+    /// within the step.
     pub(crate) fn apply(&mut self, target: f64, step_s: f64) -> f64 {
         let gap = target - self.duty;
         let reach = self.rate_per_s * step_s;

@@ -1,20 +1,21 @@
-//! Effects on the voltage of the supply, and on the winding it drives a current through.
+//! Effects on the voltage of the supply, and on the resistance of the winding.
 
 use crate::parameter::{Parameter, fitted};
 
 fitted! {
     /// The supply voltage falls with the current drawn from it, `V = E - R i`, and rises when the motor feeds back.
     ///
-    /// `i` is the share of the motor current that passes the supply, `duty · motor current`, so the resistance acts on
-    /// the motor as `duty² R` in its winding. What diodes return while coasting does not raise the voltage.
+    /// `i` is the share of the motor current that passes through the supply, `duty · motor current`, so the resistance
+    /// acts on the motor as `duty² R` in its winding. Current returned by the diodes while coasting does not raise the
+    /// voltage.
     pub struct SupplySag {
-        /// Battery, fuse and leads.
+        /// Resistance of battery, fuse and leads, Ω.
         pub source_ohm: Parameter::new("source_ohm", "ohm").within(0.0, 100.0).typical(0.05);
     }
 }
 
 impl SupplySag {
-    /// Voltage left of `emf_v` while `current_a` is drawn.
+    /// Supply voltage, V, at an electromotive force of `emf_v` while `current_a` is drawn.
     #[must_use]
     pub fn apply(&self, emf_v: f64, current_a: f64) -> f64 {
         emf_v - self.source_ohm * current_a
@@ -26,14 +27,14 @@ fitted! {
     ///
     /// One thermal mass, cold at the start. Copper gains 0.39 % per kelvin, so 0.01 per watt is a winding of 2.5 K/W.
     pub struct WindingHeating {
-        /// Settled rise of the resistance, as a share of it, over the power that heats it.
+        /// Settled relative rise of the resistance per watt of heat.
         pub rise_per_w: Parameter::new("rise_per_w", "1/W").within(0.0, 10.0).typical(0.01);
-        /// Of the warming.
+        /// Time constant of the warming, s.
         pub time_constant_s: Parameter::new("time_constant_s", "s").within(1e-3, 1e5).typical(10.0);
     }
 }
 
-/// A winding and how warm it is.
+/// State of a winding: its relative rise of resistance.
 #[derive(Clone, Debug)]
 pub(crate) struct Heat {
     effect: WindingHeating,
@@ -45,12 +46,12 @@ impl Heat {
         Self { effect: *effect, rise: 0.0 }
     }
 
-    /// Share by which the resistance is above that of the cold winding.
+    /// Relative rise of the resistance above that of the cold winding.
     pub(crate) fn rise(&self) -> f64 {
         self.rise
     }
 
-    /// A step with `power_w` in the winding.
+    /// Advances by a step with `power_w` in the winding.
     pub(crate) fn warm(&mut self, power_w: f64, step_s: f64) {
         let settled = self.effect.rise_per_w * power_w;
         self.rise -= (settled - self.rise) * libm::expm1(-step_s / self.effect.time_constant_s);

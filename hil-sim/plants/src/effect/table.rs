@@ -1,4 +1,4 @@
-//! Effects without a name: a curve of straight pieces over what it depends on.
+//! Effects without a name: a piecewise linear curve over the quantity they depend on.
 //!
 //! In a plant file, among the others:
 //!
@@ -15,31 +15,31 @@
 use super::{dependence::Dependence, direction::Direction};
 use crate::error::{InvalidField, Problem};
 
-/// What a [`Table`] is over.
+/// Quantity on the abscissa of a [`Table`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Over {
-    /// The duty: on the input, as the effects before left it; elsewhere, as it came out of the plant's delays.
+    /// The duty: for a table on the input, after the named input effects; for the others, after the plant's delays.
     Input,
     /// Speed of the motor side, rad/s or m/s.
     Speed,
     /// Position of the motor side, rad or m.
     Position,
-    /// Seconds since the start.
+    /// Seconds since the start of the simulation.
     Time,
-    /// The supply without load, V.
+    /// Supply voltage without load, V.
     Supply,
-    /// The way of the motor side since it last turned round, without sign, rad or m.
+    /// Travel of the motor side since its last reversal, unsigned, rad or m.
     History,
-    /// Seconds since the motor side last turned round; beyond every corner as long as it has not.
+    /// Seconds since the motor side's last reversal; beyond every knot before the first one.
     SinceTurn,
 }
 
 impl Over {
-    /// All of them.
+    /// All variants, in the order of declaration.
     pub const ALL: [Self; 7] =
         [Self::Input, Self::Speed, Self::Position, Self::Time, Self::Supply, Self::History, Self::SinceTurn];
 
-    /// The word in files.
+    /// Word for the quantity in plant files.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -48,7 +48,7 @@ impl Over {
         }
     }
 
-    /// The word in reports.
+    /// Corresponding quantity in reports.
     #[must_use]
     pub const fn dependence(self) -> Dependence {
         match self {
@@ -62,24 +62,24 @@ impl Over {
     }
 }
 
-/// What the values of a [`Table`] are.
+/// Quantity that the values of a [`Table`] act on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum On {
     /// A force towards positive positions at the motor side, N m or N.
     Force,
-    /// Dry friction at the motor side, N m or N: a force against motion that also holds at rest. Where it is negative it takes from other dry
-    /// friction; where the sum is negative there is none.
+    /// Dry friction at the motor side, N m or N: a force against motion that also holds at rest. A negative value
+    /// reduces other dry friction; where the sum is negative there is none.
     Friction,
-    /// The drive's voltage is multiplied by one more than the value; by 0 where that is negative.
+    /// Gain of the drive's voltage: it is multiplied by 1 + value, at least 0.
     Gain,
-    /// Added to the duty, behind all other input effects.
+    /// Duty added behind all other input effects.
     Input,
-    /// A force against the way in which the motor side moved last, also at rest, N m or N.
+    /// A force against the direction in which the motor side moved last, also at rest, N m or N.
     ///
-    /// Over [`Over::History`] without a period, the values are those after a long way to the other side. Its first value `h(0)` is not
-    /// jumped to: from the force `F` that there was at the turn, also one half-way, it goes to the last value `h(∞)` as
-    /// fast as the table does, `h(x) + (F - h(0)) (h(∞) - h(x)) / (h(∞) - h(0))`, forces being against the new way. With
-    /// `h(x) = c (1 - 2 exp(-x / s))` this is Dahl's friction.
+    /// Over [`Over::History`] without a period, the values are those after a long travel in the other direction. The
+    /// force does not jump to the first value `h(0)`: from the force `F` at the reversal, also one half-way, it
+    /// approaches the last value `h(∞)` as the table does, `h(x) + (F - h(0)) (h(∞) - h(x)) / (h(∞) - h(0))`, with
+    /// forces counted against the new direction. With `h(x) = c (1 - 2 exp(-x / s))` this is Dahl's friction.
     ///
     /// # Source
     /// Dahl, *A solid friction model*, The Aerospace Corporation TOR-0158(3107-18)-1, 1968.
@@ -87,10 +87,10 @@ pub enum On {
 }
 
 impl On {
-    /// All of them.
+    /// All variants, in the order of declaration.
     pub const ALL: [Self; 5] = [Self::Force, Self::Friction, Self::Gain, Self::Input, Self::Hysteresis];
 
-    /// The word in files.
+    /// Word for the quantity in plant files.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -103,11 +103,11 @@ impl On {
     }
 }
 
-/// A curve of straight pieces, constant beyond both ends or round a circle. Every number is in range: there is no other
-/// way to make one.
+/// Piecewise linear curve, constant beyond both ends or periodic. The only constructor checks every number, so all are
+/// in range.
 ///
-/// Two neighbouring corners at the same place are a jump, as dry friction has at speed 0. What a force over speed takes
-/// from motion acts like friction: it stops a plant and holds it, and does not turn it round.
+/// Two neighbouring knots at the same place are a jump, as dry friction has at speed 0. The part of a force over speed
+/// that opposes motion acts like friction: it stops a plant and holds it, but does not reverse it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
     over: Over,
@@ -117,18 +117,19 @@ pub struct Table {
     values: Vec<f64>,
 }
 
-/// Most corners of a table.
+/// Largest number of knots of a table.
 pub const MAX_CORNERS: usize = 4096;
 
-/// Largest number in a table.
+/// Largest magnitude of a number in a table.
 const LARGEST: f64 = 1e9;
 
 impl Table {
-    /// A curve through `values` at the corners `at`.
+    /// A curve through `values` at the knots `at`.
     ///
     /// # Errors
-    /// [`InvalidField`] names `at`, `values` or `period`: no or too many corners, other counts, a number that is none or
-    /// is beyond 1e9, corners that do not increase (two may be at one place), or a period that is not longer than them.
+    /// [`InvalidField`] names `at`, `values` or `period`: no or too many knots, lists of different lengths, NaN or a
+    /// number beyond 1e9, knots that do not increase (two may be at one place), or a period that is not longer than
+    /// their span.
     pub fn new(over: Over, on: On, period: Option<f64>, at: Vec<f64>, values: Vec<f64>) -> Result<Self, InvalidField> {
         let fault = |field: &str, problem| Err(InvalidField { field: field.into(), problem });
         if at.is_empty() || at.len() > MAX_CORNERS {
@@ -156,43 +157,43 @@ impl Table {
         }
     }
 
-    /// What it is over.
+    /// Quantity on the abscissa.
     #[must_use]
     pub fn over(&self) -> Over {
         self.over
     }
 
-    /// What its values are.
+    /// Quantity that the values act on.
     #[must_use]
     pub fn on(&self) -> On {
         self.on
     }
 
-    /// Length of the circle that the axis is, if it is one.
+    /// Period of the abscissa; `None` if the curve is not periodic.
     #[must_use]
     pub fn period(&self) -> Option<f64> {
         self.period
     }
 
-    /// The corners.
+    /// Knots of the curve, not decreasing.
     #[must_use]
     pub fn at(&self) -> &[f64] {
         &self.at
     }
 
-    /// The values at the corners.
+    /// Values at the knots.
     #[must_use]
     pub fn values(&self) -> &[f64] {
         &self.values
     }
 
-    /// The value at `x`; at a jump, that on its upper side.
+    /// Value at `x`; at a jump, that on its upper side.
     #[must_use]
     pub fn value(&self, x: f64) -> f64 {
         self.between(x, |at, x| at <= x)
     }
 
-    /// The value at `x`; at a jump, that on its lower side.
+    /// Value at `x`; at a jump, that on its lower side.
     fn value_below(&self, x: f64) -> f64 {
         self.between(x, |at, x| at < x)
     }
@@ -222,19 +223,19 @@ impl Table {
     }
 }
 
-/// A force over speed, in two: what pushes, and what is against motion.
+/// A force over speed, split into a part that drives and a part that opposes motion.
 #[derive(Clone, Debug)]
 pub(crate) struct SpeedForce {
     table: Table,
-    /// What it pushes at rest.
+    /// Driving force at rest, N m or N.
     at_rest: f64,
 }
 
 impl SpeedForce {
-    /// Of a table over speed.
+    /// Splits a table of a force over speed.
     pub(crate) fn new(table: &Table) -> Self {
         let (below, above) = (table.value_below(0.0), table.value(0.0));
-        // as much as both sides of rest have in common: the rest holds
+        // common part of both sides of speed 0; the remainder holds like friction
         let at_rest = if below * above <= 0.0 { 0.0 } else { below.abs().min(above.abs()).copysign(above) };
         Self { table: table.clone(), at_rest }
     }
@@ -247,12 +248,12 @@ impl SpeedForce {
         value - self.at_rest
     }
 
-    /// Force against motion in `direction` at a speed without sign.
+    /// Force against motion in `direction` at an unsigned speed; not negative.
     pub(crate) fn against(&self, direction: Direction, speed: f64) -> f64 {
         (-direction.sign() * self.moving(direction, speed)).max(0.0)
     }
 
-    /// Force towards positive positions besides that, at a signed speed.
+    /// Remaining force towards positive positions at a signed speed.
     pub(crate) fn push(&self, speed: f64) -> f64 {
         if speed == 0.0 {
             return self.at_rest;
@@ -290,7 +291,8 @@ mod tests {
 
     #[test]
     fn a_jump_is_friction_where_it_is_against_motion_and_a_push_where_it_is_not() {
-        // dry friction of 2 backwards and 1 forwards, which falls with speed, and drives from 3 rad/s on
+        // dry friction of 2 backwards and 1 forwards, the latter falling with speed, and a driving force from 3 rad/s
+        // on
         let force =
             SpeedForce::new(&table(Over::Speed, None, &[-1.0, 0.0, 0.0, 2.0, 4.0], &[2.0, 2.0, -1.0, -1.0, 1.0]));
         assert_eq!([force.against(Direction::Forward, 0.0), force.against(Direction::Backward, 0.0)], [1.0, 2.0]);

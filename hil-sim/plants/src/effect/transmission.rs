@@ -2,7 +2,7 @@
 
 use super::{backlash::Play, compliance::Spring};
 
-/// What is between the motor side and the output.
+/// Stage between the motor side and the output.
 #[derive(Clone, Debug)]
 pub(crate) enum TransmissionStage {
     Play(Play),

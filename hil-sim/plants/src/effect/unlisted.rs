@@ -1,40 +1,40 @@
-//! Effects that no plant file can hold: for whoever tries how well an identifier describes what it does not know.
+//! Effects that no plant file can hold: for tests of how well an identifier describes mechanisms it does not know.
 
 use std::fmt::Debug;
 
-/// What an unlisted effect sees of a plant at the start of a step.
+/// State of a plant at the start of a step, as an unlisted effect sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
-    /// Since the start.
+    /// Time since the start, s.
     pub time_s: f64,
-    /// Length of the step.
+    /// Length of the step, s.
     pub step_s: f64,
-    /// As the input effects left it.
+    /// Duty after all other input effects.
     pub duty: f64,
-    /// Of the motor side, rad or m; half-way through the step, to first order.
+    /// Position of the motor side half-way through the step (first order), rad or m.
     pub position: f64,
-    /// Of the motor side, rad/s or m/s.
+    /// Speed of the motor side, rad/s or m/s.
     pub speed: f64,
 }
 
-/// What an unlisted effect does over a step.
+/// Contribution of an unlisted effect to a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Doing {
-    /// The duty that acts in place of [`Moment::duty`]. Clipped to what the bridge can do.
+    /// Duty that replaces [`Moment::duty`]; clipped to the range of the bridge.
     pub duty: f64,
-    /// A level of force against motion, which also holds at rest; not negative. N m or N.
+    /// Force against motion that also holds at rest, N m or N; a negative value counts as 0.
     pub friction: f64,
-    /// A force towards positive positions, whatever the motion. N m or N.
+    /// Force towards positive positions, whatever the motion, N m or N.
     pub force: f64,
 }
 
 /// An effect outside the catalogue, with its memory.
 pub trait Unlisted: Debug + Send + Sync {
-    /// Called once for each step of at most [`crate::Plant::max_step_s`], in the order of time. What is not finite is
-    /// taken as nothing done.
+    /// Called once for each step of at most [`crate::Plant::max_step_s`], in the order of time. A contribution that is
+    /// not finite is ignored.
     fn act(&mut self, moment: &Moment) -> Doing;
 
-    /// The same with the same memory.
+    /// Boxed clone of the effect with its memory.
     fn copied(&self) -> Box<dyn Unlisted>;
 }
 
@@ -44,7 +44,7 @@ impl Clone for Box<dyn Unlisted> {
     }
 }
 
-/// What several do together, the duty through one after the other.
+/// Sum of several effects; the duty passes through one after the other.
 pub(crate) fn act(effects: &mut [Box<dyn Unlisted>], moment: Moment) -> Doing {
     effects.iter_mut().fold(Doing { duty: moment.duty, friction: 0.0, force: 0.0 }, |sum, effect| {
         let done = effect.act(&Moment { duty: sum.duty, ..moment });

@@ -1,4 +1,4 @@
-//! Which file uses which: never in a circle.
+//! Dependences between source files: no circle.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -6,7 +6,7 @@ use std::{
     path::Path,
 };
 
-/// `use` trees as paths: `a::{b, c::d}` becomes `a::b` and `a::c::d`.
+/// Expands a `use` tree to paths: `a::{b, c::d}` becomes `a::b` and `a::c::d`.
 fn paths(tree: &str, prefix: &str, found: &mut Vec<String>) {
     let (mut depth, mut start) = (0, 0);
     let mut parts = Vec::new();
@@ -32,7 +32,7 @@ fn paths(tree: &str, prefix: &str, found: &mut Vec<String>) {
     }
 }
 
-/// Files by module (`effect::input`, `plant`; the root is empty), and what each uses outside its unit tests.
+/// Modules (`effect::input`, `plant`; the root is empty), and those that each uses outside its unit tests.
 fn uses() -> BTreeMap<String, BTreeSet<String>> {
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let mut texts = BTreeMap::new();
@@ -84,11 +84,11 @@ fn uses() -> BTreeMap<String, BTreeSet<String>> {
 #[test]
 fn files_use_each_other_one_way() {
     let mut uses = uses();
-    // The reader of the sources reads: these arrows exist.
+    // Check of the parser itself: these dependences exist.
     for (from, to) in [("plant", "spec"), ("text", "spec"), ("effect", "effect::input"), ("effect::input", "drive")] {
         assert!(uses[from].contains(to), "{from} uses {to}: {:?}", uses[from]);
     }
-    // What uses nothing that is left is taken away; a circle stays.
+    // Removes leaves until none is left; a circle remains.
     loop {
         let leaves: BTreeSet<_> =
             uses.iter().filter(|(_, used)| used.is_empty()).map(|(file, _)| file.clone()).collect();

@@ -12,7 +12,7 @@ fn a_coasting_motor_loses_its_current_and_then_only_viscous_friction_brakes() {
     for supply_v in [24.0, 0.0] {
         let mut plant = spinning();
         let before = plant.speed();
-        // 0.24 A against 24 V are gone in 10 us; against the back-EMF of a dead supply in 20 us
+        // 0.24 A against 24 V decay in 10 us; against the back-EMF of a dead supply in 20 us
         plant.advance(Drive::COAST, supply_v, 1e-3);
         assert_eq!(plant.motor_current_a(), 0.0);
         run(&mut plant, Drive::COAST, supply_v, 999);

@@ -20,7 +20,7 @@ use crate::{
 
 #[test]
 fn a_delay_is_exact_whatever_the_steps() {
-    // 100 us is shorter than a step, 12.3456 ms is no multiple of one
+    // 100 us is shorter than a step, 12.3456 ms is not a multiple of one
     for delay_s in [1e-4, 12.3456e-3] {
         let mut delayed = motor(MOTOR, &[Effect::InputDelay(InputDelay { delay_s })]);
         let mut plain = motor(MOTOR, &[]);
@@ -114,13 +114,13 @@ fn a_hold_is_the_drive_of_its_looks() {
     let mut held = motor(MOTOR, &[Effect::InputHold(InputHold { period_s: 0.7e-3 })]);
     let mut plain = motor(MOTOR, &[]);
     let duty = |at_s: f64| (40.0 * at_s).sin();
-    // steps of 0.1 ms, so that every look falls on one; the plain one is told what was seen 7 steps apart
+    // steps of 0.1 ms, so that every sample falls on one; the plain plant gets the drive sampled every 7 steps
     for step in 0..700 {
         held.advance(Drive::with_brake(duty(f64::from(step) * 1e-4)), 12.0, 1e-4);
         plain.advance(Drive::with_brake(duty(f64::from(step / 7 * 7) * 1e-4)), 12.0, 1e-4);
     }
     assert_close(held.position(), plain.position(), 1e-12, "position"); // 700 roundings
-    // however long the calls
+    // the same with calls longer than the hold
     let mut long = motor(MOTOR, &[Effect::InputHold(InputHold { period_s: 0.7e-3 })]);
     let mut late = motor(MOTOR, &[]);
     for plant in [&mut long, &mut late] {
@@ -129,7 +129,7 @@ fn a_hold_is_the_drive_of_its_looks() {
     long.advance(Drive::with_brake(1.0), 12.0, 5e-3);
     late.advance(Drive::with_brake(0.0), 12.0, 0.6e-3);
     late.advance(Drive::with_brake(1.0), 12.0, 4.4e-3);
-    // the hold begins with what it saw at first, a brake
+    // the hold starts with its first sample, a brake
     assert_close(long.position(), late.position(), 1e-15, "position");
 }
 
@@ -140,7 +140,8 @@ fn a_lag_of_the_drive_is_one_of_the_sensor_on_a_linear_plant() {
     for plant in [&mut drive, &mut sensor] {
         run(plant, Drive::with_brake(0.5), 12.0, 200);
     }
-    // at 6 rad/s; means over steps of 0.25 ms against (0.25/30)² / 12 of what changes, ramps in the sensor the same
+    // at 6 rad/s; the drive's means over steps of 0.25 ms err by (0.25/30)² / 12 of the change, and so do ramps in the
+    // sensor
     assert_close(drive.sensed_position(), sensor.sensed_position(), 1e-5, "sensed");
     assert!(drive.position() + 0.1 < sensor.position());
 }
@@ -261,7 +262,7 @@ fn tables_of_friction_and_gain_act_by_their_own_variable() {
     assert_close(rubbed.speed(), 11.5, 1e-12, "at 12 V");
     run(&mut rubbed, Drive::with_brake(1.0), 10.0, 1000);
     assert_close(rubbed.speed(), 10.0, 1e-12, "at 10 V");
-    // where it is negative it takes from Coulomb friction, here all but 0.25 N m or all of it, and nothing from a drag
+    // a negative value reduces Coulomb friction, here to 0.25 N m or to 0, but not a drag
     let drag = Effect::QuadraticDrag(QuadraticDrag { drag: 0.05 });
     let coulomb = |level| Effect::CoulombFriction(CoulombFriction { level });
     let mut less = spec(Model::DcGearMotor(MOTOR), &[coulomb(1.0), drag]);
@@ -272,7 +273,7 @@ fn tables_of_friction_and_gain_act_by_their_own_variable() {
         assert!(plain.speed() > 1.0);
         assert_close(less.speed(), plain.speed(), 1e-12, "less friction");
     }
-    // it holds as friction does
+    // friction by table holds at rest
     let mut held = with_table((Over::Time, On::Friction, None, &[0.0], &[0.5]));
     run(&mut held, Drive::with_brake(0.04), 12.0, 100);
     assert_eq!(held.position(), 0.0);
@@ -316,7 +317,8 @@ fn a_table_over_time_since_a_turn_begins_anew_at_each() {
 
 #[test]
 fn a_hysteresis_is_against_the_last_way_and_lets_go_by_pushing() {
-    // Wound the other way for the first 2 rad after each turn.
+    // The force drives in the direction of motion for the first 1 rad after each reversal, and opposes it from there
+    // on.
     let mut plant = with_table((Over::History, On::Hysteresis, None, &[0.0, 2.0], &[-0.5, 0.5]));
     run(&mut plant, Drive::with_brake(0.5), 12.0, 2000);
     assert_close(plant.speed(), 6.0 - 0.5, 1e-9, "far from its start"); // 25 time constants
@@ -329,7 +331,7 @@ fn a_hysteresis_is_against_the_last_way_and_lets_go_by_pushing() {
 
 #[test]
 fn a_hysteresis_remembers_how_far_it_was_wound_at_a_turn() {
-    // Dahl: dF/dx = (c - F sign(v)) / s, whatever the ways are.
+    // Dahl: dF/dx = (c - F sign(v)) / s, for any path.
     let (level, way) = (0.5, 0.2);
     let at: Vec<f64> = (0..400).map(|corner| 0.005 * f64::from(corner)).collect();
     let values: Vec<f64> = at.iter().map(|x| level * (1.0 - 2.0 * (-x / way).exp())).collect();
@@ -338,14 +340,14 @@ fn a_hysteresis_remembers_how_far_it_was_wound_at_a_turn() {
     let (mut position, mut force) = (0.0_f64, 0.0_f64);
     for step in 0..4000 {
         let duty = 0.4 * (0.011 * f64::from(step)).sin() + 0.2 * (0.0037 * f64::from(step)).sin();
-        // The force as a push of its own, by the voltage that makes it.
+        // The reference applies the same force as a voltage.
         run(&mut free, Drive::with_brake(duty - force / 12.0), 12.0, 1);
         run(&mut plant, Drive::with_brake(duty), 12.0, 1);
         let moved = free.position() - position;
         position = free.position();
         let slid = level.copysign(moved);
         force = slid + (force - slid) * (-moved.abs() / way).exp();
-        // The table has corners and the force is one step late: 0.003. Without its memory it would be 0.03 off.
+        // The knots of the table and the force, one step late, cost 0.003. Without its memory it would be 0.03 off.
         assert_close(plant.position(), position, 0.01, "both");
     }
 }
@@ -363,7 +365,7 @@ fn a_table_of_the_input_over_time_and_place_adds_to_the_duty() {
     assert_close(spring.position(), 5.0, 1e-4, "where table and drive cancel");
 }
 
-/// Drives backwards from 0.5 s on, against friction, with a push.
+/// Drives backwards from 0.5 s on, with friction and a constant force.
 #[derive(Clone, Debug)]
 struct Contrary;
 
@@ -419,7 +421,7 @@ fn every_effect_at_its_typical_value_shows() {
         };
         let plain = sensed(&[]);
         for info in catalogue().iter().filter(|info| info.kinds.contains(&kind)) {
-            // a rod is far slower than the thresholds typical of a wheel, and spans the dead spot
+            // a rod is far slower than thresholds typical of a wheel, and its stroke includes the dead spot
             let needs_speed = matches!(info.name, "missed-edges" | "potentiometer-dead-spot");
             let acts_at_output = matches!(info.insertion, InsertionPoint::Sensor);
             let with = sensed(&[info.typical]);
@@ -433,7 +435,7 @@ fn every_effect_at_its_typical_value_shows() {
     }
 }
 
-/// Any effect of the catalogue with any values in its bounds, spread over the decades.
+/// Any effect of the catalogue with any values within its bounds, spread over the decades.
 fn any_effect(kind: PlantKind) -> impl Strategy<Value = Effect> {
     (0..catalogue().len(), prop::collection::vec(0.0..=1.0f64, 4)).prop_filter_map("kind", move |(index, shares)| {
         let info = &catalogue()[index];
@@ -447,7 +449,7 @@ fn any_effect(kind: PlantKind) -> impl Strategy<Value = Effect> {
     })
 }
 
-/// Over anything, on anything, with jumps and without, round a circle or not.
+/// Any table: over and on anything, with and without jumps and period.
 fn any_table() -> impl Strategy<Value = Table> {
     let word = (prop::sample::select(Over::ALL.to_vec()), prop::sample::select(On::ALL.to_vec()));
     let corners = prop::collection::vec((-30.0..30.0f64, -2.0..2.0f64), 1..8);

@@ -10,7 +10,7 @@ mod motor;
 
 use crate::{Drive, Effect, Model, Plant, PlantSpec, model::DcGearMotor};
 
-/// Round numbers, overdamped: R/L = 1000/s, (N K)² / (R J) = 50/s.
+/// Motor with round numbers, overdamped: R/L = 1000/s, (N K)² / (R J) = 50/s.
 const MOTOR: DcGearMotor = DcGearMotor {
     resistance_ohm: 1.0,
     inductance_h: 1e-3,
@@ -28,7 +28,7 @@ fn motor(motor: DcGearMotor, effects: &[Effect]) -> Plant {
     Plant::new(&spec(Model::DcGearMotor(motor), effects), 1)
 }
 
-/// Advances in calls of 1 ms.
+/// Advances in calls of 1 ms each.
 fn run(plant: &mut Plant, drive: Drive, supply_v: f64, duration_ms: u32) {
     for _ in 0..duration_ms {
         plant.advance(drive, supply_v, 1e-3);

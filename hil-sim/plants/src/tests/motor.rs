@@ -4,7 +4,7 @@ use crate::effect::{
     load::{Cogging, ConstantLoad},
 };
 
-/// Speed and position after a step of `u` volts from rest, without friction: two real eigenvalues.
+/// Closed-form speed and position after a step of `u` volts from rest, without friction: two real eigenvalues.
 fn closed_form(motor: &DcGearMotor, u: f64, t: f64) -> (f64, f64) {
     let k = motor.gear_ratio * motor.torque_constant_nm_per_a;
     let (electrical, viscous) =
@@ -71,7 +71,7 @@ fn a_tiny_inductance_joins_the_case_without() {
         run(&mut plant, Drive::with_brake(1.0), 12.0, 20);
         plant.speed()
     };
-    // leaving out an electrical time constant T shifts the answer by T: 600 rad/s² · exp(-1) · 1.1 us = 2.4e-4
+    // omission of an electrical time constant T shifts the answer by T: 600 rad/s² · exp(-1) · 1.1 us = 2.4e-4
     assert_close(speed(1.1e-6), speed(0.0), 3e-4, "at the switch");
     assert_close(speed(1e-5), speed(0.0), 3e-3, "above it");
 }
@@ -104,9 +104,9 @@ fn the_result_does_not_depend_on_how_time_is_cut() {
     };
     let coulomb = Effect::CoulombFriction(CoulombFriction { level: 0.8 });
     let cogging = Effect::Cogging(Cogging { amplitude: 0.5, periods: 12.0, phase_rad: 0.3 });
-    // Linear: rounding. Friction: a reversal breaks away up to a step of 0.25 ms late; the torque has grown by 0.1 N m
-    // then (0.43 V/ms), the speed would be 1.3e-3 rad/s, and it is caught up with in 20 ms: 3e-5 rad. Cogging, by the
-    // half-way rule, adds (12 · 10 rad/s · 0.25 ms)² / 24 of its 0.5 N m, which is less.
+    // Linear: rounding. Friction: a reversal breaks away up to a step of 0.25 ms late; by then the torque has grown by
+    // 0.1 N m (0.43 V/ms), the speed would be 1.3e-3 rad/s, and the difference decays in 20 ms: 3e-5 rad. Cogging, by
+    // the half-way rule, adds (12 · 10 rad/s · 0.25 ms)² / 24 of its 0.5 N m, which is less.
     for (effects, tolerance) in [(&[][..], 1e-12), (&[coulomb][..], 3e-5), (&[coulomb, cogging][..], 5e-5)] {
         let reference = after(effects, cuts[0]);
         assert!(reference.abs() > 0.01);
@@ -151,7 +151,7 @@ fn bad_input_is_ignored_or_clipped() {
     assert_eq!(clipped.speed(), full.speed());
 }
 
-/// To the bit: both are one sum of forces.
+/// A load set from outside equals a constant load to the bit: both enter one sum of forces.
 #[test]
 fn a_load_from_outside_acts_as_a_constant_one() {
     let load = Effect::ConstantLoad(ConstantLoad { force: -0.7 });

@@ -1,4 +1,4 @@
-//! A pneumatic gripper that picks berries from a bush: supply, valve, cylinder, fingers, berries on stalks, tray.
+//! Pneumatic gripper that picks berries from a bush: supply, valve, cylinder, fingers, berries on stalks, tray.
 //!
 //! ```text
 //! compressor -> receiver -> regulator -> 5/2 valve -> two chambers -> rod -> fingers -> berry -> stalk
@@ -7,18 +7,21 @@
 //! F = k (d - gap), 1/k = 1/k_fingers + 1/k_berry       squeeze of a berry of diameter d
 //! ```
 //!
-//! The travel `x` of the rod is 0 with the fingers open. The valve has a coil and a spring: without current its spring opens the fingers, so
-//! that a board that stops neither closes them nor holds what is between them. Two axes move the tool: `reach` towards the
-//! bush and back over the tray, `row` along the bush; the tray goes along the row with the tool.
+//! The travel `x` of the rod is 0 with the fingers open. The valve has a coil and a spring: without current the spring
+//! opens the fingers, so a board without power neither closes them nor holds what is between them. Two axes move the
+//! tool: `reach` towards the bush and back over the tray, `row` along the bush; the tray moves along the row with the
+//! tool.
 //!
 //! # Picking
-//! A berry is between the fingers if it fitted the gap when they came over it; a finger pushes away one that did not. Closed fingers
-//! hold it by friction, `2 mu F` times the share of the pads that it still touches. A tool that pulls away tenses the stalk: the berry
-//! detaches at its force, or slips along the pads first. It falls when friction carries its weight no more: into the tray where the
-//! fingers are over it, on the ground elsewhere. A squeeze above its crush force damages it.
+//! # Picking
+//! A berry is between the fingers if it fits the gap when they come over it; a finger pushes away one that does not.
+//! Closed fingers hold it by friction, `2 mu F` times the share of the pads that still touches it. A tool that pulls
+//! away tenses the stalk: the berry detaches at its force, or slips along the pads first. It falls when friction no
+//! longer carries its weight: into the tray where the fingers are over it, on the ground elsewhere. A squeeze above its
+//! crush force damages it.
 //!
-//! Not modelled: leaves and other berries in the way, swinging of canes, the berry's inertia (5 g at 6 m/s² are 0.03 N), heating of the air,
-//! leaks, flow in the regulator.
+//! Not modelled: leaves and other berries in the way, swinging of canes, the berry's inertia (5 g at 6 m/s² are 0.03
+//! N), heating of the air, leaks, flow in the regulator.
 
 #[cfg(test)]
 mod tests;
@@ -32,58 +35,59 @@ use crate::{
     scene::Scene,
 };
 
-/// Exponent of air in chambers whose walls warm it within a stroke of 50 ms: between 1 and 1.4, the middle that pneumatics take
-/// (ISO 6358-1 leaves it open).
+/// Polytropic exponent of the air in chambers whose walls warm it within a stroke of 50 ms: between 1 and 1.4, the
+/// usual mean in pneumatics (ISO 6358-1 leaves it open).
 const CHAMBER_EXPONENT: f64 = 1.2;
-/// Names of [`Body::readings`].
+/// Names of the readings, in the order of [`Body::reading`].
 const READINGS: &[&str] = &["close_pressure_pa", "supply_pa", "trigger", "gap_m", "squeeze_n"];
 
-/// Compressed air: a compressor that runs between two pressures, its receiver, and a regulator behind it. Pressures are gauge.
+/// Compressed air: a compressor that runs between two pressures, its receiver, and a regulator behind it. Pressures are
+/// gauge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AirSupply {
-    /// m³
+    /// Volume of the receiver, m³.
     pub receiver_m3: f64,
     /// Free air that the compressor delivers while it runs, m³/s.
     pub compressor_m3_s: f64,
-    /// It starts below, and stops above, Pa.
+    /// Gauge pressures of the receiver below which the compressor starts and above which it stops, Pa.
     pub runs_between_pa: [f64; 2],
-    /// Setting of the regulator, Pa.
+    /// Setting of the regulator, gauge, Pa.
     pub regulated_pa: f64,
 }
 
 /// A 5/2 valve with a coil and a spring, on a relay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoilValve {
-    /// Shaft of its relay, by its number.
+    /// Shaft number of the valve's relay.
     pub shaft: usize,
-    /// From the relay's contact to the spool in its other position, s: on, and back by the spring.
+    /// Delays from the relay's contact to the spool in its other position, s: on by the coil, and back by the spring.
     pub delay_s: [f64; 2],
-    /// From the regulator into a chamber, with its tube.
+    /// Flow path from the regulator into a chamber, with its tube.
     pub inlet: Restriction,
-    /// From a chamber into the open, with its tube and throttle.
+    /// Flow path from a chamber to the atmosphere, with its tube and throttle.
     pub exhaust: Restriction,
 }
 
-/// A double-acting cylinder.
+/// Double-acting pneumatic cylinder with end cushions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cylinder {
-    /// m
+    /// Diameter of the piston, m.
     pub bore_m: f64,
-    /// m
+    /// Diameter of the rod, m.
     pub rod_m: f64,
-    /// m
+    /// Travel of the rod from end to end, m.
     pub stroke_m: f64,
-    /// Air in tube, fitting and end cap beside each chamber, m³.
+    /// Volume of tube, fitting and end cap beside each chamber, m³.
     pub dead_m3: f64,
-    /// Everything that moves with the rod, kg.
+    /// Mass of everything that moves with the rod, kg.
     pub mass_kg: f64,
     /// Dry friction of the seals, N.
     pub coulomb_n: f64,
-    /// N s/m
+    /// Viscous friction of the rod, N s/m.
     pub viscous_n_s_per_m: f64,
-    /// Added within the last [`Cylinder::CUSHION_M`] before either end, N s/m.
+    /// Additional viscous friction within the last [`Cylinder::CUSHION_M`] before either end, N s/m.
     pub cushion_n_s_per_m: f64,
-    /// Whether the rod goes out to close the fingers; else it comes in, and the rod takes its area.
+    /// True if the rod extends to close the fingers. Otherwise it retracts, and the closing side has the annular area.
     pub closes_outwards: bool,
 }
 
@@ -91,7 +95,7 @@ impl Cylinder {
     /// Length of the cushions, m.
     pub const CUSHION_M: f64 = 1.5e-3;
 
-    /// Areas on which air closes and opens the fingers, m².
+    /// Areas on which air closes and opens the fingers, m², in this order.
     #[must_use]
     pub fn areas_m2(&self) -> [f64; 2] {
         let piston_m2 = FRAC_PI_4 * self.bore_m * self.bore_m;
@@ -103,24 +107,24 @@ impl Cylinder {
 /// Fingers that close with the rod.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fingers {
-    /// Between opposite pads at a travel of 0, m.
+    /// Distance between opposite pads at a travel of 0, m.
     pub open_gap_m: f64,
-    /// What the gap loses for a travel of the rod, 1.
+    /// Reduction of the gap per travel of the rod, m/m.
     pub gap_ratio: f64,
-    /// Of both pads in series, N/m.
+    /// Stiffness of both pads in series, N/m.
     pub stiffness_n_per_m: f64,
-    /// What bending the fingers takes of the rod, N/m of its travel.
+    /// Stiffness against bending of the fingers as seen by the rod, N per metre of its travel.
     pub bending_n_per_m: f64,
     /// Half the length of the pads along the reach, m.
     pub pad_m: f64,
 }
 
-/// Axes that move the tool, m per rad of their shafts.
+/// Axes that move the tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolAxes {
-    /// Shafts of reach and row, by their numbers.
+    /// Shaft numbers of reach and row.
     pub shafts: [usize; 2],
-    /// Travel of a belt for a turn of one rad, m.
+    /// Travel per radian of a shaft, m/rad.
     pub m_per_rad: f64,
     /// Reach up to which the fingers are over the tray, m.
     pub tray_m: f64,
@@ -129,103 +133,103 @@ pub struct ToolAxes {
 /// A berry on its stalk.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Berry {
-    /// Where it hangs: reach and row, m.
+    /// Position on the bush: reach and row, m.
     pub place_m: [f64; 2],
-    /// m
+    /// Diameter of the berry, m.
     pub diameter_m: f64,
-    /// kg
+    /// Mass of the berry, kg.
     pub mass_kg: f64,
-    /// Across its diameter, N/m.
+    /// Stiffness across its diameter, N/m.
     pub stiffness_n_per_m: f64,
-    /// Of a pad on it, 1.
+    /// Coulomb friction coefficient of a pad on it.
     pub friction: f64,
-    /// Of stalk and cane along the reach, N/m.
+    /// Stiffness of stalk and cane along the reach, N/m.
     pub stalk_n_per_m: f64,
-    /// Tension at which it comes off, N.
+    /// Tension of the stalk at which the berry detaches, N.
     pub detach_n: f64,
     /// Squeeze above which it is damaged, N.
     pub crush_n: f64,
 }
 
-/// Where a berry is.
+/// Place of a berry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// On its stalk.
+    /// Hanging on its stalk.
     Hanging,
     /// Off its stalk, between the fingers.
     Held,
-    /// In the tray.
+    /// Lying in the tray.
     Tray,
-    /// On the ground.
+    /// Lying on the ground.
     Ground,
 }
 
-/// What happened to a berry.
+/// Outcome for a berry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fate {
-    /// Where it is.
+    /// Present place of the berry.
     pub place: Place,
-    /// Whether it was squeezed above its crush force.
+    /// True once it was squeezed above its crush force.
     pub is_crushed: bool,
     /// Highest squeeze so far, N.
     pub squeeze_max_n: f64,
-    /// Speed of the fingers along reach and row when they let go of it, m/s; 0 before.
+    /// Speed of the fingers along reach and row at its release, m/s; 0 before.
     pub released_m_s: f64,
 }
 
-/// Numbers that no gripper has.
+/// Parameters out of range, by the part they belong to.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum BerryError {
-    /// Of the supply.
+    /// Parameters of the air supply.
     #[error(
         "the supply needs a receiver, a flow, pressures above the atmosphere and a compressor that stops above where it starts"
     )]
     Supply,
-    /// Of the valve.
+    /// Parameters of the valve.
     #[error(
         "the valve needs positive conductances, a critical ratio from 0 to below 1 and delays that are not negative"
     )]
     Valve,
-    /// Of the cylinder.
+    /// Parameters of the cylinder.
     #[error(
         "the cylinder needs a bore above its rod, a stroke, a volume beside each chamber, a mass, and friction that is not negative"
     )]
     Cylinder,
-    /// Of the fingers.
+    /// Parameters of the fingers.
     #[error("the fingers need a gap that stays open over the stroke, stiffness, and pads")]
     Fingers,
-    /// A chamber that a step of the simulation would empty.
+    /// A chamber that one step of the simulation would empty.
     #[error(
         "the valve fills the smallest chamber too fast for steps of {} s: dead_m3 must be at least {least_m3:e}",
         MAX_STEP_S
     )]
     Stiff {
-        /// m³
+        /// Smallest dead volume that is stable, m³.
         least_m3: f64,
     },
-    /// Of a berry.
+    /// Parameters of a berry.
     #[error(
         "berry {berry} needs a size, a mass, stiffness, friction and forces above 0, and must fit between open fingers"
     )]
     Berry {
-        /// Its number.
+        /// Index of the berry, from 0.
         berry: usize,
     },
 }
 
-/// The berry that the pads are over.
+/// State of the berry that the pads are over.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Over {
     berry: usize,
-    /// Whether it came between the fingers.
+    /// True if it fitted between the fingers when they came over it.
     fits: bool,
-    /// Where it is along the pads, towards the bush, m.
+    /// Position along the pads, positive towards the bush, m.
     offset_m: f64,
-    /// Whether the fingers touch it.
+    /// True while the fingers touch it.
     touched: bool,
 }
 
-/// Gripper, bush and tray.
+/// Gripper, bush and tray with their state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BerryPicker {
     supply: AirSupply,
@@ -237,9 +241,10 @@ pub struct BerryPicker {
     fates: Vec<Fate>,
     receiver: Chamber,
     compressor_runs: bool,
-    /// Of the closing and of the opening side.
+    /// Chambers of the closing and of the opening side.
     chambers: [Chamber; 2],
-    /// Whether air closes the fingers, and for how long the coil has asked for the other, s.
+    /// True while the valve feeds the closing side, and the time for which the coil has asked for the other position,
+    /// s.
     is_switched: bool,
     asked_s: f64,
     travel_m: f64,
@@ -254,7 +259,7 @@ impl BerryPicker {
     /// A gripper with open fingers, a full receiver, and a bush.
     ///
     /// # Errors
-    /// Numbers that no gripper has.
+    /// [`BerryError`] names the part whose parameters are out of range.
     pub fn new(
         supply: AirSupply,
         valve: CoilValve,
@@ -287,6 +292,7 @@ impl BerryPicker {
         {
             return Err(BerryError::Fingers);
         }
+        // explicit steps are stable up to a chamber's relaxation time, which is proportional to its volume
         let of_a_cubic_metre = |flow: &Restriction| flow.relaxation_per_s(1.0, CHAMBER_EXPONENT);
         let least_m3 = flows.iter().map(of_a_cubic_metre).fold(0.0, f64::max) * MAX_STEP_S;
         if dead_m3 < least_m3 {
@@ -331,31 +337,31 @@ impl BerryPicker {
         })
     }
 
-    /// The air supply.
+    /// Parameters of the air supply.
     #[must_use]
     pub fn supply(&self) -> &AirSupply {
         &self.supply
     }
 
-    /// The valve.
+    /// Parameters of the valve.
     #[must_use]
     pub fn valve(&self) -> &CoilValve {
         &self.valve
     }
 
-    /// The cylinder.
+    /// Parameters of the cylinder.
     #[must_use]
     pub fn cylinder(&self) -> &Cylinder {
         &self.cylinder
     }
 
-    /// The fingers.
+    /// Parameters of the fingers.
     #[must_use]
     pub fn fingers(&self) -> &Fingers {
         &self.fingers
     }
 
-    /// The axes.
+    /// Parameters of the axes.
     #[must_use]
     pub fn axes(&self) -> &ToolAxes {
         &self.axes
@@ -367,30 +373,30 @@ impl BerryPicker {
         &self.berries
     }
 
-    /// What happened to each of [`BerryPicker::berries`].
+    /// Outcome for each of [`BerryPicker::berries`], in the same order.
     #[must_use]
     pub fn fates(&self) -> &[Fate] {
         &self.fates
     }
 
-    /// The handle's microswitch, pressed or released by whoever holds the tool.
+    /// Sets the microswitch in the handle, which the user of the tool presses.
     pub fn press(&mut self, is_pressed: bool) {
         self.trigger = is_pressed;
     }
 
-    /// Between opposite pads that touch nothing, m.
+    /// Gap between the pads without an object, m.
     #[must_use]
     pub fn gap_m(&self) -> f64 {
         self.fingers.open_gap_m - self.fingers.gap_ratio * self.travel_m
     }
 
-    /// Between the fingers, N.
+    /// Squeeze force between the fingers, N.
     #[must_use]
     pub fn squeeze_n(&self) -> f64 {
         self.squeeze_n
     }
 
-    /// Of the rod, from open, m.
+    /// Travel of the rod, m; 0 with the fingers open.
     #[must_use]
     pub fn travel_m(&self) -> f64 {
         self.travel_m
@@ -414,7 +420,7 @@ impl BerryPicker {
         self.receiver.gauge_pa()
     }
 
-    /// Air's force on the piston towards closed fingers, N.
+    /// Pneumatic force on the piston, N, positive towards closed fingers.
     #[must_use]
     pub fn air_n(&self) -> f64 {
         let [close_m2, open_m2] = self.cylinder.areas_m2();
@@ -437,6 +443,7 @@ impl BerryPicker {
     fn air(&mut self, step_s: f64) {
         let [low_pa, high_pa] = self.supply.runs_between_pa;
         let receiver_pa = self.receiver.gauge_pa();
+        // two-point control: once started, the compressor runs up to the upper pressure
         self.compressor_runs = receiver_pa < if self.compressor_runs { high_pa } else { low_pa };
         let delivered_kg_s = if self.compressor_runs { self.supply.compressor_m3_s * REFERENCE_KG_M3 } else { 0.0 };
         let source_pa = (self.supply.regulated_pa + ATMOSPHERE_PA).min(self.receiver.pressure_pa);
@@ -457,7 +464,7 @@ impl BerryPicker {
             };
             chamber.step(flow_kg_s, volumes_m3[side], step_s);
         }
-        // A regulator without relief lets no air back.
+        // a regulator without relief passes no air back to the receiver
         self.receiver.step(delivered_kg_s - taken_kg_s.max(0.0), self.supply.receiver_m3, step_s);
     }
 
@@ -467,7 +474,7 @@ impl BerryPicker {
         let driven_n = self.air_n() - fingers.bending_n_per_m * self.travel_m - fingers.gap_ratio * self.squeeze_n;
         let to_end_m = self.travel_m.min(stroke_m - self.travel_m);
         let damping = viscous_n_s_per_m + if to_end_m < Cylinder::CUSHION_M { cushion_n_s_per_m } else { 0.0 };
-        // Friction and damping implicit: they never turn the rod's motion round.
+        // friction and damping are implicit, so they never reverse the rod's motion
         let pushed_m_s = self.speed_m_s + driven_n / mass_kg * step_s;
         let slid_m_s = (pushed_m_s.abs() - coulomb_n / mass_kg * step_s).max(0.0);
         let slowed_m_s = slid_m_s / (1.0 + damping / mass_kg * step_s);
@@ -479,7 +486,7 @@ impl BerryPicker {
         }
     }
 
-    /// The berry that the pads come over, and whether it fits between the fingers.
+    /// Finds the berry that the pads come over, and records if it fits between the fingers.
     fn come_over(&mut self) {
         let [reach_m, row_m] = self.tool_m;
         if let Some(over) = self.over {
@@ -533,7 +540,7 @@ impl BerryPicker {
                     over.offset_m = berry.place_m[0] - reach_m - (friction_n / berry.stalk_n_per_m).copysign(pulled_m);
                 }
                 if over.offset_m.abs() > self.fingers.pad_m {
-                    // Out of the pads, and back on its stalk.
+                    // outside the pads: the berry swings back on its stalk
                     self.squeeze_n = 0.0;
                     over.touched = false;
                     over.fits = false;
@@ -572,12 +579,12 @@ impl Body for BerryPicker {
         self.hold(speed_m_s);
     }
 
-    /// That of the bush.
+    /// The pose of the bush, which is the origin.
     fn pose(&self) -> Pose {
         Pose::default()
     }
 
-    /// The bush stays where it is.
+    /// Ignored: the bush does not move.
     fn set_pose(&mut self, _pose: Pose) {}
 
     fn twist(&self) -> Twist {

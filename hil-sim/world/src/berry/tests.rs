@@ -34,7 +34,7 @@ fn picker(supply: AirSupply, cylinder: Cylinder, berry: Berry) -> BerryPicker {
     BerryPicker::new(supply, VALVE, cylinder, FINGERS, AXES, vec![berry]).expect("a gripper")
 }
 
-/// Moves the tool evenly to `reach_m`, with the relay closed or open.
+/// Moves the tool at constant speed to `reach_m`, with the relay closed or open.
 fn go(picker: &mut BerryPicker, is_closed: bool, reach_m: f64, over_s: f64) {
     let from_m = picker.tool_m()[0];
     let steps = (over_s / STEP_S).round() as usize;
@@ -46,7 +46,7 @@ fn go(picker: &mut BerryPicker, is_closed: bool, reach_m: f64, over_s: f64) {
     }
 }
 
-/// Goes to the bush, closes, pulls back to `release_m`, and opens.
+/// Moves to the bush, closes, pulls back to `release_m`, and opens.
 fn pick(picker: &mut BerryPicker, release_m: f64) -> Fate {
     go(picker, false, 0.13, 0.3);
     go(picker, true, 0.13, 0.3);
@@ -55,20 +55,20 @@ fn pick(picker: &mut BerryPicker, release_m: f64) -> Fate {
     picker.fates()[0]
 }
 
-/// The paper's 5 bar and 16 mm: 100.5 N, on the side of the rod 90.7 N; its 50 N are those of 2.5 bar.
+/// Forces of the paper at 5 bar and 16 mm: 100.5 N, and 90.7 N on the side of the rod; its 50 N correspond to 2.5 bar.
 #[test]
 fn five_bar_are_a_hundred_newtons() {
     let supply = AirSupply { regulated_pa: 5e5, ..SUPPLY };
     for (closes_outwards, expected_n) in [(true, 100.5), (false, 90.7)] {
         let mut picker = picker(supply, Cylinder { closes_outwards, ..CYLINDER }, BERRY);
         go(&mut picker, true, 0.0, 1.0);
-        // Printed to a tenth; the supply has refilled the chambers to the regulator's setting.
+        // Printed to a tenth of a newton; the supply has refilled the chambers to the regulator's setting.
         assert!((picker.air_n() - expected_n).abs() < 0.06, "{} N", picker.air_n());
         assert_eq!(picker.travel_m(), 0.025);
     }
 }
 
-/// On a stalled rod air's force is bending, squeeze and at most dry friction.
+/// With a stalled rod the pneumatic force equals bending plus squeeze plus at most the dry friction.
 #[test]
 fn a_squeeze_is_that_of_statics() {
     let mut picker = picker(SUPPLY, CYLINDER, BERRY);
@@ -82,8 +82,8 @@ fn a_squeeze_is_that_of_statics() {
     assert!(travel_m < 0.024 && (3.0..7.0).contains(&squeeze_n), "{travel_m} m, {squeeze_n} N");
 }
 
-/// All air that was in the receiver and all that the compressor sent is in receiver and chambers, or came out of the exhaust; a stroke takes
-/// what ideal gas says.
+/// Mass balance: the air of the receiver and of the compressor is in receiver and chambers or left through the exhaust;
+/// a stroke consumes the amount of the ideal gas law.
 #[test]
 fn a_stroke_takes_its_air_from_the_receiver() {
     let still = AirSupply { compressor_m3_s: 1e-12, regulated_pa: 4e5, ..SUPPLY };
@@ -92,7 +92,8 @@ fn a_stroke_takes_its_air_from_the_receiver() {
     go(&mut picker, true, 0.0, 2.0);
     let [close_m2, _] = CYLINDER.areas_m2();
     let volume_m3 = 2e-6 + close_m2 * 0.025;
-    // Polytropic air in the chamber ends warmer than its walls and is given less: within the exponent, 1 to 1.2, of isothermal.
+    // Polytropic air in the chamber ends warmer than its walls, so less flows in: within the exponent, 1 to 1.2, of
+    // isothermal.
     let isothermal_pa = (volume_m3 * (4e5 + ATMOSPHERE_PA) - 2e-6 * ATMOSPHERE_PA) / 0.5e-3;
     let taken_pa = before_pa - picker.receiver_pa();
     assert!(taken_pa < isothermal_pa && taken_pa > isothermal_pa / 1.2 - 200.0, "{taken_pa} {isothermal_pa}");
@@ -103,15 +104,15 @@ fn a_berry_goes_into_the_tray() {
     let mut one = picker(SUPPLY, CYLINDER, BERRY);
     let fate = pick(&mut one, 0.0);
     assert!(fate.place == Place::Tray && !fate.is_crushed, "{fate:?}");
-    // The tension at which it came off was its stalk's: the tool had gone 10 mm, plus what slipped.
+    // The stalk's tension at detachment: the tool had moved 10 mm, plus the slip.
     assert!(fate.squeeze_max_n * 2.0 * 0.55 > 1.5);
-    // Released before the tray it is on the ground.
+    // Released before the tray, the berry is on the ground.
     assert_eq!(pick(&mut picker(SUPPLY, CYLINDER, BERRY), 0.08).place, Place::Ground);
 }
 
 #[test]
 fn a_berry_that_the_gap_does_not_fit_is_pushed_away() {
-    // Half the gap less half the berry: 8.5 mm.
+    // Half the gap minus half the berry: 8.5 mm.
     for (aside_m, place) in [(0.008, Place::Tray), (0.009, Place::Hanging)] {
         let berry = Berry { place_m: [0.13, aside_m], ..BERRY };
         assert_eq!(pick(&mut picker(SUPPLY, CYLINDER, berry), 0.0).place, place, "{aside_m}");
@@ -144,7 +145,7 @@ fn fast_cycles_empty_the_receiver() {
     assert!(picker.receiver_pa() > 5.9e5, "{}", picker.receiver_pa());
 }
 
-/// No current: the spring opens the fingers after its delay, whatever they hold.
+/// Without current the spring opens the fingers after its delay, with or without an object.
 #[test]
 fn without_current_the_fingers_open() {
     let mut picker = picker(SUPPLY, CYLINDER, BERRY);

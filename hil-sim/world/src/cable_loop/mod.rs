@@ -1,8 +1,9 @@
-//! A gripper that closes a loop of flexible TPU round a vial: a spool reels both strands of the loop in through a Bowden tube.
+//! Gripper that closes a loop of flexible TPU round a vial: a spool reels in both strands of the loop through a Bowden
+//! tube.
 //!
-//! A lift carries the finger over the vial; two more axes move it forwards and to the left. With the length `S` of the loop outside the
-//! finger, a vial of diameter `D` is tight at `S = π D + s0`; retracted, the loop is tight at `S = 2 π r + s0` with its least bend
-//! radius `r`. Below the tight length each strand is a spring:
+//! A lift carries the finger over the vial; two more axes move it forwards and to the left. With the length `S` of the
+//! loop outside the finger, a vial of diameter `D` is tight at `S = π D + s0`; retracted, the loop is tight at
+//! `S = 2 π r + s0` with its minimum bend radius `r`. Below the tight length each strand is a spring:
 //!
 //! ```text
 //! T_out = (S_tight / 2 - y - z) / c      y: strand outside the finger, unstretched   z: its creep
@@ -12,18 +13,20 @@
 //! T_in exp(-μθ) <= T_out <= T_in exp(μθ) capstan; within these limits y sticks, at one of them it slides
 //! ```
 //!
-//! So `y` is a play operator: `u` moves its two limits, each of which is a balance of two springs in closed form. The vial is held
-//! while `2 μ N` is more than its weight and what its acceleration takes; else it slides, and is lost when its top has come to the loop.
+//! So `y` is a play operator: `u` moves its two limits, each of which is a balance of two springs in closed form. The
+//! vial is held while `2 μ N` exceeds its weight and inertial force; otherwise it slides, and is lost when its top
+//! reaches the loop.
 //!
 //! # Frames
-//! Heights from the table; the tip's place is `[forwards, left]` of where it starts. Spool: positive pays out. Lift: positive lowers.
+//! Heights are above the table; the tip's place is `[forwards, left]` of its start. Spool: positive pays out. Lift:
+//! positive lowers.
 //!
 //! # Source
 //! Sizes of vials, 3 mm clearance, bend radius 5 mm: "Cable-Loop Gripper Add-on for Multimodal Grasping of Lab Supplies", TAROS 2023.
 //! Capstan: Euler-Eytelwein. Creep: one Kelvin-Voigt element in series with the spring (standard linear solid).
 //!
-//! Not modelled: mass of loop and cable; friction of the loop round the vial, so that both strands pull alike; the vial's way along the table
-//! to the tip; tilting; how neighbours in a rack move; the loop buckling while it is paid out.
+//! Not modelled: mass of loop and cable; friction of the loop round the vial, so both strands pull alike; motion of the
+//! vial along the table to the tip; tilting; motion of neighbours in a rack; buckling of the loop while it is paid out.
 
 #[cfg(test)]
 mod tests;
@@ -36,141 +39,141 @@ use crate::{
     scene::Scene,
 };
 
-/// Time constant of the finger on the lift, s: two poles that smooth the steps of the lift's motor. Synthetic: of a printed
-/// finger at 20 Hz.
+/// Time constant of the finger on the lift, s: two poles that smooth the steps of the lift's motor. Synthetic: a
+/// printed finger at 20 Hz.
 const FINGER_S: f64 = 0.008;
-/// Time in which a vial that begins to slide flattens the soft tip, s. Synthetic.
+/// Time in which a vial that starts to slide flattens the soft tip, s. Synthetic.
 const FLATTENS_S: f64 = 0.01;
-/// A vial is in the air from this height on, m.
+/// Height from which on the vial counts as being in the air, m.
 const IN_AIR_M: f64 = 1e-3;
-/// A jerk waits for this height of the vial, m.
+/// Height of the vial at which the delay of a jerk starts, m.
 const LIFTED_M: f64 = 0.02;
 
-/// Spool, loop and tip.
+/// Spool, loop and tip of the finger.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Finger {
-    /// Of the spool, to the middle of the cable, m.
+    /// Radius of the spool to the middle of the cable, m.
     pub spool_radius_m: f64,
-    /// Length of a tight loop less the circumference that it goes round, `s0`, m.
+    /// Length of a tight loop minus the circumference it encloses, `s0`, m.
     pub legs_m: f64,
-    /// Least radius of the loop, m.
+    /// Minimum bend radius of the loop, m.
     pub bend_radius_m: f64,
     /// Thickness of the loop, m.
     pub thickness_m: f64,
-    /// Force at which a strand would be twice as long, N.
+    /// Axial stiffness EA: force that would double a strand's length, N.
     pub strand_n: f64,
     /// Half the angle between the strands at the tip, rad.
     pub half_angle_rad: f64,
     /// Stiffness of the soft tip, N/m.
     pub tip_n_per_m: f64,
-    /// Length of the loop outside the finger while the spool is at 0, m.
+    /// Length of the loop outside the finger with the spool at 0, m.
     pub start_m: f64,
 }
 
-/// From the spool to the finger.
+/// Bowden tube from the spool to the finger.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bowden {
-    /// Of one strand and its share of the tube, N/m.
+    /// Stiffness of one strand and its share of the tube, N/m.
     pub stiffness_n_per_m: f64,
-    /// Friction times angle of all bends, `μθ`, 1; 0 for none.
+    /// Friction coefficient times the angle of all bends, `μθ`, rad; 0 for a frictionless tube.
     pub friction_angle: f64,
 }
 
-/// Creep of the loop.
+/// Creep of the loop's material.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Creep {
-    /// Share of the force that is gone in the end at a fixed length, 0 to below 1.
+    /// Share of the force that relaxes at a fixed length after a long time, 0 to below 1.
     pub share: f64,
-    /// Time constant at constant force, s.
+    /// Time constant of creep at constant force, s.
     pub time_s: f64,
 }
 
-/// The force sensor behind the tip.
+/// Force sensor behind the tip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TipSensor {
-    /// What it shows without force at time 0, N.
+    /// Reading without force at time 0, N.
     pub zero_n: f64,
-    /// N/s
+    /// Drift of the zero, N/s.
     pub drift_n_per_s: f64,
-    /// Share of the force that it shows less while the vial slides.
+    /// Relative drop of the reading while the vial slides.
     pub slip_share: f64,
 }
 
-/// What moves the finger; an axis moves it so far for one rad.
+/// Axes that move the finger, with their travel per radian of the shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Axes {
-    /// Height of the loop while the lift is at 0, m.
+    /// Height of the loop with the lift at 0, m.
     pub raised_m: f64,
-    /// Of the lift, downwards, m.
+    /// Travel of the lift, m/rad, positive downwards.
     pub lift_m_per_rad: f64,
-    /// m
+    /// Travel of the forward axis, m/rad.
     pub ahead_m_per_rad: f64,
-    /// m
+    /// Travel of the lateral axis to the left, m/rad.
     pub aside_m_per_rad: f64,
 }
 
-/// What is gripped.
+/// Vial to be gripped, and its place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vial {
-    /// m
+    /// Outer diameter of the vial, m.
     pub diameter_m: f64,
-    /// kg
+    /// Mass of the vial, kg.
     pub mass_kg: f64,
-    /// m
+    /// Height from bottom to top, m.
     pub height_m: f64,
-    /// Of its axis before the tip and to the left, while the axes are at 0, m.
+    /// Position of its axis relative to the tip, forwards and to the left, with the axes at 0, m.
     pub place_m: [f64; 2],
-    /// Static friction of its wall on tip and loop.
+    /// Static friction coefficient of its wall on tip and loop.
     pub friction: f64,
-    /// Kinetic friction over static.
+    /// Ratio of kinetic to static friction.
     pub kinetic_share: f64,
-    /// It breaks above this squeeze, N.
+    /// Squeeze above which it breaks, N.
     pub crush_n: f64,
     /// Free space around it in its rack, m.
     pub clearance_m: f64,
 }
 
-/// A knock against whatever carries the gripper, while the vial is in the air: an acceleration upwards.
+/// A knock against the gripper's support while the vial is in the air: a temporary upward acceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Jerk {
-    /// After the vial was lifted, s.
+    /// Time from the lift of the vial to the knock, s.
     pub after_s: f64,
-    /// s
+    /// Duration of the knock, s.
     pub lasts_s: f64,
-    /// m/s²
+    /// Acceleration of the support, m/s², positive upwards.
     pub acceleration_m_s2: f64,
 }
 
-/// Where the vial is.
+/// State of the vial relative to the loop.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Hold {
-    /// Outside the loop, where it was put.
+    /// Outside the loop, at its initial place.
     #[default]
     Outside,
-    /// Inside the loop.
+    /// Inside the loop, gripped or not.
     Inside,
-    /// It fell out of the loop, or was in the air when the loop let go.
+    /// Fallen: it slid out of the loop, or was in the air when the loop opened.
     Dropped,
 }
 
-/// Why a gripper cannot be computed.
+/// Reasons why a gripper cannot be simulated.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum CableLoopError {
-    /// The finger's numbers.
+    /// Parameters of the finger.
     #[error(
         "radius, lengths and stiffnesses of the finger must be positive, half the angle of the strands below 1.5 rad"
     )]
     Finger,
-    /// The Bowden tube's numbers.
+    /// Parameters of the Bowden tube.
     #[error("the Bowden tube's stiffness must be positive, its friction angle from 0 to 5")]
     Bowden,
-    /// The creep's numbers.
+    /// Parameters of the creep.
     #[error("creep needs a share from 0 to below 1 and a positive time")]
     Creep,
-    /// The axes' numbers.
+    /// Parameters of the axes.
     #[error("no axis may move the finger by 0 m for a rad, and the loop must start above the table")]
     Axes,
-    /// The vial's numbers.
+    /// Parameters of the vial.
     #[error(
         "diameter, mass, height, friction and crushing force of the vial must be positive, its kinetic share above 0 and at most 1"
     )]
@@ -191,30 +194,30 @@ pub struct CableLoop {
     state: State,
 }
 
-/// What changes.
+/// State variables of the gripper.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct State {
     time_s: f64,
-    /// Strand outside the finger, unstretched, m.
+    /// Length of a strand outside the finger, unstretched, m.
     strand_m: f64,
-    /// Strand that the spool has paid out, m.
+    /// Length of a strand that the spool has paid out, m.
     paid_m: f64,
     creep_m: f64,
-    /// Tension of a strand outside and before the tube, N.
+    /// Tension of a strand outside the finger and before the tube, N.
     out_n: f64,
     in_n: f64,
-    /// Loop above the table, m, and its speed.
+    /// Height of the loop above the table, m, and its rate.
     loop_m: f64,
     loop_m_s: f64,
-    /// Tip, forwards and left, m.
+    /// Place of the tip, forwards and left, m.
     tip_m: [f64; 2],
     hold: Hold,
-    /// Loop above the vial's bottom, m.
+    /// Height of the loop above the vial's bottom, m.
     grip_m: f64,
-    /// The same where it was gripped.
+    /// Height of the loop above the vial's bottom when it was gripped, m.
     gripped_m: f64,
     slip_m_s: f64,
-    /// How far the tip is flattened by sliding, 0 to 1.
+    /// Flattening of the tip by sliding, 0 to 1.
     flat: f64,
     lifted_at_s: Option<f64>,
     is_crushed: bool,
@@ -224,10 +227,10 @@ struct State {
 }
 
 impl CableLoop {
-    /// A gripper at rest with its loop where [`Finger::start_m`] has it, above the vial.
+    /// A gripper at rest above the vial, with a loop of length [`Finger::start_m`].
     ///
     /// # Errors
-    /// [`CableLoopError`] names the part whose numbers make no sense.
+    /// [`CableLoopError`] names the part whose parameters are out of range.
     pub fn new(
         (finger, bowden, creep, sensor): (Finger, Bowden, Creep, TipSensor),
         axes: Axes,
@@ -269,49 +272,49 @@ impl CableLoop {
         Ok(Self { finger, bowden, creep, sensor, axes, vial, jerk, pose: Pose::default(), state })
     }
 
-    /// The finger.
+    /// Parameters of the finger.
     #[must_use]
     pub const fn finger(&self) -> &Finger {
         &self.finger
     }
 
-    /// The Bowden tube.
+    /// Parameters of the Bowden tube.
     #[must_use]
     pub const fn bowden(&self) -> &Bowden {
         &self.bowden
     }
 
-    /// Creep of the loop.
+    /// Parameters of the creep.
     #[must_use]
     pub const fn creep(&self) -> &Creep {
         &self.creep
     }
 
-    /// The force sensor.
+    /// Parameters of the force sensor.
     #[must_use]
     pub const fn sensor(&self) -> &TipSensor {
         &self.sensor
     }
 
-    /// The axes.
+    /// Parameters of the axes.
     #[must_use]
     pub const fn axes(&self) -> &Axes {
         &self.axes
     }
 
-    /// The vial.
+    /// Parameters of the vial.
     #[must_use]
     pub const fn vial(&self) -> &Vial {
         &self.vial
     }
 
-    /// Where the vial is.
+    /// State of the vial relative to the loop.
     #[must_use]
     pub const fn hold(&self) -> Hold {
         self.state.hold
     }
 
-    /// Squeeze of the vial, N; 0 where the loop is tight without one.
+    /// Squeeze of the vial, N; 0 if the loop is tight without one.
     #[must_use]
     pub fn squeeze_n(&self) -> f64 {
         if self.state.hold == Hold::Inside { self.tip_n() } else { 0.0 }
@@ -323,7 +326,7 @@ impl CableLoop {
         self.state.squeeze_max_n
     }
 
-    /// How far the vial has slid down in the loop since it was gripped, m, and farthest so far.
+    /// Slip of the vial down in the loop since it was gripped, m: present value and maximum so far.
     #[must_use]
     pub fn slip_m(&self) -> [f64; 2] {
         [self.state.grip_m - self.state.gripped_m, self.state.slip_max_m]
@@ -341,13 +344,13 @@ impl CableLoop {
         self.state.loop_m
     }
 
-    /// Whether the vial has been squeezed to pieces.
+    /// True once the vial was crushed.
     #[must_use]
     pub const fn is_crushed(&self) -> bool {
         self.state.is_crushed
     }
 
-    /// Tension of a strand before the tube and outside the finger, N.
+    /// Tension of a strand before the tube and outside the finger, N, in this order.
     #[must_use]
     pub const fn tensions_n(&self) -> [f64; 2] {
         [self.state.in_n, self.state.out_n]
@@ -359,7 +362,7 @@ impl CableLoop {
         2.0 * self.state.strand_m
     }
 
-    /// Force on the tip, of a vial or of the retracted loop, N.
+    /// Force on the tip by a vial or the retracted loop, N.
     fn tip_n(&self) -> f64 {
         2.0 * self.state.out_n * libm::cos(self.finger.half_angle_rad)
     }
@@ -371,17 +374,17 @@ impl CableLoop {
         PI * round_m + self.finger.legs_m
     }
 
-    /// Strand for each newton outside the finger, m/N.
+    /// Compliance of a strand outside the finger, m/N.
     fn compliance_m_per_n(&self) -> f64 {
         let cos = libm::cos(self.finger.half_angle_rad);
         0.5 * self.tight_m() / self.finger.strand_n + 2.0 * cos * cos / self.finger.tip_n_per_m
     }
 
-    /// The play between spool and tip.
+    /// Updates the play between spool and tip (capstan friction) and the creep.
     fn pull(&mut self, paid_m: f64, step_s: f64) {
         let compliance_m_per_n = self.compliance_m_per_n();
         let outer_n_per_m = 1.0 / compliance_m_per_n;
-        // Exact for a force that stays over the step.
+        // exact for a force that is constant over the step
         let Creep { share, time_s } = self.creep;
         let crept_m = share / (1.0 - share) * compliance_m_per_n * self.state.out_n;
         self.state.creep_m += (crept_m - self.state.creep_m) * -libm::expm1(-step_s / time_s);
@@ -402,7 +405,7 @@ impl CableLoop {
         self.state.in_n = stiffness_n_per_m * (self.state.strand_m - paid_m);
     }
 
-    /// Whether the loop goes over the vial's top: neither onto the vial nor onto its neighbours.
+    /// True if the loop goes over the vial's top without touching the vial or its neighbours.
     fn fits(&self) -> bool {
         let radius_m = (self.length_m() - self.finger.legs_m) / (2.0 * PI);
         let [ahead_m, aside_m] = [0, 1].map(|axis| self.vial.place_m[axis] - self.state.tip_m[axis]);
@@ -411,7 +414,7 @@ impl CableLoop {
         off_m <= gap_m && gap_m + self.finger.thickness_m + off_m <= self.vial.clearance_m
     }
 
-    /// Vial and loop over one step, with the loop's acceleration upwards.
+    /// Advances vial and loop by one step, with the loop's acceleration upwards.
     fn carry(&mut self, time_s: f64, acceleration_m_s2: f64, step_s: f64) {
         let Vial { mass_kg, height_m, friction, kinetic_share, .. } = self.vial;
         let State { loop_m, .. } = self.state;
@@ -442,10 +445,11 @@ impl CableLoop {
                     return;
                 }
                 let knock_m_s2 = self.knock(time_s, lifted_m);
-                // What the vial takes downwards, seen from the loop.
+                // downward acceleration of the vial relative to the loop, without friction
                 let pull_m_s2 = GRAVITY_M_S2 + acceleration_m_s2 + knock_m_s2;
                 let held_m_s2 = 2.0 * friction * squeeze_n / mass_kg;
                 if self.state.slip_m_s == 0.0 && pull_m_s2.abs() > held_m_s2 {
+                    // stores only the direction of a starting slide; the speed follows below
                     self.state.slip_m_s = pull_m_s2.signum() * f64::MIN_POSITIVE;
                 }
                 if self.state.slip_m_s != 0.0 {
@@ -458,7 +462,7 @@ impl CableLoop {
                     self.state.grip_m += self.state.slip_m_s * step_s;
                 }
                 if loop_m < self.state.grip_m {
-                    // It stands on the table.
+                    // the vial stands on the table
                     (self.state.grip_m, self.state.slip_m_s) = (loop_m, 0.0);
                 }
                 let sliding = f64::from(u8::from(self.state.slip_m_s != 0.0));
@@ -473,7 +477,7 @@ impl CableLoop {
         }
     }
 
-    /// Acceleration of the knock now, m/s².
+    /// Present acceleration of the knock, m/s².
     fn knock(&mut self, time_s: f64, lifted_m: f64) -> f64 {
         if lifted_m > LIFTED_M && self.state.lifted_at_s.is_none() {
             self.state.lifted_at_s = Some(time_s);
@@ -483,16 +487,16 @@ impl CableLoop {
         if (0.0..jerk.lasts_s).contains(&since_s) { jerk.acceleration_m_s2 } else { 0.0 }
     }
 
-    /// What the range sensor in the finger sees in front of the tip, m; [`FARTHEST_M`] where there is nothing.
+    /// Distance that the range sensor in the finger measures in front of the tip, m; [`FARTHEST_M`] without an object.
     fn range_m(&self) -> f64 {
         let radius_m = 0.5 * self.vial.diameter_m;
         let [ahead_m, aside_m] = [0, 1].map(|axis| self.vial.place_m[axis] - self.state.tip_m[axis]);
         match self.state.hold {
-            // The loop has drawn it to the tip.
+            // the loop has pulled the vial to the tip
             Hold::Inside if self.state.out_n > 0.0 => 0.0,
             Hold::Outside | Hold::Inside if aside_m.abs() < radius_m => {
                 let chord_m = (radius_m * radius_m - aside_m * aside_m).sqrt();
-                // Lifted, the finger looks over a vial that stays behind.
+                // a lifted finger looks over a vial that stays on the table
                 let sees = self.state.loop_m < self.axes.raised_m + IN_AIR_M;
                 if sees { (ahead_m - chord_m).clamp(0.0, FARTHEST_M) } else { FARTHEST_M }
             }
@@ -501,7 +505,7 @@ impl CableLoop {
     }
 }
 
-/// Farthest that the range sensor sees, m.
+/// Largest distance that the range sensor measures, m.
 pub const FARTHEST_M: f64 = 0.2;
 
 impl State {
@@ -532,7 +536,7 @@ impl State {
 }
 
 impl Body for CableLoop {
-    /// Spool, lift, forwards, left.
+    /// Shafts in order: spool, lift, forwards, left.
     fn shafts(&self) -> usize {
         4
     }
@@ -549,7 +553,7 @@ impl Body for CableLoop {
         self.state.loop_m += self.state.loop_m_s * step_s;
         self.pull(0.5 * self.finger.start_m + position(0) * self.finger.spool_radius_m, step_s);
         self.carry(time_s, acceleration_m_s2, step_s);
-        // Both strands pull at the spool.
+        // both strands pull at the spool
         if let Some(load) = loads.first_mut() {
             *load = 2.0 * self.state.in_n * self.finger.spool_radius_m;
         }

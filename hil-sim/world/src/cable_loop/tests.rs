@@ -30,7 +30,7 @@ fn gripper() -> CableLoop {
     CableLoop::new((finger, bowden, creep, sensor), axes, vial, None).expect("a gripper")
 }
 
-/// Moves lift and spool to positions evenly within `over_s`, and returns the load of the spool.
+/// Moves lift and spool to positions at constant speed within `over_s`, and returns the load of the spool.
 fn drive(body: &mut CableLoop, from: [f64; 2], to: [f64; 2], over_s: f64) -> f64 {
     let steps = (over_s / STEP_S).round() as usize;
     let mut loads = [0.0; 4];
@@ -67,7 +67,8 @@ fn with(change: impl FnOnce(&mut CableLoop)) -> CableLoop {
     body
 }
 
-/// `S = π D + s0`: 2 π mm of the loop are slack round 20 mm when it is paid out for 22 mm; each rad of the spool takes 20 mm.
+/// Tight length `S = π D + s0`: with a loop paid out for 22 mm, 2 π mm are slack round 20 mm; each rad of the spool
+/// takes up 20 mm.
 #[test]
 fn the_loop_is_tight_at_the_circumference_and_its_legs() {
     let mut body = lowered(with(|body| body.creep.share = 0.0));
@@ -78,8 +79,8 @@ fn the_loop_is_tight_at_the_circumference_and_its_legs() {
     assert!(body.squeeze_n() > 0.0 && body.squeeze_n() < 1e-2, "{}", body.squeeze_n());
 }
 
-/// Reeling in, the tip has `exp(-μθ)` of the spool's tension; letting out, `exp(μθ)`; in between it does not notice. The spool has both
-/// strands.
+/// Capstan law: reeling in, the tip has `exp(-μθ)` of the spool's tension; paying out, `exp(μθ)`; within the play it
+/// does not change. The spool carries both strands.
 #[test]
 fn the_bowden_tube_holds_the_tension_by_the_capstan_law() {
     let mut body = lowered(with(|body| body.creep.share = 0.0));
@@ -88,14 +89,14 @@ fn the_bowden_tube_holds_the_tension_by_the_capstan_law() {
     let [in_n, out_n] = body.tensions_n();
     assert!((out_n / in_n - (-0.5f64).exp()).abs() < 1e-12, "{in_n} {out_n}");
     assert!((load_nm - 2.0 * in_n * 0.010).abs() < 1e-12);
-    // The springs in series, of the tube seen from the tip.
+    // Springs in series; the tube as seen from the tip.
     let outer_m_per_n = 0.5 * (PI * 0.020 + 0.012) / 96.0 + 2.0 * 0.35f64.cos().powi(2) / 3000.0;
     let pulled_m = 0.7 * 0.010 - PI * 0.001;
     let expected_n = pulled_m / (outer_m_per_n + 0.5f64.exp() / 8000.0);
     assert!((out_n / expected_n - 1.0).abs() < 1e-9, "{out_n} {expected_n}");
     let squeeze_n = body.squeeze_n();
     assert!((squeeze_n - 2.0 * out_n * 0.35f64.cos()).abs() < 1e-12);
-    // Back by less than the play: the tube's strand relaxes, the vial does not notice.
+    // Paid out by less than the play: the strand in the tube relaxes, the force on the vial stays.
     drive(&mut body, [DOWN_RAD, tight_rad], [DOWN_RAD, tight_rad + 0.02], 0.1);
     assert_eq!(body.squeeze_n(), squeeze_n);
     assert!(body.tensions_n()[0] < in_n);
@@ -104,7 +105,8 @@ fn the_bowden_tube_holds_the_tension_by_the_capstan_law() {
     assert!((out_n / in_n - 0.5f64.exp()).abs() < 1e-12, "{in_n} {out_n}");
 }
 
-/// Work of the spool is stored in the springs or lost in the tube: over a cycle what is lost is what the play encloses, never less than 0.
+/// Energy balance of a cycle: the work of the spool is stored in the springs or lost in the tube, so the loss is the
+/// area enclosed by the play, never below 0.
 #[test]
 fn a_cycle_of_the_spool_loses_energy_in_the_tube_only() {
     for (friction_angle, least_j) in [(0.0, -1e-6), (0.6, 1e-3)] {
@@ -120,14 +122,14 @@ fn a_cycle_of_the_spool_loses_energy_in_the_tube_only() {
             work_j -= f64::midpoint(load_nm, next_nm) * (next - position);
             (position, load_nm) = (next, next_nm);
         }
-        // The trapezoid is exact for springs but for the steps at the knees.
+        // The trapezoidal rule is exact for springs except for the steps at the knees.
         assert!(work_j >= least_j, "{friction_angle}: {work_j}");
         assert!((friction_angle == 0.0) == (work_j.abs() < 1e-6), "{friction_angle}: {work_j}");
     }
 }
 
-/// At a fixed length of the strand outside the force goes from 1 to `1 - share`. That takes a spool that was let back into the middle of
-/// the play: at its limit the tube's spring draws the strand in while the force falls.
+/// At a fixed length of the strand outside, the force relaxes from 1 to `1 - share`. The spool is let back into the
+/// middle of the play for this: at its limit the tube's spring would draw the strand in while the force falls.
 #[test]
 fn creep_takes_its_share_of_the_force_at_a_fixed_length() {
     let closed = || {
@@ -144,7 +146,7 @@ fn creep_takes_its_share_of_the_force_at_a_fixed_length() {
         let (mut body, middle_rad, first_n) = closed();
         drive(&mut body, [DOWN_RAD, middle_rad], [DOWN_RAD, middle_rad], after_s);
         let gone = (1.0 - body.squeeze_n() / first_n) / 0.2;
-        // Explicit steps of 0.25 ms of 0.8 s.
+        // Error of explicit steps of 0.25 ms with 0.8 s.
         assert!((gone - expected).abs() < 1e-3, "{after_s}: {gone}");
     }
     let mut body = lowered(with(|body| body.bowden.friction_angle = 2.0));
@@ -154,7 +156,7 @@ fn creep_takes_its_share_of_the_force_at_a_fixed_length() {
     assert!(body.squeeze_n() / first_n > 0.85, "{}", body.squeeze_n() / first_n);
 }
 
-/// `2 μ N >= m g`: just above, it is lifted; just below, it stays.
+/// Condition `2 μ N >= m g`: just above, the vial is lifted; just below, it stays.
 #[test]
 fn the_vial_is_lifted_while_friction_carries_its_weight() {
     for (factor, holds) in [(1.1, true), (0.9, false)] {
@@ -163,7 +165,7 @@ fn the_vial_is_lifted_while_friction_carries_its_weight() {
         body.vial.mass_kg = 2.0 * 0.5 * body.squeeze_n() / GRAVITY_M_S2 / factor;
         drive(&mut body, [DOWN_RAD, -0.7], [4.0, -0.7], 4.0);
         if holds {
-            // The finger follows its axis by 2 × 8 ms at 10 mm/s: 0.16 mm.
+            // The finger lags its axis by 2 × 8 ms at 10 mm/s: 0.16 mm.
             assert!((body.height_m() - 0.040).abs() < 2e-4 && body.slip_m()[1] < 1e-4, "{}", body.height_m());
         } else {
             assert_eq!(body.hold(), Hold::Dropped, "it slid out");
@@ -171,7 +173,8 @@ fn the_vial_is_lifted_while_friction_carries_its_weight() {
     }
 }
 
-/// A knock of 8 m/s² on a vial that is held with 1.2 times its weight lets it slide with `g + 8 - 0.85 · 1.2 g`, and it stops after it.
+/// A knock of 8 m/s² on a vial held with 1.2 times its weight lets it slide with `g + 8 - 0.85 · 1.2 g`, until the
+/// knock ends.
 #[test]
 fn a_knock_lets_the_vial_slide_as_mechanics_says() {
     let mut body = lowered(with(|body| {
@@ -186,7 +189,7 @@ fn a_knock_lets_the_vial_slide_as_mechanics_says() {
     let speed_m_s = up * 0.05;
     let expected_m = 0.5 * up * 0.05 * 0.05 + speed_m_s * speed_m_s / (2.0 * -down);
     let slid_m = body.slip_m()[0];
-    // Less than 20 mm to the top? 8.9 mm, then a long way at -0.2 m/s2: it is lost.
+    // Slips 9.8 mm during the knock, then decelerates at only 0.2 m/s2: beyond 20 mm, the vial's top, it is lost.
     if expected_m < 0.020 {
         assert!((slid_m - expected_m).abs() < 0.02 * expected_m, "{slid_m} {expected_m}");
     } else {
@@ -194,7 +197,8 @@ fn a_knock_lets_the_vial_slide_as_mechanics_says() {
     }
 }
 
-/// 1.1 mm to each side fit a loop that is 2 mm wider and 0.8 mm thick between a vial and neighbours at 3 mm.
+/// Clearance of 1.1 mm to each side fits a loop that is 2 mm wider and 0.8 mm thick between a vial and neighbours at 3
+/// mm.
 #[test]
 fn the_loop_goes_over_the_vial_within_its_clearance_only() {
     for (aside_m, ahead_m, fits) in
@@ -204,7 +208,7 @@ fn the_loop_goes_over_the_vial_within_its_clearance_only() {
         drive(&mut body, [0.0, 0.0], [DOWN_RAD, 0.0], 0.6);
         assert_eq!(body.hold() == Hold::Inside, fits, "{aside_m} {ahead_m}");
     }
-    // A loop that is wider than the neighbours allow does not go down either.
+    // A loop that is too wide for the neighbours does not go down either.
     let mut wide = with(|body| body.finger.start_m = PI * 0.0256 + 0.012);
     drive(&mut wide, [0.0, 0.0], [DOWN_RAD, 0.0], 0.6);
     assert_eq!(wide.hold(), Hold::Outside);

@@ -1,4 +1,4 @@
-//! A robot on wheels in a shell of six hinged panels that one servo narrows, with two whiskers at its nose.
+//! Robot on wheels in a shell of six hinged panels that one servo narrows, with two whiskers at its nose.
 //!
 //! ```text
 //!            w = 2 s sin(a)                 side panels are parallel to the spine, which is the body's x
@@ -8,19 +8,20 @@
 //!  \______/
 //! ```
 //!
-//! The shell follows the servo as long as it is not squeezed: it opens the slower the more it is, stops opening at a force, and gives way
-//! beyond it. It is an [`Outline`], whose bumper ends at the panels: the outline's corners lie
-//! inside them. It lengthens at both ends alike, so that the wheels stay in its middle.
+//! The shell follows the servo as long as it is not squeezed: under a squeeze it opens more slowly, at a limit force it
+//! stops opening, and beyond that it yields. It is an [`Outline`], whose bumper ends at the panels: the outline's
+//! corners lie inside them. It lengthens at both ends alike, so the wheels stay in its middle.
 //!
-//! A whisker is straight and has no mass. It is bent back by the farthest point within its reach of what is ahead of it, and turns that by its
-//! spring: a box gives way once that is more than friction. Its hinge has a magnet with some play, whose angle is sampled, and the sample
-//! is shown later.
+//! A whisker is straight and massless. The farthest point of an obstacle within its reach bends it back, against its
+//! spring: a box moves once the spring force exceeds friction. Its hinge has a magnet with some play, whose angle is
+//! sampled; the sample appears in the readings after a delay.
 //!
 //! # Source
 //! Hexagon, servo and whiskers: "Traversing Visually-Similar Physically-Different Obstacles with DeforMoBot, a Bio-Inspired Deformable
 //! Mobile Robot", TAROS 2023. Its mechanism's dimensions are not printed; the equations are ours.
 //!
-//! Not modelled: inertia of the shell, forces along the spine on the servo, compliance of the hinges, bending of a whisker along its length, its friction, tilting of boxes.
+//! Not modelled: inertia of the shell, forces along the spine on the servo, compliance of the hinges, bending of a
+//! whisker along its length, its friction, tilting of boxes.
 
 #[cfg(test)]
 mod tests;
@@ -38,33 +39,33 @@ use crate::{
     wheeled::Wheeled,
 };
 
-/// Names of [`Body::readings`].
+/// Names of the readings, in the order of [`Body::reading`].
 const READINGS: [&str; 2] = ["left_rad", "right_rad"];
-/// Rate of the panels' angle at which the shell gives way under twice the force that it holds, and opens without any, rad/s: that of a servo
-/// of 2 rad/s and half a radian for each.
+/// Rate of the panels' angle with which the shell opens without load and yields under twice its holding force, rad/s: a
+/// servo of 2 rad/s with half a radian of panel angle per radian.
 const OPENS_RAD_S: f64 = 1.0;
-/// Change of the panels' angle below which the outline stays, rad: 0.02 µm at a panel of 0.2 m.
+/// Change of the panels' angle below which the outline is not recomputed, rad: 0.02 µm at a panel of 0.2 m.
 const SAME_RAD: f64 = 1e-7;
 
-/// Six panels of equal length and what moves them.
+/// Six panels of equal length and their servo.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shell {
     /// Length of a panel, m.
     pub panel_m: f64,
-    /// Angle of the front panels against the spine while the servo is at 0, rad.
+    /// Angle of the front panels against the spine with the servo at 0, rad.
     pub rest_rad: f64,
-    /// Angle for each radian of the servo; negative: positive servo angles narrow.
+    /// Panel angle per radian of the servo; negative: positive servo angles narrow the shell.
     pub per_rad: f64,
     /// Ends of the spine's travel: narrowest and widest angle, rad.
     pub ends_rad: [f64; 2],
-    /// Force across it at which it does not open any more, N.
+    /// Transverse force at which the shell stops opening, N.
     pub holds_n: f64,
-    /// The servo's shaft, by its number.
+    /// Shaft number of the servo.
     pub shaft: usize,
 }
 
 impl Shell {
-    /// Angle of the front panels at a position of the servo, rad.
+    /// Angle of the front panels at a servo position, rad, clipped to the ends of travel.
     #[must_use]
     pub fn angle_rad(&self, servo_rad: f64) -> f64 {
         (self.rest_rad + self.per_rad * servo_rad).clamp(self.ends_rad[0], self.ends_rad[1])
@@ -76,13 +77,13 @@ impl Shell {
         2.0 * self.panel_m * libm::sin(angle_rad)
     }
 
-    /// Length from nose to tail, m.
+    /// Length from nose to tail at an angle of the front panels, m.
     #[must_use]
     pub fn length_m(&self, angle_rad: f64) -> f64 {
         self.panel_m + 2.0 * self.panel_m * libm::cos(angle_rad)
     }
 
-    /// Corners, counterclockwise from the nose on, of the hexagon a distance inside the panels, m.
+    /// Corners, counterclockwise from the nose, of the hexagon `inside_m` inside the panels, m.
     #[must_use]
     pub fn corners_m(&self, angle_rad: f64, inside_m: f64) -> [Point; 6] {
         let nose_m = 0.5 * self.length_m(angle_rad) - inside_m / libm::sin(angle_rad);
@@ -94,7 +95,7 @@ impl Shell {
     fn check(&self, shafts: usize) -> Result<(), DeformableError> {
         let [narrow_rad, wide_rad] = self.ends_rad;
         let is_ordered = 0.0 < narrow_rad && narrow_rad <= self.rest_rad && self.rest_rad <= wide_rad;
-        // Inside the bumper must be something left.
+        // a hexagon inside the bumper must remain
         let is_wide = self.panel_m.is_finite() && self.panel_m * libm::sin(narrow_rad.max(0.0)) > 1.5 * BUMPER_M;
         let is_strong = self.holds_n > 0.0 && self.holds_n.is_finite();
         if !is_ordered
@@ -110,27 +111,27 @@ impl Shell {
     }
 }
 
-/// Why a deformable robot cannot be computed.
+/// Reasons why a deformable robot cannot be simulated.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum DeformableError {
-    /// Numbers of the shell that make no hexagon.
+    /// Parameters of the shell that make no hexagon.
     #[error(
         "the shell needs ends_rad [narrowest, widest] above 0 and at most a right angle with rest_rad between them, per_rad other than 0, \
          holds_n above 0, and a width of at least {least_m} m when narrow"
     )]
     Shell {
-        /// Smallest width that a shell may have, m.
+        /// Smallest width of a valid shell, m.
         least_m: f64,
     },
     /// A shaft that the body does not have.
     #[error("there is no shaft {shaft}: the body couples {shafts}")]
     Shaft {
-        /// Number of the shaft that was asked for.
+        /// Shaft number that was given.
         shaft: usize,
-        /// How many there are.
+        /// Number of shafts of the body.
         shafts: usize,
     },
-    /// Numbers of the whiskers that are out of range.
+    /// Parameters of the whiskers that are out of range.
     #[error(
         "whiskers need a length, stiffness and every_s above 0, rest_rad from 0 to half a turn, hinge_m not to the right, no negative \
          hysteresis, noise or late_s, and late_s at most 100 times every_s"
@@ -138,7 +139,7 @@ pub enum DeformableError {
     Whiskers,
 }
 
-/// A chassis on wheels in a shell that narrows, with two whiskers.
+/// Chassis on wheels in a shell that narrows, with two whiskers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Deformable {
     base: Wheeled,
@@ -151,10 +152,10 @@ pub struct Deformable {
 }
 
 impl Deformable {
-    /// At rest at the origin, with the servo at 0. The outline of `base` is replaced by the shell's.
+    /// A robot at rest at the origin, with the servo at 0. The shell's outline replaces that of `base`.
     ///
     /// # Errors
-    /// [`DeformableError`] names what cannot be computed.
+    /// [`DeformableError`] names the parameters that are out of range.
     pub fn new(base: Wheeled, shell: Shell, whiskers: Whiskers) -> Result<Self, DeformableError> {
         shell.check(base.shafts())?;
         whiskers.check()?;
@@ -165,10 +166,10 @@ impl Deformable {
         Ok(Self { base, shell, whiskers, angle_rad: shell.rest_rad, each: [Whisker::default(); 2], shown })
     }
 
-    /// The same robot of other numbers, at rest at the same place.
+    /// The same robot with changed parameters, at rest at the same pose.
     ///
     /// # Errors
-    /// What [`Deformable::new`] refuses, of the changed numbers.
+    /// As [`Deformable::new`], for the changed parameters.
     pub fn changed(&self, change: impl FnOnce(&mut Shell, &mut Whiskers)) -> Result<Self, DeformableError> {
         let (mut shell, mut whiskers) = (self.shell, self.whiskers);
         change(&mut shell, &mut whiskers);
@@ -177,7 +178,7 @@ impl Deformable {
         Ok(body)
     }
 
-    /// What it rolls on.
+    /// Chassis on wheels inside the shell.
     #[must_use]
     pub const fn base(&self) -> &Wheeled {
         &self.base
@@ -189,7 +190,7 @@ impl Deformable {
         &self.shell
     }
 
-    /// The whiskers.
+    /// Parameters of the whiskers.
     #[must_use]
     pub const fn whiskers(&self) -> &Whiskers {
         &self.whiskers
@@ -201,14 +202,14 @@ impl Deformable {
         self.angle_rad
     }
 
-    /// Angle of the front panels after a step in which the servo wants `wanted_rad`, rad.
+    /// Angle of the front panels after a step towards `wanted_rad`, rad, limited by the squeeze.
     fn followed(&self, wanted_rad: f64, step_s: f64) -> f64 {
         let squeezed = self.base.outline().map_or(0.0, Outline::squeezed_n) / self.shell.holds_n;
         let most_rad = self.angle_rad + OPENS_RAD_S * (1.0 - squeezed) * step_s;
         wanted_rad.min(most_rad).max(self.shell.ends_rad[0])
     }
 
-    /// How far left and right whisker are bent backwards, rad.
+    /// Bend of the left and right whisker, rad, positive backwards.
     #[must_use]
     pub fn bent_rad(&self) -> [f64; 2] {
         self.each.map(|whisker| whisker.bent_rad)
@@ -232,7 +233,7 @@ impl Body for Deformable {
         }
         let pose = self.base.pose();
         let nose_m = 0.5 * self.shell.length_m(self.angle_rad);
-        // Along the panel, from the nose backwards.
+        // along the panel, from the nose backwards
         let most_rad = std::f64::consts::PI - self.angle_rad - self.whiskers.rest_rad;
         let (sin, cos) = libm::sincos(pose.yaw_rad);
         for (side, whisker) in [1.0, -1.0].into_iter().zip(&mut self.each) {

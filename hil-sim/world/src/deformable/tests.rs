@@ -47,7 +47,7 @@ fn still(shape_rad: f64) -> [ShaftMotion; 3] {
     shafts
 }
 
-/// Drives at 0.187 m/s from the first second on.
+/// Drives at 0.187 m/s, starting after the first second.
 fn drive(body: &mut Deformable, scene: &mut Scene, shape_rad: f64, for_s: f64) {
     let mut shafts = still(shape_rad);
     for number in 0..(for_s / MAX_STEP_S) as usize {
@@ -57,7 +57,7 @@ fn drive(body: &mut Deformable, scene: &mut Scene, shape_rad: f64, for_s: f64) {
     }
 }
 
-/// Two boxes, their faces 0.41 m before the robot's middle, with a gap between them.
+/// Two boxes with a gap between them, their faces 0.41 m in front of the robot's middle.
 fn gate(spec: BoxSpec, gap_m: f64) -> Scene {
     let mut scene = Scene::default();
     for side in [1.0, -1.0] {
@@ -67,7 +67,7 @@ fn gate(spec: BoxSpec, gap_m: f64) -> Scene {
     scene
 }
 
-/// The printed 66 % and 24 cm: 36.4 cm at rest; 24.0 cm and a third longer when narrow.
+/// Printed values, 66 % and 24 cm: 36.4 cm at rest; 24.0 cm and a third longer when narrow.
 #[test]
 fn the_hexagon_narrows_and_lengthens_as_printed() {
     let narrow_rad = libm::asin(0.24 / (2.0 * SHELL.panel_m));
@@ -75,7 +75,7 @@ fn the_hexagon_narrows_and_lengthens_as_printed() {
     assert!((0.24 / SHELL.width_m(FRAC_PI_3) - 0.66).abs() < 1e-3);
     let longer = SHELL.length_m(narrow_rad) / SHELL.length_m(FRAC_PI_3);
     assert!((longer - 1.32).abs() < 2e-3, "{longer}");
-    // Six sides of one length, and an inner hexagon whose sides are 2 cm inside.
+    // Six sides of one length, and an inner hexagon 2 cm inside.
     let [nose, left, rear_left, ..] = SHELL.corners_m(0.8, 0.0);
     for side_m in [length(nose, left), length(left, rear_left)] {
         assert!((side_m - SHELL.panel_m).abs() < 1e-12, "{side_m}");
@@ -90,8 +90,9 @@ fn length(from: Point, to: Point) -> f64 {
     libm::hypot(to[0] - from[0], to[1] - from[1])
 }
 
-/// Bend of a whisker by a box whose inner corner is so far before the robot's middle: its tip on the near face, the corner's bearing, its tip
-/// on the inner face once the corner is out of reach, the shell.
+/// Expected bend of a whisker for a box whose inner corner is `corner_m` in front of the robot's middle: first its tip
+/// on the near face, then the corner's bearing, then its tip on the inner face once the corner is out of reach, then
+/// the shell.
 fn bent_at(corner_m: f64) -> f64 {
     let hinge_m = 0.5 * SHELL.length_m(NARROW_RAD) + WHISKERS.hinge_m[0];
     let aside_m = 0.12 - WHISKERS.hinge_m[1];
@@ -110,11 +111,11 @@ fn a_whisker_leans_on_what_is_in_its_way() {
     for millimetre in 0..900 {
         let corner_m = 0.41 - 1e-3 * f64::from(millimetre);
         body.base.set_pose(Pose { x_m: 0.41 - corner_m, ..Pose::default() });
-        // So narrow that the shell touches nothing.
+        // narrow enough that the shell touches nothing
         body.step(&mut scene, 0.0, &still(NARROW_RAD), &mut [0.0; 3], 1e-6);
         let [left, right] = body.bent_rad();
         assert!((left - right).abs() < 1e-12, "mirror images: {left} {right}");
-        // Behind the rear corner, within reach of the tip, the faces end.
+        // behind the rear corner, within reach of the tip, the faces end
         if corner_m > 0.02 {
             assert!((left - bent_at(corner_m).max(0.0)).abs() < 1e-9, "{corner_m}: {left}, {}", bent_at(corner_m));
             seen += 1;
@@ -138,13 +139,13 @@ fn a_sample_is_shown_at_the_end_of_its_period_and_play_keeps_it_back() {
     let (bent_rad, shown_rad) = step(&mut body, 0.0);
     assert!(bent_rad > 0.1 && shown_rad == 0.0, "{bent_rad}");
     assert_eq!(step(&mut body, 0.1999).1, 0.0);
-    // Half the play behind the whisker; it stays when the whisker comes back by less than all of it.
+    // The reading lags the whisker by half the play; it stays when the whisker returns by less than the whole play.
     let shown_rad = step(&mut body, 0.2).1;
     assert!((shown_rad - (bent_rad - 0.05)).abs() < 1e-9, "{shown_rad}, {bent_rad}");
     assert_eq!(body.reading(1), 0.0, "nothing on the right");
 }
 
-/// Without friction anywhere, what the box gains the robot loses.
+/// Momentum balance without friction: the robot loses what the box gains.
 #[test]
 fn a_whisker_pushes_box_and_robot_apart() {
     let mut scene = Scene::default();
@@ -180,7 +181,7 @@ fn heavy_boxes_stop_the_wide_shell_and_let_the_narrow_one_through() {
         drive(&mut body, &mut scene, shape_rad, 5.0);
         (body.pose().x_m, scene)
     };
-    // The panels' half width is that of the gap 6.9 cm behind the nose, which is 20 cm before the boxes.
+    // The panels' half width equals that of the gap 6.9 cm behind the nose, which is 20 cm in front of the boxes.
     let (wide_m, scene) = reached(HEAVY, FRAC_PI_3);
     assert!((wide_m - 0.269).abs() < 0.01, "{wide_m}");
     assert!((scene.boxes()[0].pose().x_m - 0.4925).abs() < 1e-4, "it stays: {:?}", scene.boxes()[0].pose());
@@ -192,7 +193,7 @@ fn heavy_boxes_stop_the_wide_shell_and_let_the_narrow_one_through() {
     assert!(pose.y_m > 0.23 + 0.04, "pushed aside: {pose:?}");
 }
 
-/// Between boxes of 40 N each it opens until they press with what it holds; friction of 10 N gives way.
+/// Between boxes of 40 N each it opens until they press with its holding force; boxes of 10 N friction slide away.
 #[test]
 fn a_shell_opens_no_further_than_its_force_reaches() {
     let opened = |mass_kg: f64| {
@@ -207,7 +208,7 @@ fn a_shell_opens_no_further_than_its_force_reaches() {
         (SHELL.width_m(body.angle_rad()), squeezed_n)
     };
     let (width_m, squeezed_n) = opened(10.2);
-    // The bumper gives way by a tenth of a millimetre.
+    // The bumper yields by a tenth of a millimetre.
     assert!((width_m - 0.24).abs() < 5e-4, "{width_m}");
     assert!((squeezed_n / SHELL.holds_n - 1.0).abs() < 0.02, "{squeezed_n}");
     let (width_m, _) = opened(2.5);

@@ -1,4 +1,4 @@
-//! Whiskers: sprung, straight, massless, on hinges beside the nose; each rests against the first thing in its way.
+//! Whiskers: sprung, straight, massless, on hinges beside the nose; each rests against the first obstacle in its way.
 
 use std::{collections::VecDeque, f64::consts::PI};
 
@@ -9,26 +9,26 @@ use crate::{
     scene::{Point, Scene, Segment, dot, length, minus, plus},
 };
 
-/// Both whiskers, mirror images, and what measures them.
+/// Both whiskers, mirror images, and their angle sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Whiskers {
-    /// Hinge of the left one from the nose: forwards (negative: behind it) and to the left, m.
+    /// Hinge of the left whisker relative to the nose: forwards (negative: behind it) and to the left, m.
     pub hinge_m: [f64; 2],
     /// Length from the hinge to the tip, m.
     pub length_m: f64,
-    /// How far the left one points to the left of forwards when free, rad.
+    /// Free direction of the left whisker, rad to the left of forwards.
     pub rest_rad: f64,
-    /// Spring, N m/rad.
+    /// Stiffness of the spring, N m/rad.
     pub stiffness_nm_per_rad: f64,
-    /// Play between whisker and magnet, from end to end, rad: what the reading lags behind on its way back.
+    /// Play between whisker and magnet, from end to end, rad; the reading has this hysteresis.
     pub hysteresis_rad: f64,
-    /// The magnets' angles are sampled so often, s.
+    /// Sampling period of the magnets' angles, s.
     pub every_s: f64,
-    /// A sample is shown so long after it was taken, s.
+    /// Delay from a sample to its reading, s.
     pub late_s: f64,
     /// Noise of a sample, standard deviation, rad.
     pub noise_rad: f64,
-    /// Seed of the noise.
+    /// Seed of the noise generator.
     pub seed: u64,
 }
 
@@ -41,32 +41,32 @@ impl Whiskers {
             && (0.0..PI).contains(&self.rest_rad)
             && self.hinge_m.iter().all(|place| place.is_finite())
             && self.hinge_m[1] >= 0.0;
-        // A queue of more samples than that is a mistake, and costs memory.
+        // a longer queue is a mistake in the parameters, and costs memory
         if is_right && self.late_s <= 100.0 * self.every_s { Ok(()) } else { Err(DeformableError::Whiskers) }
     }
 }
 
-/// One whisker.
+/// State of one whisker.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Whisker {
-    /// How far it is bent backwards, rad; negative forwards.
+    /// Bend from the free direction, rad; positive backwards.
     pub(super) bent_rad: f64,
-    /// Where its magnet is.
+    /// Angle of the magnet, rad, within the play of `bent_rad`.
     pub(super) magnet_rad: f64,
 }
 
-/// What a whisker leans on.
+/// Contact of a whisker with an obstacle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Touch {
-    /// World frame, m.
+    /// Contact point, world frame, m.
     pub(super) at_m: Point,
-    /// Force of the whisker, world frame, N.
+    /// Force of the whisker on the obstacle, world frame, N.
     pub(super) force_n: Point,
-    /// Number of the box; `None` for something that stands.
+    /// Index of the box; `None` for a fixed obstacle.
     pub(super) box_number: Option<usize>,
 }
 
-/// Part of an obstacle within a whisker's reach: its ends, as bends, rad, with where they are.
+/// Part of an obstacle within a whisker's reach: its ends as bends, rad, with their points.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     ends: [(f64, Point); 2],
@@ -74,8 +74,8 @@ struct Span {
 }
 
 impl Whisker {
-    /// Bends it round what is in its way. `side` is 1 for the left one and -1 for the right one; `most_rad` the bend at which it lies on
-    /// the shell.
+    /// Updates bend and magnet, and returns the contact with an obstacle. `side` is 1 for the left whisker and -1 for
+    /// the right one; `most_rad` is the bend at which it lies on the shell.
     pub(super) fn step(
         &mut self,
         spec: &Whiskers,
@@ -87,13 +87,14 @@ impl Whisker {
     ) -> Option<Touch> {
         let hinge = body.to_world([nose_m + spec.hinge_m[0], side * spec.hinge_m[1]]);
         let (sin, cos) = libm::sincos(body.yaw_rad);
-        // The cut of the angle is straight behind the hinge, where the robot itself is.
+        // the discontinuity of atan2 is straight behind the hinge, inside the robot
         let bend = |point: Point| {
             let [x, y] = minus(point, hinge);
             side * libm::atan2(cos * y - sin * x, cos * x + sin * y) - spec.rest_rad
         };
         let spans = spans(scene, time_s, hinge, spec.length_m, bend);
-        // Between what it has been pushed back by, and what it has passed; a spring in between.
+        // lower limit by obstacles that push it back, upper limit by obstacles it has passed; its spring acts in
+        // between
         let (mut low, mut high) = ((-0.5 * PI, None), (most_rad, None));
         for span in spans {
             let [first, last] = span.ends;
@@ -110,21 +111,22 @@ impl Whisker {
             (_, (at, touch)) if at < 0.0 => (at, touch),
             _ => (0.0, None),
         };
-        // What presses it onto the shell has no room left: the shell takes over.
+        // an obstacle that presses it onto the shell pushes the shell from here on
         self.bent_rad = bent_rad.clamp(-0.5 * PI, most_rad);
         let half_rad = 0.5 * spec.hysteresis_rad;
         self.magnet_rad = self.magnet_rad.clamp(self.bent_rad - half_rad, self.bent_rad + half_rad);
         let (at_m, box_number) = touch?;
         let arm = minus(at_m, hinge);
         let distance_m = length(arm).max(0.1 * spec.length_m);
-        // Across the whisker, the way it wants to go: forwards while bent backwards, which is clockwise on the left.
+        // force across the whisker, in the direction of its return: forwards while bent backwards, which is clockwise
+        // on the left
         let size_n = spec.stiffness_nm_per_rad * self.bent_rad / distance_m;
         let across = [side * arm[1] / distance_m, -side * arm[0] / distance_m];
         Some(Touch { at_m, force_n: across.map(|part| size_n * part), box_number })
     }
 }
 
-/// Parts of everything within reach of a hinge.
+/// Parts of all obstacles within reach of a hinge.
 fn spans(scene: &Scene, time_s: f64, hinge: Point, reach_m: f64, bend: impl Fn(Point) -> f64) -> Vec<Span> {
     let mut spans = Vec::new();
     let mut add = |points: &mut dyn Iterator<Item = Point>, box_number| {
@@ -160,7 +162,7 @@ fn spans(scene: &Scene, time_s: f64, hinge: Point, reach_m: f64, bend: impl Fn(P
             continue;
         }
         let tangent_m = libm::sqrt(distance_m * distance_m - disc.radius_m * disc.radius_m);
-        // Where a tangent touches, or the tip where that is out of reach: cosine rule.
+        // the tangent's contact point, or the tip where that is out of reach (law of cosines)
         let touches_m = tangent_m.min(reach_m);
         let cos = (distance_m * distance_m + touches_m * touches_m - disc.radius_m * disc.radius_m)
             / (2.0 * distance_m * touches_m);
@@ -175,7 +177,7 @@ fn spans(scene: &Scene, time_s: f64, hinge: Point, reach_m: f64, bend: impl Fn(P
     spans
 }
 
-/// Where a straight edge crosses a circle.
+/// Intersections of a straight edge with a circle, none to two.
 fn crossings(edge: Segment, centre: Point, radius_m: f64) -> impl Iterator<Item = Point> {
     let (from, along) = (edge.from, minus(edge.to, edge.from));
     let (squared, ahead) = (dot(along, along), dot(minus(centre, from), along));
@@ -192,7 +194,7 @@ fn crossings(edge: Segment, centre: Point, radius_m: f64) -> impl Iterator<Item 
     shares.into_iter().filter(|share| (0.0..=1.0).contains(share)).map(move |share| plus(from, along, share))
 }
 
-/// Samples of both magnets on their way to where they are shown.
+/// Samples of both magnets, delayed until they become readings.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Shown {
     next_s: f64,
@@ -206,9 +208,9 @@ impl Shown {
         Self { next_s: 0.0, waiting: VecDeque::new(), shown_rad: [0.0; 2], noise: Dice::new(seed) }
     }
 
-    /// Samples if it is time, and shows what has waited long enough.
+    /// Samples when a period is over, and publishes samples whose delay is over.
     pub(super) fn step(&mut self, spec: &Whiskers, time_s: f64, magnets_rad: [f64; 2]) {
-        // Moments are compared with less than a step's rounding.
+        // tolerance for the rounding of summed steps, far below a step
         let now_s = time_s + 1e-9;
         if now_s >= self.next_s {
             let sample = magnets_rad.map(|magnet_rad| magnet_rad + spec.noise_rad * self.noise.normal());

@@ -1,4 +1,4 @@
-//! The potential gradient over open ground: space charges that stay, and clouds that drift and change.
+//! Potential gradient over open ground: fixed space charges, and clouds that drift and change.
 
 use super::{FieldError, ou::Wander};
 use crate::{
@@ -6,54 +6,54 @@ use crate::{
     scene::{Point, dot, minus, plus},
 };
 
-/// Step of the time-varying part, s. Between steps it is a straight line, which takes at most 5 % of the variance of a process of
-/// the shortest time allowed, and 0.5 % of one of 5 s.
+/// Step of the time-varying part, s. Linear interpolation between steps removes at most 5 % of the variance of a
+/// process with the shortest time allowed, and 0.5 % at 5 s.
 const STEP_S: f64 = 0.1;
 
-/// A Gaussian part of the field.
+/// Space charge with a Gaussian field around its centre.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Charge {
-    /// Its centre at time 0, m.
+    /// Centre at time 0, m.
     pub place_m: Point,
     /// Standard deviation of the Gaussian, m.
     pub size_m: f64,
-    /// Field in its centre, V/m.
+    /// Field in the centre, V/m.
     pub peak_v_per_m: f64,
 }
 
-/// A Gaussian part that moves with the wind and whose peak wanders.
+/// Gaussian part that moves with the wind and whose peak varies randomly.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cloud {
-    /// Its centre at time 0 and its size; `peak_v_per_m` is the mean of its peak.
+    /// Centre at time 0 and size; `peak_v_per_m` is the mean of the peak.
     pub charge: Charge,
-    /// m/s
+    /// Velocity of the centre, m/s.
     pub velocity_m_s: Point,
-    /// How its peak wanders about the mean, V/m.
+    /// Random variation of the peak about its mean, V/m.
     pub wander: Wander,
 }
 
-/// All that makes an electric field.
+/// Components of an electric field.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ElectricSpec {
-    /// Everywhere, V/m: 100 in fair weather.
+    /// Uniform part, V/m: 100 in fair weather.
     pub uniform_v_per_m: f64,
-    /// What stays.
+    /// Charges that stay in place.
     pub charges: Vec<Charge>,
-    /// What passes.
+    /// Clouds that move with the wind.
     pub clouds: Vec<Cloud>,
-    /// How the field wanders everywhere at once, V/m.
+    /// Random variation of the whole field at once, V/m.
     pub drift: Wander,
-    /// Of everything that wanders.
+    /// Seed of all random variations.
     pub seed: u64,
 }
 
-/// Vertical potential gradient, V/m.
+/// Vertical potential gradient, V/m, with its state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Electric {
     spec: ElectricSpec,
     dice: Dice,
     steps: u64,
-    /// Of the drift and each cloud: at the last step, and at the next one.
+    /// Values of the drift and of each cloud's variation, V/m: at the last step, and at the next one.
     wandering: Vec<[f64; 2]>,
 }
 
@@ -94,13 +94,13 @@ impl Electric {
         Ok(Self { spec, dice, steps: 0, wandering })
     }
 
-    /// What it was made of.
+    /// Components the field was made of.
     #[must_use]
     pub const fn spec(&self) -> &ElectricSpec {
         &self.spec
     }
 
-    /// The part that does not change with time, V/m: what a map is scored against.
+    /// The part constant in time, V/m, which maps are scored against.
     #[must_use]
     pub fn steady(&self, point: Point) -> f64 {
         let charges = self.spec.charges.iter();

@@ -1,36 +1,38 @@
-//! Steady flow of air round the walls of a scene: potential flow on a grid.
+//! Steady air flow round the walls of a scene: potential flow on a grid.
 //!
-//! Walls close the faces between the cells that they separate, so that they need no thickness. Laplace's equation for the potential is
-//! solved by conjugate gradients, with a given speed at the inlets and one pressure at the outlets. Within a cell each component of
-//! the velocity is linear along its own axis (Raviart-Thomas elements of lowest order), so that the flow has no divergence anywhere
-//! and none of it goes through a wall. Potential flow has no wakes: behind a shelf air turns the corner in place of whirling.
+//! Walls close the faces between the cells that they separate, so they need no thickness. Conjugate gradients solve
+//! Laplace's equation for the potential, with a given speed at the inlets and one pressure at the outlets. Within a
+//! cell each component of the velocity is linear along its own axis (Raviart-Thomas elements of lowest order), so the
+//! flow is free of divergence and does not pass through walls. Potential flow has no wakes: behind a shelf the air
+//! follows the corner without whirling.
 
 use crate::scene::{Point, Scene, Segment, cross, length, minus};
 
-/// Most cells of a grid.
+/// Largest number of cells of a grid.
 const CELLS_MAX: usize = 100_000;
-/// Residual of the solution against that at the start, 1. At 1e-10 the cells' divergence is below 1e-8 of the inlet's flow.
+/// Norm of the final residual relative to that at the start. At 1e-10 the cells' divergence is below 1e-8 of the
+/// inlet's flow.
 const RESIDUAL: f64 = 1e-10;
 
-/// The domain and its openings.
+/// Domain of the flow and its openings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlowSpec {
-    /// Two opposite corners of the domain, lower and upper, m. Its rim is closed but for the openings.
+    /// Lower and upper corner of the domain, m. Its rim is closed except for the openings.
     pub corners_m: [Point; 2],
     /// Side of a cell, m; narrower passages are closed.
     pub cell_m: f64,
-    /// Parts of the rim where air comes in, each from point to point, m.
+    /// Parts of the rim where air enters, each from point to point, m.
     pub inlets_m: Vec<[Point; 2]>,
-    /// Parts of the rim where air goes out.
+    /// Parts of the rim where air leaves, each from point to point, m.
     pub outlets_m: Vec<[Point; 2]>,
-    /// Speed of the air in the inlets, m/s.
+    /// Air speed in the inlets, m/s.
     pub speed_m_s: f64,
 }
 
-/// Why there is no flow.
+/// Reasons why a flow cannot be computed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FlowError {
-    /// Numbers that make no grid.
+    /// Parameters that make no grid.
     #[error(
         "the domain needs lower and upper corners, `cell_m` and `speed_m_s` above 0, and at most {CELLS_MAX} cells"
     )]
@@ -38,17 +40,17 @@ pub enum FlowError {
     /// An opening that is not on the rim.
     #[error("`{which}` {number} is on no side of the domain: give two points on one side, a cell or more apart")]
     Opening {
-        /// Inlets or outlets.
+        /// Name of the field, `inlets_m` or `outlets_m`.
         which: &'static str,
-        /// From 0.
+        /// Index of the opening, from 0.
         number: usize,
     },
-    /// Walls between inlet and outlet.
+    /// Inlet and outlet separated by walls.
     #[error("air of an inlet reaches no outlet: open the walls between, or make `cell_m` smaller than the passages")]
     Closed,
 }
 
-/// A flow that was computed.
+/// A computed flow field.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Flow {
     from_m: Point,
@@ -56,17 +58,17 @@ pub struct Flow {
     size: [usize; 2],
     /// Velocity through the lower face of each cell and the upper one of the last, by axis, m/s.
     faces: [Vec<f64>; 2],
-    /// Whether air passes each of these faces.
+    /// True for faces that air passes, by axis.
     open: [Vec<bool>; 2],
-    /// Whether the cell is connected to an outlet.
+    /// True for cells connected to an outlet.
     wet: Vec<bool>,
 }
 
 impl Flow {
-    /// The flow around what stands in a scene; people are left out.
+    /// The flow around the walls and posts of a scene, without people.
     ///
     /// # Errors
-    /// [`FlowError`], where the specification makes no grid, or no air can flow.
+    /// [`FlowError`] if the specification makes no grid, an opening is not on the rim, or no air can flow.
     pub fn new(spec: &FlowSpec, scene: &Scene) -> Result<Self, FlowError> {
         let [from_m, to_m] = spec.corners_m;
         let extent = minus(to_m, from_m);
@@ -95,7 +97,7 @@ impl Flow {
         y * self.size[0] + x
     }
 
-    /// Number of the face of `axis` at the lower side of a cell; with one more along the axis, at its upper side.
+    /// Index of the face of `axis` at the lower side of a cell; with one more along the axis, at its upper side.
     fn face(&self, axis: usize, [x, y]: [usize; 2]) -> usize {
         if axis == 0 { y * (self.size[0] + 1) + x } else { y * self.size[0] + x }
     }
@@ -137,7 +139,7 @@ impl Flow {
         }
     }
 
-    /// Faces of the rim within the given parts of it.
+    /// Faces of the rim within the given parts.
     fn openings(&self, which: &'static str, parts: &[[Point; 2]]) -> Result<Vec<Opening>, FlowError> {
         let mut openings = Vec::new();
         for (number, [from, to]) in parts.iter().enumerate() {
@@ -169,7 +171,7 @@ impl Flow {
         Ok(openings)
     }
 
-    /// Marks what is connected to an outlet.
+    /// Marks the cells connected to an outlet.
     fn flood(&mut self, outlets: &[Opening]) {
         let mut next: Vec<usize> = outlets.iter().map(|outlet| outlet.cell).collect();
         while let Some(cell) = next.pop() {
@@ -179,7 +181,7 @@ impl Flow {
         }
     }
 
-    /// The cells behind the open faces of one.
+    /// Neighbours of a cell behind its open faces.
     fn neighbours(&self, cell: usize) -> [Option<usize>; 4] {
         let at = [cell % self.size[0], cell / self.size[0]];
         let strides = [1, self.size[0]];
@@ -193,11 +195,11 @@ impl Flow {
         })
     }
 
-    /// The potential by conjugate gradients (Hestenes, Stiefel 1952), and from it the velocity at the faces.
+    /// Solves for the potential by conjugate gradients (Hestenes, Stiefel 1952), and derives the velocity at the faces.
     fn solve(&mut self, inlets: &[Opening], outlets: &[Opening], speed_m_s: f64) {
         let count = self.wet.len();
         let links: Vec<_> = (0..count).map(|cell| self.neighbours(cell)).collect();
-        // An outlet is half a cell away from the middle of its cell.
+        // the outlet is half a cell away from the centre of its cell
         let mut outflow = vec![0.0; count];
         outlets.iter().for_each(|outlet| outflow[outlet.cell] += 2.0);
         let mut residual = vec![0.0; count];
@@ -213,7 +215,7 @@ impl Flow {
         let square = |of: &[f64]| of.iter().map(|value| value * value).sum::<f64>();
         let mut left = square(&residual);
         let enough = left * RESIDUAL * RESIDUAL;
-        // In exact arithmetic as many steps as there are cells are enough.
+        // in exact arithmetic, as many steps as cells are sufficient
         for _ in 0..count {
             if left <= enough {
                 break;
@@ -244,13 +246,13 @@ impl Flow {
             for Opening { axis, face, cell, last } in openings.iter().copied() {
                 let inwards_m_s = if is_inlet { speed_m_s } else { -2.0 * potential[cell] / self.cell_m };
                 self.faces[axis][face] = if last { -inwards_m_s } else { inwards_m_s };
-                // Through an inlet nothing goes out.
+                // no filament leaves through an inlet
                 self.open[axis][face] = !is_inlet;
             }
         }
     }
 
-    /// Number of the cell around a point; `None` outside the domain.
+    /// Indices of the cell around a point; `None` outside the domain.
     fn around(&self, point: Point) -> Option<[usize; 2]> {
         let at = [0, 1].map(|axis| ((point[axis] - self.from_m[axis]) / self.cell_m).floor());
         let inside = (0..2).all(|axis| at[axis] >= 0.0 && at[axis] < self.size[axis] as f64);
@@ -263,7 +265,7 @@ impl Flow {
         self.cell_m
     }
 
-    /// Whether air of an inlet can come to a point.
+    /// True if air from an inlet can reach the point.
     #[must_use]
     pub fn is_wet(&self, point: Point) -> bool {
         self.around(point).is_some_and(|at| self.wet[self.cell(at)])
@@ -282,8 +284,8 @@ impl Flow {
         })
     }
 
-    /// Where something goes that is moved by `way`, m, at most a cell along each axis: it slides along closed faces. `None` where it
-    /// leaves by an outlet.
+    /// Point after a displacement `way`, m, of at most a cell along each axis; it slides along closed faces. `None` if
+    /// it leaves through an outlet.
     pub(super) fn moved(&self, mut point: Point, way: Point) -> Option<Point> {
         for axis in 0..2 {
             let at = self.around(point)?;
@@ -303,7 +305,7 @@ impl Flow {
         self.around(point).map(|_| point)
     }
 
-    /// Whether no closed face is on the straight way between two points of the domain.
+    /// True if no closed face is on the straight line between two points of the domain.
     pub(super) fn sees(&self, from: Point, to: Point) -> bool {
         let way = minus(to, from);
         let steps = (length(way) / (0.5 * self.cell_m)).ceil().max(1.0);
@@ -320,21 +322,21 @@ impl Flow {
     }
 }
 
-/// A face of the rim.
+/// Face of the rim that belongs to an opening.
 #[derive(Clone, Copy, Debug)]
 struct Opening {
     axis: usize,
     face: usize,
     cell: usize,
-    /// Whether it is at the upper end of its axis.
+    /// True at the upper end of its axis.
     last: bool,
 }
 
-/// Whether a wall separates the ends of a way: it crosses it, or ends on it.
+/// True if a wall separates the ends of the line `way`: it crosses it, or ends on it.
 fn crosses(wall: &Segment, way: &Segment) -> bool {
     let side = |line: &Segment, point: Point| cross(minus(line.to, line.from), minus(point, line.from));
     let (one, other) = (side(wall, way.from), side(wall, way.to));
     let (from, to) = (side(way, wall.from), side(way, wall.to));
-    // A way that begins on the wall belongs to one side of it.
+    // a line that starts on the wall belongs to one side of it
     (one >= 0.0) != (other >= 0.0) && from * to <= 0.0
 }

@@ -1,8 +1,8 @@
-//! Scalar fields of the world, which sensors on a body read at the place where they are.
+//! Scalar fields of the world, which sensors on a body read at their place.
 //!
-//! A field is a state at a time. Asking for a later time steps it there, by steps of its own, so that who asks more often changes
-//! nothing: the same seed gives the same bytes. A time before one already asked for counts as that one; to go back, clone the field
-//! at time 0.
+//! A field has a state at a time. A query for a later time advances it by steps of its own, so the frequency of queries
+//! does not matter: the same seed gives the same bytes. A query for an earlier time is answered for the time already
+//! reached; to go back, clone the field at time 0.
 
 mod electric;
 mod flow;
@@ -20,29 +20,29 @@ pub use plume::{Balance, Plume, PlumeSpec};
 
 use crate::scene::Point;
 
-/// Why a field cannot be computed.
+/// Reasons why a field cannot be computed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FieldError {
-    /// A number out of its range.
+    /// Parameter out of its range.
     #[error("`{what}` {rule}")]
     Number {
-        /// Field of the specification.
+        /// Name of the parameter.
         what: &'static str,
-        /// What must hold.
+        /// Rule that the parameter violates.
         rule: &'static str,
     },
-    /// The source is in a wall, or where no air comes.
+    /// A source inside a wall, or where no air flows.
     #[error("`source_m` [{}, {}] is where no air flows: move it to where the inlet's air comes by", .0[0], .0[1])]
     Source(Point),
-    /// More filaments than can be stepped.
+    /// More filaments than the limit.
     #[error("{filaments} filaments at once, and at most {most}: release fewer a second, or shorten `lifetime_s`")]
     TooMany {
-        /// In one lifetime.
+        /// Filaments released in one lifetime.
         filaments: f64,
-        /// The limit.
+        /// Largest number of filaments.
         most: usize,
     },
-    /// The air cannot flow.
+    /// Error of the air flow.
     #[error(transparent)]
     Flow(#[from] FlowError),
 }
@@ -50,16 +50,16 @@ pub enum FieldError {
 /// A field with its name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Field {
-    /// By which sensors name it.
+    /// Name by which sensors refer to the field.
     pub name: String,
-    /// What it is.
+    /// Kind of the field with its state.
     pub kind: FieldKind,
 }
 
-/// The kinds of fields.
+/// Kinds of fields, by the quantity.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FieldKind {
-    /// Share of a gas in the air, ppm by volume.
+    /// Volume fraction of a gas in the air, ppm.
     Gas(Box<Plume>),
     /// Vertical potential gradient, V/m.
     Electric(Box<Electric>),
@@ -74,7 +74,7 @@ impl Field {
         }
     }
 
-    /// Unit of its values.
+    /// Unit of the field's values, `ppm` or `V/m`.
     #[must_use]
     pub const fn unit(&self) -> &'static str {
         match self.kind {

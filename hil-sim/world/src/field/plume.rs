@@ -1,9 +1,9 @@
-//! A plume of gas as filaments: puffs that the air carries, that grow, and between which there is none.
+//! Plume of gas as filaments: puffs that the air carries and that grow, with clean air between them.
 //!
-//! The air is a layer of a given depth within which the gas is mixed, so that the plane has all of it. Each step carries every filament
-//! by the flow, by a velocity that wanders for all of them at once (the meander of the centre line) and by a white one of its own
-//! (relative dispersion). Its variance grows linearly. Walls stop filaments, and hide a filament from points behind them: the part
-//! of its Gaussian beyond a wall is not seen there and missing from the sum.
+//! The air is a layer of a given depth in which the gas is mixed, so the plane contains all of it. In each step every
+//! filament moves by the flow, by a random velocity common to all (the meander of the centre line) and by a white one
+//! of its own (relative dispersion). Its variance grows linearly. Walls stop filaments, and hide a filament from points
+//! behind them: the part of its Gaussian beyond a wall is missing from the sum.
 //!
 //! # Source
 //! Farrell, Murlis, Long, Li, Cardé, "Filament-based atmospheric dispersion model to achieve short time-scale structure of odor
@@ -20,21 +20,21 @@ use crate::{
 
 /// Step of the filaments, s.
 const STEP_S: f64 = 0.1;
-/// A filament is seen to so many of its standard deviations: 0.2 % of it are outside.
+/// Radius of a filament's influence in standard deviations: 0.2 % of the gas is outside.
 pub(super) const REACH: f64 = 3.5;
-/// Most filaments in one lifetime.
+/// Largest number of filaments in one lifetime.
 const FILAMENTS_MAX: usize = 20_000;
-/// Longest time before 0 in which gas was released, s.
+/// Longest run of the source before time 0, s.
 const BEFORE_MAX_S: f64 = 3600.0;
 
-/// A source and how its gas spreads.
+/// Gas source and the dispersion of its gas.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlumeSpec {
-    /// Where gas comes out, m.
+    /// Place of the source, m.
     pub source_m: Point,
-    /// Gas released, m³/s.
+    /// Release rate of the gas, m³/s.
     pub release_m3_s: f64,
-    /// Filaments released in a second, each of the same share of the gas.
+    /// Filaments released per second, each with the same share of the gas.
     pub filaments_per_s: f64,
     /// Depth of the layer in which the gas is mixed, m.
     pub layer_m: f64,
@@ -44,13 +44,13 @@ pub struct PlumeSpec {
     pub growth_m2_s: f64,
     /// Growth of the variance of filaments' places about the centre line along each axis, m²/s.
     pub spread_m2_s: f64,
-    /// Velocity that all filaments have in common besides the flow's, along each axis, m/s.
+    /// Random velocity common to all filaments in addition to the flow's, along each axis, m/s.
     pub meander: Wander,
-    /// Age at which a filament is taken for mixed with the room's air and forgotten, s.
+    /// Age at which a filament counts as mixed with the room's air and is removed, s.
     pub lifetime_s: f64,
-    /// How long before time 0 the source has been running, s.
+    /// Time for which the source runs before time 0, s.
     pub running_s: f64,
-    /// Of all that is random.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
@@ -61,20 +61,20 @@ struct Filament {
     born: u64,
 }
 
-/// Where the released gas is, m³.
+/// Mass balance of the gas, m³ at the release.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Balance {
-    /// Everything so far.
+    /// Gas released so far, m³.
     pub released_m3: f64,
-    /// In the domain.
+    /// Gas inside the domain, m³.
     pub inside_m3: f64,
-    /// Gone through outlets.
+    /// Gas that left through outlets, m³.
     pub left_m3: f64,
-    /// Forgotten at the end of the filaments' lifetime.
+    /// Gas removed at the end of the filaments' lifetime, m³.
     pub faded_m3: f64,
 }
 
-/// Share of a gas in the air, ppm.
+/// Concentration of a gas in the air, ppm.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plume {
     spec: PlumeSpec,
@@ -89,18 +89,18 @@ pub struct Plume {
 }
 
 impl Plume {
-    /// The plume at time 0, in a flow that is computed around what stands in the scene.
+    /// The plume at time 0, in a flow computed around the walls and posts of the scene.
     ///
     /// # Errors
-    /// [`FieldError`], by the number that is wrong.
+    /// [`FieldError`] names the parameter that is out of range.
     pub fn new(spec: PlumeSpec, flow: &FlowSpec, scene: &Scene) -> Result<Self, FieldError> {
         Self::in_flow(spec, Arc::new(Flow::new(flow, scene)?))
     }
 
-    /// The same at time 0 with other numbers, in the same flow.
+    /// The plume at time 0 with changed parameters, in the same flow.
     ///
     /// # Errors
-    /// As of [`Plume::new`].
+    /// As [`Plume::new`].
     pub fn changed(&self, change: impl FnOnce(&mut PlumeSpec)) -> Result<Self, FieldError> {
         let mut spec = self.spec.clone();
         change(&mut spec);
@@ -142,19 +142,19 @@ impl Plume {
         Ok(Self { spec, flow, dice, steps, filaments: Vec::new(), meander_m_s, released, left, faded })
     }
 
-    /// What it was made of.
+    /// Parameters of the plume.
     #[must_use]
     pub const fn spec(&self) -> &PlumeSpec {
         &self.spec
     }
 
-    /// The air that carries it.
+    /// Air flow that carries the gas.
     #[must_use]
     pub fn flow(&self) -> &Flow {
         &self.flow
     }
 
-    /// Where the gas is at the last step.
+    /// Mass balance of the gas at the last step.
     #[must_use]
     pub fn balance(&self) -> Balance {
         let share_m3 = self.spec.release_m3_s / self.spec.filaments_per_s;
@@ -166,7 +166,7 @@ impl Plume {
         }
     }
 
-    /// Value at the last step up to a time, s.
+    /// Concentration at the last step up to a time, s, in ppm.
     pub(super) fn value(&mut self, time_s: f64, point: Point) -> f64 {
         while (self.steps + 1) as f64 * STEP_S <= time_s + self.spec.running_s {
             self.step();

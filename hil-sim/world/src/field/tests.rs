@@ -39,7 +39,7 @@ fn gas(plume: Plume) -> Field {
     Field { name: "gas".into(), kind: FieldKind::Gas(Box::new(plume)) }
 }
 
-/// Two halves with a door in the wall between: what comes in goes through the door.
+/// Two halves with a door in the wall between them: the inlet's flow passes the door.
 #[test]
 fn air_goes_through_the_door() {
     let mut scene = Scene::default();
@@ -47,12 +47,12 @@ fn air_goes_through_the_door() {
     scene.add_walls(&[[10.2, 7.0], [10.2, 12.0]], false).unwrap();
     let flow = Flow::new(&hall(), &scene).unwrap();
     let through = |x_m: f64| (0..24).map(|cell| flow.velocity_m_s([x_m, 0.25 + 0.5 * f64::from(cell)])[0]).sum::<f64>();
-    // 24 cells of 0.5 m/s. The solution's residual is 1e-10 of the inlet's.
+    // Sum over 24 cells of 0.5 m/s. The solution's residual is 1e-10 of the inlet's.
     for x_m in [0.0, 3.0, 10.0, 10.5, 19.99] {
         assert!((through(x_m) / 12.0 - 1.0).abs() < 1e-7, "{x_m}: {}", through(x_m));
     }
     assert_eq!(flow.velocity_m_s([10.0, 3.25])[0], 0.0, "the wall is at the face at 10 m");
-    // 3 m/s in the mean of the door, and at its sharp edges more than in its middle.
+    // The mean in the door is 3 m/s, higher at its sharp edges than in its middle.
     assert!((2.0..3.0).contains(&flow.velocity_m_s([10.0, 6.25])[0]));
     assert!(flow.sees([8.0, 6.0], [12.0, 6.0]) && !flow.sees([8.0, 3.0], [12.0, 3.0]));
     let step = |from: [f64; 2], way: [f64; 2]| flow.moved(from, way);
@@ -70,7 +70,7 @@ fn an_empty_hall_has_wind_of_one_speed() {
     }
 }
 
-/// Behind walls, with meander, outflow and fading: to rounding, at every moment.
+/// Mass balance with walls, meander, outflow and fading: to rounding, at every moment.
 #[test]
 fn no_gas_is_lost() {
     let mut scene = Scene::default();
@@ -84,7 +84,7 @@ fn no_gas_is_lost() {
         let balance = plume.balance();
         let sum = balance.inside_m3 + balance.left_m3 + balance.faded_m3;
         assert!((sum - balance.released_m3).abs() < 1e-15, "{balance:?}");
-        // A filament of a fifth of a second is released late by at most one.
+        // a filament carries a fifth of a second, and is released late by at most one
         assert!((balance.released_m3 - 1e-5 * f64::from(second)).abs() < 5e-6, "{balance:?}");
     }
     let FieldKind::Gas(plume) = &field.kind else { unreachable!() };
@@ -93,7 +93,7 @@ fn no_gas_is_lost() {
     assert_eq!(field.value(200.0, [10.0, 5.0]), 0.0, "nothing in the closed shelf");
 }
 
-/// All of the gas inside is found by summing the field over the plane: cut at 3.5 deviations, it lacks exp(-3.5²/2) = 0.22 %.
+/// The sum of the field over the plane gives the gas inside: the cut at 3.5 deviations removes exp(-3.5²/2) = 0.22 %.
 #[test]
 fn the_field_holds_the_gas_that_is_inside() {
     let mut field = gas(Plume::new(PlumeSpec { radius_m: 0.2, ..spec() }, &hall(), &Scene::default()).unwrap());
@@ -110,8 +110,9 @@ fn the_field_holds_the_gas_that_is_inside() {
     assert!((found_m3 / plume.balance().inside_m3 / kept - 1.0).abs() < 2e-3, "{found_m3} {:?}", plume.balance());
 }
 
-/// On the centre line filaments come by as a Poisson process of the density `f / (u sqrt(TAU) s)` on the plane, so that the share of
-/// time with gas is `1 - exp(-density pi (3.5 r)²)` and the mean that of a Gaussian plume, of which the cut takes 0.2 %.
+/// On the centre line filaments pass as a Poisson process of the density `f / (u sqrt(TAU) s)` on the plane, so the
+/// share of time with gas is `1 - exp(-density pi (3.5 r)²)` and the mean that of a Gaussian plume, reduced by 0.2 % by
+/// the cut.
 #[test]
 fn gas_comes_as_often_and_as_much_as_the_statistics_say() {
     let mut field = gas(Plume::new(spec(), &hall(), &Scene::default()).unwrap());
@@ -130,14 +131,15 @@ fn gas_comes_as_often_and_as_much_as_the_statistics_say() {
         with_gas += f64::from(u8::from(value > 0.0)) / f64::from(count);
         sum += value / f64::from(count);
     }
-    // A filament is seen for about 0.7 s, so that 10 000 s are 7000 independent looks: four standard errors are 0.024 of the share,
-    // and, with a standard deviation of about twice the mean, 0.1 of the mean.
+    // A filament is visible for about 0.7 s, so 10 000 s are 7000 independent samples: four standard errors are 0.024
+    // of the share, and, with a standard deviation of about twice the mean, 0.1 of the mean.
     assert!((0.2..0.8).contains(&expected_share), "the test wants both: {expected_share}");
     assert!((with_gas - expected_share).abs() < 0.024, "{with_gas} of time, {expected_share}");
     assert!((sum / expected_ppm - 1.0).abs() < 0.1, "{sum} ppm, {expected_ppm} ppm");
 }
 
-/// Taylor (1921): `2 v² T² (t/T - 1 + exp(-t/T))` is the variance across the wind of what is carried by the meander for a time.
+/// Taylor (1921): `2 v² T² (t/T - 1 + exp(-t/T))` is the variance across the wind of particles that the meander has
+/// carried for a time t.
 #[test]
 fn the_centre_line_meanders_by_taylors_law() {
     let meander = Wander { deviation: 0.05, tau_s: 5.0 };
@@ -154,7 +156,7 @@ fn the_centre_line_meanders_by_taylors_law() {
     }
     let ratio: f64 = time_s / 5.0;
     let expected_m2 = 2.0 * 0.05_f64.powi(2) * 25.0 * (ratio - 1.0 + (-ratio).exp());
-    // Four standard errors, sqrt(2 / 2000) each; the step of 0.1 s takes another 1 %.
+    // Four standard errors, sqrt(2 / 2000) each; the step of 0.1 s adds another 1 %.
     assert!((variance_m2 / expected_m2 - 1.0).abs() < 0.14, "{variance_m2} m², {expected_m2} m²");
 }
 
@@ -192,7 +194,7 @@ fn electric() -> ElectricSpec {
 #[test]
 fn charges_stay_and_clouds_pass() {
     let mut field = Field { name: "e".into(), kind: FieldKind::Electric(Box::new(Electric::new(electric()).unwrap())) };
-    // A hundred deviations away from everything, in the charge's middle, one deviation beside it; then the cloud over it.
+    // A hundred deviations away from everything, in the charge's centre, one deviation beside it; then below the cloud.
     for (time_s, point, expected) in [
         (0.0, [0.0, 2000.0], 100.0),
         (0.0, [10.0, 0.0], 20.0),
@@ -204,8 +206,8 @@ fn charges_stay_and_clouds_pass() {
     }
 }
 
-/// 20 000 s of a process of 20 s are 500 independent values (two correlation times each): four standard errors of the variance are 25 %,
-/// those of the correlation 0.1.
+/// 20 000 s of a process of 20 s are 500 independent values (two correlation times each): four standard errors of the
+/// variance are 25 %, those of the correlation 0.1.
 #[test]
 fn drift_has_its_deviation_and_time() {
     let drift = Wander { deviation: 30.0, tau_s: 20.0 };
@@ -218,7 +220,7 @@ fn drift_has_its_deviation_and_time() {
     assert!((neighbours / variance - (-1.0_f64).exp()).abs() < 0.13, "{}", neighbours / variance);
 }
 
-/// A step between two samples is a ramp of 10 ms: the analytic answer to that, to rounding.
+/// A step between two samples is a ramp of 10 ms: its analytic response, to rounding.
 #[test]
 fn a_lag_answers_a_step_as_it_should() {
     let (constant_s, step_s) = (2.0, 0.01);
@@ -230,7 +232,7 @@ fn a_lag_answers_a_step_as_it_should() {
         let after_ramp = 1.0 - constant_s / step_s * (1.0 - (-step_s / constant_s).exp());
         let expected = 5.0 * (1.0 - (1.0 - after_ramp) * (-(time_s - step_s) / constant_s).exp());
         assert!((lag.reading() - expected).abs() < 1e-9, "{time_s} s: {} {expected}", lag.reading());
-        // And within half a sample of the step's own.
+        // and within half a sample of the response to an ideal step
         assert!(
             (lag.reading() - 5.0 * (1.0 - (-time_s / constant_s).exp())).abs() < 5.0 * 0.5 * step_s / constant_s + 1e-9
         );
@@ -242,7 +244,7 @@ fn a_lag_answers_a_step_as_it_should() {
     assert_eq!(quick.reading(), 4.5);
 }
 
-/// A body turns in a field with a slope: the sensor on its rim reads the field where the rim is.
+/// A body turns in a field with a gradient: the sensor on its rim reads the field at the rim's place.
 #[test]
 fn a_sensor_on_a_turning_body_reads_where_it_is() {
     let charges = vec![Charge { place_m: [0.0, 0.0], size_m: 1.0, peak_v_per_m: 100.0 }];

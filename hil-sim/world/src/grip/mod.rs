@@ -1,15 +1,17 @@
 //! Two fingers on a palm of variable width, with an object between them that rolls, slips, and stands on its faces.
 //!
-//! Everything moves in a plane: an object lies on a table, the gripper beside it. The frame's origin is the middle of the palm, x runs
-//! from the left finger's joint to the right one's, y away from the palm. Finger angles count from x, counterclockwise.
+//! Everything moves in a plane: an object lies on a table, the gripper beside it. The frame's origin is the middle of
+//! the palm, x points from the left finger's joint to the right one's, y away from the palm. Finger angles count from
+//! x, counterclockwise.
 //!
 //! ```text
 //! servo's set point -- k_servo -- output shaft (encoder) -- play, k_link -- finger = contact = object
 //! ```
 //!
-//! A servo's position loop is a spring between its set point (the board's pulses) and its output shaft, on which its encoder sits; its
-//! motor damps the shaft against the housing by the slope of torque over speed. Play and compliance of what connects shaft and finger are behind the encoder, which does not see them. The palm's servo
-//! moves both joints by a rack and two pinions; friction keeps the carriages where they are while the rack's play passes.
+//! A servo's position loop is a spring between its set point (the board's pulses) and its output shaft, which carries
+//! the encoder; its motor damps the shaft against the housing by the slope of torque over speed. Play and compliance
+//! between shaft and finger are behind the encoder and invisible to it. The palm's servo moves both joints by a rack
+//! and two pinions; friction holds the carriages while the rack moves within its play.
 //!
 //! The object is a square with rounded edges, four arcs about the corners of a smaller square; with a radius of half the side it is a
 //! disc. Fingers are flat. Each arc that touches a finger has a normal spring and a tangential one, which Coulomb's law limits: rolling
@@ -21,7 +23,8 @@
 //! Strack, "A discrete numerical model for granular assemblies", Géotechnique 29 (1979) 47-65.
 //!
 //! # Accuracy
-//! Semi-implicit Euler in steps of at most [`STEP_S`]; contacts stiffer than the limit of stability are refused.
+//! Semi-implicit Euler in steps of at most [`STEP_S`]; [`GripError::Pads`] rejects contacts stiffer than the limit of
+//! stability.
 //!
 //! Not modelled: weight of fingers and object in the plane, ends of the fingers (an object that passes them is free), deformation of
 //! the pads other than that of the springs, torque limits and heat of the servos.
@@ -38,121 +41,121 @@ use crate::{
 
 /// Longest step of the contacts, s.
 const STEP_S: f64 = 1.25e-4;
-/// Speed at which table friction is developed, m/s: a hundredth of what a finger pushes an object with.
+/// Speed at which table friction reaches its full value, m/s: a hundredth of a typical pushing speed.
 const TABLE_SLIDE_M_S: f64 = 1e-3;
-/// Fingers at right angles to the palm while their servos are at 0.
+/// Angle of the fingers with their servos at 0: at right angles to the palm.
 const UPRIGHT_RAD: f64 = std::f64::consts::FRAC_PI_2;
-/// Names of [`Body::readings`].
+/// Names of the readings, in the order of [`Body::reading`].
 const READINGS: [&str; 3] = ["left_rad", "right_rad", "palm_rad"];
 
-/// Palm, rack and pinions.
+/// Palm with rack and pinions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Palm {
-    /// Distance between the fingers' joints while the servo is at 0, m.
+    /// Distance between the fingers' joints with the servo at 0, m.
     pub zero_m: f64,
-    /// Distance for each radian of the servo, m/rad.
+    /// Change of that distance per radian of the servo, m/rad.
     pub m_per_rad: f64,
     /// Play of the rack, as distance between the joints, m.
     pub play_m: f64,
 }
 
-/// A finger and the servo that turns it; both are alike.
+/// A finger and the servo that turns it; both fingers are equal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Finger {
-    /// From the joint to the tip, m.
+    /// Length from the joint to the tip, m.
     pub length_m: f64,
-    /// From the line through the joint to the surface that holds, m.
+    /// Distance from the line through the joint to the gripping surface, m.
     pub half_width_m: f64,
-    /// About the joint, kg m².
+    /// Moment of inertia about the joint, kg m².
     pub inertia_kg_m2: f64,
-    /// Between output shaft and finger, N m/rad.
+    /// Stiffness between output shaft and finger, N m/rad.
     pub link_nm_per_rad: f64,
-    /// Of the same, N m s/rad.
+    /// Damping between output shaft and finger, N m s/rad.
     pub link_nm_s_per_rad: f64,
     /// Play between output shaft and finger, from end to end, rad.
     pub play_rad: f64,
-    /// Of the servo's position loop, N m/rad.
+    /// Stiffness of the servo's position loop, N m/rad.
     pub servo_nm_per_rad: f64,
-    /// Torque that the servo's motor loses with speed, N m s/rad.
+    /// Slope of the servo motor's torque over speed, N m s/rad.
     pub servo_nm_s_per_rad: f64,
 }
 
-/// Surfaces of the fingers and the object, for each contact.
+/// Contact properties of fingers and object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pads {
     /// Normal and tangential stiffness, N/m.
     pub stiffness_n_per_m: f64,
-    /// N s/m
+    /// Normal and tangential damping, N s/m.
     pub damping_n_s_per_m: f64,
-    /// Coulomb friction.
+    /// Coulomb friction coefficient of the contacts.
     pub friction: f64,
-    /// Share of the tangential spring that relaxes in a second, 1/s: 0 for dry pads, more for wet ones, on which contacts creep.
+    /// Relaxation rate of the tangential spring, 1/s: 0 for dry pads, more for wet ones, on which contacts creep.
     pub creep_per_s: f64,
 }
 
-/// What is held: a square with rounded edges, or a disc.
+/// Object in the gripper: a square with rounded edges, or a disc.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Held {
-    /// Between opposite faces, m.
+    /// Distance between opposite faces, m.
     pub side_m: f64,
     /// Radius of its edges, m; half of the side for a disc.
     pub edge_m: f64,
-    /// kg
+    /// Mass of the object, kg.
     pub mass_kg: f64,
-    /// Friction on the table.
+    /// Coulomb friction coefficient on the table.
     pub table_friction: f64,
-    /// Where its centre is at first, m.
+    /// Initial place of its centre, m.
     pub place_m: [f64; 2],
-    /// How far its faces are turned from the palm's axis at first, rad.
+    /// Initial angle of its faces against the palm's axis, rad.
     pub angle_rad: f64,
 }
 
-/// The three encoders, on the servos' output shafts.
+/// Encoders on the output shafts of the three servos.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Encoders {
-    /// Quantisation, rad.
+    /// Quantisation step of a reading, rad.
     pub step_rad: f64,
-    /// Noise before it, standard deviation, rad.
+    /// Noise before the quantisation, standard deviation, rad.
     pub noise_rad: f64,
-    /// Error of each zero: left, right, palm; rad.
+    /// Zero errors of left, right and palm encoder, rad.
     pub offset_rad: [f64; 3],
-    /// Seed of the noise.
+    /// Seed of the noise generator.
     pub seed: u64,
 }
 
-/// Why a gripper cannot be computed.
+/// Reasons why a gripper cannot be simulated.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum GripError {
-    /// The palm's numbers.
+    /// Parameters of the palm.
     #[error("the palm needs a distance above 0, m_per_rad other than 0, and no negative play")]
     Palm,
-    /// The fingers' numbers.
+    /// Parameters of the fingers.
     #[error("a finger needs a length, inertia, stiffness and damping above 0, and no negative play or half width")]
     Finger,
-    /// The pads' numbers, or contacts that need shorter steps.
+    /// Parameters of the pads, or contacts that need shorter steps.
     #[error("pads must not be negative, and at most {most_n_per_m:.3e} N/m stiff for this object and these fingers")]
     Pads {
-        /// N/m
+        /// Largest stable stiffness, N/m.
         most_n_per_m: f64,
     },
-    /// The object's numbers.
+    /// Parameters of the object.
     #[error("an object needs a side and mass above 0, edges from 0 to half the side, and no negative friction")]
     Object,
-    /// The encoders' numbers.
+    /// Parameters of the encoders.
     #[error("encoders need a step above 0 and no negative noise")]
     Encoders,
 }
 
-/// Where a finger touches the object.
+/// Contact of a finger with the object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Touch {
-    /// From the joint to the middle of the contacts' normal forces, m: b or d of the four-bar linkage.
+    /// Distance from the joint to the centre of the contacts' normal forces, m: b or d of the four-bar linkage.
     pub distance_m: f64,
-    /// The same point in the plane, m.
+    /// Place of that point in the plane, m.
     pub place_m: [f64; 2],
     /// Sum of the normal forces, N.
     pub normal_n: f64,
-    /// Whether any of its contacts slid in the last step.
+    /// True if any of its contacts slid in the last step.
     pub slides: bool,
 }
 
@@ -161,7 +164,7 @@ struct Side {
     shaft_rad: f64,
     finger_rad: f64,
     rate_rad_s: f64,
-    /// Tangential springs of the object's arcs, m.
+    /// Deflections of the tangential springs at the object's arcs, m.
     springs_m: [f64; 4],
     touch: Option<Touch>,
 }
@@ -196,10 +199,10 @@ fn dot([ax, ay]: [f64; 2], [bx, by]: [f64; 2]) -> f64 {
 }
 
 impl TwoFingers {
-    /// A gripper with an object, at rest; the fingers take their servos' places at the first step.
+    /// A gripper with an object, at rest; the fingers move to their servos' positions at the first step.
     ///
     /// # Errors
-    /// [`GripError`] names what cannot be computed.
+    /// [`GripError`] names the part whose parameters are out of range.
     pub fn new(palm: Palm, finger: Finger, pads: Pads, held: Held, encoders: Encoders) -> Result<Self, GripError> {
         let positive = |value: f64| value > 0.0 && value.is_finite();
         let not_negative = |value: f64| value >= 0.0 && value.is_finite();
@@ -220,8 +223,9 @@ impl TwoFingers {
         if !is_shaped || !is_placed || held.edge_m > 0.5 * held.side_m || !not_negative(held.table_friction) {
             return Err(GripError::Object);
         }
-        // Two contacts on a mass m swing at sqrt(2 k / m), on its inertia m s²/6 at up to sqrt(6 k / m); a finger at its tip at l sqrt(k / I).
-        // Semi-implicit steps are stable up to 2 over that; half of it leaves room for the damping.
+        // Two contacts on a mass m oscillate at sqrt(2 k / m), on its inertia m s²/6 at up to sqrt(6 k / m); a finger
+        // at its tip at l sqrt(k / I). Semi-implicit steps are stable up to 2 divided by that frequency; half of it
+        // leaves margin for the damping.
         let inverse = (6.0 / held.mass_kg).max(length_m * length_m / inertia_kg_m2);
         let most_n_per_m = 1.0 / (STEP_S * STEP_S * inverse);
         let numbers = [pads.stiffness_n_per_m, pads.damping_n_s_per_m, pads.friction, pads.creep_per_s];
@@ -251,31 +255,31 @@ impl TwoFingers {
         })
     }
 
-    /// The palm.
+    /// Parameters of the palm.
     #[must_use]
     pub const fn palm(&self) -> &Palm {
         &self.palm
     }
 
-    /// Either finger.
+    /// Parameters of either finger.
     #[must_use]
     pub const fn finger(&self) -> &Finger {
         &self.finger
     }
 
-    /// The surfaces.
+    /// Contact properties of the surfaces.
     #[must_use]
     pub const fn pads(&self) -> &Pads {
         &self.pads
     }
 
-    /// The object, as it was put down.
+    /// Parameters of the object, with its initial place.
     #[must_use]
     pub const fn held(&self) -> &Held {
         &self.held
     }
 
-    /// The encoders.
+    /// Parameters of the encoders.
     #[must_use]
     pub const fn encoders(&self) -> &Encoders {
         &self.encoders
@@ -293,7 +297,7 @@ impl TwoFingers {
         self.sides.map(|side| side.finger_rad)
     }
 
-    /// Where left and right finger touch the object; `None` for one that does not.
+    /// Contacts of left and right finger with the object; `None` for a finger without contact.
     #[must_use]
     pub fn touches(&self) -> [Option<Touch>; 2] {
         self.sides.map(|side| side.touch)
@@ -305,7 +309,7 @@ impl TwoFingers {
         self.place_m
     }
 
-    /// How far the object is turned, rad.
+    /// Angle of the object, rad, counterclockwise.
     #[must_use]
     pub const fn object_rad(&self) -> f64 {
         self.angle_rad
@@ -326,10 +330,10 @@ impl TwoFingers {
         }
     }
 
-    /// Centres of the object's arcs, from its own centre, m; how many of them there are.
+    /// Centres of the object's arcs relative to its centre, m, and their number.
     fn arcs(&self) -> ([[f64; 2]; 4], usize) {
         let half_m = 0.5 * self.held.side_m - self.held.edge_m;
-        // A disc has one: four in one place would be four times as stiff.
+        // a disc has one: four at one place would be four times as stiff
         if half_m < 1e-6 {
             return ([[0.0; 2]; 4], 1);
         }
@@ -338,7 +342,7 @@ impl TwoFingers {
         ([[x, y], [-y, x], [-x, -y], [y, -x]], 4)
     }
 
-    /// One step: forces of all contacts, then servos, fingers and object.
+    /// Advances by one step: forces of all contacts, then servos, fingers and object.
     fn advance(&mut self, set_rad: [f64; 2], widens_m_s: f64, step_s: f64) {
         let Pads { stiffness_n_per_m, damping_n_s_per_m, friction, creep_per_s } = self.pads;
         let Finger { length_m, half_width_m, .. } = self.finger;
@@ -360,7 +364,7 @@ impl TwoFingers {
                     *spring_m = 0.0;
                     continue;
                 }
-                // From the joint, and from the object's centre.
+                // lever arms from the joint, and from the object's centre
                 let contact_m = [centre_m[0] - edge_m * inwards[0], centre_m[1] - edge_m * inwards[1]];
                 let arm_m = [arc[0] - edge_m * inwards[0], arc[1] - edge_m * inwards[1]];
                 let relative_m_s = [
@@ -396,7 +400,8 @@ impl TwoFingers {
             let bent_rad = side.shaft_rad - side.finger_rad;
             let taken_up_rad = bent_rad - bent_rad.clamp(-0.5 * play_rad, 0.5 * play_rad);
             let servo_nm = servo_nm_per_rad * (set_rad[number] - side.shaft_rad);
-            // The damper of the link holds where its spring does; the shaft has no inertia beside its damping.
+            // the link's damper acts only where its spring does; the shaft is massless, so its speed follows from the
+            // torques
             let link_s = if taken_up_rad == 0.0 { 0.0 } else { link_nm_s_per_rad };
             let resists = self.finger.servo_nm_s_per_rad + link_s;
             let pushed = servo_nm - link_nm_per_rad * taken_up_rad + link_s * side.rate_rad_s;
@@ -410,7 +415,7 @@ impl TwoFingers {
         let weight_n = table_friction * mass_kg * GRAVITY_M_S2;
         let speed_m_s = libm::hypot(self.velocity_m_s[0], self.velocity_m_s[1]);
         let drag = weight_n / speed_m_s.max(TABLE_SLIDE_M_S);
-        // A square that turns on the spot drags at a mean of 0.38 of its side from the centre.
+        // friction of a square that turns on the spot acts at a mean distance of 0.38 of its side
         let arm_m = 0.38 * side_m;
         let turning_m_s = (self.rate_rad_s * arm_m).abs().max(TABLE_SLIDE_M_S);
         let turning_drag = weight_n * arm_m * arm_m / turning_m_s;

@@ -28,7 +28,7 @@ impl Hand {
         Self { body, at: [0.05, -0.05, 0.0] }
     }
 
-    /// Servos go to `to` within `over_s`, at an even rate.
+    /// Moves the servos to `to` within `over_s`, at constant speed.
     fn go(&mut self, to: [f64; 3], over_s: f64) {
         let steps = (over_s / MAX_STEP_S).round();
         let from = self.at;
@@ -52,22 +52,23 @@ impl Hand {
     }
 }
 
-/// The servo's spring gives its torque: k (set - shaft) = F times the lever arm of the line through both contacts.
+/// Grip force from the servos' springs: k (set - shaft) = F times the lever arm of the line through both contacts.
 #[test]
 fn grip_force_is_that_of_the_servos_springs() {
     let hand = Hand::gripped(PADS, DISC);
     let [left, right] = hand.touches();
     assert!((left.normal_n / right.normal_n - 1.0).abs() < 1e-3, "{left:?} {right:?}");
     let torque_nm = 6.0 * ((hand.body.sides[0].shaft_rad - UPRIGHT_RAD) - hand.at[0]);
-    // The line is horizontal in this symmetric grasp: its arm is the contact's height; F cos(tilt) is normal to the finger.
+    // The line is horizontal in this symmetric grasp: its arm is the contact's height; F cos(tilt) is normal to the
+    // finger.
     let tilt_rad = UPRIGHT_RAD - hand.body.finger_rad()[0];
     let expected_n = torque_nm / left.place_m[1] * tilt_rad.cos();
     assert!((left.normal_n / expected_n - 1.0).abs() < 0.01, "{} N, {expected_n} N", left.normal_n);
     assert!(hand.body.object_m_s() < 1e-6 && left.normal_n > 1.0);
 }
 
-/// Rolling without slip: the contact's way along the finger is the radius times the turn of the object against the finger, whether
-/// fingers or palm move.
+/// Rolling without slip: the contact's travel along the finger is the radius times the rotation of the object relative
+/// to the finger, whether fingers or palm move.
 #[test]
 fn a_disc_rolls_along_the_finger() {
     let mut hand = Hand::gripped(PADS, DISC);
@@ -84,14 +85,15 @@ fn a_disc_rolls_along_the_finger() {
             let finger_rad = hand.body.finger_rad()[side] - begin.finger_rad()[side];
             let expected_m = sign * 0.015 * (turned_rad - finger_rad);
             let way_m = along(&hand.body, side) - along(&begin, side);
-            // Tangential springs of 1 N on 8e4 N/m change by up to 15 um.
+            // tangential springs of 1 N on 8e4 N/m change by up to 15 um
             assert!((way_m - expected_m).abs() < 1.5e-5, "{to:?}, side {side}: {way_m} {expected_m}");
             assert!(expected_m.abs() > 1e-3, "it rolls: {expected_m}");
         }
     }
 }
 
-/// A square between its edges keeps their distance, whatever fingers and palm do: the coupler of a four-bar linkage.
+/// A square between its edges keeps their distance for any motion of fingers and palm: the coupler of a four-bar
+/// linkage.
 #[test]
 fn a_square_on_its_edges_is_a_four_bar_linkage() {
     let square = Held { side_m: 0.022, edge_m: 1e-4, angle_rad: std::f64::consts::FRAC_PI_4, ..DISC };
@@ -105,13 +107,14 @@ fn a_square_on_its_edges_is_a_four_bar_linkage() {
         hand.go(to, 0.5);
         hand.go(to, 0.3);
         let found_m = across_m(&hand);
-        // Both contacts give by a grip of up to 8 N on 8e4 N/m.
+        // both contacts yield by a grip of up to 8 N on 8e4 N/m
         assert!((found_m - expected_m).abs() < 2.5e-4, "{to:?}: {found_m} m, {expected_m} m");
         assert!(hand.touches().iter().all(|touch| !touch.slides));
     }
 }
 
-/// Fingers that lean towards each other squeeze an object towards the palm once the lean is beyond the friction angle, and hold it below.
+/// Fingers that lean towards each other push an object towards the palm if the lean exceeds the friction angle, and
+/// hold it otherwise.
 #[test]
 fn slip_begins_outside_the_friction_cone() {
     let way_m = |friction: f64| {
@@ -121,13 +124,13 @@ fn slip_begins_outside_the_friction_cone() {
         hand.go([-0.28, 0.28, 0.0], 0.5);
         hand.body.object_m()[1] - begin_m
     };
-    // The fingers touch at about 0.17 rad: tan = 0.17.
+    // the fingers touch at about 0.17 rad: tan = 0.17
     assert!(way_m(0.3).abs() < 1e-3, "{}", way_m(0.3));
     assert!(way_m(0.08) < -5e-3, "{}", way_m(0.08));
 }
 
-/// A square as wide as the gap between upright fingers, put down askew, is turned flush, and either face carries its force between its
-/// edges.
+/// A square as wide as the gap between upright fingers, put down askew, turns flush, and either face carries its force
+/// between its edges.
 #[test]
 fn a_face_stands_flush() {
     let cube = Held { side_m: 0.054, edge_m: 1e-3, angle_rad: 0.04, place_m: [0.0, 0.08], ..DISC };
@@ -135,7 +138,7 @@ fn a_face_stands_flush() {
     hand.at = [0.10, -0.10, 0.0];
     hand.go([-0.05, 0.05, 0.0], 0.5);
     hand.go([-0.05, 0.05, 0.0], 0.5);
-    // Two springs of 4 N on 8e4 N/m, 52 mm apart, turn by 1 mrad at most; fingers give by as much.
+    // two springs of 4 N on 8e4 N/m, 52 mm apart, turn by 1 mrad at most; the fingers yield by as much
     let [left, right] = hand.body.finger_rad().map(|angle| angle - UPRIGHT_RAD);
     assert!(hand.body.object_rad().abs() < 5e-3 && left.abs() < 5e-3 && right.abs() < 5e-3);
     for touch in hand.touches() {
@@ -155,7 +158,7 @@ fn encoders_show_whole_steps() {
         assert!((steps - steps.round()).abs() < 1e-9);
         sum += body.reading(2);
     }
-    // Noise of a third of a step dithers the quantisation: what remains is a twentieth of it.
+    // Noise of a third of a step dithers the quantisation: a twentieth of a step remains.
     assert!((sum / 4000.0 - 0.2).abs() < 0.05 * encoders.step_rad, "{}", sum / 4000.0);
 }
 

@@ -1,7 +1,8 @@
-//! The planar world: walls, posts, people who walk, boxes that can be pushed, floors with their own friction, and slopes.
+//! The planar world: walls, posts, walking people, boxes that can be pushed, floors with their own friction, and
+//! slopes.
 //!
-//! All of it but the boxes is a function of time. Boxes are where bodies have pushed them: the step of a [`Wheeled`](crate::Wheeled)
-//! body, or of one built on it, moves them, so that a scene with boxes has one such body.
+//! Everything except the boxes is a function of time. Boxes are moved by the step of a [`Wheeled`](crate::Wheeled)
+//! body, or of one built on it, so a scene with boxes must have exactly one such body.
 
 mod boxes;
 mod shapes;
@@ -12,17 +13,18 @@ pub(crate) use shapes::{Disc, Segment, cross, dot, is_inside, length, minus, plu
 
 use crate::Pose;
 
-/// Somebody who walks straight from place to place.
+/// A person who walks in straight lines from place to place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Person {
-    /// Of the disc that a person is, m.
+    /// Radius of the disc that represents a person, m.
     pub radius_m: f64,
-    /// Times, s, strictly increasing, and the place at each. Before the first and after the last the person stands there.
+    /// Times, s, strictly increasing, and the place at each. Before the first and after the last the person stands
+    /// there.
     pub path: Vec<(f64, Point)>,
 }
 
 impl Person {
-    /// Where the person is.
+    /// Place of the person at a time, world frame, m.
     #[must_use]
     pub fn place_m(&self, time_s: f64) -> Point {
         let after = self.path.partition_point(|(at_s, _)| *at_s <= time_s);
@@ -45,24 +47,24 @@ impl Person {
     }
 }
 
-/// A part of the floor.
+/// A part of the floor with its own friction and slope.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Surface {
-    /// Its corners, in order, m.
+    /// Corners of the part, in order, m.
     pub corners_m: Vec<Point>,
-    /// Friction of tyres on it, 1; `None` leaves the tyre's own.
+    /// Friction coefficient of tyres on it; `None` keeps the tyre's own.
     pub friction: Option<f64>,
-    /// Rise of the floor per metre in the world's x and y, 1.
+    /// Rise of the floor per metre in the world's x and y, m/m.
     pub slope: [f64; 2],
 }
 
-/// Why something cannot stand in a scene.
+/// Reasons why something cannot stand in a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SceneError {
     /// Too few points, or one that is not finite.
     #[error("`points_m` needs at least {least} points [x, y] with finite numbers")]
     Points {
-        /// How many.
+        /// Smallest number of points.
         least: usize,
     },
     /// A post or person without a size or place.
@@ -81,7 +83,7 @@ pub enum SceneError {
     Floor,
 }
 
-/// Everything around the robots.
+/// Walls, obstacles, people, boxes and floors around the robots.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
     segments: Vec<Segment>,
@@ -89,16 +91,16 @@ pub struct Scene {
     people: Vec<Person>,
     surfaces: Vec<Surface>,
     boxes: Vec<MovableBox>,
-    /// Of the people.
+    /// Highest speed of the people, m/s.
     fastest_m_s: f64,
 }
 
-/// The floor under a point.
+/// Floor properties at a point.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Floor {
-    /// Friction of tyres, 1; `None` is the tyre's own.
+    /// Friction coefficient of tyres; `None` keeps the tyre's own.
     pub friction: Option<f64>,
-    /// Rise per metre in the world's x and y, 1.
+    /// Rise per metre in the world's x and y, m/m.
     pub slope: [f64; 2],
 }
 
@@ -106,7 +108,7 @@ impl Scene {
     /// Adds walls from point to point; `closed` also from the last to the first.
     ///
     /// # Errors
-    /// [`SceneError::Points`] for less than a wall.
+    /// [`SceneError::Points`] for fewer points than a wall needs, or one that is not finite.
     pub fn add_walls(&mut self, points_m: &[Point], closed: bool) -> Result<(), SceneError> {
         let least = if closed { 3 } else { 2 };
         if points_m.len() < least || !points_m.iter().flatten().all(|number| number.is_finite()) {
@@ -119,10 +121,10 @@ impl Scene {
         Ok(())
     }
 
-    /// Adds a round obstacle.
+    /// Adds a post, a round obstacle.
     ///
     /// # Errors
-    /// [`SceneError::Disc`] where it has no size or place.
+    /// [`SceneError::Disc`] if radius or place are invalid.
     pub fn add_post(&mut self, centre_m: Point, radius_m: f64) -> Result<(), SceneError> {
         if !(radius_m > 0.0 && radius_m.is_finite() && centre_m.into_iter().all(f64::is_finite)) {
             return Err(SceneError::Disc);
@@ -131,10 +133,10 @@ impl Scene {
         Ok(())
     }
 
-    /// Adds somebody.
+    /// Adds a walking person.
     ///
     /// # Errors
-    /// [`SceneError::Disc`] or [`SceneError::Path`].
+    /// [`SceneError::Disc`] for the radius, [`SceneError::Path`] for the path.
     pub fn add_person(&mut self, person: Person) -> Result<(), SceneError> {
         if !(person.radius_m > 0.0 && person.radius_m.is_finite()) {
             return Err(SceneError::Disc);
@@ -149,10 +151,10 @@ impl Scene {
         Ok(())
     }
 
-    /// Adds a part of the floor; where two overlap, the later one counts.
+    /// Adds a part of the floor; where two overlap, the later one applies.
     ///
     /// # Errors
-    /// [`SceneError::Points`] or [`SceneError::Floor`].
+    /// [`SceneError::Points`] for the corners, [`SceneError::Floor`] for friction or slope.
     pub fn add_surface(&mut self, surface: Surface) -> Result<(), SceneError> {
         if surface.corners_m.len() < 3 || !surface.corners_m.iter().flatten().all(|number| number.is_finite()) {
             return Err(SceneError::Points { least: 3 });
@@ -165,21 +167,21 @@ impl Scene {
         Ok(())
     }
 
-    /// Puts a box down, at rest.
+    /// Adds a box at rest.
     ///
     /// # Errors
-    /// [`SceneError::Box`]
+    /// [`SceneError::Box`] for parameters out of range.
     pub fn add_box(&mut self, spec: BoxSpec, pose: Pose) -> Result<(), SceneError> {
         self.boxes.push(MovableBox::new(spec, pose)?);
         Ok(())
     }
 
-    /// Takes all boxes away.
+    /// Removes all boxes from the scene.
     pub fn clear_boxes(&mut self) {
         self.boxes.clear();
     }
 
-    /// Its boxes, where they are now.
+    /// Boxes at their present poses.
     #[must_use]
     pub fn boxes(&self) -> &[MovableBox] {
         &self.boxes
@@ -189,12 +191,12 @@ impl Scene {
         &mut self.boxes
     }
 
-    /// Lets all boxes slide under what pushed them.
+    /// Advances all boxes by `step_s` under the forces on them.
     pub(crate) fn step_boxes(&mut self, step_s: f64) {
         self.boxes.iter_mut().for_each(|one| one.step(step_s));
     }
 
-    /// Edges of the boxes.
+    /// Edges of all boxes.
     fn edges(&self) -> impl Iterator<Item = Segment> {
         self.boxes.iter().flat_map(|one| {
             let corners = one.corners_m();
@@ -202,48 +204,49 @@ impl Scene {
         })
     }
 
-    /// The people in it.
+    /// People in the scene.
     #[must_use]
     pub fn people(&self) -> &[Person] {
         &self.people
     }
 
-    /// Straight walls, from and to, for drawing.
+    /// Straight walls, as pairs of end points, for drawing.
     pub fn walls_m(&self) -> impl Iterator<Item = [Point; 2]> {
         self.segments.iter().map(|segment| [segment.from, segment.to])
     }
 
-    /// Posts, centre and radius, for drawing.
+    /// Posts, as centre and radius, for drawing.
     pub fn posts_m(&self) -> impl Iterator<Item = (Point, f64)> {
         self.discs.iter().map(|disc| (disc.centre, disc.radius_m))
     }
 
-    /// Highest speed at which anything in it moves, m/s.
+    /// Highest speed of anything in the scene, m/s.
     #[must_use]
     pub fn fastest_m_s(&self) -> f64 {
         self.boxes.iter().map(MovableBox::fastest_m_s).fold(self.fastest_m_s, f64::max)
     }
 
-    /// Whether the floor is level and without its own friction everywhere.
+    /// True if the whole floor is level and leaves the tyres' friction.
     #[must_use]
     pub fn is_plain(&self) -> bool {
         self.surfaces.is_empty()
     }
 
-    /// Whether nothing stands on the floor.
+    /// True if nothing stands on the floor.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.segments.is_empty() && self.discs.is_empty() && self.people.is_empty() && self.boxes.is_empty()
     }
 
-    /// The floor under a point.
+    /// Floor properties at a point.
     #[must_use]
     pub fn floor(&self, point: Point) -> Floor {
         let surface = self.surfaces.iter().rev().find(|surface| is_inside(&surface.corners_m, point));
         surface.map_or(Floor::default(), |surface| Floor { friction: surface.friction, slope: surface.slope })
     }
 
-    /// Way from a point in a direction, rad, to the first obstacle, m; `None` where there is none within `farthest_m`.
+    /// Distance from a point in a direction, rad, to the first obstacle, m; `None` if there is none within
+    /// `farthest_m`.
     #[must_use]
     pub fn ray_m(&self, time_s: f64, from: Point, direction_rad: f64, farthest_m: f64) -> Option<f64> {
         let (sin, cos) = libm::sincos(direction_rad);
@@ -253,8 +256,8 @@ impl Scene {
         nearest(walls.chain(boxes).chain(discs), farthest_m)
     }
 
-    /// Distance from a point to the nearest obstacle in a cone about a direction, m: what an ultrasonic sensor hears first. `None`
-    /// where there is none within `farthest_m`. `half_angle_rad` is below a quarter of a turn.
+    /// Distance from a point to the nearest obstacle in a cone about a direction, m, as an ultrasonic sensor measures
+    /// it. `None` if there is none within `farthest_m`. `half_angle_rad` is below a quarter of a turn.
     #[must_use]
     pub fn cone_m(
         &self,
@@ -270,7 +273,8 @@ impl Scene {
             let way = minus(point, from);
             cross(right, way) >= 0.0 && cross(way, left) >= 0.0
         };
-        // The nearest point of an obstacle, if it is in the cone; else one at an end of it or at an edge of the cone.
+        // candidates: the nearest point of an obstacle, if it is in the cone; otherwise an end of it or its point at an
+        // edge of the cone
         let wall = |segment: &Segment| {
             let ends = [segment.nearest(from), segment.from, segment.to].into_iter().filter(|point| is_in_cone(*point));
             let ends = ends.map(|point| length(minus(point, from)));
@@ -288,7 +292,7 @@ impl Scene {
         nearest(straight.chain(self.round(time_s).filter_map(disc)), farthest_m)
     }
 
-    /// Distance from a point to the nearest obstacle, m; infinite in an empty scene, 0 inside one.
+    /// Distance from a point to the nearest obstacle, m; infinite in an empty scene, 0 inside an obstacle.
     #[must_use]
     pub fn clearance_m(&self, time_s: f64, point: Point) -> f64 {
         let walls = self.segments.iter().map(|segment| length(minus(segment.nearest(point), point)));
@@ -312,7 +316,7 @@ impl Scene {
         self.discs.iter().copied()
     }
 
-    /// Posts and people.
+    /// Posts and people at a time.
     pub(crate) fn round(&self, time_s: f64) -> impl Iterator<Item = Disc> {
         self.discs.iter().copied().chain(self.people.iter().map(move |person| person.disc(time_s)))
     }

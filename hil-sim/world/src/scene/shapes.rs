@@ -1,9 +1,9 @@
-//! Straight walls and discs: what rays meet and outlines touch.
+//! Straight walls and discs: intersections with rays, nearest points and distances.
 //!
-//! Two formulas instead of a library: `parry2d`, against which the tests compare every ray and every distance, takes 46 s of
-//! processor time to compile, and the program is promised in 400.
+//! Two formulas instead of a library: `parry2d`, against which the tests compare every ray and every distance, takes 46
+//! s of processor time to compile, and the program must compile in 400.
 
-/// Points and directions on the plane, m.
+/// A point or direction in the plane, m.
 pub type Point = [f64; 2];
 
 /// A straight wall without thickness.
@@ -13,7 +13,7 @@ pub(crate) struct Segment {
     pub(crate) to: Point,
 }
 
-/// A round obstacle.
+/// Round obstacle, such as a post or a person.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Disc {
     pub(crate) centre: Point,
@@ -32,7 +32,7 @@ pub(crate) fn dot(one: Point, other: Point) -> f64 {
     one[0] * other[0] + one[1] * other[1]
 }
 
-/// The part of `other` across `one`, to its left.
+/// Component of `other` perpendicular to `one`, to its left, times the length of `one`.
 pub(crate) fn cross(one: Point, other: Point) -> f64 {
     one[0] * other[1] - one[1] * other[0]
 }
@@ -42,16 +42,16 @@ pub(crate) fn length(way: Point) -> f64 {
 }
 
 impl Segment {
-    /// Point of the wall that is nearest to another.
+    /// Nearest point of the wall to another point.
     pub(crate) fn nearest(&self, point: Point) -> Point {
         let along = minus(self.to, self.from);
         let squared = dot(along, along);
-        // A wall of no length is a point.
+        // a wall without length is a point
         let share = if squared > 0.0 { dot(minus(point, self.from), along) / squared } else { 0.0 };
         plus(self.from, along, share.clamp(0.0, 1.0))
     }
 
-    /// Way along a ray of unit length `direction` to the wall, m; `None` where they do not meet or are parallel.
+    /// Distance along a ray of unit length `direction` to the wall, m; `None` if they do not meet or are parallel.
     pub(crate) fn hit(&self, from: Point, direction: Point) -> Option<f64> {
         let along = minus(self.to, self.from);
         let across = cross(direction, along);
@@ -66,7 +66,7 @@ impl Segment {
 }
 
 impl Disc {
-    /// Way along a ray of unit length `direction` to the disc, m; 0 from inside it.
+    /// Distance along a ray of unit length `direction` to the disc, m; 0 from inside it.
     pub(crate) fn hit(&self, from: Point, direction: Point) -> Option<f64> {
         let to_centre = minus(self.centre, from);
         let outside = dot(to_centre, to_centre) - self.radius_m * self.radius_m;
@@ -75,17 +75,17 @@ impl Disc {
         }
         let way = dot(to_centre, direction);
         let under_root = way * way - outside;
-        // The nearer of both; `outside / farther` keeps the digits that `way - root` loses.
+        // the nearer of both intersections; `outside / farther` avoids the cancellation of `way - root`
         (way > 0.0 && under_root >= 0.0).then(|| outside / (way + under_root.sqrt()))
     }
 
-    /// Distance of its rim, m; negative inside.
+    /// Distance of a point from the rim, m; negative inside.
     pub(crate) fn distance_m(&self, point: Point) -> f64 {
         length(minus(point, self.centre)) - self.radius_m
     }
 }
 
-/// Whether a point is within a polygon, by the edges that a ray to the right crosses.
+/// True if a point is inside a polygon, by the number of edges that a ray to the right crosses.
 pub(crate) fn is_inside(polygon: &[Point], [x, y]: Point) -> bool {
     let mut inside = false;
     for (number, [to_x, to_y]) in polygon.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Every ray and distance against `parry2d`, which shares nothing with ours.
+//! Rays and distances compared with `parry2d`, which shares no code with ours.
 
 use parry2d_f64::{
     math::{Pose, Vector},
@@ -11,7 +11,7 @@ use super::*;
 
 const FAR_M: f64 = 50.0;
 
-/// A scene and the same shapes for the oracle.
+/// A scene, and the same shapes for the oracle.
 #[derive(Debug)]
 struct Both {
     scene: Scene,
@@ -61,7 +61,7 @@ impl Both {
 
 fn same(ours: Option<f64>, theirs: Option<f64>) -> bool {
     match (ours, theirs) {
-        // Rounding of coordinates of 5 m, times the flattest angle that 1e-9 of the cases have.
+        // rounding of coordinates of 5 m, times the flattest angle that 1e-9 of the cases have
         (Some(ours), Some(theirs)) => (ours - theirs).abs() < 1e-8,
         (ours, theirs) => ours == theirs,
     }
@@ -76,7 +76,7 @@ proptest! {
         prop_assert!(ours == theirs || (ours - theirs).abs() < 1e-12, "{ours} {theirs}");
     }
 
-    /// The nearest of many rays, which can only miss a little of it.
+    /// The nearest hit of many rays in the cone, which can only overestimate the distance slightly.
     #[test]
     fn a_cone_hears_what_the_nearest_of_its_rays_meets(
         both in both(), from in point(), direction_rad in -4.0..4.0f64, half_rad in 0.05..0.5f64,
@@ -85,7 +85,7 @@ proptest! {
         let angles = (0..=rays).map(|ray| direction_rad + half_rad * (2.0 * f64::from(ray) / f64::from(rays) - 1.0));
         let nearest = angles.filter_map(|angle| both.ray_m(from, angle)).min_by(f64::total_cmp);
         let cone = both.scene.cone_m(0.0, from, direction_rad, half_rad, FAR_M);
-        // It may be nearer: the end of a wall between two rays is met by neither.
+        // the cone may be nearer: the end of a wall between two rays is hit by neither
         if let Some(nearest_m) = nearest {
             prop_assert!(cone.is_some_and(|cone_m| cone_m <= nearest_m + 1e-9), "{cone:?} {nearest_m}");
         }
@@ -98,11 +98,11 @@ proptest! {
 #[test]
 fn a_cone_is_as_wide_as_it_is() {
     let mut scene = Scene::default();
-    // A wall 2 m ahead, from 1 m to the left on.
+    // a wall 2 m ahead that starts 1 m to the left
     scene.add_walls(&[[2.0, 1.0], [2.0, 3.0]], false).unwrap();
     let at = |half_rad: f64| scene.cone_m(0.0, [0.0, 0.0], 0.0, half_rad, FAR_M);
     assert_eq!(at(0.46), None);
-    // atan(1 / 2) = 0.4636: its end.
+    // atan(1 / 2) = 0.4636 is the direction of its end
     assert!((at(0.47).unwrap() - 5.0_f64.sqrt()).abs() < 1e-12);
     assert_eq!(scene.cone_m(0.0, [0.0, 0.0], 0.0, 0.47, 2.2), None, "it is too far");
 }

@@ -1,10 +1,12 @@
-//! A soft strip with a suction cup at each end and three membranes that inflate and push the cups apart.
+//! Soft strip with a suction cup at each end and three inflatable membranes that push the cups apart.
 //!
-//! Each membrane is fed by a line: a syringe on a stepper's lead screw, a tube, and a 3/2 valve on a relay. Without current the valve
-//! vents the line; with current it closes it, or connects it to a supply where there is one. Inflated membranes lengthen the strip, which
-//! shears the rims of the cups; beyond a tangential strain a rim leaks, its suction decays and the cup comes off.
+//! Each membrane is fed by a line: a syringe on a stepper's lead screw, a tube, and a 3/2 valve on a relay. Without
+//! current the valve vents the line; with current it closes it, or connects it to a supply if there is one. Inflated
+//! membranes lengthen the strip, which shears the rims of the cups; beyond a tangential strain a rim leaks, its suction
+//! decays and the cup comes off.
 //!
-//! Quasi-static but for the gas and the membranes' viscosity: no mass, no bending, no curvature of the tissue, which is a plane.
+//! Quasi-static except for the gas and the membranes' viscosity: no mass, no bending, no curvature of the tissue, which
+//! is a plane.
 
 mod membrane;
 
@@ -20,17 +22,17 @@ use crate::{
 
 /// Number of membranes: outer, middle, outer.
 pub const MEMBRANES: usize = 3;
-/// The middle one.
+/// Index of the middle membrane.
 pub const MIDDLE: usize = 1;
 
-/// What feeds a membrane.
+/// Supply line of a membrane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Line {
-    /// Number of the stepper's shaft, whose positive angle pushes the plunger in.
+    /// Shaft number of the stepper, whose positive angle pushes the plunger in.
     pub stepper: usize,
-    /// Number of the valve's relay.
+    /// Shaft number of the valve's relay.
     pub valve: usize,
-    /// Travel of the plunger for a turn, m.
+    /// Travel of the plunger per turn, m.
     pub lead_m: f64,
     /// Cross-section of the syringe, m².
     pub bore_m2: f64,
@@ -38,45 +40,45 @@ pub struct Line {
     pub syringe_m3: f64,
     /// Volume of tube, valve and sensor, m³.
     pub dead_m3: f64,
-    /// From the line to the membrane.
+    /// Flow path from the line to the membrane.
     pub tube: Restriction,
-    /// The valve, to the supply or to the atmosphere.
+    /// Flow path through the valve, to the supply or to the atmosphere.
     pub orifice: Restriction,
-    /// From the membrane to the atmosphere, a leak; a sonic conductance of 0 for a tight one.
+    /// Leak from the membrane to the atmosphere; a sonic conductance of 0 for a tight one.
     pub leak: Restriction,
 }
 
-/// A cup.
+/// Suction cup at an end of the strip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cup {
     /// Radius of the rim, m.
     pub radius_m: f64,
-    /// Pressure below that of the atmosphere after it was pressed on, Pa.
+    /// Suction (pressure below atmosphere) directly after the cup was pressed on, Pa.
     pub suction_pa: f64,
-    /// Tangential force for each metre that the rim is displaced, N/m.
+    /// Tangential force per displacement of the rim, N/m.
     pub stiffness_n_m: f64,
-    /// Displacement over radius beyond which the rim leaks.
+    /// Tangential strain (displacement over radius) beyond which the rim leaks.
     pub leak_strain: f64,
-    /// Rate at which the suction decays at that strain, 1/s; in proportion to the strain beyond.
+    /// Decay rate of the suction at that strain, 1/s; proportional to the strain beyond it.
     pub leak_per_s: f64,
-    /// Share of the tangential force that peels: the cup comes off where it exceeds suction times area.
+    /// Share of the tangential force that peels: the cup comes off when it exceeds suction times area.
     pub peel: f64,
 }
 
-/// The strip.
+/// Strip between the two cups.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Strip {
-    /// Force between the ends for each metre by which it is shortened, N/m.
+    /// Axial stiffness between the ends, N/m.
     pub stiffness_n_m: f64,
-    /// Elongation for each metre that the middle membrane's radius grows.
+    /// Elongation per growth of the middle membrane's radius, m/m.
     pub middle: f64,
-    /// The same of an outer one.
+    /// Elongation per growth of an outer membrane's radius, m/m.
     pub outer: f64,
-    /// Displacement of the near cup's rim for each metre that an outer membrane's radius grows, besides that.
+    /// Additional displacement of the near cup's rim per growth of an outer membrane's radius, m/m.
     pub near: f64,
 }
 
-/// A pad of strip, cups, membranes and their lines.
+/// Pad of strip, cups, membranes and their lines.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SuctionPad {
     strip: Strip,
@@ -87,77 +89,77 @@ pub struct SuctionPad {
     state: SuctionState,
 }
 
-/// What changes.
+/// State of a pad, as of its last step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SuctionState {
-    /// Gas in syringe and tube.
+    /// Gas in syringe and tube of each line.
     pub line: [Chamber; MEMBRANES],
-    /// Gas in the membranes.
+    /// Gas inside each membrane.
     pub balloon: [Chamber; MEMBRANES],
-    /// The membranes.
+    /// State of each membrane.
     pub membrane: [MembraneState; MEMBRANES],
     /// Suction under each cup, Pa.
     pub suction_pa: [f64; 2],
-    /// Whether each cup is on the tissue.
+    /// True for each cup that is attached to the tissue.
     pub is_attached: [bool; 2],
-    /// Displacement of each rim over its radius.
+    /// Tangential strain of each rim: displacement over radius.
     pub rim_strain: [f64; 2],
     /// Tangential force on each cup, N.
     pub shear_n: [f64; 2],
 }
 
-/// Why a pad cannot be.
+/// Reasons why a pad cannot be simulated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SuctionError {
-    /// A membrane.
+    /// Parameters of a membrane.
     #[error(
         "needs a radius, thickness, modulus, viscosity and time above 0, shares from 0 to below 1, a burst beyond a stretch of 1.5, \
          and stiffening beyond the burst"
     )]
     Membrane {
-        /// Which.
+        /// Index of the membrane.
         membrane: usize,
     },
     /// A membrane whose viscosity is too small for the longest step.
     #[error("the viscosity is too small to be stepped every 0.25 ms: increase viscosity_pa_s")]
     Stiff {
-        /// Which.
+        /// Index of the membrane.
         membrane: usize,
     },
-    /// A line.
+    /// Parameters of a line.
     #[error(
         "needs volumes, bore, lead and conductances above 0 (a leak may be 0), and critical ratios from 0 to below 1"
     )]
     Line {
-        /// Which.
+        /// Index of the line.
         line: usize,
     },
-    /// A line whose tube passes more in 0.25 ms than its volumes take.
+    /// A line whose tube passes more in 0.25 ms than its volumes hold.
     #[error("the tube or valve is too wide for its volumes to be stepped every 0.25 ms: reduce conductance_m3_s_pa")]
     Wide {
-        /// Which.
+        /// Index of the line.
         line: usize,
     },
-    /// A cup.
+    /// Parameters of a cup.
     #[error("needs a radius, suction, stiffness, strain and rate above 0, and a peeling share from 0 to 1")]
     Cup {
-        /// Which.
+        /// Index of the cup.
         cup: usize,
     },
-    /// The strip.
+    /// Parameters of the strip.
     #[error("needs a stiffness above 0 and elongations of at least 0")]
     Strip,
-    /// The supply.
+    /// Pressure of the supply.
     #[error("needs a pressure from 0 to 1 MPa above that of the atmosphere")]
     Supply,
 }
 
 impl SuctionPad {
-    /// A pad on the tissue, with both cups pressed on and all lines at the pressure of the atmosphere. `supply_pa` is what the regulator
-    /// holds above that of the atmosphere; without it the valves' supply ports are plugged.
+    /// A pad on the tissue, with both cups pressed on and all lines at atmospheric pressure. `supply_pa` is the gauge
+    /// pressure of the regulator; `None` if the valves' supply ports are plugged.
     ///
     /// # Errors
-    /// [`SuctionError`]
+    /// [`SuctionError`] names the part whose parameters are out of range.
     pub fn new(
         strip: Strip,
         cups: [Cup; 2],
@@ -194,7 +196,7 @@ impl SuctionPad {
             {
                 return Err(SuctionError::Membrane { membrane: number });
             }
-            // Stiffness by stretch: the membrane's at rest, `6 * 2 mu t/r`, and that of its gas, `3 p`.
+            // stiffness over stretch: the membrane's at rest, `6 * 2 mu t/r`, and that of its gas, `3 p`
             let stiffness_pa = 12.0 * shear_pa * thickness_m / radius_m + 6.0 * ATMOSPHERE_PA;
             if viscosity_pa_s < stiffness_pa * crate::MAX_STEP_S {
                 return Err(SuctionError::Stiff { membrane: number });
@@ -234,7 +236,7 @@ impl SuctionPad {
         Ok(Self { strip, cups, membranes, lines, supply_pa, state })
     }
 
-    /// The same, not on any tissue.
+    /// The same pad in air, with both cups detached.
     #[must_use]
     pub fn in_air(mut self) -> Self {
         self.state.is_attached = [false; 2];
@@ -242,50 +244,50 @@ impl SuctionPad {
         self
     }
 
-    /// The strip.
+    /// Parameters of the strip.
     #[must_use]
     pub const fn strip(&self) -> &Strip {
         &self.strip
     }
 
-    /// The cups.
+    /// Parameters of both cups.
     #[must_use]
     pub const fn cups(&self) -> &[Cup; 2] {
         &self.cups
     }
 
-    /// The membranes: outer, middle, outer.
+    /// Parameters of the membranes: outer, middle, outer.
     #[must_use]
     pub const fn membranes(&self) -> &[Membrane; MEMBRANES] {
         &self.membranes
     }
 
-    /// Their lines.
+    /// Parameters of the membranes' lines.
     #[must_use]
     pub const fn lines(&self) -> &[Line; MEMBRANES] {
         &self.lines
     }
 
-    /// What changes.
+    /// State of the pad as of the last step.
     #[must_use]
     pub const fn state(&self) -> &SuctionState {
         &self.state
     }
 
-    /// Force that pulls a cup off along its normal, N: `dp A`; 0 of one that is off.
+    /// Normal force that a cup withstands, N: `dp A`; 0 for a detached cup.
     #[must_use]
     pub fn adhesion_n(&self, cup: usize) -> f64 {
         let Cup { radius_m, .. } = self.cups[cup];
         if self.state.is_attached[cup] { self.state.suction_pa[cup] * PI * radius_m * radius_m } else { 0.0 }
     }
 
-    /// Pressure by which the strip holds each membrane, Pa, with strain and force of each rim by it.
+    /// Pressure of the strip on each membrane, Pa. Updates strain and force of each rim.
     fn push(&mut self) -> [f64; MEMBRANES] {
         let Strip { stiffness_n_m, middle, outer, near } = self.strip;
         let state = &mut self.state;
         let grown_m: [f64; MEMBRANES] =
             std::array::from_fn(|number| self.membranes[number].radius_m * (state.membrane[number].stretch - 1.0));
-        // A strip with a free end lengthens without a force.
+        // a strip with a free end lengthens without force
         let between_n = if state.is_attached == [true; 2] {
             let longer_m = middle * grown_m[MIDDLE] + outer * (grown_m[0] + grown_m[2]);
             let compliance = 1.0 / stiffness_n_m + 1.0 / self.cups[0].stiffness_n_m + 1.0 / self.cups[1].stiffness_n_m;
@@ -293,7 +295,7 @@ impl SuctionPad {
         } else {
             0.0
         };
-        // Force along the radius, N: the derivative of the elastic energy by it.
+        // radial force, N: derivative of the elastic energy by the radius
         let mut radial_n = [outer * between_n, middle * between_n, outer * between_n];
         for (number, (cup, membrane)) in self.cups.iter().zip([0, 2]).enumerate() {
             let near_m = near * grown_m[membrane];
@@ -338,7 +340,7 @@ impl SuctionPad {
             if at(line.valve) > 0.5 { self.supply_pa.map(|pa| ATMOSPHERE_PA + pa) } else { Some(ATMOSPHERE_PA) };
         let from_valve = outside.map_or(0.0, |pa| line.orifice.flow_kg_s(pa, before));
         let pushed_m3 = at(line.stepper) / TAU * line.lead_m * line.bore_m2;
-        // The plunger stops at the bottom.
+        // the plunger stops at the bottom of the syringe
         let syringe_m3 = (line.syringe_m3 - pushed_m3).max(0.0);
         state.line[number].step(from_valve - through, line.dead_m3 + syringe_m3, step_s);
         let gauge_pa = state.balloon[number].gauge_pa();
@@ -367,7 +369,7 @@ impl Body for SuctionPad {
         loads.fill(0.0);
     }
 
-    /// It lies where it is.
+    /// The pad does not move.
     fn pose(&self) -> Pose {
         Pose::default()
     }

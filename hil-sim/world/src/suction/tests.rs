@@ -32,7 +32,7 @@ fn pad(supply_pa: Option<f64>) -> SuctionPad {
     SuctionPad::new(STRIP, [CUP, Cup { leak_strain: 0.1, ..CUP }], [MEMBRANE; 3], lines, supply_pa).expect("a pad")
 }
 
-/// Steps with the middle syringe at `volume_m3(t)` pushed in, and its valve closed (`true`) or not.
+/// Runs with `pushed_m3(t)` pushed in by the middle syringe, and its valve closed (`true`) or not.
 fn run(
     pad: &mut SuctionPad,
     seconds: f64,
@@ -52,7 +52,7 @@ fn run(
     }
 }
 
-/// Boyle: `(p_a + p) (V_line - pushed + V_balloon) = p_a (V_line + V_0)`, and the membrane's own pressure.
+/// Boyle's law `(p_a + p) (V_line - pushed + V_balloon) = p_a (V_line + V_0)`, and the membrane's own pressure.
 #[test]
 fn a_closed_syringe_keeps_its_gas_and_passes_the_limit_point() {
     let mut pad = pad(None).in_air();
@@ -71,11 +71,11 @@ fn a_closed_syringe_keeps_its_gas_and_passes_the_limit_point() {
     let amount = |chamber: Chamber| chamber.pressure_pa * chamber.volume_m3;
     let before = ATMOSPHERE_PA * (12e-6 + MEMBRANE.volume_m3(1.0));
     let after = amount(line[MIDDLE]) + amount(balloon[MIDDLE]);
-    // Chamber::step is of second order: 32 000 steps leave 1e-5.
+    // Chamber::step is of second order: 32 000 steps leave 1e-5
     assert!((after / before - 1.0).abs() < 1e-4, "{after} {before}");
     let held_pa = MEMBRANE.pressure_pa(membrane[MIDDLE].stretch);
     assert!((balloon[MIDDLE].gauge_pa() - held_pa).abs() < 5.0, "{} {held_pa}", balloon[MIDDLE].gauge_pa());
-    // Viscosity adds 1 kPa s times a stretch of 0.6 per second at most.
+    // viscosity adds 1 kPa s times a stretch rate of at most 0.6 per second
     let limit_pa = MEMBRANE.pressure_pa(LIMIT_STRETCH);
     assert!(passes && !membrane[MIDDLE].is_burst, "{membrane:?}");
     assert!((limit_pa..limit_pa + 600.0).contains(&highest_pa), "{highest_pa} {limit_pa}");
@@ -93,7 +93,7 @@ fn a_constant_pressure_beyond_the_limit_runs_away_and_one_below_it_does_not() {
     }
 }
 
-/// The weaker cup comes off; the pressure drops by what the strip held, and the free end saves the other cup.
+/// The weaker cup comes off; the pressure drops by the strip's share, and the free end relieves the other cup.
 #[test]
 fn a_cup_comes_off_with_a_drop_of_pressure_and_the_other_stays() {
     let mut pad = pad(None);
@@ -115,12 +115,12 @@ fn a_cup_comes_off_with_a_drop_of_pressure_and_the_other_stays() {
     let (at_pa, shear_n, stretch) = drop_pa.expect("it came off");
     let state = pad.state();
     assert_eq!(state.is_attached, [false, true], "{state:?}");
-    // Of the outer membranes, which nobody inflates.
+    // strain of the cup at an outer membrane, which is never inflated
     assert!(pad.adhesion_n(0) == 0.0 && state.rim_strain[1] < 1e-12, "{state:?}");
     let radius_m = MEMBRANE.radius_m * stretch;
     let strip_pa = shear_n * STRIP.middle / (4.0 * PI * radius_m * radius_m);
     assert!(strip_pa > 300.0 && at_pa > MEMBRANE.pressure_pa(stretch) + 0.8 * strip_pa, "{strip_pa} {at_pa}");
-    // After it the membrane's own pressure alone.
+    // afterwards the membrane's own pressure alone
     let own_pa = MEMBRANE.pressure_pa(state.membrane[MIDDLE].stretch);
     assert!((state.balloon[MIDDLE].gauge_pa() - own_pa).abs() < 5.0);
 }

@@ -1,30 +1,33 @@
-//! A person who stands, with a tail of two links on the back that motors move by cables.
+//! A standing person with a tail of two links on the back, which motors move by cables.
 //!
-//! Everything moves in the sagittal plane. The person is an inverted pendulum on an ankle that is a spring, a damper and a limit; the
-//! tail's links hang from a point on the back. Angles turn about the y axis from z to x: forwards for the person, backwards and up for
-//! a link that hangs. At angles of 0 the person is upright and the links hang straight down.
+//! Everything moves in the sagittal plane. The person is an inverted pendulum on an ankle with stiffness, damping and a
+//! torque limit; the tail's links hang from a point on the back. Angles turn about the y axis from z to x: forwards for
+//! the person, backwards and up for a link that hangs. At angles of 0 the person is upright and the links hang straight
+//! down.
 //!
 //! ```text
 //! M(q) q'' + C(q, q') q' + G(q) = [ankle, cable 1, cable 2]      q = [trunk, joint 1, joint 2]
 //! cable = k (motor / N - q) + d (motor' / N - q')                load of a shaft = -cable / N
 //! ```
 //!
-//! A joint's angle is that of its link against the part before it. Each joint's motor winds a cable that runs `wraps` half turns over
-//! pulleys; each leaves `1 - loss` of the force in the direction of motion, so that a motor that lifts gives the joint
-//! `(1 - loss)^wraps` of the cable's torque, and one that lowers feels as much less of it. A motor's inertia belongs to its
-//! shaft's plant; its mass belongs to the link that carries it.
+//! A joint's angle is that of its link relative to the part before it. Each joint's motor winds a cable that runs
+//! `wraps` half turns over pulleys; each transmits `1 - loss` of the force in the direction of motion, so a motor that
+//! lifts gives the joint `(1 - loss)^wraps` of the cable's torque, and one that lowers carries as much less of it. A
+//! motor's inertia belongs to its shaft's plant; its mass belongs to the link that carries it.
 //!
 //! # Source
-//! What is taken for the tail: "Prototyping Mechanical Design of a Robotic Tail for Human Balance Support", TAROS 2023. Equations of
-//! motion: d'Alembert's principle on points of rotating parts, checked against Pinocchio and MuJoCo (`tests/oracle`).
+//! Dimensions and masses of the tail: "Prototyping Mechanical Design of a Robotic Tail for Human Balance Support",
+//! TAROS 2023. Equations of motion: d'Alembert's principle on points of rotating parts, checked against Pinocchio and
+//! MuJoCo (`tests/oracle`).
 //!
 //! # Accuracy
-//! Fourth order (Runge-Kutta) for given motions of the shafts; the cable's torque on a shaft is held over a step, and computed half a
-//! step ahead, which neither adds nor takes energy: second order. [`BalanceTail::new`] refuses cables too stiff for
-//! [`crate::MAX_STEP_S`] at the joint; at the motor `dt < 2 N sqrt(J / k)` must hold for its inertia `J`, which only its plant knows.
+//! Fourth order (Runge-Kutta) for given motions of the shafts; the cable's torque on a shaft is held over a step, and
+//! computed half a step ahead, which neither adds nor removes energy: second order. [`BalanceTail::new`] rejects cables
+//! too stiff for [`crate::MAX_STEP_S`] at the joint; at the motor `dt < 2 N sqrt(J / k)` must hold for its inertia `J`,
+//! which only its plant knows.
 //!
-//! Not modelled: steps and falls of the person (a trunk that lies down stays there), end stops of the joints, slack cables, and the
-//! reaction of a motor's own acceleration on its link, `1 / N` of what it gives the joint.
+//! Not modelled: steps and falls of the person (a trunk that lies down stays there), end stops of the joints, slack
+//! cables, and the reaction of a motor's own acceleration on its link, `1 / N` of its torque on the joint.
 
 #[cfg(test)]
 mod tests;
@@ -35,111 +38,111 @@ use crate::{
     scene::Scene,
 };
 
-/// Speed of a joint at which its dry friction is developed to 76 %, rad/s: 0.3 % of what a tail swings with. Half of it makes a joint
-/// that friction holds creep half as fast, and needs half the step at the limit of stability.
+/// Speed of a joint at which its dry friction reaches 76 %, rad/s: 0.3 % of a typical swing of the tail. Half of it
+/// halves the creep of a joint that friction holds, and halves the step at the limit of stability.
 const SLIDE_RAD_S: f64 = 0.02;
-/// A trunk that leans so far lies down, rad.
+/// Lean at which the trunk counts as lying on the ground, rad.
 const LIES_RAD: f64 = std::f64::consts::FRAC_PI_2;
 
-/// Who wears the tail. Places are `[forwards, up]` from the ankle along the trunk, m.
+/// Person who wears the tail. Places are `[forwards, up]` from the ankle along the trunk, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wearer {
-    /// kg
+    /// Mass without tail and load, kg.
     pub mass_kg: f64,
     /// Height of the centre of mass above the ankle, m.
     pub centre_m: f64,
-    /// About the ankle, kg m².
+    /// Moment of inertia about the ankle, kg m².
     pub inertia_kg_m2: f64,
-    /// Where the tail hangs.
+    /// Place of the tail's first joint.
     pub tail_m: [f64; 2],
-    /// What keeps the person up.
+    /// Balance of the person at the ankle.
     pub ankle: Ankle,
 }
 
-/// The person's own balance: a spring about the posture in which everything is at rest upright at first, and a damper.
+/// Balance of the person: a spring about the posture that holds everything upright at the start, and a damper.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ankle {
-    /// N m/rad; the person stands only above weight times height of the centre of mass.
+    /// Stiffness, N m/rad; the person stands only if it exceeds weight times height of the centre of mass.
     pub stiffness_nm_per_rad: f64,
-    /// N m s/rad
+    /// Damping of the ankle, N m s/rad.
     pub damping_nm_s_per_rad: f64,
-    /// Most that the foot takes, in both directions, N m; infinite for any.
+    /// Largest torque of the foot in either direction, N m; may be infinite.
     pub torque_max_nm: f64,
 }
 
-/// A link and the cable that moves it.
+/// A link of the tail with the cable that moves it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
-    /// From its joint to the next, m.
+    /// Length from its joint to the next, m.
     pub length_m: f64,
-    /// Everything on it, kg.
+    /// Mass of everything on the link, kg.
     pub mass_kg: f64,
     /// Distance of its centre of mass from its joint, m.
     pub centre_m: f64,
-    /// About its centre of mass, kg m².
+    /// Moment of inertia about its centre of mass, kg m².
     pub inertia_kg_m2: f64,
-    /// What moves it.
+    /// Cable that moves the joint.
     pub cable: Cable,
 }
 
-/// From a motor's shaft to a joint.
+/// Cable from a motor's shaft to a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cable {
-    /// Shaft of its motor, by its number.
+    /// Shaft number of its motor.
     pub shaft: usize,
-    /// Turns of the shaft for one of the joint; negative where they turn opposite ways.
+    /// Turns of the shaft per turn of the joint; negative for opposite directions.
     pub ratio: f64,
-    /// At the joint, N m/rad.
+    /// Stiffness seen at the joint, N m/rad.
     pub stiffness_nm_per_rad: f64,
-    /// At the joint, N m s/rad.
+    /// Damping seen at the joint, N m s/rad.
     pub damping_nm_s_per_rad: f64,
-    /// Half turns over pulleys.
+    /// Half turns of the cable over pulleys.
     pub wraps: f64,
-    /// Share of the force that each of them takes, 0 to below 1.
+    /// Share of the force lost at each half turn, 0 to below 1.
     pub loss_per_wrap: f64,
     /// Dry friction of the joint's bearings, N m.
     pub friction_nm: f64,
 }
 
-/// Something heavy that the person lifts.
+/// A load that the person lifts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lift {
-    /// When the hands begin to take its weight, s.
+    /// Time at which the hands start to take its weight, s.
     pub at_s: f64,
-    /// How long they take for it, s.
+    /// Duration of a linear increase to the whole weight, s.
     pub over_s: f64,
-    /// kg
+    /// Mass of the load, kg.
     pub mass_kg: f64,
-    /// Where they hold it: `[forwards, up]` from the ankle along the trunk, m.
+    /// Place of the hands: `[forwards, up]` from the ankle along the trunk, m.
     pub place_m: [f64; 2],
 }
 
-/// Why a tail cannot be computed.
+/// Reasons why a tail cannot be simulated.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum TailError {
-    /// The person's numbers.
+    /// Parameters of the person.
     #[error("mass and height must be positive, the inertia about the ankle at least mass times height squared")]
     Wearer,
-    /// The ankle's numbers, or a person who cannot stand.
+    /// Parameters of the ankle, or a person who cannot stand.
     #[error(
         "the ankle needs {needed_nm:.1} N m to hold the person upright with the tail at rest; raise `torque_max_nm`"
     )]
     Ankle {
-        /// N m
+        /// Torque needed to stand upright, N m.
         needed_nm: f64,
     },
-    /// A link's numbers.
+    /// Parameters of a link.
     #[error("link {link}: length, mass and inertia must be positive, its centre of mass not before its joint")]
     Link {
-        /// Its number, from 0.
+        /// Index of the link, from 0.
         link: usize,
     },
-    /// A cable's numbers.
+    /// Parameters of a cable.
     #[error(
         "link {link}: the cable needs a ratio other than 0, a loss from 0 to below 1, nothing negative, and shaft 0 or 1"
     )]
     Cable {
-        /// Its number, from 0.
+        /// Index of the link, from 0.
         link: usize,
     },
     /// A cable that needs shorter steps.
@@ -147,12 +150,12 @@ pub enum TailError {
         "link {link}: the cable is too stiff for steps of {MAX_STEP_S} s; at most {most:.3e} N m/rad, or N m s/rad of damping"
     )]
     Stiff {
-        /// Its number, from 0.
+        /// Index of the link, from 0.
         link: usize,
-        /// N m/rad or N m s/rad
+        /// Largest stable stiffness, N m/rad, or damping, N m s/rad.
         most: f64,
     },
-    /// What is lifted.
+    /// Parameters of the lift.
     #[error("a lift needs a mass and times of 0 or more, and a finite place")]
     Lift,
 }
@@ -160,61 +163,61 @@ pub enum TailError {
 /// Angles and rates of trunk and joints, rad and rad/s.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TailState {
-    /// Trunk from upright, joint 1 from the trunk, joint 2 from link 1.
+    /// Angles of the trunk from upright, joint 1 from the trunk, joint 2 from link 1.
     pub angle_rad: [f64; 3],
-    /// Their rates.
+    /// Rates of the same angles.
     pub rate_rad_s: [f64; 3],
 }
 
-/// A person with a tail.
+/// A person with a tail, with its state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BalanceTail {
     wearer: Wearer,
     links: [Link; 2],
     lift: Option<Lift>,
-    /// Joint angles at which the cables are without force while the shafts are at 0.
+    /// Joint angles at which the cables are without force with the shafts at 0, rad.
     slack_rad: [f64; 2],
     /// Lean at which the ankle's spring is without force, rad.
     posture_rad: f64,
     start: TailState,
     state: TailState,
     acceleration_rad_s2: [f64; 3],
-    /// In the hands, kg.
+    /// Mass in the hands, kg.
     carried_kg: f64,
     cables_nm: [f64; 2],
     pose: Pose,
 }
 
-/// Part of a point's place that turns with one angle: `[forwards, up]` in that angle's frame, m.
+/// Part of a point's place that rotates with one angle: `[forwards, up]` in that angle's frame, m.
 type Arm = [f64; 2];
 
-/// A mass of the chain: kg, inertia about its centre in kg m², the angle that turns it, and its place as a sum of arms.
+/// A mass of the chain: kg, inertia about its centre in kg m², the index of its angle, and its place as a sum of arms.
 type Part = (f64, f64, usize, [Arm; 3]);
 
-/// In the world, `[x, z]`.
+/// An arm rotated to the world, `[x, z]`.
 fn turned([forward, up]: Arm, [sin, cos]: [f64; 2]) -> [f64; 2] {
     [forward * cos + up * sin, up * cos - forward * sin]
 }
 
-/// Equations of motion in absolute angles: `mass · acceleration = force`, gravity and the turning of the frames included.
+/// Equations of motion in absolute angles: `mass · acceleration = force`, including gravity and the centrifugal terms.
 struct Motion {
     mass: [[f64; 3]; 3],
     force: [f64; 3],
-    /// Of the masses, from the ankle's height, J.
+    /// Potential energy of the masses, relative to the ankle's height, J.
     potential_j: f64,
 }
 
 impl BalanceTail {
-    /// The person upright and at rest at the origin, the joints at `rest_rad` while their shafts are at 0.
+    /// A person upright and at rest at the origin, with the joints at `rest_rad` while their shafts are at 0.
     ///
     /// # Errors
-    /// [`TailError`] names what cannot be computed.
+    /// [`TailError`] names the part whose parameters are out of range.
     pub fn new(wearer: Wearer, links: [Link; 2], rest_rad: [f64; 2], lift: Option<Lift>) -> Result<Self, TailError> {
         let positive = |value: f64| value > 0.0 && value.is_finite();
         let not_negative = |value: f64| value >= 0.0 && value.is_finite();
         let Wearer { mass_kg, centre_m, inertia_kg_m2, tail_m, .. } = wearer;
         let stands = [mass_kg, centre_m, inertia_kg_m2].into_iter().all(positive);
-        // To rounding: a point mass has no inertia of its own.
+        // to rounding: a point mass has no inertia of its own
         if !stands
             || inertia_kg_m2 < mass_kg * centre_m * centre_m * (1.0 - 1e-9)
             || !tail_m.iter().all(|m| m.is_finite())
@@ -264,7 +267,7 @@ impl BalanceTail {
             torque[number + 1] = 1.0;
             let per_nm =
                 body.accelerations(&start, torque)[number + 1] - body.accelerations(&start, [0.0; 3])[number + 1];
-            // Where Runge-Kutta's error of a spring's phase in a step reaches 1 %.
+            // limit at which Runge-Kutta's error of a spring's phase in a step reaches 1 %
             let most = 1.0 / (per_nm * MAX_STEP_S * MAX_STEP_S);
             if link.cable.stiffness_nm_per_rad > most {
                 return Err(TailError::Stiff { link: number, most });
@@ -277,10 +280,10 @@ impl BalanceTail {
         Ok(body)
     }
 
-    /// Finds the posture and the cables' lengths that hold it at its start.
+    /// Finds the posture and the cables' lengths that hold the body at its start.
     fn balance(&mut self) -> Result<(), TailError> {
         let [trunk_nm, first_nm, second_nm] = self.motion(&self.start).force;
-        // From absolute angles: each joint carries what is beyond it.
+        // from absolute angles: each joint carries everything beyond it
         let holds_nm = [-(trunk_nm + first_nm + second_nm), -(first_nm + second_nm), -second_nm];
         let Ankle { stiffness_nm_per_rad, damping_nm_s_per_rad, torque_max_nm } = self.wearer.ankle;
         let sound = stiffness_nm_per_rad >= 0.0 && damping_nm_s_per_rad >= 0.0 && holds_nm[0].abs() <= torque_max_nm;
@@ -295,48 +298,48 @@ impl BalanceTail {
         Ok(())
     }
 
-    /// The person's numbers.
+    /// Parameters of the person.
     #[must_use]
     pub const fn wearer(&self) -> &Wearer {
         &self.wearer
     }
 
-    /// The links, from the back outwards.
+    /// Links of the tail, from the back outwards.
     #[must_use]
     pub const fn links(&self) -> &[Link; 2] {
         &self.links
     }
 
-    /// Has the person lift something, or nothing.
+    /// Sets the load that the person lifts; `None` for nothing.
     pub fn set_lift(&mut self, lift: Option<Lift>) {
         self.lift = lift;
     }
 
-    /// Angles and rates now.
+    /// Present angles and rates.
     #[must_use]
     pub const fn state(&self) -> &TailState {
         &self.state
     }
 
-    /// Torque of each cable at its joint now, before what pulleys take, N m.
+    /// Present torque of each cable at its joint, before pulley losses, N m.
     #[must_use]
     pub const fn cables_nm(&self) -> [f64; 2] {
         self.cables_nm
     }
 
-    /// Torque of the ankle now, N m, positive forwards.
+    /// Present torque of the ankle, N m, positive forwards.
     #[must_use]
     pub fn ankle_nm(&self) -> f64 {
         self.ankle(&self.state)
     }
 
-    /// How far the person's own centre of mass is in front of the ankle, m.
+    /// Horizontal distance of the person's own centre of mass in front of the ankle, m.
     #[must_use]
     pub fn wearer_x_m(&self) -> f64 {
         self.wearer.centre_m * libm::sin(self.state.angle_rad[0])
     }
 
-    /// How far the tail's centre of mass is in front of its joint on the back, along the ground, m.
+    /// Horizontal distance of the tail's centre of mass in front of its joint on the back, m.
     #[must_use]
     pub fn tail_x_m(&self) -> f64 {
         let [trunk, first, second] = self.state.angle_rad;
@@ -347,7 +350,7 @@ impl BalanceTail {
         sum / (inner.mass_kg + outer.mass_kg)
     }
 
-    /// The masses; what is carried is one of them.
+    /// Masses of the chain, including the load.
     fn parts(&self) -> [Part; 4] {
         let Wearer { mass_kg, centre_m, inertia_kg_m2, tail_m, .. } = self.wearer;
         let [inner, outer] = &self.links;
@@ -372,7 +375,7 @@ impl BalanceTail {
         let mut motion = Motion { mass: [[0.0; 3]; 3], force: [0.0; 3], potential_j: 0.0 };
         for (mass_kg, inertia_kg_m2, owner, arms) in self.parts() {
             let at: [_; 3] = std::array::from_fn(|k| turned(arms[k], directions[k]));
-            // By each angle the place moves at right angles to its arm.
+            // velocity of the place per rate of each angle: perpendicular to its arm
             let along: [_; 3] = std::array::from_fn(|k| turned([arms[k][1], -arms[k][0]], directions[k]));
             let centrifugal = |axis: usize| (0..3).map(|k| at[k][axis] * rates[k] * rates[k]).sum::<f64>();
             let pull = [centrifugal(0), centrifugal(1) - GRAVITY_M_S2];
@@ -402,23 +405,23 @@ impl BalanceTail {
         (spring_nm - damping_nm_s_per_rad * state.rate_rad_s[0]).clamp(-torque_max_nm, torque_max_nm)
     }
 
-    /// Torque of a cable at its joint, without losses.
+    /// Torque of a cable at its joint before losses, N m.
     fn cable(&self, number: usize, state: &TailState, shaft: ShaftMotion) -> f64 {
         let Cable { ratio, stiffness_nm_per_rad, damping_nm_s_per_rad, .. } = self.links[number].cable;
         let stretch = shaft.position / ratio + self.slack_rad[number] - state.angle_rad[number + 1];
         stiffness_nm_per_rad * stretch + damping_nm_s_per_rad * (shaft.speed / ratio - state.rate_rad_s[number + 1])
     }
 
-    /// What of a cable's torque reaches the joint.
+    /// Torque that a cable transmits to the joint after losses, N m.
     fn after_losses(&self, number: usize, cable_nm: f64, rate_rad_s: f64) -> f64 {
         let Cable { wraps, loss_per_wrap, friction_nm, .. } = self.links[number].cable;
         let slides = libm::tanh(rate_rad_s / SLIDE_RAD_S);
-        // Less of it in the direction of motion, more against it.
+        // less of it in the direction of motion, more against it
         let lost = -wraps * libm::log1p(-loss_per_wrap) * slides * cable_nm.signum();
         cable_nm * libm::exp(-lost) - friction_nm * slides
     }
 
-    /// Rates and accelerations while the shafts move as said, rad/s and rad/s².
+    /// Rates and accelerations for the given motion of the shafts, rad/s and rad/s².
     fn derivative(&self, state: &TailState, shafts: [ShaftMotion; 2]) -> TailState {
         let joint = |number: usize| {
             let cable_nm = self.cable(number, state, shafts[self.links[number].cable.shaft]);
@@ -428,7 +431,7 @@ impl BalanceTail {
         TailState { angle_rad: state.rate_rad_s, rate_rad_s: self.accelerations(state, torques) }
     }
 
-    /// Runge-Kutta, classical; the shafts' positions are those at its end.
+    /// Advances by classical Runge-Kutta; the shafts' positions are those at the end of the step.
     fn integrate(&mut self, shafts: [ShaftMotion; 2], step_s: f64) {
         let at = |share: f64| {
             shafts.map(|shaft| ShaftMotion { position: shaft.position - (1.0 - share) * step_s * shaft.speed, ..shaft })
@@ -457,7 +460,8 @@ impl TailState {
     }
 }
 
-/// By Cramer's rule: a mass matrix is positive definite, and these are of three like magnitudes.
+/// Solves a linear system by Cramer's rule: the mass matrix is positive definite, with three eigenvalues of similar
+/// magnitude.
 fn solve(m: [[f64; 3]; 3], v: [f64; 3]) -> [f64; 3] {
     let determinant = |m: [[f64; 3]; 3]| {
         m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
@@ -512,7 +516,7 @@ impl Body for BalanceTail {
         Twist::default()
     }
 
-    /// At the ankle, in the trunk's frame.
+    /// Motion of the ankle, in the trunk's frame.
     fn inertial(&self) -> Inertial {
         let (sin, cos) = libm::sincos(self.state.angle_rad[0]);
         Inertial {

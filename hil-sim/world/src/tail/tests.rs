@@ -39,7 +39,7 @@ fn worn_on_cables(ankle: Ankle, rest_rad: [f64; 2], change: fn(&mut Cable)) -> B
     BalanceTail::new(Wearer { ankle, ..WEARER }, links, rest_rad, None).unwrap()
 }
 
-/// The model of `tests/oracle/tail.py`.
+/// The same model as in `tests/oracle/tail.py`.
 fn oracle_tail(load_kg: f64) -> BalanceTail {
     let mut body = BalanceTail::new(WEARER, [INNER, OUTER], [0.0; 2], Some(LOAD)).unwrap();
     body.wearer.ankle = LIMP;
@@ -57,7 +57,7 @@ fn run(body: &mut BalanceTail, shafts: [ShaftMotion; 2], for_s: f64, step_s: f64
 
 const HELD: [ShaftMotion; 2] = [ShaftMotion { position: 0.0, speed: 0.0 }; 2];
 
-/// Kinetic and of gravity, ankle's spring and cables, J.
+/// Kinetic energy plus that of gravity, the ankle's spring and the cables, J.
 fn energy_j(body: &BalanceTail, shafts: [ShaftMotion; 2]) -> f64 {
     let Motion { mass, potential_j, .. } = body.motion(&body.state);
     let [trunk, first, second] = body.state.rate_rad_s;
@@ -75,7 +75,8 @@ fn energy_j(body: &BalanceTail, shafts: [ShaftMotion; 2]) -> f64 {
     kinetic + potential_j + 0.5 * body.wearer.ankle.stiffness_nm_per_rad * bent * bent + cables
 }
 
-/// Without losses energy changes by the integrator's error alone: of fourth order, so a sixteenth and less of it at half the step.
+/// Without losses energy changes only by the integrator's error: of fourth order, so at half the step it is a sixteenth
+/// or less.
 #[test]
 fn energy_stays_to_the_order_of_the_integrator() {
     let drift_j = |step_s: f64| {
@@ -91,13 +92,13 @@ fn energy_stays_to_the_order_of_the_integrator() {
     };
     let [whole_j, half_j] = [4e-3, 2e-3].map(drift_j);
     assert!(whole_j > 1e-9, "the error is not rounding: {whole_j}");
-    // 16 by the order; the energy's own error is of fifth order over a step in an oscillation: up to 32.
+    // 16 by the order; the energy's own error is of fifth order per step in an oscillation: up to 32
     assert!((12.0..40.0).contains(&(whole_j / half_j)), "{whole_j} J, {half_j} J");
-    // At the longest step that boards take, an eighth of that: 32^3 times less.
+    // at the longest step of boards, an eighth of that: 32^3 times less
     assert!(drift_j(MAX_STEP_S) < 1e-6 && half_j < 0.04, "{half_j} J, {} J", drift_j(MAX_STEP_S));
 }
 
-/// Counts the time of whole swings from zero crossings of an angle.
+/// Measures the mean period of whole swings from zero crossings of an angle, s.
 fn period_s(body: &mut BalanceTail, angle: usize, for_s: f64) -> f64 {
     let (mut crossings, mut before) = (Vec::new(), body.state.angle_rad[angle]);
     for step in 0..(for_s / MAX_STEP_S).round() as u32 {
@@ -114,14 +115,14 @@ fn period_s(body: &mut BalanceTail, angle: usize, for_s: f64) -> f64 {
 #[test]
 fn small_swings_have_the_linear_frequency() {
     let feather = Link { mass_kg: 1e-9, inertia_kg_m2: 1e-9, ..INNER };
-    // A person alone: I w^2 = k - m g h.
+    // a person alone: I w^2 = k - m g h
     let mut body = BalanceTail::new(WEARER, [feather, Link { cable: OUTER.cable, ..feather }], [0.0; 2], None).unwrap();
     body.state.angle_rad[0] = 1e-4;
     let expected_s = std::f64::consts::TAU / ((1200.0 - 72.0 * GRAVITY_M_S2 * 0.97) / 80.0_f64).sqrt();
     let got_s = period_s(&mut body, 0, 20.0);
-    // Interpolated crossings: (w h)^2 of a step; the amplitude's share is 1e-9.
+    // interpolated crossings: (w h)^2 of a step; the amplitude contributes 1e-9
     assert!((got_s / expected_s - 1.0).abs() < 1e-6, "{got_s} s, {expected_s} s");
-    // The inner link as a pendulum on a person who cannot move: I w^2 = m g c.
+    // the inner link as a pendulum on a person who cannot move: I w^2 = m g c
     let wearer = Wearer { mass_kg: 1e9, inertia_kg_m2: 1e9, ..WEARER };
     let ankle = Ankle { stiffness_nm_per_rad: 1e12, ..LIMP };
     let links = [INNER, Link { cable: OUTER.cable, ..feather }];
@@ -133,7 +134,7 @@ fn small_swings_have_the_linear_frequency() {
     assert!((got_s / expected_s - 1.0).abs() < 1e-6, "{got_s} s, {expected_s} s");
 }
 
-/// Gravity's moments of both links, divided by the ratio: `m g l cos q` of the angle from the horizontal.
+/// Moments of both links' weights, divided by the ratio: `m g l cos q` for the angle from the horizontal.
 #[test]
 fn shafts_hold_the_weight_of_the_links() {
     for [first, second] in [[0.3, 0.2], [std::f64::consts::FRAC_PI_2, 0.0], [1.0, -1.5], [-0.4, 0.9]] {
@@ -143,7 +144,7 @@ fn shafts_hold_the_weight_of_the_links() {
             }
         });
         let loads = run(&mut body, HELD, 2.0, MAX_STEP_S);
-        // Raised from hanging, so sines; the person stays where the ankle puts them.
+        // raised from hanging, so sines; the person keeps the ankle's lean
         let (first_sin, both_sin) = (first.sin(), (first + second).sin());
         let outer_nm = 3.1 * GRAVITY_M_S2 * 0.31 * both_sin;
         let inner_nm = GRAVITY_M_S2 * (3.4 * 0.45 + 3.1 * 0.70) * first_sin + outer_nm;
@@ -151,7 +152,7 @@ fn shafts_hold_the_weight_of_the_links() {
         assert!(body.state.angle_rad[0].abs() < 1e-12 && (body.state.angle_rad[1] - first).abs() < 1e-12);
         let apart = loads.iter().zip(expected).map(|(load, expected)| (load - expected).abs()).fold(0.0, f64::max);
         assert!(apart < 1e-9, "{loads:?}, {expected:?}");
-        // What the ankle holds is the sum about the ankle: the tail hangs behind.
+        // the ankle holds the sum of moments about itself: the tail hangs behind
         let behind_m = |at_m: f64| 0.12 + at_m;
         let about_nm = 3.4 * GRAVITY_M_S2 * behind_m(0.45 * first_sin)
             + 3.1 * GRAVITY_M_S2 * behind_m(0.70 * first_sin + 0.31 * both_sin);
@@ -159,7 +160,8 @@ fn shafts_hold_the_weight_of_the_links() {
     }
 }
 
-/// About the ankle, angular momentum grows by the moments of gravity and of the ankle alone, whatever cables do within.
+/// About the ankle, angular momentum grows by the moments of gravity and of the ankle alone, for any internal torque of
+/// the cables.
 #[test]
 fn angular_momentum_grows_by_what_acts_from_outside() {
     let momentum = |body: &BalanceTail| {
@@ -174,7 +176,7 @@ fn angular_momentum_grows_by_what_acts_from_outside() {
     let (mut grown, mut loads, mut moment_before) = (0.0, [0.0; 2], None);
     let (mut shafts, before) = (HELD, momentum(&body));
     for step in 0..8000 {
-        // Both motors turn to and fro.
+        // both motors oscillate
         let at_s = f64::from(step + 1) * MAX_STEP_S;
         for (number, shaft) in shafts.iter_mut().enumerate() {
             let rate = 3.0 + number as f64;
@@ -188,14 +190,14 @@ fn angular_momentum_grows_by_what_acts_from_outside() {
     }
     let expected = momentum(&body) - before;
     assert!(expected.abs() > 0.1, "it moves: {expected}");
-    // Trapezium rule: the first step's moment is that of its end, 34 N m x 0.25 ms of the load.
+    // trapezoidal rule: the first step's moment is that of its end, 34 N m x 0.25 ms of the load
     assert!((grown - expected).abs() < 0.01, "{grown} N m s, {expected} N m s");
 }
 
-/// A lifting motor gives the joint the share that pulleys leave, and one that lowers carries as much less.
+/// A lifting motor gives the joint the share that pulleys transmit, and one that lowers carries as much less.
 #[test]
 fn pulleys_take_their_share_in_the_direction_of_motion() {
-    // A trunk that does not move.
+    // a trunk that does not move
     let ankle = Ankle { stiffness_nm_per_rad: 1e6, damping_nm_s_per_rad: 1e4, ..SPRING };
     let mut body = worn_on_cables(ankle, [1.0, 0.0], |cable| (cable.wraps, cable.loss_per_wrap) = (6.0, 0.1));
     let left = 0.9_f64.powi(6);
@@ -203,7 +205,7 @@ fn pulleys_take_their_share_in_the_direction_of_motion() {
         assert!((body.after_losses(0, 40.0, rate_rad_s) - 40.0 * share).abs() < 1e-6);
         assert!((body.after_losses(0, -40.0, -rate_rad_s) + 40.0 * share).abs() < 1e-6);
     }
-    // Slowly up and down by the motor, whose load is the cable's.
+    // slowly up and down by the motor, whose load is the cable's
     let weight_nm = |body: &BalanceTail| {
         let still = TailState { rate_rad_s: [0.0; 3], ..body.state };
         let [_, first_nm, second_nm] = body.motion(&still).force;
@@ -218,13 +220,13 @@ fn pulleys_take_their_share_in_the_direction_of_motion() {
         }
         let share = if speed > 0.0 { 1.0 / left } else { left };
         let expected_nm = -weight_nm(&body) * share / 25.0;
-        // At 0.1 rad/s, once the start has died away; the weight changes meanwhile by 0.1 rad/s of its lag.
+        // at 0.1 rad/s, after the start has decayed; the weight changes by 0.1 rad/s times its lag
         assert!((loads[0] / expected_nm - 1.0).abs() < 1e-3, "{} N m, {expected_nm} N m", loads[0]);
         body.set_pose(Pose::default());
     }
 }
 
-/// A stretched cable leaves the joint short of its motor by torque over stiffness.
+/// A stretched cable leaves the joint behind its motor by torque over stiffness.
 #[test]
 fn a_cable_stretches_under_its_torque() {
     let mut body = on_cables([0.0; 2], |_| {});
@@ -246,7 +248,7 @@ fn a_load_is_taken_up_over_its_time_and_leans_the_person_forwards() {
         assert!((body.carried_kg - expected_kg).abs() < 1e-9);
         assert!(at_s > 1.0 || body.wearer_x_m().abs() < 1e-12, "nothing moves before");
     }
-    // At rest the ankle holds what leans, with what is carried and what hangs behind.
+    // at rest the ankle holds the lean, the load and the tail behind
     let lean = body.state.angle_rad[0];
     let still = body.motion(&body.state).force.iter().sum::<f64>();
     assert!((body.ankle_nm() + still).abs() < 1e-3 && lean > 0.02, "{lean} rad");
@@ -336,7 +338,8 @@ fn oracle() -> Oracle {
     serde_json::from_str(include_str!("../../tests/oracle/tail.json")).unwrap()
 }
 
-/// Pinocchio 4.1.0 (articulated body algorithm) and MuJoCo 3.17.0 at 40 random states and torques, half of them with a load.
+/// Accelerations of Pinocchio 4.1.0 (articulated body algorithm) and MuJoCo 3.17.0 at 40 random states and torques,
+/// half of them with a load.
 #[test]
 fn accelerations_are_those_of_pinocchio_and_mujoco() {
     let rows = oracle().rows;
@@ -345,7 +348,7 @@ fn accelerations_are_those_of_pinocchio_and_mujoco() {
         let got = oracle_tail(load_kg).accelerations(&TailState { angle_rad: q, rate_rad_s: v }, tau);
         let largest = pinocchio.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
         for (axis, expected) in [pinocchio, mujoco].into_iter().flat_map(|row| row.into_iter().enumerate()) {
-            // Rounding of a mass matrix of condition 2000; the two oracles are 3e-15 apart.
+            // rounding of a mass matrix of condition 2000; the two oracles differ by 3e-15
             assert!((got[axis] - expected).abs() < 1e-11 * largest, "{got:?}, {expected} of axis {axis}");
         }
     }
@@ -362,7 +365,7 @@ fn a_free_swing_follows_mujocos() {
         run(&mut body, HELD, t - before_s, MAX_STEP_S);
         before_s = t;
         for axis in 0..3 {
-            // Same method and step: rounding, which a falling chain multiplies by less than 1e3 in a second.
+            // same method and step: rounding, which a falling chain amplifies by less than 1e3 in a second
             assert!((body.state.angle_rad[axis] - q[axis]).abs() < 1e-9, "{t} s: {:?}, {q:?}", body.state.angle_rad);
             assert!((body.state.rate_rad_s[axis] - v[axis]).abs() < 1e-8, "{t} s: {:?}, {v:?}", body.state.rate_rad_s);
         }

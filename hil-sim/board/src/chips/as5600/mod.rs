@@ -1,18 +1,19 @@
-//! ams AS5600: the angle of a magnet, behind registers. Page and figure numbers are those of its datasheet, v1-06 of 2018-06-20.
+//! ams AS5600: magnetic angle sensor on I2C. Page and figure numbers are those of its datasheet, v1-06 of 2018-06-20.
 //!
-//! # What it measures
-//! Every 150 µs it takes the angle, which goes through a low-pass of first order with the settling time of the chosen slow filter, gets
-//! white noise of that filter's deviation, and is rounded down to one of 4096 counts. The angle rises with that which it is given: the
-//! DIR pin is as the wiring needs it.
+//! # Measurement
+//! Every 150 µs the chip samples the angle. The sample passes a first-order low-pass with the settling time of the
+//! selected slow filter, gets white noise of that filter's deviation, and is rounded down to one of 4096 counts. The
+//! reading increases with the true angle: the DIR pin is assumed to be wired accordingly.
 //!
 //! # Where the datasheet leaves room
-//! - Sampling rate, settling times and noise of the slow filters, and the polling times of the low-power modes (figure 6) are
-//!   from memory. The settling time is taken for that to 95 %, three time constants.
-//! - Before its first sample after power-up the chip shows angle 0, without a magnet.
-//! - A weak magnet trebles the noise, a strong one does not change it; without one each sample is anything.
-//! - The fast filter, the watchdog, the outputs and what is burnt into the chip are not modelled: their bits hold what is written.
-//! - Two bytes of one register are those of one sample when they come in one transfer.
-//! - A pointer that comes to RAW ANGLE, ANGLE or MAGNITUDE by counting goes on counting (page 13: only one that is set there comes back).
+//! - Sampling rate, settling times and noise of the slow filters, and the polling times of the low-power modes (figure
+//!   6) are quoted from memory. The settling time is taken as that to 95 %, three time constants.
+//! - Before its first sample after power-up the chip reads angle 0 and no magnet.
+//! - A weak magnet trebles the noise, a strong one does not change it; without a magnet each sample is random.
+//! - The fast filter, the watchdog, the outputs and the OTP memory are not modelled: their bits only store writes.
+//! - Two bytes of one register belong to one sample if they are read in one transfer.
+//! - A pointer that reaches RAW ANGLE, ANGLE or MAGNITUDE by auto-increment keeps incrementing (page 13: only a pointer
+//!   set to one of them stays there).
 
 #[cfg(test)]
 mod tests;
@@ -31,30 +32,30 @@ use crate::{
 };
 
 const ADDRESS: u8 = 0x36;
-/// Time between two samples by PM, ns.
+/// Sampling period by PM, ns.
 const SAMPLING_NS: [u64; 4] = [150_000, 5_000_000, 20_000_000, 100_000_000];
 /// Settling times of the slow filters by SF, s.
 const SETTLING_S: [f64; 4] = [2.2e-3, 1.1e-3, 0.55e-3, 0.286e-3];
-/// Noise behind the slow filters by SF, ° rms.
+/// Noise after the slow filters by SF, ° rms.
 const NOISE_DEG: [f64; 4] = [0.015, 0.021, 0.030, 0.043];
-/// With a magnet that is too weak, as much noise: our choice.
+/// Factor on the noise with a weak magnet: our choice.
 const WEAK_NOISE: f64 = 3.0;
 
-/// What is in front of the chip.
+/// Magnet in front of the chip.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Magnet {
     /// A magnet in the middle of the chip's range.
     #[default]
     Good,
-    /// A field that the highest gain is not enough for.
+    /// A field too weak for the highest gain.
     Weak,
-    /// A field that the lowest gain is too much for.
+    /// A field too strong for the lowest gain.
     Strong,
-    /// None.
+    /// No magnet in front of the chip.
     Absent,
 }
 
-/// Where the chip is in a transfer.
+/// Phase of an I2C transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Transfer {
     None,
@@ -62,24 +63,24 @@ enum Transfer {
     Data,
 }
 
-/// One chip.
+/// Simulated chip with its registers.
 #[derive(Clone, Debug)]
 pub struct As5600 {
     /// ZPOS, MPOS, MANG and CONF: registers 1 to 8.
     settings: [u8; 8],
     magnet: Magnet,
     pointer: u8,
-    /// Where a pointer that was set to the upper byte of a measurement comes back to.
+    /// Upper byte's address, to which a pointer returns that was set to a two-byte measurement.
     comes_back_to: Option<u8>,
-    /// A register of two bytes whose upper one has been read in this transfer.
+    /// Value of the two-byte register whose upper byte has been read in this transfer.
     latched: u16,
     transfer: Transfer,
     now_ns: u64,
 
-    /// Up to when it has felt the angle, and that, without turns taken off, rad.
+    /// Time up to which the angle is known, and the angle then, rad, with whole turns.
     felt_ns: u64,
     felt_rad: f64,
-    /// What the filter has come to; `None` before the first sample.
+    /// Output of the low-pass, rad; `None` before the first sample.
     filtered_rad: Option<f64>,
     raw: u16,
     next_sample_ns: u64,
@@ -88,10 +89,10 @@ pub struct As5600 {
 }
 
 impl As5600 {
-    /// What it is called in reports.
+    /// Name of the chip in reports.
     pub const NAME: &str = "AS5600";
 
-    /// A chip just powered, nothing burnt into it. Its noise is drawn from `seed`.
+    /// A chip just powered up, with a blank OTP memory. `seed` is that of its noise.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self {
@@ -112,25 +113,26 @@ impl As5600 {
         }
     }
 
-    /// Takes the supply away and returns it: all settings as after power-up.
+    /// Interrupts the supply: all settings return to those after power-up.
     pub fn power_cycle(&mut self) {
         self.settings = [0; 8];
         (self.filtered_rad, self.raw, self.pointer) = (None, 0, 0);
         self.transfer = Transfer::None;
     }
 
-    /// Puts another magnet in front of the chip, or takes it away.
+    /// Sets the magnet in front of the chip.
     pub const fn set_magnet(&mut self, magnet: Magnet) {
         self.magnet = magnet;
     }
 
-    /// What was done to the chip against its datasheet.
+    /// Violations of the datasheet so far.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// The magnet has turned evenly since the last call, to `angle_rad` at `until_ns`: samples are taken that were due meanwhile.
+    /// Advances to `until_ns`, with the angle moving linearly from the last call to `angle_rad`, and takes the samples
+    /// due meanwhile.
     pub fn feel(&mut self, until_ns: u64, angle_rad: f64) {
         let (from_ns, from_rad) = (self.felt_ns, self.felt_rad);
         if until_ns < from_ns {
@@ -139,7 +141,7 @@ impl As5600 {
         while self.next_sample_ns <= until_ns {
             let at_ns = self.next_sample_ns;
             let whole_ns = (until_ns - from_ns) as f64;
-            // The first angle of all has no past.
+            // the first angle has no predecessor to interpolate from
             let share = if whole_ns == 0.0 || from_ns == 0 { 1.0 } else { (at_ns - from_ns) as f64 / whole_ns };
             self.sample(from_rad + (angle_rad - from_rad) * share);
         }
@@ -161,12 +163,13 @@ impl As5600 {
         self.next_sample_ns += every_ns;
     }
 
-    /// Two bytes of the settings, of which the lower twelve bits count.
+    /// Twelve-bit value of a pair of setting registers.
     fn position(&self, at: usize) -> u16 {
         u16::from_be_bytes([self.settings[at], self.settings[at + 1]]) & 0xFFF
     }
 
-    /// ANGLE: from ZPOS on, over MANG, or up to MPOS (page 21), or the whole turn where both are 0. Without hysteresis.
+    /// ANGLE register: scaled from ZPOS over MANG, or up to MPOS (page 21), or the whole turn if both are 0. Without
+    /// hysteresis.
     fn angle(&self) -> u16 {
         let [zero, stop, range] = [0, 2, 4].map(|at| self.position(at));
         let span = match (range, stop) {
@@ -181,7 +184,7 @@ impl As5600 {
         }
     }
 
-    /// Figure 23.
+    /// STATUS register (figure 23).
     fn status(&self) -> u8 {
         let sampled = self.filtered_rad.is_some();
         match self.magnet {
@@ -192,7 +195,7 @@ impl As5600 {
         }
     }
 
-    /// Of 3.3 V operation, 0 to 128 (page 20).
+    /// AGC register at 3.3 V operation, 0 to 128 (page 20).
     const fn gain(&self) -> u8 {
         match self.magnet {
             Magnet::Good => 64,
@@ -209,7 +212,7 @@ impl As5600 {
         let wide = match self.pointer {
             0x0C => Some(self.raw),
             0x0E => Some(self.angle()),
-            // Of a CORDIC whose range the datasheet does not give: in the middle.
+            // CORDIC magnitude, whose range the datasheet does not give: mid-scale
             0x1B => Some(2048),
             _ => None,
         };
@@ -222,12 +225,12 @@ impl As5600 {
             0x0B => self.status(),
             0x0D | 0x0F | 0x1C => self.latched.to_be_bytes()[1],
             0x1A => self.gain(),
-            // ZMCO: nothing is burnt. Where there is no register, zeros (page 13).
+            // ZMCO: OTP not written. Addresses without a register read as zero (page 13).
             _ => 0,
         }
     }
 
-    /// Goes on to the next register, also behind the last.
+    /// Increments the pointer, also past the last register; a pointer that stays returns to its upper byte.
     fn count_on(&mut self, read: bool) {
         self.pointer = match self.comes_back_to {
             Some(upper) if read && self.pointer == upper + 1 => upper,
@@ -268,7 +271,7 @@ impl I2cChip for As5600 {
                 let register = self.pointer;
                 match register {
                     0x01..=0x08 => self.settings[usize::from(register) - 1] = byte,
-                    // Burning is for ever: nobody is to do that by the way.
+                    // BURN writes the OTP memory permanently; the model reports it as an error of the driver
                     _ if Self::has(register) => self.report(MisuseKind::ReadOnlyRegister { register }),
                     _ => self.report(MisuseKind::UnmappedRegister { register }),
                 }

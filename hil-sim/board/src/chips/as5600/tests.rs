@@ -30,7 +30,7 @@ impl Bench {
         bytes
     }
 
-    /// The magnet stands at an angle, until the slowest filter has come to it.
+    /// Holds the magnet at an angle until the slowest filter has settled.
     fn turn_to(&mut self, angle_rad: f64) {
         self.chip.borrow_mut().feel(self.now_ns, angle_rad);
         self.now_ns += 20_000_000;
@@ -41,7 +41,8 @@ impl Bench {
 #[test]
 fn an_angle_is_counts_of_a_turn() {
     let mut bench = Bench::new();
-    // A quarter of a count away from the next on either side, and five deviations of the slowest filter: 0.015° are 0.17 counts.
+    // A quarter of a count from the next on either side, and five deviations of the slowest filter: 0.015° are 0.17
+    // counts.
     for (angle_rad, counts) in [(0.0008, 0), (1.0, 651), (-0.5 / 4096.0 * TAU, 4095), (7.0, 467)] {
         bench.turn_to(angle_rad);
         let [high, low] = bench.read(0x0C);
@@ -53,7 +54,7 @@ fn an_angle_is_counts_of_a_turn() {
     assert_eq!(bench.chip.borrow().misuse().first(), []);
 }
 
-/// Page 13.
+/// Address pointer rule of page 13.
 #[test]
 fn a_pointer_that_is_set_to_an_angle_comes_back_to_it() {
     let mut bench = Bench::new();
@@ -73,7 +74,7 @@ fn angle_goes_from_zpos_over_its_range() {
         assert!(bench.write(&settings));
         let [high, low] = bench.read(0x0E);
         let shown = u16::from_be_bytes([high, low]);
-        // Rounded down, a count of noise, twice with half the range.
+        // rounded down, one count of noise, doubled by half the range
         assert!(shown.abs_diff(expected) <= 2, "{shown}, not {expected}");
     }
 }
@@ -90,7 +91,7 @@ fn a_magnet_shows_in_the_status() {
     }
 }
 
-/// To 95 % in the filter's settling time, and noise as it has.
+/// Settling to 95 % in the filter's settling time, with the filter's noise.
 #[test]
 fn a_filter_settles_and_smooths() {
     for (bits, settling_s, noise_deg) in
@@ -104,7 +105,7 @@ fn a_filter_settles_and_smooths() {
         chip.feel(step_ns + 1, 2.0);
         chip.feel(step_ns + 1 + (settling_s * 1e9) as u64, 2.0);
         let come = chip.filtered_rad.expect("sampled") - 1.0;
-        // A sample is up to 150 us old, or has just been taken for 150 us.
+        // a sample is up to 150 us old, or was just taken for the next 150 us
         let least = 1.0 - f64::exp(-3.0 * (settling_s - 150e-6) / settling_s);
         let most = 1.0 - f64::exp(-3.0 * (settling_s + 150e-6) / settling_s);
         assert!((least..most).contains(&come), "{bits}: {come}");
@@ -116,7 +117,7 @@ fn a_filter_settles_and_smooths() {
             sum = [sum[0] + off, sum[1] + off * off];
         }
         let deviation = (sum[1] / 2000.0 - (sum[0] / 2000.0).powi(2)).sqrt();
-        // Rounding adds a twelfth of a count squared, or as little as nothing where the place is in the middle of a count.
+        // Rounding adds a twelfth of a count squared, or almost nothing if the angle is in the middle of a count.
         let noise = noise_deg / 360.0 * 4096.0;
         assert!(deviation < (noise * noise + 0.25f64).sqrt() * 1.1, "{bits}: {deviation}, {noise}");
         assert!(bits < 2 || deviation > 0.7 * noise, "{bits}: {deviation}, {noise}");

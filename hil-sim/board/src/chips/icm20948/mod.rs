@@ -1,18 +1,20 @@
-//! TDK ICM-20948: accelerometer and gyroscope behind registers in four banks. Section and table numbers are those of its datasheet,
-//! DS-000189, rev. 1.3. The magnetometer, the FIFO, the DMP and the auxiliary bus are not modelled: their registers hold what is written.
+//! TDK ICM-20948: accelerometer and gyroscope behind registers in four banks. Section and table numbers are those of
+//! its datasheet, DS-000189, rev. 1.3. The magnetometer, the FIFO, the DMP and the auxiliary bus are not modelled:
+//! their registers only store writes.
 //!
-//! # What it measures
-//! Each axis goes through a low-pass of first order with the bandwidth of the chosen filter, gets white noise, is rounded to counts and
-//! clipped to 16 bits, at the sample rate that the gyroscope's divider sets. Noise of a sample is the noise density of table 1 or 2 times
-//! the root of the noise bandwidth, π/2 of the filter's.
+//! # Measurement
+//! Each axis passes a first-order low-pass with the bandwidth of the selected filter, gets white noise, is rounded to
+//! counts and clipped to 16 bits, at the sample rate set by the gyroscope's divider. Noise of a sample is the noise
+//! density of table 1 or 2 times the square root of the noise bandwidth, π/2 times the filter's.
 //!
 //! # Where the datasheet leaves room
-//! - It gives bandwidths of the filters, and neither order nor delay: the first order is our choice.
-//! - With both sensors on, all samples come at the gyroscope's rate (10.1).
-//! - RAW_DATA_0_RDY of INT_STATUS_1 is set by a new sample whether or not its interrupt is enabled, and is cleared by reading (8.13).
-//! - From power-up or reset the chip acknowledges nothing for 11 ms after power-up, which is typical, and 100 ms after a reset, which is
-//!   the longest (table 3).
-//! - Cross-axis sensitivity and temperature are 0; biases and scale errors come from outside.
+//! - It gives bandwidths of the filters, but neither order nor delay: the first order is our choice.
+//! - With both sensors on, all samples are taken at the gyroscope's rate (10.1).
+//! - RAW_DATA_0_RDY of INT_STATUS_1 is set by a new sample even if its interrupt is disabled, and is cleared by reading
+//!   (8.13).
+//! - The chip acknowledges nothing for 11 ms after power-up, a typical value, and 100 ms after a reset, the maximum
+//!   (table 3).
+//! - Cross-axis sensitivity and temperature are 0; biases and scale errors are part of the input.
 
 mod registers;
 #[cfg(test)]
@@ -29,39 +31,40 @@ use crate::{
 };
 use registers::{Bank, access};
 
-/// From power-up to the first access, typical (table 3), ns.
+/// Time from power-up to the first access, typical (table 3), ns.
 const POWER_UP_NS: u64 = 11_000_000;
-/// From a reset to the first access, at most (table 3), ns.
+/// Time from a reset to the first access, maximum (table 3), ns.
 const RESET_NS: u64 = 100_000_000;
 /// Undivided sample rate with the low-pass on, Hz (10.1).
 const SAMPLES_HZ: f64 = 1125.0;
-/// Sample rate with it off, Hz: of the gyroscope (table 16).
+/// Sample rate of the gyroscope with the low-pass off, Hz (table 16).
 const UNFILTERED_HZ: f64 = 9000.0;
-/// Of the gyroscope, °/s/√Hz (table 1), and of the accelerometer, g/√Hz (table 2).
+/// Noise density of the gyroscope, °/s/√Hz (table 1), and of the accelerometer, g/√Hz (table 2).
 const RATE_NOISE_DEG_S: f64 = 0.015;
 const ACCELERATION_NOISE_G: f64 = 230e-6;
-/// Bandwidths at -3 dB of the filters 0 to 7, Hz: of the gyroscope (table 16) and of the accelerometer (table 18).
+/// Bandwidths at -3 dB of filters 0 to 7, Hz: gyroscope (table 16) and accelerometer (table 18).
 const GYRO_HZ: [f64; 8] = [196.6, 151.8, 119.5, 51.2, 23.9, 11.6, 5.7, 361.4];
 const ACCEL_HZ: [f64; 8] = [246.0, 246.0, 111.4, 50.4, 23.9, 11.5, 5.7, 473.0];
 /// Bandwidths with the filter off, Hz.
 const GYRO_OFF_HZ: f64 = 12_106.0;
 const ACCEL_OFF_HZ: f64 = 1209.0;
-/// Sensitivity at the least full scale: counts for 1 °/s (table 1) and for 1 g (table 2); each next full scale has half of it.
+/// Sensitivity at the smallest full scale: counts per °/s (table 1) and per g (table 2). It halves with each larger
+/// one.
 const COUNTS_PER_DEG_S: f64 = 131.072;
 const COUNTS_PER_G: f64 = 16_384.0;
-/// m/s² in 1 g.
+/// Standard gravity, m/s² per g.
 const STANDARD_GRAVITY: f64 = 9.806_65;
 
-/// What the chip feels, biases included.
+/// Motion of the chip, biases included.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Truth {
-    /// Acceleration less that of free fall, m/s².
+    /// Acceleration minus gravity, m/s²: +9.8 on the upward axis at rest.
     pub acceleration_m_s2: [f64; 3],
-    /// rad/s
+    /// Angular rates about x, y and z, rad/s.
     pub rate_rad_s: [f64; 3],
 }
 
-/// Where the chip is in a transfer.
+/// Phase of an I2C transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Transfer {
     /// The chip is not addressed.
@@ -76,7 +79,7 @@ enum Transfer {
 #[derive(Clone, Debug)]
 pub struct Icm20948 {
     address: u8,
-    /// What it says it is; another chip would say otherwise.
+    /// Value of WHO_AM_I, which differs in another chip.
     identity: u8,
     banks: [Bank; 4],
     bank: usize,
@@ -85,21 +88,22 @@ pub struct Icm20948 {
     now_ns: u64,
     ready_at_ns: u64,
 
-    /// Up to when it has felt what it feels, and what the filters have come to: accelerations in g, rates in °/s.
+    /// Time up to which the inputs are known, and the filters' outputs: accelerations in g, rates in °/s.
     felt_ns: u64,
     filtered: [f64; 6],
     next_sample_ns: u64,
-    /// Samples stop, as with a broken oscillator.
+    /// True if samples have stopped, as with a broken oscillator.
     hung: bool,
     noise: Pcg64,
     misuse: MisuseLog,
 }
 
 impl Icm20948 {
-    /// What it is called in reports.
+    /// Name of the chip in reports.
     pub const NAME: &str = "ICM-20948";
 
-    /// A chip just powered, asleep, with AD0 giving the lowest bit of the 7-bit `address` (0x68 or 0x69). Its noise is drawn from `seed`.
+    /// A chip just powered up, asleep, with AD0 giving the lowest bit of the 7-bit `address` (0x68 or 0x69). `seed` is
+    /// that of its noise.
     #[must_use]
     pub fn new(address: u8, seed: u64) -> Self {
         Self {
@@ -120,28 +124,29 @@ impl Icm20948 {
         }
     }
 
-    /// Takes the supply away and returns it: asleep, all registers as after power-up.
+    /// Interrupts the supply: the chip is asleep, all registers return to those after power-up.
     pub fn power_cycle(&mut self, at_ns: u64) {
         self.reset(at_ns, POWER_UP_NS);
     }
 
-    /// Another chip is at its address, which answers WHO_AM_I otherwise.
+    /// Sets the value of WHO_AM_I, as if another chip were at its address.
     pub fn set_identity(&mut self, identity: u8) {
         self.identity = identity;
     }
 
-    /// From now on it never has a new sample, or has them again.
+    /// Stops all samples, or lets them continue.
     pub fn set_hung(&mut self, hung: bool) {
         self.hung = hung;
     }
 
-    /// What was done to the chip against its datasheet.
+    /// Violations of the datasheet so far.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// It has felt `truth` since the last call, up to `until_ns`: filters follow, and samples are taken that were due meanwhile.
+    /// Advances to `until_ns` with `truth` constant since the last call: filters follow, and samples due meanwhile are
+    /// taken.
     pub fn feel(&mut self, until_ns: u64, truth: Truth) {
         let inputs = inputs(truth);
         while self.next_sample_ns <= until_ns {
@@ -162,7 +167,7 @@ impl Icm20948 {
         }
     }
 
-    /// Of accelerometer and gyroscope.
+    /// Bandwidths of accelerometer and gyroscope, Hz.
     fn bandwidths_hz(&self) -> [f64; 2] {
         let of = |config: u8, filters: &[f64; 8], off: f64| {
             if config & 1 == 0 { off } else { filters[usize::from(config >> 3 & 7)] }
@@ -192,7 +197,7 @@ impl Icm20948 {
         for axis in 0..6 {
             let (counts_per_unit, noise_rms) = if axis < 3 { accel } else { gyro };
             let drawn = normal(&mut self.noise);
-            // Rounded, and clipped where it does not fit (`as` saturates).
+            // rounded, and clipped to 16 bits (`as` saturates)
             let counts = ((self.filtered[axis] + noise_rms * drawn) * counts_per_unit).round() as i16;
             let at = 0x2D + 2 * axis;
             self.banks[0][at..at + 2].copy_from_slice(&counts.to_be_bytes());
@@ -245,7 +250,7 @@ impl Icm20948 {
                 self.report(MisuseKind::UnimplementedRegister { register });
                 0
             }
-            // Reading clears it.
+            // reading INT_STATUS_1 clears it
             (0, 0x1A) => std::mem::take(&mut self.banks[0][0x1A]),
             _ => self.banks[bank][usize::from(register)],
         }
@@ -257,7 +262,7 @@ impl Icm20948 {
     }
 }
 
-/// In g and °/s.
+/// Accelerations in g, then rates in °/s.
 fn inputs(truth: Truth) -> [f64; 6] {
     let [x, y, z] = truth.acceleration_m_s2.map(|acceleration| acceleration / STANDARD_GRAVITY);
     let [p, q, r] = truth.rate_rad_s.map(f64::to_degrees);

@@ -1,18 +1,18 @@
-//! The register map (7), of the functions that are modelled and of those whose registers only hold what is written.
+//! Register map (section 7): the registers of modelled functions, and those that only store writes.
 
 /// One bank of registers.
 pub(super) type Bank = [u8; 128];
 
-/// What the bus may do to a register.
+/// Access of the bus to a register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Access {
-    /// Read only.
+    /// Read-only: writes are reported.
     Read,
-    /// Read and written.
+    /// Readable and writable register.
     Write,
 }
 
-/// All registers after power-up: those of section 7 that are not 0.
+/// Registers of all banks after power-up: those of section 7 that are not 0.
 pub(super) const RESET: [Bank; 4] = {
     let mut banks = [[0; 128]; 4];
     // LP_CONFIG; PWR_MGMT_1: asleep, on the best clock.
@@ -24,7 +24,7 @@ pub(super) const RESET: [Bank; 4] = {
     banks
 };
 
-/// `None` for an address without a register.
+/// Access to an address; `None` for an address without a register.
 pub(super) const fn access(bank: usize, register: u8) -> Option<Access> {
     match (bank, register) {
         // WHO_AM_I, I2C_MST_STATUS to INT_STATUS_3, DELAY_TIMEH and L, ACCEL_XOUT_H to EXT_SLV_SENS_DATA_23, FIFO_COUNT, DATA_RDY_STATUS.

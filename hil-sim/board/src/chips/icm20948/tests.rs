@@ -1,6 +1,6 @@
 use super::*;
 
-/// Awake, 112.5 samples a second, ±2 g and ±250 °/s behind filters of 51.2 and 50.4 Hz.
+/// A chip awake at 112.5 samples a second, ±2 g and ±250 °/s, with filters of 51.2 and 50.4 Hz.
 fn awake() -> Icm20948 {
     let mut chip = Icm20948::new(0x68, 1);
     chip.feel(POWER_UP_NS, Truth::default());
@@ -33,7 +33,7 @@ fn counts(chip: &mut Icm20948) -> [i16; 6] {
     std::array::from_fn(|axis| i16::from_be_bytes([bytes[2 * axis], bytes[2 * axis + 1]]))
 }
 
-/// All samples of a stretch of time, each read within 1 ms.
+/// Samples of `seconds`, each read within 1 ms.
 fn run(chip: &mut Icm20948, truth: Truth, seconds: f64) -> Vec<[i16; 6]> {
     let end_ns = chip.felt_ns + (seconds * 1e9) as u64;
     let mut samples = Vec::new();
@@ -52,19 +52,19 @@ fn a_sample_is_what_the_chip_feels_in_counts_with_the_noise_of_the_data_sheet() 
     let mut chip = awake();
     let truth = Truth { acceleration_m_s2: [0.0, -4.903_325, 9.806_65], rate_rad_s: [0.0, 1.0, -2.0] };
     let samples = run(&mut chip, truth, 40.0);
-    // 112.5 a second, the first after one period.
+    // 112.5 a second, the first after one period
     assert!((4495..=4500).contains(&samples.len()), "{}", samples.len());
-    // Behind the filter's settling: e^-8 of its step are left after 25 ms.
+    // past the settling of the filter: e^-8 of its step remain after 25 ms
     let settled = &samples[10..];
     let expected = [0.0, -8192.0, 16_384.0, 0.0, 57.295_78 * 131.072, -114.591_56 * 131.072];
-    // 230 ug and 0.015 °/s, times the root of pi/2 of 50.4 and 51.2 Hz.
+    // 230 ug and 0.015 °/s, times the square root of pi/2 times 50.4 and 51.2 Hz
     let noise = [230e-6 * 8.898 * 16_384.0, 0.015 * 8.968 * 131.072];
     for axis in 0..6 {
         let values = settled.iter().map(|sample| f64::from(sample[axis]));
         let count = settled.len() as f64;
         let mean = values.clone().sum::<f64>() / count;
         let rms = (values.map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
-        // Five standard errors of a mean, and of a standard deviation.
+        // five standard errors of a mean, and of a standard deviation
         assert!((mean - expected[axis]).abs() < 5.0 * noise[axis / 3] / count.sqrt(), "axis {axis}: {mean}");
         assert!((rms / noise[axis / 3] - 1.0).abs() < 5.0 / (2.0 * count).sqrt(), "axis {axis}: {rms}");
     }
@@ -77,7 +77,7 @@ fn the_filter_lets_a_step_through_with_its_bandwidth() {
     run(&mut chip, Truth::default(), 1.0);
     let step = Truth { rate_rad_s: [0.0, 0.0, 2.0], ..Truth::default() };
     let begin_ns = chip.felt_ns;
-    // To where a first order of 51.2 Hz has 1 - 1/e of it.
+    // time constant of a first-order 51.2 Hz filter, at which it has reached 1 - 1/e
     chip.feel(begin_ns + (1e9 / (TAU * 51.2)) as u64, step);
     let share = chip.filtered[5] / 2.0_f64.to_degrees();
     assert!((share - 0.632_12).abs() < 1e-4, "{share}");

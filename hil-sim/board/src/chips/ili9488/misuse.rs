@@ -1,76 +1,76 @@
-//! What the controller was asked to do that its datasheet forbids, or that it ignores.
+//! Violations of the screen controller's datasheet, and requests that it ignores.
 
 use core::fmt;
 
-/// What was done wrong with the screen's controller.
+/// Violation of the screen controller's datasheet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ScreenMisuse {
     /// A command the controller does not have, or not on its serial interface.
     UnknownCommand {
-        /// Its byte.
+        /// Command byte that was sent.
         command: u8,
     },
-    /// A command came too soon after one that takes time.
+    /// A command sent too soon after one that takes time.
     CommandTooEarly {
-        /// Its byte.
+        /// Command byte that was sent.
         command: u8,
-        /// The command that takes time; `None` for the reset line.
+        /// Earlier command that takes time; `None` for the reset line.
         after: Option<u8>,
-        /// Time since then.
+        /// Time since that command, ns.
         waited_ns: u64,
-        /// Time the datasheet asks for.
+        /// Time that the datasheet requires, ns.
         needed_ns: u64,
     },
-    /// A command was followed by another before its last parameter.
+    /// A command followed by another before its last parameter.
     ParametersMissing {
-        /// Its byte.
+        /// Command byte whose parameters are missing.
         command: u8,
-        /// Parameters sent.
+        /// Number of parameters sent.
         sent: usize,
-        /// Parameters it has.
+        /// Number of parameters the command has.
         needed: usize,
     },
     /// Data that belongs to no command.
     UnexpectedData {
-        /// The command before it; `None` when there was none since the reset.
+        /// Preceding command; `None` if there was none since the reset.
         command: Option<u8>,
     },
-    /// The window's ends are in the wrong order or outside the memory.
+    /// A window whose ends are in the wrong order or outside the memory.
     WindowOutside {
         /// First column or page.
         start: u16,
         /// Last column or page.
         end: u16,
-        /// Columns or pages there are.
+        /// Number of columns or pages of the memory.
         size: u16,
     },
-    /// Pixels were sent to a panel that sleeps.
+    /// Pixels sent to a sleeping panel.
     PixelsWhileAsleep,
-    /// More pixels were sent than the window has.
+    /// More pixels than the window holds.
     PixelsBeyondWindow {
-        /// Pixels of the window.
+        /// Number of pixels of the window.
         window: u32,
     },
-    /// A write ended inside a pixel.
+    /// A memory write that ended inside a pixel.
     PixelIncomplete,
-    /// A pixel format that the serial interface does not have.
+    /// A pixel format that the serial interface does not support.
     PixelFormat {
-        /// The parameter.
+        /// Value of the COLMOD parameter.
         value: u8,
     },
-    /// The reset line was low too briefly.
+    /// A reset pulse that is too short.
     ResetTooShort {
-        /// For how long.
+        /// Length of the pulse, ns.
         low_ns: u64,
-        /// Time the datasheet asks for.
+        /// Length that the datasheet requires, ns.
         needed_ns: u64,
     },
-    /// Bytes came faster than the serial clock allows.
+    /// Bytes sent faster than the serial clock allows.
     ClockTooFast {
-        /// From one byte to the next.
+        /// Time from one byte to the next, ns.
         byte_ns: u64,
-        /// Eight cycles of the fastest clock.
+        /// Eight cycles of the fastest clock, ns.
         needed_ns: u64,
     },
 }

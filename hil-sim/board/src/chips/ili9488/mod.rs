@@ -2,19 +2,20 @@
 //! Chapters are those of its datasheet, V100.
 //!
 //! # Time
-//! The model does nothing until it is asked, and every byte and every edge of a line comes with its time; a time before
-//! one already seen counts as that one. A command without parameters acts with its byte, one with parameters with the
-//! last of them, a pixel with its third byte. The glass shows the memory at once.
+//! The model is passive: every byte and every edge of a line carries its time, and an earlier time than one already
+//! seen counts as that one. A command without parameters acts with its byte, one with parameters with the last of them,
+//! a pixel with its third byte. The glass shows the memory at once.
 //!
-//! # What the datasheet leaves to the panel
-//! The glass is the common 3.5 inch module's: its filters are in the order blue, green, red, so that MADCTL must have BGR
-//! set, and its columns run from right to left. Panel makers' commands (gamma, voltages, frame rates) are taken by length.
+//! #  Properties of the panel
+//! The glass is that of the common 3.5 inch module: its filters are in the order blue, green, red, so MADCTL must have
+//! BGR set, and its columns run from right to left. The panel makers' commands (gamma, voltages, frame rates) are only
+//! checked for their number of parameters.
 //!
 //! # Where the datasheet leaves room
-//! - A command that comes too early is carried out, and reported.
-//! - Pixels outside the memory are ignored; those beyond the window start over at its beginning.
-//! - A pixel format that the serial interface does not have leaves the controller at 18 bits per pixel.
-//! - Chip select is not modelled: the serial interface goes on after a pause with what it was doing.
+//! - A command sent too early is executed, and reported.
+//! - Pixels outside the memory are ignored; those beyond the window continue at its beginning.
+//! - A pixel format that the serial interface does not support leaves the controller at 18 bits per pixel.
+//! - Chip select is not modelled: after a pause the serial interface continues where it stopped.
 //!
 //! Not modelled: 3 bits per pixel, scrolling, partial and idle mode, tearing line, reading the memory.
 
@@ -29,19 +30,19 @@ use commands::*;
 pub use misuse::ScreenMisuse;
 pub use wiring::{ScreenLine, ScreenSpi, ScreenWiring};
 
-/// Columns of the memory and of the glass.
+/// Number of columns of the memory and of the glass.
 pub const COLUMNS: u16 = 320;
-/// Pages (rows) of the memory and of the glass.
+/// Number of pages (rows) of the memory and of the glass.
 pub const PAGES: u16 = 480;
 
-/// A picture, rows from the top, three bytes a pixel: red, green, blue.
+/// A picture with rows from the top and three bytes per pixel: red, green, blue.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
-    /// Pixels in a row.
+    /// Number of pixels in a row.
     pub width: usize,
-    /// Rows.
+    /// Number of rows in the picture.
     pub height: usize,
-    /// `3 * width * height` bytes.
+    /// Pixels row by row: `3 * width * height` bytes.
     pub rgb: Vec<u8>,
 }
 
@@ -49,7 +50,7 @@ impl Picture {
     /// Red, green, blue of one pixel.
     ///
     /// # Panics
-    /// Outside the picture.
+    /// If the pixel is outside the picture.
     #[must_use]
     pub fn pixel(&self, x: usize, y: usize) -> [u8; 3] {
         assert!(x < self.width && y < self.height, "({x}, {y}) is outside {} by {}", self.width, self.height);
@@ -57,7 +58,7 @@ impl Picture {
         [self.rgb[at], self.rgb[at + 1], self.rgb[at + 2]]
     }
 
-    /// Seen after a quarter of a turn anticlockwise: what was the right side is on top.
+    /// The picture rotated by a quarter turn anticlockwise: the right side becomes the top.
     #[must_use]
     pub fn turned(&self) -> Self {
         let rgb = (0..self.width)
@@ -67,18 +68,18 @@ impl Picture {
     }
 }
 
-/// A command whose parameters or pixels are on their way.
+/// A command whose parameters or pixels are being received.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Running {
     command: u8,
-    /// Bytes it takes.
+    /// Number of bytes it needs.
     needed: usize,
-    /// Bytes that came, the first of them.
+    /// Bytes received, the first four of them.
     taken: [u8; 4],
     sent: usize,
 }
 
-/// First and last, of columns or of pages.
+/// First and last column or page of a window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Span {
     start: u16,
@@ -91,11 +92,11 @@ impl Span {
     }
 }
 
-/// Commands must wait until a moment.
+/// Start of a time during which commands are too early.
 #[derive(Clone, Copy, Debug)]
 struct Wait {
     since_ns: u64,
-    /// `None` for the reset line.
+    /// Command that started it; `None` for the reset line.
     after: Option<u8>,
 }
 
@@ -103,10 +104,10 @@ struct Wait {
 #[derive(Clone, Debug)]
 pub struct Ili9488 {
     now_ns: u64,
-    /// Level of D/CX: high is data.
+    /// Level of D/CX: high for data, low for commands.
     data: bool,
     reset_low_since_ns: Option<u64>,
-    /// Of the last byte.
+    /// Time of the last byte, ns.
     byte_ns: Option<u64>,
     clock_reported: bool,
 
@@ -120,19 +121,19 @@ pub struct Ili9488 {
     pages: Span,
 
     running: Option<Running>,
-    /// The last command, whether it still runs or not.
+    /// Last command, finished or not.
     last_command: Option<u8>,
-    /// Pixels since RAMWR.
+    /// Number of pixels since RAMWR.
     pixels: u32,
-    /// Of the running write.
+    /// True once the running write has exceeded its window, so that it is reported once.
     reported: bool,
     pixel: [u8; 3],
     pixel_bytes: usize,
     reply: Vec<u8>,
 
-    /// After a reset, SLPOUT or SLPIN.
+    /// Waiting time after a reset, SLPOUT or SLPIN.
     settle: Option<Wait>,
-    /// SLPIN, SLPOUT: after the other of them or a reset out of the awake state.
+    /// Waiting time before SLPIN or SLPOUT: after the other one, or after a reset in the awake state.
     sleep: Option<Wait>,
     bytes: u64,
     misuse: MisuseLog,
@@ -145,10 +146,10 @@ impl Default for Ili9488 {
 }
 
 impl Ili9488 {
-    /// Powered up at time 0, asleep, with noise in its memory.
+    /// A controller powered up at time 0, asleep, with noise in its memory.
     #[must_use]
     pub fn new() -> Self {
-        // Any pattern that no program would leave behind serves.
+        // any pattern that a program would not draw by accident
         let noise = |n: usize| [0x54, 0xA8, 0xFC].map(|part: u8| part.wrapping_mul((n % 61) as u8) & 0xFC);
         Self {
             now_ns: 0,
@@ -178,12 +179,12 @@ impl Ili9488 {
         }
     }
 
-    /// The level of D/CX: low for commands, high for data.
+    /// Sets the level of D/CX: low for commands, high for data.
     pub const fn set_data(&mut self, high: bool) {
         self.data = high;
     }
 
-    /// The level of the reset line; low resets.
+    /// Sets the level of the reset line; low resets.
     pub fn set_reset(&mut self, at_ns: u64, high: bool) {
         self.advance(at_ns);
         match (high, self.reset_low_since_ns) {
@@ -202,10 +203,10 @@ impl Ili9488 {
         }
     }
 
-    /// Takes one byte, most significant bit first, which ends at `at_ns`; returns what SDO said meanwhile.
+    /// Takes one byte, most significant bit first, that ends at `at_ns`, and returns the level of SDO meanwhile.
     ///
-    /// What a command reads follows it after one clock without data (4.2.3), so that the bytes on the wire are those of
-    /// the answer, moved by one bit.
+    /// The reply to a read command starts after one clock without data (4.2.3), so the bytes on the wire are those of
+    /// the reply, shifted by one bit.
     pub fn transfer(&mut self, at_ns: u64, byte: u8) -> u8 {
         self.advance(at_ns);
         self.bytes += 1;
@@ -230,19 +231,19 @@ impl Ili9488 {
         0
     }
 
-    /// Bytes taken since power-up.
+    /// Number of bytes received since power-up.
     #[must_use]
     pub const fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Whether the display is on and awake.
+    /// True while the display is on and awake.
     #[must_use]
     pub const fn is_on(&self) -> bool {
         self.on && !self.asleep
     }
 
-    /// What the glass shows, upright; black while it is off or asleep.
+    /// Picture on the glass, upright; black while it is off or asleep.
     #[must_use]
     pub fn picture(&self) -> Picture {
         let (width, height) = (usize::from(COLUMNS), usize::from(PAGES));
@@ -253,7 +254,7 @@ impl Ili9488 {
                 }
                 let (page, column) = (at / width, width - 1 - at % width);
                 let [first, second, third] = self.memory[page * width + column].map(widened);
-                // Blue, green, red filters: without BGR the first part of a pixel reaches the blue one.
+                // filters in the order blue, green, red: without BGR the first byte of a pixel reaches the blue one
                 let shown = if self.madctl & BGR == 0 { [third, second, first] } else { [first, second, third] };
                 if self.inverted { shown.map(|part| !part) } else { shown }
             })
@@ -261,7 +262,7 @@ impl Ili9488 {
         Picture { width, height, rgb }
     }
 
-    /// What was done wrong.
+    /// Violations of the datasheet so far.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
@@ -277,10 +278,10 @@ impl Ili9488 {
         self.misuse.report(Misuse { time_ns: self.now_ns, chip: "ILI9488", address: 0, kind });
     }
 
-    /// `by` is the command, `None` the line.
+    /// Resets by the command `by`, or by the reset line if `None`.
     fn reset(&mut self, by: Option<u8>) {
         let wait = Wait { since_ns: self.now_ns, after: by };
-        // From sleep-in a reset takes 5 ms; out of sleep, 120 ms to the next SLPOUT.
+        // a reset in sleep takes 5 ms; out of the awake state, 120 ms until the next SLPOUT
         self.sleep = if self.asleep { self.sleep } else { Some(wait) };
         self.settle = Some(wait);
         (self.asleep, self.on, self.inverted) = (true, false, false);
@@ -322,7 +323,7 @@ impl Ili9488 {
                 }
                 self.expect(command, usize::MAX);
             }
-            // Manufacturer, version, driver: programmed by the panel's maker, 0 as delivered; then the driver's own.
+            // manufacturer, version, driver: written by the panel's maker, 0 as delivered; then the driver's own
             RDDID => self.answer(&[0x00, 0x00, 0x00]),
             RDID4 => self.answer(&[0x00, 0x94, 0x88]),
             RDDPM => {
@@ -339,7 +340,7 @@ impl Ili9488 {
         }
     }
 
-    /// Ends what ran before.
+    /// Ends the running command, and reports if it was incomplete.
     fn end_command(&mut self) {
         let Some(running) = self.running.take() else { return };
         match running.command {
@@ -354,7 +355,7 @@ impl Ili9488 {
     fn check_time(&mut self, command: u8) {
         let changes_sleep = matches!(command, SLPIN | SLPOUT);
         let waits = [(self.settle, SETTLE_NS), (self.sleep.filter(|_| changes_sleep), SLEEP_NS)];
-        // The longer one says it all.
+        // only the longer waiting time is reported
         let early = waits.into_iter().rev().find_map(|(wait, needed_ns)| {
             let Wait { since_ns, after } = wait?;
             let waited_ns = self.now_ns - since_ns;
@@ -369,7 +370,7 @@ impl Ili9488 {
         self.running = Some(Running { command, needed, taken: [0; 4], sent: 0 });
     }
 
-    /// One byte follows the command at once (4.2.3: only longer answers have the idle clock).
+    /// Replies with one byte directly after the command (4.2.3: only longer replies have the idle clock).
     fn answer_byte(&mut self, byte: u8) {
         self.reply = vec![byte];
     }
@@ -444,7 +445,7 @@ impl Ili9488 {
     }
 }
 
-/// Six bits in the upper part of a byte, as eight.
+/// Six bits in the upper part of a byte, expanded to eight.
 const fn widened(part: u8) -> u8 {
     part | part >> 6
 }

@@ -1,10 +1,10 @@
 use super::*;
 
 const MS: u64 = 1_000_000;
-/// A byte at 20 MHz.
+/// Duration of a byte at 20 MHz, ns.
 const BYTE: u64 = 400;
 
-/// A controller and the time, which each byte moves on.
+/// A controller and a time that advances with each byte.
 struct Rig {
     chip: Ili9488,
     now_ns: u64,
@@ -15,7 +15,7 @@ impl Rig {
         Self { chip: Ili9488::new(), now_ns: 0 }
     }
 
-    /// Reset, awake and on, in the datasheet's order and times.
+    /// A controller after reset, awake and on, with the order and times of the datasheet.
     fn awake() -> Self {
         let mut rig = Self::new();
         rig.pulse(10_000);
@@ -71,7 +71,7 @@ const RED: [u8; 3] = [0xFC, 0, 0];
 
 #[test]
 fn a_pixel_appears_where_the_address_mode_says() {
-    // The glass has its columns from right to left: the memory's column 0 is at its right side.
+    // the glass has its columns from right to left: the memory's column 0 is at its right side
     for (madctl, at) in [
         (0x08, (319 - 3, 7)),
         (0x48, (3, 7)),
@@ -146,10 +146,10 @@ fn glass_shows_nothing_asleep_or_off_and_negative_when_inverted() {
 #[test]
 fn reads_come_one_bit_late() {
     let mut rig = Rig::awake();
-    // 00 94 88 behind one idle clock.
+    // 00 94 88 after one idle clock
     assert_eq!(rig.read(0xD3, 4), [0x00, 0x4A, 0x44, 0x00]);
     assert_eq!(rig.read(0x04, 4), [0; 4]);
-    // Booster on, sleep out, normal mode, display on.
+    // booster on, sleep out, normal mode, display on
     assert_eq!(rig.read(0x0A, 1), [0x9C]);
     rig.send(0x36, &[0x28]);
     assert_eq!(rig.read(0x0B, 1), [0x28]);
@@ -165,7 +165,7 @@ fn times_are_watched() {
 
     let early =
         |command, after, waited_ns, needed_ns| ScreenMisuse::CommandTooEarly { command, after, waited_ns, needed_ns };
-    // Out of power-up a reset needs 5 ms; out of the awake state 120 ms to SLPOUT.
+    // from power-up a reset needs 5 ms; from the awake state 120 ms until SLPOUT
     let mut rig = Rig::awake();
     rig.pulse(10_000);
     rig.wait(119 * MS);

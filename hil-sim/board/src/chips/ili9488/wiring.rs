@@ -1,4 +1,4 @@
-//! The controller on an SPI bus of its own.
+//! Connection of the controller to an SPI bus of its own.
 
 use std::{
     cell::{Cell, RefCell},
@@ -14,10 +14,10 @@ use embedded_hal::{
 use super::Ili9488;
 use crate::clock::Clock;
 
-/// A screen with its bus and lines, as the firmware reaches it.
+/// A screen with its bus and lines, as the firmware accesses it.
 ///
-/// The bus is blocking, and code takes no virtual time: transfers follow each other with the time of their bytes from the
-/// moment of the first, which may lie ahead of the clock.
+/// The bus is blocking, and code takes no virtual time: consecutive transfers are separated by the duration of their
+/// bytes, starting at the time of the first, and may run ahead of the clock.
 #[derive(Clone)]
 pub struct ScreenWiring(Rc<Wires>);
 
@@ -25,7 +25,7 @@ struct Wires {
     clock: Clock,
     screen: RefCell<Ili9488>,
     byte_ns: u64,
-    /// When the bus is free again.
+    /// Time at which the bus is free again, ns.
     free_ns: Cell<u64>,
     fault: Cell<bool>,
     faults: Cell<u64>,
@@ -33,7 +33,7 @@ struct Wires {
 }
 
 impl ScreenWiring {
-    /// A screen on a bus with `clock_hz`.
+    /// A screen on a bus with a clock of `clock_hz`.
     #[must_use]
     pub fn new(clock: Clock, clock_hz: u32) -> Self {
         let byte_ns = 8_000_000_000_u64.div_ceil(clock_hz.into());
@@ -48,47 +48,47 @@ impl ScreenWiring {
         }))
     }
 
-    /// Looks at the screen.
+    /// Calls `look` with the screen's controller.
     pub fn screen<T>(&self, look: impl FnOnce(&Ili9488) -> T) -> T {
         look(&self.0.screen.borrow())
     }
 
-    /// Whether the backlight is lit.
+    /// True while the backlight is on.
     #[must_use]
     pub fn is_lit(&self) -> bool {
         self.0.backlight.get()
     }
 
-    /// Lets every transfer fail, as a broken SPI peripheral does.
+    /// Makes every transfer fail, as a broken SPI peripheral does; `false` ends it.
     pub fn set_fault(&self, fault: bool) {
         self.0.fault.set(fault);
     }
 
-    /// Transfers that failed.
+    /// Number of failed transfers.
     #[must_use]
     pub fn faults(&self) -> u64 {
         self.0.faults.get()
     }
 
-    /// The bus.
+    /// SPI bus as the firmware's driver takes it.
     #[must_use]
     pub fn spi(&self) -> ScreenSpi {
         ScreenSpi(self.0.clone())
     }
 
-    /// D/CX.
+    /// Data/command line (D/CX), high for data.
     #[must_use]
     pub fn data_command(&self) -> ScreenLine {
         self.line(|wires, high| wires.screen.borrow_mut().set_data(high))
     }
 
-    /// The reset line.
+    /// Reset line, low active.
     #[must_use]
     pub fn reset(&self) -> ScreenLine {
         self.line(|wires, high| wires.screen.borrow_mut().set_reset(wires.now_ns(), high))
     }
 
-    /// The backlight's line.
+    /// Switch line of the backlight.
     #[must_use]
     pub fn backlight(&self) -> ScreenLine {
         self.line(|wires, high| wires.backlight.set(high))
@@ -100,7 +100,7 @@ impl ScreenWiring {
 }
 
 impl Wires {
-    /// The present moment, which is later than the clock's while a blocking transfer runs.
+    /// Present time, ns, which is ahead of the clock while a blocking transfer runs.
     fn now_ns(&self) -> u64 {
         self.clock.now_ns().max(self.free_ns.get())
     }
@@ -112,7 +112,7 @@ impl Wires {
     }
 }
 
-/// See [`ScreenWiring::spi`].
+/// SPI device returned by [`ScreenWiring::spi`].
 pub struct ScreenSpi(Rc<Wires>);
 
 impl spi::ErrorType for ScreenSpi {
@@ -149,7 +149,7 @@ impl SpiDevice for ScreenSpi {
     }
 }
 
-/// One of the screen's lines.
+/// One of the screen's digital lines.
 pub struct ScreenLine {
     wires: Rc<Wires>,
     drive: fn(&Wires, bool),

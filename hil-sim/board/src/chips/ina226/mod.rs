@@ -1,12 +1,12 @@
-//! TI INA226: shunt and bus voltage, current and power behind 16-bit registers. Section and table numbers are those of its datasheet,
-//! SBOS547A. The ALERT pin is not modelled; its registers hold what is written.
+//! TI INA226: shunt and bus voltage, current and power behind 16-bit registers. Section and table numbers are those of
+//! its datasheet, SBOS547A. The ALERT pin is not modelled; its registers only store writes.
 //!
 //! # Where the datasheet leaves room
-//! - The converter integrates: a result is the mean of its input over the whole cycle of all conversions, shunt's and bus's alike. In the
-//!   chip they alternate.
-//! - Conversions take their typical time (6.5). Triggered modes and those of one input alone convert nothing here.
-//! - Offset, gain error and noise are 0, but for the rounding to counts: typically 2.5 uV, one count (6.5).
-//! - A transfer of one byte to a register changes nothing.
+//! - The converter integrates: a result is the mean of its input over the whole cycle of all conversions, for shunt and
+//!   bus alike. In the chip they alternate.
+//! - Conversions take their typical time (6.5). Triggered modes and those of a single input do not convert here.
+//! - Offset, gain error and noise are 0, except for the rounding to counts: typically 2.5 uV, one count (6.5).
+//! - A transfer of one byte to a register has no effect.
 
 #[cfg(test)]
 mod tests;
@@ -18,21 +18,21 @@ use crate::{
 
 /// Conversion times by their codes (tables 7 and 8), ns.
 const CONVERSION_NS: [u64; 8] = [140_000, 204_000, 332_000, 588_000, 1_100_000, 2_116_000, 4_156_000, 8_244_000];
-/// What is averaged, by its code (table 6).
+/// Number of averaged samples by code (table 6).
 const SAMPLES: [u64; 8] = [1, 4, 16, 64, 128, 256, 512, 1024];
-/// The configuration after power-up (7.6.1).
+/// Configuration register after power-up (7.6.1).
 const POWER_UP: u16 = 0x4127;
 
-/// What is at the chip's inputs.
+/// Voltages at the chip's inputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Inputs {
-    /// Between IN+ and IN-, V.
+    /// Shunt voltage between IN+ and IN-, V.
     pub shunt_v: f64,
-    /// At VBUS, V.
+    /// Bus voltage at VBUS, V.
     pub bus_v: f64,
 }
 
-/// One chip.
+/// Simulated chip with its registers.
 #[derive(Clone, Debug)]
 pub struct Ina226 {
     address: u8,
@@ -45,27 +45,27 @@ pub struct Ina226 {
     alert_limit: u16,
 
     pointer: u8,
-    /// Bytes of the transfer under way, with the pointer; `None` while it is not addressed.
+    /// Number of bytes of the transfer so far, pointer included; `None` while not addressed.
     position: Option<usize>,
     written: [u8; 2],
     shifting: u16,
     now_ns: u64,
 
-    /// Up to when its inputs are known, and what they came to in the cycle under way, V s.
+    /// Time up to which the inputs are known, and their integrals over the present cycle, V s.
     felt_ns: u64,
     shunt_vs: f64,
     bus_vs: f64,
     cycle_from_ns: u64,
-    /// Conversions never end, as with a broken oscillator.
+    /// True if conversions never end, as with a broken oscillator.
     hung: bool,
     misuse: MisuseLog,
 }
 
 impl Ina226 {
-    /// What it is called in reports.
+    /// Name of the chip in reports.
     pub const NAME: &str = "INA226";
 
-    /// A chip just powered, with A1 and A0 giving the lower four bits of the 7-bit `address` (0x40 to 0x4F).
+    /// A chip just powered up, with A1 and A0 giving the lower four bits of the 7-bit `address` (0x40 to 0x4F).
     #[must_use]
     pub fn new(address: u8) -> Self {
         Self {
@@ -91,30 +91,30 @@ impl Ina226 {
         }
     }
 
-    /// Takes the supply away and returns it: all registers as after power-up.
+    /// Interrupts the supply: all registers return to those after power-up.
     pub fn power_cycle(&mut self) {
         let Self { address, manufacturer, now_ns, felt_ns, hung, .. } = *self;
         let misuse = std::mem::replace(&mut self.misuse, MisuseLog::new());
         *self = Self { manufacturer, now_ns, felt_ns, cycle_from_ns: felt_ns, hung, misuse, ..Self::new(address) };
     }
 
-    /// Another chip is at its address.
+    /// Sets the manufacturer ID, as if another chip were at its address.
     pub fn set_manufacturer(&mut self, manufacturer: u16) {
         self.manufacturer = manufacturer;
     }
 
-    /// From now on no conversion ends, or they do again.
+    /// Stops all conversions, or lets them continue.
     pub fn set_hung(&mut self, hung: bool) {
         self.hung = hung;
     }
 
-    /// What was done to the chip against its datasheet.
+    /// Violations of the datasheet so far.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// It has had `inputs` since the last call, up to `until_ns`: conversions end that were due meanwhile.
+    /// Advances to `until_ns` with `inputs` constant since the last call, and completes conversions due meanwhile.
     pub fn feel(&mut self, until_ns: u64, inputs: Inputs) {
         let Some(cycle_ns) = self.cycle_ns().filter(|_| !self.hung) else {
             self.felt_ns = self.felt_ns.max(until_ns);
@@ -125,7 +125,7 @@ impl Ina226 {
             let end_ns = self.cycle_from_ns + cycle_ns;
             self.integrate(end_ns, inputs);
             let cycle_s = cycle_ns as f64 * 1e-9;
-            // Rounded to counts of 2.5 uV and 1.25 mV (7.6.2, 7.6.3), and clipped where they do not fit (`as` saturates).
+            // rounded to counts of 2.5 uV and 1.25 mV (7.6.2, 7.6.3), and clipped (`as` saturates)
             self.shunt = (self.shunt_vs / cycle_s / 2.5e-6).round() as i16;
             self.bus = ((self.bus_vs / cycle_s / 1.25e-3).round() as u16).min(0x7FFF);
             self.mask_enable |= 1 << 3;
@@ -146,14 +146,14 @@ impl Ina226 {
         (self.shunt_vs, self.bus_vs) = (0.0, 0.0);
     }
 
-    /// All conversions of shunt and bus; `None` in other modes than the continuous one of both.
+    /// Duration of one cycle of all conversions, ns; `None` in modes other than continuous shunt and bus.
     fn cycle_ns(&self) -> Option<u64> {
         let code = |at: u16| usize::from(self.configuration >> at & 7);
         (code(0) == 7).then(|| SAMPLES[code(9)] * (CONVERSION_NS[code(6)] + CONVERSION_NS[code(3)]))
     }
 
     fn read_register(&mut self) -> u16 {
-        // 7.5.1
+        // current register by the formula of 7.5.1
         let current = (i32::from(self.shunt) * i32::from(self.calibration) / 2048) as i16;
         match self.pointer {
             0x00 => self.configuration,
@@ -163,7 +163,7 @@ impl Ina226 {
             0x04 => current as u16,
             0x05 => self.calibration,
             0x06 => {
-                // Reading clears CVRF (7.6.7).
+                // reading clears CVRF (7.6.7)
                 let value = self.mask_enable;
                 self.mask_enable &= !(1 << 3);
                 value
@@ -184,7 +184,7 @@ impl Ina226 {
                 if value & 1 << 15 != 0 {
                     self.power_cycle();
                 } else {
-                    // Bits 14 to 12 cannot be written; conversions begin again, and CVRF is cleared (7.6.7).
+                    // bits 14 to 12 are read-only; a write restarts the conversions and clears CVRF (7.6.7)
                     self.configuration = value & 0x0FFF | POWER_UP & 0x7000;
                     self.mask_enable &= !(1 << 3);
                     self.begin_cycle(self.felt_ns);
@@ -227,7 +227,7 @@ impl I2cChip for Ina226 {
                 self.written[1] = byte;
                 self.write_register(u16::from_be_bytes(self.written));
             }
-            // Behind the register's second byte nothing is taken.
+            // no byte is acknowledged after the register's second one
             _ => return false,
         }
         self.position = Some(position + 1);

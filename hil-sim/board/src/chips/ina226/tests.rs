@@ -18,7 +18,7 @@ fn get(chip: &mut Ina226, register: u8) -> u16 {
     u16::from_be_bytes(bytes)
 }
 
-/// 1.1 ms each of shunt and bus, four averaged.
+/// Mean of four samples at 1.1 ms each of shunt and bus.
 #[test]
 fn a_result_is_the_mean_of_its_conversions() {
     let mut chip = Ina226::new(0x45);
@@ -27,7 +27,7 @@ fn a_result_is_the_mean_of_its_conversions() {
     assert_eq!(get(&mut chip, 0x06), 0);
     chip.feel(8_800_000, Inputs { shunt_v: -0.002, bus_v: 10.0 });
     assert_eq!((get(&mut chip, 0x06), get(&mut chip, 0x06)), (1 << 3, 0), "ready, and told once");
-    // 4 mV in counts of 2.5 uV, 11 V in counts of 1.25 mV.
+    // 4 mV in counts of 2.5 uV, 11 V in counts of 1.25 mV
     assert_eq!((get(&mut chip, 0x01), get(&mut chip, 0x02)), (1600, 8800));
     put(&mut chip, &[0x05, 0x08, 0x00]);
     assert_eq!((get(&mut chip, 0x04), get(&mut chip, 0x03)), (1600, 704));

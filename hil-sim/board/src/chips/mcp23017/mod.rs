@@ -1,25 +1,25 @@
 //! Microchip MCP23017: sixteen pins on I2C. Section numbers are those of its datasheet, DS20001952, rev. D.
 //!
 //! # Time
-//! Nothing in the chip takes time: what is written acts at the ACK of its byte, and an interrupt with the edge that
-//! causes it. Delays of pins and INT, up to 600 ns (table 1-5), are not modelled. RESET acts however short the pulse is
-//! (the datasheet asks for 1 us, table 1-2).
+//! Nothing in the chip takes time: a write acts at the ACK of its byte, and an interrupt with the edge that causes it.
+//! Delays of pins and INT, up to 600 ns (table 1-5), are not modelled. RESET acts for any pulse length (the datasheet
+//! requires 1 us, table 1-2).
 //!
 //! # Pins 7
-//! Revision D (2022) makes GPA7 and GPB7 outputs only (3.5.1, note), as an edge on them while their bit of GPIO is sent
-//! can corrupt SDA. It is a change of the document: the silicon is as it was, and every pin is an input after power-on.
-//! The model reads such a pin right, and reports it.
+//! Revision D (2022) makes GPA7 and GPB7 outputs only (3.5.1, note), because an edge on them while their bit of GPIO is
+//! sent can corrupt SDA. Only the document changed: the silicon is the same, and every pin is an input after power-on.
+//! The model reads such a pin correctly, and reports it.
 //!
 //! # Where the datasheet leaves room
-//! - An address without a register is acknowledged; it reads as 0 and ignores writes. The pointer walks through such
-//!   addresses one by one, so that between the two blocks of BANK = 1 it takes six bytes to go from OLATA to IODIRB.
+//! - An address without a register is acknowledged; it reads as 0 and ignores writes. The pointer passes such addresses
+//!   one by one, so between the two blocks of BANK = 1 it takes six bytes from OLATA to IODIRB.
 //! - SEQOP acts on the pointer from the byte that sets it, as BANK does (3.5.6).
-//! - An input that nothing drives or pulls reads as low.
-//! - The board never overpowers an output: GPIO reads what the chip drives.
-//! - INTCAP is captured as GPIO reads, that is with IPOL; interrupts compare the levels of the pins, without it.
-//! - An interrupt stays until GPIO or INTCAP of its port is read, also if it is disabled meanwhile. Then pins are compared
-//!   again, where INTCON is 0 with their levels at the interrupt: what changed since is a new one, at once, with a new
-//!   INTCAP (note below figure 3-9).
+//! - An input that is neither driven nor pulled reads as low.
+//! - The board never overpowers an output: GPIO reads the level driven by the chip.
+//! - INTCAP captures the value of GPIO, including IPOL; interrupts compare the levels of the pins, without IPOL.
+//! - An interrupt stays until GPIO or INTCAP of its port is read, even if it is disabled meanwhile. Pins are then
+//!   compared again, where INTCON is 0 with their levels at the interrupt: a change since then causes a new interrupt
+//!   at once, with a new INTCAP (note below figure 3-9).
 
 mod registers;
 #[cfg(test)]
@@ -32,14 +32,14 @@ use registers::{Register, iocon};
 /// One of the two ports, eight pins each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Port {
-    /// GPA0 to GPA7, and INTA.
+    /// Port A: GPA0 to GPA7, and INTA.
     A,
-    /// GPB0 to GPB7, and INTB.
+    /// Port B: GPB0 to GPB7, and INTB.
     B,
 }
 
 impl Port {
-    /// Both, in order.
+    /// Both ports, in order.
     pub const ALL: [Self; 2] = [Self::A, Self::B];
 
     const fn letter(self) -> char {
@@ -50,18 +50,18 @@ impl Port {
     }
 }
 
-/// What the chip does to a pin.
+/// State of a pin as set by the chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PinState {
-    /// An output, high or low.
+    /// Output, high or low.
     Driven(bool),
-    /// An input with 100 kOhm to the supply.
+    /// Input with 100 kOhm to the supply.
     PulledUp,
-    /// An input, or an open-drain output that is off: whatever is connected decides.
+    /// Input, or open-drain output that is off: the external circuit sets the level.
     Floating,
 }
 
-/// One port. IOCON is common to both.
+/// Registers and inputs of one port. IOCON is common to both.
 #[derive(Clone, Copy, Debug)]
 struct Bank {
     iodir: u8,
@@ -73,9 +73,9 @@ struct Bank {
     intf: u8,
     intcap: u8,
     olat: u8,
-    /// What pins are compared with where INTCON is 0.
+    /// Levels that pins are compared with where INTCON is 0.
     previous: u8,
-    /// What the board does: which pins it drives or pulls, and where to.
+    /// Pins that the board drives or pulls, and their levels.
     external: u8,
     external_high: u8,
 }
@@ -96,13 +96,13 @@ impl Bank {
         external_high: 0,
     };
 
-    /// Levels of the pins.
+    /// Levels of the pins, one bit each.
     const fn levels(&self) -> u8 {
         let pulled = self.external & self.external_high | !self.external & self.gppu;
         self.iodir & pulled | !self.iodir & self.olat
     }
 
-    /// What GPIO reads as.
+    /// Value of the GPIO register.
     const fn gpio(&self) -> u8 {
         self.levels() ^ self.ipol
     }
@@ -118,7 +118,7 @@ impl Bank {
         }
     }
 
-    /// Interrupt on change (3.6): only the first cause is latched.
+    /// Updates the interrupt on change (3.6): only the first cause is latched.
     const fn watch(&mut self) {
         let levels = self.levels();
         let enabled = self.gpinten & self.iodir;
@@ -134,16 +134,16 @@ impl Bank {
         }
     }
 
-    /// Which pins are outputs, which of them are high, which are pulled up.
+    /// Masks of the pins that are outputs, outputs at high level, and pulled-up inputs.
     const fn outside(&self) -> [u8; 3] {
         [!self.iodir, self.olat & !self.iodir, self.gppu & self.iodir]
     }
 }
 
-/// Where the chip is in a transfer.
+/// Phase of an I2C transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Transfer {
-    /// Not addressed.
+    /// Not addressed by the bus.
     None,
     /// Addressed for writing; the next byte is the address pointer.
     Pointer,
@@ -151,7 +151,7 @@ enum Transfer {
     Data,
 }
 
-/// One chip.
+/// Simulated chip with both ports.
 #[derive(Clone, Debug)]
 pub struct Mcp23017 {
     address: u8,
@@ -163,18 +163,18 @@ pub struct Mcp23017 {
     transfer: Transfer,
     now_ns: u64,
 
-    /// What the outside saw last: [`Bank::outside`], and the INT pins.
+    /// Pin states at the last change of `generation`: [`Bank::outside`], and the INT pins.
     seen: ([[u8; 3]; 2], [PinState; 2]),
     generation: u64,
     misuse: MisuseLog,
 }
 
 impl Mcp23017 {
-    /// What it is called in reports.
+    /// Name of the chip in reports.
     pub const NAME: &str = "MCP23017";
 
-    /// A chip just powered, RESET high, nothing connected, with its address pins giving the 7-bit `address` (0x20 to
-    /// 0x27; only the three lower bits count).
+    /// A chip just powered up, with RESET high, nothing connected, and its address pins giving the 7-bit `address`
+    /// (0x20 to 0x27; only the three lower bits count).
     #[must_use]
     pub fn new(address: u8) -> Self {
         Self {
@@ -191,14 +191,14 @@ impl Mcp23017 {
         }
     }
 
-    /// Its own 7-bit address.
+    /// The chip's own 7-bit address.
     #[must_use]
     pub const fn address(&self) -> u8 {
         self.address
     }
 
-    /// What the board does to a pin: drives or pulls it high or low, or leaves it open. Pins are 0 to 7; no other exists,
-    /// and nothing happens.
+    /// Sets the level to which the board drives or pulls a pin; `None` leaves it open. Pins are 0 to 7; others are
+    /// ignored.
     pub fn set_external(&mut self, port: Port, bit: u8, level: Option<bool>) {
         let Some(mask) = 1_u8.checked_shl(u32::from(bit)) else { return };
         let bank = &mut self.ports[port as usize];
@@ -207,13 +207,13 @@ impl Mcp23017 {
         self.settle();
     }
 
-    /// What the chip does to a pin; [`PinState::Floating`] for a pin above 7.
+    /// State of a pin as set by the chip; [`PinState::Floating`] for a pin above 7.
     #[must_use]
     pub const fn pin_level(&self, port: Port, bit: u8) -> PinState {
         if bit < 8 { self.ports[port as usize].pin(bit) } else { PinState::Floating }
     }
 
-    /// Whether the INT pin of a port is active (3.6.1).
+    /// True while the INT pin of a port is active (3.6.1).
     #[must_use]
     pub const fn interrupt(&self, port: Port) -> bool {
         let [a, b] = [self.ports[0].intf != 0, self.ports[1].intf != 0];
@@ -227,7 +227,7 @@ impl Mcp23017 {
         }
     }
 
-    /// What the chip does to the INT pin of a port (3.5.6: ODR, INTPOL).
+    /// State of the INT pin of a port as set by the chip (3.5.6: ODR, INTPOL).
     #[must_use]
     pub const fn interrupt_pin(&self, port: Port) -> PinState {
         let active = self.interrupt(port);
@@ -238,42 +238,42 @@ impl Mcp23017 {
         }
     }
 
-    /// Changes whenever the chip does something else to a pin or to an INT pin, so that a caller can keep what it
-    /// computed from them.
+    /// Counter that changes whenever a pin or an INT pin changes its state, so that a caller can cache values derived
+    /// from them.
     #[must_use]
     pub const fn generation(&self) -> u64 {
         self.generation
     }
 
-    /// Drives the RESET pin: `asserted` is the pin low. As long as it is, registers are as after power-on and the chip
-    /// does not answer.
+    /// Drives the RESET pin: `asserted` is low. While it is low, registers have their power-on values and the chip does
+    /// not answer.
     pub fn set_reset(&mut self, at_ns: u64, asserted: bool) {
         self.now_ns = self.now_ns.max(at_ns);
         self.in_reset = asserted;
         self.reset();
     }
 
-    /// Takes the supply away and returns it: registers as after power-on (3.1), all pins inputs. Pins stay as driven.
+    /// Interrupts the supply: registers as after power-on (3.1), all pins inputs. External levels stay.
     pub fn power_cycle(&mut self, at_ns: u64) {
         self.now_ns = self.now_ns.max(at_ns);
         self.reset();
     }
 
-    /// What a read of `register` would return, in the map that IOCON.BANK selects, without side effects; `None` if there
-    /// is no register.
+    /// Value that a read of `register` would return, in the map selected by IOCON.BANK, without side effects; `None`
+    /// for an address without a register.
     #[must_use]
     pub fn register(&self, register: u8) -> Option<u8> {
         let (register, port) = registers::decode(register, self.bank())?;
         Some(self.peek(register, port))
     }
 
-    /// What was done to the chip against its datasheet.
+    /// Violations of the datasheet so far.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// The same, to be cleared.
+    /// Violations so far, mutable, so that a test can clear them.
     pub const fn misuse_mut(&mut self) -> &mut MisuseLog {
         &mut self.misuse
     }
@@ -287,7 +287,7 @@ impl Mcp23017 {
         self.iocon & iocon::BANK != 0
     }
 
-    /// After anything that could change a level: interrupts, and what the outside sees.
+    /// Updates interrupts and `generation` after any change of a level.
     fn settle(&mut self) {
         for bank in &mut self.ports {
             bank.watch();
@@ -335,7 +335,7 @@ impl Mcp23017 {
             self.report(MisuseKind::Pin7ReadAsInput { port: port.letter() });
         }
         if matches!(register, Register::Gpio | Register::Intcap) {
-            // 3.6.4
+            // reading GPIO or INTCAP clears the interrupt (3.6.4)
             self.ports[port as usize].intf = 0;
             self.settle();
         }
@@ -364,11 +364,11 @@ impl Mcp23017 {
         self.settle();
     }
 
-    /// After every data byte (3.2.1).
+    /// Moves the pointer after a data byte (3.2.1).
     fn move_pointer(&mut self) {
         self.pointer = match (self.iocon & iocon::SEQOP != 0, self.bank()) {
             (false, bank) => registers::after(self.pointer, bank),
-            // byte mode, in pairs: between the two of the pair
+            // byte mode with paired registers: toggles within the pair
             (true, false) => self.pointer ^ 1,
             (true, true) => self.pointer,
         };
@@ -376,7 +376,7 @@ impl Mcp23017 {
 }
 
 impl I2cChip for Mcp23017 {
-    /// The general call is not for this chip.
+    /// True for its own address; the chip does not answer the general call.
     fn acknowledges(&self, address: u8, _read: bool) -> bool {
         address == self.address && !self.in_reset
     }

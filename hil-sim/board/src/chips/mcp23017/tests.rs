@@ -1,4 +1,4 @@
-//! The datasheet's tables and sequences. Register addresses are written out: a wrong constant must not hide itself.
+//! Tables and sequences of the datasheet. Register addresses are literal, so that a wrong constant in the model fails.
 
 use core::cell::RefCell;
 use std::rc::Rc;
@@ -16,7 +16,7 @@ fn chip() -> Mcp23017 {
     Mcp23017::new(0x20)
 }
 
-/// One write transaction; whether every byte was acknowledged.
+/// One write transaction; true if every byte was acknowledged.
 fn write(chip: &mut Mcp23017, bytes: &[u8]) -> bool {
     chip.start(0, 0x20, false);
     let acknowledged = bytes.iter().all(|&byte| chip.write(0, byte));
@@ -37,7 +37,7 @@ fn kinds(chip: &Mcp23017) -> Vec<MisuseKind> {
     chip.misuse().first().iter().map(|misuse| misuse.kind).collect()
 }
 
-/// The pins of a port, 0 to 7.
+/// States of the pins of a port, 0 to 7.
 fn pins(chip: &Mcp23017, port: Port) -> [PinState; 8] {
     core::array::from_fn(|bit| chip.pin_level(port, bit as u8))
 }
@@ -73,7 +73,7 @@ fn three_pins_give_the_address_and_the_general_call_is_not_answered() {
 
 #[test]
 fn the_two_maps() {
-    // table 3-1: address with BANK = 1, address with BANK = 0; a value that says which register it is
+    // table 3-1: address with BANK = 1, address with BANK = 0; and a value unique to the register
     let writable_a = [(0x00, 0x00), (0x01, 0x02), (0x03, 0x06), (0x04, 0x08), (0x06, 0x0C), (0x0A, 0x14)];
     let mut chip = chip();
     for (index, (banked, paired)) in writable_a.into_iter().enumerate() {
@@ -86,7 +86,7 @@ fn the_two_maps() {
         assert_eq!(read(&mut chip, paired), [value, value ^ 0xFF], "0x{paired:02X}");
     }
     assert!(chip.misuse().is_empty());
-    // GPINTEN alone, as the read-only ones follow from it: A0 differs from DEFVAL
+    // GPINTEN alone, because the read-only registers follow from it: A0 differs from DEFVAL
     let mut chip = Mcp23017::new(0x20);
     assert!(write(&mut chip, &[0x00, 0x7F, 0x7F]));
     assert!(write(&mut chip, &[0x06, 0x01]));
@@ -155,7 +155,7 @@ fn a_driver_that_forgets_bank_writes_elsewhere() {
     let mut sequence = Mcp23017::new(0x20);
     assert!(write(&mut sequence, &[0x0A, 0x80, 0x00]));
     assert_eq!(kinds(&sequence), [MisuseKind::UnimplementedRegister { register: 0x0B }]);
-    // the way back that is harmless from either map: 05h is IOCON, or GPINTENB
+    // a write that returns to BANK = 0 and is harmless in either map: 05h is IOCON, or GPINTENB
     assert!(write(&mut chip, &[0x05, 0x00]));
     assert_eq!(chip.register(0x0A), Some(0x00));
     assert!(write(&mut chip, &[0x05, 0x00]));
@@ -192,7 +192,7 @@ fn read_only_registers_are_not_written() {
 fn outputs_follow_the_latch_and_gpio_the_pins() {
     let mut chip = chip();
     let quiet = chip.generation();
-    // latches first, then direction: no glitch
+    // latches first, then direction, to avoid a glitch
     assert!(write(&mut chip, &[0x14, 0x05, 0xF0]));
     assert_eq!(chip.generation(), quiet);
     assert!(write(&mut chip, &[0x00, 0xF0, 0x00]));
@@ -201,7 +201,7 @@ fn outputs_follow_the_latch_and_gpio_the_pins() {
     assert_eq!(pins(&chip, A), expected);
     assert_eq!(pins(&chip, B)[3..5], [Driven(false), Driven(true)]);
     assert_eq!(chip.pin_level(A, 8), Floating);
-    // inputs as the board has them, outputs as driven
+    // inputs as driven by the board, outputs as driven by the chip
     for bit in 0..=8 {
         chip.set_external(A, bit, Some(bit != 5));
     }
@@ -248,7 +248,7 @@ fn pin_7_as_an_input_is_reported_when_read() {
     assert!(chip.misuse().is_empty());
 }
 
-/// Inputs 0 to 6 of both ports, `enabled` of port A with interrupt on change.
+/// A chip with inputs 0 to 6 on both ports, and `enabled` of port A with interrupt on change.
 fn watching(enabled: u8) -> Mcp23017 {
     let mut chip = chip();
     assert!(write(&mut chip, &[0x00, 0x7F, 0x7F]));
@@ -266,24 +266,24 @@ fn interrupt_on_pin_change() {
     assert_eq!(interrupts(&chip), [true, false]);
     assert_eq!(chip.interrupt_pin(A), Driven(false));
     assert_eq!((chip.register(0x0E), chip.register(0x10)), (Some(0x01), Some(0x05)));
-    // the first cause stays, writes do not matter, other reads neither
+    // the first cause stays; writes and other reads do not clear it
     chip.set_external(A, 1, Some(true));
     assert!(write(&mut chip, &[0x12, 0x00]));
     assert_eq!(read(&mut chip, 0x0E), [0x01]);
     assert_eq!(read(&mut chip, 0x13), [0x00]);
     assert_eq!(interrupts(&chip), [true, false]);
-    // what changed since is the next one
+    // a change since then is the next cause
     assert_eq!(read(&mut chip, 0x10), [0x05]);
     assert_eq!(interrupts(&chip), [true, false]);
     assert_eq!((chip.register(0x0E), chip.register(0x10)), (Some(0x02), Some(0x07)));
     assert_eq!(read(&mut chip, 0x12), [0x07]);
     assert_eq!((interrupts(&chip), chip.register(0x0E)), ([false, false], Some(0x00)));
-    // the new initial state
+    // new reference level after the read
     chip.set_external(A, 0, Some(false));
     assert_eq!((chip.register(0x0E), chip.register(0x10)), (Some(0x01), Some(0x06)));
     assert_eq!(read(&mut chip, 0x12), [0x06]);
     assert_eq!(interrupts(&chip), [false, false]);
-    // INTCAP keeps the last
+    // INTCAP keeps the last capture
     assert_eq!(chip.register(0x10), Some(0x06));
 }
 
@@ -298,7 +298,7 @@ fn a_pulse_is_two_interrupts_and_the_first_capture_can_be_lost() {
     assert_eq!((interrupts(&chip), chip.register(0x10)), ([true, false], Some(0x00)));
     assert_eq!(read(&mut chip, 0x10), [0x00]);
     assert_eq!(interrupts(&chip), [false, false]);
-    // a pin that is enabled later starts from its level then
+    // a pin enabled later is compared with its level at that time
     chip.set_external(A, 0, Some(true));
     chip.set_external(A, 1, Some(true));
     assert!(write(&mut chip, &[0x04, 0x03]));
@@ -354,7 +354,7 @@ fn interrupt_pins() {
         chip.set_external(A, 0, Some(true));
         assert_eq!(pins(&chip), active, "IOCON 0x{iocon:02X}");
         assert_ne!(chip.generation(), quiet);
-        // only the port that caused it clears it
+        // only a read of the causing port clears the interrupt
         let _: [u8; 1] = read(&mut chip, 0x13);
         assert_eq!(pins(&chip), active, "IOCON 0x{iocon:02X}");
         let _: [u8; 1] = read(&mut chip, 0x12);
@@ -376,7 +376,7 @@ fn reset_pin_and_power_cycle() {
     let after = |chip: &Mcp23017| {
         assert_eq!((pins(chip, A), pins(chip, B)), ([Floating; 8], [Floating; 8]));
         assert_eq!(interrupts(chip), [false, false]);
-        // what the board does is still there
+        // the levels set by the board remain
         let expected = |register| Some(if register < 2 { 0xFF } else { u8::from(register == 0x12) });
         assert!((0..=0x15).all(|register| chip.register(register) == expected(register)));
     };
@@ -413,7 +413,7 @@ fn a_relay_on_the_bus_and_a_software_reset_of_others_that_leaves_it_alone() {
     assert!(relays.borrow().misuse().is_empty());
 }
 
-/// What a bus and a board could do to the chip, sensible or not.
+/// Random action of a bus and a board, sensible or not.
 #[derive(Clone, Debug)]
 enum Action {
     Start { read: bool },

@@ -1,11 +1,11 @@
-//! Microchip MCP4728: four 12-bit voltage outputs with EEPROM, on I2C. Section numbers are those of its datasheet,
+//! Microchip MCP4728: DAC with four 12-bit outputs and EEPROM, on I2C. Section numbers are those of its datasheet,
 //! DS22187, rev. E.
 //!
 //! # Time
-//! The chip is lazy: it holds no event queue and does nothing until it is asked. Every call with a time first brings it
-//! there; a time before one already seen counts as that one. Commands act at the ACK of their last byte. The only thing
-//! that takes time is a write of the EEPROM. An output is its final value at once: the settling time, 6 us, the 4.5 us to
-//! leave power-down (4.10) and the start after power-on are not modelled.
+//! The model is lazy: it has no event queue. Every call with a time first advances the chip to it; an earlier time than
+//! one already seen counts as that one. Commands act at the ACK of their last byte. Only a write of the EEPROM takes
+//! time. An output has its final value at once: the settling time, 6 us, the 4.5 us to leave power-down (4.10) and the
+//! start after power-on are not modelled.
 //!
 //! # Registers
 //! Every channel has an input register, an output register and a place in the EEPROM, all with the same 16 bits
@@ -13,17 +13,18 @@
 //! software update, or, one channel, at a command with UDAC = 0 (table 4-5).
 //!
 //! # Where the datasheet leaves room
-//! - The EEPROM keeps its old content until the write is over. If the supply goes away before, it still does.
-//! - Commands that come during a write of the EEPROM are ignored (5.6.3; table 5-1, note 3): the model acknowledges them.
-//!   It can be read, which is how RDY/BSY is polled, and LDAC works.
-//! - A sequential write starts the EEPROM at the last byte of channel D. Ended before, it has changed input registers only.
-//! - A fast write goes on with channel A after channel D.
+//! - The EEPROM keeps its old content until the write is complete, also if the supply fails before.
+//! - Commands during a write of the EEPROM are ignored (5.6.3; table 5-1, note 3): the model acknowledges them. Reads
+//!   work, which is how RDY/BSY is polled, and so does LDAC.
+//! - A sequential write starts the EEPROM at the last byte of channel D. If it ends before, only input registers have
+//!   changed.
+//! - A fast write continues with channel A after channel D.
 //! - The general call wake-up changes input and output registers, as the commands for reference, power-down and gain do
 //!   (table 5-1, note 4).
-//! - Commands the tables do not have, what follows a complete command, and other general calls are not acknowledged.
-//! - Reading and writing the address bits needs an edge of LDAC within a clock of SCL, while the bus model goes byte by
-//!   byte: the chip then always answers as if the edge had not come, that is, it does not acknowledge the next byte. The
-//!   address is fixed.
+//! - Undefined commands, bytes after a complete command, and other general calls are not acknowledged.
+//! - Reading and writing the address bits needs an edge of LDAC within a clock of SCL, but the bus model has a
+//!   resolution of a byte: the chip always answers as without the edge, that is, it does not acknowledge the next byte.
+//!   The address is fixed.
 //! - High-speed mode (above 1 MHz) is not modelled.
 
 mod commands;
@@ -34,35 +35,35 @@ use crate::i2c::I2cChip;
 use crate::misuse::{Misuse, MisuseKind, MisuseLog};
 use commands::{Command, general_call, setting, status};
 
-/// Outputs of the chip: A, B, C, D.
+/// Number of outputs of the chip: A, B, C, D.
 pub const CHANNELS: usize = 4;
 
-/// How long a write of the EEPROM takes, typically (1.0, electrical characteristics).
+/// Typical duration of an EEPROM write, ns (1.0, electrical characteristics).
 pub const EEPROM_WRITE_TYPICAL_NS: u64 = 25_000_000;
 
-/// How long a write of the EEPROM takes at most.
+/// Longest duration of an EEPROM write, ns.
 pub const EEPROM_WRITE_MAX_NS: u64 = 50_000_000;
 
-/// What a channel is set to, as commands and reads have it: VREF, PD1, PD0, GX, and the code in the lower 12 bits.
+/// Setting of a channel, as in commands and reads: VREF, PD1, PD0, GX, and the code in the lower 12 bits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Setting(pub u16);
 
 impl Setting {
-    /// As delivered (table 4-2): 0 V, at the internal reference and gain 1, powered.
+    /// Setting as delivered (table 4-2): 0 V, internal reference, gain 1, powered.
     pub const FACTORY: Self = Self(0x8000);
 
-    /// The 12-bit code.
+    /// Twelve-bit code of the setting.
     #[must_use]
     pub const fn code(self) -> u16 {
         self.0 & setting::CODE
     }
 
-    /// With `mask` bits taken from `bits`.
+    /// The setting with the bits of `mask` taken from `bits`.
     const fn with(self, mask: u16, bits: u16) -> Self {
         Self(self.0 & !mask | bits & mask)
     }
 
-    /// 4.7; table 4-7 for power-down. No output goes above the supply (equation 4-1).
+    /// Output by section 4.7, and table 4-7 for power-down. No output exceeds the supply (equation 4-1).
     fn output(self, vdd_v: f64) -> Output {
         let ohm = match self.0 & setting::PD {
             0 => {
@@ -82,90 +83,89 @@ impl Setting {
     }
 }
 
-/// How an output is driven.
+/// Output impedance by mode.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Impedance {
-    /// By the output amplifier.
+    /// Driven by the output amplifier.
     Normal,
     /// Powered down, with a resistor to ground; typical value.
     PulledDown {
-        /// The resistor.
+        /// Resistance to ground, Ω.
         ohm: f64,
     },
 }
 
-/// What an output does.
+/// Electrical state of an output.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Output {
-    /// Without load.
+    /// Voltage without load, V.
     pub volts: f64,
-    /// How it is driven.
+    /// Source of the voltage: amplifier or pull-down.
     pub impedance: Impedance,
 }
 
 impl Output {
-    /// Not connected to anything.
+    /// Output that is not connected.
     const OPEN: Self = Self { volts: 0.0, impedance: Impedance::PulledDown { ohm: f64::INFINITY } };
 }
 
-/// The three kinds of write that send a setting in two bytes.
+/// Kind of write that sends a setting in two bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Multi,
-    /// From this channel.
+    /// Sequential write that starts at channel `first`.
     Sequential {
         first: usize,
     },
     Single,
 }
 
-/// Where the chip is in a transfer.
+/// Phase of an I2C transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Transfer {
-    /// Not addressed.
+    /// Not addressed by the bus.
     None,
     /// Addressed for writing; the next byte is a command.
     Command,
-    /// Fast write: `upper` is the first byte of a channel, once it is there.
+    /// Fast write: `upper` is the first byte of a channel, once received.
     Fast { channel: usize, upper: Option<u8> },
     /// Multi-write: the next byte selects a channel.
     Select,
-    /// The two bytes of a setting.
+    /// Multi-, sequential or single write: the two bytes of a setting follow.
     Setting { kind: Kind, channel: usize, updates_output: bool, upper: Option<u8> },
-    /// The second byte of the power-down bits.
+    /// Power-down command: the second byte of its bits follows.
     PowerDown { first: u8 },
-    /// A command is complete.
+    /// Complete command; no further byte is expected.
     Complete,
-    /// A byte was not acknowledged; neither will the rest be.
+    /// A byte was not acknowledged; the rest is not either.
     Refused,
-    /// The EEPROM is being written: acknowledged and ignored.
+    /// EEPROM write in progress: bytes are acknowledged and ignored.
     Ignored,
-    /// A write of the address bits: without the edge of LDAC the next byte is not acknowledged (figure 5-11,
-    /// note 2c).
+    /// Write of the address bits: without the edge of LDAC the next byte is not acknowledged (figure 5-11, note 2c).
     Address,
-    /// General call, before its data byte.
+    /// General call; its data byte follows.
     GeneralCall,
     /// General call 0Ch: a read of the address bits would follow.
     ReadAddress,
-    /// Addressed for reading; the next byte of the 24.
+    /// Addressed for reading; `position` is the next of the 24 bytes.
     Read { position: usize },
 }
 
-/// A write of the EEPROM.
+/// A write of the EEPROM in progress.
 #[derive(Clone, Copy, Debug)]
 struct Programming {
     until_ns: u64,
     content: [Setting; CHANNELS],
 }
 
-/// One chip.
+/// Simulated chip with registers and EEPROM.
 #[derive(Clone, Debug)]
 pub struct Mcp4728 {
     address: u8,
     vdd_v: f64,
     eeprom_write_ns: u64,
     ldac_high: bool,
-    /// When LDAC fell, if it has.
+    /// Time of LDAC's last falling edge, ns, if there was one.
     ldac_fell_ns: Option<u64>,
 
     eeprom: [Setting; CHANNELS],
@@ -174,7 +174,7 @@ pub struct Mcp4728 {
     programming: Option<Programming>,
 
     transfer: Transfer,
-    /// The first byte of the command under way.
+    /// First byte of the present command.
     command: u8,
     now_ns: u64,
 
@@ -184,13 +184,13 @@ pub struct Mcp4728 {
 }
 
 impl Mcp4728 {
-    /// What it is called in reports.
+    /// Name of the chip in reports.
     pub const NAME: &str = "MCP4728";
 
-    /// A chip just powered, LDAC low, with the 7-bit `address` (0x60 to 0x67; only the three lower bits count, 0x60 is as
-    /// delivered) and `eeprom` in its EEPROM, A to D. A write of the EEPROM takes the maximum.
+    /// A chip just powered up, with LDAC low, the 7-bit `address` (0x60 to 0x67; only the three lower bits count, 0x60
+    /// is as delivered) and `eeprom` in its EEPROM, A to D. A write of the EEPROM takes the maximum time.
     ///
-    /// `vdd_v` is its supply, 2.7 V to 5.5 V; below 0 counts as 0.
+    /// `vdd_v` is its supply, 2.7 V to 5.5 V; a negative value counts as 0.
     #[must_use]
     pub fn new(address: u8, vdd_v: f64, eeprom: [Setting; CHANNELS]) -> Self {
         let vdd_v = vdd_v.max(0.0);
@@ -213,13 +213,13 @@ impl Mcp4728 {
         }
     }
 
-    /// Its own 7-bit address.
+    /// The chip's own 7-bit address.
     #[must_use]
     pub const fn address(&self) -> u8 {
         self.address
     }
 
-    /// Brings the chip to `to_ns`: a write of the EEPROM that ends up to and at that time has ended.
+    /// Advances the chip to `to_ns`, and completes a write of the EEPROM that ends by then.
     #[inline]
     pub fn advance(&mut self, to_ns: u64) {
         if let Some(Programming { until_ns, content }) = self.programming
@@ -232,38 +232,38 @@ impl Mcp4728 {
         self.now_ns = self.now_ns.max(to_ns);
     }
 
-    /// When a write of the EEPROM will be over; `None` if there is none.
+    /// End of the EEPROM write in progress, ns; `None` if there is none.
     #[must_use]
     pub fn next_change_ns(&self) -> Option<u64> {
         self.programming.map(|programming| programming.until_ns)
     }
 
-    /// What an output does, as of the last [`advance`](Self::advance); 0 V behind an infinite resistance for a channel
-    /// above 3.
+    /// State of an output at the last [`advance`](Self::advance); 0 V with an infinite resistance for a channel above
+    /// 3.
     #[must_use]
     pub fn output_v(&self, channel: usize) -> Output {
         self.outputs.get(channel).copied().unwrap_or(Output::OPEN)
     }
 
-    /// The level of the RDY/BSY pin, as of the last [`advance`](Self::advance): false during a write of the EEPROM.
+    /// Level of the RDY/BSY pin at the last [`advance`](Self::advance): false during a write of the EEPROM.
     #[must_use]
     pub const fn ready(&self) -> bool {
         self.programming.is_none()
     }
 
-    /// What the EEPROM holds for a channel, as of the last [`advance`](Self::advance); `None` above 3.
+    /// EEPROM content of a channel at the last [`advance`](Self::advance); `None` above 3.
     #[must_use]
     pub fn eeprom(&self, channel: usize) -> Option<Setting> {
         self.eeprom.get(channel).copied()
     }
 
-    /// The input register of a channel; `None` above 3.
+    /// Input register of a channel; `None` above 3.
     #[must_use]
     pub fn input(&self, channel: usize) -> Option<Setting> {
         self.input.get(channel).copied()
     }
 
-    /// Changes whenever an output or RDY/BSY does, so that a caller can keep what it computed from them.
+    /// Counter that changes whenever an output or RDY/BSY changes, so that a caller can cache values derived from them.
     #[must_use]
     pub const fn generation(&self) -> u64 {
         self.generation
@@ -289,7 +289,7 @@ impl Mcp4728 {
         self.ldac_high = high;
     }
 
-    /// Takes the supply away and returns it: all registers from the EEPROM, whatever LDAC is. Pins stay as driven.
+    /// Interrupts the supply: all registers are loaded from the EEPROM, whatever LDAC is. The levels of the pins stay.
     pub fn power_cycle(&mut self, at_ns: u64) {
         self.advance(at_ns);
         if let Some(Programming { until_ns, .. }) = self.programming.take() {
@@ -300,25 +300,26 @@ impl Mcp4728 {
         self.reset();
     }
 
-    /// Sets the supply voltage, which is also the reference of the channels with VREF = 0. Below 0 counts as 0.
+    /// Sets the supply voltage, which is also the reference of the channels with VREF = 0. A negative value counts as
+    /// 0.
     pub fn set_vdd_v(&mut self, at_ns: u64, vdd_v: f64) {
         self.advance(at_ns);
         self.vdd_v = vdd_v.max(0.0);
         self.refresh();
     }
 
-    /// Sets how long the following writes of the EEPROM take.
+    /// Sets the duration of following EEPROM writes.
     pub fn set_eeprom_write_ns(&mut self, duration_ns: u64) {
         self.eeprom_write_ns = duration_ns;
     }
 
-    /// What was done to the chip against its datasheet.
+    /// Violations of the datasheet so far.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// The same, to be cleared.
+    /// Violations so far, mutable, so that a test can clear them.
     pub const fn misuse_mut(&mut self) -> &mut MisuseLog {
         &mut self.misuse
     }
@@ -336,14 +337,14 @@ impl Mcp4728 {
         self.outputs = outputs;
     }
 
-    /// EEPROM into all registers (5.4.1).
+    /// Loads the EEPROM into all registers (5.4.1).
     fn reset(&mut self) {
         self.input = self.eeprom;
         self.output = self.eeprom;
         self.refresh();
     }
 
-    /// Sets an input register, and the outputs as LDAC and UDAC say (table 4-5).
+    /// Sets an input register, and the outputs according to LDAC and UDAC (table 4-5).
     fn store(&mut self, channel: usize, setting: Setting, updates_output: bool) {
         self.input[channel] = setting;
         if !self.ldac_high {
@@ -354,7 +355,7 @@ impl Mcp4728 {
         self.refresh();
     }
 
-    /// Sets bits of all channels, in input and output registers, whatever LDAC is (table 5-1, note 4).
+    /// Sets bits of all channels in input and output registers, whatever LDAC is (table 5-1, note 4).
     fn store_bits(&mut self, mask: u16, bits: [u16; CHANNELS]) {
         for (channel, bits) in bits.into_iter().enumerate() {
             self.input[channel] = self.input[channel].with(mask, bits);
@@ -374,7 +375,7 @@ impl Mcp4728 {
 
     // ---- commands ----
 
-    /// Whether a command is ignored, as the EEPROM is being written.
+    /// True, and reported, if a command is ignored because the EEPROM is being written.
     fn is_busy(&mut self, command: u8) -> bool {
         if let Some(Programming { until_ns, .. }) = self.programming {
             self.report(MisuseKind::EepromBusy { command, ready_in_ns: until_ns - self.now_ns });
@@ -382,7 +383,7 @@ impl Mcp4728 {
         self.programming.is_some()
     }
 
-    /// The first byte of a command.
+    /// Handles the first byte of a command.
     fn begin(&mut self, byte: u8) -> Transfer {
         if self.is_busy(byte) {
             return Transfer::Ignored;
@@ -413,7 +414,7 @@ impl Mcp4728 {
         }
     }
 
-    /// The second byte of a channel in a fast write (figure 5-7). VREF and GX stay.
+    /// Handles the second byte of a channel in a fast write (figure 5-7). VREF and GX stay.
     fn fast_write(&mut self, channel: usize, upper: u8, lower: u8) -> Transfer {
         // upper: X X PD1 PD0 D11 D10 D9 D8
         let bits = u16::from(upper & 0x30) << 9 | u16::from(upper & 0x0F) << 8 | u16::from(lower);
@@ -421,7 +422,7 @@ impl Mcp4728 {
         Transfer::Fast { channel: (channel + 1) % CHANNELS, upper: None }
     }
 
-    /// The last byte of a setting in one of the three other writes.
+    /// Handles the last byte of a setting in one of the three other writes.
     fn write_setting(&mut self, kind: Kind, channel: usize, setting: Setting, updates_output: bool) -> Transfer {
         self.store(channel, setting, updates_output);
         match kind {
@@ -440,7 +441,7 @@ impl Mcp4728 {
         }
     }
 
-    /// The data byte of a general call (5.4).
+    /// Handles the data byte of a general call (5.4).
     fn general_call(&mut self, byte: u8) -> Transfer {
         match byte {
             general_call::RESET | general_call::UPDATE | general_call::WAKE_UP if self.is_busy(byte) => {
@@ -456,7 +457,7 @@ impl Mcp4728 {
                 self.report(MisuseKind::AddressCommand { command: byte });
                 return Transfer::ReadAddress;
             }
-            // for other chips
+            // a general call for other chips
             _ => return Transfer::Refused,
         }
         Transfer::Complete
@@ -467,7 +468,7 @@ impl Mcp4728 {
         Transfer::Refused
     }
 
-    /// At STOP and repeated START: whether the command was complete.
+    /// Ends a transfer at STOP or repeated START, and reports an incomplete command.
     fn end(&mut self) {
         let complete = match self.transfer {
             Transfer::Fast { upper, .. } => upper.is_none(),
@@ -480,7 +481,7 @@ impl Mcp4728 {
         self.transfer = Transfer::None;
     }
 
-    /// A byte of the 24 (figure 5-15): per channel three of the input register, then three of the EEPROM.
+    /// Byte of a read, 24 in all (figure 5-15): per channel three of the input register, then three of the EEPROM.
     fn byte_at(&self, position: usize) -> u8 {
         let channel = position / 6 % CHANNELS;
         let setting = if position % 6 < 3 { self.input[channel] } else { self.eeprom[channel] };
@@ -562,12 +563,12 @@ impl I2cChip for Mcp4728 {
     }
 }
 
-/// The lower four bits of a command, for A, B, C and D, at the place of `bit` (figures 5-12 and 5-14).
+/// Bit for each of A, B, C and D from the lower four bits of a command, moved to `bit` (figures 5-12 and 5-14).
 fn each_bit(command: u8, bit: u16) -> [u16; CHANNELS] {
     core::array::from_fn(|channel| if command & (0b1000 >> channel) != 0 { bit } else { 0 })
 }
 
-/// `101X PD1A PD0A PD1B PD0B`, `PD1C PD0C PD1D PD0D XXXX` (figure 5-13).
+/// Power-down bits of the channels from `101X PD1A PD0A PD1B PD0B`, `PD1C PD0C PD1D PD0D XXXX` (figure 5-13).
 fn power_down_bits(first: u8, second: u8) -> [u16; CHANNELS] {
     let pairs = first << 4 | second >> 4;
     core::array::from_fn(|channel| u16::from(pairs >> (6 - 2 * channel) & 0b11) << 13)

@@ -1,4 +1,4 @@
-//! The datasheet's sequences, tables and limits. Commands are written out: a wrong constant must not hide itself.
+//! Sequences, tables and limits of the datasheet. Commands are literal, so that a wrong constant in the model fails.
 
 use core::cell::RefCell;
 use std::rc::Rc;
@@ -12,23 +12,23 @@ use proptest::prelude::*;
 
 const VDD_V: f64 = 5.0;
 const WRITE_NS: u64 = 50_000_000;
-/// 0 V, the supply as reference.
+/// Setting for 0 V, with the supply as reference.
 const ZERO: Setting = Setting(0x0000);
-/// Half of the internal reference.
+/// Setting for half of the internal reference.
 const MID_SCALE: Setting = Setting(0x8800);
 
 fn chip() -> Mcp4728 {
     Mcp4728::new(0x60, VDD_V, [ZERO; 4])
 }
 
-/// LDAC high, so that only UDAC, LDAC and general calls move outputs.
+/// A chip with LDAC high, so that only UDAC, LDAC and general calls move outputs.
 fn held() -> Mcp4728 {
     let mut chip = chip();
     chip.set_ldac(0, true);
     chip
 }
 
-/// One write transaction, all at one instant; how many bytes were acknowledged.
+/// One write transaction, all at one instant; returns the number of acknowledged bytes.
 fn send(chip: &mut Mcp4728, at_ns: u64, address: u8, bytes: &[u8]) -> usize {
     chip.start(at_ns, address, false);
     let acknowledged = bytes.iter().take_while(|&&byte| chip.write(at_ns, byte)).count();
@@ -75,7 +75,7 @@ fn powers_up_from_the_eeprom() {
     assert_eq!(volts(&chip), expected);
     assert_eq!(chip.output_v(3).impedance, Impedance::PulledDown { ohm: 1_000.0 });
     assert_eq!(chip.output_v(4), Output::OPEN);
-    // again, whatever was written and whatever LDAC is
+    // a power cycle restores it, whatever was written and whatever LDAC is
     assert!(write(&mut chip, 0, &[0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00]));
     assert_eq!(volts(&chip), [0.0; 4]);
     chip.set_ldac(1_000, true);
@@ -88,7 +88,7 @@ fn as_delivered() {
     // table 4-2: internal reference, normal mode, gain 1, code 0
     let mut chip = Mcp4728::new(0x60, VDD_V, [Setting::FACTORY; 4]);
     assert_eq!(chip.output_v(0), Output { volts: 0.0, impedance: Impedance::Normal });
-    // the first fast write of a driver that takes the supply for the reference
+    // the first fast write of a driver that assumes the supply as reference
     assert!(write(&mut chip, 0, &[0x08, 0x00]));
     assert_eq!(volts(&chip), [1.024, 0.0, 0.0, 0.0]);
 }
@@ -123,7 +123,7 @@ fn codes_and_voltages() {
     ] {
         let chip = Mcp4728::new(0x60, VDD_V, [Setting(word); 4]);
         let Output { volts, impedance } = chip.output_v(2);
-        // values are exact to rounding; 1 uV still fails on a wrong code, reference or gain
+        // exact to rounding; 1 uV still fails for a wrong code, reference or gain
         assert!((volts - expected_v).abs() < 1e-6, "0x{word:04X}: {volts} V");
         assert_eq!(impedance, Impedance::Normal);
     }
@@ -180,7 +180,7 @@ fn multi_write_selects_channels_in_any_order() {
 
 #[test]
 fn udac_and_ldac() {
-    // table 4-5: LDAC, UDAC, then what a multi-write of B moves, with A waiting in its input register
+    // table 4-5: LDAC, UDAC, then the outputs that a multi-write of B moves, with A waiting in its input register
     for (ldac_high, udac, expected) in [
         (false, 0, [0x0400, 0x0800]),
         (false, 1, [0x0400, 0x0800]),
@@ -194,7 +194,7 @@ fn udac_and_ldac() {
         assert!(write(&mut chip, 1_000, &[0x42 | udac, 0x08, 0x00]));
         let [a, b, ..] = chip.output;
         assert_eq!([a.0, b.0], expected, "LDAC {ldac_high}, UDAC {udac}");
-        // and in any case with the next falling edge, or a software update
+        // the next falling edge, or a software update, moves them in any case
         let mut updated = chip.clone();
         chip.set_ldac(2_000, true);
         chip.set_ldac(3_000, false);
@@ -256,7 +256,7 @@ fn sequential_write_from_a_channel_on() {
     assert_eq!(chip.next_change_ns(), Some(25_000_000));
     chip.advance(25_000_000);
     assert_eq!(eeprom(&chip), [0x0111, 0x0111, 0x0222, 0x0333]);
-    // ended before channel D: input registers only
+    // ended before channel D: only input registers change
     assert!(write(&mut chip, 30_000_000, &[0x50, 0x04, 0x44, 0x05, 0x55]));
     assert_eq!((inputs(&chip), chip.ready()), ([0x0444, 0x0555, 0x0222, 0x0333], true));
     assert_eq!(kinds(&chip), [MisuseKind::CommandIncomplete { command: 0x50 }]);
@@ -265,7 +265,7 @@ fn sequential_write_from_a_channel_on() {
 #[test]
 fn single_write_programs_one_channel() {
     let mut chip = held();
-    // B, UDAC = 1; input registers of other channels do not go with it
+    // B with UDAC = 1; input registers of other channels are not programmed
     assert!(write(&mut chip, 0, &[0x40, 0x01, 0x23]));
     assert!(write(&mut chip, 0, &[0x5B, 0x0A, 0xBC]));
     assert_eq!(volts(&chip)[1], 0.0);
@@ -293,7 +293,7 @@ fn nothing_is_executed_during_an_eeprom_write_and_it_can_be_polled() {
     assert_eq!((inputs(&chip), volts(&chip)), ([0x0800, 0, 0, 0], [2.5, 0.0, 0.0, 0.0]));
     assert_eq!(read(&mut chip, WRITE_NS - 1), [0x40, 0x08, 0x00, 0x40, 0x00, 0x00]);
     assert_eq!(read(&mut chip, WRITE_NS), [0xC0, 0x08, 0x00, 0xC0, 0x08, 0x00]);
-    // what follows in the same transfer is not executed either
+    // later bytes of the same transfer are not executed either
     let mut chip = chip.clone();
     assert!(write(&mut chip, 2 * WRITE_NS, &[0x58, 0x01, 0x00, 0x58, 0x02, 0x00]));
     assert_eq!(inputs(&chip)[0], 0x0100);
@@ -312,7 +312,7 @@ fn a_supply_lost_during_an_eeprom_write_is_reported() {
 
 #[test]
 fn reference_power_down_and_gain_of_all_channels() {
-    // figures 5-12 to 5-14 and table 5-1, note 4: whatever LDAC is; EEPROM and codes stay
+    // figures 5-12 to 5-14 and table 5-1, note 4: independent of LDAC; EEPROM and codes stay
     let mut chip = Mcp4728::new(0x60, VDD_V, [Setting(0x0800); 4]);
     chip.set_ldac(0, true);
     assert!(write(&mut chip, 0, &[0x8C]));
@@ -330,7 +330,7 @@ fn reference_power_down_and_gain_of_all_channels() {
     // 5.4.2
     assert!(general_call(&mut chip, 0, 0x09));
     assert_eq!(volts(&chip), [1.024, 2.048, 2.5, 2.5]);
-    // a code that waits for LDAC goes on waiting
+    // a code that waits for LDAC keeps waiting
     assert!(write(&mut chip, 0, &[0x00, 0x00]));
     assert!(write(&mut chip, 0, &[0x80]));
     assert_eq!(volts(&chip), [2.5, 2.5, 2.5, 2.5]);
@@ -360,10 +360,10 @@ fn one_software_reset_reaches_the_pwm_chip_and_the_dac() {
     bus.execute(1_000_000, 0x40, &mut [Operation::Write(&[0x06, 0x00, 0x10, 0x00, 0x00])]).unwrap();
     bus.execute(0, 0x60, &mut [Operation::Write(&[0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00])]).unwrap();
     assert_eq!((pwm.borrow().line(0), volts(&dac.borrow())), (Line::High, [0.0; 4]));
-    // meant for the PWM chip, it also moves what the DAC drives
+    // meant for the PWM chip, it also changes the outputs of the DAC
     bus.execute(0, 0x00, &mut [Operation::Write(&[0x06])]).unwrap();
     assert_eq!((pwm.borrow().line(0), volts(&dac.borrow())), (Line::Low, [1.024; 4]));
-    // software update and wake-up are for the DAC alone, and acknowledged
+    // only the DAC acknowledges software update and wake-up
     bus.execute(0, 0x00, &mut [Operation::Write(&[0x08])]).unwrap();
     bus.execute(0, 0x00, &mut [Operation::Write(&[0x09])]).unwrap();
     let unknown = bus.execute(0, 0x00, &mut [Operation::Write(&[0x04])]);
@@ -404,7 +404,7 @@ fn incomplete_commands_are_dropped_and_reported() {
         chip.start(0, 0x60, true);
         assert_eq!(chip.misuse().total(), 1);
     }
-    // a probe is none
+    // a probe without data is no incomplete command
     let mut chip = chip();
     assert!(write(&mut chip, 0, &[]));
     assert!(chip.misuse().is_empty());
@@ -438,7 +438,7 @@ fn address_commands_answer_as_without_the_ldac_edge() {
     assert_eq!(kinds(&chip), [MisuseKind::AddressCommand { command: 0x0C }]);
 }
 
-/// What a bus and a board could do to the chip, sensible or not.
+/// Random action of a bus and a board, sensible or not.
 #[derive(Clone, Debug)]
 enum Action {
     Start { address: u8, read: bool },
@@ -457,7 +457,7 @@ fn any_action() -> impl Strategy<Value = Action> {
     prop_oneof![
         4 => (address, any::<bool>()).prop_map(|(address, read)| Action::Start { address, read }),
         12 => any::<u8>().prop_map(Action::Write),
-        // often enough a general call that matters
+        // with a useful share of valid general calls
         2 => prop_oneof![Just(0x06), Just(0x08), Just(0x09), Just(0x0C)].prop_map(Action::Write),
         3 => Just(Action::Read),
         3 => Just(Action::Stop),

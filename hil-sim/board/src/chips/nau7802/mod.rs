@@ -1,21 +1,25 @@
-//! Nuvoton NAU7802: a bridge's ratio, behind an amplifier and a converter of 24 bits. Section and page numbers are those of its datasheet,
+//! Nuvoton NAU7802: bridge amplifier and 24-bit converter. Section and page numbers are those of its datasheet,
 //! revision 1.7.
 //!
-//! # What it measures
-//! The bridge is fed by AVDD, which is the converter's reference too: the code is the ratio that the bridge puts out, times the gain, in
-//! parts of half the reference. What the chip adds are an offset and white noise, both volts at its input. A filter of fourth order lies
-//! over the last four periods; a step of the force is converted in full four conversions later, and so is one behind a change of the gain.
+//! # Measurement
+//! AVDD feeds the bridge and is also the converter's reference: the code is the bridge's output ratio times the gain,
+//! in units of half the reference. The chip adds an offset and white noise, both volts at its input. A fourth-order
+//! filter covers the last four periods, so a step of the force is converted in full four conversions later, and so is a
+//! change of the gain.
 //!
 //! # Where the datasheet leaves room
-//! - The filter: that of the converters of this kind that settle in four conversions, a sinc of fourth order. Its weights are those for an
-//!   input that is constant within each period, and its past is 0 when conversions begin.
-//! - Offset and noise are from memory of the figures on pages 7 and 11; the noise rises with the root of the rate. Gain error and
-//!   non-linearity are 0.
-//! - A calibration takes 344 ms at any rate, as users of a published library have measured, and no conversion ends meanwhile.
-//! - The regulator comes up with a time constant of 40 ms. Nothing else feeds AVDD: without it there is no reference and no conversion.
-//!   One that is set above what DVDD leaves, 0.3 V less than 3.3 V, gives that much.
-//! - CR goes with the last of the three bytes of a conversion. These are of one conversion if they come in one transfer.
-//! - Temperature sensor, second channel, external clock and the low-power bits are not modelled: their bits hold what is written.
+//! - The filter is the usual one of converters that settle in four conversions, a sinc of fourth order. Its weights are
+//!   those for an input that is constant within each period, and its history is 0 when conversions start.
+//! - Offset and noise are quoted from memory of the figures on pages 7 and 11; the noise rises with the square root of
+//!   the rate. Gain error and non-linearity are 0.
+//! - A calibration takes 344 ms at any rate, as users of a published library have measured, and no conversion ends
+//!   meanwhile.
+//! - The regulator starts with a time constant of 40 ms. Nothing else feeds AVDD: without it there is no reference and
+//!   no conversion. A setting above the limit by DVDD, 3.3 V minus 0.3 V, gives that limit.
+//! - CR is cleared with the last of the three bytes of a conversion. The bytes belong to one conversion if they are
+//!   read in one transfer.
+//! - Temperature sensor, second channel, external clock and the low-power bits are not modelled: their bits only store
+//!   writes.
 
 #[cfg(test)]
 mod tests;
@@ -29,33 +33,33 @@ use crate::{
 };
 
 const ADDRESS: u8 = 0x2A;
-/// Half of 24 bits: full scale.
+/// Full scale, half of 24 bits, counts.
 const HALF: f64 = 8_388_608.0;
-/// Of a conversion, by CRS, ns; 0 for codes that are reserved.
+/// Duration of a conversion by CRS, ns; 0 for reserved codes.
 const PERIOD_NS: [u64; 8] = [100_000_000, 50_000_000, 25_000_000, 12_500_000, 0, 0, 0, 3_125_000];
-/// Of the last four periods, newest first: a cubic spline's shares.
+/// Filter weights of the last four periods, newest first: those of a cubic spline.
 const FILTER: [f64; 4] = [1.0 / 24.0, 11.0 / 24.0, 11.0 / 24.0, 1.0 / 24.0];
-/// From PUD to PUR (9.1), ns.
+/// Time from PUD to PUR (9.1), ns.
 const POWER_UP_NS: u64 = 200_000;
 const CALIBRATION_NS: u64 = 344_000_000;
 const REGULATOR_S: f64 = 0.04;
-/// DVDD less what the regulator needs, V.
+/// Largest AVDD: DVDD minus the regulator's drop-out, V.
 const AVDD_MAX_V: f64 = 3.0;
-/// At the input, V.
+/// Offset voltage at the input, V.
 const OFFSET_V: f64 = 20e-6;
-/// Noise at the input at 10 conversions a second: of the amplifier, and of the converter behind it, V rms.
+/// Noise at the input at 10 conversions a second, V rms: of the amplifier, and of the converter behind it.
 const NOISE_V: [f64; 2] = [50e-9, 1.5e-6];
 /// Largest gain that can be calibrated (8.6.3).
 const GAIN_MAX: f64 = 256.0;
 
-// Places of what the chip itself needs.
+// Registers that the model itself interprets.
 const PU_CTRL: usize = 0x00;
 const CTRL1: usize = 0x01;
 const CTRL2: usize = 0x02;
 const OCAL1: usize = 0x03;
 const GCAL1: usize = 0x06;
 
-/// Where the chip is in a transfer.
+/// Phase of an I2C transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Transfer {
     None,
@@ -63,44 +67,44 @@ enum Transfer {
     Data,
 }
 
-/// One chip.
+/// Simulated chip with its registers.
 #[derive(Clone, Debug)]
 pub struct Nau7802 {
     registers: [u8; 0x20],
     revision: u8,
     pointer: u8,
     transfer: Transfer,
-    /// The newest conversion, and that of which bytes are being read.
+    /// Newest conversion, and the one whose bytes are being read.
     converted: i32,
     latched: [u8; 3],
     is_ready: bool,
     now_ns: u64,
 
-    /// When the digital part was powered, and the regulator.
+    /// Times at which the digital part and the regulator were powered up, ns.
     digital_ns: u64,
     regulator_ns: u64,
-    /// When the calibration under way ends.
+    /// End of the calibration in progress, ns.
     calibrated_ns: Option<u64>,
 
-    /// Up to when its input is known, and what that came to in the period under way, mV/V s.
+    /// Time up to which the input is known, and its integral over the present period, mV/V s.
     felt_ns: u64,
     felt_mv_v_s: f64,
     period_from_ns: u64,
-    /// Of full scale behind the amplifier, the last four periods, newest first.
+    /// Inputs of the last four periods as a share of full scale behind the amplifier, newest first.
     past: [f64; 4],
-    /// Noise of what is in front of the chip, mV/V rms of a conversion.
+    /// Noise of the source at the input, mV/V rms per conversion.
     source_noise_mv_v: f64,
-    /// Conversions never end, as with a broken oscillator.
+    /// True if conversions never end, as with a broken oscillator.
     hung: bool,
     noise: Pcg64,
     misuse: MisuseLog,
 }
 
 impl Nau7802 {
-    /// What it is called in reports.
+    /// Name of the chip in reports.
     pub const NAME: &str = "NAU7802";
 
-    /// A chip just powered. Its noise is drawn from `seed`.
+    /// A chip just powered up. `seed` is that of its noise.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         let mut chip = Self {
@@ -128,7 +132,7 @@ impl Nau7802 {
         chip
     }
 
-    /// All registers as after power-up (section 10): gains of 1, everything else 0, and off.
+    /// Sets all registers to those after power-up (section 10): gains of 1, everything else 0, and off.
     fn reset(&mut self) {
         self.registers = [0; 0x20];
         self.registers[GCAL1 + 1] = 0x80;
@@ -138,40 +142,41 @@ impl Nau7802 {
         self.past = [0.0; 4];
     }
 
-    /// Takes the supply away and returns it.
+    /// Interrupts the supply of the chip.
     pub fn power_cycle(&mut self) {
         self.reset();
         (self.pointer, self.transfer) = (0, Transfer::None);
     }
 
-    /// Another chip is at its address.
+    /// Sets the revision code, as if another chip were at its address.
     pub fn set_revision(&mut self, revision: u8) {
         self.revision = revision;
     }
 
-    /// From now on no conversion ends, or they do again.
+    /// Stops all conversions, or lets them continue.
     pub fn set_hung(&mut self, hung: bool) {
         self.hung = hung;
     }
 
-    /// What is in front of it is noisy: standard deviation of a conversion, mV/V.
+    /// Sets the noise of the source, standard deviation per conversion, mV/V.
     pub fn set_source_noise_mv_v(&mut self, noise_mv_v: f64) {
         self.source_noise_mv_v = noise_mv_v;
     }
 
-    /// Up to when its input is known, ns.
+    /// Time up to which the input is known, ns.
     #[must_use]
     pub const fn felt_ns(&self) -> u64 {
         self.felt_ns
     }
 
-    /// What was done to the chip against its datasheet.
+    /// Violations of the datasheet so far.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// The bridge has put out `mv_v` since the last call, mV/V, up to `until_ns`: conversions end that were due meanwhile.
+    /// Advances to `until_ns` with the bridge at `mv_v`, mV/V, since the last call, and completes conversions due
+    /// meanwhile.
     pub fn feel(&mut self, until_ns: u64, mv_v: f64) {
         if until_ns < self.felt_ns {
             return;
@@ -181,6 +186,7 @@ impl Nau7802 {
             self.calibrate(end_ns, mv_v);
             self.felt_ns = self.felt_ns.max(end_ns);
             self.begin_period(end_ns);
+            // no conversion from before the calibration stays in the filter
             self.past = [0.0; 4];
         }
         let Some(period_ns) = self.period_ns() else {
@@ -206,7 +212,7 @@ impl Nau7802 {
         (self.period_from_ns, self.felt_mv_v_s) = (at_ns, 0.0);
     }
 
-    /// A period has ended.
+    /// Completes a conversion at the end of a period.
     fn convert(&mut self, at_ns: u64, period_ns: u64) {
         let mean_mv_v = self.felt_mv_v_s / (period_ns as f64 * 1e-9);
         self.past.rotate_right(1);
@@ -214,13 +220,13 @@ impl Nau7802 {
         let filtered: f64 = self.past.iter().zip(FILTER).map(|(past, weight)| past * weight).sum();
         let noise = self.noise_of_full_scale(at_ns, period_ns) * normal(&mut self.noise);
         let measured = ((filtered + noise) * HALF).clamp(-HALF, HALF);
-        // Page 21.
+        // conversion formula of page 21
         let output = self.gain_calibration() * (measured - self.offset_calibration());
         self.converted = output.round().clamp(-HALF, HALF - 1.0) as i32;
         self.is_ready = true;
     }
 
-    /// What the bridge puts out and the chip's own offset, behind the amplifier, in parts of full scale, which it cannot pass.
+    /// Output of the amplifier for the bridge's ratio and the chip's offset, as a share of full scale, clipped to ±1.
     fn amplified(&self, at_ns: u64, mv_v: f64) -> f64 {
         let avdd_v = self.avdd_v(at_ns);
         let input_v = mv_v * 1e-3 * avdd_v + OFFSET_V;
@@ -239,15 +245,15 @@ impl Nau7802 {
         f64::from(1_u8 << (self.registers[CTRL1] & 0b111))
     }
 
-    /// By VLDO (11.2): 4.5 V less 0.3 V for each step.
+    /// Voltage of AVDD by VLDO (11.2): 4.5 V minus 0.3 V per step.
     fn avdd_v(&self, at_ns: u64) -> f64 {
         let set_v = 4.5 - 0.3 * f64::from(self.registers[CTRL1] >> 3 & 0b111);
         let up_s = at_ns.saturating_sub(self.regulator_ns) as f64 * 1e-9;
-        // Never quite 0, which would be no reference.
+        // never 0, which would be no reference
         set_v.min(AVDD_MAX_V) * (1.0 - (-up_s / REGULATOR_S).exp()).max(1e-3)
     }
 
-    /// Sign and magnitude, counts.
+    /// Offset calibration, counts, stored as sign and magnitude.
     fn offset_calibration(&self) -> f64 {
         let [high, middle, low] = [0, 1, 2].map(|at| self.registers[OCAL1 + at]);
         let magnitude = f64::from(u32::from_be_bytes([0, high & 0x7F, middle, low]));
@@ -260,13 +266,14 @@ impl Nau7802 {
         self.registers[OCAL1..OCAL1 + 3].copy_from_slice(&[high | sign, middle, low]);
     }
 
-    /// In parts of 2^23.
+    /// Gain calibration factor, stored in units of 2^-23.
     fn gain_calibration(&self) -> f64 {
         let bytes = [0, 1, 2, 3].map(|at| self.registers[GCAL1 + at]);
         f64::from(u32::from_be_bytes(bytes)) / HALF
     }
 
-    /// 8.6: by CALMOD, of the offset with the inputs shorted or of what is there, or of the gain.
+    /// Starts a calibration (8.6): by CALMOD, of the offset with shorted inputs or with the present input, or of the
+    /// gain.
     fn calibrate(&mut self, at_ns: u64, mv_v: f64) {
         let measured = self.amplified(at_ns, mv_v) * HALF;
         let mut failed = false;
@@ -287,7 +294,7 @@ impl Nau7802 {
         self.registers[CTRL2] |= u8::from(failed) << 3;
     }
 
-    /// Powered, with a reference, started and not hung.
+    /// True if powered, with a reference, started and not hung.
     fn is_converting(&self) -> bool {
         const ON: u8 = 0x96;
         self.registers[PU_CTRL] & (ON | 1) == ON && !self.hung
@@ -335,7 +342,7 @@ impl Nau7802 {
             0x00 => self.write_control(value),
             0x02 => {
                 let before = self.registers[CTRL2];
-                // CAL_ERR is read only.
+                // CAL_ERR is read-only
                 self.registers[CTRL2] = value & !(1 << 3) | before & 1 << 3;
                 if value & 1 << 2 != 0 {
                     self.calibrated_ns = Some(self.now_ns + CALIBRATION_NS);
@@ -371,7 +378,7 @@ impl Nau7802 {
             self.felt_ns = self.felt_ns.max(self.now_ns);
             self.past = [0.0; 4];
         }
-        // PUR and CR are read only.
+        // PUR and CR are read-only
         self.registers[PU_CTRL] = value & 0b1101_0111;
     }
 

@@ -28,7 +28,7 @@ fn is_ready(chip: &mut Nau7802) -> bool {
     get::<1>(chip, 0x00)[0] & 0x20 != 0
 }
 
-/// Goes on for `ms` with `mv_v` at its input.
+/// Advances by `ms` with `mv_v` at the input.
 fn pass(chip: &mut Nau7802, ms: u64, mv_v: f64) {
     let until_ns = chip.felt_ns + ms * MS;
     chip.feel(until_ns, mv_v);
@@ -48,7 +48,7 @@ fn set_up(gain: u8) -> Nau7802 {
     chip
 }
 
-/// Five deviations of the noise at 80 conversions a second, counts.
+/// Five standard deviations of the noise at 80 conversions a second, counts.
 fn tolerance(gain: f64) -> f64 {
     5.0 * 8_f64.sqrt() * 50e-9_f64.hypot(1.5e-6 / gain) * gain / 1.5 * HALF + 1.0
 }
@@ -67,7 +67,7 @@ fn a_code_is_the_ratio_times_the_gain_in_parts_of_half_the_reference() {
     }
 }
 
-/// The reference falls with the voltage that feeds the bridge: only noise and offset become more of it.
+/// The reference falls with the voltage that feeds the bridge: only the relative noise and offset increase.
 #[test]
 fn the_regulators_voltage_cancels_out() {
     let mut chip = set_up(7);
@@ -76,7 +76,7 @@ fn the_regulators_voltage_cancels_out() {
     put(&mut chip, &[0x01, 0x3F]);
     pass(&mut chip, 100, 2.0);
     let after = code(&mut chip);
-    // 2.4 V in place of 3.0 V: 20 uV are 1.67 uV/V more, of 3906, and the noise.
+    // 2.4 V instead of 3.0 V: 20 uV are 1.67 uV/V more, of 3906, plus the noise
     let more = OFFSET_V * (1.0 / 2.4 - 1.0 / 3.0) / 3.906_25e-3 * HALF;
     assert!((after - before - more).abs() < 2.0 * 1.25 * tolerance(128.0), "{before}, {after}");
 }
@@ -86,7 +86,7 @@ fn the_regulators_voltage_cancels_out() {
 fn a_step_is_told_over_four_conversions_and_so_is_a_change_of_the_gain() {
     let mut chip = set_up(7);
     pass(&mut chip, 100, 0.0);
-    // To the beginning of a period.
+    // up to the start of a period
     code(&mut chip);
     while !is_ready(&mut chip) {
         let until_ns = chip.felt_ns + 10_000;
@@ -102,7 +102,7 @@ fn a_step_is_told_over_four_conversions_and_so_is_a_change_of_the_gain() {
         let told = code(&mut chip) - from;
         assert!((told - share * full).abs() < 2.0 * tolerance(128.0) + 1e-3 * HALF, "{share}: {told}");
     }
-    // Half the gain: its share of the new code comes the same way.
+    // half the gain: the new code settles in the same way
     put(&mut chip, &[0x01, 0x2E]);
     for share in [23.0 / 24.0 + 0.5 / 24.0, 0.75, 0.5 + 0.5 / 24.0, 0.5] {
         let until_ns = chip.felt_ns + 12_500_000;
@@ -130,7 +130,7 @@ fn what_is_beyond_full_scale_is_clipped() {
     for (mv_v, end) in [(5.0, HALF), (-5.0, -HALF)] {
         pass(&mut chip, 100, mv_v);
         let code = code(&mut chip);
-        // The offset that was calibrated away, 0.17 % of full scale, and the noise.
+        // the calibrated offset, 0.17 % of full scale, and the noise
         assert!((code - end).abs() < 2e-3 * HALF + tolerance(128.0), "{mv_v}: {code}");
     }
 }
@@ -138,21 +138,21 @@ fn what_is_beyond_full_scale_is_clipped() {
 #[test]
 fn calibrations_take_offset_and_gain_away_and_tell_what_they_cannot() {
     let mut chip = set_up(7);
-    // Offset of what is there.
+    // offset calibration with the present input
     put(&mut chip, &[0x02, 0x36]);
     pass(&mut chip, 300, -0.5);
     assert_eq!(get::<1>(&mut chip, 0x02)[0] & 4, 4, "under way");
     pass(&mut chip, 200, -0.5);
     assert_eq!((get::<1>(&mut chip, 0x02)[0] & 0x0C, get::<1>(&mut chip, 0x03)[0] & 0x80), (0, 0x80));
     assert!(code(&mut chip).abs() < tolerance(128.0));
-    // Gain: what is there is full scale.
+    // gain calibration: the present input becomes full scale
     put(&mut chip, &[0x02, 0x37]);
     pass(&mut chip, 500, 1.0);
     pass(&mut chip, 100, 0.25);
     let half = code(&mut chip);
     let gain = 3.906_25 / 1.5;
     assert!((half / HALF - 0.5).abs() < 1e-3 + gain * tolerance(128.0) / HALF, "{half}");
-    // A negative input has no gain.
+    // a negative input has no valid gain
     put(&mut chip, &[0x02, 0x37]);
     pass(&mut chip, 500, -1.0);
     assert_eq!(get::<1>(&mut chip, 0x02)[0] & 0x0C, 8);

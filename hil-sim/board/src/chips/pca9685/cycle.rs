@@ -1,17 +1,18 @@
-//! When PWM cycles begin, exactly.
+//! Exact start times of PWM cycles.
 
 use crate::chips::COUNTS;
 
-/// A train of PWM cycles. A period is a fraction of nanoseconds; the rest is carried, so that boundaries never drift.
+/// A train of PWM cycles. A period is not a whole number of nanoseconds; the remainder is carried, so boundaries never
+/// drift.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cycle {
     rate: Rate,
-    /// Start of a past cycle, whole nanoseconds and the rest in 1 / `clock_hz` ns.
+    /// Start of a past cycle: whole nanoseconds, and the remainder in 1 / `clock_hz` ns.
     start_ns: u64,
     start_rest: u64,
 }
 
-/// A clock and a prescaler.
+/// Clock frequency and prescaler.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Rate {
     pub(super) prescale: u8,
@@ -19,7 +20,7 @@ pub(super) struct Rate {
 }
 
 impl Rate {
-    /// Clock ticks in a cycle, in units that divided by the clock give nanoseconds.
+    /// Clock ticks of a cycle times 1e9; divided by the clock they give nanoseconds.
     const fn numerator(self) -> u64 {
         COUNTS as u64 * (self.prescale as u64 + 1) * 1_000_000_000
     }
@@ -28,7 +29,7 @@ impl Rate {
         u64::from(self.clock_hz.max(1))
     }
 
-    /// The period, rounded to the nearest nanosecond.
+    /// Period, rounded to the nearest nanosecond.
     pub(super) fn period_ns(self) -> u64 {
         (self.numerator() + self.clock_hz() / 2) / self.clock_hz()
     }
@@ -43,14 +44,16 @@ impl Cycle {
         self.rate
     }
 
-    /// Start of the first cycle that begins after `at_ns`, rounded down to a nanosecond.
+    /// Start of the first cycle after `at_ns`, rounded down to a nanosecond.
     ///
-    /// Also moves the reference to the cycle that holds `at_ns`, which keeps the numbers small and the division short.
+    /// Also moves the reference to the cycle that contains `at_ns`, which keeps the numbers small and the division
+    /// short.
     pub(super) fn next_after(&mut self, at_ns: u64) -> u64 {
         let whole_ns = self.rate.numerator() / self.rate.clock_hz();
         let mut cycles = at_ns.saturating_sub(self.start_ns) / whole_ns;
         let mut start = self.after(cycles);
-        // `cycles` was rounded up, as a period is longer than its whole nanoseconds: walk down, never past the answer.
+        // `cycles` was rounded up, because a period is longer than its whole nanoseconds: step down, never past the
+        // answer
         while start.0 > at_ns && cycles > 0 {
             cycles -= ((start.0 - at_ns) / (whole_ns + 1)).clamp(1, cycles);
             start = self.after(cycles);
@@ -59,7 +62,7 @@ impl Cycle {
         self.after(1).0
     }
 
-    /// Start of the cycle that many after the reference; sticks at the end of time.
+    /// Start of the cycle `cycles` after the reference; saturates at `u64::MAX`.
     fn after(&self, cycles: u64) -> (u64, u64) {
         let clock_hz = self.rate.clock_hz();
         let numerator = u128::from(cycles) * u128::from(self.rate.numerator()) + u128::from(self.start_rest);
@@ -98,7 +101,7 @@ mod tests {
             for step in steps {
                 at_ns += step;
                 let next = cycle.next_after(at_ns);
-                // the same, from the beginning and in one division
+                // the same from the first cycle, in one division
                 let numerator = u128::from(rate.numerator());
                 let boundary = |k: u128| u128::from(start_ns) + k * numerator / u128::from(clock_hz);
                 let mut k = u128::from(at_ns - start_ns) * u128::from(clock_hz) / numerator;

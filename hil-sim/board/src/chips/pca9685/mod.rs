@@ -1,21 +1,22 @@
 //! NXP PCA9685: sixteen 12-bit PWM outputs on I2C. Section numbers are those of its datasheet, rev. 4.
 //!
 //! # Time
-//! The chip is lazy: it holds no event queue and does nothing until it is asked. Every call with a time first brings it
-//! there; a time before one already seen counts as that one. A register write is taken over ("committed") at STOP, or
-//! at the ACK of the last of a channel's four registers (MODE2.OCH), and reaches the pin at the end of the PWM cycle
-//! (7.3.3, 7.3.4), to the nanosecond: boundaries are whole multiples of the exact period, rounded down.
+//! The model is lazy: it has no event queue. Every call with a time first advances the chip to it; an earlier time than
+//! one already seen counts as that one. A register write is committed at STOP, or at the ACK of the last of a channel's
+//! four registers (MODE2.OCH), and reaches the pin at the end of the PWM cycle (7.3.3, 7.3.4), to the nanosecond:
+//! boundaries are whole multiples of the exact period, rounded down.
 //!
 //! # Where the datasheet leaves room
-//! - With every output full OFF the cycle timing is disabled (7.3.3, remark). So the first output to leave full OFF
-//!   starts a cycle at once, at the STOP; and SLEEP then takes effect at once and leaves RESTART clear.
+//! - With every output full OFF the cycle timing is disabled (7.3.3, remark). The first output to leave full OFF
+//!   therefore starts a cycle at once, at the STOP; and SLEEP then takes effect at once and leaves RESTART clear.
 //! - SLEEP while outputs run takes effect at the end of the cycle, when RESTART is set (7.3.1.1). Waking before that
-//!   goes on as if nothing had been; a new prescaler then applies from the end of the cycle.
+//!   continues without interruption; a new prescaler then applies from the end of the cycle.
 //! - While the oscillator is off or starting, outputs are off (low; high with INVRT). They run from 500 us after
 //!   waking: the datasheet's maximum is taken as the value.
-//! - Channels put to sleep running stay off after waking until RESTART is written, or until their own registers are.
-//! - An ON count after the OFF count, or full ON with an ON count, first turns on at that count, also in the first cycle
-//!   (figures 9 to 11).
+//! - Channels that were running when put to sleep stay off after waking until RESTART is written, or until their own
+//!   registers are.
+//! - An ON count after the OFF count, or full ON with an ON count, first turns on at that count, also in the first
+//!   cycle (figures 9 to 11).
 //! - The bus time-out (25 ms, table 15, note 1) is not modelled.
 
 mod cycle;
@@ -29,7 +30,7 @@ use crate::misuse::{Misuse, MisuseKind, MisuseLog};
 use cycle::{Cycle, Rate};
 use registers::{COUNT, FULL, mode1, mode2};
 
-/// Outputs of the chip.
+/// Number of outputs of the chip.
 pub const CHANNELS: usize = 16;
 
 /// ON and OFF registers of a channel, 13 bits each.
@@ -47,7 +48,7 @@ impl Pattern {
         Self { on: u16::from_le_bytes([on_l, on_h]), off: u16::from_le_bytes([off_l, off_h]) }
     }
 
-    /// Full OFF wins over full ON (7.3.3).
+    /// Full OFF has priority over full ON (7.3.3).
     const fn is_full_off(self) -> bool {
         self.off & FULL != 0
     }
@@ -64,7 +65,8 @@ impl Pattern {
         self.off & COUNT
     }
 
-    /// Neither full ON nor full OFF, and no pulse either: the datasheet forbids it (7.3.4), the output stays off.
+    /// True for a pattern without a pulse that is neither full ON nor full OFF: the datasheet forbids it (7.3.4), the
+    /// output stays off.
     const fn is_empty(self) -> bool {
         !self.is_full_off() && !self.is_full_on() && self.on_count() == self.off_count()
     }
@@ -79,7 +81,7 @@ impl Pattern {
         }
     }
 
-    /// In its first cycle the output cannot be high before the ON count, as nothing has turned it on.
+    /// State in the first cycle: the output cannot be high before the ON count, since nothing has turned it on.
     const fn first_line(self) -> Line {
         if self.turns_on_late() { Line::Pwm { on: self.on_count(), off: 0 } } else { self.line() }
     }
@@ -94,37 +96,37 @@ impl Pattern {
     }
 }
 
-/// What the oscillator and the cycle counter do.
+/// State of the oscillator and the cycle counter.
 #[derive(Clone, Copy, Debug)]
 enum Timing {
     /// No clock: asleep, or EXTCLK without one.
     Off,
     /// The oscillator is starting.
     Starting { ready_ns: u64 },
-    /// Clock, but every output is full OFF: no cycles.
+    /// Clock running, but every output full OFF: no cycles.
     Idle,
-    /// PWM cycles.
+    /// PWM cycles are running.
     Running(Cycle),
 }
 
-/// Where the chip is in a transfer.
+/// Phase of an I2C transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Transfer {
-    /// Not addressed.
+    /// Not addressed by the bus.
     None,
     /// Addressed for writing; the next byte is the register pointer.
     Pointer,
     /// The next byte goes to, or comes from, the register pointed at.
     Data,
-    /// A byte was not acknowledged; neither will the rest be.
+    /// A byte was not acknowledged; the rest is not either.
     Refused,
-    /// General call, before its data byte.
+    /// General call; its data byte follows.
     GeneralCall,
     /// General call with 06h: a STOP now resets the chip (7.6).
     ResetAtStop,
 }
 
-/// One chip.
+/// Simulated chip with its outputs.
 #[derive(Clone, Debug)]
 pub struct Pca9685 {
     address: u8,
@@ -143,25 +145,25 @@ pub struct Pca9685 {
     transfer: Transfer,
     /// Channels written since the last STOP (OCH = 0).
     written: u16,
-    /// Which of the four registers of each channel were written since its last commit (OCH = 1).
+    /// Registers of each channel written since its last commit, one bit each (OCH = 1).
     loaded: [u8; CHANNELS],
 
     committed: [Pattern; CHANNELS],
-    /// In force in this cycle.
+    /// Patterns in force in this cycle.
     latched: [Pattern; CHANNELS],
     /// Channels whose committed pattern waits for the end of the cycle.
     pending: u16,
     /// Channels in a first cycle that differs from the later ones.
     first_cycle: u16,
-    /// Channels put to sleep running that wait for RESTART.
+    /// Channels that ran when put to sleep and wait for RESTART.
     held: u16,
 
     timing: Timing,
-    /// When SLEEP was last cleared.
+    /// Time at which SLEEP was last cleared, ns.
     awake_since_ns: u64,
     early_write_reported: bool,
     now_ns: u64,
-    /// `u64::MAX`: none.
+    /// Time of the next event, ns; `u64::MAX` for none.
     next_event_ns: u64,
 
     lines: [Line; CHANNELS],
@@ -170,12 +172,12 @@ pub struct Pca9685 {
 }
 
 impl Pca9685 {
-    /// What it is called in reports.
+    /// Name of the chip in reports.
     pub const NAME: &str = "PCA9685";
 
-    /// A chip just powered, OE low, with its address pins giving the 7-bit `address` (0x40 to 0x7F).
+    /// A chip just powered up, with OE low and its address pins giving the 7-bit `address` (0x40 to 0x7F).
     ///
-    /// `oscillator_hz` is 25 MHz from the datasheet; single chips are several per cent off. 0 counts as 1.
+    /// `oscillator_hz` is 25 MHz in the datasheet; individual chips are several per cent off. 0 counts as 1.
     #[must_use]
     pub fn new(address: u8, oscillator_hz: u32) -> Self {
         Self {
@@ -209,13 +211,13 @@ impl Pca9685 {
         }
     }
 
-    /// Its own 7-bit address.
+    /// The chip's own 7-bit address.
     #[must_use]
     pub const fn address(&self) -> u8 {
         self.address
     }
 
-    /// Brings the chip to `to_ns`: whatever takes effect up to and at that time has taken effect.
+    /// Advances the chip to `to_ns`, including events at that time.
     #[inline]
     pub fn advance(&mut self, to_ns: u64) {
         while self.next_event_ns <= to_ns && self.next_event_ns != u64::MAX {
@@ -224,27 +226,27 @@ impl Pca9685 {
         self.now_ns = self.now_ns.max(to_ns);
     }
 
-    /// When a pending update will reach the pins; `None` if nothing is pending.
+    /// Time at which a pending update reaches the pins, ns; `None` if nothing is pending.
     #[must_use]
     pub fn next_change_ns(&self) -> Option<u64> {
         let starts_nothing = matches!(self.timing, Timing::Starting { .. }) && !self.has_work();
         (self.next_event_ns != u64::MAX && !starts_nothing).then_some(self.next_event_ns)
     }
 
-    /// What an output does, as of the last [`advance`](Self::advance); [`Line::HighZ`] for a channel above 15.
+    /// State of an output at the last [`advance`](Self::advance); [`Line::HighZ`] for a channel above 15.
     #[must_use]
     pub fn line(&self, channel: usize) -> Line {
         self.lines.get(channel).copied().unwrap_or(Line::HighZ)
     }
 
-    /// What all outputs do, as of the last [`advance`](Self::advance).
+    /// States of all outputs at the last [`advance`](Self::advance).
     #[must_use]
     pub const fn lines(&self) -> &[Line; CHANNELS] {
         &self.lines
     }
 
-    /// One PWM cycle, rounded to the nearest nanosecond; of the cycles that would run, if none do. `u64::MAX` with
-    /// EXTCLK set and no clock on the pin.
+    /// PWM period, rounded to the nearest nanosecond, also while no cycles run. `u64::MAX` with EXTCLK set and no clock
+    /// on the pin.
     #[must_use]
     pub fn pwm_period_ns(&self) -> u64 {
         let rate = match &self.timing {
@@ -254,21 +256,22 @@ impl Pca9685 {
         rate.map_or(u64::MAX, Rate::period_ns)
     }
 
-    /// Changes whenever a line or the PWM period in force does, so that a caller can keep what it computed from them.
+    /// Counter that changes whenever a line or the PWM period in force changes, so that a caller can cache values
+    /// derived from them.
     #[must_use]
     pub const fn generation(&self) -> u64 {
         self.generation
     }
 
-    /// Drives the OE pin: `enabled` is the pin low. Immediate, not tied to the PWM cycle (7.4; delay under 60 ns,
-    /// table 15).
+    /// Drives the OE pin: `enabled` is low. Acts at once, independent of the PWM cycle (7.4; delay under 60 ns, table
+    /// 15).
     pub fn set_output_enable(&mut self, at_ns: u64, enabled: bool) {
         self.advance(at_ns);
         self.outputs_enabled = enabled;
         self.refresh_lines();
     }
 
-    /// Takes the supply away and returns it: registers and outputs as after power-on (7.5). Pins stay as driven.
+    /// Interrupts the supply: registers and outputs as after power-on (7.5). The levels of the pins stay.
     pub fn power_cycle(&mut self, at_ns: u64) {
         self.advance(at_ns);
         self.transfer = Transfer::None;
@@ -282,7 +285,7 @@ impl Pca9685 {
         self.schedule();
     }
 
-    /// Puts a clock on the EXTCLK pin, or takes it away; without it a chip with EXTCLK set stands still, outputs off.
+    /// Connects a clock to the EXTCLK pin, or removes it; without one a chip with EXTCLK set stops, outputs off.
     pub fn set_external_clock_hz(&mut self, at_ns: u64, clock_hz: Option<u32>) {
         self.advance(at_ns);
         self.external_clock_hz = clock_hz;
@@ -293,19 +296,19 @@ impl Pca9685 {
         }
     }
 
-    /// What a read of `register` would return, without side effects; `None` if the chip does not have it.
+    /// Value that a read of `register` would return, without side effects; `None` for an address without a register.
     #[must_use]
     pub fn register(&self, register: u8) -> Option<u8> {
         registers::exists(register).then(|| self.read_register(register))
     }
 
-    /// What was done to the chip against its datasheet.
+    /// Violations of the datasheet so far.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// The same, to be cleared.
+    /// Violations so far, mutable, so that a test can clear them.
     pub const fn misuse_mut(&mut self) -> &mut MisuseLog {
         &mut self.misuse
     }
@@ -317,13 +320,13 @@ impl Pca9685 {
 
     // ---- clock and cycles ----
 
-    /// The rate that registers and pins ask for; `None` without a clock.
+    /// Rate set by registers and pins; `None` without a clock.
     fn rate(&self) -> Option<Rate> {
         let clock_hz = if self.mode1 & mode1::EXTCLK == 0 { Some(self.oscillator_hz) } else { self.external_clock_hz };
         clock_hz.map(|clock_hz| Rate { prescale: self.prescale, clock_hz })
     }
 
-    /// Whether any channel may run that is not full OFF.
+    /// True if a channel that may run is not full OFF.
     fn has_work(&self) -> bool {
         (0..CHANNELS).any(|channel| self.held & bit(channel) == 0 && !self.committed[channel].is_full_off())
     }
@@ -364,7 +367,7 @@ impl Pca9685 {
         }
     }
 
-    /// From [`Timing::Idle`]: takes over what was committed, and runs if that is more than full OFF.
+    /// Leaves [`Timing::Idle`]: latches the committed patterns, and starts cycles if any is not full OFF.
     fn start_cycles(&mut self) {
         self.refresh_pending();
         self.latch_pending();
@@ -380,7 +383,7 @@ impl Pca9685 {
         self.pending = 0;
     }
 
-    /// Without waiting for the end of the cycle.
+    /// Stops all outputs without waiting for the end of the cycle.
     fn switch_off(&mut self) {
         self.stop_cycles(Timing::Off);
         self.refresh_lines();
@@ -446,7 +449,7 @@ impl Pca9685 {
         self.generation += u64::from(changed);
     }
 
-    /// INVRT, OUTDRV (7.7, table 12), OE and OUTNE (7.4, table 11).
+    /// Output stage: INVRT, OUTDRV (7.7, table 12), OE and OUTNE (7.4, table 11).
     const fn output_stage(&self, wanted: Line) -> Line {
         let totem_pole = self.mode2 & mode2::OUTDRV != 0;
         let line = if self.outputs_enabled {
@@ -477,7 +480,7 @@ impl Pca9685 {
                 self.led[index / 4][index % 4]
             }
             registers::PRE_SCALE => self.prescale,
-            // ALL_LED_* read as zero (7.3.4). What the test register reads as is not published.
+            // ALL_LED_* read as zero (7.3.4). The value of the test register is not published.
             _ => 0,
         }
     }
@@ -530,7 +533,7 @@ impl Pca9685 {
 
     fn fall_asleep(&mut self) {
         match self.timing {
-            // at the end of the cycle
+            // takes effect at the end of the cycle
             Timing::Running(_) => {}
             Timing::Idle => {
                 // an orderly shutdown clears RESTART (7.3.1.1)
@@ -555,7 +558,7 @@ impl Pca9685 {
         }
     }
 
-    /// A 1 was written to RESTART (7.3.1.1).
+    /// Handles a 1 written to RESTART (7.3.1.1).
     fn restart(&mut self, not_awake_before: bool) {
         let awake_ns = if not_awake_before { 0 } else { self.now_ns - self.awake_since_ns };
         let needed_ns = registers::OSCILLATOR_START_NS;
@@ -614,7 +617,8 @@ impl Pca9685 {
         }
     }
 
-    /// 7.3.1, note to SLEEP: timing is not guaranteed if PWM registers are accessed while the oscillator starts.
+    /// Reports a write of PWM registers while the oscillator starts: timing is not guaranteed then (7.3.1, note to
+    /// SLEEP).
     #[cold]
     fn report_early_write(&mut self) {
         if !self.early_write_reported {
@@ -625,7 +629,7 @@ impl Pca9685 {
         }
     }
 
-    /// Takes the registers of the channels in `mask` over, to reach the pins at the end of the cycle.
+    /// Commits the registers of the channels in `mask`, which reach the pins at the end of the cycle.
     fn commit(&mut self, mask: u16) {
         for channel in channels(mask) {
             let pattern = Pattern::from_registers(self.led[channel]);
@@ -651,7 +655,7 @@ impl Pca9685 {
         }
     }
 
-    /// Registers and outputs as after power-on; pins, clocks and reports stay.
+    /// Sets registers and outputs as after power-on; pins, clocks and reports stay.
     fn reset(&mut self) {
         self.mode1 = mode1::RESET;
         self.mode2 = mode2::RESET;
@@ -673,7 +677,7 @@ impl Pca9685 {
         }
     }
 
-    /// With OCH set, a full OFF that is not followed by the rest of the channel never reaches the pin.
+    /// Reports a full OFF with OCH set that is not followed by the rest of the channel, and so never reaches the pin.
     fn check_full_off(&mut self) {
         for channel in 0..CHANNELS {
             let wanted = Pattern::from_registers(self.led[channel]);
@@ -711,7 +715,7 @@ impl I2cChip for Pca9685 {
         match self.transfer {
             Transfer::Data => {
                 self.write_register(self.pointer, byte);
-                // after the write: setting AI already moves on to MODE2 (figure 21)
+                // the pointer increments after the write: setting AI already moves it to MODE2 (figure 21)
                 self.increment_pointer();
                 true
             }

@@ -1,4 +1,4 @@
-//! The datasheet's sequences and limits. Register addresses are written out: a wrong constant must not hide itself.
+//! Sequences and limits of the datasheet. Register addresses are literal, so that a wrong constant in the model fails.
 
 use core::cell::RefCell;
 use std::rc::Rc;
@@ -10,14 +10,14 @@ use proptest::prelude::*;
 
 const OSCILLATOR_HZ: u32 = 25_000_000;
 const START_NS: u64 = 500_000;
-/// Prescaler 0x1E, the power-on value: 4096 * 31 * 40 ns.
+/// PWM period for prescaler 0x1E, the power-on value: 4096 * 31 * 40 ns.
 const PERIOD_NS: u64 = 5_079_040;
 
 fn chip() -> Pca9685 {
     Pca9685::new(0x40, OSCILLATOR_HZ)
 }
 
-/// One write transaction, all at one instant; whether every byte was acknowledged.
+/// One write transaction, all at one instant; true if every byte was acknowledged.
 fn write(chip: &mut Pca9685, at_ns: u64, bytes: &[u8]) -> bool {
     chip.start(at_ns, 0x40, false);
     let acknowledged = bytes.iter().all(|&byte| chip.write(at_ns, byte));
@@ -39,7 +39,7 @@ fn set(chip: &mut Pca9685, at_ns: u64, channel: u8, on: u16, off: u16) {
     assert!(write(chip, at_ns, &[0x06 + 4 * channel, on_l, on_h, off_l, off_h]));
 }
 
-/// Awake with auto-increment, oscillator running, at 1 ms.
+/// A chip awake with auto-increment, oscillator running, at 1 ms.
 fn awake() -> Pca9685 {
     let mut chip = chip();
     assert!(write(&mut chip, 0, &[0x00, 0x21]));
@@ -47,7 +47,7 @@ fn awake() -> Pca9685 {
     chip
 }
 
-/// As [`awake`], with channel 15 full ON since 1 ms, so that cycles run from there.
+/// As [`awake`], with channel 15 full ON since 1 ms, so that cycles run from then on.
 fn running() -> Pca9685 {
     let mut chip = awake();
     set(&mut chip, 1_000_000, 15, 0x1000, 0);
@@ -144,7 +144,7 @@ fn addresses_and_their_enable_bits() {
 
 #[test]
 fn software_reset_acknowledges_06_only_and_acts_at_stop() {
-    // bytes of a general call, how many are acknowledged, whether the chip resets (7.6)
+    // bytes of a general call, number of acknowledged ones, and whether the chip resets (7.6)
     for (bytes, acknowledged, resets) in [
         (&[0x06][..], 1, true),
         (&[0x06, 0x06], 1, false),
@@ -201,7 +201,7 @@ fn the_oscillator_needs_500_us() {
     assert!(chip.misuse().is_empty());
 }
 
-/// Channel 0, without auto-increment.
+/// Sets the registers of channel 0 one by one, without auto-increment.
 fn set_asleep(chip: &mut Pca9685, on: u16, off: u16) {
     let ([on_l, on_h], [off_l, off_h]) = (on.to_le_bytes(), off.to_le_bytes());
     for (register, value) in [(0x06, on_l), (0x07, on_h), (0x08, off_l), (0x09, off_h)] {
@@ -233,17 +233,17 @@ fn lines_of_on_and_off_registers() {
         (FULL, 0, Line::High),
         (FULL, 1022, Line::High),
         (0, FULL, Line::Low),
-        // full OFF wins
+        // full OFF has priority
         (FULL, FULL, Line::Low),
         (FULL | 5, FULL | 7, Line::Low),
-        // must not be programmed; off
+        // forbidden by the datasheet; off
         (0, 0, Line::Low),
         (1234, 1234, Line::Low),
     ] {
         let mut chip = running();
         chip.misuse_mut().clear();
         set(&mut chip, 1_000_000, 3, on, off);
-        // the second cycle: the first may start late
+        // second cycle, because the first may start late
         chip.advance(1_000_000 + 2 * PERIOD_NS);
         assert_eq!(chip.line(3), line, "{on:#x} {off:#x}");
         let equal = MisuseKind::OnEqualsOff { channel: 3, count: on };
@@ -257,7 +257,7 @@ fn changes_wait_for_the_end_of_the_cycle() {
     set(&mut chip, 1_000_001, 0, 0, 1000);
     let boundary_ns = 1_000_000 + PERIOD_NS;
     assert_eq!(chip.next_change_ns(), Some(boundary_ns));
-    // reads return what was written, not what is in force
+    // reads return the written value, not the one in force
     assert_eq!(read(&mut chip, 1_000_002, 0x08), [0xE8, 0x03]);
     let generation = chip.generation();
     chip.advance(boundary_ns - 1);
@@ -265,7 +265,7 @@ fn changes_wait_for_the_end_of_the_cycle() {
     chip.advance(boundary_ns);
     assert_eq!(chip.line(0), Line::Pwm { on: 0, off: 1000 });
     assert_eq!((chip.generation(), chip.next_change_ns()), (generation + 1, None));
-    // and the next, written exactly at a boundary, at the one after
+    // an update written exactly at a boundary takes effect at the next one
     let at_ns = 1_000_000 + 7 * PERIOD_NS;
     set(&mut chip, at_ns, 0, 0, 0x1000);
     assert_eq!(chip.next_change_ns(), Some(at_ns + PERIOD_NS));
@@ -279,7 +279,7 @@ fn four_bytes_take_effect_together_at_stop() {
     set(&mut chip, 1_000_000, 0, 0, 0x0200);
     chip.advance(1_000_000 + PERIOD_NS);
     let before = chip.line(0);
-    // a cycle ends within the transfer
+    // a cycle ends during the transfer
     let boundary_ns = 1_000_000 + 2 * PERIOD_NS;
     chip.start(boundary_ns - 40_000, 0x40, false);
     for (index, byte) in [0x06, 0x00, 0x01, 0x00, 0x03].into_iter().enumerate() {
@@ -306,7 +306,7 @@ fn on_ack_a_channel_waits_for_all_four_registers() {
     assert_eq!(chip.next_change_ns(), Some(1_000_000 + PERIOD_NS));
     chip.stop(1_000_020);
     assert!(chip.misuse().is_empty());
-    // full OFF of all channels through one register does nothing, silently
+    // full OFF of all channels through one register has no effect, without any error
     assert!(write(&mut chip, 1_000_030, &[0xFD, 0x10]));
     chip.advance(10 * PERIOD_NS);
     assert_eq!(chip.line(15), Line::High);
@@ -334,7 +334,7 @@ fn with_all_outputs_full_off_a_change_starts_a_cycle_at_once() {
     assert_eq!(chip.line(0), Line::Pwm { on: 0, off: 1000 });
     set(&mut chip, 1_300_000, 1, 0, 1000);
     assert_eq!(chip.next_change_ns(), Some(1_234_567 + PERIOD_NS));
-    // all off again, from the end of a cycle on
+    // all off again, from the end of a cycle
     assert!(write(&mut chip, 1_400_000, &[0xFD, 0x10]));
     chip.advance(1_234_567 + PERIOD_NS);
     let at_ns = 1_234_567 + PERIOD_NS + 1_000;
@@ -375,7 +375,7 @@ fn restart_sequence() {
 
     assert!(write(&mut chip, 10_000_000, &[0x00, 0x21]));
     assert_eq!(chip.register(0x00), Some(0xA1));
-    // at the first instant allowed
+    // at the earliest instant allowed
     let mut prompt = chip.clone();
     assert!(write(&mut prompt, 10_500_000, &[0x00, 0xA1]));
     assert_eq!((prompt.register(0x00), prompt.line(15)), (Some(0x21), Line::High));
@@ -403,7 +403,7 @@ fn restart_is_cleared_by_a_pwm_write_and_never_set_after_an_orderly_shutdown() {
     assert_eq!(chip.register(0x00), Some(0xB1));
     set(&mut chip, 10_000_000, 0, 0, 100);
     assert_eq!(chip.register(0x00), Some(0x31));
-    // only what was written comes back, the rest when it is written too
+    // only the written channel comes back; the others do when they are written too
     assert!(write(&mut chip, 11_000_000, &[0x00, 0x21]));
     chip.advance(12_000_000);
     assert_eq!((chip.line(0), chip.line(15)), (Line::Pwm { on: 0, off: 100 }, Line::Low));
@@ -538,7 +538,7 @@ fn a_software_reset_on_the_bus_resets_every_chip() {
     for chip in &chips {
         bus.attach(chip.clone());
     }
-    // awake, and deaf to All Call
+    // awake, and not answering All Call
     for address in [0x40, 0x41] {
         bus.execute(0, address, &mut [Operation::Write(&[0x00, 0x20])]).unwrap();
     }
@@ -551,7 +551,7 @@ fn a_software_reset_on_the_bus_resets_every_chip() {
     assert!(chips.iter().all(|chip| chip.borrow().register(0x00) == Some(0x11)));
 }
 
-/// What a bus could do to the chip, sensible or not.
+/// Random action of a bus, sensible or not.
 #[derive(Clone, Debug)]
 enum Action {
     Start { address: u8, read: bool },
@@ -570,7 +570,7 @@ fn any_action() -> impl Strategy<Value = Action> {
     prop_oneof![
         4 => (address, any::<bool>()).prop_map(|(address, read)| Action::Start { address, read }),
         12 => any::<u8>().prop_map(Action::Write),
-        // often enough a register that matters, and a way to wake
+        // with a useful share of valid registers, and a way to wake
         4 => prop_oneof![Just(0x00), Just(0x20), Just(0x21), Just(0xA1), Just(0xFE), Just(0x06), Just(0xFD)]
             .prop_map(Action::Write),
         3 => Just(Action::Read),

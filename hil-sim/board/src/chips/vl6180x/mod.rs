@@ -1,19 +1,19 @@
-//! ST VL6180X: ranges by time of flight, behind registers with addresses of 16 bits. Section numbers are those of its datasheet,
-//! DocID026171 revision 6; the light sensor is not modelled.
+//! ST VL6180X: time-of-flight range sensor, behind registers with 16-bit addresses. Section numbers are those of its
+//! datasheet, DocID026171 revision 6; the light sensor is not modelled.
 //!
-//! # What it measures
-//! A range takes 3.2 ms before the light, the time until enough of it has come back, and 1.3 ms with 64.5 us for each sample of averaging.
-//! What comes back falls with the square of the distance and with the target's reflectance. A target for which that takes longer than the
-//! longest convergence time is none: error 7, range 255. Otherwise the range is the distance at the end of the convergence with an
-//! offset and white noise, rounded to millimetres.
+//! # Measurement
+//! A range takes 3.2 ms before the emission, the convergence time, and 1.3 ms plus 64.5 us for each sample of
+//! averaging. The returned light falls with the square of the distance and is proportional to the target's reflectance.
+//! A target that would need more than the maximum convergence time is not detected: error 7, range 255. Otherwise the
+//! range is the distance at the end of the convergence plus an offset and white noise, rounded to millimetres.
 //!
 //! # Where the datasheet leaves room
-//! - Time to converge and noise are from memory of its tables: 1.2 ms at 50 mm on a target of 17 %, 1 mm rms up to 50 mm and
-//!   proportional to the distance beyond.
-//! - A chip that was not given the private settings of AN4545 fails with error 1, as users who left them out have reported.
-//! - Cross-talk, the early convergence estimate, thresholds, history, scaling of the range and the calibration for the temperature are not
-//!   modelled: their registers hold what is written.
-//! - A range that would be below 0 is 0 with error 14, one above 255 mm is 255 with error 15.
+//! - Convergence time and noise are quoted from memory of its tables: 1.2 ms at 50 mm on a target of 17 %, 1 mm rms up
+//!   to 50 mm and proportional to the distance beyond.
+//! - A chip without the private settings of AN4545 fails with error 1, as users who omitted them have reported.
+//! - Cross-talk, the early convergence estimate, thresholds, history, scaling of the range and the calibration for the
+//!   temperature are not modelled: their registers only store writes.
+//! - A range below 0 is 0 with error 14, one above 255 mm is 255 with error 15.
 
 #[cfg(test)]
 mod tests;
@@ -29,17 +29,17 @@ use crate::{
 };
 
 const ADDRESS: u8 = 0x29;
-/// Before the light, ns.
+/// Time before the emission, ns.
 const BEFORE_NS: u64 = 3_200_000;
-/// Behind it, and for each sample of averaging, ns.
+/// Time after the convergence, and per sample of averaging, ns.
 const AVERAGING_NS: [u64; 2] = [1_300_000, 64_500];
-/// Time to converge at 50 mm on a target of 17 %, s; and the shortest.
+/// Convergence time at 50 mm on a target of 17 %, s; and the shortest.
 const CONVERGENCE_S: f64 = 1.2e-3;
 const CONVERGENCE_MIN_S: f64 = 0.18e-3;
 /// Noise up to 50 mm, mm rms.
 const NOISE_MM: f64 = 1.0;
 
-/// The settings of section 9 of AN4545, as runs of registers: the first one's address, and their values.
+/// Settings required by section 9 of AN4545, as runs of registers: the address of the first, and their values.
 const NEEDED: [(u16, &[u8]); 24] = [
     (0x0030, &[0x00]),
     (0x0096, &[0x00, 0xFD]),
@@ -67,38 +67,38 @@ const NEEDED: [(u16, &[u8]); 24] = [
     (0x0016, &[0x00]),
 ];
 
-/// What is in front of the chip.
+/// Target in front of the chip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Target {
-    /// How far away it is, m.
+    /// Distance of the target, m.
     pub distance_m: f64,
-    /// Share of the light that it gives back: 0.17 is grey, 0.88 white.
+    /// Reflectance: 0.17 is grey, 0.88 white.
     pub reflectance: f64,
 }
 
-/// What came of a range.
+/// Result of a range measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Ranged {
     millimetres: u8,
     error: u8,
 }
 
-/// A range under way.
+/// A range measurement in progress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Ranging {
     began_ns: u64,
-    /// What it will be, and when, as soon as the light is back.
+    /// Result and its time, ns, known once the light is emitted.
     result: Option<(Ranged, u64)>,
 }
 
-/// One chip.
+/// Simulated chip with its registers.
 #[derive(Clone, Debug)]
 pub struct Vl6180x {
-    /// What was written since power-up.
+    /// Registers written since power-up.
     written: BTreeMap<u16, u8>,
     model: u8,
     pointer: u16,
-    /// Bytes of the transfer under way; `None` while it is not addressed to be written.
+    /// Number of bytes of the write transfer so far; `None` while not addressed for writing.
     taken: Option<u8>,
     now_ns: u64,
 
@@ -106,21 +106,21 @@ pub struct Vl6180x {
     flag: u8,
     is_continuous: bool,
     ranging: Option<Ranging>,
-    /// When the next one of a series begins.
+    /// Start of the next measurement of a series, ns.
     next_ns: u64,
     felt_ns: u64,
     offset_mm: f64,
-    /// Ranges never end, as with a broken oscillator.
+    /// True if measurements never end, as with a broken oscillator.
     hung: bool,
     noise: Pcg64,
     misuse: MisuseLog,
 }
 
 impl Vl6180x {
-    /// What it is called in reports.
+    /// Name of the chip in reports.
     pub const NAME: &str = "VL6180X";
 
-    /// A chip just powered that ranges `offset_m` too far. Its noise is drawn from `seed`.
+    /// A chip just powered up whose ranges are `offset_m` too long. `seed` is that of its noise.
     #[must_use]
     pub fn new(seed: u64, offset_m: f64) -> Self {
         Self {
@@ -142,36 +142,37 @@ impl Vl6180x {
         }
     }
 
-    /// Takes the supply away and returns it.
+    /// Interrupts the supply of the chip.
     pub fn power_cycle(&mut self) {
         self.written.clear();
         self.ranged = Ranged { millimetres: 0, error: 0 };
         (self.flag, self.is_continuous, self.ranging, self.taken) = (0, false, None, None);
     }
 
-    /// Another chip is at its address.
+    /// Sets the model ID, as if another chip were at its address.
     pub fn set_model(&mut self, model: u8) {
         self.model = model;
     }
 
-    /// From now on no range ends, or they do again.
+    /// Stops all measurements, or lets them continue.
     pub fn set_hung(&mut self, hung: bool) {
         self.hung = hung;
     }
 
-    /// Up to when it has seen its target, ns.
+    /// Time up to which the target is known, ns.
     #[must_use]
     pub const fn felt_ns(&self) -> u64 {
         self.felt_ns
     }
 
-    /// What was done to the chip against its datasheet.
+    /// Violations of the datasheet so far.
     #[must_use]
     pub const fn misuse(&self) -> &MisuseLog {
         &self.misuse
     }
 
-    /// `target` has been in front of it since the last call, up to `until_ns`: ranges end that were due meanwhile.
+    /// Advances to `until_ns` with `target` in front of the chip since the last call, and completes measurements due
+    /// meanwhile.
     pub fn feel(&mut self, until_ns: u64, target: Option<Target>) {
         while !self.hung {
             let Some(mut ranging) = self.ranging else {
@@ -198,6 +199,7 @@ impl Vl6180x {
                 self.flag = 0b100;
             }
             let period_ns = (u64::from(self.register(0x01B)) + 1) * 10_000_000;
+            // next measurement of a series: a period after this one began, but not before it ends
             self.next_ns = (ranging.began_ns + period_ns).max(end_ns);
         }
         self.felt_ns = self.felt_ns.max(until_ns);
@@ -207,10 +209,10 @@ impl Vl6180x {
         self.ranging = Some(Ranging { began_ns: at_ns, result: None });
     }
 
-    /// What a range comes to whose light goes out at `lit_ns`, and when.
+    /// Result of a measurement whose light is emitted at `lit_ns`, and the time of its end, ns.
     fn range(&mut self, lit_ns: u64, target: Option<Target>) -> (Ranged, u64) {
         let longest_s = f64::from(self.register(0x01C)) * 1e-3;
-        // Not a number: nothing is there.
+        // NaN means no target
         let converged = target.filter(|target| !target.distance_m.is_nan()).and_then(|target| {
             let distance_mm = target.distance_m.max(0.0) * 1e3;
             let farther = distance_mm / 50.0;
@@ -241,7 +243,7 @@ impl Vl6180x {
         all.all(|(register, value)| self.written.get(&register) == Some(value))
     }
 
-    /// A register that holds what is written, or what it has after power-up (section 6.2).
+    /// Value of a register that only stores writes, or its value after power-up (section 6.2).
     fn register(&self, register: u16) -> u8 {
         let after_power_up = match register {
             0x016 => 0x01,
@@ -254,7 +256,7 @@ impl Vl6180x {
         self.written.get(&register).copied().unwrap_or(after_power_up)
     }
 
-    /// Identification, results and what the datasheet gives no name to are read only, or are not there.
+    /// True for an address with a register; identification and results among them are read-only.
     const fn has(register: u16) -> bool {
         matches!(register, 0x000..=0x008 | 0x010..=0x040 | 0x04D..=0x083 | 0x096..=0x208 | 0x212 | 0x2A3)
     }
@@ -295,7 +297,8 @@ impl Vl6180x {
         }
     }
 
-    /// Bit 0 starts a range, or a series where bit 1 says so; it ends the series that is under way.
+    /// Handles a write of the start register: bit 0 starts a measurement, or a series if bit 1 is set; it ends a
+    /// running series.
     fn command(&mut self, value: u8) {
         if value & 1 == 0 {
             return;

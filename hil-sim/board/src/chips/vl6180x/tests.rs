@@ -33,7 +33,7 @@ fn at(distance_m: f64) -> Option<Target> {
     Some(Target { distance_m, reflectance: 0.17 })
 }
 
-/// Status and range of one single range, and how long it took, ns.
+/// Status, range, mm, and duration, ns, of one single measurement.
 fn single(chip: &mut Vl6180x, target: Option<Target>) -> (u8, u8, u64) {
     put(chip, 0x015, 7);
     put(chip, 0x018, 1);
@@ -57,14 +57,14 @@ fn a_range_is_the_distance_with_the_chips_offset() {
                 f64::from(millimetres)
             });
             let mean = mean.sum::<f64>() / 100.0;
-            // Five deviations of the mean of a hundred.
+            // five standard errors of the mean of a hundred
             let tolerance = 5.0 * 0.1 * (distance_mm / 50.0).max(1.0);
             assert!((mean - distance_mm - offset_mm).abs() < tolerance, "{distance_mm} mm: {mean} mm");
         }
     }
 }
 
-/// 3.2 ms, 1.2 ms at 50 mm and four times that at 100 mm, and 4.396 ms of averaging.
+/// Duration: 3.2 ms, 1.2 ms at 50 mm and four times that at 100 mm, and 4.396 ms of averaging.
 #[test]
 fn a_range_takes_as_long_as_light_needs_to_come_back() {
     let mut chip = tuned(0.0);
@@ -100,7 +100,7 @@ fn without_the_settings_of_the_application_note_nothing_is_measured() {
     }
 }
 
-/// A period of 20 ms, whose flag stays until it is cleared; the next start ends the series.
+/// A series with a period of 20 ms, whose flag stays until it is cleared; the next start ends the series.
 #[test]
 fn a_series_ranges_by_itself_until_it_is_told_to_stop() {
     let mut chip = tuned(0.0);

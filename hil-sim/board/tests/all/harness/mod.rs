@@ -1,4 +1,4 @@
-//! A simulated bench with a host connected to it, for tests of the firmware on the board's chips.
+//! A simulated bench with a connected host, for tests of the firmware on the board's chips.
 #![allow(dead_code, reason = "each test file uses its part")]
 
 pub(crate) mod trip;
@@ -36,26 +36,26 @@ pub(crate) const SUPPLY_12: ChannelId = ChannelId::new(ChannelKind::Supply, 1);
 pub(crate) const US: u64 = 1_000;
 pub(crate) const MS: u64 = 1_000_000;
 
-/// What turns all outputs of a PCA9685 off, in one write: ALL_LED_OFF_H, full OFF (datasheet 7.3.4).
+/// Data of a write that turns all outputs of a PCA9685 off: ALL_LED_OFF_H, full OFF (datasheet 7.3.4).
 pub(crate) const ALL_OFF: [u8; 2] = [0xFD, 0x10];
 
-/// What a measured motor's loops are told.
+/// Control configuration of a motor with feedback.
 pub(crate) fn control_of(config: &mut BoardConfig, motor: usize) -> &mut ControlConfig {
     config.motors[motor].control.as_mut().expect("a measured motor")
 }
 
-/// The lines of the first motor's bridge.
+/// Lines of the first motor's bridge.
 pub(crate) fn lines_of(config: &mut BoardConfig) -> &mut BridgeLines {
     let BridgeConfig::Osmc(lines) = &mut config.motors[0].bridge else { panic!("an OSMC") };
     lines
 }
 
-/// The chip behind the OSMC bridges.
+/// Configuration of the OSMC bridges' PWM chip.
 pub(crate) fn pwm_of(config: &mut BoardConfig) -> &mut PwmConfig {
     config.osmc_pwm.as_mut().expect("the bench has it")
 }
 
-/// The simulation's clock, as the driver wants it.
+/// Clock of the simulation, as the driver's trait requires it.
 #[derive(Clone)]
 pub(crate) struct HostClock(pub(crate) r4_sim::Clock);
 
@@ -69,7 +69,7 @@ impl Clock for HostClock {
     }
 }
 
-/// A connected host and the world on the other side.
+/// A connected host, with the board and its world.
 pub(crate) struct Bench<'b> {
     pub(crate) host: &'b Board<HostClock>,
     pub(crate) board: Rc<dyn VirtualBoard>,
@@ -85,19 +85,19 @@ impl Bench<'_> {
         self.host.set(channel, Setpoint { mode, value }).await
     }
 
-    /// Where the supervisor stands now, asked afresh.
+    /// State of the supervisor and its causes, from a new heartbeat.
     pub(crate) async fn safety(&self) -> (SafetyState, Causes) {
-        // Two heartbeat periods: what the host heard last is younger than that.
+        // two heartbeat periods, so that the newest one is younger than the call
         self.sleep_ms(110).await;
         self.host.safety()
     }
 
-    /// True position, rad or m.
+    /// True position of a channel, rad or m.
     pub(crate) fn position(&self, channel: ChannelId) -> f64 {
         self.board.world().position(channel).expect("the bench has the channel")
     }
 
-    /// Whether a bridge does nothing to its motor: every transistor off.
+    /// True if every transistor of a motor's bridge is off.
     pub(crate) fn is_off(&self, channel: ChannelId) -> bool {
         self.device().is_off(channel)
     }
@@ -107,7 +107,7 @@ impl Bench<'_> {
         Device { board: self.board.clone(), clock: self.clock.clone() }
     }
 
-    /// Arms and turns the rotary motor until it runs, for `ns` at least.
+    /// Arms, and turns the rotary motor until it runs, for at least `ns`.
     pub(crate) async fn run_rotary(&self, ns: u64) {
         self.host.arm().await.expect("nothing is wrong yet");
         self.set(ROTARY, Mode::Duty, 0.8).await.expect("armed");
@@ -117,7 +117,7 @@ impl Bench<'_> {
     }
 }
 
-/// The board and the world, to watch and to break.
+/// The board and the world, for inspection and faults.
 #[derive(Clone)]
 pub(crate) struct Device {
     pub(crate) board: Rc<dyn VirtualBoard>,
@@ -125,18 +125,18 @@ pub(crate) struct Device {
 }
 
 impl Device {
-    /// Whether a bridge does nothing to its motor: every transistor off.
+    /// True if every transistor of a motor's bridge is off.
     pub(crate) fn is_off(&self, channel: ChannelId) -> bool {
         self.board.world().drive(channel).expect("the bench has the channel").coast == 1.0
     }
 
-    /// Signed share of the supply at a motor.
+    /// Signed share of the supply at a motor, -1 to 1.
     pub(crate) fn duty(&self, channel: ChannelId) -> f64 {
         self.board.world().drive(channel).expect("the bench has the channel").duty
     }
 
-    /// Waits until `done`, looking every 10 µs of virtual time, at most until `limit_ns` after `since_ns`; how long after
-    /// `since_ns` that was, ns.
+    /// Waits until `done`, polled every 10 µs of virtual time, at most until `limit_ns` after `since_ns`; returns the
+    /// time after `since_ns`, ns.
     pub(crate) async fn wait_until(&self, since_ns: u64, limit_ns: u64, mut done: impl FnMut() -> bool) -> Option<u64> {
         loop {
             let after_ns = self.clock.now_ns() - since_ns;
@@ -150,24 +150,24 @@ impl Device {
         }
     }
 
-    /// Waits until both bridges of the bench are off.
+    /// Waits until both bridges of the bench are off; returns the time, ns.
     pub(crate) async fn wait_off(&self, since_ns: u64, limit_ns: u64) -> Option<u64> {
         self.wait_until(since_ns, limit_ns, || self.is_off(ROTARY) && self.is_off(LINEAR)).await
     }
 
-    /// Waits until all outputs of the chip were turned off over the wire: to the STOP of the transfer.
+    /// Waits until all outputs of the chip are written off, to the STOP of the transfer; returns the time, ns.
     pub(crate) async fn wait_all_off_written(&self, since_ns: u64, limit_ns: u64) -> Option<u64> {
         let written = || self.wire_since(since_ns).find(|record| record.fault.is_none() && record.written == ALL_OFF);
         self.wait_until(since_ns, limit_ns, || written().is_some()).await?;
         written().map(|record| record.end_ns - since_ns)
     }
 
-    /// Keeps what goes over the bus from now on.
+    /// Records the bus traffic from now on.
     pub(crate) fn record_wire(&self) {
         self.board.world().bus.set_trace(100_000);
     }
 
-    /// Transfers that began at `since_ns` or later, oldest first.
+    /// Transfers that started at `since_ns` or later, oldest first.
     pub(crate) fn wire_since(&self, since_ns: u64) -> impl Iterator<Item = WireRecord> + use<> {
         let records: Vec<_> =
             self.board.world().bus.trace().filter(|record| record.start_ns >= since_ns).cloned().collect();
@@ -187,18 +187,18 @@ impl Device {
         self.board.world().bus.clear_injections();
     }
 
-    /// Gives a motor its physics with one more effect, at rest where it is.
+    /// Adds an effect to a motor's physics, at rest at its present position.
     pub(crate) fn add_effect(&self, robot: &Robot, channel: ChannelId, effect: Effect) {
         self.board.world().set_plant(channel, Plant::new(&plant_with(robot, channel, effect), 1));
     }
 
-    /// Gives a motor the physics of the robot's file.
+    /// Restores the physics of the robot's file for a motor.
     pub(crate) fn repair(&self, robot: &Robot, channel: ChannelId) {
         self.board.world().set_plant(channel, Plant::new(&plant(robot, channel), 1));
     }
 }
 
-/// A motor's physics, as the robot's file has it.
+/// Physics of a motor in the robot's file.
 pub(crate) fn plant(robot: &Robot, channel: ChannelId) -> PlantSpec {
     let motor =
         robot.simulation.motors.iter().find(|motor| motor.channel == channel).expect("the bench has the channel");
@@ -211,34 +211,34 @@ pub(crate) fn plant_with(robot: &Robot, channel: ChannelId, effect: Effect) -> P
     spec
 }
 
-/// The built-in bench, switched off at once by every stop: what brakes first is tried in `braking.rs`.
+/// The built-in bench, configured to switch off at once by every stop: `braking.rs` tests stops that brake first.
 pub(crate) fn osmc_bench() -> Robot {
     let mut robot = r4_boards::load("osmc-bench").expect("built in");
     robot.config.motors.iter_mut().for_each(|motor| motor.stop_brake_ms = 0);
     robot
 }
 
-/// How a board comes to be: the tests can be about one with another processor.
+/// Constructor of a board: the tests can run on one with another processor.
 pub(crate) type PowerUp<'p> = &'p dyn Fn(&mut Simulation, &Robot) -> Rc<dyn VirtualBoard>;
 
-/// The board that runs the firmware's own tasks.
+/// Powers up the board that runs the firmware's own tasks.
 pub(crate) fn power_up(simulation: &mut Simulation, robot: &Robot) -> Rc<dyn VirtualBoard> {
     Rc::new(SimBoard::start(simulation, robot, 1).expect("the robot has a world"))
 }
 
-/// Powers up `robot`, connects a host, runs `work`; at the end nothing may have been done against a datasheet.
+/// Powers up `robot`, connects a host, runs `work`; panics if there was any misuse.
 pub(crate) fn bench<T>(robot: &Robot, work: impl AsyncFnOnce(&Bench<'_>) -> T) -> T {
     let (result, misuse) = bench_with_misuse(robot, work);
     assert_eq!(misuse, Vec::<String>::new(), "what a chip would have suffered or ignored in silence");
     result
 }
 
-/// The same for tests that break something, and so expect misuse.
+/// As [`bench`], for tests that cause misuse, which is returned.
 pub(crate) fn bench_with_misuse<T>(robot: &Robot, work: impl AsyncFnOnce(&Bench<'_>) -> T) -> (T, Vec<String>) {
     bench_of(&power_up, Simulation::new(Pace::Free), robot, work)
 }
 
-/// The same for any board, in any simulation.
+/// As [`bench_with_misuse`], for any board in any simulation.
 pub(crate) fn bench_of<T>(
     power_up: PowerUp<'_>,
     mut simulation: Simulation,
@@ -258,7 +258,7 @@ pub(crate) fn bench_of<T>(
     (result, misuse)
 }
 
-/// As [`bench`], but after `work` the host is gone without a word, and `alone` goes on with the board.
+/// As [`bench`], but after `work` the host disappears without a goodbye, and `alone` continues with the board.
 pub(crate) fn bench_left_alone<A, T>(
     robot: &Robot,
     work: impl AsyncFnOnce(&Bench<'_>) -> A,
@@ -267,7 +267,7 @@ pub(crate) fn bench_left_alone<A, T>(
     left_alone_of(&power_up, robot, work, alone)
 }
 
-/// The same for any board.
+/// As [`bench_left_alone`], for any board.
 pub(crate) fn left_alone_of<A, T>(
     power_up: PowerUp<'_>,
     robot: &Robot,
@@ -285,7 +285,7 @@ pub(crate) fn left_alone_of<A, T>(
         pending::<()>().await;
     }));
     let work = poll_fn(|context| {
-        // The session only ends by an error, which leaves nothing behind.
+        // the session ends only by an error
         let ended = session.as_mut().poll(context).is_ready();
         assert!(!ended, "no session");
         left.borrow_mut().take().map_or(Poll::Pending, Poll::Ready)
@@ -297,7 +297,7 @@ pub(crate) fn left_alone_of<A, T>(
     result
 }
 
-/// What `future` gives, or `None` if it takes longer than `ns`.
+/// Output of `future`, or `None` if it takes longer than `ns`.
 pub(crate) async fn within<T>(clock: &r4_sim::Clock, ns: u64, future: impl Future<Output = T>) -> Option<T> {
     let (mut future, mut sleep) = (pin!(future), pin!(clock.sleep(ns)));
     poll_fn(|context| match future.as_mut().poll(context) {
@@ -307,7 +307,7 @@ pub(crate) async fn within<T>(clock: &r4_sim::Clock, ns: u64, future: impl Futur
     .await
 }
 
-/// What both futures give, run side by side.
+/// Outputs of both futures, run concurrently.
 pub(crate) async fn both<A, B>(a: impl Future<Output = A>, b: impl Future<Output = B>) -> (A, B) {
     let (mut a, mut b) = (pin!(a), pin!(b));
     let (mut of_a, mut of_b) = (None, None);
@@ -325,18 +325,18 @@ pub(crate) async fn both<A, B>(a: impl Future<Output = A>, b: impl Future<Output
         if of_a.is_some() && of_b.is_some() { Poll::Ready(()) } else { Poll::Pending }
     })
     .await;
-    // Both are there: only then is it ready.
+    // both outputs exist, otherwise the future would not be ready
     (of_a.expect("ready"), of_b.expect("ready"))
 }
 
-/// A host that speaks bytes: no driver, no heartbeat of its own.
+/// A host that sends and receives bytes, without driver and heartbeat.
 pub(crate) struct RawHost {
     port: Port,
     clock: r4_sim::Clock,
     decoder: FrameDecoder,
     heard: Vec<ToHost>,
     next_seq: u16,
-    /// Damaged frames that were heard; none may be, unless a test takes them away.
+    /// Number of damaged frames received; must be 0 at the end, unless a test resets it.
     pub(crate) bad_frames: usize,
 }
 
@@ -349,7 +349,7 @@ impl RawHost {
         self.send_bytes(&frame(message)).await;
     }
 
-    /// How many bytes arrive in the next `ms`, whatever they are.
+    /// Number of bytes that arrive in the next `ms`.
     pub(crate) async fn bytes(&mut self, ms: u64) -> usize {
         let mut buffer = [0; 256];
         let mut count = 0;
@@ -361,7 +361,7 @@ impl RawHost {
         count
     }
 
-    /// Everything that arrives in the next `ms`.
+    /// All messages that arrive in the next `ms`.
     pub(crate) async fn listen(&mut self, ms: u64) -> Vec<ToHost> {
         let until_ns = self.clock.now_ns() + ms * MS;
         while let Some(left_ns @ 1..) = until_ns.checked_sub(self.clock.now_ns()) {
@@ -370,7 +370,7 @@ impl RawHost {
         std::mem::take(&mut self.heard)
     }
 
-    /// The answer to `request`; panics when there is none.
+    /// Answer to `request`; panics if there is none.
     pub(crate) async fn ask(&mut self, request: Request) -> Result<Reply, Refusal> {
         let seq = self.next_seq;
         self.next_seq = seq.wrapping_add(1);
@@ -387,7 +387,7 @@ impl RawHost {
         panic!("no answer to {request:?}");
     }
 
-    /// Opens a session.
+    /// Opens a session by a hello.
     pub(crate) async fn hello(&mut self) -> DeviceInfo {
         let hello = Request::Hello { version: VERSION, schema: SCHEMA_HASH };
         match self.ask(hello).await {
@@ -417,17 +417,17 @@ impl RawHost {
     }
 }
 
-/// The bytes of a message.
+/// Encoded bytes of a message.
 pub(crate) fn frame(message: &ToDevice) -> Vec<u8> {
     encode_frame(message, &mut [0; MAX_FRAME]).expect("every message fits").to_vec()
 }
 
-/// Powers up `robot` and runs `work` with a host that speaks bytes.
+/// Powers up `robot` and runs `work` with a host that sends bytes.
 pub(crate) fn raw_bench<T>(robot: &Robot, work: impl AsyncFnOnce(&mut RawHost, &Device) -> T) -> T {
     raw_bench_of(&power_up, robot, work)
 }
 
-/// The same for any board.
+/// As [`raw_bench`], for any board.
 pub(crate) fn raw_bench_of<T>(
     power_up: PowerUp<'_>,
     robot: &Robot,

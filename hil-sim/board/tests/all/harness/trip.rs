@@ -1,4 +1,4 @@
-//! One cause, brought about on a board with a running motor: off in time, tripped, latched, and afterwards as new.
+//! Test of one cause on a board with a running motor: off in time, tripped, latched, and afterwards as new.
 
 use r4_boards::Robot;
 use r4_driver::Error;
@@ -7,49 +7,50 @@ use r4_sim::{Pace, Simulation};
 
 use super::{Bench, Device, MS, PowerUp, ROTARY, US, bench_of, osmc_bench, power_up};
 
-/// One pass of the control loop of the bench.
+/// Period of the bench's control loop, ns.
 pub(crate) const PERIOD_NS: u64 = MS;
-/// A steadily driven bench looks at its chip once in so many periods ...
+/// Number of periods from one read-back of the chip to the next on a steadily driven bench.
 pub(crate) const CHECK_EVERY: u64 = 4;
-/// ... at one of so many things in turn: the mode, the relays, and four lines of each of two bridges.
+/// Number of read-backs for one round: the mode, the relays, and four lines of each of two bridges.
 pub(crate) const CHECKS: u64 = 10;
-/// More than anything needs to pass: contact bounce (20 ms), the supply's filter, setting the chip up again.
+/// Time in which everything has settled, ms: contact bounce (20 ms), the supply's filter, the set-up of the chip.
 pub(crate) const SETTLED_MS: u64 = 150;
 
-/// How one cause is brought about, and what must follow.
+/// A cause, its injection, and the expected reaction.
 pub(crate) struct Trip<I: AsyncFn(&Bench<'_>, &Robot)> {
     pub(crate) cause: Cause,
-    /// Brings it about on a board with a running motor; its own time counts.
+    /// Injects the cause on a board with a running motor; its own time counts.
     pub(crate) inject: I,
-    /// Whether it is present until it is taken away, or over at once.
+    /// True if the cause is present until removed, false if it is over at once.
     pub(crate) stays: bool,
-    /// Takes it away again.
+    /// Removes the cause again.
     pub(crate) remedy: fn(&Device, &Robot),
-    /// From the injection until the bridges are off.
+    /// Longest time from the injection until the bridges are off, ns.
     pub(crate) off_ns: u64,
-    /// From the injection until all outputs of the chip were written off; `None` while the bus does not work.
+    /// Longest time from the injection until all outputs of the chip are written off, ns; `None` while the bus does not
+    /// work.
     pub(crate) written_ns: Option<u64>,
-    /// Injected at as many moments, spread over the 72 ms in which the firmware looks at everything once.
+    /// Number of injection times, spread over the 72 ms of one complete round of the firmware's checks.
     pub(crate) moments: u64,
 }
 
-/// The bench, its rod somewhere on its stroke.
+/// The bench with its rod at a position of its stroke, m.
 pub(crate) fn bench_with_rod_at(start_m: f64) -> Robot {
     let mut robot = osmc_bench();
     robot.simulation.motors[1].start = start_m;
     robot
 }
 
-/// For causes that are over at once.
+/// Remedy for causes that are over at once.
 pub(crate) fn nothing(_: &Device, _: &Robot) {}
 
 impl<I: AsyncFn(&Bench<'_>, &Robot)> Trip<I> {
-    /// Runs it: off in time, tripped, latched, and afterwards as new.
+    /// Runs the test: off in time, tripped, latched, and afterwards as new.
     pub(crate) fn check(&self, name: &str) {
         self.check_on(&power_up, name);
     }
 
-    /// The same on any board for the bench.
+    /// Runs the test on any board for the bench.
     pub(crate) fn check_on(&self, power_up: PowerUp<'_>, name: &str) {
         let robot = bench_with_rod_at(0.010);
         let (mut worst_off_ns, mut worst_written_ns) = (0, None);
@@ -80,7 +81,7 @@ impl<I: AsyncFn(&Bench<'_>, &Robot)> Trip<I> {
         );
     }
 
-    /// A trip is left by clearing and then arming, with the cause gone, and by nothing else.
+    /// Checks that a trip ends only by clearing and then arming, with the cause gone.
     async fn check_latch(&self, bench: &Bench<'_>, robot: &Robot) {
         let (device, cause) = (bench.device(), self.cause);
         let (state, causes) = bench.safety().await;
