@@ -607,7 +607,10 @@ fn a_voltage_is_given() {
     let seen = every(&["dac", "dac1", "0.5V", "--for", "1"]);
     assert_eq!(
         (seen.code, seen.out.as_str()),
-        (Some(0), "dac1 had the set point 0.50 V for 1 s, on sim:every-interface (simulated); now at its safe voltage\n")
+        (
+            Some(0),
+            "dac1 had the set point 0.50 V for 1 s, on sim:every-interface (simulated); now at its safe voltage\n"
+        )
     );
     every_refused([
         (&["dac", "dac1", "0.1V"][..], &["dac1", "0.50 V to 2.80 V"][..]),

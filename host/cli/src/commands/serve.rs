@@ -355,10 +355,7 @@ impl<'s> Served<'s> {
         if behind > LOOK_EVERY + HURRY {
             let too_much = behind - HURRY;
             self.origin += too_much;
-            eprintln!(
-                "r4: this machine was busy for {} ms; the board's clock stood still",
-                too_much.as_millis()
-            );
+            eprintln!("r4: this machine was busy for {} ms; the board's clock stood still", too_much.as_millis());
             // Only for who listens.
             let from_ns = self.simulation.clock().now_ns();
             if self.until.reports_shifts {

@@ -200,7 +200,8 @@ async fn session(host: &Board<HostClock>) -> anyhow::Result<f64> {
 
 /// Time that this thread has had a core to itself, s: what others do on the machine does not count.
 fn processor_s() -> anyhow::Result<f64> {
-    let statistics = fs::read_to_string("/proc/thread-self/schedstat").context("processor time is measured on Linux only")?;
+    let statistics =
+        fs::read_to_string("/proc/thread-self/schedstat").context("processor time is measured on Linux only")?;
     let ns = statistics.split(' ').next().and_then(|first| first.parse::<u64>().ok());
     Ok(ns.ok_or_else(|| anyhow!("no time in schedstat"))? as f64 * 1e-9)
 }
