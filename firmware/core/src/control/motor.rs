@@ -167,7 +167,7 @@ struct Approach {
     /// Direction in which friction was last compensated.
     towards: f32,
     at_rest_s: f32,
-    /// Hold while settled.
+    /// State of the hold while settled.
     hold: Option<Hold>,
 }
 

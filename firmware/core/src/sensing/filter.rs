@@ -1,4 +1,4 @@
-//! First-order low-pass filter.
+//! First-order low-pass filter with DC gain 1.
 
 /// Low-pass `y += (x - y) dt / (tau + dt)`: backward Euler of `tau y' = x - y`, DC gain exactly 1.
 #[derive(Clone, Copy, Debug)]
