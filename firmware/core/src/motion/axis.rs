@@ -99,7 +99,7 @@ pub enum Fault {
 /// Purpose of a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Order {
-    /// Target position, steps.
+    /// Position to move to, steps.
     Position(i64),
     /// Speed, steps/s, within the position range.
     Speed(f64),
@@ -118,7 +118,7 @@ struct Search {
     phase: Phase,
 }
 
-/// Phase of homing.
+/// Phase of a homing search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
     /// Seek, until the switch closes.
@@ -310,7 +310,7 @@ impl Axis {
         self.homed = false;
     }
 
-    /// Status for telemetry.
+    /// Status of the axis for telemetry.
     #[must_use]
     pub fn status(&self) -> AxisStatus {
         let moving = !self.rests();

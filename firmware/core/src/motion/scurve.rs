@@ -15,9 +15,9 @@ use heapless::Vec;
 /// Limits of a path. All positive; speed and acceleration finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Highest speed, steps/s.
+    /// Highest speed on the path, steps/s.
     pub speed: f64,
-    /// Highest acceleration, steps/s².
+    /// Highest acceleration on the path, steps/s².
     pub acceleration: f64,
     /// Highest jerk, steps/s³; infinite for trapezoids, whose acceleration jumps.
     pub jerk: f64,
@@ -65,9 +65,9 @@ impl Position {
 pub struct Motion {
     /// Position of the motor.
     pub position: Position,
-    /// Speed, in steps/s.
+    /// Speed of the motor, steps/s.
     pub speed: f64,
-    /// Acceleration, in steps/s².
+    /// Acceleration of the motor, steps/s².
     pub acceleration: f64,
 }
 
@@ -350,7 +350,7 @@ impl Path {
     }
 }
 
-/// Path under construction.
+/// Builder of a path from its arcs.
 struct Builder<'p> {
     path: &'p mut Path,
     now: Motion,

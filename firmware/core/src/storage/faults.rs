@@ -237,7 +237,7 @@ impl History {
     }
 }
 
-/// How many bytes it took.
+/// Encodes a trip into `item` and returns the number of bytes; `None` if it does not fit.
 fn encode(info: &FaultInfo, trip: &Trip, item: &mut [u8]) -> Option<usize> {
     let (layout, rest) = item.split_first_mut()?;
     *layout = LAYOUT;
@@ -248,7 +248,7 @@ fn encode(info: &FaultInfo, trip: &Trip, item: &mut [u8]) -> Option<usize> {
     Some(used)
 }
 
-/// The trip, and what follows it.
+/// Decodes the trip, and returns the snapshots' bytes that follow it; `None` for another layout.
 fn decode_info(item: &[u8]) -> Option<(FaultInfo, &[u8])> {
     let (layout, rest) = item.split_first()?;
     if *layout == LAYOUT { postcard::take_from_bytes(rest).ok() } else { None }
@@ -269,7 +269,7 @@ mod tests {
             recorder.note(step as u64 * step_us, [motor], [24.0, 5.0]);
         }
         recorder.freeze();
-        // Later ones are of another trip.
+        // Later snapshots belong to another trip.
         recorder.note(25 * step_us, [], []);
         let tripped_us = 24 * step_us + 3_000;
         assert_eq!(recorder.snapshot(SNAPSHOTS, tripped_us), None);
@@ -311,7 +311,7 @@ mod tests {
         assert_eq!(encode(&info, &trip, &mut [0; BUFFER]), Some(MAX_ITEM));
     }
 
-    /// Layout 1 as it is in flash. It must never change: a new layout gets a new number.
+    /// Bytes of layout 1 in flash. They must never change: a new layout gets a new number.
     #[test]
     fn layout_1_stays_what_it_is() {
         let motors = Vec::from_slice(&[MotorSnapshot { position: -2, speed: 1.0, duty: 0.5 }]).expect("fits");

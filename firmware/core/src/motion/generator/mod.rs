@@ -37,7 +37,7 @@ use stretch::{blank, pulses};
 pub const ERROR: u32 = 8;
 /// Shortest period, ticks. Events closer than this are made this far apart.
 pub const SHORTEST: u32 = 100;
-/// Longest period, ticks.
+/// Longest period of a timer, ticks.
 pub const LONGEST: u32 = 1024;
 /// Blank period without events, ticks, and the least after a pulse without a near successor.
 pub const IDLE: u32 = 256;
