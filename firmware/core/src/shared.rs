@@ -886,7 +886,7 @@ impl<M: RawMutex> Shared<M> {
     }
 }
 
-/// Guard of [`Shared::hold_arming`].
+/// Guard returned by [`Shared::hold_arming`].
 pub(crate) struct ArmingHeld<'s, M: RawMutex>(&'s Shared<M>);
 
 impl<M: RawMutex> Drop for ArmingHeld<'_, M> {

@@ -26,7 +26,7 @@ impl Within for f64 {}
 mod tests {
     use super::*;
 
-    /// To the bit: bounds that are zeros of either sign too.
+    /// Equal to the bit, also for bounds that are zeros of either sign.
     #[test]
     fn numbers_are_kept_as_the_standard_library_keeps_them() {
         for (low, high) in [(-1.0, 1.0), (0.0, 1.0), (-0.0, 1.0), (-1.0, 0.0), (-1.0, -0.0), (-0.0, 0.0), (0.25, 0.25)]
