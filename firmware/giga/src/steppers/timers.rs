@@ -14,7 +14,7 @@ pub const TICK_HZ: u32 = 10_000_000;
 /// Length of a pulse, ticks: 4 µs.
 pub(super) const PULSE_TICKS: u32 = 40;
 
-/// Free-running clock, TIM2.
+/// Free-running clock: the counter of TIM2.
 #[derive(Clone, Copy)]
 pub struct Clock(());
 
