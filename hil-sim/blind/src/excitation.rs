@@ -2,7 +2,7 @@
 
 use crate::{dice::Dice, scale::Scale};
 
-/// Sample rate, Hz.
+/// Sample rate of recordings, Hz.
 pub(crate) const RATE_HZ: f64 = 200.0;
 
 /// Kind of a stretch of a run.

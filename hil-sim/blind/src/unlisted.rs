@@ -56,7 +56,7 @@ fn nothing(moment: &Moment) -> Doing {
     Doing { duty: moment.duty, friction: 0.0, force: 0.0 }
 }
 
-/// Bell curve `exp(-x²)`.
+/// Gaussian bell curve `exp(-x²)`.
 fn bell(x: f64) -> f64 {
     libm::exp(-x * x)
 }

@@ -14,7 +14,7 @@ pub(crate) struct Block {
     float: u32,
     /// Length in bytes: a block does not leave its page of 4 KiB.
     bytes: u16,
-    /// Number of instructions.
+    /// Number of instructions in it.
     pub(crate) instructions: u16,
     /// True if it contains SEV.
     pub(crate) event: bool,

@@ -200,7 +200,7 @@ impl Core for UnicornCore {
     fn set(&mut self, register: Register, value: u32) {
         let (number, value) = match register {
             Register::Pc => (number(register), value | 1),
-            // With every field; by the plain name only flags are written.
+            // This name writes every field; the plain one writes only flags.
             Register::Xpsr => (RegisterARM::XPSR_NZCVQG.into(), value | THUMB),
             _ => (number(register), value),
         };
@@ -233,7 +233,7 @@ impl Core for UnicornCore {
         for address in addresses {
             let hook = self.stop_before(*address, Why::Observed)?;
             self.observed.push(hook);
-            // If it is in an IT block, before that.
+            // If the instruction is in an IT block, stop before that block.
             for back in (2..conditional::LONGEST).step_by(2) {
                 let Some(start) = address.checked_sub(back) else { break };
                 if conditional::holds(self.engine.get_data().code(start, *address), back as usize) {
@@ -272,7 +272,7 @@ impl Core for UnicornCore {
 }
 
 impl UnicornCore {
-    /// Runs with the bus.
+    /// Calls `run` with the bus lent to the hooks.
     #[allow(unsafe_code, reason = "the bus is lent to hooks for one run")]
     fn lend(
         &mut self,
@@ -280,7 +280,7 @@ impl UnicornCore {
         run: impl FnOnce(&mut Self) -> Result<CoreStop, CoreError>,
     ) -> Result<CoreStop, CoreError> {
         let pc = self.register(RegisterARM::PC);
-        // SAFETY: only the lifetime is changed; the pointer is gone from the state before this function returns.
+        // SAFETY: only the lifetime is changed; the pointer is removed from the state before this function returns.
         let lent =
             unsafe { std::mem::transmute::<NonNull<dyn CoreBus + '_>, NonNull<dyn CoreBus>>(NonNull::from(bus)) };
         let state = self.engine.get_data_mut();
@@ -292,7 +292,7 @@ impl UnicornCore {
         result
     }
 
-    /// The instruction at PC, with a hook before the next one.
+    /// Executes the instruction at PC, with a hook before the next one.
     fn step_one(&mut self) -> Result<CoreStop, CoreError> {
         let pc = self.register(RegisterARM::PC);
         let result = self.start()?;
@@ -309,7 +309,7 @@ impl UnicornCore {
         }
     }
 
-    /// Floating point is not allowed, and the block at PC has it at `address`: executes up to there.
+    /// Executes up to `address`, where the block at PC has floating point while that is not allowed.
     fn run_to_float(&mut self, address: u32) -> Result<CoreStop, CoreError> {
         let why = Why::Fault(Fault::NoCoprocessor);
         let pc = self.register(RegisterARM::PC);
