@@ -7,12 +7,12 @@
 //! | register | contents |
 //! | --- | --- |
 //! | DR16 | "R4" and the [`Kind`] of the end; anything else is no record |
-//! | DR17, DR18 | of a fault PC and LR, of a panic the address of its location and the stack pointer |
-//! | DR19 | of a fault CFSR, of a panic its line, of an interrupt its number |
-//! | DR20 | of a fault HFSR, of a panic the address of its file's name |
+//! | DR17, DR18 | PC and LR of a fault; address of the location and stack pointer of a panic |
+//! | DR19 | CFSR of a fault, line of a panic, number of an interrupt |
+//! | DR20 | HFSR of a fault, address of the file's name of a panic |
 //! | DR21 | clock source of the run that ended: 1 crystal, 2 internal |
 //! | DR22 | "BS" and the number of consecutive runs that ended badly before they had run well |
-//! | DR24 to DR31 | of each motor the heat of its winding: `r4_firmware::control::overload` |
+//! | DR24 to DR31 | heat of each motor's winding: `r4_firmware::control::overload` |
 //!
 //! Each is written atomically: a reset leaves the old word or the new.
 

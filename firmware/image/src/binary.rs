@@ -28,6 +28,7 @@ impl Binary {
     /// ones.
     pub fn of(elf: &[u8]) -> Result<Self, ImageError> {
         let mut segments = segments(elf).ok_or(ImageError::NoElf)?;
+        // In the file they are ordered by virtual address (System V ABI, chapter 5), not by the physical one.
         segments.sort_by_key(|segment| segment.address);
         let (Some(first), Some(last)) = (segments.first(), segments.last()) else {
             return Err(ImageError::Empty);
@@ -81,6 +82,7 @@ struct Segment<'e> {
 /// Loaded segments that have content; `None` if it is not a little-endian ELF file of 32 bits.
 fn segments(elf: &[u8]) -> Option<Vec<Segment<'_>>> {
     const LOAD: u32 = 1;
+    // Offsets in a damaged file can have any value.
     let word = |at: usize| Some(u32::from_le_bytes(elf.get(at..at.checked_add(4)?)?.try_into().ok()?));
     let half = |at: usize| Some(usize::from(u16::from_le_bytes(elf.get(at..at + 2)?.try_into().ok()?)));
     if elf.get(..6)? != b"\x7fELF\x01\x01" {

@@ -92,6 +92,7 @@ impl Image {
     /// [`FileError::Missing`] if there is none, [`FileError::Unreadable`] if it cannot be read.
     pub fn built(robot: &str, place: Place) -> Result<Self, FileError> {
         let kind = place.name();
+        // A robot may be named by the path of its file.
         let name = Path::new(robot).file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let file = Path::new("firmware").join(format!("{name}-{kind}.elf"));
         let exe = env::current_exe().unwrap_or_default();

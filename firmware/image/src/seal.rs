@@ -35,6 +35,7 @@ impl Seal {
         }
         let mut hasher = crc32fast::Hasher::new();
         hasher.update(binary.bytes.get(..CRC_AT)?);
+        // The CRC's own bytes count as erased, as they are linked.
         hasher.update(&[0xFF; 4]);
         hasher.update(binary.bytes.get(CRC_AT + 4..)?);
         Some(Self { bytes: u32::try_from(binary.bytes.len()).ok()?, crc: hasher.finalize() })

@@ -87,6 +87,7 @@ pub fn hide_one_of(
         .collect::<Result<Vec<_>, _>>()?;
     let bare = Parts { spec: spec.clone(), unlisted: Vec::new() };
     let mut dice = Dice::new(seed, 7);
+    // One index more than there are candidates: it stands for nothing.
     let Some((candidate, mut size)) = candidates.get(dice.below(candidates.len() + 1)).copied() else {
         return Ok(Hidden { parts: bare, truth: Vec::new() });
     };

@@ -110,6 +110,7 @@ pub fn hide_in_body(body: &Wheeled, seed: u64) -> (Wheeled, Option<Truth>) {
     let mut dice = Dice::new(seed, 6);
     if body.wheels().iter().any(|wheel| wheel.shaft.is_some()) {
         let speeds = Drive::new(&mut dice, body);
+        // All candidates are compared on the same drive.
         let usual = speeds.of(body);
         for _ in 0..TRIES {
             let candidate = &CANDIDATES[dice.below(CANDIDATES.len())];
@@ -157,6 +158,7 @@ impl Drive {
         let mut body = body.clone();
         let mut shafts = vec![ShaftMotion::default(); body.shafts()];
         let mut loads = vec![0.0; shafts.len()];
+        // The steering stays straight; only the wheels' speeds are prescribed.
         if let Some(axle) = body.axle() {
             shafts[axle.shaft].position = axle.straight;
         }

@@ -200,6 +200,7 @@ impl Broken {
             Self::Reversed => runs(experiment).for_each(|run| columns(run).for_each(|column| column.reverse())),
             Self::Swapped => runs(experiment).for_each(|run| {
                 std::mem::swap(&mut run.input, &mut run.output);
+                // The output's column now has the input, which has no noise.
                 run.clean.clone_from(&run.output);
             }),
             Self::Shuffled => runs(experiment).for_each(|run| shuffle(run, dice)),
@@ -284,6 +285,7 @@ fn drop_rows(experiment: &mut Experiment, dice: &mut Dice) -> Vec<Value> {
             let from = dice.below(rows);
             let burst = (BURST[0] + dice.below(BURST[1])).min(left);
             for kept in is_kept.iter_mut().skip(from).take(burst) {
+                // Bursts may overlap: a row that is lost already does not count again.
                 left -= usize::from(std::mem::replace(kept, false));
             }
         }
@@ -291,6 +293,7 @@ fn drop_rows(experiment: &mut Experiment, dice: &mut Dice) -> Vec<Value> {
             let mut kept = is_kept.iter();
             column.retain(|_| kept.next() == Some(&true));
         }
+        // The stamps stay even, as if no row had been lost.
         run.time_s.truncate(run.output.len());
     }
     vec![Value { name: "share", value: share, unit: "1" }]
@@ -535,7 +538,7 @@ mod tests {
                 assert_eq!(stands(limit), limit.is_finite());
             }
         }
-        // Of the 24, one in three has no limit.
+        // Each of the 24 sides, two in each of 12 runs, has no limit with a probability of one third.
         assert!(sides.iter().all(|&side| side > 3 && side < 12) && sides.iter().sum::<usize>() > 12, "{sides:?}");
     }
 

@@ -1,4 +1,4 @@
-//! Plants with something hidden in them, and recordings of such plants.
+//! Plants with a hidden effect, and recordings of such plants.
 //!
 //! For the evaluation of an identifier: the hidden effect is sampled from a seed, large enough to be detectable, and
 //! the truth is kept separate from the plant. This crate contains no code of an identifier.
@@ -130,6 +130,7 @@ pub fn hide_as(draw: Draw, spec: &PlantSpec, supply_v: f64, seed: u64) -> Hidden
     let scale = Scale::of(spec, supply_v);
     let mut dice = Dice::new(seed, 2);
     let plans = [Plan { start: scale.centre, duty: excitation::run(&mut dice, &scale, 0, 12.0) }];
+    // The plant is a board's, which would trip on the effects of the second list.
     let excluded: Vec<_> = NEVER.iter().chain(NOT_ON_BOARDS).map(|(name, _)| *name).collect();
     search(
         &Search { spec, scale: &scale, plans: &plans, output: Output::Position, excluded: &excluded },
@@ -197,6 +198,7 @@ pub(crate) fn search(search: &Search<'_>, draw: Draw, dice: &mut Dice) -> Hidden
         }
         for _ in 0..SIZES {
             let first = (CANDIDATES[one].draw)(dice, search.scale);
+            // An effect that is excluded, or that this plant cannot have: another one is tried.
             let Some(alone) = with(search, &bare, first) else { break };
             if draw == Draw::Listed {
                 if all_show(&alone, &[&bare]) {
@@ -208,6 +210,7 @@ pub(crate) fn search(search: &Search<'_>, draw: Draw, dice: &mut Dice) -> Hidden
             let (Some(without_first), Some(both)) = (with(search, &bare, second), with(search, &alone, second)) else {
                 break;
             };
+            // Each of the two must be detectable when the other one is known.
             if all_show(&both, &[&without_first, &alone]) {
                 let truth = [(one, first), (other, second)];
                 let truth = truth.into_iter().map(|(index, effect)| truth_of(index, effect, search.scale.kind));
@@ -227,6 +230,7 @@ fn is_alike(one: usize, other: usize, scale: &Scale) -> bool {
     let insertion = |index: usize| (CANDIDATES[index].draw)(&mut Dice::new(0, 0), scale).info().insertion;
     let names = [one, other].map(|index| CANDIDATES[index].name);
     one == other
+        // At the same insertion point, one effect can take over a part of the other.
         || insertion(one) == insertion(other)
         || CANDIDATES[one].rivals.contains(&names[1])
         || TOGETHER_ONE.iter().all(|name| names.contains(name))

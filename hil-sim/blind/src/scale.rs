@@ -55,6 +55,7 @@ impl Scale {
             free.advance(Drive::with_brake(1.0), supply_v, STEP_S);
             speed = speed.max(free.speed().abs());
         }
+        // A new plant for each duty: static friction counts only from rest.
         let threshold = (1..20).map(|step| 0.05 * f64::from(step)).find(|&duty| {
             let mut plant = Plant::new(spec, 0);
             plant.set_position(centre);
@@ -68,6 +69,7 @@ impl Scale {
             speed: speed.max(1e-6),
             force: (force_per_a * current_a).max(1e-6),
             power_w: current_a * current_a * resistance_ohm,
+            // One step back: the last duty at which it did not move.
             threshold: threshold.unwrap_or(0.9) - 0.05,
             way: match spec.kind() {
                 PlantKind::Rotary => std::f64::consts::TAU,

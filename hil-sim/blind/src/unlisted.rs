@@ -192,6 +192,7 @@ fn after_reversal(dice: &mut Dice, scale: &Scale) -> Drawn {
         depends_on: &[Dependence::History, Dependence::Direction],
         parameters: vec![("level", level, "N m or N"), ("for", for_s, "s")],
     };
+    // No reversal yet: its time is infinitely long ago, so there is no friction.
     let start = AfterReversal { level, for_s, moved: 0.0, turned_s: f64::NEG_INFINITY };
     (Box::new(Formula { p: start, act }), page)
 }

@@ -52,6 +52,7 @@ impl Parts {
         let mut now = 0.0;
         let at = |at: f64| {
             while now < at {
+                // Not beyond the next sample, where the duty may change.
                 let next = (libm::floor(now) + 1.0).min(at);
                 let duty = plan.duty.get(now as usize).or(plan.duty.last()).copied().unwrap_or_default();
                 plant.advance(Drive::with_brake(duty), supply_v, (next - now) / RATE_HZ);
@@ -138,11 +139,13 @@ pub(crate) fn left(outputs: &[Vec<f64>], without: &Parts, scale: &Scale, plans: 
             for column in 0..PARAMETERS {
                 matrix[row][column] = product(&slopes[row], &slopes[column]);
             }
+            // Slightly damped: two parameters may have the same influence in these runs.
             matrix[row][row] *= 1.0 + 1e-6;
             matrix[row][PARAMETERS] = -product(&slopes[row], &residual);
         }
         let Some(step) = solved(matrix) else { break };
         let mut share = 1.0;
+        // The step is shortened until it reduces the residual.
         let better = (0..4).find_map(|_| {
             let mut tried = parameters;
             tried.iter_mut().zip(step).for_each(|(value, step)| *value += (share * step).clamp(-0.7, 0.7));

@@ -47,7 +47,7 @@ pub struct As5600 {
 }
 
 impl As5600 {
-    /// Creates a driver with the filter of `config`. The rate is ignored: the chip measures on its own at a fixed rate.
+    /// Creates a driver with the filter of `config`. The rate has no influence: the chip measures on its own.
     #[must_use]
     pub fn new(config: &As5600Config, _rate_hz: u16) -> Self {
         // SF (figure 22): 00 averages 16 samples, 11 averages 2.

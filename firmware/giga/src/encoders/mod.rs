@@ -3,7 +3,7 @@
 //! The timers count every edge of both tracks (encoder mode 3, RM0399 "Encoder interface mode": SMS = 011), up while track A
 //! leads, 16 bits wide. Their inputs are filtered: a level counts when 8 samples in a row show it (IC1F = IC2F = 1001,
 //! samples at f_DTS/8, CKD = 00 so that f_DTS is the timer's clock). At 240 MHz that is 8 / 30 MHz = 267 ns, so that edges
-//! of one track must be at least so far apart: well beyond the 1000 counts in a millisecond that a control period copes with.
+//! of one track must be at least that far apart: well beyond the 1000 counts in a millisecond that a control period copes with.
 //! embassy's driver for encoder mode has no filter, so the registers are written here.
 //!
 //! Encoder 3 has no timer: [`lines`] decodes it on both edges of both tracks. Index pulses of all four latch the counters: [`index`].
