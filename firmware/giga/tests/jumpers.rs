@@ -178,7 +178,7 @@ mod tests {
         outputs.set(1, 0);
     }
 
-    /// The supervisor's input line and its interrupt, driven by an output that is slow, and low otherwise.
+    /// The supervisor's input line and its interrupt, driven by a slow output that rests low.
     #[test]
     #[ignore]
     async fn the_dead_mans_line_wakes_on_both_edges(p: Peripherals) {

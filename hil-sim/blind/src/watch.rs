@@ -100,8 +100,8 @@ fn difference(a: &[Vec<f64>], b: &[Vec<f64>]) -> f64 {
 
 /// Number of base parameters: logarithms of gain and mass, and viscous friction.
 const PARAMETERS: usize = 3;
-/// Number of iterations: fits come within per cents of their optimum, which is enough to estimate what a base model can
-/// absorb.
+/// Number of iterations: fits come within a few per cent of their optimum, which is enough to estimate what a base model
+/// can absorb.
 const ITERATIONS: usize = 4;
 /// Step of the finite differences.
 const NUDGE: f64 = 0.02;

@@ -193,7 +193,7 @@ mod tests {
         assert_eq!(of(&[0xE8D1, 0x0F4F]), (true, false));
         assert_eq!(of(&[0xE8C1, 0x0F52]), (false, true));
         assert_eq!(of(&[0xE8DF, 0xF000]), (false, false));
-        // The strexeq r2,r0,[r1] behind it eq may be skipped.
+        // The `strexeq r2,r0,[r1]` behind `it eq` may be skipped.
         assert_eq!(of(&[0xBF08, 0xE841, 0x0200]), (false, false));
     }
 }

@@ -373,8 +373,8 @@ proptest! {
         prop_assert!(!one_way || rig.position() == rig.hardware.position());
     }
 
-    /// At the carrier's highest rate and with the steepest ramps that steppers can follow, any path takes less than 20
-    /// 000 loads per second.
+    /// At the carrier's highest rate and with the steepest ramps that steppers can follow, any path takes less than
+    /// 20 000 loads per second.
     #[test]
     fn fast_pulses_need_few_interrupts(
         mut rig in rig(), speed in 20e3..100e3f64, acceleration in 1e4..1e7f64, jerk_time_s in prop_oneof![Just(0.0), 1e-3..0.1f64],
