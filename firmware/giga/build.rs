@@ -1,6 +1,6 @@
-//! What the image is built for: the robot's configuration, the carrier's pins, the place in flash.
+//! Build parameters of the image: the robot's configuration, the carrier's pins, the place in flash.
 //!
-//! | variable | says | default |
+//! | variable | value | default |
 //! | --- | --- | --- |
 //! | `R4_ROBOT` | a built-in robot, or the path of its file | `osmc-bench` |
 //! | `R4_IMAGE` | `bare`: from the start of flash; `hosted`: behind the Arduino bootloader | `bare` |
@@ -10,10 +10,10 @@ use std::{env, error::Error, fmt::Write, fs, path::PathBuf};
 use r4_boards::Carrier;
 use r4_protocol::image::RECORD_AT;
 
-/// Bank 1: 8 sectors of 128 KiB (RM0399, table 15). Bank 2 holds parameters and trips, and nothing that runs.
+/// Address and size of bank 1: 8 sectors of 128 KiB (RM0399, table 15). Bank 2 holds parameters and trips, and no code.
 const BANK_1: u32 = 0x0800_0000;
 const BANK_1_LEN: u32 = 0x10_0000;
-/// The Arduino bootloader and its header fill the first two sectors.
+/// Size of the Arduino bootloader and its header: the first two sectors.
 const BOOTLOADER_LEN: u32 = 0x4_0000;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -45,18 +45,18 @@ fn main() -> Result<(), Box<dyn Error>> {
         .replace("@RECORD_AT@", &format!("{RECORD_AT:#X}"));
     fs::write(out.join("memory.x"), memory)?;
     println!("cargo:rustc-link-search={}", out.display());
-    // The list of tests for probe-rs, from embedded-test.
+    // List of tests for probe-rs, from embedded-test.
     println!("cargo:rustc-link-arg-tests=-Tembedded-test.x");
     Ok(())
 }
 
-/// An environment variable; cargo builds anew when it changes.
+/// Value of an environment variable; cargo rebuilds when it changes.
 fn variable(name: &str, default: &str) -> String {
     println!("cargo:rerun-if-env-changed={name}");
     env::var(name).unwrap_or_else(|_| default.to_owned())
 }
 
-/// The carrier's pins as a macro and as numbers; see `src/pins.rs`.
+/// Pins of the carrier as a macro and as numbers; see `src/pins.rs`.
 fn pins(carrier: &Carrier) -> Result<String, std::fmt::Error> {
     let (mut owned, mut numbers) = (String::new(), String::new());
     for pin in &carrier.pins {

@@ -1,4 +1,4 @@
-//! Puts the memory layout where the linker finds it.
+//! Copies the memory layout to the place where the linker finds it.
 
 use std::{env, fs, path::PathBuf};
 

@@ -1,8 +1,8 @@
-//! The bus with output chips and sensors: one budget of bits in each control period, and the patience that transfers need.
+//! Bus of output chips and sensors: a budget of bits in each control period, and the repeats of failed transfers.
 //!
 //! [`Outputs`](crate::outputs::Outputs) spends the budget first, in the order of how much a late write matters;
-//! [`Sensors`](crate::sensing::on_bus::Sensors) have the rest. A write is repeated at once, because an output that is not what it should
-//! be trips the board. A sensor's transfer is not: its channel says that it failed, and nothing else waits for it.
+//! [`Sensors`](crate::sensing::on_bus::Sensors) get the rest. A failed write is repeated at once, because a wrong
+//! output trips the board. A sensor's transfer is not: its channel reports the failure, and nothing else waits for it.
 
 use core::task::Context;
 
@@ -17,13 +17,13 @@ use crate::{
     platform::{Bus, Write},
 };
 
-/// A transfer that fails so often has failed.
+/// Number of tries of a transfer.
 pub(crate) const TRIES: u32 = 3;
-/// Share of a control period that transfers may take: the rest is for the processor and for a repeat. A processor that is slow
-/// in a period reduces it: see [`Scheduler::leave_time`].
+/// Share of a control period that transfers may take: the rest is for the processor and for a repeat. A processor that
+/// is slow in a period reduces it: see [`Scheduler::leave_time`].
 const BUS_SHARE: f32 = 0.95;
 
-/// Why a sensor's transfer failed.
+/// Reason why a sensor's transfer failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ExchangeFault {
     /// The sensor does not acknowledge; the bus is free.
@@ -32,14 +32,14 @@ pub(crate) enum ExchangeFault {
     Bus,
 }
 
-/// The one owner of the bus.
+/// Owner of the bus, which schedules all transfers.
 pub(crate) struct Scheduler<B> {
     bus: B,
     retries: u32,
-    /// Nine bits on the bus, rounded down.
+    /// Time of nine bits on the bus, rounded down to 1 µs.
     byte_time: Duration,
     bits_per_ms: u32,
-    /// Bits that fit a control period, and those left of this one.
+    /// Bits that fit a control period, and those remaining in this one.
     bits_per_period: u32,
     bits_left: u32,
 }
@@ -58,15 +58,15 @@ impl<B: Bus> Scheduler<B> {
         }
     }
 
-    /// A control period begins: the bus is free again.
+    /// Begins a control period: the full budget is available again.
     pub(crate) fn begin_period(&mut self) {
         self.bits_left = self.bits_per_period;
     }
 
-    /// Leaves the processor time for the rest of this period. `taken` is how long inputs and steppers have needed: outputs, values for
-    /// hosts and interrupts need about twice that. What it has taken so far comes out of the share that transfers leave.
-    /// Fixed by `r4 --board emu:every-interface bench firmware --seconds 2`: with twice no period is late and jitter is 10 us, with
-    /// half of that 15 of 2005 are late and jitter is 16 us.
+    /// Reserves processor time in this period. `taken` is the time that inputs and steppers have needed: outputs,
+    /// values for hosts and interrupts need about twice that, which reduces the remaining budget. Fixed by `r4 --board
+    /// emu:every-interface bench firmware --seconds 2`: with twice no period is late and jitter is 10 us, with half of
+    /// that 15 of 2005 are late and jitter is 16 us.
     pub(crate) fn leave_time(&mut self, taken: Duration) {
         let taken_us = taken.as_micros().min(u16::MAX.into()) as u32;
         self.bits_left = self.bits_left.saturating_sub(2 * taken_us * self.bits_per_ms / 1000);
@@ -79,22 +79,26 @@ impl<B: Bus> Scheduler<B> {
         left.is_some()
     }
 
-    /// Bits that this period has room for.
+    /// Bits that remain in this period.
     pub(crate) const fn bits_left(&self) -> u32 {
         self.bits_left
     }
 
-    /// How long a byte takes, rounded down.
+    /// Time of a byte on the bus, rounded down to 1 µs.
     pub(crate) const fn byte_time(&self) -> Duration {
         self.byte_time
     }
 
-    /// Transfers that had to be repeated since the last call.
+    /// Number of repeated transfers since the last call.
     pub(crate) fn take_retries(&mut self) -> u32 {
         core::mem::take(&mut self.retries)
     }
 
-    /// One transfer with a sensor, which fills `read`. It is not repeated: outputs would wait for it.
+    /// Carries out one transfer with a sensor, which fills `read`. It is not repeated, because outputs would wait for
+    /// it.
+    ///
+    /// # Errors
+    /// [`ExchangeFault::NoAnswer`] without an acknowledge, [`ExchangeFault::Bus`] for any other failure.
     pub(crate) async fn exchange(
         &mut self,
         address: u8,
@@ -110,12 +114,13 @@ impl<B: Bus> Scheduler<B> {
         if let ErrorKind::NoAcknowledge(_) = error.kind() {
             return Err(ExchangeFault::NoAnswer);
         }
-        // The next write, which may be a stop, finds a free bus.
+        // Recover now, so that the next write, which may be a stop, finds a free bus.
         self.bus.recover().await;
         Err(ExchangeFault::Bus)
     }
 
-    /// Sends `writes` with the same patience, each for itself, unless `stops` says otherwise. How many were sent, and why not all.
+    /// Sends `writes`, each with up to [`TRIES`] tries, until `stops` returns true. Returns the number sent, and the
+    /// fault that ended it, if any.
     pub(crate) async fn send(
         &mut self,
         writes: &[Write],
@@ -138,8 +143,12 @@ impl<B: Bus> Scheduler<B> {
         (sent, Ok(()))
     }
 
-    /// Frees the bus after a failed transfer and repeats it, twice. A bus that is held must be freed first: every try on
-    /// it costs a time-out.
+    /// Carries out an operation with up to [`TRIES`] tries and frees the bus after each failed transfer: on a bus that
+    /// is held every further try would cost a time-out.
+    ///
+    /// # Errors
+    /// [`OutputFault::Bus`] after the last try, [`OutputFault::Mismatch`] at once for a register that does not hold
+    /// what was written.
     pub(crate) async fn checked<T>(
         &mut self,
         mut operation: impl AsyncFnMut(&mut B) -> Result<T, ChipError<B::Error>>,

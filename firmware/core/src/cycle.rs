@@ -1,8 +1,8 @@
-//! Cycles: set points for the channels that the host of one link has bound, and what these do.
+//! Cycles: set points for the channels that the host of one link has bound, and the answer with these channels' state.
 //!
-//! A cycle is taken whole or not at all, by the same checks as a single command, and always answered. Its set points are
-//! leased: [`Shared`](crate::shared::Shared) stops the channels whose lease has run out. A cycle that is refused stops the
-//! channels it has set points for, unless they follow something newer.
+//! A cycle is accepted as a whole or not at all, by the same checks as a single command, and always answered. Its set
+//! points are leased: [`Shared`](crate::shared::Shared) stops the channels whose lease has run out. A refused cycle
+//! stops the channels that it has set points for, unless they follow a newer one.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant};
@@ -18,7 +18,7 @@ use crate::{
     shared::{MotorStatus, Shared, Status},
 };
 
-/// The channels that the cycles of one link are about.
+/// Channels bound to the cycles of one link.
 #[derive(Default)]
 pub(crate) struct Bound {
     channels: Vec<(CycleChannel, Place), CYCLE_CHANNELS>,
@@ -30,11 +30,12 @@ impl Bound {
         self.channels.clear();
     }
 
-    /// Binds `channels` instead of those that were; what these follow ends with its time-to-live.
+    /// Binds `channels` and replaces the previous binding, whose set points end with their time to live.
     ///
     /// # Errors
-    /// Nothing is changed then. [`Refusal::UnknownChannel`], [`Refusal::WrongMode`] for a mode or a channel that no cycle
-    /// moves, [`Refusal::BadBinding`].
+    /// Nothing is changed then. [`Refusal::UnknownChannel`] for a channel that the board does not have;
+    /// [`Refusal::WrongMode`] for a mode, or a channel, that cycles cannot move; [`Refusal::BadBinding`] for a channel
+    /// given twice or without scales.
     pub(crate) fn bind<M: RawMutex>(
         &mut self,
         shared: &Shared<M>,
@@ -51,7 +52,7 @@ impl Bound {
                 return Err(Refusal::WrongMode { channel, mode });
             }
             let twice = bound.iter().any(|(_, other)| *other == place);
-            // A message has no more than fit.
+            // The push cannot fail: a message has no more channels than fit.
             if twice || !asked.is_scaled() || bound.push((*asked, place)).is_err() {
                 return Err(Refusal::BadBinding { channel });
             }
@@ -61,7 +62,7 @@ impl Bound {
         Ok(())
     }
 
-    /// Carries `cycle` out, or not, and says what the channels do.
+    /// Carries out `cycle` if it is accepted, and returns the answer with the channels' state.
     pub(crate) fn answer<M: RawMutex>(&self, shared: &Shared<M>, link: u8, cycle: Cycle, now: Instant) -> ToHost {
         let outcome = self.outcome(shared, link, cycle, now);
         if outcome != CycleOutcome::Taken {
@@ -79,11 +80,11 @@ impl Bound {
         if self.channels.is_empty() || !shared.has_session(link) {
             return CycleOutcome::Unbound;
         }
-        // Neither is longer than 66 s.
+        // Both are at most 66 s.
         let (age_us, ttl_us) = (i64::from(cycle.age_us(now.as_micros())), self.ttl.as_micros() as i64);
         let sent_us = now.as_micros().saturating_add_signed(-age_us);
         let follow = || {
-            // A point of a path is dated with its own moment, and one of the past is no use.
+            // A point of a path carries its own time, and one in the past is useless.
             if age_us.abs() > ttl_us || age_us >= 0 && self.has_points(cycle) {
                 return Err(CycleOutcome::Stale);
             }
@@ -97,7 +98,7 @@ impl Bound {
         outcome
     }
 
-    /// Whether some channel follows a path by this cycle.
+    /// Returns true if some channel follows a path by this cycle.
     fn has_points(&self, cycle: Cycle) -> bool {
         let given = self.channels.iter().zip(cycle.set()).filter(|(_, steps)| *steps != NOTHING);
         let all_in = cycle.mode().ok().flatten();
@@ -120,13 +121,14 @@ impl Bound {
     }
 }
 
-/// Which set point, and why, is not told in a cycle: a single command of the same does.
+/// Error: a set point of the cycle is refused. The reason is not part of the answer; the same set point as a single
+/// command returns it.
 struct Refused;
 
-/// Set point of a motor that stops, by the mode it followed.
+/// Set point that stops a motor, by the mode that it followed.
 pub(crate) const fn at_rest(mode: Mode) -> Setpoint {
     match mode {
-        // One that presses stays where it is, and so holds what it holds.
+        // A motor in force mode stays in its place, and so holds the object.
         Mode::Position | Mode::Speed | Mode::Home | Mode::Follow | Mode::Force => {
             Setpoint { mode: Mode::Speed, value: 0.0 }
         }

@@ -1,4 +1,4 @@
-//! From a decoded message to what the board does about it, and to the answer.
+//! Dispatch: from a decoded message to the board's action and the answer.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Instant;
@@ -30,17 +30,17 @@ mod repeats;
 
 use repeats::Repeats;
 
-/// What becomes of a message.
+/// Outcome of a message.
 pub(crate) enum Outcome {
-    /// It wants no answer.
+    /// The message gets no answer.
     Nothing,
-    /// It is answered now.
+    /// The answer is ready now.
     Answer(ToHost),
-    /// [`carry_out`] answers it; meanwhile the link goes on.
+    /// [`carry_out`] will answer it; meanwhile the link goes on.
     Later { seq: u16, request: Request },
 }
 
-/// What the host of one link has asked for, until its session ends.
+/// State of the host of one link, until its session ends.
 #[derive(Default)]
 pub(crate) struct Host {
     pub(crate) subscriptions: Subscriptions,
@@ -59,7 +59,7 @@ impl Host {
         self.repeats.clear();
     }
 
-    /// Answers a request: one that was answered before with the same words, without doing it again.
+    /// Answers a request; a repeated one gets the same answer again, without being carried out again.
     fn answer<M: RawMutex>(
         &mut self,
         shared: &Shared<M>,
@@ -81,7 +81,7 @@ impl Host {
     }
 }
 
-/// Answers `message`, which came over `link`.
+/// Carries out `message`, which came over `link`, or defers it.
 pub(crate) fn dispatch<M: RawMutex>(shared: &Shared<M>, link: u8, host: &mut Host, message: ToDevice) -> Outcome {
     let now = Instant::now();
     match message {
@@ -103,8 +103,8 @@ pub(crate) fn dispatch<M: RawMutex>(shared: &Shared<M>, link: u8, host: &mut Hos
     }
 }
 
-/// Refuses an undamaged request of a later version. It may be a set point of a kind that is not known here: all that the host wanted before
-/// ends.
+/// Refuses an undamaged request of a later version. It may be a set point of an unknown kind, so all set points in
+/// force end.
 pub(crate) fn unknown<M: RawMutex>(shared: &Shared<M>, link: u8, seq: u16, now: Instant) -> ToHost {
     if shared.has_session(link) {
         for (_, place) in shared.config().channels() {
@@ -114,7 +114,7 @@ pub(crate) fn unknown<M: RawMutex>(shared: &Shared<M>, link: u8, seq: u16, now: 
     response(shared, seq, Err(Refusal::UnknownMessage))
 }
 
-/// Whether a request waits for flash or for an external device.
+/// Returns true if a request waits for flash or for an external device.
 fn takes_time(request: &Request) -> bool {
     matches!(
         request,
@@ -127,7 +127,7 @@ fn takes_time(request: &Request) -> bool {
     )
 }
 
-/// Does what [`dispatch`] has put off, and answers.
+/// Carries out a request that [`dispatch`] has deferred, and returns the answer.
 pub(crate) async fn carry_out<M: RawMutex>(shared: &Shared<M>, seq: u16, request: Request) -> ToHost {
     let result = match request {
         Request::SaveParameters => save(shared).await,
@@ -148,7 +148,7 @@ fn stored(done: Done) -> Reply {
     }
 }
 
-/// Keeps what hosts have changed. A sector may have to be erased, so not while the board is armed.
+/// Saves the parameters that hosts have changed. A sector may have to be erased, so not while the board is armed.
 async fn save<M: RawMutex>(shared: &Shared<M>) -> Result<Reply, Refusal> {
     let _held = shared.hold_arming()?;
     let changes = Changes::between(shared.built_in(), &shared.pending());
@@ -186,7 +186,7 @@ fn answer<M: RawMutex>(
             host.version = version;
             return Ok(Reply::Hello(device_info(shared, session, now)));
         }
-        // Ending nothing is no error, and a stop is taken from anyone.
+        // Closing no session is no error, and a stop is accepted from any link.
         Request::Bye => {
             shared.close_session(link);
             host.clear();
@@ -213,7 +213,7 @@ fn answer<M: RawMutex>(
                     _ => shared.command(place, setpoint, sent_us),
                 });
             if let Err(refusal) = taken {
-                // The host wants something else by now, whatever it is: what it wanted before ends.
+                // The host wants a different motion by now: its previous set point ends.
                 let late = matches!(refusal, Refusal::Expired { .. } | Refusal::Late { .. });
                 shared.withdraw(place, sent_us, late);
                 return Err(refusal);
@@ -282,7 +282,7 @@ fn answer<M: RawMutex>(
             return Ok(Reply::Log(LogInfo { image: log.image }));
         }
         Request::Bind { channels, ttl_ms } => host.bound.bind(shared, &channels, ttl_ms)?,
-        // Not answered here: [`dispatch`] passes them on.
+        // Not answered here: [`dispatch`] defers them.
         _ => return Err(Refusal::TransferFailed),
     }
     Ok(Reply::Done)
@@ -292,7 +292,7 @@ pub(crate) fn place<M: RawMutex>(shared: &Shared<M>, channel: ChannelId) -> Resu
     shared.config().place(channel).ok_or(Refusal::UnknownChannel { channel })
 }
 
-/// Whether a set point decided at `sent_us` is neither too old nor dated too far ahead.
+/// Checks that a set point decided at `sent_us` is neither too old nor dated too far ahead.
 fn check_age(sent_us: u64, ttl_ms: u16, now: Instant) -> Result<(), Refusal> {
     let ms = |us: u64| u32::try_from(us / 1000).unwrap_or(u32::MAX);
     let (ahead_ms, age_ms) = (ms(sent_us.saturating_sub(now.as_micros())), ms(now.as_micros().saturating_sub(sent_us)));
@@ -318,7 +318,8 @@ pub(crate) fn check_setpoint(channel: ChannelId, modes: &[ModeInfo], setpoint: S
     }
 }
 
-/// Whether the numbers of a path's points are such that the channel takes; when and how fast is checked with the points it has.
+/// Checks the values of a path's points against the channel's ranges; their times and speeds are checked against the
+/// stored points.
 fn check_points(config: &BoardConfig, channel: ChannelId, place: Place, points: &[PathPoint]) -> Result<(), Refusal> {
     let modes = modes_of(config, place);
     let limit = |mode| modes.iter().find(|info| info.mode == mode).map(|info| info.range);
@@ -353,7 +354,7 @@ fn device_info<M: RawMutex>(shared: &Shared<M>, session: u16, now: Instant) -> D
     }
 }
 
-/// Channel `index` of the board's list.
+/// Description of channel `index` of the board's list.
 fn channel_info<M: RawMutex>(shared: &Shared<M>, index: usize) -> Result<ChannelInfo, Refusal> {
     let config = shared.config();
     let (id, place) = config.channels().nth(index).ok_or(Refusal::NoSuchIndex { index: index as u8 })?;
@@ -362,10 +363,10 @@ fn channel_info<M: RawMutex>(shared: &Shared<M>, index: usize) -> Result<Channel
     Ok(ChannelInfo { id, unit, range, rate_hz: rate_hz(config, place), resolution: resolution(config, place), modes })
 }
 
-/// Off and on.
+/// Range of a switched output: 0 is off, 1 is on.
 const SWITCH: Range = Range::new(0.0, 1.0);
 
-/// Unit and range of what a channel measures or, for a pure output, of what it takes.
+/// Unit and range of a channel's measurement or, for a pure output, of its set point.
 fn quantity(config: &BoardConfig, place: Place, modes: &[ModeInfo]) -> (Unit, Range) {
     const FULL_CODE: f32 = 65_535.0;
     match (place, modes.first()) {
@@ -378,16 +379,16 @@ fn quantity(config: &BoardConfig, place: Place, modes: &[ModeInfo]) -> (Unit, Ra
         (Place::Supply(index), _) => (Unit::V, config.supplies[index].range_v),
         (Place::Sensor(index), _) => {
             let SensorDescription { kind, range, .. } = config.sensors[index].chip.description();
-            // Every kind on the bus has quantities.
+            // Every kind of sensor on the bus has quantities.
             (kind.quantities().first().map_or(Unit::Bool, |first| first.unit), range)
         }
-        // A motor's own quantity is its first mode.
+        // The first mode of a motor is its own quantity.
         (_, Some(first)) => (first.unit, first.range),
         (_, None) => (Unit::Bool, SWITCH),
     }
 }
 
-/// How often a channel is measured or driven, Hz.
+/// Rate at which a channel is measured or driven, Hz.
 fn rate_hz(config: &BoardConfig, place: Place) -> f32 {
     match place {
         Place::Range(_) => 1e6 / ranging::cycle(config.ranges.len()).as_micros() as f32,
@@ -397,7 +398,7 @@ fn rate_hz(config: &BoardConfig, place: Place) -> f32 {
     }
 }
 
-/// One count of a channel's position, or 0.
+/// Size of one count of a channel's position, rad or m; 0 without a position.
 fn resolution(config: &BoardConfig, place: Place) -> f32 {
     const TURN: f32 = core::f32::consts::TAU;
     match place {
@@ -408,7 +409,7 @@ fn resolution(config: &BoardConfig, place: Place) -> f32 {
     }
 }
 
-/// What an output can be commanded to do: a motor's own quantity first; nothing for the relay in the motors' supply.
+/// Modes in which an output can be commanded: a motor's own quantity first; none for the relay in the motors' supply.
 pub(crate) fn modes_of(config: &BoardConfig, place: Place) -> Vec<ModeInfo, MAX_MODES> {
     let mode = |mode, unit, range| ModeInfo { mode, unit, range };
     match place {

@@ -1,22 +1,22 @@
-//! The application of an R4 board: chip drivers, control loops, sensing, safety supervisor, dispatch of messages.
+//! Application of an R4 board: chip drivers, control loops, sensing, safety supervisor, dispatch of messages.
 //!
-//! Written to run unchanged on the board, in an emulator and, today, in the simulator: everything below is reached through the
-//! traits of [`platform`], `embedded-hal-async`, `embedded-io-async`, `embedded-storage-async` and `embassy-time`. No heap, no
-//! `std`, and nothing here may ask where it runs.
+//! It runs unchanged on the board, in the emulator and in the simulator: all hardware is accessed through the traits of
+//! [`platform`], `embedded-hal-async`, `embedded-io-async`, `embedded-storage-async` and `embassy-time`. No heap, no
+//! `std`, and nothing here may depend on where it runs.
 //!
 //! Tasks share one [`Shared`]; a binary runs them at descending priority:
 //!
 //! | task | does |
 //! | --- | --- |
 //! | [`safety::supervise`] | watches every trip cause, owns the state machine and the hardware stop lines |
-//! | [`control::run`] | each period: sense, close the loops, tell step pulses, write the outputs; owns the board's I2C bus |
+//! | [`control::run`] | each period: sense, close the loops, queue step pulses, write the outputs; owns the board's I2C bus |
 //! | [`ranging::run`] | pings the range sensors in turn, where there are any |
 //! | [`link::serve`] | one per link: frames in, requests dispatched, telemetry and log out |
 //! | [`passthrough::Passthrough::run`] | raw access to the external I2C and UART connectors |
 //! | [`storage::run`] | owns the flash: saved parameters, the history of trips |
 //! | [`screen::run`] | draws the optional screen; blocks, so it is alone on the lowest priority |
 //!
-//! Before them, [`storage::parameters::load`] makes the configuration to start with.
+//! Before the tasks, [`storage::parameters::load`] creates the configuration to start with.
 #![no_std]
 
 mod bus;
@@ -45,5 +45,5 @@ mod within;
 
 pub use shared::{MotorStatus, ResetCause, Restart, Shared};
 
-/// Version of this firmware, as told to hosts.
+/// Version of this firmware, as reported to hosts.
 pub const FIRMWARE_VERSION: &str = env!("CARGO_PKG_VERSION");

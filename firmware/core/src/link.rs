@@ -14,18 +14,20 @@ use crate::{
     shared::Shared,
 };
 
-/// Answers waiting for the transmitter; a host that asks faster than its link carries is held back by the link itself.
+/// Maximum number of answers waiting for the transmitter; a host that sends requests faster than its link carries is
+/// held back by the link itself.
 const ANSWERS: usize = 4;
 
-/// Requests that take time and wait for the one before.
+/// Maximum number of deferred requests that wait for the one before.
 const WAITING: usize = 2;
 
-/// How often a link looks whether the board has started.
+/// Interval of checking whether the board has started.
 const START_POLL: Duration = Duration::from_millis(1);
 
-/// Serves one link until it fails. `number` tells the links of a board apart.
+/// Serves one link until it fails. `number` identifies the link within the board.
 ///
-/// Waits for the outputs to be in a known state before it takes the first message, and says nothing before it has answered one.
+/// Waits for the outputs to be in a known state before it takes the first message, and sends nothing before its first
+/// answer.
 pub async fn serve<M: RawMutex, R: Read, W: Write>(shared: &Shared<M>, number: u8, rx: R, tx: W) {
     while !shared.has_started() {
         Timer::after(START_POLL).await;
@@ -41,7 +43,7 @@ pub async fn serve<M: RawMutex, R: Read, W: Write>(shared: &Shared<M>, number: u
             answers.send(carry_out(shared, seq, request).await).await;
         }
     };
-    // Either end failing ends the link; the supervisor then misses its heartbeat.
+    // A failure of either direction ends the link; the supervisor then misses its heartbeat.
     select3(receive, transmit, work).await;
 }
 
@@ -98,7 +100,7 @@ async fn transmit<M: RawMutex, W: Write>(
     let mut silent = true;
     loop {
         let (due, log_due) = host.lock(|host| (host.borrow().subscriptions.next_due(), host.borrow().log.next_due()));
-        // The first that is ready: the log only where there is nothing else.
+        // The first that is ready, in this order of priority: the log gets only the time that remains.
         let message = match select3(answers.receive(), Timer::at(due), Timer::at(log_due)).await {
             Either3::First(answer) => Some(answer),
             Either3::Second(()) => {
@@ -108,10 +110,10 @@ async fn transmit<M: RawMutex, W: Write>(
                 shared.log().and_then(|log| host.lock(|host| host.borrow_mut().log.chunk(log))).map(ToHost::Log)
             }
         };
-        // Every message fits: a test encodes the largest of each kind.
+        // The encoding cannot fail: a test encodes the largest message of each kind.
         let Some(Ok(frame)) = message.map(|message| encode_frame(&message, &mut buffer)) else { continue };
-        // Ends whatever half a frame the host may still hold from before. Not sooner: on a bus that others share a board says
-        // nothing until it is spoken to, and all it says is asked for.
+        // The zero byte ends any incomplete frame that the host may still hold. Not sooner: on a shared bus a board
+        // sends nothing before it is addressed, and everything it sends is requested.
         if core::mem::take(&mut silent) && tx.write_all(&[0]).await.is_err() {
             return;
         }
@@ -140,7 +142,7 @@ mod tests {
         testing::{Board, Tasks, board, robot},
     };
 
-    /// One direction of a link.
+    /// One direction of a link, as a pipe.
     #[derive(Clone, Default)]
     struct Pipe(Rc<RefCell<(VecDeque<u8>, Option<Waker>)>>);
 
@@ -187,7 +189,7 @@ mod tests {
         }
     }
 
-    /// A board whose control loop has not begun, and a host at its link.
+    /// Board whose control loop has not begun, and a host at its link.
     struct Bench {
         board: Board,
         tasks: Tasks,
@@ -218,8 +220,8 @@ mod tests {
         }
     }
 
-    /// Nothing is answered before the outputs are in a known state; then all is. Before its first answer, and only there, a board
-    /// ends what half a frame the host may still hold.
+    /// Nothing is answered before the outputs are in a known state; then everything is. Before its first answer, and
+    /// only there, a board ends any incomplete frame that the host may still hold.
     #[test]
     fn a_host_is_answered_once_the_outputs_are_known() {
         let mut bench = Bench::new();
@@ -232,7 +234,7 @@ mod tests {
         assert_eq!((bytes[0], bytes.iter().filter(|byte| **byte == 0).count()), (0, 2));
         let answers = Bench::answers(&bytes[1..]);
         assert!(matches!(answers[..], [ToHost::Response { seq: 1, result: Ok(Reply::Hello(_)) }]), "{answers:?}");
-        // Damaged bytes are counted, and the next frame is taken.
+        // Damaged bytes are counted, and the next frame is accepted.
         bench.to_board.put(b"\x05noise\0");
         bench.ask(2, Request::Stats);
         bench.tasks.settle();
@@ -240,7 +242,7 @@ mod tests {
         assert_eq!(bytes.iter().filter(|byte| **byte == 0).count(), 1);
         let stats = DeviceStats { frames: 2, bad_frames: 1, ..DeviceStats::default() };
         assert_eq!(Bench::answers(&bytes), [ToHost::Response { seq: 2, result: Ok(Reply::Stats(stats)) }]);
-        // A request that came with a later version, and one whose checksum is too short for a command.
+        // A request of a later version, and one whose checksum is too short for a command.
         for unknown in [
             encode_with(&(0u8, 3u16, 200u8), Check::Long, &mut [0; MAX_FRAME]).expect("it fits").to_vec(),
             encode_with(&ToDevice::Request { seq: 3, request: Request::Arm }, Check::Short, &mut [0; MAX_FRAME])

@@ -1,28 +1,28 @@
-//! The log of a board's firmware, for hosts that ask for it. What is in it is between the program on the board and whoever has
-//! its ELF; here it is bytes.
+//! Log of a board's firmware, for hosts that ask for it. Here it is bytes; decoding them needs the ELF of the firmware.
 //!
-//! Whoever logs never waits: what no host has read when [`SIZE`] more bytes are written is overwritten. Hosts see how much by
-//! the position of what they get.
+//! Logging never waits: when [`SIZE`] more bytes are written, unread ones are overwritten. Hosts see how much they have
+//! missed by the position of the bytes they get.
 
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
 use embassy_time::{Duration, Instant};
 use r4_protocol::log::{LogChunk, MAX_LOG};
 
-/// Bytes that are kept.
+/// Size of the ring, bytes.
 pub const SIZE: usize = 1024;
-/// Each time, at most one message leaves, behind all answers and telemetry: 6.4 kB/s, 7 % of the slowest link but CAN.
+/// Interval between two log messages, behind all answers and telemetry: 6.4 kB/s, 7 % of the slowest link but CAN.
 const PERIOD: Duration = Duration::from_millis(10);
 
-// Positions wrap at 2^32, and so must places.
+// Positions wrap at 2^32, so indices modulo SIZE must wrap there too.
 const _: () = assert!(SIZE.is_power_of_two());
 
-/// The last bytes of a log.
+/// Ring with the last bytes of a log.
 ///
-/// One writer at a time, which no reader interrupts: on the board a critical section, of which all readers are tasks.
+/// There is one writer at a time, which no reader interrupts: on the board it is a critical section, and all readers
+/// are tasks.
 pub struct Ring {
     bytes: [AtomicU8; SIZE],
-    /// How many were ever written, wrapping.
+    /// Number of bytes ever written, wrapping.
     written: AtomicU32,
 }
 
@@ -33,25 +33,25 @@ impl Default for Ring {
 }
 
 impl Ring {
-    /// With nothing in it.
+    /// Creates an empty ring.
     #[must_use]
     pub const fn new() -> Self {
         Self { bytes: [const { AtomicU8::new(0) }; SIZE], written: AtomicU32::new(0) }
     }
 
-    /// Where the bytes are: number n of all that were ever written at place n modulo [`SIZE`].
+    /// Address of the bytes: byte number n of all ever written is at index n modulo [`SIZE`].
     #[must_use]
     pub const fn place(&self) -> *const AtomicU8 {
         self.bytes.as_ptr()
     }
 
-    /// How many were ever written, wrapping.
+    /// Number of bytes ever written, wrapping.
     #[must_use]
     pub fn written(&self) -> u32 {
         self.written.load(Ordering::Acquire)
     }
 
-    /// Appends, over the oldest.
+    /// Appends `bytes`, overwriting the oldest.
     pub fn push(&self, bytes: &[u8]) {
         let mut at = self.written.load(Ordering::Relaxed);
         for byte in bytes {
@@ -66,14 +66,14 @@ impl Ring {
         self.written().saturating_sub(SIZE as u32)
     }
 
-    /// What was written from `position` on and is still kept, as much as a message holds.
+    /// Reads the bytes from `position` on that are still kept, as many as a message holds.
     fn read(&self, position: u32) -> LogChunk {
         loop {
             let behind = self.written().wrapping_sub(position) as usize;
             let position = position.wrapping_add(behind.saturating_sub(SIZE) as u32);
             let place = |index: usize| &self.bytes[(position as usize).wrapping_add(index) % SIZE];
             let bytes = (0..behind.min(SIZE).min(MAX_LOG)).map(|index| place(index).load(Ordering::Relaxed)).collect();
-            // What was logged meanwhile may be what was just read.
+            // Read again if new bytes may have overwritten those just read.
             if self.written().wrapping_sub(position) as usize <= SIZE {
                 return LogChunk { position, bytes };
             }
@@ -81,16 +81,16 @@ impl Ring {
     }
 }
 
-/// A board's log.
+/// Log of a board, with its image.
 #[derive(Clone, Copy)]
 pub struct Log {
-    /// Where the firmware logs to.
+    /// Ring that the firmware logs to.
     pub ring: &'static Ring,
-    /// By [`r4_protocol::log::fingerprint`]: which image it is whose ELF decodes it.
+    /// Fingerprint of the image whose ELF decodes the log, by [`r4_protocol::log::fingerprint`].
     pub image: u32,
 }
 
-/// What the host of one link was given of it, and when there may be more.
+/// Position up to which the host of one link has read, and the time of its next message; `None` without a request.
 #[derive(Default)]
 pub(crate) struct Feed(Option<(u32, Instant)>);
 
@@ -99,7 +99,7 @@ impl Feed {
         self.0 = None;
     }
 
-    /// From the oldest that is kept on, if it has not begun.
+    /// Begins with the oldest byte that is kept, unless the feed has begun.
     pub(crate) fn begin(&mut self, log: &Log, now: Instant) {
         self.0.get_or_insert_with(|| (log.ring.oldest(), now));
     }
@@ -108,7 +108,7 @@ impl Feed {
         self.0.map_or(Instant::MAX, |(_, due)| due)
     }
 
-    /// What is there now, if anything.
+    /// Next message of the log; `None` without new bytes.
     pub(crate) fn chunk(&mut self, log: &Log) -> Option<LogChunk> {
         let (position, due) = self.0.as_mut()?;
         *due = Instant::now() + PERIOD;
@@ -141,11 +141,12 @@ mod tests {
             read.extend(chunk.bytes);
         }
         assert_eq!(read, all);
-        // A debugger finds them there.
+        // A debugger finds the bytes there.
         assert_eq!(ring.place(), ring.bytes.as_ptr());
     }
 
-    /// From the oldest on, at most a message each 10 ms; a second request does not begin anew.
+    /// The feed begins with the oldest byte and sends at most a message each 10 ms; a second request does not restart
+    /// it.
     #[test]
     fn a_host_is_fed_message_by_message() {
         let ring: &'static Ring = std::boxed::Box::leak(std::boxed::Box::default());
@@ -164,7 +165,7 @@ mod tests {
             tasks.advance(PERIOD);
             feed.begin(&log, begin);
         }
-        // Nothing new.
+        // No new bytes.
         assert_eq!((feed.chunk(&log), feed.next_due()), (None, begin + PERIOD * 3));
         ring.push(b"more");
         assert_eq!(feed.chunk(&log).map(|chunk| chunk.position), Some(all.len() as u32));

@@ -25,22 +25,22 @@ use r4_protocol::{Refusal, Reply, Request, message::MAX_RAW};
 
 use crate::platform::Bus;
 
-/// Connectors of each kind.
+/// Number of connectors of each kind.
 pub const CONNECTORS: usize = 2;
-/// From asking to the answer, the wait for other links' requests included.
+/// Time limit of a request, waiting for other links' requests included.
 pub const TIMEOUT: Duration = Duration::from_millis(100);
-/// For freeing a bus: nine clocks at 10 kHz, the slowest, are 1 ms.
+/// Time limit for freeing a bus: nine clocks at 10 kHz, the slowest, take 1 ms.
 const RECOVERY: Duration = Duration::from_millis(5);
-/// Before a receiver that failed is asked again: one that fails for ever must not keep the processor.
+/// Pause before a failed receiver is polled again: one that fails permanently must not keep the processor busy.
 const RECEIVER_PAUSE: Duration = Duration::from_millis(1);
-/// Most bytes of a UART connector that wait to be read: 22 ms at 115200 baud.
+/// Maximum number of received bytes of a UART connector that wait to be read: 22 ms at 115200 baud.
 const RING: usize = 256;
-/// Requests that can wait for their turn: more than a board has links.
+/// Maximum number of requests waiting for their turn: more than a board has links.
 const WAITING: usize = 8;
 
-/// What the connectors are.
+/// Hardware of the connectors.
 pub struct PassthroughIo<I, R, W> {
-    /// External I2C buses.
+    /// External I2C buses, by connector.
     pub i2c: [I; CONNECTORS],
     /// Receivers of the UART connectors.
     pub uart_rx: [R; CONNECTORS],
@@ -48,13 +48,13 @@ pub struct PassthroughIo<I, R, W> {
     pub uart_tx: [W; CONNECTORS],
 }
 
-/// What [`run`](Passthrough::run) and the links share.
+/// State shared by [`run`](Passthrough::run) and the links.
 ///
-/// One request is served at a time, links take turns in the order in which they asked. A request whose link dies is
-/// given up for the next one; it may or may not have been carried out by then.
+/// One request is served at a time, in the order of arrival. A request whose link dies is given up for the next one; it
+/// may or may not have been carried out by then.
 pub struct Passthrough<M: RawMutex> {
     turn: FairSemaphore<M, WAITING>,
-    /// Of the next job, so that nobody takes the answer to a request that was given up.
+    /// Identifier of the next job, so that the answer to an abandoned request is not taken for another's.
     next_id: Mutex<M, Cell<u32>>,
     job: Signal<M, Job>,
     answer: Signal<M, (u32, Result<Reply, Refusal>)>,
@@ -67,7 +67,8 @@ struct Job {
     deadline: Instant,
 }
 
-/// Bytes of one UART connector. When it is full the oldest go: whoever comes late wants what the device says now.
+/// Received bytes of one UART connector. When it is full the oldest are dropped: a late reader needs the device's
+/// latest output.
 struct Received {
     bytes: Deque<u8, RING>,
     lost: u32,
@@ -83,7 +84,7 @@ impl Received {
             self.bytes.pop_front();
             self.lost = self.lost.wrapping_add(1);
         }
-        // There is room now.
+        // There is always room: the oldest byte has been removed.
         let _ = self.bytes.push_back(byte);
     }
 
@@ -100,7 +101,7 @@ impl<M: RawMutex> Default for Passthrough<M> {
 }
 
 impl<M: RawMutex> Passthrough<M> {
-    /// Nothing asked, nothing received.
+    /// Creates the state without requests or received bytes.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -114,12 +115,12 @@ impl<M: RawMutex> Passthrough<M> {
 
     /// Carries out a [`Request::I2cTransfer`], [`Request::UartWrite`] or [`Request::UartRead`], within [`TIMEOUT`].
     ///
-    /// A UART write is done when the transmitter has taken the bytes. Reading never waits: there may be no bytes.
+    /// A UART write is done when the transmitter has taken the bytes. Reading never waits: the answer may be empty.
     ///
     /// # Errors
-    /// [`Refusal::BadTransfer`] for a connector, address or length that cannot be, a transfer of nothing, or another
-    /// request; [`Refusal::NoAcknowledge`] when nothing answers to the address; [`Refusal::TransferFailed`] for all else
-    /// that goes wrong: part of the bytes may then have gone out.
+    /// [`Refusal::BadTransfer`] for an invalid connector, address or length, an empty transfer, or another request;
+    /// [`Refusal::NoAcknowledge`] when no device answers to the address; [`Refusal::TransferFailed`] for all other
+    /// failures: part of the bytes may then have been sent.
     pub async fn request(&self, request: &Request) -> Result<Reply, Refusal> {
         check(request)?;
         if let Request::UartRead { port } = request {
@@ -141,13 +142,13 @@ impl<M: RawMutex> Passthrough<M> {
         answered.await.unwrap_or(Err(Refusal::TransferFailed))
     }
 
-    /// Bytes that UART connector `port` received and nobody read in time, since power-up, wrapping.
+    /// Number of bytes of UART connector `port` that were dropped unread since power-up, wrapping.
     #[must_use]
     pub fn lost(&self, port: usize) -> u32 {
         self.received.get(port).map_or(0, |received| received.lock(|received| received.borrow().lost))
     }
 
-    /// Serves requests, and receives from both UART connectors all the time.
+    /// Serves requests, and receives continuously from both UART connectors.
     pub async fn run<I: Bus, R: Read, W: Write>(&self, io: PassthroughIo<I, R, W>) -> ! {
         let PassthroughIo { i2c, uart_rx: [rx0, rx1], uart_tx } = io;
         let [received0, received1] = &self.received;
@@ -167,7 +168,7 @@ impl<M: RawMutex> Passthrough<M> {
             let carry_out = with_deadline(job.deadline, carry_out(&job.request, &mut i2c, &mut uart_tx));
             let result = match select(carry_out, self.job.wait()).await {
                 Either::First(in_time) => in_time.unwrap_or(Err(Refusal::TransferFailed)),
-                // It has its turn because whoever asked for this one is gone.
+                // A newer job has its turn only if the caller of this one is gone.
                 Either::Second(newer) => {
                     next = Some(newer);
                     Err(Refusal::TransferFailed)
@@ -237,7 +238,7 @@ async fn receive<M: RawMutex, R: Read>(mut rx: R, received: &Mutex<M, RefCell<Re
                 let mut received = received.borrow_mut();
                 buffer.iter().take(len).for_each(|byte| received.push(*byte));
             }),
-            // Overrun, framing error, break: the next bytes may be good again.
+            // Overrun, framing error or break: the next bytes may be good again.
             _ => Timer::after(RECEIVER_PAUSE).await,
         }
     }

@@ -1,4 +1,4 @@
-//! The points of a motor's path that are still to come.
+//! Path of a motor: its future points.
 
 use heapless::Deque;
 use r4_protocol::{
@@ -6,41 +6,41 @@ use r4_protocol::{
     message::{MAX_POINTS, PATH_POINTS},
 };
 
-/// A path may be dated so far ahead, µs: a host that dates it further has the board's clock wrong.
+/// Maximum lead of a path's date, µs: a host that dates it further has a wrong estimate of the board's clock.
 const AHEAD_MAX_US: u64 = 60_000_000;
 
-/// A point of a path with the speed there.
+/// Point of a path with its speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Knot {
-    /// On the board's clock.
+    /// Time of the point on the board's clock, µs.
     pub(crate) at_us: u64,
-    /// rad or m
+    /// Position, in rad or m.
     pub(crate) position: f32,
-    /// rad/s or m/s
+    /// Speed, in rad/s or m/s.
     pub(crate) speed: f32,
-    /// Duty on the way to it.
+    /// Feed-forward duty on the way to this point.
     pub(crate) feed_forward: f32,
 }
 
-/// What a motor sees of its path: the point it passed last, and the next.
+/// Segment of a motor's path: the point that it passed last, and the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Leg {
     pub(crate) passed: Option<Knot>,
     pub(crate) next: Option<Knot>,
 }
 
-/// What a path is checked against.
+/// Limits that a path is checked against.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
     pub(crate) channel: ChannelId,
-    /// Where the motor is, rad or m.
+    /// Present position of the motor, rad or m.
     pub(crate) position: f32,
-    /// rad/s or m/s
+    /// Highest speed, in rad/s or m/s.
     pub(crate) speed_max: f32,
     pub(crate) now_us: u64,
 }
 
-/// A motor's path from the last point it has passed.
+/// Path of a motor from the last point that it has passed.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Path {
     points: Deque<PathPoint, PATH_POINTS>,
@@ -53,7 +53,12 @@ impl Path {
         self.passed = None;
     }
 
-    /// Whether [`Path::splice`] would take `points`, whose numbers are finite and in the channel's range.
+    /// Checks that [`Path::splice`] can take `points`, whose numbers are finite and in the channel's range.
+    ///
+    /// # Errors
+    /// [`Refusal::BadPath`] for no points or times that do not increase, [`Refusal::Late`] for a first point in the
+    /// past, [`Refusal::ClockAhead`] for one too far ahead, [`Refusal::PathFull`] without room, [`Refusal::TooFast`]
+    /// beyond the highest speed.
     pub(crate) fn check(&self, points: &[PathPoint], limits: &Limits) -> Result<(), Refusal> {
         let Limits { channel, position, speed_max, now_us } = *limits;
         let (Some(first), Some(last)) = (points.first(), points.last()) else {
@@ -78,7 +83,7 @@ impl Path {
         let mut before = kept().last().copied().unwrap_or(here);
         for point in points {
             let asked = fastest(&before, point);
-            // A tenth of a thousandth for roundings of the host.
+            // Tolerance of 1e-4 for rounding in the host.
             if asked > speed_max * 1.0001 {
                 return Err(Refusal::TooFast { channel, asked, limit: speed_max });
             }
@@ -87,7 +92,7 @@ impl Path {
         Ok(())
     }
 
-    /// Takes `points`, which were checked, in place of those from the first of them on.
+    /// Inserts `points`, which were checked, in place of the stored ones from the first of them on.
     pub(crate) fn splice(&mut self, points: &[PathPoint], now_us: u64) {
         let Some(first) = points.first() else { return };
         let passed = self.points.iter().take_while(|point| point.at_us <= now_us).count();
@@ -96,21 +101,21 @@ impl Path {
             self.points.pop_back();
         }
         for point in points {
-            // Of a ring whose points have been passed and not been looked at since, the oldest go.
+            // The oldest go if the ring is full of points that have been passed but not yet polled.
             if self.points.is_full() {
                 self.points.pop_front();
             }
-            // There is room now.
+            // There is always room: the oldest point has been removed.
             let _ = self.points.push_back(*point);
         }
     }
 
-    /// The points still to come before `from_us`.
+    /// Stored points that are still to come before `from_us`.
     fn kept(&self, from_us: u64, now_us: u64) -> impl Iterator<Item = &PathPoint> {
         self.points.iter().filter(move |point| point.at_us > now_us && point.at_us < from_us)
     }
 
-    /// Where the path leads at `now_us`.
+    /// Segment of the path at `now_us`.
     pub(crate) fn leg(&mut self, now_us: u64) -> Leg {
         while let Some(next) = self.next() {
             if next.at_us > now_us {
@@ -122,7 +127,7 @@ impl Path {
         Leg { passed: self.passed, next: None }
     }
 
-    /// The next point, with the speed that was given or that follows from its neighbours.
+    /// Next point, with its given speed or one derived from its neighbours.
     fn next(&self) -> Option<Knot> {
         let mut points = self.points.iter();
         let PathPoint { at_us, position, speed, feed_forward } = *points.next()?;
@@ -134,7 +139,7 @@ impl Path {
         let before = self.passed.map(|knot| slope((knot.at_us, knot.position), here));
         let after = points.next().map(|point| slope(here, (point.at_us, point.position)));
         let derived = match (before, after) {
-            // Of the parabola through the three.
+            // Slope of the parabola through the three points.
             (Some((before, before_s)), Some((after, after_s))) => {
                 (before * after_s + after * before_s) / (before_s + after_s)
             }
@@ -145,15 +150,15 @@ impl Path {
     }
 }
 
-/// The highest speed on the way between two points: of the chord, or of the cubic where it is known.
+/// Highest speed between two points: of the chord, or of the cubic if both speeds are given.
 fn fastest(from: &PathPoint, to: &PathPoint) -> f32 {
     let chord = (to.position - from.position) / (to.at_us.saturating_sub(from.at_us) as f32 * 1e-6);
     let ends = from.speed.unwrap_or(0.0).abs().max(to.speed.unwrap_or(0.0).abs());
     let (Some(start), Some(end)) = (from.speed, to.speed) else { return chord.abs().max(ends) };
-    // Its speed is a parabola over the time from 0 to 1.
+    // The speed of the cubic is a parabola over the time from 0 to 1.
     let (square, linear) = (3.0 * (start + end) - 6.0 * chord, 6.0 * chord - 4.0 * start - 2.0 * end);
     let at = -linear / (2.0 * square);
-    // Not for the NaN of a straight line.
+    // A straight line gives NaN, for which the comparison is false.
     let top = if at > 0.0 && at < 1.0 { start + linear * at / 2.0 } else { start };
     ends.max(top.abs())
 }
@@ -194,14 +199,15 @@ mod tests {
         assert_eq!(check(&[point(1_000_001, 0.0)]), Ok(()));
         assert_eq!(check(&[point(61_000_000, 0.0)]), Ok(()));
         assert_eq!(check(&[point(61_000_001, 0.0)]), Err(Refusal::ClockAhead { ahead_ms: 60_000 }));
-        // From where the motor is, between points, at a point, and on the cubic between two points that are slow enough.
+        // From the motor's position, between points, at a point, and on the cubic between two points that are slow
+        // enough.
         let fast = |asked| Err(Refusal::TooFast { channel: CHANNEL, asked, limit: 2.0 });
         assert_eq!(check(&[point(2_000_000, 2.0)]), Ok(()));
         assert_eq!(check(&[point(2_000_000, -2.5)]), fast(2.5));
         assert_eq!(check(&[point(2_000_000, 0.0), point(3_000_000, 2.5)]), fast(2.5));
         let at = |at_us, position, speed| PathPoint { speed: Some(speed), ..point(at_us, position) };
         assert_eq!(check(&[at(2_000_000, 0.0, -3.0)]), fast(3.0));
-        // 1.5 m/s of chord between two rests are 2.25 in the middle.
+        // A chord of 1.5 m/s between two rests gives 2.25 in the middle.
         assert_eq!(check(&[at(2_000_000, 0.0, 0.0), at(3_000_000, 1.5, 0.0)]), fast(2.25));
         assert_eq!(check(&[at(2_000_000, 0.0, 1.5), at(3_000_000, 1.5, 1.5)]), Ok(()), "a straight line");
     }
@@ -220,7 +226,7 @@ mod tests {
         assert_eq!(dates(&path), [50]);
     }
 
-    /// What has been passed does not count, whether the motor has looked at it since or not.
+    /// Points that have been passed do not count, whether the motor has polled since or not.
     #[test]
     fn a_full_ring_says_how_much_room_it_has() {
         let mut path = Path::default();

@@ -1,4 +1,4 @@
-//! What a board must offer beyond `embedded-hal-async` and `embedded-io-async`.
+//! Hardware interface of a board, beyond `embedded-hal-async` and `embedded-io-async`.
 
 use core::{
     future::poll_fn,
@@ -10,7 +10,7 @@ use embedded_hal_async::i2c::I2c;
 use crate::sensing::pulse::Pulse;
 
 /// Bytes for one chip, to be sent in one transfer.
-// Of whole words, which are copied without a call: a period copies up to 25.
+// Aligned to words, which are copied without a call: a period copies up to 25 writes.
 #[repr(align(4))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Write {
@@ -20,48 +20,49 @@ pub struct Write {
 }
 
 impl Write {
-    /// Most bytes, without the address: a register and the four bytes of each of four PWM outputs.
+    /// Maximum number of bytes, without the address: a register and the four bytes of each of four PWM outputs.
     pub const MAX: usize = 17;
 
-    /// The first `length` of `bytes` for the chip at `address`, 7 bits; all of them where it is more.
+    /// Creates a write of the first `length` of `bytes`, or all if that is more, to the chip at `address`, 7 bits.
     #[must_use]
     pub const fn new(address: u8, bytes: [u8; Self::MAX], length: usize) -> Self {
         let length = if length < Self::MAX { length } else { Self::MAX };
         Self { address, length: length as u8, bytes }
     }
 
-    /// Of the chip, 7 bits.
+    /// Address of the chip, 7 bits.
     #[must_use]
     pub const fn address(&self) -> u8 {
         self.address
     }
 
-    /// What it gets, without its address.
+    /// Bytes to send, without the address.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes[..usize::from(self.length)]
     }
 
-    /// Sends it in one transfer.
+    /// Sends the bytes in one transfer.
     ///
     /// # Errors
-    /// A failed transfer, as the bus tells it.
+    /// The bus's error, for a failed transfer.
     pub async fn send<B: I2c + ?Sized>(&self, bus: &mut B) -> Result<(), B::Error> {
         bus.write(self.address, self.bytes()).await
     }
 }
 
-/// An I2C bus that can be freed when a chip holds it.
+/// I2C bus that can be freed when a chip holds it.
 #[allow(async_fn_in_trait, reason = "single-core executors: futures need not be Send")]
 pub trait Bus: I2c {
     /// Clocks SCL nine times with SDA released, sends a STOP and starts the controller afresh (UM10204, 3.1.16).
     async fn recover(&mut self);
 
-    /// Sends `writes` one after the other, until one fails or `stops` says so: it is asked before each, and whenever the task is
-    /// woken, and is to have the task woken when its answer changes. The write that is under way then is sent to its end.
+    /// Sends `writes` one after the other, until one fails or `stops` returns true. `stops` is called before each write
+    /// and whenever the task is woken, and must have the task woken when its result changes. A write under way is then
+    /// completed.
     ///
-    /// Returns how many were sent, and why the next one was not. A board whose interrupts begin each write when the one before
-    /// ends spares the caller's task a wake for each.
+    /// Returns the number of writes sent, and the error of the next one, if any. A board whose interrupts begin each
+    /// write when the one before ends spares the caller's task a wake for each.
     async fn write_all(
         &mut self,
         writes: &[Write],
@@ -71,7 +72,10 @@ pub trait Bus: I2c {
     }
 }
 
-/// [`Bus::write_all`] for a controller that does one transfer at a time.
+/// Implements [`Bus::write_all`] for a controller that does one transfer at a time.
+///
+/// # Errors
+/// The bus's error of the first write that failed.
 pub async fn write_each<B: I2c + ?Sized>(
     bus: &mut B,
     writes: &[Write],
@@ -102,17 +106,18 @@ impl<B: Bus> Bus for &mut B {
     }
 }
 
-/// The quadrature counters: four counts to an encoder line, wrapping at 16 bits.
+/// Quadrature counters: four counts per encoder line, wrapping at 16 bits.
 pub trait Encoders {
-    /// The present count of encoder `index`. Numbers the board does not have read 0.
+    /// Present count of encoder `index`; 0 for an encoder that the board does not have.
     fn count(&mut self, index: u8) -> u16;
 
-    /// Transitions of encoder `index` since power-up in which both tracks changed, which no shaft does; 0 where a timer
-    /// counts, for it cannot tell.
+    /// Number of transitions of encoder `index` since power-up in which both tracks changed, which no shaft does; 0
+    /// where a timer counts, because it cannot detect them.
     fn illegal(&mut self, index: u8) -> u32;
 
-    /// The count of encoder `index` at its last index pulse since this was asked before: latched when the level of the switch input
-    /// of the same number becomes that of a closed switch. Always `None` where nothing latches.
+    /// Count of encoder `index` at its last index pulse since the last call: latched when the level of the switch input
+    /// of the same number becomes that of a closed switch. `None` without a new pulse, and always where nothing
+    /// latches.
     fn at_index(&mut self, _index: u8) -> Option<u16> {
         None
     }
@@ -120,106 +125,108 @@ pub trait Encoders {
 
 /// Inputs whose edges come by interrupts above the supervisor, which a storm of them would starve.
 pub trait EdgeInputs {
-    /// Whether the interrupt of a line is masked by its [`EdgeBudget`](crate::sensing::storm::EdgeBudget), or was until a moment
-    /// ago, so that edges are lost. Unmasks lines whose time has come. Called once in a control period.
+    /// Returns true while the interrupt of a line is masked by its [`EdgeBudget`](crate::sensing::storm::EdgeBudget),
+    /// or was until a moment ago, so that edges are lost. Unmasks lines whose time has come. Called once in a control
+    /// period.
     fn storm(&mut self) -> bool;
 }
 
-/// The echo inputs of range connectors 0 and 1, where something sends pulses of its own.
+/// Echo inputs of range connectors 0 and 1, used for devices that send pulses on their own.
 pub trait PulseInputs {
-    /// The newest pulse at echo input `index`. Numbers the board does not have get none.
+    /// Newest pulse at echo input `index`; `None` without one, or for an input that the board does not have.
     fn pulse(&mut self, index: u8) -> Option<Pulse>;
 }
 
-/// What the control task takes of the processor.
+/// Processor time of the control task.
 pub trait ControlCycles {
-    /// Cycles in a second; 0 where they are not counted.
+    /// Cycles per second; 0 where they are not counted.
     const CYCLES_HZ: u32;
 
-    /// Cycles that the control task took until it was last entered, with those of the interrupts that came meanwhile; wrapping.
+    /// Cycles of the control task until it was last entered, with those of the interrupts meanwhile; wrapping.
     fn control_cycles(&mut self) -> u32;
 }
 
-/// The switches beside the encoders.
+/// Switch inputs beside the encoders.
 pub trait SwitchInputs {
-    /// The level of switch input `index`. Inputs are pulled up; numbers the board does not have read high.
+    /// Level of switch input `index`. Inputs are pulled up; one that the board does not have reads high.
     fn is_high(&mut self, index: u8) -> bool;
 }
 
-/// The processor's own analog outputs.
+/// Analog outputs of the processor itself.
 pub trait AnalogOutputs {
-    /// Sets output `index` to a share of the reference, 0..=4095 of 4096. Numbers the board does not have do nothing.
+    /// Sets output `index` to a share of the reference, 0..=4095 of 4096. An output that the board does not have is
+    /// ignored.
     fn set(&mut self, index: u8, code: u16);
 }
 
-/// The divided analog inputs, sampled by hardware at least once per control period.
+/// Divided analog inputs, sampled by hardware at least once per control period.
 pub trait AnalogInputs {
-    /// The latest code of input `index`, 0..=65535 for 0 V to the reference. Numbers the board does not have read 0.
+    /// Latest code of input `index`, 0..=65535 for 0 V to the reference; 0 for an input that the board does not have.
     fn code(&mut self, index: u8) -> u16;
 }
 
-/// Words that outlive every reset of the processor, though not the loss of its power: one for each motor, by
+/// Words that survive every reset of the processor, but not the loss of its power: one for each motor, by
 /// [`MAX_MOTORS`](r4_protocol::config::MAX_MOTORS).
 pub trait KeptWords {
-    /// What was kept at `index` last, by whichever firmware; anything after the loss of power. Numbers there are not read 0.
+    /// Word last kept at `index`, by this or another firmware; arbitrary after a loss of power, and 0 beyond the last.
     fn kept(&mut self, index: usize) -> u32;
-    /// Keeps `word`, in one piece. Numbers there are not do nothing.
+    /// Stores `word` atomically; ignored beyond the last index.
     fn keep(&mut self, index: usize, word: u32);
 }
 
-/// What one stepper driver's lines do, and when.
+/// Event on the lines of one stepper driver, with its time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepEvent {
     /// Tick of the steppers' clock, wrapping.
     pub at: u32,
-    /// What happens then.
+    /// Action at that tick.
     pub action: StepAction,
 }
 
-/// What one stepper driver's lines do.
+/// Action on the lines of one stepper driver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StepAction {
     /// One pulse: active from the event's tick for [`Steppers::PULSE_TICKS`].
     Pulse,
-    /// The direction line turns: `true` for positive.
+    /// Turn of the direction line: `true` for positive.
     Direction(bool),
 }
 
-/// The step/direction drivers: a clock, a queue of events for each axis, one enable for all.
+/// Step/direction drivers: a clock, a queue of events for each axis, one enable for all.
 ///
-/// Events carry the tick at which they happen, so that how late the control loop runs moves no edge. A queue holds the
-/// events of 2.5 control periods at the highest rate. Numbers of axes the board does not have do nothing and read 0.
+/// Events carry the tick at which they happen, so that the control loop's delay moves no edge. A queue holds the events
+/// of 2.5 control periods at the highest rate. Axes that the board does not have are ignored and read 0.
 ///
-/// With a timer for each axis that runs through in PWM mode, its compare output is the pulse and its update interrupt, one
-/// for each event, loads the ticks to the next as the reload value, both preloaded. Gaps beyond the reload register are
-/// cut into stretches without a pulse, an idle axis too: the sum of all stretches is the clock. The timers start together
-/// and run from one source, so that the sum is the same for all.
+/// A possible implementation has a timer for each axis that runs through in PWM mode: its compare output is the pulse,
+/// and its update interrupt, one for each event, loads the ticks to the next as the reload value, both preloaded. Gaps
+/// beyond the reload register are divided into stretches without a pulse, also on an idle axis: the sum of all
+/// stretches is the clock. The timers start together and run from one source, so that the sum is the same for all.
 pub trait Steppers {
-    /// Ticks in a second of the clock that all axes share.
+    /// Frequency of the clock that all axes share, Hz.
     const TICK_HZ: u32;
-    /// How long a pulse is active.
+    /// Length of a pulse, ticks.
     const PULSE_TICKS: u32;
-    /// A direction line turns at its tick or at most this much later: an interrupt writes it. Pulses are exact.
+    /// Longest delay of a direction line after its tick, because an interrupt writes it. Pulses are exact.
     const DIRECTION_LATENCY_TICKS: u32;
 
-    /// The present tick, wrapping.
+    /// Present tick of the clock, wrapping.
     fn now(&mut self) -> u32;
-    /// Sets the level of the enable line that all share.
+    /// Sets the level of the enable line that all axes share.
     fn enable(&mut self, high: bool);
     /// Appends events, which are in order of time and in the future; returns how many found room, counted from the first.
     fn queue(&mut self, axis: u8, events: &[StepEvent]) -> usize;
-    /// All axes have been told the events of a period: hardware that is set up for them is set up now.
+    /// Called when the events of a period have been queued for all axes, for hardware that is then set up.
     fn queued(&mut self) {}
-    /// Events not yet carried out.
+    /// Number of events not yet carried out.
     fn pending(&mut self, axis: u8) -> u32;
-    /// Pulses made with the direction line positive less those with it negative, since power-up, wrapping.
+    /// Pulses made with the direction line positive minus those with it negative, since power-up, wrapping.
     fn position(&mut self, axis: u8) -> i32;
-    /// Drops what is queued, at once and for good: when this returns, [`Steppers::position`] is final. A pulse that has
-    /// begun is completed and counted. The direction line stays as it is.
+    /// Drops the queue, immediately and permanently: when this returns, [`Steppers::position`] is final. A pulse that
+    /// has begun is completed and counted. The direction line stays as it is.
     fn stop(&mut self, axis: u8);
 }
 
-/// Everything of the processor that the control loop uses, in one.
+/// All peripherals of the processor that the control loop uses.
 pub trait Peripherals:
     Encoders + EdgeInputs + PulseInputs + AnalogInputs + SwitchInputs + AnalogOutputs + Steppers + KeptWords + ControlCycles
 {
@@ -238,31 +245,32 @@ impl<P> Peripherals for P where
 {
 }
 
-/// The ultrasonic range sensors: trigger outputs, and echo inputs captured by hardware with a resolution of 1 µs.
+/// Ultrasonic range sensors: trigger outputs, and echo inputs captured by hardware with a resolution of 1 µs.
 pub trait Ranging {
-    /// Drives the trigger of sensor `index`. Numbers the board does not have do nothing.
+    /// Drives the trigger of sensor `index`. A sensor that the board does not have is ignored.
     fn trigger(&mut self, index: u8, high: bool);
 
-    /// Forgets the edges captured at the echo of sensor `index`.
+    /// Clears the edges captured at the echo of sensor `index`.
     fn clear(&mut self, index: u8);
 
-    /// The echo of sensor `index` since the last [`Ranging::clear`]. Numbers the board does not have are idle.
+    /// State of the echo of sensor `index` since the last [`Ranging::clear`]; idle for a sensor that the board does not
+    /// have.
     fn echo(&mut self, index: u8) -> EchoState;
 }
 
-/// An echo input since its capture was cleared.
+/// State of an echo input since its capture was cleared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EchoState {
-    /// Low, and no whole pulse was captured: one whose beginning was cleared does not count.
+    /// Low, and no complete pulse was captured: one whose beginning was cleared does not count.
     Idle,
-    /// High, also when it has been since before the capture was cleared.
+    /// High, also if since before the capture was cleared.
     High {
-        /// For how long, as far as that was captured.
+        /// Duration so far, as far as it was captured.
         since_us: u32,
     },
-    /// A whole pulse was captured: the first.
+    /// A complete pulse was captured: the first.
     Done {
-        /// Its length.
+        /// Width of the pulse, µs.
         width_us: u32,
     },
 }
@@ -280,7 +288,7 @@ mod tests {
 
     const CHIP: u8 = 0x20;
 
-    /// Three writes to registers 1 to 3, up to the one that a stop or a failure comes before; by the bus and by who borrows it.
+    /// Three writes to registers 1 to 3 are sent until a stop or a failure, by the bus and by a borrowed one.
     #[test]
     fn writes_are_sent_until_a_stop_or_a_failure() {
         fn check<B: Bus>(mut bus: B, registers: &Registers) {

@@ -1,4 +1,4 @@
-//! The ranging task: pings the range sensors, one after the other.
+//! Ranging task: pings the range sensors, one after the other.
 
 use core::future::pending;
 
@@ -11,17 +11,18 @@ use crate::{
     sensing::range::{Echo, LOST_AFTER, RangeReading, RangeSensor},
 };
 
-/// From one ping to the next, of the same sensor or of another.
+/// Interval between two pings, of the same sensor or of different ones.
 ///
-/// The datasheet wants 60 ms between the pings of one sensor, for late echoes to die away: in 60 ms sound goes 10 m there
-/// and back. Another sensor hears the same echoes, so it waits as long: two sensors are read every 120 ms, four every
+/// The datasheet requires 60 ms between the pings of one sensor, for late echoes to die away: in 60 ms sound travels 10
+/// m and back. Another sensor hears the same echoes, so it waits as long: two sensors are read every 120 ms, four every
 /// 240 ms.
 pub const TURN: Duration = Duration::from_millis(60);
-/// The datasheet wants 10 µs; the clock's tick of 1 µs may cut one off at either end.
+/// Length of the trigger pulse: the datasheet requires 10 µs; the clock's tick of 1 µs may cut one off at either end.
 const TRIGGER: Duration = Duration::from_micros(12);
-/// From the trigger on: an echo starts after about 0.5 ms and ends at the latest, without a target, 38 ms later.
+/// Longest wait for the echo's end, from the trigger on: an echo starts after about 0.5 ms and ends at the latest,
+/// without a target, 38 ms later.
 const WAIT: Duration = Duration::from_millis(40);
-/// How often the capture is looked at, and with it how late a reading is.
+/// Interval of polling the capture, which is also the delay of a reading.
 const POLL: Duration = Duration::from_millis(1);
 
 /// Time between two readings of one of `sensors` sensors.
@@ -30,8 +31,8 @@ pub fn cycle(sensors: usize) -> Duration {
     TURN * sensors as u32
 }
 
-/// Whether a sensor with a limit says that the board must stop, or has not been heard of for so long that the ranging
-/// task itself must be dead. `readings` are the newest published, in the order of `config`.
+/// Returns true if a sensor with a limit asks for a stop, or has not reported for so long that the ranging task itself
+/// must be dead. `readings` are the newest published, in the order of `config`.
 #[must_use]
 pub fn must_stop(config: &[RangeConfig], readings: &[RangeReading], now: Instant) -> bool {
     // One cycle more than a sensor may miss answers: pings that end late are not yet a dead task.
@@ -41,7 +42,7 @@ pub fn must_stop(config: &[RangeConfig], readings: &[RangeReading], now: Instant
     })
 }
 
-/// Pings the sensors of `config` in turn for ever and gives each outcome to `publish`, with the sensor's place in
+/// Pings the sensors of `config` in turn indefinitely and passes each result to `publish`, with the sensor's place in
 /// `config`, within 1 ms of the end of its echo.
 ///
 /// A sensor whose echo does not end keeps its turn but is not triggered, which it would ignore; the others go on.
@@ -106,7 +107,8 @@ mod tests {
         RangeConfig { id: ChannelId::new(ChannelKind::Range, index), range_m: Range::new(0.02, 4.0), stop_below_m }
     }
 
-    /// Four cycles, to the microsecond, whichever sensor is silent; a sensor that only measures stops nothing.
+    /// A silence of more than four cycles, to the microsecond, stops for any sensor with a limit; one without a limit
+    /// stops nothing.
     #[test]
     fn silence_beyond_four_cycles_stops_for_each_sensor_with_a_limit() {
         let begin = Instant::now();
@@ -131,13 +133,13 @@ mod tests {
         assert!(!must_stop(&[], &[], begin));
     }
 
-    /// What is before a sensor, or wrong with it.
+    /// Situation of a sensor: target or fault.
     #[derive(Clone, Copy, Debug)]
     enum Front {
-        /// The echo rises 500 µs after the trigger, for this long.
+        /// Echo that rises 500 µs after the trigger, for this long.
         Echo(Duration),
         Unplugged,
-        /// The echo line is high from this age of the last trigger on.
+        /// Echo line that is high from this age of the last trigger on.
         HighFrom(Duration),
         Shorted,
     }
@@ -145,12 +147,12 @@ mod tests {
     #[derive(Clone, Copy, Debug, PartialEq)]
     enum Event {
         Cleared,
-        /// How long the trigger was high.
+        /// Length of a trigger pulse.
         Triggered(Duration),
         Published(usize, RangeReading),
     }
 
-    /// Sensors by their connectors, and what happened when; of what was published, the place is the connector.
+    /// Sensors by their connectors, and events with their times; for published readings the place is the connector.
     struct Bench {
         fronts: [Front; 2],
         triggered: [Option<Instant>; 2],
@@ -190,7 +192,7 @@ mod tests {
         }
     }
 
-    /// Sixteen turns of two sensors, of which the one at connector 1 is the first.
+    /// Sixteen turns of two sensors; the one at connector 1 is the first.
     fn sixteen_turns(fronts: [Front; 2]) -> (Instant, Vec<(Instant, usize, Event)>) {
         let bench = Rc::new(RefCell::new(Bench { fronts, triggered: [None; 2], events: Vec::new() }));
         let (begin, seen, hardware) = (Instant::now(), bench.clone(), Hardware(bench.clone()));
@@ -206,8 +208,8 @@ mod tests {
         (begin, events)
     }
 
-    /// Turns of 60 ms, the first one of them waited for; each clears what was captured, triggers for 10 µs and more, and
-    /// publishes within a millisecond of the echo's end, or 40 ms after the trigger where there is none.
+    /// Turns take 60 ms, the first of which is waited for; each clears the capture, triggers for at least 10 µs, and
+    /// publishes within a millisecond of the echo's end, or 40 ms after the trigger without one.
     #[test]
     fn each_turn_tells_what_came_of_its_ping() {
         const NONE: Duration = Duration::from_millis(40);

@@ -13,7 +13,7 @@ pub(crate) use libm::{sqrt, sqrtf};
 #[allow(unsafe_code, reason = "one instruction between two registers, which touches nothing else")]
 pub(crate) fn sqrt(number: f64) -> f64 {
     let root;
-    // SAFETY: it reads and writes the two registers it is given, and flags that nobody reads.
+    // SAFETY: the instruction reads and writes only the two given registers, and flags that are not read.
     unsafe {
         core::arch::asm!("vsqrt.f64 {}, {}", lateout(dreg_low16) root, in(dreg_low16) number, options(pure, nomem, nostack))
     };

@@ -1,4 +1,4 @@
-//! What the tasks share. Every access is one short critical section; no task can make another wait for longer.
+//! State shared by the tasks. Every access is one short critical section; no task can make another wait for longer.
 
 use core::{cell::RefCell, future::Future, pin::pin, task::Context};
 
@@ -30,23 +30,23 @@ use crate::{
     storage::Storage,
 };
 
-/// Why the processor started.
+/// Cause of the processor's start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResetCause {
     /// Power, reset pin or a deliberate restart.
     Normal,
-    /// A watchdog bit: the firmware hung.
+    /// Watchdog reset: the firmware hung.
     Watchdog,
     /// The clock failed, and the processor reset itself.
     Clock,
-    /// The firmware ended badly several times in a row: nothing runs but links, and outputs are only held safe.
+    /// The firmware failed several times in a row: only links run, and outputs are held safe.
     RepeatedBadStarts,
-    /// The image in flash is not what was built: as above.
+    /// The image in flash differs from the built one: only links run, as above.
     DamagedImage,
 }
 
 impl ResetCause {
-    /// What trips the board from its start on; `None` after a start that is no trip.
+    /// Cause that trips the board from its start on; `None` after a start that is no trip.
     #[must_use]
     pub const fn cause(self) -> Option<Cause> {
         match self {
@@ -58,37 +58,37 @@ impl ResetCause {
         }
     }
 
-    /// Whether nothing runs but links, until the next start.
+    /// Returns true if only links run until the next start.
     const fn holds(self) -> bool {
         matches!(self, Self::RepeatedBadStarts | Self::DamagedImage)
     }
 }
 
-/// What a board starts when it restarts.
+/// Program that a board starts when it restarts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Restart {
-    /// This firmware.
+    /// This same firmware again.
     Firmware,
     /// The bootloader, which waits for another image.
     Bootloader,
 }
 
-/// What a motor or stepper does, as published by the control loop each period.
+/// Status of a motor or stepper, as published by the control loop each period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorStatus {
-    /// What it follows.
+    /// Set point that it follows.
     pub setpoint: Setpoint,
-    /// In counts of the channel's resolution.
+    /// Position, in counts of the channel's resolution.
     pub position: i32,
-    /// rad/s or m/s
+    /// Speed, in rad/s or m/s.
     pub speed: f32,
-    /// Share of the supply at the bridge.
+    /// Duty: share of the supply at the bridge.
     pub duty: f32,
-    /// In position mode: at the set point and at rest.
+    /// True at the set point and at rest; in position mode only.
     pub settled: bool,
-    /// Whether the position is known, and not only counted from where power came on.
+    /// True if the position is known, and not only counted from power-on.
     pub homed: bool,
-    /// How hot its winding is; `None` where nothing computes that.
+    /// Heat of its winding; `None` where it is not computed.
     pub winding: Option<Winding>,
 }
 
@@ -104,7 +104,7 @@ impl MotorStatus {
     };
 }
 
-/// What a channel does or shows now.
+/// Present status of a channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Status {
     Motor(MotorStatus),
@@ -114,24 +114,24 @@ pub(crate) enum Status {
     Sensor { values: [f32; MAX_QUANTITIES], quality: Quality, taken: Instant },
 }
 
-/// Where the supervisor stands, for the other tasks.
+/// State of the supervisor, for the other tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SafetyView {
     pub(crate) state: SafetyState,
     pub(crate) causes: Causes,
-    /// Counts armings, so that a command from before the last one cannot be carried out after it.
+    /// Counter of armings, so that a command from before the last arming cannot be carried out after it.
     pub(crate) epoch: u16,
-    /// Motors are being braked before they are switched off: see [`BrakingStop`].
+    /// True while motors are braked before they are switched off: see [`BrakingStop`].
     pub(crate) braking: bool,
 }
 
-/// Channels that take commands; a brake is commanded beside its drive.
+/// Number of command slots; a brake is commanded beside its drive.
 const OUTPUTS: usize = MAX_MOTORS + 2 * MAX_BLDCS + MAX_SERVOS + STEPPERS + MAX_RELAYS + DAC_OUTPUTS;
-/// Most channels of a board, the dead-man's handle and the auxiliary stop with them.
+/// Maximum number of channels of a board, dead-man's handle and auxiliary stop included.
 const CHANNELS: usize =
     OUTPUTS - MAX_BLDCS + ENCODERS + SWITCHES + RANGE_SENSORS + ANALOG_INPUTS + MAX_SUPPLIES + MAX_SENSORS + 2;
 
-/// Where a channel's status is kept. Outputs come first, and their commands are kept in the same place.
+/// Index of a channel's status. Outputs come first, and their commands have the same index.
 fn slot(place: Place) -> usize {
     const BLDC: usize = MAX_MOTORS;
     const SERVO: usize = BLDC + MAX_BLDCS;
@@ -162,7 +162,8 @@ fn slot(place: Place) -> usize {
     }
 }
 
-/// Where the newest command of an output is kept; a brake's after all others, so that the next speed does not replace it.
+/// Index of an output's newest command; brakes come behind all others, so that the next speed does not replace a brake
+/// command.
 fn command_slot(place: Place, mode: Mode) -> usize {
     match (place, mode) {
         (Place::Bldc(index), Mode::Brake) => OUTPUTS - MAX_BLDCS + index,
@@ -170,24 +171,24 @@ fn command_slot(place: Place, mode: Mode) -> usize {
     }
 }
 
-/// A set of outputs: a bit for each slot of a command.
+/// Set of outputs: one bit per command slot.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Commanded(u64);
 
 const _: () = assert!(OUTPUTS <= u64::BITS as usize, "a bit for each slot");
 
 impl Commanded {
-    /// Whether an output has a command; for a brushless drive, another than to its brake.
+    /// Returns true if an output has a command; for a brushless drive, one other than to its brake.
     pub(crate) fn has(self, place: Place) -> bool {
         self.has_slot(slot(place))
     }
 
-    /// Whether the brake of a brushless drive has one.
+    /// Returns true if the brake of a brushless drive has a command.
     pub(crate) fn has_brake(self, bldc: usize) -> bool {
         self.has_slot(command_slot(Place::Bldc(bldc), Mode::Brake))
     }
 
-    /// Those of `count` outputs that have a command, by their indices; `first` is the first of their kind.
+    /// Indices of those of `count` outputs that have a command; `first` is the first of their kind.
     pub(crate) fn among(self, first: Place, count: usize) -> impl Iterator<Item = usize> {
         let mut left = (self.0 >> slot(first)) as u32;
         let indices = core::iter::from_fn(move || {
@@ -203,7 +204,7 @@ impl Commanded {
     }
 }
 
-/// The one host session a board can have.
+/// Session of the board's single host.
 #[derive(Clone, Copy, Debug)]
 struct Session {
     id: u16,
@@ -211,18 +212,18 @@ struct Session {
     last_heartbeat: Instant,
 }
 
-/// A set point that was taken.
+/// Set point that was accepted.
 #[derive(Clone, Copy, Debug)]
 struct Given {
     setpoint: Setpoint,
-    /// When the host decided it, on the board's clock; never later than its arrival, because one dated ahead must not make all that
-    /// follow look older.
+    /// Time of the host's decision, on the board's clock, µs; limited to its arrival, because a date ahead must not
+    /// make all following ones look older.
     sent_us: u64,
-    /// The date it came with.
+    /// Date that it came with, µs.
     dated_us: u64,
 }
 
-/// A set point of a cycle: followed for so long, unless another comes.
+/// Lease of a cycle's set point: followed until then, unless another comes.
 #[derive(Clone, Copy, Debug)]
 struct Lease {
     place: Place,
@@ -230,66 +231,66 @@ struct Lease {
     until: Instant,
 }
 
-/// Channels that cycles can move.
+/// Maximum number of leases: all channels that cycles can move.
 const LEASES: usize = MAX_MOTORS + MAX_BLDCS + STEPPERS;
 
 struct State {
     safety: Safety,
     epoch: u16,
-    /// How long a stop may brake, and the one that does.
+    /// Time for which a stop may brake, and the present braking stop.
     brake: Duration,
     braking_stop: Option<BrakingStop>,
-    /// Causes that hold now, by the supervisor's last look.
+    /// Causes present at the supervisor's last pass.
     present: Causes,
-    /// Causes that hold now, by the control loop's last period.
+    /// Causes present at the control loop's last period.
     control_causes: Causes,
-    /// Causes that the processor sees by its own detectors.
+    /// Causes that the processor's own detectors report.
     processor_causes: Causes,
-    /// `None` until the control loop runs.
+    /// Time of the last control tick; `None` until the control loop runs.
     last_tick: Option<Instant>,
     session: Option<Session>,
     next_session: u16,
-    /// With the arming they were given in.
+    /// Newest command of each output, with the epoch of its arming.
     commands: [Option<(u16, Setpoint)>; OUTPUTS],
-    /// Which of these there are.
+    /// Set of outputs that have a command.
     commanded: Commanded,
     /// Newest set point that each output was given in this arming.
     given: [Option<Given>; OUTPUTS],
-    /// One for each channel at most.
+    /// Leases, at most one for each channel.
     leases: Vec<Lease, LEASES>,
-    /// Of each motor.
+    /// Paths, one for each motor.
     paths: [Path; MAX_MOTORS],
-    /// Of the position and of the speed loop.
+    /// New gains of the position and of the speed loop.
     gains: [[Option<PidGains>; 2]; MAX_MOTORS],
     tunings: [Option<Tuning>; MAX_MOTORS],
     started: bool,
-    /// Only links run; whoever started them holds the outputs safe.
+    /// True if only links run; the starting code then holds the outputs safe.
     held: bool,
     ranges: [RangeReading; RANGE_SENSORS],
-    /// Trips since the start, and the causes of the last.
+    /// Number of trips since the start, and the causes of the last one.
     trips: u32,
     trip_causes: Causes,
-    /// How many hold arming back: something is done that must not be while outputs move.
+    /// Number of operations that must not run while outputs move, and therefore prevent arming.
     arming_held: u8,
-    /// The configuration as hosts have changed it; it holds from the next start on, if it is saved.
+    /// Configuration as changed by hosts; takes effect at the next start, if it is saved.
     pending: BoardConfig,
     statuses: [Status; CHANNELS],
-    /// When the positions in them were measured.
+    /// Time of the measurement of the positions in `statuses`.
     measured: Instant,
     stats: DeviceStats,
 }
 
-/// What the tasks of one board share.
+/// State that the tasks of one board share.
 pub struct Shared<M: RawMutex> {
     config: BoardConfig,
     built_in: BoardConfig,
     state: Mutex<M, RefCell<State>>,
-    /// Wakes the supervisor: the state changed or must be looked at.
+    /// Wakes the supervisor: the state has changed or must be checked.
     pub(crate) supervisor: Signal<M, ()>,
     /// Wakes the control loop out of turn: outputs must be made safe.
     pub(crate) make_safe: Signal<M, ()>,
     restart: Signal<M, Restart>,
-    /// What is kept over a restart; [`crate::storage::run`] serves it.
+    /// Storage over a restart; [`crate::storage::run`] serves it.
     pub storage: Storage<M>,
     /// Raw access to connectors; its own task serves it.
     pub passthrough: Passthrough<M>,
@@ -298,8 +299,8 @@ pub struct Shared<M: RawMutex> {
 }
 
 impl<M: RawMutex> Shared<M> {
-    /// The state of a board that has just started with `config`: the configuration it was `built_in` with, and what was
-    /// saved of it since (see [`crate::storage::parameters::load`]).
+    /// Creates the state of a board that has just started with `config`: its `built_in` configuration with the saved
+    /// changes (see [`crate::storage::parameters::load`]).
     #[must_use]
     pub fn new(config: BoardConfig, built_in: BoardConfig, reset: ResetCause) -> Self {
         let safety = match reset.cause() {
@@ -312,7 +313,7 @@ impl<M: RawMutex> Shared<M> {
             statuses[slot(place)] = match place {
                 Place::Motor(_) | Place::Stepper(_) => Status::Motor(MotorStatus::IDLE),
                 Place::Encoder(_) => Status::Encoder { position: 0, speed: 0.0, illegal: 0 },
-                // Of a board that drives nothing: without pulses.
+                // A board that drives nothing gives no pulses.
                 Place::Servo(_) if !valid => Status::Scalar(f32::NAN),
                 Place::Range(_) | Place::Analog(_) => {
                     Status::Reading { value: 0.0, quality: Quality::None, taken: Instant::now() }
@@ -325,7 +326,7 @@ impl<M: RawMutex> Shared<M> {
         }
         let mut control_causes = Causes::NONE;
         control_causes.set(Cause::BadConfiguration, !valid);
-        // No task takes it away again: such a board cannot be armed before its next start.
+        // This cause is never removed: such a board cannot be armed before its next start.
         if let (true, Some(cause)) = (reset.holds(), reset.cause()) {
             control_causes.set(cause, true);
         }
@@ -351,7 +352,7 @@ impl<M: RawMutex> Shared<M> {
                 tunings: [None; MAX_MOTORS],
                 started: false,
                 held: reset.holds(),
-                // Silent from now on, and not from the beginning of time.
+                // Silence counts from now on, and not from time 0.
                 ranges: [RangeReading { updated: Instant::now(), ..RangeReading::NONE }; RANGE_SENSORS],
                 trips: u32::from(reset.cause().is_some()),
                 trip_causes: safety.causes(),
@@ -372,14 +373,14 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
-    /// The same on a board that has a log.
+    /// Adds the log of a board.
     #[must_use]
     pub fn with_log(mut self, log: Log) -> Self {
         self.log = Some(log);
         self
     }
 
-    /// The same on a board that runs an image in flash.
+    /// Adds the description of the image in flash.
     #[must_use]
     pub fn with_image(mut self, image: ImageInfo) -> Self {
         self.image = Some(image);
@@ -394,7 +395,7 @@ impl<M: RawMutex> Shared<M> {
         self.log.as_ref()
     }
 
-    /// The board's configuration.
+    /// Configuration of the board.
     #[must_use]
     pub fn config(&self) -> &BoardConfig {
         &self.config
@@ -404,7 +405,7 @@ impl<M: RawMutex> Shared<M> {
         self.state.lock(|state| f(&mut state.borrow_mut()))
     }
 
-    // Safety.
+    // Safety state.
 
     pub(crate) fn safety(&self) -> SafetyView {
         self.with(|s| SafetyView {
@@ -415,13 +416,13 @@ impl<M: RawMutex> Shared<M> {
         })
     }
 
-    /// Whether the state is another than in `view`. Where it is not, the control loop's task, of `context`, is woken when it is to
-    /// make safe.
+    /// Returns true if the state differs from `view`. Otherwise the control loop's task, of `context`, is woken when it
+    /// has to make outputs safe.
     pub(crate) fn has_changed(&self, view: SafetyView, context: &mut Context<'_>) -> bool {
         loop {
             let signalled = pin!(self.make_safe.wait()).poll(context).is_ready();
             if self.safety() != view {
-                // Taken back: the control loop looks once more when its period is over.
+                // Signal again, since the wait consumed it: the control loop checks once more when its period is over.
                 self.make_safe.signal(());
                 return true;
             }
@@ -431,13 +432,13 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
-    /// The state that a test begins with.
+    /// Sets the initial state of a test.
     #[cfg(test)]
     pub(crate) fn set_safety(&self, safety: Safety) {
         self.with(|s| s.safety = safety);
     }
 
-    /// Puts `event` to the state machine with the causes that are present, and wakes whoever must act on a change.
+    /// Applies `event` to the state machine with the present causes, and wakes the tasks that must react to a change.
     pub(crate) fn request(&self, event: Event) -> Result<(), Refusal> {
         let (changed, result) = self.with(|s| s.apply(event));
         if changed {
@@ -447,7 +448,7 @@ impl<M: RawMutex> Shared<M> {
         result
     }
 
-    /// A cause that the processor sees by its own detectors is present from now on, or no longer; for its interrupts.
+    /// Sets or clears a cause that the processor's own detectors report; may be called by interrupts.
     pub fn set_processor_cause(&self, cause: Cause, present: bool) {
         self.with(|s| s.processor_causes.set(cause, present));
         if present {
@@ -461,7 +462,8 @@ impl<M: RawMutex> Shared<M> {
         let _ = self.request(Event::Trip(Causes::only(cause)));
     }
 
-    /// The supervisor's look: `watched` are the causes it sees itself; those of the other tasks are added here.
+    /// Runs the supervisor's pass: `watched` are the causes that it detects itself; those of the other tasks are added
+    /// here.
     pub(crate) fn supervise(&self, mut watched: Causes, now: Instant) -> SafetyView {
         let link_timeout = Duration::from_millis(self.config.link_timeout_ms.into());
         let overrun = Duration::from_micros(u64::from(self.config.control_period_us) * CONTROL_OVERRUN_PERIODS);
@@ -471,7 +473,7 @@ impl<M: RawMutex> Shared<M> {
             watched.set(Cause::ControlOverrun, s.last_tick.is_some_and(|tick| since(tick, now) > overrun));
             watched.set(Cause::Proximity, ranging::must_stop(&self.config.ranges, &s.ranges, now));
             s.present = watched.union(s.control_causes).union(s.processor_causes);
-            // The deadline of a stop that brakes is looked at here, whatever the control loop does.
+            // The deadline of a braking stop is checked here, independently of the control loop.
             s.apply(Event::Tick).0
         });
         if changed {
@@ -480,9 +482,9 @@ impl<M: RawMutex> Shared<M> {
         self.safety()
     }
 
-    // Control.
+    // Control loop.
 
-    /// The brakes of the stop that ended this arming are written. Nothing where it is over.
+    /// Records that the brakes of the stop which ended the arming `epoch` are written. No effect if that stop is over.
     pub(crate) fn brakes_written(&self, epoch: u16) {
         self.with(|s| {
             if s.epoch == epoch {
@@ -495,7 +497,8 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.last_tick = Some(now));
     }
 
-    /// The control loop sets chips up, which takes longer than periods do; nothing is driven until its next tick.
+    /// Records that the control loop sets up chips, which takes longer than a period; nothing is driven until its next
+    /// tick.
     pub(crate) fn control_pauses(&self) {
         self.with(|s| s.last_tick = None);
     }
@@ -511,7 +514,7 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
-    /// What a range sensor shows; wakes the supervisor when that is a reason to stop.
+    /// Publishes the reading of a range sensor; wakes the supervisor when it is a reason to stop.
     pub fn publish_range(&self, index: usize, reading: RangeReading) {
         let taken = reading.measured.unwrap_or(Instant::MIN);
         self.with(|s| s.ranges[index] = reading);
@@ -522,17 +525,17 @@ impl<M: RawMutex> Shared<M> {
         }
     }
 
-    /// The newest command of this arming; one of a later arming is left for the next period.
+    /// Takes the newest command of this arming; one of a later arming is left for the next period.
     pub(crate) fn take_command(&self, output: Place, epoch: u16) -> Option<Setpoint> {
         self.take_from(slot(output), epoch)
     }
 
-    /// The newest command to the brake of a brushless drive, as [`Shared::take_command`].
+    /// Takes the newest command to the brake of a brushless drive, like [`Shared::take_command`].
     pub(crate) fn take_brake(&self, bldc: usize, epoch: u16) -> Option<bool> {
         self.take_from(command_slot(Place::Bldc(bldc), Mode::Brake), epoch).map(|setpoint| setpoint.value != 0.0)
     }
 
-    /// Which outputs have a command now, of whichever arming. What is given from here on is seen the next time.
+    /// Returns the outputs that have a command now, of any arming. Later commands show at the next call.
     pub(crate) fn commanded(&self) -> Commanded {
         self.with(|s| s.commanded)
     }
@@ -540,7 +543,7 @@ impl<M: RawMutex> Shared<M> {
     fn take_from(&self, slot: usize, epoch: u16) -> Option<Setpoint> {
         let taken = self.with(|s| {
             let taken = s.commands[slot].take_if(|(given, _)| *given == epoch);
-            // One of a later arming than the caller's is still to be taken.
+            // A command of a later arming than the caller's is still to be taken.
             if s.commands[slot].is_none() {
                 s.commanded.0 &= !(1 << slot);
             }
@@ -549,24 +552,24 @@ impl<M: RawMutex> Shared<M> {
         taken.map(|(_, setpoint)| setpoint)
     }
 
-    /// Commands the channels to rest whose cycles have stopped coming.
+    /// Commands those channels to rest whose cycles have stopped coming.
     pub(crate) fn end_leases(&self, now: Instant) {
         self.with(|s| {
             while let Some(place) = s.leases.iter().position(|lease| lease.until < now) {
                 let Lease { place, mode, .. } = s.leases.swap_remove(place);
-                // Leases are of the present arming.
+                // Cannot fail: leases are of the present arming.
                 let _ = s.command(place, at_rest(mode), now.as_micros());
                 s.stats.setpoints_expired = s.stats.setpoints_expired.wrapping_add(1);
             }
         });
     }
 
-    /// Where the path of a motor leads at `now_us`.
+    /// Segment of a motor's path at `now_us`.
     pub(crate) fn leg(&self, motor: usize, now_us: u64) -> Leg {
         self.with(|s| s.paths[motor].leg(now_us))
     }
 
-    /// The next new gains of some motor's loop, if there are any.
+    /// Takes the next new gains of some motor's loop; `None` without any.
     pub(crate) fn take_gains(&self) -> Option<(usize, Mode, PidGains)> {
         self.with(|s| {
             let (index, slot) = s.gains.as_flattened_mut().iter_mut().enumerate().find(|(_, gains)| gains.is_some())?;
@@ -575,7 +578,7 @@ impl<M: RawMutex> Shared<M> {
         })
     }
 
-    /// The next new tuning of some motor, if there is any.
+    /// Takes the next new tuning of some motor; `None` without any.
     pub(crate) fn take_tuning(&self) -> Option<(usize, Tuning)> {
         self.with(|s| {
             let (index, slot) = s.tunings.iter_mut().enumerate().find(|(_, tuning)| tuning.is_some())?;
@@ -583,12 +586,12 @@ impl<M: RawMutex> Shared<M> {
         })
     }
 
-    /// The outputs are in a known state, or could not be brought into one; hosts may be answered.
+    /// Records that the outputs are in a known state, or could not be brought into one; hosts may be answered.
     pub(crate) fn set_started(&self) {
         self.with(|s| s.started = true);
     }
 
-    /// Whether outputs are in a known state and every range sensor that can stop the board has been heard.
+    /// Returns true if outputs are in a known state and every range sensor that can stop the board has reported.
     pub(crate) fn has_started(&self) -> bool {
         self.with(|s| {
             let guards = self.config.ranges.iter().zip(&s.ranges).filter(|(range, _)| range.stop_below_m.is_some());
@@ -596,13 +599,13 @@ impl<M: RawMutex> Shared<M> {
         })
     }
 
-    /// Every cause of the last trip, also when it has been cleared since.
+    /// All causes of the last trip, also when it has been cleared since.
     #[must_use]
     pub fn trip_causes(&self) -> Causes {
         self.with(|s| s.trip_causes)
     }
 
-    /// Trips since the start of the board.
+    /// Number of trips since the start of the board.
     #[must_use]
     pub fn trips(&self) -> u32 {
         self.with(|s| s.trips)
@@ -612,7 +615,7 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.statuses[slot(place)] = status);
     }
 
-    /// The same for all of a kind, from the `first` on, in one critical section: what is short to compute.
+    /// Publishes all statuses of a kind, from `first` on, in one critical section; computing them must be short.
     pub(crate) fn publish_each(&self, first: Place, statuses: impl Iterator<Item = Status>) {
         self.with(|s| {
             let mut slots = s.statuses[slot(first)..].iter_mut();
@@ -624,12 +627,12 @@ impl<M: RawMutex> Shared<M> {
         });
     }
 
-    /// The motors' statuses that are being published are of a look at their sensors at `measured`.
+    /// Sets the time at which the sensors of the published motor statuses were read.
     pub(crate) fn set_measured(&self, measured: Instant) {
         self.with(|s| s.measured = measured);
     }
 
-    /// When what [`Shared::status`] shows was measured; `now`, where nobody measures any more.
+    /// Time at which the values of [`Shared::status`] were measured; `now` once measurements have stopped.
     pub(crate) fn measured(&self, now: Instant) -> Instant {
         let longest = Duration::from_micros(u64::from(self.config.control_period_us) * CONTROL_OVERRUN_PERIODS);
         let measured = self.with(|s| s.measured);
@@ -640,7 +643,7 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.statuses[slot(place)])
     }
 
-    /// The motors whose windings are close to what they withstand, in the order of the configuration.
+    /// Motors whose windings are close to their limit, in the order of the configuration.
     pub(crate) fn hot_windings(&self) -> Vec<HotWinding, MAX_MOTORS> {
         let motors = self.config.motors.iter().enumerate();
         self.with(|s| {
@@ -658,27 +661,27 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| f(&mut s.stats));
     }
 
-    // Configuration.
+    // Configuration and restart.
 
-    /// What the firmware was built with.
+    /// Configuration that the firmware was built with.
     pub(crate) fn built_in(&self) -> &BoardConfig {
         &self.built_in
     }
 
-    /// The configuration as hosts have changed it.
+    /// Configuration as changed by hosts.
     pub(crate) fn pending(&self) -> BoardConfig {
         self.with(|s| s.pending.clone())
     }
 
-    /// Takes a changed configuration. Of two hosts that change it at once, the later wins.
+    /// Sets the changed configuration. If two hosts change it at once, the later wins.
     pub(crate) fn set_pending(&self, config: BoardConfig) {
         self.with(|s| s.pending = config);
     }
 
-    /// Keeps the board from being armed for as long as the result lives.
+    /// Prevents arming for the lifetime of the result.
     ///
     /// # Errors
-    /// [`Refusal::NotWhile`] while it is.
+    /// [`Refusal::NotWhile`] while the board is armed.
     pub(crate) fn hold_arming(&self) -> Result<ArmingHeld<'_, M>, Refusal> {
         self.with(|s| match s.safety {
             Safety::Armed => Err(Refusal::NotWhile { state: SafetyState::Armed }),
@@ -690,10 +693,10 @@ impl<M: RawMutex> Shared<M> {
         Ok(ArmingHeld(self))
     }
 
-    /// Asks whoever runs the board to restart it, which cannot be armed any more.
+    /// Requests a restart of the board, which cannot be armed any more.
     ///
     /// # Errors
-    /// [`Refusal::NotWhile`] while it is armed, [`Refusal::NoBootloader`] where none has started it.
+    /// [`Refusal::NotWhile`] while it is armed, [`Refusal::NoBootloader`] without a bootloader that started the image.
     pub(crate) fn restart(&self, restart: Restart) -> Result<(), Refusal> {
         if restart == Restart::Bootloader && !self.image.is_some_and(|image| image.hosted) {
             return Err(Refusal::NoBootloader);
@@ -703,14 +706,15 @@ impl<M: RawMutex> Shared<M> {
         Ok(())
     }
 
-    /// Ready when a host has asked for a restart, which is only taken while the board is not armed.
+    /// Waits for a host's request to restart, which is accepted only while the board is not armed.
     pub async fn restart_requested(&self) -> Restart {
         self.restart.wait().await
     }
 
-    // Links.
+    // Links and sessions.
 
-    /// What the CAN controller has counted: how often it was off the bus, and how often its counters reached the warning limit.
+    /// Records the counters of the CAN controller: how often it was off the bus, and how often its error counters
+    /// reached the warning limit.
     pub fn note_can(&self, bus_off: u32, warnings: u32) {
         self.count(|stats| (stats.can_bus_off, stats.can_warnings) = (bus_off, warnings));
     }
@@ -724,12 +728,13 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.command(output, setpoint, sent_us))
     }
 
-    /// Stops `output` because a set point for it, decided at `sent_us`, was refused: the one it follows is not what the host
-    /// wants any more. An output that follows a set point decided later goes on, so that an old frame that comes late or
-    /// twice stops nothing. Of one that `expired` the same date is the same set point, and it goes on, too.
+    /// Stops `output` because a set point for it, decided at `sent_us`, was refused: the host no longer wants the one
+    /// in force. An output that follows a set point decided later goes on, so that an old frame that comes late or
+    /// twice stops nothing. If the refused one has `expired`, an equal date means the same set point, and the output
+    /// goes on, too.
     ///
-    /// Only for requests of the link that holds the session: nobody else commands outputs, and who has none may still stop
-    /// the whole board.
+    /// Only for requests of the link that holds the session: no other link commands outputs, but any link may stop the
+    /// whole board.
     pub(crate) fn withdraw(&self, output: Place, sent_us: u64, expired: bool) {
         self.with(|s| {
             let Some(given) = s.given(output) else { return };
@@ -738,13 +743,13 @@ impl<M: RawMutex> Shared<M> {
                 return;
             }
             if let Some(stop) = self.stop_of(output, given.setpoint, s.statuses[slot(output)]) {
-                // Nothing is in force unless the board is armed.
+                // The error is ignored: nothing is in force unless the board is armed.
                 let _ = s.command(output, stop, sent_us);
             }
         });
     }
 
-    /// Set point that stops `output`, which follows `follows` and shows `status`; `None` when that is a stop.
+    /// Set point that stops `output`, which follows `follows` and has `status`; `None` when `follows` itself is a stop.
     fn stop_of(&self, output: Place, follows: Setpoint, status: Status) -> Option<Setpoint> {
         let setpoint = |mode, value| Some(Setpoint { mode, value });
         match (output, status) {
@@ -753,22 +758,22 @@ impl<M: RawMutex> Shared<M> {
             // Neutral would release the brake.
             (Place::Bldc(_), _) if follows.mode == Mode::Brake && follows.value != 0.0 => None,
             (Place::Bldc(_), _) => setpoint(Mode::Duty, 0.0),
-            // Where it is, on its way.
+            // The present angle, on its way.
             (Place::Servo(_), Status::Scalar(angle_rad)) => setpoint(Mode::Position, angle_rad),
-            // As in the safe state.
+            // Open and at the safe voltage, as in the safe state.
             (Place::Relay(_), _) => setpoint(Mode::Switch, 0.0),
             (Place::Dac(index), _) => setpoint(Mode::Voltage, self.config.dacs[index].safe_v),
             _ => None,
         }
     }
 
-    /// Stores the commands of a cycle, each as [`Shared::command`] does, to be followed until then if no other comes. Points of
-    /// paths, dated `sent_us`, need no such end: a path ends by itself.
+    /// Stores the commands of a cycle, each as [`Shared::command`] does, with a lease until `until`. Points of paths,
+    /// dated `sent_us`, need no lease: a path ends by itself.
     pub(crate) fn lease(&self, setpoints: &[(Place, Setpoint)], sent_us: u64, until: Instant) -> Result<(), Refusal> {
         let is_point = |setpoint: &Setpoint| setpoint.mode == Mode::Follow;
         let point = |setpoint: &Setpoint| at(sent_us, setpoint.value);
         self.with(|s| {
-            // All of them, or none.
+            // Check all points before any is stored, so that all are taken or none.
             for (place, setpoint) in setpoints.iter().filter(|(_, setpoint)| is_point(setpoint)) {
                 self.check_path(s, *place, &[point(setpoint)])?;
             }
@@ -778,14 +783,15 @@ impl<M: RawMutex> Shared<M> {
                     continue;
                 }
                 s.command(*place, *setpoint, sent_us)?;
-                // There is room for every channel, and the command has ended the lease it had.
+                // There is room for every channel, and the command has ended the channel's previous lease.
                 let _ = s.leases.push(Lease { place: *place, mode: setpoint.mode, until });
             }
             Ok(())
         })
     }
 
-    /// Gives a motor points of a path, decided at `sent_us`, whose numbers were checked: all of them, or none.
+    /// Adds points of a path, decided at `sent_us`, whose numbers were checked, to a motor's path: all of them, or
+    /// none.
     pub(crate) fn follow(&self, output: Place, points: &[PathPoint], sent_us: u64) -> Result<(), Refusal> {
         self.with(|s| {
             self.check_path(s, output, points)?;
@@ -793,7 +799,7 @@ impl<M: RawMutex> Shared<M> {
         })
     }
 
-    /// Whether the motor's path could take `points` now.
+    /// Checks that the motor's path can take `points` now.
     fn check_path(&self, state: &State, output: Place, points: &[PathPoint]) -> Result<(), Refusal> {
         let Place::Motor(index) = output else { return Ok(()) };
         let MotorConfig { id: channel, control, .. } = self.config.motors[index];
@@ -806,7 +812,7 @@ impl<M: RawMutex> Shared<M> {
         state.paths[index].check(points, &Limits { channel, position, speed_max: control.speed_max, now_us })
     }
 
-    /// Stores gains for the control loop's next period, armed or not. Open duty has none.
+    /// Stores gains for the control loop's next period, armed or not. An open-loop duty has none.
     pub(crate) fn change_gains(&self, motor: usize, mode: Mode, gains: PidGains) {
         self.with(|s| match mode {
             Mode::Position => s.gains[motor][0] = Some(gains),
@@ -820,7 +826,7 @@ impl<M: RawMutex> Shared<M> {
         self.with(|s| s.tunings[motor] = Some(tuning));
     }
 
-    /// Opens a session for `link`, closing the one that link had.
+    /// Opens a session for `link`, and closes the previous session of that link.
     ///
     /// # Errors
     /// [`Refusal::InUse`] while another link's session is alive.
@@ -832,7 +838,7 @@ impl<M: RawMutex> Shared<M> {
             }
             _ => Ok(()),
         })?;
-        // A host that starts anew does not know what the last one left running.
+        // A new host does not know what the last one left running.
         self.request(Event::Disarm)?;
         Ok(self.with(|s| {
             let id = s.next_session;
@@ -842,18 +848,18 @@ impl<M: RawMutex> Shared<M> {
         }))
     }
 
-    /// Whether `link` holds the session.
+    /// Returns true if `link` holds the session.
     pub(crate) fn has_session(&self, link: u8) -> bool {
         self.with(|s| s.session.is_some_and(|session| session.link == link))
     }
 
-    /// Whether a host is connected.
+    /// Returns true if a host is connected.
     pub(crate) fn has_host(&self) -> bool {
         let timeout = Duration::from_millis(self.config.link_timeout_ms.into());
         self.heartbeat_age().is_some_and(|age| age <= timeout)
     }
 
-    /// Since the host was last heard; `None` without one.
+    /// Time since the host's last heartbeat; `None` without a session.
     pub(crate) fn heartbeat_age(&self) -> Option<Duration> {
         let now = Instant::now();
         self.with(|s| s.session.map(|session| since(session.last_heartbeat, now)))
@@ -870,7 +876,7 @@ impl<M: RawMutex> Shared<M> {
         })
     }
 
-    /// Ends the session of `link` in an orderly way.
+    /// Closes the session of `link`, and disarms.
     pub(crate) fn close_session(&self, link: u8) {
         if self.has_session(link) {
             // Disarming is never refused.
@@ -880,7 +886,7 @@ impl<M: RawMutex> Shared<M> {
     }
 }
 
-/// See [`Shared::hold_arming`].
+/// Guard returned by [`Shared::hold_arming`].
 pub(crate) struct ArmingHeld<'s, M: RawMutex>(&'s Shared<M>);
 
 impl<M: RawMutex> Drop for ArmingHeld<'_, M> {
@@ -889,23 +895,23 @@ impl<M: RawMutex> Drop for ArmingHeld<'_, M> {
     }
 }
 
-/// From `then` to `now`; nothing when another task has already seen a later moment.
+/// Time from `then` to `now`; zero when another task has already seen a later moment.
 fn since(then: Instant, now: Instant) -> Duration {
     now.saturating_duration_since(then)
 }
 
-/// The point of a path that a single set point is.
+/// Point of a path for a single set point.
 pub(crate) const fn at(at_us: u64, position: f32) -> PathPoint {
     PathPoint { at_us, position, speed: None, feed_forward: 0.0 }
 }
 
 /// Number of the first session since the board started.
 const FIRST_SESSION: u16 = 1;
-/// The control loop counts as dead after this many periods without a tick.
+/// Number of periods without a tick after which the control loop counts as dead.
 const CONTROL_OVERRUN_PERIODS: u64 = 5;
 
 impl State {
-    /// Ends the lease of the channel, too: the newest command counts.
+    /// Stores a command and ends the lease of its channel: the newest command counts.
     fn command(&mut self, output: Place, setpoint: Setpoint, dated_us: u64) -> Result<(), Refusal> {
         if self.safety != Safety::Armed {
             return Err(Refusal::NotArmed { state: self.safety.state() });
@@ -922,7 +928,7 @@ impl State {
         Ok(())
     }
 
-    /// Lets a motor follow its path with `points` from here on, which were checked.
+    /// Adds `points`, which were checked, to the motor's path, and lets it follow that.
     fn follow(&mut self, output: Place, points: &[PathPoint], dated_us: u64) -> Result<(), Refusal> {
         let (Place::Motor(index), Some(last)) = (output, points.last()) else { return Ok(()) };
         self.command(output, Setpoint { mode: Mode::Follow, value: last.position }, dated_us)?;
@@ -936,7 +942,7 @@ impl State {
         slots.into_iter().filter_map(|slot| *self.given.get(slot)?).max_by_key(|given| given.sent_us)
     }
 
-    /// Returns whether the state changed.
+    /// Applies `event` to the state machine; returns true if the state changed, and the refusal, if any.
     fn apply(&mut self, event: Event) -> (bool, Result<(), Refusal>) {
         let arms = event == Event::Arm && self.safety == Safety::Disarmed && self.present.is_empty();
         if arms && self.arming_held > 0 {
@@ -945,8 +951,8 @@ impl State {
         let (next, result) = self.safety.next(event, self.present);
         let changed = next.state() != self.safety.state();
         let was_braking = self.braking_stop.is_some();
-        // What holds when the board is switched on, before any host could have armed it, is no trip to remember; or a released
-        // handle would push out those that are.
+        // A cause present at power-on, before any host could have armed the board, is not recorded as a trip; otherwise
+        // a released handle would push out the recorded ones.
         let heard_of = self.next_session != FIRST_SESSION;
         let trips = changed && next.state() == SafetyState::Tripped && heard_of;
         self.trips = self.trips.wrapping_add(trips.into());
@@ -965,7 +971,7 @@ impl State {
         self.braking_stop = match (self.safety, next) {
             (_, Safety::Armed) => None,
             (Safety::Armed, _) => BrakingStop::begin(self.brake, next.causes(), now),
-            // A cause that was cleared meanwhile does not count: none that forbids braking can have been among them.
+            // A cause that was cleared meanwhile does not matter: it cannot have been one that forbids braking.
             _ => self.braking_stop.filter(|stop| stop.goes_on(next.causes(), now)),
         };
         self.safety = next;

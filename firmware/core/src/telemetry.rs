@@ -1,4 +1,4 @@
-//! What the host of one link wants to be told, and when.
+//! Telemetry of one link: its host's subscriptions and their times.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant};
@@ -14,15 +14,15 @@ struct Subscription {
     due: Instant,
 }
 
-/// What the host of one link wants to be told, and when.
+/// Subscriptions of the host of one link.
 #[derive(Default)]
 pub(crate) struct Subscriptions {
     all: Vec<Subscription, MAX_SUBSCRIPTIONS>,
-    /// The date of the last frame, ticks: none after it is dated earlier.
+    /// Date of the last frame, ticks: no later frame is dated earlier.
     dated: u64,
 }
 
-/// Every channel of a full board can be subscribed to.
+/// Maximum number of subscriptions: every channel of a full board.
 const MAX_SUBSCRIPTIONS: usize = 80;
 
 impl Subscriptions {
@@ -30,7 +30,7 @@ impl Subscriptions {
         self.all.clear();
     }
 
-    /// Sets the period of `channel`; 0 ends it.
+    /// Sets the period of `channel`; 0 ends its subscription.
     ///
     /// # Errors
     /// `()` when there is no room for another.
@@ -45,12 +45,12 @@ impl Subscriptions {
         self.all.push(Subscription { channel, period, due }).map_err(|_| ())
     }
 
-    /// When the next samples are due. A new subscription is answered, which makes the transmitter look again.
+    /// Time of the next samples. A new subscription is answered, which makes the transmitter check this again.
     pub(crate) fn next_due(&self) -> Instant {
         self.all.iter().map(|subscription| subscription.due).min().unwrap_or(Instant::MAX)
     }
 
-    /// The samples that are due now, if any; as many as a frame holds, and the rest with the next call.
+    /// Samples that are due now, if any: as many as a frame holds, and the rest with the next call.
     pub(crate) fn telemetry<M: RawMutex>(&mut self, shared: &Shared<M>) -> Option<Telemetry> {
         let now = Instant::now();
         let dated = Instant::from_ticks(shared.measured(now).as_ticks().max(self.dated));
@@ -115,20 +115,20 @@ mod tests {
 
     const MS: Duration = Duration::from_millis(1);
 
-    /// A board with every kind of channel, and its channels.
+    /// Board with every kind of channel, and its channels.
     fn full() -> (Board, List<(ChannelId, Place)>) {
         let board = board(robot("every-interface"), ResetCause::Normal);
         (board, board.config().channels().collect())
     }
 
-    /// The channels of what is due now.
+    /// Channels of the samples that are due now.
     fn told(subscriptions: &mut Subscriptions, board: Board) -> List<ChannelId> {
         let telemetry = subscriptions.telemetry(board);
         let samples = telemetry.into_iter().flat_map(|telemetry| telemetry.samples);
         samples.map(|sample| sample.channel()).collect()
     }
 
-    /// The same moments for channels that were asked for at different times, from the shortest period to the longest.
+    /// Channels subscribed at different times get samples at the same moments, from the shortest period to the longest.
     #[test]
     fn samples_come_on_one_grid_for_each_period() {
         let (board, channels) = full();
@@ -144,7 +144,7 @@ mod tests {
             assert_eq!(first.as_ticks() % period.as_ticks(), 0);
             assert_eq!(told(&mut subscriptions, board), []);
             tasks.advance_to(first);
-            // It is on the grid now: due at once.
+            // The time is on the grid, so the sample is due at once.
             subscriptions.set(other, period_ms, Instant::now()).expect("room");
             for number in 0..5 {
                 assert_eq!(subscriptions.next_due(), first + period * number);
@@ -158,7 +158,7 @@ mod tests {
         }
     }
 
-    /// A link that was busy gets the newest once; what it missed is counted, for each channel.
+    /// A link that was busy gets the newest sample once; the missed ones are counted, for each channel.
     #[test]
     fn what_a_busy_link_missed_is_counted_and_not_made_up_for() {
         let (board, channels) = full();
@@ -168,7 +168,7 @@ mod tests {
         }
         let begin = Instant::now();
         assert_eq!(told(&mut subscriptions, board).len(), 3);
-        // Six samples of 10 ms are due and two of 25 ms: of each channel the newest is sent.
+        // Six samples of 10 ms and two of 25 ms are due: of each channel the newest is sent.
         tasks.advance(MS * 69);
         assert_eq!(told(&mut subscriptions, board).len(), 3);
         assert_eq!(board.stats().telemetry_dropped, 5 + 5 + 1);
@@ -192,7 +192,7 @@ mod tests {
         }
         let (last, rest) = channels.split_last().expect("some");
         subscriptions.set(last.0, 0, now).expect("an end needs no room");
-        // As many as a message holds at a time, in the order in which they were asked for.
+        // As many as a message holds at a time, in the order of the subscriptions.
         let mut all = List::new();
         loop {
             match told(&mut subscriptions, board) {
@@ -208,7 +208,7 @@ mod tests {
         assert_eq!(told(&mut subscriptions, board).len(), MAX_SAMPLES);
         subscriptions.clear();
         assert_eq!((subscriptions.next_due(), told(&mut subscriptions, board)), (Instant::MAX, List::new()));
-        // Only what is no channel of a board can be one too many.
+        // Only a channel that no board has can be one too many.
         for number in 0..=MAX_SUBSCRIPTIONS {
             let channel = ChannelId { index: number as u8, ..last.0 };
             assert_eq!(subscriptions.set(channel, 10, now).is_ok(), number < MAX_SUBSCRIPTIONS);
@@ -245,7 +245,7 @@ mod tests {
             subscriptions.set(channel, 1, taken).expect("room");
         }
         board.trip(Cause::Stalled);
-        // An age that is more than can be told is the most that can be.
+        // An age beyond the field's range is reported as the greatest value.
         for (age_ms, told_ms) in [(0, 0), (1, 1), (65_535, 65_535), (65_536, 65_535)] {
             tasks.advance_to(taken + MS * age_ms);
             let telemetry = subscriptions.telemetry(board).expect("due");

@@ -1,4 +1,5 @@
-//! What this crate's tests run tasks on: a clock they move themselves, lines and chips that only remember.
+//! Environment of this crate's tests: a clock that they advance themselves, lines and chips that only store their
+//! state.
 
 extern crate std;
 
@@ -41,7 +42,7 @@ use crate::{
 /// State of a board that lives as long as its test.
 pub(crate) type Board = &'static Shared<NoopRawMutex>;
 
-/// A robot's configuration, as users have it, but that every stop switches it off at once.
+/// Configuration of a robot from `boards/`, changed so that every stop switches off at once.
 pub(crate) fn robot(name: &str) -> BoardConfig {
     let mut config = r4_boards::load(name).expect("the robot is part of the program").config;
     config.motors.iter_mut().for_each(|motor| motor.stop_brake_ms = 0);
@@ -55,12 +56,12 @@ pub(crate) fn board(config: BoardConfig, reset: ResetCause) -> Board {
 }
 
 std::thread_local! {
-    /// Begins late enough that no age reaches back beyond it.
+    /// Virtual time, µs; begins late enough that no age reaches back before 0.
     static NOW_US: Cell<u64> = const { Cell::new(1_000_000_000) };
     static SLEEPERS: RefCell<Vec<(u64, Waker)>> = const { RefCell::new(Vec::new()) };
 }
 
-/// One clock for each thread: tests run side by side.
+/// Clock per thread: tests run in parallel.
 struct Clock;
 
 impl embassy_time_driver::Driver for Clock {
@@ -98,7 +99,7 @@ impl Tasks {
         self.0.push((Box::pin(task), Arc::new(Woken(AtomicBool::new(true)))));
     }
 
-    /// Runs what has been woken, until all sleep. No time passes.
+    /// Runs the woken tasks, until all sleep. No time passes.
     pub(crate) fn settle(&mut self) {
         while let Some((task, woken)) = self.0.iter_mut().find(|(_, woken)| woken.0.swap(false, Ordering::Relaxed)) {
             let waker = Waker::from(woken.clone());
@@ -107,7 +108,7 @@ impl Tasks {
         }
     }
 
-    /// Lets time pass, from one sleeper's moment to the next.
+    /// Advances the time, from one sleeper's moment to the next.
     pub(crate) fn advance(&mut self, duration: Duration) {
         let end_us = NOW_US.get() + duration.as_micros();
         loop {
@@ -123,20 +124,20 @@ impl Tasks {
         NOW_US.set(end_us);
     }
 
-    /// As [`Tasks::advance`], up to a moment.
+    /// Advances the time to a moment, like [`Tasks::advance`].
     pub(crate) fn advance_to(&mut self, moment: Instant) {
         self.advance(moment - Instant::now());
     }
 }
 
-/// A line of the processor, seen from both sides.
+/// Line of the processor, seen from both sides.
 #[derive(Clone, Default)]
 pub(crate) struct Line(Rc<LineState>);
 
 #[derive(Default)]
 struct LineState {
     high: Cell<bool>,
-    /// Changes since power-up.
+    /// Number of changes since power-up.
     edges: Cell<u32>,
     broken: Cell<bool>,
     waiting: RefCell<Vec<Waker>>,
@@ -164,12 +165,12 @@ impl Line {
         self.0.edges.get()
     }
 
-    /// From now on it can neither be read nor waited for, whatever its level is.
+    /// Breaks the line: from now on it can neither be read nor waited for.
     pub(crate) fn break_off(&self) {
         self.0.broken.set(true);
     }
 
-    /// Ready at `level`, or when the line has been there since the wait began.
+    /// Waits for `level`, or for any edge since the wait began.
     async fn wait(&self, level: bool) {
         let edges = self.edges();
         poll_fn(|context| {
@@ -237,29 +238,29 @@ impl Wait for Line {
     }
 }
 
-/// A bus with chips that keep what is written to their registers, with a pointer that counts up, and DACs that keep their codes.
-/// It takes no time.
+/// Bus with chips that store what is written to their registers, with an incrementing pointer, and DACs that store
+/// their codes. Transfers take no time.
 #[derive(Clone, Default)]
 pub(crate) struct Registers(Rc<RegistersState>);
 
 #[derive(Default)]
 struct RegistersState {
-    /// By chip and register.
+    /// Register values by chip and register.
     values: RefCell<BTreeMap<(u8, u8), u8>>,
-    /// So many of the transfers to come are not acknowledged.
+    /// Number of following transfers that are not acknowledged.
     failing: Cell<u32>,
-    /// So many are not acknowledged before each that is, and how many of them there were since the last.
+    /// Number of failures before each acknowledged transfer, and the number of failures since the last one.
     stutter: Cell<u32>,
     stuttered: Cell<u32>,
-    /// A chip that acknowledges nothing.
+    /// Chip that acknowledges nothing; `None` for none.
     mute: Cell<Option<u8>>,
     clocks: Cell<u32>,
     recoveries: Cell<u32>,
-    /// What each transfer takes.
+    /// Duration of each transfer; `None` for no time.
     transfer: Cell<Option<Duration>>,
 }
 
-/// Nobody acknowledges.
+/// Error: no chip acknowledges.
 #[derive(Debug)]
 pub(crate) struct NoAnswer;
 
@@ -276,8 +277,8 @@ impl i2c::ErrorType for Registers {
 /// First of the four registers by which a PCA9685 (addresses 0x40 and up) sets all its outputs (datasheet 7.3.4).
 const ALL_OUTPUTS: u8 = 0xFA;
 
-/// Addresses of an MCP4728 (datasheet 5.3). It has no registers with addresses: what is kept here is the 24 bytes that it shows, of
-/// each output the input register and the EEPROM, three bytes each (figure 5-15).
+/// Addresses of an MCP4728 (datasheet 5.3). It has no register addresses: stored are the 24 bytes of a read, for each
+/// output the input register and the EEPROM, three bytes each (figure 5-15).
 const DACS: core::ops::Range<u8> = 0x60..0x68;
 
 impl Registers {
@@ -297,28 +298,28 @@ impl Registers {
         self.0.recoveries.get()
     }
 
-    /// From now on so many tries fail before each that is taken.
+    /// Makes this number of tries fail before each successful one, from now on.
     pub(crate) fn stutter(&self, tries: u32) {
         self.0.stutter.set(tries);
     }
 
-    /// From now on this chip acknowledges nothing.
+    /// Makes this chip acknowledge nothing, from now on.
     pub(crate) fn mute(&self, chip: u8) {
         self.0.mute.set(Some(chip));
     }
 
-    /// Clock pulses of all transfers so far: nine to a byte, with those of the addresses. START and STOP have none.
+    /// Number of clock pulses of all transfers so far: nine per byte, addresses included. START and STOP have none.
     pub(crate) fn clocks(&self) -> u32 {
         self.0.clocks.get()
     }
 
-    /// From now on each transfer takes so long.
+    /// Sets the duration of each transfer, from now on.
     pub(crate) fn slow_down(&self, transfer: Duration) {
         self.0.transfer.set(Some(transfer));
     }
 
-    /// Fast write (5.6.1), multi-write (5.6.2) and sequential write (5.6.3) of a DAC; a fast write leaves reference and gain as they
-    /// are.
+    /// Carries out a fast write (5.6.1), multi-write (5.6.2) or sequential write (5.6.3) of a DAC; a fast write leaves
+    /// reference and gain unchanged.
     fn take_codes(&self, chip: u8, bytes: &[u8]) {
         let [command, settings @ ..] = bytes else { return };
         let keep = |output: u8, half: u8, [upper, lower]: [u8; 2]| {
@@ -336,7 +337,7 @@ impl Registers {
         }
     }
 
-    /// What is read: of a DAC, each third byte has RDY/BSY set, for it never writes its EEPROM for long.
+    /// Byte as read back: each third byte of a DAC has RDY/BSY set, because its EEPROM writes take no time here.
     fn show(&self, chip: u8, register: u8) -> u8 {
         let ready = DACS.contains(&chip) && register.is_multiple_of(3);
         self.get(chip, register) | if ready { 0x80 } else { 0 }
@@ -347,7 +348,8 @@ impl Registers {
             return self.take_codes(chip, bytes);
         }
         let [register, values @ ..] = bytes else { return };
-        // The count comes second: a zip asks its first side once more at the end, and the last register is 0xFF.
+        // The register count comes second: a zip polls its first side once more at the end, and 0xFF + 1 would
+        // overflow.
         for (value, register) in values.iter().zip(*register..) {
             if chip >= 0x40 && (ALL_OUTPUTS..ALL_OUTPUTS + 4).contains(&register) {
                 (0..16).for_each(|output| self.set(chip, 6 + 4 * output + (register - ALL_OUTPUTS), *value));
@@ -404,7 +406,7 @@ impl Bus for Registers {
     }
 }
 
-/// What a test lets the processor's own peripherals show.
+/// Fake peripherals of the processor, whose values the test sets.
 #[derive(Clone, Default)]
 pub(crate) struct Peripherals(Rc<PeripheralsState>);
 
@@ -415,22 +417,22 @@ pub(crate) struct PeripheralsState {
     pub(crate) at_index: [Cell<Option<u16>>; 4],
     pub(crate) storm: Cell<bool>,
     pub(crate) pulses: [Cell<Option<Pulse>>; 2],
-    /// Of the switches: all are high at first.
+    /// Switch inputs that are low; all are high at first.
     pub(crate) low: [Cell<bool>; SWITCHES],
     pub(crate) cycles: Cell<u32>,
     pub(crate) codes: [Cell<u16>; 6],
     pub(crate) dacs: [Cell<u16>; 2],
     pub(crate) kept: [Cell<u32>; MAX_MOTORS],
-    /// Of the step generators: how many events they were told, and how many more they take.
+    /// Number of events queued in each step generator, and the remaining room.
     pub(crate) told: [Cell<usize>; STEPPERS],
     pub(crate) room: Cell<usize>,
     pub(crate) steppers_enabled: Cell<bool>,
-    /// Steps they have made.
+    /// Steps made by each generator.
     pub(crate) made: [Cell<i32>; STEPPERS],
-    /// Whether each step is made as soon as it is queued, and the direction of the last.
+    /// True if each step is made as soon as it is queued; and the direction of the last step.
     pub(crate) obedient: Cell<bool>,
     pub(crate) directions: [Cell<bool>; STEPPERS],
-    /// What a task above the control loop does while that reads its inputs the next time.
+    /// Action of a task above the control loop while that reads its inputs the next time.
     pub(crate) meanwhile: Cell<Option<Box<dyn FnOnce()>>>,
 }
 
@@ -547,27 +549,27 @@ impl Steppers for Peripherals {
     fn stop(&mut self, _: u8) {}
 }
 
-/// A path by Ruckig (Berscheid and Kröger, Robotics: Science and Systems 2021), of one axis to rest: another's answer to the same problem,
-/// from any state within the limits that stays there when its acceleration is taken back. Outside them Ruckig first brakes by rules of its
-/// own.
+/// Path by Ruckig (Berscheid and Kröger, Robotics: Science and Systems 2021), of one axis to rest: an independent
+/// solution of the same problem, from any state within the limits that stays within them when its acceleration is
+/// removed. Outside them Ruckig first brakes by rules of its own.
 pub(crate) struct Ruckig {
     path: rsruckig::trajectory::Trajectory<1>,
     from: f64,
-    /// Of distance and time, in which Ruckig planned.
+    /// Units of distance and time in which Ruckig planned.
     unit: f64,
     unit_s: f64,
-    /// s
+    /// Duration of the path, s.
     pub(crate) duration_s: f64,
 }
 
 impl Ruckig {
-    /// From position, speed and acceleration.
+    /// Plans a path to rest at `target` from position, speed and acceleration.
     pub(crate) fn to_rest(from: [f64; 3], target: f64, limits: &crate::motion::scurve::Limits) -> Self {
         use rsruckig::{
             error::ThrowErrorHandler, input_parameter::InputParameter, ruckig::Ruckig as Planner,
             trajectory::Trajectory,
         };
-        // Its tolerances are absolute: highest speed and acceleration shall be 1.
+        // Ruckig's tolerances are absolute, so highest speed and acceleration are scaled to 1.
         let unit_s = limits.speed / limits.acceleration;
         let unit = limits.speed * unit_s;
         let [position, speed, acceleration] = from;
@@ -578,7 +580,7 @@ impl Ruckig {
         (input.max_velocity[0], input.max_acceleration[0]) = (1.0, 1.0);
         input.max_jerk[0] = limits.jerk * unit_s / limits.acceleration;
         let mut path = Trajectory::new(None);
-        // The period of its own steps, which are not taken.
+        // Period of Ruckig's own steps, which are not used.
         let mut planner = Planner::<1, ThrowErrorHandler>::new(None, 1e-3);
         planner.calculate(&input, &mut path).expect("a path within the limits");
         let duration_s = path.get_duration() * unit_s;

@@ -1,9 +1,9 @@
-//! Numbers kept between two bounds.
+//! Limiting of numbers to an interval.
 
-/// As `f32::clamp` and `f64::clamp`. Their panic prints the bounds, and brings all of the printing of floating-point numbers
-/// into the image, 14 KB.
+/// Replacement for `f32::clamp` and `f64::clamp`. Their panic prints the bounds, and brings all of the printing of
+/// floating-point numbers into the image, 14 KB.
 pub(crate) trait Within: Copy + PartialOrd {
-    /// The nearest to `self` of what lies between `low` and `high`, both included; NaN stays NaN.
+    /// Limits `self` to `low`..=`high`; NaN stays NaN.
     ///
     /// # Panics
     /// If `low` is above `high`, or either is NaN.
@@ -26,7 +26,7 @@ impl Within for f64 {}
 mod tests {
     use super::*;
 
-    /// To the bit: bounds that are zeros of either sign too.
+    /// Equal to the bit, also for bounds that are zeros of either sign.
     #[test]
     fn numbers_are_kept_as_the_standard_library_keeps_them() {
         for (low, high) in [(-1.0, 1.0), (0.0, 1.0), (-0.0, 1.0), (-1.0, 0.0), (-1.0, -0.0), (-0.0, 0.0), (0.25, 0.25)]

@@ -1,18 +1,20 @@
-//! The processor's analog inputs and outputs.
+//! Analog inputs and outputs of the processor.
 //!
 //! # Inputs
-//! ADC1 converts the six inputs over and over, 16 samples to a result in hardware, and DMA writes the results to memory in a
-//! circle, so that reading one is reading memory: no interrupt, and nothing to wait for. A sample takes 64.5 + 8.5 cycles of
-//! the converter (RM0399, "Channel-wise programmable sampling time"; 16 bits), all six results 7008. That must be done once in a control
-//! period of 1 ms, so the converter needs 7.1 MHz at least; sampling then takes 9 µs at most, long enough for the dividers.
+//! ADC1 converts the six inputs continuously, with 16 samples per result in hardware, and DMA writes the results to
+//! memory in a circle, so that reading an input is reading memory: no interrupt, and no wait. A sample takes 64.5 + 8.5
+//! cycles of the converter (RM0399, "Channel-wise programmable sampling time"; 16 bits), all six results 7008. That
+//! must be done once in a control period of 1 ms, so the converter needs at least 7.1 MHz; sampling then takes at most
+//! 9 µs, long enough for the dividers.
 //!
 //! The kernel clock is divided to at most 16 MHz. Silicon of revision V halves it once more (RM0399, "ADC clock
-//! scheme"), that of revision Y does not: 8 to 16 MHz are within what 16 bits allow, and BOOST is set for the higher. So the kernel
-//! clock must be a power of two times 16 MHz, or close below: HSI or the crystal.
+//! scheme"), that of revision Y does not: 8 to 16 MHz are within what 16 bits allow, and BOOST is set for the higher.
+//! So the kernel clock must be a power of two times 16 MHz, or close below: HSI or the crystal.
 //!
 //! # Outputs
-//! Both channels of DAC1, by their registers: embassy's driver resets the converter when it takes it, which would take outputs
-//! that [`crate::sweep`] has made safe to 0 V once more. A reset turns the channels off, and their pins float.
+//! Both channels of DAC1 are driven by their registers: embassy's driver resets the converter when it takes it, which
+//! would set outputs that [`crate::sweep`] has made safe to 0 V once more. A reset turns the channels off, and their
+//! pins float.
 
 use embassy_stm32::{
     Peri,
@@ -30,61 +32,61 @@ use embassy_stm32::{
 use embassy_time::{Duration, Instant};
 use r4_firmware::platform::{AnalogInputs, AnalogOutputs};
 
-/// Inputs.
+/// Number of analog inputs.
 pub const INPUTS: usize = 6;
 
 /// Channels of ADC1, by input.
 const CHANNELS: [u8; INPUTS] = [4, 8, 9, 5, 13, 12];
 
-/// Samples to a result, as a power of two.
+/// Number of samples per result, as a power of two.
 const OVERSAMPLING_BITS: u8 = 4;
 
-/// Before it is halved, or not.
+/// Highest converter clock before the possible halving, Hz.
 const CONVERTER_HZ_MAX: u32 = 16_000_000;
-/// For all inputs in a control period, also when it is halved.
+/// Lowest converter clock that reads all inputs in a control period, even when it is halved, Hz.
 const CONVERTER_HZ_MIN: u32 = 2 * 7_100_000;
 
-/// The regulator needs 10 µs (data sheet, t_ADCVREG_STUP).
+/// Time limit for the regulator, which needs 10 µs (data sheet, t_ADCVREG_STUP).
 const REGULATOR_WAIT: Duration = Duration::from_millis(1);
-/// Offset and linearity take 165 010 cycles of the converter, 23 ms at its slowest.
+/// Time limit for the calibration of offset and linearity: 165 010 cycles of the converter, 23 ms at its slowest.
 const CALIBRATION_WAIT: Duration = Duration::from_millis(100);
 const ENABLE_WAIT: Duration = Duration::from_millis(1);
 
-/// Where DMA1 and DMA2 write without help.
+/// Memory that DMA1 and DMA2 can write without a detour.
 const AXI_SRAM: core::ops::Range<usize> = 0x2400_0000..0x2408_0000;
 
-/// Why the inputs do not work.
+/// Reason why the inputs do not work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 pub enum AnalogError {
     /// The kernel clock is too slow, or there is no divider for it.
     Clock,
     /// DMA does not reach the memory for the results.
     Memory,
-    /// The converter's regulator does not come up.
+    /// The converter's regulator does not start.
     Regulator,
     /// The calibration does not end.
     Calibration,
-    /// The converter does not get ready.
+    /// The converter does not become ready.
     Enable,
 }
 
-/// The pins, by input.
+/// Pins of the inputs, by number.
 pub struct Pins {
-    /// `ain0`
+    /// Pin `ain0` of the carrier.
     pub input0: Peri<'static, peripherals::PC4>,
-    /// `ain1`
+    /// Pin `ain1` of the carrier.
     pub input1: Peri<'static, peripherals::PC5>,
-    /// `ain2`
+    /// Pin `ain2` of the carrier.
     pub input2: Peri<'static, peripherals::PB0>,
-    /// `ain3`
+    /// Pin `ain3` of the carrier.
     pub input3: Peri<'static, peripherals::PB1>,
-    /// `ain4`
+    /// Pin `ain4` of the carrier.
     pub input4: Peri<'static, peripherals::PC3>,
-    /// `ain5`
+    /// Pin `ain5` of the carrier.
     pub input5: Peri<'static, peripherals::PC2>,
 }
 
-/// The six analog inputs.
+/// Driver of the six analog inputs.
 pub struct Inputs {
     codes: *const [u16; INPUTS],
 }
@@ -93,7 +95,7 @@ impl Inputs {
     /// Calibrates the converter, which takes up to 0.1 s, and starts it. Results go to `codes`, in AXI SRAM.
     ///
     /// # Errors
-    /// [`AnalogError`]
+    /// [`AnalogError`] names the step that failed.
     pub fn new<D: RxDma<peripherals::ADC1> + ChannelInstance>(
         _converter: Peri<'static, peripherals::ADC1>,
         pins: Pins,
@@ -112,7 +114,7 @@ impl Inputs {
         for pin in pins {
             let mut pin = Flex::new(pin);
             pin.set_as_analog();
-            // As dropping it would do.
+            // Dropping it would disconnect the pin.
             core::mem::forget(pin);
         }
         start(divider)?;
@@ -125,10 +127,10 @@ impl Inputs {
         options.half_transfer_ir = false;
         options.complete_transfer_ir = false;
         #[allow(unsafe_code, reason = "DMA")]
-        // SAFETY: the memory is DMA's for ever, and read volatile only.
+        // SAFETY: the memory belongs to DMA permanently, and is only read, by volatile reads.
         let transfer =
             unsafe { channel.read_raw(request, ADC1.dr().as_ptr().cast::<u16>(), codes as *mut [u16], options) };
-        // Dropping it would stop it.
+        // Dropping it would stop the transfer.
         core::mem::forget(transfer);
         ADC1.cr().modify(|w| w.set_adstart(true));
         Ok(Self { codes })
@@ -160,7 +162,8 @@ fn wait(limit: Duration, error: AnalogError, done: impl Fn() -> bool) -> Result<
     Ok(())
 }
 
-/// Out of power-down, calibrated and ready (RM0399, "ADC deep-power-down", "Calibration", "ADC on-off control").
+/// Takes the converter out of power-down, calibrates and enables it (RM0399, "ADC deep-power-down", "Calibration", "ADC
+/// on-off control").
 fn start(divider: Presc) -> Result<(), AnalogError> {
     ADC12_COMMON.ccr().modify(|w| w.set_presc(divider));
     ADC1.cr().modify(|w| {
@@ -180,13 +183,13 @@ fn start(divider: Presc) -> Result<(), AnalogError> {
     wait(ENABLE_WAIT, AnalogError::Enable, || ADC1.isr().read().adrdy())
 }
 
-/// All inputs in turn, without end.
+/// Sets up the conversion of all inputs in turn, without end.
 fn scan() {
     ADC1.cfgr().modify(|w| {
         w.set_res(Res::BITS16);
         w.set_cont(true);
         w.set_dmngt(Dmngt::DMA_CIRCULAR);
-        // A result that DMA did not take in time gives way to the next.
+        // A result that DMA did not take in time is overwritten by the next.
         w.set_ovrmod(Ovrmod::OVERWRITE);
     });
     ADC1.cfgr2().modify(|w| {
@@ -212,32 +215,33 @@ impl AnalogInputs for Inputs {
             return 0;
         }
         #[allow(unsafe_code, reason = "DMA writes it")]
-        // SAFETY: within the array, which is there for ever; half-words are written and read at once.
+        // SAFETY: within the array, which is never freed; half-words are written and read atomically.
         unsafe {
             self.codes.cast::<u16>().add(usize::from(index)).read_volatile()
         }
     }
 }
 
-/// The two analog outputs.
+/// Driver of the two analog outputs.
 pub struct Outputs(());
 
 impl Outputs {
-    /// Clocks the converter and leaves it as it is: a channel that is off turns on when it is set.
+    /// Enables the converter's clock and leaves the channels as they are: a channel that is off turns on when it is
+    /// set.
     #[must_use]
     pub fn start() -> Self {
         critical_section::with(|_| RCC.apb1lenr().modify(|w| w.set_dac12en(true)));
         Self(())
     }
 
-    /// The same with both channels on, at 0 V where nobody has set them.
+    /// Creates the driver with both channels on, at 0 V where no code has been set.
     #[must_use]
     pub fn new(
         _converter: Peri<'static, peripherals::DAC1>,
         left: Peri<'static, peripherals::PA4>,
         right: Peri<'static, peripherals::PA5>,
     ) -> Self {
-        // Analog, as after a reset, and so they stay when `Flex` lets them go.
+        // Analog mode, as after a reset, which the pins keep when `Flex` is dropped.
         drop((Flex::new(left), Flex::new(right)));
         let outputs = Self::start();
         (0..CHANNELS_OUT).for_each(|channel| DAC1.cr().modify(|w| w.set_en(channel, true)));
@@ -245,14 +249,14 @@ impl Outputs {
     }
 }
 
-/// Channels of DAC1.
+/// Number of channels of DAC1.
 const CHANNELS_OUT: usize = 2;
 
 impl AnalogOutputs for Outputs {
     fn set(&mut self, index: u8, code: u16) {
         let channel = usize::from(index);
         if channel < CHANNELS_OUT {
-            // Before the channel is turned on, so that it comes up there.
+            // The code is set before the channel is turned on, so that it starts there.
             DAC1.dhr12r(channel).write(|w| w.set_dhr(code.min(4095)));
             DAC1.cr().modify(|w| w.set_en(channel, true));
         }

@@ -1,4 +1,4 @@
-//! From reset to running tasks.
+//! Boot: from reset to running tasks.
 
 use core::{
     mem::MaybeUninit,
@@ -64,16 +64,16 @@ use crate::{
     watchdog,
 };
 
-/// What the robot's file says, as `build.rs` packed it.
+/// Configuration from the robot's file, as `build.rs` packed it.
 static CONFIG: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/config.postcard"));
 
-/// The screen's: 80 MHz / 4.
+/// SPI clock of the screen: 80 MHz / 4.
 const SCREEN_SPI: Hertz = Hertz(20_000_000);
-/// Before a link that failed is served again.
+/// Pause before a failed link is served again.
 const LINK_PAUSE: Duration = Duration::from_millis(10);
-/// Between a host's request to restart and the restart: the answer has left on every link by then.
+/// Time from a host's request to restart to the restart: the answer has been sent on every link by then.
 const FAREWELL: Duration = Duration::from_millis(20);
-/// How often the log looks for a trip.
+/// Interval at which the log task checks for a trip.
 const LOG_PERIOD: Duration = Duration::from_millis(20);
 
 type Screen = ScreenPins<
@@ -83,22 +83,22 @@ type Screen = ScreenPins<
     Output<'static>,
 >;
 
-/// What the tasks share.
+/// State that the tasks share.
 pub(crate) type Board = Shared<CriticalSectionRawMutex>;
 
-/// What embassy shares between the cores; the Cortex-M4 is held in reset (option byte BCM4 = 0).
+/// Data that embassy shares between the cores; the Cortex-M4 is held in reset (option byte BCM4 = 0).
 #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
-// SAFETY: the section is in SRAM4, which is always clocked, and takes any data.
+// SAFETY: the section is in SRAM4, which is always clocked and may hold any data.
 #[unsafe(link_section = ".sram4.shared")]
 static EMBASSY: MaybeUninit<SharedData> = MaybeUninit::uninit();
 
-/// BDMA, which serves I2C4, reaches SRAM4 only. Start-up does not clear it.
+/// Transfer buffers of I2C4 in SRAM4: BDMA, which serves it, reaches no other memory. Start-up does not clear it.
 #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
 // SAFETY: as above.
 #[unsafe(link_section = ".sram4.i2c4")]
 static mut BOUNCE: MaybeUninit<Bounce> = MaybeUninit::uninit();
 
-/// The memory of I2C4's transfers. Once: panics the second time.
+/// Returns the buffers of I2C4's transfers. Panics at the second call.
 fn bounce() -> &'static mut Bounce {
     static TAKEN: ConstStaticCell<()> = ConstStaticCell::new(());
     TAKEN.take();
@@ -106,7 +106,7 @@ fn bounce() -> &'static mut Bounce {
         unsafe_code,
         reason = "memory that start-up does not clear cannot be a cell that knows whether it is taken"
     )]
-    // SAFETY: nothing else refers to it, and this comes here once.
+    // SAFETY: nothing else refers to it, and this point is reached once.
     let place = unsafe {
         let memory = &raw mut BOUNCE;
         &mut *memory
@@ -118,7 +118,7 @@ bind_interrupts!(struct Irqs {
     EXTI0 => index::Pulse;
     EXTI1 => index::Pulse;
     EXTI2 => index::Pulse;
-    // In this order: the others undo what the first does to lines that are not its own.
+    // Order matters: the other handlers undo what the first does to lines that are not its own.
     EXTI9_5 => exti::InterruptHandler<typelevel::EXTI9_5>, lines::Restore, index::Restore;
     EXTI15_10 => lines::Edges;
     TIM2 => steppers::OnClock;
@@ -129,7 +129,7 @@ bind_interrupts!(struct Irqs {
     TIM7 => i2c::OnBoard;
     I2C4_EV => EventInterruptHandler<stm32::I2C4>;
     I2C4_ER => ErrorInterruptHandler<stm32::I2C4>;
-    // embassy's first: uart::OnLine puts right what it does to the receiver.
+    // embassy's handler comes first: uart::OnLine corrects its effect on the receiver.
     USART1 => usart::InterruptHandler<stm32::USART1>, uart::OnLine;
     USART2 => usart::InterruptHandler<stm32::USART2>, uart::OnLine;
     UART4 => usart::InterruptHandler<stm32::UART4>, uart::OnLine;
@@ -142,7 +142,7 @@ bind_interrupts!(struct Irqs {
     DMA2_STREAM0 => dma::InterruptHandler<stm32::DMA2_CH0>;
     DMA2_STREAM1 => uart::OnRing;
     DMA2_STREAM2 => dma::InterruptHandler<stm32::DMA2_CH2>;
-    // In this order: the second clears what the first counts.
+    // Order matters: the second handler clears what the first counts.
     FDCAN2_IT0 => can_link::OnError, can::IT0InterruptHandler<stm32::FDCAN2>;
     FDCAN2_IT1 => can::IT1InterruptHandler<stm32::FDCAN2>;
     OTG_FS => usb::InterruptHandler<stm32::USB_OTG_FS>;
@@ -150,14 +150,14 @@ bind_interrupts!(struct Irqs {
     BDMA_CHANNEL1 => dma::InterruptHandler<stm32::BDMA_CH1>;
 });
 
-/// Whether the time driver runs; a log line before that has no time.
+/// True once the time driver runs; earlier log lines have no time.
 static CLOCK_RUNS: AtomicBool = AtomicBool::new(false);
 
 defmt::timestamp!("{=u64:us}", if CLOCK_RUNS.load(Ordering::Relaxed) { Instant::now().as_micros() } else { 0 });
 
-/// What runs before start-up clears 100 KB of memory: it turns the instruction cache on, without which that takes several times as
-/// long, and outputs wait for it. ICIALLU forgets what the cache holds, CCR.IC turns it on (ARMv7-M ARM, B2.2.7 and B3.2.8). In
-/// assembly, for no Rust may run before memory is cleared.
+/// Start-up hook that runs before 100 KB of memory are cleared: it enables the instruction cache, without which the
+/// clearing takes several times as long, and outputs wait for it. ICIALLU invalidates the cache, CCR.IC enables it
+/// (ARMv7-M ARM, B2.2.7 and B3.2.8). It is in assembly, because no Rust may run before memory is cleared.
 #[allow(unsafe_code, reason = "assembly")]
 mod before_memory {
     core::arch::global_asm!(
@@ -184,10 +184,10 @@ mod before_memory {
     );
 }
 
-/// Boots, and runs the tasks for ever.
+/// Boots, and runs the tasks indefinitely.
 ///
-/// Outputs come first: `main` has driven the stop lines; then every output chip, and only then what takes its time or may
-/// fail.
+/// Outputs come first: `main` has driven the stop lines; then every output chip, and only then steps that take time or
+/// may fail.
 pub(crate) fn run() -> ! {
     watchdog::start();
     quiet();
@@ -200,7 +200,7 @@ pub(crate) fn run() -> ! {
     start.damaged = !image.whole;
     no_speculation();
 
-    // After bad starts the crystal is not relied on: it may be what they come from.
+    // After bad starts the crystal is not used: it may be their cause.
     let source = if start.mode() == Mode::Run { clocks::probe() } else { clocks::Source::Internal };
     let mut config = embassy_stm32::Config::default();
     config.rcc = clocks::config(source);
@@ -238,25 +238,27 @@ pub(crate) fn run() -> ! {
     defmt::info!("tasks run");
     static EXECUTOR: StaticCell<Executor> = StaticCell::new();
     EXECUTOR.init_with(Executor::new).run(|spawner| {
-        // It draws for as long as it takes, and nothing would notice that no screen is there.
+        // The screen's task blocks while it draws, and an absent screen cannot be detected.
         if shared.config().screen {
             spawner.spawn(screen_task(shared, screen).expect("one"));
         }
     })
 }
 
-/// What the firmware was built with.
+/// Configuration that the firmware was built with.
 fn built_in() -> BoardConfig {
-    // `build.rs` packed it with the same types, so it is there; without it there is nothing that could be driven.
+    // `build.rs` packed it with the same types, so unpacking cannot fail; without a configuration nothing could be
+    // driven.
     match postcard::from_bytes(CONFIG) {
         Ok(config) => config,
         Err(_) => panic!("the configuration does not unpack"),
     }
 }
 
-/// Tells every output chip its safe state, as the built-in configuration has it; in [`Mode::HoldAlone`] for ever.
+/// Writes the safe state of the built-in configuration to every output chip; does so indefinitely in
+/// [`Mode::HoldAlone`].
 ///
-/// Not part of [`run`], which never returns: the configuration takes kilobytes of the stack.
+/// A function apart from [`run`], which never returns: the configuration takes kilobytes of the stack.
 #[inline(never)]
 fn make_outputs_safe(mode: Mode) -> Result<(), OutputFault> {
     let config = built_in();
@@ -266,11 +268,11 @@ fn make_outputs_safe(mode: Mode) -> Result<(), OutputFault> {
     Sweeper::new(cycles::AT_RESET_MHZ).sweep(&config)
 }
 
-/// What the board works with: what was saved for it, and in hold mode what is built in.
+/// Configuration to run with: the saved one, or in hold mode the built-in one.
 ///
-/// Of what was saved the rate of the CAN bus and the board's number on it hold in hold mode, too: with others the board would
-/// disturb the bus on which it is to answer why it does nothing else. Flash is only read. Where hold mode has ended badly, too, that
-/// is left out.
+/// The saved rate of the CAN bus and the board's number on it apply in hold mode, too: with other values the board
+/// would disturb the bus on which it is to answer hosts. Flash is only read. If hold mode has also ended badly, the
+/// saved configuration is not read.
 #[inline(never)]
 fn configuration(flash: &mut Bank2, start: &Start, built_in: &BoardConfig) -> BoardConfig {
     let is_held = start.mode() != Mode::Run;
@@ -291,9 +293,10 @@ fn configuration(flash: &mut Bank2, start: &Start, built_in: &BoardConfig) -> Bo
     loaded.config
 }
 
-/// The state that all tasks share.
+/// Creates the state that all tasks share.
 ///
-/// What takes configurations by value is in functions of its own: in one, moving them about took two thirds of the stack.
+/// Calls that take configurations by value are in functions of their own: in one function, moving them took two thirds
+/// of the stack.
 #[inline(never)]
 fn board(flash: &mut Bank2, start: &Start, image: ImageInfo) -> &'static Board {
     let built_in = built_in();
@@ -304,16 +307,16 @@ fn board(flash: &mut Bank2, start: &Start, image: ImageInfo) -> &'static Board {
 #[inline(never)]
 fn share(config: BoardConfig, built_in: BoardConfig, reset: ResetCause, image: ImageInfo) -> &'static Board {
     #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
-    // SAFETY: `tcm::load` has cleared the section, which is what a new cell is; DMA is given nothing of it.
+    // SAFETY: `tcm::load` has cleared the section, and zeros are a new cell; DMA gets no address in it.
     #[unsafe(link_section = ".dtcm.shared")]
     static SHARED: StaticCell<Board> = StaticCell::new();
     SHARED.init_with(|| Shared::new(config, built_in, reset).with_log(log::for_hosts()).with_image(image))
 }
 
-/// Makes the drivers and starts all tasks but the screen's, which has the thread to itself; in hold mode only those of the
-/// links to hosts, and never returns.
+/// Creates the drivers and starts all tasks except the screen's, which has the thread to itself; in hold mode starts
+/// only those of the links to hosts, and never returns.
 ///
-/// Not part of [`run`], which never returns: what these take of the stack is free again for the tasks.
+/// A function apart from [`run`], which never returns: its stack is then free for the tasks.
 #[inline(never)]
 fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::Source) -> (&'static Board, Screen) {
     let held = start.mode() != Mode::Run;
@@ -369,7 +372,7 @@ fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::
         green: Drive::light(Output::new(pin!(p, led_g), output(true), Speed::Low), None),
         blue: Drive::light(Output::new(pin!(p, led_b), output(true), Speed::Low), flashes),
     };
-    // Low for good: what is written to the DAC takes effect at once.
+    // Low permanently: codes written to the DAC take effect at once.
     core::mem::forget(Output::new(pin!(p, dac_ldac_n), Level::Low, Speed::Low));
 
     let board_bus = BoardBus::new(
@@ -437,7 +440,7 @@ fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::
     let rx_b = uart::receive::<stm32::UART4>(&tx_b, pin!(p, uart_b_rx as UART4_RX), p.DMA2_CH1);
     let raw = PassthroughIo { i2c: [connector_a, connector_b], uart_rx: [rx_a, rx_b], uart_tx: [tx_a, tx_b] };
 
-    // First: an edge of an echo is told by the steppers' clock.
+    // The steppers come first: their clock gives the time of an echo's edge.
     let steppers = Generators::new(
         steppers::Parts {
             clock: p.TIM2,
@@ -520,7 +523,7 @@ fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::
     let select = Output::new(pin!(p, tft_cs), Level::High, Speed::Low);
     let spi =
         Spi::new_blocking_txonly(p.SPI1, pin!(p, tft_sck as SPI1_SCK), pin!(p, tft_mosi as SPI1_MOSI), spi_config);
-    // A level of the chip select cannot fail.
+    // Setting the level of the chip select cannot fail.
     let Ok(spi) = ExclusiveDevice::new_no_delay(spi, select);
     let screen = ScreenPins {
         spi,
@@ -537,7 +540,7 @@ fn start_tasks(p: Peripherals, start: &Start, image: ImageInfo, source: clocks::
     if has_ranges {
         executors.control.spawn(ranging_task(shared, rangers).expect("one"));
     } else {
-        // Dropped, they would disconnect the echo pins at which a motor's angle sensor may send its pulses.
+        // Dropping them would disconnect the echo pins, at which a motor's angle sensor may send its pulses.
         core::mem::forget(rangers);
     }
     spawn_links(&executors);
@@ -618,7 +621,7 @@ async fn screen_task(shared: &'static Board, pins: Screen) -> ! {
     screen::run(shared, pins).await
 }
 
-/// Trips, to the debugger's log.
+/// Writes trips to the debugger's log.
 #[embassy_executor::task]
 async fn log_task(shared: &'static Board) -> ! {
     let mut trips = shared.trips();
@@ -631,14 +634,14 @@ async fn log_task(shared: &'static Board) -> ! {
     }
 }
 
-/// Ends the count of bad starts.
+/// Ends the count of bad starts after a good run.
 #[embassy_executor::task]
 async fn well_task() {
     Timer::after(reset::RUN_WELL).await;
     reset::ran_well();
 }
 
-/// A restart that a host asked for; it is only taken while the board is not armed.
+/// Carries out a restart that a host requested; the request is only accepted while the board is not armed.
 #[embassy_executor::task]
 async fn restart_task(shared: &'static Board) -> ! {
     let restart = shared.restart_requested().await;
@@ -650,15 +653,16 @@ async fn restart_task(shared: &'static Board) -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Paints what is free of the stack, so that a debugger sees how deep it was. Not at the reset, where outputs would wait for it.
+/// Paints the free part of the stack, so that a debugger sees its greatest depth. Not called at the reset, where
+/// outputs would wait for it.
 #[inline(never)]
 fn paint_stack() {
     const PAINT: u32 = 0xCCCC_CCCC;
-    /// Below the stack pointer, for what the compiler may keep there.
+    /// Bytes below the stack pointer that the compiler may use.
     const MARGIN: usize = 64;
     #[allow(unsafe_code, reason = "a symbol of the linker's, and memory that is nobody's")]
-    // SAFETY: of the symbol only the address is used. Below the stack pointer is nothing but the free stack, down to its end;
-    // what an interrupt has put there is of no use when it returns.
+    // SAFETY: only the address of the symbol is used. Below the stack pointer is only the free stack, down to its end;
+    // data that an interrupt has left there is not used after its return.
     unsafe {
         unsafe extern "C" {
             safe static _stack_end: u8;
@@ -670,13 +674,13 @@ fn paint_stack() {
     }
 }
 
-/// Words with a bit for each of the 150 interrupts.
+/// Number of words with a bit for each of the 150 interrupts.
 const INTERRUPT_WORDS: usize = 5;
 
-/// Ends what a bootloader may have left: its tick, its interrupts, and that none are taken.
+/// Clears the state that a bootloader may have left: its tick, its interrupts, and a set interrupt mask.
 fn quiet() {
     #[allow(unsafe_code, reason = "no driver owns an interrupt yet")]
-    // SAFETY: each bit written turns an interrupt off or forgets that it was asked for; no driver and no critical section
+    // SAFETY: each bit written disables an interrupt or clears its pending state; no driver and no critical section
     // exists yet.
     unsafe {
         (*SYST::PTR).csr.write(0);
@@ -686,8 +690,8 @@ fn quiet() {
     }
 }
 
-/// Instructions are cached; data is not, so that DMA and the processor see the same. The Arduino bootloader may have left the
-/// data cache on. Cycles are counted from here on, and address 0 and the stack's end are guarded.
+/// Enables the instruction cache and disables the data cache, which the Arduino bootloader may have left on, so that
+/// DMA and the processor see the same data. Starts the cycle counter, and guards address 0 and the stack's end.
 fn processor() {
     let Some(mut core) = cortex_m::Peripherals::take() else { return };
     if cortex_m::peripheral::SCB::dcache_enabled() {
@@ -698,8 +702,8 @@ fn processor() {
     guard::start(&mut core.MPU);
 }
 
-/// Turns the external memory's first bank off, which is on after reset: speculative reads of the processor at 0x6000_0000 would
-/// wait there for a memory that does not exist.
+/// Disables the external memory's first bank, which is on after reset: speculative reads of the processor at
+/// 0x6000_0000 would wait there for a memory that does not exist.
 fn no_speculation() {
     pac::RCC.ahb3enr().modify(|w| w.set_fmcen(true));
     let _ = pac::RCC.ahb3enr().read();

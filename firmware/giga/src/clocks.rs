@@ -1,4 +1,4 @@
-//! The clock tree: 480 MHz from the 16 MHz crystal, or from the internal oscillator when the crystal does not start.
+//! Clock tree: 480 MHz from the 16 MHz crystal, or from the internal oscillator when the crystal does not start.
 
 use embassy_stm32::{
     pac::RCC,
@@ -11,19 +11,19 @@ use embassy_stm32::{
 
 use crate::cycles::{self, Deadline};
 
-/// Before the crystal counts as dead: crystals start in 2 ms (STM32H747 datasheet, table 45).
+/// Time limit for the start of the crystal: crystals start in 2 ms (STM32H747 datasheet, table 45).
 const CRYSTAL_START_US: u32 = 20_000;
 
-/// What the processor's clock is made from.
+/// Source of the processor's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 pub(crate) enum Source {
-    /// The Giga's crystal.
+    /// Crystal of the Giga.
     Crystal,
-    /// The internal oscillator, 1 % at 25 °C: the crystal did not start.
+    /// Internal oscillator, 1 % at 25 °C: the crystal did not start.
     Internal,
 }
 
-/// Starts the crystal and sees whether it runs. embassy would wait for it for ever.
+/// Starts the crystal and returns whether it runs. embassy would wait for it indefinitely.
 pub(crate) fn probe() -> Source {
     RCC.cr().modify(|w| w.set_hsebyp(false));
     RCC.cr().modify(|w| w.set_hseon(true));
@@ -37,16 +37,19 @@ pub(crate) fn probe() -> Source {
     Source::Internal
 }
 
-/// Turns the clock security system on, for a processor that runs from the crystal: when it stops, the processor goes on from the
-/// internal oscillator and takes the NMI (`panic.rs`), within 2 us or so instead of standing still with its outputs on.
+/// Enables the clock security system, for a processor that runs from the crystal: when the crystal stops, the processor
+/// continues from the internal oscillator and takes the NMI (`panic.rs`), within about 2 us, instead of standing still
+/// with its outputs on.
 pub(crate) fn guard() {
     RCC.cr().modify(|w| w.set_hsecsson(true));
 }
 
-/// The same frequencies from either source: processor 480, AXI and AHB 240, APB 120, timers 240 MHz.
+/// Clock configuration with the same frequencies from either source: processor 480, AXI and AHB 240, APB 120, timers
+/// 240 MHz.
 ///
-/// PLL1 makes the processor's clock and 80 MHz for FDCAN and SPI, PLL2 64 MHz for the ADC, which wants 16 MHz times a power of two, HSI48 the USB clock. The supply is
-/// the LDO: the Giga has no coil for the SMPS, and a wrong choice locks the debugger out until power is cut.
+/// PLL1 supplies the processor's clock and 80 MHz for FDCAN and SPI, PLL2 64 MHz for the ADC, which requires 16 MHz
+/// times a power of two, HSI48 the USB clock. The supply is the LDO: the Giga has no coil for the SMPS, and a wrong
+/// choice locks the debugger out until power is cut.
 pub(crate) fn config(source: Source) -> Config {
     let (pll_source, prediv) = match source {
         Source::Crystal => (PllSource::HSE, PllPreDiv::DIV2),
@@ -55,13 +58,13 @@ pub(crate) fn config(source: Source) -> Config {
     let mut config = Config::default();
     config.hse = (source == Source::Crystal).then_some(Hse { freq: Hertz(16_000_000), mode: HseMode::Oscillator });
     config.hsi = Some(HSIPrescaler::DIV1);
-    // Nothing counts by the RTC. With a source for it the backup domain would be reset, and its records with it, wherever a
-    // bootloader has chosen another.
+    // Nothing uses the RTC. Selecting a source for it would reset the backup domain, and its records with it, if a
+    // bootloader has chosen another source.
     config.ls = LsConfig::off();
-    // The compensation cell of the fast outputs runs on it.
+    // Clock of the compensation cell of the fast outputs.
     config.csi = true;
     config.hsi48 = Some(Hsi48Config { sync_from_usb: true });
-    // 8 MHz into each PLL.
+    // Both PLLs get 8 MHz.
     config.pll1 = Some(Pll {
         source: pll_source,
         prediv,

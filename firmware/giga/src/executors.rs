@@ -1,12 +1,12 @@
-//! Who interrupts whom: the one table of priorities, and the executors that run the tasks.
+//! Interrupt priorities of the whole firmware, and the executors that run the tasks.
 //!
 //! Of 16 levels, 0 interrupts all others:
 //!
 //! | level | runs | why there |
 //! | --- | --- | --- |
 //! | 0 | TIM2: step pulses, echoes 0 and 1 | must come within 8 us |
-//! | 1 | encoder 3, echoes 2 and 3; TIM5: embassy's time; EXTI9_5: the dead-man's handle; index pulses | edges are 20 us apart, and more than 100 in a ms are masked, of index pulses one in a period; a wait must end, and a released handle be seen, whatever task runs |
-//! | 2 | supervisor | must run when all else is late |
+//! | 1 | encoder 3, echoes 2 and 3; TIM5: embassy's time; EXTI9_5: the dead-man's handle; index pulses | edges are 20 us apart, and a line with more than 100 in a ms is masked, index pulses after one per period; a wait must end, and a released handle be seen, whatever task runs |
+//! | 2 | supervisor | must run when everything else is late |
 //! | 3 | I2C2: the next transfer of the control loop, and the end of the last; DMA; CAN: three frames fill its memory, in 0.2 ms | only begins, wakes and copies |
 //! | 4 | control, ranging | 1 kHz |
 //! | 6 | UARTs, I2C1, I2C4, USB | only wakes and copies |
@@ -22,15 +22,16 @@ use cortex_m::peripheral::DWT;
 use embassy_executor::{InterruptExecutor, SendSpawner};
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 
-/// Of step pulses.
+/// Priority of step pulses.
 pub(crate) const STEPS: Priority = Priority::P0;
-/// Interrupts of edges and of time. Those of lines must not interrupt each other: all change the lines' masks.
+/// Priority of the interrupts of edges and of time. Those of lines must not interrupt each other: all change the lines'
+/// masks.
 pub(crate) const EDGES: Priority = Priority::P1;
 const SUPERVISOR: Priority = Priority::P2;
-/// Interrupts that end what control waits for. embassy sets those of DMA itself.
+/// Priority of the interrupts that end transfers of the control loop. embassy sets those of DMA itself.
 pub(crate) const TRANSFERS: Priority = Priority::P3;
 const CONTROL: Priority = Priority::P4;
-/// Interrupts of what hosts talk through.
+/// Priority of the interrupts of the links to hosts.
 const TALK: Priority = Priority::P6;
 const LINKS: Priority = Priority::P8;
 const USB: Priority = Priority::P10;
@@ -40,19 +41,19 @@ static CONTROL_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 static LINK_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 static USB_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 
-/// Where tasks can be started, by their urgency.
+/// Spawners of the executors, by urgency.
 pub(crate) struct Executors {
-    /// Only the supervisor.
+    /// Executor of the supervisor alone.
     pub(crate) supervisor: SendSpawner,
-    /// Control and ranging.
+    /// Executor of control and ranging.
     pub(crate) control: SendSpawner,
-    /// Everything that talks to hosts, and storage.
+    /// Executor of the links to hosts, and of storage.
     pub(crate) links: SendSpawner,
-    /// Only USB.
+    /// Executor of USB alone.
     pub(crate) usb: SendSpawner,
 }
 
-/// Sets every priority. Before any driver enables its interrupt.
+/// Sets every priority. Must run before any driver enables its interrupt.
 pub(crate) fn prioritise() {
     for (priority, interrupts) in [
         (STEPS, &[interrupt::TIM2][..]),
@@ -94,7 +95,7 @@ pub(crate) fn prioritise() {
     }
 }
 
-/// Starts the interrupt executors. Once, after [`prioritise`].
+/// Starts the interrupt executors. Call it once, after [`prioritise`].
 pub(crate) fn start() -> Executors {
     Executors {
         supervisor: SUPERVISOR_EXECUTOR.start(interrupt::SAI1),
@@ -104,10 +105,10 @@ pub(crate) fn start() -> Executors {
     }
 }
 
-/// Of the processor, that the control task's executor took; wrapping.
+/// Processor cycles of the control task's executor, wrapping.
 static CONTROL_CYCLES: AtomicU32 = AtomicU32::new(0);
 
-/// What it took until it was last entered, with what interrupted it.
+/// Cycles of the control task's executor until it was last entered, interrupts included.
 pub(crate) fn control_cycles() -> u32 {
     CONTROL_CYCLES.load(Ordering::Relaxed)
 }
@@ -116,10 +117,10 @@ pub(crate) fn control_cycles() -> u32 {
 #[unsafe(no_mangle)]
 extern "C" fn SAI2() {
     let begin = DWT::cycle_count();
-    // SAFETY: this is the interrupt's handler and nothing else calls it; the interrupt is enabled by `start`, which makes the
-    // executor first.
+    // SAFETY: this is the interrupt's handler and nothing else calls it; the interrupt is enabled by `start`, which
+    // creates the executor first.
     unsafe { CONTROL_EXECUTOR.on_interrupt() }
-    // Nobody else writes it.
+    // No other code writes the counter.
     let taken = DWT::cycle_count().wrapping_sub(begin);
     CONTROL_CYCLES.store(control_cycles().wrapping_add(taken), Ordering::Relaxed);
 }
@@ -129,8 +130,8 @@ macro_rules! executor_interrupt {
         #[allow(unsafe_code, reason = "an interrupt handler is called by its name")]
         #[unsafe(no_mangle)]
         extern "C" fn $vector() {
-            // SAFETY: this is the interrupt's handler and nothing else calls it; the interrupt is enabled by `start`, which
-            // makes the executor first.
+            // SAFETY: this is the interrupt's handler and nothing else calls it; the interrupt is enabled by `start`,
+            // which creates the executor first.
             unsafe { $executor.on_interrupt() }
         }
     };

@@ -1,12 +1,12 @@
-//! The flash that keeps parameters and trips: the last four sectors of bank 2.
+//! Flash for parameters and trips: the last four sectors of bank 2.
 //!
-//! While bank 2 is programmed or erased, bank 1 is read as ever, so code in bank 1 runs on; the end is waited for by asking
-//! now and then, and other tasks have the processor meanwhile. A read of bank 2 would stall the processor until then: all
-//! accesses go through one [`Bank2`], which has no operation under way when it reads.
+//! While bank 2 is programmed or erased, bank 1 can still be read, so code in bank 1 runs on; the end of an operation
+//! is polled, and other tasks run meanwhile. A read of bank 2 would stall the processor until then: all accesses go
+//! through one [`Bank2`], which has no operation under way when it reads.
 //!
-//! # A word that fails its error correction
-//! It answers the read with a bus error, which [`bus_faults`] survives; DBECCERR tells of it, too, and is cleared before and after.
-//! Nothing else runs meanwhile: that is 8 loads, less than 1 µs.
+//! # Words that fail their error correction
+//! Such a word answers the read with a bus error, which [`bus_faults`] survives; DBECCERR shows it, too, and is cleared
+//! before and after. Nothing else runs meanwhile: that is 8 loads, less than 1 µs.
 //!
 //! One wrong bit is corrected (SNECCERR) and is no error.
 
@@ -21,7 +21,7 @@ use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorF
 
 use crate::{bus_faults, watchdog};
 
-/// First address of bank 2, and of what is kept there.
+/// First address of bank 2, and of the sectors used here.
 const BANK: u32 = 0x0810_0000;
 const BASE: u32 = 0x0818_0000;
 const SECTOR_BYTES: u32 = 128 * 1024;
@@ -33,29 +33,29 @@ const BANK_2: usize = 1;
 /// Keys of FLASH_KEYR2 (RM0399, 4.5.1).
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
-/// Between two looks at an operation: a word takes 0.1 ms, a sector 1 s (data sheet).
+/// Polling intervals of the operations: a word takes 0.1 ms, a sector 1 s (data sheet).
 const WRITE_LOOK: Duration = Duration::from_micros(50);
 const ERASE_LOOK: Duration = Duration::from_millis(2);
-/// Ten times what the data sheet gives a word, and twice what it gives a sector at the slowest parallelism.
+/// Time limits: ten times the data sheet's time of a word, and twice that of a sector at the slowest parallelism.
 const WRITE_WAIT: Duration = Duration::from_millis(10);
 const ERASE_WAIT: Duration = Duration::from_secs(8);
 
-/// Why flash was not read or written.
+/// Reason why flash was not read or written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 pub enum FlashError {
-    /// Beyond the four sectors.
+    /// Address beyond the four sectors.
     OutOfBounds,
-    /// Not whole words, or not whole sectors.
+    /// Range of incomplete words, or incomplete sectors.
     NotAligned,
     /// A word fails its error correction.
     Uncorrectable,
     /// The sector is write-protected (WRPERR).
     Protected,
-    /// The controller did not accept what it was given (PGSERR, STRBERR, INCERR), or stayed locked.
+    /// The controller rejected the access (PGSERR, STRBERR, INCERR), or stayed locked.
     Sequence,
     /// The operation failed (OPERR).
     Operation,
-    /// It did not end.
+    /// The operation did not end in time.
     Timeout,
 }
 
@@ -69,7 +69,7 @@ impl NorFlashError for FlashError {
     }
 }
 
-/// The four sectors, from address 0 on.
+/// Driver of the four sectors, with addresses from 0 on.
 pub struct Bank2 {
     _flash: Peri<'static, peripherals::FLASH>,
 }
@@ -82,7 +82,7 @@ impl Bank2 {
     }
 }
 
-/// Whether `from..to` is within the sectors, and both are multiples of `unit`.
+/// Checks that `from..to` is within the sectors, and both are multiples of `unit`.
 fn check(from: u32, to: u64, unit: u32) -> Result<(), FlashError> {
     match () {
         () if u64::from(from) > to || to > u64::from(SECTORS * SECTOR_BYTES) => Err(FlashError::OutOfBounds),
@@ -95,7 +95,7 @@ fn bank() -> flash::Bank {
     FLASH.bank(BANK_2)
 }
 
-/// Clears the flags of whatever was before.
+/// Clears the flags of earlier operations.
 fn clear_flags() {
     bank().ccr().write(|w| {
         w.set_clr_eop(true);
@@ -111,7 +111,7 @@ fn clear_flags() {
     });
 }
 
-/// Waits for what is under way, also from before this: a task that was dropped leaves it.
+/// Waits for the operation under way, which may be one that a dropped task has left.
 async fn finished(look: Duration, limit: Duration) -> Result<(), FlashError> {
     let end = Instant::now() + limit;
     loop {
@@ -127,7 +127,7 @@ async fn finished(look: Duration, limit: Duration) -> Result<(), FlashError> {
     }
 }
 
-/// Unlocks the controller until this is dropped.
+/// Guard that unlocks the controller until it is dropped.
 struct Unlocked;
 
 impl Unlocked {
@@ -160,7 +160,7 @@ fn outcome() -> Result<(), FlashError> {
     }
 }
 
-/// RM0399, 4.3.9 "Single write sequence".
+/// Programs a word by the "Single write sequence" (RM0399, 4.3.9).
 async fn program(address: u32, word: &[u8; WORD_BYTES]) -> Result<(), FlashError> {
     finished(ERASE_LOOK, ERASE_WAIT).await?;
     clear_flags();
@@ -181,7 +181,7 @@ async fn program(address: u32, word: &[u8; WORD_BYTES]) -> Result<(), FlashError
     outcome()
 }
 
-/// RM0399, 4.3.10 "Flash sector erase sequence".
+/// Erases a sector by the "Flash sector erase sequence" (RM0399, 4.3.10).
 async fn erase(sector: u8) -> Result<(), FlashError> {
     finished(ERASE_LOOK, ERASE_WAIT).await?;
     clear_flags();
@@ -197,7 +197,7 @@ async fn erase(sector: u8) -> Result<(), FlashError> {
     outcome()
 }
 
-/// Reads a word; see the module about how.
+/// Reads a word; the module's documentation describes the error handling.
 fn read_word(address: u32) -> Result<[u8; WORD_BYTES], FlashError> {
     bank().ccr().write(|w| w.set_clr_dbeccerr(true));
     let (word, faults) = bus_faults::ignored(|| {

@@ -1,8 +1,8 @@
-//! Whether the image in flash is what was built: its record (see [`r4_protocol::image`]) against what flash holds.
+//! Check of the image in flash: its record (see [`r4_protocol::image`]) against the contents of flash.
 //!
-//! Checked at each start, right after outputs are safe and before anything else is set up, by the chip's CRC unit: 0.46 million bytes
-//! are 20 instructions for each 32 of them, 0.3 million. Code that runs before it is the start alone: the vector table, `main`, the
-//! sweep.
+//! Done at each start, right after outputs are safe and before anything else is set up, by the chip's CRC unit: 0.46
+//! million bytes at 20 instructions per 32 bytes are 0.3 million. Only the start runs before it: the vector table,
+//! `main`, the sweep.
 
 use core::ptr;
 
@@ -17,16 +17,16 @@ use r4_protocol::image::{CRC_AT, ImageInfo, MAGIC, RECORD_AT, RECORD_BYTES};
 
 use crate::bus_faults;
 
-/// Words of a flash word.
+/// Number of 32-bit words in a flash word.
 const WORDS: usize = RECORD_BYTES / 4;
-/// As the erased flash has them.
+/// Value of a word in erased flash.
 const ERASED: u32 = u32::MAX;
-/// Bank 1 without what is before this image: nothing else may be meant by a length.
+/// Size of bank 1, which limits a plausible length of the image.
 const LARGEST: usize = 0x10_0000;
 
-/// The record; `cargo xtask firmware` fills in what is not known before the image is linked.
+/// Record of the image; `cargo xtask firmware` fills in the fields that are unknown before linking.
 #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
-// SAFETY: the section is in flash, and takes any data.
+// SAFETY: the section is in flash and may hold any data.
 #[unsafe(link_section = ".r4_image")]
 #[used]
 static RECORD: [u32; WORDS] = {
@@ -35,30 +35,30 @@ static RECORD: [u32; WORDS] = {
     record
 };
 
-/// What the image is.
+/// Description of the image, and the result of its check.
 #[derive(Clone, Copy)]
 pub(crate) struct Image {
     pub(crate) info: ImageInfo,
-    /// Flash holds what its record says.
+    /// True if the contents of flash agree with the record.
     pub(crate) whole: bool,
 }
 
 /// Compares the image with its record.
 pub(crate) fn check() -> Image {
     #[allow(unsafe_code, reason = "a symbol of the linker's")]
-    // SAFETY: only its address is used.
+    // SAFETY: only the address of the symbol is used.
     unsafe extern "C" {
         safe static __vector_table: [u32; WORDS];
     }
     let start: *const [u32; WORDS] = &raw const __vector_table;
     let read = |word: usize| {
         #[allow(unsafe_code, reason = "flash is read by its address")]
-        // SAFETY: aligned, and within bank 1, which is there whatever is programmed into it: LARGEST.
+        // SAFETY: aligned, and within bank 1, which can be read whatever is programmed into it: LARGEST.
         unsafe {
             start.wrapping_add(word).read_volatile()
         }
     };
-    // Volatile: what the compiler knows of it is of before it was filled in.
+    // Volatile: the compiler knows only the contents before they were filled in.
     let [_, bytes, crc, ..] = read(RECORD_AT / RECORD_BYTES);
     let info = ImageInfo { hosted: env!("R4_IMAGE_KIND") == "hosted", bytes, crc };
     let length = bytes as usize;
@@ -86,10 +86,10 @@ pub(crate) fn check() -> Image {
     }
 }
 
-/// Turns the unit on, for CRC-32/ISO-HDLC (RM0399, 22.3.3): polynomial and initial value are those of its reset.
+/// Enables the CRC unit for CRC-32/ISO-HDLC (RM0399, 22.3.3): polynomial and initial value are those of its reset.
 fn begin() {
     RCC.ahb4enr().modify(|w| w.set_crcen(true));
-    // The clock is there two cycles later (RM0399, 9.5.10).
+    // The clock runs two cycles later (RM0399, 9.5.10).
     let _ = RCC.ahb4enr().read();
     RCC.ahb4rstr().modify(|w| w.set_crcrst(true));
     RCC.ahb4rstr().modify(|w| w.set_crcrst(false));

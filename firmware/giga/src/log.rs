@@ -1,5 +1,5 @@
-//! The log: all that defmt writes goes into one ring, which debug probes read by RTT and hosts over their links. Neither is ever
-//! waited for.
+//! Log of the firmware: everything that defmt writes goes into one ring, which debug probes read by RTT and hosts over
+//! their links. The firmware waits for neither.
 
 use core::{
     cell::UnsafeCell,
@@ -12,17 +12,18 @@ use r4_protocol::log::{IMAGE_BYTES, fingerprint};
 
 static RING: Ring = Ring::new();
 
-/// What hosts are given.
+/// Log for hosts, with the image's fingerprint.
 pub(crate) fn for_hosts() -> Log {
     #[allow(unsafe_code, reason = "a symbol of the linker's")]
-    // SAFETY: the linker script of cortex-m-rt puts as many words there, in flash.
+    // SAFETY: the linker script of cortex-m-rt places that many bytes there, in flash.
     unsafe extern "C" {
         safe static __vector_table: [u8; IMAGE_BYTES];
     }
     Log { ring: &RING, image: fingerprint(&__vector_table) }
 }
 
-/// RTT's control block, as probes look for it by its symbol or its first bytes: SEGGER, "RTT", section "RTT Control Block".
+/// Control block of RTT, which probes find by its symbol or its first bytes: SEGGER, "RTT", section "RTT Control
+/// Block".
 #[repr(C)]
 struct ControlBlock {
     identification: [u8; 16],
@@ -31,20 +32,20 @@ struct ControlBlock {
     name: *const u8,
     buffer: *const AtomicU8,
     size: u32,
-    /// Next place that is written.
+    /// Index of the next byte to be written.
     write: AtomicU32,
-    /// Next place that the probe reads: the probe's own.
+    /// Index of the next byte that the probe reads; written by the probe.
     read: AtomicU32,
-    /// 0 and 1 do not wait for the probe. One that asks for that is not heard.
+    /// Mode of the channel. 0 and 1 do not wait for the probe; a request by the probe to wait is ignored.
     mode: AtomicU32,
 }
 
 #[allow(unsafe_code, reason = "shared memory with a debug probe")]
-// SAFETY: what changes is atomic, and the pointers lead to statics.
+// SAFETY: mutable fields are atomic, and the pointers lead to statics.
 unsafe impl Sync for ControlBlock {}
 
 #[allow(unsafe_code, reason = "probes look for this name")]
-// SAFETY: nothing else has it: defmt-rtt, which would, is not linked.
+// SAFETY: no other symbol has this name: defmt-rtt, which would define it, is not linked.
 #[unsafe(no_mangle)]
 static _SEGGER_RTT: ControlBlock = ControlBlock {
     identification: *b"SEGGER RTT\0\0\0\0\0\0",
@@ -63,7 +64,7 @@ fn put(bytes: &[u8]) {
     _SEGGER_RTT.write.store(RING.written() % SIZE as u32, Ordering::Release);
 }
 
-/// Of a record that is being written. Whoever writes one has `TAKEN` and is in a critical section.
+/// State of the record being written. The writer holds `TAKEN` and is in a critical section.
 struct Writing(UnsafeCell<(defmt::Encoder, RestoreState)>);
 
 #[allow(unsafe_code, reason = "guarded by hand: defmt begins and ends a record by two calls")]
@@ -77,16 +78,16 @@ static TAKEN: AtomicBool = AtomicBool::new(false);
 struct Logger;
 
 #[allow(unsafe_code, reason = "the trait's")]
-// SAFETY: a critical section lasts from `acquire` to `release`, so no two records mix.
+// SAFETY: a critical section lasts from `acquire` to `release`, so records do not mix.
 unsafe impl defmt::Logger for Logger {
     fn acquire() {
-        // SAFETY: `release` ends it with what this returned.
+        // SAFETY: `release` ends it with the state returned here.
         let before = unsafe { critical_section::acquire() };
-        // A record that is written in the middle of another one.
+        // A log line inside another one.
         if TAKEN.swap(true, Ordering::Relaxed) {
             panic!("a log line within a log line");
         }
-        // SAFETY: in the critical section, and taken.
+        // SAFETY: in the critical section, and `TAKEN` is held.
         let (encoder, restore) = unsafe { &mut *WRITING.0.get() };
         *restore = before;
         encoder.start_frame(put);
@@ -100,7 +101,7 @@ unsafe impl defmt::Logger for Logger {
         encoder.end_frame(put);
         let before = *restore;
         TAKEN.store(false, Ordering::Relaxed);
-        // SAFETY: the one that `acquire` began.
+        // SAFETY: this ends the critical section that `acquire` began.
         unsafe { critical_section::release(before) };
     }
 

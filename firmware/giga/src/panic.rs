@@ -1,4 +1,4 @@
-//! What happens when the firmware cannot go on: the stop lines go safe, a record is left, the processor resets.
+//! End of a failed run: the stop lines go safe, a record is left, the processor resets.
 
 use core::{
     panic::{Location, PanicInfo},
@@ -14,11 +14,11 @@ use crate::{
     safety_pins,
 };
 
-/// Configurable and hard fault status (ARMv7-M ARM, B3.2.15 and B3.2.16).
+/// Registers of configurable and hard fault status (ARMv7-M ARM, B3.2.15 and B3.2.16).
 const CFSR: *const u32 = 0xE000_ED28 as *const u32;
 const HFSR: *const u32 = 0xE000_ED2C as *const u32;
 
-/// Takes no lock and allocates nothing: whatever held a lock will not run again.
+/// Ends the run. Takes no lock and allocates nothing: the holder of a lock will not run again.
 fn end(record: &Record) -> ! {
     cortex_m::interrupt::disable();
     safety_pins::stop();
@@ -27,11 +27,11 @@ fn end(record: &Record) -> ! {
     SCB::sys_reset()
 }
 
-/// Whether a panic is being recorded: one within it, as of a log line in the middle of a log line, only resets.
+/// True while a panic is being recorded: a second one within it, as of a log line inside a log line, only resets.
 static PANICKED: AtomicBool = AtomicBool::new(false);
 
-/// Where it was called from is of no use, for that is `core`. What is kept leads to it in the ELF file: the address of the
-/// location and of its file's name, the line, and how deep the stack was.
+/// Panic handler. The caller's address is useless, since it is in `core`. The record therefore has data that lead to
+/// the place in the ELF file: the address of the location and of its file's name, the line, and the stack pointer.
 #[panic_handler]
 fn panic(info: &PanicInfo) -> ! {
     cortex_m::interrupt::disable();
@@ -52,7 +52,7 @@ fn panic(info: &PanicInfo) -> ! {
     end(&record)
 }
 
-/// The fault's own stack: what faulted may have been the other one, at its end.
+/// Stack of the fault handler: the fault may come from the end of the main one.
 #[repr(align(8))]
 #[allow(dead_code, reason = "only its place is used")]
 struct Stack([u8; STACK]);
@@ -78,15 +78,15 @@ extern "C" fn HardFault() -> ! {
     )
 }
 
-/// DTCM, where the stack is.
+/// Address range of DTCM, where the stack is.
 const RAM: core::ops::Range<usize> = 0x2000_0000..0x2002_0000;
-/// Places of LR and PC in what the processor stacks (ARMv7-M ARM, B1.5.6).
+/// Indices of LR and PC in the frame that the processor stacks (ARMv7-M ARM, B1.5.6).
 const STACKED_LR: usize = 5;
 const STACKED_PC: usize = 6;
 
 extern "C" fn fault(frame: *const u32) -> ! {
     safety_pins::stop();
-    // After an overflow the frame is not where it should be, and reading there would fault again.
+    // After an overflow the frame is outside RAM, and reading it would fault again.
     let there = |word: usize| RAM.contains(&(frame as usize + 4 * word));
     let stacked = |word: usize| if there(word) { read(frame.wrapping_add(word)) } else { 0 };
     let (pc, lr) = (stacked(STACKED_PC), stacked(STACKED_LR));
@@ -95,13 +95,14 @@ extern "C" fn fault(frame: *const u32) -> ! {
 
 #[allow(unsafe_code, reason = "reads registers and the stack by their addresses")]
 fn read(address: *const u32) -> u32 {
-    // SAFETY: called with a place in RAM that is aligned as the processor aligns its stack, and with registers of the processor
-    // that can always be read.
+    // SAFETY: called with an address in RAM that is aligned as the processor aligns its stack, and with registers of
+    // the processor that can always be read.
     unsafe { address.read_volatile() }
 }
 
-/// The clock security system, which is all that this processor has on this line: the crystal stopped, the hardware has put the
-/// processor on its internal oscillator, and every peripheral that ran from a PLL stands still (RM0399, 9.5.4).
+/// Handler of the clock security system, the only source of the NMI on this processor: the crystal stopped, the
+/// hardware has switched the processor to its internal oscillator, and every peripheral that ran from a PLL stands
+/// still (RM0399, 9.5.4).
 #[exception]
 #[allow(unsafe_code, reason = "exception handlers are declared so")]
 unsafe fn NonMaskableInt() -> ! {

@@ -1,4 +1,4 @@
-//! Everything of the processor that the control loop uses, in one.
+//! Peripherals of the processor that the control loop uses, in one type.
 
 use r4_firmware::platform::{
     AnalogInputs, AnalogOutputs, ControlCycles, EdgeInputs, Encoders, KeptWords, PulseInputs, StepEvent, Steppers,
@@ -15,20 +15,21 @@ use crate::{
     switches::Switches,
 };
 
-/// Counters, converters, switches and step generators.
+/// Peripherals for the control loop: counters, converters, switches and step generators.
 pub(crate) struct Processor {
     pub(crate) encoders: Counters,
     pub(crate) switches: Switches,
     pub(crate) steppers: Generators,
-    /// `None` when the converter did not start: its inputs read 0 V, and supplies that are watched are out of range.
+    /// Analog inputs; `None` when the converter did not start: its inputs read 0 V, and supplies that are watched are
+    /// out of range.
     pub(crate) inputs: Option<Inputs>,
     pub(crate) outputs: Outputs,
-    /// Which of [`ranging::LINES`] had a storm when last asked.
+    /// State of each of [`ranging::LINES`] at the last check: true for a storm.
     pub(crate) storms: [bool; ranging::LINES.len()],
 }
 
 #[allow(unsafe_code, reason = "the inputs hold a plain pointer")]
-// SAFETY: it is to memory that DMA writes and one owner reads, from whichever priority; nothing else refers to it.
+// SAFETY: the pointer is to memory that DMA writes and one owner reads, from any priority; nothing else refers to it.
 unsafe impl Send for Inputs {}
 
 impl Encoders for Processor {

@@ -1,13 +1,14 @@
-//! Range sensors: trigger outputs, and the echoes' edges by the steppers' clock.
+//! Range sensors: trigger outputs, and the echoes' edges timed by the steppers' clock.
 //!
-//! Echoes 0 and 1 are captured by channels 4 and 3 of TIM2, which is the clock of [`crate::steppers`] (10 MHz, 32 bits), on
-//! both edges; its interrupt must read a capture before the next edge, and an echo lasts 116 µs at least. Echoes 2 and 3 have
-//! no timer: the interrupt of their lines reads the clock, so that their edges are late by its latency.
+//! Channels 4 and 3 of TIM2, which is the clock of [`crate::steppers`] (10 MHz, 32 bits), capture echoes 0 and 1 on
+//! both edges; its interrupt must read a capture before the next edge, and an echo lasts at least 116 µs. Echoes 2 and
+//! 3 have no timer: the interrupt of their lines reads the clock, so that their edges are late by its latency.
 //!
-//! An edge is a level that is not the one before. One that is over before its interrupt (less than the latency, some µs)
-//! is none.
+//! An edge is a level that differs from the previous one. A pulse that is over before its interrupt (less than the
+//! latency, some µs) is not seen.
 //!
-//! The interrupts of all echoes are above the supervisor, so each has an [`EdgeBudget`]; one that nothing uses is not captured.
+//! The interrupts of all echoes are above the supervisor, so each has an [`EdgeBudget`]; an unused echo is not
+//! captured.
 
 use core::{
     cell::RefCell,
@@ -35,38 +36,38 @@ use crate::{
     steppers::{self, Clock},
 };
 
-/// Ticks of the clock in a µs.
+/// Ticks of the clock per µs.
 const TICKS_PER_US: u32 = crate::steppers::TICK_HZ / 1_000_000;
 /// Capture channels of echoes 0 and 1, counted from 0.
 const CHANNELS: [usize; 2] = [3, 2];
 
 static ECHOES: Mutex<RefCell<[Echo; 4]>> = Mutex::new(RefCell::new([Echo::new(false, 0); 4]));
 
-/// Of echoes 0 and 1; `None` where nothing uses them.
+/// Edge budgets of echoes 0 and 1; `None` for an unused one.
 static BUDGETS: Mutex<RefCell<[Option<EdgeBudget>; 2]>> = Mutex::new(RefCell::new([None; 2]));
-/// Whether the interrupt of any line has been masked, these or those of [`lines`], and the control loop must look after it.
+/// True if the interrupt of any line has been masked, here or in [`lines`], so that the control loop must handle it.
 pub(crate) static STORM: AtomicBool = AtomicBool::new(false);
 
-/// What has a budget of edges: first those of [`lines`].
+/// Names of the lines with a budget of edges: first those of [`lines`].
 pub(crate) const LINES: [&str; 5] = ["encoder 3", "echo 2", "echo 3", "echo 0", "echo 1"];
 
 /// Trigger and capture pins, by connector. Echoes 2 and 3 belong to [`crate::encoders::lines`].
 pub struct Pins {
-    /// `us0_trig`
+    /// Pin `us0_trig` of the carrier.
     pub trigger0: Peri<'static, peripherals::PK4>,
-    /// `us1_trig`
+    /// Pin `us1_trig` of the carrier.
     pub trigger1: Peri<'static, peripherals::PK5>,
-    /// `us2_trig`
+    /// Pin `us2_trig` of the carrier.
     pub trigger2: Peri<'static, peripherals::PK6>,
-    /// `us3_trig`
+    /// Pin `us3_trig` of the carrier.
     pub trigger3: Peri<'static, peripherals::PJ7>,
-    /// `us0_echo`
+    /// Pin `us0_echo` of the carrier.
     pub echo0: Peri<'static, peripherals::PA3>,
-    /// `us1_echo`
+    /// Pin `us1_echo` of the carrier.
     pub echo1: Peri<'static, peripherals::PA2>,
 }
 
-/// The four range sensors.
+/// Driver of the four range sensors.
 pub struct Rangers {
     clock: Clock,
     triggers: [Output<'static>; 4],
@@ -74,7 +75,7 @@ pub struct Rangers {
 }
 
 impl Rangers {
-    /// Starts to capture, on the clock that runs already. Of echoes 0 and 1 those are captured that are `used`.
+    /// Starts the capture, on the clock that already runs. `used` selects echoes 0 and 1.
     #[must_use]
     pub fn new(pins: Pins, used: [bool; 2], clock: Clock) -> Self {
         let echoes = [echo_pin(pins.echo0), echo_pin(pins.echo1)];
@@ -89,7 +90,7 @@ impl Rangers {
             });
             pac::TIM2.ccer().modify(|w| {
                 for channel in CHANNELS {
-                    // Both edges (RM0399, TIMx_CCER: CCxNP and CCxP both set).
+                    // Both edges (RM0399, TIMx_CCER: CCxP and CCxP both set).
                     w.set_ccp(channel, true);
                     w.set_ccnp(channel, true);
                     w.set_cce(channel, true);
@@ -112,23 +113,23 @@ impl Rangers {
 
 fn echo_pin(pin: Peri<'static, impl Pin>) -> Flex<'static> {
     let mut pin = Flex::new(pin);
-    // An echo without a sensor must not look like one that does not end.
+    // Pulled down: an echo without a sensor must not look like one that does not end.
     pin.set_as_af_unchecked(1, AfType::input(Pull::Down));
     pin
 }
 
-/// Levels of the four echoes.
+/// Levels of the four echo inputs.
 fn levels() -> [bool; 4] {
     let (a, i) = (pac::GPIOA.idr().read(), pac::GPIOI.idr().read());
     [a.idr(3), a.idr(2), i.idr(14), i.idr(15)].map(|level| level.to_bits() != 0)
 }
 
-/// The timer's interrupt handler changes that register too.
+/// Enables or disables a capture interrupt. The timer's interrupt handler changes that register too.
 fn set_interrupt(channel: usize, on: bool) {
     pac::TIM2.dier().modify(|w| w.set_ccie(channel, on));
 }
 
-/// From the interrupt of TIM2: takes what channels 3 and 4 have captured.
+/// Takes the captures of channels 3 and 4, from the interrupt of TIM2.
 pub(crate) fn on_capture(cs: CriticalSection<'_>) {
     let flags = pac::TIM2.sr().read();
     let mut budgets = BUDGETS.borrow_ref_mut(cs);
@@ -146,8 +147,8 @@ pub(crate) fn on_capture(cs: CriticalSection<'_>) {
     }
 }
 
-/// Which of [`LINES`] have lost edges by a storm. Lets them have another try when it is time. Called by the control loop every
-/// period.
+/// Returns which of [`LINES`] have lost edges by a storm, and unmasks them when it is time. Called by the control loop
+/// every period.
 pub(crate) fn storms() -> [bool; LINES.len()] {
     if !STORM.load(Ordering::Relaxed) {
         return [false; LINES.len()];
@@ -160,7 +161,7 @@ pub(crate) fn storms() -> [bool; LINES.len()] {
             let Some(budget) = &mut budgets[index] else { return false };
             let verdict = budget.look(now);
             if verdict.unmask {
-                // What was captured meanwhile is no edge of now.
+                // A capture from meanwhile is not a present edge.
                 let _ = pac::TIM2.ccr(CHANNELS[index]).read();
                 set_interrupt(CHANNELS[index], true);
             }
@@ -172,12 +173,12 @@ pub(crate) fn storms() -> [bool; LINES.len()] {
     })
 }
 
-/// The newest pulse at an echo input.
+/// Newest pulse at an echo input.
 pub(crate) fn pulse(index: u8) -> Option<Pulse> {
     critical_section::with(|cs| ECHOES.borrow_ref(cs).get(usize::from(index))?.pulse(Clock::ticks(), TICKS_PER_US))
 }
 
-/// From the interrupt of the echo's line: its level is `high`.
+/// Takes the level of an echo's line, from the interrupt of that line.
 pub(crate) fn on_level(cs: CriticalSection<'_>, index: usize, high: bool) {
     ECHOES.borrow_ref_mut(cs)[index].level(high, || pac::TIM2.cnt().read());
 }

@@ -1,4 +1,4 @@
-//! The lines that stop the board without the I2C bus, from the first instruction to the last.
+//! Lines that stop the board without the I2C bus, from the first instruction to the last.
 
 use core::convert::Infallible;
 
@@ -19,10 +19,9 @@ use crate::{
 
 /// Turns every bridge off: clocks to the ports, levels first, then the outputs.
 ///
-/// The very first thing that the firmware does, before it clears its memory's users or touches a clock. Lights go off.
+/// This is the firmware's very first action, before it initialises memory or clocks. Lights go off.
 pub(crate) fn claim() {
-    // All eleven ports, A to K; what they control is not known before the carrier's file is read, which is at build time, and
-    // they cost nothing.
+    // All eleven ports, A to K: it costs nothing to enable those that the carrier's file does not use.
     RCC.ahb4enr().modify(|w| w.0 |= 0x7FF);
     // A port's clock runs two cycles after the write; reading it back takes longer.
     let _ = RCC.ahb4enr().read();
@@ -34,7 +33,7 @@ pub(crate) fn claim() {
     }
 }
 
-/// Turns every bridge off, whoever drives the lines: for the handlers of panics and faults. Takes no lock.
+/// Turns every bridge off, regardless of the lines' owner: for the handlers of panics and faults. Takes no lock.
 pub(crate) fn stop() {
     OSMC_DIS.set(true);
     PCA_OE_N.set(true);
@@ -42,41 +41,41 @@ pub(crate) fn stop() {
     LED_G.set(true);
 }
 
-/// The lights of hold mode: red alone, which flashes.
+/// Sets the lights of hold mode: red alone, which flashes.
 pub(crate) fn show_hold(red: bool) {
     LED_R.set(!red);
     LED_G.set(true);
     LED_B.set(true);
 }
 
-/// Half a flash of [`Flashes`].
+/// Half a period of [`Flashes`].
 const HALF_FLASH: Duration = Duration::from_millis(150);
 
-/// Red and blue together, some times, in 0.3 s each: a fault of the board that does not keep it from working. The lights have
-/// their own meanings afterwards, and nothing waits for it.
+/// Flashes of red and blue together, 0.3 s each: a fault of the board that does not keep it from working. The lights
+/// have their own meanings afterwards, and nothing waits for the flashes.
 #[derive(Clone, Copy)]
 pub(crate) struct Flashes {
     until: Instant,
 }
 
 impl Flashes {
-    /// `times` flashes from now on.
+    /// Creates `times` flashes from now on.
     pub(crate) fn new(times: u32) -> Self {
         Self { until: Instant::now() + 2 * times * HALF_FLASH }
     }
 
-    /// Whether the lights are on; `None` when it is over.
+    /// State of the lights, true for on; `None` when the flashes are over.
     fn lit(self) -> Option<bool> {
         let left = self.until.checked_duration_since(Instant::now()).filter(|left| *left > Duration::MIN)?;
         Some(left.as_ticks().div_ceil(HALF_FLASH.as_ticks()) % 2 == 0)
     }
 }
 
-/// An input of the supervisor.
+/// Input of the supervisor.
 pub(crate) enum Line {
-    /// The dead-man's handle, with an interrupt.
+    /// Dead-man's handle, with an interrupt.
     Watched(ExtiInput<'static, Async>),
-    /// The auxiliary stop, looked at each millisecond.
+    /// Auxiliary stop, polled each millisecond.
     Polled(Input<'static>),
 }
 
@@ -97,8 +96,8 @@ impl InputPin for Line {
     }
 }
 
-/// A polled line has no interrupt to wait for: waits for it never end, except for a level that it has. The supervisor looks
-/// at it each period and never waits for it.
+/// A polled line has no interrupt to wait for: waits never end, except for a level that it already has. The supervisor
+/// polls it each period and never waits for it.
 impl Wait for Line {
     async fn wait_for_high(&mut self) -> Result<(), Infallible> {
         match self {
@@ -149,33 +148,35 @@ impl Wait for Line {
     }
 }
 
-/// An output of the supervisor.
+/// Output of the supervisor.
 pub(crate) struct Drive {
     line: Output<'static>,
     also: Also,
 }
 
-/// What a [`Drive`] does besides.
+/// Additional action of a [`Drive`].
 enum Also {
     Nothing,
-    /// Counts the heartbeats that are left until it does.
+    /// Feeds the watchdog; the number is that of the remaining heartbeats until it does.
     FeedsTheWatchdog(u8),
     Flashes(Flashes),
 }
 
 impl Drive {
-    /// A plain output.
+    /// Creates a plain output.
     pub(crate) fn plain(line: Output<'static>) -> Self {
         Self { line, also: Also::Nothing }
     }
 
-    /// The heartbeat: the supervisor alone turns it, once in each of its periods, and every [`watchdog::BEATS`] turns feed the
-    /// watchdog. So the watchdog watches exactly what an external one at this line would.
+    /// Creates the heartbeat: only the supervisor toggles it, once in each of its periods, and every
+    /// [`watchdog::BEATS`] toggles feed the watchdog. So the watchdog checks exactly what an external one at this line
+    /// would.
     pub(crate) fn heartbeat(line: Output<'static>) -> Self {
         Self { line, also: Also::FeedsTheWatchdog(watchdog::BEATS) }
     }
 
-    /// A light, on while low, that flashes first. The supervisor writes it in each of its periods, so it needs no task.
+    /// Creates a light, on while low, that flashes first. The supervisor writes it in each of its periods, so it needs
+    /// no task.
     pub(crate) fn light(line: Output<'static>, flashes: Option<Flashes>) -> Self {
         Self { line, also: flashes.map_or(Also::Nothing, Also::Flashes) }
     }

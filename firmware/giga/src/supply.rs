@@ -1,10 +1,11 @@
-//! The processor's own supply: warned of by the voltage detector before the brown-out reset comes.
+//! Supply of the processor: the voltage detector warns before the brown-out reset comes.
 //!
-//! The detector (PVD) interrupts when the 3.3 V rail falls below 2.75 V. The handler drives the stop lines and trips the board, so
-//! that the chips on the I2C bus are written while the processor still runs; the cause is present until the rail is above
-//! 2.85 V again. The brown-out reset is an option byte, which the image does not change: a power cut while option bytes are
-//! written can lock the chip, and they are written once for a board, not at each start. [`brown_out_level`] returns what it
-//! is, and the boot says so when it is off. `docs/bring-up.md`, 3, has the command.
+//! The detector (PVD) interrupts when the 3.3 V rail falls below 2.75 V. The handler drives the stop lines and trips
+//! the board, so that the chips on the I2C bus are written while the processor still runs; the cause is present until
+//! the rail is above 2.85 V again. The brown-out reset is an option byte, which the image does not change: a power cut
+//! while option bytes are written can lock the chip, so they are written once for a board, not at each start.
+//! [`brown_out_level`] returns the present level, and the boot logs a warning when it is off. `docs/bring-up.md`, 3,
+//! has the command.
 
 use core::cell::Cell;
 
@@ -17,15 +18,16 @@ use r4_protocol::Cause;
 
 use crate::{boot::Board, safety_pins};
 
-/// PWR_CR1.PLS: 2.85 V rising, 0.1 V less falling, the highest (RM0399, 7.8.1; STM32H747 datasheet, reset and power control).
+/// Level in PWR_CR1.PLS: 2.85 V rising, 0.1 V less falling, the highest (RM0399, 7.8.1; STM32H747 datasheet, reset and
+/// power control).
 const LEVEL: u8 = 0b110;
-/// The detector's output is this EXTI line, high while the supply is low (RM0399, table "EXTI Event input mapping").
+/// EXTI line of the detector's output, high while the supply is low (RM0399, table "EXTI Event input mapping").
 const LINE: usize = 16;
 
-/// Whom the interrupt tells.
+/// Board that the interrupt trips.
 static BOARD: Mutex<Cell<Option<&'static Board>>> = Mutex::new(Cell::new(None));
 
-/// Starts watching, for `board`.
+/// Starts watching the supply, for `board`.
 pub(crate) fn watch(board: &'static Board) {
     critical_section::with(|cs| BOARD.borrow(cs).set(Some(board)));
     PWR.cr1().modify(|w| {
@@ -38,11 +40,12 @@ pub(crate) fn watch(board: &'static Board) {
     EXTI.imr(0).modify(|w| w.set_line(LINE, true));
     interrupt::PVD_AVD.set_priority(Priority::P0);
     #[allow(unsafe_code, reason = "turns an interrupt on")]
-    // SAFETY: no critical section relies on its being off; its handler shares what is behind critical sections only.
+    // SAFETY: no critical section relies on the interrupt being disabled; its handler shares only data behind critical
+    // sections.
     unsafe {
         interrupt::PVD_AVD.enable();
     }
-    // Low before it was watched: there is no edge.
+    // A supply that was low before gives no edge.
     look();
 }
 
@@ -56,7 +59,7 @@ fn look() {
     }
 }
 
-/// FLASH_OPTSR_CUR.BOR_LEV: 0 is off, so that the chip resets below 1.7 V only; 3 is 2.7 V (RM0399, 4.9.9).
+/// Level in FLASH_OPTSR_CUR.BOR_LEV: 0 is off, so that the chip resets below 1.7 V only; 3 is 2.7 V (RM0399, 4.9.9).
 pub(crate) fn brown_out_level() -> u8 {
     FLASH.optsr_cur().read().bor_lev()
 }

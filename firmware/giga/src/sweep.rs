@@ -1,13 +1,13 @@
-//! The safe sweep: every output chip is told its safe state right after a reset, and over and over in hold mode.
+//! Safe sweep: writes the safe state to every output chip right after a reset, and repeatedly in hold mode.
 //!
-//! The chips on the board's I2C bus keep what they were told over a reset of the processor: relays stay closed, brushless
-//! drives keep their voltage, servos their pulses. So they are written first of all, from the internal oscillator that the
-//! processor starts with, before the crystal, the flash or any converter could be in the way. What is written comes from
-//! [`r4_firmware::outputs::sweep`] and the same chip drivers as ever; only the bus is another: it waits in loops, with a limit
-//! in cycles for each, and needs no interrupt, no DMA and no timer.
+//! The chips on the board's I2C bus keep their state over a reset of the processor: relays stay closed, brushless
+//! drives keep their voltage, servos their pulses. So they are written first of all, from the internal oscillator that
+//! the processor starts with, before the crystal, the flash or any converter could fail or delay this. The writes come
+//! from [`r4_firmware::outputs::sweep`] and the usual chip drivers; only the bus driver differs: it waits in loops,
+//! with a limit in cycles for each, and needs no interrupt, no DMA and no timer.
 //!
-//! The bus is clocked by HSI, which the I2C controllers can take directly, so that its timing is the same before the clock tree is
-//! set up and after. It must not be used beside [`crate::i2c::BoardBus`].
+//! The bus is clocked by HSI, which the I2C controllers can take directly, so that its timing is the same before the
+//! clock tree is set up and after. It must not be used beside [`crate::i2c::BoardBus`].
 
 use embassy_futures::block_on;
 use embassy_stm32::pac::{
@@ -33,19 +33,20 @@ use crate::{
     pins::{I2C_BOARD_SCL as SCL, I2C_BOARD_SDA as SDA, Place, pin},
 };
 
-/// 400 kHz from 64 MHz in steps of 31.25 ns, by the formulas of RM0399, 50.4.5 and 50.4.9: low 1.47 us (at least 1.3), high
-/// 0.88 us (at least 0.6), data set up 406 ns before the clock (rise 300 + 100), held for 250 ns (225 to 307).
+/// Timing of 400 kHz from 64 MHz in steps of 31.25 ns, by the formulas of RM0399, 50.4.5 and 50.4.9: low 1.47 us (at
+/// least 1.3), high 0.88 us (at least 0.6), data set up 406 ns before the clock (rise 300 + 100), held for 250 ns (225
+/// to 307).
 const TIMING: u32 = timingr(1, 12, 8, 27, 46);
-/// Twice the longest transfer: 13 bytes to the DAC take 0.31 ms.
+/// Time limit of a transfer: twice the longest, which is 13 bytes to the DAC in 0.31 ms.
 const TRANSFER_US: u32 = 600;
-/// Half a clock of a bus that is freed by hand: 100 kHz, which every chip follows.
+/// Half a clock period when a bus is freed by GPIO: 100 kHz, which every chip follows.
 const HALF_CLOCK_US: u32 = 5;
-/// As many clocks end any byte that a chip may be sending (UM10204, 3.1.16).
+/// Number of clocks that end any byte that a chip may be sending (UM10204, 3.1.16).
 const CLOCKS: u32 = 9;
-/// The internal oscillator starts in 2 us, and takes over within a few cycles (data sheet).
+/// Time limit for the internal oscillator, which starts in 2 us, and takes over within a few cycles (data sheet).
 const OSCILLATOR_US: u32 = 100;
 
-/// Puts the processor on its internal oscillator, where a bootloader may have left it on a PLL.
+/// Switches the processor to its internal oscillator, in case a bootloader has left it on a PLL.
 ///
 /// The clock tree is set up from there later; code that counts cycles relies on it until then.
 pub(crate) fn run_from_the_internal_oscillator() {
@@ -56,7 +57,7 @@ pub(crate) fn run_from_the_internal_oscillator() {
     while RCC.cfgr().read().sws() != Sw::HSI && !patience.has_passed() {}
 }
 
-/// The board's bus, and what it is to be told.
+/// Driver of the safe sweep, with the board's bus.
 pub(crate) struct Sweeper {
     bus: Polled,
 }
@@ -67,18 +68,18 @@ impl Sweeper {
         Self { bus: Polled::start(mhz) }
     }
 
-    /// Tells every output of `config` its safe state; see [`outputs::sweep`].
+    /// Writes the safe state of `config` to every output; see [`outputs::sweep`].
     pub(crate) fn sweep(&mut self, config: &BoardConfig) -> Result<(), OutputFault> {
         if !self.bus.is_free() {
             self.bus.free();
         }
         outputs::rest_dacs(config, &mut analog::Outputs::start());
-        // Nothing in it ever waits for anything but the loops below.
+        // The future never waits for anything but the loops below.
         block_on(outputs::sweep(&mut self.bus, config))
     }
 }
 
-/// The controller is off afterwards, as after a reset, and clocked as embassy expects it.
+/// Leaves the controller off, as after a reset, and clocked as embassy expects it.
 impl Drop for Sweeper {
     fn drop(&mut self) {
         I2C2.cr1().modify(|w| w.set_pe(false));
@@ -115,22 +116,22 @@ impl Polled {
         Deadline::after_us(us, self.mhz)
     }
 
-    /// Whether no chip holds a line.
+    /// Returns true if no chip holds a line.
     fn is_free(&self) -> bool {
         SCL.is_high() && SDA.is_high()
     }
 
-    /// Lets go of both lines and forgets the transfer. PE must stay off for three cycles of its clock; reading it back takes
-    /// longer.
+    /// Releases both lines and discards the transfer. PE must stay off for three cycles of its clock; reading it back
+    /// takes longer.
     fn forget(&self) {
         I2C2.cr1().modify(|w| w.set_pe(false));
         let _ = (0..3).all(|_| I2C2.cr1().read().pe());
         I2C2.cr1().modify(|w| w.set_pe(true));
     }
 
-    /// Clocks until the chip that holds SDA lets go of it, and ends that with a STOP.
+    /// Sends clocks until the chip that holds SDA releases it, and ends with a STOP.
     ///
-    /// No clock more: a chip in the middle of a byte that it receives would take the rest of it as ones.
+    /// No further clock is sent: a chip in the middle of a byte that it receives would take the rest of it as ones.
     fn free(&self) {
         let wait = || self.deadline(HALF_CLOCK_US).wait();
         I2C2.cr1().modify(|w| w.set_pe(false));
@@ -160,12 +161,13 @@ impl Polled {
         I2C2.cr1().modify(|w| w.set_pe(true));
     }
 
-    /// Waits for a flag.
+    /// Waits for a flag, an error, or the deadline.
     fn until(&self, ready: fn(&Isr) -> bool, deadline: Deadline) -> Result<(), BusError> {
         loop {
             let flags = I2C2.isr().read();
             match () {
-                // The controller sends the stop by itself (RM0399, 50.4.9); cut off, a chip would take it for part of a byte.
+                // The controller sends the stop by itself (RM0399, 50.4.9); if it were cut off, a chip would take it
+                // for part of a byte.
                 () if flags.nackf() => {
                     while !I2C2.isr().read().stopf() && !deadline.has_passed() {}
                     return Err(BusError::NoAcknowledge);
@@ -251,7 +253,7 @@ impl I2c for Polled {
             [Operation::Write(write)] => self.transfer(address, write, &mut []),
             [Operation::Read(read)] => self.transfer(address, &[], read),
             [Operation::Write(write), Operation::Read(read)] => self.transfer(address, write, read),
-            // Nothing in the firmware asks for other shapes.
+            // The firmware uses no other shapes.
             _ => Err(BusError::BadLength),
         }
     }

@@ -1,4 +1,4 @@
-//! The switches beside the encoders: inputs with the processor's pull-up, which close to ground.
+//! Switches beside the encoders: inputs with the processor's pull-up, which close to ground.
 
 use embassy_stm32::{
     Peri,
@@ -7,23 +7,23 @@ use embassy_stm32::{
 };
 use r4_firmware::platform::SwitchInputs;
 
-/// The pins, in the order of the inputs.
+/// Pins of the switches, in the order of the inputs.
 pub struct Pins {
-    /// `enc0_sw`
+    /// Pin `enc0_sw` of the carrier.
     pub switch0: Peri<'static, peripherals::PJ0>,
-    /// `enc1_sw`
+    /// Pin `enc1_sw` of the carrier.
     pub switch1: Peri<'static, peripherals::PJ1>,
-    /// `enc2_sw`
+    /// Pin `enc2_sw` of the carrier.
     pub switch2: Peri<'static, peripherals::PJ2>,
-    /// `enc3_sw`
+    /// Pin `enc3_sw` of the carrier.
     pub switch3: Peri<'static, peripherals::PJ5>,
 }
 
-/// The four switch inputs.
+/// Driver of the four switch inputs.
 pub struct Switches([Input<'static>; 4]);
 
 impl Switches {
-    /// Turns the pull-ups on.
+    /// Creates the driver and enables the pull-ups.
     #[must_use]
     pub fn new(pins: Pins) -> Self {
         let Pins { switch0, switch1, switch2, switch3 } = pins;

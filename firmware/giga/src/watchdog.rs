@@ -1,8 +1,8 @@
-//! The independent watchdog IWDG1: it runs from its own oscillator and cannot be stopped.
+//! Independent watchdog IWDG1: it runs from its own oscillator and cannot be stopped.
 //!
-//! It starts before the clocks do, gets time for the boot when the outputs are safe, and is drawn tight before the tasks start. From then on only the
-//! supervisor's heartbeat feeds it (see `safety_pins`), so that a supervisor that does not run resets the board, and with it
-//! turns the stop lines safe.
+//! It starts before the clocks do, gets a longer period for the boot when the outputs are safe, and a short one before
+//! the tasks start. From then on only the supervisor's heartbeat feeds it (see `safety_pins`), so that a supervisor
+//! that does not run resets the board, which also makes the stop lines safe.
 
 use core::sync::atomic::{AtomicBool, Ordering};
 
@@ -11,53 +11,55 @@ use embassy_stm32::pac::{
     iwdg::vals::{Key, Pr},
 };
 
-/// Reads of the busy flag at most: registers take five cycles of the 32 kHz clock, 0.16 ms, to follow.
+/// Maximum number of reads of the busy flag: registers take five cycles of the 32 kHz clock, 0.16 ms, to follow.
 const PATIENCE: u32 = 200_000;
 
-/// Starts it with the period that it has after a reset, 512 ms: registers take a while to change, and outputs wait.
+/// Starts the watchdog with the period of its reset value, 512 ms: registers take a while to change, and outputs wait.
 pub(crate) fn start() {
     IWDG1.kr().write(|w| w.set_key(Key::START));
 }
 
-/// For the boot: 256 ms, 2048 periods of 4 cycles of 32 kHz (238 to 275 with the tolerance of the oscillator). On the emulated
-/// board the longest stretch of the boot without [`feed`] is a fifth of that; where a sector of flash has to be erased, which
-/// takes a second or two, the wait for it feeds the watchdog and has a limit of its own (`flash.rs`).
+/// Sets the period for the boot: 256 ms, 2048 periods of 4 cycles of 32 kHz (238 to 275 with the tolerance of the
+/// oscillator). On the emulated board the longest stretch of the boot without [`feed`] is a fifth of that; if a sector
+/// of flash has to be erased, which takes a second or two, the wait for it feeds the watchdog and has a limit of its
+/// own (`flash.rs`).
 pub(crate) fn allow_boot() {
     set(Pr::DIVIDE_BY4, 2047);
 }
 
-/// Of the supervisor's heartbeats, one in so many feeds the watchdog: every 10 ms of the timers' time.
+/// Number of supervisor heartbeats per feed of the watchdog: every 10 ms of the timers' time.
 pub(crate) const BEATS: u8 = 10;
-/// For the tasks: 13 ms, 104 periods of 4 cycles of 32 kHz.
+/// Reload value for the tasks: 13 ms, 104 periods of 4 cycles of 32 kHz.
 const TASKS_RELOAD: u16 = 103;
-/// Fed before 8.5 ms have passed, 68 such periods, it bites too.
+/// Window value for the tasks: a feed before 8.5 ms, 68 such periods, also resets.
 const TASKS_WINDOW: u16 = TASKS_RELOAD - 68;
 
-/// For the tasks: the supervisor feeds it every [`BEATS`] ms. It has the highest priority of all tasks, so what delays it is only
-/// interrupts and critical sections, far below one millisecond.
+/// Sets the period for the tasks: the supervisor feeds it every [`BEATS`] ms. It has the highest priority of all tasks,
+/// so only interrupts and critical sections delay it, far below one millisecond.
 ///
-/// The window makes two clocks watch each other: LSI, which counts here, and the crystal and PLL behind the supervisor's
-/// period. LSI is between 29.8 and 33.6 kHz at any temperature (STM32H747 datasheet, LSI oscillator characteristics), so the
-/// window is open at least from 9.2 to 12.4 ms, and at most from 8.1 to 14.0 ms of true time: feeding every 10 ms is right at
-/// any temperature, and timers that are more than 24 % too fast or 29 % too slow, as with a crystal of another frequency or a PLL
-/// that lost its lock, are found within one period.
+/// The window makes two clocks check each other: LSI, which counts here, and the crystal and PLL behind the
+/// supervisor's period. LSI is between 29.8 and 33.6 kHz at any temperature (STM32H747 datasheet, LSI oscillator
+/// characteristics), so the window is open at least from 9.2 to 12.4 ms, and at most from 8.1 to 14.0 ms of true time:
+/// feeding every 10 ms is right at any temperature, and timers that are more than 24 % too fast or 29 % too slow, as
+/// with a crystal of another frequency or a PLL that lost its lock, are found within one period.
 pub(crate) fn tighten() {
     BOOTING.store(false, Ordering::Relaxed);
     set(Pr::DIVIDE_BY4, TASKS_RELOAD);
     IWDG1.kr().write(|w| w.set_key(Key::ENABLE));
-    // Refreshes the counter, too (RM0399, 49.3.3).
+    // This write refreshes the counter, too (RM0399, 49.3.3).
     IWDG1.winr().write(|w| w.set_win(TASKS_WINDOW));
 }
 
-/// Begins the period anew.
+/// Restarts the watchdog's period.
 pub(crate) fn feed() {
     IWDG1.kr().write(|w| w.set_key(Key::RESET));
 }
 
-/// Whether the tasks have not started yet.
+/// True until the tasks start.
 static BOOTING: AtomicBool = AtomicBool::new(true);
 
-/// Begins the period anew while the board boots: for waits that have a limit of their own. Later the supervisor alone does it.
+/// Restarts the period while the board boots: for waits that have a limit of their own. Later only the supervisor feeds
+/// it.
 pub(crate) fn feed_in_boot() {
     if BOOTING.load(Ordering::Relaxed) {
         feed();
@@ -70,7 +72,7 @@ fn set(prescaler: Pr, reload: u16) {
         status.pvu() || status.rvu()
     };
     IWDG1.kr().write(|w| w.set_key(Key::ENABLE));
-    // Also if it stays busy: a write that is ignored leaves the longer period.
+    // Continues even if it stays busy: a write that is ignored leaves the longer period.
     let _ = (0..PATIENCE).any(|_| !busy());
     IWDG1.pr().write(|w| w.set_pr(prescaler));
     IWDG1.rlr().write(|w| w.set_rl(reload));

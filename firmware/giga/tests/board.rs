@@ -1,6 +1,7 @@
-//! On a bare Giga R1, with nothing at its headers: clocks, reset cause, lights, inputs, pull-ups, flash.
+//! Tests on a bare Giga R1, with nothing at its headers: clocks, reset cause, lights, inputs, pull-ups, flash.
 //!
-//! `docs/bring-up.md` says how to run it. Nothing is driven but the lines that hold bridges off, the lights and DAC_LDAC_N.
+//! `docs/bring-up.md` describes how to run them. Only the lines that hold bridges off, the lights and DAC_LDAC_N are
+//! driven.
 #![no_std]
 #![no_main]
 #![allow(dead_code, unused_imports, unused_macros, reason = "of the firmware's modules each test needs a part")]
@@ -45,13 +46,13 @@ mod tests {
         reset::{self, Kind, Record, Start},
     };
 
-    /// What the processor is to run at.
+    /// Nominal frequency of the processor, Hz.
     const CORE_HZ: u64 = 480_000_000;
 
     struct Board {
         peripherals: Peripherals,
         source: Source,
-        /// Read before anything else, as the firmware does it.
+        /// Start information, read before anything else, as in the firmware.
         start: Start,
     }
 
@@ -62,7 +63,7 @@ mod tests {
         Board { peripherals, source, start }
     }
 
-    /// Cycles of the processor while `wait` runs. The counter wraps after 8.9 s.
+    /// Number of processor cycles while `wait` runs. The counter wraps after 8.9 s.
     fn cycles(wait: impl FnOnce()) -> u64 {
         if let Some(mut core) = cortex_m::Peripherals::take() {
             core.DCB.enable_trace();
@@ -74,25 +75,27 @@ mod tests {
         DWT::cycle_count().wrapping_sub(start).into()
     }
 
-    /// Without it the clocks come from an oscillator that is 1 % off, and USB and CAN are out of their tolerance.
+    /// Without the crystal the clocks come from an oscillator that is 1 % off, and USB and CAN are out of their
+    /// tolerance.
     #[test]
     fn the_crystal_starts(board: Board) {
         assert_eq!(board.source, Source::Crystal);
     }
 
-    /// The ratio of the processor's clock to that of TIM5, which keeps the time: the dividers, whatever the crystal is.
+    /// The ratio of the processor's clock to that of TIM5, which keeps the time, shows the dividers, whatever the
+    /// crystal.
     #[test]
     fn the_processor_runs_480_cycles_in_a_microsecond(_board: Board) {
         let wait = || embassy_time::block_for(Duration::from_millis(100));
         let counted = cycles(wait);
         info!("{} cycles in 100 ms", counted);
-        // One look at the time at either end, each below 10 us: two ticks of the time and what a look takes.
+        // The time is read once at either end, each below 10 us: two ticks of the time and the duration of a read.
         let expected = CORE_HZ / 10;
         assert!(counted.abs_diff(expected) < 20 * CORE_HZ / 1_000_000, "{} instead of {}", counted, expected);
     }
 
-    /// The other crystal of the board is the only clock that is not made from the first. TIM16 is given its edges (RM0399,
-    /// TIM16_TISEL), and half a second of them is counted in cycles.
+    /// The second crystal of the board drives the only clock that is independent of the first. TIM16 gets its edges
+    /// (RM0399, TIM16_TISEL), and half a second of them is counted in cycles.
     #[test]
     fn both_crystals_agree(_board: Board) {
         const EDGES: u32 = 16_384;
@@ -101,7 +104,7 @@ mod tests {
         while !PWR.cr1().read().dbp() {}
         RCC.bdcr().modify(|w| w.set_lsedrv(Lsedrv::HIGH));
         RCC.bdcr().modify(|w| w.set_lseon(true));
-        // 2 s at most (data sheet, LSE start-up time); twice that.
+        // The start takes at most 2 s (data sheet, LSE start-up time); twice that is allowed.
         let end = Instant::now() + Duration::from_secs(4);
         while !RCC.bdcr().read().lserdy() {
             assert!(Instant::now() < end, "the 32.768 kHz crystal does not start");
@@ -113,7 +116,7 @@ mod tests {
         TIM16.ccer().modify(|w| w.set_cce(0, true));
         TIM16.cr1().modify(|w| w.set_cen(true));
         let edge = || {
-            // 30.5 us apart.
+            // Edges are 30.5 us apart.
             let end = Instant::now() + Duration::from_millis(1);
             while !TIM16.sr().read().ccif(0) {
                 assert!(Instant::now() < end, "no edge");
@@ -125,7 +128,8 @@ mod tests {
         let counted = cycles(|| (0..EDGES).for_each(|_| edge()));
         RCC.bdcr().modify(|w| w.set_lseon(false));
         info!("{} cycles in half a second of the small crystal", counted);
-        // Both crystals are good to some 30 ppm; 200 leave room for temperature, and tell an internal oscillator apart.
+        // Both crystals are accurate to about 30 ppm; 200 leave room for temperature, and still detect an internal
+        // oscillator.
         let expected = CORE_HZ / 2;
         assert!(counted.abs_diff(expected) < expected / 5000, "{} instead of {}", counted, expected);
     }
@@ -144,7 +148,7 @@ mod tests {
         assert_eq!(Start::take().flags, 0, "the first look cleared it");
     }
 
-    /// What a panic leaves for the next start is in registers of the backup domain, which is write-protected after a reset.
+    /// The record of a panic is in registers of the backup domain, which is write-protected after a reset.
     #[test]
     fn a_record_of_a_bad_end_is_kept_once(_board: Board) {
         let record = Record { kind: Kind::Fault, pc: 0x0800_1234, lr: 0x0800_5679, detail: 0x8200, more: 0x4000_0000 };
@@ -153,7 +157,7 @@ mod tests {
         assert_eq!(Start::take().record, None);
     }
 
-    /// Watch: red, green, blue, each for half a second. That the level is there is read back from the pin.
+    /// Watch the lights: red, green, blue, each for half a second. The level is read back from the pin.
     #[test]
     async fn the_lights_follow_their_lines(_board: Board) {
         for light in [pins::LED_R, pins::LED_G, pins::LED_B] {
@@ -166,7 +170,7 @@ mod tests {
         }
     }
 
-    /// The lines that turn bridges off are what they were set to: nothing else drives them.
+    /// The lines that turn bridges off keep their levels: nothing else drives them.
     #[test]
     fn the_stop_lines_are_held(_board: Board) {
         cortex_m::asm::delay(480_000);
@@ -174,10 +178,10 @@ mod tests {
         assert!(pins::PCA_OE_N.is_high());
     }
 
-    /// An open line follows the pull that it is given; with the firmware's it reads as released.
+    /// Returns the level of an open line with the given pull; with the firmware's it reads as released.
     async fn follows(line: &mut Flex<'_>, pull: Pull) -> bool {
         line.set_as_input(pull);
-        // 40 kohm and some 100 pF: 4 us.
+        // Time constant of 40 kohm and about 100 pF: 4 us.
         Timer::after_millis(1).await;
         line.is_high()
     }
@@ -219,14 +223,14 @@ mod tests {
             Input::new(pin!(p, i2c_ext2_scl), Pull::Down),
         ];
         Timer::after_millis(1).await;
-        // Against 40 kohm of the processor, which a few kohm of the board win.
+        // The pull-down of 40 kohm in the processor is overridden by a few kohm of the board.
         for (index, line) in lines.iter().enumerate() {
             assert!(line.is_high(), "line {}", index);
         }
     }
 
     const SECTOR: u32 = Bank2::ERASE_SIZE as u32;
-    /// Parameters are in the first two sectors, trips in the others (`r4_firmware::storage`).
+    /// Size of a log: parameters are in the first two sectors, trips in the others (`r4_firmware::storage`).
     const LOG: u32 = 2 * SECTOR;
 
     async fn is_empty(flash: &mut Bank2, from: u32, to: u32) -> Result<bool, FlashError> {
@@ -240,7 +244,7 @@ mod tests {
         Ok(true)
     }
 
-    /// In the last sector of a log that holds nothing at all, which it is left as: what a board keeps is not touched.
+    /// Uses the last sector of a log that is completely empty, and leaves it empty: stored data are not touched.
     #[test]
     #[timeout(60)]
     async fn flash_is_written_read_and_erased(board: Board) -> Result<(), &'static str> {

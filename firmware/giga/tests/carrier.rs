@@ -1,7 +1,8 @@
-//! On a Giga on its carrier, with the motors' supply off: the chips of the board's bus, the dead-man's
-//! handle, encoders turned by hand.
+//! Tests on a Giga on its carrier, with the motors' supply off: the chips of the board's bus, the dead-man's handle,
+//! encoders turned by hand.
 //!
-//! Ignored unless asked for, for there may be no carrier: `docs/bring-up.md` says how. Chips are read and never written to.
+//! Ignored by default, since there may be no carrier: `docs/bring-up.md` describes how to run them. Chips are read and
+//! never written to.
 #![no_std]
 #![no_main]
 #![allow(dead_code, unused_imports, unused_macros, reason = "of the firmware's modules each test needs a part")]
@@ -72,7 +73,7 @@ mod tests {
         pins::{self, pin},
     };
 
-    /// The chips by their addresses (boards/r4-carrier.toml, our choice within what the data sheets allow).
+    /// Chips by their addresses (boards/r4-carrier.toml, our choice within what the data sheets allow).
     const CHIPS: [(u8, &str); 5] = [
         (0x20, "MCP23017, expander"),
         (0x40, "PCA9685, OSMC bridges"),
@@ -87,7 +88,7 @@ mod tests {
         common::start().0
     }
 
-    /// As the firmware has it. LDAC is low since the start.
+    /// Bus as the firmware sets it up. LDAC is low since the start.
     fn bus(p: Peripherals) -> Bus {
         Bus::new(
             I2c::new(
@@ -110,7 +111,8 @@ mod tests {
         )
     }
 
-    /// Whether something is at `address`: one byte read from wherever its pointer is changes nothing in any of the chips.
+    /// Returns true if a chip answers at `address`: reading one byte from any pointer changes nothing in any of the
+    /// chips.
     async fn answers(bus: &mut Bus, address: u8) -> bool {
         match bus.read(address, &mut [0]).await {
             Ok(()) => true,
@@ -135,8 +137,8 @@ mod tests {
         }
     }
 
-    /// Register 05h holds the address for all of them, and the carrier's file relies on it being 70h (PCA9685 data sheet,
-    /// ALLCALLADR: in the upper seven bits). Another chip at the address would hardly say the same.
+    /// Register 05h holds the All Call address, and the carrier's file relies on 70h (PCA9685 data sheet, ALLCALLADR:
+    /// in the upper seven bits). A different chip at the address is unlikely to return the same.
     #[test]
     #[ignore]
     async fn the_pwm_chips_are_pca9685(p: Peripherals) {
@@ -148,8 +150,8 @@ mod tests {
         }
     }
 
-    /// A read gives 24 bytes, of which each first of three says its channel (MCP4728 data sheet, 5.6.11). What the EEPROM holds
-    /// is what the drives get when power comes: look at it before they are connected.
+    /// A read gives 24 bytes, of which each first of three has its channel (MCP4728 data sheet, 5.6.11). The EEPROM
+    /// holds what the drives get when power comes: check it before they are connected.
     #[test]
     #[ignore]
     async fn the_dac_says_what_it_powers_up_with(p: Peripherals) {
@@ -174,7 +176,7 @@ mod tests {
         }
     }
 
-    /// Nine clocks and a stop are what frees a bus; chips that are idle do not mind.
+    /// Nine clocks and a stop free a bus; idle chips ignore them.
     #[test]
     #[ignore]
     async fn freeing_the_bus_leaves_the_chips_answering(p: Peripherals) {
@@ -185,7 +187,7 @@ mod tests {
         }
     }
 
-    /// For two hands: let go, hold, let go. Both ways are seen by the interrupt.
+    /// Needs two hands: release, hold, release. The interrupt sees both changes.
     #[test]
     #[ignore]
     #[timeout(60)]
@@ -200,12 +202,12 @@ mod tests {
         assert!(with_timeout(PATIENCE, line.wait_for_low()).await.is_ok(), "it stays held");
     }
 
-    /// Counts to each side, from where it stood: a quarter of a turn of the coarsest usual encoder, 100 lines.
+    /// Counts to each side from the initial position: a quarter of a turn of the coarsest usual encoder, 100 lines.
     const TURNED: i16 = 100;
 
-    /// For one hand: forward, then back past where it began.
+    /// Needs one hand: turn forward, then back past the initial position.
     async fn turned_by_hand(p: Peripherals, index: u8) {
-        // The handler of the lines looks at the echoes too, and at their clock.
+        // The handler of the lines also handles the echoes, and reads their clock.
         rcc::enable_and_reset::<TIM2>();
         let lines = Lines::new(
             lines::Pins {

@@ -1,4 +1,4 @@
-//! On a bare Giga R1, off its carrier, with wires between its own headers: what goes out comes back.
+//! Loop-back tests on a bare Giga R1, off its carrier, with wires between its own headers.
 //!
 //! | wire | tests |
 //! | --- | --- |
@@ -8,7 +8,8 @@
 //! | DAC0 to A0, DAC1 to A1 | both converters |
 //! | D33 to D53 | heartbeat, dead-man's sense |
 //!
-//! Ignored unless asked for: `docs/bring-up.md` says how. On a carrier these outputs reach connectors: never run it there.
+//! Ignored by default: `docs/bring-up.md` describes how to run them. On a carrier these outputs reach connectors: never
+//! run it there.
 #![no_std]
 #![no_main]
 #![allow(dead_code, unused_imports, unused_macros, reason = "of the firmware's modules each test needs a part")]
@@ -82,13 +83,13 @@ mod tests {
         common::start().0
     }
 
-    /// More than the receiver's ring holds, so that it wraps.
+    /// Number of bytes: more than the receiver's ring holds, so that it wraps.
     const BYTES: usize = 3 * RING;
 
-    /// Sends and receives at once, in pieces that the ring takes.
+    /// Sends and receives at once, in pieces that fit the ring.
     async fn comes_back(mut rx: uart::Receiver, mut tx: UartTx<'static, Async>) {
         let start = Instant::now();
-        // Starts the receiver, and looks whether the line rests.
+        // Starts the receiver, and checks that the line is idle.
         let mut piece = [0; 64];
         let noise = with_timeout(Duration::from_millis(20), rx.read(&mut piece)).await;
         assert!(noise.is_err(), "something is received while nothing is sent");
@@ -137,8 +138,8 @@ mod tests {
         comes_back(rx, tx).await;
     }
 
-    /// Different voltages on the two, so that a swapped pair is seen. Not nearer to the supplies than 0.2 V, where the buffers of
-    /// the outputs end (data sheet, DAC characteristics).
+    /// Uses different voltages on the two outputs, so that a swapped pair is seen, and not nearer to the supplies than
+    /// 0.2 V, where the buffers of the outputs end (data sheet, DAC characteristics).
     #[test]
     #[ignore]
     async fn voltages_come_back(p: Peripherals) {
@@ -162,13 +163,14 @@ mod tests {
         for (left, right) in [(256, 3840), (1024, 3072), (2048, 1536), (3072, 1024), (3840, 256)] {
             outputs.set(0, left);
             outputs.set(1, right);
-            // Two rounds of all inputs take 2 ms at most; the outputs settle in microseconds.
+            // Two rounds of all inputs take at most 2 ms; the outputs settle in microseconds.
             Timer::after_millis(5).await;
             for (input, sent) in [(0, left), (1, right)] {
-                // 12 bits out, 16 in.
+                // Outputs have 12 bits, inputs 16.
                 let (read, expected) = (inputs.code(input), sent * 16);
                 info!("input {}: {} for {}", input, read, expected);
-                // 2 % of the range: both converters' errors together are below 1 % (data sheet, total unadjusted errors).
+                // A tolerance of 2 % of the range: both converters' errors together are below 1 % (data sheet, total
+                // unadjusted errors).
                 assert!(read.abs_diff(expected) < 1311, "input {}: {} instead of {}", input, read, expected);
             }
         }
@@ -176,7 +178,7 @@ mod tests {
         outputs.set(1, 0);
     }
 
-    /// The supervisor's own line and its interrupt, from an output that is slow and low otherwise.
+    /// The supervisor's input line and its interrupt, driven by a slow output that rests low.
     #[test]
     #[ignore]
     async fn the_dead_mans_line_wakes_on_both_edges(p: Peripherals) {

@@ -1,31 +1,34 @@
-//! The bytes that go into flash, out of an ELF file: what tools that know no ELF are given.
+//! Raw flash image out of an ELF file, for tools that do not read ELF.
 
 use crate::ImageError;
 
-/// The flash after an erase; between segments nothing is programmed.
+/// Value of erased flash; nothing is programmed between segments.
 const ERASED: u8 = 0xFF;
-/// A flash word of the STM32H7: what is programmed at once (RM0399, 4.3.8).
+/// Size of a flash word of the STM32H7, the unit of programming (RM0399, 4.3.8), bytes.
 const WORD: usize = 32;
-/// No image of this processor is larger than its flash, so that a damaged file cannot ask for gigabytes.
+/// Largest image, bytes: the size of the processor's flash, so that a damaged file cannot ask for gigabytes.
 const LARGEST: usize = 2 * 1024 * 1024;
 
-/// A flash image without holes.
+/// Flash image without gaps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Binary {
     /// Address of the first byte.
     pub start: u32,
-    /// As many as whole flash words have.
+    /// Bytes of the image, padded to whole flash words.
     pub bytes: Vec<u8>,
 }
 
 impl Binary {
-    /// From the segments that are loaded, at the addresses they are loaded to (System V ABI, chapter 5). Data with an initial
-    /// value is where start-up copies it from, not where the program sees it.
+    /// Builds the image from the segments that are loaded, at the addresses they are loaded to (System V ABI, chapter
+    /// 5). Data with an initial value is where start-up copies it from, not where the program sees it.
     ///
     /// # Errors
-    /// [`ImageError`]: what is wrong with the file.
+    /// [`ImageError::NoElf`] for another kind of file, [`ImageError::Empty`] without a loaded segment,
+    /// [`ImageError::Apart`] for segments further apart than flash is large, [`ImageError::Overlap`] for overlapping
+    /// ones.
     pub fn of(elf: &[u8]) -> Result<Self, ImageError> {
         let mut segments = segments(elf).ok_or(ImageError::NoElf)?;
+        // In the file they are ordered by virtual address (System V ABI, chapter 5), not by the physical one.
         segments.sort_by_key(|segment| segment.address);
         let (Some(first), Some(last)) = (segments.first(), segments.last()) else {
             return Err(ImageError::Empty);
@@ -48,7 +51,7 @@ impl Binary {
         Ok(Self { start, bytes })
     }
 
-    /// Where an ELF file has the byte that is loaded to `address`.
+    /// Offset in an ELF file of the byte that is loaded to `address`; `None` if no segment has it.
     pub(crate) fn offset_in(elf: &[u8], address: u32) -> Option<usize> {
         segments(elf)?.into_iter().find_map(|segment| {
             let within = address.checked_sub(segment.address)? as usize;
@@ -56,13 +59,13 @@ impl Binary {
         })
     }
 
-    /// Behind the last byte.
+    /// Address behind the last byte.
     #[must_use]
     pub fn end(&self) -> u64 {
         u64::from(self.start) + self.bytes.len() as u64
     }
 
-    /// The word so many bytes from the start; `None` behind the end.
+    /// Word at offset `at`, bytes from the start; `None` behind the end.
     #[must_use]
     pub fn word(&self, at: usize) -> Option<u32> {
         self.bytes.get(at..at.checked_add(4)?).map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]]))
@@ -70,15 +73,16 @@ impl Binary {
 }
 
 struct Segment<'e> {
-    /// Of the first byte, from the beginning of the file.
+    /// Offset of the first byte from the beginning of the file.
     offset: usize,
     address: u32,
     bytes: &'e [u8],
 }
 
-/// The loaded segments that have content; `None` when it is no little-endian ELF file of 32 bits.
+/// Loaded segments that have content; `None` if it is not a little-endian ELF file of 32 bits.
 fn segments(elf: &[u8]) -> Option<Vec<Segment<'_>>> {
     const LOAD: u32 = 1;
+    // Offsets in a damaged file can have any value.
     let word = |at: usize| Some(u32::from_le_bytes(elf.get(at..at.checked_add(4)?)?.try_into().ok()?));
     let half = |at: usize| Some(usize::from(u16::from_le_bytes(elf.get(at..at + 2)?.try_into().ok()?)));
     if elf.get(..6)? != b"\x7fELF\x01\x01" {
@@ -100,7 +104,7 @@ fn segments(elf: &[u8]) -> Option<Vec<Segment<'_>>> {
 mod tests {
     use super::*;
 
-    /// An ELF file with such segments: kind, physical address, content. Virtual addresses are elsewhere.
+    /// ELF file with these segments: kind, physical address, content. Virtual addresses are elsewhere.
     fn elf(segments: &[(u32, u32, &[u8])]) -> Vec<u8> {
         let mut elf = vec![0; 52];
         elf[..6].copy_from_slice(b"\x7fELF\x01\x01");
@@ -121,7 +125,7 @@ mod tests {
 
     #[test]
     fn segments_are_put_where_they_are_loaded_and_gaps_stay_erased() {
-        // Out of order; the stack's segment has no content, the last is no loaded one.
+        // Out of order; the stack's segment has no content, the last one is not loaded.
         let file =
             elf(&[(1, 0x0804_0006, &[5, 6]), (1, 0x0804_0000, &[1, 2, 3, 0x24]), (1, 0x2400_0000, &[]), (4, 7, &[9])]);
         let mut expected = vec![0xFF; 32];

@@ -1,4 +1,4 @@
-//! The ELF file of an image: where it is, and which it is.
+//! ELF file of an image: its location and its segments.
 
 use std::{
     env, fmt, fs, io,
@@ -8,37 +8,37 @@ use std::{
 
 use crate::Place;
 
-/// An ELF file as it would be flashed.
+/// ELF file of an image, as it would be flashed.
 #[derive(Clone)]
 pub struct Image {
     path: PathBuf,
     elf: Vec<u8>,
 }
 
-/// Consecutive bytes of an image.
+/// Consecutive bytes of an image in flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Segment {
-    /// The address at which the program uses them.
+    /// Address at which the program uses them.
     runs: u32,
-    /// Where the flash has them.
+    /// Address at which they are stored in flash.
     stored: u32,
     len: u32,
 }
 
 impl Segment {
-    /// The first of its addresses in flash.
+    /// First of its addresses in flash.
     #[must_use]
     pub fn stored_at(self) -> u32 {
         self.stored
     }
 
-    /// Behind the last of its addresses in flash.
+    /// Address behind its last byte in flash.
     #[must_use]
     pub fn stored_end(self) -> u32 {
         self.stored.saturating_add(self.len)
     }
 
-    /// Where the flash has what the program uses at `address`.
+    /// Flash address of the byte that the program uses at `address`; `None` if it is not in this segment.
     #[must_use]
     pub fn stored(self, address: u32) -> Option<u32> {
         let offset = address.checked_sub(self.runs).filter(|offset| *offset < self.len)?;
@@ -46,39 +46,39 @@ impl Segment {
     }
 }
 
-/// There is no image for a robot.
+/// Error of finding or reading a robot's image.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
-    /// None is where it is looked for.
+    /// There is no image at any of the expected places.
     #[error(
         "there is no firmware for {robot}: {} does not exist. Build it with `cargo xtask firmware --robot {robot} --image {kind}`, \
          or name an ELF file with R4_ELF",
         .path.display()
     )]
     Missing {
-        /// Robot.
+        /// Name of the robot.
         robot: String,
-        /// Kind of image.
+        /// Kind of image: bare or hosted.
         kind: &'static str,
-        /// Where it was looked for.
+        /// Path at which it was expected.
         path: PathBuf,
     },
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("cannot read the firmware {}", .path.display())]
     Unreadable {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: io::Error,
     },
 }
 
 impl Image {
-    /// The image for a robot: `R4_ELF` where that is set, else `firmware/<robot>-bare.elf` in the target folder of the
-    /// program that asks, where `cargo xtask firmware` puts it.
+    /// Finds the image for a robot: `R4_ELF` where that is set, else `firmware/<robot>-bare.elf` in the target folder
+    /// of the calling program, where `cargo xtask firmware` puts it.
     ///
     /// # Errors
-    /// When it is not there.
+    /// [`FileError::Missing`] if there is none, [`FileError::Unreadable`] if it cannot be read.
     pub fn find(robot: &str) -> Result<Self, FileError> {
         match env::var_os("R4_ELF") {
             Some(path) => Self::read(Path::new(&path)),
@@ -86,16 +86,17 @@ impl Image {
         }
     }
 
-    /// The image for a robot that `cargo xtask firmware` has built last.
+    /// Finds the image for a robot that `cargo xtask firmware` has built last.
     ///
     /// # Errors
-    /// When it is not there.
+    /// [`FileError::Missing`] if there is none, [`FileError::Unreadable`] if it cannot be read.
     pub fn built(robot: &str, place: Place) -> Result<Self, FileError> {
         let kind = place.name();
+        // A robot may be named by the path of its file.
         let name = Path::new(robot).file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let file = Path::new("firmware").join(format!("{name}-{kind}.elf"));
         let exe = env::current_exe().unwrap_or_default();
-        // target/debug/r4, or target/debug/deps/<a test>.
+        // The program is target/debug/r4, or target/debug/deps/<a test>.
         let beside = exe.ancestors().skip(1).take(3).map(|folder| folder.join(&file));
         let mut places = beside.chain([Path::new("target").join(&file)]);
         match places.find(|path| path.is_file()) {
@@ -104,41 +105,42 @@ impl Image {
         }
     }
 
-    /// The image in a file.
+    /// Reads the image in a file.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// [`FileError::Unreadable`] if it cannot be read.
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let elf = fs::read(path).map_err(|source| FileError::Unreadable { path: path.to_owned(), source })?;
         Ok(Self { path: path.to_owned(), elf })
     }
 
-    /// The same file with other contents, as a test or a tool has made them.
+    /// Returns the image with the same path and other contents, for tests and tools that change them.
     #[must_use]
     pub fn with_elf(&self, elf: Vec<u8>) -> Self {
         Self { path: self.path.clone(), elf }
     }
 
-    /// Its bytes.
+    /// Bytes of the ELF file.
     #[must_use]
     pub fn elf(&self) -> &[u8] {
         &self.elf
     }
 
-    /// Where it came from.
+    /// Path that the image was read from.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Where its first segment is stored in flash, which begins with the vector table: where the chip boots, or where a
-    /// bootloader jumps to. `None` for what is no ELF file of 32 bits.
+    /// Flash address of its first segment, which begins with the vector table: where the chip boots, or where a
+    /// bootloader jumps to. `None` if it is not an ELF file of 32 bits.
     #[must_use]
     pub fn start(&self) -> Option<u32> {
         self.segments().into_iter().map(|segment| segment.stored).min()
     }
 
-    /// What the file has for the flash; nothing for what is no ELF file of 32 bits (System V ABI, chapter 5: program headers).
+    /// Segments of the file in flash; empty if it is not an ELF file of 32 bits (System V ABI, chapter 5: program
+    /// headers).
     #[must_use]
     pub fn segments(&self) -> Vec<Segment> {
         const LOAD: u32 = 1;

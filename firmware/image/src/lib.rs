@@ -1,11 +1,11 @@
-//! The firmware's ELF as it is written into flash, and whether a board would start it: for all that flashes.
+//! Firmware images for all tools that flash: the raw image of an ELF file, and a check that a board would start it.
 //!
 //! | module | subject |
 //! | --- | --- |
-//! | `binary` | the bytes that go into flash, out of an ELF file |
-//! | `elf` | the file: where it is looked for, and which it is |
-//! | `seal` | the record by which an image is known to be whole |
-//! | `place` | where images lie, and what is expected of them there |
+//! | `binary` | raw flash image out of an ELF file |
+//! | `elf` | the ELF file: its location and its segments |
+//! | `seal` | the record of length and CRC that shows that an image is complete |
+//! | `place` | start addresses of images, and the requirements there |
 
 mod binary;
 mod elf;
@@ -20,28 +20,28 @@ pub use seal::{Seal, seal, seal_elf};
 
 use sha2::{Digest, Sha256};
 
-/// Why a file cannot be flashed.
+/// Reason why a file cannot be flashed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ImageError {
-    /// Something else, or the beginning of one.
+    /// Another kind of file, or a truncated one.
     #[error("no ELF file of 32 bits, or one that is cut off")]
     NoElf,
-    /// Without a segment that is loaded.
+    /// No segment of the file is loaded.
     #[error("nothing in it is loaded into flash")]
     Empty,
-    /// A file for another processor, or a damaged one.
+    /// The file is for another processor, or damaged.
     #[error("its segments lie {bytes} bytes apart, more than there is flash")]
     Apart {
-        /// From the first byte to the last.
+        /// Distance from the first byte to the last.
         bytes: usize,
     },
-    /// A damaged file.
+    /// The file is damaged: segments overlap.
     #[error("two of its segments overlap at {address:#010x}")]
     Overlap {
-        /// Where the second begins.
+        /// Start address of the second segment.
         address: u32,
     },
-    /// An image that neither the processor nor the bootloader would start, or that reaches into bank 2.
+    /// Neither the processor nor the bootloader would start the image, or it reaches into bank 2.
     #[error(
         "it is for {start:#010x} to {end:#010x}: an image begins at {:#010x} (bare), or at {:#010x} behind the bootloader \
          (hosted), and ends by 0x08100000, where a board keeps its parameters",
@@ -49,42 +49,42 @@ pub enum ImageError {
         Place::Hosted.start()
     )]
     Elsewhere {
-        /// Of the first byte.
+        /// Address of the first byte.
         start: u32,
-        /// Behind the last byte.
+        /// Address behind the last byte.
         end: u64,
     },
-    /// No vector table in front.
+    /// The image has no vector table in front: invalid stack pointer.
     #[error("its first word is {word:#010x}, which is no stack in RAM: the bootloader takes that for no program")]
     NoStack {
-        /// What is there.
+        /// First word of the image.
         word: u32,
     },
-    /// Not made by the program that makes images, or of before there was a record.
+    /// The image was not made by `cargo xtask firmware`, or by a version without a record.
     #[error("it has no record of its CRC at {address:#010x}: build it with `cargo xtask firmware`")]
     NoRecord {
-        /// Where it belongs.
+        /// Address at which the record belongs.
         address: u32,
     },
-    /// Changed since it was made, or never finished.
+    /// The image was changed since it was made, or never finished.
     #[error(
         "its record says {bytes} bytes with CRC {crc:#010x}, but the file has {found_bytes} with {found:#010x}: the board would only \
          hold its outputs safe. Build it again with `cargo xtask firmware`"
     )]
     Damaged {
-        /// Length by the record.
+        /// Length according to the record.
         bytes: u32,
-        /// CRC by the record.
+        /// CRC according to the record.
         crc: u32,
-        /// Length in the file.
+        /// Length of the file's image, bytes.
         found_bytes: u32,
-        /// CRC of what is in the file.
+        /// CRC of the file's image.
         found: u32,
     },
-    /// No vector table in front.
+    /// The image has no vector table in front: invalid reset vector.
     #[error("its second word is {word:#010x}, which is no function of it: the processor could not start there")]
     NoEntry {
-        /// What is there.
+        /// Second word of the image.
         word: u32,
     },
 }

@@ -1,32 +1,33 @@
-//! Where images lie, and what is expected of them there.
+//! Start addresses of images, and the requirements for an image there.
 
 use std::{ffi::OsString, path::Path};
 
 use crate::{Binary, ImageError};
 
-/// As probe-rs lists it: `probe-rs chip list`. Its file of the family is probe-rs/targets/STM32H7_Series.yaml.
+/// Name of the chip in probe-rs: `probe-rs chip list`. Its file of the family is probe-rs/targets/STM32H7_Series.yaml.
 pub const CHIP: &str = "STM32H747XIHx";
-/// The Giga in the Arduino bootloader (ArduinoCore-mbed, boards.txt).
+/// USB identity of the Giga in the Arduino bootloader (ArduinoCore-mbed, boards.txt).
 pub const DFU_DEVICE: &str = "2341:0366";
-/// The same as numbers: vendor and product.
+/// The same identity as numbers: vendor and product.
 pub const DFU_USB: (u16, u16) = (0x2341, 0x0366);
-/// Bank 1 ends here; the bootloader starts nothing that goes on (mcuboot-arduino-stm32h7, app/main.cpp), and parameters and trips
-/// follow.
+/// End of bank 1: the bootloader starts no image beyond it (mcuboot-arduino-stm32h7, app/main.cpp), and parameters and
+/// trips follow.
 const END: u32 = 0x0810_0000;
-/// Top bytes of an initial stack pointer by which the bootloader knows a program (the same file): RAM.
+/// Top bytes of an initial stack pointer that the bootloader accepts (the same file): RAM.
 const STACK_IN: [u8; 4] = [0x20, 0x24, 0x30, 0x38];
 
-/// Where an image is started from.
+/// Place from which an image is started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// The beginning of flash, where the processor starts.
+    /// Beginning of flash, where the processor starts.
     Bare,
-    /// Behind the Arduino bootloader, which starts it.
+    /// Behind the Arduino bootloader, which starts the image.
     Hosted,
 }
 
 impl Place {
-    /// The address of the vector table. Hosted: where the bootloader looks (mcuboot-arduino-stm32h7, app/main.cpp).
+    /// Address of the vector table. For hosted images it is fixed by the bootloader (mcuboot-arduino-stm32h7,
+    /// app/main.cpp).
     #[must_use]
     pub const fn start(self) -> u32 {
         match self {
@@ -35,7 +36,7 @@ impl Place {
         }
     }
 
-    /// As the images' files are called.
+    /// Name in the images' file names.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -44,17 +45,18 @@ impl Place {
         }
     }
 
-    /// Where an image is for, if it would be started there.
+    /// Returns the place that an image is for, if it would be started there.
     ///
     /// # Errors
-    /// [`ImageError::Elsewhere`], [`ImageError::NoStack`], [`ImageError::NoEntry`].
+    /// [`ImageError::Elsewhere`] for other addresses, [`ImageError::NoStack`] or [`ImageError::NoEntry`] for an invalid
+    /// vector table.
     pub fn of(binary: &Binary) -> Result<Self, ImageError> {
         let (start, end) = (binary.start, binary.end());
         let place = [Self::Bare, Self::Hosted].into_iter().find(|place| place.start() == start);
         let (Some(place), true) = (place, end <= END.into()) else {
             return Err(ImageError::Elsewhere { start, end });
         };
-        // Stack pointer and reset vector (ARMv7-M ARM, B1.5.3); the vector's lowest bit says Thumb.
+        // Stack pointer and reset vector (ARMv7-M ARM, B1.5.3); the vector's lowest bit selects Thumb.
         let (stack, entry) = (binary.word(0).unwrap_or(0), binary.word(4).unwrap_or(0));
         if !STACK_IN.contains(&stack.to_be_bytes()[0]) {
             return Err(ImageError::NoStack { word: stack });
@@ -66,7 +68,7 @@ impl Place {
     }
 }
 
-/// The program and the words that write a raw file of a hosted image, and start it.
+/// Command line of the program that writes a raw file of a hosted image, and starts it.
 #[must_use]
 pub fn dfu_util(raw: &Path) -> Vec<OsString> {
     let place = format!("{:#010x}:leave", Place::Hosted.start());

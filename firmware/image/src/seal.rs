@@ -1,23 +1,23 @@
-//! The record by which an image is known to be whole: its length and CRC, as [`r4_protocol::image`] lays them out.
+//! Record that shows that an image is complete: its length and CRC, in the layout of [`r4_protocol::image`].
 
 use r4_protocol::image::{CRC_AT, MAGIC, RECORD_AT, RECORD_BYTES};
 
 use crate::{Binary, ImageError};
 
-/// What the record of an image says, compared with its bytes.
+/// Contents of an image's record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Seal {
     /// Length of the image, bytes.
     pub bytes: u32,
-    /// Its CRC-32.
+    /// CRC-32 of the image.
     pub crc: u32,
 }
 
 impl Seal {
-    /// The record of an image that is whole.
+    /// Reads the record of an image and checks it against the image's bytes.
     ///
     /// # Errors
-    /// [`ImageError::NoRecord`], [`ImageError::Damaged`].
+    /// [`ImageError::NoRecord`] if there is none, [`ImageError::Damaged`] if length or CRC differ.
     pub fn of(binary: &Binary) -> Result<Self, ImageError> {
         let no_record = ImageError::NoRecord { address: binary.start.wrapping_add(RECORD_AT as u32) };
         let found = Self::due(binary).ok_or(no_record)?;
@@ -28,13 +28,14 @@ impl Seal {
         Err(ImageError::Damaged { bytes: says.bytes, crc: says.crc, found_bytes: found.bytes, found: found.crc })
     }
 
-    /// What the record of these bytes must say, with the length that they have; `None` where there is no record.
+    /// Record that these bytes, with their length, must have; `None` where there is no record.
     fn due(binary: &Binary) -> Option<Self> {
         if binary.bytes.get(RECORD_AT..)?.get(..MAGIC.len())? != MAGIC {
             return None;
         }
         let mut hasher = crc32fast::Hasher::new();
         hasher.update(binary.bytes.get(..CRC_AT)?);
+        // The CRC's own bytes count as erased, as they are linked.
         hasher.update(&[0xFF; 4]);
         hasher.update(binary.bytes.get(CRC_AT + 4..)?);
         Some(Self { bytes: u32::try_from(binary.bytes.len()).ok()?, crc: hasher.finalize() })
@@ -46,10 +47,10 @@ const LENGTH_AT: usize = RECORD_AT + MAGIC.len();
 /// Fills in the record of an image's bytes.
 ///
 /// # Errors
-/// [`ImageError::NoRecord`] where they have no place for it.
+/// [`ImageError::NoRecord`] if they have no place for it.
 pub fn seal(binary: &mut Binary) -> Result<Seal, ImageError> {
     let no_record = ImageError::NoRecord { address: binary.start.wrapping_add(RECORD_AT as u32) };
-    // The length is under the CRC.
+    // The length is covered by the CRC, so it is written first.
     let length = u32::try_from(binary.bytes.len()).map_err(|_| no_record)?;
     binary.bytes.get_mut(LENGTH_AT..LENGTH_AT + 4).ok_or(no_record)?.copy_from_slice(&length.to_le_bytes());
     let seal = Seal::due(binary).ok_or(no_record)?;
@@ -60,7 +61,7 @@ pub fn seal(binary: &mut Binary) -> Result<Seal, ImageError> {
 /// Fills in the record of an ELF file that was just linked.
 ///
 /// # Errors
-/// [`ImageError::NoRecord`] where the firmware has no place for it, and those of [`Binary::of`].
+/// [`ImageError::NoRecord`] if the firmware has no place for it, and those of [`Binary::of`].
 pub fn seal_elf(elf: &mut [u8]) -> Result<Seal, ImageError> {
     let mut binary = Binary::of(elf)?;
     let seal = seal(&mut binary)?;
@@ -76,7 +77,7 @@ mod tests {
 
     const BYTES: usize = 1216;
 
-    /// An ELF file with one segment of 1200 bytes at 0x0804_0000; the record as it is linked.
+    /// ELF file with one segment of 1200 bytes at 0x0804_0000; the record as it is linked.
     fn linked() -> Vec<u8> {
         let mut elf = vec![0; 52];
         elf[..6].copy_from_slice(b"\x7fELF\x01\x01");
@@ -94,7 +95,8 @@ mod tests {
     fn a_sealed_image_is_whole_and_sealing_again_changes_nothing() {
         let mut elf = linked();
         let sealed = seal_elf(&mut elf).expect("it has a record");
-        // Computed by another program, in Python: zlib.crc32(content[:0x3E8] + b"\xff" * 4 + content[0x3EC:] + b"\xff" * 16).
+        // Computed independently, in Python: zlib.crc32(content[:0x3E8] + b"\xff" * 4 + content[0x3EC:] + b"\xff" *
+        // 16).
         assert_eq!(sealed, Seal { bytes: BYTES as u32, crc: 0x193E_870B });
         assert_eq!(Seal::of(&Binary::of(&elf).expect("good")), Ok(sealed));
         let before = elf.clone();

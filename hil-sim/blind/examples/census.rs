@@ -1,4 +1,5 @@
-//! What seeds hide in recordings, how often, and in what time: `cargo run --release -p r4-blind --example census [SEEDS]`.
+//! Census of the effects hidden by seeds: frequencies and run time. `cargo run --release -p r4-blind --example census
+//! [SEEDS]`.
 
 use std::{collections::BTreeMap, time::Instant};
 

@@ -1,4 +1,4 @@
-//! One of a caller's effects, hidden in a plant: for evaluations that say beforehand what may be hidden.
+//! Hides one of a caller's effects in a plant: for evaluations that define beforehand what may be hidden.
 
 use r4_plants::{
     Effect, PlantKind, PlantSpec,
@@ -15,26 +15,26 @@ use crate::{
     with_effect,
 };
 
-/// An effect that may be hidden, and how large.
+/// Effect that may be hidden, with its relative size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Among {
-    /// Its name in the catalogue.
+    /// Name of the effect in the catalogue.
     pub effect: &'static str,
-    /// Its size over that which [`hide`](crate::hide) draws; effects of [`CALIBRATIONS`] are drawn as they are said there.
+    /// Factor on the size that [`hide`](crate::hide) samples; the sizes of [`CALIBRATIONS`] are fixed by that table.
     pub size: f64,
 }
 
-/// An effect that cannot be hidden.
+/// Error: an effect cannot be hidden.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{name}` cannot be hidden: effects that can be are those of `r4_plants::catalogue()` without `r4_blind::NEVER`, and `r4_blind::CALIBRATIONS`"
 )]
 pub struct NotHidden {
-    /// As it was asked for.
+    /// Name of the requested effect.
     pub name: &'static str,
 }
 
-/// Effects that no recording of a board shows, only a measurement beside it, and their sizes.
+/// Effects that show only in a measurement beside a board, not in its recordings, and their sizes.
 pub const CALIBRATIONS: &[(&str, &str)] = &[
     ("encoder-scale", "1 plus or minus 0.5 to 3 %"),
     ("encoder-offset", "plus or minus 2 to 10 degrees, or 0.3 to 1.5 mm"),
@@ -59,13 +59,13 @@ const OF_CALIBRATION: &[Candidate] = &[
     },
 ];
 
-/// Sizes that are tried until the plant suits, each smaller than the one before.
+/// Maximum number of sizes that are tried until the plant suits, each smaller than the one before.
 const SIZES: usize = 12;
-/// Next size over the last.
+/// Ratio of each tried size to the previous one.
 const SMALLER: f64 = 0.75;
 
-/// Hides one of `effects` in a plant that has a supply of `supply_v`, or nothing: each of these is as likely. What, and how large
-/// it is, follows from the seed; a plant that does not `suit` gets a smaller one, and at last none.
+/// Hides one of `effects`, or nothing, all equally likely, in a plant that has a supply of `supply_v`. Effect and size
+/// are sampled from the seed; on a plant that does not `suit`, a smaller size is tried, and finally nothing is hidden.
 ///
 /// # Errors
 /// [`NotHidden`] for a name that is neither a candidate of [`hide`](crate::hide) nor one of [`CALIBRATIONS`].
@@ -87,6 +87,7 @@ pub fn hide_one_of(
         .collect::<Result<Vec<_>, _>>()?;
     let bare = Parts { spec: spec.clone(), unlisted: Vec::new() };
     let mut dice = Dice::new(seed, 7);
+    // One index more than there are candidates: it stands for nothing.
     let Some((candidate, mut size)) = candidates.get(dice.below(candidates.len() + 1)).copied() else {
         return Ok(Hidden { parts: bare, truth: Vec::new() });
     };
@@ -107,7 +108,7 @@ fn told(candidate: &Candidate, effect: Effect, kind: PlantKind) -> Truth {
     told_of(effect, candidate.rivals, kind)
 }
 
-/// The effect with its first parameter multiplied: its level, gap or resistance. `None` out of range.
+/// Returns the effect with its first parameter (level, gap or resistance) multiplied by `size`; `None` if out of range.
 fn sized(effect: Effect, size: f64, kind: PlantKind) -> Option<Effect> {
     use r4_plants::Fitted as _;
     let mut effect = effect;
@@ -149,7 +150,7 @@ mod tests {
             }
             *found.entry(name).or_default() += 1;
         }
-        // 100 of each, deviation 8.7: five of them.
+        // Expected 100 of each, standard deviation 8.7: the limits are five of them away.
         assert!(found.len() == 4 && found.values().all(|count| (57..=143).contains(count)), "{found:?}");
     }
 

@@ -1,21 +1,21 @@
-//! Something hidden in a robot's body.
+//! Hides a changed parameter in a robot's body.
 //!
-//! What may be hidden is a parameter of `[body.wheeled]` that is another than the robot's file says. The inertia of a wheel is not
-//! among them: it belongs to the wheel's plant. Nor is the scale of a gyroscope: no body has one.
+//! A parameter of `[body.wheeled]` may differ from the robot's file. The inertia of a wheel is not among them: it
+//! belongs to the wheel's plant. Nor is the scale of a gyroscope: no body has one.
 
 use r4_plants::Dependence;
 use r4_world::{Body as _, Chassis, MAX_STEP_S, Scene, ShaftMotion, Wheel, Wheeled};
 
 use crate::{Truth, Value, dice::Dice};
 
-/// A change of a body's parameters, with its numbers.
+/// Change of a body's parameters, with its values.
 type Change = Box<dyn Fn(&mut Chassis, &mut [Wheel])>;
 
-/// One thing that can be hidden in a body.
+/// One parameter change that can be hidden in a body.
 pub(crate) struct Candidate {
     pub(crate) name: &'static str,
     depends_on: &'static [Dependence],
-    /// Others that show alike in a drive's path.
+    /// Other candidates that have a similar influence on a drive's path.
     rivals: &'static [&'static str],
     draw: fn(&mut Dice, &Wheeled) -> (Vec<Value>, Change),
 }
@@ -24,12 +24,12 @@ fn value(name: &'static str, value: f64, unit: &'static str) -> Value {
     Value { name, value, unit }
 }
 
-/// Every tyre changed alike.
+/// Creates a change that applies equally to all tyres.
 fn of_tyres(change: impl Fn(&mut r4_world::Tyre) + 'static) -> Change {
     Box::new(move |_, wheels| wheels.iter_mut().filter_map(|wheel| wheel.tyre.as_mut()).for_each(&change))
 }
 
-/// Everything that can be hidden.
+/// All parameter changes that can be hidden.
 pub(crate) const CANDIDATES: &[Candidate] = &[
     Candidate {
         name: "wheel-radius",
@@ -96,20 +96,21 @@ pub(crate) const CANDIDATES: &[Candidate] = &[
     },
 ];
 
-/// Whether a seed hides something in the body of a robot that has one; otherwise it does in its motors.
+/// Returns true if a seed hides something in the body, for a robot that has one; otherwise it is hidden in its motors.
 #[must_use]
 pub fn is_in_body(seed: u64) -> bool {
     Dice::new(seed, 5).share() < 0.5
 }
 
-/// Hides one of the body's parameters, at a size that shows: a drive of 8 s whose wheels turn alike differs by
-/// 9.5 % of its speeds. What, and how large it is, follows from the seed. The body is at rest where it was; on one where nothing
-/// shows, nothing is hidden.
+/// Hides a change of one of the body's parameters, large enough to be detectable: a drive of 8 s with equal wheel
+/// speeds differs by 9.5 % of its speeds. Parameter and size are sampled from the seed. The returned body is at rest in
+/// the same place; if no candidate is detectable, nothing is hidden.
 #[must_use]
 pub fn hide_in_body(body: &Wheeled, seed: u64) -> (Wheeled, Option<Truth>) {
     let mut dice = Dice::new(seed, 6);
     if body.wheels().iter().any(|wheel| wheel.shaft.is_some()) {
         let speeds = Drive::new(&mut dice, body);
+        // All candidates are compared on the same drive.
         let usual = speeds.of(body);
         for _ in 0..TRIES {
             let candidate = &CANDIDATES[dice.below(CANDIDATES.len())];
@@ -124,22 +125,23 @@ pub fn hide_in_body(body: &Wheeled, seed: u64) -> (Wheeled, Option<Truth>) {
     (body.clone(), None)
 }
 
-/// Draws before nothing is hidden.
+/// Maximum number of samples before nothing is hidden.
 const TRIES: usize = 40;
 /// Length of the drive, s.
 const DURATION_S: f64 = 8.0;
-/// Times that the wheels' speeds change in it.
+/// Number of speed changes of the wheels during the drive.
 const LEGS: usize = 8;
-/// Steps of a body between two looks at its speeds.
+/// Steps of a body between two samples of its speeds.
 const SAMPLE_STEPS: usize = 40;
 /// Rim speed of the fastest wheel, m/s: a slow walk.
 const RIM_M_S: f64 = 0.5;
-/// Share of the speeds that a drive has to differ by: three times the noise that is 30 dB below them.
+/// Difference by which a drive counts as changed, as a share of the speeds: three times the noise, which is 30 dB below
+/// them.
 const SHOWS: f64 = 0.095;
 
-/// A drive by the speeds of both sides.
+/// Drive given by the speeds of both sides.
 struct Drive {
-    /// Rim speeds left and right, m/s.
+    /// Rim speeds of left and right side in each leg, m/s.
     legs: Vec<[f64; 2]>,
     radius_m: f64,
 }
@@ -151,11 +153,12 @@ impl Drive {
         Self { legs: (0..LEGS).map(|_| [side(), side()]).collect(), radius_m: radii.fold(1e-3, f64::max) }
     }
 
-    /// Forward speed, speed to the left and that of a point half a metre ahead by turning, m/s, every 10 ms.
+    /// Forward speed, speed to the left, and the turning speed of a point half a metre ahead, m/s, every 10 ms.
     fn of(&self, body: &Wheeled) -> Vec<[f64; 3]> {
         let mut body = body.clone();
         let mut shafts = vec![ShaftMotion::default(); body.shafts()];
         let mut loads = vec![0.0; shafts.len()];
+        // The steering stays straight; only the wheels' speeds are prescribed.
         if let Some(axle) = body.axle() {
             shafts[axle.shaft].position = axle.straight;
         }
@@ -181,7 +184,7 @@ impl Drive {
     }
 }
 
-/// Root mean square of the difference of two drives over that of the second; 0 where they are not finite.
+/// RMS of the difference of two drives relative to the RMS of the second; 0 where that is not finite.
 fn differs(speeds: &[[f64; 3]], usual: &[[f64; 3]]) -> f64 {
     let square = |values: &[f64; 3]| values.iter().map(|value| value * value).sum::<f64>();
     let apart: f64 = speeds.iter().zip(usual).map(|(a, b)| square(&[a[0] - b[0], a[1] - b[1], a[2] - b[2]])).sum();
@@ -198,7 +201,7 @@ mod tests {
 
     use super::*;
 
-    /// Four wheels, as OpenScout stands on them.
+    /// Body with four wheels, like that of OpenScout.
     fn robot() -> Wheeled {
         let places = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
         let wheel = |(shaft, [x, y]): (usize, [f64; 2])| Wheel {
@@ -260,7 +263,7 @@ mod tests {
     #[test]
     fn seeds_hide_in_the_body_about_as_often_as_in_the_motors() {
         let in_body = (0..1000).filter(|seed| is_in_body(*seed)).count();
-        // Six deviations of a fair coin, 16.
+        // Six standard deviations of a fair coin, 16.
         assert!((405..595).contains(&in_body), "{in_body}");
     }
 }

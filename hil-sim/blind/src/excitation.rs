@@ -1,27 +1,27 @@
-//! What a drive is given to show what a plant does.
+//! Excitation: the duties of a run that shows a plant's dynamics.
 
 use crate::{dice::Dice, scale::Scale};
 
-/// Samples a second.
+/// Sample rate of recordings, Hz.
 pub(crate) const RATE_HZ: f64 = 200.0;
 
-/// A stretch of a run.
+/// Kind of a stretch of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stretch {
-    /// Steps to and fro, with rests.
+    /// Steps in alternating directions, with rests.
     Steps,
-    /// Several sines.
+    /// Sum of several sines.
     Multisine,
-    /// Slowly up, down through zero, and back.
+    /// Slow ramps up, down through zero, and back.
     Ramps,
-    /// To and fro without rests.
+    /// Steps in alternating directions without rests.
     Reversals,
 }
 
 const STRETCHES: [Stretch; 4] = [Stretch::Steps, Stretch::Multisine, Stretch::Ramps, Stretch::Reversals];
 
-/// A duty for each sample of a run, one stretch after the other, from rest to rest. `number` tells runs apart: four runs
-/// in a row begin with different stretches.
+/// Duty for each sample of a run: stretches separated by rests. `number` is the number of the run: four successive runs
+/// begin with different stretches.
 pub(crate) fn run(dice: &mut Dice, scale: &Scale, number: usize, seconds: f64) -> Vec<f64> {
     let samples = (seconds * RATE_HZ) as usize;
     let mut shares = vec![0.0; (0.25 * RATE_HZ) as usize];
@@ -30,28 +30,30 @@ pub(crate) fn run(dice: &mut Dice, scale: &Scale, number: usize, seconds: f64) -
         shares.extend(play(dice, scale, STRETCHES[stretch % STRETCHES.len()]));
         let rest_s = dice.between(0.15, 0.4);
         shares.extend(vec![0.0; (rest_s * RATE_HZ) as usize]);
+        // One kind may be left out, so that the order varies.
         stretch += 1 + dice.below(2);
     }
     shares.truncate(samples);
     shares.into_iter().map(|share| duty(scale, share)).collect()
 }
 
-/// The duty for a share of what moves the plant.
+/// Duty for a share of the range that moves the plant.
 fn duty(scale: &Scale, share: f64) -> f64 {
     if scale.threshold <= 0.0 {
         return share.clamp(-1.0, 1.0);
     }
-    // over a dead zone as one goes over it by hand
+    // Passes the dead zone quickly, as one would by hand.
     let over = scale.threshold * (share.abs() / 0.05).min(1.0);
     (over + (1.0 - scale.threshold) * share.abs()).min(1.0).copysign(share)
 }
 
-/// A level that a plant is driven at.
+/// Samples a drive level, as a share.
 fn level(dice: &mut Dice) -> f64 {
     dice.between(0.25, 0.95)
 }
 
 fn play(dice: &mut Dice, scale: &Scale, stretch: Stretch) -> Vec<f64> {
+    // At full speed about 1.2 `way`, which is 36 % of the stroke of a linear plant.
     let longest_s = (1.2 * scale.way / scale.speed).clamp(0.2, 1.2);
     let count = |seconds: f64| (seconds * RATE_HZ).max(1.0) as usize;
     let mut shares = Vec::new();
@@ -60,7 +62,7 @@ fn play(dice: &mut Dice, scale: &Scale, stretch: Stretch) -> Vec<f64> {
             for _ in 0..3 {
                 let (go, come, sign) = (level(dice), level(dice), dice.sign());
                 let go_s = dice.between(0.4, 1.0) * longest_s * (if go > come { come / go } else { 1.0 });
-                // as far back as it went, without friction
+                // As far back as it went, without friction.
                 for (share, seconds) in [(sign * go, go_s), (-sign * come, go_s * go / come)] {
                     shares.extend(vec![share; count(seconds)]);
                     if stretch == Stretch::Steps {
@@ -72,7 +74,7 @@ fn play(dice: &mut Dice, scale: &Scale, stretch: Stretch) -> Vec<f64> {
         }
         Stretch::Multisine => {
             let seconds = dice.between(2.5, 4.0);
-            // whole periods: the mean is nil
+            // Whole periods, so that the mean is zero.
             let tones: Vec<_> = [1.0, 2.0, 4.0, 7.0, 11.0]
                 .into_iter()
                 .map(|periods| (periods * std::f64::consts::TAU / seconds, dice.angle(), 1.0 / libm::sqrt(periods)))
@@ -90,7 +92,7 @@ fn play(dice: &mut Dice, scale: &Scale, stretch: Stretch) -> Vec<f64> {
             let (seconds, height) = (dice.between(3.0, 5.0), dice.sign() * dice.between(0.5, 0.98));
             let samples = count(seconds);
             shares.extend((0..samples).map(|index| {
-                // up and down on one side, then on the other
+                // Up and down on one side, then on the other.
                 let phase = 2.0 * index as f64 / samples as f64;
                 let (sign, within) = if phase < 1.0 { (1.0, phase) } else { (-1.0, phase - 1.0) };
                 height * sign * (1.0 - (2.0 * within - 1.0).abs())
@@ -114,7 +116,7 @@ mod tests {
     #[test]
     fn a_ramp_goes_up_and_down_on_both_sides() {
         let [zero, quarter, half, three] = [0, 25, 50, 75].map(triangle);
-        // 600 samples and more: a step of 4/600
+        // At least 600 samples: a step of 4/600.
         assert!(zero.abs() < 0.01 && half.abs() < 0.01, "{zero} {half}");
         assert!((quarter + three).abs() < 0.01 && quarter.abs() > 0.49, "{quarter} {three}");
     }

@@ -1,4 +1,4 @@
-//! Recordings of a drawn plant with something hidden in it, as an identifier reads them.
+//! Recordings of a sampled plant with a hidden effect, in the form that an identifier reads.
 
 use std::{
     fmt,
@@ -16,14 +16,14 @@ use crate::{
     watch::{Output, Plan, noise},
 };
 
-/// What is driven and what is recorded.
+/// Kind of experiment: the driven plant and the recorded output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Setup {
-    /// A motor behind a gear: duty to the position its encoder tells.
+    /// Motor with a gear: duty to the position of its encoder.
     MotorPosition,
-    /// The same to the speed of its output.
+    /// Motor with a gear: duty to the speed of its output.
     MotorSpeed,
-    /// A mass on a rail: force to position.
+    /// Mass on a rail: force to position.
     AxisPosition,
 }
 
@@ -37,18 +37,18 @@ impl fmt::Display for Setup {
     }
 }
 
-/// The force of an axis at a duty of 1 is a current of this size in a winding whose own back-EMF is next to nothing.
+/// Current that gives an axis' force at a duty of 1, A, in a winding whose own back-EMF is negligible.
 const AXIS_A: f64 = 1.0;
-/// Resistance and voltage of that winding: the largest there may be.
+/// Resistance of that winding, Ω, which also fixes its voltage: the largest permitted.
 const AXIS_OHM: f64 = 1e4;
-/// The axis begins in the middle of so long a rail, m, whose ends it never sees.
+/// Length of the rail, m: the axis starts in its middle and never reaches its ends.
 const RAIL_M: f64 = 100.0;
 
 impl Setup {
-    /// All of them.
+    /// All kinds of experiment.
     pub const ALL: [Self; 3] = [Self::MotorPosition, Self::MotorSpeed, Self::AxisPosition];
 
-    /// Name of the input's column: a share of the supply, or N.
+    /// Name of the input's column: duty as a share of the supply, or force, N.
     #[must_use]
     pub const fn input(self) -> &'static str {
         match self {
@@ -57,7 +57,7 @@ impl Setup {
         }
     }
 
-    /// Name of the output's column.
+    /// Name of the output's column, with its unit.
     #[must_use]
     pub const fn output(self) -> &'static str {
         match self {
@@ -67,7 +67,7 @@ impl Setup {
         }
     }
 
-    /// Effects of the catalogue that are not hidden in such recordings, and why.
+    /// Effects of the catalogue that are not hidden in these recordings, with the reason.
     #[must_use]
     pub fn excluded(self) -> Vec<(&'static str, &'static str)> {
         let own: &[(&str, &str)] = match self {
@@ -86,7 +86,7 @@ impl Setup {
         NEVER.iter().chain(own).copied().collect()
     }
 
-    /// What the plant's position is less in the recorded output of a run that begins at `start`.
+    /// Offset that is subtracted from the plant's position in the output of a run that starts at `start`.
     pub(crate) fn zero(self, start: f64) -> f64 {
         if self == Self::AxisPosition { start } else { 0.0 }
     }
@@ -99,66 +99,65 @@ impl Setup {
     }
 }
 
-/// One recording, its columns of one length.
+/// One recording; all columns have the same length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recording {
-    /// 200 a second, from 0.
+    /// Time stamps, s: 200 per second, from 0.
     pub time_s: Vec<f64>,
-    /// From this sample to the next; see [`Setup::input`].
+    /// Input, held from its sample to the next; see [`Setup::input`].
     pub input: Vec<f64>,
-    /// Of the supply without load; empty for an axis.
+    /// Open-circuit voltage of the supply, V; empty for an axis.
     pub supply_v: Vec<f64>,
-    /// As measured, with noise; see [`Setup::output`].
+    /// Measured output, with noise; see [`Setup::output`].
     pub output: Vec<f64>,
-    /// Of the output, rad/s or m/s, from a second sensor with noise of its own; empty where there is none.
+    /// Speed of the output, rad/s or m/s, from a second sensor with noise of its own; empty without that sensor.
     pub speed: Vec<f64>,
-    /// Where the plant stood when the run began, rad or m of the plant itself.
+    /// Position of the plant at the start of the run, rad or m, in the plant's own coordinate.
     pub start: f64,
-    /// What the output is without noise: what whoever knows the truth to the last digit would predict.
+    /// Output without noise: the prediction of a perfect model.
     pub clean: Vec<f64>,
 }
 
-/// Recordings of one plant.
+/// Recordings of one plant, with the truth about it.
 #[derive(Clone, Debug)]
 pub struct Experiment {
-    /// What was driven and recorded.
+    /// Kind of the experiment.
     pub setup: Setup,
-    /// To be fitted to.
+    /// Recordings for the fit.
     pub train: Vec<Recording>,
-    /// Never to be fitted to; driven otherwise.
+    /// Held-out recordings, never used in the fit; driven differently.
     pub holdout: Vec<Recording>,
-    /// Standard deviation of the noise, 30 dB below the output of the train runs: what is left for a fit that knows the
-    /// truth.
+    /// Standard deviation of the noise, 30 dB below the output of the train runs: the residual of a perfect model.
     pub noise: f64,
-    /// The plant without what is hidden.
+    /// Plant without the hidden effect.
     pub base: PlantSpec,
-    /// The plant with it.
+    /// Plant with the hidden effect.
     pub hidden: Hidden,
-    /// Input for a duty of 1: 1, or N.
+    /// Input at a duty of 1: 1, or the force, N.
     pub input_per_duty: f64,
-    /// At which the plants are stepped.
+    /// Supply voltage of the simulation, V.
     pub supply_v: f64,
 }
 
-/// Runs and seconds of an experiment.
+/// Number and length of an experiment's runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Length {
-    /// Runs to be fitted to.
+    /// Number of runs for the fit.
     pub train: usize,
-    /// Runs held out.
+    /// Number of held-out runs.
     pub holdout: usize,
-    /// Of each.
+    /// Length of each run, s.
     pub seconds: f64,
 }
 
 impl Length {
-    /// 3 runs of 12 s and 2 held out.
+    /// Standard length: 3 train runs of 12 s and 2 held out.
     pub const STANDARD: Self = Self { train: 3, holdout: 2, seconds: 12.0 };
 }
 
-/// Recordings of a plant that is sampled from the seed, like its drive, its noise, and what is hidden in it.
+/// Creates recordings of a plant that is sampled from the seed, like its drive, its noise, and its hidden effect.
 ///
-/// The last recordings are held out; with an effect that is in no catalogue, those that stay in the range of the others.
+/// The last recordings are held out; with an unlisted effect, those that stay in the range of the others.
 #[must_use]
 pub fn experiment(setup: Setup, draw: Draw, length: Length, seed: u64) -> Experiment {
     let mut dice = Dice::new(seed, 3 + setup as u64);
@@ -215,8 +214,9 @@ pub fn experiment(setup: Setup, draw: Draw, length: Length, seed: u64) -> Experi
     Experiment { setup, train, holdout, noise, base, hidden, input_per_duty, supply_v }
 }
 
-/// Indices of the `count` outputs that exceed the range of the others least, in value and in change from sample to sample. For effects without a
-/// formula: an estimator learns a curve, which does not extrapolate. At least one output is not among them.
+/// Indices of the `count` outputs that exceed the range of the others least, in value and in change from sample to
+/// sample. For effects without a formula: an estimator learns a curve, which does not extrapolate. At least one output
+/// is not among them.
 fn least_beyond(outputs: &[Vec<f64>], count: usize) -> Vec<usize> {
     fn range<'v>(series: impl Iterator<Item = &'v Vec<f64>>) -> (f64, f64) {
         series
@@ -225,7 +225,7 @@ fn least_beyond(outputs: &[Vec<f64>], count: usize) -> Vec<usize> {
     }
     let changes: Vec<Vec<f64>> =
         outputs.iter().map(|output| output.windows(2).map(|pair| pair[1] - pair[0]).collect()).collect();
-    // As shares of the others' range.
+    // Excess as a share of the others' range.
     let beyond = |held_out: &[usize]| -> f64 {
         let share = |series: &[Vec<f64>]| {
             let others = series.iter().enumerate().filter(|(place, _)| !held_out.contains(place));
@@ -244,10 +244,11 @@ fn least_beyond(outputs: &[Vec<f64>], count: usize) -> Vec<usize> {
     held_out
 }
 
-/// A motor of some size, its supply, and 1.
+/// Samples a motor of some size; returns it with its supply, V, and an input of 1 per duty.
 fn motor(dice: &mut Dice) -> (PlantSpec, f64, f64) {
     let supply_v = if dice.share() < 0.5 { 12.0 } else { 24.0 };
-    // From what can be seen: speed without load, time constant, resistance, and what is viscous.
+    // Sampled by its observable properties: speed without load, time constant, resistance, and share of viscous
+    // friction.
     let (speed, time_constant_s) = (dice.ratio_between(4.0, 14.0), dice.ratio_between(0.03, 0.15));
     let (resistance_ohm, gear_ratio) = (dice.ratio_between(0.5, 4.0), dice.ratio_between(10.0, 60.0));
     let per_speed_v = supply_v / speed;
@@ -263,7 +264,7 @@ fn motor(dice: &mut Dice) -> (PlantSpec, f64, f64) {
     (in_range(Model::DcGearMotor(model)), supply_v, 1.0)
 }
 
-/// A mass on a rail, the voltage that drives it, and the force for a duty of 1.
+/// Samples a mass on a rail; returns it with the voltage that drives it, V, and the force for a duty of 1, N.
 fn axis(dice: &mut Dice) -> (PlantSpec, f64, f64) {
     let force_n = dice.ratio_between(20.0, 80.0);
     let mass_kg = dice.ratio_between(1.0, 8.0);
@@ -282,7 +283,7 @@ fn axis(dice: &mut Dice) -> (PlantSpec, f64, f64) {
     (in_range(Model::LinearActuator(model)), AXIS_A * AXIS_OHM, force_n)
 }
 
-/// A plant of this model, or of the typical one if a draw had left its range.
+/// Creates a plant of this model, or of the typical one if a sampled value is out of range.
 fn in_range(model: Model) -> PlantSpec {
     let source = "drawn by a seed, no measured plant";
     let typical = Model::ALL.into_iter().find(|typical| typical.kind() == model.kind()).unwrap_or(model);
@@ -292,10 +293,10 @@ fn in_range(model: Model) -> PlantSpec {
 }
 
 impl Recording {
-    /// Writes it as a table with a header, what is without noise left out.
+    /// Writes the recording as CSV with a header, without [`Recording::clean`].
     ///
     /// # Errors
-    /// Of `out`.
+    /// Errors of writing to `out`.
     pub fn write_csv(&self, setup: Setup, out: &mut impl Write) -> io::Result<()> {
         let supply = if self.supply_v.is_empty() { "" } else { ",supply_v" };
         let speed = match setup {
@@ -328,9 +329,9 @@ mod tests {
         let ramp = |to: f64, samples: usize| (0..samples).map(|at| to * at as f64 / samples as f64).collect::<Vec<_>>();
         let outputs = [ramp(1.0, 100), ramp(5.0, 100), ramp(3.0, 100), ramp(-1.0, 100)];
         assert_eq!(least_beyond(&outputs, 2), [0, 2]);
-        // one has to stay
+        // One recording always remains for the fit.
         assert_eq!(least_beyond(&outputs, 9).len(), 3);
-        // the second goes as far as the others, but ten times as fast
+        // The second has the range of the others, but changes ten times as fast.
         let outputs = [ramp(1.0, 100), ramp(1.0, 10), ramp(1.0, 100)];
         assert_eq!(least_beyond(&outputs, 1), [0]);
     }

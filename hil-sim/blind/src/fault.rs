@@ -1,8 +1,8 @@
-//! Faults of a log, put into recordings after the plant was simulated: an identifier has to detect them or to live with them.
+//! Logging faults, added to recordings after the simulation: an identifier has to detect or tolerate them.
 //!
-//! [`Timing`] leaves a recording usable: stamps that are a little off. [`Broken`] makes it useless. Both change every recording of an
-//! experiment, those to be fitted to and those held out, and follow from a seed. What an output would have been at another time is
-//! simulated anew, not interpolated; the noise of each row stays as it was drawn.
+//! [`Timing`] leaves a recording usable: stamps that are a little off. [`Broken`] makes it useless. Both change every
+//! recording of an experiment, for the fit and held out, and are sampled from a seed. Outputs at other times are
+//! simulated again, not interpolated; each row keeps its noise.
 
 use std::fmt;
 
@@ -14,46 +14,46 @@ use crate::{
     watch::{Output, Plan, noise},
 };
 
-/// Streams of [`Dice`] that nothing else takes for the same seed.
+/// Streams of [`Dice`] that no other module uses with the same seed.
 const TIMING: u64 = 8;
 const BROKEN: u64 = 9;
 
 /// Largest error of one stamp, in sample periods: below a half, so that stamps ascend.
 const MOST_JITTER: f64 = 0.45;
 
-/// When the output's samples were taken, beside what their stamps say.
+/// Sampling times of the output relative to their stamps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Timing {
-    /// As the stamps say.
+    /// Samples are taken at their stamps.
     True,
-    /// `periods` sample periods after the stamps; before them if negative.
+    /// Samples are taken `periods` sample periods after the stamps; before them if negative.
     Shift {
         /// Shift in periods of 5 ms; positive if a sample was taken after its stamp.
         periods: f64,
     },
-    /// At a random time about each stamp; the input changes at its stamps.
+    /// Samples are taken at random times about their stamps; the input changes at its stamps.
     SampleJitter {
         /// Standard deviation in sample periods; no sample is more than 0.45 periods off.
         deviation: f64,
     },
-    /// Evenly, together with the input, but the stamps of both are random about the true times.
+    /// Input and output are sampled evenly, but the stamps of both are random about the true times.
     StampJitter {
         /// Standard deviation in sample periods; no stamp is more than 0.45 periods off.
         deviation: f64,
     },
-    /// At `1 + drift` times the stamp: the output's clock is slow if this is positive.
+    /// Samples are taken at `1 + drift` times the stamp: the output's clock is slow if this is positive.
     SlowClock {
         /// Relative error of the clock, as a plain number.
         drift: f64,
     },
 }
 
-/// What can be wrong with stamps.
+/// Kind of timing fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum TimingKind {
-    /// A shift by one sample period, early or late.
+    /// Shift by one sample period, early or late.
     WholeShift,
-    /// A shift by 0.2 to 1.5 sample periods, early or late.
+    /// Shift by 0.2 to 1.5 sample periods, early or late.
     Shift,
     /// [`Timing::SampleJitter`] of 5 to 30 % of a period.
     SampleJitter,
@@ -64,10 +64,10 @@ pub enum TimingKind {
 }
 
 impl TimingKind {
-    /// Every kind of timing fault, one size of each to be drawn.
+    /// All kinds of timing fault.
     pub const ALL: [Self; 5] = [Self::WholeShift, Self::Shift, Self::SampleJitter, Self::StampJitter, Self::SlowClock];
 
-    /// A fault of this kind; its size follows from the seed.
+    /// Returns a fault of this kind, its size sampled from the seed.
     #[must_use]
     pub fn sample(self, seed: u64) -> Timing {
         let mut dice = Dice::new(seed, TIMING);
@@ -94,9 +94,10 @@ impl fmt::Display for Timing {
 }
 
 impl Timing {
-    /// Gives every recording of an experiment this fault. What jitter does to each row follows from the seed.
+    /// Applies this fault to every recording of an experiment. The jitter of each row is sampled from the seed.
     ///
-    /// The recordings have to be as they were made: the plant is simulated anew from [`Recording::start`] and [`Recording::input`].
+    /// The recordings must be unmodified: the plant is simulated again from [`Recording::start`] and
+    /// [`Recording::input`].
     pub fn apply(self, experiment: &mut Experiment, seed: u64) {
         let mut dice = Dice::new(seed, TIMING);
         let Experiment { setup, train, holdout, hidden, input_per_duty, supply_v, .. } = experiment;
@@ -114,7 +115,7 @@ impl Timing {
                 }
                 Self::SlowClock { drift } => stamps.map(|stamp| stamp * (1.0 + drift)).collect(),
                 Self::StampJitter { deviation } => {
-                    // the first stamp is where time begins
+                    // The first stamp stays, since it defines time 0.
                     let off = jitter(deviation).into_iter().skip(1);
                     run.time_s.iter_mut().skip(1).zip(off).for_each(|(time_s, off)| *time_s += off / RATE_HZ);
                     continue;
@@ -132,20 +133,20 @@ impl Timing {
     }
 }
 
-/// What makes recordings useless.
+/// Fault that makes recordings useless.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Broken {
-    /// The rows of all columns but the stamps are in reverse order.
+    /// Rows of all columns except the stamps are in reverse order.
     Reversed,
     /// Input and output are in each other's column.
     Swapped,
-    /// The rows of the output are in random order.
+    /// Rows of the output are in random order.
     Shuffled,
-    /// The output is in degrees, though its column says rad; a second sensor has its speed in rad/s.
+    /// The output is in degrees, though its column's name says rad; a second sensor has its speed in rad/s.
     Degrees,
-    /// The output ends at limits inside its range, on one side or both.
+    /// The output saturates at limits inside its range, on one side or both.
     Saturated,
-    /// Rows are lost in bursts, and the others stamped evenly, as a logger does that stamps by counting.
+    /// Rows are lost in bursts, and the others stamped evenly, as by a logger that stamps by counting.
     Dropped,
     /// The output's column has another quantity: a temperature, or the motion of another plant.
     WrongColumn,
@@ -166,7 +167,7 @@ impl fmt::Display for Broken {
 }
 
 impl Broken {
-    /// Every way in which a recording can be broken.
+    /// All faults that break a recording.
     pub const ALL: [Self; 7] = [
         Self::Reversed,
         Self::Swapped,
@@ -177,17 +178,17 @@ impl Broken {
         Self::WrongColumn,
     ];
 
-    /// Whether recordings of a setup can have it: an angle alone can be in degrees.
+    /// Returns true if recordings of a setup can have it: only an angle can be in degrees.
     #[must_use]
     pub fn suits(self, setup: Setup) -> bool {
         self != Self::Degrees || setup == Setup::MotorPosition
     }
 
-    /// Breaks every recording of an experiment, as follows from the seed, and returns the numbers of it. `None`, and nothing is
-    /// changed, where the setup does not suit.
+    /// Applies this fault, sampled from the seed, to every recording of an experiment, and returns its parameters.
+    /// `None`, and no change, if the setup does not suit.
     ///
-    /// [`Recording::clean`] is what the output's column would be without noise; [`Experiment::noise`] is that of the column, but for
-    /// [`Broken::Swapped`], which leaves the column none.
+    /// [`Recording::clean`] is then the output's column without noise; [`Experiment::noise`] is that of the column,
+    /// except for [`Broken::Swapped`], whose column has none.
     pub fn apply(self, experiment: &mut Experiment, seed: u64) -> Option<Vec<Value>> {
         if !self.suits(experiment.setup) {
             return None;
@@ -199,6 +200,7 @@ impl Broken {
             Self::Reversed => runs(experiment).for_each(|run| columns(run).for_each(|column| column.reverse())),
             Self::Swapped => runs(experiment).for_each(|run| {
                 std::mem::swap(&mut run.input, &mut run.output);
+                // The output's column now has the input, which has no noise.
                 run.clean.clone_from(&run.output);
             }),
             Self::Shuffled => runs(experiment).for_each(|run| shuffle(run, dice)),
@@ -216,7 +218,7 @@ fn runs(experiment: &mut Experiment) -> impl Iterator<Item = &mut Recording> {
     experiment.train.iter_mut().chain(&mut experiment.holdout)
 }
 
-/// All but the stamps.
+/// All columns except the stamps.
 fn columns(run: &mut Recording) -> impl Iterator<Item = &mut Vec<f64>> {
     [&mut run.input, &mut run.supply_v, &mut run.output, &mut run.speed, &mut run.clean].into_iter()
 }
@@ -225,7 +227,7 @@ fn plan(run: &Recording, input_per_duty: f64) -> Plan {
     Plan { start: run.start, duty: run.input.iter().map(|input| input / input_per_duty).collect() }
 }
 
-/// By Fisher and Yates.
+/// Shuffles the output by the Fisher-Yates method.
 fn shuffle(run: &mut Recording, dice: &mut Dice) {
     for last in (1..run.output.len()).rev() {
         let other = dice.below(last + 1);
@@ -237,7 +239,7 @@ fn shuffle(run: &mut Recording, dice: &mut Dice) {
 fn degrees(experiment: &mut Experiment, dice: &mut Dice) {
     let Experiment { train, holdout, hidden, input_per_duty, supply_v, noise: output_noise, .. } = experiment;
     let speeds = |run: &Recording| hidden.parts.outputs(&plan(run, *input_per_duty), *supply_v, Output::Speed);
-    // 30 dB, like that of the output
+    // Noise 30 dB below the speed, like that of the output.
     let noise = noise(&train.iter().map(speeds).collect::<Vec<_>>());
     for run in train.iter_mut().chain(holdout) {
         run.speed = speeds(run).into_iter().map(|speed| speed + noise * dice.normal()).collect();
@@ -247,7 +249,7 @@ fn degrees(experiment: &mut Experiment, dice: &mut Dice) {
 }
 
 fn saturate(experiment: &mut Experiment, dice: &mut Dice) -> Vec<Value> {
-    // One sensor: the same limits for all runs, and one that is fitted to reaches them.
+    // One sensor: the limits are the same for all runs, and at least one run for the fit reaches them.
     let outputs = || experiment.train.iter().flat_map(|run| &run.output).copied();
     let (least, most) = (outputs().fold(f64::INFINITY, f64::min), outputs().fold(f64::NEG_INFINITY, f64::max));
     let lost = (1.0 - dice.between(0.5, 0.7)) * (most - least);
@@ -256,7 +258,7 @@ fn saturate(experiment: &mut Experiment, dice: &mut Dice) -> Vec<Value> {
         1 => (lost, 0.0),
         _ => (0.0, lost),
     };
-    // a side that nothing is lost on has no limit, whatever the held-out runs do
+    // A side on which nothing is lost has no limit, whatever the held-out runs do.
     let low = if below > 0.0 { least + below } else { f64::NEG_INFINITY };
     let high = if above > 0.0 { most - above } else { f64::INFINITY };
     runs(experiment)
@@ -270,7 +272,7 @@ fn saturate(experiment: &mut Experiment, dice: &mut Dice) -> Vec<Value> {
     [("low", low), ("high", high)].into_iter().map(|(name, value)| Value { name, value, unit }).collect()
 }
 
-/// Rows of the shortest burst, and how many more the longest has: 25 to 200 ms.
+/// Rows of the shortest burst, and number of different lengths: 25 to 200 ms.
 const BURST: [usize; 2] = [5, 36];
 
 fn drop_rows(experiment: &mut Experiment, dice: &mut Dice) -> Vec<Value> {
@@ -283,6 +285,7 @@ fn drop_rows(experiment: &mut Experiment, dice: &mut Dice) -> Vec<Value> {
             let from = dice.below(rows);
             let burst = (BURST[0] + dice.below(BURST[1])).min(left);
             for kept in is_kept.iter_mut().skip(from).take(burst) {
+                // Bursts may overlap: a row that is lost already does not count again.
                 left -= usize::from(std::mem::replace(kept, false));
             }
         }
@@ -290,12 +293,13 @@ fn drop_rows(experiment: &mut Experiment, dice: &mut Dice) -> Vec<Value> {
             let mut kept = is_kept.iter();
             column.retain(|_| kept.next() == Some(&true));
         }
+        // The stamps stay even, as if no row had been lost.
         run.time_s.truncate(run.output.len());
     }
     vec![Value { name: "share", value: share, unit: "1" }]
 }
 
-/// Of a room, degrees Celsius: where it begins about, how far it goes in a sample, and its sensor's noise.
+/// Room temperature, °C: mean at the start, standard deviation of its change per sample, and sensor noise.
 const ROOM: f64 = 25.0;
 const WALK: f64 = 0.02;
 const THERMOMETER: f64 = 0.05;
@@ -313,13 +317,13 @@ fn temperature(experiment: &mut Experiment, dice: &mut Dice) {
 }
 
 fn another_plant(experiment: &mut Experiment, dice: &mut Dice) -> Vec<Value> {
-    // below 2^32: a number that a report can hold
+    // Below 2^32, so that a report can hold the number exactly.
     let seed = (dice.share() * f64::from(u32::MAX)) as u64;
     let longest = experiment.train.iter().chain(&experiment.holdout).map(|run| run.time_s.len()).max().unwrap_or(0);
     let length = Length {
         train: experiment.train.len(),
         holdout: experiment.holdout.len(),
-        // half a sample more: rounding must not lose one
+        // Half a sample more, so that rounding does not lose one.
         seconds: (longest as f64 + 0.5) / RATE_HZ,
     };
     let mut other = experiment::experiment(experiment.setup, Draw::Nothing, length, seed);
@@ -342,7 +346,7 @@ mod tests {
         experiment::experiment(setup, Draw::Nothing, SHORT, 21)
     }
 
-    /// Each run before and after.
+    /// Each run before and after the fault.
     fn faulty(setup: Setup, fault: impl FnOnce(&mut Experiment)) -> Vec<(Recording, Recording)> {
         let before = made(setup);
         let mut after = before.clone();
@@ -365,12 +369,12 @@ mod tests {
                     let rows = before.clean.len();
                     for row in 1..rows - 1 {
                         let there = before.clean[if periods > 0.0 { row + 1 } else { row - 1 }];
-                        // an axis is driven by its force again: rounding of 50 m
+                        // The axis is driven again by its force: rounding of 50 m.
                         assert!((after.clean[row] - there).abs() < 1e-9, "{setup:?} {periods} {row}");
                         let noise = [&before, &after].map(|run| run.output[row] - run.clean[row]);
                         assert!((noise[0] - noise[1]).abs() < 1e-12);
                     }
-                    // before the run the plant stands
+                    // Before the run the plant stands still.
                     assert!(periods > 0.0 || after.clean[0] == before.clean[0]);
                 }
             }
@@ -383,7 +387,7 @@ mod tests {
             let bend = before.clean.windows(3).map(|at| (at[0] - 2.0 * at[1] + at[2]).abs()).fold(0.0, f64::max);
             for row in 1..before.clean.len() {
                 let middle = 0.5 * (before.clean[row - 1] + before.clean[row]);
-                // a chord is off by an eighth of what the curve bends, twice for the corner of its input
+                // A chord deviates by an eighth of the curve's bend, twice that at the corner of its input.
                 assert!((after.clean[row] - middle).abs() <= 0.25 * bend, "{row}");
             }
         }
@@ -400,7 +404,7 @@ mod tests {
                 (per_period.abs() > 0.3 * fastest).then(|| (after.clean[row] - before.clean[row]) / per_period)
             });
             let off: Vec<f64> = off.collect();
-            // 1000 samples and more: 2.3 % is the deviation of their deviation, and the clipped tails take 5 %
+            // At least 1000 samples: their standard deviation is known to 2.3 %, and clipping the tails takes 5 %.
             let found = rms(off.iter().copied());
             assert!(off.len() > 300 && (found / deviation - 1.0).abs() < 0.15, "{found} of {}", off.len());
         }
@@ -414,7 +418,7 @@ mod tests {
                 assert_eq!((&after.input, &after.output), (&before.input, &before.output));
                 assert!(after.time_s[0] == 0.0 && after.time_s.windows(2).all(|at| at[0] < at[1]));
                 let off = after.time_s.iter().zip(&before.time_s).map(|(after, before)| (after - before) * RATE_HZ);
-                // 1600: 1.8 % is its deviation; clipping at 1.5 of its own takes 9 % of the largest
+                // With 1600 samples it is known to 1.8 %; clipping at 1.5 of its own takes 9 % of the largest.
                 assert!((rms(off) / deviation - 0.95).abs() < 0.1);
             }
         }
@@ -501,7 +505,7 @@ mod tests {
             let true_speed = |row: usize| 0.5 * (before.clean[row + 1] - before.clean[row - 1]) * RATE_HZ;
             let rows = 1..before.clean.len() - 1;
             let off = rms(rows.clone().map(|row| after.speed[row] - true_speed(row)));
-            // its noise is 30 dB below it, 3.2 %, and differences over 10 ms lag at steps
+            // Its noise is 30 dB below it, 3.2 %, and differences over 10 ms lag at steps.
             assert!((0.02..0.08).contains(&(off / rms(rows.map(true_speed)))), "{off}");
             let mut text = Vec::new();
             after.write_csv(Setup::MotorPosition, &mut text).unwrap();
@@ -534,7 +538,7 @@ mod tests {
                 assert_eq!(stands(limit), limit.is_finite());
             }
         }
-        // 24 of which one in three has no limit
+        // Each of the 24 sides, two in each of 12 runs, has no limit with a probability of one third.
         assert!(sides.iter().all(|&side| side > 3 && side < 12) && sides.iter().sum::<usize>() > 12, "{sides:?}");
     }
 
@@ -548,7 +552,7 @@ mod tests {
                 assert_eq!(before.time_s.len() - rows, (numbers[0].value * 1600.0) as usize);
                 assert_eq!(after.time_s, before.time_s[..rows]);
                 assert_eq!([after.input.len(), after.supply_v.len(), after.clean.len()], [rows; 3]);
-                // rows are recognised by their noise
+                // Rows are recognised by their noise.
                 let was: Vec<usize> = after
                     .output
                     .iter()
@@ -571,7 +575,7 @@ mod tests {
                 assert_eq!((&after.time_s, &after.input), (&before.time_s, &before.input));
                 assert_eq!([after.output.len(), after.clean.len()], [before.output.len(); 2]);
                 if numbers.is_empty() {
-                    // four deviations of a walk of 8 s, and where it begins
+                    // Four standard deviations of a walk of 8 s, and of its start.
                     assert!(after.output.iter().all(|celsius| (25.0 - celsius).abs() < 3.0 + 4.0 * 0.8 + 0.3));
                 }
             }

@@ -1,17 +1,17 @@
-//! Plants with something hidden in them, and recordings of such plants.
+//! Plants with a hidden effect, and recordings of such plants.
 //!
-//! For whoever wants to know what an identifier is worth: a seed decides what is hidden, at a size that shows; the truth
-//! is told apart from the plant. Nothing here knows how anything is found again.
+//! For the evaluation of an identifier: the hidden effect is sampled from a seed, large enough to be detectable, and
+//! the truth is kept separate from the plant. This crate contains no code of an identifier.
 //!
 //! | module | subject |
 //! | --- | --- |
 //! | [`hide`], [`Hidden`], [`Truth`] | an effect in a given plant |
 //! | [`hide_one_of`], [`Among`] | one of a caller's effects, or nothing |
 //! | [`hide_in_body`] | a parameter of a robot's body |
-//! | [`experiment`] | recordings of a drawn plant, with noise, as an identifier reads them |
+//! | [`experiment`] | recordings of a sampled plant, with noise, in the form that an identifier reads |
 //! | [`fault`] | faults of such recordings: wrong stamps, wrong columns, lost rows |
 //!
-//! What may be hidden is an effect of `r4-plants`' catalogue, two of them, one that is in no catalogue, or nothing.
+//! An experiment hides an effect of `r4-plants`' catalogue, two of them, one that is in no catalogue, or nothing.
 
 mod among;
 mod body;
@@ -35,21 +35,21 @@ use listed::CANDIDATES;
 use scale::Scale;
 use watch::{Output, Parts, Plan, shows};
 
-/// What kind of thing is hidden.
+/// Kind of hidden effect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Draw {
-    /// Nothing.
+    /// No hidden effect at all.
     Nothing,
-    /// An effect of the catalogue.
+    /// One effect of the catalogue.
     Listed,
-    /// Two of them.
+    /// Two effects of the catalogue.
     Pair,
     /// An effect that is in no catalogue.
     Unlisted,
 }
 
 impl Draw {
-    /// One of eight nothing, one a pair, one unlisted, the others an effect of the catalogue.
+    /// Samples the kind: one of eight nothing, one a pair, one unlisted, the others an effect of the catalogue.
     #[must_use]
     pub fn of(seed: u64) -> Self {
         match Dice::new(seed, 1).below(8) {
@@ -61,33 +61,33 @@ impl Draw {
     }
 }
 
-/// A number of something hidden.
+/// Parameter of a hidden effect.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Value {
-    /// As in plant files, for an effect of the catalogue.
+    /// Name of the parameter; for an effect of the catalogue as in plant files.
     pub name: &'static str,
-    /// In `unit`.
+    /// Value in the unit `unit`.
     pub value: f64,
-    /// `N m`; `1` for a plain number.
+    /// Unit, such as `N m`; `1` for a plain number.
     pub unit: &'static str,
 }
 
 /// One effect that was hidden.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
-    /// Name in the catalogue, or one that is in none.
+    /// Name in the catalogue, or of an unlisted effect.
     pub name: &'static str,
-    /// Its numbers.
+    /// Parameters of the effect.
     pub parameters: Vec<Value>,
-    /// What its contribution is a function of.
+    /// Quantities on which its contribution depends.
     pub depends_on: &'static [Dependence],
-    /// It is in the catalogue.
+    /// True if the effect is in the catalogue.
     pub listed: bool,
-    /// Other effects of the catalogue that no recording of input and output can tell from it.
+    /// Other effects of the catalogue that no recording of input and output can distinguish from it.
     pub rivals: &'static [&'static str],
 }
 
-/// A plant with something hidden in it.
+/// Plant with a hidden effect, and the truth about it.
 #[derive(Clone, Debug)]
 pub struct Hidden {
     parts: Parts,
@@ -95,40 +95,42 @@ pub struct Hidden {
 }
 
 impl Hidden {
-    /// The plant, at rest at position 0, its noises started from `seed`.
+    /// Creates the plant, at rest at position 0, with its noise sources started from `seed`.
     #[must_use]
     pub fn plant(&self, seed: u64) -> Plant {
         self.parts.plant(seed)
     }
 
-    /// The plant as a description, with the hidden effects of the catalogue; one that is in no catalogue is not in it.
+    /// Description of the plant, with the hidden effects of the catalogue; an unlisted effect is not in it.
     #[must_use]
     pub fn spec(&self) -> &PlantSpec {
         &self.parts.spec
     }
 
-    /// What was hidden; empty if nothing was.
+    /// Effects that were hidden; empty if none.
     #[must_use]
     pub fn truth(&self) -> &[Truth] {
         &self.truth
     }
 }
 
-/// Hides something in a plant that has a supply of `supply_v`. What, and how large it is, follows from the seed.
+/// Hides an effect in a plant that has a supply of `supply_v`. Effect and size are sampled from the seed.
 ///
-/// What is hidden changes a free run of 12 s by 3 times the noise that is 30 dB below the signal, and by as much as that
-/// noise if gain, mass and viscous friction of the plant are fitted anew; on a plant where nothing does, nothing is hidden.
+/// The effect changes a free-run simulation of 12 s by at least 3 times the noise, which is 30 dB below the signal, and
+/// by at least that noise after gain, mass and viscous friction of the plant are fitted again; on a plant where no
+/// effect does, nothing is hidden.
 #[must_use]
 pub fn hide(spec: &PlantSpec, supply_v: f64, seed: u64) -> Hidden {
     hide_as(Draw::of(seed), spec, supply_v, seed)
 }
 
-/// The same, for a kind that is given.
+/// Hides an effect like [`hide`], of the given kind.
 #[must_use]
 pub fn hide_as(draw: Draw, spec: &PlantSpec, supply_v: f64, seed: u64) -> Hidden {
     let scale = Scale::of(spec, supply_v);
     let mut dice = Dice::new(seed, 2);
     let plans = [Plan { start: scale.centre, duty: excitation::run(&mut dice, &scale, 0, 12.0) }];
+    // The plant is a board's, which would trip on the effects of the second list.
     let excluded: Vec<_> = NEVER.iter().chain(NOT_ON_BOARDS).map(|(name, _)| *name).collect();
     search(
         &Search { spec, scale: &scale, plans: &plans, output: Output::Position, excluded: &excluded },
@@ -137,7 +139,7 @@ pub fn hide_as(draw: Draw, spec: &PlantSpec, supply_v: f64, seed: u64) -> Hidden
     )
 }
 
-/// Effects of the catalogue that are never hidden, and why.
+/// Effects of the catalogue that are never hidden, with the reason.
 pub const NEVER: &[(&str, &str)] = &[
     ("encoder-scale", "a board that counts wrong shows nothing but another gain"),
     ("encoder-offset", "an encoder's zero is wherever power came on"),
@@ -149,11 +151,11 @@ pub const NEVER: &[(&str, &str)] = &[
     ("sensor-noise", "it is a function of nothing that is recorded"),
 ];
 
-/// What else is not hidden by [`hide`], and why.
+/// Further effects that [`hide`] does not hide, with the reason.
 pub const NOT_ON_BOARDS: &[(&str, &str)] =
     &[("sensor-hold", "a board takes the jumps for a broken sensor and trips, which gives it away")];
 
-/// In what something is hidden, and how it is looked at.
+/// Plant in which an effect is hidden, and the criteria for its detectability.
 pub(crate) struct Search<'a> {
     pub(crate) spec: &'a PlantSpec,
     pub(crate) scale: &'a Scale,
@@ -162,9 +164,9 @@ pub(crate) struct Search<'a> {
     pub(crate) excluded: &'a [&'a str],
 }
 
-/// Effects that are tried before nothing is hidden.
+/// Number of effects that are tried before nothing is hidden.
 const EFFECTS: usize = 40;
-/// Sizes that are tried of one.
+/// Number of sizes that are tried for one effect.
 const SIZES: usize = 6;
 
 pub(crate) fn search(search: &Search<'_>, draw: Draw, dice: &mut Dice) -> Hidden {
@@ -172,7 +174,7 @@ pub(crate) fn search(search: &Search<'_>, draw: Draw, dice: &mut Dice) -> Hidden
     let outputs = |parts: &Parts| -> Vec<Vec<f64>> {
         search.plans.iter().map(|plan| parts.outputs(plan, search.scale.supply_v, search.output)).collect()
     };
-    // Each has to show beside the others.
+    // Each effect must be detectable beside the others.
     let all_show = |parts: &Parts, lacking: &[&Parts]| {
         let outputs = outputs(parts);
         outputs.iter().flatten().all(|value| value.is_finite())
@@ -196,6 +198,7 @@ pub(crate) fn search(search: &Search<'_>, draw: Draw, dice: &mut Dice) -> Hidden
         }
         for _ in 0..SIZES {
             let first = (CANDIDATES[one].draw)(dice, search.scale);
+            // An effect that is excluded, or that this plant cannot have: another one is tried.
             let Some(alone) = with(search, &bare, first) else { break };
             if draw == Draw::Listed {
                 if all_show(&alone, &[&bare]) {
@@ -207,6 +210,7 @@ pub(crate) fn search(search: &Search<'_>, draw: Draw, dice: &mut Dice) -> Hidden
             let (Some(without_first), Some(both)) = (with(search, &bare, second), with(search, &alone, second)) else {
                 break;
             };
+            // Each of the two must be detectable when the other one is known.
             if all_show(&both, &[&without_first, &alone]) {
                 let truth = [(one, first), (other, second)];
                 let truth = truth.into_iter().map(|(index, effect)| truth_of(index, effect, search.scale.kind));
@@ -217,20 +221,23 @@ pub(crate) fn search(search: &Search<'_>, draw: Draw, dice: &mut Dice) -> Hidden
     Hidden { parts: bare, truth: Vec::new() }
 }
 
-/// Effects that together are one of the catalogue, whatever is recorded: a load that does not change makes friction one by direction.
+/// Effects whose combination equals one of the catalogue in any recording: a constant load makes friction
+/// direction-dependent.
 const TOGETHER_ONE: [&str; 2] = ["constant-load", "coulomb-friction"];
 
-/// Whether two effects are too alike to be hidden together.
+/// Returns true if two effects are too similar to be hidden together.
 fn is_alike(one: usize, other: usize, scale: &Scale) -> bool {
     let insertion = |index: usize| (CANDIDATES[index].draw)(&mut Dice::new(0, 0), scale).info().insertion;
     let names = [one, other].map(|index| CANDIDATES[index].name);
     one == other
+        // At the same insertion point, one effect can take over a part of the other.
         || insertion(one) == insertion(other)
         || CANDIDATES[one].rivals.contains(&names[1])
         || TOGETHER_ONE.iter().all(|name| names.contains(name))
 }
 
-/// The plant with one effect more; `None` if it cannot have it. What acts on the input acts before the plant's own.
+/// Returns the plant with one more effect; `None` if it cannot have it. An effect on the input acts before the plant's
+/// own.
 fn with(search: &Search<'_>, parts: &Parts, effect: Effect) -> Option<Parts> {
     if search.excluded.contains(&effect.name()) {
         return None;
@@ -238,7 +245,7 @@ fn with(search: &Search<'_>, parts: &Parts, effect: Effect) -> Option<Parts> {
     with_effect(parts, effect)
 }
 
-/// The same, for any effect.
+/// Like [`with`], for any effect.
 pub(crate) fn with_effect(parts: &Parts, effect: Effect) -> Option<Parts> {
     let mut effects = parts.spec.effects().to_vec();
     let place = if effect.info().insertion == InsertionPoint::Input { 0 } else { effects.len() };

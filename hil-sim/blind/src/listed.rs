@@ -1,4 +1,4 @@
-//! Effects of the catalogue, drawn at sizes that matter on a plant of a given scale.
+//! Effects of the catalogue, sampled at sizes that matter on a plant of a given scale.
 
 use r4_plants::{
     Effect,
@@ -24,13 +24,14 @@ use crate::dice::{Dice, Draw};
 pub(crate) struct Candidate {
     pub(crate) name: &'static str,
     pub(crate) draw: Draw,
-    /// Others that no recording of input and output can tell from it.
+    /// Other effects that no recording of input and output can distinguish from it.
     pub(crate) rivals: &'static [&'static str],
 }
 
-/// How often per unit of position, for a plant that goes `way` in a second: 2 to `most` times on it.
+/// Samples a number of periods per unit of position, for a plant that travels `way` in a second: `least` to `most` of
+/// them on it.
 fn often(dice: &mut Dice, way: f64, least: f64, most: f64) -> f64 {
-    // periods are counted per turn on a rotary plant, whose way is one, and per metre on a linear one
+    // Periods are counted per turn on a rotary plant, whose `way` is one turn, and per metre on a linear one.
     let whole = libm::round(dice.between(least, most));
     if way == std::f64::consts::TAU { whole } else { whole / way }
 }
@@ -41,7 +42,7 @@ macro_rules! candidates {
     };
 }
 
-/// Everything of the catalogue that can be hidden.
+/// All effects of the catalogue that can be hidden.
 pub(crate) const CANDIDATES: &[Candidate] = candidates! {
     "dead-zone", [], |dice, _| Effect::DeadZone(DeadZone { duty: dice.between(0.06, 0.22) });
     "gain-curve", [], |dice, _| Effect::GainCurve(GainCurve {

@@ -1,35 +1,35 @@
-//! How large things are on a plant: effects are drawn in proportion.
+//! Scale of a plant's quantities: effects are sampled in proportion to it.
 
 use r4_plants::{Drive, Effect, Model, Plant, PlantKind, PlantSpec, effect::friction::CoulombFriction};
 
-/// Friction that no motor overcomes, N m or N.
+/// Friction level that no motor overcomes, N m or N.
 const BLOCKED: f64 = 1e6;
-/// Steps in which a plant is looked at.
+/// Time step of the test runs, s.
 const STEP_S: f64 = 5e-3;
 
-/// Sizes of a plant with its own effects, before anything is hidden in it.
+/// Scale of a plant with its own effects, before anything is hidden in it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scale {
     pub(crate) kind: PlantKind,
     pub(crate) supply_v: f64,
-    /// Winding, cold.
+    /// Resistance of the cold winding, Ω.
     pub(crate) resistance_ohm: f64,
-    /// Of the output at full duty, rad/s or m/s.
+    /// Speed of the output at full duty, rad/s or m/s.
     pub(crate) speed: f64,
-    /// Of the motor at the output when it is held at full duty, less what a screw loses; N m or N.
+    /// Torque or force of the motor at the output when blocked at full duty, screw losses subtracted; N m or N.
     pub(crate) force: f64,
-    /// Lost in the winding then.
+    /// Power lost in the winding in that state, W.
     pub(crate) power_w: f64,
-    /// Duty from which on it moves.
+    /// Duty from which on the plant moves.
     pub(crate) threshold: f64,
-    /// A way that it goes in a second or so: a length for what depends on position. rad or m.
+    /// Distance that it travels in about a second, rad or m: a length for effects that depend on position.
     pub(crate) way: f64,
-    /// In the middle of where it can be.
+    /// Middle of its position range.
     pub(crate) centre: f64,
 }
 
 impl Scale {
-    /// Looks at a plant.
+    /// Measures the scale of a plant.
     pub(crate) fn of(spec: &PlantSpec, supply_v: f64) -> Self {
         let (resistance_ohm, force_per_a, centre, stroke) = match spec.model() {
             Model::DcGearMotor(motor) => {
@@ -42,7 +42,7 @@ impl Scale {
             }
         };
         let mut held = spec.clone();
-        // in range on every plant
+        // This level is in range on every plant.
         let _ = held.push_effect(Effect::CoulombFriction(CoulombFriction { level: BLOCKED }));
         let mut held = Plant::new(&held, 0);
         held.advance(Drive::with_brake(1.0), supply_v, 1.0);
@@ -55,6 +55,7 @@ impl Scale {
             free.advance(Drive::with_brake(1.0), supply_v, STEP_S);
             speed = speed.max(free.speed().abs());
         }
+        // A new plant for each duty: static friction counts only from rest.
         let threshold = (1..20).map(|step| 0.05 * f64::from(step)).find(|&duty| {
             let mut plant = Plant::new(spec, 0);
             plant.set_position(centre);
@@ -68,6 +69,7 @@ impl Scale {
             speed: speed.max(1e-6),
             force: (force_per_a * current_a).max(1e-6),
             power_w: current_a * current_a * resistance_ohm,
+            // One step back: the last duty at which it did not move.
             threshold: threshold.unwrap_or(0.9) - 0.05,
             way: match spec.kind() {
                 PlantKind::Rotary => std::f64::consts::TAU,

@@ -38,11 +38,11 @@ const SHORT: Length = Length { train: 2, holdout: 1, seconds: 8.0 };
 #[test]
 fn sizes_of_a_motor_are_those_of_its_equations() {
     let scale = Scale::of(&motor(), 24.0);
-    // k = 2: 24 V · 2 / (4 + 1 · 0.2), stalled at 48 N m with 24 A
+    // With k = 2: 24 V · 2 / (4 + 1 · 0.2), stalled at 48 N m with 24 A.
     assert!((scale.speed - 48.0 / 4.2).abs() < 1e-6, "{}", scale.speed);
     assert!((scale.force - 48.0).abs() < 1e-6 && (scale.power_w - 576.0).abs() < 1e-3, "{scale:?}");
     assert_eq!(scale.threshold, 0.0);
-    // the bench's motor stops below 0.40
+    // The bench's motor stops below 0.40.
     let scale = Scale::of(&rotary(), 24.0);
     assert!((0.4..0.6).contains(&scale.threshold) && (4.5..5.5).contains(&scale.speed), "{scale:?}");
 }
@@ -60,7 +60,7 @@ fn the_same_seed_hides_the_same_and_another_one_something_else() {
 #[test]
 fn kinds_come_about_as_often_as_they_should() {
     let of = |draw| (0..8000).filter(|&seed| Draw::of(seed) == draw).count();
-    // 1000 each: 30 is the deviation
+    // Expected 1000 each, with a standard deviation of 30.
     for draw in [Draw::Nothing, Draw::Pair, Draw::Unlisted] {
         assert!((850..1150).contains(&of(draw)), "{draw:?}: {}", of(draw));
     }
@@ -76,7 +76,7 @@ fn what_is_hidden_cannot_be_had_without_it() {
             assert_eq!(made.hidden.truth().len(), effects, "{draw:?} {seed}");
             let bare = Parts { spec: made.base.clone(), unlisted: vec![] };
             let (difference, left) = against(&made, &bare);
-            // of all train runs, of which each of the pair was looked at in both
+            // Over all train runs; for a pair each effect was checked in both.
             assert!(difference >= 3.0 * made.noise, "{:?}: {difference} of {}", made.hidden.truth(), made.noise);
             assert!(left >= made.noise, "{:?}: {left} of {}", made.hidden.truth(), made.noise);
             assert_eq!(made.hidden.truth().iter().all(|truth| truth.listed), draw != Draw::Unlisted);
@@ -111,20 +111,20 @@ fn nothing_hidden_is_the_bare_plant_and_its_noise() {
         assert_eq!((made.train.len(), made.holdout.len()), (2, 1));
         let mut errors = Vec::new();
         for run in made.train.iter().chain(&made.holdout) {
-            // stepped here by itself, four times as finely
+            // Stepped here separately, four times as finely.
             let mut plant = r4_plants::Plant::new(&made.base, 0);
             plant.set_position(run.start);
             let zero = if setup == Setup::AxisPosition { run.start } else { 0.0 };
             for (index, duty) in plan(&made, run).duty.into_iter().enumerate() {
                 let told = if setup == Setup::MotorSpeed { plant.speed() } else { plant.position() - zero };
-                // the linear plant is exact: rounding of positions up to 50
+                // The linear plant is exact up to the rounding of positions up to 50.
                 assert!((told - run.clean[index]).abs() < 1e-9, "{setup:?} {index}: {told} {}", run.clean[index]);
                 (0..80).for_each(|_| plant.advance(Drive::with_brake(duty), made.supply_v, 5e-3 / 80.0));
             }
             errors.extend(run.output.iter().zip(&run.clean).map(|(measured, clean)| measured - clean));
         }
         let deviation = (errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64).sqrt();
-        // 4800 draws: 1 % is the deviation of their deviation
+        // With 4800 samples the standard deviation is known to 1 %.
         assert!((deviation / made.noise - 1.0).abs() < 0.05, "{setup:?}: {deviation} of {}", made.noise);
     }
 }
@@ -162,14 +162,14 @@ fn an_axis_moves_by_its_force_and_mass() {
     let made = experiment(Setup::AxisPosition, Draw::Nothing, SHORT, 9);
     let Model::LinearActuator(rod) = made.base.model() else { panic!("{:?}", made.base) };
     let run = &made.train[0];
-    // M dv = (F - B v) dt over a run from rest: the sum of forces is B times the way, and M times the speed at its end
+    // M dv = (F - B v) dt over a run from rest: the sum of forces is B times the travel, plus M times the final speed.
     let pushed: f64 = run.input.iter().sum::<f64>() * 5e-3;
     let last = run.clean.len() - 1;
     let speed = (run.clean[last] - run.clean[last - 2]) / 0.01;
     let per_n = made.input_per_duty;
     let damping = rod.viscous_n_s_per_m + per_n * per_n / 1e4;
     let told = damping * run.clean[last] + rod.moving_mass_kg * speed;
-    // the last input and the speed's place are half a sample and a sample off
+    // The last input is half a sample off, and the speed a sample.
     assert!((told - pushed).abs() < 0.02 * per_n, "{told} {pushed}");
 }
 

@@ -1,4 +1,4 @@
-//! Effects that are in no catalogue.
+//! Unlisted effects: those in no catalogue.
 
 use std::fmt::Debug;
 
@@ -9,7 +9,7 @@ use r4_plants::{
 
 use crate::{dice::Dice, scale::Scale};
 
-/// What one of them is called and made of: name, value and unit of each parameter.
+/// Description of an unlisted effect: name, dependences, and name, value and unit of each parameter.
 #[derive(Clone, Debug)]
 pub(crate) struct Page {
     pub(crate) name: &'static str,
@@ -17,13 +17,13 @@ pub(crate) struct Page {
     pub(crate) parameters: Vec<(&'static str, f64, &'static str)>,
 }
 
-/// An effect and what it is.
+/// Unlisted effect with its description.
 pub(crate) type Drawn = (Box<dyn Unlisted>, Page);
 
-/// One way to draw such an effect.
+/// Function that samples an unlisted effect for a plant of a given scale.
 pub(crate) type Draw = fn(&mut Dice, &Scale) -> Drawn;
 
-/// Names, and how to draw each.
+/// Names of the unlisted effects, with their sampling functions.
 pub(crate) const KINDS: &[(&str, Draw)] = &[
     ("presliding-hysteresis", presliding),
     ("torque-ripple-by-drive", ripple),
@@ -35,7 +35,7 @@ pub(crate) const KINDS: &[(&str, Draw)] = &[
     ("push-by-time", push_by_time),
 ];
 
-/// What a formula without memory of its own does.
+/// Effect defined by a function `act` of its parameters or state `p` and the moment.
 #[derive(Clone, Debug)]
 struct Formula<P: Debug + Clone> {
     p: P,
@@ -56,12 +56,13 @@ fn nothing(moment: &Moment) -> Doing {
     Doing { duty: moment.duty, friction: 0.0, force: 0.0 }
 }
 
-/// `exp(-x²)`.
+/// Gaussian bell curve `exp(-x²)`.
 fn bell(x: f64) -> f64 {
     libm::exp(-x * x)
 }
 
-/// Friction that is a spring for small ways and a constant force for long ones: `dF/dx = s (1 - sign(v) F / Fc)`.
+/// Friction that acts as a spring for small displacements and as a constant force for long ones: `dF/dx = s (1 -
+/// sign(v) F / Fc)`.
 ///
 /// # Source
 /// Dahl, *A solid friction model*, The Aerospace Corporation TOR-0158(3107-18)-1, 1968.
@@ -80,7 +81,7 @@ fn presliding(dice: &mut Dice, scale: &Scale) -> Drawn {
         let way = moment.position - p.before.unwrap_or(moment.position);
         p.before = Some(moment.position);
         let slid = p.level.copysign(way);
-        // exact for a way in one direction
+        // Exact for a displacement in one direction.
         p.force = slid + (p.force - slid) * libm::exp(-way.abs() / p.way);
         Doing { force: -p.force, ..nothing(moment) }
     };
@@ -118,7 +119,7 @@ fn worn_track(dice: &mut Dice, scale: &Scale) -> Drawn {
         (dice.between(0.4, 0.8), scale.way * dice.between(-0.5, 0.5), scale.way * dice.between(0.1, 0.25));
     let act = |p: &mut [f64; 4], moment: &Moment| {
         let [depth, at, width, way] = *p;
-        // the nearest of the places, one in each way
+        // Offset from the nearest of the places, one in each `way`.
         let off = moment.position - at;
         let off = off - way * libm::round(off / way);
         Doing { duty: moment.duty * (1.0 - depth * bell(off / width)), ..nothing(moment) }
@@ -166,7 +167,7 @@ fn speed_bump(dice: &mut Dice, scale: &Scale) -> Drawn {
     (Box::new(Formula { p: [height, at, width], act }), page)
 }
 
-/// A plant that has turned round is stiffer for a while.
+/// Friction that is increased for a while after a reversal.
 #[derive(Clone, Debug)]
 struct AfterReversal {
     level: f64,
@@ -191,6 +192,7 @@ fn after_reversal(dice: &mut Dice, scale: &Scale) -> Drawn {
         depends_on: &[Dependence::History, Dependence::Direction],
         parameters: vec![("level", level, "N m or N"), ("for", for_s, "s")],
     };
+    // No reversal yet: its time is infinitely long ago, so there is no friction.
     let start = AfterReversal { level, for_s, moved: 0.0, turned_s: f64::NEG_INFINITY };
     (Box::new(Formula { p: start, act }), page)
 }

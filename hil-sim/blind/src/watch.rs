@@ -1,26 +1,26 @@
-//! Whether something hidden shows.
+//! Detectability of a hidden effect.
 
 use r4_plants::{Drive, Fitted, Model, Plant, PlantSpec, Unlisted};
 
 use crate::{excitation::RATE_HZ, scale::Scale};
 
-/// What is recorded of a plant.
+/// Recorded output of a plant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Output {
-    /// What its sensor tells.
+    /// Position as its sensor measures it.
     Position,
     /// True speed of the output.
     Speed,
 }
 
-/// A run to be made: where the plant starts, and its duties.
+/// Planned run: start position of the plant, and its duties.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
     pub(crate) start: f64,
     pub(crate) duty: Vec<f64>,
 }
 
-/// A plant as a list of parts.
+/// Plant as a list of parts.
 #[derive(Clone, Debug)]
 pub(crate) struct Parts {
     pub(crate) spec: PlantSpec,
@@ -28,7 +28,7 @@ pub(crate) struct Parts {
 }
 
 impl Parts {
-    /// At rest at its start.
+    /// Creates the plant, at rest at its start.
     pub(crate) fn plant(&self, seed: u64) -> Plant {
         Plant::with_unlisted(&self.spec, seed, self.unlisted.clone())
     }
@@ -38,8 +38,8 @@ impl Parts {
         self.outputs_at(plan, supply_v, output, (0..plan.duty.len()).map(|sample| sample as f64))
     }
 
-    /// Output at ascending times of the same run, in sample periods from its start. Before the start the plant stands where it begins,
-    /// after the end the last duty stays.
+    /// Output at ascending times of the same run, in sample periods from its start. Before the start the plant stands
+    /// still, after the end the last duty holds.
     pub(crate) fn outputs_at(
         &self,
         plan: &Plan,
@@ -52,6 +52,7 @@ impl Parts {
         let mut now = 0.0;
         let at = |at: f64| {
             while now < at {
+                // Not beyond the next sample, where the duty may change.
                 let next = (libm::floor(now) + 1.0).min(at);
                 let duty = plan.duty.get(now as usize).or(plan.duty.last()).copied().unwrap_or_default();
                 plant.advance(Drive::with_brake(duty), supply_v, (next - now) / RATE_HZ);
@@ -66,7 +67,7 @@ impl Parts {
     }
 }
 
-/// Standard deviation of a signal below which its noise is at 30 dB: `10^(-30/20)` of it.
+/// Standard deviation of noise that is 30 dB below a signal: `10^(-30/20)` of the signal's.
 pub(crate) fn noise(outputs: &[Vec<f64>]) -> f64 {
     let variances = outputs.iter().map(|run| {
         let mean = run.iter().sum::<f64>() / run.len().max(1) as f64;
@@ -76,12 +77,12 @@ pub(crate) fn noise(outputs: &[Vec<f64>]) -> f64 {
     libm::sqrt(variances.sum::<f64>() / runs) * libm::pow(10.0, -1.5)
 }
 
-/// Times the noise that an effect has to change the free run by.
+/// Multiple of the noise by which an effect must change the free-run simulation.
 pub(crate) const DIFFERENCE: f64 = 3.0;
-/// Times the noise that must be left of it when the parameters of the base model have been fitted anew.
+/// Multiple of the noise that must remain as residual after the base model's parameters have been fitted again.
 pub(crate) const LEFT: f64 = 1.0;
 
-/// Whether `outputs` of a plant cannot be had from `without`, whatever its base parameters.
+/// Returns true if `outputs` of a plant cannot be reproduced by `without`, whatever its base parameters.
 pub(crate) fn shows(outputs: &[Vec<f64>], without: &Parts, scale: &Scale, plans: &[Plan], output: Output) -> bool {
     let noise = noise(outputs);
     let far = |parts: &Parts| {
@@ -91,27 +92,28 @@ pub(crate) fn shows(outputs: &[Vec<f64>], without: &Parts, scale: &Scale, plans:
     noise > 0.0 && far(without) >= DIFFERENCE * noise && left(outputs, without, scale, plans, output) >= LEFT * noise
 }
 
-/// RMS over all runs.
+/// RMS of the difference, over all runs.
 fn difference(a: &[Vec<f64>], b: &[Vec<f64>]) -> f64 {
     let squares = a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| (a - b) * (a - b));
     libm::sqrt(squares.sum::<f64>() / a.iter().map(Vec::len).sum::<usize>().max(1) as f64)
 }
 
-/// Base parameters: logarithms of gain and mass, and viscous friction.
+/// Number of base parameters: logarithms of gain and mass, and viscous friction.
 const PARAMETERS: usize = 3;
-/// Fits of this many steps come within per cents of their end, which is enough to tell what a base model can take up.
+/// Number of iterations: fits come within a few per cent of their optimum, which is enough to estimate what a base model
+/// can absorb.
 const ITERATIONS: usize = 4;
-/// For differences.
+/// Step of the finite differences.
 const NUDGE: f64 = 0.02;
 
-/// RMS left of the difference when gain, mass and viscous friction are fitted, by Gauss and Newton.
+/// RMS of the residual after a fit of gain, mass and viscous friction by the Gauss-Newton method.
 pub(crate) fn left(outputs: &[Vec<f64>], without: &Parts, scale: &Scale, plans: &[Plan], output: Output) -> f64 {
     let run = |parameters: &[f64; PARAMETERS]| -> Vec<f64> {
         let parts = Parts { spec: nudged(&without.spec, scale, parameters), unlisted: without.unlisted.clone() };
         let runs = plans.iter().zip(outputs).map(|(plan, measured)| {
             let simulated = parts.outputs(plan, scale.supply_v, output);
             let residual: Vec<f64> = measured.iter().zip(&simulated).map(|(a, b)| a - b).collect();
-            // a start elsewhere would be fitted too
+            // The mean is removed, because a start offset would be fitted too.
             let mean = match output {
                 Output::Position => residual.iter().sum::<f64>() / residual.len().max(1) as f64,
                 Output::Speed => 0.0,
@@ -137,11 +139,13 @@ pub(crate) fn left(outputs: &[Vec<f64>], without: &Parts, scale: &Scale, plans: 
             for column in 0..PARAMETERS {
                 matrix[row][column] = product(&slopes[row], &slopes[column]);
             }
+            // Slightly damped: two parameters may have the same influence in these runs.
             matrix[row][row] *= 1.0 + 1e-6;
             matrix[row][PARAMETERS] = -product(&slopes[row], &residual);
         }
         let Some(step) = solved(matrix) else { break };
         let mut share = 1.0;
+        // The step is shortened until it reduces the residual.
         let better = (0..4).find_map(|_| {
             let mut tried = parameters;
             tried.iter_mut().zip(step).for_each(|(value, step)| *value += (share * step).clamp(-0.7, 0.7));
@@ -159,7 +163,7 @@ pub(crate) fn left(outputs: &[Vec<f64>], without: &Parts, scale: &Scale, plans: 
     libm::sqrt(square(&residual) / residual.len().max(1) as f64)
 }
 
-/// Solution of a linear system with its right side as last column; `None` where there is no one.
+/// Solves a linear system whose last column is the right side, by elimination with pivoting; `None` if it is singular.
 fn solved(mut matrix: [[f64; PARAMETERS + 1]; PARAMETERS]) -> Option<[f64; PARAMETERS]> {
     for column in 0..PARAMETERS {
         let pivot =
@@ -183,7 +187,7 @@ fn solved(mut matrix: [[f64; PARAMETERS + 1]; PARAMETERS]) -> Option<[f64; PARAM
     solution.iter().all(|value| value.is_finite()).then_some(solution)
 }
 
-/// The same plant with another gain, mass and viscous friction, as far as they are in range.
+/// Returns the plant with another gain, mass and viscous friction, as far as they are in range.
 fn nudged(spec: &PlantSpec, scale: &Scale, parameters: &[f64; PARAMETERS]) -> PlantSpec {
     let [gain, mass, viscous] = *parameters;
     let (masses, drag): (&[&str], &str) = match spec.model() {
@@ -194,7 +198,7 @@ fn nudged(spec: &PlantSpec, scale: &Scale, parameters: &[f64; PARAMETERS]) -> Pl
     let kind = spec.kind();
     let mut set = |name: &str, change: &dyn Fn(f64) -> f64| {
         let before = spec.model().get(kind, name).unwrap_or_default();
-        // beyond a bound it stays as it was
+        // A value beyond a bound is not changed.
         let _ = spec.set_parameter(name, change(before));
     };
     set("torque_constant_nm_per_a", &|value| value * libm::exp(gain));

@@ -1,6 +1,6 @@
-//! Calculations without anything of the processor's: the tests on a PC include this file and compute the same.
+//! Calculations without processor-specific code: the tests on a PC include this file and compute the same.
 
-/// A sequence of 64-bit floating-point operations, every one rounded; the bits of the result.
+/// Digest of a sequence of 64-bit floating-point operations, every one rounded, from the bits of the results.
 #[must_use]
 pub(crate) fn double_digest(rounds: u32) -> u64 {
     let mut state = 0x2545_F491_4F6C_DD1D_u64;
@@ -8,7 +8,7 @@ pub(crate) fn double_digest(rounds: u32) -> u64 {
     let mut digest = 0_u64;
     for _ in 0..rounds {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        // In 1..2, and in -0.5..0.5.
+        // In the ranges 1..2 and -0.5..0.5.
         let a = f64::from_bits(0x3FF0_0000_0000_0000 | state >> 12);
         let b = f64::from_bits(0x3FF0_0000_0000_0000 | state << 20 >> 12) - 1.5;
         sum = sum * 0.75 + a / (b + 3.0) - b * a;
@@ -18,7 +18,7 @@ pub(crate) fn double_digest(rounds: u32) -> u64 {
     digest
 }
 
-/// The same for 32 bits.
+/// Digest of the same kind for 32 bits.
 #[must_use]
 pub(crate) fn single_digest(rounds: u32) -> u32 {
     let mut state = 0x9E37_79B9_u32;
@@ -34,7 +34,7 @@ pub(crate) fn single_digest(rounds: u32) -> u32 {
     digest
 }
 
-/// 64-bit multiplications and divisions, shifts, leading zeros: what compilers make of integers.
+/// Digest of 64-bit multiplications and divisions, shifts and leading zeros: typical compiled integer code.
 #[must_use]
 pub(crate) fn integer_digest(rounds: u32) -> u32 {
     let mut state = 0x1234_5678_9ABC_DEF1_u64;

@@ -8,7 +8,7 @@ use crate::report::check;
 macro_rules! two {
     ($instruction:literal, $a:expr, $b:expr) => {{
         let (result, flags): (u32, u32);
-        // SAFETY: computes in registers.
+        // SAFETY: computes in registers only.
         unsafe {
             asm!(
                 "msr APSR_nzcvqg, {zero}",
@@ -52,10 +52,10 @@ pub(crate) fn run() {
     multiply();
 }
 
-/// SEL takes bytes by the GE flags that UADD8 has set.
+/// Checks that SEL takes bytes by the GE flags that UADD8 has set.
 fn select() {
     let result: u32;
-    // SAFETY: computes in registers.
+    // SAFETY: computes in registers only.
     unsafe {
         asm!(
             "uadd8 {t}, {a}, {b}", "sel {r}, {c}, {d}",
@@ -66,10 +66,10 @@ fn select() {
     check("dsp: SEL", result, 0x1111_1122);
 }
 
-/// SSAT and USAT, with a shift.
+/// Checks SSAT and USAT, with a shift.
 fn saturate() {
     let (signed, unsigned, flags): (u32, u32, u32);
-    // SAFETY: computes in registers.
+    // SAFETY: computes in registers only.
     unsafe {
         asm!(
             "msr APSR_nzcvqg, {zero}",
@@ -83,12 +83,12 @@ fn saturate() {
     check("dsp: Q after saturation", flags, Q);
 }
 
-/// Long multiplications that accumulate; bit fields.
+/// Checks long multiplications that accumulate, and bit fields.
 fn multiply() {
     let (mut low, mut high) = (0xFFFF_FFFF_u32, 1_u32);
     let (mut slow, mut shigh) = (0xFFFF_FFF0_u32, 0xFFFF_FFFF_u32);
     let mut field = 0xFFFF_0000_u32;
-    // SAFETY: computes in registers.
+    // SAFETY: computes in registers only.
     unsafe {
         asm!(
             "umaal {low}, {high}, {a}, {a}",

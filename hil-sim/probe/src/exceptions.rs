@@ -1,4 +1,4 @@
-//! Entry, return, nesting, tail-chaining, PendSV, SVC, stacks (B1.5).
+//! Exceptions: entry, return, nesting, tail-chaining, PendSV, SVC, stacks (B1.5).
 
 use core::arch::asm;
 use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
@@ -29,7 +29,7 @@ pub(crate) fn run() {
     system_tick();
 }
 
-/// Three interrupts, each makes the next more urgent one pending: entered inwards, left outwards.
+/// Three interrupts, each of which makes the next more urgent one pending: they nest, and return in reverse order.
 fn nesting() {
     for (irq, priority) in [(0, 0xC0), (1, 0x80), (2, 0x40)] {
         enable(irq, priority);
@@ -65,7 +65,7 @@ fn tail_chaining() {
             log(taken.number - IRQ0 as u32);
             see(taken.number as usize - IRQ0 - 3, taken.frame as u32);
             if taken.number == 19 {
-                // A late one of the same priority, and a lower number than what is pending already.
+                // A late one of the same priority, with a lower number than the pending ones.
                 write(STIR, 4);
             }
         });
@@ -78,7 +78,7 @@ fn tail_chaining() {
     check("exceptions: tail-chained handlers share a frame", u32::from(seen(0) == seen(1) && seen(1) == seen(2)), 1);
 }
 
-/// PRIGROUP: sub-priorities order what is pending, and do not preempt (B1.5.4).
+/// PRIGROUP: sub-priorities order pending exceptions, and do not preempt (B1.5.4).
 fn priorities() {
     for (irq, priority) in [(6, 0x50), (7, 0x40)] {
         enable(irq, priority);
@@ -98,7 +98,7 @@ fn priorities() {
     set_primask(1);
     pend(1 << 6 | 1 << 7);
     set_primask(0);
-    // 7 first; then 6, which makes 7 pending again.
+    // First 7; then 6, which makes 7 pending again.
     check("exceptions: a sub-priority orders", take_log(), 0x007F_6E7F);
     write(AIRCR, 0x05FA_0000);
     pend(1 << 6);
@@ -111,7 +111,7 @@ fn priorities() {
     check("exceptions: until it is cleared", read(NVIC_ISPR), 0);
 }
 
-/// PendSV of the lowest priority runs when no interrupt does any more.
+/// PendSV at the lowest priority runs when no interrupt runs any more.
 fn pend_sv() {
     write_byte(SHPR + 10, 0xF0);
     handlers::set(handlers::PEND_SV, |_| log(15));
@@ -138,7 +138,8 @@ fn pend_sv() {
     check("exceptions: PENDSVCLR", take_log(), 0);
 }
 
-/// SVC: the number is in the instruction before the stacked PC; what the handler puts into the frame comes back.
+/// SVC: the number is in the instruction before the stacked PC; values that the handler stores in the frame are
+/// restored.
 fn supervisor_call() {
     handlers::set(SV_CALL, |taken| {
         // SAFETY: the instruction before the stacked PC.
@@ -161,7 +162,7 @@ fn supervisor_call() {
     check("exceptions: IPSR in SVC", seen(0), 11);
 }
 
-/// EXC_RETURN tells stack and frame (B1.5.8); CONTROL in handlers (B1.4.4).
+/// EXC_RETURN shows stack and frame (B1.5.8); CONTROL in handlers (B1.4.4).
 fn returns() {
     handlers::set(SV_CALL, |taken| {
         see(0, taken.exc_return);
@@ -194,7 +195,7 @@ fn returns() {
     check("exceptions: SP was PSP before and after", stack[0], 0);
 }
 
-/// A frame on a stack that is aligned to 4 only (B1.5.7): padded, and told by bit 9 of the stacked xPSR.
+/// A frame on a stack that is aligned to 4 only (B1.5.7) is padded, as shown by bit 9 of the stacked xPSR.
 fn padding() {
     handlers::set(SV_CALL, |taken: &Taken| {
         see(0, taken.word(7) >> 9 & 1);
@@ -202,7 +203,7 @@ fn padding() {
     });
     for padded in [false, true] {
         let (sp, later): (u32, u32);
-        // SAFETY: the stack pointer is put back; red zones do not exist.
+        // SAFETY: the stack pointer is restored; red zones do not exist.
         unsafe {
             asm!(
                 "mov {old}, sp", "bic {t}, {old}, #7", "subs {t}, {t}, {less}", "mov sp, {t}",
@@ -236,12 +237,12 @@ unsafe extern "C" {
     fn r4_moved_handler();
 }
 
-/// VTOR: another table, in RAM.
+/// Checks VTOR with another vector table, in RAM.
 fn vector_table() {
     let old = read(VTOR);
     let table = core::ptr::addr_of_mut!(TABLE).cast::<u32>();
     let result: u32;
-    // SAFETY: copies the table, changes one entry, and puts the old one back.
+    // SAFETY: copies the table, changes one entry, and restores the old one.
     unsafe {
         for index in 0..64 {
             // Through an address that the compiler does not know to be null, which it is on the an500.
@@ -259,15 +260,15 @@ fn vector_table() {
     barrier();
 }
 
-/// A load that may be from address 0.
+/// Loads a word, possibly from address 0.
 unsafe fn load(address: u32) -> u32 {
     let value;
-    // SAFETY: the caller's.
+    // SAFETY: guaranteed by the caller.
     unsafe { asm!("ldr {v}, [{a}]", v = out(reg) value, a = in(reg) address) };
     value
 }
 
-/// SysTick: COUNTFLAG, reload, current value (B3.3).
+/// SysTick registers: COUNTFLAG, reload, current value (B3.3).
 fn system_tick() {
     handlers::set(handlers::SYS_TICK, |_| log(1));
     write(SYST_CSR, 0);

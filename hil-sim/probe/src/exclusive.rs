@@ -1,4 +1,4 @@
-//! Exclusive accesses (A3.4).
+//! Exclusive accesses with the monitor (A3.4).
 
 use core::arch::asm;
 use core::ptr::addr_of_mut;
@@ -8,11 +8,11 @@ use crate::report::check;
 
 static mut WORD: u32 = 5;
 
-/// LDREX, something, STREX of 9: the status, and the word afterwards.
+/// Executes LDREX, the given instructions, and STREX of 9; returns the status, and the word afterwards.
 macro_rules! exclusive {
     ($($between:literal),*) => {{
         let status: u32;
-        // SAFETY: nobody else has the word.
+        // SAFETY: no other code uses the word.
         unsafe {
             addr_of_mut!(WORD).write_volatile(5);
             asm!(
@@ -31,7 +31,7 @@ pub(crate) fn run() {
     check("exclusive: STREX after an exception fails", exclusive!("svc #0"), 0x105);
     let status: u32;
     let byte: u32;
-    // SAFETY: nobody else has the word.
+    // SAFETY: no other code uses the word.
     unsafe {
         addr_of_mut!(WORD).write_volatile(0x55);
         asm!(

@@ -7,21 +7,21 @@ use crate::handlers::{self, BUS_FAULT, HARD_FAULT, SV_CALL, Taken, USAGE_FAULT, 
 use crate::registers::*;
 use crate::report::check;
 
-/// R0 to R3, R12, LR, PC, xPSR of the last fault, and its exception number.
+/// Values of R0 to R3, R12, LR, PC, xPSR of the last fault, and its exception number.
 static FRAME: [AtomicU32; 9] = [const { AtomicU32::new(0) }; 9];
 
 fn frame(index: usize) -> u32 {
     FRAME[index].load(Relaxed)
 }
 
-/// Keeps the frame, and returns after the instruction, whose length is told by its first halfword (A5.1).
+/// Stores the frame, and returns behind the instruction, whose length its first halfword shows (A5.1).
 fn skip(taken: &Taken) {
     for (index, word) in FRAME[..8].iter().enumerate() {
         word.store(taken.word(index), Relaxed);
     }
     FRAME[8].store(taken.number, Relaxed);
     let pc = taken.word(6);
-    // SAFETY: the instruction that was executed.
+    // SAFETY: PC is the address of the instruction that faulted.
     let first = unsafe { (pc as *const u16).read_volatile() };
     taken.set_word(6, pc + if first >> 11 >= 0b11101 { 4 } else { 2 });
 }
@@ -67,7 +67,7 @@ fn usage_fault() {
     unsafe { asm!("udf #2") };
     check("faults: enabled, it is a UsageFault", frame(8) | read(HFSR), 6);
     write(CFSR, 0xFFFF_FFFF);
-    // SAFETY: as above; within an IT block, of which the rest goes on.
+    // SAFETY: as above; within an IT block, the rest of which is executed.
     let result: u32;
     unsafe {
         asm!(
@@ -75,13 +75,13 @@ fn usage_fault() {
             r = out(reg) result,
         );
     }
-    // UDF is unconditional in an IT block or not; either way both additions follow.
+    // UDF may be unconditional in an IT block or not; in either case both additions follow.
     check("faults: an IT block goes on after one", result, 7);
     write(CFSR, 0xFFFF_FFFF);
     write(SHCSR, 0);
 }
 
-/// A load from where nothing is (the chip's external memory, with no controller set up).
+/// Load from an address without memory (the chip's external memory, with no controller set up).
 fn bus_fault() {
     write(SHCSR, 1 << 17);
     let mut value = 0x55_u32;
@@ -115,7 +115,7 @@ fn in_handlers() {
     write(CFSR, 0xFFFF_FFFF);
     write(HFSR, 0xFFFF_FFFF);
     set_primask(1);
-    // SAFETY: escalates to the HardFault handler, which skips what follows the SVC: a 16-bit no-operation.
+    // SAFETY: escalates to the HardFault handler, which skips the instruction behind the SVC: a 16-bit no-operation.
     unsafe { asm!("svc #0", "nop") };
     set_primask(0);
     check("faults: SVC under PRIMASK is a HardFault", take_log() << 4 | frame(8), 3);

@@ -23,7 +23,7 @@ pub(crate) fn run() {
 macro_rules! flags {
     ($($code:literal),* ; $($operands:tt)*) => {{
         let flags: u32;
-        // SAFETY: computes in registers.
+        // SAFETY: computes in registers only.
         unsafe { asm!("vmsr fpscr, {zero}", $($code,)* "vmrs {flags}, fpscr", zero = in(reg) 0_u32, flags = out(reg) flags, $($operands)*) };
         flags
     }};
@@ -37,7 +37,7 @@ const INEXACT: u32 = 16;
 
 fn roots() {
     let (double, single): (f64, f32);
-    // SAFETY: computes in registers.
+    // SAFETY: computes in registers only.
     unsafe {
         asm!("vsqrt.f64 {r}, {a}", r = out(dreg_low16) double, a = in(dreg_low16) 2.0_f64);
         asm!("vsqrt.f32 {r}, {a}", r = out(sreg) single, a = in(sreg) 2.0_f32);
@@ -48,25 +48,25 @@ fn roots() {
     check("float: VSQRT.F32", single.to_bits(), 0x3FB5_04F3);
 }
 
-/// One rounding: (1 + 2^-30)^2 - 1 - 2^-29 is 2^-60 exactly, and 0 with two roundings.
+/// Single rounding of fused operations: (1 + 2^-30)^2 - 1 - 2^-29 is 2^-60 exactly, and 0 with two roundings.
 fn fused() {
     let a = 1.0 + 1.0 / f64::from(1 << 30);
     let mut sum = -1.0 - 1.0 / f64::from(1 << 29);
-    // SAFETY: computes in registers.
+    // SAFETY: computes in registers only.
     unsafe { asm!("vfma.f64 {s}, {a}, {a}", s = inout(dreg_low16) sum, a = in(dreg_low16) a) };
     check("float: VFMA.F64 rounds once", (sum.to_bits() >> 32) as u32, 0x3C30_0000);
     let mut twice = -1.0 - 1.0 / f64::from(1 << 29);
-    // SAFETY: computes in registers.
+    // SAFETY: computes in registers only.
     unsafe { asm!("vmla.f64 {s}, {a}, {a}", s = inout(dreg_low16) twice, a = in(dreg_low16) a) };
     check("float: VMLA.F64 rounds twice", (twice.to_bits() >> 32) as u32, 0);
 }
 
-/// 1 / 3 in all four modes of FPSCR.RMode.
+/// Quotient 1 / 3 in all four modes of FPSCR.RMode.
 fn rounding() {
     let mut result = 0_u32;
     for mode in 0..4_u32 {
         let third: f32;
-        // SAFETY: computes in registers, and leaves the mode as it was.
+        // SAFETY: computes in registers only, and restores the mode.
         unsafe {
             asm!(
                 "vmsr fpscr, {mode}", "vdiv.f32 {r}, {a}, {b}", "vmsr fpscr, {zero}",
@@ -113,10 +113,10 @@ fn exceptions() {
     check("float: comparison, less", less >> 28, 0b1000);
 }
 
-/// Conversions saturate, and round as the instruction says.
+/// Conversions saturate, and round as the instruction specifies.
 fn conversions() {
     let (to_zero, to_nearest, saturated, unsigned): (i32, i32, i32, u32);
-    // SAFETY: computes in registers.
+    // SAFETY: computes in registers only.
     unsafe {
         asm!(
             "vcvt.s32.f64 {t}, {a}", "vmov {r0}, {t}",
@@ -132,29 +132,29 @@ fn conversions() {
     check("float: VCVT saturates", saturated as u32, i32::MAX as u32);
     check("float: VCVT of a negative number to unsigned", unsigned, 0);
     let half: u32;
-    // SAFETY: computes in registers.
+    // SAFETY: computes in registers only.
     unsafe {
         asm!("vcvtb.f16.f32 {t}, {a}", "vmov {r}, {t}", t = out(sreg) _, r = out(reg) half, a = in(sreg) 1.5_f32)
     };
     check("float: VCVTB to half precision", half & 0xFFFF, 0x3E00);
     let (selected, maximum, away): (f64, f64, f64);
-    // SAFETY: computes in registers.
+    // SAFETY: computes in registers only.
     unsafe {
         asm!("cmp {x}, #1", "vseleq.f64 {r}, {a}, {b}", x = in(reg) 1_u32, r = out(dreg_low16) selected, a = in(dreg_low16) 5.0_f64, b = in(dreg_low16) 6.0_f64);
         asm!("vmaxnm.f64 {r}, {a}, {b}", r = out(dreg_low16) maximum, a = in(dreg_low16) f64::NAN, b = in(dreg_low16) 7.0_f64);
         asm!("vrinta.f64 {r}, {a}", r = out(dreg_low16) away, a = in(dreg_low16) 2.5_f64);
     }
-    // FPv5 only.
+    // Instructions that only FPv5 has.
     check("float: VSEL", (selected.to_bits() >> 32) as u32, 0x4014_0000);
     check("float: VMAXNM with a NaN", (maximum.to_bits() >> 32) as u32, 0x401C_0000);
     check("float: VRINTA", (away.to_bits() >> 32) as u32, 0x4008_0000);
 }
 
-/// Registers overlap: D0 is S0 and S1; several are loaded and stored at once.
+/// Overlapping registers: D0 is S0 and S1; several are loaded and stored at once.
 fn moves() {
     let (low, high): (u32, u32);
     let words = [0x1111_1111_u32, 0x2222_2222, 0x3333_3333, 0x4444_4444];
-    // SAFETY: reads `words`.
+    // SAFETY: only reads `words`.
     unsafe {
         asm!(
             "vldmia {p}, {{s0-s3}}", "vmov {low}, {high}, d1",

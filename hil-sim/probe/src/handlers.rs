@@ -1,29 +1,29 @@
-//! Every exception goes to one place, and from there to what a check has put up for it.
+//! Exception handling: all exceptions enter one dispatcher, which calls the handler that a check has set.
 
 use core::arch::global_asm;
 use core::sync::atomic::{AtomicU32, AtomicUsize, Ordering::Relaxed};
 
-/// An exception that was taken.
+/// Exception that was taken.
 #[derive(Clone, Copy)]
 pub(crate) struct Taken {
     /// Exception number, from IPSR.
     pub(crate) number: u32,
-    /// LR on entry.
+    /// LR on entry (EXC_RETURN).
     pub(crate) exc_return: u32,
-    /// The frame: R0 to R3, R12, LR, PC, xPSR.
+    /// Pointer to the frame: R0 to R3, R12, LR, PC, xPSR.
     pub(crate) frame: *mut u32,
 }
 
 impl Taken {
-    /// A word of the frame.
+    /// Reads a word of the frame.
     pub(crate) fn word(&self, index: usize) -> u32 {
         // SAFETY: the frame is on the stack below this handler, at least 8 words.
         unsafe { self.frame.add(index).read_volatile() }
     }
 
-    /// Changes one: it is restored on return.
+    /// Changes a word of the frame: it is restored on return.
     pub(crate) fn set_word(&self, index: usize, value: u32) {
-        // SAFETY: as for `word`; what it does is what the checks are about.
+        // SAFETY: as for `word`; the effect of the change is the subject of the checks.
         unsafe { self.frame.add(index).write_volatile(value) }
     }
 }
@@ -42,29 +42,29 @@ const EXCEPTIONS: usize = 48;
 
 static HANDLERS: [AtomicUsize; EXCEPTIONS] = [const { AtomicUsize::new(0) }; EXCEPTIONS];
 
-/// What happened, a nibble each, the last one lowest.
+/// Log of events, a nibble each, the last one lowest.
 static LOG: AtomicU32 = AtomicU32::new(0);
 
-/// Exceptions that nobody expected.
+/// Number of the last exception without a handler; 0 for none.
 pub(crate) static UNEXPECTED: AtomicU32 = AtomicU32::new(0);
 
 pub(crate) fn set(exception: usize, handler: Handler) {
     HANDLERS[exception].store(handler as usize, Relaxed);
 }
 
-/// Notes that something happens.
+/// Appends an event to the log.
 pub(crate) fn log(what: u32) {
-    // One after the other: handlers that preempt leave it as they found it, with their own appended.
+    // No atomic update is needed: handlers that preempt leave the log as they found it, with their own events appended.
     LOG.store(LOG.load(Relaxed) << 4 | what, Relaxed);
 }
 
-/// What was noted since the last time.
+/// Returns the events since the last call.
 pub(crate) fn take_log() -> u32 {
     LOG.swap(0, Relaxed)
 }
 
-// The one place: R0 is the frame, whichever stack it is on; LR stays EXC_RETURN, so that the Rust function's return ends
-// the handler.
+// Common entry: R0 is the frame, on either stack; LR stays EXC_RETURN, so that the Rust function's return ends the
+// handler.
 global_asm!(
     ".section .text.handlers, \"ax\"",
     ".thumb_func",

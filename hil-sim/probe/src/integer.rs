@@ -14,12 +14,12 @@ pub(crate) fn run() {
     flags();
 }
 
-/// IT blocks (A7.7.38): each condition both ways, and flags that an instruction in the block leaves alone.
+/// IT blocks (A7.7.38): each condition both ways, and flags that an instruction in the block must not change.
 fn conditional() {
     let mut result = 0_u32;
     for value in [0_i32, 1, -1] {
         let mut bits: u32;
-        // SAFETY: computes in registers.
+        // SAFETY: computes in registers only.
         unsafe {
             asm!(
                 "movs {bits}, #0",
@@ -44,16 +44,16 @@ fn conditional() {
         }
         result = result << 10 | bits;
     }
-    // 0: eq, le. 1: ne, gt, hi. -1: ne, mi, le, hi (unsigned).
+    // For 0: eq, le. For 1: ne, gt, hi. For -1: ne, mi, le, hi (unsigned).
     check("integer: IT blocks", result, 0x105 << 20 | 0x28A << 10 | 0x37A);
 }
 
-/// TBB, CBZ and CBNZ, and a load to PC.
+/// Branches by TBB, CBZ and CBNZ, and by a load to PC.
 fn branches() {
     let mut result = 0_u32;
     for index in 0..4_u32 {
         let mut value: u32;
-        // SAFETY: computes in registers.
+        // SAFETY: computes in registers only.
         unsafe {
             asm!(
                 "tbb [pc, r0]",
@@ -78,10 +78,10 @@ fn branches() {
     check("integer: TBB and CBZ", result, 0x0112_1418);
 }
 
-/// SDIV and UDIV: by zero is zero, without the trap (A3.3.1); the most negative number by -1.
+/// SDIV and UDIV: the quotient by zero is zero, without the trap (A3.3.1); the most negative number by -1.
 fn division() {
     let (unsigned, signed, zero): (u32, i32, u32);
-    // SAFETY: computes in registers.
+    // SAFETY: computes in registers only.
     unsafe {
         asm!(
             "udiv {u}, {a}, {b}", "sdiv {s}, {min}, {minus}", "udiv {z}, {a}, {none}",
@@ -98,7 +98,7 @@ fn division() {
 /// APSR after sums and differences with carry (A2.2, AddWithCarry).
 fn flags() {
     let (mut first, mut second): (u32, u32);
-    // SAFETY: computes in registers.
+    // SAFETY: computes in registers only.
     unsafe {
         asm!(
             "adds {t}, {max}, {one}", "mrs {first}, APSR",

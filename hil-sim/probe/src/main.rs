@@ -1,8 +1,8 @@
-//! A program that asks a Cortex-M7 whether it does what its manual says (DDI0403E; chapters are named in the checks).
+//! Probe: checks a Cortex-M7 against its manual (DDI0403E; chapters are named in the checks).
 //!
-//! Every check has a known result, from the manual or computed elsewhere. Results go to [`report::R4_PROBE`] in memory and
-//! as text to a debugger (semihosting), so that the same source runs on an emulated STM32H747, on qemu (feature `an500`),
-//! and on a chip with a debugger attached; a check that fails names itself.
+//! Every check has a known result, from the manual or computed elsewhere. Results go to [`report::R4_PROBE`] in memory
+//! and as text to a debugger (semihosting), so that the same source runs on an emulated STM32H747, on qemu (feature
+//! `an500`), and on a chip with a debugger attached; a check that fails names itself.
 
 #![no_std]
 #![no_main]

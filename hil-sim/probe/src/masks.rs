@@ -1,4 +1,4 @@
-//! PRIMASK, BASEPRI, FAULTMASK (B1.4.3), and waiting (B1.5.17 to B1.5.19).
+//! Interrupt masks PRIMASK, BASEPRI, FAULTMASK (B1.4.3), and waiting (B1.5.17 to B1.5.19).
 
 use core::arch::asm;
 use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
@@ -37,7 +37,7 @@ fn base_priority() {
     set_primask(1);
     check("masks: PRIMASK", primask(), 1);
     pend(1 << 11);
-    // SAFETY: only PRIMASK.
+    // SAFETY: changes only PRIMASK.
     unsafe { asm!("cpsie i") };
     log(1);
     check("masks: CPSIE takes what is pending at once", take_log(), 0xB1);
@@ -46,7 +46,7 @@ fn base_priority() {
 /// FAULTMASK is set within a handler, and cleared by its return.
 fn fault_mask() {
     handlers::set(SV_CALL, |_| {
-        // SAFETY: only FAULTMASK.
+        // SAFETY: changes only FAULTMASK.
         unsafe { asm!("cpsid f") };
         pend(1 << 11);
         log(faultmask());
@@ -57,7 +57,7 @@ fn fault_mask() {
     check("masks: FAULTMASK is clear", faultmask(), 0);
 }
 
-/// WFI wakes by what PRIMASK holds back, and the handler does not run until it is cleared.
+/// WFI wakes by an interrupt that PRIMASK holds back, and the handler does not run until PRIMASK is cleared.
 fn wait_for_interrupt() {
     handlers::set(SYS_TICK, |_| {
         TICKS.fetch_add(1, Relaxed);
@@ -67,7 +67,7 @@ fn wait_for_interrupt() {
     write(SYST_RVR, 49_999);
     write(SYST_CVR, 0);
     write(SYST_CSR, 7);
-    // SAFETY: waits.
+    // SAFETY: only waits.
     unsafe { asm!("wfi") };
     check("masks: WFI wakes although masked", TICKS.load(Relaxed) << 8 | read(ICSR) >> 26 & 1, 1);
     write(SYST_CSR, 6);
@@ -79,7 +79,7 @@ fn wait_for_interrupt() {
     for _ in 0..10 {
         let before = TICKS.load(Relaxed);
         while TICKS.load(Relaxed) == before {
-            // SAFETY: waits; what came before it wakes the next round.
+            // SAFETY: only waits; an interrupt before it wakes the next round.
             unsafe { asm!("wfi") };
         }
     }
@@ -87,10 +87,10 @@ fn wait_for_interrupt() {
     check("masks: ten more by WFI", TICKS.load(Relaxed), 11);
 }
 
-/// SEV is remembered by the event register: the WFE after it does not wait. With nothing else to wake it, a processor that
-/// forgets hangs here.
+/// SEV sets the event register: the WFE after it does not wait. Nothing else would wake the processor, so one that
+/// loses the event hangs here.
 fn wait_for_event() {
-    // SAFETY: waits, for what was signalled before.
+    // SAFETY: only waits, for an event signalled before.
     unsafe { asm!("sev", "wfe", "sev", "nop", "wfe") };
     check("masks: WFE after SEV goes on", 1, 1);
 }

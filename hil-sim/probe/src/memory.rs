@@ -5,11 +5,11 @@ use core::ptr::addr_of_mut;
 
 use crate::report::check;
 
-/// Two pages of 4 KiB and the boundary between them, wherever it falls.
+/// Buffer of two pages of 4 KiB, so that it contains a page boundary.
 static mut BUFFER: [u8; 8192 + 64] = [0; 8192 + 64];
 
 pub(crate) fn run() {
-    // SAFETY: nobody else has the buffer.
+    // SAFETY: no other code uses the buffer.
     let buffer = unsafe { &mut *addr_of_mut!(BUFFER) };
     for (index, byte) in buffer.iter_mut().enumerate() {
         *byte = index as u8;
@@ -48,10 +48,10 @@ fn unaligned(loads: &'static str, stores: &'static str, at: u32, first: u8) {
     check(stores, byte_0 << 8 | byte_5, 0xA1C3);
 }
 
-/// LDM, STM, LDRD, STRD, with write-back; PUSH and POP.
+/// Checks LDM, STM, LDRD, STRD, with write-back; PUSH and POP.
 fn several(at: u32) {
     let (after_store, after_load, sum): (u32, u32, u32);
-    // SAFETY: within the buffer, and a balanced stack.
+    // SAFETY: within the buffer, and the stack is balanced.
     unsafe {
         asm!(
             "mov {p}, {at}",
@@ -72,6 +72,6 @@ fn several(at: u32) {
     }
     check("memory: STM writes back", after_store.wrapping_sub(at), 16);
     check("memory: STRD and LDMDB write back", after_load.wrapping_sub(at), 0);
-    // LDMDB takes the words before: r2 = 1, r3 = 2. LDRD those that STRD has stored: r4 = 8, r5 = 4.
+    // LDMDB loads the words before: r2 = 1, r3 = 2. LDRD loads those that STRD has stored: r4 = 8, r5 = 4.
     check("memory: which register takes which word", sum, 0x4812);
 }

@@ -29,11 +29,11 @@ pub(crate) fn read(address: u32) -> u32 {
 }
 
 pub(crate) fn write(address: u32, value: u32) {
-    // SAFETY: as for `read`; what the writes do is what the checks are about.
+    // SAFETY: as for `read`; the effect of the writes is the subject of the checks.
     unsafe { (address as *mut u32).write_volatile(value) }
 }
 
-/// A byte: IPR and SHPR.
+/// Writes a byte of IPR or SHPR.
 pub(crate) fn write_byte(address: u32, value: u8) {
     // SAFETY: as for `write`.
     unsafe { (address as *mut u8).write_volatile(value) }
@@ -44,9 +44,9 @@ pub(crate) fn read_byte(address: u32) -> u8 {
     unsafe { (address as *const u8).read_volatile() }
 }
 
-/// What was written has taken effect (B2.8, A3.7.3).
+/// Waits until earlier writes have taken effect (B2.8, A3.7.3).
 pub(crate) fn barrier() {
-    // SAFETY: no effect but order.
+    // SAFETY: affects only the order of accesses.
     unsafe { asm!("dsb", "isb") }
 }
 
@@ -55,13 +55,13 @@ macro_rules! special {
         #[allow(dead_code)]
         pub(crate) fn $read() -> u32 {
             let value;
-            // SAFETY: reads a register.
+            // SAFETY: only reads a register.
             unsafe { asm!(concat!("mrs {}, ", $name), out(reg) value) };
             value
         }
         #[allow(dead_code)]
         pub(crate) fn $write(value: u32) {
-            // SAFETY: what that does is what the checks are about.
+            // SAFETY: the effect of the write is the subject of the checks.
             unsafe { asm!(concat!("msr ", $name, ", {}"), "isb", in(reg) value) }
         }
     };

@@ -5,7 +5,7 @@ use core::ptr::{addr_of, addr_of_mut};
 
 const MAX: usize = 256;
 
-/// A check.
+/// Result of one check.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub(crate) struct Entry {
@@ -15,10 +15,10 @@ pub(crate) struct Entry {
     expected: u32,
 }
 
-/// Every check so far.
+/// Results of all checks so far.
 #[repr(C)]
 pub(crate) struct Block {
-    /// "R4PB" when all checks are done.
+    /// Magic number "R4PB" once all checks are done.
     magic: u32,
     checks: u32,
     failed: u32,
@@ -27,14 +27,14 @@ pub(crate) struct Block {
 
 const NOTHING: Entry = Entry { name: core::ptr::null(), name_len: 0, got: 0, expected: 0 };
 
-/// Where results are.
+/// Block of memory with the results.
 #[unsafe(no_mangle)]
 pub(crate) static mut R4_PROBE: Block = Block { magic: 0, checks: 0, failed: 0, entries: [NOTHING; MAX] };
 
-/// Notes a check. Only from the main program: handlers leave what they see in variables.
+/// Records a check. Only for the main program: handlers store their observations in variables.
 pub(crate) fn check(name: &'static str, got: u32, expected: u32) {
     let entry = Entry { name: name.as_ptr(), name_len: name.len() as u32, got, expected };
-    // SAFETY: no handler touches the block, and the main program is one.
+    // SAFETY: no handler accesses the block, and there is only one main program.
     unsafe {
         let block = addr_of_mut!(R4_PROBE);
         let index = addr_of!((*block).checks).read_volatile() as usize;
@@ -61,7 +61,7 @@ fn hex(value: u32) {
     text(core::str::from_utf8(&digits).unwrap_or("?"));
 }
 
-/// SYS_WRITE0, in pieces: the text has no terminator.
+/// Writes text by SYS_WRITE0, in pieces, since the text has no terminator.
 pub(crate) fn text(text: &str) {
     for chunk in text.as_bytes().chunks(63) {
         let mut piece = [0; 64];
@@ -70,7 +70,7 @@ pub(crate) fn text(text: &str) {
     }
 }
 
-/// The end: SYS_EXIT, with ADP_Stopped_ApplicationExit when no check failed.
+/// Ends the program by SYS_EXIT, with ADP_Stopped_ApplicationExit when no check failed.
 pub(crate) fn finish() -> ! {
     // SAFETY: as in `check`.
     let failed = unsafe {
@@ -84,7 +84,7 @@ pub(crate) fn finish() -> ! {
     }
 }
 
-/// Arm semihosting: the operation in R0, its argument in R1.
+/// Calls Arm semihosting: the operation in R0, its argument in R1.
 fn semihost(operation: u32, argument: u32) {
     // SAFETY: a debugger reads memory that lives through the call.
     unsafe { asm!("bkpt #0xAB", inout("r0") operation => _, in("r1") argument) }

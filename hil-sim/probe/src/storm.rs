@@ -1,4 +1,5 @@
-//! Floating point, conditional blocks and long loads under tens of thousands of interrupts (B1.5.7): nothing is lost.
+//! Interrupt storm: floating point, conditional blocks and long loads under tens of thousands of interrupts (B1.5.7),
+//! without any loss.
 
 use core::arch::asm;
 use core::hint::black_box;
@@ -9,7 +10,7 @@ use crate::handlers::{self, SYS_TICK};
 use crate::registers::*;
 use crate::report::check;
 
-/// As many as a control loop of 1 kHz sees in half a minute.
+/// Number of interrupts: as many as a control loop of 1 kHz sees in half a minute.
 const ENOUGH: u32 = 30_000;
 
 static TICKS: AtomicU32 = AtomicU32::new(0);
@@ -22,8 +23,8 @@ pub(crate) fn run() {
     handlers::set(SYS_TICK, |_| {
         let ticks = TICKS.load(Relaxed) + 1;
         TICKS.store(ticks, Relaxed);
-        // Other rounding, other values in every register: none of it may reach the main program. Every other time without
-        // any, so that both kinds of frame are tail-chained and returned to.
+        // Other rounding, other values in every register: the main program must not see any of it. Every other time
+        // without this, so that both kinds of frame are tail-chained and returned to.
         if ticks.is_multiple_of(2) {
             clobber();
             if single_digest(black_box(4)) != DIGEST.load(Relaxed) {
@@ -52,9 +53,9 @@ pub(crate) fn run() {
     check("storm: results of handlers that differ", WRONG.load(Relaxed), 0);
 }
 
-/// Leaves no caller-saved register of floating point, and no flag, as it was.
+/// Changes every caller-saved floating-point register, and every flag.
 fn clobber() {
-    // SAFETY: all of them are the callee's to change; the rounding mode is put back, as a handler's compiler expects.
+    // SAFETY: the callee may change all of them; the rounding mode is restored, as a handler's compiler expects.
     unsafe {
         asm!(
             "vmov d0, {x}, {x}", "vmov d1, {x}, {x}", "vmov d2, {x}, {x}", "vmov d3, {x}, {x}", "vmov d4, {x}, {x}",
@@ -65,7 +66,7 @@ fn clobber() {
     }
 }
 
-/// All of S0 to S31 and FPSCR hold for a while.
+/// Checks that S0 to S31 and FPSCR keep their values for a while.
 fn registers_keep(seed: u32) -> bool {
     let mut words = [0_u32; 32];
     for (index, word) in words.iter_mut().enumerate() {
@@ -73,7 +74,7 @@ fn registers_keep(seed: u32) -> bool {
     }
     let mut after = [0_u32; 32];
     let status: u32;
-    // SAFETY: reads and writes the two arrays.
+    // SAFETY: reads and writes the two arrays only.
     unsafe {
         asm!(
             "vmsr fpscr, {mode}",
@@ -93,11 +94,11 @@ fn registers_keep(seed: u32) -> bool {
     words == after && status == 0x50C0_0000
 }
 
-/// Conditional blocks with loads in them, over and over: interrupts fall between their instructions.
+/// Executes conditional blocks with loads in them repeatedly: interrupts fall between their instructions.
 fn conditional_blocks() -> bool {
     let cell = 3_u32;
     let (sum, odd): (u32, u32);
-    // SAFETY: reads `cell`.
+    // SAFETY: only reads `cell`.
     unsafe {
         asm!(
             "movs {sum}, #0", "movs {odd}, #0", "movs {n}, #100",
@@ -113,6 +114,6 @@ fn conditional_blocks() -> bool {
             sum = out(reg) sum, odd = out(reg) odd, n = out(reg) _, t = out(reg) _, p = in(reg) &cell,
         );
     }
-    // 50 times each: 3, and 5 + 7.
+    // Executed 50 times each: 3, and 5 + 7.
     sum == 50 * 3 + 50 * 12 && odd == 50
 }

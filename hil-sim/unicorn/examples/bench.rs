@@ -1,7 +1,8 @@
-//! How many instructions a second this PC executes: `cargo run --release -p r4-unicorn --example bench`.
+//! Benchmark of the cores, in instructions per second of this PC: `cargo run --release -p r4-unicorn --example bench`.
 //!
-//! On both cores, three loops of hand-assembled code, each for some time: nothing but arithmetic in long blocks, the mix of a program (loads,
-//! stores, a call, short blocks), and reading of a register in a loop, where every access goes through the bus.
+//! Runs three loops of hand-assembled code on both cores, each for some time: pure arithmetic in long blocks, the mix
+//! of a program (loads, stores, a call, short blocks), and polling of a register, where every access goes through the
+//! bus.
 
 use std::time::Instant;
 

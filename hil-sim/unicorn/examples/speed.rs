@@ -1,9 +1,9 @@
-//! How fast a board is emulated, and what it does meanwhile:
-//! `cargo run --release -p r4-unicorn --example speed -- openscout 3 [thumb|unicorn] [registers]`.
+//! Speed and activity of an emulated board: `cargo run --release -p r4-unicorn --example speed -- openscout 3
+//! [thumb|unicorn] [registers]`.
 //!
-//! Connects, arms, drives every motor at constant duty for some virtual seconds, and prints simulated against real time, what
-//! was done in each virtual second, and a digest of all exceptions with their times: two versions of the emulator that give
-//! the same digest did the same.
+//! Connects, arms, drives every motor at constant duty for some virtual seconds, and prints simulated against real
+//! time, the activity per virtual second, and a digest of all exceptions with their times: two versions of the emulator
+//! with the same digest behaved identically.
 
 use std::{cell::RefCell, env, error::Error, rc::Rc, time::Instant};
 
@@ -15,7 +15,7 @@ use r4_sim::{Simulation, VirtualBoard};
 use r4_thumb::ThumbCore;
 use r4_unicorn::UnicornCore;
 
-/// The session's time is the simulation's.
+/// Clock of the session: the simulation's time.
 #[derive(Clone)]
 struct HostClock(r4_sim::Clock);
 
@@ -29,11 +29,11 @@ impl r4_driver::Clock for HostClock {
     }
 }
 
-/// Share of the supply; half of it lets every motor turn.
+/// Duty as a share of the supply; half of it lets every motor turn.
 const DUTY: f32 = 0.5;
-/// How often each channel is told of, ms.
+/// Telemetry period of each channel, ms.
 const TELEMETRY_MS: u16 = 10;
-/// Registers printed, those accessed most.
+/// Number of registers printed, those accessed most.
 const REGISTERS: usize = 40;
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -1,31 +1,31 @@
-//! Blocks of instructions, as the translator made them: how many instructions they hold, and which of them matter.
+//! Blocks of instructions as the translator created them: number of instructions, and the special ones among them.
 
 use std::cell::Cell;
 
 /// Halfwords of code from an address on.
 pub(crate) type Code<'a> = &'a [Cell<u8>];
 
-/// A block that was decoded.
+/// Block of decoded instructions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Block {
-    /// Its first instruction.
+    /// Address of its first instruction.
     pub(crate) address: u32,
-    /// The first floating-point instruction; [`Block::NOWHERE`] is none.
+    /// Address of the first floating-point instruction; [`Block::NOWHERE`] for none.
     float: u32,
-    /// Bytes: a block does not leave its page of 4 KiB.
+    /// Length in bytes: a block does not leave its page of 4 KiB.
     bytes: u16,
-    /// Instructions.
+    /// Number of instructions in it.
     pub(crate) instructions: u16,
-    /// SEV is among them.
+    /// True if it contains SEV.
     pub(crate) event: bool,
-    /// The exclusive monitor may be set by it: LDREX and the like are among them.
+    /// True if it may set the exclusive monitor: it contains LDREX or the like.
     pub(crate) claims: bool,
-    /// It leaves the exclusive monitor clear, once it is executed to its end.
+    /// True if it leaves the exclusive monitor clear when executed to its end.
     pub(crate) releases: bool,
 }
 
 impl Block {
-    /// No block: of no bytes.
+    /// Empty block, of no bytes.
     pub(crate) const NONE: Self = Self {
         address: u32::MAX,
         float: Self::NOWHERE,
@@ -38,22 +38,22 @@ impl Block {
 
     const NOWHERE: u32 = u32::MAX;
 
-    /// Bytes.
+    /// Length of the block, bytes.
     pub(crate) fn bytes(&self) -> u32 {
         self.bytes.into()
     }
 
-    /// The first floating-point instruction.
+    /// Address of the first floating-point instruction; `None` without one.
     pub(crate) fn float(&self) -> Option<u32> {
         (self.float != Self::NOWHERE).then_some(self.float)
     }
 
-    /// The address after it.
+    /// Address behind the block.
     pub(crate) fn end(&self) -> u32 {
         self.address.wrapping_add(self.bytes())
     }
 
-    /// Decodes `code`, which begins at `address`. An instruction cut by the end counts.
+    /// Decodes `code`, which begins at `address`. A truncated last instruction counts.
     pub(crate) fn decode(address: u32, code: Code<'_>) -> Self {
         let mut block = Self { address, bytes: code.len() as u16, ..Self::NONE };
         let (mut at, mut conditional) = (0, false);
@@ -66,7 +66,7 @@ impl Block {
             if coprocessor && block.float == Self::NOWHERE {
                 block.float = address + at as u32;
             }
-            // IT, whose mask is not zero (A5.2.5): what follows may be skipped.
+            // IT has a mask that is not zero (A5.2.5): the following instructions may be skipped.
             conditional |= first & 0xFF00 == 0xBF00 && first & 0xF != 0;
             match exclusive(first, second) {
                 Some(true) => (block.claims, block.releases) = (true, false),
@@ -79,28 +79,28 @@ impl Block {
     }
 }
 
-/// Operands of the hint instructions (DDI0403E A5.2.5).
+/// Operand of the hint instruction YIELD (DDI0403E A5.2.5).
 pub(crate) const YIELD: u16 = 1;
-/// As [`YIELD`].
+/// Operand of the hint instruction WFE.
 pub(crate) const WFE: u16 = 2;
-/// As [`YIELD`].
+/// Operand of the hint instruction WFI.
 pub(crate) const WFI: u16 = 3;
-/// As [`YIELD`].
+/// Operand of the hint instruction SEV.
 pub(crate) const SEV: u16 = 4;
 
-/// The instruction has two halfwords (A5.1).
+/// Returns true if the instruction has two halfwords (A5.1).
 pub(crate) fn is_wide(first: u16) -> bool {
     first >> 11 >= 0b11101
 }
 
-/// What an instruction does with the exclusive monitor: LDREX, LDREXB, LDREXH claim; STREX, STREXB, STREXH, CLREX release
-/// (A5.3.6; A7.7.22).
+/// Effect of an instruction on the exclusive monitor: LDREX, LDREXB, LDREXH claim (true); STREX, STREXB, STREXH, CLREX
+/// release (false) (A5.3.6; A7.7.22); `None` for all others.
 fn exclusive(first: u16, second: Option<u16>) -> Option<bool> {
     let second = second?;
     match first & 0xFFF0 {
         0xE850 => Some(true),
         0xE840 => Some(false),
-        // With table branches beside them.
+        // Table branches share this encoding space.
         0xE8D0 if second & 0x40 != 0 => Some(true),
         0xE8C0 if second & 0x40 != 0 => Some(false),
         0xF3B0 if second & 0xFFF0 == 0x8F20 => Some(false),
@@ -108,17 +108,17 @@ fn exclusive(first: u16, second: Option<u16>) -> Option<bool> {
     }
 }
 
-/// The halfword at an offset; `None` past the end.
+/// Halfword at an offset; `None` past the end.
 pub(crate) fn halfword(code: Code<'_>, at: usize) -> Option<u16> {
     Some(u16::from_le_bytes([code.get(at)?.get(), code.get(at + 1)?.get()]))
 }
 
-/// The instruction is this hint, in either encoding (A7.7.263 ff.: T1 and T2).
+/// Returns true if the instruction is this hint, in either encoding (A7.7.263 ff.: T1 and T2).
 pub(crate) fn is_hint(first: u16, second: Option<u16>, hint: u16) -> bool {
     first == 0xBF00 | hint << 4 || first == 0xF3AF && second == Some(0x8000 | hint)
 }
 
-/// Blocks by address. A later one takes the place of an earlier one: what is missing is decoded again.
+/// Cache of blocks by address. A later block may replace an earlier one, which is then decoded again when needed.
 pub(crate) struct Cache {
     blocks: Vec<Block>,
 }
@@ -134,10 +134,10 @@ impl Cache {
         self.blocks.fill(Block::NONE);
     }
 
-    /// The block, decoded by `decode` where it is not known.
+    /// Returns the block, decoded by `decode` if it is not in the cache.
     #[inline]
     pub(crate) fn get(&mut self, address: u32, bytes: u32, decode: impl FnOnce() -> Block) -> &Block {
-        // Also by the length: parts of one block lie apart.
+        // The slot depends on the length too, so that parts of one block have different slots.
         let slot = &mut self.blocks[address.wrapping_add(bytes) as usize / 2 % Self::LEN];
         if slot.address != address || slot.bytes() != bytes {
             *slot = decode();
@@ -174,7 +174,7 @@ mod tests {
         // nop; vadd.f32 s0,s0,s1; vldr d0,[r0]
         let block = Block::decode(0x200, &code(&[0xBF00, 0xEE30, 0x0A20, 0xED90, 0x0B00]));
         assert_eq!((block.instructions, block.float()), (3, Some(0x202)));
-        // MCR to another coprocessor; ldrd is not a coprocessor's.
+        // MCR to another coprocessor; ldrd is not a coprocessor instruction.
         assert_eq!(Block::decode(0, &code(&[0xEE01, 0x0F10, 0xE9D0, 0x0A00])).float(), None);
     }
 
@@ -189,11 +189,11 @@ mod tests {
         assert_eq!(of(&[0xE841, 0x0200]), (false, true));
         assert_eq!(of(&[0xE851, 0x0F00, 0xE841, 0x0200]), (true, true));
         assert_eq!(of(&[0xF3BF, 0x8F2F]), (false, true));
-        // ldrexb r0,[r1]; strexh r2,r0,[r1]; tbb [pc,r0] is neither.
+        // The first two are ldrexb r0,[r1] and strexh r2,r0,[r1]; tbb [pc,r0] is neither.
         assert_eq!(of(&[0xE8D1, 0x0F4F]), (true, false));
         assert_eq!(of(&[0xE8C1, 0x0F52]), (false, true));
         assert_eq!(of(&[0xE8DF, 0xF000]), (false, false));
-        // it eq; strexeq r2,r0,[r1]: it may be skipped.
+        // The `strexeq r2,r0,[r1]` behind `it eq` may be skipped.
         assert_eq!(of(&[0xBF08, 0xE841, 0x0200]), (false, false));
     }
 }

@@ -1,11 +1,11 @@
-//! IT blocks (DDI0403E A7.7.38): the translator cannot stop within one.
+//! IT blocks (DDI0403E A7.7.38), within which the translator cannot stop.
 
 use crate::blocks::{Code, halfword, is_wide};
 
-/// Bytes of the longest IT block: IT and four instructions of four bytes.
+/// Length of the longest IT block, bytes: IT and four instructions of four bytes.
 pub(crate) const LONGEST: u32 = 2 + 4 * 4;
 
-/// How many instructions an instruction makes conditional; none, if it is not IT.
+/// Number of instructions that an instruction makes conditional; 0 if it is not IT.
 fn conditional(first: u16) -> u32 {
     match first {
         0xBF00..=0xBFFF if first & 0xF != 0 => 4 - u32::from(first).trailing_zeros(),
@@ -17,7 +17,8 @@ fn len(first: u16) -> usize {
     if is_wide(first) { 4 } else { 2 }
 }
 
-/// The instruction at an offset is in an IT block, but not the IT itself. `code` begins with an instruction outside of one.
+/// Returns true if the instruction at an offset is in an IT block, but not the IT itself. `code` begins with an
+/// instruction outside of one.
 pub(crate) fn is_within(code: Code<'_>, offset: usize) -> bool {
     let (mut at, mut left) = (0, 0);
     while let (true, Some(first)) = (at < offset, halfword(code, at)) {
@@ -27,7 +28,7 @@ pub(crate) fn is_within(code: Code<'_>, offset: usize) -> bool {
     left > 0
 }
 
-/// `code` begins with IT, if it is an instruction, and its block holds the instruction at an offset.
+/// Returns true if `code` begins with IT, whose block contains the instruction at an offset.
 pub(crate) fn holds(code: Code<'_>, offset: usize) -> bool {
     let Some(first) = halfword(code, 0) else { return false };
     let mut at = 2;
@@ -52,7 +53,7 @@ mod tests {
 
     #[test]
     fn an_it_block_is_as_long_as_its_mask_says() {
-        // cmp r1,#0; ite ge; movge r5,#1; movlt.w r5,#2; nop
+        // Code: cmp r1,#0; ite ge; movge r5,#1; movlt.w r5,#2; nop.
         let code = code(&[0x2900, 0xBFAC, 0x2501, 0xF04F, 0x0502, 0xBF00]);
         let within = [0, 2, 4, 6, 10].map(|offset| is_within(&code, offset));
         assert_eq!(within, [false, false, true, true, false]);

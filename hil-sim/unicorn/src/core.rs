@@ -1,4 +1,4 @@
-//! [`UnicornCore`].
+//! Cortex-M7 core on Unicorn: [`UnicornCore`].
 
 use std::cell::Cell;
 use std::ptr::NonNull;
@@ -15,7 +15,7 @@ use crate::mapping::{STUB, executes, map_all};
 use crate::registers::number;
 use crate::state::State;
 
-/// Exceptions as the translator numbers them.
+/// Numbers of exceptions in the translator.
 mod raised {
     pub(super) const UNDEFINED: u32 = 1;
     pub(super) const SVC: u32 = 2;
@@ -28,13 +28,13 @@ mod raised {
     pub(super) const UNALIGNED: u32 = 22;
 }
 
-/// EPSR.T.
+/// Thumb bit of the EPSR.
 pub(crate) const THUMB: u32 = 1 << 24;
 
-/// A Cortex-M7 by Unicorn.
+/// Cortex-M7 core executed by Unicorn.
 pub struct UnicornCore {
     engine: Engine,
-    /// Memory that is mapped by pointer; never read, only kept.
+    /// Memory that is mapped by pointer; held here only to keep it alive.
     mapped: Vec<Rc<[Cell<u8>]>>,
     observed: Vec<UcHookId>,
 }
@@ -44,33 +44,34 @@ pub(crate) fn failed(what: &str, error: uc_error) -> CoreError {
 }
 
 impl UnicornCore {
-    /// A processor without memory: [`Core::map`] comes next.
+    /// Creates a processor without memory: call [`Core::map`] next.
     ///
     /// # Errors
-    /// Unicorn's.
+    /// [`CoreError`] with Unicorn's error.
     pub fn new() -> Result<Self, CoreError> {
-        // Not Mode::MCLASS: that is a Cortex-M33, without double precision.
+        // Not Mode::MCLASS, which is a Cortex-M33 without double precision.
         let mut engine =
             Unicorn::new_with_data(Arch::ARM, Mode::THUMB, State::new()).map_err(|error| failed("open", error))?;
         engine.ctl_set_cpu_model(ArmCpuModel::CORTEX_M7 as i32).map_err(|error| failed("processor", error))?;
-        // Without addresses of its own at which to stop: address 0 is in ITCM.
+        // Unicorn's own stop addresses are disabled, because address 0, a valid one in ITCM, would be among them.
         engine.ctl_exits_enable().map_err(|error| failed("exits", error))?;
         install(&mut engine).map_err(|error| failed("hooks", error))?;
         Ok(Self { engine, mapped: Vec::new(), observed: Vec::new() })
     }
 
     fn register(&self, register: RegisterARM) -> u32 {
-        // Cannot fail: the register exists in the only processor this crate creates.
+        // Cannot fail: the register exists in the only processor that this crate creates.
         self.engine.reg_read(register).unwrap_or(0) as u32
     }
 
-    /// The translator keeps a digest of mode and privilege, and renews it when flags are written under this name.
+    /// Renews the translator's cached digest of mode and privilege, which it recomputes when flags are written under
+    /// this name.
     fn renew_mode(&mut self) {
         let flags = self.register(RegisterARM::XPSR);
         let _ = self.engine.reg_write(RegisterARM::APSR_NZCV, flags.into());
     }
 
-    /// A hint that ends its block was executed last: PC is after it.
+    /// Returns true if a hint that ends its block was executed last: PC is behind it.
     fn at_hint(&self, hint: u16) -> bool {
         let state = self.engine.get_data();
         let pc = self.register(RegisterARM::PC);
@@ -80,7 +81,7 @@ impl UnicornCore {
         at_end && (is(halfword(2), None) || is(halfword(4), halfword(2)))
     }
 
-    /// Why the engine returned by itself.
+    /// Reason why the engine returned by itself.
     fn why(&self, result: Result<(), uc_error>) -> Result<Why, CoreError> {
         let state = self.engine.get_data();
         let pc = self.register(RegisterARM::PC);
@@ -124,14 +125,14 @@ impl UnicornCore {
         if let Some(error) = state.error.take() {
             return Err(error);
         }
-        // Before a block: the one before it was executed to its end.
+        // Before a block: the previous one was executed to its end.
         if let Some(why @ (Why::Limit | Why::MaskChanged)) = state.why {
             return Ok(CoreStop { instructions: state.executed, why });
         }
         let stop_at = state.stop_at;
         let pc = self.register(RegisterARM::PC);
         let why = match self.engine.get_data().why {
-            // Within an IT block the engine does not stop: what it stopped with later is the reason then.
+            // Within an IT block the engine does not stop: the reason is then that of its later stop.
             Some(why) if stop_at == pc => why,
             _ => self.why(result)?,
         };
@@ -139,12 +140,13 @@ impl UnicornCore {
         Ok(CoreStop { instructions, why })
     }
 
-    /// A code hook that stops before an instruction.
+    /// Adds a code hook that stops before an instruction.
     fn stop_before(&mut self, address: u32, why: Why) -> Result<UcHookId, CoreError> {
         self.stop_within(address.into(), address.into(), why)
     }
 
-    /// A code hook that stops before any instruction in a range but the first of the run; 1 and 0 are everywhere.
+    /// Adds a code hook that stops before any instruction in a range except the first of the run; 1 and 0 mean
+    /// everywhere.
     fn stop_within(&mut self, first: u64, last: u64, why: Why) -> Result<UcHookId, CoreError> {
         let hook = self.engine.add_code_hook(first, last, move |engine, address, _| {
             let state = engine.get_data_mut();
@@ -198,7 +200,7 @@ impl Core for UnicornCore {
     fn set(&mut self, register: Register, value: u32) {
         let (number, value) = match register {
             Register::Pc => (number(register), value | 1),
-            // With every field; by the plain name only flags are written.
+            // This name writes every field; the plain one writes only flags.
             Register::Xpsr => (RegisterARM::XPSR_NZCVQG.into(), value | THUMB),
             _ => (number(register), value),
         };
@@ -231,7 +233,7 @@ impl Core for UnicornCore {
         for address in addresses {
             let hook = self.stop_before(*address, Why::Observed)?;
             self.observed.push(hook);
-            // If it is in an IT block, before that.
+            // If the instruction is in an IT block, stop before that block.
             for back in (2..conditional::LONGEST).step_by(2) {
                 let Some(start) = address.checked_sub(back) else { break };
                 if conditional::holds(self.engine.get_data().code(start, *address), back as usize) {
@@ -270,7 +272,7 @@ impl Core for UnicornCore {
 }
 
 impl UnicornCore {
-    /// Runs with the bus.
+    /// Calls `run` with the bus lent to the hooks.
     #[allow(unsafe_code, reason = "the bus is lent to hooks for one run")]
     fn lend(
         &mut self,
@@ -278,7 +280,7 @@ impl UnicornCore {
         run: impl FnOnce(&mut Self) -> Result<CoreStop, CoreError>,
     ) -> Result<CoreStop, CoreError> {
         let pc = self.register(RegisterARM::PC);
-        // SAFETY: only the lifetime is changed; the pointer is gone from the state before this function returns.
+        // SAFETY: only the lifetime is changed; the pointer is removed from the state before this function returns.
         let lent =
             unsafe { std::mem::transmute::<NonNull<dyn CoreBus + '_>, NonNull<dyn CoreBus>>(NonNull::from(bus)) };
         let state = self.engine.get_data_mut();
@@ -290,7 +292,7 @@ impl UnicornCore {
         result
     }
 
-    /// The instruction at PC, with a hook before the next one.
+    /// Executes the instruction at PC, with a hook before the next one.
     fn step_one(&mut self) -> Result<CoreStop, CoreError> {
         let pc = self.register(RegisterARM::PC);
         let result = self.start()?;
@@ -307,7 +309,7 @@ impl UnicornCore {
         }
     }
 
-    /// Floating point is not allowed, and the block at PC has it at `address`: executes up to there.
+    /// Executes up to `address`, where the block at PC has floating point while that is not allowed.
     fn run_to_float(&mut self, address: u32) -> Result<CoreStop, CoreError> {
         let why = Why::Fault(Fault::NoCoprocessor);
         let pc = self.register(RegisterARM::PC);

@@ -1,4 +1,4 @@
-//! The hooks: counting, stopping, and accesses that are not direct.
+//! Hooks: counting, stopping, and accesses to memory that is not mapped directly.
 
 use r4_mcu::Size;
 use r4_mcu::cpu::{Access, NoResult, Why};
@@ -11,12 +11,12 @@ use crate::state::{State, slice};
 
 pub(crate) type Engine = Unicorn<'static, State>;
 
-/// ITCM lies below this: its contents may be changed by any store, and are decoded each time.
+/// End of ITCM: its contents may be changed by any store, so blocks below are decoded each time.
 pub(crate) const CACHED_FROM: u32 = 0x0001_0000;
 
-/// Installs the hooks that are for every address.
+/// Installs the hooks that apply to every address.
 pub(crate) fn install(engine: &mut Engine) -> Result<(), uc_error> {
-    // 1 > 0: everywhere.
+    // The range 1 > 0 means everywhere.
     engine.add_block_hook(1, 0, |engine, address, bytes| block(engine, address as u32, bytes))?;
     engine.ctl_set_tlb_type(TlbType::VIRTUAL)?;
     engine.add_tlb_hook(1, 0, translate)?;
@@ -27,9 +27,9 @@ pub(crate) fn install(engine: &mut Engine) -> Result<(), uc_error> {
     Ok(())
 }
 
-/// A page is accessed for the first time, or again after a change of the mapping. Addresses are what they are; what is
-/// said here of data memory is that no code lies in it, which makes stores several times faster: without, the translator
-/// looks for translated code at each.
+/// Handles the first access to a page, or the first after a change of the mapping. Addresses map to themselves. Data
+/// memory is reported as not executable, which makes stores several times faster: otherwise the translator searches for
+/// translated code at each.
 fn translate(engine: &mut Unicorn<'_, State>, address: u64, kind: MemType) -> Option<TlbEntry> {
     if kind == MemType::FETCH {
         return Some(TlbEntry { paddr: address, perms: Prot::ALL });
@@ -40,8 +40,8 @@ fn translate(engine: &mut Unicorn<'_, State>, address: u64, kind: MemType) -> Op
     Some(TlbEntry { paddr: address, perms })
 }
 
-/// Installs the hooks for accesses without permission, for these addresses only: where such a hook reaches, Unicorn's
-/// translated code makes every store by a slow way.
+/// Installs the hooks for accesses without permission, for these addresses only: within the range of such a hook,
+/// Unicorn's translated code makes every store by a slow path.
 pub(crate) fn install_access(engine: &mut Unicorn<'_, State>, base: u64, len: u64) -> Result<[UcHookId; 2], uc_error> {
     let last = base + len - 1;
     let load = engine.add_mem_hook(HookType::MEM_READ_PROT, base, last, |engine, _: MemType, address, bytes, _| {
@@ -55,7 +55,7 @@ pub(crate) fn install_access(engine: &mut Unicorn<'_, State>, base: u64, len: u6
     Ok([load, store])
 }
 
-/// Asks for the limits again.
+/// Gets the limits from the bus again.
 pub(crate) fn refresh_limits(engine: &mut Unicorn<'_, State>) {
     let limits = engine.get_data_mut().bus().limits();
     if limits.mask_changes {
@@ -66,7 +66,7 @@ pub(crate) fn refresh_limits(engine: &mut Unicorn<'_, State>) {
 }
 
 fn masks(engine: &Unicorn<'_, State>) -> [u32; 3] {
-    // None of these reads can fail: the registers exist in the only processor this crate creates.
+    // None of these reads can fail: the registers exist in the only processor that this crate creates.
     [RegisterARM::PRIMASK, RegisterARM::BASEPRI, RegisterARM::FAULTMASK]
         .map(|register| engine.reg_read(register).unwrap_or(0) as u32)
 }
@@ -78,13 +78,13 @@ pub(crate) fn stop(engine: &mut Unicorn<'_, State>) {
     }
 }
 
-/// A block is about to be executed.
+/// Handles the beginning of a block.
 fn block(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) {
     if address == STUB {
         return;
     }
     let state = engine.get_data_mut();
-    // The block before was executed to its end.
+    // The previous block was executed to its end.
     if state.block.releases {
         state.claimed = false;
     }
@@ -117,7 +117,8 @@ fn block(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) {
     }
 }
 
-/// The limit is reached: whether it is still so once what is due is done, which spares stopping and starting again.
+/// Handles a reached limit: returns false if, after due events are handled, there is a new limit, which avoids stopping
+/// and starting again.
 #[cold]
 fn limit_stands(engine: &mut Unicorn<'_, State>) -> bool {
     let executed = engine.get_data().executed;
@@ -128,20 +129,20 @@ fn limit_stands(engine: &mut Unicorn<'_, State>) -> bool {
 }
 
 fn access(engine: &mut Unicorn<'_, State>, address: u32, size: Size) -> Access {
-    // The permission hook has brought it up to date.
+    // The permission hook has updated the register.
     let pc = engine.reg_read(RegisterARM::PC).unwrap_or(0) as u32;
     Access { address, size, pc, instructions: engine.get_data().instructions_before(pc) }
 }
 
-/// To know the program counter, Unicorn has also restored the state of an IT block, as if the instruction were to be executed
-/// again. The translated block that goes on has that state within its code; left behind in the processor, it would make the
-/// *next* block conditional.
+/// Clears the state of an IT block. To know the program counter, Unicorn has also restored that state, as if the
+/// instruction were to be executed again. The translated block that continues has it within its code; left in the
+/// processor, it would make the *next* block conditional.
 fn clear_it_state(engine: &mut Unicorn<'_, State>) {
     // Cannot fail: the register exists.
     let _ = engine.reg_write(RegisterARM::EPSR, THUMB.into());
 }
 
-/// The widths on the bus of an access: a double word is two words.
+/// Size and number of the bus accesses of an access: a double word is two words.
 fn parts(bytes: u32) -> (Size, u32) {
     match bytes {
         1 => (Size::Byte, 1),
@@ -151,7 +152,7 @@ fn parts(bytes: u32) -> (Size, u32) {
     }
 }
 
-/// A load without permission: makes it, and keeps the result for [`load_result`]. `false` abandons the instruction.
+/// Carries out a load without permission, and keeps the result for [`load_result`]. `false` abandons the instruction.
 fn load(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) -> bool {
     let (size, count) = parts(bytes);
     // An unaligned load is repeated as two aligned ones, at the rounded address and after it.
@@ -176,7 +177,7 @@ fn load(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) -> bool {
     true
 }
 
-/// The result of the load that was just let pass.
+/// Result of the load that was just carried out.
 pub(crate) fn load_result(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32) -> u64 {
     let window = &engine.get_data().window;
     let at = (address.wrapping_sub(window.base) as usize).min(8);
@@ -185,8 +186,8 @@ pub(crate) fn load_result(engine: &mut Unicorn<'_, State>, address: u32, bytes: 
     u64::from_le_bytes(value)
 }
 
-/// A store without permission: makes it. Unicorn then goes on with it to where it has no effect: read-only memory, or the I/O
-/// callback.
+/// Carries out a store without permission. Unicorn then continues with it to a place where it has no effect: read-only
+/// memory, or the I/O callback.
 fn store(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32, value: u64) {
     let (from, to) = engine.get_data().window.repeated;
     if bytes == 1 && (from..to).contains(&address) {
@@ -196,7 +197,7 @@ fn store(engine: &mut Unicorn<'_, State>, address: u32, bytes: u32, value: u64) 
     let (size, count) = parts(bytes);
     for part in 0..count {
         let access = access(engine, address.wrapping_add(part * 4), size);
-        // Nothing is refused: this core has no memory protection (see `Core::protect`).
+        // No store is refused: this core has no memory protection (see `Core::protect`).
         let _ = engine.get_data_mut().bus().write(&access, (value >> (part * 32)) as u32);
     }
     let unaligned = address & (bytes - 1) != 0;

@@ -1,4 +1,4 @@
-//! The address space: direct memory by pointer, everything else as I/O without permission.
+//! Address space: direct memory by pointer, everything else as I/O without permission.
 
 use r4_mcu::{Bank, Region};
 use unicorn_engine::{Prot, Unicorn, uc_error};
@@ -6,15 +6,15 @@ use unicorn_engine::{Prot, Unicorn, uc_error};
 use crate::hooks::{install_access, load_result, refresh_limits};
 use crate::state::State;
 
-/// A page of this crate's own, in an area that RM0399 leaves reserved: see [`CLREX`].
+/// Address of a page of this crate's own, in an area that RM0399 leaves reserved: see [`CLREX`].
 pub(crate) const STUB: u32 = 0x1F00_0000;
 
-/// CLREX; WFI: how the exclusive monitor is cleared, to which Unicorn has no access.
+/// Code CLREX; WFI, which clears the exclusive monitor, to which Unicorn has no access.
 pub(crate) const CLREX: [u8; 6] = [0xBF, 0xF3, 0x2F, 0x8F, 0x30, 0xBF];
 
 const PAGE: u64 = 0x1000;
 
-/// Maps everything.
+/// Maps the whole address space.
 pub(crate) fn map_all(engine: &mut Unicorn<'static, State>, regions: &[Region]) -> Result<(), uc_error> {
     engine.mem_map(STUB.into(), PAGE, Prot::EXEC)?;
     engine.mem_write(STUB.into(), &CLREX)?;
@@ -36,7 +36,7 @@ pub(crate) fn map_all(engine: &mut Unicorn<'static, State>, regions: &[Region]) 
     Ok(())
 }
 
-/// Maps regions anew, those whose accesses changed.
+/// Maps the regions again whose accesses have changed.
 pub(crate) fn remap(engine: &mut Unicorn<'_, State>, regions: &[Region]) -> Result<(), uc_error> {
     for region in regions {
         let (base, len) = span(region.bank);
@@ -49,7 +49,8 @@ pub(crate) fn remap(engine: &mut Unicorn<'_, State>, regions: &[Region]) -> Resu
     Ok(())
 }
 
-/// This core executes from ITCM and flash only: stores to what can be executed take several times as long.
+/// Returns true if this core executes from a region: ITCM and flash only, since stores to executable memory take
+/// several times as long.
 pub(crate) fn executes(region: &Region) -> bool {
     region.direct().execute && matches!(region.bank, Bank::Itcm | Bank::Flash1 | Bank::Flash2)
 }
@@ -83,7 +84,7 @@ fn map_region(engine: &mut Unicorn<'_, State>, region: &Region) -> Result<(), uc
     // SAFETY: the bytes are cells, so that they may change behind shared references; `UnicornCore` keeps a reference to
     // them for as long as the engine lives, and the length is theirs.
     unsafe { engine.mem_map_ptr(base, len, Prot::ALL, region.bytes().as_ptr().cast_mut().cast())? };
-    // Permissions given later also make the translator drop stores to what is read-only; given at once, they do not.
+    // Permissions set afterwards also make the translator drop stores to read-only memory; given at once, they do not.
     engine.mem_protect(base, len, prot)
 }
 
@@ -102,8 +103,8 @@ fn map_io(engine: &mut Unicorn<'_, State>, base: u64, len: u64) -> Result<(), uc
     engine.mem_protect(base, len, Prot::NONE)
 }
 
-/// After an access: memories may have been turned on or off by it. Not in the permission hook, which Unicorn leaves with
-/// pointers into what mapping frees.
+/// Handles memories that an access may have turned on or off. Not done in the permission hook, which Unicorn leaves
+/// with pointers into data that mapping frees.
 fn accessed(engine: &mut Unicorn<'_, State>) {
     let regions = engine.get_data_mut().bus().remapped();
     if let Some(regions) = regions {

@@ -1,9 +1,9 @@
-//! Names of registers.
+//! Register names in Unicorn.
 
 use r4_mcu::cpu::Register;
 use unicorn_engine::RegisterARM;
 
-/// Unicorn's number.
+/// Number of a register in Unicorn.
 pub(crate) fn number(register: Register) -> i32 {
     let first = |register: RegisterARM, index: u8| i32::from(register) + i32::from(index);
     match register {

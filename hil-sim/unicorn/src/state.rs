@@ -1,4 +1,4 @@
-//! What the hooks know during a run.
+//! State of the hooks during a run.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -15,48 +15,48 @@ use crate::hooks::CACHED_FROM;
 /// Code that the core can fetch: the address of its first byte, and the bytes.
 pub(crate) type CodeMemory = (u32, Rc<[Cell<u8>]>);
 
-/// An access that a permission hook made, whose result the I/O callback hands over.
+/// Access that a permission hook made, whose result the I/O callback returns.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Window {
-    /// The address, rounded down to the width of the access.
+    /// Address, rounded down to the width of the access.
     pub(crate) base: u32,
-    /// Bytes from there on.
+    /// Bytes from `base` on.
     pub(crate) bytes: [u8; 16],
-    /// A store that the translator repeats byte by byte: of what follows, these addresses are not accesses.
+    /// Address range of a store that the translator repeats byte by byte: these repeats are not accesses.
     pub(crate) repeated: (u32, u32),
 }
 
-/// State shared by hooks.
+/// State shared by the hooks.
 pub(crate) struct State {
-    /// The bus of the present run.
+    /// Bus of the present run; `None` between runs.
     pub(crate) bus: Option<NonNull<dyn CoreBus>>,
-    /// Executable memories.
+    /// Memories that the core can execute from.
     pub(crate) code: Vec<CodeMemory>,
     pub(crate) cache: Cache,
-    /// Blocks as far as an instruction that has made an access.
+    /// Cache of parts of blocks, up to an instruction that has made an access.
     pub(crate) parts: RefCell<Cache>,
     /// Hooks for accesses to memories that are not, or not wholly, direct; by base address.
     pub(crate) access_hooks: BTreeMap<u64, [UcHookId; 2]>,
-    /// The block that was begun last.
+    /// Block that was begun last.
     pub(crate) block: Block,
-    /// Instructions of this run, up to the end of `block`.
+    /// Number of instructions in this run, up to the end of `block`.
     pub(crate) executed: u64,
     pub(crate) limits: Limits,
-    /// PRIMASK, BASEPRI, FAULTMASK when `limits` were asked for.
+    /// Values of PRIMASK, BASEPRI, FAULTMASK when `limits` were read.
     pub(crate) masks: [u32; 3],
-    /// A hook wants to stop, and why.
+    /// Reason for which a hook stops the run; `None` without one.
     pub(crate) why: Option<Why>,
-    /// Where a hook before an instruction wants to stop.
+    /// Address at which a hook before an instruction stops.
     pub(crate) stop_at: u32,
-    /// A block begins with, or holds, floating point that is not allowed, from here.
+    /// Address of the first floating-point instruction of a block in which it is not allowed.
     pub(crate) float_at: Option<u32>,
-    /// The exception that the translator raised.
+    /// Exception that the translator raised.
     pub(crate) exception: Option<u32>,
     pub(crate) window: Window,
-    /// The first instruction of the run: observed or not, it is executed.
+    /// Address of the run's first instruction, which is executed even if observed.
     pub(crate) first: Option<u32>,
     pub(crate) fpu: bool,
-    /// The exclusive monitor may be set.
+    /// True if the exclusive monitor may be set.
     pub(crate) claimed: bool,
     pub(crate) error: Option<CoreError>,
 }
@@ -85,7 +85,7 @@ impl State {
         }
     }
 
-    /// Forgets the run before.
+    /// Resets the state for a new run from `pc`.
     pub(crate) fn begin(&mut self, pc: u32) {
         self.block = Block::NONE;
         self.executed = 0;
@@ -97,7 +97,7 @@ impl State {
         self.error = None;
     }
 
-    /// The bus of the present run.
+    /// Bus of the present run.
     #[allow(unsafe_code, reason = "the bus is lent to hooks for one run")]
     pub(crate) fn bus(&mut self) -> &mut dyn CoreBus {
         let bus = self.bus.as_mut().expect("hooks run within a run only");
@@ -106,12 +106,12 @@ impl State {
         unsafe { bus.as_mut() }
     }
 
-    /// Bytes of code in `from..to`; none where that is not executable memory.
+    /// Bytes of code in `from..to`; empty where that is not executable memory.
     pub(crate) fn code(&self, from: u32, to: u32) -> &[Cell<u8>] {
         slice(&self.code, from, to)
     }
 
-    /// The present block as far as `pc`.
+    /// Number of instructions of this run before `pc`, which is in the present block.
     pub(crate) fn instructions_before(&self, pc: u32) -> u64 {
         let whole = u64::from(self.block.instructions);
         if pc < self.block.address || pc >= self.block.end() {

@@ -1,12 +1,12 @@
-//! ams AS5600: the angle of a magnet in front of it, in 4096 counts to a turn. Page and figure numbers are those of its datasheet, v1-06
-//! of 2018-06-20.
+//! ams AS5600 magnetic angle sensor, 4096 counts per turn. Page and figure numbers are those of its datasheet, v1-06 of
+//! 2018-06-20.
 //!
-//! Only RAW ANGLE is used: ANGLE depends on what may have been burnt into the chip, and does not pass 0 evenly (page 19). The status and
-//! the angle behind it come in one transfer; whether the chip keeps both bytes of the angle together in it, the datasheet does not say,
-//! so whoever uses the angle must bear a reading that is a multiple of 256 counts off.
+//! The driver uses only RAW ANGLE: ANGLE depends on what may have been burnt into the chip and has an uneven step at 0
+//! (page 19). Status and angle come in one transfer. The datasheet does not say whether the chip latches both bytes of
+//! the angle together, so the user of the angle must tolerate a reading that is off by a multiple of 256 counts.
 //!
-//! Nothing tells the chip from another one at its address but that it keeps its settings. One whose supply fails for less than three
-//! transfers comes back with the settings that were burnt into it, so with a slower filter, until it is set up again.
+//! The chip has no identity register; the only check is that it keeps its settings. A chip whose supply fails for less
+//! than three transfers restarts with its burnt-in settings, thus with a slower filter, until it is set up again.
 
 use r4_protocol::{
     Quality,
@@ -20,15 +20,15 @@ use super::sensor::{Driver, Exchange, Outcome};
 const CONF: u8 = 0x07;
 const STATUS: u8 = 0x0B;
 
-/// CONF (figure 22), both bytes: watchdog off and the slow filter alone, which SF says, in the upper one, and the normal power mode
-/// without hysteresis in the lower one. The other bits, of the output, are left as they are.
+/// Bits of the two CONF bytes (figure 22) that the driver leaves as they are. It sets the upper byte to watchdog off
+/// and slow filter only (SF), the lower byte to normal power mode without hysteresis. The kept bits concern the output.
 const CONF_KEPT: [u8; 2] = [0xC0, 0xF0];
-/// STATUS (figure 23).
+/// STATUS register bits (figure 23).
 const MAGNET_DETECTED: u8 = 1 << 5;
 const MAGNET_WEAK: u8 = 1 << 4;
 const MAGNET_STRONG: u8 = 1 << 3;
 
-/// What the next transfer is.
+/// Step of the driver: the transfer that follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Before,
@@ -37,20 +37,20 @@ enum State {
     Angle,
 }
 
-/// The driver of one chip.
+/// Driver of one AS5600.
 #[derive(Clone, Debug)]
 pub struct As5600 {
     state: State,
     slow_filter: u8,
-    /// What CONF is to be.
+    /// CONF as it must read back after the set-up.
     configuration: [u8; 2],
 }
 
 impl As5600 {
-    /// Set up by `config`; it measures by itself, at any rate.
+    /// Creates a driver with the filter of `config`. The rate has no influence: the chip measures on its own.
     #[must_use]
     pub fn new(config: &As5600Config, _rate_hz: u16) -> Self {
-        // SF: 00 is 16 times, 11 is twice.
+        // SF (figure 22): 00 averages 16 samples, 11 averages 2.
         let slow_filter = match config.averages {
             16.. => 0b00,
             8.. => 0b01,
@@ -114,7 +114,7 @@ mod tests {
         *,
     };
 
-    /// The board plans the bus by what the configuration says of the chip.
+    /// The bus schedule relies on the transfer lengths in the configuration's chip description.
     #[test]
     fn transfers_are_as_long_as_the_board_plans_them() {
         let config = As5600Config { averages: 2 };

@@ -1,4 +1,5 @@
-//! TDK ICM-20948: three accelerations and three rates. Section and table numbers are those of its datasheet, DS-000189, rev. 1.3.
+//! TDK ICM-20948 inertial sensor: three accelerations and three angular rates. Section and table numbers are those of
+//! its datasheet, DS-000189, rev. 1.3.
 
 use core::f32::consts::PI;
 
@@ -7,7 +8,7 @@ use r4_protocol::{channel::MAX_QUANTITIES, config::Icm20948Config};
 
 use super::sensor::{Driver, Exchange, Outcome, saturation};
 
-/// In every bank (7.1): bits 5 and 4 are the bank.
+/// Bank selection register, present in every bank (7.1): bits 5 and 4 are the bank.
 const REG_BANK_SEL: u8 = 0x7F;
 // Bank 0 (8).
 const WHO_AM_I: u8 = 0x00;
@@ -22,34 +23,34 @@ const ACCEL_CONFIG: u8 = 0x14;
 
 const BANK_0: u8 = 0 << 4;
 const BANK_2: u8 = 2 << 4;
-/// What WHO_AM_I holds (8.1).
+/// Value of WHO_AM_I (8.1).
 const IDENTITY: u8 = 0xEA;
-/// PWR_MGMT_1: all registers as after power-up.
+/// PWR_MGMT_1: reset, after which all registers are as after power-up.
 const DEVICE_RESET: u8 = 1 << 7;
-/// PWR_MGMT_1: awake, on the best clock there is.
+/// PWR_MGMT_1: awake, on the best available clock.
 const CLOCK_BEST: u8 = 1;
-/// INT_STATUS_1: all of a sample is in its registers.
+/// INT_STATUS_1: a complete sample is in its registers.
 const RAW_DATA_0_RDY: u8 = 1;
 /// GYRO_CONFIG_1 and ACCEL_CONFIG: the low-pass filter is on.
 const FILTERED: u8 = 1;
 
 /// Longest start-up time for register access (table 3).
 const START_UP: Duration = Duration::from_millis(100);
-/// From sleep to valid rates: typically 35 ms (table 1).
+/// Time from sleep to valid rates: typically 35 ms (table 1).
 const GYRO_START_UP: Duration = Duration::from_millis(50);
 /// Sample rate with the filter on, undivided, Hz (10.1, 10.11).
 const BASE_HZ: u32 = 1125;
 /// Bandwidth of the filters 1 to 6 at -3 dB, Hz: the wider of gyroscope (table 16) and accelerometer (table 18).
 const BANDWIDTHS_HZ: [f32; 6] = [246.0, 119.5, 51.2, 23.9, 11.6, 5.7];
-/// m/s² in one g.
+/// Standard gravity, m/s² per g.
 const G_M_S2: f32 = 9.806_65;
-/// Counts at full scale.
+/// Counts at the full scale of the 16-bit registers.
 const FULL_SCALE: f32 = 32_768.0;
 
-/// What the next transfer is.
+/// Step of the driver: the transfer that follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
-    /// Selects bank 0, whichever was.
+    /// Selects bank 0, whichever bank was selected.
     Find,
     Identify,
     Reset,
@@ -66,20 +67,20 @@ enum State {
     Data,
 }
 
-/// The driver of one chip.
+/// Driver of one ICM-20948.
 #[derive(Clone, Debug)]
 pub struct Icm20948 {
     state: State,
     divider: u8,
     gyro_config: u8,
     accel_config: u8,
-    /// m/s² and rad/s of one count.
+    /// Scales of acceleration and rate: m/s² and rad/s per count.
     scales: [f32; 2],
 }
 
 impl Icm20948 {
-    /// Set up by `config` for `rate_hz` readings a second, 5 to 400. The chip samples at least as often, behind the widest filter
-    /// whose bandwidth is at most half of that rate.
+    /// Creates a driver for `rate_hz` readings per second, 5 to 400. The chip samples at least as often, behind the
+    /// widest filter whose bandwidth is at most half of that rate.
     #[must_use]
     pub fn new(config: &Icm20948Config, rate_hz: u16) -> Self {
         let rate_hz = u32::from(rate_hz.max(1));
@@ -177,7 +178,7 @@ mod tests {
         *,
     };
 
-    /// The board plans the bus by what the configuration says of the chip.
+    /// The bus schedule relies on the transfer lengths in the configuration's chip description.
     #[test]
     fn transfers_are_as_long_as_the_board_plans_them() {
         let config = Icm20948Config { acceleration_max_g: 4, rate_max_deg_s: 500 };

@@ -1,4 +1,5 @@
-//! TI INA226: the current through a shunt, and the voltage of its bus. Section and table numbers are those of its datasheet, SBOS547A.
+//! TI INA226: current through a shunt and voltage of its bus. Section and table numbers are those of its datasheet,
+//! SBOS547A.
 
 use embassy_time::Duration;
 use r4_protocol::{channel::MAX_QUANTITIES, config::Ina226Config};
@@ -13,27 +14,27 @@ const MASK_ENABLE: u8 = 0x06;
 const MANUFACTURER_ID: u8 = 0xFE;
 const DIE_ID: u8 = 0xFF;
 
-/// "TI" (7.6.9), and the die (7.6.10).
+/// Values of the identity registers: "TI" (7.6.9) and the die (7.6.10).
 const MANUFACTURER: [u8; 2] = *b"TI";
 const DIE: [u8; 2] = [0x22, 0x60];
-/// CONFIGURATION (7.6.1): all registers as after power-up.
+/// CONFIGURATION (7.6.1): reset, after which all registers are as after power-up.
 const RESET: [u8; 2] = [0x80, 0x00];
-/// CONFIGURATION: the bit that reads 1; conversions of 1.1 ms, of shunt and bus, without end.
+/// CONFIGURATION: bit 14, which always reads 1; continuous conversions of shunt and bus, 1.1 ms each.
 const CONTINUOUS: u16 = 1 << 14 | 0b100 << 6 | 0b100 << 3 | 0b111;
 const AVERAGES_AT: u16 = 9;
-/// What can be averaged (table 6).
+/// Numbers of conversions that the chip can average (table 6).
 const AVERAGES: [u32; 8] = [1, 4, 16, 64, 128, 256, 512, 1024];
-/// Longest time of a shunt's and a bus's conversion of 1.1 ms (6.5), µs.
+/// Longest time of one shunt and one bus conversion of nominally 1.1 ms each (6.5), µs.
 const BOTH_US: u32 = 2 * 1210;
-/// MASK_ENABLE (7.6.7), its lower byte: all conversions and averages are done.
+/// MASK_ENABLE (7.6.7), lower byte: all conversions and averages are done.
 const CONVERSION_READY: u8 = 1 << 3;
-/// V of one count (7.6.2, 7.6.3).
+/// Volts per count of the shunt and bus registers (7.6.2, 7.6.3).
 const SHUNT_V: f32 = 2.5e-6;
 const BUS_V: f32 = 1.25e-3;
-/// From a reset to its registers' values: the datasheet gives no time for it, our choice.
+/// Time from a reset to the registers' values: our choice, the datasheet gives none.
 const START_UP: Duration = Duration::from_millis(1);
 
-/// What the next transfer is.
+/// Step of the driver: the transfer that follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Manufacturer,
@@ -46,18 +47,19 @@ enum State {
     Bus,
 }
 
-/// The driver of one chip.
+/// Driver of one INA226.
 #[derive(Clone, Debug)]
 pub struct Ina226 {
     state: State,
     configuration: [u8; 2],
     amperes_per_count: f32,
-    /// Of the shunt, in the reading under way.
+    /// Shunt voltage of the reading under way, counts.
     counts: i16,
 }
 
 impl Ina226 {
-    /// Set up by `config` for `rate_hz` readings a second, 1 to 333. Each is the mean of as many conversions as that leaves time for.
+    /// Creates a driver for `rate_hz` readings per second, 1 to 333. Each reading is the mean of as many conversions as
+    /// fit its period.
     #[must_use]
     pub fn new(config: &Ina226Config, rate_hz: u16) -> Self {
         let period_us = 1_000_000 / u32::from(rate_hz.max(1));
@@ -126,7 +128,7 @@ mod tests {
         *,
     };
 
-    /// The board plans the bus by what the configuration says of the chip.
+    /// The bus schedule relies on the transfer lengths in the configuration's chip description.
     #[test]
     fn transfers_are_as_long_as_the_board_plans_them() {
         let config = Ina226Config { shunt_ohm: 0.005 };
@@ -140,7 +142,8 @@ mod tests {
         assert_eq!(taken, Taken::planned(&planned));
     }
 
-    /// As many conversions of at most 2.42 ms for both as the period between two readings has room for.
+    /// The number of averages is the largest whose conversions, at most 2.42 ms for each pair, fit the period of the
+    /// readings.
     #[test]
     fn a_reading_is_the_mean_of_what_its_period_has_room_for() {
         for (rate_hz, averages) in [(333, 0), (104, 0), (103, 1), (25, 2), (1, 5)] {

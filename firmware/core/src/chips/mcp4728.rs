@@ -26,39 +26,42 @@ const SEQUENTIAL_WRITE: u8 = 0b0101_0000;
 const READY: u8 = 1 << 7;
 /// Longest write of the EEPROM (1.0, electrical characteristics).
 const EEPROM_WRITE_MAX: Duration = Duration::from_millis(50);
-/// How often RDY/BSY is looked at.
+/// Interval between two polls of RDY/BSY.
 const POLL: Duration = Duration::from_millis(1);
 
-/// A read goes through the outputs; each has six bytes (5.6.11).
+/// Bytes per output in a read, which always starts at output A (5.6.11).
 const BYTES_PER_OUTPUT: usize = 6;
-/// Of the six, the first three are the input register, the others the EEPROM.
+/// Offset within an output's six bytes: the first three are the input register, the others the EEPROM.
 #[derive(Clone, Copy)]
 enum Half {
     Input = 0,
     Eeprom = 3,
 }
 
-/// An MCP4728 at one address, with its supply as reference. The bus is lent for each call.
+/// An MCP4728 at one address, with its supply as reference. Each call borrows the bus.
 #[derive(Clone, Copy, Debug)]
 pub struct Mcp4728 {
     address: u8,
 }
 
 impl Mcp4728 {
-    /// The chip at `address`.
+    /// Creates a driver of the chip at `address`.
     #[must_use]
     pub const fn new(address: u8) -> Self {
         Self { address }
     }
 
-    /// Sets all outputs to `codes` with the supply as reference, reads back, and makes that what the EEPROM holds.
+    /// Sets all outputs to `codes` with the supply as reference, reads back, and stores the codes in the EEPROM if it
+    /// holds others.
     ///
-    /// Takes 0.9 ms at 400 kHz, and another 50 ms when the EEPROM held something else: its 10⁶ writes are not used up by
-    /// starting the board. A write of the EEPROM that is still going on, from before a reset of the processor, is waited for.
+    /// Takes 0.9 ms at 400 kHz, and another 50 ms for a write of the EEPROM, which is skipped where possible: its
+    /// endurance of 10⁶ writes is not used up by starting the board. Waits for a write of the EEPROM that was begun
+    /// before a reset of the processor.
     ///
     /// # Errors
-    /// A failed transfer, a register that does not hold what was written, or RDY/BSY low for more than 50 ms. In a
-    /// [`ChipError::Mismatch`], `register` is the byte of the 24 that are read.
+    /// [`ChipError::Bus`] for a failed transfer; [`ChipError::Mismatch`] for a register that does not hold what was
+    /// written, with `register` the index among the 24 bytes read, or, as `register` 0, for RDY/BSY low for more than
+    /// 50 ms.
     pub async fn init<B: I2c>(&self, bus: &mut B, codes: [u16; OUTPUTS]) -> Result<(), ChipError<B::Error>> {
         self.wait_ready(bus).await?;
         self.force(bus, codes).await?;
@@ -76,11 +79,12 @@ impl Mcp4728 {
         compare_half(&read, Half::Eeprom, &codes)
     }
 
-    /// Sets all outputs to `codes` with the supply as reference, whatever the chip was set to, and reads nothing back: the
-    /// part of [`Mcp4728::init`] that changes outputs, 0.3 ms at 400 kHz. A chip that is writing its EEPROM ignores it.
+    /// Sets all outputs to `codes` with the supply as reference, whatever the chip was set to, and reads nothing back:
+    /// the part of [`Mcp4728::init`] that changes outputs, 0.3 ms at 400 kHz. A chip that is writing its EEPROM ignores
+    /// it.
     ///
     /// # Errors
-    /// A failed transfer.
+    /// The bus's error, for a failed transfer.
     pub async fn force<B: I2c>(&self, bus: &mut B, codes: [u16; OUTPUTS]) -> Result<(), B::Error> {
         let mut command = [0; 3 * OUTPUTS];
         for ((bytes, code), output) in command.chunks_exact_mut(3).zip(codes).zip(0..) {
@@ -90,15 +94,15 @@ impl Mcp4728 {
         bus.write(self.address, &command).await
     }
 
-    /// Changes the outputs from `written`, or from anything when that is not known, to `codes`, each at the end of its
-    /// two bytes.
+    /// Changes the outputs from `written` (`None`: unknown) to `codes`, each at the end of its two bytes.
     ///
-    /// A fast write (5.6.1), from A to the last output that changes: 70, 115, 160 or 205 µs at 400 kHz; none when nothing
-    /// changes. It leaves reference, gain and EEPROM alone. A flipped bit can make it a command that changes the first two,
-    /// which [`Mcp4728::verify`] finds, but no single one makes it a write of the EEPROM.
+    /// A fast write (5.6.1), from A to the last output that changes: 70, 115, 160 or 205 µs at 400 kHz; no transfer
+    /// when nothing changes. It leaves reference, gain and EEPROM alone. A flipped bit can turn it into a command that
+    /// changes the first two, which [`Mcp4728::verify`] finds, but no single flipped bit turns it into a write of the
+    /// EEPROM.
     ///
     /// # Errors
-    /// A failed transfer; each output then has its old or its new code.
+    /// The bus's error, for a failed transfer; each output then has its old or its new code.
     pub async fn set<B: I2c>(
         &self,
         bus: &mut B,
@@ -111,7 +115,7 @@ impl Mcp4728 {
         }
     }
 
-    /// The write of [`Mcp4728::set`]; `None` when nothing changes.
+    /// Returns the write of [`Mcp4728::set`]; `None` when nothing changes.
     #[must_use]
     pub fn change(&self, codes: [u16; OUTPUTS], written: Option<[u16; OUTPUTS]>) -> Option<Write> {
         let changes = |output: &usize| written.is_none_or(|written| written[*output] != codes[*output]);
@@ -121,12 +125,13 @@ impl Mcp4728 {
         Some(Write::new(self.address, command, 2 * (last + 1)))
     }
 
-    /// Reads the first outputs back, as many as `codes` has, and compares; also that the chip takes commands.
+    /// Reads back as many outputs as `codes` has, from A on, and compares; also checks that the chip takes commands.
     ///
-    /// Takes 93, 228, 363 or 498 µs at 400 kHz: the chip has no address to start reading from.
+    /// Takes 93, 228, 363 or 498 µs at 400 kHz: a read always starts at output A.
     ///
     /// # Errors
-    /// A failed transfer, a register that does not hold what was written, or the EEPROM being written.
+    /// [`ChipError::Bus`] for a failed transfer; [`ChipError::Mismatch`] for a register that does not hold what was
+    /// written, or, as `register` 0, for a chip that is writing its EEPROM.
     pub async fn verify<B: I2c>(&self, bus: &mut B, codes: &[u16]) -> Result<(), ChipError<B::Error>> {
         let codes = &codes[..codes.len().min(OUTPUTS)];
         let Some(others) = codes.len().checked_sub(1) else { return Ok(()) };
@@ -137,14 +142,14 @@ impl Mcp4728 {
         compare_half(read, Half::Input, codes)
     }
 
-    /// Input registers and EEPROM of all outputs (figure 5-15).
+    /// Reads input registers and EEPROM of all outputs (figure 5-15).
     async fn read<B: I2c>(&self, bus: &mut B) -> Result<[u8; BYTES_PER_OUTPUT * OUTPUTS], B::Error> {
         let mut read = [0; BYTES_PER_OUTPUT * OUTPUTS];
         bus.read(self.address, &mut read).await?;
         Ok(read)
     }
 
-    /// Waits until the EEPROM is not being written.
+    /// Waits until RDY/BSY says that no write of the EEPROM is under way, at most [`EEPROM_WRITE_MAX`].
     async fn wait_ready<B: I2c>(&self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
         let give_up = Instant::now() + EEPROM_WRITE_MAX;
         loop {
@@ -160,7 +165,8 @@ impl Mcp4728 {
     }
 }
 
-/// VREF 0 (the supply), PD 00 (powered), gain 0 (1), then the code: also the two bytes of a fast write.
+/// Two bytes of a setting: VREF 0 (the supply), PD 00 (powered), gain 0 (1), then the code. They are also those of a
+/// fast write.
 fn setting(code: u16) -> [u8; 2] {
     code.min(CODE_MAX).to_be_bytes()
 }
@@ -171,7 +177,7 @@ fn put_settings(bytes: &mut [u8], codes: &[u16]) {
     }
 }
 
-/// Compares one half of what was `read` of each output with its code.
+/// Compares one half (input register or EEPROM) of each output in `read` with its code.
 fn compare_half<E>(read: &[u8], half: Half, codes: &[u16]) -> Result<(), ChipError<E>> {
     let outputs = read.chunks(BYTES_PER_OUTPUT).zip((0..).step_by(BYTES_PER_OUTPUT));
     outputs.zip(codes).try_for_each(|((bytes, first), code)| {
@@ -199,10 +205,11 @@ mod tests {
     const ADDRESS: u8 = 0x60;
     const CODES: [u16; OUTPUTS] = [0, 1, 0xABC, CODE_MAX];
 
-    /// What is read of a chip: of each output the input register, then the EEPROM (figure 5-15).
+    /// Bytes read from a chip: for each output the input register, then the EEPROM (figure 5-15).
     type Image = [u8; 24];
 
-    /// RDY/BSY and power-on-reset set, then the output's number and the address: not what was written to it.
+    /// Sets RDY/BSY and power-on-reset, then the output's number and the address, in each first byte: none of these was
+    /// written.
     fn image(input: [u16; OUTPUTS], eeprom: [u16; OUTPUTS]) -> Image {
         let mut image = [0; 24];
         for (place, code) in input.into_iter().zip(eeprom).flat_map(|(input, eeprom)| [input, eeprom]).enumerate() {
@@ -212,13 +219,13 @@ mod tests {
         image
     }
 
-    /// A chip whose contents the test sets, and that records what is written to it.
+    /// Fake chip whose contents the test sets; it records the writes.
     #[derive(Clone)]
     struct Chip {
         shows: Rc<Cell<Image>>,
-        /// From this moment on it is ready.
+        /// Moment from which on RDY/BSY is high.
         ready_at: Rc<Cell<Instant>>,
-        /// What it shows when it has been told to write its EEPROM, and how long that takes.
+        /// Contents after a write of the EEPROM, and the duration of that write.
         written: Image,
         takes: Duration,
         writes: Rc<RefCell<Vec<Vec<u8>>>>,
@@ -278,13 +285,13 @@ mod tests {
             assert_eq!(block_on(Mcp4728::new(ADDRESS).init(&mut chip, CODES)), Ok(()));
             assert_eq!(*chip.writes.borrow(), expected);
         }
-        // Codes that the chip does not have become its highest.
+        // Codes above the chip's range are limited to the highest.
         let mut chip = Chip::new(image([CODE_MAX; 4], [CODE_MAX; 4]));
         assert_eq!(block_on(Mcp4728::new(ADDRESS).init(&mut chip, [u16::MAX; 4])), Ok(()));
     }
 
-    /// Every bit that a chip may show wrong after it was set up: in an input register at once and after its EEPROM was written, in
-    /// the EEPROM only when it has been written. The first of each three bytes is no setting.
+    /// Every single bit that a chip may show wrong after the set-up is found: in an input register at once and after
+    /// the write of the EEPROM, in the EEPROM only after that write. The first byte of each three is no setting.
     #[test]
     fn a_chip_that_does_not_hold_what_was_written_is_found() {
         let good = image(CODES, CODES);
@@ -298,7 +305,7 @@ mod tests {
             for (before, after) in [(wrong, wrong), (image(CODES, [7; 4]), wrong)] {
                 let mut chip = Chip { written: after, ..Chip::new(before) };
                 let expected = if is_setting { mismatch } else { Ok(()) };
-                // Waiting for one that is never ready is another test's.
+                // A chip that is never ready is covered by another test.
                 if !busy {
                     assert_eq!(block_on(Mcp4728::new(ADDRESS).init(&mut chip, CODES)), expected, "{place} {bit:#x}");
                 }
@@ -306,7 +313,7 @@ mod tests {
             for outputs in 0..=OUTPUTS {
                 let mut chip = Chip::new(wrong);
                 let result = block_on(Mcp4728::new(ADDRESS).verify(&mut chip, &CODES[..outputs]));
-                // The input registers of those outputs, and of the first whether it is ready.
+                // Compared are the input registers of those outputs, and RDY/BSY of the first.
                 let expected = match () {
                     () if outputs > 0 && busy => Err(ChipError::Mismatch { register: 0, written: 0x80, read: 0 }),
                     () if is_setting && place % 6 < 3 && place / 6 < outputs => mismatch,
@@ -327,7 +334,7 @@ mod tests {
         }
     }
 
-    /// Every set of outputs that change: what is sent ends with the last of them.
+    /// For every set of outputs that change, the write ends with the last of them.
     #[test]
     fn a_change_is_sent_up_to_the_last_output_that_differs() {
         let chip = Mcp4728::new(ADDRESS);
@@ -345,7 +352,7 @@ mod tests {
         assert_eq!(chip.change(CODES, None).map(|write| write.address()), Some(ADDRESS));
     }
 
-    /// Of a write of the EEPROM from before a reset, and of its own; at most 50 ms for each.
+    /// Both a write of the EEPROM from before a reset and the chip's own are waited for, at most 50 ms each.
     #[test]
     fn a_write_of_the_eeprom_is_waited_for() {
         let ms = Duration::from_millis;

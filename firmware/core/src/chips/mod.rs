@@ -10,18 +10,18 @@ pub mod pca9685;
 pub mod sensor;
 pub mod vl6180x;
 
-/// Why an operation did not succeed.
+/// Error of an operation on a chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ChipError<E> {
     /// The transfer failed.
     Bus(E),
     /// A register does not hold what was written.
     Mismatch {
-        /// Which.
+        /// Address of the register (for the MCP4728: index of the byte read).
         register: u8,
-        /// What was written.
+        /// Value that was written.
         written: u8,
-        /// What was read.
+        /// Value that was read back.
         read: u8,
     },
 }
@@ -32,9 +32,9 @@ impl<E> From<E> for ChipError<E> {
     }
 }
 
-/// Compares registers from `first` on with what was written.
+/// Compares consecutive registers, the first at address `first`, with the values written to them.
 fn compare<E, const N: usize>(first: u8, written: [u8; N], read: [u8; N]) -> Result<(), ChipError<E>> {
-    // The count comes second: a zip asks its first side once more at the end, and the last register is 0xFF.
+    // The register count comes second: a zip polls its first side once more at the end, and 0xFF + 1 would overflow.
     let mut compared = written.into_iter().zip(read).zip(first..);
     match compared.find(|((written, read), _)| written != read) {
         Some(((written, read), register)) => Err(ChipError::Mismatch { register, written, read }),

@@ -1,11 +1,12 @@
-//! Nuvoton NAU7802: the force on a load cell, by the ratio that its bridge puts out. Section and register numbers are those of its
-//! datasheet, revision 1.7.
+//! Nuvoton NAU7802: force on a load cell, from the ratio of its bridge's output to its supply. Section and register
+//! numbers are those of the datasheet, revision 1.7.
 //!
-//! The chip's own regulator feeds the bridge and is its reference, so that its voltage cancels out. After a start the chip calibrates its
-//! offset with its inputs shorted, which leaves that of the bridge: the configuration has it.
+//! The chip's own regulator feeds the bridge and is the converter's reference, so its voltage cancels out. After a
+//! start the chip calibrates its offset with its inputs shorted; the bridge's own offset remains and is part of the
+//! configuration.
 //!
-//! Two transfers to a reading: whether a conversion has ended, then its three bytes. The former also shows whether the chip is set up as
-//! it was left: one that has lost its supply is set up again.
+//! A reading takes two transfers: status (conversion ended), then three data bytes. The status also shows whether the
+//! chip still has its settings: a chip that lost its supply is set up again.
 
 use embassy_time::Duration;
 use r4_protocol::{
@@ -32,40 +33,43 @@ const PUR: u8 = 1 << 3;
 const CS: u8 = 1 << 4;
 const CR: u8 = 1 << 5;
 const AVDDS: u8 = 1 << 7;
-/// Everything on, fed by the chip's regulator, converting.
+/// PU_CTRL: analog and digital part on, fed by the chip's regulator, converting.
 const ON: u8 = AVDDS | CS | PUA | PUD;
 
-/// CTRL1: the regulator gives 3.0 V, what a supply of 3.3 V leaves room for.
+/// CTRL1: the regulator gives 3.0 V, the highest that a supply of 3.3 V allows.
 const VLDO_3_0_V: u8 = 0b101 << 3;
 /// CTRL2: calibrate the offset with the inputs shorted (CALMOD 00).
 const CALS: u8 = 1 << 2;
 const CAL_ERR: u8 = 1 << 3;
 const CRS_AT: u8 = 4;
-/// CRS of the rates, in their order.
+/// CRS codes of [`NAU7802_RATES_HZ`], in the same order.
 const CRS: [u8; NAU7802_RATES_HZ.len()] = [0b000, 0b001, 0b010, 0b011, 0b111];
 /// ADC: the chopper's clock off, as the start-up sequence says (9.1).
 const CHOPPER_OFF: u8 = 0b11 << 4;
 /// POWER: the capacitor at the second input's pins filters the first (9.4).
 const PGA_CAPACITOR: u8 = 1 << 7;
-/// REVISION: its lower four bits.
+/// REVISION: value of its lower four bits.
 const REVISION_CODE: u8 = 0x0F;
 
-/// From power-up to PUR: about 200 us (9.1).
+/// Time from power-up to PUR: about 200 us (9.1).
 const START_UP: Duration = Duration::from_millis(1);
-/// For the regulator to come up: its capacitor decides, and 200 ms are what a published board's library waits. Our choice.
+/// Start-up time of the regulator. It depends on the capacitor; a published board's library waits 200 ms. Our choice.
 const REGULATOR: Duration = Duration::from_millis(250);
-/// Between two looks whether the calibration has ended, and how many there are: the datasheet says no time, and users have measured 344 ms.
+/// Interval and number of polls for the end of the calibration: the datasheet gives no time, and users have measured
+/// 344 ms.
 const CALIBRATION_LOOK: Duration = Duration::from_millis(100);
 const CALIBRATION_LOOKS: u8 = 50;
-/// Conversions after a start that are not of the input alone: as many as Linux's driver leaves out (`NAU7802_MIN_CONVERSIONS`).
+/// Conversions after a start that still contain older input: as many as Linux's driver discards
+/// (`NAU7802_MIN_CONVERSIONS`).
 const SETTLING: u32 = 6;
 
-/// Counts of full scale, either way: 24 bits, two's complement.
+/// Full scale in counts, in either direction: 24 bits, two's complement.
 const FULL_SCALE: f32 = 8_388_608.0;
-/// From this share of them on the converter may be at its end: what the calibration takes off comes behind it (8.6.2).
+/// Share of the full scale from which on the converter may be saturated: the calibration is subtracted behind it
+/// (8.6.2).
 const SATURATED: f32 = 0.995;
 
-/// What the next transfer is.
+/// Step of the driver: the transfer that follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Reset,
@@ -84,21 +88,21 @@ enum State {
     Conversion,
 }
 
-/// The driver of one chip.
+/// Driver of one NAU7802.
 #[derive(Clone, Debug)]
 pub struct Nau7802 {
     state: State,
-    /// CTRL1 and CTRL2.
+    /// Settings for CTRL1 and CTRL2.
     settings: [u8; 2],
     settling: Duration,
-    /// N for each count.
+    /// Scale of the reading, N per count.
     newtons_per_count: f32,
-    /// Counts without a force.
+    /// Counts without any force.
     zero: f32,
 }
 
 impl Nau7802 {
-    /// Set up by `config` for `rate_hz` conversions a second, one of [`NAU7802_RATES_HZ`].
+    /// Creates a driver for `rate_hz` conversions per second, one of [`NAU7802_RATES_HZ`].
     #[must_use]
     pub fn new(config: &Nau7802Config, rate_hz: u16) -> Self {
         let rate = NAU7802_RATES_HZ.iter().position(|known| *known >= rate_hz).unwrap_or(NAU7802_RATES_HZ.len() - 1);
@@ -190,7 +194,7 @@ mod tests {
 
     const CONFIG: Nau7802Config = Nau7802Config { gain: 128, newtons_per_mv_v: 24.5, zero_mv_v: 0.25 };
 
-    /// The board plans the bus by what the configuration says of the chip.
+    /// The bus schedule relies on the transfer lengths in the configuration's chip description.
     #[test]
     fn transfers_are_as_long_as_the_board_plans_them() {
         let planned = SensorChip::Nau7802(CONFIG).description();
@@ -206,7 +210,7 @@ mod tests {
         assert_eq!(taken, Taken::planned(&planned));
     }
 
-    /// 3.90625 mV/V are 2^23 counts; 0.25 mV/V of them are the bridge's own.
+    /// A full scale of 3.90625 mV/V is 2^23 counts; 0.25 mV/V of it are the bridge's own offset.
     #[test]
     fn a_code_is_a_force_by_gain_bridge_and_zero() {
         let driver = Nau7802::new(&CONFIG, 80);
@@ -225,7 +229,7 @@ mod tests {
         }
     }
 
-    /// A calibration that does not end, or ends with an error, does not make the driver wait indefinitely.
+    /// A calibration that does not end, or ends with an error, does not keep the driver waiting indefinitely.
     #[test]
     fn a_calibration_ends_or_the_chip_is_given_up() {
         let mut driver = Nau7802::new(&CONFIG, 80);

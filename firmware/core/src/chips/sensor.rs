@@ -1,6 +1,7 @@
-//! What drivers of sensors have in common: each says its next transfer, and is given what came of it.
+//! Interface of sensor drivers: a driver names its next transfer and receives its result.
 //!
-//! A driver does not own the bus, so that it need not wait for it: a transfer is carried out in the control period that has room.
+//! A driver does not own the bus and never waits for it: each transfer is carried out in a control period that has room
+//! for it.
 
 use embassy_time::Duration;
 use r4_protocol::{
@@ -12,12 +13,12 @@ use r4_protocol::{
 use super::{as5600::As5600, icm20948::Icm20948, ina226::Ina226, nau7802::Nau7802, vl6180x::Vl6180x};
 use crate::bus::bits;
 
-/// Most bytes written in one exchange: a register and two more.
+/// Maximum bytes written in one exchange: a register and two more.
 const WRITTEN: usize = 3;
-/// Most bytes read in one exchange: with two addresses and a register, 15 bytes take 0.35 ms at 400 kHz.
+/// Maximum bytes read in one exchange: with two addresses and a register, 15 bytes take 0.35 ms at 400 kHz.
 pub const MAX_READ: usize = 12;
 
-/// One transfer: bytes written, then bytes read behind a repeated START, where there are any.
+/// One transfer: bytes written, then, if any, bytes read after a repeated START.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Exchange {
     written: [u8; WRITTEN],
@@ -45,14 +46,14 @@ impl Exchange {
         Self { written: [register, 0, 0], length: 1, read }
     }
 
-    /// Writes `value` into a register of one byte whose address has two.
+    /// Writes `value` into a one-byte register with a two-byte address.
     #[must_use]
     pub const fn set_far(register: u16, value: u8) -> Self {
         let [high, low] = register.to_be_bytes();
         Self { written: [high, low, value], length: 3, read: 0 }
     }
 
-    /// Reads `count` bytes from `register` on, whose address has two bytes, at most [`MAX_READ`].
+    /// Reads `count` bytes, at most [`MAX_READ`], from `register` on, which has a two-byte address.
     #[must_use]
     pub const fn get_far(register: u16, count: u8) -> Self {
         let read = if count as usize > MAX_READ { MAX_READ as u8 } else { count };
@@ -60,19 +61,19 @@ impl Exchange {
         Self { written: [high, low, 0], length: 2, read }
     }
 
-    /// The bytes written, without the address.
+    /// Bytes to write, without the chip's address.
     #[must_use]
     pub fn written(&self) -> &[u8] {
         &self.written[..usize::from(self.length)]
     }
 
-    /// How many bytes are read.
+    /// Number of bytes to read.
     #[must_use]
     pub const fn read(&self) -> usize {
         self.read as usize
     }
 
-    /// What it takes of the bus.
+    /// Bus time of the exchange in bit times, addresses included.
     #[must_use]
     pub const fn bits(&self) -> u32 {
         let addresses = if self.read > 0 { 2 } else { 1 };
@@ -80,41 +81,41 @@ impl Exchange {
     }
 }
 
-/// What came of an exchange.
+/// Result of an exchange.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Outcome {
     /// The next exchange may follow.
     Next,
-    /// The chip takes this long before the next exchange.
+    /// The chip needs this time before the next exchange.
     Wait(Duration),
-    /// Nothing has been measured since the last reading: ask again.
+    /// No new measurement since the last reading: ask again.
     NotReady,
     /// All quantities of the channel have been measured.
     Reading {
-        /// SI, in the order of the channel's quantities.
+        /// Values in SI units, in the order of the channel's quantities.
         values: [f32; MAX_QUANTITIES],
-        /// Whether they can be relied on.
+        /// Quality of all values.
         quality: Quality,
     },
-    /// Another chip answers, or it does not keep its settings.
+    /// Another chip answers at this address, or the chip does not keep its settings.
     WrongChip,
 }
 
-/// A driver of one chip.
+/// Driver of one sensor chip.
 pub trait Driver {
-    /// Begins again: the chip may be in any state.
+    /// Starts over: the chip may be in any state.
     fn restart(&mut self);
 
-    /// The transfer to be carried out next.
+    /// Returns the transfer to be carried out next.
     fn next(&self) -> Exchange;
 
-    /// That transfer has been carried out, and `read` is what it gave; [`Driver::next`] then says another.
+    /// Takes the result of that transfer, the bytes `read`; [`Driver::next`] then returns another one.
     fn done(&mut self, read: &[u8]) -> Outcome;
 }
 
 macro_rules! chips {
     ($($chip:ident)*) => {
-        /// The driver of any of the chips.
+        /// Driver of any of the supported chips.
         #[derive(Clone, Debug)]
         pub enum AnyDriver {
             $(
@@ -124,7 +125,7 @@ macro_rules! chips {
         }
 
         impl AnyDriver {
-            /// The driver of the chip that `config` names, which has not been asked anything yet.
+            /// Creates the driver of the chip that `config` names, before its first transfer.
             #[must_use]
             pub fn new(config: &SensorConfig) -> Self {
                 match &config.chip {
@@ -157,7 +158,7 @@ macro_rules! chips {
 
 chips!(Icm20948 Ina226 As5600 Nau7802 Vl6180x);
 
-/// Of a reading of which one number may be at the end of its range.
+/// Quality of a reading: saturated when any of its numbers may be at the end of its range.
 pub(super) const fn saturation(saturated: bool) -> Quality {
     if saturated { Quality::Saturated } else { Quality::Good }
 }
@@ -172,7 +173,7 @@ pub(super) mod tests {
 
     use super::*;
 
-    /// What a driver takes of the bus.
+    /// Bus load of a driver.
     #[derive(Debug, PartialEq)]
     pub(crate) struct Taken {
         longest_bits: u32,
@@ -181,13 +182,14 @@ pub(super) mod tests {
     }
 
     impl Taken {
-        /// What the configuration says that it takes.
+        /// Bus load according to the chip description of the configuration.
         pub(crate) fn planned(chip: &SensorDescription) -> Self {
             Self { longest_bits: chip.longest_bits, reading_bits: chip.reading_bits, transfers: chip.transfers }
         }
     }
 
-    /// Carries out the set-up and two readings of a driver whose chip gives `answer`; a reading's transfers are those of the second.
+    /// Carries out the set-up and two readings of a driver whose chip gives `answer`; the transfers of a reading are
+    /// those of the second.
     pub(crate) fn taken<D: Driver>(driver: &mut D, answer: impl Fn(&D) -> Vec<u8>) -> Taken {
         let mut longest_bits = 0;
         let mut until_reading = || {

@@ -1,11 +1,13 @@
-//! ST VL6180X: the distance to what is in front of it, by the time of flight of infrared light. Section and register numbers are those of
-//! its datasheet, DocID026171 revision 6.
+//! ST VL6180X: distance to an object, by the time of flight of infrared light. Section and register numbers are those
+//! of its datasheet, DocID026171 revision 6.
 //!
-//! It ranges by itself, and three transfers make a reading: whether a new one is ready and what came of it, which lie beside each other;
-//! the distance; and the flag is cleared. Where nothing reflects the reading is its farthest distance, of quality `OutOfRange`.
+//! The chip ranges on its own. A reading takes three transfers: status (new range ready, error code; neighbouring
+//! registers), distance, and clearing the flag. Without a reflection the reading is the farthest distance, of quality
+//! `OutOfRange`.
 //!
-//! After each power-up it needs settings of registers that the datasheet does not describe: those of section 9 of the application note
-//! AN4545 (revision 1, "SR03 settings"), which say neither what they are nor what happens without them.
+//! After each power-up the chip needs settings of registers that the datasheet does not describe: those of section 9 of
+//! the application note AN4545 (revision 1, "SR03 settings"), which explains neither their meaning nor what happens
+//! without them.
 
 use embassy_time::Duration;
 use r4_protocol::{
@@ -31,18 +33,18 @@ const RANGE_VALUE: u16 = 0x062;
 const AVERAGING_PERIOD: u16 = 0x10A;
 
 const MODEL: u8 = 0xB4;
-/// RANGE_START: begin, or end where it is under way; on and on.
+/// RANGE_START: start (or stop while ranging), and continuous mode.
 const START_STOP: u8 = 1 << 0;
 const CONTINUOUS: u8 = 1 << 1;
-/// RANGE_STATUS: a start is taken.
+/// RANGE_STATUS: the chip takes a start.
 const DEVICE_READY: u8 = 1 << 0;
-/// INTERRUPT_CONFIG and the status of it, their lower three bits: there is a new range.
+/// INTERRUPT_CONFIG and its status, lower three bits: a new range is ready.
 const NEW_SAMPLE: u8 = 0b100;
 const INTERRUPT_MASK: u8 = 0b111;
-/// INTERRUPT_CLEAR: of range, light and errors.
+/// INTERRUPT_CLEAR: clears the interrupts of range, light and errors.
 const CLEAR_ALL: u8 = 0b111;
 
-/// What AN4545 wants written before anything else.
+/// Undocumented settings that AN4545 requires before all others.
 const PRIVATE: [(u16, u8); 30] = [
     (0x207, 0x01),
     (0x208, 0x01),
@@ -75,18 +77,18 @@ const PRIVATE: [(u16, u8); 30] = [
     (0x1A7, 0x1F),
     (0x030, 0x00),
 ];
-/// What it recommends: 48 samples of averaging (4.3 ms), a calibration for the temperature now and after each 255 ranges; and the flag for
-/// a new range.
+/// Settings that AN4545 recommends: 48 samples of averaging (4.3 ms), a temperature calibration now and after each 255
+/// ranges; and the flag for a new range.
 const PUBLIC: [(u16, u8); 4] =
     [(AVERAGING_PERIOD, 48), (VHV_REPEAT_RATE, 0xFF), (VHV_RECALIBRATE, 1), (INTERRUPT_CONFIG, NEW_SAMPLE)];
 
-/// Between two looks whether it has ended what it was doing, which takes a period of up to 1 s, and how many there are.
+/// Interval and number of polls for the end of ranging, which may take a period of up to 1 s.
 const STOP_LOOK: Duration = Duration::from_millis(100);
 const STOP_LOOKS: u8 = 12;
-/// Longest time for light to come back that the chip waits, ms: that of its power-up.
+/// Longest wait for the reflection, ms: the chip's power-up value.
 const CONVERGENCE_MAX_MS: u16 = 49;
 
-/// What the next transfer is.
+/// Step of the driver: the transfer that follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Model,
@@ -105,19 +107,19 @@ enum State {
     Clear,
 }
 
-/// The driver of one chip.
+/// Driver of one VL6180X.
 #[derive(Clone, Debug)]
 pub struct Vl6180x {
     state: State,
-    /// INTERMEASUREMENT_PERIOD and MAX_CONVERGENCE_TIME.
+    /// Settings for INTERMEASUREMENT_PERIOD and MAX_CONVERGENCE_TIME.
     timing: [u8; 2],
-    /// What came of the range that is being read.
+    /// Error code and distance of the range that is being read.
     error: u8,
     millimetres: u8,
 }
 
 impl Vl6180x {
-    /// Ranges `rate_hz` times a second, which must divide 100: the chip counts periods of 10 ms.
+    /// Creates a driver that ranges `rate_hz` times per second, a divisor of 100: the chip counts periods of 10 ms.
     #[must_use]
     pub fn new(_config: &Vl6180xConfig, rate_hz: u16) -> Self {
         let periods = (100 / rate_hz.max(1)).max(2);
@@ -126,14 +128,14 @@ impl Vl6180x {
         Self { state: State::Model, timing: [(periods - 1) as u8, convergence_ms as u8], error: 0, millimetres: 0 }
     }
 
-    /// What the range is and what can be said of it, by the error codes of RANGE_STATUS (6.2.37).
+    /// Returns distance and quality by the error code of RANGE_STATUS (6.2.37).
     fn reading(&self) -> Outcome {
         let distance_m = f32::from(self.millimetres) * 1e-3;
         let (distance_m, quality) = match self.error {
             0 if distance_m < VL6180X_FARTHEST_M => (distance_m, Quality::Good),
-            // Laser or clock are not as they must be: nothing was measured.
+            // Laser or clock fault: nothing was measured.
             1..=5 => (0.0, Quality::Stale),
-            // Nearer than its zero.
+            // The object is nearer than the chip's zero.
             12 | 14 => (0.0, Quality::Saturated),
             // No convergence, too much other light, or farther than it can count.
             _ => (VL6180X_FARTHEST_M, Quality::OutOfRange),
@@ -144,7 +146,7 @@ impl Vl6180x {
     }
 }
 
-/// One of the settings.
+/// Returns the write of setting number `at`. The fallback is not reached: `at` stays within the list.
 fn setting(settings: &[(u16, u8)], at: u8) -> Exchange {
     let (register, value) = settings.get(usize::from(at)).copied().unwrap_or((FRESH_OUT_OF_RESET, 1));
     Exchange::set_far(register, value)
@@ -167,7 +169,7 @@ impl Driver for Vl6180x {
             State::Check => Exchange::get_far(INTERMEASUREMENT_PERIOD, 2),
             State::Set => Exchange::set_far(FRESH_OUT_OF_RESET, 0),
             State::Start => Exchange::set_far(RANGE_START, CONTINUOUS | START_STOP),
-            // And the status of the light sensor and of the flags, behind it.
+            // The status of the light sensor and the interrupt flags follow in the next two registers.
             State::Status => Exchange::get_far(RANGE_STATUS, 3),
             State::Value => Exchange::get_far(RANGE_VALUE, 1),
             State::Clear => Exchange::set_far(INTERRUPT_CLEAR, CLEAR_ALL),
@@ -178,7 +180,8 @@ impl Driver for Vl6180x {
         let (state, outcome) = match (self.state, read) {
             (State::Model, &[MODEL]) => (State::Stopping(0), Outcome::Next),
             (State::Stopping(_), [status]) if status & DEVICE_READY != 0 => (State::Private(0), Outcome::Next),
-            // It ranges on from before: told to stop once, for a second time would start it.
+            // Still ranging from before the restart. Stop it only once: a second write of START_STOP would start it
+            // again.
             (State::Stopping(0), [_]) => (State::Stop(1), Outcome::Next),
             (State::Stopping(looks @ ..STOP_LOOKS), [_]) => (State::Stopping(looks + 1), Outcome::Wait(STOP_LOOK)),
             (State::Stop(looks), _) => (State::Stopping(looks), Outcome::Wait(STOP_LOOK)),
@@ -219,7 +222,7 @@ mod tests {
         *,
     };
 
-    /// The board plans the bus by what the configuration says of the chip.
+    /// The bus schedule relies on the transfer lengths in the configuration's chip description.
     #[test]
     fn transfers_are_as_long_as_the_board_plans_them() {
         let planned = SensorChip::Vl6180x(Vl6180xConfig {}).description();
@@ -261,7 +264,7 @@ mod tests {
         assert_eq!(quality, Quality::OutOfRange);
     }
 
-    /// One that ranges on from before a restart of the board is stopped once, and given up if it does not.
+    /// A chip that still ranges from before a restart of the board is stopped once, and given up if it does not stop.
     #[test]
     fn a_chip_that_does_not_stop_is_given_up() {
         let mut driver = Vl6180x { state: State::Stopping(0), ..Vl6180x::new(&Vl6180xConfig {}, 20) };

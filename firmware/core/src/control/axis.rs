@@ -1,4 +1,4 @@
-//! A motor channel: closed loop where something measures it, an open duty where nothing does.
+//! Motor channel: closed loop with feedback, open-loop duty without.
 
 use r4_protocol::{
     Causes, Mode, Setpoint,
@@ -12,14 +12,14 @@ use super::{
 use crate::shared::MotorStatus;
 use crate::within::Within;
 
-/// A motor channel, stepped once each control period.
+/// Motor channel, stepped once each control period.
 #[allow(clippy::large_enum_variant, reason = "no heap, and most motors are measured")]
 pub(super) enum Axis {
     Measured(Motor),
     Open(OpenMotor),
 }
 
-/// A motor without feedback: its duty is what it is told, within its limits.
+/// Motor without feedback: its duty follows the set point within its limits.
 pub(super) struct OpenMotor {
     limits: OutputLimits,
     period_s: f32,
@@ -50,7 +50,7 @@ impl Axis {
         }
     }
 
-    /// Takes the volts of its supply as a share of the nominal ones.
+    /// Takes the supply voltage as a share of the nominal one.
     pub(super) fn set_supply(&mut self, share: f32) {
         if let Self::Measured(motor) = self {
             motor.set_supply(share);
@@ -63,7 +63,7 @@ impl Axis {
         }
     }
 
-    /// The motor, where it follows a path.
+    /// Returns the motor if it follows a path.
     pub(super) fn following(&mut self) -> Option<&mut Motor> {
         match self {
             Self::Measured(motor) => Some(motor).filter(|motor| motor.follows()),
@@ -71,7 +71,7 @@ impl Axis {
         }
     }
 
-    // Not while it is driven: it stays in flash.
+    // Kept out of RAM (stays in flash): it does not run while the motor is driven.
     #[inline(never)]
     pub(super) fn stop(&mut self) {
         match self {
@@ -80,7 +80,7 @@ impl Axis {
         }
     }
 
-    /// The duty for the bridge, and what is wrong with how the motor answers.
+    /// Returns the duty for the bridge and the causes seen in the motor's response.
     pub(super) fn step(&mut self) -> (f32, Causes) {
         match self {
             Self::Measured(motor) => motor.step(),
@@ -99,7 +99,7 @@ impl Axis {
         }
     }
 
-    /// The duty that the bridge applies, and the speed, 0 where nothing measures it.
+    /// Returns the duty that the bridge applies and the speed, 0 without feedback.
     pub(super) fn applied(&self) -> (f32, f32) {
         match self {
             Self::Measured(motor) => motor.applied(),
@@ -107,7 +107,7 @@ impl Axis {
         }
     }
 
-    // By itself: as a part of loops over motors it makes them carry a pointer to each field.
+    // A function of its own: inlined into loops over motors it would make them carry a pointer to each field.
     #[inline(never)]
     pub(super) fn status(&self) -> MotorStatus {
         match self {
@@ -127,7 +127,7 @@ mod tests {
     const PERIOD_S: f32 = 1.0 / 1024.0;
     const DUTY: fn(f32) -> Setpoint = |value| Setpoint { mode: Mode::Duty, value };
 
-    /// At 8/s, 1/128 in a period, up to 0.75.
+    /// Motor with 8/s of slew, 1/128 per period, and duties up to 0.75.
     fn axis(config: MotorConfig) -> Axis {
         let config = MotorConfig { duty_max: 0.75, duty_slew_per_s: 8.0, ..config };
         Axis::new(&config, PERIOD_S).expect("a period")
@@ -147,7 +147,7 @@ mod tests {
             assert_eq!(duty_after(&mut open, 1), sign / 128.0);
             assert_eq!(duty_after(&mut open, 31), sign * 0.25);
             assert_eq!(duty_after(&mut open, 1024), sign * 0.75);
-            // What the bridge makes of it is what is shown.
+            // The status shows the duty that the bridge applies.
             open.set_applied(sign * 0.5);
             assert_eq!(open.applied(), (sign * 0.5, 0.0));
             let status = MotorStatus { setpoint: DUTY(sign * 2.0), duty: sign * 0.5, ..MotorStatus::IDLE };
@@ -171,7 +171,7 @@ mod tests {
         };
         assert!(speed_duty(None) > 0.0);
         assert_eq!(speed_duty(Some(PidGains { kp: 0.0, ki: 0.0, kd: 0.0 })), 0.0);
-        // Without feedback there is no loop to take them.
+        // Without feedback there is no loop that could take gains.
         let mut open = axis(MotorConfig { control: None, ..config });
         open.set_gains(Mode::Speed, PidGains { kp: 9.0, ki: 9.0, kd: 9.0 });
         open.command(DUTY(0.5));

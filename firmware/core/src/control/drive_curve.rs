@@ -1,63 +1,64 @@
-//! Steady duty over speed of a motor, learned while it moves.
+//! Drive curve: steady duty over speed of a motor, learned while it moves.
 
 use crate::within::Within;
 
-/// Knots of a curve in each direction, at these shares of the highest speed.
+/// Number of knots of the curve in each direction, and their speeds as shares of the highest.
 const KNOTS: usize = 4;
 const SHARES: [f32; KNOTS] = [0.0, 1.0 / 16.0, 0.25, 1.0];
-/// The curve rises by at least this share of the largest duty from rest to the highest speed: no motor reaches it by less.
+/// Least rise of the curve from rest to the highest speed, as a share of the largest duty: no motor reaches its highest
+/// speed with less.
 const LEAST_RISE: f32 = 0.2;
-/// A motor that comes to hold less than this share of its highest speed says of the duty at rest only that it is not less.
+/// Share of the highest speed below which a steady speed only gives a lower bound of the duty at rest.
 const NEARLY_AT_REST: f32 = 1.0 / 64.0;
-/// A motor that moves against this share of its largest duty teaches nothing: no load that it could hold does that, but a sensor that
-/// counts the wrong way does, and what is learned from that would hide it.
+/// Share of the largest duty: a motor that moves against this much teaches nothing. No load that it could hold does
+/// that, but a sensor that counts the wrong way does, and learning from it would hide the fault.
 const OVERPOWERED: f32 = 0.99;
-/// What resists is taken to be friction in at least this share: with less, a motor that brakes would get all of the duty at once.
+/// Least share of friction in the resistance: with less, a braking motor would get all of the duty at once.
 const LEAST_FRICTION: f32 = 0.03;
 
 /// Duty that holds a motor's speed: piecewise linear over the speed, for each direction by itself.
 ///
-/// It contains what friction, a dead band, a convex speed curve and a load cost together, whatever they are. A knot or a direction that
-/// has not been seen moves with those that have. A steady load makes the two directions differ, and may make one of them negative.
+/// It contains the sum of friction, dead band, convex speed curve and load. A knot or a direction that has not been
+/// seen moves with those that have. A steady load makes the two directions differ, and may make one of them negative.
 ///
-/// Which share of the duty at rest is friction shows when a moving motor gets less than that: friction brakes it, a dead band
-/// does nothing.
+/// The share of friction in the duty at rest shows when a moving motor gets less than that duty: friction brakes it, a
+/// dead band does not.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DriveCurve {
     /// Speed of the last knot, rad/s or m/s.
     speed_max: f32,
     /// Largest duty of a knot.
     duty_max: f32,
-    /// Duty at the knots, forwards and backwards, each in its direction.
+    /// Duty at the knots, forwards and backwards, positive in its own direction.
     duty: [[f32; KNOTS]; 2],
-    /// Bits of knots that have been seen.
+    /// Bit masks of the knots that have been seen, by direction.
     seen: [u8; 2],
     /// Share of the duty at rest that friction takes; a dead band takes the rest.
     friction_share: f32,
 }
 
 impl DriveCurve {
-    /// The curve `static_duty + duty_per_speed v`, of which nothing has been seen.
+    /// Creates the curve `static_duty + duty_per_speed v` with no knot seen.
     pub(super) fn new(static_duty: f32, duty_per_speed: f32, speed_max: f32, duty_max: f32) -> Self {
         let duty = SHARES.map(|share| static_duty + duty_per_speed * speed_max * share);
         Self { speed_max, duty_max, duty: [duty; 2], seen: [0; 2], friction_share: 0.5 }
     }
 
-    /// The segment of a speed in 0.., and the share of the way along it; beyond the last knot it goes on straight.
+    /// Returns the segment of a speed >= 0 and the share of the distance along it; the last segment is extrapolated.
     fn place(&self, speed: f32) -> (usize, f32) {
         let share = speed / self.speed_max;
         let knot = usize::from(share > SHARES[1]) + usize::from(share > SHARES[2]);
         (knot, (share - SHARES[knot]) / (SHARES[knot + 1] - SHARES[knot]))
     }
 
-    /// Duty that holds a speed in 0.. in a direction, along that direction.
+    /// Duty that holds a speed >= 0 in a direction, positive in that direction.
     fn along(&self, side: usize, speed: f32) -> f32 {
         let (knot, share) = self.place(speed);
         let duty = &self.duty[side];
         duty[knot] + (duty[knot + 1] - duty[knot]) * share
     }
 
-    /// Speed that a duty along a direction holds, at or above what it takes at rest.
+    /// Speed that a duty along a direction holds; the duty is at least that at rest.
     fn speed_along(&self, side: usize, along: f32) -> f32 {
         let duty = &self.duty[side];
         let knot = usize::from(along > duty[1]) + usize::from(along > duty[2]);
@@ -65,19 +66,20 @@ impl DriveCurve {
         self.speed_max * (SHARES[knot] + (SHARES[knot + 1] - SHARES[knot]) * share)
     }
 
-    /// Duty to brake with per speed: that of the whole curve.
+    /// Slope of the whole curve, duty per speed; used for braking.
     fn slope(&self, side: usize) -> f32 {
         (self.duty[side][KNOTS - 1] - self.duty[side][0]) / self.speed_max
     }
 
-    /// From what friction and dead band take on one side to what they take on the other, as duty and as a steady speed.
+    /// Width of the band between the resistance of one direction and that of the other, as a duty and as a steady
+    /// speed.
     fn braking(&self, side: usize) -> (f32, f32) {
         let span = (self.duty[0][0] + self.duty[1][0]).max(0.0);
         (span, span * self.friction_share.max(LEAST_FRICTION) / self.slope(side))
     }
 
-    /// Duty with which a motor comes to hold `steady`, while it moves towards the sign of `towards`, or is to; 0 is a motor at rest
-    /// that takes what the load takes.
+    /// Duty with which a motor settles at the speed `steady` while it moves, or is to move, towards the sign of
+    /// `towards`; 0 is a motor at rest, which gets the duty that the load takes.
     pub(super) fn duty(&self, steady: f32, towards: f32) -> f32 {
         if towards == 0.0 {
             return self.load();
@@ -94,7 +96,7 @@ impl DriveCurve {
         -sign * self.along(1 - side, -speed - span_speed)
     }
 
-    /// Speed that a motor that moves at `speed` comes to hold with `duty`.
+    /// Speed at which a motor that now moves at `speed` settles with `duty`.
     pub(super) fn steady(&self, duty: f32, speed: f32) -> f32 {
         if speed == 0.0 {
             return match (duty > self.duty[0][0], -duty > self.duty[1][0]) {
@@ -121,12 +123,12 @@ impl DriveCurve {
         0.5 * (self.duty[0][0] + self.duty[1][0])
     }
 
-    /// Duty that a load takes at rest.
+    /// Duty that a load takes at rest, positive if it pulls backwards.
     fn load(&self) -> f32 {
         0.5 * (self.duty[0][0] - self.duty[1][0])
     }
 
-    /// Learns that a motor that moves at `speed` comes to hold `steady` with `duty`, with the weight `share` in 0..=1.
+    /// Learns that a motor moving at `speed` settles at `steady` with `duty`, with the weight `share` in 0..=1.
     pub(super) fn learn(&mut self, steady: f32, duty: f32, speed: f32, share: f32) {
         let (sign, side) = if speed < 0.0 { (-1.0, 1) } else { (1.0, 0) };
         let (along, steady) = (duty * sign, steady * sign);
@@ -139,9 +141,9 @@ impl DriveCurve {
         } else {
             let (span, _) = self.braking(side);
             if short < span {
-                // s = -friction_share short / slope
+                // From s = -friction_share short / slope.
                 let found = -steady * self.slope(side) / short;
-                // What little is short says little.
+                // A small shortage of duty carries little information.
                 let weight = (20.0 * share * short / span).min(1.0);
                 self.friction_share += weight * (found.within(0.0, 1.0) - self.friction_share);
             }
@@ -166,7 +168,7 @@ impl DriveCurve {
                 _ if at <= knot => (at == knot, (1.0 - way) * error),
                 _ => (at == knot + 1, way * error),
             };
-            // What has not been seen moves along: knots beyond, and the same knot of the other direction.
+            // Unseen knots move along: those beyond, and the same knot of the other direction.
             for (of, moves) in [(side, is_end || !self.is_seen(side, at)), (1 - side, !self.is_seen(1 - side, at))] {
                 if moves && (of == side || is_end || !self.is_seen(side, at)) {
                     let duty = &mut self.duty[of][at];
@@ -199,7 +201,8 @@ mod tests {
 
     const SPEED_MAX: f32 = 5.0;
 
-    /// Lets a motor of a true law be learned at speeds from `slowest` to all of `speeds`, forwards: each 2000 periods of 1 %.
+    /// Curve after learning from a motor with the law `law`, at each of `speeds`, forwards, for 2000 periods of 1 %
+    /// each.
     fn learned(prior: (f32, f32), speeds: &[f32], law: impl Fn(f32) -> f32) -> DriveCurve {
         let mut curve = DriveCurve::new(prior.0, prior.1, SPEED_MAX, 0.9);
         for _ in 0..2000 {
@@ -210,7 +213,8 @@ mod tests {
         curve
     }
 
-    /// Prior 0.4 on both sides. Lifting took 0.6, and then the load fell although it got 0.2: it takes 0.4 of load and 0.2 of friction.
+    /// Prior 0.4 on both sides. Lifting took 0.6, and then the load fell although it got 0.2: 0.4 of load and 0.2 of
+    /// friction.
     #[test]
     fn a_load_shows_where_it_falls() {
         let mut curve = DriveCurve::new(0.4, 0.1, SPEED_MAX, 0.9);
@@ -218,13 +222,13 @@ mod tests {
         assert!(curve.load().abs() < 1e-6, "the side that nobody has seen is taken to be alike: {curve:?}");
         curve.gave_way(-1.0, -0.2);
         assert!((curve.load() - 0.4).abs() < 1e-6 && (curve.threshold() - 0.2).abs() < 1e-6, "{curve:?}");
-        // More in favour of the fall says nothing new.
+        // A push along the fall carries no new information.
         let before = curve.duty;
         curve.gave_way(-1.0, 0.1);
         assert_eq!(curve.duty, before);
     }
 
-    /// What a sensor that counts the wrong way shows of a motor at the limit.
+    /// Sample of a motor at the limit whose sensor counts the wrong way.
     #[test]
     fn a_motor_that_moves_against_all_of_its_duty_teaches_nothing() {
         let mut curve = DriveCurve::new(0.4, 0.1, SPEED_MAX, 0.9);
@@ -237,7 +241,7 @@ mod tests {
     }
 
     proptest! {
-        /// What a duty comes to hold, and what holds it, whichever way the motor moves, with any friction and any load.
+        /// Duty and steady speed are inverse functions for any direction of motion, friction and load.
         #[test]
         fn duty_and_steady_speed_are_inverse(
             static_duty in 0.0f32..0.5, duty_per_speed in 0.02f32..0.3, speed in -6.0f32..6.0, forwards: bool,
@@ -246,11 +250,11 @@ mod tests {
             let towards = if forwards { 1.0 } else { -1.0 };
             let duty = curve.duty(speed, towards);
             let back = curve.steady(duty, towards * 0.1);
-            // Two lines each way, of numbers up to 6 with slopes down to 0.02.
+            // Two lines per direction, of numbers up to 6 with slopes down to 0.02.
             prop_assert!((back - speed).abs() < 1e-3, "{} by {}, not {}", back, duty, speed);
         }
 
-        /// Whatever it is told, it rises with speed and stays finite.
+        /// For any input the curve rises with speed and stays finite.
         #[test]
         fn nothing_it_learns_breaks_it(told in prop::collection::vec((-9.0f32..9.0, -1.0f32..1.0, -9.0f32..9.0), 1..200)) {
             let mut curve = DriveCurve::new(0.0, 0.1, SPEED_MAX, 0.9);
@@ -266,7 +270,7 @@ mod tests {
         }
     }
 
-    /// A motor with friction 0.3 and 0.1 s/rad, of which the file knows neither, seen at four speeds.
+    /// Motor with friction 0.3 and 0.1 s/rad, neither known to the configuration, seen at four speeds.
     #[test]
     fn friction_is_learned_without_a_prior_value() {
         let curve = learned((0.0, 0.05), &[0.05, 0.3, 1.2, 4.0], |speed| 0.3 + 0.1 * speed);
@@ -274,11 +278,11 @@ mod tests {
             let duty = curve.duty(speed, 1.0);
             assert!((duty - 0.3 - 0.1 * speed).abs() < 0.01, "{speed}: {duty}");
         }
-        // The other way has not been seen, and is taken to be like it.
+        // The other direction has not been seen and is assumed to be alike.
         assert!((curve.duty(-1.2, -1.0) + 0.42).abs() < 0.03, "{}", curve.duty(-1.2, -1.0));
     }
 
-    /// 0.2 of friction, and a load that takes 0.15 forwards and gives as much backwards.
+    /// Friction of 0.2, and a load that takes 0.15 forwards and gives as much backwards.
     #[test]
     fn a_load_makes_the_directions_differ() {
         let mut curve = learned((0.0, 0.1), &[0.05, 0.5, 2.0], |speed| 0.35 + 0.1 * speed);
@@ -291,7 +295,8 @@ mod tests {
         assert!((curve.duty(0.0, 0.0) - 0.15).abs() < 0.02, "{}", curve.duty(0.0, 0.0));
     }
 
-    /// Of a motor that coasts at 0.1 of duty: with friction it would come to hold a speed far behind, with a dead band none.
+    /// Motor that coasts at a duty of 0.1: with friction it would settle at a speed far behind, with a dead band at
+    /// none.
     #[test]
     fn a_dead_band_and_friction_are_told_apart_by_how_it_coasts() {
         let of = |steady: f32| {
@@ -301,11 +306,12 @@ mod tests {
             }
             curve
         };
-        // 0.3 of duty short at 0.1 s/rad.
+        // A shortage of 0.3 of duty at 0.1 s/rad.
         let (friction, dead_band) = (of(-3.0), of(0.0));
         assert!((friction.steady(0.1, 1.0) + 3.0).abs() < 0.1, "{}", friction.steady(0.1, 1.0));
         assert!(dead_band.steady(0.1, 1.0) > -0.2, "{}", dead_band.steady(0.1, 1.0));
-        // To brake, it gets the whole way to the other side of its dead band for little; with friction that brakes for it.
+        // To brake, it gets a duty near the other side of its dead band even for little; with friction, that brakes for
+        // it.
         assert!(dead_band.duty(-0.5, 1.0) < -0.3, "{}", dead_band.duty(-0.5, 1.0));
         assert!(friction.duty(-0.5, 1.0) > 0.3, "{}", friction.duty(-0.5, 1.0));
     }

@@ -1,43 +1,46 @@
-//! From the points of a path to where a motor is to be now.
+//! Path interpolation: from the points of a path to the reference at the present time.
 
 use crate::path::{Knot, Leg};
 
-/// Where a motor is to be at one moment.
+/// Reference of a motor at one moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Reference {
-    /// rad or m
+    /// Position, rad or m.
     pub(super) position: f64,
-    /// rad/s or m/s
+    /// Speed, rad/s or m/s.
     pub(super) speed: f32,
-    /// rad/s² or m/s²
+    /// Acceleration, rad/s² or m/s².
     pub(super) acceleration: f32,
-    /// Duty that the host adds.
+    /// Feed-forward duty from the host.
     pub(super) feed_forward: f32,
 }
 
 /// Cubic Hermite interpolation between the points of a path.
 ///
-/// It starts from a place and a speed, and goes from there to the next point. Where that point is replaced on the way, it goes on
-/// from where it has come, without a jump of position or speed.
+/// It starts from a position and a speed, and goes from there to the next point. If that point is replaced on the way,
+/// it continues from the present reference, without a jump of position or speed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Follower {
-    /// `None` before the first step.
+    /// Start time of the present segment; `None` before the first step.
     from_us: Option<u64>,
     from: (f64, f32),
     to: Option<Knot>,
-    /// The last one, and when.
+    /// Last reference, and its time.
     last: Reference,
     last_us: u64,
 }
 
 impl Follower {
-    /// From `position` at `speed`, beginning with the first step.
+    /// Creates a follower that starts from `position` at `speed` with the first step.
     pub(super) fn new(position: f64, speed: f32) -> Self {
         let last = Reference { position, speed, ..Reference::default() };
         Self { from_us: None, from: (position, speed), to: None, last, last_us: 0 }
     }
 
-    /// Where the motor is to be at `now_us`; `Err` with where the path ended.
+    /// Reference at `now_us`.
+    ///
+    /// # Errors
+    /// The reference at the end of the path, where there is no next point.
     pub(super) fn step(&mut self, leg: Leg, now_us: u64) -> Result<Reference, Reference> {
         let mut from_us = self.from_us.unwrap_or(now_us);
         if let Some(Knot { at_us, position, speed, .. }) = leg.passed
@@ -49,7 +52,7 @@ impl Follower {
         let Some(to) = leg.next else {
             let since_s = now_us.saturating_sub(from_us) as f32 * 1e-6;
             let position = from + f64::from(from_speed * since_s);
-            // The acceleration is that of a period ago.
+            // The acceleration is that of the previous period.
             return Err(Reference { position, speed: from_speed, feed_forward: 0.0, ..self.last });
         };
         if self.to.is_some_and(|planned| planned != to) {
@@ -74,7 +77,8 @@ impl Follower {
         Ok(self.last)
     }
 
-    /// The next point, where it is within `error` of the last one and both are at rest: the motor pauses until then.
+    /// Position of the next point if it is within `error` of the last one and both are at rest: the motor pauses until
+    /// then. `None` otherwise.
     pub(super) fn pauses(&self, error: f32) -> Option<f32> {
         let (from, from_speed) = self.from;
         let to = self.to.filter(|to| from_speed == 0.0 && to.speed == 0.0)?;
@@ -90,7 +94,7 @@ mod tests {
         Knot { at_us, position, speed, feed_forward: 0.25 }
     }
 
-    /// A cubic through two points with the right speeds is that cubic: position, speed and acceleration of t³ - t.
+    /// A cubic through two points with the right speeds is reproduced: position, speed and acceleration of t³ - t.
     #[test]
     fn a_cubic_is_followed_exactly() {
         let mut follower = Follower::new(0.0, -1.0);
@@ -100,7 +104,7 @@ mod tests {
             let t = now_us as f32 * 1e-6;
             let exact = [t * t * t - t, 3.0 * t * t - 1.0, 6.0 * t];
             for (value, exact) in [at.position as f32, at.speed, at.acceleration].into_iter().zip(exact) {
-                // A few roundings of numbers up to 20.
+                // Rounding of a few operations on numbers up to 20.
                 assert!((value - exact).abs() < 1e-5, "{now_us}: {value}, not {exact}");
             }
             assert_eq!(at.feed_forward, 0.25);
@@ -110,7 +114,7 @@ mod tests {
         assert!((ended.position - 6.011).abs() < 1e-6 && ended.speed == 11.0, "{ended:?}");
     }
 
-    /// The next point is replaced in the middle: from one period to the next neither position nor speed jumps.
+    /// With the next point replaced in the middle, neither position nor speed jumps from one period to the next.
     #[test]
     fn a_changed_plan_is_joined_without_a_jump() {
         let mut follower = Follower::new(0.0, 0.0);
@@ -119,7 +123,7 @@ mod tests {
         for now_us in (0..1_200_000u64).step_by(1000) {
             let next = plans[usize::from(now_us >= 500_000)];
             let at = follower.step(Leg { passed: None, next: Some(next) }, now_us).expect("under way");
-            // Of both cubics together at most 3.73 m/s, and 28.4 m/s² where the second begins, times a period.
+            // Bounds per period: at most 3.73 m/s over both cubics, and 28.4 m/s² where the second begins.
             assert!((at.position - last.position).abs() < 3.75e-3, "{now_us}: {} {}", at.position, last.position);
             assert!((at.speed - last.speed).abs() < 2.9e-2, "{now_us}: {} {}", at.speed, last.speed);
             last = at;

@@ -1,31 +1,32 @@
-//! Force control: a loop on a force sensor around that of the position.
+//! Force control: a force loop around the position loop.
 //!
-//! An admittance. The reference of the position loop moves at a speed in proportion to the error of the force, so that a steady error
-//! is integrated away by motion, and a motor that meets nothing closes at a limited speed. The stiffness of what it meets times
-//! [`ForceConfig::speed_per_n`] is the loop's bandwidth; it must stay well below the position loop's.
+//! An admittance. The reference of the position loop moves at a speed proportional to the force error, so that motion
+//! integrates a steady error away, and a motor that meets nothing closes at a limited speed. The stiffness of the
+//! contact times [`ForceConfig::speed_per_n`] is the loop's bandwidth; it must stay well below the position loop's.
 
 use r4_protocol::config::ForceConfig;
 
 use crate::{sensing::filter::LowPass, within::Within};
 
-/// Contact is reported after the force has been there for so long, s: five periods of 1 ms, so that a spike is none.
+/// Time for which the force must be present until contact is reported, s: five periods of 1 ms, so that a spike is no
+/// contact.
 const CONTACT_S: f32 = 0.005;
-/// Contact is lost below this share of the force that makes it.
+/// Share of the contact force below which contact is lost.
 const LOST_SHARE: f32 = 0.5;
-/// The reference leads the motor by what it travels in this time at most, s: one that is blocked short of contact must not wind up, and a
-/// position loop lags its reference by less.
+/// Maximum lead of the reference over the motor, as travel time at the approach speed, s: a motor that is blocked short
+/// of contact must not wind up, and a position loop lags its reference by less.
 const LEAD_S: f32 = 0.1;
-/// Readings may be missing for so long until the force counts as unknown, s: five readings of a sensor of 250 Hz.
+/// Time without readings after which the force counts as unknown, s: five readings of a sensor of 250 Hz.
 const LOST_S: f32 = 0.02;
 
-/// Measured force of a motor, and whether it is in contact.
+/// Measured force of a motor, with contact detection.
 pub(super) struct Force {
     config: ForceConfig,
     filter: LowPass,
     period_s: f32,
-    /// Reading of the sensor without force, N, beyond its configured zero.
+    /// Drift of the sensor's reading without force, N, relative to its configured zero.
     zero_n: f32,
-    /// Reading of the sensor behind the low-pass, N, with its zero not taken off.
+    /// Low-pass filtered reading of the sensor, N, drift included.
     reading_n: f32,
     has_read: bool,
     missing_s: f32,
@@ -33,14 +34,14 @@ pub(super) struct Force {
     in_contact: bool,
 }
 
-/// How far a motor has come to its force.
+/// State of the force loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Press {
     /// Reference of the position loop, rad or m.
     pub(super) position: f64,
-    /// Its speed, rad/s or m/s.
+    /// Speed of the reference, rad/s or m/s.
     pub(super) speed: f32,
-    /// How long the force has been within its band, s.
+    /// Time for which the force has been within its band, s.
     pub(super) at_force_s: f32,
 }
 
@@ -59,7 +60,7 @@ impl Force {
         }
     }
 
-    /// Takes what the sensor shows in this period, N, or that it shows nothing.
+    /// Takes the sensor's reading of this period, N; `None` without one.
     pub(super) fn measure(&mut self, newtons: Option<f32>) {
         let Some(newtons) = newtons else {
             self.missing_s += self.period_s;
@@ -80,17 +81,17 @@ impl Force {
         }
     }
 
-    /// Force beyond the sensor's zero, N.
+    /// Force with the drift removed, N.
     pub(super) fn force_n(&self) -> f32 {
         self.reading_n - self.zero_n
     }
 
-    /// Whether the force has been unknown for too long to go by it.
+    /// Returns true if the force has been unknown for too long to control it.
     pub(super) fn is_lost(&self) -> bool {
         !self.has_read || self.missing_s > LOST_S
     }
 
-    /// Whether the force is beyond the limit at which the board trips: the sensor's own, whatever is taken for its zero.
+    /// Returns true if the force is beyond the limit at which the board trips, with or without the drift removed.
     pub(super) fn is_beyond_limit(&self) -> bool {
         self.has_read && !(self.reading_n.abs() <= self.config.limit_n && self.force_n().abs() <= self.config.limit_n)
     }
@@ -99,13 +100,13 @@ impl Force {
         self.in_contact
     }
 
-    /// The reference one period later, for a motor at `position` that is to press with `wanted_n`; its speed changes by `acceleration` at
-    /// most, rad/s² or m/s².
+    /// Returns the reference one period later, for a motor at `position` that is to press with `wanted_n`, N; the
+    /// reference's speed changes by at most `acceleration`, rad/s² or m/s².
     pub(super) fn step(&self, last: Press, wanted_n: f32, position: f64, acceleration: f32) -> Press {
         let error_n = wanted_n - self.force_n();
         let is_there = error_n.abs() <= self.config.error_n;
         let most = self.config.approach_speed;
-        // Within the band it rests: a reference that crept on would wear the motor and never end.
+        // Within the band the reference rests: creeping on would wear the motor and never end.
         let wanted = if is_there { 0.0 } else { (self.config.speed_per_n * error_n).within(-most, most) };
         let step = acceleration * self.period_s;
         let speed = wanted.within(last.speed - step, last.speed + step);
@@ -131,7 +132,7 @@ mod tests {
 
     const PERIOD_S: f32 = 1e-3;
 
-    /// 0.01 (rad/s)/N, contact at 1 N, 10 N at most.
+    /// Controller with 0.01 (rad/s)/N, contact at 1 N, 10 N at most.
     fn config() -> ForceConfig {
         ForceConfig {
             sensor: ForceSensor::Analog { analog: 0, zero_v: 0.0, newtons_per_v: 1.0 },
@@ -150,7 +151,8 @@ mod tests {
         Press { position, speed: 0.0, at_force_s: 0.0 }
     }
 
-    /// Against a spring of 2000 N/rad that a perfect position loop compresses: first order, of the bandwidth 0.01 · 2000 = 20/s.
+    /// A spring of 2000 N/rad, compressed by a perfect position loop, gives a first-order response with the bandwidth
+    /// 0.01 · 2000 = 20/s.
     #[test]
     fn a_spring_is_pressed_with_the_loops_bandwidth() {
         let mut force = Force::new(config(), PERIOD_S);
@@ -161,7 +163,8 @@ mod tests {
             now = force.step(now, 5.0, now.position, f32::INFINITY);
             reached.push(force.force_n());
         }
-        // At its highest speed, 100 N/s, in the first milliseconds; then the error falls to 1/e in 50 periods, less one period of delay.
+        // The speed limit, 100 N/s, holds in the first milliseconds; then the error falls to 1/e in 50 periods, less
+        // one period of delay.
         let first = reached.iter().position(|n| *n > 2.0).expect("pressed");
         let [before, after] = [first, first + 50].map(|place| 5.0 - reached[place]);
         assert!((after / before / (-1.0f32).exp() - 1.0).abs() < 0.05, "{before} {after}");
@@ -176,11 +179,11 @@ mod tests {
         for _ in 0..1000 {
             force.measure(Some(0.0));
             free = force.step(free, 6.0, free.position, 0.5);
-            // A motor that stands: blocked, or its supply is off.
+            // A motor that does not move: blocked, or its supply is off.
             now = force.step(now, 6.0, 0.0, 0.5);
         }
         assert_eq!(free.speed, 0.05);
-        // 0.1 s to that speed, and 0.9 s of it.
+        // The ramp to that speed takes 0.1 s, and 0.9 s of it remain.
         assert!((free.position - 0.0475).abs() < 1e-4, "{free:?}");
         assert!((now.position - 0.005).abs() < 1e-6, "a tenth of a second ahead: {now:?}");
     }
@@ -201,7 +204,8 @@ mod tests {
         assert!(run(-1.2, 6), "either way");
     }
 
-    /// A drift of 0.2 N/min is followed to its time constant of 2 s: 7 mN behind. What presses is not taken for drift.
+    /// A drift of 0.2 N/min is followed with the time constant of 2 s, 7 mN behind. A pressing load is not taken for
+    /// drift.
     #[test]
     fn zero_follows_drift_and_not_a_load() {
         let mut force = Force::new(config(), PERIOD_S);
@@ -213,9 +217,9 @@ mod tests {
         for period in 60_000..120_000 {
             force.measure(Some(drift(period) + 5.0));
         }
-        // Meanwhile the sensor drifts on, unseen.
+        // Meanwhile the sensor keeps drifting, which cannot be seen.
         assert!((force.force_n() - 5.2).abs() < 0.02, "{}", force.force_n());
-        // Without compensation all of it is an error.
+        // Without compensation the whole drift is an error.
         let mut plain = Force::new(ForceConfig { drift_s: 0.0, ..config() }, PERIOD_S);
         (0..60_000).for_each(|period| plain.measure(Some(drift(period))));
         assert!((plain.force_n() - 0.2).abs() < 1e-3, "{}", plain.force_n());
@@ -238,7 +242,7 @@ mod tests {
         }
     }
 
-    /// A drifted zero does not raise the limit.
+    /// Drift compensation does not raise the limit.
     #[test]
     fn the_limit_is_the_sensors_own() {
         let mut force = Force::new(ForceConfig { contact_n: 9.0, ..config() }, PERIOD_S);

@@ -1,4 +1,4 @@
-//! The inputs that are read each period, whether or not a motor uses them.
+//! Inputs that are read each period, whether or not a motor uses them.
 
 use core::f32::consts::TAU;
 
@@ -20,16 +20,16 @@ use crate::{
     shared::{Shared, Status},
 };
 
-/// Smooths the speed of an encoder that is read by itself, s.
+/// Time constant of the speed filter of an encoder that no motor uses, s.
 const ENCODER_FILTER_S: f32 = 0.02;
 
-/// Switches, encoders, analog inputs and supplies.
+/// State of switches, encoders, analog inputs and supplies.
 pub(super) struct Inputs {
-    /// Each with its number and the radians of a count.
+    /// Encoders, each with its number and the radians per count.
     encoders: Vec<(u8, f32, Encoder), ENCODERS>,
-    /// Each with its number.
+    /// Switches, each with its number.
     switches: Vec<(u8, Switch), SWITCHES>,
-    /// Each with its input.
+    /// Analog inputs, each with its number.
     analogs: Vec<(u8, Analog), ANALOG_INPUTS>,
     supplies: Vec<Supply, MAX_SUPPLIES>,
 }
@@ -50,7 +50,7 @@ impl Inputs {
         }
     }
 
-    /// Reads all and tells hosts; returns the causes they show.
+    /// Reads all inputs and publishes them; returns the causes that they show.
     pub(super) fn sense<M: RawMutex>(&mut self, shared: &Shared<M>, peripherals: &mut impl Peripherals) -> Causes {
         let mut causes = Causes::NONE;
         let switches = self.switches.iter_mut().map(|(number, switch)| {
@@ -68,7 +68,7 @@ impl Inputs {
             let reading = analog.update(peripherals.code(*input));
             let taken = match reading.age_ms {
                 0 => now,
-                // One that has never been good is older than the board.
+                // An input that has never been good has the greatest age.
                 age_ms => now.checked_sub(Duration::from_millis(age_ms.into())).unwrap_or(Instant::MIN),
             };
             Status::Reading { value: reading.volts, quality: reading.quality, taken }
@@ -85,12 +85,12 @@ impl Inputs {
         causes
     }
 
-    /// Whether switch number `number` is closed, once that is known.
+    /// State of switch number `number`, true for closed; `None` while unknown.
     pub(super) fn is_closed(&self, number: u8) -> Option<bool> {
         self.switches.iter().find(|(of, _)| *of == number).and_then(|(_, switch)| switch.closed())
     }
 
-    /// Volts at analog input number `number`, where it is read and can be relied on.
+    /// Voltage at analog input number `number`, V; `None` where it is not read or cannot be relied on.
     pub(super) fn analog_v(&self, number: u8) -> Option<f32> {
         self.analogs.iter().find(|(of, _)| *of == number).and_then(|(_, analog)| analog.good_volts())
     }
@@ -100,7 +100,7 @@ impl Inputs {
         self.supplies.get(index)
     }
 
-    /// Of every supply, V.
+    /// Filtered voltage of every supply, V.
     pub(super) fn supplies_v(&self) -> impl Iterator<Item = f32> + '_ {
         self.supplies.iter().map(Supply::volts)
     }
@@ -118,7 +118,8 @@ mod tests {
 
     const PERIOD_S: f32 = 1e-3;
 
-    /// Of each kind the number 1, 2 or 3 and no other, so that the place in the configuration is not the number; 24 V.
+    /// Bench with only number 1, 2 or 3 of each kind, so that the position in the configuration differs from the
+    /// number; 24 V.
     fn bench() -> (Board, Inputs, Peripherals) {
         let mut config = testing::robot("every-interface");
         config.encoders.retain(|encoder| encoder.id.index == 2);
@@ -151,7 +152,7 @@ mod tests {
         }
     }
 
-    /// 2400 counts to a turn; a steady count in a period is its speed within the ripple of the filter.
+    /// An encoder of 2400 counts per turn; a steady count per period is its speed within the ripple of the filter.
     #[test]
     fn an_encoder_shows_counts_turns_and_what_no_shaft_does() {
         let (board, mut inputs, mut peripherals) = bench();
@@ -184,7 +185,7 @@ mod tests {
         assert_eq!(inputs.analog_v(1), None);
         peripherals.codes[1].set(0);
         inputs.sense(board, &mut peripherals);
-        // The oldest that can be told.
+        // The greatest age that can be reported.
         let never = Instant::now() - Duration::from_millis(u16::MAX.into());
         let never = Status::Reading { value: 0.0, quality: Quality::Low, taken: never };
         assert_eq!(board.status(Place::Analog(0)), never);
@@ -207,7 +208,7 @@ mod tests {
         assert_eq!(board.status(Place::Analog(0)), shown);
     }
 
-    /// Each by itself is a cause, and shown to hosts.
+    /// Each supply raises the cause on its own, and is shown to hosts.
     #[test]
     fn every_supply_is_watched() {
         for (low, volts) in [(0, [12.0, 12.0]), (1, [24.0, 5.0])] {

@@ -1,61 +1,63 @@
-//! The last counts: how a motor whose path has ended comes to its target against friction and backlash.
+//! Landing: the last counts of a motor whose path has ended, to its target against friction and backlash.
 
 use super::model::Model;
 
-/// A motor that has not moved for so long stands, s. Half of it pushes a motor that creeps by a count in 40 ms; twice of it makes each
-/// step of one that sticks 50 ms longer.
+/// Time without motion after which a motor counts as standing, s. Half of it pushes a motor that creeps by a count in
+/// 40 ms; twice of it makes each step of one that sticks 50 ms longer.
 const STANDS_S: f32 = 0.05;
-/// One that stands is driven harder at a rate that itself rises at this rate, 1/s²: 0.1 of duty after 0.45 s, and 0.4 after 0.9 s.
+/// Acceleration of the added duty of a standing motor, 1/s²: 0.1 of duty after 0.45 s, and 0.4 after 0.9 s.
 const PUSH_PER_S2: f32 = 1.0;
-/// One that has gone past its target before is driven harder at this rate, 1/s: behind a backlash it moves long before it shows. At
-/// twice the rate the simulated bench hits the far side of a backlash of 2 deg so fast that it goes past the target again.
+/// Rate of the added duty of a motor that has passed its target before, 1/s: behind a backlash it moves long before it
+/// shows. At twice the rate the simulated bench hits the far side of a backlash of 2 deg so fast that it passes the
+/// target again.
 const PUSH_AGAIN_PER_S: f32 = 0.2;
-/// The rate is halved at most so often.
+/// Maximum number of times that the rate is halved.
 const MOST_TURNS: u8 = 5;
-/// A motor that comes back gets at least this share of the duty that overcomes friction at once.
+/// Least share of the friction duty that a returning motor gets at once.
 const LEAST_THRESHOLD: f32 = 0.75;
 
-/// What a motor near its target has done since its path ended.
+/// History of a motor near its target since its path ended.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Landing {
-    /// Where it last moved to, rad or m, and for how long it has stood there, s.
+    /// Position of its last movement, rad or m, and time for which it has stood there, s.
     stood_at: f64,
     stood_s: f32,
-    /// How often it has gone past its target, and the sign of the distance to it before.
+    /// Number of times that it has passed its target, and the sign of the last distance to it.
     turns: u8,
     side: f32,
     /// Duty added to break away.
     pushed: f32,
 }
 
-/// Where a motor is to move, and how.
+/// Direction in which a motor is to move, and its drive shares.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Aim {
-    /// Sign of the direction; 0 is nowhere.
+    /// Sign of the direction; 0 for none.
     pub(super) sign: f32,
-    /// Whether it is at its target: then it is only braked.
+    /// True at the target: the motor is then only braked.
     pub(super) rests: bool,
     /// Duty added to break away.
     pub(super) pushed: f32,
-    /// Shares of the loop's output, and of what overcomes friction, that it gets towards its target.
+    /// Shares of the loop's output, and of the friction duty, that it gets towards its target.
     pub(super) share: f32,
     pub(super) threshold: f32,
 }
 
 impl Aim {
-    /// Along a path that moves to the sign of `sign`, or rests where it is 0.
+    /// Aim along a path that moves to the sign of `sign`, or rests where it is 0.
     pub(super) fn along(sign: f32) -> Self {
         Self { sign, rests: false, pushed: 0.0, share: 1.0, threshold: 1.0 }
     }
 }
 
 impl Landing {
-    /// Begins anew, at `position`.
+    /// Restarts the history at `position`.
     pub(super) fn begin(&mut self, position: f64) {
         *self = Self { stood_at: position, ..Self::default() };
     }
 
-    /// A period at `position`, `distance` from the target, which is reached where `near`; `least` shows a motion.
+    /// Takes one period at `position`, with `distance` to the target, which is reached where `near`; a displacement of
+    /// `least` or more counts as motion.
     pub(super) fn step(
         &mut self,
         position: f64,
@@ -89,12 +91,12 @@ impl Landing {
         };
     }
 
-    /// Each time that it has gone past its target it comes back half as fast.
+    /// Drive share: halved each time that the motor has passed its target.
     fn share(&self) -> f32 {
         1.0 / f32::from(1u8 << self.turns)
     }
 
-    /// How it is driven, towards the sign of `sign`.
+    /// Returns the aim towards the sign of `sign`.
     pub(super) fn aim(&self, sign: f32, near: bool) -> Aim {
         let share = self.share();
         let threshold = LEAST_THRESHOLD + (1.0 - LEAST_THRESHOLD) * share;

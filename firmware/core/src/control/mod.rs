@@ -1,4 +1,4 @@
-//! The control loop: each period sense, close the loops, write the outputs.
+//! The control loop: each period it reads sensors, closes the loops and writes the outputs.
 
 mod axis;
 mod drive_curve;

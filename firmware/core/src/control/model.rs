@@ -1,39 +1,41 @@
-//! What a motor is known to do: its speed by a model, and the duty that this takes, learned while it moves.
+//! Motor model: the speed of a motor, and the duty that a speed takes, learned while it moves.
 
 use r4_protocol::config::{ControlConfig, Feedback};
 
 use super::{drive_curve::DriveCurve, landing::Aim, pid::OutputLimits};
 use crate::sensing::{encoder::Encoder, observer::Observer};
 
-/// A motor of the first order behind a steady curve: `T v' = w(u) - v`, where `w` is the speed that the duty `u` comes to hold.
+/// First-order motor behind a steady curve: `T v' = w(u) - v`, where `w` is the speed at which the motor settles with
+/// the duty `u`.
 ///
-/// An [`Observer`] with this model gives the speed. Its disturbance says how far the curve is off at the present duty, and the curve
-/// follows: friction, dead bands, convex curves and loads are learned without a value for any of them.
+/// An [`Observer`] with this model estimates the speed. Its disturbance shows the error of the curve at the present
+/// duty, and the curve follows: friction, dead bands, convex curves and loads are learned without a parameter for any
+/// of them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Model {
     observer: Observer,
     curve: DriveCurve,
-    /// `T`, s.
+    /// Time constant `T`, s.
     time_constant_s: f32,
     /// Duty per speed of the straight line that the loops are tuned for.
     duty_per_speed: f32,
     /// Control periods since the last update of the curve, 0..[`LEARN_TURNS`].
     turn: u8,
-    /// Slower than this, nothing is learned: rad/s or m/s.
+    /// Speed below which nothing is learned, rad/s or m/s.
     slowest: f32,
-    /// Duty beyond the threshold that it took to break away last.
+    /// Duty beyond the threshold that the last breakaway took.
     stiction: f32,
-    /// Whether a measured position was known in the last period.
+    /// True if a measured position was known in the last period.
     is_placed: bool,
-    /// Sign of the last count, and the least and the most duty since, in 127ths.
+    /// Sign of the last count, and the least and greatest duty since then, in 127ths.
     counted: i8,
     given: [i8; 2],
     period_s: f32,
 }
 
-/// A motor that stands gets this share of the duty that it took to break away last time at once, and then more by and by.
+/// Share of the last breakaway duty that a standing motor gets at once; the rest is added gradually.
 const STICTION_SHARE: f32 = 0.8;
-/// The curve follows with this time constant, s.
+/// Time constant with which the curve is learned, s.
 const LEARN_S: f32 = 0.1;
 /// Control periods between two updates of a motor's curve. Motors with neighbouring sensor inputs update in different periods, so that
 /// the updates, the costliest part of the model, do not add up in one tick. The gain of an update grows in proportion: learning is as fast as
@@ -41,14 +43,14 @@ const LEARN_S: f32 = 0.1;
 const LEARN_TURNS: u8 = 4;
 
 impl Model {
-    /// `None` where the configuration says nothing of the motor's time constant, or the only sensor is one of an angle: its filter goes by
-    /// the time of its readings.
+    /// Creates the model; `None` where the configuration gives no time constant of the motor, or the only sensor is an
+    /// angle sensor, whose filter is timed by its readings.
     pub(super) fn new(control: &ControlConfig, duty_max: f32, period_s: f32) -> Option<Self> {
         let feed_forward = control.feed_forward;
         let resolution = match (control.motor_side, control.feedback) {
             (Some(side), _) => core::f32::consts::TAU / side.counts_per_turn as f32,
             (None, Feedback::Angle { .. } | Feedback::Pulses { .. }) => return None,
-            // Less than that is noise.
+            // A smaller displacement is noise.
             (None, Feedback::Potentiometer { .. }) => control.settle.error,
             (None, feedback) => super::motor::resolution(feedback),
         };
@@ -75,7 +77,8 @@ impl Model {
         })
     }
 
-    /// Lets a period pass in which `duty` was applied, and takes what an encoder counted in it. Returns the speed.
+    /// Advances one period in which `duty` was applied, and takes the encoder's counts in it. Returns the speed, rad/s
+    /// or m/s.
     pub(super) fn count(&mut self, encoder: &Encoder, duty: f32, resolution: f32) -> f32 {
         self.predict(duty);
         let (counts, periods) = encoder.last();
@@ -88,7 +91,7 @@ impl Model {
         self.observer.speed()
     }
 
-    /// The same, for a position that is measured each period.
+    /// Like [`Model::count`], for a position that is measured each period.
     pub(super) fn measure(&mut self, position: f32, duty: f32) -> f32 {
         if !core::mem::replace(&mut self.is_placed, true) {
             self.observer.rest(position);
@@ -99,8 +102,8 @@ impl Model {
         self.observer.speed()
     }
 
-    /// Detects a load: a motor whose counts reverse was at rest in between; if every duty since the last count opposed the new direction,
-    /// the load overcame the most favourable of them.
+    /// Detects a load: a motor whose counts reverse was at rest in between; if every duty since the last count opposed
+    /// the new direction, the load overcame the most favourable of them.
     fn turn_round(&mut self, counts: i32, duty: f32) {
         // Rounded away from 0: the load is estimated at most 1/127 of duty too high.
         let rounded = (duty * 127.0 + 0.5f32.copysign(duty)) as i8;
@@ -109,7 +112,7 @@ impl Model {
             return;
         }
         let sign = counts.signum() as i8;
-        // The duty most in favour of the way it went.
+        // The duty that favoured the direction of motion most.
         let favour = if sign < 0 { -self.given[0] } else { self.given[1] };
         if sign == -self.counted && favour < 0 {
             self.curve.gave_way(f32::from(sign), f32::from(favour) / 127.0);
@@ -117,20 +120,20 @@ impl Model {
         (self.counted, self.given) = (sign, [rounded; 2]);
     }
 
-    /// The observer's speed, 0 where it is too low to tell its direction.
+    /// Estimated speed, 0 where it is too low to show a direction.
     fn direction(&self) -> f32 {
         let speed = self.observer.speed();
         if speed.abs() < self.slowest { 0.0 } else { speed }
     }
 
-    /// The position is not known: where it is found again, the motor counts as at rest.
+    /// Marks the position as unknown: the motor counts as at rest where it is found again.
     pub(super) fn lose(&mut self) {
         self.is_placed = false;
     }
 
     fn predict(&mut self, duty: f32) {
         let steady = self.curve.steady(duty, self.direction());
-        // Backward Euler: stable with a time constant shorter than a period too.
+        // Backward Euler: stable also with a time constant shorter than a period.
         self.observer.predict((steady - self.observer.speed()) / (self.time_constant_s + self.period_s));
     }
 
@@ -147,13 +150,13 @@ impl Model {
         }
     }
 
-    /// What a loop adds to its output for a path of `speed` and `acceleration`: duty of the straight line, which
-    /// [`Model::drive`] makes the motor's.
+    /// Feed-forward that a loop adds to its output for a path of `speed` and `acceleration`: duty of the straight line,
+    /// which [`Model::drive`] converts to the motor's duty.
     pub(super) fn feed_forward(&self, speed: f32, acceleration: f32) -> f32 {
         self.duty_per_speed * (speed + self.time_constant_s * acceleration)
     }
 
-    /// The motor's duty for a loop's output, which is one of the straight line.
+    /// Motor duty for a loop's output, which is a duty of the straight line.
     pub(super) fn drive(&self, straight: f32, aim: Aim) -> f32 {
         let Aim { sign, rests, pushed, share, threshold } = aim;
         let load = self.curve.duty(0.0, 0.0);
@@ -164,7 +167,7 @@ impl Model {
         let duty = if steady * sign < 0.0 && pushed == 0.0 {
             self.curve.duty(steady, sign)
         } else if rests {
-            // What the loop has integrated may be a load that nobody has learned.
+            // The loop's integral may hold a load that has not been learned yet.
             load + straight
         } else {
             // A motor that stands is not braked.
@@ -174,29 +177,29 @@ impl Model {
         duty + pushed.copysign(sign)
     }
 
-    /// The loop's output that leaves a motor at rest with a duty: what of it is not the load that is known.
+    /// Loop output that leaves a motor at rest with `duty`: the duty less that of the known load.
     pub(super) fn straight(&self, duty: f32) -> f32 {
         duty - self.curve.duty(0.0, 0.0)
     }
 
-    /// Limits of a loop's output: where the motor's duty is at its own.
+    /// Limits of a loop's output at which the motor's duty reaches its own.
     pub(super) fn limits(&self, limits: OutputLimits, towards: f32) -> OutputLimits {
         let most = limits.magnitude;
         let reach = self.curve.steady(most.copysign(towards), towards).abs();
         OutputLimits { magnitude: self.duty_per_speed * reach, slew_per_s: f32::MAX }
     }
 
-    /// Duty beyond the threshold that is likely to be needed to break away.
+    /// Expected breakaway duty beyond the threshold.
     pub(super) fn stiction(&self) -> f32 {
         STICTION_SHARE * self.stiction
     }
 
-    /// Notes that it took `pushed` beyond the threshold to break away.
+    /// Records the duty `pushed` beyond the threshold that the breakaway took.
     pub(super) fn broke_away(&mut self, pushed: f32) {
         self.stiction = pushed;
     }
 
-    /// Duty that it may take to break away.
+    /// Duty that a breakaway may take.
     pub(super) fn threshold(&self) -> f32 {
         self.curve.threshold().max(0.0) + self.stiction
     }

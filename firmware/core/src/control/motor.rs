@@ -1,4 +1,4 @@
-//! One motor channel: feedback, loops, path, limits and watching.
+//! Motor channel: feedback, loops, path, limits and watch.
 
 use embassy_time::Instant;
 use r4_protocol::{
@@ -30,10 +30,10 @@ use crate::{
     within::Within,
 };
 
-/// One count of a potentiometer channel's position on the wire, m.
+/// Count of a potentiometer channel's position on the wire, m.
 pub(crate) const POT_RESOLUTION_M: f32 = 1e-6;
 
-/// One count of the channel's position on the wire, rad or m.
+/// Returns the size of one count of the channel's position on the wire, rad or m.
 pub(crate) fn resolution(feedback: Feedback) -> f32 {
     match feedback {
         Feedback::Encoder { counts_per_turn, .. } => core::f32::consts::TAU / counts_per_turn as f32,
@@ -48,21 +48,21 @@ enum Sensor {
     Angle(Angle),
 }
 
-/// What a motor's sensors show in one period.
+/// Sensor values of a motor in one period.
 #[derive(Clone, Copy, Debug)]
 pub struct Raw {
-    /// At the output.
+    /// Sensor value at the output.
     pub output: Output,
-    /// Counter of the encoder on the motor's side; any where there is none.
+    /// Counter of the encoder on the motor's side; ignored where there is none.
     pub motor_side: u16,
 }
 
-/// What the sensor at a motor's output shows.
+/// Value of the sensor at a motor's output.
 #[derive(Clone, Copy, Debug)]
 pub enum Output {
-    /// An encoder's counter, or a converter's code.
+    /// Counter of an encoder, or code of a converter.
     Code(u16),
-    /// What an angle sensor read last, and the time now.
+    /// Last reading of an angle sensor, and the present time.
     Angle(Option<Reading>, Instant),
 }
 
@@ -72,142 +72,143 @@ impl From<u16> for Raw {
     }
 }
 
-/// A motor channel, stepped once each control period: [`Motor::sense`], then [`Motor::step`].
+/// Motor channel, stepped once each control period: [`Motor::sense`], then [`Motor::step`].
 pub struct Motor {
     control: ControlConfig,
     limits: OutputLimits,
     period_s: f32,
     sensor: Sensor,
-    /// `None` where the configuration says too little of the motor.
+    /// Model of the motor; `None` where the configuration has too few parameters for it.
     model: Option<Model>,
     motor_side: Option<MotorSide>,
-    /// `None` without a force sensor.
+    /// Force control; `None` without a force sensor.
     force: Option<Force>,
     position_loop: Pid,
     speed_loop: Pid,
     profile: Profile,
     setpoint: Setpoint,
-    /// The position that is followed, rad or m.
+    /// Position set point, rad or m.
     target: f32,
     following: Following,
-    /// Of one with a model that goes to a position.
+    /// Landing of a motor with a model at a position.
     landing: Landing,
-    /// The path it follows, also while it rests on the way; `None` without one.
+    /// Path being followed, also while the motor pauses on it; `None` without one.
     path: Option<Follower>,
-    /// rad or m; 64 bit so that a wheel may turn for days without losing counts.
+    /// Position, rad or m; 64 bits so that a wheel may turn for days without losing counts.
     position: f64,
     position_counts: i32,
-    /// Added to an encoder's counts since its zero was found.
+    /// Offset added to an encoder's counts since its zero was found.
     zero_counts: i32,
     homed: bool,
-    /// The encoder's index pulses, where it has them, and the position of one that came since the last step, counts.
+    /// Index pulses of the encoder, if it has them, and the position at a pulse since the last step, counts.
     index: Option<Index>,
     index_at: Option<i32>,
-    /// The home switch, where there is one.
+    /// State of the home switch, true for closed; `None` without one or while unknown.
     switch_closed: Option<bool>,
     speed: f32,
-    /// Filtered rate of the speed, for the derivative of the speed loop.
+    /// Filtered rate of change of the speed, for the derivative of the speed loop.
     acceleration: LowPass,
     acceleration_now: f32,
-    /// The end of its range the motor stands at: 1, -1, or 0.
+    /// End of the range at which the motor stands: 1, -1, or 0 for none.
     at_end: f32,
-    /// What the loops want, and what the bridge makes of it.
+    /// Duty requested by the loops, and duty that the bridge applies.
     duty: f32,
     applied: f32,
-    /// The duty of the supply that there is: what the bridge was given last.
+    /// Last duty passed to the bridge, as a share of the actual supply.
     output: f32,
-    /// Volts of the supply over its nominal ones, and the inverse: duties of the loops are shares of the nominal supply.
+    /// Supply voltage over its nominal value, and the inverse: the loops' duties are shares of the nominal supply.
     supply_share: f32,
     supply_gain: f32,
     watch: Watch,
 }
 
-/// What following a set point needs to remember.
+/// State of the present mode.
 #[derive(Clone, Copy)]
 enum Following {
-    /// An open duty: nothing.
+    /// Open-loop duty, without state.
     Duty,
-    /// A speed: how far the ramp to it has come.
+    /// Speed mode: state of the ramp to the set point, and of the hold at speed 0.
     Speed { reference: Ramp, hold: Option<Hold> },
-    /// A position.
+    /// Position mode: state of the approach.
     Position(Approach),
-    /// A path: where it is to be now.
+    /// Path mode: reference at the present time.
     Path(Reference),
-    /// The search for the zero.
+    /// Homing: state of the search for the zero.
     Home(Homing),
-    /// A force: the reference of the position loop that the force loop moves.
+    /// Force mode: reference of the position loop, which the force loop moves.
     Force(Press),
 }
 
-/// How far the search for the zero has come.
+/// State of the search for the zero.
 #[derive(Clone, Copy)]
 struct Homing {
-    /// At which the switch is sought, rad/s.
+    /// Speed of the search for the switch, rad/s; its sign is the direction.
     speed: f32,
-    /// How far the ramp has come.
+    /// State of the ramp to the search speed.
     reference: Ramp,
-    /// Whether the switch has been found and is being left again.
+    /// True once the switch has been found and is being left again.
     backing_off: bool,
-    /// Whether it has been closed while the motor was on its way back: one that overshoots a short cam finds it open on the
-    /// far side, which is no zero.
+    /// True if the switch has been closed on the way back: a motor that overshoots a short cam finds it open on the far
+    /// side, which is no zero.
     seen_again: bool,
-    /// Whether the next index pulse is the zero.
+    /// True if the next index pulse is the zero.
     awaits_index: bool,
-    /// Where the search began.
+    /// Position at which the search began, rad.
     start: f64,
 }
 
-/// How far a motor has come to its position.
+/// State of the approach to a position.
 #[derive(Clone, Copy, Default)]
 struct Approach {
-    /// Distance from the path.
+    /// Distance from the path, rad or m.
     path_error: f32,
-    /// Within the band around the target in which a position counts as reached.
+    /// True within the band around the target in which the position counts as reached.
     near: bool,
-    /// Where friction was last overcome to.
+    /// Direction in which friction was last compensated.
     towards: f32,
     at_rest_s: f32,
-    /// While settled.
+    /// State of the hold while settled.
     hold: Option<Hold>,
 }
 
-/// How a settled motor is held.
+/// State of the hold of a settled motor.
 #[derive(Clone, Copy)]
 struct Hold {
     duty: f32,
-    /// The duty and the position it came to rest with.
+    /// Duty and position at which it came to rest.
     at_rest: (f32, f64),
-    /// Whether it has moved since, so that friction alone does not hold it.
+    /// True if it has moved since, so that friction alone does not hold it.
     slipped: bool,
 }
 
-/// A settled motor's duty is let go with this time constant, s.
+/// Time constant with which a settled motor's duty is released, s.
 const LET_GO_S: f32 = 1.0;
-/// What an integral holds against the way to the target is let go with this time constant, s.
+/// Time constant with which an integral that opposes the motion to the target is released, s.
 const UNLOAD_S: f32 = 1.0;
-/// What a motor with a model integrates along a path is let go with this time constant, s: that with which its curve is learned.
+/// Time constant with which the integral of a motor with a model is released along a path, s: that with which its curve
+/// is learned.
 const LEAK_S: f32 = 0.1;
-/// A motor that stands short of its target is driven harder at this rate until it moves, 1/s.
+/// Rate at which the duty of a motor that stands short of its target rises until it moves, 1/s.
 const BREAK_AWAY_PER_S: f32 = 0.1;
-/// The path waits for a motor at the limit of its duty that is so far behind it, as a share of the distance at which it counts as
-/// not following.
+/// Path error at which the path waits for a motor at the limit of its duty, as a share of the error at which it counts
+/// as not following.
 const WAIT_SHARE: f32 = 0.25;
-/// A count and its rounding.
+/// One count with its rounding, in counts.
 const A_COUNT: f32 = 1.0005;
-/// At the limit but for rounding.
+/// Share of a limit that counts as the limit, for rounding.
 const AT_LIMIT: f32 = 0.999;
-/// A supply outside these shares of its nominal volts is not made up for further: a sensor that fails must not drive a motor harder
-/// than twice.
+/// Range of the compensated supply voltage, as shares of the nominal one: a failing sensor must not drive a motor more
+/// than twice as hard.
 const SUPPLY_SHARES: (f32, f32) = (0.5, 2.0);
-/// A switch that has been found is left at this share of the speed at which it was sought: where it opens is the zero.
+/// Share of the search speed at which the switch is left again: its opening is the zero.
 const BACK_OFF: f32 = 0.2;
-/// A search that has gone this many times the whole range has missed the switch.
+/// Multiple of the whole range after which a search has missed the switch.
 const SEARCH_RANGES: f32 = 1.2;
-/// Less than this does nothing to a motor on a bridge.
+/// Duty below which a motor on a bridge does not respond.
 const NO_DUTY: f32 = 0.01;
 
 impl Motor {
-    /// A motor at rest, without command.
+    /// Creates a motor at rest, without command.
     ///
     /// # Errors
     /// [`BadPeriod`] unless `period_s` is finite and positive.
@@ -244,7 +245,7 @@ impl Motor {
             position: 0.0,
             position_counts: 0,
             zero_counts: 0,
-            // A potentiometer always knows, and an angle sensor does within one turn.
+            // A potentiometer always knows its position; an angle sensor does within one turn.
             homed: match control.feedback {
                 Feedback::Encoder { .. } => false,
                 Feedback::Potentiometer { .. } => true,
@@ -271,14 +272,14 @@ impl Motor {
         })
     }
 
-    /// Takes what the sensors show in this period, and whether the home switch is closed, where there is one.
+    /// Takes the sensor values of this period and the state of the home switch (true for closed), where there is one.
     ///
-    /// Returns [`Cause::EncoderImplausible`] when a sensor cannot be where it says, or says nothing.
+    /// Returns [`Cause::EncoderImplausible`] when a sensor cannot be at its reported position, or reports none.
     pub fn sense(&mut self, raw: impl Into<Raw>, switch_closed: Option<bool>) -> Causes {
         self.sense_raw(raw.into(), switch_closed)
     }
 
-    // By itself: as a part of a loop over motors it makes that carry a pointer to each field.
+    // A function of its own: inlined into a loop over motors it would make that carry a pointer to each field.
     #[inline(never)]
     fn sense_raw(&mut self, raw: Raw, switch_closed: Option<bool>) -> Causes {
         self.switch_closed = switch_closed;
@@ -322,12 +323,12 @@ impl Motor {
                     Causes::NONE
                 }
                 None => {
-                    // How many turns it makes until it is found again, nobody knows.
+                    // The number of turns until the sensor is found again is unknown.
                     self.homed &= angle.is_absolute();
                     Causes::only(Cause::EncoderImplausible)
                 }
             },
-            // Whoever reads the sensors goes by the same configuration.
+            // The values' kinds always match: their reader uses the same configuration.
             _ => Causes::only(Cause::EncoderImplausible),
         };
         if let Some(side) = &mut self.motor_side {
@@ -344,8 +345,9 @@ impl Motor {
 
     /// Takes the counter at an index pulse since the last period, after [`Motor::sense`].
     ///
-    /// Returns [`Cause::EncoderImplausible`] when counts were lost since the pulse before; the motor is then not homed any more.
-    // Once a turn: it stays in flash.
+    /// Returns [`Cause::EncoderImplausible`] when counts were lost since the previous pulse; the motor is then no
+    /// longer homed.
+    // Called once a turn, so it may stay in flash.
     #[inline(never)]
     pub fn sense_index(&mut self, raw: u16) -> Causes {
         let (Sensor::Encoder(encoder), Some(index)) = (&self.sensor, &mut self.index) else { return Causes::NONE };
@@ -358,18 +360,18 @@ impl Motor {
         Causes::only(Cause::EncoderImplausible)
     }
 
-    /// Whether the zero is an index pulse and no switch is to be found before.
+    /// Returns true if an index pulse is the zero and no switch has to be found before.
     fn homes_by_index(&self) -> bool {
         let Feedback::Encoder { index, counts_per_index: 1.., .. } = self.control.feedback else { return false };
         self.control.homing.is_some_and(|homing| homing.switch == index)
     }
 
     /// Takes a command, which dispatch has checked.
-    // Not each period: it stays in flash.
+    // Not called each period, so it may stay in flash.
     #[inline(never)]
     pub fn command(&mut self, setpoint: Setpoint) {
         if setpoint.mode == Mode::Follow {
-            // From here on by its points: see `follow`.
+            // From here on the path's points command it: see `follow`.
             self.begin_path();
             return;
         }
@@ -406,7 +408,7 @@ impl Motor {
                 self.speed_loop.reset(self.duty);
                 Following::Speed { reference: self.motion(), hold: None }
             }
-            // A new force does not make the motor let go of what it presses.
+            // A new force does not make the motor release the object.
             (Following::Force(press), Mode::Force) => Following::Force(Press { at_force_s: 0.0, ..press }),
             (_, Mode::Force) => {
                 let duty = self.duty;
@@ -427,12 +429,12 @@ impl Motor {
                     start,
                 })
             }
-            // Dispatch lets no motor be switched; a path was begun above.
+            // Dispatch rejects the switch mode for motors; a path was begun above.
             (_, Mode::Duty | Mode::Switch | Mode::Voltage | Mode::Brake | Mode::Follow) => Following::Duty,
         };
     }
 
-    /// How it is to move now, or moves where nothing says how.
+    /// Commanded speed and acceleration at present; in open loop the actual speed.
     fn motion(&self) -> Ramp {
         match self.following {
             Following::Position(_) => {
@@ -446,7 +448,7 @@ impl Motor {
         }
     }
 
-    /// Begins to follow a path from where the motor is to be now, or where it is.
+    /// Begins to follow a path from the motor's present reference, or from its position.
     fn begin_path(&mut self) {
         if self.path.is_some() {
             return;
@@ -468,12 +470,12 @@ impl Motor {
         }
     }
 
-    /// Whether it follows a path, and [`Motor::follow`] is to come before [`Motor::step`].
+    /// Returns true if the motor follows a path: [`Motor::follow`] must then precede [`Motor::step`].
     pub(super) fn follows(&self) -> bool {
         self.path.is_some()
     }
 
-    /// Takes where its path leads at `now_us`.
+    /// Takes the path's segment at `now_us`.
     pub(super) fn follow(&mut self, leg: Leg, now_us: u64) {
         let Some(path) = &mut self.path else { return };
         let reference = match path.step(leg, now_us) {
@@ -486,17 +488,18 @@ impl Motor {
         let pause = path.pauses(self.control.settle.error);
         self.setpoint = Setpoint { mode: Mode::Follow, value: reference.position as f32 };
         match (self.following, pause) {
-            // It is held there as at any other position.
+            // A pause is held like any other position.
             (Following::Position(_), Some(_)) => {}
             (_, Some(target)) => self.come_to_rest(target, reference),
             _ => self.following = Following::Path(reference),
         }
     }
 
-    /// The path has no more points: on from there to rest, along the profile.
+    /// Ends a path without further points: continues along the profile to rest.
     #[inline(never)]
     fn end_path(&mut self, end: Reference) {
-        // A path that brakes until its last point does not go on braking: with more than this, limited jerk would turn the motor round.
+        // A path that brakes until its last point must not continue to brake: with a deceleration above this, limited
+        // jerk would reverse the motor.
         let most = sqrtf(2.0 * self.control.profile.jerk * end.speed.abs());
         let end = Reference { acceleration: end.acceleration.within(-most, most), ..end };
         let Reference { position, speed, acceleration, .. } = end;
@@ -510,7 +513,7 @@ impl Motor {
         self.setpoint = Setpoint { mode: Mode::Position, value: self.target };
     }
 
-    /// Goes on to `target` from where a path has come.
+    /// Continues to `target` from the path's last reference.
     fn come_to_rest(&mut self, target: f32, reference: Reference) {
         self.target = target;
         self.landing = Landing::default();
@@ -519,7 +522,7 @@ impl Motor {
         self.following = Following::Position(Approach::default());
     }
 
-    /// Forgets the command and the state of the loops: the outputs are being made safe.
+    /// Clears the command and the state of the loops: the outputs are being made safe.
     pub fn stop(&mut self) {
         self.setpoint = Setpoint { mode: Mode::Duty, value: 0.0 };
         self.following = Following::Duty;
@@ -530,7 +533,7 @@ impl Motor {
         self.watch = Watch::default();
     }
 
-    /// Takes new gains for one loop, without a jump.
+    /// Sets new gains of one loop, without a jump of the output.
     pub fn set_gains(&mut self, mode: Mode, gains: PidGains) {
         match mode {
             Mode::Position => self.position_loop.set_gains(gains),
@@ -539,12 +542,12 @@ impl Motor {
         }
     }
 
-    /// Takes another feed-forward, and another loop to hold positions, which starts from the duty that there is.
+    /// Sets a new feed-forward and a new position loop, which starts from the present duty.
     pub fn set_tuning(&mut self, Tuning { feed_forward, cascade_per_s }: Tuning) {
         let is_other_loop = (cascade_per_s == 0.0) != (self.control.cascade_per_s == 0.0);
         if self.control.feed_forward != feed_forward {
             self.control.feed_forward = feed_forward;
-            // What was learned of the motor was learned by the numbers before.
+            // The curve was learned relative to the previous parameters.
             self.model = Model::new(&self.control, self.limits.magnitude, self.period_s);
         }
         self.control.cascade_per_s = cascade_per_s;
@@ -555,9 +558,9 @@ impl Motor {
         }
     }
 
-    /// One period: the duty for the bridge, and the causes seen in how the motor answers.
+    /// Advances one period; returns the duty for the bridge and the causes seen in the motor's response.
     pub fn step(&mut self) -> (f32, Causes) {
-        // Of the nominal supply.
+        // Limits as shares of the nominal supply.
         let OutputLimits { magnitude, slew_per_s } = self.limits;
         let limits =
             OutputLimits { magnitude: magnitude * self.supply_share, slew_per_s: slew_per_s * self.supply_share };
@@ -601,14 +604,14 @@ impl Motor {
             }
             Following::Speed { reference, hold } => (0.0, reference.speed != 0.0 && hold.is_none()),
             Following::Home(_) => (0.0, true),
-            // In contact its force shows that it is driven, and what it meets keeps it from moving.
+            // In contact the force shows that the motor is driven, and the object keeps it from moving.
             Following::Force(press) => {
                 let is_free = self.force.as_ref().is_none_or(|force| !force.in_contact());
                 (0.0, is_free && press.speed != 0.0)
             }
             Following::Duty => (0.0, false),
         };
-        // A supply that changes does not make the duty change faster than it may.
+        // A change of the supply must not change the duty faster than the slew limit.
         let step = self.limits.slew_per_s * self.period_s;
         let most = self.limits.magnitude;
         let duty = (self.duty * self.supply_gain).within(self.output - step, self.output + step).within(-most, most);
@@ -620,18 +623,18 @@ impl Motor {
         (duty, causes.union(watched))
     }
 
-    /// Takes the volts of the motor's supply as a share of its nominal ones: loops are tuned for those.
+    /// Takes the voltage of the motor's supply as a share of the nominal one, for which the loops are tuned.
     pub(super) fn set_supply(&mut self, share: f32) {
         self.supply_share = share.within(SUPPLY_SHARES.0, SUPPLY_SHARES.1);
         self.supply_gain = 1.0 / self.supply_share;
     }
 
-    /// Takes what the bridge made of the last duty: nothing, while it rests between directions.
+    /// Takes the duty that the bridge made of the last one: 0 while it rests between directions.
     pub fn set_applied(&mut self, duty: f32) {
         self.applied = duty;
     }
 
-    /// The duty that the bridge applies, and the speed, rad/s or m/s.
+    /// Returns the duty that the bridge applies and the speed, rad/s or m/s.
     pub(super) fn applied(&self) -> (f32, f32) {
         (self.applied, self.speed)
     }
@@ -639,7 +642,7 @@ impl Motor {
     fn step_position(&mut self, last: Approach, limits: OutputLimits) -> (f32, Following) {
         let distance = self.distance();
         let before = self.profile.now();
-        // A motor that does all it can is waited for: it goes the whole way of its path, only later.
+        // The path waits for a motor at its limits: it still travels the whole path, only later.
         let waits = self.model.is_some()
             && before.speed * last.path_error > 0.0
             && last.path_error.abs() > WAIT_SHARE * self.control.follow.error
@@ -649,18 +652,18 @@ impl Motor {
         let Moment { to_go, speed: path_speed, acceleration: path_acceleration } = moment;
         let near = to_go == 0.0 && distance.abs() <= self.band(last.near);
         if self.is_settled() && !near {
-            // Pushed away: the way back is a path like any other.
+            // The motor was pushed away; it returns along a path like any other.
             self.profile.start(distance, self.speed);
         }
         let at_rest = near && self.speed.abs() <= self.control.settle.speed;
         let at_rest_s = if at_rest { last.at_rest_s + self.period_s } else { 0.0 };
         let path_error = distance - to_go;
-        // While the path moves, friction is overcome in its direction; afterwards towards the target. Within the band that
-        // stays as it was: without it a load would fall.
+        // While the path moves, friction is compensated in its direction; afterwards towards the target. Within the
+        // band this stays unchanged: without it a load would fall.
         let towards = match (path_speed != 0.0, near) {
             (true, _) => path_speed.signum(),
             (false, false) => distance.signum(),
-            // A load that is known is held without what overcomes friction, and a motor that still moves is braked.
+            // A known load is held without friction compensation, and a motor that still moves is braked.
             (false, true) if self.model.is_some() => {
                 if at_rest {
                     0.0
@@ -673,8 +676,8 @@ impl Motor {
         let approach = Approach { path_error, near, towards, at_rest_s, hold: None };
         if self.rests_long_enough(at_rest_s) {
             let hold = self.let_go(last.hold.unwrap_or(self.new_hold()));
-            // What of it overcame friction is added again by the feed-forward when the motor moves on, either way; the
-            // rest is what the load takes.
+            // The share that overcame friction is added again by the feed-forward when the motor moves on, in either
+            // direction; the rest is what the load takes.
             let friction = self.feed_forward(towards, 0.0, 0.0);
             let overcame =
                 if hold.duty * friction > 0.0 { friction.abs().min(hold.duty.abs()).copysign(friction) } else { 0.0 };
@@ -683,14 +686,14 @@ impl Motor {
             return (hold.duty, Following::Position(Approach { hold: Some(hold), ..approach }));
         }
         if path_speed == 0.0 && !self.crosses_gap() {
-            // What moved the motor along its path does not serve the way back from beyond the target.
+            // The integral that moved the motor along its path opposes the return from beyond the target.
             let share = self.period_s / UNLOAD_S;
             self.position_holder().unload_against(distance, share);
             let least = self.least_motion();
             if let Some(model) = &mut self.model {
                 self.landing.step(self.position, distance, near, least, self.period_s, model);
             } else if !near && self.speed.abs() <= self.control.settle.speed {
-                // Short of its target and standing: an integral of a small error would take long to overcome friction.
+                // Standing short of its target: the integral of a small error would take long to overcome friction.
                 let push = (BREAK_AWAY_PER_S * self.period_s).copysign(distance);
                 self.position_holder().push(push, limits);
             }
@@ -702,27 +705,28 @@ impl Motor {
         (self.hold_to_path(path_error, path_speed, aim, duty, limits), Following::Position(approach))
     }
 
-    /// The distance from the target within which it counts as reached, and was reached before if `near`.
+    /// Distance from the target within which it counts as reached; `near` if it already was.
     fn band(&self, near: bool) -> f32 {
         let error = self.control.settle.error;
         match self.control.feedback {
-            // The learned curve brings a motor back without hunting, and a count has no noise; but a motor can always be a count off.
+            // The learned curve brings a motor back without hunting, and a count has no noise; but a motor can always
+            // be one count off.
             Feedback::Encoder { .. } if self.model.is_some() => error.max(A_COUNT * resolution(self.control.feedback)),
             _ if !near => error,
-            // Left only at twice the error that enters it: noise at the edge must not start the motor again.
+            // Left only at twice the error that enters it: noise at the edge must not restart the motor.
             _ => 2.0 * error,
         }
     }
 
-    /// The duty of whichever loop holds positions, `error` away from a path of `path_speed`.
+    /// Returns the duty of the loop that holds positions, `error` away from a path of `path_speed`.
     fn hold_to_path(&mut self, error: f32, path_speed: f32, aim: Aim, feed_forward: f32, limits: OutputLimits) -> f32 {
         let bounds = self.loop_limits(limits, aim.sign);
         if self.model.is_some() && path_speed != 0.0 {
-            // What the path takes is learned; what is integrated on the way would be an overshoot at its end.
+            // The duty of the path is learned; an integral built up on the way would overshoot at its end.
             let share = self.period_s / LEAK_S;
             self.position_holder().leak(share);
         }
-        // Relative to the path: its own motion is not damped.
+        // Relative to the path: the path's own motion is not damped.
         let rate = self.speed - path_speed;
         let output = if self.control.cascade_per_s == 0.0 {
             let integral = self.position_loop.integral();
@@ -739,12 +743,12 @@ impl Motor {
         self.driven(output, aim, limits)
     }
 
-    /// Limits of a loop's output for those of the duty.
+    /// Limits of a loop's output that correspond to those of the duty.
     fn loop_limits(&self, limits: OutputLimits, towards: f32) -> OutputLimits {
         self.model.as_ref().map_or(limits, |model| model.limits(limits, towards))
     }
 
-    /// The duty for a loop's output.
+    /// Returns the motor's duty for a loop's output, within slew and magnitude limits.
     fn driven(&self, output: f32, aim: Aim, limits: OutputLimits) -> f32 {
         let Some(model) = &self.model else { return output };
         let step = limits.slew_per_s * self.period_s;
@@ -752,23 +756,24 @@ impl Motor {
         duty.within(-limits.magnitude, limits.magnitude)
     }
 
-    /// The loop's output for a duty at rest.
+    /// Loop output for a duty at rest.
     fn straight(&self, duty: f32) -> f32 {
         self.model.as_ref().map_or(duty, |model| model.straight(duty))
     }
 
-    /// Whether the motor crosses play while the output stands: what the error is then, it is not for long.
+    /// Returns true while the motor crosses the backlash and the output stands: the error then does not last.
     fn crosses_gap(&self) -> bool {
         self.motor_side.as_ref().is_some_and(MotorSide::crosses)
     }
 
-    /// The loop that holds positions.
+    /// Loop that holds positions.
     fn position_holder(&mut self) -> &mut Pid {
         if self.control.cascade_per_s == 0.0 { &mut self.position_loop } else { &mut self.speed_loop }
     }
 
-    /// One period of the force loop. Without a force that can be relied on the motor holds where it is: [`Motor::sense_force`] trips.
-    // With few motors: it stays in flash.
+    /// Advances the force loop by one period. Without a reliable force the motor holds its position:
+    /// [`Motor::sense_force`] trips.
+    // Few motors use it, so it may stay in flash.
     #[inline(never)]
     fn step_force(&mut self, last: Press, limits: OutputLimits) -> (f32, Following) {
         let press = match &self.force {
@@ -783,10 +788,10 @@ impl Motor {
         (self.hold_to_path(error, press.speed, Aim::along(towards), duty, limits), Following::Force(press))
     }
 
-    /// Takes the force in this period, N, or that nothing is known of it; nothing to a motor without force control.
+    /// Takes the force of this period, N; `None` while unknown. Has no effect on a motor without force control.
     ///
-    /// Returns [`Cause::ForceLimit`] beyond the limit, in every mode, and [`Cause::EncoderImplausible`] when a motor that presses has lost
-    /// its sensor.
+    /// Returns [`Cause::ForceLimit`] beyond the limit, in every mode, and [`Cause::EncoderImplausible`] when a motor in
+    /// force mode has lost its sensor.
     #[inline(never)]
     pub fn sense_force(&mut self, newtons: Option<f32>) -> Causes {
         let Some(force) = &mut self.force else { return Causes::NONE };
@@ -805,23 +810,23 @@ impl Motor {
         (self.hold_to_path(error, speed, Aim::along(towards), duty, limits), Following::Path(reference))
     }
 
-    /// From the measured position to where the path has it now, rad or m.
+    /// Distance from the measured position to the path's present reference, rad or m.
     fn path_error(&self, reference: Reference) -> f32 {
         (reference.position - self.position) as f32
     }
 
-    /// A motor that has just come to rest.
+    /// Hold of a motor that has just come to rest.
     fn new_hold(&self) -> Hold {
         Hold { duty: self.duty, at_rest: (self.duty, self.position), slipped: false }
     }
 
-    /// A loop that went on integrating over stiction would hunt, and one that let go at once would drop a load. So the
-    /// duty is let go slowly; if the motor then slips, what it came to rest with holds it, and is kept.
+    /// Releases the duty of a settled motor slowly: a loop that kept integrating over stiction would hunt, and one that
+    /// released at once would drop a load. If the motor slips, the duty at which it came to rest is restored and kept.
     fn let_go(&self, mut hold: Hold) -> Hold {
         let (duty_at_rest, position_at_rest) = hold.at_rest;
-        // Against its duty, that is: one that still creeps along with it is let go all the more.
+        // Slip counts against the duty only: a motor that still creeps along with it is released all the more.
         let slip = (position_at_rest - self.position) as f32 * duty_at_rest.signum();
-        // A duty that friction alone would take holds no load.
+        // A duty within friction holds no load.
         let holds = duty_at_rest.abs() > self.friction();
         hold.slipped |= holds && slip > self.control.settle.error / 2.0;
         if hold.slipped {
@@ -843,9 +848,9 @@ impl Motor {
         let rooms = rooms.map(|room| room as f32);
         let wanted = ramp.step(self.setpoint.value, rooms, &self.control.profile, self.period_s);
         let Ramp { speed: reference, acceleration } = ramp;
-        // Standing still needs no more duty than a load takes: what is left from before would only heat the motor.
+        // Standing still takes no more duty than the load does: the rest would only heat the motor.
         let stands = self.speed.abs() <= self.control.settle.speed;
-        // A load that slips once is left to the loop, which starts from what held it.
+        // After one slip the load is left to the loop, which starts from the duty that held it.
         let slipped = hold.filter(|hold| hold.slipped && wanted == 0.0);
         if wanted == 0.0 && reference == 0.0 && stands && slipped.is_none() {
             let hold = self.let_go(hold.unwrap_or(self.new_hold()));
@@ -862,8 +867,8 @@ impl Motor {
         (self.driven(output, Aim::along(towards), limits), following)
     }
 
-    /// Seeks the switch, leaves it again slowly, and takes where it opens, or the next index pulse, for the known place. Also whether the
-    /// search has gone too far.
+    /// Seeks the switch, leaves it again slowly, and takes its opening, or the next index pulse, as the known place.
+    /// The flag is true if the search has gone too far.
     fn step_home(&mut self, mut homing: Homing, limits: OutputLimits) -> (f32, Following, bool) {
         let goes_back = homing.reference.speed * homing.speed < 0.0 && self.speed * homing.speed <= 0.0;
         if let (Some(at), true) = (self.index_at.take(), homing.awaits_index) {
@@ -878,7 +883,7 @@ impl Motor {
             _ => {}
         }
         let wanted = if homing.backing_off { -BACK_OFF * homing.speed } else { homing.speed };
-        // Where the ends are is not known yet.
+        // The ends of the range are not known yet.
         homing.reference.step(wanted, [f32::INFINITY; 2], &self.control.profile, self.period_s);
         let Ramp { speed: reference, acceleration } = homing.reference;
         let path_duty = self.feed_forward(reference.signum(), reference, acceleration);
@@ -891,7 +896,7 @@ impl Motor {
         (duty, Following::Home(homing), missed)
     }
 
-    /// The search ends at the place that has the number `at` so far.
+    /// Ends the search: the place with the present count `at` is the known one.
     #[inline(never)]
     fn find_zero(&mut self, at: i32, homing: Homing) -> (f32, Following, bool) {
         self.set_zero(at);
@@ -902,7 +907,7 @@ impl Motor {
         (self.duty, Following::Position(Approach::default()), false)
     }
 
-    /// The place that has the number `at` so far is the known one, and the position to rest at.
+    /// Sets the zero: the place with the present count `at` is the known one, and the position to rest at.
     fn set_zero(&mut self, at: i32) {
         let Some(homing) = self.control.homing else { return };
         let resolution = resolution(self.control.feedback);
@@ -926,7 +931,7 @@ impl Motor {
         static_duty * towards + duty_per_speed * speed + duty_per_acceleration * acceleration
     }
 
-    /// What shows that it has moved, rad or m: a count, or more than the noise of a potentiometer.
+    /// Least displacement that counts as motion, rad or m: a count, or more than the noise of a potentiometer.
     fn least_motion(&self) -> f32 {
         match self.control.feedback {
             Feedback::Encoder { .. } => 0.5 * resolution(self.control.feedback),
@@ -940,7 +945,7 @@ impl Motor {
         self.model.as_ref().map_or(configured, |model| model.threshold().max(configured))
     }
 
-    /// From the measured position to the target, rad or m.
+    /// Distance from the measured position to the target, rad or m.
     fn distance(&self) -> f32 {
         self.distance_from(self.position)
     }
@@ -949,8 +954,9 @@ impl Motor {
         (f64::from(self.target) - position) as f32
     }
 
-    /// The end of its range the motor stands at. A position at the very end may be held from both sides; without one, the
-    /// motor has left an end only by more than its sensor's noise, or that would drive it there again and again.
+    /// End of the range at which the motor stands. A position at the very end may be held from both sides; in other
+    /// modes the motor has left an end only by more than its sensor's noise, or the noise would drive it there again
+    /// and again.
     fn end_of_range(&self) -> f32 {
         let range = self.control.position;
         let error = self.control.settle.error;
@@ -960,7 +966,7 @@ impl Motor {
             Following::Speed { .. } | Following::Duty | Following::Home(_) => 0.0,
         };
         if let Following::Home(_) = self.following {
-            // Where the ends are is what is being looked for.
+            // The search does not know the ends yet.
             return 0.0;
         }
         if self.position >= f64::from(range.max - room(1.0)) {
@@ -984,7 +990,7 @@ impl Motor {
         at_rest_s * 1e3 >= f32::from(self.control.settle.time_ms)
     }
 
-    /// For telemetry.
+    /// State of the channel for telemetry.
     #[must_use]
     pub fn status(&self) -> MotorStatus {
         MotorStatus {

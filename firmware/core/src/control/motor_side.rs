@@ -1,27 +1,27 @@
-//! The motor's side of play: a second encoder, what it tells of the play, and when the motor crosses it.
+//! Motor side of a backlash: a second encoder, the backlash that it shows, and detection of the motor crossing it.
 
 use r4_protocol::config::{Feedback, MotorSideConfig};
 
 use super::motor::resolution;
 use crate::sensing::encoder::Encoder;
 
-/// An encoder on the motor's side of play, beside the sensor at the output.
+/// Encoder on the motor's side of the backlash, beside the sensor at the output.
 ///
-/// Both sides are told in rad at the output. Where they stand in the play at the start is not known; how far apart they have been since
-/// is the play that was seen, and what the gear twists.
+/// Both sides are in rad at the output. Their position within the backlash at the start is unknown; the range of their
+/// difference since then is the backlash seen so far plus the twist of the gear.
 #[derive(Clone, Debug)]
 pub(super) struct MotorSide {
     encoder: Encoder,
-    /// rad of a count, and of what counts as motion of the output
+    /// Size of a count, and displacement that counts as motion of the output, rad.
     resolution: f32,
     output_step: f32,
     gap_max: f32,
-    /// The motor's side less the output's at first; `None` before.
+    /// Initial difference of the motor's side minus the output's, rad; `None` before.
     origin: Option<f64>,
     /// Furthest that the motor's side has been behind and ahead since, rad.
     behind: f32,
     ahead: f32,
-    /// Where the output moved last, and how far the motor's side was ahead then.
+    /// Position of the output's last motion, and lead of the motor's side at that moment, rad.
     output: f64,
     ahead_then: f32,
     crosses: bool,
@@ -29,17 +29,19 @@ pub(super) struct MotorSide {
     still: f32,
 }
 
-/// The two sensors are further apart than the play allows: one is not on its shaft any more, or counts wrong.
+/// Error: the two sensors are further apart than the backlash allows. One has come off its shaft, or counts wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Apart;
 
-/// Counts by which an encoder at the output must have moved to be said to move: a shaft may stand between two.
+/// Counts by which an encoder at the output must move to count as moving: a shaft may stand between two.
 const ENCODER_STEP: f32 = 1.5;
-/// Counts of an angle sensor, whose noise of 0.5 counts rms with the fastest filter is seldom more than three apart.
+/// Counts by which an angle sensor must move to count as moving: its noise, 0.5 counts rms with the fastest filter,
+/// seldom exceeds that.
 const ANGLE_STEP: f32 = 3.0;
 
 impl MotorSide {
-    /// Beside an output that `feedback` measures. A motor slower than `still`, rad/s, crosses nothing.
+    /// Creates the motor side of an output that `feedback` measures. A motor slower than `still`, rad/s, does not count
+    /// as crossing.
     pub(super) fn new(config: MotorSideConfig, feedback: Feedback, still: f32, period_s: f32, filter_s: f32) -> Self {
         let MotorSideConfig { index: _, counts_per_turn, inverted, gap_max } = config;
         let steps =
@@ -60,10 +62,10 @@ impl MotorSide {
         }
     }
 
-    /// Takes the encoder's counter and where the output is, rad, or `None` while that is not known.
+    /// Takes the encoder's counter and the position of the output, rad, or `None` while that is unknown.
     ///
     /// # Errors
-    /// [`Apart`], once; what was seen of the play is then forgotten.
+    /// [`Apart`], once; the range of the backlash seen so far is then discarded.
     pub(super) fn update(&mut self, raw: u16, output: Option<f64>) -> Result<(), Apart> {
         let (counts, counts_per_s) = self.encoder.update(raw);
         self.speed = counts_per_s * self.resolution;
@@ -86,7 +88,7 @@ impl MotorSide {
         if output_moved.abs() >= self.output_step {
             (self.output, self.ahead_then) = (output, ahead);
         }
-        // The motor alone, since then: as much as would have moved the output, were there no play.
+        // The motor's own displacement since then: as much as would have moved the output without backlash.
         let moved = output_moved + ahead - self.ahead_then;
         self.crosses = moved.abs() > self.output_step + self.resolution && self.speed.abs() > self.still;
         self.crosses &= output_moved.abs() < self.output_step;
@@ -99,28 +101,28 @@ impl MotorSide {
         (self.output, self.crosses) = (output, false);
     }
 
-    /// The output's position has been found to be so much higher.
+    /// Shifts the output's position by `rad`, after its zero was found.
     pub(super) fn shift(&mut self, rad: f64) {
         self.origin = self.origin.map(|origin| origin - rad);
         self.output += rad;
     }
 
-    /// The motor's side of the play.
+    /// Encoder on the motor's side.
     pub(super) const fn encoder(&self) -> &Encoder {
         &self.encoder
     }
 
-    /// One of its counts, rad at the output.
+    /// Size of one of its counts, rad at the output.
     pub(super) const fn resolution(&self) -> f32 {
         self.resolution
     }
 
-    /// Speed of the motor's side, rad/s.
+    /// Speed of the motor's side, rad/s at the output.
     pub(super) const fn speed(&self) -> f32 {
         self.speed
     }
 
-    /// Whether the motor moves and the output does not: it is on its way from one end of the play to the other.
+    /// Returns true while the motor moves and the output does not: it is crossing the backlash.
     pub(super) const fn crosses(&self) -> bool {
         self.crosses
     }
@@ -132,14 +134,14 @@ mod tests {
 
     const STEP: f32 = core::f32::consts::TAU / 1024.0;
 
-    /// 1024 counts to a turn at the output, 4096 on the motor's side, read each 1/1024 s.
+    /// Sensors with 1024 counts per turn at the output and 4096 on the motor's side, read each 1/1024 s.
     fn side() -> MotorSide {
         let config = MotorSideConfig { index: 1, counts_per_turn: 4096, inverted: false, gap_max: 20.0 * STEP };
         let feedback = Feedback::Encoder { index: 0, counts_per_turn: 1024, inverted: false, counts_per_index: 0 };
         MotorSide::new(config, feedback, 0.01, 1.0 / 1024.0, 0.0)
     }
 
-    /// Where the output is after so many of its counts, rad.
+    /// Position of the output after `counts` of its counts, rad.
     fn output(counts: i32) -> Option<f64> {
         Some(f64::from(counts) * f64::from(STEP))
     }
@@ -148,12 +150,12 @@ mod tests {
     fn a_motor_crosses_play_while_it_moves_alone() {
         let mut side = side();
         side.update(0, output(0)).expect("the first");
-        // Both move: no play.
+        // Both move: no backlash.
         for count in 1..=40 {
             side.update(4 * count, output(count.into())).expect("together");
             assert!(!side.crosses(), "{count}");
         }
-        // 1.5 counts of the output are 6 of the motor's side, and one more: at 7 rounding decides.
+        // A displacement of 1.5 output counts is 6 of the motor's side, plus one: at 7 rounding decides.
         for moved in 1..=30 {
             side.update(160 - moved, output(40)).expect("within the play");
             assert!(moved == 7 || side.crosses() == (moved > 7), "{moved}");
@@ -176,7 +178,7 @@ mod tests {
         assert!(!side.crosses());
     }
 
-    /// From the furthest behind to the furthest ahead: 80 counts of the motor's side are `gap_max`.
+    /// From the furthest behind to the furthest ahead, 80 counts of the motor's side are `gap_max`.
     #[test]
     fn sensors_further_apart_than_the_play_are_told_once() {
         for way in [1, -1] {
@@ -191,7 +193,7 @@ mod tests {
         }
     }
 
-    /// A search finds a place; a sensor is lost for a while.
+    /// A new zero of the output, and a sensor lost for a while, are no backlash.
     #[test]
     fn a_new_zero_is_no_play_and_neither_is_a_sensor_that_is_lost() {
         let mut side = side();

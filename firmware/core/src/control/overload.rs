@@ -1,64 +1,67 @@
-//! Overload protection: the heat of a motor's winding, from its current.
+//! Overload protection: heat of a motor's winding, from its current.
 //!
-//! The winding is one thermal mass. Its heat, as a share of what it withstands, follows `(current / rated)²` by a first-order
-//! lag (the thermal replica of IEC 60255-149 with one time constant). So a constant current of `n` times the rated one
-//! reaches the limit after `thermal_s ln((n² - h) / (n² - 1))` from the heat `h`; the rated current never does.
+//! The winding is one thermal mass. Its heat, as a share of the permitted heat, follows `(current / rated)²` by a
+//! first-order lag (the thermal replica of IEC 60255-149 with one time constant). So a constant current of `n` times
+//! the rated one reaches the limit after `thermal_s ln((n² - h) / (n² - 1))` from the heat `h`; the rated current never
+//! does.
 
 use crc::{CRC_12_CDMA2000, Crc};
 use r4_protocol::{ChannelId, Winding, config::WindingConfig};
 
-/// A winding that has reached its limit stays an overload until it has cooled to this share.
+/// Share of the permitted heat to which a winding must cool until its overload ends.
 ///
-/// Over a reset the heat is kept ([`Overload::resume`]). A board that has been without power does not know for how long and
-/// what its motors did before, so this is the heat every motor starts with there: switching off and on leaves a motor no more
-/// than a trip leaves it that has been cleared. It may spare an operator the wait for that, 0.22 time constants, and never
-/// more. At half of it a restart would forget three times as much heat; at 1 no motor could start before it has cooled.
+/// The heat is kept over a reset ([`Overload::resume`]). A board that was without power knows neither for how long nor
+/// the motors' history, so every motor then starts with this heat: switching off and on gives a motor no more than a
+/// cleared trip does. It may spare an operator the wait for that, 0.22 time constants, and never more. At half of it a
+/// restart would forget three times as much heat; at 1 no motor could start before it has cooled.
 pub const COOLED: f64 = 0.8;
 
-/// Hosts are warned of a winding above this share of what it withstands. Far enough above [`COOLED`], which every motor starts with,
-/// that a cold motor's first movements warn of nothing: with 3 times its rated current it takes 1.2 % of its time constant to come
-/// from the one to the other, a third of a second for 30 s.
+/// Share of the permitted heat above which hosts are warned. Far enough above [`COOLED`], with which every motor
+/// starts, that a cold motor's first movements give no warning: with 3 times its rated current it takes 1.2 % of its
+/// time constant to rise from the one to the other, a third of a second for 30 s.
 pub const HOT: f64 = 0.9;
 
-/// A warning ends below this share: 6 % of a time constant of cooling between two warnings.
+/// Share of the permitted heat below which a warning ends: 6 % of a time constant of cooling between two warnings.
 pub const HOT_ENDS: f64 = 0.85;
 
-/// Over a kept word, with its channel: a burst of up to 12 damaged bits is always seen, other damage but for 1 in 4096.
+/// Checksum over a kept word, with its channel: it detects every burst of up to 12 damaged bits, and other damage
+/// except in 1 of 4096 cases.
 static CHECKSUM: Crc<u16> = Crc::<u16>::new(&CRC_12_CDMA2000);
-/// What the bits of a kept word mean.
+/// Version of the layout of a kept word.
 const LAYOUT: u8 = 1;
-/// A kept word is, from the top, the heat's 19 bits, whether it is an overload, and 12 bits of checksum.
+/// Position of the value in a kept word. From the top: 19 bits of heat, the overload flag, 12 bits of checksum.
 const VALUE_SHIFT: u32 = 12;
-/// Of the mantissa of an `f32`, these bits are not kept.
+/// Number of mantissa bits of an `f32` that are not kept.
 const DROPPED: u32 = 12;
 
-/// The heat in one motor's winding, stepped whether or not the board is armed.
+/// Heat in one motor's winding, stepped whether or not the board is armed.
 #[derive(Clone, Debug)]
 pub struct Overload {
     winding: WindingConfig,
-    /// Share of the way to the settled heat that a period goes.
+    /// Share of the difference to the settled heat that one period covers.
     share: f64,
-    /// Share of what the winding withstands. 64 bit: a period of 1 ms changes the heat of a large motor by less than an ulp
-    /// of an `f32`.
+    /// Heat as a share of the permitted heat. 64 bits: a period of 1 ms changes the heat of a large motor by less than
+    /// an ulp of an `f32`.
     heat: f64,
     present: bool,
     hot: bool,
-    /// The value in the last word that was given out to be kept.
+    /// Value in the last word that was returned for keeping.
     kept: Option<u32>,
 }
 
 impl Overload {
-    /// A winding at [`COOLED`], stepped every `period_s`.
+    /// Creates a winding at [`COOLED`], stepped every `period_s`, s.
     #[must_use]
     pub fn new(winding: WindingConfig, period_s: f32) -> Self {
         let share = -libm::expm1(-f64::from(period_s) / f64::from(winding.thermal_s));
         Self { winding, share, heat: COOLED, present: false, hot: false, kept: None }
     }
 
-    /// The same with the heat and the overload of the `word` that was kept for `channel` before a reset; where that is not
-    /// one of [`Overload::word`]'s, with [`COOLED`] as it is. Never less heat than before the reset, and at most 0.05 % more.
+    /// Restores heat and overload from the `word` kept for `channel` before a reset; if it is not one of
+    /// [`Overload::word`]'s, keeps [`COOLED`]. The restored heat is never less than before the reset, and at most 0.05
+    /// % more.
     ///
-    /// What is kept is in A², so that another `rated_a` since then is another share of what the winding withstands now.
+    /// The kept heat is in A², so that a changed `rated_a` gives another share of the permitted heat now.
     #[must_use]
     pub fn resume(mut self, channel: ChannelId, word: u32) -> Self {
         let value = word >> VALUE_SHIFT;
@@ -71,10 +74,10 @@ impl Overload {
         self
     }
 
-    /// The word to keep over a reset for `channel`, if it is another than the last one given out. Each is checked by itself: a
-    /// reset between two of them damages none.
+    /// Returns the word to keep over a reset for `channel` if it differs from the last one returned. Each word has its
+    /// own checksum: a reset between two writes damages none.
     pub fn word(&mut self, channel: ChannelId) -> Option<u32> {
-        // Up by a step, so that nothing is lost by dropping bits; never to what is infinite.
+        // Rounded up by a step, so that dropped bits lose no heat; never to infinity.
         let magnitude = (((self.heat * self.rated_a2()) as f32).to_bits() >> DROPPED) + 1;
         let value = magnitude.min((f32::INFINITY.to_bits() >> DROPPED) - 1) << 1 | u32::from(self.present);
         (self.kept.replace(value) != Some(value)).then(|| checked(channel, value))
@@ -84,31 +87,31 @@ impl Overload {
         f64::from(self.winding.rated_a) * f64::from(self.winding.rated_a)
     }
 
-    /// As hosts are told. The percentage is rounded down: it says 100 only where the limit is reached.
+    /// Status for hosts. The percentage is rounded down: it shows 100 only where the limit is reached.
     #[must_use]
     pub fn status(&self) -> Winding {
         Winding { heat_percent: (self.heat * 100.0) as u8, hot: self.hot }
     }
 
-    /// What it was configured with.
+    /// Configuration of the winding.
     #[must_use]
     pub fn winding(&self) -> &WindingConfig {
         &self.winding
     }
 
-    /// Share of what the winding withstands.
+    /// Heat as a share of the permitted heat.
     #[must_use]
     pub fn heat(&self) -> f64 {
         self.heat
     }
 
-    /// Whether the motor is overloaded.
+    /// Returns true while the motor is overloaded.
     #[must_use]
     pub fn is_present(&self) -> bool {
         self.present
     }
 
-    /// Takes the current of one step, A, of either sign, and returns whether the motor is overloaded.
+    /// Takes the current of one step, A, of either sign, and returns true if the motor is overloaded.
     pub fn step(&mut self, current_a: f32) -> bool {
         let ratio = f64::from(current_a / self.winding.rated_a);
         self.heat += (ratio * ratio - self.heat) * self.share;
@@ -118,20 +121,20 @@ impl Overload {
     }
 }
 
-/// A kept `value` with its checksum.
+/// Kept word: `value` with its checksum.
 fn checked(channel: ChannelId, value: u32) -> u32 {
-    // In the word's order, so that what is said of bursts holds.
+    // Bytes in the word's order, so that the guarantee for bursts holds.
     let [_, a, b, c] = value.to_be_bytes();
     value << VALUE_SHIFT | u32::from(CHECKSUM.checksum(&[LAYOUT, channel.kind as u8, channel.index, a, b, c]))
 }
 
 /// Mean current of a motor, A: positive where it drives forwards.
 ///
-/// `duty` is what the bridge applies, `speed` in rad/s or m/s at the output, `supply_v` at the bridge. Between pulses both
-/// bridges short the motor, so its current does not stop and the mean voltage is the duty's share of the supply.
+/// `duty` is what the bridge applies, `speed` in rad/s or m/s at the output, `supply_v` at the bridge. Between pulses
+/// both bridges short the motor, so its current does not stop and the mean voltage is the duty's share of the supply.
 ///
-/// Never more than twice the stall current at `supply_v`, which is what full reverse at full speed takes: a speed that an
-/// encoder's fault makes up must not heat the model beyond what the supply can do.
+/// Limited to twice the stall current at `supply_v`, which full reverse at full speed takes: a false speed from a
+/// faulty encoder must not heat the model beyond the capability of the supply.
 #[must_use]
 pub fn current_a(winding: &WindingConfig, duty: f32, speed: f32, supply_v: f32) -> f32 {
     let effective = (duty.abs() - winding.dead_duty).max(0.0);
@@ -170,7 +173,7 @@ mod tests {
         assert_eq!(current(-0.6, 2.0), -4.5);
         assert_eq!(current(0.1, 2.0), -1.5);
         assert_eq!(current(0.0, 0.0), 0.0);
-        // Twice the stall current of 6 A, whatever speed an encoder that jumps makes up.
+        // Limited to twice the stall current of 6 A, whatever speed a jumping encoder shows.
         assert_eq!((current(0.5, -1e6), current(-0.5, 1e6)), (12.0, -12.0));
     }
 
@@ -184,7 +187,7 @@ mod tests {
             cooling += 1;
         }
         assert!(motor.heat() < COOLED && motor.heat() > 0.999 * COOLED);
-        // thermal_s ln(1 / 0.8) = 4.463 s, and the last step went beyond 1.
+        // Cooling takes thermal_s ln(1 / 0.8) = 4.463 s, and the last step went beyond 1.
         assert!((4463..=4475).contains(&cooling), "{cooling} ms");
     }
 
@@ -200,7 +203,7 @@ mod tests {
             motor.step(0.0);
         }
         assert_eq!(motor.status().heat_percent, 84);
-        // Between both it is as it was: no current of 0.87 of the limit's heat makes another warning.
+        // In between the state is kept: no current of 0.87 of the limit's heat gives another warning.
         let between = (0.87f32).sqrt() * WINDING.rated_a;
         assert!((0..100_000).all(|_| !motor.step(between) && !motor.status().hot));
         while !motor.step(6.0) {
@@ -209,7 +212,7 @@ mod tests {
         assert_eq!(motor.status(), Winding { heat_percent: 100, hot: true });
     }
 
-    /// What a backup register holds that nothing was ever written to, or that no bit of works.
+    /// Contents of a backup register that was never written, or that has failed.
     #[test]
     fn words_that_nobody_kept_are_not_taken() {
         for word in [0, u32::MAX, 0x8000_0000, 1] {
@@ -236,7 +239,7 @@ mod tests {
         let word = motor.word(CHANNEL).expect("it has changed");
         let mut resumed = Overload::new(WINDING, 1e-3).resume(CHANNEL, word);
         assert!(resumed.step(0.0), "it has not cooled to {COOLED}");
-        // One that is hot without having reached the limit is none.
+        // A hot motor below the limit has no overload.
         let mut motor = Overload::new(WINDING, 1e-3);
         while motor.heat() < 0.9 {
             motor.step(6.0);
@@ -245,7 +248,7 @@ mod tests {
         assert!(!Overload::new(WINDING, 1e-3).resume(CHANNEL, word).step(0.0));
     }
 
-    /// A warning that was on goes on, where the heat is not known to have been less; below where warnings end there is none.
+    /// A warning survives a reset where the heat may not have been less; below the end of warnings there is none.
     #[test]
     fn a_warning_outlives_a_reset() {
         for (heat, hot) in [(0.86, true), (0.84, false)] {
@@ -255,7 +258,7 @@ mod tests {
         }
     }
 
-    /// More heat than an `f32` holds, as a broken current sensor makes up, is kept as the most that it does hold.
+    /// A heat beyond an `f32`, as from a broken current sensor, is kept as the greatest finite value.
     #[test]
     fn heat_without_end_is_kept_as_much() {
         let mut motor = Overload::new(WINDING, 1e-3);
@@ -266,7 +269,8 @@ mod tests {
     }
 
     proptest! {
-        /// However hot, and with whatever rated current before and after: as much heat as there was, within a step of 2^-11.
+        /// For any heat and any rated current before and after, the restored heat is at least the old one, within a
+        /// step of 2^-11.
         #[test]
         fn heat_is_never_less_after_a_reset(
             currents in prop::collection::vec(-20.0f32..20.0, 0..100),
@@ -284,7 +288,7 @@ mod tests {
             prop_assert!(after.heat() <= expected * (1.0 + 1.0 / 2048.0) + 1e-30, "{} of {}", after.heat(), expected);
         }
 
-        /// Any burst of up to twelve wrong bits of a word is seen; so is the word of another channel.
+        /// Any burst of up to twelve wrong bits of a word is detected; so is the word of another channel.
         #[test]
         fn damaged_words_are_not_taken(heat_current in 0.0f32..3.0, at in 0u32..32, burst in 1u32..0x1000, other in 1u8..8) {
             let mut motor = Overload::new(WINDING, 1e-2);
@@ -301,8 +305,8 @@ mod tests {
             prop_assert_eq!(fresh().resume(ChannelId::new(ChannelKind::Dhb, 0), word).heat(), COOLED);
         }
 
-        /// Whatever time constant, period and constant current: it trips in the period in which the closed form reaches 1,
-        /// within one of it for rounding, and at the rated current never.
+        /// For any time constant, period and constant current it trips in the period in which the closed form reaches
+        /// 1, within one period for rounding, and at the rated current never.
         #[test]
         fn it_trips_when_the_closed_form_does(
             thermal_s in 0.1f32..200.0,
@@ -328,8 +332,7 @@ mod tests {
             prop_assert!((0..10_000).all(|_| !rated.step(winding.rated_a)));
         }
 
-        /// Heat is never forgotten faster than by the time constant, and never below nothing or above the hottest it was
-        /// driven to.
+        /// Heat never decays faster than by the time constant, and stays between zero and the hottest value driven to.
         #[test]
         fn heat_stays_within_what_was_put_in(currents in prop::collection::vec(-20.0f32..20.0, 1..200)) {
             let mut motor = Overload::new(WINDING, 1e-2);

@@ -1,36 +1,38 @@
-//! PID with derivative on the measurement, back-calculation anti-windup, clipped and slew-limited output.
+//! PID controller with derivative on the measurement, back-calculation anti-windup, and a clipped and slew-limited
+//! output.
 
 use crate::within::Within;
 use r4_protocol::config::PidGains;
 
-/// What the output may do.
+/// Limits of the output.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OutputLimits {
-    /// Largest magnitude.
+    /// Largest magnitude of the output.
     pub magnitude: f32,
-    /// Fastest change, 1/s.
+    /// Fastest change of the output, 1/s.
     pub slew_per_s: f32,
 }
 
 impl OutputLimits {
-    /// An integral, bounded: no load needs more than the whole range of the output, from one end to the other.
+    /// Limits an integral: no load needs more than the whole range of the output, from one end to the other.
     fn bound(self, integral: f32) -> f32 {
         integral.within(-2.0 * self.magnitude, 2.0 * self.magnitude)
     }
 }
 
-/// A loop without an integral part lets go of an integral with this time constant, s.
+/// Time constant with which a loop without an integral part releases an integral, s.
 const FORGET_S: f32 = 5.0;
 
-/// A PID loop of fixed period.
+/// PID loop of fixed period.
 ///
-/// `u = kp e + I - kd v + ff`, clipped to ± the magnitude and slew-limited. The derivative acts on the measured rate `v`
-/// (relative to the path, where there is one), never on the error: a step of the set point does not kick. There is no time in the interface: the period is fixed, so
-/// nothing divides by a measured interval and a wait before the first step leaves no trace.
+/// `u = kp e + I - kd v + ff`, clipped to ± the magnitude and slew-limited. The derivative acts on the measured rate
+/// `v` (relative to the path, where there is one), never on the error: a step of the set point does not kick. There is
+/// no time in the interface: the period is fixed, so nothing divides by a measured interval and a wait before the first
+/// step leaves no trace.
 ///
-/// Anti-windup: while the output is limited and the error asks for more, integration waits and back-calculation with the
-/// tracking time `kp / ki` unloads `I`, though never past zero. Unlimited back-calculation would drive `I` to the limit
-/// itself during a long saturation, or far beyond zero on a large step, and either is an overshoot later.
+/// Anti-windup: while the output is limited and the error asks for more, integration waits and back-calculation with
+/// the tracking time `kp / ki` unloads `I`, though never past zero. Unlimited back-calculation would drive `I` to the
+/// limit itself during a long saturation, or far beyond zero on a large step, and either is an overshoot later.
 #[derive(Clone, Debug)]
 pub struct Pid {
     gains: PidGains,
@@ -41,12 +43,12 @@ pub struct Pid {
     output: f32,
 }
 
-/// The period of a loop must be a positive number of seconds.
+/// Error: the period of a loop must be a positive number of seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BadPeriod;
 
 impl Pid {
-    /// A loop at rest.
+    /// Creates a loop at rest.
     ///
     /// # Errors
     /// [`BadPeriod`] unless `period_s` is finite and positive.
@@ -57,11 +59,12 @@ impl Pid {
         Ok(Self { gains, period_s, integral: 0.0, error: 0.0, rate: 0.0, output: 0.0 })
     }
 
-    /// One period.
+    /// Advances one period and returns the output.
     ///
     /// `error` is set point minus measurement, `rate` the filtered rate of the measurement, `feed_forward` a duty.
-    /// An input that is not finite, or too large to compute with, takes the output to 0 at its slew limit and leaves the
-    /// rest of the loop as it was.
+    ///
+    /// An input that is not finite, or too large to compute with, takes the output to 0 at its slew limit and leaves
+    /// the rest of the loop unchanged.
     pub fn step(&mut self, error: f32, rate: f32, feed_forward: f32, limits: OutputLimits) -> f32 {
         let PidGains { kp, ki, kd } = self.gains;
         let unlimited = kp * error + self.integral - kd * rate + feed_forward;
@@ -79,7 +82,7 @@ impl Pid {
             let unload = (excess * tracking).abs().min(self.integral.abs());
             if self.integral * excess > 0.0 { self.integral - unload.copysign(excess) } else { self.integral }
         } else if ki == 0.0 {
-            // Left by other gains, or pushed: nothing else would ever unload it.
+            // The integral comes from other gains, or was pushed: nothing else would ever unload it.
             limits.bound(self.integral - self.integral * (self.period_s / FORGET_S).min(1.0))
         } else {
             limits.bound(self.integral + ki * error * self.period_s)
@@ -90,48 +93,48 @@ impl Pid {
         output
     }
 
-    /// Takes new gains without a jump: the integral absorbs what the other parts change by.
+    /// Sets new gains without a jump: the integral absorbs the change of the other parts.
     pub fn set_gains(&mut self, gains: PidGains) {
         let change = (gains.kp - self.gains.kp) * self.error - (gains.kd - self.gains.kd) * self.rate;
         self.integral -= change;
         self.gains = gains;
     }
 
-    /// What has been integrated, a duty.
+    /// Integral part of the output, a duty.
     #[must_use]
     pub const fn integral(&self) -> f32 {
         self.integral
     }
 
-    /// Takes back what was integrated since it was `integral`.
+    /// Restores the integral to an earlier value, which removes the integration since then.
     pub const fn set_integral(&mut self, integral: f32) {
         self.integral = integral;
     }
 
-    /// Adds to the integral.
+    /// Adds `duty` to the integral.
     pub fn push(&mut self, duty: f32, limits: OutputLimits) {
         self.integral = limits.bound(self.integral + duty);
     }
 
-    /// Lets go a share of the integral.
+    /// Releases a share of the integral.
     pub fn leak(&mut self, share: f32) {
         self.integral -= self.integral * share;
     }
 
-    /// Lets go a share of an integral that works against `error`.
+    /// Releases a share of an integral that opposes `error`.
     pub fn unload_against(&mut self, error: f32, share: f32) {
         if self.integral * error < 0.0 {
             self.integral -= self.integral * share;
         }
     }
 
-    /// Puts the loop at rest with the output at `output`, of which `integral` had been integrated.
+    /// Resets the loop to rest with the output `output`, of which `integral` is the integral part.
     pub fn hold(&mut self, output: f32, integral: f32) {
         self.reset(output);
         self.integral = integral;
     }
 
-    /// Puts the loop at rest with the output at `output`, from where the slew limit starts.
+    /// Resets the loop to rest with the output `output`, from which the slew limit starts, and without an integral.
     pub fn reset(&mut self, output: f32) {
         self.integral = 0.0;
         self.error = 0.0;
@@ -159,7 +162,7 @@ mod tests {
         assert_eq!(pid(0.0, 0.0, 0.5).step(7.0, 3.0, 0.0, FREE), -1.5);
         let mut integral = pid(0.0, 4.0, 0.0);
         let after_a_second = (0..=1000).map(|_| integral.step(0.5, 0.0, 0.0, FREE)).last().expect("stepped");
-        // 1000 sums in f32 of 0.002: relative error below 1000 ulp/2.
+        // Sum of 1000 values of 0.002 in f32: relative error below 1000 ulp/2.
         assert!((after_a_second - 2.0).abs() < 1e-4, "{after_a_second}");
     }
 
@@ -170,10 +173,10 @@ mod tests {
         for _ in 0..60_000 {
             assert_eq!(pid.step(1.0, 0.0, 0.0, limits), 0.5);
         }
-        // Nothing was integrated in that minute: the output turns with the error.
+        // Nothing was integrated in that minute: the output follows the sign of the error.
         assert!(pid.step(-0.01, 0.0, 0.0, limits) < 0.0);
 
-        // And what was integrated before the limit was reached is unloaded in a few tracking times of kp / ki = 0.4 s.
+        // An integral from before the saturation is unloaded in a few tracking times of kp / ki = 0.4 s.
         let mut loaded = self::pid(2.0, 5.0, 0.0);
         while loaded.step(0.2, 0.0, 0.0, limits) < 0.5 {}
         for _ in 0..4000 {
@@ -190,7 +193,7 @@ mod tests {
         for period in 0..2000u16 {
             let error = if period / 100 % 2 == 0 { 1.0 } else { -1.0 };
             let output = pid.step(error, 0.0, 0.0, limits);
-            // One rounding of the sum last + step.
+            // One rounding error of the sum last + step.
             assert!((output - last).abs() <= 10.0 * PERIOD_S + 1e-6);
             last = output;
         }
@@ -201,11 +204,11 @@ mod tests {
         let mut pid = pid(0.0, 0.0, 0.0);
         pid.push(0.5, FREE);
         let after_5_s = (0..=5000).map(|_| pid.step(1.0, 0.0, 0.0, FREE)).last().expect("stepped");
-        // (1 - 1/5000)^5000
+        // Discrete decay: (1 - 1/5000)^5000.
         assert!((after_5_s - 0.5 * 0.36784).abs() < 1e-4, "{after_5_s}");
     }
 
-    /// Bounded to twice the magnitude, either way, whichever way it comes there.
+    /// The integral is limited to twice the magnitude, in both directions and by every path.
     #[test]
     fn an_integral_is_bounded_from_one_end_of_the_output_to_the_other() {
         let limits = OutputLimits { magnitude: 0.5, slew_per_s: f32::MAX };
@@ -214,7 +217,7 @@ mod tests {
             pushed.push(sign * 9.0, limits);
             assert_eq!(pushed.integral, sign);
             let mut integrated = pid(0.0, 1024.0, 0.0);
-            // A feed-forward against it keeps the output from its limit.
+            // An opposing feed-forward keeps the output from its limit.
             (0..100).for_each(|_| _ = integrated.step(sign, 0.0, -sign, limits));
             assert_eq!(integrated.integral, sign);
             let mut forgetting = pid(0.0, 0.0, 0.0);
@@ -224,17 +227,19 @@ mod tests {
         }
     }
 
-    /// At an output of 0 or beyond, with an error that asks for more, by `excess ki / kp` a period and never beyond 0; without a
-    /// proportional part by all of the excess. An integral that does not reach for the limit, and one without an error, stays.
+    /// While the output is limited and the error asks for more, the integral shrinks by `excess ki / kp` per period and
+    /// never passes 0; without a proportional part by the whole excess. An integral of the other sign, or without an
+    /// error, stays.
     #[test]
     fn what_is_beyond_the_limit_unloads_the_integral() {
         let limits = OutputLimits { magnitude: 0.5, slew_per_s: f32::MAX };
         for sign in [1.0, -1.0] {
-            // kp, ki, error, feed-forward and integral, of which `kp error + I + ff - 0.5` is the excess.
+            // Columns: kp, ki, error, feed-forward, and the integral before and after; `kp error + I + ff - 0.5` is the
+            // excess.
             for (kp, ki, error, feed_forward, before, after) in [
                 (1.0, 128.0, 1.0, 0.0, 0.5, 0.5 - 128.0 * PERIOD_S),
                 (2.0, 128.0, 1.0, 0.5, 0.5, 0.5 - 2.5 * 64.0 * PERIOD_S),
-                // The tracking time is at least a period.
+                // The tracking time is at least one period.
                 (0.5, 4096.0, 0.5, 0.25, 0.75, 0.0),
                 (0.25, 4096.0, 1.0, 0.0, 0.75, 0.25),
                 (0.0, 1.0, 1.0, 0.0, 0.75, 0.5),
@@ -251,7 +256,8 @@ mod tests {
         }
     }
 
-    /// Down at the slew limit, from either side, exactly to 0; what was integrated is there when numbers come again.
+    /// A non-finite input takes the output to exactly 0 at the slew limit, from either side; the integral is kept for
+    /// the next valid input.
     #[test]
     fn an_input_that_is_no_number_takes_the_output_to_0() {
         let limits = OutputLimits { magnitude: 0.5, slew_per_s: 125.0 };
@@ -267,7 +273,7 @@ mod tests {
         }
     }
 
-    /// A share of it, and only where it works against the error.
+    /// Only an integral that opposes the error is unloaded, by the given share.
     #[test]
     fn an_integral_against_the_error_is_unloaded() {
         for (integral, error, after) in
@@ -314,7 +320,7 @@ mod tests {
                 let output = pid.step(error, speed, feed_forward, limits);
                 prop_assert!(output.abs() <= 0.95, "{}", output);
             }
-            // And it recovers from whatever that was.
+            // The loop recovers from any such input.
             for _ in 0..10_000 {
                 pid.step(0.0, 0.0, 0.0, limits);
             }

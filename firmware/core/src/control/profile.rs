@@ -1,8 +1,8 @@
-//! Path of a motor to a position, told as the distance still to go, and the ramp of a motor's speed.
+//! Path of a motor to a position, kept as the distance to go, and ramp of a motor's speed.
 //!
-//! Without a limit of jerk a path is a trapezoid, whose next speed follows from the distance to go alone. With one it is planned when it
-//! begins, by the steppers' [`scurve`](crate::motion::scurve), and stored as its remaining segments of constant jerk; each control period
-//! evaluates one cubic of them.
+//! Without a limit of jerk a path is a trapezoid, whose next speed follows from the distance to go alone. With a limit
+//! it is planned when it begins, by the steppers' [`scurve`](crate::motion::scurve), and stored as its remaining
+//! segments of constant jerk; each control period evaluates one of their cubics.
 
 use crate::{
     motion::scurve::{Limits, Motion, Path, Position},
@@ -11,51 +11,51 @@ use crate::{
 };
 use r4_protocol::config::ProfileLimits;
 
-/// Where a path has come.
+/// State of a path at one moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Moment {
     /// Distance to the target, rad or m.
     pub to_go: f32,
-    /// rad/s or m/s
+    /// Speed of the path, rad/s or m/s.
     pub speed: f32,
-    /// rad/s² or m/s², which led to that speed.
+    /// Acceleration of the last period, rad/s² or m/s².
     pub acceleration: f32,
 }
 
-/// A path with limited speed, acceleration and, where the limits have one, jerk.
+/// Path with limited speed, acceleration and, where the limits have one, jerk.
 ///
-/// It is kept as the distance to go and not as a position, so that its resolution is best where it matters, near the
-/// target, however far from zero that is.
+/// It stores the distance to go and not a position, so that its resolution is best near the target, however far that is
+/// from zero.
 #[derive(Clone, Copy, Debug)]
 pub struct Profile {
     limits: ProfileLimits,
     period_s: f32,
     now: Moment,
-    /// How it goes on where jerk is limited.
+    /// Remaining segments where jerk is limited.
     arcs: Arcs,
 }
 
 impl Profile {
-    /// A path that has arrived.
+    /// Creates a path that has arrived.
     #[must_use]
     pub fn new(limits: ProfileLimits, period_s: f32) -> Self {
         Self { limits, period_s, now: Moment::default(), arcs: Arcs::NONE }
     }
 
-    /// Starts anew: `distance` away from the target, moving at `speed` (clipped to the limit).
+    /// Starts a new path `distance` away from the target, moving at `speed` (clipped to the limit).
     pub fn start(&mut self, distance: f32, speed: f32) {
         let speed = speed.within(-self.limits.speed, self.limits.speed);
         self.join(distance, Ramp { speed, acceleration: 0.0 });
     }
 
-    /// Goes on from a motion that is under way, `distance` away from the target: a speed or acceleration above the limits is brought
-    /// inside by them.
+    /// Continues from a motion under way, `distance` away from the target: a speed or acceleration above the limits is
+    /// brought inside by them.
     pub fn join(&mut self, distance: f32, Ramp { speed, acceleration }: Ramp) {
         self.now = Moment { to_go: distance, speed, acceleration };
         self.plan();
     }
 
-    /// Where it has come.
+    /// State at the present period.
     #[must_use]
     pub fn now(&self) -> Moment {
         self.now
@@ -67,7 +67,7 @@ impl Profile {
         self.plan();
     }
 
-    // At commands, not each period: it stays in flash.
+    // Called for commands, not each period, so it may stay in flash.
     #[inline(never)]
     fn plan(&mut self) {
         if self.limits.jerk != 0.0 {
@@ -75,7 +75,7 @@ impl Profile {
         }
     }
 
-    /// One period along the path; returns where it has come.
+    /// Advances one period along the path and returns its state.
     pub fn step(&mut self) -> Moment {
         let ProfileLimits { speed, acceleration, jerk } = self.limits;
         let Moment { to_go, speed: before, .. } = self.now;
@@ -88,18 +88,19 @@ impl Profile {
         self.now
     }
 
-    /// How far this motion goes on at least until it rests, rad or m.
+    /// Shortest distance, rad or m, over which `motion` comes to rest.
     #[must_use]
     pub fn stopping(&self, motion: Ramp) -> f32 {
         motion.stopping(&self.limits)
     }
 }
 
-/// One period of a trapezoid of `rate` towards a target `to_go` away: what is left to go, and the rate.
+/// Advances a trapezoid of `rate` by one period towards a target `to_go` away; returns the remaining distance and the
+/// rate.
 fn towards(to_go: f32, rate: f32, most: f32, change_per_s: f32, dt: f32) -> (f32, f32) {
     let distance = to_go.abs();
     let side = if to_go < 0.0 { -1.0 } else { 1.0 };
-    // The highest rate from which stopping in steps of `dt` ends exactly at the target: v²/2a + v dt/2 = distance.
+    // Highest rate from which stopping in steps of `dt` ends exactly at the target: v²/2a + v dt/2 = distance.
     let half = change_per_s * dt / 2.0;
     let stoppable = sqrtf(half * half + 2.0 * change_per_s * distance) - half;
     let wanted = side * stoppable.min(most);
@@ -109,21 +110,22 @@ fn towards(to_go: f32, rate: f32, most: f32, change_per_s: f32, dt: f32) -> (f32
     if distance <= change * dt && moved.abs() <= change * dt { (0.0, 0.0) } else { (to_go - moved, rate) }
 }
 
-/// Full speed, cruise, braking: more stretches of constant jerk no path has.
+/// Largest number of segments of constant jerk in a path: speeding up, cruise, braking.
 const MAX_ARCS: usize = 7;
 
-/// What is left of a path with limited jerk.
+/// Remaining part of a path with limited jerk.
 #[derive(Clone, Copy, Debug)]
 struct Arcs {
-    /// s; 0 where there are fewer.
+    /// Durations of the segments, s; 0 for unused ones.
     durations_s: [f64; MAX_ARCS],
-    /// Their jerks, in units of the limit.
+    /// Jerks of the segments, in units of the limit.
     jerks: [i8; MAX_ARCS],
-    /// The first that is not over.
+    /// Index of the first unfinished segment.
     first: u8,
-    /// The state at its start: distance to go, rad or m, and its first two derivatives in time, with the sign of the motion.
+    /// State at its start: distance to go, rad or m, and the position's first two derivatives, rad/s and rad/s² or m/s
+    /// and m/s².
     from: [f64; 3],
-    /// Since then, s.
+    /// Time since then, s.
     time_s: f64,
 }
 
@@ -147,7 +149,7 @@ impl Arcs {
         arcs
     }
 
-    /// One period on.
+    /// Advances one period and returns the path's state.
     fn step(&mut self, jerk: f64, period_s: f64) -> Moment {
         self.time_s += period_s;
         let first = usize::from(self.first);
@@ -167,23 +169,23 @@ impl Arcs {
             self.time_s -= duration_s;
             self.first += 1;
         }
-        // Arrived, but for rounding.
+        // Arrived, up to rounding.
         Moment::default()
     }
 }
 
-/// A speed on its way to another.
+/// Speed ramp: the present speed on its way to another.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ramp {
-    /// rad/s or m/s
+    /// Present speed, rad/s or m/s.
     pub speed: f32,
-    /// rad/s² or m/s², which led to that speed.
+    /// Acceleration of the last period, rad/s² or m/s².
     pub acceleration: f32,
 }
 
 impl Ramp {
-    /// One period on the way to the speed `wanted`, or to one at which it can stop within the room that there is behind and ahead, rad or
-    /// m: that speed.
+    /// Advances one period towards the speed `wanted`, or towards one from which it can stop within the room behind and
+    /// ahead, rad or m. Returns the speed aimed at.
     pub fn step(&mut self, wanted: f32, [behind, ahead]: [f32; 2], limits: &ProfileLimits, dt: f32) -> f32 {
         let before = self.speed;
         if limits.jerk == 0.0 {
@@ -200,7 +202,7 @@ impl Ramp {
                 Self { speed: wanted - to_go, acceleration }
             };
             let next = towards(wanted);
-            // This period, and as much again for ramps that change their jerk in whole periods.
+            // The distance of this period, and as much again for ramps that change their jerk in whole periods.
             let stopping = next.stopping(limits) + 2.0 * next.speed * dt;
             let passes = wanted > 0.0 && stopping > ahead || wanted < 0.0 && -stopping > behind;
             let wanted = if passes { 0.0 } else { wanted };
@@ -209,16 +211,17 @@ impl Ramp {
         }
     }
 
-    /// How far it goes on at least until it rests, by these limits; negative where that is behind. An acceleration above its limit counts
-    /// as one at it.
+    /// Shortest stopping distance within the limits, rad or m; negative if it lies behind. An acceleration above its
+    /// limit counts as the limit.
     fn stopping(self, limits: &ProfileLimits) -> f32 {
         let most = f64::from(limits.acceleration);
         let per_jerk = if limits.jerk == 0.0 { 0.0 } else { 1.0 / f64::from(limits.jerk) };
         let (speed, acceleration) = (f64::from(self.speed), f64::from(self.acceleration).within(-most, most));
-        // Which way it still moves when its acceleration has been taken back.
+        // Sign of the speed after its acceleration has been removed.
         let side = (speed + acceleration * acceleration.abs() * per_jerk / 2.0).signum();
         let (speed, acceleration) = (side * speed, side * acceleration);
-        // From `whole` and no acceleration, braking begins or has begun so much later or earlier.
+        // Compared with braking from `whole` without acceleration, braking begins, or has begun, that much later or
+        // earlier.
         let later_s = acceleration * per_jerk;
         let whole = (speed + acceleration * later_s / 2.0).max(0.0);
         let onset_s = most * per_jerk;

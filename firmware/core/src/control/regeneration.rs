@@ -1,16 +1,19 @@
-//! Regeneration: a braking motor feeds its supply, and one that takes nothing back rises until the board trips.
+//! Limit of regeneration: a braking motor feeds its supply, and the voltage of a supply that takes nothing back rises
+//! until the board trips.
 //!
-//! A motor feeds back while its mean voltage is below its back-EMF and of the same sign. Above the configured voltage its
-//! duty is therefore moved towards the one without current, by a share that grows with the voltage. Braking gets weaker;
-//! shorting the motor (duty 0) and driving it backwards stay as they are, as neither feeds the supply.
+//! A motor feeds back while its mean voltage is below its back-EMF and of the same sign. Above the configured voltage
+//! its duty is therefore moved towards the one without current, by a share that grows with the voltage. Braking gets
+//! weaker; shorting the motor (duty 0) and driving it backwards stay as they are, as neither feeds the supply.
 
 use r4_protocol::config::{SupplyConfig, WindingConfig};
 
-/// Of the way from `regeneration_v` to the highest voltage, the part in which regeneration ends: our choice. The rest is for
-/// what a motor still feeds back until a new duty takes effect, some 2 ms: the period that measured, and a PWM period.
+/// Point between `regeneration_v` and the highest voltage at which regeneration ends, as a share of the distance: our
+/// choice. The rest is for the energy that a motor still feeds back until a new duty takes effect, some 2 ms: the
+/// measuring period and a PWM period.
 const ENDS_AT: f32 = 0.5;
 
-/// Share of a motor's regeneration that its supply takes at `measured_v`: 1 up to `regeneration_v`, then less, then 0.
+/// Share of a motor's regeneration that its supply accepts at `measured_v`: 1 up to `regeneration_v`, then falling to
+/// 0.
 #[must_use]
 pub fn share(supply: &SupplyConfig, measured_v: f32) -> f32 {
     let Some(begins_v) = supply.regeneration_v.filter(|begins_v| measured_v > *begins_v) else { return 1.0 };
@@ -18,7 +21,7 @@ pub fn share(supply: &SupplyConfig, measured_v: f32) -> f32 {
     (1.0 - (measured_v - begins_v) / width_v).clamp(0.0, 1.0)
 }
 
-/// `duty`, or where that feeds the supply back more than its `share`, the duty that does not.
+/// Returns `duty`, or, where that feeds back more than `share`, the duty that does not.
 #[must_use]
 pub fn limit(winding: &WindingConfig, duty: f32, speed: f32, supply_v: f32, share: f32) -> f32 {
     if share >= 1.0 || duty * speed <= 0.0 || duty.abs() <= winding.dead_duty {
@@ -68,13 +71,14 @@ mod tests {
         assert_eq!(share(&SupplyConfig { regeneration_v: None, ..SUPPLY }, 31.0), 1.0);
     }
 
-    /// Mean current that a motor takes from its supply, A: the share of the time that the bridge connects it.
+    /// Mean current that a motor takes from its supply, A: its current times the share of time that the bridge connects
+    /// it.
     fn supply_a(duty: f32, speed: f32, supply_v: f32) -> f32 {
         (duty.abs() - WINDING.dead_duty).max(0.0) * current_a(&WINDING, duty, speed, supply_v) * duty.signum()
     }
 
     proptest! {
-        /// What is fed back is never more than without the limit by more than the share allows, driving is left alone, and no
+        /// For any duty, the fed back current stays within the share of the unlimited one, driving is unchanged, and no
         /// duty changes its sign.
         #[test]
         fn only_regeneration_is_limited(
@@ -89,7 +93,7 @@ mod tests {
                 prop_assert_eq!(limited, duty);
             } else {
                 prop_assert!(limited.abs() >= duty.abs() && limited * duty > 0.0);
-                // The current shrinks to its share; 1e-3 A are roundings of 60 A.
+                // The current shrinks to its share; 1e-3 A are rounding errors of 60 A.
                 let (was, is) = [duty, limited].map(|duty| overload::current_a(&WINDING, duty, speed, supply_v)).into();
                 let share_of = (share * was).abs();
                 prop_assert!((is.abs() <= share_of + 1e-3) || limited.abs() == 1.0, "{was} A became {is} A");

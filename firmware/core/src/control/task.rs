@@ -1,4 +1,4 @@
-//! The control task: one pass per period, and out of turn when outputs must be made safe.
+//! The control task: one pass per period, and additional ones when outputs must be made safe.
 
 use core::{
     future::Future,
@@ -35,41 +35,42 @@ use crate::{
     storage::faults::SNAPSHOT_MS,
 };
 
-/// From closing the motors' supply to the first duty: contacts bounce, and bridges want 10 ms of good supply.
+/// Time from closing the motors' supply to the first duty: contacts bounce, and bridges need 10 ms of good supply.
 const POWER_UP: Duration = Duration::from_millis(50);
-/// A start waits so long at most for the angles of motors: 100 ms until sensors are asked, three transfers to set one up, one to read it,
-/// in a period each, and room for a bus that fails at first.
+/// Longest wait of a start for the angles of motors: 100 ms until sensors are polled, three transfers for the set-up,
+/// one for a reading, one per period, and a margin for a bus that fails at first.
 const FIRST_ANGLES: Duration = Duration::from_millis(150);
-/// While armed, one thing is read back from the chips every so many periods; while safe, every period.
+/// Interval of the read-back checks while armed, periods; while safe there is one each period.
 const CHECK_EVERY: u32 = 4;
 /// Control periods between two updates of a winding's heat and of its motor's supply voltage; neighbouring motors update in different
 /// periods. Windings take seconds to heat. Only the current of the last period counts: at a duty slew limit of 20 1/s and periods of 1 ms it
 /// differs from those in between by at most 0.16 of duty. When this was set, the 99.9 % tick of every-interface took 20 327 instructions with
 /// an update in each period, and 19 720 with one in four (`r4 bench firmware`).
 const WINDING_TURNS: usize = 8;
-/// Statuses of brushless drives, servos and relays, which have no feedback, are published in rotation, one kind in each period: telemetry
-/// shows them up to this many periods late. All in each period take 230 instructions more in the median tick of every-interface.
+/// Number of control periods in which the statuses of brushless drives, servos and relays, which have no feedback, are
+/// published in rotation, one kind each: telemetry shows them up to this many periods late. All in each period take 230
+/// instructions more in the median tick of every-interface.
 const PUBLISH_TURNS: u32 = 3;
-/// While safe, the safe state is written again every so many periods.
+/// Interval of rewriting the safe state while safe, periods.
 const REASSERT_EVERY: u32 = 16;
-/// As many late periods in a row are an overrun: the loops compute with a period that is not theirs.
+/// Number of consecutive late periods that is an overrun: the loops then compute with a wrong period.
 const LATE_IN_A_ROW: u32 = 10;
 
-/// What the control task works with.
+/// Hardware of the control task.
 pub struct BoardIo<B, P> {
-    /// The I2C bus with the board's chips.
+    /// I2C bus of the board's chips.
     pub bus: B,
-    /// Counters, converters, switches, step generators.
+    /// Peripherals of the processor: counters, converters, switches, step generators.
     pub peripherals: P,
 }
 
-/// Runs the control loop for ever, with the second highest priority.
+/// Runs the control loop indefinitely, with the second highest priority.
 pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: BoardIo<B, P>) -> ! {
     let config = shared.config();
     let mut control = Control::new(config, io);
     control.initialise(shared).await;
     control.find_angles(shared).await;
-    // Sensors are read before the first host is answered: it is told of a flat battery at once.
+    // Sensors are read before the first host is answered, so that the first answer already shows a flat battery.
     control.sense(shared);
     shared.set_control_causes(control.causes());
     shared.set_started();
@@ -99,7 +100,7 @@ pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: Bo
         });
         late_in_a_row = if end > due { late_in_a_row + 1 } else { 0 };
         if end > due {
-            // Skip what was missed: two passes at once would see the same sensors twice.
+            // Missed periods are skipped: two passes at once would see the same sensors twice.
             due = end;
         }
         if late_in_a_row == LATE_IN_A_ROW {
@@ -107,7 +108,7 @@ pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: Bo
             shared.trip(Cause::ControlOverrun);
         }
         while let Either::Second(()) = select(Timer::at(due), shared.make_safe.wait()).await {
-            // Stopped, also when it has been cleared and armed again before we could look.
+            // Stopped, also when it has been cleared and armed again before this check.
             let view = shared.safety();
             if view.state != SafetyState::Armed || view.epoch != control.epoch {
                 control.stop(shared).await;
@@ -117,14 +118,15 @@ pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: Bo
     }
 }
 
-/// The moment at which each period begins, under a name: whoever measures the firmware from outside, in an emulator or with a
-/// debugger, finds it among the symbols. It does nothing else, and no two functions are alike so that they would be merged.
+/// Marks the beginning of each period by its symbol: a measurement from outside, in an emulator or by a debugger, sets
+/// its breakpoint here. It does nothing else, and differs from every other function so that it is not merged with one.
 #[inline(never)]
 fn period_begins(at: Instant) -> Instant {
     core::hint::black_box(at)
 }
 
-/// A future whose code is not made part of its caller's, which is placed where it runs fast.
+/// Returns the future itself, opaque to the optimiser: its code is not inlined into the caller, which is placed in fast
+/// memory.
 fn apart<'f, T>(future: Pin<&'f mut (dyn Future<Output = T> + 'f)>) -> Pin<&'f mut (dyn Future<Output = T> + 'f)> {
     core::hint::black_box(future)
 }
@@ -133,41 +135,41 @@ struct Control<B, P> {
     outputs: Outputs<B>,
     peripherals: P,
     motors: Vec<Axis, MAX_MOTORS>,
-    /// Of each motor with a winding: its overload protection, and which of the supplies feeds it.
+    /// Overload protection of each motor with a winding, and the index of the supply that feeds it.
     windings: Vec<Option<(Overload, Option<usize>)>, MAX_MOTORS>,
-    /// Of each motor's encoder: how often it does what no shaft does.
+    /// Rate of illegal transitions of each motor's encoder.
     illegal: [IllegalRate; MAX_MOTORS],
-    /// `None` without steppers.
+    /// All steppers; `None` without any.
     steppers: Option<Bank>,
     stepper_setpoints: [Setpoint; STEPPERS],
     inputs: Inputs,
-    /// When the motors' supply may be relied on.
+    /// Time from which the motors' supply may be relied on.
     powered_at: Instant,
-    /// The arming whose commands are being followed.
+    /// Epoch of the arming whose commands are being followed.
     epoch: u16,
     tick: u32,
-    /// What went wrong with the outputs since they were last initialised.
+    /// Fault of the outputs since they were last initialised.
     fault: Option<OutputFault>,
-    /// Whether the safe state has been written since the outputs were last driven.
+    /// True if the safe state has been written since the outputs were last driven.
     safe: bool,
-    /// The arming whose stop has its brakes written: see [`crate::safety::stop`].
+    /// Epoch of the arming whose braking stop has been written: see [`crate::safety::stop`].
     braked: Option<u16>,
     bad_configuration: bool,
     /// Sensors on the I2C bus.
     bus_sensors: Sensors,
-    /// What the inputs show, and when they were read last.
+    /// Causes shown by the inputs, and the time of their last reading.
     sensors: Causes,
     sensed: Instant,
-    /// How many trips have been seen, and when one was that is still to be handed over.
+    /// Number of trips seen, and the time of one that is still to be handed over, µs.
     trips: u32,
     tripped_us: Option<u64>,
-    /// Periods between two moments.
+    /// Number of periods between two snapshots for the fault history.
     moment_every: u32,
 }
 
 impl<B: Bus, P: Peripherals> Control<B, P> {
-    /// With a configuration that is not valid there is nothing to drive, only outputs to hold safe.
-    // By itself: its temporaries would stay on the stack for as long as the task runs.
+    /// Creates the task's state. An invalid configuration leaves nothing to drive, only outputs to hold safe.
+    // A function of its own: inlined, its temporaries would stay on the stack for as long as the task runs.
     #[inline(never)]
     fn new(config: &BoardConfig, io: BoardIo<B, P>) -> Self {
         let period_s = config.control_period_us as f32 * 1e-6;
@@ -200,7 +202,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             tripped_us: None,
             moment_every: (u32::from(SNAPSHOT_MS) * 1000 / config.control_period_us.max(1)).max(1),
         };
-        // In place: motors are half of it, and a copy of them would be that much more of the stack.
+        // Extended in place: motors are half of the state, and a copy of them would need that much more stack.
         let motors = config.motors.iter().filter(|_| valid);
         control.motors.extend(motors.clone().map_while(|motor| Axis::new(motor, period_s).ok()));
         let winding_s = period_s * WINDING_TURNS as f32;
@@ -213,7 +215,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         control
     }
 
-    /// The period that was to begin at `due`.
+    /// Runs the period that was to begin at `due`.
     async fn tick<M: RawMutex>(&mut self, shared: &Shared<M>, due: Instant) {
         self.tick = self.tick.wrapping_add(1);
         self.outputs.begin_tick();
@@ -224,7 +226,8 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         while let Some((index, tuning)) = shared.take_tuning() {
             self.motors.get_mut(index).into_iter().for_each(|motor| motor.set_tuning(tuning));
         }
-        // Before the bus, which takes from nothing to a whole period: pulses are told two periods ahead, from a steady moment.
+        // Before the bus, whose time varies up to a whole period: pulses are queued two periods ahead, from a steady
+        // moment.
         self.step_steppers(shared);
         self.outputs.bus().leave_time(Instant::now().saturating_duration_since(due));
         let view = shared.safety();
@@ -239,10 +242,10 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         shared.set_control_causes(self.causes());
     }
 
-    /// Notes what the board looks like, and hands a trip with its last moments to the fault history.
+    /// Takes snapshots for the fault history, and hands a trip over to it.
     fn record<M: RawMutex>(&mut self, shared: &Shared<M>) {
         let now_us = Instant::now().as_micros();
-        // In the period after: by then there are the causes that came with the first.
+        // One period later, when the causes that came with the first are known too.
         if let Some(tripped_us) = self.tripped_us.take() {
             shared.storage.trip(tripped_us, shared.trip_causes());
         }
@@ -296,7 +299,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         let mut causes = self.inputs.sense(shared, &mut self.peripherals);
         causes.set(Cause::InterruptStorm, self.peripherals.storm());
         for ((motor, config), illegal) in self.motors.iter_mut().zip(&shared.config().motors).zip(&mut self.illegal) {
-            // By reference: it is large.
+            // By reference, because it is large.
             let (Axis::Measured(motor), Some(control)) = (motor, &config.control) else { continue };
             let mut transitions = 0;
             let output = match control.feedback {
@@ -356,7 +359,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             let (duty, speed) = motor.applied();
             let current_a = match sensed {
                 Some(current_a) => current_a,
-                // All transistors are off.
+                // All transistors are off while safe.
                 None if self.safe => 0.0,
                 None => overload::current_a(winding, duty, speed, supply_v.unwrap_or(winding.nominal_v)),
             };
@@ -368,11 +371,12 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         overloaded
     }
 
-    /// One period of every loop, for the arming in `view`. Outputs are written in the order of how much a late one matters.
+    /// Runs one period of every loop, for the arming in `view`. Outputs are written in the order of how much a late one
+    /// matters.
     async fn drive<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) {
         if view.epoch != self.epoch {
             if !self.safe {
-                // Stopped and armed again before this loop could see it: the last arming ends here all the same.
+                // Stopped and armed again before this loop could see it: the last arming still ends here.
                 self.make_safe(shared).await;
             }
             self.epoch = view.epoch;
@@ -385,7 +389,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         (self.safe, self.braked) = (false, None);
         if let Err(fault) = self.write_outputs(shared, view).await {
             self.fault = Some(fault);
-            // The supervisor hears of it now, and not after the time-outs of the other outputs.
+            // The supervisor learns of it now, and not after the time-outs of the other outputs.
             shared.set_control_causes(self.causes());
         }
     }
@@ -401,7 +405,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         let [osmc, dhb] = self.outputs.order();
         self.step_motors(shared, view, commanded, powered, osmc);
         let check = self.tick % CHECK_EVERY == 1 && self.outputs.reserve_check();
-        // DHB bridges go first in every second period, and have the bus to themselves then: all of them fit.
+        // DHB bridges go first in every second period, in which they have the bus to themselves: all of them fit.
         let dhb_first = self.tick.is_multiple_of(2);
         if !dhb_first {
             self.write_drives_and_servos();
@@ -410,7 +414,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         if dhb_first {
             self.write_drives_and_servos();
         }
-        // A stop that came since, or comes now, leaves off what has not been sent.
+        // A stop since then, or during the transfers, drops the unsent writes.
         self.outputs.flush(|context| shared.has_changed(view, context)).await?;
         if self.may_go_on(shared, view).await && check {
             self.outputs.check_next().await?;
@@ -423,8 +427,8 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         self.outputs.write_servos();
     }
 
-    /// Whether no stop has come in this period. One that has is carried out at once: it must not wait for what else was to
-    /// be written.
+    /// Returns true if no stop has come in this period. A stop is carried out at once: it must not wait for the
+    /// remaining writes.
     async fn may_go_on<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> bool {
         let goes_on = shared.safety() == view;
         if !goes_on {
@@ -433,7 +437,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         goes_on
     }
 
-    /// Steps some motors, whose bridges are written with the next [`Outputs::flush`].
+    /// Steps the motors in the order `motors`; their bridges are written with the next [`Outputs::flush`].
     fn step_motors<M: RawMutex>(
         &mut self,
         shared: &Shared<M>,
@@ -464,7 +468,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
     }
 
-    /// The duty for a motor whose loop wants `duty`: less braking, where its supply is too high to be fed back.
+    /// Duty for a motor whose loop requests `duty`: with less braking where its supply voltage is too high.
     fn limit_regeneration(&self, index: usize, duty: f32) -> f32 {
         let Some(Some((overload, Some(supply)))) = self.windings.get(index) else { return duty };
         let Some(supply) = self.inputs.supply(*supply) else { return duty };
@@ -474,7 +478,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         regeneration::limit(overload.winding(), duty, speed, measured_v, share)
     }
 
-    /// Takes the commands of all outputs but motors, and lets their rules make a step.
+    /// Takes the commands of all outputs except motors, and advances their rules by one step.
     fn take_commands<M: RawMutex>(
         &mut self,
         shared: &Shared<M>,
@@ -502,7 +506,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             let share = commanded.has(Place::Bldc(index)).then(|| take(Place::Bldc(index))).flatten();
             let share = share.map(|setpoint| setpoint.value);
             let brake = commanded.has_brake(index).then(|| shared.take_brake(index, view.epoch)).flatten();
-            // Of a speed and an applied brake in the same period, the brake is taken; a released one leaves the speed.
+            // A brake command wins over a speed of the same period; a released brake leaves the speed.
             let command = match (brake, share) {
                 (Some(true), _) => DriveCommand::Brake,
                 (_, Some(share)) => DriveCommand::Run(share),
@@ -528,11 +532,11 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
                 Mode::Position => StepperCommand::Position(setpoint.value),
                 Mode::Speed => StepperCommand::Speed(setpoint.value),
                 Mode::Home => StepperCommand::Home(setpoint.value),
-                // Dispatch lets nothing else through.
+                // Dispatch rejects all other modes.
                 _ => continue,
             };
-            // Dispatch has checked the same limits. What the axis refuses all the same, because no counter counts as far,
-            // does not leave it on its way to somewhere else; telemetry shows the stop.
+            // Dispatch has checked the same limits. If the axis still refuses, because no counter goes that far, it
+            // must not keep moving to an older target; telemetry shows the stop.
             self.stepper_setpoints[index] = if bank.command(index, command).is_ok() {
                 setpoint
             } else {
@@ -542,7 +546,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
     }
 
-    /// Tells the step generators the pulses of the periods to come, or only counts what they made.
+    /// Queues the pulses of the coming periods in the step generators, or only counts the pulses made.
     fn step_steppers<M: RawMutex>(&mut self, shared: &Shared<M>) {
         let Some(bank) = &mut self.steppers else { return };
         let inputs = &self.inputs;
@@ -564,18 +568,18 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     async fn initialise<M: RawMutex>(&mut self, shared: &Shared<M>) {
-        // What went wrong is known before the setting up is over, and that takes longer than a loop that hangs may.
+        // Known causes are published before the set-up, which takes longer than a loop may hang.
         shared.set_control_causes(self.causes());
         shared.control_pauses();
         self.rest_dacs(shared);
-        // The only way out of a fault: whatever a chip lost, it gets again.
+        // The set-up is the only way out of a fault: it restores whatever a chip lost.
         self.fault = self.outputs.init().await.err();
         self.safe = self.fault.is_none();
         shared.control_tick(Instant::now());
     }
 
-    /// Waits until each motor with an angle sensor knows where it stands, or none will be told: hosts find a board that can be armed, or
-    /// that says why not.
+    /// Waits until each motor with an angle sensor has a position, at most [`FIRST_ANGLES`]: hosts then find a board
+    /// that can be armed, or that reports the cause.
     async fn find_angles<M: RawMutex>(&mut self, shared: &Shared<M>) {
         let config = shared.config();
         let until = Instant::now() + FIRST_ANGLES;
@@ -601,8 +605,8 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
     }
 
-    /// Brakes, or makes safe at once: whichever the supervisor has begun, and once. A stop that comes within a period is carried out
-    /// there, and asked for again behind it.
+    /// Brakes, or makes safe at once, as the supervisor has begun, and only once. A stop within a period is carried out
+    /// there, and requested again behind it.
     async fn stop<M: RawMutex>(&mut self, shared: &Shared<M>) {
         let view = shared.safety();
         if view.braking {
@@ -627,7 +631,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             Ok(()) => self.braked = Some(epoch),
             Err(fault) => {
                 self.fault = Some(fault);
-                // The supervisor switches off.
+                // The supervisor then switches off.
                 shared.set_control_causes(self.causes());
             }
         }
@@ -655,13 +659,13 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
             self.brake(shared, view.epoch).await;
             if self.fault.is_none() {
                 match self.outputs.step_brakes().await {
-                    // The supervisor waits for that, but not for long.
+                    // The supervisor waits for this, for a limited time.
                     Ok(true) => shared.brakes_written(view.epoch),
                     Ok(false) => {}
                     Err(fault) => self.fault = Some(fault),
                 }
             }
-            // A chip that loses its brakes ends the stop.
+            // A fault of a chip ends the braking stop.
             if self.fault.is_none() {
                 self.check().await;
             }
@@ -679,7 +683,8 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
     }
 
-    /// Gives the sensors what the outputs have left of the bus in this period, unless a stop has come: that is carried out next.
+    /// Gives the sensors the bus time that the outputs have left in this period, unless a stop has come: that is
+    /// carried out next.
     async fn ask_sensors<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) {
         // The safe state and the DAC's read-back take the whole period.
         let is_taken = view.state != SafetyState::Armed && self.tick.is_multiple_of(REASSERT_EVERY / 2);
@@ -707,7 +712,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 }
 
-/// What a motor's force sensor shows, N, where it can be relied on.
+/// Force at a motor's force sensor, N; `None` where it cannot be relied on.
 fn newtons(sensor: ForceSensor, inputs: &Inputs, sensors: &Sensors, now: Instant) -> Option<f32> {
     match sensor {
         ForceSensor::Analog { analog, zero_v, newtons_per_v } => {
@@ -715,14 +720,14 @@ fn newtons(sensor: ForceSensor, inputs: &Inputs, sensors: &Sensors, now: Instant
         }
         ForceSensor::LoadCell { force } => {
             let reading = sensors.force(force)?;
-            // One that has missed its next reading is on its way to being lost.
+            // A reading older than two periods means that the sensor may be lost.
             let is_recent = now.saturating_duration_since(reading.taken) <= reading.period * 2;
             is_recent.then_some(reading.newtons)
         }
     }
 }
 
-/// What a motor's angle sensor told last; `None` for feedback of another kind, too.
+/// Last reading of a motor's angle sensor; `None` also for feedback of another kind.
 fn angle(feedback: Feedback, sensors: &Sensors, peripherals: &mut impl PulseInputs, now: Instant) -> Option<Reading> {
     match feedback {
         Feedback::Angle { angle, .. } => sensors.angle(angle),
@@ -736,7 +741,10 @@ fn angle(feedback: Feedback, sensors: &Sensors, peripherals: &mut impl PulseInpu
     }
 }
 
-/// The steppers of a board, if it has any and they can work.
+/// Steppers of a board; `None` without any.
+///
+/// # Errors
+/// [`BadSteppers`] for a configuration that cannot work.
 fn steppers(config: &BoardConfig, peripherals: &mut impl Peripherals) -> Result<Option<Bank>, BadSteppers> {
     let Some(bank) = config.stepper_bank.filter(|_| !config.steppers.is_empty()) else { return Ok(None) };
     let setup_s = bank.direction_setup_us as f32 * 1e-6;
@@ -752,5 +760,5 @@ fn steppers(config: &BoardConfig, peripherals: &mut impl Peripherals) -> Result<
         .map_err(|_| BadSteppers)
 }
 
-/// A stepper that cannot work as it is configured.
+/// Error: a stepper cannot work as configured.
 struct BadSteppers;

@@ -1,5 +1,5 @@
-//! Whether each cause that the control loop sees is raised, when, and by nothing less: [`run`] beside the supervisor, on chips
-//! that only remember.
+//! Tests of each cause that the control loop raises, when, and by nothing less: [`run`] beside the supervisor, on chips
+//! that only store registers.
 
 extern crate std;
 
@@ -21,11 +21,11 @@ use crate::{
 };
 
 const MS: Duration = Duration::from_millis(1);
-/// From arming on: the motors' supply closes, and drivers are given time.
+/// Time from arming until motors are driven: the motors' supply closes, and drivers are given time.
 const POWER_UP: Duration = Duration::from_millis(51);
 const EXPANDER: u8 = 0x20;
 
-/// The bench with its two motors, on a bus that takes no time.
+/// Bench with its two motors, on a bus that takes no time.
 struct Bench {
     shared: Board,
     tasks: Tasks,
@@ -44,7 +44,7 @@ impl Bench {
         };
         bench.set_supply(0, 24.0);
         bench.set_supply(1, 12.0);
-        // The actuator's wiper, in the middle.
+        // Wiper of the actuator, in the middle.
         bench.inputs.codes[0].set(32_768);
         let mut tasks = Tasks::default();
         tasks.spawn(supervise(
@@ -68,7 +68,7 @@ impl Bench {
         Self::with(robot("osmc-bench"))
     }
 
-    /// Armed, and the motors' supply is on.
+    /// Bench that is armed, with the motors' supply on.
     fn armed() -> Self {
         let mut bench = Self::new();
         bench.advance(20);
@@ -103,7 +103,7 @@ impl Bench {
         assert_eq!((view.state, view.causes), (SafetyState::Tripped, Causes::only(cause)));
     }
 
-    /// Periods until the board is not armed any more.
+    /// Number of periods until the board is no longer armed.
     fn periods_until_tripped(&mut self, at_most: u32) -> u32 {
         (0..at_most)
             .find(|_| {
@@ -131,15 +131,15 @@ fn three_failures_in_a_row_are_an_i2c_fault() {
     bench.bus.fail(3);
     bench.advance(20);
     bench.is_tripped_by(Cause::I2cFault);
-    // The chips are set up again, and then it can be left.
+    // The chips are set up again, and then the trip can be cleared.
     assert_eq!(bench.shared.request(Event::Clear), Ok(()));
     bench.arm();
     bench.advance(20);
     bench.is_armed();
 }
 
-/// A stop is written at once. Asked for again, as behind one that came within a period, it is not written again: that would be the
-/// longest of all ticks.
+/// A stop is written at once. When it is requested again, as behind one within a period, it is not written again: that
+/// would be the longest of all ticks.
 #[test]
 fn a_stop_is_carried_out_once() {
     let mut bench = Bench::armed();
@@ -155,7 +155,7 @@ fn a_stop_is_carried_out_once() {
     assert_eq!(bench.bus.get(EXPANDER, 0x14), 0xEE);
 }
 
-/// The supervisor knows of it before the period with the failure ends.
+/// The supervisor learns of it before the period with the failure ends.
 #[test]
 fn a_dead_bus_trips_at_once_and_stays_a_fault() {
     let mut bench = Bench::armed();
@@ -170,8 +170,8 @@ fn a_dead_bus_trips_at_once_and_stays_a_fault() {
     assert_eq!(bench.shared.request(Event::Clear), Ok(()));
 }
 
-/// Every register that keeps an output where it should be: the relays' latches and directions, mode and prescaler of the
-/// bridges' PWM chip, the lines of each bridge. One of these ten is read back in every fourth period while armed.
+/// Every register that keeps an output in place is read back: the relays' latches and directions, mode and prescaler of
+/// the bridges' PWM chip, the lines of each bridge. While armed, one of these ten is read in every fourth period.
 #[test]
 fn a_register_that_changes_by_itself_is_a_mismatch() {
     let bridges = robot("osmc-bench").osmc_pwm.expect("it has bridges").address;
@@ -199,13 +199,13 @@ fn a_register_that_changes_by_itself_is_a_mismatch() {
         bench.bus.set(chip, register, bench.bus.get(chip, register) ^ flip);
         assert!(bench.periods_until_tripped(50) <= 40, "{chip:#x} {register:#x}");
         bench.is_tripped_by(Cause::ReadBackMismatch);
-        // Setting up again has put it right.
+        // The new set-up has corrected it.
         bench.advance(20);
         assert_eq!(bench.shared.request(Event::Clear), Ok(()), "{chip:#x} {register:#x}");
     }
 }
 
-/// Each rail at both ends of its range, by itself; it is judged smoothed by 10 ms.
+/// Each rail trips at both ends of its range, on its own; it is filtered with 10 ms.
 #[test]
 fn a_supply_out_of_range_trips() {
     for (index, volts) in [(0, 19.9), (0, 30.1), (1, 9.9), (1, 15.1)] {
@@ -234,8 +234,8 @@ fn a_flat_battery_is_known_before_the_first_host() {
     bench.is_tripped_by(Cause::SupplyOutOfRange);
 }
 
-/// An encoder that shows more than four times the highest speed, and eight counts, within a period has jumped: of 2400
-/// counts to a turn and 5 rad/s that is 15.6 counts.
+/// An encoder that moves within a period by more than four times the highest speed plus eight counts has jumped: with
+/// 2400 counts per turn and 5 rad/s that is 15.6 counts.
 #[test]
 fn a_jump_of_the_encoder_is_implausible() {
     for (counts, jumped) in [(15, false), (16, true)] {
@@ -264,16 +264,17 @@ fn an_open_or_shorted_wiper_is_implausible() {
     }
 }
 
-/// Stall duty 0.8 for 300 ms without 0.02 rad, which is 7.6 counts: on the way to 0.9 at 20/s it is passed after 40 ms.
+/// Stall at a duty of 0.8 for 300 ms without 0.02 rad, which is 7.6 counts: on the way to 0.9 at 20/s that duty is
+/// passed after 40 ms.
 #[test]
 fn a_motor_that_is_driven_hard_and_stands_is_stalled() {
     let mut bench = Bench::armed();
     bench.drive(0, 0.9);
     let periods = bench.periods_until_tripped(1000);
     bench.is_tripped_by(Cause::Stalled);
-    // The command is taken in the first, and 300 sums of 1 ms in f32 may be short of 300 ms by one.
+    // The command is taken in the first period, and 300 sums of 1 ms in f32 may be short of 300 ms by one.
     assert!((341..=342).contains(&periods), "{periods}");
-    // One that moves just enough is not, and one that is driven less hard is not either.
+    // Neither a motor that moves just enough nor one that is driven less hard is stalled.
     let mut bench = Bench::armed();
     bench.drive(0, 0.9);
     for period in 0..1000u16 {
@@ -287,7 +288,7 @@ fn a_motor_that_is_driven_hard_and_stands_is_stalled() {
     bench.is_armed();
 }
 
-/// It must come round within 150 ms, and then not go 0.02 rad further against its drive.
+/// A motor must reverse within 150 ms, and then not travel 0.02 rad further against its drive.
 #[test]
 fn a_motor_that_runs_against_its_drive_is_implausible() {
     let mut bench = Bench::armed();
@@ -302,11 +303,11 @@ fn a_motor_that_runs_against_its_drive_is_implausible() {
         bench.shared.safety().state != SafetyState::Armed
     });
     bench.is_tripped_by(Cause::EncoderImplausible);
-    // 40 ms to the stall's duty, 150 ms to come round, 8 counts of 4 ms.
+    // Composed of 40 ms to the stall's duty, 150 ms to reverse, 8 counts of 4 ms.
     assert!(periods.is_some_and(|periods| (220..=224).contains(&periods)), "{periods:?}");
 }
 
-/// Ten late periods in a row are an overrun; nine are counted only.
+/// Ten consecutive late periods are an overrun; nine are only counted.
 #[test]
 fn ten_late_periods_in_a_row_are_an_overrun() {
     let mut bench = Bench::armed();
@@ -316,7 +317,7 @@ fn ten_late_periods_in_a_row_are_an_overrun() {
     let begin = Instant::now();
     while bench.shared.safety().state == SafetyState::Armed && begin.elapsed() < MS * 1000 {
         bench.advance(1);
-        // Something to write in each period.
+        // A set point in each period, so that there is something to write.
         let _ = bench.shared.command(
             Place::Motor(0),
             Setpoint { mode: Mode::Duty, value: 0.1 + begin.elapsed().as_millis() as f32 * 1e-3 },
@@ -335,23 +336,24 @@ fn with_a_bad_configuration_nothing_is_driven() {
     assert!(bench.shared.request(Event::Clear).is_err());
 }
 
-/// Half the supply at an actuator that does not move, below the duty of a stall: `(0.5 - 0.15) 12 V / 2 ohm` are 1.4 times what
-/// its winding withstands, for `60 s ln((1.96 - 0.8) / (1.96 - 1))`.
+/// Half the supply at an actuator that does not move, below the duty of a stall: `(0.5 - 0.15) 12 V / 2 ohm` gives 1.4
+/// times the permitted heat, for `60 s ln((1.96 - 0.8) / (1.96 - 1))`.
 #[test]
 fn a_winding_that_is_too_hot_trips_and_has_to_cool() {
     let mut bench = Bench::armed();
     bench.drive(1, 0.5);
     let expected_s = 60.0 * ((1.96_f64 - 0.8) / (1.96 - 1.0)).ln();
     let after_s = f64::from(bench.periods_until_tripped(20_000)) * 1e-3;
-    // The supply's codes, the slew to the duty, 25 ms, and the 0.1 s that the observer of speed takes to find that it stands.
+    // Delays: the supply's codes, the slew to the duty, 25 ms, and the 0.1 s that the observer takes to find that the
+    // motor stands.
     assert!((expected_s..expected_s + 0.2).contains(&after_s), "{after_s} s, not {expected_s} s");
     bench.is_tripped_by(Cause::Overload);
-    // 60 s ln(1 / 0.8) are 13.4 s; being disarmed or asked changes nothing.
+    // Cooling takes 60 s ln(1 / 0.8), 13.4 s; disarming or a request does not change that.
     bench.advance(13_000);
     assert!(bench.shared.request(Event::Clear).is_err());
     bench.advance(500);
     assert_eq!(bench.shared.request(Event::Clear), Ok(()));
-    // What it has then is what a restarted board starts with.
+    // The heat then is the one with which a restarted board starts.
     bench.arm();
     bench.tasks.advance(POWER_UP);
     bench.drive(1, 0.5);
@@ -359,12 +361,12 @@ fn a_winding_that_is_too_hot_trips_and_has_to_cool() {
     assert!((expected_s - 0.1..=expected_s + 0.3).contains(&again_s), "{again_s} s");
 }
 
-/// A dead track beside the other's edges: ten transitions that no shaft makes, in a tenth of a second.
+/// A dead track beside the other's edges gives ten illegal transitions in a tenth of a second.
 #[test]
 fn illegal_transitions_at_a_rate_are_implausible() {
     let mut bench = Bench::armed();
     let mut illegal = 0;
-    // One each 20 ms, for a second: dirt on the disc.
+    // Dirt on the disc: one every 20 ms, for a second.
     for _ in 0..50 {
         illegal += 1;
         bench.inputs.illegal[0].set(illegal);
@@ -408,17 +410,17 @@ fn what_a_period_takes_of_the_processor_is_counted() {
     }
 }
 
-/// Every kind of output but brushless drives, whose DAC is more than registers.
+/// Configuration with every kind of output except brushless drives, whose DAC is more than registers.
 fn everything() -> BoardConfig {
     BoardConfig { bldcs: heapless::Vec::new(), bldc_dac: None, ..robot("every-interface") }
 }
 
 impl Bench {
-    /// Just armed: the motors' supply has not settled.
+    /// Bench that has just been armed: the motors' supply has not settled.
     fn just_armed(config: BoardConfig) -> Self {
         let mut bench = Self::with(config);
         bench.inputs.room.set(1_000_000);
-        // Setting up takes the oscillators of three chips, 0.5 ms each; then switches are known after 5 ms.
+        // The set-up waits for the oscillators of three chips, 0.5 ms each; then switches are known after 5 ms.
         bench.advance(20);
         let heard = RangeReading { updated: Instant::now(), ..RangeReading::NONE };
         (0..bench.shared.config().ranges.len()).for_each(|index| bench.shared.publish_range(index, heard));
@@ -435,19 +437,19 @@ impl Bench {
         );
     }
 
-    /// How many of the PWM outputs of a chip are not off.
+    /// Number of PWM outputs of a chip that are not off.
     fn pulsing(&self, chip: u8) -> usize {
         (0..16).filter(|output| self.bus.get(chip, 6 + 4 * output + 3) & 0x10 == 0).count()
     }
 
-    /// Latches of the expander.
+    /// Output latches of the expander.
     fn pins(&self) -> u16 {
         u16::from_le_bytes([0x14, 0x15].map(|register| self.bus.get(EXPANDER, register)))
     }
 }
 
-/// Relays and voltages follow at once; what hangs on the motors' supply only when its contacts have stopped bouncing, 50 ms
-/// after arming, with what it was told meanwhile.
+/// Relays and voltages follow at once; outputs in the motors' supply follow only when its contacts have stopped
+/// bouncing, 50 ms after arming, with the commands received meanwhile.
 #[test]
 fn every_output_follows_its_commands() {
     let config = everything();
@@ -463,18 +465,18 @@ fn every_output_follows_its_commands() {
     bench.set(Place::Dac(1), Mode::Voltage, 2.5);
     let before = bench.pins();
     bench.advance(2);
-    // Both are closed by a low level, and no other is.
+    // Both relays close by a low level, and no other line is low.
     assert_eq!(before & !bench.pins(), power | relay);
     assert_eq!(bench.inputs.dacs[1].get(), (2.5f32 / 3.3 * 4096.0).round() as u16);
     bench.advance(47);
     assert_eq!([chips[0], chips[1], servos].map(|chip| bench.pulsing(chip)), [0; 3]);
     assert_eq!(bench.inputs.told[1].get(), 0);
     bench.advance(100);
-    // Both high sides and the PWM of an OSMC, enable and PWM of a DHB; without the PWM of those that stand.
+    // An OSMC has both high sides and the PWM on, a DHB enable and PWM; the PWM of standing motors is off.
     assert_eq!([chips[0], chips[1], servos].map(|chip| bench.pulsing(chip)), [3 + 3 * 2, 2 + 3, 1]);
     assert!(bench.inputs.steppers_enabled.get() && bench.inputs.told[1].get() > 0);
     assert_eq!([0, 2, 3].map(|index| bench.inputs.told[index].get()), [0; 3]);
-    // And is shown.
+    // The statuses show the same.
     let motor = |place| match bench.shared.status(place) {
         Status::Motor(status) => (status.setpoint.mode, status.setpoint.value, status.duty),
         other => panic!("{other:?}"),
@@ -504,7 +506,7 @@ fn every_output_follows_its_commands() {
     assert_eq!((stopped.setpoint, stopped.duty), (Setpoint::NONE, 0.0));
 }
 
-/// Where no relay is in the motors' supply, nothing waits for its contacts.
+/// Without a relay in the motors' supply, nothing waits for contacts.
 #[test]
 fn without_a_relay_in_their_supply_motors_are_driven_at_once() {
     let mut config = everything();
@@ -518,11 +520,11 @@ fn without_a_relay_in_their_supply_motors_are_driven_at_once() {
     assert_eq!(bench.pins(), before);
 }
 
-/// A motor of 4.3 V s that is driven with 0.5 at 2 rad/s feeds its supply; half way from 28 to 30 V no more: it gets the duty
-/// that its back-EMF and the dead zone of 0.4 come to.
+/// A motor of 4.3 V s driven with 0.5 at 2 rad/s feeds its supply; half way from 28 to 30 V it no longer does: it gets
+/// the duty of its back-EMF plus the dead zone of 0.4.
 #[test]
 fn a_supply_that_is_full_is_not_fed() {
-    // Nobody pings.
+    // Without range sensors: nothing pings them here.
     let mut bench = Bench::just_armed(BoardConfig { ranges: heapless::Vec::new(), ..everything() });
     bench.set(Place::Motor(0), Mode::Duty, 0.5);
     let mut turned = 0.0;
@@ -535,13 +537,13 @@ fn a_supply_that_is_full_is_not_fed() {
         }
         bench.is_armed();
         let Status::Motor(MotorStatus { duty, .. }) = bench.shared.status(Place::Motor(0)) else { panic!("a motor") };
-        // Ripple of the measured speed, in whole counts to a period.
+        // Ripple of the measured speed, in whole counts per period.
         assert!((duty - expected).abs() < 0.02, "{duty}, not {expected}, at {volts} V");
     }
 }
 
-/// Steps that were told and not made are miscounted; a queue that takes none makes pulses late; a search ends that has gone
-/// further than the range without its switch.
+/// Steps that were queued and not made are miscounted; a queue without room makes pulses late; a search ends that has
+/// gone further than the range without its switch.
 #[test]
 fn steppers_raise_their_causes() {
     for (mode, value, room, made, cause) in [
@@ -561,12 +563,13 @@ fn steppers_raise_their_causes() {
     }
 }
 
-/// Each trip is handed to the fault history once, in the period after it; what nobody writes is lost from the third on.
+/// Each trip is handed to the fault history once, in the period after it; without a storage task the third and later
+/// ones are lost.
 #[test]
 fn every_trip_is_handed_to_the_fault_history() {
     let mut bench = Bench::armed();
     for lost in [0, 0, 1, 2] {
-        // Trips that no host could have armed before are not remembered.
+        // A trip before the first session, which no host could have armed, is not recorded.
         assert!(bench.shared.open_session(1, Instant::now()).is_ok());
         bench.shared.trip(Cause::HostStop);
         bench.advance(20);
@@ -578,14 +581,14 @@ fn every_trip_is_handed_to_the_fault_history() {
 }
 
 impl Bench {
-    /// Every kind of output, armed, with the motors' supply on. Nobody pings.
+    /// Bench with every kind of output, armed, with the motors' supply on, and without range sensors.
     fn with_everything() -> Self {
         let mut bench = Self::just_armed(BoardConfig { ranges: heapless::Vec::new(), ..everything() });
         bench.advance(60);
         bench
     }
 
-    /// To the beginning of the next period, of which nothing is left to do; on a bus that takes no time.
+    /// Advances to the beginning of the next period, whose work is then done: the bus takes no time.
     fn advance_to_period(&mut self) {
         let before = self.shared.stats().ticks;
         while self.shared.stats().ticks == before {
@@ -602,12 +605,12 @@ impl Bench {
     }
 }
 
-/// With transfers of a period each: one that writes a motor takes its time, one that reads back as well takes more, and the next
-/// begins where it ends. Ten of the former are no overrun.
+/// With transfers that take a period each: a period that writes a motor takes exactly its time, one that also reads
+/// back takes more, and the next begins where it ends. Ten of the former are no overrun.
 #[test]
 fn a_period_that_takes_just_its_time_is_not_late() {
     let mut bench = Bench::armed();
-    // 45 periods on its way: a write in each.
+    // The duty takes 45 periods to arrive: a write in each.
     bench.drive(0, 0.9);
     bench.bus.slow_down(MS);
     let (begin, before) = (Instant::now(), bench.shared.stats());
@@ -623,7 +626,8 @@ fn a_period_that_takes_just_its_time_is_not_late() {
     assert!(begin.elapsed() >= MS * (12 + 4 * 2), "{:?}", begin.elapsed());
 }
 
-/// Between two periods: the loop sees an arming when it looks, but not the one whose outputs it drives.
+/// An arming that ends between two periods: the loop sees the next arming, but not the end of the one whose outputs it
+/// drives.
 #[test]
 fn an_arming_that_was_ended_before_the_loop_could_look_ends_at_once() {
     let mut bench = Bench::with_everything();
@@ -638,7 +642,7 @@ fn an_arming_that_was_ended_before_the_loop_could_look_ends_at_once() {
     assert_eq!(bench.pins() & open, open);
 }
 
-/// While the loop reads its inputs: it sees only the arming that follows, and ends the other first.
+/// An arming that ends while the loop reads its inputs: it sees only the arming that follows, and ends the other first.
 #[test]
 fn an_arming_that_was_ended_within_a_period_is_ended_there() {
     let mut bench = Bench::with_everything();
@@ -656,8 +660,8 @@ fn an_arming_that_was_ended_within_a_period_is_ended_there() {
     assert_eq!(bench.pins(), before, "the motors' supply is closed again, the other relay is not");
 }
 
-/// Relays but the motors' open and voltages rest at once, what does not brake is turned off, and the duty of what does falls by its
-/// slew to 0, where the bridge shorts the motor. At the end all is off.
+/// Relays except the motors' open and voltages go to rest at once, non-braking motors are turned off, and the duty of
+/// braking ones falls at its slew limit to 0, where the bridge shorts the motor. At the end all is off.
 #[test]
 fn a_stop_that_brakes_goes_by_its_order() {
     let mut config = BoardConfig { ranges: heapless::Vec::new(), ..everything() };
@@ -689,7 +693,7 @@ fn a_stop_that_brakes_goes_by_its_order() {
     assert_eq!((pulsing(&bench), bench.pins()), ([0, 0], open));
 }
 
-/// The transfer that is under way ends, and the next one opens the relays: nothing is read back before.
+/// The transfer under way ends, and the next one opens the relays: nothing is read back before.
 #[test]
 fn a_stop_within_a_period_waits_for_one_transfer() {
     for phase in 0..4 {
@@ -708,7 +712,7 @@ fn a_stop_within_a_period_waits_for_one_transfer() {
     }
 }
 
-/// DHB bridges go first in every second period; servos have their turn all the same.
+/// DHB bridges go first in every second period; servos still get their turn.
 #[test]
 fn servos_are_written_in_every_period() {
     let mut bench = Bench::with_everything();
@@ -727,7 +731,8 @@ fn servos_are_written_in_every_period() {
     assert!(written.iter().all(|written| *written > 0), "{written:?}");
 }
 
-/// A search that has found its switch and come to rest has settled; one that is under way has not, nor a stepper that was told nothing.
+/// A search that has found its switch and come to rest has settled; neither one under way nor a stepper without a
+/// command has.
 #[test]
 fn a_search_has_settled_where_it_found_its_place() {
     let mut bench = Bench::with_everything();
@@ -740,7 +745,7 @@ fn a_search_has_settled_where_it_found_its_place() {
     let mut homed = false;
     for _ in 0..5000 {
         bench.advance(1);
-        // 400 steps away; it closes by a low level.
+        // The switch is 400 steps away and closes to a low level.
         bench.inputs.low[switch].set(bench.inputs.made[0].get() - begin >= 400);
         let now = status(&bench);
         assert!(!now.settled || now.homed, "while it searches");
@@ -755,7 +760,7 @@ fn a_search_has_settled_where_it_found_its_place() {
     let made = bench.inputs.made[0].get();
     bench.advance(20);
     assert_eq!((bench.inputs.made[0].get(), status(&bench).settled), (made, true), "at rest, and so it stays");
-    // It is known where it is, and yet has not come to where it goes.
+    // Homed, and yet not settled: it moves at a speed.
     bench.set(Place::Stepper(0), Mode::Speed, 1.0);
     bench.advance(20);
     assert!(status(&bench).homed && !status(&bench).settled);
@@ -764,7 +769,7 @@ fn a_search_has_settled_where_it_found_its_place() {
     assert!(!status(&bench).settled, "no search");
 }
 
-/// The rated current at a sensor with an offset warms a winding by `1 - 0.2 exp(-t / thermal_s)` of what it withstands.
+/// The rated current at a sensor with an offset heats a winding to `1 - 0.2 exp(-t / thermal_s)` of the permitted heat.
 #[test]
 fn a_measured_current_is_reckoned_from_the_voltage_at_rest() {
     let sense = CurrentSense { analog: 0, zero_v: 1.5, volts_per_a: 0.1 };
@@ -779,11 +784,11 @@ fn a_measured_current_is_reckoned_from_the_voltage_at_rest() {
     bench.advance(5000);
     let expected = 100.0 * (1.0 - 0.2 * (-5.0 / thermal_s).exp());
     let heat = bench.motor(Place::Motor(0)).winding.expect("it is computed").heat_percent;
-    // Rounded down, and the filter's first periods.
+    // Rounded down, and without the filter's first periods.
     assert!((expected - 1.5..=expected).contains(&f32::from(heat)), "{heat} %, not {expected} %");
 }
 
-/// While safe all transistors are off: a shaft that is turned generates a voltage, and no current.
+/// While safe all transistors are off: a shaft turned from outside generates a voltage, and no current.
 #[test]
 fn a_shaft_that_is_turned_while_safe_warms_no_winding() {
     let mut bench = Bench::new();
@@ -801,7 +806,8 @@ fn a_shaft_that_is_turned_while_safe_warms_no_winding() {
     assert!((expected - 1.5..=expected + 0.1).contains(&heat), "{heat} %, not {expected} %");
 }
 
-/// An output that no bridge uses is read back by nothing: what turns it on by mistake is undone every 16 periods, and not more often.
+/// An output that no bridge uses is never read back: if something turns it on, the rewritten safe state undoes that
+/// every 16 periods, and not more often.
 #[test]
 fn the_safe_state_is_written_again_every_sixteenth_period() {
     let mut bench = Bench::new();
@@ -826,18 +832,18 @@ fn the_safe_state_is_written_again_every_sixteenth_period() {
     assert!(written.windows(2).all(|pair| pair[1] - pair[0] == 16), "{written:?}");
 }
 
-/// While safe, the DAC of brushless drives is read back every 16 periods, between two writes of the safe state; one of the other chips
-/// in each of the others.
+/// While safe, the DAC of brushless drives is read back every 16 periods, between two writes of the safe state; one of
+/// the other chips in each other period.
 #[test]
 fn while_safe_every_chip_is_read_back() {
-    // Nobody pings.
+    // Without range sensors: nothing pings them here.
     let config = || BoardConfig { ranges: heapless::Vec::new(), ..robot("every-interface") };
     let dac = config().bldc_dac.expect("it has one").address;
     let mut bench = Bench::with(config());
-    // Its EEPROM is written, and the oscillators start.
+    // Time for the write of its EEPROM, and for the oscillators to start.
     bench.advance(100);
     assert!(bench.shared.safety().causes.is_empty());
-    // The lower byte of the first output's code, which is 0 at rest.
+    // Lower byte of the first output's code, which is 0 at rest.
     let periods = (1..=20).find(|_| {
         bench.bus.set(dac, 2, 1);
         bench.advance(1);
@@ -845,7 +851,7 @@ fn while_safe_every_chip_is_read_back() {
     });
     bench.is_tripped_by(Cause::ReadBackMismatch);
     assert!(periods.is_some_and(|periods| periods <= 16), "{periods:?}");
-    // Modes, directions and every line: fewer than 60 things, of which one in 15 of 16 periods.
+    // Modes, directions and every line: fewer than 60 checks, one in 15 of 16 periods.
     for (chip, register) in [(EXPANDER, 0x00), (config().dhb_pwm.expect("it has one").address, 0x01)] {
         let mut bench = Bench::with(config());
         bench.advance(100);

@@ -1,4 +1,4 @@
-//! Set points that are refused, by every output, mode and reason.
+//! Tests of refused set points, for every output, mode and reason.
 
 extern crate std;
 
@@ -18,10 +18,10 @@ use crate::{
 const LINK: u8 = 1;
 const OTHER_LINK: u8 = 2;
 const TTL_MS: u16 = 50;
-/// Where servos stand in these tests, rad.
+/// Initial angle of servos in these tests, rad.
 const ANGLE: f32 = 0.123;
 
-/// A board with a host.
+/// Board with a host.
 struct Bench {
     board: Board,
     host: Host,
@@ -42,7 +42,7 @@ impl Bench {
         bench
     }
 
-    /// Disarms and arms: nothing is in force.
+    /// Disarms and arms again, so that no set point is in force.
     fn again(&mut self) {
         assert_eq!(self.ask(LINK, Request::Disarm), Ok(Reply::Done));
         assert_eq!(self.ask(LINK, Request::Arm), Ok(Reply::Done));
@@ -75,7 +75,7 @@ impl Bench {
         self.tasks.advance(embassy_time::Duration::from_millis(ms));
     }
 
-    /// What the control loop would take in its next period.
+    /// Set point that the control loop would take in its next period.
     fn taken(&self, place: Place) -> Option<Setpoint> {
         let epoch = self.board.safety().epoch;
         let brake = match place {
@@ -91,14 +91,14 @@ fn now_us() -> u64 {
     Instant::now().as_micros()
 }
 
-/// Every output with every set point that is tried on it.
+/// All combinations of an output and a mode.
 fn outputs(board: Board) -> List<(ChannelId, Place, ModeInfo)> {
     let config = board.config();
     let of = |(channel, place)| modes_of(config, place).into_iter().map(move |mode| (channel, place, mode));
     config.channels().flat_map(of).collect()
 }
 
-/// What stops a channel that follows `follows`; `None` for one that is stopped by it.
+/// Set point that stops a channel which follows `follows`; `None` if that itself is a stop.
 fn stop(board: Board, place: Place, follows: Setpoint) -> Option<Setpoint> {
     let setpoint = |mode, value| Some(Setpoint { mode, value });
     match (place, follows.mode) {
@@ -116,7 +116,7 @@ fn stop(board: Board, place: Place, follows: Setpoint) -> Option<Setpoint> {
     }
 }
 
-/// A set point that is taken now, and its date: a point of a path is in the future, and no further away than the motor comes.
+/// Set point that is accepted now, and its date: a point of a path is in the future, and within the motor's reach.
 fn good(mode: &ModeInfo) -> (Setpoint, u64) {
     match mode.mode {
         Mode::Follow => (Setpoint { mode: mode.mode, value: 0.0 }, now_us() + 500),
@@ -124,13 +124,13 @@ fn good(mode: &ModeInfo) -> (Setpoint, u64) {
     }
 }
 
-/// Set points that a channel refuses, with the time between their decision and their arrival, µs.
+/// Set points that a channel refuses, with the time from their decision to their arrival, µs.
 fn refused(board: Board, place: Place, mode: &ModeInfo) -> List<(Setpoint, i64)> {
     let Range { min, max } = mode.range;
     let setpoint = |value| Setpoint { mode: mode.mode, value };
     let wrong = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN, max + 1.0, min - 1.0];
     let mut all: List<_> = wrong.into_iter().map(|value| (setpoint(value), 0)).collect();
-    // Just beyond what may be late or early, and far beyond.
+    // Just beyond the permitted delay and lead, and far beyond.
     all.extend([51_000, 10_000_000, -51_000, -10_000_000].map(|late_us| (setpoint(max), late_us)));
     let modes =
         [Mode::Position, Mode::Speed, Mode::Duty, Mode::Switch, Mode::Voltage, Mode::Brake, Mode::Home, Mode::Follow];
@@ -143,12 +143,12 @@ fn refused(board: Board, place: Place, mode: &ModeInfo) -> List<(Setpoint, i64)>
     all
 }
 
-/// Whatever an output follows, and for whatever reason a set point is refused: it stops if that one was decided later, and goes
-/// on if it was decided before.
+/// For any set point in force and any reason of refusal, the output stops if the refused one was decided later, and
+/// goes on if it was decided before.
 #[test]
 fn a_refused_set_point_never_leaves_an_older_one_in_force() {
     let mut bench = Bench::armed();
-    // Old ones are decided at most so long ago.
+    // The oldest set points are this old.
     bench.pass_ms(11_000);
     let mut kinds = List::new();
     for (channel, place, follows) in outputs(bench.board) {
@@ -165,7 +165,7 @@ fn a_refused_set_point_never_leaves_an_older_one_in_force() {
                     let ahead_us = decided_us.saturating_sub(now_us());
                     let sent_us = match (newer, late_us > 0) {
                         (true, true) => {
-                            // The clock goes only forwards: the later one comes later.
+                            // The clock only goes forwards: the later one comes later.
                             assert_eq!(bench.set(LINK, channel, in_force, good(&follows).1), Ok(Reply::Done));
                             bench.pass_ms(late_us as u64 / 1000 + 1);
                             now_us() - late_us as u64
@@ -190,11 +190,11 @@ fn a_refused_set_point_never_leaves_an_older_one_in_force() {
             }
         }
     }
-    // Two modes of a DHB without feedback, of a DAC, ...: every kind of output is there in every mode.
+    // Two modes of a DHB without feedback, of a DAC, and so on: every kind of output occurs in every mode.
     assert_eq!(kinds.len(), 5 + 1 + 2 + 1 + 3 + 1 + 1, "{kinds:?}");
 }
 
-/// The same set point once more, after its time, is no newer one.
+/// A duplicate of a set point, after its time, does not count as newer.
 #[test]
 fn a_duplicate_stops_nothing() {
     let mut bench = Bench::armed();
@@ -211,7 +211,7 @@ fn a_duplicate_stops_nothing() {
     }
 }
 
-/// One that was dated ahead does not hide that the next one is newer.
+/// A set point that was dated ahead does not hide that the next one is newer.
 #[test]
 fn a_date_ahead_of_the_clock_counts_as_now() {
     let mut bench = Bench::armed();
@@ -225,7 +225,7 @@ fn a_date_ahead_of_the_clock_counts_as_now() {
     assert_eq!(bench.taken(place), Some(Setpoint::NONE));
 }
 
-/// Who has no session moves no channel, and stops none by a refused set point; the whole board it may stop.
+/// A link without a session moves no channel, and stops none by a refused set point; it may stop the whole board.
 #[test]
 fn without_a_session_no_channel_is_stopped() {
     let mut bench = Bench::armed();
@@ -243,7 +243,7 @@ fn without_a_session_no_channel_is_stopped() {
     assert_eq!(bench.board.safety().state, r4_protocol::SafetyState::Tripped);
 }
 
-/// A cycle is refused whole, and stops all its channels, leased or not; those it leaves out go on.
+/// A cycle is refused as a whole, and stops all its channels, leased or not; channels without a set point in it go on.
 #[test]
 fn a_refused_cycle_stops_what_it_has_set_points_for() {
     let mut bench = Bench::armed();
@@ -295,13 +295,13 @@ fn id(name: &str) -> ChannelId {
     name.parse().expect("a channel")
 }
 
-/// A board that nobody has greeted.
+/// Board without a session.
 fn alone() -> Bench {
     let board = board(robot("every-interface"), ResetCause::Normal);
     Bench { board, host: Host::default(), tasks: Tasks::default(), seq: 0 }
 }
 
-/// Of each kind, what it measures or takes, in what, how often, how finely, and how it can be commanded.
+/// The description of each kind of channel has its quantity, unit, rate, resolution and modes.
 #[test]
 fn every_kind_of_channel_is_described() {
     const TURN: f32 = core::f32::consts::TAU;
@@ -334,11 +334,11 @@ fn every_kind_of_channel_is_described() {
         ("dac1", 1000.0, 0.0, List::from([of(Mode::Voltage, Unit::V, 0.5, 2.8)])),
     ];
     let inputs = [
-        // The relay in the motors' supply is the firmware's own.
+        // The relay in the motors' supply is controlled by the firmware alone.
         ("relay0", 1000.0, 0.0, bool),
         ("encoder1", 1000.0, TURN / 2400.0, turns),
         ("switch2", 1000.0, 0.0, bool),
-        // Four take turns of 60 ms.
+        // Four sensors take turns of 60 ms.
         (
             "range3",
             1e6 / 240_000.0,
@@ -369,7 +369,7 @@ fn every_kind_of_channel_is_described() {
     }
 }
 
-/// A drive that no line and no voltage turns round, and one without a brake; a rod that is measured in metres.
+/// Drives that cannot reverse and drives without a brake; a rod that is measured in metres.
 #[test]
 fn what_an_output_cannot_do_is_not_described() {
     let mut config = robot("every-interface");
@@ -381,7 +381,7 @@ fn what_an_output_cannot_do_is_not_described() {
     };
     assert_eq!(modes("bldc0"), [(Mode::Duty, Range::new(0.0, 1.0)), (Mode::Brake, SWITCH)]);
     assert_eq!(modes("bldc1"), [(Mode::Duty, Range::new(-1.0, 1.0))]);
-    // The converter cannot give all that the device behind it would take.
+    // The converter cannot give the whole range of the device behind it.
     config.dacs[0].range_v = Range::new(-1.0, 5.0);
     let dac = modes_of(&config, Place::Dac(0));
     assert_eq!(dac[0].range, Range::new(0.0, DAC_FULL_SCALE_V));
@@ -394,7 +394,7 @@ fn what_an_output_cannot_do_is_not_described() {
     );
 }
 
-/// Both ends of each range, and both ends of the time: 50 ms late or early to the ms are taken, 51 are not.
+/// Both ends of each range and of the time are accepted: 50 ms late or early to the ms, but not 51.
 #[test]
 fn set_points_are_taken_up_to_every_limit() {
     let mut bench = Bench::armed();
@@ -418,7 +418,7 @@ fn set_points_are_taken_up_to_every_limit() {
     assert_eq!(bench.set(LINK, id("osmc0"), home, now_us()), Err(nowhere));
 }
 
-/// In each way of giving it: in a set point, in a cycle, in a message of points.
+/// In each message that carries points: a set point, a cycle, a message of points.
 #[test]
 fn points_of_a_path_are_taken_up_to_every_limit() {
     let mut bench = Bench::armed();
@@ -434,7 +434,7 @@ fn points_of_a_path_are_taken_up_to_every_limit() {
     assert_eq!(single(0.0, 51_000), Err(Refusal::ClockAhead { ahead_ms: 51 }));
     assert_eq!(single(0.0, 0), Err(Refusal::Late { late_us: 0 }));
     assert_eq!(single(0.0, -1500), Err(Refusal::Late { late_us: 1500 }));
-    // 5 rad/s at most, from where it stands.
+    // At most 5 rad/s, from the present position.
     assert_eq!(single(0.2, 40_000), Ok(Reply::Done));
     let fast = Refusal::TooFast { channel, asked: 6.25, limit: 5.0 };
     assert_eq!(single(0.25, 40_000), Err(fast));
@@ -470,7 +470,7 @@ fn points_of_a_path_are_taken_up_to_every_limit() {
     assert_eq!(refused, Err(Refusal::NotArmed { state: r4_protocol::SafetyState::Disarmed }));
 }
 
-/// Points of a cycle are dated with it, all of them or none; they need no lease.
+/// Points of a cycle have its date, and are accepted all or none; they need no lease.
 #[test]
 fn a_cycle_carries_points_of_paths() {
     let mut bench = Bench::armed();
@@ -486,7 +486,7 @@ fn a_cycle_carries_points_of_paths() {
     let stopped = [Some(Setpoint { mode: Mode::Speed, value: 0.0 }); 2];
     for (outcome, steps, after_us) in [
         (CycleOutcome::Taken, [100, -100], Some(40_000)),
-        // One of them too fast, late, too far ahead, without a date.
+        // Points that are too fast, late, too far ahead, or without a date.
         (CycleOutcome::Refused, [100, 5000], Some(40_000)),
         (CycleOutcome::Stale, [0, 0], Some(0)),
         (CycleOutcome::Stale, [0, 0], Some(51_000)),
@@ -513,7 +513,7 @@ fn a_cycle_carries_points_of_paths() {
     }
 }
 
-/// It may have been a newer set point, of a kind that this board does not know.
+/// The request may have been a newer set point, of a kind that this board does not know.
 #[test]
 fn a_request_of_a_later_version_is_refused_and_ends_what_is_in_force() {
     let mut bench = Bench::armed();
@@ -523,7 +523,7 @@ fn a_request_of_a_later_version_is_refused_and_ends_what_is_in_force() {
     bench.set(LINK, id("osmc0"), runs, now_us()).expect("taken");
     assert_eq!(bench.taken(Place::Motor(0)), Some(runs));
     bench.pass_ms(2);
-    // Who has no session commands nothing, and ends nothing.
+    // A link without a session commands nothing, and ends nothing.
     assert_eq!(unknown(&bench, OTHER_LINK), refused);
     assert_eq!(bench.taken(Place::Motor(0)), None, "nothing new");
     assert_eq!(unknown(&bench, LINK), refused);
@@ -531,7 +531,8 @@ fn a_request_of_a_later_version_is_refused_and_ends_what_is_in_force() {
     assert_eq!(bench.board.stats().refused, 2);
 }
 
-/// Before a greeting a board says what it speaks, ends nothing, and stops; it answers nothing else, also not later.
+/// Before a greeting a board reports its version, ends nothing, and stops; it answers nothing else, neither now nor
+/// later.
 #[test]
 fn without_a_greeting_a_board_only_stops() {
     let mut bench = alone();
@@ -581,7 +582,7 @@ fn a_host_stops_clears_and_arms() {
     }
 }
 
-/// What waits for flash or a connector is answered later, and that which cannot be waits for nothing.
+/// Requests that wait for flash or a connector are answered later; impossible ones are refused without waiting.
 #[test]
 fn what_takes_time_is_answered_later() {
     let mut bench = Bench::armed();
@@ -607,7 +608,7 @@ fn what_takes_time_is_answered_later() {
     assert_eq!(saved, ToHost::Response { seq: 4, result: Err(armed) });
 }
 
-/// Of another link, of another mode, of a channel without a loop, or of no number: refused.
+/// Gains are refused from another link, for another mode, for a channel without a loop, or if not finite.
 #[test]
 fn gains_are_taken_for_the_loops_of_motors() {
     let mut bench = Bench::armed();
@@ -636,7 +637,7 @@ fn gains_are_taken_for_the_loops_of_motors() {
     assert_eq!(bench.board.take_gains(), None);
 }
 
-/// Of a motor with loops, within the rules of its configuration.
+/// A tuning is accepted for a motor with loops, within the rules of its configuration.
 #[test]
 fn a_tuning_is_taken_for_a_motor_with_loops() {
     let mut bench = Bench::armed();
@@ -661,7 +662,7 @@ fn a_tuning_is_taken_for_a_motor_with_loops() {
     assert_eq!(bench.board.take_tuning(), None);
 }
 
-/// What hosts change holds from the next start on; until then it is told beside what holds.
+/// Changed parameters take effect at the next start; until then they are reported beside the active ones.
 #[test]
 fn parameters_are_changed_for_the_next_start() {
     let mut bench = Bench::armed();
@@ -715,7 +716,7 @@ fn what_a_host_asked_for_ends_with_its_session() {
     }
 }
 
-/// A board tells its log to those who ask, and which image's ELF makes text of it.
+/// A board sends its log to hosts that ask for it, with the fingerprint of the image whose ELF decodes it.
 #[test]
 fn a_log_is_begun_and_ended() {
     let mut bench = Bench::armed();
@@ -732,7 +733,7 @@ fn a_log_is_begun_and_ended() {
     }
 }
 
-/// Restarts are asked for by their kind; the image is told where there is one.
+/// Restarts are requested by their kind; the image is described where there is one.
 #[test]
 fn a_restart_is_passed_on() {
     let mut bench = Bench::armed();
@@ -745,7 +746,7 @@ fn a_restart_is_passed_on() {
     assert_eq!(embassy_futures::block_on(bench.board.restart_requested()), Restart::Firmware);
 }
 
-/// What is bound and answered: by each channel's own scales, with what it does.
+/// Bound channels are answered with their state, by each channel's own scales.
 #[test]
 fn a_cycle_answers_what_its_channels_do() {
     let mut bench = Bench::armed();
@@ -785,13 +786,13 @@ fn a_cycle_answers_what_its_channels_do() {
         Setpoint { mode: Mode::Speed, value: 2.0 },
     ];
     assert_eq!(places.map(|place| bench.taken(place)), expected.map(Some));
-    // They are followed for what is left of their time, and then stopped.
+    // The set points are followed for the rest of their time, and then stopped.
     bench.board.end_leases(Instant::from_micros(sent_us + 50_000));
     assert_eq!(places.map(|place| bench.taken(place)), [None; 3]);
     bench.board.end_leases(Instant::from_micros(sent_us + 50_001));
     let rest = Setpoint { mode: Mode::Speed, value: 0.0 };
     assert_eq!(places.map(|place| bench.taken(place)), [Some(rest), Some(Setpoint::NONE), Some(rest)]);
-    // To the µs, both ways.
+    // Limits to the µs, in both directions.
     for (late_us, outcome) in [
         (50_000, CycleOutcome::Taken),
         (50_001, CycleOutcome::Stale),
@@ -813,7 +814,7 @@ fn a_cycle_answers_what_its_channels_do() {
     assert_eq!(state.outcome(), CycleOutcome::Unbound);
 }
 
-/// The same frame once more, after its time, stops nothing; one of the same date that cannot be taken does.
+/// A duplicate of a frame, after its time, stops nothing; a refused one of the same date does.
 #[test]
 fn a_cycle_that_comes_twice_stops_nothing() {
     for (wait_ms, set, outcome, stopped) in
@@ -834,7 +835,7 @@ fn a_cycle_that_comes_twice_stops_nothing() {
     }
 }
 
-/// What the host has asked once is done once, however often it is sent, and however the board stands by then.
+/// A request is carried out once, however often it is sent, and whatever the board's state is by then.
 #[test]
 fn a_request_that_is_sent_again_is_answered_and_not_done_again() {
     let mut bench = Bench::armed();
@@ -844,7 +845,7 @@ fn a_request_that_is_sent_again_is_answered_and_not_done_again() {
     let state = |bench: &Bench| bench.board.safety().state;
     assert_eq!(bench.ask_as(1001, LINK, Request::Arm), Ok(Reply::Done));
     assert_eq!(state(&bench), SafetyState::Disarmed);
-    // A refusal, too.
+    // A repeated refusal is answered alike.
     bench.board.trip(r4_protocol::Cause::HostStop);
     let refused = bench.ask_as(1003, LINK, Request::Arm);
     assert!(matches!(refused, Err(Refusal::Tripped { .. })), "{refused:?}");
@@ -854,7 +855,7 @@ fn a_request_that_is_sent_again_is_answered_and_not_done_again() {
     bench.board.trip(r4_protocol::Cause::HostStop);
     assert_eq!(bench.ask_as(1004, LINK, Request::Clear), Ok(Reply::Done));
     assert_eq!(state(&bench), SafetyState::Tripped);
-    // A set point behind a newer one, twice.
+    // A set point behind a newer one, sent twice.
     assert_eq!(bench.ask_as(1010, LINK, Request::Clear), Ok(Reply::Done));
     assert_eq!(bench.ask_as(1011, LINK, Request::Arm), Ok(Reply::Done));
     let channel = "osmc0".parse().expect("a channel");
@@ -868,13 +869,13 @@ fn a_request_that_is_sent_again_is_answered_and_not_done_again() {
         assert_eq!(bench.taken(place).map(|setpoint| setpoint.value), taken, "{seq}");
     }
     bench.board.trip(r4_protocol::Cause::HostStop);
-    // With a number of its own it is another.
+    // With a new sequence number it is another request.
     assert_eq!(bench.ask_as(1005, LINK, Request::Clear), Ok(Reply::Done));
     assert_eq!(bench.ask_as(1006, LINK, Request::Arm), Ok(Reply::Done));
     assert_eq!(state(&bench), SafetyState::Armed);
 }
 
-/// Of hosts that do not count: a number is only that of the last request that had it.
+/// For hosts that do not count, a sequence number refers to the last request that used it.
 #[test]
 fn a_number_that_is_used_for_something_else_is_no_repeat() {
     let mut bench = Bench::armed();
@@ -886,7 +887,7 @@ fn a_number_that_is_used_for_something_else_is_no_repeat() {
     }
 }
 
-/// Nothing is remembered from another session, nor in one of a version that knows nothing of it.
+/// Nothing is remembered from another session, nor in a session of a version without repeats.
 #[test]
 fn each_session_begins_with_nothing_remembered() {
     let mut bench = Bench::armed();

@@ -1,8 +1,8 @@
-//! One stepper channel: commands, homing, books of the position.
+//! Stepper channel: commands, homing, accounting of the position.
 //!
-//! Each control period the pulses until [`LEAD_PERIODS`] from now are told to the hardware, with the tick of each. A command
-//! acts where what has been told ends. Time is the steppers' clock alone, so that a late control loop moves no pulse;
-//! one that is late by more than what has been told stops the motor, and that is a [`Fault`].
+//! In each control period the pulses until [`LEAD_PERIODS`] from now are queued in the hardware, with the tick of each.
+//! A command acts where the queued pulses end. The only time base is the steppers' clock, so that a late control loop
+//! moves no pulse; a loop that is late by more than the queued pulses stops the motor, and that is a [`Fault`].
 
 use core::f64::consts::TAU;
 
@@ -17,17 +17,18 @@ use super::{
 };
 use crate::platform::{StepAction, StepEvent, Steppers};
 
-/// How far pulses are told ahead, control periods: one may be missed.
+/// Lead of the queued pulses, control periods: one may be missed.
 pub const LEAD_PERIODS: u64 = 2;
 
-/// The switch is backed off from at this share of the speed it was sought with. The position found is off by what the
-/// motor moves at this speed while the switch is debounced, and in up to one period.
+/// Share of the search speed at which the switch is backed off from. The error of the position found is the motor's
+/// travel at this speed while the switch is debounced, and in up to one period.
 pub const BACK_OFF: f64 = 0.1;
 
-/// A switch that is not found within this share of the position range, or of a turn if that has no end, is given up.
+/// Distance after which the search for a switch is given up, as a share of the position range, or of a turn if that has
+/// no end.
 pub const SEEK_SHARE: f64 = 1.25;
 
-/// Why a configuration cannot work.
+/// Reason why a stepper's configuration cannot work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BadStepper {
     /// `steps_per_turn` must not be 0.
@@ -49,28 +50,28 @@ pub enum BadStepper {
     Timing,
 }
 
-/// What an axis is told.
+/// Command for an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Command {
-    /// To a position, rad.
+    /// Move to a position, rad.
     Position(f32),
-    /// At a speed, rad/s; stops before the ends of the position range.
+    /// Move at a speed, rad/s; stops before the ends of the position range.
     Speed(f32),
-    /// Find the position: towards the switch at this signed speed, rad/s, and slowly off it again. The position range does
-    /// not hold meanwhile.
+    /// Find the position: towards the switch at this signed speed, rad/s, and slowly off it again. The position range
+    /// does not apply meanwhile.
     Home(f32),
-    /// To rest, by a ramp.
+    /// Come to rest, by a ramp.
     Stop,
 }
 
-/// Why a command was not taken; nothing changes.
+/// Reason why a command was refused; nothing changes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CommandError {
-    /// NaN or infinite.
+    /// Value that is NaN or infinite.
     NotFinite,
-    /// Outside what the axis takes.
+    /// Value outside the allowed range.
     OutOfRange {
-        /// What it takes.
+        /// Range that the axis allows.
         allowed: Range,
     },
     /// The axis has no switch to find its position by.
@@ -79,70 +80,71 @@ pub enum CommandError {
     NoSpeed,
 }
 
-/// What went wrong in a period. The axis stops: at once, and then it no longer counts as homed, or by a ramp where it says so.
+/// Fault of an axis in a period. The axis stops: at once, after which it no longer counts as homed, or by a ramp where
+/// noted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// The control loop was late by more than the pulses told ahead.
+    /// The control loop was late by more than the queued pulses.
     Late,
     /// The hardware did not take all pulses.
     QueueFull,
-    /// The hardware made other pulses than it was told.
+    /// The hardware made other pulses than were queued.
     Miscounted,
-    /// The switch could not be read while it was needed. By a ramp.
+    /// The switch could not be read while it was needed. Stops by a ramp.
     SwitchUnknown,
-    /// The switch did not close, or not open again, within [`SEEK_SHARE`]. By a ramp.
+    /// The switch did not close, or not open again, within [`SEEK_SHARE`]. Stops by a ramp.
     SwitchNotFound,
 }
 
-/// What a path is made for.
+/// Purpose of a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Order {
-    /// steps
+    /// Position to move to, steps.
     Position(i64),
-    /// steps/s, within the range.
+    /// Speed, steps/s, within the position range.
     Speed(f64),
-    /// steps/s, whatever the position.
+    /// Speed, steps/s, regardless of the position range.
     Seek(f64),
     Stop,
 }
 
-/// Homing under way.
+/// State of a homing search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Search {
-    /// Towards the switch, steps/s.
+    /// Speed towards the switch, steps/s.
     speed: f64,
-    /// Where this phase began, steps.
+    /// Position at which this phase began, steps.
     began: i64,
     phase: Phase,
 }
 
-/// How far homing has come.
+/// Phase of a homing search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
-    /// Until the switch closes.
+    /// Seek, until the switch closes.
     Seek,
-    /// Until the motor rests.
+    /// Brake, until the motor rests.
     Brake,
-    /// Until the switch opens, having been closed: the motor may have passed it.
+    /// Back off until the switch opens after having been closed: the motor may have passed it.
     BackOff { was_closed: bool },
 }
 
-/// For telemetry.
+/// Status of an axis for telemetry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxisStatus {
-    /// Pulses made, as a position; wraps at 32 bits, which commands do not.
+    /// Number of pulses made, as a position; wraps at 32 bits, which commands do not.
     pub position_steps: i32,
-    /// Speed of the path where what has been told ends, rad/s.
+    /// Speed of the path where the queued pulses end, rad/s.
     pub speed: f32,
-    /// All pulses to the commanded position have been made.
+    /// True if all pulses to the commanded position have been made.
     pub settled: bool,
-    /// The position is that of the switch, and nothing since put it in doubt.
+    /// True if the position is that of the switch, and nothing since has put it in doubt.
     pub homed: bool,
-    /// Pulses are being made, or will be.
+    /// True while pulses are being made, or will be.
     pub moving: bool,
 }
 
-/// A stepper channel, stepped once each control period.
+/// Stepper channel, stepped once each control period.
 #[derive(Debug)]
 pub struct Axis {
     index: u8,
@@ -151,30 +153,30 @@ pub struct Axis {
     steps_per_rad: f64,
     tick_hz: f64,
     period: u64,
-    /// The hardware's clock and count, and what they are without wrapping.
+    /// Clock of the hardware without wrapping, ticks; raw count of its pulses; that count without wrapping, steps.
     now: u64,
     raw: i32,
     position: i64,
-    /// Pulses are to be made: those the hardware had at the last look, or told since.
+    /// True if pulses are to be made: those in the hardware at the last observation, or queued since.
     pending: bool,
     path: Path,
     path_start: u64,
     pulses: Pulses,
-    /// Until when pulses have been told, the path's speed there, steps/s, and whether it is over there: nothing moves, then.
+    /// Tick until which pulses have been queued, the path's speed there, steps/s, and whether the path rests there.
     told_to: u64,
     speed: f64,
     path_rests: bool,
-    /// What the path is for, and what is to replace that.
+    /// Purpose of the path, and its replacement.
     order: Order,
     next: Option<Order>,
     search: Option<Search>,
     homed: bool,
-    /// Highest speeds in the stretches of pulses told last, steps/s: the motor is in one of them.
+    /// Highest speeds in the intervals of pulses queued last, steps/s: the motor is in one of them.
     fastest: [f64; LEAD_PERIODS as usize + 2],
 }
 
 impl Axis {
-    /// An axis at rest at position 0, not homed.
+    /// Creates an axis at rest at position 0, not homed.
     ///
     /// # Errors
     /// [`BadStepper`] names the first field that cannot work.
@@ -217,7 +219,7 @@ impl Axis {
         })
     }
 
-    /// Takes a command; it acts from the next period on. One that is repeated changes nothing.
+    /// Takes a command, which acts from the next period on. A repeated command changes nothing.
     ///
     /// # Errors
     /// [`CommandError`]: a command is refused, never clipped.
@@ -255,8 +257,8 @@ impl Axis {
         Ok(())
     }
 
-    /// One period: takes account of the pulses made, and tells the hardware the next ones. `switch_closed` is the switch
-    /// for homing; `None` if it cannot be read.
+    /// Advances one period: accounts for the pulses made, and queues the next ones in the hardware. `switch_closed` is
+    /// the switch for homing; `None` if it cannot be read.
     ///
     /// # Errors
     /// [`Fault`]; the axis is already stopping.
@@ -271,10 +273,11 @@ impl Axis {
         searched
     }
 
-    /// Takes account of the clock and the pulses made. Done at least every 2³¹ ticks, also while nothing is commanded.
+    /// Accounts for the clock and the pulses made. Done at least every 2³¹ ticks, also while nothing is commanded.
     pub fn observe(&mut self, hw: &mut impl Steppers) {
         self.now += u64::from(hw.now().wrapping_sub(self.now as u32));
-        // Asked first: if nothing was left to do, the position is final. While the path goes on there is something anyway.
+        // Read first: if nothing was pending, the position is final. While the path goes on something is pending
+        // anyway.
         self.pending = !self.path_rests || hw.pending(self.index) > 0;
         let raw = hw.position(self.index);
         let moved = i64::from(raw.wrapping_sub(self.raw));
@@ -282,8 +285,8 @@ impl Axis {
         self.raw = raw;
     }
 
-    /// Stops at once and forgets the command. Steps may be lost if that was faster than the motor can stop, and then the axis
-    /// no longer counts as homed; the books keep every pulse made.
+    /// Stops at once and clears the command. If that was faster than the motor can stop, steps may be lost, and then
+    /// the axis no longer counts as homed; the position counts every pulse made.
     pub fn stop_now(&mut self, hw: &mut impl Steppers) {
         hw.stop(self.index);
         self.observe(hw);
@@ -302,12 +305,12 @@ impl Axis {
         self.fastest = [0.0; _];
     }
 
-    /// The shaft may have been turned by something else.
+    /// Marks the axis as not homed: something else may have turned the shaft.
     pub fn lose_home(&mut self) {
         self.homed = false;
     }
 
-    /// For telemetry.
+    /// Status of the axis for telemetry.
     #[must_use]
     pub fn status(&self) -> AxisStatus {
         let moving = !self.rests();
@@ -320,19 +323,19 @@ impl Axis {
         }
     }
 
-    /// What the path itself says of [`AxisStatus::speed`].
+    /// Speed computed from the path, for comparison with [`AxisStatus::speed`].
     #[cfg(test)]
     pub(super) fn path_speed(&self) -> f32 {
         (self.path.at(self.path_time_s(self.told_to)).speed / self.steps_per_rad) as f32
     }
 
-    /// The configuration.
+    /// Configuration of the axis.
     #[must_use]
     pub fn config(&self) -> &StepperConfig {
         &self.config
     }
 
-    /// Nothing moves, and nothing will.
+    /// Returns true if nothing moves, and nothing will.
     fn rests(&self) -> bool {
         !self.pending && self.next.is_none() && self.path_rests
     }
@@ -369,7 +372,7 @@ impl Axis {
         Ok(())
     }
 
-    /// The switch opens here.
+    /// Sets the position at which the switch opens.
     fn found(&mut self, position: i64) {
         let shift = position.wrapping_sub(self.position);
         self.position = position;
@@ -414,7 +417,7 @@ impl Axis {
         self.queue(from, hw)
     }
 
-    /// Makes the path that of an order, from a state of motion on.
+    /// Replaces the path by that of an order, starting from a state of motion.
     fn turn_to(&mut self, order: Order, motion: Motion) {
         let Self { path, limits, .. } = self;
         match order {
@@ -436,9 +439,9 @@ impl Axis {
         }
     }
 
-    /// Notes the speed at [`Axis::told_to`], whether the path rests there, and the highest speed since `from`. The path's extremes
-    /// are at the ends of pieces, but for one that begins with acceleration of the other sign: there it lies between speeds that come
-    /// before.
+    /// Records the speed at [`Axis::told_to`], whether the path rests there, and the highest speed since `from`. The
+    /// path's extremes are at the ends of pieces, except in a piece that begins with acceleration of the other sign:
+    /// there the extreme lies between earlier speeds.
     fn go_on(&mut self, from: u64) {
         let (from_s, to_s) = (self.path_time_s(from), self.path_time_s(self.told_to));
         self.path.go_on_to(from_s);
@@ -451,7 +454,7 @@ impl Axis {
         self.path_rests = self.path.rests_at(to_s);
     }
 
-    /// Tells the hardware the pulses of `from..told_to`.
+    /// Queues the pulses of `from..told_to` in the hardware.
     fn queue(&mut self, from: u64, hw: &mut impl Steppers) -> Result<(), Fault> {
         let (index, inverted, path_start) = (self.index, self.config.inverted, self.path_start);
         let pending = &mut self.pending;
@@ -478,7 +481,7 @@ impl Axis {
     }
 }
 
-/// Pulses are told at least this part of a period before they are due.
+/// Share of a period by which pulses are queued before they are due, at least.
 const MARGIN_SHARE: u64 = 8;
 
 fn check(config: &StepperConfig, steps_per_rad: f64, rate_max_hz: f64) -> Result<Limits, BadStepper> {
@@ -488,7 +491,7 @@ fn check(config: &StepperConfig, steps_per_rad: f64, rate_max_hz: f64) -> Result
     if config.steps_per_turn == 0 {
         return Err(BadStepper::StepsPerTurn);
     }
-    // f32 has 7 digits: a speed that is the highest rate in decimals may be above it by one rounding.
+    // f32 has 7 digits: a speed given in decimals as the highest rate may exceed it by one rounding error.
     if !positive(config.speed_max) || speed > rate_max_hz * (1.0 + f64::from(f32::EPSILON)) {
         return Err(BadStepper::Speed);
     }

@@ -1,4 +1,4 @@
-//! The steppers that share an enable.
+//! Bank of steppers that share an enable line.
 
 use heapless::Vec;
 
@@ -9,25 +9,25 @@ use super::{
 };
 use crate::platform::Steppers;
 
-/// Most steppers on one enable.
+/// Maximum number of steppers on one enable.
 pub const MAX_STEPPERS: usize = 4;
 
-/// Why a command was not taken.
+/// Reason why a command was refused.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum NotTaken {
     /// There is no such stepper.
     NoStepper,
-    /// The steppers are safe: arm first.
+    /// The steppers are in the safe state: arm first.
     NotArmed,
-    /// Its axis does not take it.
+    /// The axis refuses it.
     Refused(CommandError),
 }
 
-/// The enable line, and since when it is on.
+/// State of the enable line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Enable {
     Off,
-    /// The drivers wake up.
+    /// The drivers are waking up, since this tick.
     Since(u32),
     Ready,
 }
@@ -44,10 +44,12 @@ pub struct Bank {
 }
 
 impl Bank {
-    /// Steppers at rest, the enable off; `active_low` when a low level enables. With `hold_when_safe` the enable stays on once it is, so that loads are held.
+    /// Creates the bank with steppers at rest and the enable off; `active_low` when a low level enables. With
+    /// `hold_when_safe` the enable, once on, stays on, so that loads are held.
     ///
     /// # Errors
-    /// The number of the stepper that cannot work, and why. Those beyond [`MAX_STEPPERS`] are none.
+    /// The connector's number of the stepper that cannot work, and the reason. Those beyond [`MAX_STEPPERS`] are
+    /// ignored.
     pub fn new<H: Steppers>(
         configs: &[StepperConfig],
         driver: &DriverTiming,
@@ -69,18 +71,18 @@ impl Bank {
         Ok(bank)
     }
 
-    /// Level of the line that enables, or not.
+    /// Level of the enable line for the given state.
     const fn level(&self, enabled: bool) -> bool {
         enabled != self.active_low
     }
 
-    /// Whether commands are taken.
+    /// Returns true while commands are accepted.
     #[must_use]
     pub const fn is_armed(&self) -> bool {
         self.armed
     }
 
-    /// Turns the enable on. Commands are taken from now on and act when the drivers are awake.
+    /// Turns the enable on. Commands are accepted from now on and act when the drivers are awake.
     pub fn arm(&mut self, hw: &mut impl Steppers) {
         if self.enable == Enable::Off {
             hw.enable(self.level(true));
@@ -89,20 +91,21 @@ impl Bank {
         self.armed = true;
     }
 
-    /// Brings those steppers to rest by their ramps whose stop brakes, ends the pulses of the others, and takes no more
-    /// commands. Until [`Bank::make_safe`] the enable stays on and [`Bank::step`] must go on.
+    /// Begins a braking stop: steppers whose stop brakes come to rest by their ramps, the pulses of the others end, and
+    /// no more commands are accepted. Until [`Bank::make_safe`] the enable stays on and [`Bank::step`] must continue to
+    /// be called.
     pub fn brake(&mut self, hw: &mut impl Steppers) {
         self.armed = false;
         for axis in &mut self.axes {
-            // A stop is always taken.
+            // An axis never refuses a stop.
             if axis.config().stop_brake_ms == 0 || axis.command(Command::Stop).is_err() {
                 axis.stop_now(hw);
             }
         }
     }
 
-    /// Stops all at once and forgets their commands, and turns the enable off unless it is to hold. Without it a shaft can be
-    /// turned by its load, so the axes no longer count as homed; the books of their positions are kept.
+    /// Stops all at once, clears their commands, and turns the enable off unless it is to hold. Without the enable a
+    /// load can turn a shaft, so the axes no longer count as homed; their position counts are kept.
     pub fn make_safe(&mut self, hw: &mut impl Steppers) {
         self.armed = false;
         for axis in &mut self.axes {
@@ -118,7 +121,7 @@ impl Bank {
     /// Commands stepper number `index` of the configuration.
     ///
     /// # Errors
-    /// [`NotTaken`]; nothing changes.
+    /// [`NotTaken`] names the reason; nothing changes.
     pub fn command(&mut self, index: usize, command: Command) -> Result<(), NotTaken> {
         let axis = self.axes.get_mut(index).ok_or(NotTaken::NoStepper)?;
         if !self.armed {
@@ -127,7 +130,8 @@ impl Bank {
         axis.command(command).map_err(NotTaken::Refused)
     }
 
-    /// One period. `closed` reads a switch by its number; `fault` is told what went wrong with which stepper.
+    /// Advances one period. `closed` reads a switch by its number; `fault` is called for each fault, with the stepper's
+    /// index.
     pub fn step(
         &mut self,
         closed: impl Fn(u8) -> Option<bool>,
@@ -152,7 +156,7 @@ impl Bank {
         hw.queued();
     }
 
-    /// For telemetry, in the order of the configuration.
+    /// Status of each stepper for telemetry, in the order of the configuration.
     pub fn status(&self) -> impl Iterator<Item = AxisStatus> + '_ {
         self.axes.iter().map(Axis::status)
     }

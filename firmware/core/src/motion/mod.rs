@@ -1,4 +1,4 @@
-//! Steppers: paths, pulse times, axes, and the enable they share.
+//! Stepper motion: paths, pulse times, axes, and the enable they share.
 
 pub mod axis;
 mod bank;
@@ -12,14 +12,14 @@ mod tests;
 pub use bank::{Bank, MAX_STEPPERS, NotTaken};
 pub use r4_protocol::config::{HomingConfig as Homing, StepperConfig};
 
-/// The nearest number to `whole`, as `as` gives it. A Cortex-M7 converts halves by itself, and calls a function of 30 instructions
-/// for the whole.
+/// Converts to the nearest f64, like `as`. A Cortex-M7 converts 32-bit halves with one instruction, and calls a
+/// function of 30 instructions for all 64 bits.
 fn to_f64(whole: u64) -> f64 {
     f64::from((whole >> 32) as u32) * 4_294_967_296.0 + f64::from(whole as u32)
 }
 
-/// The whole number nearest to `number`, and the remainder, -0.5..=0.5. Numbers that fit 32 bits are converted by an instruction of
-/// the processor, others by the library.
+/// Returns the integer nearest to `number`, and the remainder, -0.5..=0.5. Numbers that fit 32 bits are converted by an
+/// instruction of the processor, others by the library.
 fn rounded(number: f64) -> (i64, f64) {
     if number.abs() < 2e9 {
         let whole = (number + 0.5f64.copysign(number)) as i32;

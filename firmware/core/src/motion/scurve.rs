@@ -1,9 +1,10 @@
-//! Time-optimal path with limited speed, acceleration and jerk, from any state of motion to rest at a position or to a speed.
+//! Time-optimal path with limited speed, acceleration and jerk, from any state of motion to rest at a position or to a
+//! speed.
 //!
-//! Going towards a target means: head for full speed as fast as the limits allow, cruise, and brake as hard as they allow.
-//! Where a path that brakes later ends grows with the moment at which it brakes, so that moment is the only unknown,
-//! whatever the state at the start. If even braking at once ends beyond the target, the same is done towards the other
-//! side. This gives the seven segments from rest, and the right ones from any other state.
+//! A path towards a target heads for full speed as fast as the limits allow, cruises, and brakes as hard as they allow.
+//! The end of the path grows with the moment at which braking begins, so that moment is the only unknown, whatever the
+//! state at the start. If even braking at once ends beyond the target, the same is done towards the other side. This
+//! gives the seven segments from rest, and the right ones from any other state.
 //!
 //! Paths are functions of time and are not stepped: a new command starts a new path from a point of the old one.
 
@@ -14,37 +15,38 @@ use heapless::Vec;
 /// Limits of a path. All positive; speed and acceleration finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// steps/s
+    /// Highest speed on the path, steps/s.
     pub speed: f64,
-    /// steps/s²
+    /// Highest acceleration on the path, steps/s².
     pub acceleration: f64,
-    /// steps/s³; infinite for trapezoids, whose acceleration jumps.
+    /// Highest jerk, steps/s³; infinite for trapezoids, whose acceleration jumps.
     pub jerk: f64,
 }
 
-/// A position as whole steps and the rest, in -0.5..=0.5, so that far from zero it is as fine as near it.
+/// Position as an integer number of steps plus a fraction, in -0.5..=0.5, so that its resolution does not depend on the
+/// distance from zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Position {
     /// Nearest step.
     pub steps: i64,
-    /// From there, steps.
+    /// Offset from that step, steps.
     pub fraction: f64,
 }
 
 impl Position {
-    /// Exactly at a step.
+    /// Position exactly at a step.
     #[must_use]
     pub const fn at_step(steps: i64) -> Self {
         Self { steps, fraction: 0.0 }
     }
 
-    /// This far from 0.
+    /// Position at `distance` steps from 0, which should be small.
     #[must_use]
     pub fn near_zero(distance: f64) -> Self {
         Self::at_step(0).moved(distance)
     }
 
-    /// From here to a step.
+    /// Distance from this position to a step, steps.
     #[must_use]
     pub fn distance_to(self, steps: i64) -> f64 {
         let distance = steps.wrapping_sub(self.steps);
@@ -58,26 +60,27 @@ impl Position {
     }
 }
 
-/// A state of motion.
+/// State of motion at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
-    /// Where.
+    /// Position of the motor.
     pub position: Position,
-    /// steps/s
+    /// Speed of the motor, steps/s.
     pub speed: f64,
-    /// steps/s²
+    /// Acceleration of the motor, steps/s².
     pub acceleration: f64,
 }
 
 impl Motion {
-    /// At rest at a step.
+    /// State at rest at a step.
     #[must_use]
     pub const fn rest(steps: i64) -> Self {
         Self { position: Position::at_step(steps), speed: 0.0, acceleration: 0.0 }
     }
 }
 
-/// A stretch of time with constant jerk. The acceleration belongs to it, because in a trapezoid it jumps between them.
+/// Stretch of time with constant jerk. It stores its initial acceleration, because in a trapezoid that jumps between
+/// arcs.
 #[derive(Clone, Copy, Debug)]
 struct Arc {
     duration_s: f64,
@@ -88,13 +91,13 @@ struct Arc {
 impl Arc {
     const NONE: Self = Self { duration_s: 0.0, acceleration: 0.0, jerk: 0.0 };
 
-    /// No more of it than this long.
+    /// Returns the arc, limited to this duration.
     fn cut(self, duration_s: f64) -> Self {
         Self { duration_s: self.duration_s.min(duration_s), ..self }
     }
 }
 
-/// Distance, speed and acceleration while an arc is followed.
+/// Distance, speed and acceleration while following an arc.
 #[derive(Clone, Copy)]
 struct Relative {
     distance: f64,
@@ -113,8 +116,8 @@ impl Relative {
     }
 }
 
-/// The fastest way to the speed `to`, ending without acceleration. Speed leaves the interval between start and end only
-/// by what taking back the acceleration costs; acceleration beyond the limit is first brought back to it.
+/// Fastest ramp to the speed `to`, ending without acceleration. The speed leaves the interval between start and end
+/// only while an initial acceleration is removed; an acceleration beyond the limit is first brought back to it.
 fn ramp(speed: f64, acceleration: f64, to: f64, limits: &Limits) -> [Arc; 3] {
     let Limits { acceleration: most, jerk, .. } = *limits;
     if jerk.is_infinite() {
@@ -125,10 +128,11 @@ fn ramp(speed: f64, acceleration: f64, to: f64, limits: &Limits) -> [Arc; 3] {
     let if_taken_back = speed + acceleration * acceleration.abs() / (2.0 * jerk);
     let side = if to >= if_taken_back { 1.0 } else { -1.0 };
     let (start, change) = (side * acceleration, side * (to - speed));
-    // From `start` up to the peak and from there to 0 must make up the change: (2 peak² - start²) / 2 jerk = change.
+    // The changes from `start` up to the peak and from there to 0 add up to the change: (2 peak² - start²) / 2 jerk =
+    // change.
     let free_peak_squared = (jerk * change + start * start / 2.0).max(0.0);
     let holds = free_peak_squared > most * most;
-    // A root takes as long as all else here, and often it is not needed.
+    // A square root takes as long as the rest of this function, and often it is not needed.
     let peak = if holds { most } else { sqrt(free_peak_squared) };
     let first_s = (peak - start).abs() / jerk;
     let last_s = peak / jerk;
@@ -166,19 +170,19 @@ fn duration_s(ramp: &[Arc; 3]) -> f64 {
     ramp.iter().map(|arc| arc.duration_s).sum()
 }
 
-/// A part of a path: constant jerk from `start_s` after the path's start until the next part.
+/// Piece of a path: constant jerk from `start_s` after the path's start until the next piece.
 #[derive(Clone, Copy, Debug)]
 pub struct Piece {
-    /// s after the path's start.
+    /// Time after the path's start, s.
     pub start_s: f64,
-    /// State then.
+    /// State of motion at `start_s`.
     pub start: Motion,
-    /// steps/s³
+    /// Jerk of the piece, steps/s³.
     pub jerk: f64,
 }
 
 impl Piece {
-    /// Distance from the piece's start and speed, `time_s` after it.
+    /// Returns the distance from the piece's start, steps, and the speed, steps/s, `time_s` after it.
     #[must_use]
     pub fn distance_and_speed(&self, time_s: f64) -> (f64, f64) {
         let (t, Motion { speed, acceleration, .. }) = (time_s, self.start);
@@ -195,22 +199,23 @@ impl Piece {
     }
 }
 
-/// Heading for full speed, cruise, braking, and what stays for good.
+/// Maximum number of pieces: heading for full speed, cruise, braking, and the final state.
 const MAX_PIECES: usize = 8;
 
-/// A path from some state of motion on: what it leads to is kept for good.
+/// Path from some state of motion on, ending in a state that lasts.
 #[derive(Clone, Debug)]
 pub struct Path {
     pieces: Vec<Piece, MAX_PIECES>,
-    /// The first of them that is not over.
+    /// Index of the first unfinished piece.
     first: usize,
 }
 
-/// Paths that would miss by less than this need no correction but the shift that takes them exactly to the target, steps.
+/// Miss of the target, steps, below which a path needs no correction other than the shift that takes it exactly to the
+/// target.
 const NEGLIGIBLE: f64 = 1e-6;
 
 impl Path {
-    /// Stays at a state's position.
+    /// Path that stays at a state's position.
     #[must_use]
     pub fn rest(at: Motion) -> Self {
         let mut path = Self { pieces: Vec::new(), first: 0 };
@@ -218,9 +223,9 @@ impl Path {
         path
     }
 
-    /// The fastest way to rest at a step.
+    /// Fastest path to rest at a step.
     ///
-    /// Keeps to the limits, except from a state outside them: it is first brought inside, and a state too fast to stop
+    /// Keeps the limits, except from a state outside them: that is first brought inside, and a state too fast to stop
     /// before the target passes it and returns.
     #[must_use]
     pub fn to_position(from: Motion, target: i64, limits: &Limits) -> Self {
@@ -240,7 +245,7 @@ impl Path {
         } else {
             let side = 1f64.copysign(excess);
             let out = ramp(from.speed, from.acceleration, side * limits.speed, limits);
-            // How far beyond the target the path ends that brakes at this time of `out`; grows with it.
+            // Overshoot of the path that begins to brake at this time of `out`; grows with that time.
             let beyond = |time_s: f64| {
                 let Relative { distance: covered, speed, acceleration } = along(&out, from.speed, time_s);
                 let stop = ramp(speed, acceleration, 0.0, limits);
@@ -262,7 +267,7 @@ impl Path {
             let braking = path.path.pieces.len();
             let stop = ramp(path.now.speed, path.now.acceleration, 0.0, limits);
             path.ramp(&stop, f64::INFINITY);
-            // What rounding leaves of a long way goes where the path is fast.
+            // The rounding error of a long path is moved to where the path is fast.
             let missed = path.now.position.distance_to(target);
             for piece in path.path.pieces.iter_mut().skip(braking) {
                 piece.start.position = piece.start.position.moved(missed);
@@ -272,7 +277,7 @@ impl Path {
         path.finish(0.0);
     }
 
-    /// The fastest way to a speed, which is then held; 0 stops.
+    /// Fastest path to a speed, which is then held; 0 stops.
     #[must_use]
     pub fn to_speed(from: Motion, speed: f64, limits: &Limits) -> Self {
         let mut path = Self::rest(from);
@@ -287,34 +292,34 @@ impl Path {
         path.finish(speed);
     }
 
-    /// Forgets the parts that are over at a time after the start. What is asked from here on is not before that.
+    /// Drops the pieces that are over at a time after the start. Later queries must not be before that.
     pub fn go_on_to(&mut self, time_s: f64) {
         while self.pieces.get(self.first + 1).is_some_and(|next| next.start_s <= time_s) {
             self.first += 1;
         }
     }
 
-    /// Calls all positions of it differently.
+    /// Shifts the numbering of all its positions by `by` steps.
     pub fn shift(&mut self, by: i64) {
         for piece in &mut self.pieces {
             piece.start.position.steps = piece.start.position.steps.wrapping_add(by);
         }
     }
 
-    /// The parts that are not over, in order of time; never none. The last has no end, and constant speed.
+    /// Unfinished pieces in order of time; never empty. The last has no end, and constant speed.
     #[must_use]
     pub fn pieces(&self) -> &[Piece] {
         &self.pieces[self.first..]
     }
 
-    /// State at a time after the start.
+    /// State of motion `time_s` after the start.
     #[must_use]
     pub fn at(&self, time_s: f64) -> Motion {
         let piece = self.piece_at(time_s);
         piece.at(time_s - piece.start_s)
     }
 
-    /// Speed at a time after the start.
+    /// Speed `time_s` after the start, steps/s.
     #[must_use]
     pub fn speed_at(&self, time_s: f64) -> f64 {
         let piece = self.piece_at(time_s);
@@ -332,20 +337,20 @@ impl Path {
         piece
     }
 
-    /// When what the path leads to is reached, s after its start.
+    /// Time after the start at which the final state is reached, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.pieces.last().map_or(0.0, |last| last.start_s)
     }
 
-    /// Whether the path is over and nothing moves from `time_s` on.
+    /// Returns true if the path is over and nothing moves from `time_s` on.
     #[must_use]
     pub fn rests_at(&self, time_s: f64) -> bool {
         self.pieces.last().is_some_and(|last| last.start_s <= time_s && last.start.speed == 0.0)
     }
 }
 
-/// A path being put together.
+/// Builder of a path from its arcs.
 struct Builder<'p> {
     path: &'p mut Path,
     now: Motion,
@@ -368,13 +373,13 @@ impl<'p> Builder<'p> {
             start: Motion { acceleration: arc.acceleration, ..self.now },
             jerk: arc.jerk,
         };
-        // Three arcs, cruise, three arcs, the end: there is room.
+        // There is room for three arcs, cruise, three arcs and the end.
         let _ = self.path.pieces.push(piece);
         self.now = piece.at(arc.duration_s);
         self.time_s += arc.duration_s;
     }
 
-    /// The first `time_s` of a ramp.
+    /// Appends the first `time_s` of a ramp.
     fn ramp(&mut self, ramp: &[Arc; 3], mut time_s: f64) {
         for arc in ramp {
             self.arc(arc.cut(time_s));
@@ -382,7 +387,7 @@ impl<'p> Builder<'p> {
         }
     }
 
-    /// A ramp has ended at this speed, but for rounding.
+    /// Sets the speed at which a ramp has ended, to remove rounding errors.
     fn settle(&mut self, speed: f64) {
         self.now = Motion { speed, acceleration: 0.0, ..self.now };
     }
@@ -393,7 +398,7 @@ impl<'p> Builder<'p> {
     }
 }
 
-/// Where a growing function with these two points, below and above 0, passes 0.
+/// Zero of an increasing function, between two of its points, below and above 0.
 ///
 /// Inverse quadratic interpolation where it is safe, else bisection (Chandrupatla, Advances in Engineering Software 28,
 /// 1997, 145-149). Ends at 1e-9 of the function or when the interval is down to rounding.
@@ -457,12 +462,12 @@ mod tests {
         }
     }
 
-    /// From here to `to`, steps.
+    /// Distance between two positions, steps.
     fn between(from: Position, to: Position) -> f64 {
         from.distance_to(to.steps) + to.fraction
     }
 
-    /// On curves from steep to flat, at which bisection looks 30 times: 4.9 times on average, as measured.
+    /// On curves from steep to flat, for which bisection takes 30 evaluations: 4.9 on average, as measured.
     #[test]
     fn a_root_takes_five_looks() {
         let looks = Cell::new(0);
@@ -478,7 +483,8 @@ mod tests {
         assert!(looks.get() <= 49 * 6 * 99 / 10, "{} looks", looks.get());
     }
 
-    /// So steep that no number comes within 1e-9 of the root: it ends where the interval is down to rounding, in any unit of time.
+    /// A function so steep that no number comes within 1e-9 of its zero: the search ends where the interval is down to
+    /// rounding, in any unit of time.
     #[test]
     fn a_root_below_rounding_ends() {
         for (height, end) in
@@ -494,21 +500,22 @@ mod tests {
         }
     }
 
-    /// Every limit at the ends of every piece and, for speed, at its extremes within; no jump between pieces.
+    /// Checks the limits at the ends of every piece and, for speed, at its extremes within, and continuity between
+    /// pieces.
     fn check(path: &Path, limits: &Limits) -> Result<(), TestCaseError> {
-        // Rounding of f64 in sums of some ten terms.
+        // Rounding of f64 in sums of about ten terms.
         let above = 1.0 + 1e-9;
         for (piece, next) in path.pieces().iter().zip(&path.pieces()[1..]) {
             let time_s = next.start_s - piece.start_s;
             let end = piece.at(time_s);
-            // Starts are told in f64 from the path's start.
+            // Start times are in f64 from the path's start.
             let rounded_s = 4.0 * f64::EPSILON * next.start_s;
             let jerk_s = if piece.jerk == 0.0 { 0.0 } else { limits.jerk * rounded_s };
             prop_assert!(piece.jerk == 0.0 || (piece.jerk.abs() <= limits.jerk && limits.jerk.is_finite()));
             for acceleration in [piece.start.acceleration, end.acceleration] {
                 prop_assert!(acceleration.abs() <= limits.acceleration * above + jerk_s, "{piece:?}, {limits:?}");
             }
-            // Speed is a parabola with its extreme where acceleration is 0.
+            // The speed is a parabola with its extreme where the acceleration is 0.
             let extreme_s = (-piece.start.acceleration / piece.jerk).clamp(0.0, time_s);
             for time_s in [0.0, if extreme_s.is_finite() { extreme_s } else { 0.0 }, time_s] {
                 let (_, speed) = piece.distance_and_speed(time_s);
@@ -517,7 +524,7 @@ mod tests {
                     "{speed} in {piece:?}, {limits:?}"
                 );
             }
-            // The shift before braking: 1e-6 steps, or the rounding of the way; elsewhere rounding.
+            // The shift before braking: 1e-6 steps, or the rounding of the distance; elsewhere rounding.
             let way = end.speed.abs() * next.start_s;
             prop_assert!(between(end.position, next.start.position).abs() <= 2e-6 + way * 1e-14, "{end:?} {next:?}");
             prop_assert!(
@@ -526,7 +533,7 @@ mod tests {
             );
             if limits.jerk.is_finite() {
                 let jump = (end.acceleration - next.start.acceleration).abs();
-                // At the end of a path what its roots are exact to: sqrt of rounding of the speed.
+                // At the end of a path the accuracy of its roots: square root of the speed's rounding.
                 prop_assert!(
                     jump <= limits.acceleration * 1e-6 + (limits.jerk * limits.speed).sqrt() * 1e-6 + jerk_s,
                     "{end:?} {next:?}"
@@ -559,18 +566,19 @@ mod tests {
 
         #[test]
         fn rest_to_rest_takes_the_shortest_time(limits in limits(), exponent in 0.0..9.3f64, up: bool, start in -1_000_000i64..1_000_000) {
-            // Up to a million seconds.
+            // At most a million seconds.
             let distance = 10f64.powf(exponent).min(limits.speed * 1e6) as i64;
             let target = if up { start + distance } else { start - distance };
             let path = Path::to_position(Motion::rest(start), target, &limits);
             check(&path, &limits)?;
             let ideal_s = ideal_s(distance as f64, &limits);
-            // The root is found to 1e-9 steps, of one at least; time grows at most with the distance.
+            // The root is found to 1e-9 steps, of at least one; time grows at most with the distance.
             prop_assert!((path.duration_s() / ideal_s - 1.0).abs() < 1e-8, "{} s, ideal {ideal_s} s", path.duration_s());
             prop_assert_eq!(path.at(path.duration_s()), Motion::rest(target));
         }
 
-        /// From any state within the limits, once its acceleration has been taken back too: where Ruckig has it, at every moment.
+        /// From any state within the limits, also after its acceleration has been removed, the path equals Ruckig's at
+        /// every moment.
         #[test]
         fn paths_to_rest_are_ruckigs(
             speed_exponent in 1.0..5.0f64, acceleration_s in 0.01..2.0f64, jerk_s in 1e-3..1.0f64, exponent in 0.0..7.0f64,
@@ -589,7 +597,7 @@ mod tests {
             let path = Path::to_position(from, target as i64, &limits);
             let ruckig = Ruckig::to_rest([0.0, speed, acceleration], target, &limits);
             let far = distance + limits.speed * (acceleration_s + jerk_s);
-            // Ruckig takes paths that end within 1e-8 of the target's position, speed and acceleration, in any unit, for right.
+            // Ruckig accepts paths that end within 1e-8 of the target's position, speed and acceleration, in any unit.
             let tolerance_s = 1e-8 * ruckig.duration_s + 1e-8 / limits.speed + 1e-8 / limits.acceleration;
             let duration_s = path.duration_s();
             prop_assert!((duration_s - ruckig.duration_s).abs() <= tolerance_s, "{duration_s} s, Ruckig {} s", ruckig.duration_s);
@@ -618,7 +626,7 @@ mod tests {
                 match order {
                     Order::Position(target) => {
                         prop_assert_eq!(path.at(rest_s), Motion::rest(*target));
-                        // Never longer than to stop first and go then.
+                        // Never longer than stopping first and then moving.
                         let stop = Path::to_speed(now, 0.0, &limits);
                         let stopped = stop.at(stop.duration_s());
                         let way = stopped.position.distance_to(*target).abs();
@@ -638,7 +646,7 @@ mod tests {
             let time_s = share * path.duration_s();
             let again = Path::to_position(path.at(time_s), target, &limits);
             let left_s = path.duration_s() - time_s;
-            // Time to correct an error of 1e-6 steps with the jerk or the acceleration there is.
+            // Time to correct an error of 1e-6 steps with the available jerk or acceleration.
             let correction_s = 4.0 * (1e-6 / limits.jerk).cbrt() + 2.0 * (1e-6 / limits.acceleration).sqrt();
             prop_assert!((again.duration_s() - left_s).abs() < 1e-7 * path.duration_s() + 4.0 * correction_s, "{} s, {left_s} s left", again.duration_s());
         }
@@ -670,7 +678,7 @@ mod tests {
             let function = |x: f64| { calls.set(calls.get() + 1); x.powf(exponent) - height };
             let x = root((0.0, -height), (1.0, 1.0 - height), function);
             prop_assert!((x.powf(exponent) - height).abs() <= 1e-9);
-            // Bisection to 1e-9 and 2e-16: from 30 to 52.
+            // Bisection to 1e-9 and 2e-16 takes 30 to 52 evaluations.
             prop_assert!(calls.get() <= 40, "{} calls", calls.get());
         }
     }

@@ -1,7 +1,8 @@
-//! From a path to the moments of its pulses.
+//! Pulse times of a path.
 //!
-//! A pulse is due when the path passes the middle between two steps, so that what has been made is always the step nearest
-//! to the path. Each moment is solved from the path's own polynomials and rounded to a tick: no error adds up.
+//! A pulse is due when the path passes the middle between two steps, so that the position of the pulses made is always
+//! the step nearest to the path. Each moment is solved from the path's own polynomials and rounded to a tick: no error
+//! adds up.
 
 use super::{
     scurve::{Path, Piece},
@@ -12,16 +13,16 @@ use crate::{
     root::sqrt,
 };
 
-/// What a driver needs from its lines.
+/// Timing requirements of a driver's lines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriverTiming {
-    /// Direction before the active edge of a pulse, s.
+    /// Set-up time of the direction before the active edge of a pulse, s.
     pub direction_setup_s: f32,
-    /// Direction after the end of a pulse, s.
+    /// Hold time of the direction after the end of a pulse, s.
     pub direction_hold_s: f32,
-    /// Enable before the first pulse, s.
+    /// Time from enable to the first pulse, s.
     pub enable_setup_s: f32,
-    /// Most pulses per second.
+    /// Highest pulse rate, Hz.
     pub rate_max_hz: f32,
 }
 
@@ -29,24 +30,24 @@ pub struct DriverTiming {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TickTiming {
     pub(super) tick_hz: u32,
-    /// From pulse to pulse.
+    /// Shortest time from pulse to pulse, ticks.
     pub(super) spacing: u32,
-    /// From turning the direction line to the pulse.
+    /// Time from turning the direction line to the pulse, ticks.
     pub(super) turn_to_pulse: u32,
-    /// From a pulse to turning the direction line.
+    /// Time from the start of a pulse to turning the direction line, ticks.
     pub(super) pulse_to_turn: u32,
-    /// From enable to the first pulse.
+    /// Time from enable to the first pulse, ticks.
     pub(super) enable: u32,
 }
 
 impl TickTiming {
-    /// For a board's clock. `None` if a time is negative, longer than the clock counts, or not a number, or if pulses at
-    /// the highest rate would run into each other.
+    /// Converts `driver` to ticks of a board's clock. `None` if a time is negative, longer than the clock counts, or
+    /// not a number, or if pulses at the highest rate would run into each other.
     #[must_use]
     pub fn new<H: Steppers>(driver: &DriverTiming) -> Option<Self> {
         let ticks = |time_s: f64| {
             let ticks = libm::ceil(time_s * f64::from(H::TICK_HZ) - 1e-3);
-            // Half the counter's range tells before from after.
+            // The limit is half the counter's range, which distinguishes before from after.
             (0.0..f64::from(i32::MAX)).contains(&ticks).then_some(ticks as u32)
         };
         let turn = ticks(driver.direction_setup_s.into())?;
@@ -62,54 +63,55 @@ impl TickTiming {
         })
     }
 
-    /// The highest rate, steps/s: a whole number of ticks from pulse to pulse.
+    /// Highest rate, steps/s: an integer number of ticks from pulse to pulse.
     #[must_use]
     pub fn rate_max_hz(&self) -> f64 {
         f64::from(self.tick_hz) / f64::from(self.spacing)
     }
 }
 
-/// The pulses of one axis along its paths.
+/// Pulses of one axis along its paths.
 ///
-/// Within half a tick of the path, and later only where two pulses of opposite direction are closer than the direction
-/// line allows: a path that turns just beyond the middle between two steps.
+/// They are within half a tick of the path, and later only where two pulses of opposite direction are closer than the
+/// direction line allows: a path that reverses just beyond the middle between two steps.
 #[derive(Clone, Debug)]
 pub struct Pulses {
     timing: TickTiming,
-    /// Position after all pulses told so far, steps.
+    /// Position after all pulses emitted so far, steps.
     made: i64,
-    /// What the direction line will be; `None` when that is not known.
+    /// State of the direction line after them; `None` when unknown.
     direction: Option<bool>,
     last_tick: Option<u64>,
 }
 
 impl Pulses {
-    /// No pulse made, at position 0.
+    /// Creates the state at position 0 with no pulse made.
     #[must_use]
     pub fn new(timing: TickTiming) -> Self {
         Self { timing, made: 0, direction: None, last_tick: None }
     }
 
-    /// Position after all pulses told so far, steps.
+    /// Position after all pulses emitted so far, steps.
     #[must_use]
     pub fn made(&self) -> i64 {
         self.made
     }
 
-    /// Calls the present position differently.
+    /// Shifts the numbering of positions by `by` steps.
     pub fn shift(&mut self, by: i64) {
         self.made = self.made.wrapping_add(by);
     }
 
-    /// Starts anew where the motor stands: pulses told may not have been made, the last of them not after `tick`.
+    /// Restarts at the motor's position: emitted pulses may not have been made, the last of them not after `tick`.
     pub fn reset(&mut self, position: i64, tick: u64) {
         *self = Self { timing: self.timing, made: position, direction: None, last_tick: Some(tick) };
     }
 
-    /// Tells `emit` the events of a path's time `from..to`, ticks after the path's start at tick `start`, in order. Called
-    /// with intervals that follow each other.
+    /// Emits the events of a path in the time interval `from..to`, ticks after the path's start at tick `start`, in
+    /// order. Successive calls must have adjacent intervals.
     ///
-    /// The direction line is turned as late as it may be, [`TickTiming`]'s time before the pulse, which can be before `from`.
+    /// The direction line turns as late as permitted, [`TickTiming`]'s time before the pulse, which can be before
+    /// `from`.
     pub fn along(&mut self, path: &Path, start: u64, from: u64, to: u64, mut emit: impl FnMut(StepEvent)) {
         let tick_hz = f64::from(self.timing.tick_hz);
         let from_ticks = to_f64(from);
@@ -121,7 +123,7 @@ impl Pulses {
             if high <= low {
                 continue;
             }
-            // Never before `from`; the nearest tick, by a conversion that the processor has.
+            // Never before `from`; the nearest tick, by a conversion that the processor has an instruction for.
             let to_tick =
                 |time_s: f64| start + from + u64::from(((piece.start_s + time_s) * tick_hz - from_ticks + 0.5) as u32);
             let mut part = low;
@@ -135,7 +137,7 @@ impl Pulses {
         }
     }
 
-    /// A part of a piece in which the speed keeps its sign.
+    /// Emits the events of a part of a piece in which the speed keeps its sign.
     fn along_one_way(
         &mut self,
         piece: &Piece,
@@ -147,7 +149,7 @@ impl Pulses {
         let ((first, speed), (last, _)) = (piece.distance_and_speed(low), piece.distance_and_speed(high));
         let side = if last > first { 1.0 } else { -1.0 };
         let mut line = piece.start.position.distance_to(self.made) + side / 2.0;
-        // As if it went on as fast as it begins; after that, as long as the last step took.
+        // First guess by the initial speed; afterwards by the duration of the last step.
         let mut guess = low + (line - first) / speed;
         while side * (last - line) > 0.0 {
             let time_s = passing(piece, line, side, (low, high), guess, SOLVED_TICKS / f64::from(self.timing.tick_hz));
@@ -174,18 +176,18 @@ impl Pulses {
     }
 }
 
-/// How exactly the moment of a step is solved, before it is rounded to a tick.
+/// Accuracy to which the moment of a step is solved before it is rounded, ticks.
 const SOLVED_TICKS: f64 = 0.05;
 
-/// Whether a piece's speed may change its sign between two times. It does not where it only grows, or only falls, between two
-/// speeds of one sign.
+/// Returns true if a piece's speed may change its sign between two times. It does not where it rises or falls
+/// monotonically between two speeds of one sign.
 fn may_turn(piece: &Piece, low: f64, high: f64) -> bool {
     let acceleration = |time_s: f64| piece.start.acceleration + piece.jerk * time_s;
     let ((_, first), (_, last)) = (piece.distance_and_speed(low), piece.distance_and_speed(high));
     first * last <= 0.0 || acceleration(low) * acceleration(high) < 0.0
 }
 
-/// When a piece's speed changes its sign, in order; NaN or infinite where it does not.
+/// Times at which a piece's speed changes its sign, in order; NaN or infinite where it does not.
 fn turns(piece: &Piece) -> [f64; 2] {
     let (speed, acceleration, jerk) = (piece.start.speed, piece.start.acceleration, piece.jerk);
     if jerk == 0.0 {
@@ -197,11 +199,12 @@ fn turns(piece: &Piece) -> [f64; 2] {
     if one < other { [one, other] } else { [other, one] }
 }
 
-/// When a piece passes a line between `low` and `high`, where it goes one way, to `side`: Newton's method, kept inside.
+/// Time between `low` and `high` at which a piece, moving only to `side`, passes a line: Newton's method, kept inside
+/// the interval.
 fn passing(piece: &Piece, line: f64, side: f64, (mut low, mut high): (f64, f64), guess: f64, within_s: f64) -> f64 {
-    // `max` first: it lets no NaN through.
+    // `max` comes first because it lets no NaN through.
     let mut time_s = guess.max(low).min(high);
-    // Bisection alone gets from a second to 1e-12 s in 40.
+    // Bisection alone gets from a second to 1e-12 s in 40 steps.
     for _ in 0..60 {
         let (distance, speed) = piece.distance_and_speed(time_s);
         if side * (distance - line) > 0.0 {
@@ -234,20 +237,20 @@ mod tests {
     };
 
     const TICK_HZ: f64 = 10e6;
-    /// 100 kHz, 5 us of set-up and 5 us of hold after a pulse of 5 us, as M542 drivers want them; 1 ms periods.
+    /// Timing of 100 kHz with 5 us of set-up and 5 us of hold after a pulse of 5 us, as M542 drivers require; 1 ms
+    /// periods.
     const TIMING: TickTiming =
         TickTiming { tick_hz: 10_000_000, spacing: 100, turn_to_pulse: 50, pulse_to_turn: 100, enable: 50_000 };
     const PERIOD: u64 = 10_000;
 
-    /// The pulses of a path as (tick, positive), each with what the path says of its moment, in ticks. Checks what holds
-    /// for every event.
+    /// Pulses of a path as (tick, positive), and the final position. Checks what holds for every event.
     fn pulses_of(path: &Path, made: i64, ticks: u64, period: u64) -> Result<(Vec<(u64, bool)>, i64), TestCaseError> {
         let mut pulses = Pulses::new(TIMING);
         pulses.shift(made);
         let (mut told, mut line, mut last_event) = (Vec::new(), None, 0u32);
         for from in (0..ticks).step_by(period as usize) {
             let mut events = Vec::new();
-            // From a tick of 1 s on, so that nothing is before 0.
+            // Starts at a tick of 1 s, so that nothing is before 0.
             pulses.along(path, 10_000_000, from, from + period, |event| events.push(event));
             for event in events {
                 prop_assert!(event.at >= last_event, "out of order");
@@ -267,15 +270,15 @@ mod tests {
                 }
                 last_event = event.at;
             }
-            // Half a step, or on the line but for rounding.
+            // Half a step, or on the line up to rounding.
             let distance = path.at((from + period) as f64 / TICK_HZ).position.distance_to(pulses.made());
             prop_assert!(distance.abs() <= 0.5 + 1e-6, "{distance} steps behind");
         }
         Ok((told, pulses.made()))
     }
 
-    /// The moment at which a path passes the middle between two steps next to a pulse, ticks after its start: bisected
-    /// from the path's states alone, between the neighbouring pulses.
+    /// Moment at which a path passes the middle between two steps next to a pulse, ticks after its start: bisected from
+    /// the path's states alone, between the neighbouring pulses.
     fn ideal_tick(path: &Path, from_step: i64, positive: bool, after: f64, before: f64) -> f64 {
         let beyond = |tick: f64| {
             let ahead = -path.at(tick / TICK_HZ).position.distance_to(from_step);
@@ -289,9 +292,9 @@ mod tests {
         high
     }
 
-    /// The worst distance of a pulse from its ideal moment, ticks. Leaves out the two about a turn that are as close as the
-    /// direction line allows: the second was pushed away, and the path may be beyond the first's line for too short a time
-    /// to be found by bisection.
+    /// Largest deviation of a pulse from its ideal moment, ticks. Leaves out the two about a reversal that are as close
+    /// as the direction line allows: the second was pushed away, and the path may be beyond the first's line for too
+    /// short a time to be found by bisection.
     fn worst_error(path: &Path, made: i64, ticks: u64, period: u64) -> Result<f64, TestCaseError> {
         let (told, end) = pulses_of(path, made, ticks, period)?;
         let (mut step, mut worst) = (made, 0f64);
@@ -330,13 +333,13 @@ mod tests {
             limits in limits(), start in -2_147_000_000i64..2_147_000_000, fraction in -0.49..0.49f64, speed in -1.0..1.0f64,
             distance in -2000i64..2000, period in 3_000u64..30_000,
         ) {
-            // From any speed, so that many of these turn.
+            // From any initial speed, so that many of these paths reverse.
             let speed = speed * limits.speed;
             let from = Motion { position: Position { steps: start, fraction }, speed, acceleration: 0.0 };
             let path = Path::to_position(from, start + distance, &limits);
             let ticks = ((path.duration_s() * TICK_HZ) as u64).min(50_000_000);
             let worst = worst_error(&path, start, ticks, period)?;
-            // Half a tick of rounding, and how exactly both sides are solved.
+            // Half a tick of rounding, and the accuracy of both solutions.
             prop_assert!(worst <= 0.5 + SOLVED_TICKS + 1e-3, "{worst} ticks");
         }
 
@@ -357,20 +360,20 @@ mod tests {
             prop_assert!(worst_error(&path, 0, ticks, period)? <= 0.5 + SOLVED_TICKS + 1e-3);
         }
 
-        /// Up, down and up again while the acceleration grows from one sign to the other: in one piece, and in long periods in one
-        /// call.
+        /// Up, down and up again while the acceleration changes sign: in one piece, and with long periods in one call.
         #[test]
         fn a_piece_that_turns_twice_loses_no_pulse(
             share in 0.1..0.9f64, jerk in 1e8..3e8f64, fraction in -0.49..0.49f64, up: bool, period in 1_000u64..400_000,
         ) {
             let side = if up { 1.0 } else { -1.0 };
-            // From 6700 to 20 000 steps/s are lost and won again: 0 is passed twice from a share of that.
+            // From 6700 to 20 000 steps/s are lost and regained: the speed passes 0 twice if it starts with a share of
+            // that.
             let acceleration = 2e6;
             let speed = share * acceleration * acceleration / (2.0 * jerk);
             let limits = Limits { speed: 1e5, acceleration, jerk };
             let position = Position { steps: 0, fraction };
             let from = Motion { position, speed: side * speed, acceleration: -side * acceleration };
-            // So far away that the piece ends beyond both turns.
+            // So far away that the piece ends beyond both reversals.
             let path = Path::to_speed(from, side * 3e4, &limits);
             let root = (acceleration * acceleration - 2.0 * jerk * speed).sqrt();
             let [top, bottom] = [-root, root].map(|root| path.at((acceleration + root) / jerk).position.steps);
@@ -393,14 +396,14 @@ mod tests {
                 let top = path.at(1e4 / acceleration).position;
                 (path, top)
             };
-            // Moved so that the top is beyond the middle between two steps by the excess.
+            // Shifted so that the top exceeds the middle between two steps by the excess.
             let (_, top) = turning_at(0.0);
             let (path, top) = turning_at(0.5 + excess - top.fraction);
             let ticks = (path.duration_s() * TICK_HZ) as u64;
             let (told, _) = pulses_of(&path, 0, ticks, PERIOD)?;
             let back = told.iter().position(|(_, positive)| !positive).expect("it turns");
             prop_assert_eq!(back as i64, top.steps);
-            // 2 sqrt(2 excess / a) are 9 us at most, and the line takes 15 us.
+            // The time beyond the line, 2 sqrt(2 excess / a), is at most 9 us, and the direction line takes 15 us.
             prop_assert_eq!(told[back].0 - told[back - 1].0, 150);
         }
 

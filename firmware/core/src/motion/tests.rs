@@ -1,4 +1,5 @@
-//! Axes and their bank on drivers that carry events out to the tick and check what a driver's sheet asks.
+//! Tests of axes and their bank on drivers that carry out events to the tick and check the requirements of a driver's
+//! data sheet.
 
 extern crate std;
 
@@ -15,39 +16,39 @@ use super::{
 };
 use crate::platform::{StepAction, StepEvent, Steppers};
 
-/// The slower of DM542T and M542: 5 us about a turn of the direction, 5 ms after enable; 100 kHz.
+/// Timing of the slower of DM542T and M542: 5 us about a turn of the direction, 5 ms after enable; 100 kHz.
 const DRIVER: DriverTiming =
     DriverTiming { direction_setup_s: 5e-6, direction_hold_s: 5e-6, enable_setup_s: 5e-3, rate_max_hz: 100e3 };
 const PERIOD_US: u32 = 1000;
 const PERIOD: u64 = 10_000;
 
-/// One driver, and what it has done.
+/// One driver, with its history.
 #[derive(Default)]
 struct Driver {
     queue: VecDeque<(u64, StepAction)>,
     direction: bool,
     turned: Option<u64>,
     position: i32,
-    /// Tick, and whether the direction line was positive.
+    /// Tick of each pulse, and whether the direction line was positive.
     pulses: Vec<(u64, bool)>,
-    /// Pulses up less pulses down, none lost.
+    /// Pulses up minus pulses down, including lost ones.
     sum: i64,
 }
 
-/// Four drivers. Panics where a driver's sheet or [`Steppers`] is not kept to.
+/// Board with four drivers. Panics on a violation of a driver's data sheet or of [`Steppers`].
 struct Board {
     now: u64,
     enabled: Option<u64>,
     drivers: [Driver; 4],
-    /// Events a queue takes: those of 2.5 periods at 100 kHz.
+    /// Number of events in a queue: those of 2.5 periods at 100 kHz.
     room: usize,
-    /// Loses the pulse with this number.
+    /// Index of a pulse to lose; `None` for none.
     loses: Option<usize>,
 }
 
 impl Default for Board {
     fn default() -> Self {
-        // Soon before the counter wraps, and positions near their wrap too.
+        // Starts shortly before the counter wraps, and near the wrap of the positions.
         let driver = || Driver { position: i32::MAX - 3, ..Driver::default() };
         Self {
             now: u64::from(u32::MAX) - 1_234_567,
@@ -67,7 +68,7 @@ impl Board {
                 let last = driver.pulses.last().map(|pulse| pulse.0);
                 match action {
                     StepAction::Direction(positive) => {
-                        // Hold counts from the end of the pulse; turned as late as the interrupt may be.
+                        // Hold counts from the end of the pulse; the turn may be as late as the interrupt.
                         assert!(last.is_none_or(|last| at >= last + 50 + 50), "hold: {last:?}, turned at {at}");
                         driver.direction = positive;
                         driver.turned = Some(at + u64::from(Self::DIRECTION_LATENCY_TICKS));
@@ -89,7 +90,7 @@ impl Board {
         self.now = tick;
     }
 
-    /// Pulses up less pulses down.
+    /// Pulses up minus pulses down.
     fn sum(&self, axis: usize) -> i64 {
         self.drivers[axis].sum
     }
@@ -132,7 +133,7 @@ impl Steppers for Board {
     }
 }
 
-/// 16 micro-steps of 1.8 degrees: 509 steps to a radian, 51 kHz at full speed.
+/// Stepper with 16 micro-steps of 1.8 degrees: 509 steps per radian, 51 kHz at full speed.
 fn config() -> StepperConfig {
     StepperConfig {
         id: r4_protocol::ChannelId::new(r4_protocol::ChannelKind::Stepper, 0),
@@ -160,13 +161,13 @@ struct Rig {
 impl Rig {
     fn new(config: StepperConfig) -> Self {
         let mut board = Board::default();
-        // Long ago.
+        // Enabled long ago.
         board.enabled = Some(board.now - 1_000_000);
         let axis = Axis::new(0, config, &DRIVER, PERIOD_US, &mut board).expect("a good configuration");
         Self { board, axis }
     }
 
-    /// One period, called `late` ticks after its time.
+    /// Runs one period, called `late` ticks after its time.
     fn period(&mut self, late: u64, closed: Option<bool>) -> Result<AxisStatus, Fault> {
         let due = self.board.now + PERIOD;
         self.board.run_to(due + late);
@@ -176,7 +177,7 @@ impl Rig {
         result.map(|()| self.axis.status())
     }
 
-    /// Until nothing moves; the periods it took.
+    /// Runs until nothing moves, and returns the number of periods.
     fn rest(&mut self) -> u64 {
         for period in 0..20_000 {
             if !self.period(0, None).expect("no fault").moving {
@@ -209,8 +210,8 @@ fn a_position_is_reached_in_the_time_of_its_path_and_kept() {
             let way = (steps(target) as f64 - before).abs() * TAU / 3200.0;
             let (v, a) = (100.0, 1000.0);
             let trapezoid_s = if way > v * v / a { way / v + v / a } else { 2.0 * (way / a).sqrt() };
-            // The jerk adds a / j = 20 ms once there is a cruise and less than 4 (d / 2j)^(1/3) before; told ahead are 2
-            // periods, a move begins with half of one, and rest is seen in the next.
+            // The jerk adds a / j = 20 ms with a cruise, and less than 4 (d / 2j)^(1/3) without one; 2 periods are
+            // queued ahead, a move begins half a period in, and rest is seen in the next.
             let most_s = if jerk == 0.0 { trapezoid_s } else { trapezoid_s + (4.0 * (way / 1e5).cbrt()).min(0.041) };
             assert!((trapezoid_s - 0.002..most_s + 0.004).contains(&took_s), "{took_s} s, {trapezoid_s} s");
         }
@@ -219,7 +220,7 @@ fn a_position_is_reached_in_the_time_of_its_path_and_kept() {
 
 #[test]
 fn a_move_told_all_at_once_is_under_way_until_its_last_pulse() {
-    // Out and back by a step of 1.8 degrees within the first call's 2.5 periods: 0.7 ms to a step.
+    // Out and back by a step of 1.8 degrees within the first call's 2.5 periods: 0.7 ms per step.
     let mut rig = Rig::new(StepperConfig { steps_per_turn: 200, acceleration: 57e3, jerk: 0.0, ..config() });
     for target in [-1.8f32, 0.0] {
         rig.command(Command::Position(target.to_radians()));
@@ -251,10 +252,10 @@ fn a_speed_is_held_and_ends_before_the_end_of_the_range() {
     let pulses = &rig.board.drivers[0].pulses;
     let last = pulses.len() - 1;
     let interval = (pulses[last].0 - pulses[last - 100].0) as f64 / 100.0;
-    // A tick in a hundred intervals.
+    // One tick in a hundred intervals.
     assert!((interval - 10e6 / (20.0 * 3200.0 / TAU)).abs() < 0.01);
     rig.rest();
-    // 152 788.7 steps either way.
+    // The range ends at 152 788.7 steps on either side.
     assert_eq!(rig.axis.status().position_steps, 152_788);
     rig.check_books();
     rig.command(Command::Speed(5.0));
@@ -300,7 +301,7 @@ fn a_late_loop_moves_no_pulse_and_one_too_late_is_a_fault() {
         core::mem::take(&mut rig.board.drivers[0].pulses)
     };
     let on_time = run(&|_| 0);
-    // By up to 0.85 of a period, so that the next call comes as much too soon.
+    // Late by up to 0.85 of a period, so that the next call comes as much too early.
     assert_eq!(on_time, run(&|period| period * 7919 % 8500));
 
     let mut rig = Rig::new(config());
@@ -317,7 +318,7 @@ fn a_late_loop_moves_no_pulse_and_one_too_late_is_a_fault() {
     assert!(!status.moving && !status.settled);
 }
 
-/// Two periods are told ahead, and pulses an eighth of one before they are due.
+/// Two periods are queued ahead, and pulses an eighth of one before they are due.
 #[test]
 fn a_loop_is_late_when_an_eighth_of_a_period_is_left() {
     for (late, expected) in [(2 * PERIOD - 1250, Ok(())), (2 * PERIOD - 1249, Err(Fault::Late))] {
@@ -366,7 +367,7 @@ fn a_slow_stop_at_once_keeps_home() {
         rig.axis.stop_now(&mut rig.board);
         assert_eq!(rig.axis.status().homed, homed, "{speed}");
     }
-    // At rest, of a motor that can start at no speed.
+    // At rest, for a motor that cannot start at any speed.
     let mut rig = Rig::new(StepperConfig { start_speed: 0.0, homing: Some(HOMING), ..config() });
     home(&mut rig, 20.0, -500..=0).expect("homes");
     for _ in 0..5 {
@@ -398,7 +399,7 @@ fn hardware_that_loses_a_pulse_or_has_no_room_is_noticed() {
     assert_eq!(fault, Some(Fault::Miscounted));
     assert_eq!(i64::from(rig.axis.status().position_steps), steps(1.0) - 1);
 
-    // Of moves that end anywhere in a period, by a loop in time and by one that is late now and then.
+    // Moves that end anywhere in a period, with a loop in time and one that is late now and then.
     for (steps_to_go, late) in (8..60).flat_map(|steps_to_go| [(steps_to_go, 0), (steps_to_go, 5000)]) {
         let mut rig = Rig::new(StepperConfig { steps_per_turn: 200, acceleration: 57e3, jerk: 0.0, ..config() });
         rig.board.loses = Some(7);
@@ -436,7 +437,7 @@ fn home(rig: &mut Rig, speed: f32, zone: core::ops::RangeInclusive<i64>) -> Resu
 #[test]
 fn homing_finds_the_edge_of_the_switch_from_anywhere() {
     let config = StepperConfig { homing: Some(HOMING), ..config() };
-    // From before the switch, from on it, and through short ones that the motor runs past: at once, and while it brakes.
+    // From before the switch, from on it, and through short ones that the motor passes: at once, and while it brakes.
     let zones =
         [(20.0, 3000..=9000), (-20.0, -9000..=-3000), (20.0, -100..=2000), (30.0, 3000..=3010), (30.0, 3000..=3100)];
     for (speed, zone) in zones {
@@ -444,7 +445,7 @@ fn homing_finds_the_edge_of_the_switch_from_anywhere() {
         home(&mut rig, speed, zone.clone()).expect("homes");
         let edge = if speed > 0.0 { *zone.start() } else { *zone.end() };
         let found = rig.board.sum(0) - i64::from(rig.axis.status().position_steps) + steps(HOMING.position);
-        // Behind the edge by what backing off moves in a period, and the step that opens the switch.
+        // Behind the edge by the travel of backing off in a period, and the step that opens the switch.
         let most = (f64::from(speed.abs()) * BACK_OFF * 3200.0 / TAU * 1e-3).ceil() as i64 + 1;
         assert!((found - edge).abs() <= most, "{found} for {edge}");
     }
@@ -456,12 +457,12 @@ fn homing_without_a_switch_ends_in_rest() {
     let mut rig = Rig::new(config);
     assert_eq!(home(&mut rig, 20.0, 1_000_000..=2_000_000), Err(Fault::SwitchNotFound));
     rig.rest();
-    // 1.25 x 10 rad, two periods of 20 rad/s, and braking: v²/2a + v a/2j = 0.4 rad.
+    // The distance is 1.25 x 10 rad, two periods of 20 rad/s, and braking: v²/2a + v a/2j = 0.4 rad.
     assert!((steps(12.5)..steps(12.97)).contains(&rig.board.sum(0)), "{}", rig.board.sum(0));
     let mut rig = Rig::new(config);
     assert_eq!(home(&mut rig, 20.0, -1_000_000..=2_000_000), Err(Fault::SwitchNotFound), "stuck");
     rig.rest();
-    // It closes on the way and stays closed: the way back counts from there.
+    // The switch closes on the way and stays closed: the distance back counts from there.
     let mut rig = Rig::new(config);
     rig.command(Command::Home(20.0));
     let mut closed = false;
@@ -495,7 +496,7 @@ fn bad_commands_are_refused_and_bad_configurations_named() {
     let mut why = |config| Axis::new(0, config, &DRIVER, PERIOD_US, &mut board).err();
     assert_eq!(why(config()), None);
     assert_eq!(why(StepperConfig { steps_per_turn: 0, ..config() }), Some(BadStepper::StepsPerTurn));
-    // 100 kHz are 196.35 rad/s.
+    // 100 kHz is 196.35 rad/s.
     assert_eq!(why(StepperConfig { speed_max: 196.34, ..config() }), None);
     assert_eq!(why(StepperConfig { speed_max: 196.36, ..config() }), Some(BadStepper::Speed));
     assert_eq!(why(StepperConfig { acceleration: 0.0, ..config() }), Some(BadStepper::Acceleration));
@@ -531,7 +532,7 @@ fn bad_commands_are_refused_and_bad_configurations_named() {
     assert_eq!(Axis::new(0, config(), &slow, PERIOD_US, &mut Board::default()).err(), Some(BadStepper::Timing));
 }
 
-/// In f32 the highest rate can be above itself by a rounding.
+/// In f32 the highest rate can exceed itself by a rounding error.
 #[test]
 fn the_highest_rate_is_a_good_speed_in_any_unit() {
     for steps_per_turn in 200..1000 {
@@ -545,7 +546,8 @@ fn the_highest_rate_is_a_good_speed_in_any_unit() {
     }
 }
 
-/// Those that brake come to rest by their ramps, the others stop at once. The drivers stay enabled, and nothing is taken any more.
+/// Axes that brake come to rest by their ramps, the others stop at once. The drivers stay enabled, and commands are
+/// refused.
 #[test]
 fn a_stop_that_brakes_ramps_those_that_brake() {
     let mut board = Board::default();
@@ -572,14 +574,14 @@ fn a_stop_that_brakes_ramps_those_that_brake() {
     assert!(!bank.is_armed());
     assert_eq!(bank.command(0, Command::Speed(30.0)), Err(NotTaken::NotArmed));
     run(&mut bank, &mut board, 50);
-    // v²/2a are 0.45 rad; two periods of 0.03 rad were told, and the ramp begins where they end.
+    // The distance v²/2a is 0.45 rad; two periods of 0.03 rad were queued, and the ramp begins where they end.
     let way = board.sum(0) - began[0];
     assert!((steps(0.45)..=steps(0.45 + 3.0 * 0.03)).contains(&way), "{way}");
     assert_eq!(board.sum(1), began[1]);
     assert!(bank.status().all(|status| !status.moving) && board.enabled.is_some());
 }
 
-/// Without the enable a shaft can be turned: where it is known, it is only while the enable holds it.
+/// Without the enable a shaft can be turned: its position is known only while the enable holds it.
 #[test]
 fn a_shaft_that_is_let_go_is_not_where_it_was() {
     for hold in [false, true] {
@@ -627,7 +629,7 @@ fn the_bank_wakes_its_drivers_first_and_stops_all_at_once() {
                 bank.step(no_switch, &mut board, no_fault);
             }
             let first = board.drivers[0].pulses.iter().find(|pulse| pulse.0 > armed_at).expect("moves").0 - armed_at;
-            // Awake, the period in which that is seen, half a period ahead, and the first step.
+            // Wake-up time, the period in which its end is seen, half a period ahead, and the first step.
             let wake = if hold && round > 0 { 0 } else { 50_000 };
             assert!((wake.max(PERIOD) + PERIOD / 2..wake + 2 * PERIOD).contains(&first), "{first}");
             board.run_to(board.now + 5_000);
@@ -666,7 +668,7 @@ fn act() -> impl Strategy<Value = Act> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
-    /// The board's own checks are the test: spacing, set-up, hold, order, never in the past.
+    /// The fake board checks spacing, set-up, hold, order, and that no event is in the past.
     #[test]
     fn whatever_is_asked_the_drivers_are_treated_well_and_the_books_are_right(
         acts in prop::collection::vec((act(), 1..60usize), 1..30),

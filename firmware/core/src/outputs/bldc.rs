@@ -1,13 +1,12 @@
 //! Rules of brushless drives: speed by a voltage of the DAC, direction and brake by lines of the port expander.
 //!
-//! - The voltage is `neutral + share · (full - neutral)`, and no faster there than `slew_per_s`. Its code never leaves the
-//!   window from the lowest to the highest of the configured voltages: a code outside can damage a drive.
-//! - The direction line changes only after `rest_ms` at neutral. The drive's speed is not known: `rest_ms` must be long
-//!   enough for the motor to have come to rest.
-//! - The brake is never applied against a voltage. Braking, also as the safe state, is the one thing that does not wait for
-//!   the slew limit.
-//! - A step that releases the brake or changes the direction leaves the voltage at neutral, so it does not matter whether
-//!   DAC or expander is written first.
+//! - The voltage is `neutral + share · (full - neutral)`, and changes no faster than `slew_per_s`. Its code never
+//!   leaves the window from the lowest to the highest of the configured voltages: a code outside can damage a drive.
+//! - The direction line changes only after `rest_ms` at neutral. The drive's speed is not measured: `rest_ms` must be
+//!   long enough for the motor to come to rest.
+//! - The brake is never applied against a voltage. Only braking, also as the safe state, bypasses the slew limit.
+//! - A step that releases the brake or changes the direction leaves the voltage at neutral, so the order of writes to
+//!   DAC and expander does not matter.
 //!
 //! After power-up the expander's pins are inputs until it is set up: pull-ups or pull-downs at the drive must then give
 //! "brake applied", as the EEPROM of the DAC gives neutral. A reset of the processor alone leaves voltages and lines as
@@ -20,37 +19,37 @@ use super::slew::towards;
 use crate::chips::mcp4728::{CODE_MAX, OUTPUTS};
 use crate::within::Within;
 
-/// What a drive is to do.
+/// Command for one brushless drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Command {
-    /// Turn at this share of full speed, -1..=1, negative backwards, with the brake released. A drive that cannot go
+    /// Run at this share of full speed, -1..=1, negative backwards, with the brake released. A drive that cannot run
     /// backwards stays at neutral instead.
     Run(f32),
     /// Neutral at once, with the brake applied if there is one.
     Brake,
 }
 
-/// What the chips are to hold.
+/// Requested contents of the DAC and the expander.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Wanted {
-    /// Of the DAC's outputs; 0 where there is no drive.
+    /// Codes of the DAC's outputs; 0 where there is no drive.
     pub codes: [u16; OUTPUTS],
-    /// Bits of the expander that have a line of a drive.
+    /// Bits of the expander that are lines of drives.
     pub mask: u16,
     /// Levels of those bits; the others are 0.
     pub levels: u16,
 }
 
-/// The brushless drives of a board.
+/// All brushless drives of a board.
 #[derive(Clone, Debug)]
 pub struct Bldcs {
     drives: Vec<Drive, MAX_BLDCS>,
-    /// What the drives ask for, together.
+    /// Combined request of all drives.
     wanted: Wanted,
 }
 
 impl Bldcs {
-    /// Drives in their safe state. The configuration must be valid.
+    /// Creates the drives in their safe state. The configuration must be valid.
     #[must_use]
     pub fn new(configs: &[BldcConfig], chip: DacChipConfig) -> Self {
         let drives: Vec<_, _> =
@@ -58,12 +57,12 @@ impl Bldcs {
         Self { wanted: wanted(&drives), drives }
     }
 
-    /// Tells drive number `index` of the configuration what to do, from the next [`Bldcs::step`] on.
+    /// Sets the command of drive number `index` of the configuration, effective from the next [`Bldcs::step`] on.
     pub fn command(&mut self, index: usize, command: Command) {
         self.drives[index].command = command;
     }
 
-    /// All drives at neutral and braked, until commanded again.
+    /// Takes all drives to neutral and brakes them, until the next command.
     pub fn make_safe(&mut self) -> Wanted {
         let changed = self.drives.iter_mut().fold(false, |changed, drive| {
             drive.command = Command::Brake;
@@ -72,7 +71,7 @@ impl Bldcs {
         if changed { self.renew() } else { self.wanted }
     }
 
-    /// One step of `period_s`, s, towards the commands.
+    /// Steps all drives by `period_s`, s, towards their commands.
     pub fn step(&mut self, period_s: f32) -> Wanted {
         let period_us = libm::roundf(period_s * 1e6) as u32;
         let changed = self
@@ -82,7 +81,7 @@ impl Bldcs {
         if changed { self.renew() } else { self.wanted }
     }
 
-    /// What the last step or safe state asked for.
+    /// Request of the last step or safe state.
     #[must_use]
     pub const fn wanted(&self) -> Wanted {
         self.wanted
@@ -94,7 +93,7 @@ impl Bldcs {
         self.wanted
     }
 
-    /// Keeps the directions that the expander's pins, driven to `levels`, tell the drives.
+    /// Takes over the directions from the expander's pins, which drive `levels`.
     pub fn resume(&mut self, levels: u16) {
         for drive in &mut self.drives {
             drive.backwards = (levels ^ drive.inactive) & drive.direction_line != 0;
@@ -103,7 +102,7 @@ impl Bldcs {
         self.renew();
     }
 
-    /// Share of full speed that each drive is now told, -1..=1.
+    /// Commanded share of full speed of each drive at present, -1..=1.
     pub fn shares(&self) -> impl Iterator<Item = f32> + '_ {
         self.drives.iter().map(|drive| drive.share)
     }
@@ -123,19 +122,19 @@ fn wanted(drives: &[Drive]) -> Wanted {
 struct Drive {
     config: BldcConfig,
     full_scale_v: f32,
-    /// Lowest and highest code it may get.
+    /// Lowest and highest permitted code.
     window: [u16; 2],
-    /// Bits of the expander that are its lines, 0 where there is none, and their levels while neither is active.
+    /// Expander bits of the lines, 0 without a line, and the bits' levels while neither is active.
     direction_line: u16,
     brake_line: u16,
     inactive: u16,
     command: Command,
-    /// Share of full speed it is told; negative only while the direction line, if there is one, is active.
+    /// Commanded share of full speed; with a direction line negative only while that is active.
     share: f32,
-    /// For how long that has been 0, µs.
+    /// Time since `share` became 0, µs.
     at_neutral_us: u32,
     braked: bool,
-    /// Whether the direction line, if there is one, is active.
+    /// True while the direction line, if there is one, is active.
     backwards: bool,
 }
 
@@ -166,7 +165,7 @@ impl Drive {
         self.braked = true;
     }
 
-    /// Does `what`. Whether that changes anything that the chips are to hold.
+    /// Applies `what` and returns true if it changes the request to the chips.
     fn changes(&mut self, what: impl FnOnce(&mut Self)) -> bool {
         let before = (self.share, self.braked, self.backwards);
         what(self);
@@ -209,7 +208,7 @@ impl Drive {
         code_for(neutral_v + self.share.abs() * (full_v - neutral_v), self.full_scale_v).clamp(low, high)
     }
 
-    /// Levels of its lines.
+    /// Levels of the drive's expander lines.
     fn levels(&self) -> u16 {
         let direction = if self.backwards { self.direction_line } else { 0 };
         let brake = if self.braked { self.brake_line } else { 0 };
@@ -217,7 +216,7 @@ impl Drive {
     }
 }
 
-/// The nearest code. Half a code is 0.6 mV of 5 V, a fraction of the chip's own error.
+/// Returns the nearest code for a voltage. Half a code is 0.6 mV of 5 V, a fraction of the chip's own error.
 fn code_for(volts: f32, full_scale_v: f32) -> u16 {
     let codes = f32::from(CODE_MAX) + 1.0;
     ((volts / full_scale_v * codes + 0.5) as u16).min(CODE_MAX)
@@ -235,9 +234,9 @@ mod tests {
     const CHIP: DacChipConfig = DacChipConfig { address: 0x60, full_scale_v: 5.0 };
     const DIRECTION: DriveLine = DriveLine { bit: 2, active_low: false };
     const BRAKE: DriveLine = DriveLine { bit: 11, active_low: true };
-    const NEUTRAL: u16 = 1638; // 2.0 V: 1638.4
+    const NEUTRAL: u16 = 1638; // 2.0 V is code 1638.4
 
-    /// Full speed in 100 ms.
+    /// Drive that reaches full speed in 100 ms.
     fn config(reverse: Reverse) -> BldcConfig {
         BldcConfig {
             id: ChannelId::new(ChannelKind::Bldc, 0),
@@ -267,8 +266,8 @@ mod tests {
         assert_eq!(drives.wanted(), Wanted { codes: [0, NEUTRAL, 0, 0], mask, levels: 0 }, "braked, at neutral");
         drives.command(0, Command::Run(1.0));
         assert_eq!(drives.step(PERIOD_S), Wanted { codes: [0, NEUTRAL, 0, 0], mask, levels: 1 << 11 });
-        assert_eq!(drives.step(PERIOD_S).codes[1], 1647); // 2.01 V: 1646.6
-        assert_eq!(after(&mut drives, 99).codes[1], 2458); // 3.0 V: 2457.6
+        assert_eq!(drives.step(PERIOD_S).codes[1], 1647); // 2.01 V is code 1646.6
+        assert_eq!(after(&mut drives, 99).codes[1], 2458); // 3.0 V is code 2457.6
         assert_eq!(drives.make_safe(), Wanted { codes: [0, NEUTRAL, 0, 0], mask, levels: 0 });
         assert_eq!(after(&mut drives, 10).levels, 0, "and stays so");
     }
@@ -281,7 +280,7 @@ mod tests {
         drives.command(0, Command::Run(-0.5));
         let ramp = (1..).find(|_| drives.step(PERIOD_S).codes[1] == NEUTRAL && drives.drives[0].share == 0.0);
         assert!(matches!(ramp, Some(50 | 51)), "{ramp:?} steps, the last for what rounding left");
-        // 50 of rest; the line changes in the last of them.
+        // The rest takes 50 periods; the line changes in the last of them.
         let before = after(&mut drives, 49);
         assert_eq!((before.codes[1], before.levels & 1 << 2), (NEUTRAL, 0));
         let changed = drives.step(PERIOD_S);
@@ -303,8 +302,8 @@ mod tests {
         assert_eq!(drives.step(PERIOD_S).levels & 1 << 2, 1 << 2);
     }
 
-    /// Whatever the lines' polarities and the levels that a restart finds: the direction stays as it was told the drive, brakes are
-    /// applied, and the direction changes only after a whole rest.
+    /// For any polarity of the lines and any levels found at a restart, the direction is kept, brakes are applied, and
+    /// the direction changes only after a full rest.
     #[test]
     fn a_restart_keeps_the_direction_until_the_drive_has_rested() {
         for (direction_low, brake_low) in [(false, false), (false, true), (true, false), (true, true)] {
@@ -320,7 +319,7 @@ mod tests {
                 let resumed = drives.wanted();
                 assert_eq!((resumed.levels & 1 << 2, brakes(resumed)), (levels & 1 << 2, true), "{levels:#x}");
                 assert_eq!((resumed.codes[1], resumed.levels & !resumed.mask), (NEUTRAL, 0));
-                // On in the same direction at once, and in the other after 50 ms of rest from the restart on.
+                // The same direction continues at once, the other one after 50 ms of rest counted from the restart.
                 let backwards = turns(resumed);
                 let mut same = drives.clone();
                 same.command(0, Command::Run(if backwards { -0.5 } else { 0.5 }));
@@ -332,7 +331,7 @@ mod tests {
                 assert_eq!(after(&mut drives, 60).codes[1], 2048);
             }
         }
-        // Without a direction line nothing tells a direction.
+        // A drive without a direction line has no direction to keep.
         let mut drives = Bldcs::new(&[config(Reverse::Voltage { full_v: 1.22 })], CHIP);
         drives.resume(u16::MAX);
         assert_eq!(drives.wanted().levels, 0);
@@ -342,7 +341,7 @@ mod tests {
     fn backwards_by_voltage_or_not_at_all() {
         let mut drives = Bldcs::new(&[config(Reverse::Voltage { full_v: 1.22 })], CHIP);
         drives.command(0, Command::Run(-1.0));
-        assert_eq!(after(&mut drives, 101).codes[1], 999); // 1.22 V: 999.4
+        assert_eq!(after(&mut drives, 101).codes[1], 999); // 1.22 V is code 999.4
         let mut drives = Bldcs::new(&[config(Reverse::None)], CHIP);
         drives.command(0, Command::Run(-1.0));
         assert_eq!(after(&mut drives, 101).codes[1], NEUTRAL);
@@ -415,7 +414,7 @@ mod tests {
             let configs = <[BldcConfig; 4]>::from(configs);
             let mut drives = Bldcs::new(&configs, CHIP);
             let exact = |volts: f32| f64::from(volts) / 5.0 * 4096.0;
-            // f32 leaves 1e-3 codes of 4096, then half a code of rounding.
+            // Rounding: f32 leaves 1e-3 of 4096 codes, then half a code.
             let half = 0.501;
             let mut last = drives.wanted();
             let mut last_share = [0.0; 4];
@@ -429,7 +428,7 @@ mod tests {
                     Event::MakeSafe => {
                         drives.make_safe();
                         last_share = [0.0; 4];
-                        // Chips are told in between two steps.
+                        // The chips are written between two steps.
                         last = drives.wanted();
                         for (us, config) in at_neutral_us.iter_mut().zip(&configs) {
                             if (f64::from(last.codes[usize::from(config.output)]) - exact(config.neutral_v)).abs() > half {
@@ -457,7 +456,7 @@ mod tests {
                         let was_braked = config.brake.is_some_and(|line| active(&last, line));
                         prop_assert!(!(braked || was_braked) || is_neutral(now.codes[output]), "braked, or just released");
                         if let Reverse::Line { line, rest_ms } = config.reverse {
-                            // Neutral in the step before counts for the period up to this one.
+                            // Neutral after the step before counts for the period up to this one.
                             at_neutral_us[index] =
                                 if is_neutral(last.codes[output]) { at_neutral_us[index] + PERIOD_US } else { 0 };
                             if active(&last, line) != active(&now, line) {
@@ -473,7 +472,7 @@ mod tests {
                         let volts = neutral + f64::from(share.abs()) * (exact(full) - neutral);
                         prop_assert!((code - volts).abs() <= half, "{code}, not {volts}, for {share}");
                         let change = (share - last_share[index]).abs();
-                        // One rounding of the sum, whose size is at most 1.
+                        // One rounding error of the sum, whose magnitude is at most 1.
                         let most = config.slew_per_s * PERIOD_S + f32::EPSILON;
                         prop_assert!(change <= most || drives.drives[index].braked, "{change}, {most}");
                         last_share[index] = share;

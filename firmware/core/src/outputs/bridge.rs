@@ -1,16 +1,16 @@
-//! Rules of motor bridges: one line with PWM for each direction, the others steady.
+//! Rules of motor bridges: in each direction one line carries the PWM, the others are steady.
 //!
 //! OSMC (HIP4081A): both high sides on, PWM on one low side. Forwards, current flows from leg A's high side through the
-//! motor into leg B's low side, so PWM is on `BLI` and `ALI` stays low; backwards the other way round. While the PWM is low
-//! both ends of the motor are at the supply: it brakes.
+//! motor into leg B's low side, so PWM is on `BLI` and `ALI` stays low; backwards the other way round. While the PWM is
+//! low both ends of the motor are at the supply, which brakes it.
 //!
 //! DHB-12: enable high, PWM on `IN1` forwards, on `IN2` backwards.
 //!
 //! - A change of direction first takes the PWM line low for two PWM periods, then sets all lines in one transfer.
-//! - An unchanged direction writes only the count that moves of the one line that moves, or both where the pulse meets the end
-//!   of the period.
-//! - Bridges of one chip switch on one after the other, each at its own phase: what their supply's capacitor has to give at
-//!   once is less.
+//! - An unchanged direction writes only the changed line, and of it only the changed count, or both where the pulse
+//!   meets the end of the period.
+//! - Bridges of one chip switch on one after the other, each at its own phase: this lowers the peak current from their
+//!   supply's capacitor.
 
 use embassy_time::{Duration, Instant};
 use embedded_hal_async::i2c::I2c;
@@ -24,7 +24,7 @@ use crate::{
     platform::Write,
 };
 
-/// Most lines of a bridge.
+/// Maximum number of lines of a bridge.
 pub const MAX_LINES: usize = 4;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,32 +35,32 @@ enum Direction {
 
 #[derive(Clone, Copy, Debug)]
 enum State {
-    /// All lines low since then: the motor coasts.
+    /// All lines are low since `since`: the motor coasts.
     Off { since: Instant },
-    /// One direction's PWM line at `pwm`, the steady lines on.
+    /// The PWM line of one direction is at `pwm`, and the steady lines are on.
     On { direction: Direction, pwm: Output, pwm_since: Instant },
 }
 
-/// What it takes to have a duty.
+/// Next step towards a duty.
 enum Step {
     /// Nothing has to be written.
     Keep { applied: f32 },
-    /// The one line that moves.
+    /// One line is written, the PWM line.
     Change { direction: Direction, before: Output, pwm: Output, applied: f32 },
-    /// All lines.
+    /// All lines are written.
     SetAll { direction: Direction, pwm: Output },
 }
 
-/// How a bridge comes to a duty: the answer of [`Bridge::plan`].
+/// Plan for a duty, returned by [`Bridge::plan`].
 #[derive(Clone, Copy, Debug)]
 pub enum Plan {
-    /// The lines are as they should be, and give this duty.
+    /// The lines are as they should be and give this duty.
     Keep(f32),
-    /// This is to be sent. [`Bridge::sent`] is called then.
+    /// This write is to be sent, and then passed to [`Bridge::sent`].
     Send(Write, Planned),
 }
 
-/// What a bridge does once a write has been sent.
+/// State of a bridge once its write has been sent.
 #[derive(Clone, Copy, Debug)]
 pub struct Planned {
     direction: Direction,
@@ -69,35 +69,35 @@ pub struct Planned {
 }
 
 impl Planned {
-    /// Share of the supply that the motor then gets.
+    /// Duty (share of the supply) that the motor then gets.
     #[must_use]
     pub const fn applied(&self) -> f32 {
         self.applied
     }
 }
 
-/// One bridge and what its lines were last told.
+/// One bridge and the last state written to its lines.
 #[derive(Clone, Copy, Debug)]
 pub struct Bridge {
     wiring: BridgeConfig,
     inverted: bool,
-    /// Count of the PWM period at which its pulses begin.
+    /// Count of the PWM period at which the bridge's pulses begin.
     phase: u16,
     reversal: Duration,
     state: State,
-    /// What the motor gets.
+    /// Duty that the motor gets.
     applied: f32,
 }
 
 impl Bridge {
-    /// A bridge that is off and rests for `reversal` between directions. Its pulses begin at count `phase` of the PWM period,
-    /// below 4096.
+    /// Creates a bridge that is off and rests for `reversal` between directions. Its pulses begin at count `phase` of
+    /// the PWM period, below 4096.
     #[must_use]
     pub fn new(wiring: BridgeConfig, inverted: bool, phase: u16, reversal: Duration) -> Self {
         Self { wiring, inverted, phase, reversal, state: State::Off { since: Instant::now() }, applied: 0.0 }
     }
 
-    /// All lines of the chip have just been turned off.
+    /// Records that all lines of the chip have just been turned off.
     pub fn now_off(&mut self) {
         if let State::On { .. } = self.state {
             self.state = State::Off { since: Instant::now() };
@@ -105,13 +105,13 @@ impl Bridge {
         self.applied = 0.0;
     }
 
-    /// Share of the supply the motor gets.
+    /// Duty (share of the supply) that the motor gets, negative backwards.
     #[must_use]
     pub fn applied(&self) -> f32 {
         self.applied
     }
 
-    /// How the lines come to `duty`, or to the next step towards it.
+    /// Plans the write that brings the lines to `duty`, or to the next step towards it.
     pub fn plan(&mut self, chip: &Pca9685, duty: f32) -> Plan {
         match self.next(duty) {
             Step::Keep { applied } => {
@@ -130,23 +130,24 @@ impl Bridge {
         }
     }
 
-    /// The write of this plan was sent at `pwm_since`, or before; until then the bridge does what it did before.
+    /// Records that the planned write was sent at `pwm_since` or before; until this call the bridge keeps its old
+    /// state.
     pub fn sent(&mut self, planned: Planned, pwm_since: Instant) {
         let Planned { direction, pwm, applied } = planned;
         self.state = State::On { direction, pwm, pwm_since };
         self.applied = applied;
     }
 
-    /// Whether lines are on: the motor is driven, or shorted at duty 0.
+    /// Returns true while lines are on: the motor is driven, or shorted at duty 0.
     #[must_use]
     pub const fn is_on(&self) -> bool {
         matches!(self.state, State::On { .. })
     }
 
-    /// Turns all lines of this bridge off, and of no other.
+    /// Turns off all lines of this bridge, and of no other.
     ///
     /// # Errors
-    /// A failed transfer; the state is then as before, and the call can be repeated.
+    /// The bus's error, for a failed transfer; the state is then as before, and the call can be repeated.
     pub async fn off<B: I2c>(&mut self, chip: &Pca9685, bus: &mut B) -> Result<(), B::Error> {
         if let State::On { .. } = self.state {
             chip.set(self.first(), &[Output::LOW; MAX_LINES][..self.line_count()]).send(bus).await?;
@@ -180,7 +181,8 @@ impl Bridge {
     /// Reads line number `line`, below [`Bridge::line_count`], back and compares.
     ///
     /// # Errors
-    /// A failed transfer, or a register that does not hold what was written.
+    /// [`ChipError::Bus`] for a failed transfer, [`ChipError::Mismatch`] for a register that does not hold what was
+    /// written.
     pub async fn verify<B: I2c>(&self, chip: &Pca9685, bus: &mut B, line: usize) -> Result<(), ChipError<B::Error>> {
         let output = self.first() + line as u8;
         match self.state {
@@ -189,7 +191,7 @@ impl Bridge {
         }
     }
 
-    /// How many lines the bridge has.
+    /// Number of lines of the bridge.
     #[must_use]
     pub const fn line_count(&self) -> usize {
         match self.wiring {
@@ -198,7 +200,7 @@ impl Bridge {
         }
     }
 
-    /// Whether it is an OSMC, which has a chip of its own.
+    /// Returns true for an OSMC, which has a chip of its own.
     #[must_use]
     pub const fn is_osmc(&self) -> bool {
         matches!(self.wiring, BridgeConfig::Osmc(_))
@@ -220,7 +222,7 @@ impl Bridge {
         }
     }
 
-    /// All lines of a bridge that is on, in the order of the chip.
+    /// Outputs of all lines of a bridge that is on, in the order of the chip.
     fn outputs(&self, direction: Direction, pwm: Output) -> [Output; MAX_LINES] {
         let mut outputs = [Output::LOW; MAX_LINES];
         let first = self.first();
@@ -250,7 +252,7 @@ mod tests {
     use crate::testing::{Registers, Tasks};
 
     const CHIP: u8 = 0x40;
-    /// Not in the order of the chip's outputs, of which the first is 4.
+    /// Lines in another order than the chip's outputs, the first of which is 4.
     const OSMC: BridgeConfig = BridgeConfig::Osmc(BridgeLines { ahi: 6, ali: 4, bhi: 5, bli: 7 });
     const DHB: BridgeConfig = BridgeConfig::Dhb(DhbLines { in1: 6, in2: 5, en: 4 });
     const REVERSAL: Duration = Duration::from_micros(1312);
@@ -258,9 +260,9 @@ mod tests {
 
     const LOW: [u8; 4] = [0, 0, 0, 0x10];
     const HIGH: [u8; 4] = [0, 0x10, 0, 0];
-    /// A PWM line at duty 0 keeps the count at which its pulses begin.
+    /// PWM line at duty 0, which keeps the count at which its pulses begin.
     const REST: [u8; 4] = [0x00, 0x03, 0, 0x10];
-    /// A quarter of the period, from count 0x300 on.
+    /// Pulse of a quarter of the period, from count 0x300 on.
     const QUARTER: [u8; 4] = [0x00, 0x03, 0x00, 0x07];
 
     struct Rig {
@@ -271,7 +273,7 @@ mod tests {
     }
 
     impl Rig {
-        /// A bridge that has just been switched off.
+        /// Creates a bridge that has just been switched off.
         fn new(wiring: BridgeConfig, inverted: bool) -> Self {
             let bus = Registers::default();
             bus.set(CHIP, 0xFD, 0);
@@ -280,14 +282,14 @@ mod tests {
             Self { chip: Pca9685::new(CHIP, 1526.0), bus, tasks: Tasks::default(), bridge }
         }
 
-        /// The same after its rest, so that it may go either way.
+        /// Creates a bridge that has rested, so that it may run in either direction.
         fn rested(wiring: BridgeConfig, inverted: bool) -> Self {
             let mut rig = Self::new(wiring, inverted);
             rig.tasks.advance(REVERSAL);
             rig
         }
 
-        /// Plans, sends what there is to be sent, and says what the motor gets and how many bytes that took.
+        /// Plans, sends the write if there is one, and returns the motor's duty and the number of bytes sent.
         fn drive(&mut self, duty: f32) -> (f32, usize) {
             match self.bridge.plan(&self.chip, duty) {
                 Plan::Keep(applied) => (applied, 0),
@@ -306,7 +308,7 @@ mod tests {
             })
         }
 
-        /// Which lines are not as they should be.
+        /// Numbers of the lines that do not read back as written.
         fn mismatches(&mut self) -> Vec<usize> {
             let line_count = self.bridge.line_count();
             let differs = |line: &usize| block_on(self.bridge.verify(&self.chip, &mut self.bus, *line)).is_err();
@@ -314,8 +316,8 @@ mod tests {
         }
     }
 
-    /// Forwards and backwards, of both kinds of bridge, straight and with the motor's wires swapped: one line pulses from its
-    /// phase on, its counterpart stays low.
+    /// In each direction, for both kinds of bridge and either polarity of the motor, one line pulses from its phase on
+    /// and its counterpart stays low.
     #[test]
     fn each_direction_pulses_one_line_beside_the_steady_ones() {
         for inverted in [false, true] {
@@ -337,7 +339,7 @@ mod tests {
         }
     }
 
-    /// A bridge that was switched off rests as long as one that turns round, counted from the first time it was.
+    /// A bridge that was switched off rests as long as one that reverses, counted from the first switching off.
     #[test]
     fn a_bridge_that_is_off_rests_before_it_is_switched_on() {
         let mut rig = Rig::new(OSMC, false);
@@ -352,7 +354,8 @@ mod tests {
         assert_eq!(rig.drive(0.25), (0.0, 0));
     }
 
-    /// Low first, for two PWM periods from when that was sent on; then all lines in one transfer.
+    /// A reversal takes the PWM line low for two PWM periods, counted from that write, then sets all lines in one
+    /// transfer.
     #[test]
     fn a_turn_takes_the_pulses_away_waits_and_sets_all_lines_at_once() {
         for duty in [0.25, -0.25] {
@@ -372,14 +375,14 @@ mod tests {
         }
     }
 
-    /// The way back to the direction it had needs no rest, and standing still no other direction.
+    /// Neither a return to the previous direction nor duty 0 needs a rest.
     #[test]
     fn the_same_direction_writes_only_the_count_that_moves() {
         let mut rig = Rig::rested(OSMC, false);
         rig.drive(0.25);
         assert_eq!(rig.drive(0.25), (0.25, 0));
         assert_eq!(rig.drive(0.5), (0.5, 3));
-        // The motor is shorted, by the line that pulsed.
+        // Duty 0 shorts the motor by the line that pulsed.
         for zero in [0.0, -0.0, -1e-5] {
             rig.drive(0.25);
             assert_eq!(rig.drive(zero), (zero, 3), "{zero}");
@@ -391,8 +394,8 @@ mod tests {
         assert_eq!(rig.lines(), [LOW, HIGH, HIGH, QUARTER]);
     }
 
-    /// Duty 0 counts as positive: a bridge that was switched on with it takes a positive one at once, and a negative one after a
-    /// rest.
+    /// Duty 0 counts as positive: a bridge switched on with it takes a positive duty at once, and a negative one after
+    /// a rest.
     #[test]
     fn a_bridge_that_is_switched_on_at_rest_is_on_its_way_forwards() {
         for inverted in [false, true] {
@@ -419,13 +422,13 @@ mod tests {
                 assert_eq!(rig.bus.get(CHIP, 6 + 4 * output + 3), expected, "{output}");
             }
             assert_eq!((rig.bridge.applied(), rig.bridge.is_on()), (0.0, false));
-            // Once: a bridge that is off is left alone.
+            // Off is written only once: a bridge that is off is left alone.
             rig.bus.fail(1);
             assert!(block_on(rig.bridge.off(&rig.chip, &mut rig.bus)).is_ok());
         }
     }
 
-    /// On or off, a line that is not as it was told is found, and by its number.
+    /// A line that differs from its written state is found by its number, whether the bridge is on or off.
     #[test]
     fn a_line_that_changes_is_found() {
         for wiring in [OSMC, DHB] {

@@ -1,4 +1,4 @@
-//! The port expander: relays, and the lines of brushless drives.
+//! Port expander with relays and the lines of brushless drives.
 
 use embedded_hal_async::i2c::I2c;
 use heapless::Vec;
@@ -6,70 +6,71 @@ use r4_protocol::config::{ExpanderConfig, MAX_RELAYS, RelayConfig, RelayRole};
 
 use crate::chips::{ChipError, mcp23017::Mcp23017};
 
-/// What is on one expander, and what its pins were last told.
+/// One expander: its relays and lines, and the last levels written to its pins.
 #[derive(Clone, Debug)]
 pub(super) struct Expander {
     chip: Mcp23017,
     relays: Vec<RelayConfig, MAX_RELAYS>,
-    /// Which should be closed, by position in `relays`.
+    /// Requested state of each relay, true for closed, by position in `relays`.
     closed: [bool; MAX_RELAYS],
-    /// Levels of the drives' lines.
+    /// Levels of the brushless drives' lines.
     lines: u16,
-    /// What the pins were last told; `None` when that is not known.
+    /// Levels last written to the pins; `None` when unknown.
     written: Option<u16>,
 }
 
 impl Expander {
-    /// With open relays.
+    /// Creates an expander with open relays.
     pub(super) fn new(expander: ExpanderConfig, relays: Vec<RelayConfig, MAX_RELAYS>) -> Self {
         Self { chip: Mcp23017::new(expander.address), relays, closed: [false; MAX_RELAYS], lines: 0, written: None }
     }
 
-    /// Whether a relay switches the motors' supply.
+    /// Returns true if a relay switches the motors' supply.
     pub(super) fn has_motor_power(&self) -> bool {
         self.relays.iter().any(|relay| relay.role == RelayRole::MotorPower)
     }
 
-    /// Opens all, from now on.
+    /// Requests that all relays open, with the next write.
     pub(super) fn open_all(&mut self) {
         self.closed = [false; MAX_RELAYS];
     }
 
-    /// Opens all but the motors' supply, which stays as it is, from now on.
+    /// Requests that all relays but the motors' supply open, with the next write.
     pub(super) fn open_general(&mut self) {
         for (closed, relay) in self.closed.iter_mut().zip(&self.relays) {
             *closed &= relay.role == RelayRole::MotorPower;
         }
     }
 
-    /// Closes or opens one, from the next [`Expander::write`] on.
+    /// Requests that one relay closes or opens, with the next [`Expander::rewrite`].
     pub(super) fn switch(&mut self, index: usize, closed: bool) {
         self.closed[index] = closed;
     }
 
-    /// Whether each should be closed.
+    /// Requested state of each relay, true for closed.
     pub(super) fn closed(&self) -> impl Iterator<Item = bool> + '_ {
         self.closed.iter().copied().take(self.relays.len())
     }
 
-    /// Sets the lines of the drives, from the next [`Expander::write`] on. Bits with a relay must be 0.
+    /// Sets the lines of the drives, effective with the next [`Expander::rewrite`]. Bits of relays must be 0.
     pub(super) fn set_lines(&mut self, levels: u16) {
         self.lines = levels;
     }
 
-    /// Closes the motors' supply, from the next [`Expander::write`] on.
+    /// Requests that the motors' supply closes, with the next [`Expander::rewrite`].
     pub(super) fn close_motor_power(&mut self) {
         for (closed, relay) in self.closed.iter_mut().zip(&self.relays) {
             *closed |= relay.role == RelayRole::MotorPower;
         }
     }
 
-    /// What the pins are driven to by a chip that was set up before the processor started; `None` otherwise.
+    /// Reads the pins' levels of a chip that was set up before the processor started; `None` if not all pins are
+    /// outputs.
     pub(super) async fn driven<B: I2c>(&self, bus: &mut B) -> Result<Option<u16>, B::Error> {
         self.chip.driven(bus).await
     }
 
-    /// Sets the chip up with the relays as they should be.
+    /// Sets up the chip with the requested levels and reads them back.
     pub(super) async fn init<B: I2c>(&mut self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
         self.written = None;
         self.chip.init(bus, self.levels()).await?;
@@ -77,18 +78,18 @@ impl Expander {
         Ok(())
     }
 
-    /// Writes all of it to a chip in any state, and reads nothing back.
+    /// Writes all registers of a chip in any state, and reads nothing back.
     pub(super) async fn force<B: I2c>(&mut self, bus: &mut B) -> Result<(), B::Error> {
         self.written = None;
         self.chip.force(bus, self.levels()).await
     }
 
-    /// Whether the pins are to change.
+    /// Returns true if the pins have to be written.
     pub(super) fn has_changed(&self) -> bool {
         self.written != Some(self.levels())
     }
 
-    /// Writes all of it.
+    /// Writes the levels of all pins.
     pub(super) async fn rewrite<B: I2c>(&mut self, bus: &mut B) -> Result<(), B::Error> {
         self.written = None;
         self.chip.set(bus, self.levels()).await?;
@@ -96,12 +97,12 @@ impl Expander {
         Ok(())
     }
 
-    /// Reads back and compares.
+    /// Reads the registers back and compares them with the requested levels.
     pub(super) async fn verify<B: I2c>(&self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
         self.chip.verify(bus, self.levels()).await
     }
 
-    /// The pins' levels. Pins that nothing is on are low.
+    /// Requested levels of the pins. Unused pins are low.
     fn levels(&self) -> u16 {
         let high = self.relays.iter().zip(self.closed).filter(|(relay, closed)| relay.active_low != *closed);
         high.fold(self.lines, |levels, (relay, _)| levels | 1 << relay.bit)
@@ -118,7 +119,7 @@ mod tests {
 
     const CHIP: u8 = 0x20;
 
-    /// The motors' supply by a relay that closes while its line is low, and one of general use.
+    /// Expander with the motors' supply on an active-low relay, and one relay for general use.
     fn expander() -> Expander {
         let relay = |index, bit, active_low, role| RelayConfig {
             id: ChannelId::new(ChannelKind::Relay, index),
@@ -130,12 +131,12 @@ mod tests {
         Expander::new(ExpanderConfig { address: CHIP }, relays.into_iter().collect())
     }
 
-    /// What the pins show.
+    /// Levels in the output latches.
     fn pins(bus: &Registers) -> u16 {
         u16::from_le_bytes([0x14, 0x15].map(|register| bus.get(CHIP, register)))
     }
 
-    /// What is to change is written once, and again after a failure.
+    /// A changed level is written once, and again after a failure.
     #[test]
     fn a_change_is_written_once() {
         let (mut expander, mut bus) = (expander(), Registers::default());
@@ -153,7 +154,7 @@ mod tests {
         assert!(expander.has_changed());
         assert!(block_on(expander.rewrite(&mut bus)).is_ok());
         assert_eq!((pins(&bus), expander.has_changed()), (0x0903, false));
-        // Back to what they were once told: still a change.
+        // After a failed write even the level before it counts as a change.
         bus.fail(1);
         expander.switch(1, false);
         assert!(block_on(expander.rewrite(&mut bus)).is_err());
@@ -161,13 +162,13 @@ mod tests {
         assert!(expander.has_changed());
         assert!(block_on(expander.rewrite(&mut bus)).is_ok());
         assert!(!expander.has_changed());
-        // A chip that has just been powered, or that another program has set up in its other register map.
+        // A chip just powered up, or set up by another program in its other register map.
         bus.set(CHIP, 0x00, 0xFF);
         bus.set(CHIP, 0x0A, 0x80);
         assert!(block_on(expander.force(&mut bus)).is_ok());
         assert_eq!([0x00, 0x01, 0x05, 0x0A].map(|register| bus.get(CHIP, register)), [0; 4]);
         assert_eq!(pins(&bus), 0x0903);
-        // Nothing was read back.
+        // Nothing was read back, so the levels count as unknown.
         assert!(expander.has_changed());
     }
 

@@ -1,4 +1,4 @@
-//! The board's outputs on I2C: the order of writes, and the safe state. Sensors have what they leave of the bus.
+//! The board's outputs on I2C: order of writes and safe state. Sensors get the bus time that remains.
 
 pub mod bldc;
 pub mod bridge;
@@ -32,31 +32,32 @@ use expander::Expander;
 use servo::{Pulse, Servos};
 use slew::towards;
 
-/// Why outputs are not what they should be.
+/// Cause of a fault of the outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OutputFault {
-    /// Transfers fail, also after a repeat and after freeing the bus.
+    /// Transfers fail, even after repeats and after freeing the bus.
     Bus,
     /// A chip does not hold what was written.
     Mismatch,
 }
 
-/// Writes of one control period: one for each motor and each servo, and one for the brushless drives. What does not fit waits.
+/// Writes of one control period: one for each motor and each servo, and one for the brushless drives. Further writes
+/// wait.
 const QUEUE: usize = 32;
-/// Counts of a PWM period, over which the bridges of a chip are spread.
+/// Counts of a PWM period, over which the phases of a chip's bridges are spread.
 const PHASES: usize = 4096;
-/// Servos that had to wait are caught up with for as many periods.
+/// Maximum backlog of servo writes, in control periods.
 const SERVO_PERIODS_DUE: usize = 8;
-/// Bits on the bus to set the expander.
+/// Bus time to write the expander, bits.
 const EXPANDER_BITS: u32 = bits(4);
-/// Most bits on the bus to read one thing back: mode and prescaler of a PWM chip, each with two addresses and a register.
+/// Maximum bus time of one read-back, bits: mode and prescaler of a PWM chip, each with two addresses and a register.
 const CHECK_BITS: u32 = bits(5) + bits(4);
 
-/// The brushless drives and their DAC.
+/// Brushless drives and their DAC.
 struct Drives {
     chip: Mcp4728,
     rules: Bldcs,
-    /// What the outputs were last told; `None` when that is not known.
+    /// Codes last written to the outputs; `None` when unknown.
     written: Option<[u16; DAC_OUTPUTS]>,
 }
 
@@ -67,31 +68,31 @@ impl Drives {
     }
 }
 
-/// What one write of the queue changes, once it has been sent.
+/// Change that one write of the queue makes once it has been sent.
 #[derive(Clone, Copy, Debug)]
 enum Change {
-    /// The lines of the bridge with this index.
+    /// Lines of the bridge with this index.
     Bridge(usize, Planned),
-    /// The codes of the brushless drives' voltages.
+    /// Codes of the brushless drives' voltages.
     Drives([u16; DAC_OUTPUTS]),
-    /// The pulse of one servo.
+    /// Pulse of one servo.
     Servo(Pulse),
 }
 
-/// Writes that go out together.
+/// Writes of one flush.
 #[derive(Debug, Default)]
 struct Queue {
     writes: Vec<Write, QUEUE>,
-    /// What each of the writes changes.
+    /// Change that each of the writes makes.
     changes: Vec<Change, QUEUE>,
-    /// A bit for each servo that has a write here.
+    /// One bit for each servo that has a write here.
     servos: u32,
 }
 
 const _: () = assert!(MAX_SERVOS <= u32::BITS as usize, "a bit for each servo");
 
 impl Queue {
-    /// Adds a write; the caller has asked [`Queue::has_room`].
+    /// Adds a write; the caller has checked [`Queue::has_room`].
     fn push(&mut self, write: Write, change: Change) {
         if self.writes.push(write).is_ok() {
             let _ = self.changes.push(change);
@@ -102,13 +103,13 @@ impl Queue {
         !self.writes.is_full()
     }
 
-    /// Adds the write of a servo's pulse; the caller has asked [`Queue::has_room`].
+    /// Adds the write of a servo's pulse; the caller has checked [`Queue::has_room`].
     fn push_servo(&mut self, write: Write, pulse: Pulse) {
         self.servos |= 1 << pulse.index();
         self.push(write, Change::Servo(pulse));
     }
 
-    /// Whether the servo of this pulse has a write here.
+    /// Returns true if the servo of this pulse has a write here.
     const fn has_servo(&self, pulse: &Pulse) -> bool {
         self.servos >> pulse.index() & 1 != 0
     }
@@ -120,19 +121,20 @@ impl Queue {
     }
 }
 
-/// The PWM chips behind bridges.
+/// PWM chips behind bridges, OSMC first.
 fn bridge_chips(config: &BoardConfig) -> [Option<Pca9685>; 2] {
     [config.osmc_pwm, config.dhb_pwm].map(|pwm| pwm.map(|pwm: PwmConfig| Pca9685::new(pwm.address, pwm.frequency_hz)))
 }
 
-/// Writes the safe state to every output chip of a board that has just been reset, before anything else is done: opens the
-/// relays, applies the brakes, takes brushless drives to neutral, turns bridges off and ends the servos' pulses, unless those
-/// are held when safe.
+/// Writes the safe state to every output chip of a board that has just been reset, before anything else: opens the
+/// relays, applies the brakes, takes brushless drives to neutral, turns bridges off and ends the servos' pulses, unless
+/// those are held when safe.
 ///
-/// The chips kept what they were told over the processor's reset, or have just been powered: every register that the safe
-/// state needs is written, whatever state they are in. Nothing is read back but the direction lines of brushless drives, which stay
-/// as they are; [`Outputs::init`] does that later. A chip that does not answer is left out after three tries. Asks no clock,
-/// so that it can run before there is one; `config` must be valid. On a bus of 400 kHz it takes 1.5 ms.
+/// The chips kept their outputs over the processor's reset, or have just been powered: every register that the safe
+/// state needs is written, whatever state they are in. Only the direction lines of brushless drives, which stay as they
+/// are, are read back; [`Outputs::init`] reads the rest later. A chip that does not answer is skipped after three
+/// tries. Reads no clock, so it can run before there is one; `config` must be valid. On a bus of 400 kHz it takes 1.5
+/// ms.
 ///
 /// # Errors
 /// The first [`OutputFault`], after all chips were tried.
@@ -179,39 +181,41 @@ pub fn rest_dacs(config: &BoardConfig, outputs: &mut impl AnalogOutputs) {
     config.dacs.iter().for_each(|dac: &DacConfig| outputs.set(dac.id.index, dac_code(dac.safe_v)));
 }
 
-/// The nearest code of the processor's own DAC.
+/// Returns the nearest code of the processor's own DAC for a voltage.
 pub(crate) fn dac_code(volts: f32) -> u16 {
     (libm::roundf(volts / DAC_FULL_SCALE_V * 4096.0) as u16).min(4095)
 }
 
-/// The outputs of one board.
+/// All outputs of one board on I2C.
 pub struct Outputs<B> {
     bus: Scheduler<B>,
     osmc: Option<Pca9685>,
     dhb: Option<Pca9685>,
     bridges: Vec<Bridge, MAX_MOTORS>,
-    /// A bit for each that is an OSMC, and for each that is a DHB.
+    /// Bit masks of the bridges that are an OSMC, and of those that are a DHB.
     sets: [u32; 2],
-    /// How fast the duty of those falls that a stop brakes before they are switched off, 1/s; `None` for the others.
+    /// Rate at which a stop ramps down each motor's duty before switching it off, 1/s; `None` for motors that are
+    /// switched off at once.
     braked: Vec<Option<f32>, MAX_MOTORS>,
-    /// The first OSMC and the first DHB that had to wait for the next period.
+    /// First OSMC and first DHB that had to wait for the next period.
     waiting: [Option<usize>; 2],
     expander: Option<Expander>,
     drives: Option<Drives>,
     servos: Option<Servos>,
-    /// Writes of servos in each period; and those that are due, with them that had to wait.
+    /// Number of servo writes per period; and the number now due, with those that had to wait.
     servos_in_turn: usize,
     servos_due: usize,
-    /// What is to be written in this period, and has not been.
+    /// Writes of this period that have not been sent.
     queue: Queue,
     period_s: f32,
-    /// What can be read back, and what is next.
+    /// Number of read-back checks, and the next one in turn.
     checks: usize,
     next_check: usize,
 }
 
 impl<B: Bus> Outputs<B> {
-    /// The outputs as `config` wires them, or none to drive when it is not valid. Call [`Outputs::init`] before anything else.
+    /// Creates the outputs as `config` wires them; without any if it is not valid. Call [`Outputs::init`] before
+    /// anything else.
     #[must_use]
     pub fn new(bus: B, config: &BoardConfig) -> Self {
         let [osmc, dhb] = bridge_chips(config);
@@ -222,12 +226,13 @@ impl<B: Bus> Outputs<B> {
         let on_osmc = |motor: &MotorConfig| matches!(motor.bridge, BridgeConfig::Osmc(_));
         let bridges = motors.enumerate().map(|(index, motor)| {
             let chip = if on_osmc(motor) { osmc } else { dhb };
-            // Evenly over the period of their chip; the two chips have clocks of their own.
+            // Spread evenly over the PWM period of their chip; the two chips have clocks of their own.
             let same_chip = |other: &&MotorConfig| on_osmc(other) == on_osmc(motor);
             let count = config.motors.iter().filter(same_chip).count();
             let before = config.motors.iter().take(index).filter(same_chip).count();
             let phase = (PHASES * before / count) as u16;
-            // A change takes effect at the end of the running PWM period; a whole one must then pass with the bridge at rest.
+            // A change takes effect at the end of the running PWM period; then a whole one must pass with the bridge at
+            // rest.
             let reversal = chip.map_or(Duration::MIN, |chip| 2 * chip.period());
             Bridge::new(motor.bridge, motor.inverted, phase, reversal)
         });
@@ -259,19 +264,20 @@ impl<B: Bus> Outputs<B> {
         }
     }
 
-    /// Brings every output chip from any state into a known one with all outputs off. Never while armed: a DAC that was
-    /// delivered with another start-up voltage gets its own written, and hears nothing meanwhile, up to 50 ms.
+    /// Brings every output chip from any state into a known one with all outputs off. Never call it while armed: a DAC
+    /// delivered with another start-up voltage gets its EEPROM written, and ignores all commands meanwhile, up to 50
+    /// ms.
     ///
     /// # Errors
-    /// See [`OutputFault`]; outputs may then be in any state the chips were in.
+    /// [`OutputFault`]; outputs may then be in any state the chips were in.
     pub async fn init(&mut self) -> Result<(), OutputFault> {
         self.forget_queue();
         if let (Some(expander), Some(drives)) = (&self.expander, &mut self.drives) {
-            // Drives may still turn from before the processor was reset: their direction lines stay as they are.
+            // Motors may still turn from before the reset of the processor, so the direction lines stay as they are.
             let driven = self.bus.checked(async |bus: &mut B| Ok(expander.driven(bus).await?)).await?;
             driven.into_iter().for_each(|levels| drives.rules.resume(levels));
         }
-        // The relay in the motors' supply comes first, and brakes with it; then drives go to neutral.
+        // The motors' supply relay and the brakes come first; then drives go to neutral.
         self.expander_safe(async |expander: &mut Expander, bus: &mut B| expander.init(bus).await).await?;
         if let Some(drives) = &mut self.drives {
             let codes = drives.rules.make_safe().codes;
@@ -289,7 +295,8 @@ impl<B: Bus> Outputs<B> {
         }
     }
 
-    /// Opens every relay, the motors' supply with them, brakes, then turns every motor output off, whatever they did.
+    /// Opens every relay, the motors' supply included, applies brakes, then turns every motor output off, in whatever
+    /// state.
     ///
     /// # Errors
     /// [`OutputFault::Bus`], after all were tried; the lines of [`crate::safety::SafetyPins`] still hold the bridges.
@@ -307,8 +314,8 @@ impl<B: Bus> Outputs<B> {
         result.and(self.neutral_and_servos_safe().await)
     }
 
-    /// Begins to end all motion with the motors' supply on: takes brushless drives to neutral and brakes them, opens every
-    /// relay but the motors'. Takes less than a control period, so that step pulses go on to be told in time;
+    /// Begins a stop that keeps the motors' supply on: takes brushless drives to neutral and brakes them, opens every
+    /// relay but the motors'. Takes less than a control period, so that step pulses continue on time;
     /// [`Outputs::step_brakes`] does the rest, and [`Outputs::make_safe`] must follow.
     ///
     /// # Errors
@@ -326,9 +333,9 @@ impl<B: Bus> Outputs<B> {
         result.and(self.neutral_and_servos_safe().await)
     }
 
-    /// One period of a stop that brakes: turns bridges off that do not brake, as many as fit the period, then makes a step of
-    /// the others' ramps to duty 0, at which a bridge shorts its motor. The slew limit of each motor holds here too. Whether
-    /// all that do not brake are off.
+    /// Advances a braking stop by one period: turns non-braking bridges off, as many as fit the period, then steps the
+    /// others' ramps to duty 0, at which a bridge shorts its motor. The slew limit of each motor holds here too.
+    /// Returns true once all non-braking bridges are off.
     ///
     /// # Errors
     /// [`OutputFault::Bus`], after all were tried.
@@ -359,7 +366,7 @@ impl<B: Bus> Outputs<B> {
         self.flush(|_| false).await.and(result)
     }
 
-    /// Brushless drives to neutral, whatever they were told, and servos as they are when safe.
+    /// Takes brushless drives to neutral, whatever their command, and servos to their safe state.
     async fn neutral_and_servos_safe(&mut self) -> Result<(), OutputFault> {
         let mut result = Ok(());
         if let Some(drives) = &mut self.drives {
@@ -375,12 +382,12 @@ impl<B: Bus> Outputs<B> {
         result
     }
 
-    /// The PWM chips behind bridges.
+    /// PWM chips behind bridges, OSMC first.
     fn bridge_chips(&self) -> impl Iterator<Item = Pca9685> + use<B> {
         self.osmc.into_iter().chain(self.dhb)
     }
 
-    /// Opens all relays, applies all brakes and lets `write` tell the chip.
+    /// Opens all relays, applies all brakes and calls `write` to update the chip.
     async fn expander_safe(
         &mut self,
         mut write: impl AsyncFnMut(&mut Expander, &mut B) -> Result<(), ChipError<B::Error>>,
@@ -393,27 +400,27 @@ impl<B: Bus> Outputs<B> {
         self.bus.checked(async |bus: &mut B| write(expander, bus).await).await
     }
 
-    /// A control period begins: the bus is free again.
+    /// Begins a control period: the bus has its full time again.
     pub fn begin_tick(&mut self) {
         self.forget_queue();
         self.bus.begin_period();
     }
 
-    /// The bus, for sensors.
+    /// Bus scheduler, for sensors.
     pub(crate) fn bus(&mut self) -> &mut Scheduler<B> {
         &mut self.bus
     }
 
-    /// Sends what [`Outputs::drive`], [`Outputs::write_drives`] and [`Outputs::write_servos`] have queued in this period, in that
-    /// order. When `stops` says so ([`Bus::write_all`]), what has not been sent yet is forgotten: outputs are then as before.
-    /// Whether all of it was sent.
+    /// Sends the writes that [`Outputs::drive`], [`Outputs::write_drives`] and [`Outputs::write_servos`] have queued in
+    /// this period, in that order. When `stops` asks for it ([`Bus::write_all`]), the unsent rest is discarded: those
+    /// outputs are then as before. Returns true if everything was sent.
     ///
     /// # Errors
-    /// [`OutputFault::Bus`]; the output whose write failed may then be either, those behind it are as before.
+    /// [`OutputFault::Bus`]; the output whose write failed may then be in either state, those behind it are as before.
     pub async fn flush(&mut self, stops: impl FnMut(&mut Context<'_>) -> bool) -> Result<bool, OutputFault> {
         let (sent, result) = self.bus.send(&self.queue.writes, stops).await;
         let complete = sent == self.queue.writes.len();
-        // Each ended before those behind it took the bus: at least nine bits for each byte.
+        // Each write ended before the following ones took the bus: at least nine bits for each byte.
         let mut ended = Instant::now();
         for (write, change) in self.queue.writes.iter().zip(&self.queue.changes).take(sent).rev() {
             match *change {
@@ -432,13 +439,13 @@ impl<B: Bus> Outputs<B> {
         self.queue.forget();
     }
 
-    /// Whether the motors' supply goes over a relay.
+    /// Returns true if the motors' supply goes over a relay.
     #[must_use]
     pub fn has_motor_power_relay(&self) -> bool {
         self.expander.as_ref().is_some_and(Expander::has_motor_power)
     }
 
-    /// Closes the motors' supply, with the next [`Outputs::write_expander`].
+    /// Closes the relay of the motors' supply, with the next [`Outputs::write_expander`].
     pub fn close_motor_power(&mut self) {
         self.expander.iter_mut().for_each(Expander::close_motor_power);
     }
@@ -448,12 +455,12 @@ impl<B: Bus> Outputs<B> {
         self.expander.iter_mut().for_each(|expander| expander.switch(index, closed));
     }
 
-    /// Whether each relay is commanded to close, in the order of the configuration.
+    /// Commanded state of each relay, true for closed, in the order of the configuration.
     pub fn closed_relays(&self) -> impl Iterator<Item = bool> + '_ {
         self.expander.iter().flat_map(Expander::closed)
     }
 
-    /// Tells the expander what has changed, if anything has.
+    /// Writes the expander if anything has changed.
     ///
     /// # Errors
     /// [`OutputFault::Bus`]; its pins may then be in either state.
@@ -461,14 +468,14 @@ impl<B: Bus> Outputs<B> {
         if !self.expander.as_ref().is_some_and(Expander::has_changed) {
             return Ok(());
         }
-        // Never waits: it comes first in every period.
+        // The result is ignored: this write comes first in every period and always fits.
         self.bus.fits(EXPANDER_BITS);
         let Some(expander) = &mut self.expander else { return Ok(()) };
         self.bus.checked(async |bus: &mut B| Ok(expander.rewrite(bus).await?)).await
     }
 
-    /// Has bridge `index` driven at `duty`, within its rules, by the next [`Outputs::flush`], and returns the duty it then has. What
-    /// does not fit this period on the bus is left to the next.
+    /// Plans `duty` for bridge `index`, within its rules, for the next [`Outputs::flush`], and returns the duty that
+    /// the bridge then has. A write that does not fit this period on the bus waits for the next.
     pub fn drive(&mut self, index: usize, duty: f32) -> f32 {
         let Some(chip) = self.chip_of(&self.bridges[index]) else { return 0.0 };
         match self.bridges[index].plan(&chip, duty) {
@@ -484,38 +491,39 @@ impl<B: Bus> Outputs<B> {
         }
     }
 
-    /// Reserves the bits of `write` in this period; false when it has to wait.
+    /// Reserves the bus time of `write` in this period; false when it has to wait.
     fn reserve(&mut self, write: &Write) -> bool {
         self.queue.has_room() && self.bus.fits(bits(1 + write.bytes().len() as u32))
     }
 
-    /// The bridges in the order in which they are to be written in this period: OSMC first, then DHB, each group beginning
-    /// with the first that had to wait in the last.
+    /// Order in which to write the bridges in this period: OSMC first, then DHB, each group beginning with the first
+    /// that had to wait in the last period.
     pub fn order(&mut self) -> [Order; 2] {
         let firsts = core::mem::take(&mut self.waiting);
         core::array::from_fn(|kind| Order { left: self.sets[kind], first: firsts[kind].unwrap_or(0) })
     }
 
-    /// Tells brushless drive number `index` of the configuration what to do, from the next [`Outputs::step_drives`] on.
+    /// Sets the command of brushless drive number `index` of the configuration, effective from the next
+    /// [`Outputs::step_drives`] on.
     pub fn command_drive(&mut self, index: usize, command: Command) {
         self.drives.iter_mut().for_each(|drives| drives.rules.command(index, command));
     }
 
-    /// One period of the brushless drives' rules. Their lines are written by [`Outputs::write_expander`], their voltages by
-    /// [`Outputs::write_drives`].
+    /// Advances the brushless drives' rules by one period. Their lines are written by [`Outputs::write_expander`],
+    /// their voltages by [`Outputs::write_drives`].
     pub fn step_drives(&mut self) {
         let Some(drives) = &mut self.drives else { return };
         let levels = drives.rules.step(self.period_s).levels;
         self.expander.iter_mut().for_each(|expander| expander.set_lines(levels));
     }
 
-    /// Has the DAC told the voltages that have changed, by the next [`Outputs::flush`], if that fits this period.
+    /// Queues changed voltages of the DAC for the next [`Outputs::flush`], if they fit this period.
     pub fn write_drives(&mut self) {
         let Some(drives) = &self.drives else { return };
         let codes = drives.rules.wanted().codes;
         let Some(write) = drives.chip.change(codes, drives.written) else { return };
         if self.reserve(&write) {
-            // Either, until it has been sent.
+            // Unknown until the write has been sent: the DAC may hold the old or the new codes.
             self.drives.iter_mut().for_each(|drives| drives.written = None);
             self.queue.push(write, Change::Drives(codes));
         }
@@ -531,13 +539,13 @@ impl<B: Bus> Outputs<B> {
         self.servos.iter_mut().for_each(|servos| servos.command(index, angle));
     }
 
-    /// One period of the servos' rules; [`Outputs::write_servos`] writes them.
+    /// Advances the servos' rules by one period; [`Outputs::write_servos`] writes them.
     pub fn step_servos(&mut self) {
         self.servos.iter_mut().for_each(|servos| servos.step(self.period_s));
     }
 
-    /// Has the servos written whose turn it is and that fit this period, by the next [`Outputs::flush`], each once; up to as many
-    /// again of those that had to wait.
+    /// Queues the servos whose turn it is and that fit this period for the next [`Outputs::flush`], each once, and up
+    /// to as many again of those that had to wait.
     pub fn write_servos(&mut self) {
         let in_turn = self.servos_in_turn;
         self.servos_due = (self.servos_due + in_turn).min(SERVO_PERIODS_DUE * in_turn);
@@ -556,7 +564,7 @@ impl<B: Bus> Outputs<B> {
         }
     }
 
-    /// Angle commanded of each servo, rad, in the order of the configuration; NaN when it gets no pulses.
+    /// Commanded angle of each servo, rad, in the order of the configuration; NaN without pulses.
     pub fn servo_angles(&self) -> impl Iterator<Item = f32> + '_ {
         self.servos.iter().flat_map(Servos::angles).map(|angle| angle.unwrap_or(f32::NAN))
     }
@@ -565,16 +573,16 @@ impl<B: Bus> Outputs<B> {
         if bridge.is_osmc() { self.osmc } else { self.dhb }
     }
 
-    /// Keeps the bus free for one [`Outputs::check_next`] in this period; false when that does not fit, and must wait.
+    /// Reserves bus time for one [`Outputs::check_next`] in this period; false when that does not fit and must wait.
     pub fn reserve_check(&mut self) -> bool {
         self.bus.fits(CHECK_BITS)
     }
 
-    /// Reads one thing of expander and PWM chips back and compares; each call takes the next one in turn. Only after
+    /// Reads back and compares the next register set of expander and PWM chips in turn. Call it only after
     /// [`Outputs::flush`], and where [`Outputs::reserve_check`] allows it.
     ///
     /// # Errors
-    /// See [`OutputFault`].
+    /// [`OutputFault`] for a failed transfer or a register that does not hold what was written.
     pub async fn check_next(&mut self) -> Result<(), OutputFault> {
         let mut step = self.next_check;
         self.next_check = (step + 1) % self.checks;
@@ -602,11 +610,11 @@ impl<B: Bus> Outputs<B> {
         }
     }
 
-    /// Reads the DAC back and compares. Too long for a stop to wait behind, so only while the board is safe; while it is
-    /// armed each changed voltage is acknowledged.
+    /// Reads the DAC back and compares. A stop must not wait that long, so it is only for a safe board; while armed,
+    /// each changed voltage is acknowledged on the bus.
     ///
     /// # Errors
-    /// See [`OutputFault`].
+    /// [`OutputFault`] for a failed transfer or a register that does not hold what was written.
     pub async fn check_drives(&mut self) -> Result<(), OutputFault> {
         match &self.drives {
             Some(Drives { chip, written: Some(codes), .. }) => {
@@ -616,16 +624,16 @@ impl<B: Bus> Outputs<B> {
         }
     }
 
-    /// Transfers that had to be repeated since the last call.
+    /// Number of repeated transfers since the last call.
     pub fn take_retries(&mut self) -> u32 {
         self.bus.take_retries()
     }
 }
 
-/// Bridges by their indices, from one of them on and then those before it.
+/// Iterator over bridge indices, from one of them on and then those before it.
 #[derive(Clone, Debug)]
 pub struct Order {
-    /// A bit for each that is left.
+    /// One bit for each remaining bridge.
     left: u32,
     first: usize,
 }

@@ -1,10 +1,10 @@
 //! Rules of RC servos on a PCA9685.
 //!
-//! - A servo says nothing about where it is. Without pulses it is limp; at the first it goes to the angle they stand for,
-//!   as fast as it can. So it gets none before its first command, and that first command is not slowed down.
-//!   From there on the angle asked of it changes by at most `speed_max`.
+//! - A servo does not report its position. Without pulses it is limp; at the first pulse it moves to the pulse's angle
+//!   as fast as it can. It therefore gets no pulses before its first command, and that command is not slowed down. From
+//!   there on the requested angle changes by at most `speed_max`.
 //! - One transfer sets one servo: a stop never waits for more than that. Servos whose pulse changes take turns.
-//! - In the safe state pulses end, and with them what is known of the angles; with `hold_when_safe` they go on and each
+//! - In the safe state pulses end, and the angles are no longer known; with `hold_when_safe` pulses continue and each
 //!   servo is held where it was last sent.
 
 use embedded_hal_async::i2c::I2c;
@@ -20,27 +20,27 @@ use crate::{
     platform::Write,
 };
 
-/// A servo that moves gets a new pulse at least so often, s: about one period of the pulses.
+/// Maximum interval between new pulses of a moving servo, s: about one period of the pulses.
 const UPDATE_S: f32 = 0.02;
 
-/// The servos of one chip.
+/// All servos of one chip.
 #[derive(Clone, Debug)]
 pub struct Servos {
     chip: Pca9685,
     hold_when_safe: bool,
     servos: Vec<Servo, MAX_SERVOS>,
-    /// Whose turn it is to be written.
+    /// Index of the servo to be written next.
     next: usize,
 }
 
 #[derive(Clone, Debug)]
 struct Servo {
     config: ServoConfig,
-    /// Angle asked of it and where that goes, rad; `None` before the first command.
+    /// Requested angle and its target, rad; `None` before the first command.
     motion: Option<Motion>,
-    /// What its output was last told; `None` when that is not known.
+    /// Setting last written to its output; `None` when unknown.
     written: Option<Output>,
-    /// The angle of the last pulse it was told, rad; `None` while it gets none.
+    /// Angle of the last pulse sent, rad; `None` without pulses.
     sent: Option<f32>,
 }
 
@@ -50,28 +50,28 @@ struct Motion {
     target: f32,
 }
 
-/// What a servo is told once a write has been sent.
+/// New state of a servo once its write has been sent.
 #[derive(Clone, Copy, Debug)]
 pub struct Pulse {
-    /// The servo's number in the configuration.
+    /// Number of the servo in the configuration.
     index: usize,
     output: Output,
-    /// The angle that it stands for, rad; `None` where the pulses end.
+    /// Angle of the pulse, rad; `None` where the pulses end.
     angle: Option<f32>,
 }
 
 impl Pulse {
-    /// The servo's number in the configuration.
+    /// Number of the servo in the configuration.
     pub(super) const fn index(&self) -> usize {
         self.index
     }
 }
 
 impl Servos {
-    /// Bytes on the bus of a write of [`Servos::next_write`], address included: 93 µs at 400 kHz.
+    /// Bytes of a write of [`Servos::next_write`], address included: 93 µs at 400 kHz.
     pub const WRITE_BYTES: u32 = 4;
 
-    /// Servos without pulses. The configuration must be valid.
+    /// Creates servos without pulses. The configuration must be valid.
     #[must_use]
     pub fn new(chip: ServoChipConfig, servos: &[ServoConfig]) -> Self {
         let new = |config: &ServoConfig| Servo { config: *config, motion: None, written: None, sent: None };
@@ -83,7 +83,7 @@ impl Servos {
         }
     }
 
-    /// Sends servo number `index` of the configuration to `angle`, rad, or as near as its travel allows.
+    /// Commands `angle`, rad, limited to its travel, for servo number `index` of the configuration; ignores NaN.
     pub fn command(&mut self, index: usize, angle: f32) {
         let servo = &mut self.servos[index];
         let travel = servo.config.position();
@@ -93,7 +93,7 @@ impl Servos {
         }
     }
 
-    /// One step of `period_s`, s, towards the commanded angles.
+    /// Advances the requested angles by one step of `period_s`, s, towards the commands.
     pub fn step(&mut self, period_s: f32) {
         for servo in &mut self.servos {
             if let Some(motion) = servo.motion.as_mut().filter(|motion| motion.angle != motion.target) {
@@ -102,37 +102,37 @@ impl Servos {
         }
     }
 
-    /// The angle now asked of servo number `index`, rad; `None` when it gets no pulses.
+    /// Angle requested of servo number `index` at present, rad; `None` without pulses.
     #[must_use]
     pub fn angle(&self, index: usize) -> Option<f32> {
         self.servos[index].angle()
     }
 
-    /// The same of each.
+    /// Angle requested of each servo at present, rad; `None` without pulses.
     pub fn angles(&self) -> impl Iterator<Item = Option<f32>> + '_ {
         self.servos.iter().map(Servo::angle)
     }
 
-    /// How many there are.
+    /// Number of servos of the chip.
     #[must_use]
     pub fn count(&self) -> usize {
         self.servos.len()
     }
 
-    /// How often [`Servos::next_write`] must be called in a control period of `period_s`, s, so that each servo of those
-    /// that move is written every 20 ms: once, for up to 16 servos and 1.25 ms.
+    /// Number of calls of [`Servos::next_write`] in a control period of `period_s`, s, that writes each moving servo
+    /// every 20 ms: one, for up to 16 servos and 1.25 ms.
     #[must_use]
     pub fn writes_per_period(&self, period_s: f32) -> usize {
         libm::ceilf(self.servos.len() as f32 * period_s / UPDATE_S) as usize
     }
 
-    /// The write for the next servo in turn that has a new pulse, [`Servos::WRITE_BYTES`] long; `None` when none has.
-    /// [`Servos::sent`] is called when it has been sent: until then that servo may have either pulse.
+    /// Returns the write for the next servo in turn that has a new pulse, [`Servos::WRITE_BYTES`] long; `None` when
+    /// none has. Call [`Servos::sent`] once it has been sent: until then that servo may have either pulse.
     pub fn next_write(&mut self) -> Option<(Write, Pulse)> {
         let count = self.servos.len();
         let (index, output) = (self.next..count).chain(0..self.next).find_map(|index| {
             let servo = &self.servos[index];
-            // The same angle is the same pulse.
+            // The same angle gives the same pulse: skip the computation.
             if servo.written.is_some() && servo.sent == servo.angle() {
                 return None;
             }
@@ -146,16 +146,17 @@ impl Servos {
         Some((self.chip.set_off_count(servo.config.output, output), Pulse { index, output, angle }))
     }
 
-    /// The write with this pulse has been sent.
+    /// Records that the write with this pulse has been sent.
     pub fn sent(&mut self, pulse: Pulse) {
         let servo = &mut self.servos[pulse.index];
         (servo.written, servo.sent) = (Some(pulse.output), pulse.angle);
     }
 
-    /// Brings the chip from any state to where no servo gets pulses, and reads that back; see [`Pca9685::init`].
+    /// Brings the chip from any state to one without pulses, and reads that back; see [`Pca9685::init`].
     ///
     /// # Errors
-    /// A failed transfer, or a register that does not hold what was written.
+    /// [`ChipError::Bus`] for a failed transfer, [`ChipError::Mismatch`] for a register that does not hold what was
+    /// written.
     pub async fn init<B: I2c>(&mut self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
         self.forget();
         self.chip.init(bus).await?;
@@ -163,22 +164,22 @@ impl Servos {
         Ok(())
     }
 
-    /// Ends all pulses of a chip in any state, and reads nothing back; with `hold_when_safe` leaves it alone.
+    /// Ends all pulses of a chip in any state and reads nothing back; with `hold_when_safe` leaves the chip alone.
     ///
     /// # Errors
-    /// A failed transfer.
+    /// The bus's error, for a failed transfer.
     pub async fn force_safe<B: I2c>(&mut self, bus: &mut B) -> Result<(), B::Error> {
         self.forget();
         if self.hold_when_safe { Ok(()) } else { self.chip.force_off(bus).await }
     }
 
-    /// Ends all pulses in one transfer of 3 bytes, or, with `hold_when_safe`, all motion without one.
+    /// Ends all pulses in one transfer of 3 bytes, or, with `hold_when_safe`, stops all motion without a transfer.
     ///
     /// # Errors
-    /// A failed transfer.
+    /// The bus's error, for a failed transfer.
     pub async fn make_safe<B: I2c>(&mut self, bus: &mut B) -> Result<(), B::Error> {
         if self.hold_when_safe {
-            // At the pulses they have, not at those that were to be written: nothing moves now, and not at the next arming.
+            // Servos are held at their present pulses, not at queued ones: nothing moves now, nor at the next arming.
             for servo in &mut self.servos {
                 servo.motion = servo.sent.map(|angle| Motion { angle, target: angle });
             }
@@ -193,7 +194,8 @@ impl Servos {
     /// Reads mode and prescaler of the chip back and compares.
     ///
     /// # Errors
-    /// A failed transfer, or a register that does not hold what was written.
+    /// [`ChipError::Bus`] for a failed transfer, [`ChipError::Mismatch`] for a register that does not hold what was
+    /// written.
     pub async fn verify_mode<B: I2c>(&self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
         self.chip.verify_mode(bus).await
     }
@@ -201,7 +203,8 @@ impl Servos {
     /// Reads the pulse of servo number `index` back and compares it with the last one written.
     ///
     /// # Errors
-    /// A failed transfer, or a register that does not hold what was written.
+    /// [`ChipError::Bus`] for a failed transfer, [`ChipError::Mismatch`] for a register that does not hold what was
+    /// written.
     pub async fn verify<B: I2c>(&self, bus: &mut B, index: usize) -> Result<(), ChipError<B::Error>> {
         let servo = &self.servos[index];
         match servo.written {
@@ -217,7 +220,7 @@ impl Servos {
         }
     }
 
-    /// All outputs of the chip have just been turned off.
+    /// Records that all outputs of the chip have just been turned off.
     fn now_off(&mut self) {
         for servo in &mut self.servos {
             servo.written = Some(Output::LOW);
@@ -234,7 +237,7 @@ impl Servo {
         self.motion.map_or(Output::LOW, |motion| chip.pulse(self.pulse_s(motion.angle)))
     }
 
-    /// Linear between the two points, and never beyond.
+    /// Pulse length for `angle`, rad, in s: linear between the two configured points, and limited to them.
     fn pulse_s(&self, angle: f32) -> f32 {
         let (low, high) = (self.config.low, self.config.high);
         let share = (angle - low.angle_rad) / (high.angle_rad - low.angle_rad);
@@ -254,7 +257,7 @@ mod tests {
     const CHIP: ServoChipConfig =
         ServoChipConfig { address: 0x42, frequency_hz: 50.0, oscillator_hz: 25e6, hold_when_safe: false };
 
-    /// From 1 ms at -1 rad to 2 ms at 1 rad, or the other way round; 2 rad/s.
+    /// Servo with 1 ms at -1 rad and 2 ms at 1 rad, or the other way round; 2 rad/s.
     fn config(output: u8, sign: f32) -> ServoConfig {
         ServoConfig {
             id: ChannelId::new(ChannelKind::Servo, output),
@@ -276,14 +279,14 @@ mod tests {
         assert_eq!((servos.angle(0), pulses(&servos)), (None, [Output::LOW; 2]));
         servos.command(0, 0.5);
         servos.command(1, 0.5);
-        // 1.75 ms and 1.25 ms at 4.88 us: 358.6 and 256.1
+        // Pulses of 1.75 ms and 1.25 ms at 4.88 us per count: 358.6 and 256.1 counts.
         assert_eq!(pulses(&servos).map(Output::registers), [[0, 0, 0x67, 0x01], [0, 0, 0x00, 0x01]]);
         servos.command(0, -5.0);
         servos.step(0.25);
         assert_eq!(servos.angle(0), Some(0.0));
         servos.step(10.0);
         assert_eq!(servos.angle(0), Some(-1.0), "the end of its travel");
-        assert_eq!(pulses(&servos)[0].registers(), [0, 0, 0xCD, 0x00]); // 1 ms: 204.9
+        assert_eq!(pulses(&servos)[0].registers(), [0, 0, 0xCD, 0x00]); // 1 ms is 204.9 counts
         servos.command(0, f32::NAN);
         servos.command(1, f32::INFINITY);
         servos.step(10.0);
@@ -298,7 +301,7 @@ mod tests {
         }
     }
 
-    /// Servos on outputs 0, 5 and 3, set up on a bus.
+    /// Servos on outputs 0, 5 and 3 of a chip on a bus that is set up.
     fn rig(hold_when_safe: bool) -> (Servos, Registers) {
         let mut servos =
             Servos::new(ServoChipConfig { hold_when_safe, ..CHIP }, &[0, 5, 3].map(|output| config(output, 1.0)));
@@ -307,14 +310,14 @@ mod tests {
         (servos, bus)
     }
 
-    /// Sets them up, which waits for the chip's oscillator.
+    /// Sets up the servos, which waits for the chip's oscillator.
     fn init(servos: &mut Servos, bus: &mut Registers) {
         let wait = async { Tasks::default().advance(Duration::from_millis(1)) };
         let (result, ()) = block_on(join(servos.init(bus), wait));
         result.expect("the chip answers");
     }
 
-    /// The write that is due, sent: to which output.
+    /// Sends the due write and returns its output.
     fn write(servos: &mut Servos, bus: &mut Registers) -> Option<u8> {
         let (write, pulse) = servos.next_write()?;
         assert_eq!((write.address(), write.bytes().len() as u32 + 1), (0x42, Servos::WRITE_BYTES));
@@ -323,7 +326,7 @@ mod tests {
         Some((write.bytes()[0] - 8) / 4)
     }
 
-    /// 1.5 ms, in the middle, and 1 ms, at -1 rad.
+    /// Register bytes of 1.5 ms, the middle, and of 1 ms, at -1 rad.
     const MIDDLE: [u8; 2] = [0x33, 0x01];
     const LOWEST: [u8; 2] = [0xCD, 0x00];
 
@@ -331,7 +334,8 @@ mod tests {
         [2, 3].map(|byte| bus.get(0x42, 6 + 4 * output + byte))
     }
 
-    /// Each in its turn, by its own output; who was not sent, or has moved on, comes again after the others.
+    /// Servos are written in turn, each on its own output; a servo whose write was not sent, or that has moved on,
+    /// comes again after the others.
     #[test]
     fn servos_take_turns() {
         let (mut servos, mut bus) = rig(false);
@@ -347,7 +351,7 @@ mod tests {
         }
         servos.step(0.5);
         assert_eq!(write(&mut servos, &mut bus), Some(0));
-        // Left off by a stop: it may have either pulse.
+        // Its write was dropped by a stop: it may have either pulse.
         let (left_off, _) = servos.next_write().expect("the last");
         assert_eq!(left_off.bytes()[0], 6 + 4 * 3 + 2);
         servos.command(0, 0.0);
@@ -356,7 +360,7 @@ mod tests {
         assert_eq!([0, 5, 3].map(|output| pulse(&bus, output)), [MIDDLE, MIDDLE, LOWEST]);
     }
 
-    /// Without pulses servos are limp, and the next command is a first one again.
+    /// Without pulses servos are limp, and the next command counts as a first one again.
     #[test]
     fn when_safe_pulses_end() {
         let (mut servos, mut bus) = rig(false);
@@ -369,7 +373,7 @@ mod tests {
         servos.command(1, 0.0);
         assert_eq!(servos.angle(1), Some(0.0), "at once");
         write(&mut servos, &mut bus);
-        // And on a chip in any state, whose outputs may be inverted.
+        // Force also works on a chip in any state, whose outputs may be inverted.
         bus.set(0x42, 0x01, 0x10);
         block_on(servos.force_safe(&mut bus)).expect("the bus works");
         assert_eq!((servos.angle(1), pulse(&bus, 5)[1], bus.get(0x42, 0x01)), (None, 0x10, 0x04));
@@ -381,7 +385,7 @@ mod tests {
         }
     }
 
-    /// At the pulse that was sent, and not where it was to go; nothing is written.
+    /// Held servos keep the last pulse sent, not their target; nothing is written.
     #[test]
     fn servos_that_are_held_stay_where_they_were_sent() {
         let (mut servos, mut bus) = rig(true);
@@ -398,14 +402,15 @@ mod tests {
         assert_eq!([0, 1, 2].map(|index| servos.angle(index)), [Some(0.0), Some(0.0), None]);
         servos.step(10.0);
         assert_eq!(servos.angle(0), Some(0.0));
-        // As after a reset of the processor: nobody knows where they are, and they are left alone.
+        // As after a reset of the processor: the angles are unknown, and the servos are left alone.
         bus.fail(1);
         assert!(block_on(servos.force_safe(&mut bus)).is_ok());
         bus.fail(0);
         assert_eq!((servos.angle(0), pulse(&bus, 0)), (None, MIDDLE));
     }
 
-    /// A pulse, its end, mode and prescaler: what is not as it was told is found; what may be either is not judged.
+    /// Deviations of a pulse, its end, mode or prescaler from what was written are found; a pulse whose write is
+    /// pending is not checked.
     #[test]
     fn a_register_that_changes_is_found() {
         let (mut servos, mut bus) = rig(false);
@@ -424,12 +429,12 @@ mod tests {
         bus.set(0x42, 8, 0);
         bus.set(0x42, 6 + 4 * 3 + 3, 0);
         assert_eq!(ok(&servos, &mut bus), ([false, true, false], true));
-        // Being written.
+        // A write of this servo is pending.
         servos.command(0, 1.0);
         servos.step(1.0);
         servos.next_write().expect("it moves");
         assert_eq!(ok(&servos, &mut bus), ([true, true, false], true));
-        // Setting up puts all right, and forgets all.
+        // A new set-up corrects all registers and forgets the angles.
         init(&mut servos, &mut bus);
         assert_eq!((ok(&servos, &mut bus), servos.angle(0)), (([true; 3], true), None));
     }

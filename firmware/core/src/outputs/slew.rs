@@ -1,6 +1,6 @@
-//! A value that changes no faster than it may.
+//! Slew limit of a value.
 
-/// `value` after a step towards `target` of at most `change`; a negative or undefined `change` counts as 0.
+/// Returns `value` moved towards `target` by at most `change`; a negative or NaN `change` counts as 0.
 pub(super) fn towards(value: f32, target: f32, change: f32) -> f32 {
     let change = change.max(0.0);
     if (target - value).abs() <= change { target } else { value + libm::copysignf(change, target - value) }

@@ -1,5 +1,5 @@
-//! All outputs of a board that uses each kind, on chips that only remember: what a stop leaves of them, what goes out in a period
-//! and what waits.
+//! All outputs of a board that uses each kind, on chips that only store registers: the state after a stop, the writes
+//! that go out in a period and those that wait.
 
 extern crate std;
 
@@ -16,12 +16,12 @@ use r4_protocol::config::{BoardConfig, BridgeConfig, Reverse};
 use super::{Order, OutputFault, Outputs, bldc::Command, sweep};
 use crate::testing::{Registers, Tasks, robot};
 
-/// Clock pulses that fit a period of 1 ms at 400 kHz, of which transfers have 95 %.
+/// Clock pulses that fit a period of 1 ms at 400 kHz: transfers may use 95 %.
 const CLOCKS: u32 = 380;
-/// A time that timers are looked at after.
+/// Step of the test's clock, after which timers are polled.
 const MOMENT: Duration = Duration::from_micros(5);
 
-/// What comes of a future. Time passes while it waits.
+/// Polls a future to its result; time passes while it waits.
 fn done<T>(future: impl Future<Output = T>) -> T {
     let mut future = pin!(future);
     loop {
@@ -32,7 +32,7 @@ fn done<T>(future: impl Future<Output = T>) -> T {
     }
 }
 
-/// Every kind of output; servos get no pulses when safe.
+/// Configuration with every kind of output; servos get no pulses when safe.
 fn everything() -> BoardConfig {
     let mut config = robot("every-interface");
     config.servo_pwm.as_mut().expect("it has one").hold_when_safe = false;
@@ -44,7 +44,7 @@ fn pwm_chips(config: &BoardConfig) -> [u8; 3] {
     [bridges[0], bridges[1], config.servo_pwm.expect("it has one").address]
 }
 
-/// What the registers of the chips say, by their data sheets.
+/// Register contents of the chips, interpreted by their data sheets.
 struct Chips {
     bus: Registers,
     config: BoardConfig,
@@ -59,30 +59,30 @@ impl Chips {
         self.config.bldc_dac.expect("it has one").address
     }
 
-    /// Latches of the expander.
+    /// Output latches of the expander.
     fn pins(&self) -> u16 {
         u16::from_le_bytes([0x14, 0x15].map(|register| self.bus.get(self.expander(), register)))
     }
 
-    /// How many of the PWM outputs of a chip are not off.
+    /// Number of PWM outputs of a chip that are not off.
     fn pulsing(&self, chip: u8) -> usize {
         (0..16).filter(|output| self.bus.get(chip, 6 + 4 * output + 3) & 0x10 == 0).count()
     }
 
-    /// Reference, gain and code of the voltage of each brushless drive.
+    /// Code with reference and gain bits of each brushless drive's voltage.
     fn codes(&self) -> Vec<u16> {
         let code = |output: u8| u16::from_be_bytes([1, 2].map(|byte| self.bus.get(self.dac(), 6 * output + byte)));
         self.config.bldcs.iter().map(|bldc| code(bldc.output)).collect()
     }
 
-    /// The codes of these voltages.
+    /// Codes of the given voltages, V, by drive number.
     fn codes_of(&self, volts: impl Fn(usize) -> f32) -> Vec<u16> {
         let full_scale_v = self.config.bldc_dac.expect("it has one").full_scale_v;
         let code = |index| (volts(index) / full_scale_v * 4096.0).round() as u16;
         (0..self.config.bldcs.len()).map(code).collect()
     }
 
-    /// The pins with these relays closed, these brakes applied, and direction lines as in `directions`.
+    /// Levels of the pins with these relays closed, these brakes applied, and direction lines as in `directions`.
     fn pins_of(&self, closed: impl Fn(usize) -> bool, braked: bool, directions: u16) -> u16 {
         let relays = self.config.relays.iter().enumerate();
         let relays = relays.map(|(index, relay)| (relay.bit, closed(index) != relay.active_low));
@@ -95,8 +95,8 @@ impl Chips {
         relays.chain(brakes).chain(turns).fold(0, |pins, (bit, high)| pins | u16::from(high) << bit)
     }
 
-    /// Sets all of them as a board leaves them whose processor is reset at full speed: every PWM output on, relays closed, drives
-    /// backwards with their brakes released. The DAC doubles its internal reference, as no board of ours has it.
+    /// Sets all chips as a reset of the processor at full speed leaves them: every PWM output on, relays closed, drives
+    /// backwards with their brakes released. The DAC has its internal reference doubled, as on no board of ours.
     fn run_away(&self) {
         for chip in pwm_chips(&self.config) {
             for output in 0..16 {
@@ -116,7 +116,7 @@ impl Chips {
         }
     }
 
-    /// Which chips are not safe. Direction lines are as they were.
+    /// Addresses of the chips that are not safe. Direction lines must be unchanged.
     fn unsafe_chips(&self, directions: u16) -> Vec<u8> {
         let mut found: Vec<u8> = pwm_chips(&self.config).into_iter().filter(|chip| self.pulsing(*chip) > 0).collect();
         if self.pins() != self.pins_of(|_| false, true, directions) {
@@ -129,7 +129,8 @@ impl Chips {
     }
 }
 
-/// After a reset every chip still does what it was told last: all of it ends, and a chip that does not answer spares no other.
+/// After a reset every chip still has its last outputs: the sweep ends all of them, and a chip that does not answer
+/// does not protect any other.
 #[test]
 fn a_sweep_makes_every_chip_safe_that_answers() {
     let config = everything();
@@ -152,7 +153,7 @@ fn a_sweep_makes_every_chip_safe_that_answers() {
         assert_eq!(done(sweep(swept.bus.clone(), &config)), Err(OutputFault::Bus), "{chip:#x}");
         assert_eq!(swept.unsafe_chips(u16::MAX), [chip]);
     }
-    // Servos that are held are left alone.
+    // Held servos are left alone.
     let held = chips(&robot("every-interface"));
     assert_eq!(done(sweep(held.bus.clone(), &held.config)), Ok(()));
     assert_eq!(held.unsafe_chips(u16::MAX), [servo]);
@@ -170,14 +171,14 @@ impl Rig {
     fn new(config: BoardConfig) -> Self {
         assert_eq!(config.validate(), Ok(()));
         let chips = Chips { bus: Registers::default(), config };
-        // All pins of the expander are inputs after power-up.
+        // After power-up all pins of the expander are inputs.
         [0x00, 0x01].into_iter().for_each(|register| chips.bus.set(chips.expander(), register, 0xFF));
         let mut outputs = Outputs::new(chips.bus.clone(), &chips.config);
         assert_eq!(done(outputs.init()), Ok(()));
         Self { outputs, chips, tasks: Tasks::default(), periods: 0 }
     }
 
-    /// All of it driven: motors at half of their supply, drives forwards and servos on their way, relays closed.
+    /// Rig with everything driven: motors at half of their supply, drives forwards, servos on their way, relays closed.
     fn running() -> Self {
         let mut rig = Self::new(everything());
         (0..rig.chips.config.relays.len()).for_each(|index| rig.outputs.switch(index, true));
@@ -193,7 +194,7 @@ impl Rig {
         (0..self.chips.config.servos.len()).for_each(|index| self.outputs.command_servo(index, angle));
     }
 
-    /// One control period, with the duty that each motor is to have: what each of them has, and how many clock pulses it took.
+    /// Runs one control period with the duty for each motor; returns the duties applied and the number of clock pulses.
     fn period(&mut self, duty: impl Fn(usize) -> f32) -> (Vec<f32>, u32) {
         let before = self.chips.bus.clocks();
         self.tasks.advance(Duration::from_micros(self.chips.config.control_period_us.into()));
@@ -223,7 +224,7 @@ impl Rig {
         (applied[..self.chips.config.motors.len()].to_vec(), self.chips.bus.clocks() - before)
     }
 
-    /// A period of the servos alone: how many of them are written.
+    /// Runs a period of the servos alone and returns the number of servos written.
     fn servo_period(&mut self, taken: Duration) -> u32 {
         let before = self.chips.bus.clocks();
         self.outputs.begin_tick();
@@ -231,13 +232,13 @@ impl Rig {
         self.outputs.step_servos();
         self.outputs.write_servos();
         assert_eq!(done(self.outputs.flush(|_| false)), Ok(true));
-        // Address, register, two bytes of a count.
+        // A write has the address, a register, and two bytes of a count.
         (self.chips.bus.clocks() - before) / (9 * 4)
     }
 }
 
-/// The voltages come to full speed, brakes are released, relays close, bridges and servos get their pulses. The safe state ends all
-/// of that; the direction lines stay.
+/// Voltages rise to full speed, brakes are released, relays close, bridges and servos get their pulses. The safe state
+/// ends all of that; the direction lines stay.
 #[test]
 fn everything_that_runs_is_ended_by_the_safe_state() {
     let mut rig = Rig::running();
@@ -246,11 +247,11 @@ fn everything_that_runs_is_ended_by_the_safe_state() {
     assert_eq!(forwards, chips.pins_of(|_| true, false, forwards));
     assert_eq!(chips.codes(), chips.codes_of(|index| chips.config.bldcs[index].forward_v));
     assert_eq!(rig.outputs.drive_shares().collect::<Vec<_>>(), [1.0; 4]);
-    // Both high sides and the PWM of an OSMC, enable and PWM of a DHB.
+    // An OSMC has both high sides and the PWM on, a DHB enable and PWM.
     assert_eq!(pwm_chips(&chips.config).map(|chip| chips.pulsing(chip)), [4 * 3, 4 * 2, 16]);
     assert_eq!(done(rig.outputs.make_safe()), Ok(()));
     assert_eq!(rig.chips.unsafe_chips(forwards), []);
-    // And does not come back.
+    // It stays ended in the following periods.
     for _ in 0..10 {
         rig.period(|_| 0.0);
     }
@@ -258,7 +259,8 @@ fn everything_that_runs_is_ended_by_the_safe_state() {
     assert_eq!(rig.chips.codes(), rig.chips.codes_of(|index| rig.chips.config.bldcs[index].neutral_v));
 }
 
-/// Drives, servos and relays as when safe, but for the relay of the motors' supply, and bridges go on: they are braked by steps.
+/// Drives, servos and relays are as when safe, except the relay of the motors' supply; bridges continue and are braked
+/// in steps.
 #[test]
 fn a_stop_that_brakes_ends_all_but_bridges_and_their_supply() {
     let mut rig = Rig::running();
@@ -271,14 +273,14 @@ fn a_stop_that_brakes_ends_all_but_bridges_and_their_supply() {
     assert_eq!([osmc, dhb, servo].map(|chip| rig.chips.pulsing(chip)), [before[0], before[1], 0]);
 }
 
-/// None of these motors brakes: as many are turned off in a period as fit it, and it is told when all are.
+/// None of these motors brakes: each period turns off as many as fit it, and the result becomes true when all are off.
 #[test]
 fn bridges_that_do_not_brake_are_turned_off_within_periods() {
     let mut rig = Rig::running();
     let [osmc, dhb, _] = pwm_chips(&rig.chips.config);
     let pulsing = |rig: &Rig| rig.chips.pulsing(osmc) + rig.chips.pulsing(dhb);
     let mut last = pulsing(&rig);
-    // Two of the eight in each.
+    // Each period has room for two of the eight.
     for period in 0..4 {
         let before = rig.chips.bus.clocks();
         rig.outputs.begin_tick();
@@ -291,7 +293,7 @@ fn bridges_that_do_not_brake_are_turned_off_within_periods() {
     assert_eq!(last, 0);
 }
 
-/// Everything moves, and relays switch: no period has more on the bus than fits it, and what had to wait is made up for.
+/// While everything moves and relays switch, no period exceeds its bus time, and waiting writes are caught up with.
 #[test]
 fn what_goes_out_in_a_period_fits_it_and_nothing_is_left_behind() {
     let mut rig = Rig::new(everything());
@@ -314,7 +316,8 @@ fn what_goes_out_in_a_period_fits_it_and_nothing_is_left_behind() {
     assert_eq!(rig.servo_period(Duration::MIN), 0, "all are where they were sent");
 }
 
-/// On the slowest bus that such a board may have, three of four bridges fit a period: none waits for longer than one.
+/// On the slowest bus allowed for such a board, three of four bridges fit a period: none waits for longer than one
+/// period.
 #[test]
 fn bridges_that_had_to_wait_go_first() {
     let mut config = everything();
@@ -333,8 +336,9 @@ fn bridges_that_had_to_wait_go_first() {
     }
 }
 
-/// Periods of 3.75 ms have the writes of three of 16 servos, so that each that moves is written every 20 ms. After a time without room
-/// those of eight periods are due, and go out twice as fast; one that moves alone is written once in each period.
+/// Periods of 3.75 ms have the writes of three of 16 servos, so that each moving servo is written every 20 ms. After a
+/// time without room the writes of eight periods are due and go out twice as fast; a servo that moves alone is written
+/// once in each period.
 #[test]
 fn servos_that_had_to_wait_are_caught_up_with() {
     let mut rig = Rig::new(BoardConfig { control_period_us: 3750, ..everything() });
@@ -349,18 +353,18 @@ fn servos_that_had_to_wait_are_caught_up_with() {
     assert_eq!([Duration::MIN; 10].map(|taken| rig.servo_period(taken)), [1; 10]);
 }
 
-/// The write of a servo takes 39 bits at most: 36 clock pulses, START, STOP and the pause behind it.
+/// The write of a servo takes at most 39 bits: 36 clock pulses, START, STOP and the pause behind it.
 #[test]
 fn a_servo_is_written_where_there_is_just_room_for_it() {
     for (taken_us, written) in [(427, 1), (428, 0)] {
         let mut rig = Rig::new(everything());
         rig.command_all(0.0, 0.7);
-        // 400 bits a ms, and each microsecond taken counts twice.
+        // The bus has 400 bits per ms, and each microsecond taken counts twice.
         assert_eq!(rig.servo_period(Duration::from_micros(taken_us)), written, "{taken_us} us taken");
     }
 }
 
-/// What a stop leaves off has not happened: it is sent in the next period.
+/// A write dropped by a stop has not happened: it is sent in the next period.
 #[test]
 fn what_a_stop_leaves_off_is_as_before() {
     let mut rig = Rig::new(everything());
@@ -383,7 +387,7 @@ fn what_a_stop_leaves_off_is_as_before() {
     assert_eq!(rig.chips.pulsing(osmc), 6);
 }
 
-/// Each write has three tries of its own, and each try but the first is counted.
+/// Each write has three tries of its own, and each repeat is counted.
 #[test]
 fn every_write_of_a_period_has_three_tries() {
     let mut rig = Rig::new(everything());
@@ -400,8 +404,8 @@ fn every_write_of_a_period_has_three_tries() {
     assert_eq!(rig.outputs.take_retries(), 2);
 }
 
-/// Four bridges turn at once, on a bus of 100 kHz: 0.36 ms to a write, and START and STOP. Each rests two PWM periods from the end of
-/// its own pulses on, not from the end of the last write.
+/// Four bridges reverse at once on a bus of 100 kHz: 0.36 ms per write, plus START and STOP. Each rests two PWM periods
+/// from the end of its own pulses, not from the end of the last write.
 #[test]
 fn a_bridge_rests_from_its_own_write_on() {
     const TRANSFER: Duration = Duration::from_micros(375);
@@ -425,13 +429,14 @@ fn a_bridge_rests_from_its_own_write_on() {
     }
     for (rested, number) in rested.into_iter().flatten().zip(1..) {
         let since_us = (rested - TRANSFER * number).as_micros() as f32;
-        // Later by what START and STOP of the writes behind it take, which is not known, and by a moment.
+        // Later by START and STOP of the writes behind it, whose time is not known exactly, and by one step of the
+        // test's clock.
         let most_us = rest_us + 15.0 * (4 - number) as f32 + 2.0 * MOMENT.as_micros() as f32;
         assert!((rest_us - 1.0..=most_us).contains(&since_us), "write {number}: {since_us} us, {rest_us} us at least");
     }
 }
 
-/// 400 bits a ms at 400 kHz, 380 of them for transfers.
+/// At 400 kHz there are 400 bits per ms, 380 of them for transfers.
 #[test]
 fn a_processor_that_takes_long_leaves_transfers_less() {
     let mut outputs = Outputs::new(Registers::default(), &robot("every-interface"));

@@ -1,8 +1,8 @@
-//! States and causes of the board, as a pure function.
+//! Safety state machine: states and causes of the board, as a pure function.
 
 use r4_protocol::{Causes, Refusal, SafetyState};
 
-/// Where the board stands.
+/// Safety state of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Safety {
     /// Outputs safe. [`Event::Arm`] leaves, while no cause is present.
@@ -11,30 +11,34 @@ pub enum Safety {
     Armed,
     /// Outputs safe. Keeps every cause seen; [`Event::Clear`] leaves to `Disarmed`, while none is present.
     Tripped {
-        /// Every cause since the trip.
+        /// All causes since the trip.
         causes: Causes,
     },
 }
 
-/// What the machine reacts to.
+/// Event that the machine handles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// Time passed; causes may have come or gone.
+    /// Time has passed; causes may have come or gone.
     Tick,
-    /// The host wants outputs to move.
+    /// The host asks to arm, so that outputs may move.
     Arm,
-    /// The host wants outputs safe.
+    /// The host asks for safe outputs.
     Disarm,
-    /// The host leaves a trip behind.
+    /// The host clears a trip.
     Clear,
-    /// Something happened that trips and is over at once.
+    /// Causes that trip and are over at once.
     Trip(Causes),
 }
 
 impl Safety {
-    /// The state after `event` while the causes in `present` hold, and why the event was refused if it was.
+    /// Returns the state after `event` while the causes in `present` hold, and the refusal of the event, if any.
     ///
-    /// A present cause trips from every state and whatever the event.
+    /// A present cause trips from every state and at every event.
+    ///
+    /// # Errors
+    /// [`Refusal::CausesPresent`] for arming or clearing while a cause holds, [`Refusal::Tripped`] for arming in a
+    /// trip.
     #[must_use = "the new state must be kept"]
     pub fn next(self, event: Event, present: Causes) -> (Self, Result<(), Refusal>) {
         let momentary = if let Event::Trip(causes) = event { causes } else { Causes::NONE };
@@ -55,7 +59,7 @@ impl Safety {
         }
     }
 
-    /// As told to hosts.
+    /// State as reported to hosts.
     #[must_use]
     pub const fn state(self) -> SafetyState {
         match self {
@@ -65,7 +69,7 @@ impl Safety {
         }
     }
 
-    /// The latched causes; none unless tripped.
+    /// Latched causes; none unless tripped.
     #[must_use]
     pub const fn causes(self) -> Causes {
         match self {
@@ -81,13 +85,13 @@ mod tests {
 
     use super::*;
 
-    /// Every subset of the known causes.
+    /// All subsets of the known causes.
     fn all_causes() -> impl Iterator<Item = Causes> {
         (0..1u32 << Cause::ALL.len()).map(Causes::from_bits)
     }
 
-    /// No cause, each alone, and all: the machine only unites sets and asks whether one is empty, so larger sets of present
-    /// causes differ in nothing it can see. Every subset of both would be 2^34 pairs.
+    /// Sets of present causes: none, each alone, and all. The machine only forms unions and checks for the empty set,
+    /// so larger sets make no difference to it. Every subset of both would be 2^34 pairs.
     fn present_causes() -> impl Iterator<Item = Causes> {
         let all = Cause::ALL.into_iter().fold(Causes::NONE, |all, cause| all.union(Causes::only(cause)));
         Cause::ALL.into_iter().map(Causes::only).chain([Causes::NONE, all])
@@ -99,15 +103,15 @@ mod tests {
             .chain(all_causes().filter(|c| !c.is_empty()).map(|causes| Safety::Tripped { causes }))
     }
 
-    /// Every event but trips with several causes at once: those differ from `present` in nothing the machine looks at.
+    /// All events except trips with several causes at once: to the machine those do not differ from `present`.
     fn all_events() -> impl Iterator<Item = Event> {
         [Event::Tick, Event::Arm, Event::Disarm, Event::Clear]
             .into_iter()
             .chain(Cause::ALL.map(|cause| Event::Trip(Causes::only(cause))))
     }
 
-    /// Walks the table: every state, with every event, against few present causes, and every set of present causes against
-    /// states of one at most.
+    /// Walks the table: every state, with every event, against few present causes, and every set of present causes
+    /// against states of at most one cause.
     #[test]
     fn the_whole_table_is_safe() {
         for state in all_states() {
@@ -125,7 +129,7 @@ mod tests {
         let momentary = if let Event::Trip(causes) = event { causes } else { Causes::NONE };
         let tripping = present.union(momentary);
         if !tripping.is_empty() {
-            // Every cause trips from every state, and none is forgotten.
+            // Every cause trips from every state, and none is lost.
             assert_eq!(next, Safety::Tripped { causes: state.causes().union(tripping) });
         }
         if next == Safety::Armed {

@@ -1,39 +1,40 @@
 //! Stops that brake before they switch off (IEC 60204-1, category 1), as pure functions of time.
 //!
-//! A stop for causes that leave supply, bus and control loop working ([`Causes::allow_braking`]) holds the stop lines and
-//! the motors' relay back while the control loop brakes. The supervisor ends it at its deadline, when any other cause
-//! appears, and when the control loop has not written the brakes in time: what is left then is category 0.
+//! A stop for causes that leave supply, bus and control loop working ([`Causes::allow_braking`]) delays the stop lines
+//! and the motors' relay while the control loop brakes. The supervisor ends it at its deadline, when any other cause
+//! appears, or when the control loop has not written the brakes in time: the rest of the stop is then category 0.
 
 use embassy_time::{Duration, Instant};
 use r4_protocol::Causes;
 
-/// The control loop has this long to write the brakes, or the lines stop the board: the time in which all motors are
-/// promised to be written safe.
+/// Time within which the control loop must write the brakes, or the lines stop the board: the documented time in which
+/// all motors are written safe.
 const WRITTEN_WITHIN: Duration = Duration::from_millis(5);
 
-/// A stop that brakes.
+/// Stop that brakes before it switches off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BrakingStop {
     until: Instant,
-    /// When the brakes must be written; `None` once they are.
+    /// Deadline for writing the brakes; `None` once they are written.
     write_by: Option<Instant>,
 }
 
 impl BrakingStop {
-    /// A stop at `now` for `causes` on a board that brakes for `brake`; `None` where it is switched off at once.
+    /// Begins a stop at `now` for `causes` on a board that brakes for `brake`; `None` where it is switched off at once.
     #[must_use]
     pub fn begin(brake: Duration, causes: Causes, now: Instant) -> Option<Self> {
         let brakes = brake > Duration::MIN && causes.allow_braking();
         brakes.then_some(Self { until: now + brake, write_by: Some(now + WRITTEN_WITHIN) })
     }
 
-    /// The control loop has written the brakes.
+    /// Records that the control loop has written the brakes.
     #[must_use]
     pub fn written(self) -> Self {
         Self { write_by: None, ..self }
     }
 
-    /// Whether it still brakes at `now`, with every cause since its beginning in `causes`. Once it does not it is over.
+    /// Returns true if it still brakes at `now`, where `causes` are all causes since its beginning. Once false, the
+    /// stop is over.
     #[must_use]
     pub fn goes_on(self, causes: Causes, now: Instant) -> bool {
         causes.allow_braking() && now < self.until && self.write_by.is_none_or(|by| now < by)
@@ -52,7 +53,7 @@ mod tests {
         Instant::from_millis(1000 + ms)
     }
 
-    /// Every set of causes, also with bits of later versions.
+    /// Checks every set of causes, also with bits of later versions.
     #[test]
     fn only_the_causes_that_leave_the_board_working_allow_it() {
         let working = [Cause::Proximity, Cause::LinkLost, Cause::HostStop, Cause::EncoderImplausible, Cause::Stalled];

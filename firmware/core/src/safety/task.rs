@@ -1,4 +1,4 @@
-//! The supervisor task: looks at every cause each millisecond and at once when a line or a task calls.
+//! The supervisor task: checks every cause each millisecond, and at once when a line or a task signals.
 
 use core::future::pending;
 
@@ -11,13 +11,13 @@ use r4_protocol::{Cause, Causes, SafetyState, config::Place};
 
 use crate::shared::{Shared, Status};
 
-/// How often causes without a line of their own are looked at.
+/// Interval of checking the causes that have no line of their own.
 const PERIOD: Duration = Duration::from_millis(1);
-/// A released handle or pressed button counts at once; the contrary only after it has stayed so for this long, so that
-/// bounce cannot clear.
+/// Time for which a handle must be held, or a button released, until it counts, so that bounce cannot clear a trip. The
+/// opposite change counts at once.
 const HELD_FOR: Duration = Duration::from_millis(20);
 
-/// The lines that stop the board without the I2C bus.
+/// Lines that stop the board without the I2C bus.
 pub struct SafetyPins<I, O> {
     /// High while the dead-man's handle is held. Pulled low, so that a cut wire reads as released.
     pub dead_man: I,
@@ -27,24 +27,24 @@ pub struct SafetyPins<I, O> {
     pub osmc_disable: O,
     /// High turns the outputs of the motor PWM chips off.
     pub pwm_output_disable: O,
-    /// Toggled while the supervisor runs, for an external watchdog.
+    /// Toggled in each supervisor period, for an external watchdog.
     pub heartbeat: O,
-    /// Lights, on while low: tripped.
+    /// Red light, on while low: tripped.
     pub red: O,
-    /// Armed.
+    /// Green light, on while low: armed.
     pub green: O,
-    /// A host is connected.
+    /// Blue light, on while low: a host is connected.
     pub blue: O,
 }
 
-/// A line that must stay high for the board to be armed.
+/// Input line that must stay high for the board to be armed.
 #[derive(Default)]
 struct StopInput {
     low_at: Option<Instant>,
 }
 
 impl StopInput {
-    /// Whether it stops the board now; a line that cannot be read does.
+    /// Returns true if the line stops the board now.
     fn stops(&mut self, high: bool, now: Instant) -> bool {
         if !high {
             self.low_at = Some(now);
@@ -53,10 +53,10 @@ impl StopInput {
     }
 }
 
-/// Runs the supervisor for ever. Must have the highest priority of the three tasks.
+/// Runs the supervisor indefinitely. Must have the highest priority of the three tasks.
 ///
-/// It waits on nothing another task can hold: a trip drives the stop lines here, before the control loop writes the
-/// chips' safe state over I2C.
+/// It waits on nothing that another task can hold: a trip drives the stop lines here, before the control loop writes
+/// the chips' safe state over I2C.
 pub async fn supervise<M, I, O>(shared: &Shared<M>, mut pins: SafetyPins<I, O>) -> !
 where
     M: RawMutex,
@@ -67,14 +67,14 @@ where
     let (mut dead_man, mut auxiliary) = (StopInput::default(), StopInput::default());
     let has_auxiliary = shared.config().auxiliary_stop;
     let mut kick = false;
-    // Whether an edge of the handle has been heard since the last tick.
+    // True if an edge of the handle has been seen since the last tick.
     let mut heard = false;
-    // Outputs of a GPIO cannot fail on any supported board; a pin that reports an error is treated as released.
+    // GPIO outputs cannot fail on any supported board, so errors are ignored.
     let _ = pins.osmc_disable.set_high();
     let _ = pins.pwm_output_disable.set_high();
     loop {
         let now = Instant::now();
-        // A pin that cannot be read is not held.
+        // A pin that cannot be read counts as released.
         let held = pins.dead_man.is_high().unwrap_or(false);
         let mut watched = Causes::NONE;
         watched.set(Cause::DeadMan, dead_man.stops(held, now));
@@ -83,7 +83,7 @@ where
         let view = shared.supervise(watched, now);
         let _ = match view.state {
             SafetyState::Armed => pins.osmc_disable.set_low().and(pins.pwm_output_disable.set_low()),
-            // The lines stay as they were when the stop began.
+            // The lines keep the state in which the stop began.
             SafetyState::Disarmed | SafetyState::Tripped if view.braking => Ok(()),
             SafetyState::Disarmed | SafetyState::Tripped => {
                 pins.osmc_disable.set_high().and(pins.pwm_output_disable.set_high())
@@ -96,8 +96,9 @@ where
         if has_auxiliary {
             shared.publish(Place::DeadMan(1), Status::Scalar((!pressed).into()));
         }
-        // Waiting for a level and not for an edge: one that came while we worked is not missed. One a millisecond: a line that
-        // chatters would keep the processor from everything below, and the first edge has stopped the board already.
+        // Waits for a level and not for an edge, so that an edge during the work above is not missed. At most one per
+        // millisecond: a line that chatters would take the processor from everything below, and the first edge has
+        // stopped the board already.
         let other_level = async {
             match (heard, held) {
                 (true, _) => pending().await,
@@ -112,7 +113,7 @@ where
                 let _ = if kick { pins.heartbeat.set_high() } else { pins.heartbeat.set_low() };
             }
             Either3::Second(()) => {}
-            // Released, or released and held again before we could look: both are a release.
+            // Released, or released and held again before the check: both count as a release.
             Either3::Third(_) => {
                 heard = true;
                 dead_man.low_at = Some(Instant::now());
@@ -121,7 +122,7 @@ where
     }
 }
 
-/// The lights are on while their lines are low.
+/// Switches a light, which is on while its line is low.
 fn light<O: OutputPin>(line: &mut O, on: bool) -> Result<(), O::Error> {
     if on { line.set_low() } else { line.set_high() }
 }

@@ -1,4 +1,4 @@
-//! [`supervise`] as the board runs it: each cause by itself to the tick, then all of them together.
+//! Tests of [`supervise`] as the board runs it: each cause alone, to the tick, then all of them together.
 
 use embassy_time::{Duration, Instant};
 use r4_protocol::{
@@ -16,11 +16,11 @@ use crate::{
 
 const MS: Duration = Duration::from_millis(1);
 const US: Duration = Duration::from_micros(1);
-/// A released line stops the board for this long after it was last low.
+/// Time for which a released line stops the board after it was last low.
 const HELD_FOR: Duration = Duration::from_millis(20);
 const LINK: u8 = 1;
 
-/// A supervisor with its lines, and the board it looks after.
+/// Supervisor with its lines and its board.
 struct Bench {
     shared: Board,
     tasks: Tasks,
@@ -34,7 +34,7 @@ struct Bench {
     blue: Line,
 }
 
-/// One range sensor that can stop the board, an auxiliary stop, 100 ms for the link.
+/// Configuration with one range sensor that can stop the board, an auxiliary stop, and 100 ms for the link.
 fn config() -> BoardConfig {
     let mut config = robot("every-interface");
     config.link_timeout_ms = 100;
@@ -78,7 +78,7 @@ impl Bench {
         Self::with(config(), ResetCause::Normal)
     }
 
-    /// At a moment at which the supervisor has just looked, with all that it watches in order.
+    /// Armed bench, at a moment at which the supervisor has just checked, with all of its inputs in order.
     fn armed() -> Self {
         let mut bench = Self::new();
         bench.tasks.advance(Duration::from_millis(3));
@@ -116,7 +116,7 @@ impl Bench {
         self.shared.safety().causes
     }
 
-    /// What holds after every look of the supervisor: bridges run only while armed, lights are low while on.
+    /// Checks what holds after every pass of the supervisor: bridges run only while armed, lights are low while on.
     fn the_lines_show_the_state(&self) {
         let armed = self.state() == SafetyState::Armed;
         assert_eq!((self.osmc_disable.level(), self.pwm_output_disable.level()), (!armed, !armed));
@@ -124,7 +124,7 @@ impl Bench {
         assert_eq!(self.red.level(), self.state() != SafetyState::Tripped);
     }
 
-    /// Trips by `cause` alone at `moment`, and not a microsecond before.
+    /// Checks that the board trips by `cause` alone at `moment`, and not a microsecond before.
     #[track_caller]
     fn trips_at(mut self, moment: Instant, cause: Cause) -> Self {
         self.advance_to(moment - US);
@@ -135,7 +135,7 @@ impl Bench {
         self
     }
 
-    /// Still trips by `cause` a microsecond before `moment`; from then on it can be cleared.
+    /// Checks that the board is still tripped by `cause` a microsecond before `moment` and can be cleared from then on.
     #[track_caller]
     fn clears_at(mut self, moment: Instant, cause: Cause) -> Self {
         self.advance_to(moment - US);
@@ -148,7 +148,7 @@ impl Bench {
         self
     }
 
-    /// The last moment at which the supervisor looked, or `after` of its periods later.
+    /// Time of the supervisor's last pass, or `after` of its periods later.
     fn tick(&self, after: u32) -> Instant {
         Instant::now() + MS * after
     }
@@ -166,7 +166,7 @@ fn before_its_first_look_nothing_may_move() {
 #[test]
 fn a_released_handle_stops_at_once() {
     let mut bench = Bench::armed();
-    // Between two looks.
+    // Between two passes.
     bench.advance(Duration::from_micros(300));
     bench.dead_man.set(false);
     bench.settle();
@@ -181,7 +181,7 @@ fn a_handle_that_cannot_be_read_is_released() {
     bench.trips_at(next, Cause::DeadMan);
 }
 
-/// Released and held again before anyone could look.
+/// A handle released and held again before any pass.
 #[test]
 fn a_release_shorter_than_any_look_is_one() {
     let mut bench = Bench::armed();
@@ -192,7 +192,7 @@ fn a_release_shorter_than_any_look_is_one() {
     assert_eq!(bench.tripped_by(), Causes::only(Cause::DeadMan));
 }
 
-/// The wait ends at the first look 20 ms after the line was last low: 20 ms exactly are enough, 1 µs less is not.
+/// The wait ends at the first pass 20 ms after the line was last low: exactly 20 ms are enough, 1 µs less is not.
 #[test]
 fn a_handle_counts_as_held_after_20_ms_exactly() {
     for (held_after, looks) in [(Duration::MIN, 20), (US, 21), (MS - US, 21)] {
@@ -206,7 +206,7 @@ fn a_handle_counts_as_held_after_20_ms_exactly() {
     }
 }
 
-/// Each bounce begins the wait anew.
+/// Each bounce restarts the wait.
 #[test]
 fn a_bouncing_handle_stays_released() {
     let mut bench = Bench::armed();
@@ -228,7 +228,7 @@ fn a_pressed_stop_is_seen_at_the_next_look_and_bounces_like_the_handle() {
     let tick = bench.tick(1);
     let bench = bench.trips_at(tick, Cause::AuxiliaryStop);
     bench.auxiliary_stop.set(true);
-    // It was last seen low at the look that tripped.
+    // It was last seen low at the pass that tripped.
     bench.clears_at(tick + HELD_FOR, Cause::AuxiliaryStop);
 }
 
@@ -250,7 +250,7 @@ fn a_board_without_a_stop_button_ignores_its_line() {
     assert_eq!(bench.state(), SafetyState::Armed);
 }
 
-/// Hosts see the stops by themselves: the handle as it is at the last look, the button until it has stopped bouncing.
+/// Hosts see the stops as channels: the handle at the last pass, the button once it has stopped bouncing.
 #[test]
 fn the_stops_are_channels() {
     let mut bench = Bench::armed();
@@ -264,7 +264,7 @@ fn the_stops_are_channels() {
     bench.dead_man.set(true);
     bench.auxiliary_stop.set(true);
     bench.settle();
-    // One edge a look: a handle that chatters must not keep the processor.
+    // One edge per pass: a handle that chatters must not keep the processor busy.
     assert_eq!(shown(&bench), [low, low]);
     bench.advance(MS);
     assert_eq!(shown(&bench), [high, low]);
@@ -272,7 +272,7 @@ fn the_stops_are_channels() {
     assert_eq!(shown(&bench), [high, high]);
 }
 
-/// 100 ms of silence are allowed, a tick more is not; the look that sees it is the next.
+/// A silence of 100 ms is allowed, a tick more is not; the next pass sees it.
 #[test]
 fn a_silent_host_is_lost_after_the_timeout_exactly() {
     for (heard_after, looks) in [(Duration::MIN, 101), (US, 101), (MS - US, 101)] {
@@ -284,11 +284,11 @@ fn a_silent_host_is_lost_after_the_timeout_exactly() {
         bench.advance(heard_after);
         assert!(bench.shared.heartbeat(LINK, session, Instant::now()));
         let bench = bench.trips_at(tick + MS * looks, Cause::LinkLost);
-        // Heard again, it is gone with the next look.
+        // After a new heartbeat the cause is gone with the next pass.
         assert!(bench.shared.heartbeat(LINK, session, Instant::now()));
         bench.clears_at(tick + MS * (looks + 1), Cause::LinkLost);
     }
-    // A tick before a look: 100 ms and 1 µs have passed at that look.
+    // A tick before a pass: at that pass 100 ms and 1 µs have passed.
     let mut bench = Bench::armed();
     bench.advance(MS - US);
     bench.shared.open_session(LINK, Instant::now()).expect("nobody else is here");
@@ -300,7 +300,7 @@ fn a_silent_host_is_lost_after_the_timeout_exactly() {
 #[test]
 fn without_a_host_no_link_is_lost() {
     let mut bench = Bench::armed();
-    // The range sensor must be heard meanwhile.
+    // The range sensor must report meanwhile.
     for _ in 0..10 {
         bench.advance(MS * 100);
         bench.shared.publish_range(0, RangeReading { updated: Instant::now(), ..RangeReading::NONE });
@@ -309,7 +309,7 @@ fn without_a_host_no_link_is_lost() {
     assert!(bench.blue.level());
 }
 
-/// The blue light goes out with the same look that calls the link lost.
+/// The blue light goes out with the same pass that reports the link as lost.
 #[test]
 fn the_blue_light_shows_a_host() {
     let mut bench = Bench::armed();
@@ -323,7 +323,7 @@ fn the_blue_light_shows_a_host() {
     assert!(bench.blue.level());
 }
 
-/// Five periods without a tick are allowed, a µs more is not.
+/// Five periods without a control tick are allowed, a µs more is not.
 #[test]
 fn a_dead_control_loop_is_an_overrun() {
     for (before, looks) in [(Duration::MIN, 6), (US, 5)] {
@@ -334,14 +334,14 @@ fn a_dead_control_loop_is_an_overrun() {
         bench.advance_to(tick);
         bench.trips_at(tick + MS * looks, Cause::ControlOverrun);
     }
-    // A period of 2 ms has 10.
+    // With a period of 2 ms that is 10 ms.
     let mut bench = Bench::with(BoardConfig { control_period_us: 2000, ..config() }, ResetCause::Normal);
     bench.advance(MS);
     bench.arm();
     let tick = Instant::now();
     bench.shared.control_tick(tick);
     let bench = bench.trips_at(tick + MS * 11, Cause::ControlOverrun);
-    // One that sets its chips up is not dead.
+    // A loop that sets up its chips is not dead.
     bench.shared.control_pauses();
     bench.clears_at(tick + MS * 12, Cause::ControlOverrun);
 }
@@ -359,7 +359,8 @@ fn something_near_stops_at_once() {
     bench.clears_at(tick, Cause::Proximity);
 }
 
-/// Four cycles of 60 ms for a sensor alone: a µs more is a dead task, and each further sensor makes its cycle longer.
+/// A single sensor may be silent for four cycles of 60 ms: a µs more is a dead task, and each further sensor makes the
+/// cycle longer.
 #[test]
 fn a_silent_range_sensor_stops() {
     for sensors in [1u32, 2, 4] {
@@ -396,7 +397,8 @@ fn a_range_sensor_without_a_limit_stops_nothing() {
     assert_eq!(bench.state(), SafetyState::Armed);
 }
 
-/// Those who see a cause themselves are heard between two looks, and the cause stays as long as they say.
+/// Tasks that detect a cause themselves reach the supervisor between two passes, and the cause stays as long as they
+/// report it.
 #[test]
 fn what_control_sees_stops_at_once() {
     for cause in Cause::ALL {
@@ -405,7 +407,7 @@ fn what_control_sees_stops_at_once() {
         bench.shared.set_control_causes(Causes::only(cause));
         bench.settle();
         assert_eq!(bench.tripped_by(), Causes::only(cause));
-        // Also one that comes to another.
+        // A second cause arrives while the first one is present.
         let other = Cause::ALL[(cause as usize + 1) % Cause::ALL.len()];
         let both = Causes::only(cause).union(Causes::only(other));
         bench.shared.set_control_causes(both);
@@ -419,7 +421,7 @@ fn what_control_sees_stops_at_once() {
     }
 }
 
-/// A cause that is over at once trips as well, and leaves nothing to wait for.
+/// A cause that is over at once trips as well, and can be cleared at once.
 #[test]
 fn a_momentary_cause_trips() {
     for cause in Cause::ALL {
@@ -451,7 +453,7 @@ fn a_bad_configuration_is_never_armed() {
     assert!(bench.shared.request(Event::Clear).is_err());
 }
 
-/// An external watchdog sees the supervisor's period and not how often it is called.
+/// An external watchdog sees the supervisor's period and not how often it is woken.
 #[test]
 fn the_heartbeat_toggles_once_a_period() {
     let mut bench = Bench::armed();
@@ -485,8 +487,8 @@ fn control_hears_of_each_change() {
     assert!(told(&bench));
 }
 
-/// Every set of what the supervisor watches, with each cause of control's, in every state and at every event: the causes
-/// that are present are exactly those, and the state is the pure machine's.
+/// For every set of causes that the supervisor detects, with each cause of the control loop, in every state and at
+/// every event: exactly those causes are present, and the state is the pure machine's.
 #[test]
 fn all_causes_together_are_what_each_is_alone() {
     const WATCHED: [Cause; 5] =
@@ -526,17 +528,17 @@ fn all_causes_together_are_what_each_is_alone() {
     }
 }
 
-/// How long the longest stop brakes.
+/// Braking time of the longest stop.
 const BRAKE: Duration = Duration::from_millis(450);
-/// The brakes must be written in this time.
+/// Time in which the brakes must be written.
 const WRITTEN: Duration = Duration::from_millis(5);
 
 impl Bench {
-    /// Armed, with stops that brake.
+    /// Armed bench with stops that brake.
     fn braking() -> Self {
         let mut config = robot("every-interface");
         config.ranges.truncate(1);
-        // The longest of all counts.
+        // The longest braking time of all counts.
         config.motors[0].stop_brake_ms = 300;
         config.steppers[0].stop_brake_ms = BRAKE.as_millis() as u16;
         assert_eq!(Duration::from_millis(config.stop_brake_ms().into()), BRAKE);
@@ -552,7 +554,7 @@ impl Bench {
     }
 }
 
-/// The deadline is the supervisor's own: the control loop is asked only whether the brakes are written.
+/// The deadline is the supervisor's own: the control loop only reports that the brakes are written.
 #[test]
 fn the_lines_follow_at_the_deadline_whatever_the_control_loop_does() {
     for (written, limit) in [(false, WRITTEN), (true, BRAKE)] {
@@ -568,7 +570,7 @@ fn the_lines_follow_at_the_deadline_whatever_the_control_loop_does() {
             bench.shared.make_safe.reset();
             bench.tasks.advance_to(from + limit - US);
             assert!(bench.lines_are(false), "{stop:?}, written: {written}");
-            // The next look of the supervisor.
+            // The supervisor's next pass.
             bench.tasks.advance_to(from + limit + MS);
             assert!(bench.lines_are(true), "{stop:?}, written: {written}");
             assert!(bench.shared.make_safe.signaled(), "the control loop makes safe now");
@@ -577,7 +579,7 @@ fn the_lines_follow_at_the_deadline_whatever_the_control_loop_does() {
     }
 }
 
-/// Every cause that takes the power away does so also while a stop brakes; the others do not.
+/// Every cause that removes the power also does so while a stop brakes; the others do not.
 #[test]
 fn a_cause_that_forbids_braking_ends_it_at_once() {
     for cause in Cause::ALL {
@@ -592,7 +594,7 @@ fn a_cause_that_forbids_braking_ends_it_at_once() {
     }
 }
 
-/// What was written for one arming says nothing of the next.
+/// Brakes written for one arming do not count for the next.
 #[test]
 fn brakes_of_an_earlier_arming_do_not_count() {
     let mut bench = Bench::braking();

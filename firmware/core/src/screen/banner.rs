@@ -1,4 +1,4 @@
-//! The words of the three states as strokes: letters too large for a font, to be read from across a room.
+//! Banner with the name of the state, drawn as strokes: letters too large for a font, readable from across a room.
 
 use embedded_graphics::{pixelcolor::Rgb888, prelude::*, primitives::Rectangle};
 use r4_protocol::SafetyState;
@@ -6,20 +6,20 @@ use r4_protocol::SafetyState;
 use super::glyph::mixed;
 use crate::{root::sqrtf, within::Within};
 
-/// The middles of a letter's strokes, in pixels from its upper left corner.
+/// Letter as the centre lines of its strokes, in pixels from its upper left corner.
 struct Letter {
     width: u8,
     lines: &'static [&'static [(u8, u8)]],
 }
 
-/// Of the middles of the strokes.
+/// Height of the centre lines, pixels.
 const HEIGHT: u32 = 52;
-/// Of a stroke, halved.
+/// Half of a stroke's width, pixels.
 const HALF_STROKE: f32 = 5.5;
-/// From a letter's right side to the next one's left.
+/// Distance from a letter's right side to the next one's left, pixels.
 const SPACING: u32 = 20;
 
-/// Half of that: no other letter is nearer.
+/// Half of the spacing: no other letter is nearer.
 const REACH: f32 = SPACING as f32 / 2.0;
 
 const A: Letter = Letter { width: 36, lines: &[&[(0, 52), (18, 0), (36, 52)], &[(6, 35), (30, 35)]] };
@@ -66,7 +66,7 @@ const S: Letter = Letter {
 };
 const T: Letter = Letter { width: 38, lines: &[&[(0, 0), (38, 0)], &[(19, 0), (19, 52)]] };
 
-/// Fills `area` with `paper` and the name of `state` in its middle.
+/// Fills `area` with `paper` and draws the name of `state` in its middle.
 pub(super) fn draw<D>(
     target: &mut D,
     area: Rectangle,
@@ -97,7 +97,7 @@ const DISARMED: &[&Letter] = &[&D, &I, &S, &A, &R, &M, &E, &D];
 const ARMED: &[&Letter] = &[&A, &R, &M, &E, &D];
 const TRIPPED: &[&Letter] = &[&T, &R, &I, &P, &P, &E, &D];
 
-/// From the nearest stroke of a word; anything larger than its reach where that is none.
+/// Distance from the nearest stroke of a word, pixels; beyond the letters' reach any larger value.
 fn distance_to(word: &[&Letter], x: f32, y: f32) -> f32 {
     let mut nearest = f32::MAX;
     let mut left = 0.0;

@@ -1,4 +1,4 @@
-//! The picture. Nothing is drawn twice: what looks the same in the last view stays.
+//! Drawing of the screen's picture: only what differs from the last view is drawn.
 
 use core::fmt::Write;
 
@@ -23,7 +23,7 @@ use super::{
 };
 use crate::within::Within;
 
-/// Of the picture, in pixels.
+/// Size of the picture, pixels.
 pub const SIZE: Size = Size::new(480, 320);
 
 const BLACK: Rgb888 = Rgb888::new(8, 8, 12);
@@ -44,18 +44,18 @@ const BOLD: Face = Face { font: &FONT_9X18_BOLD, scale: 1 };
 const FIGURE: Face = Face { font: &FONT_10X20, scale: 1 };
 const HEADLINE: Face = Face { font: &FONT_10X20, scale: 2 };
 
-/// Left and right of everything.
+/// Margin at the left and right, pixels.
 const MARGIN: i32 = 8;
-/// Top and height of the state's banner.
+/// Top and height of the state's banner, pixels.
 const BANNER_Y: i32 = 26;
 const BANNER_HEIGHT: u32 = 80;
 const HEADLINE_Y: i32 = 108;
 const HEADLINE_LETTERS: usize = 23;
 const ADVICE_Y: [i32; 2] = [149, 164];
 const MORE_Y: i32 = 180;
-/// Letters of a line of text across the screen.
+/// Number of characters of a line of text across the screen.
 const LINE_LETTERS: usize = 51;
-/// Top of bars and supplies, with a rule above them and one below.
+/// Top of bars and supplies, pixels, with a rule above them and one below.
 const PANELS_Y: i32 = 205;
 const ROW_HEIGHT: i32 = 25;
 const RULES_Y: [i32; 2] = [201, 306];
@@ -64,11 +64,11 @@ const FOOTER_Y: i32 = 308;
 
 /// Draws `view` on a target of [`SIZE`].
 ///
-/// With the view that the target shows, only the difference is drawn: characters, and columns of bars. The picture is
-/// the same as without it.
+/// If `last` is the view that the target shows, only the difference is drawn: characters, and columns of bars. The
+/// picture is the same as without it.
 ///
 /// # Errors
-/// Those of the target; it may then show any mixture of the two.
+/// Errors of the target; it may then show any mixture of the two views.
 pub fn draw<D>(target: &mut D, view: &View, last: Option<&View>) -> Result<(), D::Error>
 where
     D: DrawTarget<Color: From<Rgb888>>,
@@ -91,7 +91,7 @@ where
     pen.footer()
 }
 
-/// A line of characters that fills its place: the rest of it is paper.
+/// Line of characters that fills its place: the rest of it has the background colour.
 struct Label {
     text: String<64>,
     ink: Rgb888,
@@ -101,7 +101,7 @@ struct Label {
 impl Label {
     fn new(ink: Rgb888, text: core::fmt::Arguments<'_>) -> Self {
         let mut label = Self { text: String::new(), ink, paper: BLACK };
-        // What does not fit would not fit the screen either.
+        // Text that does not fit here would not fit the screen either.
         let _ = label.text.write_fmt(text);
         label
     }
@@ -114,7 +114,7 @@ impl Label {
         Self { paper, ..self }
     }
 
-    /// Moved to the right end of `letters`.
+    /// Returns the label aligned to the right end of `letters` characters.
     fn right(self, letters: usize) -> Self {
         Self { text: Self::new(self.ink, format_args!("{:>letters$}", self.text)).text, ..self }
     }
@@ -123,7 +123,7 @@ impl Label {
         Self { text: Self::new(self.ink, format_args!("{:^letters$}", self.text)).text, ..self }
     }
 
-    /// All of the place at `index`; a space looks the same in every ink.
+    /// Character and its colours at `index`; a space looks the same in every ink.
     fn cell(&self, index: usize) -> (char, [Rgb888; 2]) {
         match self.text.chars().nth(index) {
             None | Some(' ') => (' ', [self.paper; 2]),
@@ -135,7 +135,7 @@ impl Label {
 struct Pen<'p, 'v, D> {
     target: &'p mut D,
     view: &'p View<'v>,
-    /// What the target shows; `None` when it is black there.
+    /// View that the target shows; `None` when it is black.
     last: Option<&'p View<'v>>,
 }
 
@@ -147,7 +147,7 @@ where
         self.target.fill_solid(&area, colour.into())
     }
 
-    /// `letters` characters from `at`, those that changed.
+    /// Draws the changed ones of `letters` characters from `at` on.
     fn label(&mut self, at: Point, face: Face, letters: usize, of: impl Fn(&View) -> Label) -> Result<(), D::Error> {
         let label = of(self.view);
         let last = self.last.map_or_else(Label::blank, of);
@@ -161,9 +161,9 @@ where
     }
 
     fn header(&mut self) -> Result<(), D::Error> {
-        /// As many as a robot's name may have.
+        /// Maximum length of a robot's name.
         const NAME: usize = 32;
-        /// `host lost 9999 s`, and no longer is told
+        /// Length of `host lost 9999 s`, the longest text here.
         const HOST: usize = 16;
         self.label(Point::new(MARGIN, 4), BOLD, NAME, |view| Label::new(WHITE, format_args!("{}", view.robot)))?;
         let x = right_edge(HOST, BOLD);
@@ -192,7 +192,7 @@ where
         banner::draw(self.target, area, self.view.state, [WHITE, paper])
     }
 
-    /// The first cause and what to do about it, then the others.
+    /// Draws the first cause with its advice, then the other causes.
     fn causes(&mut self) -> Result<(), D::Error> {
         self.label(Point::new(MARGIN, HEADLINE_Y), HEADLINE, HEADLINE_LETTERS, |view| {
             match (view.causes.iter().next(), view.state) {
@@ -219,11 +219,11 @@ where
     }
 
     fn supplies(&mut self) -> Result<(), D::Error> {
-        /// `100.0-120.0 V`
+        /// Length of the text `100.0-120.0 V`.
         const NAME: usize = 13;
-        /// `-24.3 V`
+        /// Length of the text `-24.3 V`.
         const VOLTS: usize = 7;
-        // A rail of 5 V has a range of tenths.
+        // The range of a 5 V rail is given in tenths of a volt.
         let digits = |range_v: &Range| if range_v.max < 10.0 { 2 } else { 1 };
         for index in 0..MAX_SUPPLIES {
             let y = PANELS_Y + ROW_HEIGHT * index as i32;
@@ -267,9 +267,9 @@ where
     }
 
     fn bar(&mut self, layout: &BarLayout, index: usize) -> Result<(), D::Error> {
-        /// `actuator255`
+        /// Length of the text `actuator255`.
         const NAME: usize = 11;
-        /// `-0.98`
+        /// Length of the text `-0.98`.
         const VALUE: usize = 5;
         let at = layout.place(index);
         let letter = layout.face.cell().width as i32;
@@ -286,7 +286,7 @@ where
             let colour = Columns::colour(new, x);
             (Columns::colour(old, x) != colour).then_some(colour)
         };
-        // Neighbours of one colour are one window.
+        // Adjacent columns of one colour are one window.
         let mut x = 0;
         while x < layout.width {
             let colour = differs(x);
@@ -310,9 +310,9 @@ where
     }
 
     fn footer(&mut self) -> Result<(), D::Error> {
-        /// `up 49710d 06:28:15`
+        /// Length of the text `up 49710d 06:28:15`.
         const UPTIME: usize = 18;
-        /// `bus retries 4294967295`
+        /// Length of the text `bus retries 4294967295`.
         const COUNTER: usize = 22;
         self.label(Point::new(MARGIN, FOOTER_Y), TINY, UPTIME, |view| {
             let s = view.uptime_s;
@@ -333,12 +333,12 @@ where
     }
 }
 
-/// Where a label starts that ends at the right margin.
+/// Left end of a label that ends at the right margin.
 fn right_edge(letters: usize, face: Face) -> i32 {
     SIZE.width as i32 - MARGIN - face.cell().width as i32 * letters as i32
 }
 
-/// The causes behind the first, as many as fit a line.
+/// Text of the causes after the first, as many as fit a line.
 fn other_causes(causes: Causes) -> String<64> {
     let mut text = String::new();
     let count = causes.iter().skip(1).count();
@@ -356,7 +356,7 @@ fn other_causes(causes: Causes) -> String<64> {
     text
 }
 
-/// Line number `line` of `text`, broken at spaces into lines of at most `letters`.
+/// Returns line number `line` of `text`, broken at spaces into lines of at most `letters` characters.
 fn wrapped(text: &str, letters: usize, line: usize) -> &str {
     let mut rest = text;
     for _ in 0..line {
@@ -373,13 +373,13 @@ fn first_line(text: &str, letters: usize) -> &str {
     text.get(..end.unwrap_or(letters)).unwrap_or(text)
 }
 
-/// How the bars share their place: few are large and have figures.
+/// Layout of the bars: a small number of bars is drawn large and with figures.
 #[derive(Clone, Copy)]
 struct BarLayout {
     face: Face,
     rows: usize,
     columns: usize,
-    /// Of the bar alone, pixels.
+    /// Width of the bar alone, pixels.
     width: i32,
     figures: bool,
 }
@@ -405,7 +405,7 @@ impl BarLayout {
     }
 }
 
-/// A bar by its columns of pixels, from the middle to `edge`.
+/// Bar described by its pixel columns, from the middle to `edge`.
 #[derive(Clone, Copy)]
 struct Columns {
     middle: i32,
@@ -416,12 +416,12 @@ struct Columns {
 impl Columns {
     fn of(bar: &Bar, width: i32) -> Self {
         let middle = width / 2;
-        // NaN becomes 0.
+        // NaN becomes 0, since the cast gives 0.
         let length = libm::roundf(bar.value.within(-1.0, 1.0) * middle as f32) as i32;
         Self { middle, edge: middle + length, colour: if bar.moving { BLUE } else { GREY } }
     }
 
-    /// Of column `x`, also where there is no bar.
+    /// Colour of column `x`, also where there is no bar.
     fn colour(bar: Option<Self>, x: i32) -> Rgb888 {
         let Some(Self { middle, edge, colour }) = bar else { return BLACK };
         if x == middle {

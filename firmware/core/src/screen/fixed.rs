@@ -1,12 +1,12 @@
-//! Numbers with digits behind the point.
+//! Fixed-point formatting of numbers.
 
 use core::fmt::{Display, Formatter, Result};
 
-/// A number that is written as `{value:.digits$}` writes it, or `{value:+.digits$}`. The standard library's way takes 6 KB of
-/// flash, for numbers of any size.
+/// Number formatted like `{value:.digits$}` or `{value:+.digits$}`. The standard library's code takes 6 KB of flash,
+/// for numbers of any size.
 pub(super) struct Fixed {
     pub(super) value: f32,
-    /// At most 2, which shows numbers up to 42 million; those above are shown as that.
+    /// Number of decimals, at most 2, for numbers up to 42 million; greater ones are shown as that.
     pub(super) digits: u8,
 }
 
@@ -25,11 +25,11 @@ impl Display for Fixed {
             return formatter.write_str("inf");
         }
         let scale = 10u32.pow(digits.into());
-        // Exact, as is what is left of it: a product of 24 and 7 bits.
+        // Exact, like the remainder below: a product of 24 and 7 bits.
         let exact = f64::from(value.abs()) * f64::from(scale);
         let below = exact as u32;
         let left = exact - f64::from(below);
-        // Half-way, to the even one.
+        // Half-way values round to even.
         let up = left > 0.5 || left == 0.5 && !below.is_multiple_of(2);
         let number = below.saturating_add(up.into());
         write!(formatter, "{}.{:0width$}", number / scale, number % scale, width = digits.into())

@@ -9,16 +9,16 @@ use embedded_graphics::{
     text::{Baseline, Text},
 };
 
-/// A font, enlarged.
+/// Font with a magnification.
 #[derive(Clone, Copy)]
 pub(super) struct Face {
     pub(super) font: &'static MonoFont<'static>,
-    /// Pixels of the screen for one of the font.
+    /// Screen pixels per pixel of the font.
     pub(super) scale: u32,
 }
 
 impl Face {
-    /// Of one character, with its gap.
+    /// Size of one character with its gap, pixels.
     pub(super) fn cell(self) -> Size {
         let Size { width, height } = self.font.character_size;
         Size::new((width + self.font.character_spacing) * self.scale, height * self.scale)
@@ -39,13 +39,13 @@ impl Face {
     }
 }
 
-/// Between `paper`, at 0, and `ink`, at 1.
+/// Colour between `paper`, at a share of 0, and `ink`, at 1.
 pub(super) fn mixed(ink: Rgb888, paper: Rgb888, share: f32) -> Rgb888 {
     let part = |ink: u8, paper: u8| (f32::from(paper) + (f32::from(ink) - f32::from(paper)) * share + 0.5) as u8;
     Rgb888::new(part(ink.r(), paper.r()), part(ink.g(), paper.g()), part(ink.b(), paper.b()))
 }
 
-/// One character of a font, a row a word, the left column in bit 0.
+/// Bitmap of one character, a word per row, with the left column in bit 0.
 struct Bitmap([u32; 32]);
 
 impl Bitmap {
@@ -67,8 +67,9 @@ impl Bitmap {
 
     /// Share of ink in pixel `x`, `y` of the character enlarged `scale` times.
     ///
-    /// Between the middles of the font's pixels the ink is interpolated and cut where it falls below a half, which makes
-    /// slopes of stairs. The cut is a little lower, because large letters are to look bold, and one screen pixel soft.
+    /// Between the centres of the font's pixels the ink is interpolated and cut where it falls below a threshold, which
+    /// turns stairs into slopes. The threshold is slightly below a half, so that large letters look bold, and one
+    /// screen pixel wide for soft edges.
     fn coverage(&self, x: u32, y: u32, scale: u32) -> f32 {
         if scale == 1 {
             return self.bit(x as i32, y as i32);
@@ -81,10 +82,11 @@ impl Bitmap {
     }
 }
 
-/// Of the interpolated ink; below it is paper.
+/// Threshold of the interpolated ink; below it is background.
 const CUT: f32 = 0.4;
 
-/// The font's pixel whose middle lies before the middle of `pixel`, and how far behind that it is.
+/// Pixel of the font whose centre lies before the centre of `pixel`, and the distance between the centres, in font
+/// pixels.
 fn middle(pixel: u32, scale: u32) -> (i32, f32) {
     let at = (pixel as f32 + 0.5) / scale as f32 - 0.5;
     let before = libm::floorf(at);

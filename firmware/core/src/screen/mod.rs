@@ -1,6 +1,6 @@
 //! The optional screen: 480 by 320 pixels on an ILI9488, write-only over SPI.
 //!
-//! [`View`] is what is shown, [`draw`] puts what changed of it on any `DrawTarget`, [`run`] owns the panel.
+//! [`View`] is the content, [`draw`] draws its changes on any `DrawTarget`, [`run`] owns the panel.
 
 mod banner;
 mod draw;

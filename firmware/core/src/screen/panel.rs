@@ -1,8 +1,8 @@
-//! The panel's controller: ILI9488, 320 by 480 pixels, turned to lie on its side.
+//! Controller of the panel: ILI9488, 320 by 480 pixels, used in landscape.
 //!
-//! Its serial interface takes 18 bits per pixel in three bytes and at most 20 MHz (datasheet 17.4.3): a full picture is
-//! 184 ms. Reading its identification is not practical: a read may be clocked at 6.6 MHz at most, and common panels do
-//! not release SDO, or do not connect it. So an absent screen cannot be told from a present one.
+//! Its serial interface takes 18 bits per pixel in three bytes and at most 20 MHz (datasheet 17.4.3): a full picture
+//! takes 184 ms. Reading its identification is not practical: a read may be clocked at 6.6 MHz at most, and common
+//! panels do not release SDO, or do not connect it. So an absent screen cannot be detected.
 
 use embassy_time::{Duration, Timer};
 use embedded_graphics::pixelcolor::Rgb666;
@@ -18,24 +18,25 @@ use mipidsi::{
     options::{ColorInversion, ColorOrder, ModelOptions, Orientation, Rotation},
 };
 
-/// The reset line must be low for 10 us.
+/// Length of the reset pulse; the line must be low for at least 10 us.
 const RESET_LOW: Duration = Duration::from_micros(20);
-/// From the end of a reset to SLPOUT, if the panel was awake before it.
+/// Time from the end of a reset to SLPOUT, if the panel was awake before it.
 const RESET_TO_SLEEP_OUT: Duration = Duration::from_millis(120);
-/// From SLPOUT to the next command: 5 ms, in which the controller loads its defaults. Its supplies settle in 120 ms.
+/// Time from SLPOUT to the next command: 5 ms, in which the controller loads its defaults. Its supplies settle in 120
+/// ms.
 const SLEEP_OUT: Duration = Duration::from_millis(120);
 
-/// The panel, awake.
+/// Driver of the panel, once awake.
 pub type Panel<'a, SPI, DC> = Display<SpiInterface<'a, SPI, DC>, Ili9488, AlreadyReset>;
 
-/// The panel's bus or one of its lines failed.
+/// Error: the panel's bus or one of its lines failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PanelError;
 
-/// Resets and wakes the panel; takes 240 ms, without blocking. It then shows what its memory holds: noise.
+/// Resets and wakes the panel; takes 240 ms, without blocking. The panel then shows the noise in its memory.
 ///
 /// # Errors
-/// When SPI or a line fails; never because there is no panel.
+/// [`PanelError`] when SPI or a line fails; an absent panel is no error.
 pub async fn start<'a, SPI, DC, RST>(
     mut interface: SpiInterface<'a, SPI, DC>,
     reset: &mut RST,
@@ -53,7 +54,7 @@ where
     Timer::after(SLEEP_OUT).await;
     Builder::new(Ili9488, interface)
         .reset_pin(AlreadyReset)
-        // The glass has its filters in this order, and its columns run from right to left.
+        // The glass has its colour filters in this order, and its columns run from right to left.
         .color_order(ColorOrder::Bgr)
         .orientation(Orientation::new().flip_horizontal().rotate(Rotation::Deg90))
         .invert_colors(ColorInversion::Normal)
@@ -61,9 +62,9 @@ where
         .map_err(|_: InitError<_, _>| PanelError)
 }
 
-/// An ILI9488 that has been woken.
+/// Model of an ILI9488 that is already awake.
 ///
-/// `mipidsi` has a model of its own, which sends commands at once after SLPOUT, and blocks for the waits it makes.
+/// `mipidsi` has a model of its own, which sends commands immediately after SLPOUT, and blocks during its waits.
 pub struct Ili9488;
 
 impl Model for Ili9488 {
@@ -94,8 +95,8 @@ impl Model for Ili9488 {
     }
 }
 
-/// In place of the reset line and of the blocking waits, which [`start`] has behind it: without a line `mipidsi` would
-/// put the controller to sleep by a software reset.
+/// Replacement for the reset line and the blocking waits, which [`start`] has already done: without a line `mipidsi`
+/// would put the controller to sleep by a software reset.
 pub struct AlreadyReset;
 
 impl embedded_hal::digital::ErrorType for AlreadyReset {

@@ -1,4 +1,4 @@
-//! From the board's state to what the screen shows of it.
+//! View of the board's state for the screen.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant};
@@ -42,7 +42,8 @@ impl<M: RawMutex> Source for Shared<M> {
     }
 }
 
-/// How hard a channel that moves something is driven, of the most it can do, and whether it is on its way.
+/// Drive of a moving channel as a share of its maximum, and true if it is moving. `None` for a channel that moves
+/// nothing.
 fn bar(config: &BoardConfig, place: Place, status: Status) -> Option<(f32, bool)> {
     match (place, status) {
         (Place::Motor(index), Status::Motor(MotorStatus { duty, .. })) => {
@@ -74,7 +75,7 @@ mod tests {
         testing::{Board, Tasks, board, robot},
     };
 
-    /// One of each kind of channel that moves something, and the supplies. The servo goes from -0.5 to 1.5 rad.
+    /// Board with one channel of each kind that moves something, and the supplies. The servo goes from -0.5 to 1.5 rad.
     fn one_of_each() -> Board {
         let mut config = robot("every-interface");
         config.motors.truncate(1);
@@ -86,8 +87,8 @@ mod tests {
         board(config, ResetCause::Normal)
     }
 
-    /// Duty of the most it may have, speed of the highest, a servo's angle from one end of its travel to the other. What rests, and a
-    /// servo without pulses, is not on its way.
+    /// A bar shows the duty relative to its maximum, the speed relative to the highest, a servo's angle from one end of
+    /// its travel to the other. A channel at rest, and a servo without pulses, is not moving.
     #[test]
     fn a_bar_is_a_share_of_the_most_that_a_channel_can_do() {
         let shared = one_of_each();

@@ -1,4 +1,4 @@
-//! The screen's task.
+//! Task that drives the screen.
 
 use core::convert::Infallible;
 
@@ -12,33 +12,33 @@ use super::{
     view::Source,
 };
 
-/// Between two pictures.
+/// Interval between two pictures.
 const REFRESH: Duration = Duration::from_millis(200);
-/// After a failure.
+/// Pause after a failure before the panel is started again.
 const RETRY: Duration = Duration::from_secs(5);
-/// Bytes of one SPI transfer at most; pixels are gathered in it.
+/// Maximum size of an SPI transfer, bytes; pixels are gathered in it.
 const BUFFER: usize = 510;
 
-/// The screen's bus and lines.
+/// SPI bus and lines of the screen.
 pub struct ScreenPins<SPI, DC, RST, BL> {
     /// Mode 0, most significant bit first, at most 20 MHz, with its chip select.
     pub spi: SPI,
     /// Low for commands, high for data.
     pub data_command: DC,
-    /// Low resets.
+    /// Reset line, active low.
     pub reset: RST,
-    /// High lights the screen.
+    /// Backlight line; high lights the screen.
     pub backlight: BL,
 }
 
-/// Shows `source` for ever, five times a second.
+/// Shows `source` indefinitely, five times a second.
 ///
-/// SPI is blocking here: the first picture takes 230 ms at 20 MHz, a change of state up to 160 ms, motion 1 to 2 ms. This task must run alone on
-/// an executor of the lowest priority, below the links, so that all others interrupt it.
+/// SPI is blocking here: the first picture takes 230 ms at 20 MHz, a change of state up to 160 ms, motion 1 to 2 ms.
+/// This task must run alone on an executor of the lowest priority, below the links, so that all others interrupt it.
 ///
-/// An absent screen cannot be detected (see the panel): its pixels go nowhere, and nothing else notices. A screen must be
-/// plugged in before power comes on. When SPI or a line fails, the backlight goes off and the task sleeps for 5 s before
-/// it starts the panel anew.
+/// An absent screen cannot be detected (see the panel): its pixels go nowhere, without any effect. A screen must be
+/// plugged in before power comes on. When SPI or a line fails, the backlight goes off and the task sleeps for 5 s
+/// before it starts the panel again.
 pub async fn run<S, SPI, DC, RST, BL>(source: &S, mut pins: ScreenPins<SPI, DC, RST, BL>) -> !
 where
     S: Source,
@@ -48,7 +48,7 @@ where
     BL: OutputPin,
 {
     loop {
-        // Dark while the panel shows noise. A backlight that fails is not worth a screen.
+        // Dark while the panel shows noise. A failing backlight line is ignored: the picture is still drawn.
         let _ = pins.backlight.set_low();
         let Err(PanelError) = show(source, &mut pins).await;
         let _ = pins.backlight.set_low();
@@ -56,7 +56,7 @@ where
     }
 }
 
-/// Shows `source` until something fails.
+/// Shows `source` until SPI or a line fails.
 async fn show<S, SPI, DC, RST, BL>(
     source: &S,
     pins: &mut ScreenPins<SPI, DC, RST, BL>,

@@ -1,25 +1,25 @@
-//! What the screen shows.
+//! Content of the screen.
 
 use heapless::Vec;
 use r4_protocol::{Causes, ChannelId, Range, SafetyState, config::MAX_SUPPLIES};
 
-/// Most channels with a bar.
+/// Maximum number of channels with a bar.
 pub const MAX_BARS: usize = 16;
 
-/// What the screen shows at one moment.
+/// Content of the screen at one moment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View<'a> {
-    /// The robot's name.
+    /// Name of the robot.
     pub robot: &'a str,
-    /// Where the supervisor stands.
+    /// State of the supervisor.
     pub state: SafetyState,
     /// Causes latched by a trip.
     pub causes: Causes,
     /// Supply rails, in the order of the screen.
     pub supplies: Vec<Supply, MAX_SUPPLIES>,
-    /// The host.
+    /// State of the host's link.
     pub link: Link,
-    /// Since power-up, s.
+    /// Time since power-up, s.
     pub uptime_s: u32,
     /// Channels that move something, in the order of the screen.
     pub bars: Vec<Bar, MAX_BARS>,
@@ -29,47 +29,47 @@ pub struct View<'a> {
     pub bus_retries: u32,
 }
 
-/// A supply rail.
+/// Supply rail on the screen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Supply {
-    /// Its name.
+    /// Channel of the rail.
     pub id: ChannelId,
-    /// V
+    /// Measured voltage, V; NaN if unknown.
     pub volts: f32,
-    /// The board trips outside this, V.
+    /// Range outside which the board trips, V.
     pub range_v: Range,
 }
 
-/// The host, by its last heartbeat.
+/// State of the host's link, by its last heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Link {
     /// No session is open.
     NoHost,
     /// Heartbeats come in time.
     Alive {
-        /// Since the last heartbeat, ms.
+        /// Time since the last heartbeat, ms.
         age_ms: u32,
     },
-    /// A session is open, and its heartbeats stay away.
+    /// A session is open, and its heartbeats are missing.
     Lost {
-        /// Since the last heartbeat, ms.
+        /// Time since the last heartbeat, ms.
         age_ms: u32,
     },
 }
 
-/// How hard a channel is driven.
+/// Drive level of one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bar {
-    /// Its name.
+    /// Channel of the bar.
     pub id: ChannelId,
-    /// Share of the most it can do, -1..=1; beyond that the bar is full, and NaN has none.
+    /// Drive as a share of the channel's maximum, -1..=1; beyond that the bar is full, and NaN gives none.
     pub value: f32,
-    /// Whether it is on its way.
+    /// True while the channel is moving.
     pub moving: bool,
 }
 
-/// Where the screen's task gets its view from.
+/// Source of the screen's view.
 pub trait Source {
-    /// The view at this moment. Called a few times each second, at the lowest priority.
+    /// Returns the view at this moment. Called a few times each second, at the lowest priority.
     fn view(&self) -> View<'_>;
 }

@@ -1,4 +1,4 @@
-//! Analog inputs and supply rails: converter codes to volts, and whether to believe them.
+//! Analog inputs and supply rails: converter codes to volts, and their plausibility.
 
 use r4_protocol::{
     Quality, Range,
@@ -7,16 +7,17 @@ use r4_protocol::{
 
 use super::{filter::LowPass, periods};
 
-/// Smooths noise, and a rail's dips in single PWM periods, s.
+/// Time constant of the filter, s: smooths noise, and a rail's dips in single PWM periods.
 const FILTER_S: f32 = 0.01;
-/// What was outside a range is back in it only this share of the range inside.
+/// Hysteresis of a range as a share of its width: a value outside counts as inside again only this far within.
 const HYSTERESIS: f32 = 0.02;
-/// A source is believed, or no longer believed, once it has been so for this long, s.
+/// Time for which codes must agree before the quality of a source changes, s.
 pub const PERSISTENCE_S: f32 = 0.02;
-/// Codes this near to either end of the converter are the end: 0.1 % of it, for offset and noise of a 16-bit converter.
+/// Codes this near to either end of the converter count as the end: 0.1 % of it, for offset and noise of a 16-bit
+/// converter.
 const END_CODES: u16 = 64;
 
-/// Where `volts` lie, seen from where they were `before`.
+/// Quality of `volts` against `range`, with hysteresis by the quality `before`.
 fn judge(range: Range, before: Quality, volts: f32) -> Quality {
     let margin = (range.max - range.min) * HYSTERESIS;
     let low = range.min + if before == Quality::Low { margin } else { 0.0 };
@@ -30,36 +31,37 @@ fn judge(range: Range, before: Quality, volts: f32) -> Quality {
     }
 }
 
-/// A divided analog input.
+/// Analog input behind a divider.
 ///
 /// Each code is judged by itself: at an end of the converter it is shorted or clamped, elsewhere it is compared with
-/// what the source can give. Only good ones pass to the filter, so that the volts of a source that fails stay what they
-/// were. The quality follows once [`PERSISTENCE_S`] of codes agree that the source is good, or that it is not.
+/// the plausible range of the source. Only good codes pass to the filter, so the volts of a failing source keep their
+/// last good value. The quality follows once [`PERSISTENCE_S`] of codes agree that the source is good, or that it is
+/// not.
 #[derive(Clone, Debug)]
 pub struct Analog {
     config: AnalogConfig,
     filter: LowPass,
     quality: Quality,
-    /// Whether the last codes were good, and how many there have been, up to `persistence_periods`.
+    /// Verdict on the last codes (true for good), and their number, up to `persistence_periods`.
     streak: (bool, u32),
     persistence_periods: u32,
     period_s: f32,
     age_s: f32,
 }
 
-/// What an analog input shows.
+/// Reading of an analog input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AnalogReading {
-    /// At the input; the last good ones where `quality` is not [`Quality::Good`], 0 while there were none.
+    /// Voltage at the input; the last good one where `quality` is not [`Quality::Good`], 0 before the first good one.
     pub volts: f32,
-    /// Since the last good code.
+    /// Time since the last good code, ms; saturates.
     pub age_ms: u16,
-    /// Whether the volts can be relied on.
+    /// Quality of the voltage.
     pub quality: Quality,
 }
 
 impl Analog {
-    /// An input read every `period_s`.
+    /// Creates an input that is read every `period_s`, s.
     #[must_use]
     pub fn new(config: &AnalogConfig, period_s: f32) -> Self {
         Self {
@@ -69,18 +71,18 @@ impl Analog {
             streak: (false, 0),
             persistence_periods: periods(PERSISTENCE_S, period_s),
             period_s,
-            // Of a value that was never taken: the oldest that can be told.
+            // No value was ever taken: report the greatest age.
             age_s: f32::INFINITY,
         }
     }
 
-    /// Volts at the input as of the last [`Analog::update`], where they can be relied on.
+    /// Voltage at the input as of the last [`Analog::update`]; `None` when its quality is not good.
     #[must_use]
     pub fn good_volts(&self) -> Option<f32> {
         (self.quality == Quality::Good).then(|| self.filter.value())
     }
 
-    /// Takes the code of this period. The first is believed at once.
+    /// Takes the code of this period. The first code sets the quality at once.
     pub fn update(&mut self, code: u16) -> AnalogReading {
         let volts = f32::from(code) * self.config.volts_per_code + self.config.offset_v;
         let judged = if code <= END_CODES {
@@ -109,12 +111,12 @@ impl Analog {
                 self.filter.step(volts);
             }
         }
-        // Saturates, as casts of floats do.
+        // The cast saturates, also for infinity.
         AnalogReading { volts: self.filter.value(), age_ms: (self.age_s * 1e3) as u16, quality: self.quality }
     }
 }
 
-/// A supply rail: its filtered volts, whatever they are, and whether they lie in its range, without delay.
+/// Supply rail: its filtered voltage, always, and, without delay, whether that lies in its range.
 #[derive(Clone, Debug)]
 pub struct Supply {
     config: SupplyConfig,
@@ -124,37 +126,37 @@ pub struct Supply {
 }
 
 impl Supply {
-    /// A rail read every `period_s`.
+    /// Creates a rail that is read every `period_s`, s.
     #[must_use]
     pub fn new(config: &SupplyConfig, period_s: f32) -> Self {
         Self { config: *config, filter: LowPass::new(FILTER_S, period_s), quality: Quality::None, measured_v: 0.0 }
     }
 
-    /// Which analog input.
+    /// Number of the rail's analog input.
     #[must_use]
     pub fn analog(&self) -> u8 {
         self.config.analog
     }
 
-    /// Volts, as of the last [`Supply::update`].
+    /// Filtered voltage as of the last [`Supply::update`], V.
     #[must_use]
     pub fn volts(&self) -> f32 {
         self.filter.value()
     }
 
-    /// What it was configured with.
+    /// Configuration of the rail.
     #[must_use]
     pub fn config(&self) -> &SupplyConfig {
         &self.config
     }
 
-    /// Volts of the last [`Supply::update`] alone, without the filter's delay.
+    /// Unfiltered voltage of the last [`Supply::update`], V.
     #[must_use]
     pub fn measured_v(&self) -> f32 {
         self.measured_v
     }
 
-    /// Takes the code of this period and returns volts and whether they are in range.
+    /// Takes the code of this period; returns the filtered voltage, V, and true if it is in range.
     pub fn update(&mut self, code: u16) -> (f32, bool) {
         let measured_v = f32::from(code) * self.config.volts_per_code;
         self.measured_v = measured_v;
@@ -174,9 +176,9 @@ mod tests {
 
     use super::*;
 
-    /// Periods of 1 ms in [`PERSISTENCE_S`].
+    /// Number of 1 ms periods in [`PERSISTENCE_S`].
     const PERIODS: usize = 20;
-    /// A sensor of 0.5 to 4.5 V on a divider with 10 V full scale.
+    /// Sensor of 0.5 to 4.5 V on a divider with 10 V full scale.
     const CONFIG: AnalogConfig = AnalogConfig {
         id: ChannelId::new(ChannelKind::Analog, 0),
         volts_per_code: 10.0 / 65_535.0,
@@ -199,7 +201,7 @@ mod tests {
     #[test]
     fn volts_follow_scale_and_offset_through_the_filter() {
         let mut analog = analog();
-        // Half a code of rounding.
+        // Rounding of half a code in each of two places.
         let tolerance = CONFIG.volts_per_code;
         let first = analog.update(code(2.0));
         assert!((first.volts - 2.0).abs() < tolerance && first.quality == Quality::Good && first.age_ms == 0);
@@ -218,7 +220,7 @@ mod tests {
 
     #[test]
     fn the_ends_of_the_converter_are_never_good() {
-        // A range that would take every code.
+        // This range would accept every code.
         let config = AnalogConfig { plausible_v: Range::new(-1.0, 11.0), ..CONFIG };
         let judged = |code| Analog::new(&config, 1e-3).update(code).quality;
         assert_eq!([0, 64, 65, 65_470, 65_471, u16::MAX].map(judged), {
@@ -236,9 +238,9 @@ mod tests {
         assert_eq!((before.volts, before.age_ms, before.quality), (good.volts, 19, Quality::Good));
         let told = analog.update(0);
         assert_eq!((told.volts, told.age_ms, told.quality), (good.volts, 20, Quality::Low));
-        // From one fault straight into another there is nothing to wait for.
+        // A change from one fault to another needs no persistence.
         assert_eq!(analog.update(u16::MAX).quality, Quality::High);
-        // Back again: as long, and at the new value without the old one's traces.
+        // The return takes as long, and starts at the new value without traces of the old one.
         assert_eq!(hold(&mut analog, code(4.0), PERIODS - 1).quality, Quality::High);
         let back = analog.update(code(4.0));
         assert!(back.quality == Quality::Good && (back.volts - 4.0).abs() < CONFIG.volts_per_code, "{back:?}");
@@ -258,18 +260,18 @@ mod tests {
         let good = analog.update(code(2.0));
         for _ in 0..10 {
             assert_eq!(hold(&mut analog, 0, PERIODS - 1).quality, Quality::Good);
-            // To the last bit of f32: a filter at rest stays at rest.
+            // Equal to the last bit of f32: a filter at rest stays at rest.
             assert_eq!(analog.update(code(2.0)), good);
         }
         hold(&mut analog, 0, PERIODS - 1);
-        // And goes on from there: 1/11 of the step.
+        // The filter continues from there: 1/11 of the step.
         let next = analog.update(code(3.1));
         assert!((next.volts - 2.1).abs() < 2.0 * CONFIG.volts_per_code, "{next:?}");
     }
 
     #[test]
     fn the_edge_of_the_range_has_hysteresis() {
-        // 2 % of 4 V: back from 0.58 V and from 4.42 V on.
+        // Hysteresis is 2 % of 4 V: back from 0.58 V and from 4.42 V on.
         for (outside, still_outside, inside) in [(0.49, 0.57, 0.59), (4.51, 4.43, 4.41)] {
             let mut analog = analog();
             let bad = analog.update(code(outside)).quality;
@@ -294,12 +296,13 @@ mod tests {
         let mut rail = Supply::new(&config, 1e-3);
         assert_eq!(rail.analog(), 3);
         assert!(rail.update(code(24.0)).1);
-        // From 24 V towards 0 by a tenth of what is left (1 - 1/11 each period): 19.8 V are reached in the third.
+        // From 24 V towards 0 by a tenth of the remaining distance (1 - 1/11 each period): below 19.8 V in the third
+        // period.
         let out_after = (1..=10).find(|_| !rail.update(0).1);
         assert_eq!(out_after, Some(2), "24 (10/11)^2 = 19.83 V");
         let settle = |rail: &mut Supply, volts| (0..1000).map(|_| rail.update(code(volts))).last().expect("stepped");
         let (volts, in_range) = settle(&mut rail, 0.0);
-        // Volts are those of the rail, also when it is gone.
+        // The voltage is the rail's, also when the rail is gone.
         assert!(volts.abs() < 1e-3 && !in_range, "{volts}");
         assert!(!settle(&mut rail, 20.15).1);
         assert!(settle(&mut rail, 20.25).1);
@@ -310,7 +313,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the codes: good volts lie in the plausible range, and the quality never changes faster than told.
+        /// For any codes, good volts lie in the plausible range, and the quality changes no faster than documented.
         #[test]
         fn good_volts_are_plausible(codes in prop::collection::vec((any::<u16>(), 1usize..40), 1..60)) {
             let mut analog = analog();
@@ -319,7 +322,7 @@ mod tests {
             for (code, periods) in codes {
                 for _ in 0..periods {
                     let reading = analog.update(code);
-                    // Rounding of the filter: an ulp of 4.5 V.
+                    // Rounding of the filter: one ulp of 4.5 V.
                     let plausible = Range::new(CONFIG.plausible_v.min - 1e-6, CONFIG.plausible_v.max + 1e-6);
                     prop_assert!(plausible.contains(reading.volts), "{reading:?}");
                     let changed = (reading.quality == Quality::Good) != (last.quality == Quality::Good);

@@ -1,4 +1,5 @@
-//! Absolute angle sensor: readings of one turn, taken at their own times, to a position over many turns and its speed.
+//! Absolute angle sensor: from readings within one turn, each with its time, to a position over many turns and its
+//! speed.
 
 use embassy_time::{Duration, Instant};
 use r4_protocol::config::{ANGLE_READINGS_LOST, AS5600_COUNTS};
@@ -8,76 +9,80 @@ use crate::within::Within;
 /// One reading of the sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reading {
-    /// Counts of one turn, 0 to 4095; higher bits are not looked at.
+    /// Counts within one turn, 0 to 4095; higher bits are ignored.
     pub counts: u16,
-    /// When it was taken.
+    /// Time at which the reading was taken.
     pub taken: Instant,
-    /// Time between two readings, as it should be.
+    /// Nominal time between two readings.
     pub period: Duration,
 }
 
 /// Position and speed of a shaft with an absolute angle sensor.
 ///
-/// Each reading moves the position by what is nearest: right while the shaft turns less than half a turn between two that are
-/// believed. The speed is that of a tracking loop of second order, which is stepped by the true time between readings (an alpha-beta
-/// filter, critically damped); between readings the position goes on at that speed, for as long as the newest is old. A shaft at
-/// constant speed is therefore shown where it is now, whatever the rate of readings; one that accelerates at `a` is shown `a T²/2`
-/// behind at most at the end of a period `T` of readings.
+/// Each reading moves the position by the shortest path: correct while the shaft turns less than half a turn between
+/// two accepted readings. The speed is that of a tracking loop of second order, stepped by the true time between
+/// readings (an alpha-beta filter, critically damped); between readings the position is extrapolated at that speed by
+/// the age of the newest. A shaft at constant speed is therefore shown where it is now, whatever the rate of readings;
+/// one that accelerates at `a` is shown at most `a T²/2` behind, at the end of a period `T` of readings.
 ///
-/// A reading that no shaft could give after the last, or one that comes late, is not believed. The sensor is lost when no reading was
-/// believed for [`ANGLE_READINGS_LOST`] of its periods, or none has come yet; the first one after that is believed, wherever it is.
+/// A reading that no shaft could give after the last one, or that comes late, is rejected. The sensor is lost when no
+/// reading was accepted for [`ANGLE_READINGS_LOST`] of its periods, or none has come yet; the first one after that is
+/// accepted at any position.
 ///
 /// # Source
 /// Brookner, *Tracking and Kalman Filtering Made Easy*, Wiley 1998, 1.2.6 (critically damped g-h filter).
 #[derive(Clone, Debug)]
 pub struct Angle {
     inverted: bool,
-    /// Angle that is position 0, counts.
+    /// Sensor angle at position 0, counts.
     zero: u16,
-    /// Whether the position is known without its past: then the turn of a first reading is the one whose middle this is, counts.
+    /// Middle of the range, counts, if the range is within a turn: the position is then known without its past, and a
+    /// first reading counts in the turn around this middle.
     middle: Option<i32>,
-    /// Counts a second that no shaft exceeds.
+    /// Speed that no shaft exceeds, counts/s.
     fastest: f32,
     /// Time constant of each of the two poles of the tracking loop, s.
     pole_s: f32,
-    /// The newest believed reading; its counts are the position's.
+    /// Newest accepted reading; its counts are the position's.
     position: i32,
     taken: Instant,
     period: Duration,
     found: bool,
-    /// The tracking loop: position beyond `position` in counts, and counts/s.
+    /// Tracking loop: estimated position minus `position`, counts, and speed, counts/s.
     beyond: f32,
     speed: f32,
 }
 
-/// How a channel's sensor is mounted, and what is known of its shaft.
+/// Mounting of a channel's sensor, and limits of its shaft.
 #[derive(Clone, Copy, Debug)]
 pub struct Mounting {
-    /// Angle that is position 0, rad.
+    /// Sensor angle at position 0, rad.
     pub zero: f32,
-    /// Whether the angle falls while the position rises.
+    /// True if the sensor angle falls while the position rises.
     pub inverted: bool,
     /// Lowest and highest position, rad.
     pub range: (f32, f32),
     /// Highest speed, rad/s.
     pub speed_max: f32,
-    /// Time by which the speed is to lag at most, s.
+    /// Permitted lag of the speed, s.
     pub filter_s: f32,
 }
 
-/// As for the watch over motors: a shaft that moves so many times faster than it may, and a few counts more, has not moved at all.
+/// Factor on the highest speed and margin in counts beyond which a movement counts as a jump of the sensor; as for the
+/// watch over motors.
 const JUMP_SPEEDS: f32 = 4.0;
 const JUMP_COUNTS: f32 = 8.0;
 const TURN: i32 = AS5600_COUNTS as i32;
 const PER_RAD: f32 = AS5600_COUNTS as f32 / core::f32::consts::TAU;
 
-/// The shortest way from 0 to `counts`, which are counts of one turn or more: from half a turn back to less than half a turn forwards.
+/// Shortest displacement from 0 to `counts`, which may be of several turns: from half a turn backwards to less than
+/// half a turn forwards.
 const fn shortest(counts: i32) -> i32 {
     (counts.wrapping_add(TURN / 2) & (TURN - 1)) - TURN / 2
 }
 
 impl Angle {
-    /// A sensor that has not been read yet.
+    /// Creates a sensor that has not been read yet.
     #[must_use]
     pub fn new(mounting: Mounting) -> Self {
         let Mounting { zero, inverted, range: (min, max), speed_max, filter_s } = mounting;
@@ -98,14 +103,14 @@ impl Angle {
         }
     }
 
-    /// Whether a first reading tells the position, without its past.
+    /// Returns true if a first reading gives the position without its past.
     #[must_use]
     pub const fn is_absolute(&self) -> bool {
         self.middle.is_some()
     }
 
-    /// Takes the newest reading, also when it is not new, and returns position (counts) and speed (counts/s) at `now`; `None` while the
-    /// sensor is lost.
+    /// Takes the newest reading, which may be an old one again, and returns position (counts) and speed (counts/s) at
+    /// `now`; `None` while the sensor is lost.
     pub fn update(&mut self, newest: Option<Reading>, now: Instant) -> Option<(f64, f32)> {
         self.found &= now.saturating_duration_since(self.taken) <= self.period * ANGLE_READINGS_LOST.into();
         if let Some(reading) = newest.filter(|reading| !self.found || reading.taken > self.taken) {
@@ -122,7 +127,7 @@ impl Angle {
         let up = i32::from(counts) - i32::from(self.zero);
         let counts = if self.inverted { -up } else { up };
         if !self.found {
-            // Without a middle the turn is the one that the position was in last: that of 0 after power-on.
+            // Without a middle the turn is that of the last position, which is 0 after power-on.
             let near = self.middle.unwrap_or(self.position);
             self.position = near.wrapping_add(shortest(counts.wrapping_sub(near)));
             (self.found, self.beyond, self.speed) = (true, 0.0, 0.0);
@@ -134,7 +139,7 @@ impl Angle {
         if (moved as f32).abs() > self.fastest * dt_s + JUMP_COUNTS {
             return;
         }
-        // What is left of a distance after this time, by either pole.
+        // Share of a deviation that remains after this time, for each pole.
         let left = self.pole_s / (self.pole_s + dt_s);
         let surprise = moved as f32 - (self.beyond + self.speed * dt_s);
         self.beyond = -left * left * surprise;
@@ -178,7 +183,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever zero, direction and range within a turn, the first reading is the position.
+        /// For any zero, direction and range within a turn, the first reading is the position.
         #[test]
         fn a_first_reading_is_the_position_in_a_range_within_a_turn(
             zero in 0.0f32..TAU, inverted: bool, min in -20.0f32..20.0, length in 0.1f32..6.2, share in 0.0f32..1.0,
@@ -188,7 +193,7 @@ mod tests {
             let counts = libm::roundf(angle * PER_RAD) as i32;
             let mut sensor = Angle::new(Mounting { zero, inverted, range: (min, min + length), ..mounting() });
             let (shown, speed) = sensor.update(reading(counts, at(0)), at(0)).expect("read");
-            // Rounding of the zero and of the reading, a count each at most.
+            // Rounding of the zero and of the reading, at most a count each.
             prop_assert!((shown as f32 - position * PER_RAD).abs() <= 1.5, "{shown} for {}", position * PER_RAD);
             prop_assert_eq!(speed, 0.0);
             prop_assert!(sensor.is_absolute());
@@ -198,7 +203,7 @@ mod tests {
         #[test]
         fn position_follows_any_walk(steps in prop::collection::vec(-1500i32..=1500, 1..100)) {
             for inverted in [false, true] {
-                // 2400 rad/s are 1565 counts a ms.
+                // A speed of 2400 rad/s is 1565 counts per ms.
                 let wide = Mounting { inverted, range: (-1e4, 1e4), speed_max: 600.0, ..mounting() };
                 let mut sensor = Angle::new(wide);
                 let mut total = 0;
@@ -213,7 +218,7 @@ mod tests {
         }
     }
 
-    /// Readings at whatever times: the speed is that of the shaft, and the position where it is between them.
+    /// With readings at uneven times the speed is that of the shaft, and the position is correct between them.
     #[test]
     fn speed_and_place_are_those_of_the_shaft_at_uneven_times() {
         for (period_ms, jitter_ms) in [(1, [0, 0, 0]), (2, [0, 1, 1]), (4, [0, 2, 1])] {
@@ -235,15 +240,16 @@ mod tests {
                         shown_speed = speed / PER_RAD;
                     }
                 }
-                // A count of quantisation, and what the speed is off makes of the longest gap, 7 ms.
+                // One count of quantisation, and the error of the speed over the longest gap, 7 ms.
                 assert!(worst <= 2.0, "{period_ms} ms, {rad_s} rad/s: {worst} counts");
-                // A count that is not even in time, 1.5 mrad, behind two poles of 5 ms: (1 ms / 6 ms)² of it a ms.
+                // One count, 1.5 mrad, of uneven time, behind two poles of 5 ms: (1 ms / 6 ms)² of it per ms.
                 assert!((shown_speed - rad_s).abs() < 0.06, "{period_ms} ms: {shown_speed} rad/s, not {rad_s}");
             }
         }
     }
 
-    /// The lag of two poles of half the time constant each: half of a step of speed is seen after 1.68 of them, all but 1 % after 6.6.
+    /// Lag of two poles of half the time constant each: half of a step of speed is seen after 1.68 of them, all but 1 %
+    /// after 6.6.
     #[test]
     fn the_speed_lags_as_long_as_it_may() {
         let mut sensor = Angle::new(Mounting { range: (-100.0, 100.0), filter_s: 0.04, ..mounting() });
@@ -260,7 +266,7 @@ mod tests {
         assert!(most.is_some_and(|ms| (130..=142).contains(&ms)), "{most:?} ms");
     }
 
-    /// 4 · 20 rad/s in a ms and eight counts: 60.
+    /// The limit of a jump is 4 · 20 rad/s in a ms plus eight counts: 60.
     #[test]
     fn a_jump_is_not_believed_and_the_sensor_is_lost_when_it_stays() {
         for (jump, taken) in [(60, true), (61, false), (-61, false), (256, false)] {
@@ -289,7 +295,7 @@ mod tests {
                 assert_eq!(sensor.update(newest, at(ms)), Some((-10.0, 0.0)), "{ms}");
             }
             assert_eq!(sensor.update(newest, at(6)), None);
-            // The same reading again is no news.
+            // A repeated reading does not count as new.
             assert_eq!(sensor.update(newest, at(7)), None);
             assert_eq!(sensor.update(reading(500, at(8)), at(8)), Some((500.0, 0.0)));
         }

@@ -1,30 +1,30 @@
-//! What a capture unit makes of an echo's edges.
+//! Evaluation of an echo's edges in a capture unit.
 
 use super::pulse::{Pulse, Pulses};
 use crate::platform::EchoState;
 
-/// An echo line since it was cleared, from its levels and the times of their changes.
+/// Echo line since it was cleared, built from its levels and the times of their changes.
 ///
-/// Times are ticks of a clock of 32 bits that wraps; a level that lasts longer than the clock counts is not told from a
+/// Times are ticks of a 32-bit clock that wraps; a level that lasts longer than one wrap is indistinguishable from a
 /// shorter one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Echo {
     high: bool,
     cleared: u32,
     rose: Option<u32>,
-    /// Ticks from rise to fall.
+    /// Ticks from the rising to the falling edge.
     width: Option<u32>,
     pulses: Pulses,
 }
 
 impl Echo {
-    /// Cleared at `now`, when the line was `high`.
+    /// Creates an echo cleared at `now`, when the line was `high`.
     #[must_use]
     pub const fn new(high: bool, now: u32) -> Self {
         Self { high, cleared: now, rose: None, width: None, pulses: Pulses::new(high) }
     }
 
-    /// The line is `high` since `at`, which is asked for only then: if it was before, nothing happened.
+    /// Records that the line is `high` since `at`. Without a change of level nothing happened, and `at` is not called.
     pub fn level(&mut self, high: bool, at: impl FnOnce() -> u32) {
         if high == self.high {
             return;
@@ -39,13 +39,13 @@ impl Echo {
         }
     }
 
-    /// What [`PulseInputs::pulse`](crate::platform::PulseInputs::pulse) tells at `now`, of a clock of at least 10 MHz.
+    /// Result of [`PulseInputs::pulse`](crate::platform::PulseInputs::pulse) at `now`, for a clock of at least 10 MHz.
     #[must_use]
     pub fn pulse(&self, now: u32, ticks_per_us: u32) -> Option<Pulse> {
         self.pulses.newest(now, (ticks_per_us / 10).max(1))
     }
 
-    /// What [`Ranging::echo`](crate::platform::Ranging::echo) tells at `now`.
+    /// Result of [`Ranging::echo`](crate::platform::Ranging::echo) at `now`.
     #[must_use]
     pub fn state(&self, now: u32, ticks_per_us: u32) -> EchoState {
         match self.width {
@@ -69,7 +69,7 @@ mod tests {
     const PER_US: u32 = 10;
 
     proptest! {
-        /// Of any edges the first whole pulse is told, and what the line is while there is none.
+        /// Decodes the first complete pulse in the captured edges; without one, returns the line level.
         #[test]
         fn the_first_whole_pulse_is_told(
             start: u32, high: bool, gaps in prop::collection::vec(1..1_000_000u32, 0..6), last in 0..1_000_000u32,
@@ -80,7 +80,7 @@ mod tests {
                 at = at.wrapping_add(*gap);
                 level = !level;
                 echo.level(level, || at);
-                // Told again, as by an interrupt that comes for another line.
+                // Repeated, as by an interrupt that comes for another line.
                 echo.level(level, || at.wrapping_add(1));
                 *edge = at;
             }

@@ -1,4 +1,4 @@
-//! Quadrature encoder: a 16-bit counter made 32-bit, and speed by counts and by time between counts.
+//! Quadrature encoder: extends a 16-bit counter to 32 bits, and computes speed from counts and the time between them.
 
 use super::filter::LowPass;
 use crate::within::Within;
@@ -7,28 +7,28 @@ use crate::within::Within;
 ///
 /// Speed is Δcounts / Δt between the last two periods in which the counter moved (the M/T method at the resolution of
 /// the control period), so that it is exact at high speed and still moves by single counts at low speed; between counts
-/// it falls with the time that has passed.
+/// it falls with the elapsed time.
 #[derive(Clone, Debug)]
 pub struct Encoder {
     inverted: bool,
     last_raw: Option<u16>,
     position: i32,
-    /// Since the last count; no more than it takes to call the shaft still, as which it also starts.
+    /// Periods since the last count, up to the number at which the shaft counts as still; it starts as still.
     periods_since_count: u32,
     still_after_periods: u32,
     period_s: f32,
     filter: LowPass,
     /// Counts of the last update.
     delta: i32,
-    /// Periods over which they were made: since the last count, up to then.
+    /// Periods over which the counts of the last update were made: from the previous count up to it.
     delta_periods: u32,
 }
 
-/// A shaft that has not moved a count for this long stands still.
+/// Time without a count after which the shaft counts as still, s.
 const STANDSTILL_S: f32 = 0.5;
 
 impl Encoder {
-    /// An encoder read every `period_s`, whose speed passes a low-pass of `filter_s`.
+    /// Creates an encoder that is read every `period_s`, with a low-pass of `filter_s` on its speed.
     #[must_use]
     pub fn new(inverted: bool, period_s: f32, filter_s: f32) -> Self {
         let still_after_periods = ((STANDSTILL_S / period_s) as u32).max(1);
@@ -45,13 +45,13 @@ impl Encoder {
         }
     }
 
-    /// Counts of the last update, and for how many periods up to it the shaft had not counted, itself included.
+    /// Counts of the last update, and the number of periods since the count before, this one included.
     #[must_use]
     pub fn last(&self) -> (i32, u32) {
         (self.delta, self.delta_periods)
     }
 
-    /// Whether it has not counted for so long that the shaft is taken to stand still.
+    /// Returns true once the time without a count is so long that the shaft counts as still.
     #[must_use]
     pub fn is_still(&self) -> bool {
         self.periods_since_count == self.still_after_periods
@@ -59,7 +59,7 @@ impl Encoder {
 
     /// Takes the counter as read this period and returns position (counts) and speed (counts/s).
     ///
-    /// Right while the shaft moves less than 32768 counts in a period. The first reading is position 0.
+    /// Correct while the shaft moves less than 32768 counts in a period. The first reading is position 0.
     pub fn update(&mut self, raw: u16) -> (i32, f32) {
         let last = self.last_raw.replace(raw).unwrap_or(raw);
         let up = i32::from(raw.wrapping_sub(last).cast_signed());
@@ -69,7 +69,7 @@ impl Encoder {
         (self.delta, self.delta_periods) = (delta, self.periods_since_count);
         let periods = self.periods_since_count as f32;
         if delta != 0 {
-            // Each interval counts for as long as it lasted: held into the next one, the mean would come out too high.
+            // Each interval is weighted with its duration: held into the next one, the mean would be too high.
             let counts_per_s = delta as f32 / (periods * self.period_s);
             match self.periods_since_count {
                 1 => self.filter.step(counts_per_s),
@@ -77,7 +77,7 @@ impl Encoder {
             };
             self.periods_since_count = 0;
         } else {
-            // Less than one count in all this time: the speed cannot be higher than one count over it.
+            // Less than one count in all this time, so the speed is at most one count over it.
             let still = self.periods_since_count == self.still_after_periods;
             let most = if still { 0.0 } else { 1.0 / (periods * self.period_s) };
             self.filter.reset(self.filter.value().within(-most, most));
@@ -85,7 +85,7 @@ impl Encoder {
         (self.position, self.filter.value())
     }
 
-    /// The position at which the counter was `raw`, less than 32768 counts from its last reading.
+    /// Position at which the counter read `raw`, which must be less than 32768 counts from its last reading.
     #[must_use]
     pub fn position_at(&self, raw: u16) -> i32 {
         let up = i32::from(raw.wrapping_sub(self.last_raw.unwrap_or(raw)).cast_signed());
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     proptest! {
-        /// Any walk of less than half the counter's range a period is followed exactly, over any number of wraps.
+        /// Any walk of less than half the counter's range per period is followed exactly, over any number of wraps.
         #[test]
         fn position_follows_any_walk(start: u16, steps in prop::collection::vec(-32_767i32..=32_767, 1..200)) {
             for inverted in [false, true] {
@@ -117,7 +117,7 @@ mod tests {
         }
     }
 
-    /// Counts of a shaft at constant speed, as a counter shows them.
+    /// Measured speed, counts/s, of a shaft at constant speed, from whole counts as a counter shows them.
     fn measured(counts_per_ms: f64, periods: u32) -> f32 {
         let mut encoder = Encoder::new(false, 1e-3, 0.02);
         let mut speed = 0.0;
@@ -132,14 +132,14 @@ mod tests {
     fn speed_is_right_from_a_tenth_to_a_thousand_counts_per_ms() {
         for counts_per_ms in [0.1, 0.37, 1.0, 7.3, 100.0, 999.7] {
             let speed = f64::from(measured(counts_per_ms, 1000));
-            // Intervals of a whole number of periods: as much ripple as a period is of the filter's 20 ms, and what one
-            // count more or less is of the periods it averages over.
+            // For intervals of a whole number of periods: a ripple of one period in the filter's 20 ms, and one count
+            // more or less in the periods averaged over.
             let tolerance = counts_per_ms * 1000.0 * 0.03 + 1.0;
             assert!((speed - counts_per_ms * 1000.0).abs() <= tolerance, "{counts_per_ms} counts/ms: {speed}");
         }
     }
 
-    /// Half a second after the last count, and not before.
+    /// A shaft counts as still half a second after the last count, and not before.
     #[test]
     fn a_shaft_stands_still_after_half_a_second() {
         let mut encoder = Encoder::new(false, 1.0 / 1024.0, 0.0);
@@ -156,7 +156,7 @@ mod tests {
         for count in 0..100u16 {
             encoder.update(count * 10);
         }
-        // Half a second to call it standstill, then five filter time constants to 1 %, more to below a count.
+        // Half a second until standstill, then five filter time constants to 1 %, more to below a count.
         let speed = (0..1500).map(|_| encoder.update(990).1).last().expect("stepped");
         assert!(speed.abs() < 1e-3, "{speed}");
     }

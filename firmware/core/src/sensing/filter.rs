@@ -1,4 +1,4 @@
-//! First-order low-pass.
+//! First-order low-pass filter with DC gain 1.
 
 /// Low-pass `y += (x - y) dt / (tau + dt)`: backward Euler of `tau y' = x - y`, DC gain exactly 1.
 #[derive(Clone, Copy, Debug)]
@@ -8,7 +8,7 @@ pub struct LowPass {
 }
 
 impl LowPass {
-    /// A filter of time constant `tau_s`, stepped every `period_s`, at rest at 0.
+    /// Creates a filter of time constant `tau_s`, stepped every `period_s`, at rest at 0.
     #[must_use]
     pub fn new(tau_s: f32, period_s: f32) -> Self {
         Self { share: period_s / (tau_s + period_s), value: 0.0 }
@@ -20,9 +20,9 @@ impl LowPass {
         self.value
     }
 
-    /// Takes the same input `times` times.
+    /// Takes the same input `times` times, in one call.
     pub fn step_times(&mut self, input: f32, times: u32) -> f32 {
-        // What is left of the difference: (1 - share)^times, by squaring.
+        // Remaining share of the difference: (1 - share)^times, by squaring.
         let (mut left, mut power, mut times) = (1.0, 1.0 - self.share, times);
         while times > 0 {
             if times & 1 != 0 {
@@ -35,7 +35,7 @@ impl LowPass {
         self.value
     }
 
-    /// The filtered value.
+    /// Filtered value of the last step.
     #[must_use]
     pub fn value(&self) -> f32 {
         self.value
@@ -58,7 +58,7 @@ mod tests {
         // Backward Euler: 1 - (1 + 1/100)^-100 = 0.6303; the exact exponential is 0.6321.
         assert!((after_tau - 0.6303).abs() < 1e-3, "{after_tau}");
         let end = (0..5000).map(|_| filter.step(1.0)).last().expect("stepped");
-        // It stops where a step is lost in the rounding: half an ulp over the share of a period, 3e-8 / 0.01.
+        // The filter stops where a step is lost in the rounding: half an ulp over the share of a period, 3e-8 / 0.01.
         assert!((end - 1.0).abs() < 6e-6, "DC gain is 1: {end}");
         assert_eq!(filter.value(), end);
         filter.reset(-2.5);
@@ -72,7 +72,7 @@ mod tests {
             one_by_one.reset(-3.0);
             at_once.reset(-3.0);
             (0..times).for_each(|_| _ = one_by_one.step(2.0));
-            // Where a step is lost in the rounding, as above: 1.2e-7 / 0.048.
+            // Steps are lost in the rounding, as above: 1.2e-7 / 0.048.
             let (expected, value) = (one_by_one.value(), at_once.step_times(2.0, times));
             assert!((value - expected).abs() < 3e-6, "{times} times: {value}, not {expected}");
         }

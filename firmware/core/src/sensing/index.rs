@@ -1,30 +1,30 @@
-//! Index pulse of an encoder, once per turn of its disc: counts that were lost show in the count at which it comes.
+//! Index pulse of an encoder, once per turn of its disc: lost counts show in the count at which it comes.
 
-/// What is known of an encoder's index pulses.
+/// Reference of an encoder's index pulses.
 #[derive(Clone, Copy, Debug)]
 pub struct Index {
-    /// Counts from one to the next.
+    /// Counts from one pulse to the next.
     every: i32,
-    /// Count of one of them.
+    /// Count at the reference pulse; `None` before the first.
     known: Option<i32>,
 }
 
-/// Counts by which a pulse may be off: a line. Edges are lost in whole lines where a timer counts, and a pulse as wide as a line comes
-/// so much earlier from its other side.
+/// Tolerance of a pulse's count: one line. Timers lose edges in whole lines, and a pulse as wide as a line comes a line
+/// earlier from its other side.
 const TOLERANCE_COUNTS: f32 = 4.0;
 
-/// A counter is latched at most this long after a pulse begins, by an interrupt behind all others of its priority, s.
+/// Longest delay from a pulse to the latched count, s: the interrupt runs after all others of its priority.
 const LATCH_S: f32 = 20e-6;
 
 impl Index {
-    /// Pulses every so many counts; `None` for an encoder without.
+    /// Creates the check for a pulse every `counts_per_index` counts; `None` for 0, an encoder without an index.
     #[must_use]
     pub fn new(counts_per_index: u32) -> Option<Self> {
         Some(Self { every: i32::try_from(counts_per_index).ok().filter(|every| *every > 0)?, known: None })
     }
 
-    /// Takes the count at a pulse, at a speed in counts/s: whether counts were lost or made up since the first. From then on this
-    /// pulse is the known one.
+    /// Takes the count at a pulse and the speed, counts/s; returns true if counts were lost or added since the
+    /// reference pulse. In that case this pulse becomes the reference.
     pub fn update(&mut self, at: i32, counts_per_s: f32) -> bool {
         let Some(known) = self.known else {
             self.known = Some(at);
@@ -50,7 +50,7 @@ mod tests {
         for at in [77, 77 + 2400, 77 - 7 * 2400, 77, i32::MAX / 2400 * 2400 + 77 - 2400] {
             assert!(!index.update(at, 0.0), "{at}");
         }
-        // A line more or less, and what a counter moves on until it is latched.
+        // One line more or less, plus the travel of the counter until it is latched.
         for (off, counts_per_s, lost) in
             [(4, 0.0, false), (-4, 0.0, false), (14, 500_000.0, false), (-14, -500_000.0, false), (15, 500_000.0, true)]
         {
@@ -59,7 +59,7 @@ mod tests {
         }
     }
 
-    /// Once for each loss: from then on that pulse is the known one.
+    /// Each loss is reported once: from then on that pulse is the reference.
     #[test]
     fn a_loss_is_told_once() {
         for off in [5, -5, 1200] {

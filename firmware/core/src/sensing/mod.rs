@@ -1,4 +1,4 @@
-//! From levels, counts, codes and echoes to positions, speeds, volts and distances.
+//! Sensor evaluation: from levels, counts, codes and echoes to positions, speeds, volts and distances.
 
 pub mod analog;
 pub mod angle;
@@ -15,7 +15,7 @@ pub mod range;
 pub mod storm;
 pub mod switch;
 
-/// The fewest samples `period_s` apart that span `time_s`, rounding of the two aside.
+/// Smallest number of samples, `period_s` apart, that spans `time_s`; tolerates rounding of the two.
 fn periods(time_s: f32, period_s: f32) -> u32 {
     (libm::ceilf(time_s / period_s - 1e-3) as u32).max(1)
 }

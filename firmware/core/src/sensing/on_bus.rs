@@ -1,7 +1,7 @@
-//! Sensors on the bus with the output chips, read with what the outputs leave of it.
+//! Sensors on the bus of the output chips, read in the bus time that the outputs leave.
 //!
-//! Each sensor has one transfer in a period at most. One that fails is not repeated in its period, and a sensor that has failed is left
-//! alone for a while: what the outputs have of the bus is the same with it and without it.
+//! Each sensor gets at most one transfer per period. A failed transfer is not repeated in its period, and a sensor that
+//! has failed is left alone for a while: the outputs' share of the bus does not depend on the sensors.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant};
@@ -20,29 +20,29 @@ use crate::{
     shared::{Shared, Status},
 };
 
-/// A sensor that has failed is asked again after this long. One that holds the bus takes it for up to 2 ms each time, until the
-/// transfer is given up and the bus freed: at most two periods in a thousand are late, and ten in a row trip.
+/// Pause before a failed sensor is tried again. One that holds the bus blocks it for up to 2 ms each time, until the
+/// transfer is given up and the bus freed: then at most two periods in a thousand are late, while ten in a row trip.
 const RETRY: Duration = Duration::from_secs(1);
-/// No sensor is asked anything before: the longest that a chip takes from its power-up to its first transfer (ICM-20948, table 3).
+/// Time from the start to the first transfer: the longest power-up time of the supported chips (ICM-20948, table 3).
 const POWER_UP: Duration = Duration::from_millis(100);
-/// Without a new reading for this many of its own periods, a sensor has failed.
+/// Number of a sensor's own periods without a new reading after which it has failed.
 const STALE_PERIODS: u32 = 5;
 
-/// Sensors on the bus, in the order of the configuration.
+/// All sensors on the bus, in the order of the configuration.
 pub(crate) struct Sensors {
     sensors: Vec<Sensor, MAX_SENSORS>,
-    /// The one that is asked first in the next period.
+    /// Index of the sensor that comes first in the next period.
     first: usize,
 }
 
-/// What a load cell measured last.
+/// Last reading of a load cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ForceReading {
     /// The force, N.
     pub(crate) newtons: f32,
-    /// When it was read. What was measured is older: the converter's filter takes four of its periods.
+    /// Time of the transfer. The measurement is older: the converter's filter takes four of its periods.
     pub(crate) taken: Instant,
-    /// Between two readings.
+    /// Nominal time between two readings.
     pub(crate) period: Duration,
 }
 
@@ -50,16 +50,16 @@ struct Sensor {
     id: ChannelId,
     address: u8,
     period: Duration,
-    /// How much before its time it may be read.
+    /// Time by which a reading may come before it is due.
     early: Duration,
     driver: AnyDriver,
-    /// When its next transfer may be.
+    /// Earliest time of the next transfer.
     due: Instant,
-    /// When its newest reading was to begin.
+    /// Nominal time of the newest reading.
     reading_due: Instant,
-    /// By then there must be a reading; `None` while it is set up.
+    /// Deadline of the next reading; `None` during the set-up.
     stale_at: Option<Instant>,
-    /// Transfers in a row that failed.
+    /// Number of failed transfers in a row.
     failed: u32,
     values: [f32; MAX_QUANTITIES],
     taken: Instant,
@@ -75,8 +75,8 @@ impl Sensors {
             id: config.id,
             address: config.address,
             period: period(config),
-            // Read about once in a control period, whose moment wavers by what else there is to do: one that is asked a little before its
-            // time must not wait for the next.
+            // Sensors read about once per control period may come early, since the moment within a period varies with
+            // the other work: one polled slightly before its time must not wait for the next period.
             early: if period(config) < control_period * 2 { period(config) / 2 } else { Duration::MIN },
             driver: AnyDriver::new(config),
             due,
@@ -94,7 +94,7 @@ impl Sensors {
         self.sensors.is_empty()
     }
 
-    /// What angle sensor number `angle` read last, if that can be relied on; `None` where there is no such sensor.
+    /// Last reading of angle sensor number `angle`; `None` if it cannot be relied on or there is no such sensor.
     pub(crate) fn angle(&self, angle: u8) -> Option<Reading> {
         let id = ChannelId::new(ChannelKind::Angle, angle);
         let sensor = self.sensors.iter().find(|sensor| sensor.id == id)?;
@@ -103,8 +103,8 @@ impl Sensors {
         usable.then_some(Reading { counts, taken: sensor.taken, period: sensor.period })
     }
 
-    /// What load cell number `index` read last, if that can be relied on; `None` where there is no such sensor. One at the end of its
-    /// range is not relied on: the force may be anything beyond it.
+    /// Last reading of load cell number `index`; `None` if it cannot be relied on or there is no such sensor. A cell at
+    /// the end of its range is not relied on: the force may be anything beyond it.
     pub(crate) fn force(&self, index: u8) -> Option<ForceReading> {
         let id = ChannelId::new(ChannelKind::Force, index);
         let sensor = self.sensors.iter().find(|sensor| sensor.id == id)?;
@@ -112,8 +112,8 @@ impl Sensors {
         usable.then_some(ForceReading { newtons: sensor.values[0], taken: sensor.taken, period: sensor.period })
     }
 
-    /// One transfer with each sensor that is due, as far as the bus has room in this period, until `stops` says so; it is asked before
-    /// each. The first that had to wait comes first in the next period.
+    /// Carries out one transfer with each sensor that is due, while the bus has room in this period and until `stops`,
+    /// called before each, returns true. The first sensor that had to wait comes first in the next period.
     pub(crate) async fn ask<M: RawMutex, B: Bus>(
         &mut self,
         shared: &Shared<M>,
@@ -157,11 +157,11 @@ impl Sensor {
         stale
     }
 
-    /// What came of the transfer begun at `now`; whether the status has changed.
+    /// Takes the result of the transfer begun at `now`; returns true if the status has changed.
     fn take(&mut self, result: Result<(), ExchangeFault>, read: &[u8], now: Instant) -> bool {
         if let Err(fault) = result {
             self.failed += 1;
-            // One that may hold the bus is not tried again at once.
+            // A sensor that may hold the bus is not tried again at once.
             let given_up = self.failed == TRIES || fault == ExchangeFault::Bus;
             if given_up {
                 self.fail(Quality::NoAnswer, now);
@@ -176,7 +176,7 @@ impl Sensor {
                 false
             }
             Outcome::Wait(duration) => {
-                // From the end of the transfer on, which takes less than 1 ms.
+                // The wait counts from the end of the transfer, which takes less than 1 ms.
                 self.due = now + duration + Duration::from_millis(1);
                 self.reading_due = self.due;
                 false
@@ -188,7 +188,8 @@ impl Sensor {
             Outcome::Reading { values, quality } => {
                 (self.values, self.taken, self.quality) = (values, now, quality);
                 self.stale_at = Some(now + self.period * STALE_PERIODS);
-                // On a grid, so that a wait for the bus does not lower the rate; what was missed is not made up for.
+                // Readings are due on a grid, so that a wait for the bus does not lower the rate; missed ones are not
+                // made up for.
                 self.reading_due = (self.reading_due + self.period).max(now);
                 self.due = self.reading_due;
                 true
@@ -196,7 +197,7 @@ impl Sensor {
         }
     }
 
-    /// Begins again in a while.
+    /// Marks the sensor as failed and restarts its driver after [`RETRY`].
     fn fail(&mut self, quality: Quality, now: Instant) {
         self.quality = quality;
         (self.failed, self.stale_at) = (0, None);

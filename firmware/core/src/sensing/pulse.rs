@@ -1,48 +1,48 @@
-//! Angles as pulses: the PWM output of an AS5600. Page numbers are those of its datasheet, v1-06 of 2018-06-20.
+//! Angle by pulse width: the PWM output of an AS5600. Page numbers are those of its datasheet, v1-06 of 2018-06-20.
 //!
-//! A frame has 4351 periods of the sensor's clock: 128 high, as many more high as the angle has counts, the rest low, of which 128 in any
-//! case (page 27). Without a magnet the line stays low (page 31), and there are no frames.
+//! A frame has 4351 periods of the sensor's clock: 128 high, then one more high per count of the angle, the rest low,
+//! of which there are at least 128 (page 27). Without a magnet the line stays low (page 31), and there are no frames.
 
 use r4_protocol::config::AS5600_COUNTS;
 
-/// Clock periods of a frame, and of its head.
+/// Clock periods of a frame, and of the high part before the angle.
 const FRAME: f32 = 4351.0;
 const HEAD: f32 = 128.0;
-/// How far the sensor's clock may be off: ±5 % (from memory), and as much again for a sensor that is warm.
+/// Tolerated error of the sensor's clock: ±5 % (from memory), and as much again for a warm sensor.
 const CLOCK_OFF: f32 = 0.1;
-/// A pulse is that many counts too long or short at most: an edge's time, or one that was nearly missed.
+/// Tolerated error of a pulse, counts: for the time of an edge, or one that was nearly missed.
 const OFF_COUNTS: f32 = 4.0;
 
-/// A line's pulses, from its levels and the times of their changes, in ticks of a clock of 32 bits that wraps.
+/// Pulses of a line, from its levels and the times of their changes, in ticks of a 32-bit clock that wraps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Pulses {
     high: bool,
     rose: Option<u32>,
-    /// From one rise to the next.
+    /// Ticks from one rising edge to the next.
     period: Option<u32>,
-    /// The newest pulse that has ended, when it began, and how long it was.
+    /// Newest complete pulse: time of its rising edge, and width, in ticks.
     pulse: Option<(u32, u32)>,
 }
 
-/// The newest pulse on a line.
+/// Newest pulse on a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pulse {
-    /// How long it was high, and from the rise before it to its own, in tenths of a µs.
+    /// Width of the high level, tenths of a µs.
     pub high: u32,
-    /// See `high`.
+    /// Time from the previous rising edge to the pulse's own, tenths of a µs.
     pub period: u32,
-    /// Since it rose, µs.
+    /// Time since its rising edge, µs.
     pub age_us: u32,
 }
 
 impl Pulses {
-    /// A line that is `high` and has been for longer than is known.
+    /// Creates a line that is `high` since an unknown time.
     #[must_use]
     pub const fn new(high: bool) -> Self {
         Self { high, rose: None, period: None, pulse: None }
     }
 
-    /// The line is `high` since `at`; if it was before, nothing happened.
+    /// Records that the line is `high` since `at`; without a change of level nothing happened.
     pub fn level(&mut self, high: bool, at: u32) {
         if high == self.high {
             return;
@@ -56,7 +56,8 @@ impl Pulses {
         }
     }
 
-    /// The newest pulse, behind a whole period, at `now`; `ticks` are in a tenth of a µs. It is told for as long as the clock takes to wrap.
+    /// Newest pulse that follows a complete period, at `now`; a tenth of a µs has `ticks`. It stays the newest for one
+    /// wrap of the clock.
     #[must_use]
     pub fn newest(&self, now: u32, ticks: u32) -> Option<Pulse> {
         let ((rose, high), period) = (self.pulse?, self.period?);
@@ -65,7 +66,8 @@ impl Pulses {
     }
 }
 
-/// Counts of a turn that `pulse` means, from a sensor that is set to `frames_hz` frames a second; `None` for what is no frame of its.
+/// Angle in counts of a turn from `pulse`, for a sensor set to `frames_hz` frames per second; `None` if it is not a
+/// valid frame.
 #[must_use]
 pub fn counts(pulse: Pulse, frames_hz: u16) -> Option<u16> {
     let nominal = 1e7 / f32::from(frames_hz.max(1));
@@ -86,10 +88,10 @@ mod tests {
     use super::*;
 
     proptest! {
-        /// Any angle, at any time of a clock that wraps, from a sensor whose clock is off as far as it may be.
+        /// Any angle is decoded, at any time of a clock that wraps, from a sensor with the largest clock error allowed.
         #[test]
         fn a_pulse_is_its_angle(angle in 0u16..4096, from: u32, hz in prop::sample::select(&[115u16, 230][..]), off in -0.09f32..0.09) {
-            // 10 MHz.
+            // Tenths of a µs are ticks of 10 MHz.
             let period = 1e7 / f32::from(hz) * (1.0 + off);
             let high = period * (128.0 + f32::from(angle)) / 4351.0;
             let at = |time: f32| from.wrapping_add(time as u32);
@@ -111,12 +113,12 @@ mod tests {
     #[test]
     fn what_is_no_frame_is_no_angle() {
         let frame = |high, period| counts(Pulse { high, period, age_us: 0 }, 230);
-        // 43 478 ticks are 4351 clock periods of 9.99.
+        // A frame of 43 478 ticks has 4351 clock periods of 9.99 ticks.
         assert_eq!([frame(1279, 43_478), frame(42_199, 43_478)], [Some(0), Some(4095)]);
-        // Three counts too short or long at either end, and six.
+        // Pulses too short or too long by three counts, and by six, at either end.
         assert_eq!([frame(1249, 43_478), frame(42_229, 43_478)], [Some(0), Some(4095)]);
         assert_eq!([frame(1219, 43_478), frame(42_259, 43_478)], [None, None]);
-        // Another sensor's, set to half the rate; one that was missed; a bounce.
+        // The frame of a sensor set to half the rate; one with a missed edge; a bounce.
         assert_eq!([frame(20_000, 86_957), frame(20_000, 48_000), frame(20_000, 39_000), frame(3, 10)], [None; 4]);
         assert_eq!(counts(Pulse { high: 1, period: 0, age_us: 0 }, 0), None);
     }
@@ -128,7 +130,7 @@ mod tests {
             pulses.level(high, at);
         }
         assert_eq!(pulses.newest(150, 1), Some(Pulse { high: 30, period: 100, age_us: 5 }));
-        // Of a clock of 100 MHz.
+        // With a clock of 100 MHz.
         assert_eq!(pulses.newest(150, 10), Some(Pulse { high: 3, period: 10, age_us: 0 }));
     }
 }

@@ -1,25 +1,25 @@
 //! Quadrature decoding in software, for an encoder on edge interrupts instead of a timer.
 
-/// Counts all four edges of an encoder line, up while A leads B, like a timer in encoder mode 3.
+/// Decoder that counts all four edges of an encoder line, up while A leads B, like a timer in encoder mode 3.
 ///
-/// The interrupt of either line feeds it the levels of both; what it counts goes to
+/// The interrupt of either line passes the levels of both; the count goes to
 /// [`Encoders::count`](crate::platform::Encoders::count).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Decoder {
-    /// Quarter of the line in which the levels were last seen.
+    /// Quarter of the encoder line at the last levels.
     quarter: Option<u8>,
     count: u16,
     illegal: u32,
 }
 
 impl Decoder {
-    /// A decoder at 0 that has not seen the lines yet.
+    /// Creates a decoder at 0 that has not seen the lines yet.
     #[must_use]
     pub const fn new() -> Self {
         Self { quarter: None, count: 0, illegal: 0 }
     }
 
-    /// Takes the levels of both lines; the first only tell where the shaft is.
+    /// Takes the levels of both lines; the first call only sets the reference.
     pub const fn update(&mut self, a: bool, b: bool) {
         // Upwards the lines go (A, B) = 00, 10, 11, 01: quarters 0, 1, 2, 3.
         let quarter = (b as u8) << 1 | (a ^ b) as u8;
@@ -40,7 +40,8 @@ impl Decoder {
         self.count
     }
 
-    /// Times both lines had changed at once, wrapping. Each is two counts lost, in a direction that cannot be told.
+    /// Number of times that both lines had changed at once, wrapping. Each means two counts lost, in an unknown
+    /// direction.
     #[must_use]
     pub const fn illegal(&self) -> u32 {
         self.illegal
@@ -53,12 +54,12 @@ mod tests {
 
     use super::*;
 
-    /// Levels of (A, B) in the order in which a shaft that turns forwards shows them.
+    /// Levels of (A, B) in the order of a shaft that turns forwards.
     const FORWARDS: [(bool, bool); 4] = [(false, false), (true, false), (true, true), (false, true)];
 
     #[test]
     fn every_transition_counts_as_it_should() {
-        // Rows: from 00, 10, 11, 01; columns: to the same. 2 stands for illegal.
+        // Rows: from 00, 10, 11, 01; columns: to the same. 2 marks an illegal transition.
         let expected = [[0, 1, 2, -1], [-1, 0, 1, 2], [2, -1, 0, 1], [1, 2, -1, 0]];
         for (from, row) in FORWARDS.into_iter().zip(expected) {
             for (to, step) in FORWARDS.into_iter().zip(row) {
@@ -73,7 +74,7 @@ mod tests {
     }
 
     proptest! {
-        /// Any walk by single edges is followed exactly, also over the ends of the counter, with levels seen twice.
+        /// Any walk by single edges is followed exactly, also over the ends of the counter, and with repeated levels.
         #[test]
         fn a_walk_is_followed(
             start in 0usize..4, runs in prop::collection::vec((-4000i32..=4000, 1usize..3), 1..20),
@@ -94,7 +95,7 @@ mod tests {
             prop_assert_eq!(decoder.illegal(), 0);
         }
 
-        /// Whatever the lines do, counts and illegal transitions together explain where they end.
+        /// For any levels of the lines, counts and illegal transitions together explain the final state.
         #[test]
         fn any_levels_are_explained(levels in prop::collection::vec(any::<(bool, bool)>(), 1..200)) {
             let mut decoder = Decoder::new();

@@ -1,50 +1,51 @@
-//! An ultrasonic range sensor (HC-SR04): from the width of its echo to a distance, and to a reason to stop.
+//! Ultrasonic range sensor (HC-SR04): from the width of its echo to a distance, and to a decision to stop.
 
 use embassy_time::Instant;
 use heapless::HistoryBuf;
 use r4_protocol::{Quality, config::RangeConfig};
 
-/// Readings among which the median is the distance.
+/// Number of readings whose median is the distance.
 const MEDIAN_OF: usize = 3;
-/// What was too near is gone when it is farther than this share of the limit,
+/// Multiple of the limit beyond which a reading counts towards releasing a stop.
 const RELEASE: f32 = 1.1;
-/// in so many readings one after the other.
+/// Number of consecutive readings beyond the release distance that release a stop.
 const RELEASE_READINGS: u8 = 3;
-/// So many pings in a row without a usable answer, and the sensor is lost.
+/// Number of consecutive pings without a usable answer after which the sensor is lost.
 pub const LOST_AFTER: u8 = 3;
 
-/// What a ping brought.
+/// Result of a ping.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Echo {
-    /// The echo line was high for this long, µs: the way there and back, or the sensor's time-out (38 ms).
+    /// Time for which the echo line was high, µs: the round trip of the sound, or the sensor's time-out (38 ms).
     Width(u32),
-    /// The echo line never rose: no supply, a cut wire.
+    /// The echo line never rose: no supply, or a cut wire.
     None,
-    /// The echo line did not fall: a short. Some clones do so for 200 ms when nothing reflects.
+    /// The echo line did not fall: a short. Some clones do this for 200 ms when nothing reflects.
     Stuck,
 }
 
-/// What a sensor shows.
+/// Reading of a range sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeReading {
-    /// The last good distance, m; 0 while there was none.
+    /// Last good distance, m; 0 before the first.
     pub distance_m: f32,
-    /// When the newest echo came that lay in range.
+    /// Time of the newest echo in range; `None` before the first.
     pub measured: Option<Instant>,
-    /// Whether the distance can be relied on.
+    /// Quality of the distance.
     pub quality: Quality,
-    /// Whether the board must stop: something is nearer than the limit, or the sensor is lost. Never without a limit.
+    /// True if the board must stop: something is nearer than the limit, or the sensor is lost. Always false without a
+    /// limit.
     pub stop: bool,
-    /// When the ping ended that this is the outcome of.
+    /// Time at which the ping of this reading ended.
     pub updated: Instant,
 }
 
 impl RangeReading {
-    /// Of a sensor that has not pinged yet.
+    /// Reading of a sensor that has not pinged yet.
     pub const NONE: Self =
         Self { distance_m: 0.0, measured: None, quality: Quality::None, stop: false, updated: Instant::MIN };
 
-    /// Age of the distance; the most that can be told while there was none.
+    /// Age of the distance, ms; `u16::MAX` for a greater age and before the first distance.
     #[must_use]
     pub fn age_ms(&self, now: Instant) -> u16 {
         let age_ms = self.measured.map(|at| now.saturating_duration_since(at).as_millis());
@@ -52,15 +53,15 @@ impl RangeReading {
     }
 }
 
-/// One sensor.
+/// One range sensor.
 ///
-/// The distance is the median of the last three usable readings, of which one without an echo in range is infinitely
-/// far; of two it is the nearer. So a jump is believed when two of three agree. A missing answer is told at once and
-/// leaves the distance as it was; a lost sensor's readings are forgotten.
+/// The distance is the median of the last three usable readings, where one without an echo in range counts as
+/// infinitely far; of two it is the nearer. So a jump is accepted when two of three readings agree. A missing answer is
+/// reported at once and leaves the distance unchanged; a lost sensor's readings are discarded.
 ///
-/// Stopping errs to the safe side: one reading nearer than the limit is enough, before any median; so is a lost sensor,
-/// which one that has never answered is from its first ping on. It takes three readings in a row beyond 1.1 times the
-/// limit to go on, so that the median is then beyond it too.
+/// Stopping errs on the safe side: one reading nearer than the limit is enough, before any median; so is a lost sensor,
+/// which a sensor that has never answered is from its first ping on. Three readings in a row beyond 1.1 times the limit
+/// release the stop, so that the median is then beyond it too.
 #[derive(Debug)]
 pub struct RangeSensor {
     m_per_us: f32,
@@ -68,17 +69,18 @@ pub struct RangeSensor {
     limit_m: Option<f32>,
     readings_m: HistoryBuf<f32, MEDIAN_OF>,
     reading: RangeReading,
-    /// Pings in a row without a usable answer.
+    /// Consecutive pings without a usable answer.
     missed: u8,
-    /// Readings in a row beyond the limit with its margin.
+    /// Consecutive readings beyond the release distance.
     released: u8,
 }
 
 impl RangeSensor {
-    /// A sensor in air of `temperature_c`.
+    /// Creates a sensor in air of `temperature_c`, °C.
     #[must_use]
     pub fn new(config: &RangeConfig, temperature_c: f32) -> Self {
-        // Of an ideal gas, linear around 0 °C: 0.2 % from 0 to 40 °C. Half, because sound goes there and back.
+        // Speed of sound in an ideal gas, linear around 0 °C: 0.2 % error from 0 to 40 °C. Half of it below, because
+        // sound travels there and back.
         let sound_m_s = 331.3 + 0.606 * temperature_c;
         Self {
             m_per_us: sound_m_s * 1e-6 / 2.0,
@@ -91,7 +93,7 @@ impl RangeSensor {
         }
     }
 
-    /// Takes the outcome of a ping that ended at `now`.
+    /// Takes the result of a ping that ended at `now`.
     pub fn update(&mut self, echo: Echo, now: Instant) -> RangeReading {
         self.reading.updated = now;
         match echo {
@@ -104,7 +106,7 @@ impl RangeSensor {
 
     fn take(&mut self, measured_m: f32, now: Instant) {
         self.missed = 0;
-        // The time-out of 38 ms is 5.8 m and more in any air: beyond every range a configuration may have.
+        // The time-out of 38 ms is at least 5.8 m in any air: beyond every range that a configuration may have.
         let in_range = measured_m <= self.max_m;
         self.readings_m.write(if in_range { measured_m } else { f32::INFINITY });
         if in_range {
@@ -137,7 +139,7 @@ impl RangeSensor {
     }
 }
 
-/// The middle of three; of fewer, the nearest.
+/// Median of three values; the smallest of fewer.
 fn median(values: &[f32]) -> f32 {
     match values {
         [a, b, c] => a.min(*b).max(a.max(*b).min(*c)),
@@ -153,7 +155,7 @@ mod tests {
     use super::*;
 
     const LIMIT_M: f32 = 0.5;
-    /// As the datasheet has it; also beyond the range.
+    /// Time-out of the datasheet, which is beyond the range.
     const TIME_OUT: Echo = Echo::Width(38_000);
 
     fn sensor(stop_below_m: Option<f32>) -> RangeSensor {
@@ -161,7 +163,7 @@ mod tests {
         RangeSensor::new(&RangeConfig { id, range_m: Range::new(0.02, 4.0), stop_below_m }, 20.0)
     }
 
-    /// The echo from `distance_m` away in air of 20 °C: 343.42 m/s, there and back.
+    /// Echo of an object `distance_m` away in air of 20 °C: 343.42 m/s, there and back.
     fn echo(distance_m: f32) -> Echo {
         Echo::Width(libm::roundf(distance_m * 2e6 / 343.42) as u32)
     }
@@ -172,7 +174,7 @@ mod tests {
 
     #[test]
     fn distance_follows_the_speed_of_sound_in_the_air() {
-        // 10 ms there and back at 331.3 m/s, 343.42 m/s and 355.54 m/s.
+        // A round trip of 10 ms at 331.3 m/s, 343.42 m/s and 355.54 m/s.
         for (temperature_c, expected_m) in [(0.0, 1.6565), (20.0, 1.7171), (40.0, 1.7777)] {
             let config = RangeConfig {
                 id: ChannelId::new(ChannelKind::Range, 0),
@@ -180,14 +182,14 @@ mod tests {
                 stop_below_m: None,
             };
             let reading = RangeSensor::new(&config, temperature_c).update(Echo::Width(10_000), Instant::MIN);
-            // f32 carries 1e-7 of 2 m through four roundings.
+            // Rounding: f32 carries 1e-7 of 2 m through four operations.
             assert!((reading.distance_m - expected_m).abs() < 1e-6, "{temperature_c} °C: {reading:?}");
         }
     }
 
     #[test]
     fn a_jump_is_believed_the_second_time() {
-        // Half a microsecond of rounding is 0.09 mm.
+        // Rounding of half a microsecond is 0.09 mm.
         let near = |reading: RangeReading, expected_m: f32| (reading.distance_m - expected_m).abs() < 1e-4;
         let mut sensor = sensor(None);
         assert_eq!(sensor.reading, RangeReading::NONE);
@@ -219,10 +221,10 @@ mod tests {
         assert_eq!(sensor.reading.age_ms(at(70_000)), u16::MAX);
         assert_eq!(sensor.update(TIME_OUT, at(300)).age_ms(at(300)), 200, "an echo out of range measures nothing");
         feed(&mut sensor, &[Echo::None, Echo::None]);
-        // Lost with the third: what it saw before is no part of the median any more.
+        // Lost at the third miss: earlier readings are no part of the median any more.
         feed(&mut sensor, &[Echo::None]);
         assert_eq!(feed(&mut sensor, &[TIME_OUT]).quality, Quality::OutOfRange);
-        // The end of the range to the microsecond: 4 m are 23295.1 us.
+        // End of the range to the microsecond: 4 m are 23295.1 us.
         assert_eq!(feed(&mut self::sensor(None), &[Echo::Width(23_295)]).quality, Quality::Good);
         assert_eq!(feed(&mut self::sensor(None), &[Echo::Width(23_296)]).quality, Quality::OutOfRange);
     }
@@ -273,7 +275,7 @@ mod tests {
     }
 
     proptest! {
-        /// The rule, said backwards from the history of outcomes.
+        /// The stop rule, checked against the history of results.
         #[test]
         fn it_stops_and_goes_on_as_the_history_says(echoes in prop::collection::vec(any_echo(), 1..100)) {
             let mut sensor = sensor(Some(LIMIT_M));

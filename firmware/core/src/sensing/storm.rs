@@ -1,65 +1,66 @@
-//! Interrupt storms: how many edges of a line may be taken, and when its interrupt is masked.
+//! Interrupt storms: the budget of edges of a line, and the masking of its interrupt.
 //!
-//! Edges of encoder 3 and of the echoes come by interrupts above the supervisor. A loose wire beside a motor's leads can make
-//! millions of edges a second, and nothing below would run. So each line has a budget of edges for a millisecond. The interrupt
-//! masks a line that has spent it; the control loop raises [`Cause::InterruptStorm`](r4_protocol::Cause::InterruptStorm), as
-//! edges are lost, and tries the line again after a while.
+//! Edges of encoder 3 and of the echoes come by interrupts above the supervisor. A loose wire beside a motor's leads
+//! can make millions of edges per second, and nothing below would run. So each line has a budget of edges per
+//! millisecond. The interrupt masks a line that has spent it; the control loop raises
+//! [`Cause::InterruptStorm`](r4_protocol::Cause::InterruptStorm), as edges are lost, and tries the line again after a
+//! while.
 
 use r4_protocol::config::ENCODER_3_COUNTS_PER_MS;
 
-/// Edges of encoder 3 that are taken in a millisecond. A configuration may ask for half of it; the fastest encoder of a robot
-/// in `boards/` makes 8.7 (a wheel of openscout, 5760 counts, 9.5 rad/s). What all budgets together cost is in
+/// Budget of encoder 3, edges per millisecond. A configuration may ask for half of it; the fastest encoder of a robot
+/// in `boards/` makes 8.7 (a wheel of openscout, 5760 counts, 9.5 rad/s). The cost of all budgets together is in
 /// `docs/performance.md`; at half of it, fast shafts would have to move to encoders 0 to 2, which timers count.
 pub const ENCODER_EDGES_PER_MS: u32 = 2 * ENCODER_3_COUNTS_PER_MS;
-/// Edges of an echo that are taken in a millisecond: our choice. A ping has two, and another follows after 60 ms; the rest is
+/// Budget of an echo, edges per millisecond: our choice. A ping has two, and another follows after 60 ms; the rest is
 /// for an echo that bounces. At half of it, five bounces within a millisecond would be a storm.
 pub const ECHO_EDGES_PER_MS: u32 = 20;
-/// A masked line is tried again after this long, ms: a storm that lasts then costs one budget a second.
+/// Time until a masked line is tried again, ms: a storm that still lasts costs one budget per second.
 const RETRY_MS: u32 = 1000;
 
-/// Whether the edges of a line are taken.
+/// State of a line's interrupt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Open,
     Masked,
-    /// Open again, for the first millisecond.
+    /// Open again, in its first millisecond.
     Trial,
 }
 
-/// What becomes of a line when the control loop asks.
+/// Result of the control loop's check of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Verdict {
-    /// It has to be unmasked.
+    /// The line has to be unmasked.
     pub unmask: bool,
-    /// Its edges are lost, or may be again.
+    /// Edges are lost, or may be lost again.
     pub storm: bool,
 }
 
-/// The budget of one line: spent by its interrupt, looked at by the control loop.
+/// Edge budget of one line: spent by its interrupt, checked by the control loop.
 ///
-/// It goes by time and not by control periods, so that a loop that is late or sets chips up makes no storm of a shaft that turns.
-/// Times are ticks of a clock that wraps.
+/// It counts by time and not by control periods, so that a late loop, or one that sets up chips, does not take a
+/// turning shaft for a storm. Times are ticks of a clock that wraps.
 #[derive(Clone, Copy, Debug)]
 pub struct EdgeBudget {
     state: State,
     edges: u32,
     ticks_per_ms: u32,
     spent: u32,
-    /// Beginning of the millisecond that is counted, or of the mask.
+    /// Start of the millisecond being counted, or of the mask.
     since: u32,
 }
 
 impl EdgeBudget {
-    /// An open line of `edges_per_ms`, with a clock of `ticks_per_ms`.
+    /// Creates an open line with a budget of `edges_per_ms`, on a clock of `ticks_per_ms`.
     #[must_use]
     pub const fn new(edges_per_ms: u32, ticks_per_ms: u32) -> Self {
         Self { state: State::Open, edges: edges_per_ms, ticks_per_ms, spent: 0, since: 0 }
     }
 
-    /// Takes an edge at `now`; true when the line must be masked at once. Called by the line's interrupt.
+    /// Takes an edge at `now`; returns true when the line must be masked at once. Called by the line's interrupt.
     pub const fn edge(&mut self, now: u32) -> bool {
         if now.wrapping_sub(self.since) >= self.ticks_per_ms {
-            // A whole millisecond without a storm.
+            // A whole millisecond has passed without a storm.
             self.state = State::Open;
             (self.spent, self.since) = (0, now);
         }
@@ -71,13 +72,13 @@ impl EdgeBudget {
         true
     }
 
-    /// Whether the line is masked.
+    /// Returns true while the line is masked.
     #[must_use]
     pub const fn is_masked(&self) -> bool {
         matches!(self.state, State::Masked)
     }
 
-    /// What becomes of the line at `now`. To be called every control period.
+    /// Checks the line at `now`; call it every control period.
     pub const fn look(&mut self, now: u32) -> Verdict {
         let since = now.wrapping_sub(self.since);
         match self.state {
@@ -96,9 +97,10 @@ impl EdgeBudget {
     }
 }
 
-/// As many transitions of both tracks at once within [`ILLEGAL_S`] trip: our choice. Each loses two counts, so that a motor is
-/// stopped before twenty counts are wrong, 1.3 degrees of a wheel of openscout. Dirt on a disc makes one in a turn; shorted
-/// tracks, a dead track beside the other's edges and a shaft that is too fast make hundreds. At half of it, five in a row trip.
+/// Number of illegal transitions (both tracks at once) within [`ILLEGAL_S`] that trips: our choice. Each loses two
+/// counts, so a motor is stopped before twenty counts are wrong, 1.3 degrees of a wheel of openscout. Dirt on a disc
+/// makes one per turn; shorted tracks, a dead track beside the other's edges and a shaft that is too fast make
+/// hundreds. At half of it, five in a row trip.
 const ILLEGAL_LIMIT: u32 = 10;
 /// Window over which illegal transitions are counted, s.
 const ILLEGAL_S: f32 = 0.1;
@@ -114,7 +116,7 @@ pub struct IllegalRate {
 }
 
 impl IllegalRate {
-    /// An encoder whose counter is read every `period_s`.
+    /// Creates the rate check of an encoder whose counter is read every `period_s`, s.
     #[must_use]
     pub fn new(period_s: f32) -> Self {
         Self {
@@ -126,8 +128,8 @@ impl IllegalRate {
         }
     }
 
-    /// Takes the number of illegal transitions so far, wrapping, and returns whether there are too many: from the one that is
-    /// too many until a whole window had fewer.
+    /// Takes the number of illegal transitions so far, wrapping. Returns true from the transition that exceeds the
+    /// limit until a whole window had fewer.
     pub fn update(&mut self, illegal: u32) -> bool {
         let since = illegal.wrapping_sub(self.last.replace(illegal).unwrap_or(illegal));
         self.seen = self.seen.saturating_add(since);
@@ -151,31 +153,31 @@ mod tests {
 
     use super::*;
 
-    /// Of a clock of 1 MHz.
+    /// Ticks per millisecond of a clock of 1 MHz.
     const MS: u32 = 1000;
     const EDGES: u32 = 100;
     const CALM: Verdict = Verdict { unmask: false, storm: false };
     const MASKED: Verdict = Verdict { unmask: false, storm: true };
 
-    /// `edges` of them at `now`; how many are taken before the line is masked, that one included.
+    /// Feeds `edges` edges at `now`; returns the number taken until the line is masked, that one included.
     fn burst(line: &mut EdgeBudget, now: u32, edges: u32) -> u32 {
         (1..=edges).find(|_| line.edge(now)).unwrap_or(edges)
     }
 
     #[test]
     fn a_storm_is_masked_at_once_and_tried_again_after_a_second() {
-        // The clock wraps meanwhile.
+        // The clock wraps during the test.
         let begin = u32::MAX - 500 * MS;
         let at = |ms: u32| begin.wrapping_add(ms * MS);
         let mut line = EdgeBudget::new(EDGES, MS);
         assert_eq!((burst(&mut line, at(0), 1000), line.is_masked()), (EDGES + 1, true));
         assert!((1..1000).all(|ms| line.look(at(ms)) == MASKED));
         assert_eq!((line.look(at(1000)), line.is_masked()), (Verdict { unmask: true, storm: true }, false));
-        // It goes on: masked again, and no look without the cause between.
+        // The storm continues: masked again, and every check in between reports it.
         assert_eq!(burst(&mut line, at(1000), 1000), EDGES + 1);
         assert!((1001..2000).all(|ms| line.look(at(ms)) == MASKED));
         assert!(line.look(at(2000)).unmask);
-        // It is over.
+        // The storm is over.
         assert_eq!(burst(&mut line, at(2000), EDGES), EDGES);
         assert_eq!([line.look(at(2000)), line.look(at(2001)), line.look(at(2002))], [MASKED, CALM, CALM]);
     }
@@ -183,13 +185,13 @@ mod tests {
     #[test]
     fn a_fast_shaft_is_no_storm_however_seldom_the_loop_looks() {
         let mut line = EdgeBudget::new(EDGES, MS);
-        // 100 counts a millisecond for ten seconds.
+        // A shaft of 100 counts per millisecond, for ten seconds.
         assert!((0..1_000_000).all(|edge: u32| !line.edge(edge * (MS / EDGES))));
         assert_eq!(line.look(10_000 * MS), CALM);
     }
 
-    /// Windows of 100 periods follow each other: one in 5 is ten in the first, one in 10 is nine in the first and ten in the
-    /// second, one in 11 is nine in each of ten.
+    /// Windows of 100 periods follow each other: one in 5 gives ten within the first, one in 10 gives nine in the first
+    /// and ten in the second, one in 11 gives nine in each of ten.
     #[test]
     fn illegal_transitions_are_summed_over_a_window() {
         for (one_in, trips) in [(1, Some(10)), (5, Some(50)), (10, Some(190)), (11, None)] {
@@ -199,8 +201,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever a line does: no millisecond has more than two budgets of interrupts and the two that mask, and from the mask
-        /// until a millisecond after it was tried again there is a cause.
+        /// For any edges, no millisecond has more interrupts than two budgets plus the two that mask, and there is a
+        /// cause from the mask until a millisecond after the line was tried again.
         #[test]
         fn the_supervisor_is_never_starved(start: u32, gaps in prop::collection::vec(0u32..40, 1..4000)) {
             let mut line = EdgeBudget::new(EDGES, MS);
@@ -208,7 +210,7 @@ mod tests {
             let (mut elapsed, mut storm_until) = (0u64, 0);
             let at = |elapsed: u64| start.wrapping_add(elapsed as u32);
             for gap in gaps {
-                // Long stretches too.
+                // Long gaps are included too.
                 elapsed += if gap == 39 { u64::from(300 * MS) } else { u64::from(gap.max(1)) };
                 while next_look <= elapsed {
                     let masked = line.is_masked();
@@ -231,7 +233,7 @@ mod tests {
             prop_assert!(taken.windows(most + 1).all(|edges| edges[most] - edges[0] >= u64::from(MS)));
         }
 
-        /// Fewer than the limit in any window never trips; as many at once always does, and for at most two windows.
+        /// Fewer than the limit in any window never trips; as many at once always trips, and for at most two windows.
         #[test]
         fn illegal_transitions_trip_by_their_rate(start in any::<u32>(), burst in 0u32..40) {
             let mut rate = IllegalRate::new(1e-3);

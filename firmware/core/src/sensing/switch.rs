@@ -1,27 +1,27 @@
-//! A mechanical switch, debounced.
+//! Mechanical switch with debouncing.
 
 use r4_protocol::config::SwitchConfig;
 
 use super::periods;
 
-/// A level counts once it has been steady for this long, s: snap-action switches bounce for 1 to 3 ms.
+/// Time for which a level must be steady to count, s: snap-action switches bounce for 1 to 3 ms.
 pub const DEBOUNCE_S: f32 = 0.005;
 
-/// A switch, sampled every period.
+/// Switch, sampled every period.
 ///
-/// Both edges are told [`DEBOUNCE_S`] late, by the same time on the way in and on the way out: a home switch that is
-/// passed in both directions has its mean position where it is. A disturbance shorter than that is not told at all.
+/// Both edges are reported [`DEBOUNCE_S`] late, by the same time on the way in and on the way out: the mean of both
+/// passes is the true position of a home switch. A shorter disturbance is not reported at all.
 #[derive(Clone, Debug)]
 pub struct Switch {
     active_low: bool,
     debounce_periods: u32,
-    /// The level of the last samples, as closed or not, and how many there have been, up to `debounce_periods`.
+    /// State of the last samples, true for closed, and their number, up to `debounce_periods`.
     steady: (bool, u32),
     closed: Option<bool>,
 }
 
 impl Switch {
-    /// A switch sampled every `period_s`.
+    /// Creates a switch that is sampled every `period_s`, s.
     #[must_use]
     pub fn new(config: &SwitchConfig, period_s: f32) -> Self {
         Self {
@@ -32,7 +32,7 @@ impl Switch {
         }
     }
 
-    /// Takes the level of this period and returns whether the switch is closed; open until a first level was steady.
+    /// Takes the level of this period and returns true if the switch is closed; false until a first level was steady.
     pub fn update(&mut self, high: bool) -> bool {
         let closed = high != self.active_low;
         let samples = if closed == self.steady.0 { self.steady.1 + 1 } else { 1 };
@@ -43,7 +43,7 @@ impl Switch {
         self.closed == Some(true)
     }
 
-    /// Whether it is closed; `None` until a first level was steady.
+    /// State of the switch, true for closed; `None` until a first level was steady.
     #[must_use]
     pub fn closed(&self) -> Option<bool> {
         self.closed
@@ -57,7 +57,7 @@ mod tests {
 
     use super::*;
 
-    /// Periods of 1 ms in [`DEBOUNCE_S`].
+    /// Number of 1 ms periods in [`DEBOUNCE_S`].
     const PERIODS: usize = 5;
 
     fn switch(active_low: bool) -> Switch {
@@ -94,7 +94,7 @@ mod tests {
 
     #[test]
     fn the_time_is_the_same_at_every_control_period() {
-        // From the shortest to the longest period a board can have; one longer than the time takes every sample.
+        // Control periods from the shortest to the longest allowed; with one longer than the time, every sample counts.
         for (period_s, periods) in [(500e-6, 10), (1e-3, 5), (2e-3, 3), (20e-3, 1)] {
             let config = SwitchConfig { id: ChannelId::new(ChannelKind::Switch, 0), active_low: false };
             let mut switch = Switch::new(&config, period_s);
@@ -104,7 +104,7 @@ mod tests {
     }
 
     proptest! {
-        /// It is closed or open as the last run of equal samples that was long enough said.
+        /// The state is that of the last run of equal samples that was long enough.
         #[test]
         fn it_follows_the_last_steady_level(runs in prop::collection::vec((any::<bool>(), 1usize..12), 1..60)) {
             let mut switch = switch(false);

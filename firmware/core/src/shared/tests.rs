@@ -1,4 +1,4 @@
-//! [`State::apply`] in full, and what the tasks ask of [`Shared`] at its limits.
+//! Tests of [`State::apply`] in full, and of the requests of the tasks to [`Shared`] at its limits.
 
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use r4_protocol::{ChannelId, ChannelKind, config::FeedForward};
@@ -22,15 +22,15 @@ fn armed() -> Board {
     board
 }
 
-/// No cause, each alone, and each with the next.
+/// Sets of causes: none, each alone, and each with the next.
 fn some_causes() -> impl Iterator<Item = Causes> + Clone {
     let pairs = (0..Cause::ALL.len())
         .map(|first| Causes::only(Cause::ALL[first]).union(Causes::only(Cause::ALL[(first + 1) % Cause::ALL.len()])));
     [Causes::NONE].into_iter().chain(Cause::ALL.map(Causes::only)).chain(pairs)
 }
 
-/// What [`State::apply`] adds to the pure machine, for every state, event, set of one or two present causes, whether or not
-/// arming is held back and a host has been heard of.
+/// Checks the additions of [`State::apply`] to the pure machine, for every state, event, set of one or two present
+/// causes, with and without arming held back and a host.
 #[test]
 fn every_event_in_every_state_keeps_the_books() {
     let board = every_interface();
@@ -58,9 +58,9 @@ fn every_event_in_every_state_keeps_the_books() {
                         before.next(event, present)
                     };
                     assert_eq!((s.safety, result), (after, answer), "{told}");
-                    // Only what leads to other outputs is a change; one cause more is none.
+                    // Only a state with other outputs counts as a change; an additional cause does not.
                     assert_eq!(changed, after.state() != before.state(), "{told}");
-                    // Only an arming makes what was commanded before worthless.
+                    // Only an arming invalidates earlier commands.
                     let armed = changed && after == Safety::Armed;
                     assert_eq!(s.epoch, if armed { 0 } else { u16::MAX }, "{told}");
                     assert_eq!(s.commands[slot(MOTOR)].is_none(), armed, "{told}");
@@ -97,12 +97,12 @@ fn trips_are_counted_from_the_first_host_on() {
     board.trip(Cause::HostStop);
     board.trip(Cause::Stalled);
     assert_eq!(board.trips(), 1);
-    // The firmware hung: that is remembered whoever was there.
+    // A hang of the firmware is recorded with or without a host.
     let hung = crate::testing::board(robot("osmc-bench"), ResetCause::Watchdog);
     assert_eq!((hung.trips(), hung.trip_causes()), (1, Causes::only(Cause::WatchdogReset)));
 }
 
-/// What the processor's own detectors see is present until they say otherwise.
+/// Causes of the processor's own detectors are present until they are cleared.
 #[test]
 fn a_cause_of_the_processor_trips_and_stays() {
     let board = armed();
@@ -119,7 +119,7 @@ fn a_cause_of_the_processor_trips_and_stays() {
     assert_eq!(board.request(Event::Clear), Ok(()));
 }
 
-/// A write that is under way is asked whether to go on: the signal that says so is taken only when there is nothing to do.
+/// A write under way checks whether to go on: the signal is consumed only when there is nothing to do.
 #[test]
 fn a_change_of_state_is_seen_and_its_signal_left() {
     let board = armed();
@@ -131,7 +131,7 @@ fn a_change_of_state_is_seen_and_its_signal_left() {
     board.trip(Cause::HostStop);
     assert!(board.has_changed(view, &mut context));
     assert!(board.make_safe.signaled());
-    // Without a signal, too: the supervisor's deadline may have come first.
+    // Also without a signal: the supervisor's deadline may have come first.
     board.make_safe.reset();
     assert!(board.has_changed(view, &mut context));
 }
@@ -143,7 +143,7 @@ fn commands_are_taken_only_while_armed_and_carried_out_once_in_their_arming() {
     assert_eq!(board.request(Event::Arm), Ok(()));
     assert_eq!(board.command(MOTOR, DUTY, 0), Ok(()));
     let epoch = board.safety().epoch;
-    // Of a later arming: it stays for the period that knows of it.
+    // A command of a later arming stays for the period of that arming.
     assert_eq!(board.take_command(MOTOR, epoch.wrapping_sub(1)), None);
     assert_eq!(board.take_command(Place::Motor(1), epoch), None);
     assert!(board.commanded().has(MOTOR) && !board.commanded().has(Place::Motor(1)));
@@ -159,7 +159,7 @@ fn commands_are_taken_only_while_armed_and_carried_out_once_in_their_arming() {
     assert_eq!(board.take_command(MOTOR, epoch + 1), None, "it was of the arming before");
 }
 
-/// Each channel has a place of its own, and a brake one beside its drive's.
+/// Each channel has a slot of its own, and a brake one beside its drive's.
 #[test]
 fn no_two_channels_share_a_place() {
     let config = robot("every-interface");
@@ -197,7 +197,7 @@ fn no_two_channels_share_a_place() {
         Place::Sensor(_) => Place::Sensor(0),
         Place::DeadMan(_) => Place::DeadMan(0),
     };
-    // Kind by kind without a gap, up to the last place of all.
+    // Kinds follow each other without a gap, up to the last slot.
     assert_eq!(slot(Place::Motor(0)), 0);
     for [one, next] in lasts.array_windows() {
         assert_eq!(slot(*one) + 1, slot(first(*next)), "{next:?}");
@@ -228,7 +228,7 @@ fn a_brake_is_commanded_beside_its_drive() {
     }
 }
 
-/// A lease ends after its last µs, with rest in the manner of what it followed, and counts.
+/// A lease ends after its last µs, in a rest that suits the mode it followed, and is counted.
 #[test]
 fn a_lease_that_is_not_renewed_ends_in_rest() {
     let now = Instant::now();
@@ -255,7 +255,7 @@ fn a_lease_that_is_not_renewed_ends_in_rest() {
     }
 }
 
-/// Every channel that cycles can move at once.
+/// All channels that cycles can move, at once.
 #[test]
 fn there_is_a_lease_for_each_channel() {
     let board = armed();
@@ -272,7 +272,7 @@ fn there_is_a_lease_for_each_channel() {
     }
 }
 
-/// What is commanded by itself is followed until something else is.
+/// A single command is followed until another one comes.
 #[test]
 fn a_command_ends_the_lease_of_its_channel() {
     let board = armed();
@@ -297,7 +297,7 @@ fn a_board_has_one_host() {
     let first = board.open_session(LINK, now).expect("nobody else is here");
     assert!(board.has_session(LINK) && !board.has_session(LINK + 1));
     assert_eq!(board.open_session(LINK + 1, now + timeout), Err(Refusal::InUse));
-    // The same link starts anew whenever it likes, and its old session is over.
+    // The same link may open a new session at any time, which ends its old one.
     let second = board.open_session(LINK, now).expect("its own link");
     assert_ne!(first, second);
     assert!(!board.heartbeat(LINK, first, now));
@@ -323,7 +323,7 @@ fn a_host_is_there_while_it_is_heard() {
     assert!(!board.has_host());
 }
 
-/// A host that starts anew, or goes, leaves nothing running; one that is not the host ends nothing.
+/// A host that starts or leaves leaves nothing running; other links end nothing.
 #[test]
 fn sessions_begin_and_end_disarmed() {
     let board = armed();
@@ -417,7 +417,7 @@ fn the_newest_tuning_reaches_its_motor_once() {
     assert_eq!(board.take_tuning(), None);
 }
 
-/// Hosts are answered once outputs are known and every sensor that can stop the board has been heard.
+/// Hosts are answered once outputs are known and every sensor that can stop the board has reported.
 #[test]
 fn the_board_has_started_when_its_guards_are_heard() {
     let mut config = robot("every-interface");
@@ -436,7 +436,7 @@ fn the_board_has_started_when_its_guards_are_heard() {
     assert!(board.has_started());
 }
 
-/// Of several at once, each in its place.
+/// Several statuses at once each go to their own slot.
 #[test]
 fn what_is_published_is_shown_in_its_place() {
     let board = every_interface();
@@ -447,7 +447,7 @@ fn what_is_published_is_shown_in_its_place() {
     assert_eq!((board.stats().can_bus_off, board.stats().can_warnings), (3, 5));
 }
 
-/// Those that are close to what they withstand, with their names.
+/// Windings close to their limit are reported with their motors' names.
 #[test]
 fn hosts_are_warned_of_hot_windings() {
     let board = every_interface();
@@ -472,7 +472,7 @@ fn a_changed_configuration_waits_for_the_next_start() {
     assert_eq!(board.built_in(), board.config());
 }
 
-/// Of each kind of channel, before its sensor or output has said anything.
+/// Initial status of each kind of channel, before its sensor or output has reported.
 #[test]
 fn a_board_begins_at_rest() {
     let board = every_interface();
@@ -492,7 +492,7 @@ fn a_board_begins_at_rest() {
     assert!(board.config().place(ChannelId::new(ChannelKind::DeadMan, 1)).is_some());
 }
 
-/// What is asked of a kind is what is asked of each channel of it, whatever the kinds beside it were commanded.
+/// A query for a kind equals the queries for each of its channels, whatever neighbouring kinds were commanded.
 #[test]
 fn commanded_channels_of_a_kind_are_those_one_by_one() {
     let config = robot("every-interface");

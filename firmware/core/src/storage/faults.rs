@@ -1,14 +1,15 @@
-//! The history of trips, each with what the board looked like before it.
+//! Fault history: trips, each with snapshots of the board before it.
 //!
-//! [`Recorder`] is a ring in memory that the control loop feeds; a trip freezes it, until the task that owns the flash has copied
-//! it. In flash a trip is one item:
+//! [`Recorder`] is a ring in memory that the control loop feeds; a trip freezes it, until the task that owns the flash
+//! has copied it. In flash a trip is one item:
 //!
 //! ```text
 //! layout: u8 | FaultInfo | FaultSnapshot, oldest first | FaultSnapshot ...
 //! ```
 //!
-//! With eight motors and four supplies that is at most 2525 bytes, so that a sector of 128 KiB takes 47 trips: more than
-//! [`HISTORY`], so they outlive the erase of the other sector. Two sectors of 10 000 erases then last for 900 000 trips.
+//! With eight motors and four supplies an item has at most 2525 bytes, so that a sector of 128 KiB holds 47 trips: more
+//! than [`HISTORY`], so they outlive the erase of the other sector. Two sectors of 10 000 erases then last for 900 000
+//! trips.
 
 use embedded_storage_async::nor_flash::NorFlash;
 use heapless::{Deque, Vec};
@@ -19,57 +20,58 @@ use r4_protocol::{
 
 use super::{StorageError, fault_log, words::DATA_BYTES};
 
-/// Most trips a host can ask for.
+/// Maximum number of trips that a host can read.
 pub const HISTORY: u16 = 32;
-/// Most snapshots of one trip.
+/// Maximum number of snapshots of one trip.
 pub const SNAPSHOTS: usize = 20;
-/// Between two snapshots, ms: together 200 ms before the trip.
+/// Interval between two snapshots, ms: together they cover 200 ms before the trip.
 pub const SNAPSHOT_MS: u16 = 10;
 
-/// What this firmware writes. Trips in another layout are left out of the history.
+/// Layout version that this firmware writes. Trips in another layout are left out of the history.
 const LAYOUT: u8 = 1;
-/// Most bytes of a [`FaultInfo`]: two `u32`, a `u64`, a `u16` and a `u8`, each seven bits to a byte.
+/// Maximum size of a [`FaultInfo`], bytes: two `u32`, a `u64`, a `u16` and a `u8`, each seven bits to a byte.
 const MAX_INFO: usize = 5 + 5 + 10 + 5 + 1;
-/// Most bytes of a [`FaultSnapshot`]: when; the motors, each an `i32` in seven bits to a byte and two `f32`; the supplies.
+/// Maximum size of a [`FaultSnapshot`], bytes: time; motors, each an `i32` in seven bits to a byte and two `f32`;
+/// supplies.
 const MAX_SNAPSHOT: usize = 3 + 1 + MAX_MOTORS * (5 + 4 + 4) + 1 + MAX_SUPPLIES * 4;
 const MAX_ITEM: usize = 1 + MAX_INFO + SNAPSHOTS * MAX_SNAPSHOT;
 const BUFFER: usize = MAX_ITEM.next_multiple_of(DATA_BYTES);
 
-/// A trip that has not been written yet.
+/// Trip that has not been written yet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trip {
-    /// Since the board started.
+    /// Time since the board started, µs.
     pub device_us: u64,
-    /// Every cause seen until now.
+    /// All causes seen until now.
     pub causes: Causes,
-    /// From the oldest to the newest.
+    /// Snapshots from the oldest to the newest.
     pub snapshots: Vec<FaultSnapshot, SNAPSHOTS>,
 }
 
-/// The last moments, in memory. Takes 2.7 KiB.
+/// Ring of the latest snapshots, in memory. Takes 2.7 KiB.
 #[derive(Clone, Debug, Default)]
 pub struct Recorder {
     moments: Deque<Moment, SNAPSHOTS>,
-    /// Trips that are still to be made of them.
+    /// Number of trips that still have to be copied from it.
     frozen: usize,
 }
 
 #[derive(Clone, Debug)]
 struct Moment {
     device_us: u64,
-    /// How long before the trip is not known yet.
+    /// Snapshot whose time before the trip is not known yet.
     snapshot: FaultSnapshot,
 }
 
 impl Recorder {
-    /// Nothing noted yet.
+    /// Creates an empty recorder.
     #[must_use]
     pub const fn new() -> Self {
         Self { moments: Deque::new(), frozen: 0 }
     }
 
-    /// Notes what the board looks like now; to be called every [`SNAPSHOT_MS`]. The oldest of [`SNAPSHOTS`] goes. Nothing is noted
-    /// while it is frozen.
+    /// Takes a snapshot of the board; call it every [`SNAPSHOT_MS`]. The oldest of [`SNAPSHOTS`] is dropped. While
+    /// frozen nothing is taken.
     pub fn note(
         &mut self,
         device_us: u64,
@@ -84,22 +86,22 @@ impl Recorder {
         }
         let motors = motors.into_iter().take(MAX_MOTORS).collect();
         let supplies_v = supplies_v.into_iter().take(MAX_SUPPLIES).collect();
-        // There is room: one went, or there has always been some.
+        // There is always room: one was dropped, or the ring is not full.
         let snapshot = FaultSnapshot { before_ms: 0, motors, supplies_v };
         let _ = self.moments.push_back(Moment { device_us, snapshot });
     }
 
-    /// Keeps what was noted, for a trip.
+    /// Freezes the snapshots for a trip.
     pub fn freeze(&mut self) {
         self.frozen += 1;
     }
 
-    /// The trip has been made, or is not going to be.
+    /// Ends one freeze: the trip has been written, or will not be.
     pub fn thaw(&mut self) {
         self.frozen = self.frozen.saturating_sub(1);
     }
 
-    /// Moment `index`, 0 being the oldest, as seen from a trip at `device_us`.
+    /// Snapshot number `index`, 0 being the oldest, relative to a trip at `device_us`.
     #[must_use]
     pub fn snapshot(&self, index: usize, device_us: u64) -> Option<FaultSnapshot> {
         let moment = self.moments.get(index)?;
@@ -108,21 +110,21 @@ impl Recorder {
     }
 }
 
-/// The trips in flash. Takes 5 KiB for what it reads and writes.
+/// History of trips in flash. Takes 5 KiB for its buffers.
 pub struct History {
-    /// How many there are, those beyond [`HISTORY`] too.
+    /// Number of trips, including those beyond [`HISTORY`].
     count: u16,
     newest: Option<FaultInfo>,
-    /// Of this start of the board.
+    /// Number of this start of the board.
     start: u32,
-    /// The trip that was read last, and which it is.
+    /// Item of the trip that was read last, and its index and length.
     item: [u8; BUFFER],
     read: Option<(u8, usize)>,
     buffer: [u8; BUFFER],
 }
 
 impl History {
-    /// Looks what is in flash; whatever it is, trips can be recorded.
+    /// Opens the history in flash; whatever that contains, trips can be recorded.
     pub async fn open<F: NorFlash>(flash: &mut F) -> Self {
         let mut history = Self { count: 0, newest: None, start: 0, item: [0; BUFFER], read: None, buffer: [0; BUFFER] };
         history.survey(flash).await;
@@ -136,32 +138,32 @@ impl History {
         let see = |item: &[u8]| {
             if let Some((info, _)) = decode_info(item) {
                 self.count = self.count.saturating_add(1);
-                // The last, unless marks in flash have gone bad: no number is given twice.
+                // The last one, unless marks in flash have been damaged: no number is used twice.
                 self.newest = self.newest.into_iter().chain([info]).max_by_key(|info| info.number);
             }
         };
-        // What makes no sense is erased by the next trip.
+        // Unreadable contents are erased by the next trip.
         if fault_log(flash).visit(&mut self.buffer, see).await.is_err() {
             self.count = 0;
         }
     }
 
-    /// How many trips there are to read.
+    /// Number of trips that can be read.
     #[must_use]
     pub fn len(&self) -> u8 {
         self.count.min(HISTORY) as u8
     }
 
-    /// Whether there has been no trip.
+    /// Returns true if there has been no trip.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
 
-    /// Writes a trip; the oldest go when there is no more room.
+    /// Writes a trip; the oldest are dropped when there is no more room.
     ///
     /// # Errors
-    /// [`StorageError`]; the trips before it are still there, unless they were damaged.
+    /// [`StorageError`] for a failed write; the trips before it are still there, unless they were damaged.
     pub async fn record<F: NorFlash>(&mut self, flash: &mut F, trip: &Trip) -> Result<FaultInfo, StorageError> {
         let info = FaultInfo {
             number: self.newest.map_or(1, |newest| newest.number.saturating_add(1)),
@@ -177,19 +179,20 @@ impl History {
         pushed.map(|()| info)
     }
 
-    /// Trip number `index`, 0 being the newest.
+    /// Reads trip number `index`, 0 being the newest; `None` beyond the last.
     ///
     /// # Errors
-    /// [`StorageError`]
+    /// [`StorageError`] when the flash cannot be read.
     pub async fn fault<F: NorFlash>(&mut self, flash: &mut F, index: u8) -> Result<Option<FaultInfo>, StorageError> {
         let item = self.item(flash, index).await?;
         Ok(item.and_then(decode_info).map(|(info, _)| info))
     }
 
-    /// Snapshot number `snapshot` of trip number `index`; 0 is the newest trip and its oldest snapshot.
+    /// Reads snapshot number `snapshot` of trip number `index`; 0 is the newest trip and its oldest snapshot. `None`
+    /// beyond the last.
     ///
     /// # Errors
-    /// [`StorageError`]
+    /// [`StorageError`] when the flash cannot be read.
     pub async fn snapshot<F: NorFlash>(
         &mut self,
         flash: &mut F,
@@ -204,7 +207,7 @@ impl History {
         Ok(postcard::from_bytes(rest).ok())
     }
 
-    /// Reads through the log, unless this trip was the last one asked for: a host asks for its snapshots one by one.
+    /// Reads through the log, unless this trip was the last one read: a host asks for its snapshots one by one.
     async fn item<F: NorFlash>(&mut self, flash: &mut F, index: u8) -> Result<Option<&[u8]>, StorageError> {
         if index >= self.len() {
             return Ok(None);
@@ -234,7 +237,7 @@ impl History {
     }
 }
 
-/// How many bytes it took.
+/// Encodes a trip into `item` and returns the number of bytes; `None` if it does not fit.
 fn encode(info: &FaultInfo, trip: &Trip, item: &mut [u8]) -> Option<usize> {
     let (layout, rest) = item.split_first_mut()?;
     *layout = LAYOUT;
@@ -245,7 +248,7 @@ fn encode(info: &FaultInfo, trip: &Trip, item: &mut [u8]) -> Option<usize> {
     Some(used)
 }
 
-/// The trip, and what follows it.
+/// Decodes the trip, and returns the snapshots' bytes that follow it; `None` for another layout.
 fn decode_info(item: &[u8]) -> Option<(FaultInfo, &[u8])> {
     let (layout, rest) = item.split_first()?;
     if *layout == LAYOUT { postcard::take_from_bytes(rest).ok() } else { None }
@@ -266,7 +269,7 @@ mod tests {
             recorder.note(step as u64 * step_us, [motor], [24.0, 5.0]);
         }
         recorder.freeze();
-        // Later ones are of another trip.
+        // Later snapshots belong to another trip.
         recorder.note(25 * step_us, [], []);
         let tripped_us = 24 * step_us + 3_000;
         assert_eq!(recorder.snapshot(SNAPSHOTS, tripped_us), None);
@@ -308,7 +311,7 @@ mod tests {
         assert_eq!(encode(&info, &trip, &mut [0; BUFFER]), Some(MAX_ITEM));
     }
 
-    /// Layout 1 as it is in flash. It must never change: a new layout gets a new number.
+    /// Bytes of layout 1 in flash. They must never change: a new layout gets a new number.
     #[test]
     fn layout_1_stays_what_it_is() {
         let motors = Vec::from_slice(&[MotorSnapshot { position: -2, speed: 1.0, duty: 0.5 }]).expect("fits");

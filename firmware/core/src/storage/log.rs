@@ -1,4 +1,5 @@
-//! Items in the order in which they were written; the oldest sector is erased when there is no room for a new one.
+//! Log in flash: items in the order in which they were written; the oldest sector is erased when there is no room for a
+//! new one.
 
 use embedded_storage_async::nor_flash::NorFlash;
 use sequential_storage::{
@@ -9,12 +10,12 @@ use sequential_storage::{
 
 use super::words::{WordError, Words};
 
-/// Why something was not read or not kept.
+/// Error of reading or writing stored data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StorageError {
-    /// The flash refused, or does not hold what was written to it.
+    /// The flash reports an error, or does not hold what was written to it.
     Flash,
-    /// The content makes no sense.
+    /// The content cannot be interpreted.
     Damaged,
 }
 
@@ -27,13 +28,13 @@ impl From<Error<WordError>> for StorageError {
     }
 }
 
-/// Some sectors of a flash with items in them.
+/// Log in some sectors of a flash.
 pub(super) struct Log<'f, F>(Words<'f, F>);
 
 type Queue<'w, 'f, F> = QueueStorage<&'w mut Words<'f, F>, Cache<Uncached, Uncached, Uncached>>;
 
 impl<'f, F: NorFlash> Log<'f, F> {
-    /// The log in `sectors` sectors from `first_sector` on.
+    /// Creates the log in `sectors` sectors from `first_sector` on.
     pub(super) fn new(flash: &'f mut F, first_sector: usize, sectors: usize) -> Self {
         Self(Words::new(flash, first_sector, sectors))
     }
@@ -43,15 +44,16 @@ impl<'f, F: NorFlash> Log<'f, F> {
         Ok(QueueStorage::new(&mut self.0, config, Cache::new_uncached()))
     }
 
-    /// Whether nothing has ever been written here.
+    /// Returns true if nothing has ever been written here.
     pub(super) async fn is_blank(&mut self) -> bool {
         self.0.is_blank().await
     }
 
-    /// Shows every item from the oldest to the newest. `buffer` takes the largest, rounded up to a whole word.
+    /// Calls `see` with every item from the oldest to the newest. `buffer` must hold the largest, rounded up to a whole
+    /// word.
     ///
     /// # Errors
-    /// [`StorageError::Damaged`]; items that are merely spoilt are left out.
+    /// [`StorageError::Damaged`] for contents that cannot be interpreted; single spoilt items are skipped.
     pub(super) async fn visit(&mut self, buffer: &mut [u8], mut see: impl FnMut(&[u8])) -> Result<(), StorageError> {
         let mut queue = self.queue()?;
         let mut items = queue.iter().await?;
@@ -61,16 +63,16 @@ impl<'f, F: NorFlash> Log<'f, F> {
         Ok(())
     }
 
-    /// Appends `item` and looks whether it is there. Where the content makes no sense, or hides what is appended, all of it
-    /// is erased first.
+    /// Appends `item` and reads it back. If the content cannot be interpreted, or hides the new item, all of it is
+    /// erased first.
     ///
     /// # Errors
-    /// [`StorageError::Flash`]
+    /// [`StorageError::Flash`] when the flash fails, or still does not hold the item after an erase.
     pub(super) async fn push(&mut self, item: &[u8], buffer: &mut [u8]) -> Result<(), StorageError> {
         for first in [true, false, false] {
             match self.push_once(item, buffer).await {
                 Ok(true) => return Ok(()),
-                // A cell that does not take what it is given spoils one place; the next try is behind it.
+                // A bad cell spoils one place; the next try is written behind it.
                 Ok(false) if first => {}
                 Ok(false) | Err(StorageError::Damaged) => self.queue()?.erase_all().await?,
                 Err(StorageError::Flash) => return Err(StorageError::Flash),
@@ -79,7 +81,7 @@ impl<'f, F: NorFlash> Log<'f, F> {
         Err(StorageError::Flash)
     }
 
-    /// Whether the newest item is now `item`.
+    /// Appends `item` and returns true if it is now the newest item.
     async fn push_once(&mut self, item: &[u8], buffer: &mut [u8]) -> Result<bool, StorageError> {
         self.queue()?.push(item, true).await?;
         let mut newest = false;
@@ -101,12 +103,12 @@ mod tests {
 
     const SECTOR: usize = 1024;
 
-    /// Two sectors whose words can be made to spoil what is written to them.
+    /// Fake flash of two sectors whose words can be made to spoil what is written to them.
     struct Flash {
         bytes: Vec<u8>,
-        /// Number of coming writes that are spoilt.
+        /// Number of following writes that are spoilt.
         spoils: u32,
-        /// Whether every write is spoilt, until a sector is erased.
+        /// True if every write is spoilt, until a sector is erased.
         worn: bool,
     }
 
@@ -150,7 +152,7 @@ mod tests {
             let spoilt = self.worn || self.spoils > 0;
             self.spoils = self.spoils.saturating_sub(1);
             for (cell, byte) in self.bytes[offset as usize..].iter_mut().zip(bytes) {
-                // Programming clears bits; a spoilt word has some that it should not clear, too.
+                // Programming clears bits; a spoilt word also loses some that should stay set.
                 *cell &= if spoilt { byte & 0x55 } else { *byte };
             }
             Ok(())
@@ -163,7 +165,7 @@ mod tests {
         items
     }
 
-    /// One place that spoils costs that place; only where the second spoils too are the older items given up.
+    /// One bad place costs only that place; the older items are given up only where the second try fails too.
     #[test]
     fn what_was_kept_outlives_a_place_that_does_not_take_what_it_is_given() {
         let mut flash = Flash { bytes: vec![0xFF; 2 * SECTOR], spoils: 0, worn: false };

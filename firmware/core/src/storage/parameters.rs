@@ -1,12 +1,12 @@
-//! What differs from the built-in configuration, and how it is saved.
+//! Changed parameters: the differences from the built-in configuration, and their storage.
 //!
-//! All changes are one item, so that a save happens or does not:
+//! All changes are one item, so that a save happens completely or not at all:
 //!
 //! ```text
 //! layout: u8 | robot it was made for | new name, if any | length: u8, key and value | length: u8, key and value ...
 //! ```
 //!
-//! A value takes 9 bytes, so that a sector of 128 KiB takes 400 saves of 20 changes and 60 of the most there can be. Two
+//! A value takes 9 bytes, so that a sector of 128 KiB holds 400 saves of 20 changes, or 60 of the maximum number. Two
 //! sectors of 10 000 erases then last for more than a million saves.
 
 use embedded_storage_async::nor_flash::NorFlash;
@@ -15,45 +15,46 @@ use r4_protocol::{ParameterKey, config::BoardConfig};
 
 use super::{StorageError, parameter_log, words::DATA_BYTES};
 
-/// Most numbers that can differ.
+/// Maximum number of changed values.
 pub const MAX_CHANGES: usize = 192;
 
-/// Most bytes of a key and its value: an optional channel of two bytes, a parameter of up to two, an `f32`.
+/// Maximum size of a key and its value, bytes: an optional channel of two bytes, a parameter of up to two, an `f32`.
 const MAX_ENTRY: usize = 9;
-/// Most bytes of an item; both names have a length of one byte, and the second may be absent.
+/// Maximum size of an item, bytes; both names have a length of one byte, and the second may be absent.
 const MAX_ITEM: usize = 1 + 33 + 34 + MAX_CHANGES * (1 + MAX_ENTRY);
 const BUFFER: usize = MAX_ITEM.next_multiple_of(DATA_BYTES);
 
 type Item = Vec<u8, MAX_ITEM>;
 
-/// Rewrites what follows the layout's number from one layout to the next; `None` if it makes no sense.
+/// Conversion from one layout to the next: rewrites what follows the layout's number; `None` if that cannot be
+/// interpreted.
 type Step = fn(&[u8], &mut Item) -> Option<()>;
 
-/// The oldest layout there has been.
+/// Oldest layout that has existed.
 const FIRST_LAYOUT: u8 = 1;
-/// From each layout to the next. Add one with each new layout, and leave those before it alone.
+/// Conversions from each layout to the next. Add one with each new layout, and leave the earlier ones unchanged.
 const STEPS: [Step; 0] = [];
-/// What this firmware writes.
+/// Layout that this firmware writes.
 const LAYOUT: u8 = FIRST_LAYOUT + STEPS.len() as u8;
 
-/// What differs from the built-in configuration.
+/// Differences from the built-in configuration.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Changes {
-    /// The robot's name.
+    /// Changed name of the robot; `None` if unchanged.
     pub robot: Option<String<32>>,
-    /// Numbers, each key once.
+    /// Changed values, each key once.
     pub values: Vec<(ParameterKey, f32), MAX_CHANGES>,
 }
 
-/// More than [`MAX_CHANGES`] numbers would differ. Nothing was changed.
+/// Error: more than [`MAX_CHANGES`] values would differ. Nothing was changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooManyChanges;
 
 impl Changes {
-    /// What makes `changed` of `built_in`.
+    /// Returns the differences of `changed` from `built_in`.
     ///
     /// # Errors
-    /// [`TooManyChanges`]
+    /// [`TooManyChanges`] for more than [`MAX_CHANGES`] of them.
     pub fn between(built_in: &BoardConfig, changed: &BoardConfig) -> Result<Self, TooManyChanges> {
         let robot = (changed.robot != built_in.robot).then(|| changed.robot.clone());
         let mut changes = Self { robot, ..Self::default() };
@@ -65,10 +66,10 @@ impl Changes {
         Ok(changes)
     }
 
-    /// Notes that `key` is now `value`; what is as built in is no change.
+    /// Records `value` for `key`; a value equal to the built-in one removes the change.
     ///
     /// # Errors
-    /// [`TooManyChanges`]
+    /// [`TooManyChanges`] when there is no room for another change.
     pub fn set(&mut self, built_in: &BoardConfig, key: ParameterKey, value: f32) -> Result<(), TooManyChanges> {
         let place = self.values.iter().position(|(known, _)| *known == key);
         match (place, built_in.parameter(key) == Some(value)) {
@@ -82,7 +83,7 @@ impl Changes {
         Ok(())
     }
 
-    /// Puts the changes into `config` and takes out those that cannot be.
+    /// Applies the changes to `config`, and moves those that are not possible to `skipped`.
     fn apply(&mut self, config: &mut BoardConfig, skipped: &mut Skipped) {
         if let Some(robot) = &self.robot {
             config.robot = robot.clone();
@@ -90,7 +91,8 @@ impl Changes {
         if config.set_parameters(self.values.iter().copied()).is_ok() {
             return;
         }
-        // Something does not fit. One by one, and again: one number may need another to be set before it.
+        // Some value does not fit. Tried one by one, in several rounds: a value may require another to be set before
+        // it.
         const ROUNDS: usize = 3;
         let mut refused = self.values.clone();
         for _ in 0..ROUNDS {
@@ -103,12 +105,12 @@ impl Changes {
     }
 }
 
-/// Saved numbers that are not used: the configuration does not have them, or would not be valid with them.
+/// Saved values that are not used: the configuration does not have them, or would be invalid with them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Skipped {
-    /// How many.
+    /// Number of skipped values.
     pub count: u16,
-    /// The first of those that this firmware has a name for.
+    /// First skipped values, of those whose key this firmware knows.
     pub first: Vec<(ParameterKey, f32), 8>,
 }
 
@@ -116,44 +118,44 @@ impl Skipped {
     fn add(&mut self, value: Option<(ParameterKey, f32)>) {
         self.count += 1;
         if let Some(value) = value {
-            // Counted all the same when there is no room.
+            // Counted even when there is no room.
             let _ = self.first.push(value);
         }
     }
 }
 
-/// What flash held.
+/// Contents of the flash.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Saved {
-    /// Nothing: parameters have never been saved.
+    /// Blank flash: parameters have never been saved.
     Nothing,
     /// The changes in [`Loaded::changes`].
     Changes,
-    /// Changes for another robot, the one with this built-in name. They stay until something is saved.
+    /// Changes for another robot, the one with this built-in name. They stay until the next save.
     OtherRobot(String<32>),
-    /// Changes in a layout of a newer firmware. They stay until something is saved.
+    /// Changes in a layout of a newer firmware. They stay until the next save.
     NewerLayout(u8),
-    /// Something that makes no sense. It stays until something is saved.
+    /// Contents that cannot be interpreted. They stay until the next save.
     Damaged,
 }
 
-/// The configuration to start with.
+/// Configuration to start with, and its origin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Loaded {
-    /// The built-in one with `changes`.
+    /// Built-in configuration with `changes` applied.
     pub config: BoardConfig,
-    /// Those that were saved and are used.
+    /// Saved changes that are used.
     pub changes: Changes,
-    /// Whether they were there.
+    /// State of the saved changes.
     pub saved: Saved,
-    /// Those that were saved and are not used; the next save forgets them.
+    /// Saved changes that are not used; the next save discards them.
     pub skipped: Skipped,
 }
 
-/// Reads what was saved and puts it into `built_in`. Whatever flash holds, there is a configuration to start with, and it is
-/// valid if `built_in` is.
+/// Reads the saved changes and applies them to `built_in`. For any contents of the flash there is a configuration to
+/// start with, which is valid if `built_in` is.
 ///
-/// Its state takes 10 KiB, the result included; of stack, 2.5 KiB for a copy of the configuration.
+/// Its state takes 10 KiB, the result included; on the stack, 2.5 KiB for a copy of the configuration.
 pub async fn load<F: NorFlash>(flash: &mut F, built_in: &BoardConfig) -> Loaded {
     let mut loaded = Loaded {
         config: built_in.clone(),
@@ -191,17 +193,17 @@ pub async fn load<F: NorFlash>(flash: &mut F, built_in: &BoardConfig) -> Loaded 
     loaded
 }
 
-/// Saves `changes` for the robot whose built-in name is `made_for`. No changes go back to what is built in.
+/// Saves `changes` for the robot whose built-in name is `made_for`. Empty changes restore the built-in values.
 ///
 /// # Errors
-/// [`StorageError`]; what was saved before is then still there, unless it was damaged.
+/// [`StorageError`] when the flash fails; the previous save is then still there, unless it was damaged.
 pub async fn save<F: NorFlash>(flash: &mut F, made_for: &str, changes: &Changes) -> Result<(), StorageError> {
     let mut buffer = [0; BUFFER];
     let item = encode(made_for, changes).ok_or(StorageError::Damaged)?;
     parameter_log(flash).push(&item, &mut buffer).await
 }
 
-/// `None` for a name that is too long.
+/// Encodes an item; `None` for a name that is too long.
 fn encode(made_for: &str, changes: &Changes) -> Option<Item> {
     let made_for = String::<32>::try_from(made_for).ok()?;
     let mut item = Item::new();
@@ -216,7 +218,7 @@ fn encode(made_for: &str, changes: &Changes) -> Option<Item> {
     Some(item)
 }
 
-/// The robot it was made for, and the changes; `None` if the bytes make no sense.
+/// Decodes an item into the robot that it was made for and the changes; `None` if the bytes cannot be interpreted.
 fn decode(item: &[u8], skipped: &mut Skipped) -> Option<(String<32>, Changes)> {
     let ((made_for, robot), mut entries) = postcard::take_from_bytes::<(_, Option<String<32>>)>(item.get(1..)?).ok()?;
     let mut changes = Changes { robot, values: Vec::new() };
@@ -225,14 +227,14 @@ fn decode(item: &[u8], skipped: &mut Skipped) -> Option<(String<32>, Changes)> {
         entries = rest;
         match postcard::from_bytes::<(ParameterKey, f32)>(entry) {
             Ok((key, value)) => changes.values.push((key, value)).ok()?,
-            // A channel or parameter that another firmware knows.
+            // The channel or parameter belongs to another firmware.
             Err(_) => skipped.add(None),
         }
     }
     Some((made_for, changes))
 }
 
-/// Brings `item` from any earlier layout to the one behind the last of `steps`.
+/// Converts `item` from any earlier layout to the one behind the last of `steps`.
 fn upgrade(item: &mut Item, first_layout: u8, steps: &[Step]) -> Result<(), Saved> {
     let newest = first_layout + steps.len() as u8;
     let layout = *item.first().ok_or(Saved::Damaged)?;
@@ -263,7 +265,7 @@ mod tests {
         Changes { robot: Some(String::try_from("Ada").expect("fits")), values }
     }
 
-    /// Layout 1 as it is in flash. It must never change: a new layout gets a new number and a step.
+    /// Bytes of layout 1 in flash. They must never change: a new layout gets a new number and a conversion.
     const LAYOUT_1: &[u8] = b"\x01\x05bench\x01\x03Ada\x08\x01\x00\x01\x08\0\0\0\x40\x06\0\0\0\0\x7A\x43";
 
     #[test]
@@ -274,7 +276,7 @@ mod tests {
         assert_eq!(skipped.count, 0);
     }
 
-    /// Name and numbers, each by itself and together; what is the same is none.
+    /// Name and values are found as changes, separately and together; equal ones are not.
     #[test]
     fn changes_are_what_differs() {
         let built_in = crate::testing::robot("osmc-bench");
@@ -318,12 +320,12 @@ mod tests {
     fn bytes_that_end_too_soon_are_refused() {
         for end in 0..LAYOUT_1.len() {
             let decoded = decode(&LAYOUT_1[..end], &mut Skipped::default());
-            // What ends between two values is one that was written so.
+            // Bytes that end between two values are a valid, shorter item.
             assert_eq!(decoded.is_some(), [12, 21].contains(&end), "{end} bytes");
         }
     }
 
-    /// A layout 0 without names, made for this test: values only.
+    /// Converts from a layout 0 without names, made for this test: values only.
     fn from_0(old: &[u8], new: &mut Item) -> Option<()> {
         new.extend_from_slice(b"\x05bench\0").ok()?;
         new.extend_from_slice(old).ok()
@@ -337,7 +339,7 @@ mod tests {
         let expected = Changes { robot: None, ..changes() };
         assert_eq!(decode(&item, &mut Skipped::default()).map(|(_, decoded)| decoded), Some(expected));
 
-        // Two steps, from the first and from the second layout.
+        // Two conversions, starting from the first and from the second layout.
         let second: Step = |old, new| {
             new.extend_from_slice(old).ok()?;
             new.push(0xAA).ok()

@@ -1,4 +1,4 @@
-//! The task that owns the flash, and how other tasks ask it.
+//! The task that owns the flash, and the requests of other tasks to it.
 
 use core::{
     cell::RefCell,
@@ -22,60 +22,61 @@ use super::{
     parameters::{self, Changes},
 };
 
-/// Trips that can wait to be written.
+/// Number of trips that can wait to be written.
 const WAITING: usize = 2;
 
-/// Longest wait for an answer: a damaged log is erased and begun anew, which takes the STM32H747 up to 2 s a sector, and
-/// a trip may have to be written first, at the same cost.
+/// Longest wait for an answer: a damaged log is erased and restarted, which takes the STM32H747 up to 2 s per sector,
+/// and a trip may have to be written first, at the same cost.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// What a link asks for.
+/// Job that a link requests.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "there is no heap, and one job at a time")]
 pub enum Job {
-    /// To keep these changes, all or none. No changes go back to what is built in.
+    /// Save these changes, all or none. Empty changes restore the built-in values.
     ///
-    /// May erase a sector. Whoever asks must see that the board is disarmed.
+    /// May erase a sector. The caller must ensure that the board is disarmed.
     Save(Changes),
-    /// A trip, 0 being the newest.
+    /// Read a trip, 0 being the newest.
     Fault {
-        /// Which.
+        /// Index of the trip.
         index: u8,
     },
-    /// What the board looked like before a trip.
+    /// Read a snapshot of the board before a trip.
     Snapshot {
-        /// Which trip, 0 being the newest.
+        /// Index of the trip, 0 being the newest.
         index: u8,
-        /// Which of its snapshots, 0 being the oldest.
+        /// Index of its snapshot, 0 being the oldest.
         snapshot: u8,
     },
 }
 
-/// What came of a [`Job`].
+/// Result of a [`Job`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum Done {
-    /// Of [`Job::Save`].
+    /// Result of a [`Job::Save`].
     Saved,
-    /// Of [`Job::Fault`].
+    /// Result of a [`Job::Fault`].
     Fault(FaultInfo),
-    /// Of [`Job::Snapshot`].
+    /// Result of a [`Job::Snapshot`].
     Snapshot(FaultSnapshot),
 }
 
-/// What the task that owns the flash shares with the others. Takes 4.5 KiB.
+/// State that the task which owns the flash shares with the others. Takes 4.5 KiB.
 pub struct Storage<M: RawMutex> {
-    /// Whose job is under way, and what number the next one has: answers that nobody waits for any more have an older one.
+    /// Lock for the job under way, and the number of the latest one: a late answer to an abandoned job has an older
+    /// number.
     turn: Mutex<M, u32>,
     job: Signal<M, (u32, Job)>,
     done: Signal<M, (u32, Result<Done, Refusal>)>,
     moments: Locked<M, RefCell<Recorder>>,
-    /// When, and why, of those that are to be made of the moments.
+    /// Times, µs, and causes of trips that are waiting to be written.
     trips: Channel<M, (u64, Causes), WAITING>,
     lost: AtomicU32,
 }
 
 impl<M: RawMutex> Storage<M> {
-    /// Nothing asked yet.
+    /// Creates the state without any job.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -88,11 +89,11 @@ impl<M: RawMutex> Storage<M> {
         }
     }
 
-    /// Has `job` done, after those that others asked for before.
+    /// Carries out `job`, after those requested before.
     ///
     /// # Errors
-    /// [`Refusal::NoSuchFault`], or [`Refusal::StorageFailed`], also when [`run`] does not answer in time: a save may then
-    /// still come to its end.
+    /// [`Refusal::NoSuchFault`] for an index beyond the last; [`Refusal::StorageFailed`] for a failure of the flash, or
+    /// when [`run`] does not answer in time: a save may then still succeed.
     pub async fn request(&self, job: Job) -> Result<Done, Refusal> {
         let work = async {
             let mut turn = self.turn.lock().await;
@@ -108,7 +109,7 @@ impl<M: RawMutex> Storage<M> {
         with_timeout(PATIENCE, work).await.unwrap_or(Err(Refusal::StorageFailed))
     }
 
-    /// Notes what the board looks like: see [`Recorder::note`].
+    /// Takes a snapshot of the board: see [`Recorder::note`].
     pub fn note(
         &self,
         device_us: u64,
@@ -118,9 +119,11 @@ impl<M: RawMutex> Storage<M> {
         self.with_moments(|moments| moments.note(device_us, motors, supplies_v));
     }
 
-    /// Has a trip at `device_us` written, with the moments before it; never waits. One that finds no room is counted and lost.
+    /// Queues a trip at `device_us` to be written with the snapshots before it; never waits. Without room the trip is
+    /// counted as lost.
     pub fn trip(&self, device_us: u64, causes: Causes) {
-        // [`run`] copies the moments: all of them at once take more than a control period's share of the processor.
+        // [`run`] copies the snapshots: copying all of them at once takes more than a control period's share of the
+        // processor.
         self.with_moments(Recorder::freeze);
         if self.trips.try_send((device_us, causes)).is_err() {
             self.with_moments(Recorder::thaw);
@@ -132,7 +135,7 @@ impl<M: RawMutex> Storage<M> {
         self.moments.lock(|moments| f(&mut moments.borrow_mut()))
     }
 
-    /// The trip, with the moments that were frozen for it, one at a time; they are free again.
+    /// Assembles the trip with its frozen snapshots, one at a time, and ends the freeze.
     fn made(&self, device_us: u64, causes: Causes) -> Trip {
         let snapshot = |index| self.with_moments(|moments| moments.snapshot(index, device_us));
         let mut trip = Trip { device_us, causes, snapshots: Vec::new() };
@@ -145,7 +148,7 @@ impl<M: RawMutex> Storage<M> {
         trip
     }
 
-    /// Trips since the start of the board that could not be written.
+    /// Number of trips since the start of the board that could not be written.
     #[must_use]
     pub fn lost(&self) -> u32 {
         self.lost.load(Ordering::Relaxed)
@@ -162,8 +165,8 @@ impl<M: RawMutex> Default for Storage<M> {
     }
 }
 
-/// Owns `flash`: writes trips, and does what is asked through `storage`. `built_in_robot` is the name of the robot the firmware
-/// was built for. Belongs below every other task. Its state takes 18 KiB.
+/// Owns `flash`: writes trips, and carries out the requests of `storage`. `built_in_robot` is the name of the robot
+/// that the firmware was built for. Must have a lower priority than every other task. Its state takes 18 KiB.
 pub async fn run<M: RawMutex, F: NorFlash>(storage: &Storage<M>, mut flash: F, built_in_robot: &str) -> ! {
     let mut history = History::open(&mut flash).await;
     loop {

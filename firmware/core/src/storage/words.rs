@@ -1,9 +1,9 @@
-//! Flash without half-done work: every word is blank, whole or spoilt, and an erase has happened or has not.
+//! Atomic flash words: every word is blank, whole or spoilt, and an erase is complete or has not happened.
 //!
-//! `sequential-storage` survives a power cut on flash whose erase begins at the start of a sector, and whose half-written
-//! words can be read. A processor whose flash has error correction grants neither: a word that was being programmed may
-//! raise a bus fault or read as anything, and an interrupted erase leaves any part of a sector as it likes. So each word
-//! carries a checksum, and each sector says whether its erase came to an end:
+//! `sequential-storage` survives a power cut on flash whose erase begins at the start of a sector, and whose
+//! half-written words can be read. A processor whose flash has error correction guarantees neither: a word that was
+//! being programmed may raise a bus fault or read as anything, and an interrupted erase leaves a sector in an arbitrary
+//! state. So each word carries a checksum, and each sector records whether its erase was completed:
 //!
 //! ```text
 //! word     0     1      2 ...
@@ -11,34 +11,35 @@
 //! ```
 //!
 //! An erase first programs `void`, then erases, then programs the seal. A sector without a seal, or with anything in
-//! `void`, reads as blank, and is erased for good before the first word is written to it. An interrupted erase does not leave
-//! a seal and a blank `void` over half-erased content: the cells of a sector are erased together, and the 256 zeros of `void`
-//! are not all gone while those of the seal are all there; and were it done from one end, then either the seal would go
-//! first, or `void` after everything else.
+//! `void`, reads as blank, and is erased again before the first word is written to it. An interrupted erase cannot
+//! leave a seal and a blank `void` over half-erased content: the cells of a sector are erased together, so the 256
+//! zeros of `void` are not all gone while those of the seal are all there; and if the erase ran from one end, either
+//! the seal would go first, or `void` after everything else.
 
 use crc::{CRC_16_IBM_3740, Crc};
 use embassy_futures::yield_now;
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
 
-/// Bytes of a word in flash: what the STM32H747 programs, and protects by its error correction, at once.
+/// Bytes of a word in flash: the unit that the STM32H747 programs, and protects by its error correction, at once.
 const RAW_BYTES: usize = 32;
-/// Bytes of it that are not the checksum.
+/// Bytes of a word without its checksum.
 pub(super) const DATA_BYTES: usize = 30;
 const SEAL_WORD: usize = 0;
 const VOID_WORD: usize = 1;
 const FIRST_DATA: usize = 2;
 
-/// What is in a seal; another arrangement of words or of what is in them gets another number, and then begins empty.
+/// Contents of a seal; a change of the arrangement of words or of their contents gets another number, and then starts
+/// empty.
 const SEAL: [u8; DATA_BYTES] = *b"R4 storage, arrangement 1 \0\0\0\0";
 
 const CHECKSUM: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
 
-/// Why a word was not written.
+/// Reason why a word was not written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum WordError {
-    /// The flash refused.
+    /// The flash reports an error.
     Flash,
-    /// It has been written since the sector was erased.
+    /// The word has been written since the sector was erased.
     NotBlank,
 }
 
@@ -48,7 +49,7 @@ impl NorFlashError for WordError {
     }
 }
 
-/// What a word holds.
+/// State of a word, with its data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Word {
     Blank,
@@ -57,7 +58,7 @@ enum Word {
     Spoilt,
 }
 
-/// Some flash controllers take words from aligned memory only.
+/// Word in memory, aligned because some flash controllers take words from aligned memory only.
 #[repr(align(4))]
 struct Raw([u8; RAW_BYTES]);
 
@@ -79,7 +80,7 @@ impl Raw {
     }
 }
 
-/// Some sectors of a flash, as `sequential-storage` takes them: spoilt words read as zeros, which it skips.
+/// Sectors of a flash as `sequential-storage` needs them: spoilt words read as zeros, which it skips.
 pub(super) struct Words<'f, F> {
     flash: &'f mut F,
     first_sector: usize,
@@ -97,12 +98,12 @@ impl<'f, F: NorFlash> Words<'f, F> {
         Self { flash, first_sector, sectors }
     }
 
-    /// Addresses as this type counts them.
+    /// Range of the addresses that this type uses.
     pub(super) fn range(&self) -> core::ops::Range<u32> {
         0..self.capacity() as u32
     }
 
-    /// Whether nothing has ever been written here.
+    /// Returns true if nothing has ever been written here.
     pub(super) async fn is_blank(&mut self) -> bool {
         for sector in 0..self.sectors {
             for word in 0..Self::SECTOR_WORDS {
@@ -122,7 +123,7 @@ impl<'f, F: NorFlash> Words<'f, F> {
     async fn get(&mut self, sector: usize, word: usize) -> Word {
         let mut raw = Raw([0; RAW_BYTES]);
         let address = self.address(sector, word);
-        // A driver fails to read what fails its error correction.
+        // A driver returns an error for a word that fails its error correction.
         if self.flash.read(address, &mut raw.0).await.is_err() { Word::Spoilt } else { raw.word() }
     }
 
@@ -147,7 +148,7 @@ impl<'f, F: NorFlash> Words<'f, F> {
         self.put(sector, SEAL_WORD, &SEAL).await
     }
 
-    /// Sector and word at `offset`, as this type counts it.
+    /// Sector and word at `offset`, an address of this type.
     fn place(offset: u32) -> (usize, usize) {
         let offset = offset as usize;
         (offset / Self::ERASE_SIZE, offset % Self::ERASE_SIZE / DATA_BYTES + FIRST_DATA)
@@ -162,7 +163,7 @@ impl<F: NorFlash> ReadNorFlash for Words<'_, F> {
     const READ_SIZE: usize = DATA_BYTES;
 
     async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), WordError> {
-        // The store reads item after item: other tasks get their turn in between.
+        // The store reads item after item: other tasks run in between.
         yield_now().await;
         let (sector, first_word) = Self::place(offset);
         let is_sealed = self.is_sealed(sector).await;

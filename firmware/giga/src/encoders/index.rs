@@ -1,11 +1,12 @@
-//! Index pulses of encoders: the edge at which one begins latches the encoder's counter.
+//! Index pulses of encoders: their first edge latches the encoder's counter.
 //!
-//! They are at the switch pins, port J 0, 1, 2 and 5. The first three lines have vectors of their own, bound to [`Pulse`]. Line 5
-//! shares its vector with the dead-man's handle on line 7, where embassy's handler is: it masks and clears *all* lines that it finds
-//! pending, also these. [`Restore`] must be bound after it: one of these lines that is masked although it waits has had its edge.
+//! They use the switch pins, port J 0, 1, 2 and 5. The first three lines have vectors of their own, bound to [`Pulse`].
+//! Line 5 shares its vector with the dead-man's handle on line 7, where embassy's handler is: it masks and clears *all*
+//! lines that it finds pending, also these. [`Restore`] must be bound after it: a line that is masked although it is
+//! waiting has had its edge.
 //!
-//! A line is let through when the control loop asks for it, and masked again by its edge: no line interrupts more than once in a
-//! control period, whatever is on it.
+//! A line is unmasked when the control loop asks for it, and masked again by its edge: no line interrupts more than
+//! once in a control period, whatever its signal.
 
 use core::cell::RefCell;
 
@@ -17,28 +18,28 @@ use embassy_stm32::{
 
 use super::{lines, timers};
 
-/// Number of port J.
+/// Number of port J for EXTICR.
 const PORT_J: u8 = 9;
-/// The line of each encoder's switch pin.
+/// EXTI line of each encoder's switch pin.
 const LINES: [usize; 4] = [0, 1, 2, 5];
 
-/// What an index pulse has to do.
+/// State of an encoder's latch.
 #[derive(Clone, Copy, PartialEq)]
 enum Latch {
-    /// Nothing uses it: its line stays masked.
+    /// Not used: its line stays masked.
     Unused,
-    /// Nothing, until it is asked for.
+    /// Used, but not requested: its line is masked.
     Masked,
-    /// To latch the counter.
+    /// Waiting for an edge that latches the counter.
     Waits,
-    /// To be fetched: the count at its edge.
+    /// Latched, not fetched yet: the count at the edge.
     At(u16),
 }
 
 static LATCHES: Mutex<RefCell<[Latch; 4]>> = Mutex::new(RefCell::new([Latch::Unused; 4]));
 
-/// Chooses the edges of the encoders that have index pulses: for each, whether its line is low while one is on, `None` without. The
-/// pins must be inputs.
+/// Selects the edges of the encoders that have index pulses: for each, true if its line is low during a pulse, `None`
+/// without index pulses. The pins must be inputs.
 pub(super) fn start(active_low: [Option<bool>; 4]) {
     critical_section::with(|cs| {
         let mut latches = LATCHES.borrow_ref_mut(cs);
@@ -51,7 +52,7 @@ pub(super) fn start(active_low: [Option<bool>; 4]) {
         }
     });
     #[allow(unsafe_code, reason = "turns interrupts on")]
-    // SAFETY: their handler shares state through critical sections only.
+    // SAFETY: the handlers share state through critical sections only.
     unsafe {
         interrupt::EXTI0.enable();
         interrupt::EXTI1.enable();
@@ -60,7 +61,7 @@ pub(super) fn start(active_low: [Option<bool>; 4]) {
     }
 }
 
-/// The count of encoder `index` at its last index pulse since this was asked before.
+/// Returns the count of encoder `index` at its last index pulse since the last call; `None` without one.
 pub(super) fn take(index: usize) -> Option<u16> {
     critical_section::with(|cs| {
         let mut latches = LATCHES.borrow_ref_mut(cs);
@@ -72,14 +73,14 @@ pub(super) fn take(index: usize) -> Option<u16> {
         };
         *latch = Latch::Waits;
         let line = LINES[index];
-        // A masked line is pending, too, after an edge that was not waited for.
+        // A masked line also becomes pending, after an edge that was not waited for.
         pac::EXTI.pr(0).write(|w| w.set_line(line, true));
         pac::EXTI.imr(0).modify(|w| w.set_line(line, true));
         at
     })
 }
 
-/// The pulse of encoder `index` has begun.
+/// Latches the counter at the beginning of encoder `index`'s pulse.
 fn begun(cs: CriticalSection<'_>, index: usize) {
     let latch = &mut LATCHES.borrow_ref_mut(cs)[index];
     if *latch == Latch::Waits {
@@ -88,13 +89,13 @@ fn begun(cs: CriticalSection<'_>, index: usize) {
     }
 }
 
-/// Handler of `EXTI0` to `EXTI2`: of the pulse with the same number.
+/// Handler of `EXTI0` to `EXTI2`, for the pulse with the same number.
 pub struct Pulse;
 
 impl Pulse {
     fn on_edge(index: usize) {
         critical_section::with(|cs| {
-            // First, for the counter goes on.
+            // Latched first, because the counter runs on.
             begun(cs, index);
             pac::EXTI.imr(0).modify(|w| w.set_line(LINES[index], false));
             pac::EXTI.pr(0).write(|w| w.set_line(LINES[index], true));
@@ -115,7 +116,8 @@ macro_rules! handler {
 
 handler!(EXTI0: 0, EXTI1: 1, EXTI2: 2);
 
-/// Handler of `EXTI9_5`, to be bound after embassy's: for line 5, and for the others where that handler was before theirs.
+/// Handler of `EXTI9_5`, to be bound after embassy's: for line 5, and for the other lines if embassy's handler ran
+/// before theirs.
 pub struct Restore;
 
 impl typelevel::Handler<typelevel::EXTI9_5> for Restore {

@@ -1,14 +1,14 @@
-//! The interrupt of the external lines 10 to 15: the tracks of encoder 3, and the echoes of range sensors 2 and 3.
+//! Interrupt of the external lines 10 to 15: the tracks of encoder 3, and the echoes of range sensors 2 and 3.
 //!
-//! embassy's input with interrupts masks a line until a task has looked at it, which would lose edges. So the handler is our
-//! own, [`Edges`], bound as `EXTI15_10`. It goes by the lines' levels and not by which of them is pending: it can be called for
-//! any reason and as often as anyone likes. Pending bits are cleared before the levels are read, so that an edge after the
-//! reading calls it again.
+//! embassy's input with interrupts masks a line until a task has handled it, which would lose edges. So the handler is
+//! our own, [`Edges`], bound as `EXTI15_10`. It uses the lines' levels and not their pending bits, so additional calls
+//! do no harm. Pending bits are cleared before the levels are read, so that an edge after the reading calls it again.
 //!
-//! embassy's handler of another vector (the dead-man's handle on line 7) masks and clears *all* lines that it finds pending,
-//! also these. [`Restore`] must be bound after it, in the same vector: it unmasks ours and lets the handler look at them.
+//! embassy's handler of another vector (the dead-man's handle on line 7) masks and clears *all* lines that it finds
+//! pending, also these. [`Restore`] must be bound after it, in the same vector: it unmasks ours and calls the handler
+//! for them.
 //!
-//! A line that nothing of the robot uses stays masked, and so does one with more edges than its [`EdgeBudget`].
+//! A line that the robot does not use stays masked, and so does one with more edges than its [`EdgeBudget`].
 //!
 //! ```text
 //! bind_interrupts!(struct Irqs {
@@ -33,7 +33,7 @@ use r4_firmware::sensing::{
 
 use crate::{ranging, steppers};
 
-/// Number of port I: all four lines are its pins 10, 11, 14 and 15.
+/// Number of port I: the four lines are its pins 10, 11, 14 and 15.
 const PORT_I: u8 = 8;
 const TRACK_A: usize = 10;
 const TRACK_B: usize = 11;
@@ -41,41 +41,41 @@ const ECHO_2: usize = 14;
 const ECHO_3: usize = 15;
 const OURS: [usize; 4] = [TRACK_A, TRACK_B, ECHO_2, ECHO_3];
 
-/// Lines that share a budget of edges: both tracks, each echo.
+/// Groups of lines that share a budget of edges: both tracks, each echo.
 const GROUPS: [&[usize]; 3] = [&[TRACK_A, TRACK_B], &[ECHO_2], &[ECHO_3]];
-/// Edges of each that are taken in a millisecond.
+/// Edges per millisecond that are accepted for each group.
 const EDGES_PER_MS: [u32; 3] = [ENCODER_EDGES_PER_MS, ECHO_EDGES_PER_MS, ECHO_EDGES_PER_MS];
 
-/// Of each group; `None` where nothing uses it.
+/// Budget of each group; `None` for an unused one.
 type Budgets = [Option<EdgeBudget>; 3];
 
 static BUDGETS: Mutex<RefCell<Budgets>> = Mutex::new(RefCell::new([None; 3]));
 static DECODER: Mutex<RefCell<Decoder>> = Mutex::new(RefCell::new(Decoder::new()));
 
-/// The pins of the four lines.
+/// Pins of the four lines.
 pub struct Pins {
-    /// `enc3_a`
+    /// Pin `enc3_a` of the carrier.
     pub track_a: Peri<'static, peripherals::PI10>,
-    /// `enc3_b`
+    /// Pin `enc3_b` of the carrier.
     pub track_b: Peri<'static, peripherals::PI11>,
-    /// `us2_echo`
+    /// Pin `us2_echo` of the carrier.
     pub echo2: Peri<'static, peripherals::PI14>,
-    /// `us3_echo`
+    /// Pin `us3_echo` of the carrier.
     pub echo3: Peri<'static, peripherals::PI15>,
 }
 
-/// The lines, with their interrupt on.
+/// The four lines, with their interrupt enabled.
 pub struct Lines(#[expect(dead_code, reason = "holds the pins as they are")] [Input<'static>; 4]);
 
 impl Lines {
-    /// Turns the interrupt on, at `priority`: above everything that takes longer than edges are apart. Of encoder 3, echo 2 and
-    /// echo 3 those are listened to that are `used`. The steppers' clock must run.
+    /// Enables the interrupt, at `priority`: above everything that takes longer than the interval between edges. `used`
+    /// selects encoder 3, echo 2 and echo 3. The steppers' clock must run.
     #[must_use]
     pub fn new(pins: Pins, used: [bool; 3], priority: Priority) -> Self {
         let inputs = [
             Input::new(pins.track_a, Pull::Up),
             Input::new(pins.track_b, Pull::Up),
-            // An echo without a sensor must not look like one that does not end.
+            // Pulled down: an echo without a sensor must not look like one that does not end.
             Input::new(pins.echo2, Pull::Down),
             Input::new(pins.echo3, Pull::Down),
         ];
@@ -94,7 +94,7 @@ impl Lines {
         });
         interrupt::EXTI15_10.set_priority(priority);
         #[allow(unsafe_code, reason = "turns an interrupt on")]
-        // SAFETY: its handler shares state through critical sections only.
+        // SAFETY: the handler shares state through critical sections only.
         unsafe {
             interrupt::EXTI15_10.enable();
         }
@@ -103,20 +103,20 @@ impl Lines {
         Self(inputs)
     }
 
-    /// What encoder 3 has counted.
+    /// Decoder of encoder 3, with its counts.
     #[must_use]
     pub fn encoder(&self) -> Decoder {
         critical_section::with(|cs| *DECODER.borrow_ref(cs))
     }
 }
 
-/// The count of encoder 3.
+/// Count of encoder 3.
 pub(super) fn count(cs: CriticalSection<'_>) -> u16 {
     DECODER.borrow_ref(cs).count()
 }
 
-/// Which of encoder 3, echo 2 and echo 3 have lost edges by a storm, at `now` of the steppers' clock. Lets them have another try
-/// when it is time. The control loop asks every period in which there may be a storm.
+/// Returns for encoder 3, echo 2 and echo 3 whether they have lost edges by a storm, at `now` of the steppers' clock,
+/// and unmasks them when it is time. The control loop calls it in every period in which there may be a storm.
 pub(crate) fn storms(cs: CriticalSection<'_>, now: u32) -> [bool; 3] {
     let mut budgets = BUDGETS.borrow_ref_mut(cs);
     let mut tried = false;
@@ -128,7 +128,7 @@ pub(crate) fn storms(cs: CriticalSection<'_>, now: u32) -> [bool; 3] {
     });
     if tried {
         set_masks(&budgets);
-        // For the levels as they are now.
+        // Handle the present levels.
         interrupt::EXTI15_10.pend();
     }
     storms
@@ -138,7 +138,7 @@ fn tracks(levels: pac::gpio::regs::Idr) -> (bool, bool) {
     (levels.idr(TRACK_A).to_bits() != 0, levels.idr(TRACK_B).to_bits() != 0)
 }
 
-/// Lets the lines through that have something of their budget left.
+/// Unmasks the lines that have some of their budget left, and masks the others.
 fn set_masks(budgets: &Budgets) {
     pac::EXTI.imr(0).modify(|w| {
         for (lines, budget) in GROUPS.into_iter().zip(budgets) {
@@ -151,7 +151,7 @@ fn is_open(budget: Option<&EdgeBudget>) -> bool {
     budget.is_some_and(|budget| !budget.is_masked())
 }
 
-/// Handler of `EXTI15_10`.
+/// Handler of the `EXTI15_10` vector.
 pub struct Edges;
 
 impl typelevel::Handler<typelevel::EXTI15_10> for Edges {
@@ -164,7 +164,7 @@ impl typelevel::Handler<typelevel::EXTI15_10> for Edges {
             let mut budgets = BUDGETS.borrow_ref_mut(cs);
             let mut spent = false;
             for (lines, budget) in GROUPS.into_iter().zip(budgets.iter_mut()) {
-                // A masked line is pending too, when another one calls.
+                // A masked line is pending, too, when another one calls.
                 if let Some(budget) = budget.as_mut().filter(|budget| !budget.is_masked()) {
                     spent |= lines.iter().any(|line| pending.line(*line)) && budget.edge(now);
                 }
@@ -187,7 +187,7 @@ impl typelevel::Handler<typelevel::EXTI15_10> for Edges {
     }
 }
 
-/// Handler of `EXTI9_5` and any other vector in which embassy's handler is, to be bound after that.
+/// Handler of `EXTI9_5` and any other vector that embassy's handler uses, to be bound after that.
 pub struct Restore;
 
 impl Restore {

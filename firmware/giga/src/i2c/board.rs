@@ -1,9 +1,10 @@
-//! The bus with the board's chips, I2C2: the interrupt at the end of a transfer begins the next.
+//! Bus with the board's chips, I2C2: the interrupt at the end of a transfer begins the next.
 //!
-//! The control loop has up to ten writes and a read a period. For each, embassy's driver wakes its task, which goes through the
-//! futures of a whole period and sets up a transfer: 2 300 to 2 700 instructions for a write, where the interrupt here takes 58
-//! (docs/performance.md). What is written goes by DMA; what is read comes a byte an interrupt: it is one to four bytes while
-//! armed. The controller sends the stop by itself (AUTOEND) and interrupts after it, so that nothing waits for one.
+//! The control loop has up to ten writes and a read per period. For each, embassy's driver wakes its task, which polls
+//! the futures of a whole period and sets up a transfer: 2 300 to 2 700 instructions for a write, where the interrupt
+//! here takes 58 (docs/performance.md). Written bytes are sent by DMA; read bytes take an interrupt each: one to four
+//! bytes while armed. The controller sends the stop by itself (AUTOEND) and interrupts after it, so that nothing waits
+//! for one.
 
 use core::{
     future::poll_fn,
@@ -37,38 +38,38 @@ use r4_firmware::platform::{self, Write};
 
 use super::{BusError, Transfer, Wiring};
 
-/// Writes that go out together.
+/// Maximum number of transfers that go out together.
 const LENGTH: usize = 32;
-/// Bytes of a read: the longest is that of the MCP4728, 24.
+/// Maximum number of bytes of a read: the longest is that of the MCP4728, 24.
 const READ: usize = 32;
-/// Bytes of a transfer without reloading NBYTES.
+/// Maximum number of bytes of a transfer without reloading NBYTES.
 const MOST: usize = 255;
 const REGISTERS: pac::i2c::I2c = pac::I2C2;
 const DMA: pac::dma::Dma = pac::DMA1;
-/// Of its streams, and of the first half of the flags.
+/// DMA stream, whose flags are in the first half of the flag registers.
 const STREAM: usize = 0;
-/// I2C2_TX of DMAMUX1 (RM0399, table 121).
+/// Request I2C2_TX of DMAMUX1 (RM0399, table 121).
 const REQUEST: u8 = 36;
-/// The timer of the deadline. One of the executor's took 290 instructions for each transfer, of which a stop has five
+/// Timer of the deadline. A timer of the executor took 290 instructions for each transfer, of which a stop has five
 /// (docs/performance.md).
 const DEADLINE: pac::timer::TimBasic = pac::TIM7;
-/// Allowed for each byte: twice what a byte and its acknowledge take at 400 kHz, with its share of START and STOP.
+/// Time allowed for each byte: twice that of a byte and its acknowledge at 400 kHz, with its share of START and STOP.
 const BYTE: Duration = Duration::from_micros(60);
 
-/// What the interrupts know of the transfers.
+/// State of the transfers, shared with the interrupts.
 struct Shared {
-    /// CR2 of each, and the address of its bytes where they are written.
+    /// Value of CR2 for each transfer, and the address of its bytes if they are written.
     starts: [AtomicU32; LENGTH],
     bytes: [AtomicU32; LENGTH],
-    /// CR2 of a read behind a write without a stop.
+    /// Value of CR2 for a read behind a write without a stop.
     reread: AtomicU32,
-    /// How many are to be carried out, how many have been.
+    /// Number of transfers to carry out, and number completed.
     count: AtomicU32,
     done: AtomicU32,
     read: [AtomicU8; READ],
     received: AtomicU32,
     running: AtomicBool,
-    /// Flags of ISR that ended them, TIMEOUT for the deadline; 0 while none has.
+    /// Flags of ISR that ended the transfers, TIMEOUT for the deadline; 0 without a failure.
     failure: AtomicU32,
     waker: AtomicWaker,
 }
@@ -87,7 +88,7 @@ static SHARED: Shared = Shared {
 };
 
 impl Shared {
-    /// Begins the transfer that is next.
+    /// Begins the next transfer.
     fn start(&self) {
         let next = self.done.load(Ordering::Relaxed) as usize;
         let (Some(start), Some(bytes)) = (self.starts.get(next), self.bytes.get(next)) else { return };
@@ -108,7 +109,7 @@ impl Shared {
         REGISTERS.cr2().write_value(start);
     }
 
-    /// The controller has something to say.
+    /// Handles an interrupt of the controller.
     fn on_interrupt(&self) {
         if !self.running.load(Ordering::Relaxed) {
             return;
@@ -118,7 +119,7 @@ impl Shared {
             self.failure.store(flags.0, Ordering::Relaxed);
             self.end();
         } else if flags.rxne() {
-            // Before the stop behind the last byte.
+            // Read before the stop behind the last byte.
             let byte = REGISTERS.rxdr().read().rxdata();
             let received = self.received.load(Ordering::Relaxed);
             self.read.get(received as usize).into_iter().for_each(|place| place.store(byte, Ordering::Relaxed));
@@ -133,7 +134,7 @@ impl Shared {
         }
     }
 
-    /// The transfers take too long: a chip or a fault holds a line.
+    /// Handles the deadline: a chip or a fault holds a line.
     fn on_deadline(&self) {
         DEADLINE.sr().write(|w| w.set_uif(false));
         if self.running.load(Ordering::Relaxed) {
@@ -144,12 +145,12 @@ impl Shared {
         }
     }
 
-    /// No transfer is begun after the one that is under way. An interrupt in between begins at most one.
+    /// Lets no transfer begin after the one under way. An interrupt in between begins at most one.
     fn end_after_this(&self) {
         self.count.store(self.done.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
     }
 
-    /// Ends it all, whether or not a transfer is under way.
+    /// Ends all transfers, whether or not one is under way.
     fn end(&self) {
         self.running.store(false, Ordering::Release);
         count_deadline(false);
@@ -159,7 +160,7 @@ impl Shared {
     }
 }
 
-/// Lets the controller ask for bytes, and tell of bytes, ends and errors.
+/// Enables or disables the controller's DMA request and its interrupts for bytes, ends and errors.
 fn interrupts(on: bool) {
     REGISTERS.cr1().modify(|w| {
         w.set_txdmaen(on);
@@ -171,7 +172,7 @@ fn interrupts(on: bool) {
     });
 }
 
-/// Handles both interrupts of the controller and that of the deadline.
+/// Handler of both interrupts of the controller and of that of the deadline.
 pub(crate) struct OnBoard;
 
 macro_rules! handlers {
@@ -191,13 +192,13 @@ handlers!(I2C2_EV: on_interrupt I2C2_ER: on_interrupt TIM7: on_deadline);
 fn start_deadline(after: Duration) {
     let ticks = after.as_micros().min(u16::MAX.into()) as u16;
     DEADLINE.arr().write(|w| w.set_arr(ticks));
-    // Loads what was written and begins at 0.
+    // Loads the new value and restarts at 0.
     DEADLINE.egr().write(|w| w.set_ug(true));
     count_deadline(true);
 }
 
-/// Lets the timer count, or stops it. Its end alone interrupts, not its start (URS). An interrupt that it has asked for when it is
-/// stopped is handled before the next transfer begins: it is more urgent than the control task.
+/// Starts or stops the timer. Only its end interrupts, not its start (URS). An interrupt that is pending when it is
+/// stopped is handled before the next transfer begins: it has a higher priority than the control task.
 fn count_deadline(counts: bool) {
     DEADLINE.cr1().write(|w| {
         w.set_opm(true);
@@ -206,7 +207,7 @@ fn count_deadline(counts: bool) {
     });
 }
 
-/// Ends the transfers when the caller gives them up: their bytes are the caller's.
+/// Guard that ends the transfers when the caller drops their future: their bytes belong to the caller.
 struct Running;
 
 impl Drop for Running {
@@ -216,22 +217,22 @@ impl Drop for Running {
                 SHARED.end();
             }
         });
-        // What the stream still holds of a byte is dropped with the request; it ends with the access that is under way.
+        // The rest of a byte in the stream is dropped with the request; the stream stops after the access under way.
         while DMA.st(STREAM).cr().read().en() {}
     }
 }
 
-/// The bus with the board's chips.
+/// Driver of the bus with the board's chips.
 pub(crate) struct BoardBus {
     wiring: Wiring,
-    /// Pins and clock; their embassy driver is not used.
+    /// Owner of pins and clock; the embassy driver itself is not used.
     _controller: I2c<'static, Blocking, Master>,
     _stream: Peri<'static, peripherals::DMA1_CH0>,
     _deadline: Peri<'static, peripherals::TIM7>,
 }
 
 impl BoardBus {
-    /// `controller` must be that of `wiring`, I2C2. What is written must lie where DMA1 reaches it.
+    /// Creates the driver. `controller` must be that of `wiring`, I2C2. Written bytes must lie where DMA1 reaches them.
     pub(crate) fn new(
         controller: I2c<'static, Blocking, Master>,
         stream: Peri<'static, peripherals::DMA1_CH0>,
@@ -252,7 +253,8 @@ impl BoardBus {
         Self { wiring, _controller: controller, _stream: stream, _deadline: deadline }
     }
 
-    /// Carries out the first `count` transfers that were [`put`], `bytes` together: how many of them, and why not all.
+    /// Carries out the first `count` transfers that were [`put`], `bytes` in total; returns the number completed, and
+    /// the error that ended them, if any.
     async fn carry_out(
         &mut self,
         count: usize,
@@ -283,7 +285,7 @@ impl BoardBus {
     }
 }
 
-/// CR2 of a transfer of `length` bytes, at most [`MOST`].
+/// Value of CR2 for a transfer of `length` bytes, at most [`MOST`].
 fn start(address: u8, direction: Direction, length: usize, end: Autoend) -> Cr2 {
     let mut cr2 = Cr2(0);
     cr2.set_sadd(u16::from(address) << 1);
@@ -294,7 +296,7 @@ fn start(address: u8, direction: Direction, length: usize, end: Autoend) -> Cr2 
     cr2
 }
 
-/// Puts a transfer at `place`, below [`LENGTH`], to be carried out next; `bytes` of a read are none.
+/// Stores a transfer at `place`, below [`LENGTH`], to be carried out next; a read has no `bytes`.
 fn put(place: usize, start: Cr2, bytes: &[u8]) {
     if let (Some(to), Some(from)) = (SHARED.starts.get(place), SHARED.bytes.get(place)) {
         to.store(start.0, Ordering::Relaxed);
@@ -311,7 +313,7 @@ fn begin(count: usize, deadline: Duration) {
     if count == 0 {
         return;
     }
-    // What the stream reads has been written before it is started.
+    // The bytes that the stream reads must be written before it is started.
     fence(Ordering::SeqCst);
     let stream = DMA.st(STREAM);
     pac::DMAMUX1.ccr(STREAM).write(|w| w.set_dmareq_id(REQUEST));
@@ -329,7 +331,7 @@ fn begin(count: usize, deadline: Duration) {
     SHARED.start();
 }
 
-/// What ended the transfers, if not the end of the last.
+/// Error that ended the transfers, if any.
 fn failure() -> Result<(), BusError> {
     match Isr(SHARED.failure.load(Ordering::Relaxed)) {
         flags if flags.timeout() => Err(BusError::Held),
@@ -341,12 +343,12 @@ fn failure() -> Result<(), BusError> {
     }
 }
 
-/// Copies what has been read to `to`, which it fills.
+/// Copies the bytes that were read to `to`, which they fill.
 fn take(to: &mut [u8]) {
     to.iter_mut().zip(&SHARED.read).for_each(|(to, from)| *to = from.load(Ordering::Relaxed));
 }
 
-/// Refuses a transfer that NBYTES or what is kept of a read cannot hold.
+/// Checks that NBYTES and the read buffer can hold a transfer.
 fn check(write: &[u8], read: &[u8]) -> Result<(), BusError> {
     if write.len() > MOST || read.len() > READ || write.is_empty() && read.is_empty() {
         return Err(BusError::BadLength);
@@ -394,7 +396,7 @@ impl I2cBus for BoardBus {
             [Operation::Write(write)] => self.write(address, write).await,
             [Operation::Read(read)] => self.read(address, read).await,
             [Operation::Write(write), Operation::Read(read)] => self.write_read(address, write, read).await,
-            // Nothing in the firmware asks for other shapes.
+            // The firmware uses no other shapes.
             _ => Err(BusError::BadLength),
         }
     }

@@ -1,15 +1,15 @@
-//! The I2C controllers: embassy's asynchronous driver, and a way to free the bus.
+//! I2C controllers: embassy's asynchronous driver, with corrections and a way to free the bus.
 //!
-//! What embassy-stm32 0.6.0 does not do, and is done here:
+//! Deficiencies of embassy-stm32 0.6.0 that are corrected here:
 //!
-//! - A read that nobody acknowledges ends only by its timeout there. Here the NACK flag ends every transfer at once.
-//! - After a read the next start may be written while the stop is still going out, and clobbers it. Here a transfer begins when
-//!   the bus is free. It does not end so: to wait for its own stop took 780 instructions of each, and what is computed between
-//!   two transfers takes longer than a stop.
-//! - Giving a transfer up leaves the controller in the middle of it. Here the controller is switched off and on, which lets go
-//!   of both lines (RM0399, 50.4.6), whenever a transfer fails or is dropped.
-//! - Its timing register values overflow their fields with a 120 MHz kernel clock. [`Timing`] has them from the formulas of
-//!   RM0399, 50.4.5 and 50.4.9.
+//! - A read without an acknowledge ends only by its timeout there. Here the NACK flag ends every transfer at once.
+//! - After a read the next start may be written while the stop is still going out, and overwrite it. Here a transfer
+//!   begins when the bus is free. It does not wait for its own stop at its end: that took 780 instructions each, and
+//!   the computation between two transfers takes longer than a stop.
+//! - Giving a transfer up leaves the controller in the middle of it. Here the controller is switched off and on, which
+//!   releases both lines (RM0399, 50.4.6), whenever a transfer fails or is dropped.
+//! - Its timing register values overflow their fields with a 120 MHz kernel clock. [`Timing`] computes them from the
+//!   formulas of RM0399, 50.4.5 and 50.4.9.
 
 mod board;
 
@@ -34,43 +34,43 @@ use r4_protocol::message::MAX_RAW;
 use crate::pins::Place;
 pub(crate) use board::{BoardBus, OnBoard};
 
-/// Half a clock of a bus that is freed by hand: 100 kHz, which every chip follows.
+/// Half a clock period when a bus is freed by GPIO: 100 kHz, which every chip follows.
 const HALF_CLOCK: Duration = Duration::from_micros(5);
-/// As many clocks end any byte that a chip may be sending (UM10204, 3.1.16).
+/// Number of clocks that end any byte that a chip may be sending (UM10204, 3.1.16).
 const CLOCKS: u32 = 9;
 
-/// How a bus is timed, from a kernel clock of 120 MHz.
+/// Timing of a bus, from a kernel clock of 120 MHz.
 #[derive(Clone, Copy)]
 pub(crate) struct Timing {
     frequency: Hertz,
-    /// TIMINGR: PRESC, SCLDEL, SDADEL, SCLH, SCLL.
+    /// Value of TIMINGR: PRESC, SCLDEL, SDADEL, SCLH, SCLL.
     register: u32,
-    /// After which a transfer is given up, whichever driver carries it out; the board's bus adds to it by the byte.
+    /// Time limit of a transfer, by either driver; the board's bus adds to it by the byte.
     deadline: Duration,
-    /// For the stop of the transfer before.
+    /// Time limit for the stop of the previous transfer.
     stop: Duration,
 }
 
-/// PRESC, SCLDEL, SDADEL, SCLH and SCLL of TIMINGR.
+/// Value of TIMINGR with PRESC, SCLDEL, SDADEL, SCLH and SCLL.
 pub(crate) const fn timingr(presc: u32, scldel: u32, sdadel: u32, sclh: u32, scll: u32) -> u32 {
     assert!(presc < 16 && scldel < 16 && sdadel < 16 && sclh < 256 && scll < 256);
     presc << 28 | scldel << 20 | sdadel << 16 | sclh << 8 | scll
 }
 
 impl Timing {
-    /// 400 kHz in steps of 33.3 ns: low 1.47 us (at least 1.3), high 0.87 us (at least 0.6), and 0.13 us for the
-    /// synchronisation of both edges beside their rise; data set up 400 ns before the clock (rise 300 + 100), held for 267 ns
-    /// (225 to 307 with the analog filter).
+    /// Fast mode, 400 kHz in steps of 33.3 ns: low 1.47 us (at least 1.3), high 0.87 us (at least 0.6), and 0.13 us for
+    /// the synchronisation of both edges beside their rise; data set up 400 ns before the clock (rise 300 + 100), held
+    /// for 267 ns (225 to 307 with the analog filter).
     ///
-    /// 1 ms is twice the longest transfer of the control loop.
+    /// The deadline of 1 ms is twice the longest transfer of the control loop.
     pub(crate) const FAST: Self = Self {
         frequency: Hertz(400_000),
         register: timingr(3, 11, 8, 25, 43),
         deadline: Duration::from_millis(1),
         stop: Duration::from_micros(50),
     };
-    /// 100 kHz in steps of 100 ns: low 5.1 us (at least 4.7), high 4.7 us (at least 4.0), set up 1.3 us (rise 1000 + 250 ns),
-    /// held for 0.5 us.
+    /// Standard mode, 100 kHz in steps of 100 ns: low 5.1 us (at least 4.7), high 4.7 us (at least 4.0), set up 1.3 us
+    /// (rise 1000 + 250 ns), held for 0.5 us.
     ///
     /// The longest transfer, 64 bytes out and 64 in, takes 11.9 ms.
     pub(crate) const STANDARD: Self = Self {
@@ -80,13 +80,13 @@ impl Timing {
         stop: Duration::from_micros(200),
     };
 
-    /// For embassy's driver. `pull_up` where neither the Giga nor the carrier has resistors: too weak for 400 kHz, enough
-    /// that an empty connector is idle.
+    /// Configuration for embassy's driver. Set `pull_up` where neither the Giga nor the carrier has resistors: too weak
+    /// for 400 kHz, but enough to keep an empty connector idle.
     pub(crate) fn config(self, pull_up: bool) -> Config {
         let mut config = Config::default();
         config.frequency = self.frequency;
-        // From its beginning to its end. The driver would wait for a free bus without letting go of the processor; here it has
-        // been free before it begins.
+        // The time counts from beginning to end of a transfer. The driver itself would block the processor while it
+        // waits for a free bus; here the bus is free before it begins.
         config.timeout = self.deadline;
         config.scl_pullup = pull_up;
         config.sda_pullup = pull_up;
@@ -94,38 +94,38 @@ impl Timing {
     }
 }
 
-/// A controller below embassy.
+/// Hardware of a controller below embassy.
 #[derive(Clone, Copy)]
 pub(crate) struct Wiring {
-    /// Its registers.
+    /// Registers of the controller.
     pub(crate) registers: Registers,
-    /// Resets the controller and gives it its clock.
+    /// Function that resets the controller and enables its clock.
     pub(crate) reset: fn(),
-    /// The clock line.
+    /// Pin of the clock line.
     pub(crate) scl: Place,
-    /// The data line.
+    /// Pin of the data line.
     pub(crate) sda: Place,
-    /// How it is timed.
+    /// Timing of the bus.
     pub(crate) timing: Timing,
 }
 
 impl Wiring {
-    /// Writes what embassy's driver would write wrongly.
+    /// Writes the timing, which embassy's driver computes wrongly.
     fn start(&self) {
         self.registers.cr1().modify(|w| w.set_pe(false));
         self.registers.timingr().write(|w| w.0 = self.timing.register);
         self.registers.cr1().modify(|w| w.set_pe(true));
     }
 
-    /// Lets go of both lines and forgets the transfer. PE must stay off for three cycles of its clock; reading it back takes
-    /// longer.
+    /// Releases both lines and discards the transfer. PE must stay off for three cycles of its clock; reading it back
+    /// takes longer.
     fn forget(&self) {
         self.registers.cr1().modify(|w| w.set_pe(false));
         let _ = (0..3).all(|_| self.registers.cr1().read().pe());
         self.registers.cr1().modify(|w| w.set_pe(true));
     }
 
-    /// Clocks until no chip holds a line, and ends that with a stop.
+    /// Sends clocks until no chip holds a line, and ends with a stop.
     async fn free(&self) {
         let lines = ByHand::take(*self);
         let Wiring { scl, sda, .. } = *self;
@@ -135,7 +135,7 @@ impl Wiring {
             scl.set(true);
             Timer::after(HALF_CLOCK).await;
         }
-        // A stop: data rises while the clock is high.
+        // Stop condition: data rises while the clock is high.
         scl.set(false);
         Timer::after(HALF_CLOCK).await;
         sda.set(false);
@@ -147,7 +147,7 @@ impl Wiring {
         drop(lines);
     }
 
-    /// Waits for the end of a stop. It is microseconds away, or past, or the line is held.
+    /// Waits for the end of a stop, which is microseconds away, or past; false if the line is held.
     fn is_free(&self) -> bool {
         let mut until = None;
         while self.registers.isr().read().busy() {
@@ -161,8 +161,8 @@ impl Wiring {
     }
 }
 
-/// A transfer that leaves the controller idle whatever comes of it: it is forgotten when it is given up.
-/// Must be dropped after what embassy has of it, which ends its DMA first.
+/// Guard of a transfer that leaves the controller idle in any case: a transfer that is given up is discarded. Must be
+/// dropped after embassy's future, which ends its DMA first.
 struct Transfer<'w> {
     wiring: &'w Wiring,
     ended: bool,
@@ -170,14 +170,18 @@ struct Transfer<'w> {
 
 impl<'w> Transfer<'w> {
     /// Waits for a free bus.
+    ///
+    /// # Errors
+    /// [`BusError::Held`] if a line is held.
     fn begin(wiring: &'w Wiring) -> Result<Self, BusError> {
         if wiring.is_free() { Ok(Self { wiring, ended: false }) } else { Err(BusError::Held) }
     }
 
-    /// Carries it out. A deadline of its own would cost each poll another timer: embassy's is that of [`Timing::config`].
+    /// Carries out the transfer. A deadline of its own would cost each poll another timer: embassy's is that of
+    /// [`Timing::config`].
     async fn wait(&self, transfer: impl Future<Output = Result<(), Error>>) -> Result<(), BusError> {
         let registers = self.wiring.registers;
-        // embassy's handler wakes this task on a NACK; it is looked for first, before embassy clears it.
+        // embassy's handler wakes this task on a NACK; the flag is checked first, before embassy clears it.
         let refused = poll_fn(|_| if registers.isr().read().nackf() { Poll::Ready(()) } else { Poll::Pending });
         match select(refused, transfer).await {
             Either::First(()) => Err(BusError::NoAcknowledge),
@@ -185,7 +189,7 @@ impl<'w> Transfer<'w> {
         }
     }
 
-    /// What became of it. The stop of one that went well is still going out.
+    /// Ends the transfer and returns its result. After a success the stop is still going out.
     fn end(mut self, result: Result<(), BusError>) -> Result<(), BusError> {
         match result {
             Ok(()) => {
@@ -193,7 +197,8 @@ impl<'w> Transfer<'w> {
                 Ok(())
             }
             Err(BusError::NoAcknowledge) => {
-                // The controller sends the stop by itself (RM0399, 50.4.9); cut off, a chip would take it for part of a byte.
+                // The controller sends the stop by itself (RM0399, 50.4.9); if it were cut off, a chip would take it
+                // for part of a byte.
                 let _ = self.wiring.is_free();
                 Err(BusError::NoAcknowledge)
             }
@@ -210,8 +215,8 @@ impl Drop for Transfer<'_> {
     }
 }
 
-/// Carries a transfer of embassy's driver out. A macro, so that its future of 150 bytes stays where it is made: given from
-/// function to function it was copied five times, which took a fifteenth of all instructions.
+/// Carries out a transfer of embassy's driver. A macro, so that its future of 150 bytes stays in place: passed between
+/// functions it was copied five times, which took a fifteenth of all instructions.
 macro_rules! guarded {
     ($wiring:expr, $transfer:expr) => {{
         let guard = Transfer::begin($wiring)?;
@@ -220,20 +225,20 @@ macro_rules! guarded {
     }};
 }
 
-/// A transfer that failed.
+/// Error of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 pub(crate) enum BusError {
-    /// Nothing acknowledged the address, or a chip refused a byte.
+    /// No chip acknowledged the address, or a chip refused a byte.
     NoAcknowledge,
     /// No end in time: a line is held.
     Held,
-    /// An edge where none may be.
+    /// A START or STOP edge at an illegal place.
     Bus,
-    /// Another master, or a line that does not follow.
+    /// Arbitration lost: another master, or a line that does not follow.
     Arbitration,
     /// The controller was not served in time.
     Overrun,
-    /// More bytes than there is room for, or none.
+    /// Too many bytes for the buffers, or none.
     BadLength,
 }
 
@@ -262,20 +267,21 @@ impl From<Error> for BusError {
     }
 }
 
-/// Bytes that DMA reaches, where it does not reach what the tasks own: one transfer of the passthrough each way.
+/// Buffers that DMA reaches, for controllers whose DMA does not reach the tasks' memory: one transfer of the
+/// passthrough in each direction.
 pub(crate) struct Bounce {
     out: [u8; MAX_RAW],
     back: [u8; MAX_RAW],
 }
 
 impl Bounce {
-    /// Nothing in it.
+    /// Creates the empty buffers.
     pub(crate) const fn new() -> Self {
         Self { out: [0; MAX_RAW], back: [0; MAX_RAW] }
     }
 }
 
-/// The bus of a connector.
+/// Driver of a connector's bus.
 pub(crate) struct Bus {
     driver: I2c<'static, Async, Master>,
     wiring: Wiring,
@@ -283,7 +289,8 @@ pub(crate) struct Bus {
 }
 
 impl Bus {
-    /// `driver` must be that of the `wiring`'s controller. With `bounce` every byte goes through it.
+    /// Creates the driver. `driver` must be that of the `wiring`'s controller. With `bounce` every byte goes through
+    /// it.
     pub(crate) fn new(
         driver: I2c<'static, Async, Master>,
         wiring: Wiring,
@@ -336,18 +343,18 @@ impl I2cBus for Bus {
             [Operation::Write(write)] => self.write(address, write).await,
             [Operation::Read(read)] => self.read(address, read).await,
             [Operation::Write(write), Operation::Read(read)] => self.write_read(address, write, read).await,
-            // Nothing in the firmware asks for other shapes.
+            // The firmware uses no other shapes.
             _ if self.bounce.is_some() => Err(BusError::BadLength),
             _ => guarded!(&self.wiring, self.driver.transaction(address, operations)),
         }
     }
 }
 
-/// The lines while they are driven by hand. Given back to the controller when dropped, also in the middle.
+/// Guard of the lines while they are driven by GPIO. Dropping it, at any moment, returns them to the controller.
 struct ByHand(Wiring);
 
 impl ByHand {
-    /// Both lines are open-drain already, for the controller.
+    /// Takes both lines, which are open-drain already, for the controller.
     fn take(wiring: Wiring) -> Self {
         wiring.registers.cr1().modify(|w| w.set_pe(false));
         let lines = Self(wiring);

@@ -1,11 +1,13 @@
-//! The link over CAN: FDCAN2, frames cut as `r4_protocol::can` says, and its short way for set points.
+//! Link over CAN: FDCAN2, with the byte stream cut into frames by `r4_protocol::can`, and its short frames for set
+//! points.
 //!
-//! Frames are classic, unless the configuration has a rate for the data phase of CAN FD. The board then sends CAN FD, and hosts
-//! do from its first frame on; classic frames it takes all the same. Without that rate the controller interprets every frame as a
-//! classic one and destroys those of CAN FD by an error frame, as every classic node does (RM0399, 59.4.1 "CAN FD operation").
+//! Frames are classic, unless the configuration has a rate for the data phase of CAN FD. The board then sends CAN FD,
+//! and hosts do from its first frame on; it still accepts classic frames. Without that rate the controller interprets
+//! every frame as a classic one and destroys those of CAN FD by an error frame, as every classic node does (RM0399,
+//! 59.4.1 "CAN FD operation").
 //!
-//! A controller that was the cause of too many errors is off the bus (bus-off). It is let back on it by [`watch`], not by its
-//! driver: so long as a bus is shorted, 32 failed frames would follow each other at once, again and again.
+//! A controller that caused too many errors is off the bus (bus-off). [`watch`] lets it return, not its driver: as long
+//! as a bus is shorted, 32 failed frames would follow each other immediately, again and again.
 
 use core::convert::Infallible;
 use core::num::{NonZeroU8, NonZeroU16};
@@ -32,24 +34,24 @@ use r4_protocol::{
 
 use crate::boot::Board;
 
-/// Frames that wait to be read: 7 ms of a full bus.
+/// Maximum number of frames that wait to be read: 7 ms of a full bus.
 const RECEIVED: usize = 64;
-/// Frames that wait to be sent: one of the longest protocol frames.
+/// Maximum number of frames that wait to be sent: one of the longest protocol frames.
 const WAITING: usize = 32;
-/// After an error of the bus: it lasts, and must not keep the processor.
+/// Pause after a bus error, which lasts and must not keep the processor busy.
 const PAUSE: Duration = Duration::from_millis(1);
-/// From bus-off to the next attempt: at most 20 in a second, each of which costs 32 frames of 0.1 ms. Short beside the link
-/// timeout of a host.
+/// Pause from bus-off to the next attempt: at most 20 attempts per second, each of which costs 32 frames of 0.1 ms.
+/// Short compared with the link timeout of a host.
 const BUS_OFF_PAUSE: Duration = Duration::from_millis(50);
 
 const KERNEL_HZ: u32 = 80_000_000;
-/// Quanta of a bit: one to synchronise, and those before and after the sample, at 85 %, which lets the bus be as long as 1 Mbit/s
-/// allows. Edges are followed by up to 3 quanta, for a board that runs on its internal oscillator.
+/// Quanta of a bit: one to synchronise, and those before and after the sample, at 85 %, which allows the longest bus at
+/// 1 Mbit/s. Edges may be off by up to 3 quanta, for a board that runs on its internal oscillator.
 const BEFORE_SAMPLE: NonZeroU8 = NonZeroU8::new(16).expect("not 0");
 const AFTER_SAMPLE: NonZeroU8 = NonZeroU8::new(3).expect("not 0");
-/// As many kernel clocks are a quantum at 1 kbit/s.
+/// Kernel clocks per quantum at 1 kbit/s.
 const PRESCALER_KBIT: u32 = KERNEL_HZ / 1000 / (1 + BEFORE_SAMPLE.get() + AFTER_SAMPLE.get()) as u32;
-// Every rate a configuration may have is exact.
+// Every rate that a configuration may have is exact.
 const _: () = {
     let mut index = 0;
     while index < BITRATES_KBIT.len() {
@@ -58,7 +60,7 @@ const _: () = {
     }
 };
 
-/// The bit at `kbit_per_s`; `None` for a rate that a valid configuration does not have.
+/// Bit timing at `kbit_per_s`; `None` for a rate that a valid configuration does not have.
 fn timing(kbit_per_s: u16) -> Option<NominalBitTiming> {
     let prescaler = PRESCALER_KBIT.checked_div(kbit_per_s.into())?;
     Some(NominalBitTiming {
@@ -74,7 +76,7 @@ fn timing(kbit_per_s: u16) -> Option<NominalBitTiming> {
 const DATA_BEFORE_SAMPLE: NonZeroU8 = NonZeroU8::new(15).expect("not 0");
 const DATA_AFTER_SAMPLE: NonZeroU8 = NonZeroU8::new(4).expect("not 0");
 const DATA_PRESCALER_KBIT: u32 = KERNEL_HZ / 1000 / (1 + DATA_BEFORE_SAMPLE.get() + DATA_AFTER_SAMPLE.get()) as u32;
-// So is every rate of the data phase, and its prescaler fits DBRP.
+// Every rate of the data phase is exact, too, and its prescaler fits DBRP.
 const _: () = {
     let mut index = 1;
     while index < DATA_RATES_KBIT.len() {
@@ -84,7 +86,7 @@ const _: () = {
     }
 };
 
-/// The bit of the data phase; `None` for classic frames only.
+/// Bit timing of the data phase; `None` for classic frames only.
 fn data_timing(kbit_per_s: u16) -> Option<DataBitTiming> {
     let prescaler = DATA_PRESCALER_KBIT.checked_div(kbit_per_s.into())?;
     Some(DataBitTiming {
@@ -96,13 +98,13 @@ fn data_timing(kbit_per_s: u16) -> Option<DataBitTiming> {
     })
 }
 
-/// How often the controller went off the bus, and how often one of its error counters reached the warning limit.
+/// Number of times that the controller went off the bus, and that one of its error counters reached the warning limit.
 static BUS_OFF: AtomicU32 = AtomicU32::new(0);
 static WARNINGS: AtomicU32 = AtomicU32::new(0);
-/// One of them has changed.
+/// Signal that one of these numbers has changed.
 static CHANGED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 
-/// Counts the controller's errors. Before embassy's handler, which clears the flag of bus-off.
+/// Handler that counts the controller's errors. Must be bound before embassy's, which clears the flag of bus-off.
 pub(crate) struct OnError;
 
 impl Handler<FDCAN2_IT0> for OnError {
@@ -112,7 +114,7 @@ impl Handler<FDCAN2_IT0> for OnError {
         if !flags.bo() && !flags.ew() {
             return;
         }
-        // Both flags are of a change in either direction.
+        // Both flags are set by a change in either direction.
         let state = FDCAN2.psr().read();
         if flags.bo() && state.bo() {
             BUS_OFF.fetch_add(1, Ordering::Relaxed);
@@ -127,8 +129,8 @@ impl Handler<FDCAN2_IT0> for OnError {
     }
 }
 
-/// Tells hosts of the controller's errors, and lets it back on the bus after a pause: it then waits by itself for 128 times 11
-/// recessive bits (ISO 11898-1; RM0399, 59.5.13).
+/// Reports the controller's errors to hosts, and lets it return to the bus after a pause: it then waits by itself for
+/// 128 times 11 recessive bits (ISO 11898-1; RM0399, 59.5.13).
 pub(crate) async fn watch(shared: &Board) -> ! {
     loop {
         CHANGED.wait().await;
@@ -142,26 +144,26 @@ pub(crate) async fn watch(shared: &Board) -> ! {
     }
 }
 
-/// Where frames wait.
+/// Buffers of waiting frames.
 pub(crate) struct Buffers {
     rx: RxFdBuf<RECEIVED>,
     tx: TxFdBuf<WAITING>,
 }
 
 impl Buffers {
-    /// Nothing waits.
+    /// Creates the empty buffers.
     pub(crate) const fn new() -> Self {
         Self { rx: RxFdBuf::new(), tx: TxFdBuf::new() }
     }
 }
 
-/// Starts the controller, and gives the two halves of the link.
+/// Starts the controller, and returns the two halves of the link.
 pub(crate) fn start(
     mut can: CanConfigurator<'static>,
     config: CanConfig,
     buffers: &'static mut Buffers,
 ) -> (Receiver, Sender) {
-    // Neither 0 nor the controller's own timing is taken with a configuration that is valid.
+    // With a valid configuration neither the fallback to node 0 nor the controller's own timing is used.
     let node = u8::try_from(config.node).ok().and_then(Node::new).unwrap_or(const { Node::new(0).expect("in range") });
     let timing = timing(config.kbit_per_s);
     let mut registers = can
@@ -206,16 +208,16 @@ fn standard(identifier: u16) -> embedded_can::StandardId {
     embedded_can::StandardId::new(identifier).unwrap_or(embedded_can::StandardId::MAX)
 }
 
-/// Bytes out of the frames to this board.
+/// Byte stream from the frames to this board.
 pub(crate) struct Receiver {
     frames: BufferedFdCanReceiver,
     inbound: Inbound,
-    /// One that has to wait until the bytes before it are read.
+    /// Frame that has to wait until the bytes before it are read.
     waiting: Option<FdFrame>,
 }
 
 impl Receiver {
-    /// Takes `frame`, or keeps it; false when it is kept.
+    /// Takes `frame`; false if there is no room and it is kept for later.
     fn take(&mut self, frame: FdFrame) -> bool {
         let Id::Standard(id) = *frame.id() else { return true };
         let full = self.inbound.take(id.as_raw(), frame.data()) == Err(NotTaken::Full);
@@ -225,7 +227,7 @@ impl Receiver {
         !full
     }
 
-    /// Takes what has come: of set points that were not read in time the newest is followed, and not one after another.
+    /// Takes the frames that have arrived: of set points that were not read in time only the newest is followed.
     fn take_waiting(&mut self) {
         if let Some(frame) = self.waiting.take()
             && !self.take(frame)
@@ -254,26 +256,26 @@ impl Read for Receiver {
                 len => return Ok(len),
             }
             match self.frames.receive().await {
-                // There was nothing to read: it is taken.
+                // The buffer was empty, so the frame is taken.
                 Ok(envelope) => drop(self.take(envelope.frame)),
-                // Passive or off the bus: the controller comes back by itself.
+                // Passive or off the bus: the controller returns by itself.
                 Err(_) => Timer::after(PAUSE).await,
             }
         }
     }
 }
 
-/// Which frames are sent.
+/// Format of the frames that are sent.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Format {
     Classic,
-    /// CAN FD, with the data phase at a rate of its own or at that of the rest.
+    /// CAN FD; `switch` gives the data phase a rate of its own.
     Fd {
         switch: bool,
     },
 }
 
-/// Frames to hosts.
+/// Byte stream to hosts, in frames.
 pub(crate) struct Sender {
     frames: BufferedFdCanSender,
     id: Id,
@@ -299,7 +301,8 @@ impl ErrorType for Sender {
 }
 
 impl Write for Sender {
-    /// Done when the frames wait for the bus. While nobody else is on it, nobody acknowledges, and they wait for ever.
+    /// Completes when the frames wait for the bus. While no other node is on the bus, no acknowledge comes and they
+    /// wait indefinitely.
     async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
         if self.format == Format::Classic {
             for data in cut(bytes) {

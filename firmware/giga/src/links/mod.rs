@@ -6,7 +6,7 @@
 //! | 1 | FDCAN2: classic frames, bit rate and node of the configuration |
 //! | 2 | USB-C: a serial port |
 //!
-//! All three are one type each way, so that the code that serves a link is in flash once and not three times.
+//! All three share one type per direction, so that the code that serves a link is in flash once and not three times.
 
 pub(crate) mod can;
 mod ring;
@@ -16,7 +16,7 @@ pub(crate) mod usb;
 use embassy_stm32::{mode::Async, usart::UartTx};
 use embedded_io_async::{ErrorKind, ErrorType, Read, Write};
 
-/// A link that failed: a USB host that is gone.
+/// Error of a failed link: a USB host that is gone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Gone;
 
@@ -34,7 +34,7 @@ impl embedded_io_async::Error for Gone {
     }
 }
 
-/// Bytes from a host.
+/// Byte stream from a host.
 #[expect(clippy::large_enum_variant, reason = "each lies in its task's memory; there is no heap to box one in")]
 pub(crate) enum Receiver {
     Uart(uart::Receiver),
@@ -56,7 +56,7 @@ impl Read for Receiver {
     }
 }
 
-/// Bytes to a host.
+/// Byte stream to a host.
 pub(crate) enum Sender {
     Uart(UartTx<'static, Async>),
     Can(can::Sender),

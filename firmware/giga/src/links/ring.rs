@@ -1,8 +1,9 @@
-//! What a UART has received: a ring that a DMA stream fills for ever.
+//! Receive buffer of a UART: a ring that a DMA stream fills continuously.
 //!
-//! The stream is started once and never stopped. Bytes are counted since then, modulo 2^32: laps of the ring by the stream's
-//! interrupt, the rest by NDTR. A reader that knows how far it has read therefore never gets a byte twice: either the bytes
-//! from there on are still in the ring, or it learns that it came too late and goes on with what is received next.
+//! The stream is started once and never stopped. Bytes are counted since then, modulo 2^32: laps of the ring by the
+//! stream's interrupt, the rest by NDTR. A reader that knows its position therefore never gets a byte twice: either the
+//! bytes from there on are still in the ring, or the read reports that it came too late and continues with the
+//! following bytes.
 
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering, fence};
 
@@ -16,20 +17,20 @@ use embassy_stm32::pac::{
 };
 use embassy_sync::waitqueue::AtomicWaker;
 
-/// Bytes of one ring: 10 ms at 1 Mbaud. Half of it must be read out while the other half fills.
+/// Size of one ring, bytes: 10 ms at 1 Mbaud. Half of it must be read while the other half fills.
 pub(crate) const RING: usize = 1024;
-/// Bytes that the stream may be ahead of its count: the one that it writes, and those that come while the reader looks.
+/// Bytes by which the stream may be ahead of its count: the one that it writes, and those that come during a read.
 const MARGIN: u32 = 16;
 
-/// Memory, and what the interrupts tell.
+/// Memory of a ring, and the state that its interrupts update.
 pub(super) struct Ring {
     bytes: [AtomicU8; RING],
     laps: AtomicU32,
-    /// Woken when half of the ring was filled, and by the UART when its line falls silent.
+    /// Waker that is woken when half of the ring was filled, and by the UART when its line falls silent.
     pub(super) waker: AtomicWaker,
 }
 
-/// The reader was nearly a lap late, or later: that many bytes at least are lost.
+/// Error: the reader was nearly a lap late, or later. At least this number of bytes is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Late(pub(super) u32);
 
@@ -39,13 +40,13 @@ impl Ring {
     }
 }
 
-/// A stream of DMA1 or DMA2 that fills a ring.
+/// Stream of DMA1 or DMA2 that fills a ring.
 #[derive(Clone, Copy)]
 pub(super) struct Stream {
     pub(super) controller: Dma,
-    /// 0 to 7.
+    /// Number of the stream, 0 to 7.
     pub(super) number: usize,
-    /// DMAMUX1's: the stream's number, and 8 more for DMA2.
+    /// Channel of DMAMUX1: the stream's number, plus 8 for DMA2.
     pub(super) channel: usize,
     pub(super) ring: &'static Ring,
 }
@@ -59,8 +60,8 @@ impl Stream {
         self.controller.isr(self.number / 4).read()
     }
 
-    /// Fills the ring with bytes from the register at `from` whenever `request` comes, from now on for ever (RM0399, 15.3.19).
-    /// Once.
+    /// Starts filling the ring with bytes from the register at `from` whenever `request` comes, without end (RM0399,
+    /// 15.3.19). Call it once.
     pub(super) fn start(self, request: u8, from: *mut u8) {
         let stream = self.registers();
         DMAMUX1.ccr(self.channel).write(|w| w.set_dmareq_id(request));
@@ -75,7 +76,7 @@ impl Stream {
             w.set_minc(true);
             w.set_circ(true);
             w.set_pl(Pl::VERY_HIGH);
-            // For UARTs: without it the stream can lock up (erratum of the STM32H7's DMA).
+            // Needed for UARTs: without it the stream can lock up (erratum of the STM32H7's DMA).
             w.set_trbuff(true);
             w.set_htie(true);
             w.set_tcie(true);
@@ -84,10 +85,10 @@ impl Stream {
         stream.cr().modify(|w| w.set_en(true));
     }
 
-    /// To be called by the stream's interrupt.
+    /// Handles the stream's interrupt.
     pub(super) fn on_interrupt(self) {
         let (flags, line) = (self.flags(), self.number % 4);
-        // The addresses are right and never change.
+        // A transfer error is impossible: the addresses are valid and never change.
         assert!(!flags.teif(line), "a bus error of a UART's DMA");
         let complete = flags.tcif(line);
         self.controller.ifcr(self.number / 4).write(|w| {
@@ -100,12 +101,13 @@ impl Stream {
         self.ring.waker.wake();
     }
 
-    /// Bytes received since the start, modulo 2^32. The stream's interrupt must be able to interrupt the caller.
+    /// Number of bytes received since the start, modulo 2^32. The stream's interrupt must be able to interrupt the
+    /// caller.
     fn received(self) -> u32 {
         loop {
             let laps = self.ring.laps.load(Ordering::Acquire);
             let left = u32::from(self.registers().ndtr().read().ndt());
-            // The count belongs to this lap only if none was completed meanwhile, counted or not yet.
+            // NDTR belongs to this lap only if no lap was completed meanwhile, counted or not yet.
             let completed = self.flags().tcif(self.number % 4);
             fence(Ordering::Acquire);
             if !completed && self.ring.laps.load(Ordering::Acquire) == laps {
@@ -114,14 +116,17 @@ impl Stream {
         }
     }
 
-    /// Reads what was received after `position`, and moves that on; 0 bytes if there is nothing.
+    /// Reads the bytes received after `position`, and advances it; 0 if there are none.
+    ///
+    /// # Errors
+    /// [`Late`] if the stream has overwritten some of them; `position` is then that of the newest byte.
     pub(super) fn read(self, position: &mut u32, buffer: &mut [u8]) -> Result<usize, Late> {
         let begin = *position;
         let count = buffer.len().min(self.received().wrapping_sub(begin) as usize);
         for (offset, byte) in (0_u32..).zip(&mut buffer[..count]) {
             *byte = self.ring.bytes[begin.wrapping_add(offset) as usize % RING].load(Ordering::Relaxed);
         }
-        // Not before: the stream may have overwritten what was just read.
+        // Checked after the copy: the stream may have overwritten the bytes just read.
         fence(Ordering::Acquire);
         let received = self.received();
         let behind = received.wrapping_sub(begin);

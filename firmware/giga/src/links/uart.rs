@@ -1,9 +1,10 @@
-//! UARTs: received by DMA into a ring all the time, sent by DMA.
+//! UARTs: reception by DMA into a ring, continuously; transmission by DMA.
 //!
-//! embassy sends. Its receiver is not used: after a byte with a framing error or noise it stops its DMA stream and starts it
-//! again without setting NDTR and the address anew, which RM0399, 15.3.13 demands. Where the stream then writes and what the
-//! reader takes for new need not agree, so that old requests can be carried out again; and what is received until the reader
-//! comes is lost. Here the stream never stops ([`Stream`]). A line error costs the damaged byte only; the frames have a CRC.
+//! embassy sends. Its receiver is not used: after a byte with a framing error or noise it stops its DMA stream and
+//! starts it again without setting NDTR and the address anew, which RM0399, 15.3.13 demands. The place where the stream
+//! then writes and the place that the reader takes for new may differ, so that old requests can be carried out again;
+//! and bytes received until the reader comes are lost. Here the stream never stops ([`Stream`]). A line error costs the
+//! damaged byte only; the frames have a CRC.
 
 use core::{
     convert::Infallible,
@@ -25,34 +26,34 @@ use embedded_io_async::{ErrorType, Read};
 
 use super::ring::{Late, Ring, Stream};
 
-/// The link to the host at the debug header.
+/// Baud rate of the host's link at the debug header.
 pub(crate) const HOST_BAUD: u32 = 1_000_000;
-/// The UART connectors.
+/// Baud rate of the UART connectors.
 pub(crate) const CONNECTOR_BAUD: u32 = 115_200;
 
-/// 8 bits, no parity, one stop bit.
+/// Configuration with 8 bits, no parity, one stop bit.
 pub(crate) fn config(baud: u32) -> Config {
     let mut config = Config::default();
     config.baudrate = baud;
     config
 }
 
-/// A UART's receiving half, below embassy.
+/// Receiving half of a UART, below embassy.
 pub(crate) struct Port {
     name: &'static str,
     registers: Usart,
     stream: Stream,
-    /// Of the UART and of the stream.
+    /// Interrupts of the UART and of the stream.
     interrupts: [Interrupt; 2],
-    /// How often line errors were found, modulo 2^32; those of one burst are found together.
+    /// Number of line errors found, modulo 2^32; those of one burst count once.
     line_errors: AtomicU32,
 }
 
-/// A UART whose DMA stream is built in: which must not be used for anything else.
+/// UART with a fixed DMA stream, which must not be used for anything else.
 pub(crate) trait Receives: Instance {
-    /// Its stream.
+    /// DMA stream of its receiver.
     type Stream: RxDma<Self>;
-    /// What else belongs to it.
+    /// Registers, ring and counters of its receiver.
     const PORT: &'static Port;
 }
 
@@ -89,8 +90,8 @@ macro_rules! port {
     };
 }
 
-/// Handler of a UART's interrupt, to be bound *after* embassy's, which serves the transmitter but turns the interrupt of a
-/// silent line off when it finds one.
+/// Handler of a UART's interrupt, to be bound *after* embassy's, which serves the transmitter but disables the
+/// interrupt of an idle line when it finds one.
 pub(crate) struct OnLine;
 
 /// Handler of the interrupt of a receiver's stream, in place of embassy's.
@@ -101,11 +102,11 @@ port!(USART2, DMA1, 7, 7, DMA1_CH7, DMA1_STREAM7);
 port!(UART4, DMA2, 1, 9, DMA2_CH1, DMA2_STREAM1);
 
 impl Port {
-    /// Takes and clears line errors and silence. Errors alone do not interrupt (EIE is 0: embassy's handler would turn the
-    /// reception off); they are found when the line falls silent after them.
+    /// Reads and clears line errors and the idle flag. Errors alone do not interrupt (EIE is 0: embassy's handler would
+    /// disable the reception); they are found when the line falls silent after them.
     fn on_line(&self) {
         let flags = self.registers.isr().read();
-        // Only what was seen: what comes from now on interrupts again.
+        // Clears only the flags that were read: later events interrupt again.
         self.registers.icr().write(|w| {
             w.set_pe(flags.pe());
             w.set_fe(flags.fe());
@@ -128,13 +129,13 @@ impl Port {
     /// Starts the receiver of a UART that embassy has set up to send.
     fn start(&self, request: u8) {
         let usart = self.registers;
-        // Some of CR3 can be written only then (RM0399, 51.8.4). Nothing is being sent yet.
+        // Some bits of CR3 can be written only while UE is 0 (RM0399, 51.8.4). Nothing is being sent yet.
         usart.cr1().modify(|w| w.set_ue(false));
         usart.cr3().modify(|w| {
-            // A byte that the stream did not fetch in time is replaced by the next: that one is not lost too.
+            // A byte that the stream did not fetch in time is replaced by the next, so that this one is not lost too.
             w.set_ovrdis(true);
             w.set_eie(false);
-            // Line errors do not end the requests.
+            // Line errors do not end the DMA requests.
             w.set_ddre(false);
             w.set_dmar(true);
         });
@@ -147,7 +148,7 @@ impl Port {
         for interrupt in self.interrupts {
             interrupt.unpend();
             #[allow(unsafe_code, reason = "turns an interrupt on")]
-            // SAFETY: no critical section relies on its being off; its handlers share atomics only.
+            // SAFETY: no critical section relies on the interrupt being disabled; its handlers share atomics only.
             unsafe {
                 interrupt.enable();
             }
@@ -155,7 +156,7 @@ impl Port {
     }
 }
 
-/// Starts the receiver of the UART that `_sender` sends with. The DMA stream is the receiver's for good.
+/// Starts the receiver of the UART that `_sender` sends with. The receiver owns the DMA stream permanently.
 pub(crate) fn receive<T: Receives>(
     _sender: &UartTx<'static, Async>,
     pin: Peri<'static, impl RxPin<T>>,
@@ -168,17 +169,17 @@ pub(crate) fn receive<T: Receives>(
     Receiver { port: T::PORT, position: 0, line_errors: 0, _pin: pin }
 }
 
-/// A receiver that goes on whatever happens on the line.
+/// Receiver that continues through all errors on the line.
 ///
-/// Damaged bytes are among what is read, or missing: the bytes themselves say where a frame begins, and whether it is whole.
-/// Whoever reads so late that the ring was filled meanwhile goes on with what is received next.
+/// Damaged bytes are in the stream, or missing from it: the frame layer finds where a frame begins and whether it is
+/// complete. After a read that comes so late that the ring was filled, reading continues with the newest bytes.
 pub(crate) struct Receiver {
     port: &'static Port,
-    /// Bytes read or given up, modulo 2^32.
+    /// Number of bytes read or skipped, modulo 2^32.
     position: u32,
-    /// As far as the log has them.
+    /// Number of line errors that have been logged.
     line_errors: u32,
-    /// Would give the pin back.
+    /// Owner of the pin; dropping it would disconnect the pin.
     _pin: Flex<'static>,
 }
 
@@ -209,7 +210,7 @@ impl Read for Receiver {
             return Ok(0);
         }
         poll_fn(|context| {
-            // First: what comes after the look must wake.
+            // Registered first: a byte that arrives after the check must wake the task.
             self.port.stream.ring.waker.register(context.waker());
             match self.take(buffer) {
                 0 => Poll::Pending,

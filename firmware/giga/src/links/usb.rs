@@ -1,7 +1,7 @@
-//! The link over USB: a serial port (CDC-ACM) at the USB-C connector.
+//! Link over USB: a serial port (CDC-ACM) at the USB-C connector.
 //!
-//! Vendor and product are pid.codes' 1209:0001, which is for tests and not for boards that are handed on (pid.codes/1209/0001).
-//! The serial number is the processor's.
+//! Vendor and product are pid.codes' 1209:0001, which is for tests and not for boards that are handed on
+//! (pid.codes/1209/0001). The serial number is the processor's.
 
 use embassy_stm32::{peripherals::USB_OTG_FS, uid, usb};
 use embassy_usb::{
@@ -12,17 +12,17 @@ use embedded_io_async::{ErrorType, Read, Write};
 
 const VENDOR: u16 = 0x1209;
 const PRODUCT: u16 = 0x0001;
-/// Bytes of a packet at full speed.
+/// Size of a packet at full speed, bytes.
 const PACKET: usize = 64;
-/// Of a packet that is sent: a full one would have to be followed by an empty one, or the host waits for more.
+/// Size of a sent packet, bytes: after a full one the host waits until an empty one follows.
 const SHORT_PACKET: usize = PACKET - 1;
-/// The bus gives 500 mA to who asks; the board has its own supply as well.
+/// Current that the device requests, mA; the bus grants 500 mA, and the board has its own supply as well.
 const MAX_MILLIAMPERE: u16 = 500;
 
-/// The controller's driver.
+/// Driver of the USB controller.
 pub(crate) type Driver = usb::Driver<'static, USB_OTG_FS>;
 
-/// What the device needs for good.
+/// Memory that the device uses permanently.
 pub(crate) struct Memory {
     configuration: [u8; 128],
     bos: [u8; 16],
@@ -32,20 +32,20 @@ pub(crate) struct Memory {
 }
 
 impl Memory {
-    /// Nothing in it.
+    /// Creates the empty memory.
     pub(crate) fn new() -> Self {
         Self { configuration: [0; 128], bos: [0; 16], control: [0; PACKET], state: State::new(), packet: [0; PACKET] }
     }
 }
 
-/// No VBUS sense, for the Giga's pin of it is a UART: the device is always on.
+/// Configuration without VBUS sense, since the Giga uses that pin for a UART: the device is always on.
 pub(crate) fn config() -> usb::Config {
     let mut config = usb::Config::default();
     config.vbus_detection = false;
     config
 }
 
-/// The device, which must run for the two halves of the link to do anything.
+/// Creates the device and the two halves of the link, which work only while the device runs.
 pub(crate) fn start(driver: Driver, memory: &'static mut Memory) -> (UsbDevice<'static, Driver>, Receiver, Sender) {
     let mut config = Config::new(VENDOR, PRODUCT);
     config.manufacturer = Some("R4");
@@ -59,11 +59,11 @@ pub(crate) fn start(driver: Driver, memory: &'static mut Memory) -> (UsbDevice<'
     (builder.build(), Receiver(rx.into_buffered(packet)), Sender(tx))
 }
 
-/// Bytes from the host.
+/// Byte stream from the host.
 pub(crate) struct Receiver(BufferedReceiver<'static, Driver>);
 
 impl Receiver {
-    /// Ready when a host has configured the device.
+    /// Waits until a host has configured the device.
     pub(crate) async fn wait_connection(&mut self) {
         self.0.wait_connection().await;
     }
@@ -74,10 +74,10 @@ impl ErrorType for Receiver {
 }
 
 impl Read for Receiver {
-    /// Fails when the host is gone.
+    /// Reads bytes; fails when the host is gone.
     async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, CdcAcmError> {
         loop {
-            // An empty packet is no end of the link.
+            // An empty packet does not end the link.
             match self.0.read(buffer).await? {
                 0 => {}
                 len => return Ok(len),
@@ -86,7 +86,7 @@ impl Read for Receiver {
     }
 }
 
-/// Bytes to the host.
+/// Byte stream to the host.
 pub(crate) struct Sender(PacketSender<'static, Driver>);
 
 impl ErrorType for Sender {
@@ -94,7 +94,7 @@ impl ErrorType for Sender {
 }
 
 impl Write for Sender {
-    /// Fails when the host is gone.
+    /// Sends one short packet; fails when the host is gone.
     async fn write(&mut self, bytes: &[u8]) -> Result<usize, CdcAcmError> {
         self.0.write(&bytes[..bytes.len().min(SHORT_PACKET)]).await
     }

@@ -2,21 +2,21 @@
 //!
 //! | | timer | step pin | direction |
 //! | --- | --- | --- | --- |
-//! | clock | TIM2, 32 bits, runs for ever | | |
+//! | clock | TIM2, 32 bits, runs continuously | | |
 //! | axis 0 | TIM12 channel 1 | PH6 | PJ12 |
 //! | axis 1 | TIM14 channel 1 | PA7 | PG12 |
 //! | axis 2 | TIM15 channel 1 | PE5 | PJ14 |
 //! | axis 3 | TIM4 channel 2 | PD13 | PJ15 |
 //!
-//! All run from 240 MHz through a prescaler of 24, 10 MHz. TIM12 has no DMA request of its own and TIM14 not even a trigger,
-//! so all axes are made alike, without: each timer is in PWM mode 1 with preloaded registers and never stops, and
-//! [`r4_firmware::motion::generator`] says what it is to be loaded with and when. That module describes the method, and how
-//! exact it is: pulses within 0.8 µs of their events, fewer than 20 000 interrupts a second and axis, pulses up to 100 kHz.
-//! Its only interrupt is channel 1 of the clock, which is set to the next moment at which any axis wants something, in the
-//! last period of a stretch. It must come within 8 µs, so it has the highest priority of all, and nothing may turn interrupts off for
-//! longer.
+//! All run from 240 MHz through a prescaler of 24, 10 MHz. TIM12 has no DMA request of its own and TIM14 not even a
+//! trigger, so all axes work alike, without either: each timer is in PWM mode 1 with preloaded registers and never
+//! stops, and [`r4_firmware::motion::generator`] decides what to load into it and when. That module describes the
+//! method and its accuracy: pulses within 0.8 µs of their events, fewer than 20 000 interrupts a second and axis,
+//! pulses up to 100 kHz. Its only interrupt is channel 1 of the clock, which is set to the next moment at which any
+//! axis needs service, in the last period of a stretch. It must come within 8 µs, so it has the highest priority of
+//! all, and nothing may disable interrupts for longer.
 //!
-//! If the processor hangs, pulses go on at the last rate until the watchdog resets it, and with it the timers.
+//! If the processor hangs, pulses continue at the last rate until the watchdog resets it, and with it the timers.
 
 use core::cell::RefCell;
 
@@ -38,7 +38,8 @@ mod timers;
 use timers::{Axis, PULSE_TICKS};
 pub use timers::{Clock, TICK_HZ};
 
-/// Events of 2.5 control periods at 100 kHz, and as many turns of the direction line as may be among them.
+/// Room for the events of 2.5 control periods at 100 kHz, with as many turns of the direction line as may be among
+/// them.
 const ROOM: usize = 512;
 
 struct Driver {
@@ -46,16 +47,17 @@ struct Driver {
     axis: Axis,
 }
 
-/// By axis; made in [`MEMORY`], which has no value before. Absent drivers in here would be 17 KB of values in flash.
+/// Drivers by axis, created in [`MEMORY`], which has no initial value. With the drivers in this static 17 KB of initial
+/// values would be in flash.
 static DRIVERS: Mutex<RefCell<[Option<&'static mut Driver>; 4]>> = Mutex::new(RefCell::new([const { None }; 4]));
 static MEMORY: [StaticCell<Driver>; 4] = [const { StaticCell::new() }; 4];
 
-/// Timers and pins, by connector.
+/// Timers and pins of the steppers, by connector.
 pub struct Parts {
-    /// The clock.
+    /// Timer of the shared clock.
     #[expect(dead_code, reason = "whoever gives it away cannot use it")]
     pub clock: Peri<'static, peripherals::TIM2>,
-    /// Of axes 0 to 3.
+    /// Timers of axes 0 to 3.
     #[expect(dead_code, reason = "whoever gives it away cannot use it")]
     pub timers: (
         Peri<'static, peripherals::TIM12>,
@@ -63,25 +65,25 @@ pub struct Parts {
         Peri<'static, peripherals::TIM15>,
         Peri<'static, peripherals::TIM4>,
     ),
-    /// `step0` to `step3`
+    /// Pins `step0` to `step3`.
     pub steps: (
         Peri<'static, peripherals::PH6>,
         Peri<'static, peripherals::PA7>,
         Peri<'static, peripherals::PE5>,
         Peri<'static, peripherals::PD13>,
     ),
-    /// `dir0` to `dir3`; high is positive.
+    /// Pins `dir0` to `dir3`; high is positive.
     pub directions: (
         Peri<'static, peripherals::PJ12>,
         Peri<'static, peripherals::PG12>,
         Peri<'static, peripherals::PJ14>,
         Peri<'static, peripherals::PJ15>,
     ),
-    /// `step_en`
+    /// Pin `step_en` of the carrier.
     pub enable: Peri<'static, peripherals::PK3>,
 }
 
-/// All axes.
+/// Step generators of all axes.
 pub struct Generators {
     clock: Clock,
     enable: Flex<'static>,
@@ -91,7 +93,7 @@ pub struct Generators {
 impl Generators {
     /// Starts the timers, with blank periods. The enable line stays an input until [`Steppers::enable`].
     ///
-    /// The interrupt [`OnClock`] is turned on at `priority`.
+    /// The interrupt [`OnClock`] is enabled at `priority`.
     #[must_use]
     pub fn new(parts: Parts, priority: Priority) -> Self {
         rcc::enable_and_reset::<peripherals::TIM2>();
@@ -114,11 +116,11 @@ impl Generators {
             rcc::frequency::<peripherals::TIM4>(),
         ];
         axes.iter().zip(clocks).for_each(|(axis, clock)| axis.prepare(clock.0));
-        // After that the outputs are low.
+        // From here on the outputs are low.
         let steps = [step_pin(steps.0, 2), step_pin(steps.1, 9), step_pin(steps.2, 4), step_pin(steps.3, 2)];
         let clock = critical_section::with(|cs| {
             let clock = timers::start(rcc::frequency::<peripherals::TIM2>().0, &axes);
-            // One after the other: they are large for the stack.
+            // One after the other, because they are large for the stack.
             for ((driver, memory), axis) in DRIVERS.borrow_ref_mut(cs).iter_mut().zip(&MEMORY).zip(axes) {
                 *driver = Some(memory.init_with(|| Driver { generator: Generator::new(0), axis }));
             }
@@ -134,13 +136,14 @@ impl Generators {
         Self { clock, enable: Flex::new(parts.enable), _steps: steps }
     }
 
-    /// The clock, for others who want to know when something happened.
+    /// Shared clock, for other modules that time events by it.
     #[must_use]
     pub fn clock(&self) -> Clock {
         self.clock
     }
 
-    /// Does `what` with the driver of `axis`. What it then wants done sooner than before is done by [`Steppers::queued`].
+    /// Calls `what` with the driver of `axis`. An earlier service that this may require is set up by
+    /// [`Steppers::queued`].
     fn with<R: Default>(axis: u8, what: impl FnOnce(&mut Driver) -> R) -> R {
         critical_section::with(|cs| match DRIVERS.borrow_ref_mut(cs).get_mut(usize::from(axis)) {
             Some(Some(driver)) => what(driver),
@@ -155,7 +158,7 @@ fn step_pin(pin: Peri<'static, impl Pin>, function: u8) -> Flex<'static> {
     pin
 }
 
-/// Serves all axes, and sets the clock's compare to when the first wants it again.
+/// Serves all axes, and sets the clock's compare to the next service.
 fn serve(cs: CriticalSection<'_>) {
     let mut drivers = DRIVERS.borrow_ref_mut(cs);
     loop {
@@ -186,7 +189,7 @@ impl typelevel::Handler<typelevel::TIM2> for OnClock {
 impl Steppers for Generators {
     const TICK_HZ: u32 = TICK_HZ;
     const PULSE_TICKS: u32 = PULSE_TICKS;
-    /// 10 µs: the interrupt, after the loads of all other axes.
+    /// Latency of 10 µs: the interrupt, after the loads of all other axes.
     const DIRECTION_LATENCY_TICKS: u32 = 100;
 
     fn now(&mut self) -> u32 {
@@ -215,7 +218,7 @@ impl Steppers for Generators {
     }
 
     fn stop(&mut self, axis: u8) {
-        // Nothing is wanted sooner because of it: the compare may come in vain.
+        // No service becomes due earlier by a stop: the compare may then come without work.
         Self::with(axis, |driver| driver.generator.stop(&mut driver.axis));
     }
 }

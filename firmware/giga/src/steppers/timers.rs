@@ -1,4 +1,4 @@
-//! The registers of the step generators.
+//! Registers of the step generators.
 
 use embassy_stm32::{
     gpio::Output,
@@ -9,17 +9,17 @@ use embassy_stm32::{
 };
 use r4_firmware::motion::generator::{IDLE, StepTimer};
 
-/// Ticks in a second of the clock and of all axes.
+/// Frequency of the clock and of all axes, Hz.
 pub const TICK_HZ: u32 = 10_000_000;
-/// How long a pulse is active: 4 µs.
+/// Length of a pulse, ticks: 4 µs.
 pub(super) const PULSE_TICKS: u32 = 40;
 
-/// The free-running clock, TIM2.
+/// Free-running clock: the counter of TIM2.
 #[derive(Clone, Copy)]
 pub struct Clock(());
 
 impl Clock {
-    /// The present tick of [`TICK_HZ`], wrapping.
+    /// Present tick at [`TICK_HZ`], wrapping.
     #[must_use]
     pub fn now(self) -> u32 {
         Self::ticks()
@@ -30,10 +30,10 @@ impl Clock {
     }
 }
 
-/// One axis' timer and direction line.
+/// Timer and direction line of one axis.
 pub(super) struct Axis {
     timer: TimGp16,
-    /// Which of its outputs, from 0.
+    /// Output channel of the timer, from 0.
     channel: usize,
     direction: Output<'static>,
 }
@@ -48,7 +48,7 @@ impl Axis {
     }
 
     pub(super) fn on_tim15(direction: Output<'static>) -> Self {
-        // A timer with dead-time generator drives its outputs only with this bit.
+        // A timer with a dead-time generator drives its outputs only with this bit.
         pac::TIM15.bdtr().write(|w| w.set_moe(true));
         Self::new(pac::TIM15.as_ptr(), 0, direction)
     }
@@ -59,13 +59,13 @@ impl Axis {
 
     fn new(timer: *mut (), channel: usize, direction: Output<'static>) -> Self {
         #[allow(unsafe_code, reason = "the small timers have the registers of a general-purpose timer, but fewer")]
-        // SAFETY: the address of a timer; CR1, EGR, CCMR1, CCER, PSC, ARR and CCRx of its channels, which are used here,
-        // are laid out alike in all of them (RM0399).
+        // SAFETY: the address of a timer; CR1, EGR, CCMR1, CCER, PSC, ARR and CCRx of its channels, which are used
+        // here, have the same layout in all of them (RM0399).
         let timer = unsafe { TimGp16::from_ptr(timer) };
         Self { timer, channel, direction }
     }
 
-    /// Blank periods, from the start on.
+    /// Sets up the timer with blank periods from the start on.
     pub(super) fn prepare(&self, clock_hz: u32) {
         let Self { timer, channel, .. } = self;
         timer.psc().write_value(prescaler(clock_hz));
@@ -99,7 +99,7 @@ impl StepTimer for Axis {
     }
 }
 
-/// UIF, CC1IF to CC4IF, TIF and CC1OF to CC4OF of TIMx_SR.
+/// Flags UIF, CC1IF to CC4IF, TIF and CC1OF to CC4OF of TIMx_SR.
 const FLAGS: u32 = 0x1E5F;
 
 fn prescaler(clock_hz: u32) -> u16 {
@@ -123,10 +123,11 @@ pub(super) fn start(clock_hz: u32, axes: &[Axis; 4]) -> Clock {
     Clock(())
 }
 
-/// Sets when the clock's interrupt is to come. Returns whether that is still to be: if not, it does not come.
+/// Sets the tick of the clock's next interrupt. Returns false if that is already past: the interrupt then does not
+/// come.
 pub(super) fn wake_at(tick: u32) -> bool {
     pac::TIM2.ccr(0).write_value(tick);
-    // Other flags are left as they are: writing 1 does nothing (RM0399, TIMx_SR: rc_w0).
+    // Other flags stay unchanged: writing 1 does nothing (RM0399, TIMx_SR: rc_w0).
     pac::TIM2.sr().write(|w| {
         w.0 = FLAGS;
         w.set_ccif(0, false);

@@ -1,4 +1,4 @@
-//! What every test begins with: outputs off, then the clocks as the firmware makes them.
+//! Common start of all tests: outputs off, then the clocks as in the firmware.
 
 use core::{
     mem::MaybeUninit,
@@ -12,11 +12,11 @@ use embassy_time::Instant;
 use crate::{clocks, cycles, safety_pins};
 
 #[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
-// SAFETY: the section is in SRAM4, which is always clocked, and takes any data.
+// SAFETY: the section is in SRAM4, which is always clocked and may hold any data.
 #[unsafe(link_section = ".sram4.shared")]
 static EMBASSY: MaybeUninit<SharedData> = MaybeUninit::uninit();
 
-/// Whether the time driver runs; a log line before that has no time.
+/// True once the time driver runs; earlier log lines have no time.
 static CLOCK_RUNS: AtomicBool = AtomicBool::new(false);
 
 defmt::timestamp!("{=u64:us}", if CLOCK_RUNS.load(Ordering::Relaxed) { Instant::now().as_micros() } else { 0 });

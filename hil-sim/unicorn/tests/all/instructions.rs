@@ -1,4 +1,4 @@
-//! Hand-assembled Thumb on every backend: what it stops with, counts, and asks the bus for.
+//! Hand-assembled Thumb code on every backend: stop reasons, instruction counts, and bus accesses.
 
 #![allow(clippy::unwrap_used, reason = "failing is a test's way to speak")]
 
@@ -8,7 +8,7 @@ use r4_mcu::{Bank, Memory, Region, Size};
 
 const CODE: u32 = 0x0800_0000;
 
-/// A bus with one register at each address: the last value stored, or the address itself.
+/// Bus with one register at each address: the last value stored, or the address itself.
 #[derive(Default)]
 struct Bus {
     accesses: Vec<(char, Access, u32)>,
@@ -210,7 +210,7 @@ fn memory_without_clock_is_the_buss_until_it_is_switched_on<C: Tested>() {
     let before = memory.read(0x3000_0040, Size::Word);
     let mut bus = bus();
     assert_eq!(core.get(Register::R(0)), 0x3000_0040);
-    // The first store alone, then the rest with the switch.
+    // First the store alone, then the rest with the switch.
     memory.write_slice(CODE + 2, &[0x30, 0xBF]).unwrap();
     core.code_changed().unwrap();
     assert_eq!(run(&mut core, &mut bus), (2, Why::Wfi, 4));
@@ -275,7 +275,7 @@ fn handler_mode_uses_the_main_stack_and_returns_by_exc_return<C: Tested>() {
     core.set(Register::Xpsr, 0x0100_0000);
     core.set(Register::Control, 2);
     assert_eq!(core.get(Register::Sp), 0x2000_2000);
-    // pop {pc} does the same.
+    // The instruction pop {pc} does the same.
     core.set(Register::Control, 0);
     core.set(Register::Xpsr, 0x0100_0000 | 3);
 }
@@ -313,7 +313,7 @@ fn an_observed_instruction_in_a_conditional_block_does_not_confuse_the_stop_afte
     // cmp r5,r5; ite eq; moveq r1,#1 (observed); movne r1,#2; wfi
     let (mut core, _) = core::<C>(&[0x42AD, 0xBF0C, 0x2101, 0x2102, 0xBF30]);
     core.observe(&[CODE + 4]).unwrap();
-    // At the IT, of which what follows is a part.
+    // At the IT, whose block contains the instruction.
     assert_eq!(run(&mut core, &mut bus()), (1, Why::Observed, 2));
     assert_eq!(run(&mut core, &mut bus()), (4, Why::Wfi, 10));
     assert_eq!(core.get(Register::R(1)), 1);

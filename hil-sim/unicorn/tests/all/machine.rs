@@ -1,5 +1,5 @@
-//! The machine on every backend, with a chip of six registers around it (`common::TestChip`): time, interrupts, sleep,
-//! resets, faults, and what ends a run. Programs are hand-assembled, their source is next to them.
+//! Machine on every backend, with a chip of six registers around it (`common::TestChip`): time, interrupts, sleep,
+//! resets, faults, and the reasons that end a run. Programs are hand-assembled, their source is next to them.
 
 #![allow(clippy::unwrap_used, reason = "failing is a test's way to speak")]
 
@@ -15,10 +15,10 @@ const HANDLER: u32 = 0x0800_0300;
 const FAULT: u32 = 0x0800_0400;
 const MILLISECOND: u64 = 1_000_000;
 
-/// b .
+/// Endless loop: the instruction `b .`.
 const SPIN: [u16; 1] = [0xE7FE];
 
-/// A program: what the reset handler does, and the handler of interrupt 0. HardFault spins.
+/// Machine with a program: code of the reset handler, and of interrupt 0's handler. HardFault spins.
 fn program<C: Tested>(main: &[u16], handler: &[u16]) -> TestMachine<C> {
     with_settings(main, handler, Settings { stop_at_breakpoints: true, ..Settings::default() })
 }
@@ -45,15 +45,16 @@ fn register<C: Core>(machine: &TestMachine<C>, index: u8) -> u32 {
     machine.core.get(Register::R(index))
 }
 
-/// `movw r0,#0; movt r0,#0x4000; movw r4,#0xE100; movt r4,#0xE000; movs r1,#1; str r1,[r4]; movw r1,#1000; 1: str r1,[r0,#4];
-/// wfi; b 1b`: an alarm every time 1 us after the last one, and sleep.
+/// Program `movw r0,#0; movt r0,#0x4000; movw r4,#0xE100; movt r4,#0xE000; movs r1,#1; str r1,[r4]; movw r1,#1000; 1:
+/// str r1,[r0,#4]; wfi; b 1b`: sets an alarm 1 us after the last one each time, and sleeps.
 const ALARM: [u16; 15] = [
     0xF240, 0x0000, 0xF2C4, 0x0000, 0xF24E, 0x1400, 0xF2CE, 0x0400, 0x2101, 0x6021, 0xF240, 0x31E8, 0x6041, 0xBF30,
     0xE7FC,
 ];
 
-/// `movw r0,#0; movt r0,#0x4000; movw r3,#0; movt r3,#0x2000; ldr r2,[r0,#4]; ldr r1,[r3]; adds r1,#1; str r1,[r3]; str
-/// r2,[r3,#4]; movs r1,#0; str r1,[r0]; bx lr`: counts at 0x2000_0000, notes the time after it, takes the line down.
+/// Handler `movw r0,#0; movt r0,#0x4000; movw r3,#0; movt r3,#0x2000; ldr r2,[r0,#4]; ldr r1,[r3]; adds r1,#1; str
+/// r1,[r3]; str r2,[r3,#4]; movs r1,#0; str r1,[r0]; bx lr`: counts at 0x2000_0000, stores the time after it, takes the
+/// line down.
 const COUNT: [u16; 16] = [
     0xF240, 0x0000, 0xF2C4, 0x0000, 0xF240, 0x0300, 0xF2C2, 0x0300, 0x6842, 0x6819, 0x3101, 0x6019, 0x605A, 0x2100,
     0x6001, 0x4770,
@@ -101,7 +102,7 @@ fn a_run_does_not_depend_on_how_it_is_cut<C: Tested>() {
     }
 }
 
-/// The same program with an IT block: after the count, `cmp r1,#0; ite ge; movge r5,#1; movlt r5,#2`.
+/// Machine with the same program and an IT block after the count: `cmp r1,#0; ite ge; movge r5,#1; movlt r5,#2`.
 fn with_if_then<C: Tested>() -> TestMachine<C> {
     let mut handler = COUNT.to_vec();
     handler.splice(13..13, [0x2900, 0xBFAC, 0x2501, 0x2502]);
@@ -120,7 +121,7 @@ fn a_debugger_does_not_change_what_happens<C: Tested>() {
     free.run_until(MILLISECOND).unwrap();
     let expected = result(&free);
     assert_eq!((expected.4[5], expected.3 > 900), (1, true));
-    // Stopped at in the middle of blocks, the middle of the IT block among them.
+    // Stops in the middle of blocks, including the middle of the IT block.
     let mut watched = with_if_then::<C>();
     watched.observe(&[MAIN + 20, MAIN + 26, HANDLER + 18, HANDLER + 30]).unwrap();
     let mut stops = 0;
@@ -129,18 +130,18 @@ fn a_debugger_does_not_change_what_happens<C: Tested>() {
         visited.insert(watched.core.get(Register::Pc));
         stops += 1;
     }
-    // For what is in the IT block, before the block.
+    // For an instruction in the IT block it stops before the block.
     assert_eq!(visited.into_iter().collect::<Vec<_>>(), [MAIN + 20, MAIN + 26, HANDLER + 18, HANDLER + 28]);
     assert_eq!(result(&watched), expected);
     assert!(stops > 3 * expected.3, "{stops}");
-    // Every instruction by itself.
+    // Every instruction is a step of its own.
     let mut stepped = with_if_then::<C>();
     let mut steps = 0;
     while stepped.step_until(MILLISECOND).unwrap().reason != Reason::Time {
         steps += 1;
     }
     assert_eq!(result(&stepped), expected);
-    // ITE and its two instructions are one step, taking an exception is one too.
+    // ITE and its two instructions are one step, and so is taking an exception.
     assert!(steps + 2 * u64::from(expected.3) >= expected.1, "{steps}");
 }
 
@@ -228,7 +229,7 @@ fn bus_errors_of_loads_are_ignored_under_faultmask_when_asked_for<C: Tested>() {
     machine.observe(&[MAIN + 32]).unwrap();
     let stopped = machine.run_until(MILLISECOND).unwrap();
     assert_eq!(stopped.reason, Reason::Observed { address: MAIN + 32 });
-    // The load wrote back its address; PRECISERR and BFARVALID are set, and nothing was taken.
+    // The load wrote back its address; PRECISERR and BFARVALID are set, and no fault was taken.
     assert_eq!((register(&machine, 5), register(&machine, 6), register(&machine, 7)), (0, 0x0818_0004, 0x8200));
     // Without the mask, the next one is a fault.
     machine.observe(&[FAULT]).unwrap();
@@ -265,7 +266,7 @@ fn a_memory_is_used_as_soon_as_its_clock_is_on<C: Tested>() {
     assert!(!machine.chip.memory.is_enabled(Bank::Sram1));
     assert_eq!(machine.run_until(MILLISECOND).unwrap().reason, Reason::Breakpoint { operand: 1 });
     assert_eq!((register(&machine, 4), word(&machine, 0x3000_0100)), (77, 77));
-    // Off again, by the chip: the stack pointer's value is of no use there.
+    // Switched off again, by the chip: the memory at the stack pointer is unusable then.
     machine.chip.memory.set_enabled(Bank::Sram1, false);
     machine.core.set(Register::Pc, MAIN + 24);
     machine.observe(&[FAULT]).unwrap();
@@ -357,7 +358,8 @@ fn cycles_are_of_the_core_clock_and_not_instructions<C: Tested>() {
 fn an_event_that_never_ends_is_found<C: Tested>() {
     let mut machine = program::<C>(&SPIN, &SPIN);
     machine.run_until(100).unwrap();
-    // The chip wants to be advanced in the past, for ever: its alarm is told, and raised again by nothing but this.
+    // The chip asks to be advanced to a past time, indefinitely: its alarm has been reported, and only this event
+    // raises it again.
     machine.chip.stuck = true;
     let error = machine.run_until(MILLISECOND).unwrap_err().to_string();
     assert!(error.contains("an event that never ends"), "{error}");

@@ -1,4 +1,4 @@
-//! Tests of both instruction sets, of which neither was made from the other: `r4-thumb` and Unicorn.
+//! Tests of two instruction sets that were developed independently: `r4-thumb` and Unicorn.
 
 mod common;
 mod differential;

@@ -1,5 +1,5 @@
-//! The probe (hil-sim/probe) on every backend, and on qemu where there is one: every check passes, and all agree word
-//! for word.
+//! Runs the probe (hil-sim/probe) on every backend, and on qemu where that is installed: every check passes, and all
+//! agree word for word.
 
 #![allow(clippy::unwrap_used, reason = "failing is a test's way to speak")]
 
@@ -13,10 +13,10 @@ use r4_mcu::{ResetCause, Settings, Size};
 #[path = "../../../probe/src/arithmetic.rs"]
 mod arithmetic;
 
-/// Longer than the probe takes; virtual time.
+/// Time limit longer than the probe takes, ns of virtual time.
 const LONG_NS: u64 = 60_000_000_000;
 
-/// The probe: the one that `R4_PROBE_ELF` names (for qemu's layout `R4_PROBE_AN500_ELF`), or built now.
+/// ELF file of the probe: the one named by `R4_PROBE_ELF` (for qemu's layout `R4_PROBE_AN500_ELF`), or built now.
 fn probe(variable: &str, features: &[&str]) -> Vec<u8> {
     let path = env::var_os(variable).map_or_else(|| build(features), PathBuf::from);
     fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
@@ -30,7 +30,7 @@ fn build(features: &[&str]) -> PathBuf {
         .args(["build", "--release", "--locked", "--features", &features.join(",")])
         .current_dir(&root)
         .env("CARGO_TARGET_DIR", &target)
-        // The flags of whoever runs the tests are for another target.
+        // The flags of the calling environment are for another target.
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
         .output()
@@ -47,7 +47,7 @@ fn on<C: Tested>() -> (String, u64, u64) {
     let (text, passed) = run_semihosted(&mut machine, LONG_NS);
     let failed: Vec<_> = text.lines().filter(|line| line.contains("FAILED")).collect();
     assert!(passed && failed.is_empty(), "{failed:#?}");
-    // The block in memory says the same.
+    // The block in memory has the same results.
     let block = machine.symbols().address("R4_PROBE").unwrap();
     let word = |offset: u32| machine.chip.memory.read(block + offset, Size::Word).unwrap();
     assert_eq!(word(0), u32::from_le_bytes(*b"R4PB"));
@@ -68,7 +68,8 @@ fn qemu_agrees_word_for_word<C: Tested>() {
     }
     let elf = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("probe-an500-{}.elf", std::process::id()));
     fs::write(&elf, probe("R4_PROBE_AN500_ELF", &["an500"])).unwrap();
-    // Its time by instructions, 64 ns each, so that a busy PC does not matter: without, SysTick runs in real time.
+    // Time by instructions, 64 ns each, so that the load of the PC does not matter: otherwise SysTick runs in real
+    // time.
     let output = Command::new("qemu-system-arm")
         .args(["-icount", "shift=6,sleep=off"])
         .args(["-M", "mps2-an500", "-display", "none", "-monitor", "none", "-serial", "none"])

@@ -1,4 +1,4 @@
-//! PCA9685: sixteen 12-bit PWM outputs (NXP datasheet rev. 4).
+//! PCA9685 PWM controller: sixteen 12-bit outputs (NXP datasheet rev. 4).
 
 mod registers;
 
@@ -9,26 +9,27 @@ use registers as reg;
 use super::{ChipError, compare};
 use crate::{platform::Write, within::Within};
 
-/// Nominal frequency of the internal oscillator, Hz (datasheet 7.3.5). Differs by several percent from chip to chip.
+/// Nominal frequency of the internal oscillator, Hz (datasheet 7.3.5). It differs by several percent from chip to chip.
 const OSCILLATOR_HZ: f32 = 25e6;
-/// Steps of a PWM period.
+/// Counts in one PWM period.
 const STEPS: f32 = 4096.0;
-/// The last of them.
+/// Last count of a PWM period.
 const LAST: u16 = 4095;
-/// The oscillator needs this after `SLEEP` is cleared (datasheet 7.3.1.1).
+/// Start-up time of the oscillator after `SLEEP` is cleared (datasheet 7.3.1.1).
 const OSCILLATOR_START: Duration = Duration::from_micros(500);
 
-/// What one output does: 12-bit "on" and "off" counts with their full-on and full-off flags.
+/// Setting of one output: 12-bit "on" and "off" counts with their full-on and full-off flags.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Output([u8; 4]);
 
 impl Output {
-    /// Always low.
+    /// Output that is always low.
     pub const LOW: Self = Self([0, 0, 0, reg::FULL]);
-    /// Always high.
+    /// Output that is always high.
     pub const HIGH: Self = Self([0, reg::FULL, 0, 0]);
 
-    /// High from the start of the period for `share` of it, rounded to 1/4096; ends are always high or low.
+    /// Creates an output that is high from the start of the period for `share` of it, rounded to 1/4096; shares of 0
+    /// and 1 are always low and always high.
     #[must_use]
     pub fn high_for(share: f32) -> Self {
         // On == off must not be programmed (datasheet 7.3.3), and 4096 does not fit: both ends have their own flags.
@@ -42,9 +43,10 @@ impl Output {
         }
     }
 
-    /// High for `share` of the period from count `phase` on, rounded to 1/4096: outputs of one supply with different phases do
-    /// not all switch on at once. A pulse that would not fit begins sooner, so that each ends in the period in which it
-    /// began: nothing depends on what the output did before. `phase` is below 4096.
+    /// Creates an output that is high for `share` of the period from count `phase` on, rounded to 1/4096. Different
+    /// phases keep outputs of one supply from switching on together. A pulse that would not fit begins earlier, so that
+    /// it ends in the period in which it began: the output does not depend on its previous setting. `phase` is below
+    /// 4096.
     #[must_use]
     pub fn high_from(phase: u16, share: f32) -> Self {
         match nearest(share * STEPS) {
@@ -58,21 +60,22 @@ impl Output {
         }
     }
 
-    /// Always low, with the "on" count of this output: only its "off" count has to be written.
+    /// Returns an always low output with the "on" count of this one, so that only the "off" count has to be written.
     #[must_use]
     pub const fn low(self) -> Self {
         let Self([on_low, on_high, ..]) = self;
         Self([on_low, on_high, 0, reg::FULL])
     }
 
-    /// Whether it is always low, whatever its "on" count.
+    /// Returns true when the output is always low, whatever its "on" count.
     #[must_use]
     pub const fn is_low(self) -> bool {
         self.0[3] & reg::FULL != 0
     }
 
-    /// What differs from `before`: the first of the two or four registers, counted from `ON_L`, their bytes, and how many.
-    // Four bytes in any case: as many as there are would be copied by a call.
+    /// Returns the registers that differ from `before`: index of the first, counted from `ON_L`, the bytes, and their
+    /// number, 2 or 4.
+    // A fixed array of four bytes: a slice of variable length would be copied by a call.
     fn change_from(self, before: Self) -> (u8, [u8; 4], usize) {
         let [on_low, on_high, off_low, off_high] = self.0;
         let same = |at: usize| self.0[at] == before.0[at];
@@ -83,14 +86,14 @@ impl Output {
         }
     }
 
-    /// The bytes of `ON_L, ON_H, OFF_L, OFF_H`.
+    /// Returns the bytes of `ON_L, ON_H, OFF_L, OFF_H`.
     #[must_use]
     pub const fn registers(self) -> [u8; 4] {
         self.0
     }
 }
 
-/// A PCA9685 at one address. The bus is lent for each call.
+/// A PCA9685 at one address. Each call borrows the bus.
 #[derive(Clone, Copy, Debug)]
 pub struct Pca9685 {
     address: u8,
@@ -101,49 +104,52 @@ pub struct Pca9685 {
 impl Pca9685 {
     const MODE1_RUNNING: u8 = reg::MODE1_AI | reg::MODE1_ALLCALL;
 
-    /// The chip at `address` with the nominal oscillator, to run at the frequency nearest to `frequency_hz` it has.
+    /// Creates a driver of the chip at `address` with the nominal oscillator, for the available PWM frequency nearest
+    /// to `frequency_hz`.
     #[must_use]
     pub fn new(address: u8, frequency_hz: f32) -> Self {
         Self::with_oscillator(address, frequency_hz, OSCILLATOR_HZ)
     }
 
-    /// The same with an oscillator whose frequency was measured, Hz: for pulses that must be right.
+    /// Creates the same driver with the measured frequency of the oscillator, Hz, for accurate pulse widths.
     #[must_use]
     pub fn with_oscillator(address: u8, frequency_hz: f32, oscillator_hz: f32) -> Self {
-        // 3 is the hardware's minimum, 1526 Hz (datasheet 7.3.5).
+        // The hardware's minimum is 3, which gives 1526 Hz (datasheet 7.3.5).
         let prescale = libm::roundf(oscillator_hz / (STEPS * frequency_hz)) - 1.0;
         Self { address, oscillator_hz, prescale: prescale.within(3.0, 255.0) as u8 }
     }
 
-    /// Length of one PWM period.
+    /// Length of one PWM period, rounded up to 1 µs.
     #[must_use]
     pub fn period(&self) -> Duration {
         let us = STEPS * self.divider() / (self.oscillator_hz / 1e6);
         Duration::from_micros(libm::ceilf(us) as u64)
     }
 
-    /// High from the start of each period for `width_s`, to the nearest count: 1/4096 of a period, 4.9 µs at 50 Hz.
+    /// Creates an output that is high from the start of each period for `width_s`, to the nearest count: 1/4096 of a
+    /// period, 4.9 µs at 50 Hz.
     #[must_use]
     pub fn pulse(&self, width_s: f32) -> Output {
         Output::high_for(width_s * self.oscillator_hz / (STEPS * self.divider()))
     }
 
-    /// Oscillator clocks to a count.
+    /// Oscillator clocks per count.
     fn divider(&self) -> f32 {
         f32::from(self.prescale) + 1.0
     }
 
-    /// Turns every output off, sets frequency and output stage, starts the oscillator, and reads all of it back.
+    /// Turns every output off, sets frequency and output stage, starts the oscillator, and reads everything back.
     ///
-    /// Takes about 2.7 ms at 400 kHz. Outputs go off at the end of the PWM cycle that is running, and stay off, whatever
-    /// state the chip was in.
+    /// Takes about 2.7 ms at 400 kHz. Outputs turn off at the end of the PWM cycle that is running, and stay off, in
+    /// whatever state the chip was.
     ///
     /// # Errors
-    /// A failed transfer, or a register that does not hold what was written.
+    /// [`ChipError::Bus`] for a failed transfer, [`ChipError::Mismatch`] for a register that does not hold what was
+    /// written.
     pub async fn init<B: I2c>(&self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
         self.force_off(bus).await?;
         bus.write(self.address, &[reg::MODE1, Self::MODE1_RUNNING | reg::MODE1_SLEEP]).await?;
-        // Off again, now with the "on" counts that `set_off_count` relies on.
+        // Off once more, now with the "on" counts of 0 that `set_off_count` relies on.
         bus.write(self.address, &[reg::ALL_LED_ON_L, 0, 0, 0, reg::FULL]).await?;
         bus.write(self.address, &[reg::PRE_SCALE, self.prescale]).await?;
         bus.write(self.address, &[reg::MODE1, Self::MODE1_RUNNING]).await?;
@@ -155,14 +161,14 @@ impl Pca9685 {
         Ok(())
     }
 
-    /// Turns every output off, whatever state the chip is in, and reads nothing back: the first step of [`Pca9685::init`],
+    /// Turns every output off from any state of the chip and reads nothing back: the first step of [`Pca9685::init`],
     /// 0.15 ms at 400 kHz.
     ///
     /// # Errors
-    /// A failed transfer.
+    /// The bus's error, for a failed transfer.
     pub async fn force_off<B: I2c>(&self, bus: &mut B) -> Result<(), B::Error> {
-        // First, for a chip that changes its outputs on ACK would not take the next transfer, one that inverts them would
-        // take it for all on.
+        // MODE2 comes first: a chip set to change its outputs on ACK would not take the next transfer, and a chip set
+        // to invert them would turn all on.
         bus.write(self.address, &[reg::MODE2, reg::MODE2_OUTDRV]).await?;
         self.all_off(bus).await
     }
@@ -170,12 +176,12 @@ impl Pca9685 {
     /// Turns every output off, in one transfer of 3 bytes.
     ///
     /// # Errors
-    /// A failed transfer.
+    /// The bus's error, for a failed transfer.
     pub async fn all_off<B: I2c>(&self, bus: &mut B) -> Result<(), B::Error> {
         bus.write(self.address, &[reg::ALL_LED_OFF_H, reg::FULL]).await
     }
 
-    /// The write that sets up to four neighbouring outputs from `first` on, so that they change in the same PWM period.
+    /// Returns the write that sets up to four neighbouring outputs from `first` on; they change in the same PWM period.
     #[must_use]
     pub fn set(&self, first: u8, outputs: &[Output]) -> Write {
         let mut bytes = [0; Write::MAX];
@@ -188,8 +194,8 @@ impl Pca9685 {
         Write::new(self.address, bytes, end)
     }
 
-    /// The write that changes only the "off" count of `output`, whose "on" count is 0 as after [`Pca9685::init`]: 3 bytes after
-    /// the address.
+    /// Returns the write that changes only the "off" count of `output`, whose "on" count is 0 as after
+    /// [`Pca9685::init`]: 3 bytes after the address.
     #[must_use]
     pub fn set_off_count(&self, output: u8, to: Output) -> Write {
         let [_, _, low, high] = to.registers();
@@ -198,7 +204,8 @@ impl Pca9685 {
         Write::new(self.address, bytes, 3)
     }
 
-    /// The write that changes `output` from what it was written to, `before`, by the registers that differ.
+    /// Returns the write that takes `output` from its last written setting, `before`, to `to`, by the registers that
+    /// differ.
     #[must_use]
     pub fn change(&self, output: u8, before: Output, to: Output) -> Write {
         let (first, changed, count) = to.change_from(before);
@@ -208,10 +215,11 @@ impl Pca9685 {
         Write::new(self.address, bytes, 1 + count)
     }
 
-    /// Reads `output` back and compares.
+    /// Reads `output` back and compares it with `written`.
     ///
     /// # Errors
-    /// A failed transfer, or a register that does not hold what was written.
+    /// [`ChipError::Bus`] for a failed transfer, [`ChipError::Mismatch`] for a register that does not hold what was
+    /// written.
     pub async fn verify<B: I2c>(&self, bus: &mut B, output: u8, written: Output) -> Result<(), ChipError<B::Error>> {
         let mut read = [0; 4];
         bus.write_read(self.address, &[on_register(output)], &mut read).await?;
@@ -221,7 +229,7 @@ impl Pca9685 {
     /// Reads back that `output` is off; the counts behind the full-off flag do not matter.
     ///
     /// # Errors
-    /// A failed transfer, or the flag is not set.
+    /// [`ChipError::Bus`] for a failed transfer, [`ChipError::Mismatch`] when the flag is not set.
     pub async fn verify_off<B: I2c>(&self, bus: &mut B, output: u8) -> Result<(), ChipError<B::Error>> {
         let register = on_register(output) + 3;
         let mut read = [0];
@@ -229,10 +237,11 @@ impl Pca9685 {
         compare(register, [reg::FULL], [read[0] & reg::FULL])
     }
 
-    /// Reads back mode and prescaler: a chip that lost its supply for a moment is asleep at 200 Hz.
+    /// Reads mode and prescaler back: a chip that lost its supply for a moment is asleep at 200 Hz.
     ///
     /// # Errors
-    /// A failed transfer, or a register that does not hold what was written.
+    /// [`ChipError::Bus`] for a failed transfer, [`ChipError::Mismatch`] for a register that does not hold what was
+    /// written.
     pub async fn verify_mode<B: I2c>(&self, bus: &mut B) -> Result<(), ChipError<B::Error>> {
         let mut modes = [0; 2];
         bus.write_read(self.address, &[reg::MODE1], &mut modes).await?;
@@ -243,7 +252,7 @@ impl Pca9685 {
     }
 }
 
-/// The nearest count to what is not negative; 0 for NaN.
+/// Rounds a non-negative number to the nearest count; 0 for NaN.
 fn nearest(counts: f32) -> u16 {
     (counts + 0.5) as u16
 }
@@ -266,7 +275,7 @@ mod tests {
 
     const CHIP: u8 = 0x40;
 
-    /// Registers, and what was written to them, in order.
+    /// Fake chip: its registers, and the writes to it in order.
     #[derive(Clone, Default)]
     struct Written {
         registers: Registers,
@@ -286,8 +295,8 @@ mod tests {
         }
     }
 
-    /// Outputs go off before anything else, the prescaler is written while the oscillator is off (7.3.5), and nothing is read back
-    /// before it runs again.
+    /// Outputs turn off before anything else, the prescaler is written while the oscillator is off (7.3.5), and nothing
+    /// is read back before it runs again.
     #[test]
     fn it_is_set_up_in_the_order_that_the_datasheet_asks_for() {
         let (bus, mut tasks) = (Written::default(), Tasks::default());
@@ -306,7 +315,7 @@ mod tests {
             // Totem pole, changes on STOP; full off for all outputs.
             &[0x01, 0x04],
             &[0xFD, 0x10],
-            // Asleep, with the pointer that increments and the All Call address.
+            // Asleep, with auto-increment and the All Call address.
             &[0x00, 0x31],
             &[0xFA, 0, 0, 0, 0x10],
             &[0xFE, 121],
@@ -324,7 +333,8 @@ mod tests {
         assert_eq!(Output::high_for(f32::NAN), Output::LOW);
     }
 
-    /// Every phase and length: as long as without a phase, within the period, from the phase on or as near before it as fits.
+    /// For every phase and length a pulse is as long as without a phase, lies within the period, and starts at the
+    /// phase or as shortly before it as fits.
     #[test]
     fn a_phase_moves_a_pulse_and_leaves_its_length() {
         for phase in (0..4096).step_by(64) {
@@ -351,7 +361,7 @@ mod tests {
             (first, count)
         };
         assert_eq!([change(short, longer), change(longer, longest)], [(2, 2), (0, 4)]);
-        // Both at the end of the period: only where they begin differs.
+        // Both end at the end of the period: only their beginnings differ.
         assert_eq!(change(longest, Output::high_from(2048, 0.95)), (0, 2));
         assert_eq!((change(longest.low(), longest), longest.low().is_low()), ((2, 2), true));
         let chip = Pca9685::new(0x40, 1526.0);
@@ -370,7 +380,7 @@ mod tests {
 
     #[test]
     fn frequency_and_pulses_follow_the_measured_oscillator() {
-        // 1.5 ms are 37500 clocks of 25 MHz; at 50 Hz a count is 122 of them. At 26.2 MHz 39300, and 128.
+        // At 25 MHz 1.5 ms are 37500 clocks, and a count at 50 Hz is 122 of them. At 26.2 MHz they are 39300 and 128.
         let [nominal, fast] = [25e6, 26.2e6].map(|hz| Pca9685::with_oscillator(0x42, 50.0, hz));
         assert_eq!([nominal.prescale, fast.prescale], [121, 127]);
         assert_eq!(nominal.pulse(1.5e-3).registers(), [0, 0, 0x33, 0x01]); // 307.4

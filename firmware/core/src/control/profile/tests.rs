@@ -4,10 +4,10 @@ use super::*;
 use crate::{motion::scurve::Piece, testing::Ruckig};
 
 const DT: f32 = 1e-3;
-/// Room on both sides that no ramp comes to the end of.
+/// Room on both sides whose end no ramp reaches.
 const FREE: [f32; 2] = [f32::INFINITY; 2];
 
-/// Of motors: full acceleration after 10 ms to 0.5 s.
+/// Limits typical of motors: full acceleration after 10 ms to 0.5 s.
 fn limits() -> impl Strategy<Value = ProfileLimits> {
     (0.1f32..10.0, 1.0f32..50.0, 2.0f32..100.0).prop_map(|(speed, acceleration, per_s)| ProfileLimits {
         speed,
@@ -21,7 +21,7 @@ fn wide(limits: &ProfileLimits) -> Limits {
     Limits { speed, acceleration, jerk }
 }
 
-/// A state within the limits, also once its acceleration has been taken back, by shares of them.
+/// Motion within the limits, also after its acceleration has been removed; arguments are shares of the limits.
 fn inside(speed: f32, acceleration: f32, limits: &ProfileLimits) -> Ramp {
     let acceleration = acceleration * limits.acceleration;
     let change = acceleration * acceleration.abs() / (2.0 * limits.jerk);
@@ -29,7 +29,7 @@ fn inside(speed: f32, acceleration: f32, limits: &ProfileLimits) -> Ramp {
     Ramp { speed: speed * most, acceleration: if change.abs() > limits.speed { 0.0 } else { acceleration } }
 }
 
-/// From one period to the next: as many roundings of f32 as there are here.
+/// Checks continuity from one period to the next, up to the rounding of f32.
 fn goes_on(before: Moment, now: Moment, limits: &ProfileLimits) -> Result<(), TestCaseError> {
     let rounding = |size: f32| 4.0 * f32::EPSILON * size;
     let ProfileLimits { speed, acceleration, jerk } = *limits;
@@ -38,10 +38,10 @@ fn goes_on(before: Moment, now: Moment, limits: &ProfileLimits) -> Result<(), Te
     let jump = (now.acceleration - before.acceleration).abs();
     prop_assert!(jump <= jerk * DT + rounding(acceleration), "{before:?} {now:?}");
     let jump = (now.speed - before.speed - (now.acceleration + before.acceleration) / 2.0 * DT).abs();
-    // Between two accelerations, the mean of which it is but for where the jerk changes.
+    // The speed changes by the mean of two accelerations, except where the jerk changes.
     prop_assert!(jump <= jerk * DT * DT + rounding(speed), "{before:?} {now:?}");
     let jump = (before.to_go - now.to_go - (now.speed + before.speed) / 2.0 * DT).abs();
-    // A path that has arrived takes up to 1e-6 that its plan left.
+    // A path that has arrived absorbs up to 1e-6 of its plan's error.
     prop_assert!(jump <= jerk * DT * DT * DT + 1e-6 + rounding(now.to_go.abs()), "{before:?} {now:?}");
     Ok(())
 }
@@ -58,7 +58,7 @@ proptest! {
         loop {
             let Moment { to_go, speed: now, acceleration: led } = profile.step();
             prop_assert!(now.abs() <= speed * 1.000_01);
-            // One rounding of speed ± a dt; the last step takes what is left of two.
+            // One rounding error of speed ± a dt; the last step takes the remainder of two steps.
             let steps = if now == 0.0 { 2.0 } else { 1.0 };
             prop_assert!((now - last_speed).abs() <= steps * acceleration * DT * 1.001 + 1e-6);
             prop_assert_eq!(led, (now - last_speed) / DT);
@@ -74,11 +74,12 @@ proptest! {
         }
         let (d, v, a) = (distance.abs(), speed, acceleration);
         let ideal_s = if d * a > v * v { d / v + v / a } else { 2.0 * (d / a).sqrt() };
-        // A few periods for discretisation, a share for f32 sums of thousands of steps.
+        // A few periods for discretisation, and a share for f32 sums of thousands of steps.
         prop_assert!((periods as f32 * DT - ideal_s).abs() < 0.02 + 0.02 * ideal_s, "{} periods, ideal {} s", periods, ideal_s);
     }
 
-    /// From rest or any other state within the limits: each period where Ruckig has it, within the limits, and arrived in its time.
+    /// From rest or any other state within the limits, the path equals Ruckig's in each period, keeps the limits, and
+    /// arrives in the same time.
     #[test]
     fn a_path_with_limited_jerk_is_ruckigs(
         limits in limits(), distance in prop_oneof![-50.0f32..50.0, -0.05f32..0.05],
@@ -96,20 +97,20 @@ proptest! {
             goes_on(before, now, &limits)?;
             before = now;
             let [position, speed, acceleration] = ruckig.at(f64::from(period) * f64::from(DT));
-            // Both are told in f32; Ruckig's roots are good to some 1e-7 of the way.
+            // Both are in f32; Ruckig's roots are accurate to about 1e-7 of the distance.
             let far = distance.abs() + limits.speed;
             prop_assert!((f64::from(now.to_go) + position).abs() <= 1e-6 * f64::from(far), "{now:?} {position}");
             prop_assert!((f64::from(now.speed) - speed).abs() <= 1e-5 * f64::from(limits.speed), "{now:?} {speed}");
-            // Square roots of roundings of the speed.
+            // Square roots of the speed's rounding errors.
             let size = limits.acceleration + (limits.jerk * limits.speed).sqrt();
             prop_assert!((f64::from(now.acceleration) - acceleration).abs() <= 1e-3 * f64::from(size), "{now:?} {acceleration}");
         }
-        // Within the period in which Ruckig is, or the next by rounding.
+        // Ruckig arrives within this period, or by rounding in the next.
         profile.step();
         prop_assert_eq!(profile.step(), Moment::default());
     }
 
-    /// Other targets on the way: position, speed and acceleration go on as from one period to the next.
+    /// With new targets on the way, position, speed and acceleration stay continuous.
     #[test]
     fn a_moved_target_bends_a_path_without_a_jump(
         limits in limits(), moves in prop::collection::vec((-2.0f32..2.0, 1u32..1000), 1..8),
@@ -129,7 +130,7 @@ proptest! {
         }
     }
 
-    /// Any numbers that a configuration may have: a path or ramp of them is finite, and neither panics.
+    /// For any limits that a configuration may have, paths and ramps are finite and do not panic.
     #[test]
     fn any_limits_give_finite_paths(
         exponents in prop::array::uniform3(-9.0f32..9.0), distance in -1e9f32..1e9, speed in -1e9f32..1e9,
@@ -159,7 +160,7 @@ proptest! {
         let path = Path::to_speed(start, 0.0, &wide(&limits));
         let end = path.at(path.duration_s()).position;
         let way = -end.distance_to(0);
-        // Roundings to f32 of it, and of ways that are gone and come back.
+        // Rounding of the distance to f32, and of displacements that cancel.
         let most = f64::from(limits.speed * (limits.speed / limits.acceleration + 1.0)) + way.abs();
         prop_assert!((f64::from(motion.stopping(&limits)) - way).abs() <= 1e-6 * most, "{} {way}", motion.stopping(&limits));
         let trapezoid = ProfileLimits { jerk: 0.0, ..limits };
@@ -167,7 +168,7 @@ proptest! {
         prop_assert!((motion.stopping(&trapezoid) - way).abs() <= 2.0 * f32::EPSILON * way.abs());
     }
 
-    /// Within the limits, without a jump of acceleration, in the time that the fastest way takes.
+    /// The ramp keeps its limits, has no jump of acceleration, and takes the time of the fastest one.
     #[test]
     fn a_speed_is_come_to_with_limited_jerk(
         limits in limits(), from in -1.0f32..1.0, to in -1.0f32..1.0, share in 0.0f32..1.0, then in -1.0f32..1.0,
@@ -189,11 +190,11 @@ proptest! {
             }
             prop_assert_eq!(ramp.step(wanted, FREE, &limits, DT), wanted);
             let jump = (ramp.acceleration - before.acceleration).abs();
-            // The last step takes what is left of two.
+            // The last step takes the remainder of two steps.
             prop_assert!(jump <= 2.0 * limits.jerk * DT * 1.001, "{before:?} {ramp:?}");
             prop_assert!(ramp.acceleration.abs() <= limits.acceleration * 1.000_001);
             if let Some(end) = ends && ramp == (Ramp { speed: then, acceleration: 0.0 }) {
-                // Ramps of acceleration in steps of a period.
+                // Ramps of acceleration advance in whole periods.
                 prop_assert!(period <= end + 6 + end / 50, "{period} periods, not {end}");
                 break;
             }
@@ -201,7 +202,7 @@ proptest! {
         }
     }
 
-    /// To the end of its range and no further, whatever it is told.
+    /// For any set point, the speed stops at the end of the range and not beyond.
     #[test]
     fn a_speed_stops_before_the_end_of_the_range(limits in limits(), room in 0.01f32..20.0, up: bool) {
         let side = if up { 1.0 } else { -1.0 };
@@ -212,17 +213,17 @@ proptest! {
             let rooms = if up { [1e3, ahead] } else { [ahead, 1e3] };
             ramp.step(side * limits.speed, rooms, &limits, DT);
             gone += f64::from(side * ramp.speed * DT);
-            // What acceleration and speed change in two periods.
+            // Change of acceleration and speed in two periods.
             let late = (limits.acceleration + limits.jerk * DT) * DT * DT * 4.0;
             prop_assert!(gone <= f64::from(room + late), "{gone} of {room}: {ramp:?}");
         }
-        // Near the end it creeps.
+        // Near the end the speed is low.
         let near = (limits.speed * DT).max(room * 0.02);
         prop_assert!(gone >= f64::from(room - near).min(f64::from(limits.speed) * 50.0), "{gone} of {room}");
     }
 }
 
-/// What a motor keeps of a path is small.
+/// The memory of a motor's path is small.
 #[test]
 fn a_path_takes_little_memory() {
     assert!(size_of::<Profile>() <= 136, "{}", size_of::<Profile>());

@@ -1,26 +1,26 @@
-//! From events to what a PWM timer is told: the part of a step generator that is not registers.
+//! Step generator without its registers: converts events into the settings of a PWM timer.
 //!
-//! Each axis has a timer that runs through for ever. One of its *periods* begins with a pulse, or is blank; its length and
-//! kind are preloaded, so that they change at its end and never in it. All axes share a free-running 32-bit counter of the
-//! same ticks, the *clock*. A timer goes on with the period it has until it is told another, so that several like periods, a
-//! *stretch*, need one interrupt, in the last of them, which loads the stretch that follows. As every stretch begins where
-//! the one before ended, the clock alone tells which period a timer is in, and so how many pulses it has begun; the
-//! timer's own interrupts, counters and flags are not used.
+//! Each axis has a timer that runs without end. Each of its *periods* begins with a pulse, or is blank; length and kind
+//! are preloaded, so that they change at its end and never within. All axes share a free-running 32-bit counter of the
+//! same ticks, the *clock*. A timer repeats its period until it is loaded with another, so that several equal periods,
+//! a *stretch*, need one interrupt, in the last of them, which loads the following stretch. As every stretch begins
+//! where the one before ended, the clock alone shows in which period a timer is, and so how many pulses it has begun;
+//! the timer's own interrupts, counters and flags are not used.
 //!
-//! - Nothing to do is blank periods of [`IDLE`] ticks without end, and without interrupts.
-//! - A pulse that is more than [`LONGEST`] ticks away is waited for in blank periods, of which the last is as long as it
-//!   takes. Such pulses are exact, as is the first after the direction line turned.
-//! - Pulses closer than that and of one direction are made in stretches of equal spacing: as many, up to [`MOST`], as one
-//!   whole spacing keeps within [`ERROR`] ticks of their events. The spacing is rounded down and the next stretch is
-//!   reckoned from where this one ends, so that no error adds up, the last of a stretch is never late (the direction line
-//!   may turn after it), and no spacing is shorter than the shortest between the events of the stretch.
+//! - Without events there are blank periods of [`IDLE`] ticks without end, and without interrupts.
+//! - A pulse more than [`LONGEST`] ticks away is preceded by blank periods, the last of which is adjusted. Such pulses
+//!   are exact, as is the first after the direction line turned.
+//! - Closer pulses of one direction are made in stretches of equal spacing: as many, up to [`MOST`], as one whole
+//!   spacing keeps within [`ERROR`] ticks of their events. The spacing is rounded down and the next stretch is planned
+//!   from where this one ends, so that no error adds up, the last of a stretch is never late (the direction line may
+//!   turn after it), and no spacing is shorter than the shortest between the events of the stretch.
 //!
-//! # How late an interrupt may be
-//! It has from [`AFTER`] ticks after the beginning of the last period of a stretch to [`BEFORE`] ticks before its end. If
-//! it comes later, the timer has made the period once more. A pulse that was made so stands for the next event if that is a
-//! pulse, which was due about then. If it is not, a pulse too many was made: it is counted, and what is queued is dropped, so
-//! that whoever compares what was made with what was told sees it. If no interrupt ever comes, pulses go on at the last
-//! spacing: a watchdog must end that.
+//! # Permitted interrupt latency
+//! The interrupt has from [`AFTER`] ticks after the beginning of the last period of a stretch to [`BEFORE`] ticks
+//! before its end. If it comes later, the timer has made the period once more. A repeated pulse takes the place of the
+//! next event if that is a pulse, which was due about then. If it is not, there is one pulse too many: it is counted,
+//! and the queue is dropped, so that a comparison of pulses made with pulses queued shows it. If no interrupt ever
+//! comes, pulses continue at the last spacing: a watchdog must end that.
 
 use heapless::Deque;
 
@@ -32,46 +32,47 @@ mod tests;
 
 use stretch::{blank, pulses};
 
-/// Most that a pulse is made before or after the tick of its event, if events are told [`LEAD`] ticks before.
+/// Largest deviation of a pulse from the tick of its event, in either direction, if events are queued [`LEAD`] ticks
+/// before.
 pub const ERROR: u32 = 8;
-/// Shortest period. Events closer than this are made this far apart.
+/// Shortest period, ticks. Events closer than this are made this far apart.
 pub const SHORTEST: u32 = 100;
-/// Longest period.
+/// Longest period of a timer, ticks.
 pub const LONGEST: u32 = 1024;
-/// A blank period when nothing is to be done, and the least after a pulse without a near successor.
+/// Blank period without events, ticks, and the least after a pulse without a near successor.
 pub const IDLE: u32 = 256;
-/// Most periods in a stretch of pulses: bounds how long the interrupt takes.
+/// Maximum number of periods in a stretch of pulses: bounds the duration of the interrupt.
 pub const MOST: u32 = 16;
-/// By how much events must be told ahead to be made in time: the rest of a period after [`Generator::stop`], an idle one,
-/// and the wait for the pulse.
+/// Ticks by which events must be queued ahead to be made in time: the rest of a period after [`Generator::stop`], an
+/// idle one, and the wait for the pulse.
 pub const LEAD: u32 = LONGEST + IDLE + SHORTEST + BEFORE;
-/// The timer is written at least this long after a period's beginning: it may begin this much later than the clock says,
-/// for timers and clock are started one after the other.
+/// Shortest time from a period's beginning to a write to the timer, ticks: the period may begin this much later than
+/// the clock shows, as timers and clock are started one after the other.
 pub const AFTER: u32 = 8;
-/// And at least this long before its end: the time from reading the clock to having written.
+/// Shortest time from a write to the period's end, ticks: covers reading the clock and writing.
 pub const BEFORE: u32 = 12;
 
-/// A generator asks to be served at least this often, so that no difference of ticks overflows.
+/// Longest interval between two services of a generator, ticks, so that no difference of ticks overflows.
 const SELDOM: u32 = 1 << 30;
 const ENDLESS: u32 = u32::MAX;
 
-/// The registers behind one generator.
+/// Registers behind one generator.
 pub trait StepTimer {
-    /// The clock.
+    /// Value of the shared clock, ticks.
     fn now(&mut self) -> u32;
-    /// Writes the length of the periods from the next on, and whether they begin with a pulse.
+    /// Preloads the length of the following periods, and whether they begin with a pulse.
     fn preload(&mut self, ticks: u32, pulse: bool);
     /// Turns the direction line: `true` for positive.
     fn turn(&mut self, positive: bool);
 }
 
-/// Like periods of a timer.
+/// Equal periods of a timer.
 #[derive(Clone, Copy, Debug)]
 struct Stretch {
     start: u32,
     period: u32,
     count: u32,
-    /// What each counts for: 1 or -1 for a pulse, 0 if blank.
+    /// Position change of each period: 1 or -1 for a pulse, 0 if blank.
     step: i32,
 }
 
@@ -84,7 +85,7 @@ impl Stretch {
         self.count == ENDLESS
     }
 
-    /// The period in which `now` is, from 0; also beyond the last.
+    /// Index of the period that contains `now`, from 0; also beyond the last.
     const fn index(&self, now: u32) -> u32 {
         now.wrapping_sub(self.start) / self.period
     }
@@ -93,52 +94,52 @@ impl Stretch {
         self.start.wrapping_add(self.period.wrapping_mul(self.count))
     }
 
-    /// From when on the stretch behind this one may be loaded.
+    /// Tick from which on the next stretch may be loaded.
     const fn window(&self) -> u32 {
         self.end().wrapping_sub(self.period).wrapping_add(AFTER)
     }
 
-    /// Pulses begun.
+    /// Number of pulses begun at `now`.
     fn begun(&self, now: u32) -> u32 {
         if self.step == 0 { 0 } else { self.count.min(self.index(now) + 1) }
     }
 }
 
-/// A stretch to be loaded, and what it does to the queue.
+/// Stretch to be loaded, and its effect on the queue.
 struct Plan {
     stretch: Stretch,
-    /// Events that it carries out.
+    /// Number of events that it carries out.
     events: usize,
     turn: Option<(u32, bool)>,
 }
 
-/// What is left until `tick`, negative when it is over.
+/// Ticks from `now` until `tick`, negative when that is over.
 const fn until(tick: u32, now: u32) -> i32 {
     tick.wrapping_sub(now).cast_signed()
 }
 
-/// The step generator of one axis, with room for `ROOM` events.
+/// Step generator of one axis, with room for `ROOM` events.
 ///
-/// Its methods must not interrupt each other, nor be interrupted by more than [`BEFORE`] allows.
+/// Its methods must not interrupt each other, nor be interrupted for longer than [`BEFORE`] allows.
 #[derive(Debug)]
 pub struct Generator<const ROOM: usize> {
     queue: Deque<StepEvent, ROOM>,
     current: Stretch,
-    /// What the timer is loaded with.
+    /// Stretch that is preloaded in the timer.
     next: Option<Stretch>,
-    /// When the direction line is to turn, and to what.
+    /// Next change of the direction line: its tick, and its new level.
     turn: Option<(u32, bool)>,
-    /// What the direction line is.
+    /// Present level of the direction line.
     line: bool,
-    /// What it is when everything loaded has been made.
+    /// Level of the direction line when everything loaded has been made.
     positive: bool,
-    /// Pulses of the stretches before the current.
+    /// Pulses of the stretches before the current one.
     position: i32,
 }
 
 impl<const ROOM: usize> Generator<ROOM> {
-    /// For a timer whose first blank period of [`IDLE`] ticks, loaded for good, began at `start`, which is over, and a direction line
-    /// that is positive.
+    /// Creates a generator for a timer whose blank periods of [`IDLE`] ticks began at `start`, in the past, and whose
+    /// direction line is positive.
     #[must_use]
     pub const fn new(start: u32) -> Self {
         Self {
@@ -152,7 +153,7 @@ impl<const ROOM: usize> Generator<ROOM> {
         }
     }
 
-    /// Appends events that are in order; returns how many found room. [`Generator::serve`] must follow.
+    /// Appends events, which are in order; returns how many found room. [`Generator::serve`] must follow.
     pub fn queue(&mut self, events: &[StepEvent]) -> usize {
         let room = events.len().min(ROOM - self.queue.len());
         for event in &events[..room] {
@@ -161,7 +162,7 @@ impl<const ROOM: usize> Generator<ROOM> {
         room
     }
 
-    /// Events that are not begun at `now`.
+    /// Number of events that have not begun at `now`.
     pub fn pending(&mut self, now: u32) -> u32 {
         self.advance(now);
         let waiting = self.queue.len() as u32 + u32::from(self.turn.is_some());
@@ -170,13 +171,13 @@ impl<const ROOM: usize> Generator<ROOM> {
         waiting + loaded + coming
     }
 
-    /// Pulses begun up to `now`, those of negative direction taken off.
+    /// Number of pulses begun up to `now`, those of negative direction subtracted.
     pub fn position(&mut self, now: u32) -> i32 {
         self.advance(now);
         self.position.wrapping_add(self.current.step.wrapping_mul(self.current.begun(now).cast_signed()))
     }
 
-    /// Drops what is queued. A pulse that has begun is completed. Waits for up to `AFTER + BEFORE` ticks.
+    /// Drops the queue. A pulse that has begun is completed. Waits for up to `AFTER + BEFORE` ticks.
     pub fn stop(&mut self, timer: &mut impl StepTimer) {
         self.queue.clear();
         self.turn = None;
@@ -190,7 +191,7 @@ impl<const ROOM: usize> Generator<ROOM> {
             let index = self.current.index(now);
             let begin = self.current.start.wrapping_add(index * self.current.period);
             let end = begin.wrapping_add(self.current.period);
-            // Near a boundary it cannot be told whether the timer has passed it.
+            // Near a boundary it is uncertain whether the timer has passed it.
             if until(now, begin) >= AFTER.cast_signed() && until(end, now) > BEFORE.cast_signed() {
                 timer.preload(IDLE, false);
                 self.current.count = index + 1;
@@ -200,8 +201,8 @@ impl<const ROOM: usize> Generator<ROOM> {
         }
     }
 
-    /// Does what is due. If that was to be loaded by now, waits for up to `AFTER + BEFORE` ticks until it can be again. Returns
-    /// the tick at which to call again, which may be over already.
+    /// Carries out what is due. If a load is overdue, waits for up to `AFTER + BEFORE` ticks until it is possible
+    /// again. Returns the tick at which to call again, which may already be over.
     pub fn serve(&mut self, timer: &mut impl StepTimer) -> u32 {
         let mut now = timer.now();
         let late = self.advance(now);
@@ -219,15 +220,15 @@ impl<const ROOM: usize> Generator<ROOM> {
             self.advance(now);
         }
         let open = !self.current.is_endless() && until(self.current.window(), now) <= 0;
-        // Idle periods that are loaded give way to something to do.
+        // Preloaded idle periods are replaced when there are events.
         if open && self.next.is_none_or(|next| next.is_endless() && !self.queue.is_empty()) {
             self.load(timer);
         }
         self.due(now)
     }
 
-    /// Lets the clock go on to `now`: the current stretch may be over. Returns whether it is made longer because nothing was
-    /// loaded in time.
+    /// Advances to `now`, at which the current stretch may be over. Returns true if it was prolonged because nothing
+    /// was loaded in time.
     fn advance(&mut self, now: u32) -> bool {
         if until(self.current.end(), now) <= 0
             && !self.current.is_endless()
@@ -253,7 +254,7 @@ impl<const ROOM: usize> Generator<ROOM> {
         true
     }
 
-    /// The last period, with a pulse, is made once more than was planned.
+    /// Accounts for the last period, with a pulse, being made once more than planned.
     fn stand_in(&mut self) {
         match self.queue.front() {
             Some(StepEvent { action: StepAction::Pulse, .. }) => {
@@ -280,10 +281,10 @@ impl<const ROOM: usize> Generator<ROOM> {
         self.next = Some(plan.stretch);
     }
 
-    /// When to serve next.
+    /// Tick of the next service.
     fn due(&self, now: u32) -> u32 {
         let stretch = match self.next {
-            // Time to look at it again when it has begun.
+            // Checked again when it has begun.
             Some(next) if next.is_endless() && !self.queue.is_empty() => next.start.wrapping_add(AFTER),
             Some(next) if next.is_endless() => now.wrapping_add(SELDOM),
             Some(next) => next.window(),
@@ -296,7 +297,7 @@ impl<const ROOM: usize> Generator<ROOM> {
         }
     }
 
-    /// What to do from `start` on.
+    /// Plans the stretch that begins at `start`.
     fn plan(&self, start: u32) -> Plan {
         let mut events = self.queue.iter();
         let (mut directions, mut turn) = (0, None);

@@ -1,9 +1,9 @@
-//! How long a stretch is: the wait for a pulse, and pulses of equal spacing.
+//! Length of a stretch: the wait for a pulse, and pulses of equal spacing.
 
 use super::{ERROR, IDLE, LONGEST, MOST, SHORTEST, until};
 use crate::platform::{StepAction, StepEvent};
 
-/// Number and length of the blank periods that begin a wait: all of it, or all but what one more period can be.
+/// Number and length of the blank periods that begin a wait: the whole wait, or all but one more period.
 pub(super) fn blank(wait: u32) -> (u32, u32) {
     match wait {
         ..=LONGEST => (1, wait.max(SHORTEST)),
@@ -12,7 +12,7 @@ pub(super) fn blank(wait: u32) -> (u32, u32) {
     }
 }
 
-/// Number and spacing of the pulses of a stretch that begins with one at `start`; `events` are those behind that one.
+/// Number and spacing of the pulses of a stretch that begins with one at `start`; `events` are those that follow it.
 pub(super) fn pulses<'e>(start: u32, events: impl Iterator<Item = &'e StepEvent>) -> (u32, u32) {
     let (mut low, mut high) = (SHORTEST, LONGEST);
     let mut best = None;
@@ -20,7 +20,7 @@ pub(super) fn pulses<'e>(start: u32, events: impl Iterator<Item = &'e StepEvent>
     for (event, count) in events.zip(1..) {
         let after = until(event.at, start).max(0).cast_unsigned();
         match event.action {
-            // Only the pulse behind it tells how long this period is to be.
+            // The length of this period depends on the pulse behind the turn.
             StepAction::Direction(_) if best.is_none() => {
                 turned = true;
                 continue;

@@ -1,4 +1,4 @@
-//! The generator against a timer that knows nothing of it: shadow registers, periods, and what comes out.
+//! Tests of the generator against an independent timer model: shadow registers, periods, and the resulting pulses.
 
 extern crate std;
 
@@ -16,18 +16,18 @@ use crate::{
 };
 
 const ROOM: usize = 512;
-/// A control period of 1 ms at 10 MHz.
+/// Control period of 1 ms at 10 MHz.
 const CONTROL: u64 = 10_000;
 
-/// A timer in PWM mode 1 with preloaded registers, and the clock beside it, which both wrap.
+/// Timer in PWM mode 1 with preloaded registers, and the clock beside it; both wrap.
 #[derive(Debug)]
 struct Hardware {
-    /// Ticks since the start, and what the clock showed then.
+    /// Ticks since the start, and the clock's value at the start.
     time: u64,
     clock_at_start: u32,
-    /// By how much the timer was started after the clock.
+    /// Ticks by which the timer was started after the clock.
     skew: u64,
-    /// Start of the present period by the timer's own time, and its length and kind; what is preloaded.
+    /// Start of the present period by the timer's own time, its length and kind, and the preloaded ones.
     begin: u64,
     active: (u32, bool),
     preloaded: (u32, bool),
@@ -36,7 +36,7 @@ struct Hardware {
     pulses: Vec<(u64, bool)>,
     turns: Vec<(u64, bool)>,
     loads: Vec<u64>,
-    /// What a look at the clock takes, ticks.
+    /// Duration of a read of the clock, ticks.
     slowness: u64,
 }
 
@@ -73,12 +73,13 @@ impl Hardware {
         self.clock_at_start.wrapping_add(self.time as u32)
     }
 
-    /// The time at which the clock shows `tick`, which is near.
+    /// Time at which the clock shows the nearby value `tick`.
     fn time_of(&self, tick: u32) -> u64 {
         self.time.saturating_add_signed(until(tick, self.clock()).into())
     }
 
-    /// Pulses begun by the time the clock shows now: the timer, started later, may still be about to make the last.
+    /// Number of pulses begun by the clock's present time: the timer, started later, may still be about to make the
+    /// last.
     fn position(&mut self) -> i32 {
         let time = self.time;
         self.run_to(time + self.skew);
@@ -106,7 +107,7 @@ impl StepTimer for Hardware {
     }
 }
 
-/// A generator on its hardware, served by interrupts that come up to `latency` ticks late.
+/// Generator on its hardware, served by interrupts up to `latency` ticks late.
 #[derive(Debug)]
 struct Rig {
     generator: Generator<ROOM>,
@@ -122,7 +123,7 @@ impl Rig {
         Self { generator: Generator::new(clock_at_start), hardware, wake: 0, latency, served: 0 }
     }
 
-    /// The interrupt, which does not end while something is due.
+    /// Runs the interrupt, which does not end while something is due.
     fn serve(&mut self) {
         loop {
             let wake = self.generator.serve(&mut self.hardware);
@@ -134,7 +135,7 @@ impl Rig {
         }
     }
 
-    /// Lets interrupts come until `time`.
+    /// Runs interrupts until `time`.
     fn run_to(&mut self, time: u64) {
         loop {
             let at = self.wake + self.latency[self.served % self.latency.len()];
@@ -146,7 +147,7 @@ impl Rig {
         }
     }
 
-    /// Tells events, given by their time.
+    /// Queues events, given by their time.
     fn tell(&mut self, events: &[(u64, StepAction)]) -> usize {
         let at = |time: u64| self.hardware.clock_at_start.wrapping_add(time as u32);
         let events: Vec<_> = events.iter().map(|(time, action)| StepEvent { at: at(*time), action: *action }).collect();
@@ -166,11 +167,11 @@ impl Rig {
     }
 }
 
-/// Events from gaps: pulses, of which those with a new direction have it turned in the middle of the gap.
+/// Events from gaps between pulses; a change of direction lies in the middle of its gap.
 fn events(first: u64, gaps: &[(u64, bool)]) -> Vec<(u64, StepAction)> {
     let (mut time, mut line, mut events) = (first, true, Vec::new());
     for (gap, positive) in gaps {
-        // The pulse's 40 ticks and hold before, set-up and latency behind.
+        // The pulse's 40 ticks and hold before the turn, set-up and latency behind.
         let gap = if *positive == line { *gap } else { (*gap).max(250) };
         if *positive != line {
             events.push((time + gap / 2, StepAction::Direction(*positive)));
@@ -186,7 +187,7 @@ fn pulses_of(events: &[(u64, StepAction)]) -> Vec<u64> {
     events.iter().filter(|(_, action)| *action == StepAction::Pulse).map(|(time, _)| *time).collect()
 }
 
-/// Runs of pulses of one direction: how many, the first gap, and what is added to each next one.
+/// Runs of pulses of one direction: number, first gap, and increment per gap.
 fn gaps() -> impl Strategy<Value = Vec<(u64, bool)>> {
     let first = prop_oneof![Just(100u64), 100..1100u64, 1000..3000u64, 60_000..150_000u64];
     let run = (1..60u64, first, -20..20i64, any::<bool>(), 0..3u64);
@@ -201,8 +202,8 @@ fn gaps() -> impl Strategy<Value = Vec<(u64, bool)>> {
     })
 }
 
-/// The most that an interrupt may be late without effect: what the shortest period leaves, but for looks at the clock and
-/// at the hardware's position.
+/// Longest interrupt latency without effect: the time left in the shortest period, less reads of the clock and of the
+/// hardware's position.
 const LATENCY: u64 = (SHORTEST - 2 * AFTER - BEFORE) as u64 - 6;
 
 fn rig() -> impl Strategy<Value = Rig> {
@@ -210,7 +211,7 @@ fn rig() -> impl Strategy<Value = Rig> {
         .prop_map(|(clock, skew, slowness, latency)| Rig::new(clock, skew, slowness, latency))
 }
 
-/// Tells events a control period at a time, `ahead` of it, looks after each, and lets them be made.
+/// Queues events one control period at a time, `ahead` of it, calls `look` after each, and lets them be made.
 fn tell_all(
     rig: &mut Rig,
     events: &[(u64, StepAction)],
@@ -231,7 +232,7 @@ fn tell_all(
     Ok(())
 }
 
-/// Checks that what was made is what was told, in time; `gaps` say the directions.
+/// Checks that the queued pulses are made, in time; `gaps` contain the directions.
 fn check(rig: &mut Rig, events: &[(u64, StepAction)], gaps: &[(u64, bool)]) -> Result<(), TestCaseError> {
     let ideal = pulses_of(events);
     prop_assert_eq!(rig.hardware.pulses.len(), ideal.len());
@@ -263,8 +264,8 @@ proptest! {
         prop_assert_eq!(rig.position(), rig.hardware.position());
     }
 
-    /// Pulses of one direction come early or late; the first after a turn, and the last before one, must not be wrong
-    /// in the direction in which the line turns.
+    /// Pulses of one direction may come early or late; the first after a turn and the last before one must not be off
+    /// towards the turn.
     #[test]
     fn the_line_turns_where_it_was_told_between_the_same_pulses(mut rig in rig(), gaps in gaps()) {
         let events = events(2 * CONTROL, &gaps);
@@ -276,7 +277,7 @@ proptest! {
         prop_assert_eq!(rig.hardware.turns.len(), told.len());
         for ((made, positive), (time, told)) in rig.hardware.turns.iter().zip(&told) {
             prop_assert_eq!(positive, told);
-            // The interrupt, and looks at the clock in it and in one before.
+            // Latency of the interrupt, and reads of the clock in it and in the one before.
             prop_assert!((*time..=time + LATENCY + 8).contains(made), "{made} for {time}");
         }
         let changes = |index: usize| index == gaps.len() || gaps[index].1 != (index == 0 || gaps[index - 1].1);
@@ -306,7 +307,7 @@ proptest! {
         let began = rig.hardware.time;
         rig.generator.stop(&mut rig.hardware);
         let took = rig.hardware.time - began;
-        // Near a boundary, and two looks of up to 2 ticks.
+        // Near a boundary, plus two reads of up to 2 ticks.
         prop_assert!(took <= u64::from(AFTER + BEFORE) + 4, "{took} ticks");
         let (position, line) = (rig.position(), rig.hardware.line);
         prop_assert_eq!(rig.pending(), 0);
@@ -317,7 +318,7 @@ proptest! {
         prop_assert_eq!(rig.hardware.position(), position);
         prop_assert_eq!(rig.hardware.line, line);
         prop_assert_eq!(rig.position(), position);
-        // And it goes on from there, either way.
+        // It continues from there, in either direction.
         let made = rig.hardware.pulses.len();
         let first = rig.hardware.time + u64::from(LEAD);
         let way = if turns { !line } else { line };
@@ -332,8 +333,8 @@ proptest! {
         }
     }
 
-    /// Late by most of the shortest period, a load makes no pulse more: the one that is made again was due, for the end of a stretch
-    /// is its place, and behind the last there is an idle period.
+    /// A load that is late by most of the shortest period adds no pulse: the repeated pulse was due, since it lies at
+    /// the end of a stretch, and behind the last there is an idle period.
     #[test]
     fn a_pulse_made_again_stands_for_the_next(
         mut rig in rig(), gap in 100..1000u64, count in 1..400u64,
@@ -350,14 +351,14 @@ proptest! {
         }
     }
 
-    /// Interrupts that come much too late: the books stay true, and nothing comes faster than the driver takes it.
+    /// With interrupts that come much too late the count stays true, and nothing comes faster than the driver allows.
     #[test]
     fn late_interrupts_spoil_no_count(
         mut rig in rig(), gaps in gaps(), latency in prop::collection::vec(0..2000u64, 1..9), slowness in 1..u64::from(BEFORE),
         one_way: bool,
     ) {
         rig.latency = latency;
-        // As long as a write after the last look is in time.
+        // Short enough that a write after the last read is in time.
         rig.hardware.slowness = slowness;
         let gaps: Vec<_> = gaps.into_iter().map(|(gap, positive)| (gap, positive || one_way)).collect();
         let events = events(2 * CONTROL, &gaps);
@@ -372,7 +373,8 @@ proptest! {
         prop_assert!(!one_way || rig.position() == rig.hardware.position());
     }
 
-    /// The carrier's highest rate and as steep ramps as steppers can follow, from any path: less than 20 000 loads a second.
+    /// At the carrier's highest rate and with the steepest ramps that steppers can follow, any path takes less than
+    /// 20 000 loads per second.
     #[test]
     fn fast_pulses_need_few_interrupts(
         mut rig in rig(), speed in 20e3..100e3f64, acceleration in 1e4..1e7f64, jerk_time_s in prop_oneof![Just(0.0), 1e-3..0.1f64],
@@ -412,7 +414,7 @@ fn a_full_queue_takes_what_fits() {
     assert_eq!((rig.pending(), rig.position()), (0, ROOM as i32));
 }
 
-/// Pulses at the highest rate: each interrupt loads the stretch that follows, of 16, and no more.
+/// At the highest rate each interrupt loads the following stretch of 16 pulses, and no more.
 #[test]
 fn an_interrupt_serves_sixteen_pulses() {
     let mut rig = Rig::new(u32::MAX - 5000, 3, 1, std::vec![0]);
@@ -431,7 +433,7 @@ fn an_interrupt_serves_sixteen_pulses() {
     assert!(served <= 8000 / 16 * 11 / 10, "{served} interrupts");
 }
 
-/// At each tick of two periods, with a timer that began as late, and writes that take as long, as the generator allows for.
+/// Stops at each tick of two periods, with the latest timer start and the slowest writes that the generator allows for.
 #[test]
 fn a_stop_at_any_tick_counts_what_is_made() {
     for (skew, slowness) in
@@ -458,7 +460,7 @@ fn nothing_to_do_needs_no_interrupts() {
     rig.tell(&[(20_000, StepAction::Direction(false)), (21_000, StepAction::Pulse)]);
     rig.run_to(30_000);
     let served = rig.served;
-    // When told, to look again as the wait begins, for the turn, for the pulse, and for what follows it.
+    // Services: when queued, when the wait begins, for the turn, for the pulse, and for what follows it.
     assert!(served <= 5, "{served}");
     // A minute, in which the clock does not even wrap.
     rig.run_to(600_000_000);
@@ -466,7 +468,7 @@ fn nothing_to_do_needs_no_interrupts() {
     assert_eq!((rig.position(), rig.hardware.position()), (-1, -1));
 }
 
-/// The board's clock and pulse.
+/// Clock and pulse length of the board.
 struct Ticks;
 
 impl Steppers for Ticks {

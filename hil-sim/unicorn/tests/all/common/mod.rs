@@ -1,4 +1,4 @@
-//! A chip with almost nothing around the processor, and what drives it.
+//! Minimal chip around the processor, and the functions that run it.
 
 #![allow(dead_code, clippy::unwrap_used, reason = "each test file uses a part; failing is a test's way to speak")]
 
@@ -8,7 +8,7 @@ use r4_mcu::{Bank, Machine, Memory, Reason, ResetCause, Settings, Size, Unmodell
 use r4_thumb::ThumbCore;
 use r4_unicorn::UnicornCore;
 
-/// A core under test.
+/// Core that the tests create and run.
 pub(crate) trait Tested: Core + Sized {
     fn create() -> Self;
 }
@@ -25,7 +25,7 @@ impl Tested for ThumbCore {
     }
 }
 
-/// Makes each of these functions, which are for any [`Tested`], a test of every core.
+/// Makes each of these functions, which are generic over [`Tested`], a test of every core.
 macro_rules! for_every_core {
     ($($test:ident,)*) => {
         mod unicorn {
@@ -41,18 +41,18 @@ pub(crate) use for_every_core;
 /// First address of the chip's only peripheral.
 pub(crate) const PERIPHERAL: u32 = 0x4000_0000;
 
-/// The chip. Registers of its peripheral, by offset:
+/// Minimal chip. Registers of its peripheral, by offset:
 ///
 /// | offset | write | read |
 /// | --- | --- | --- |
 /// | 0x00 | sets interrupt line `value & 0xFF` to bit 8 | 0 |
-/// | 0x04 | sets line 0 high in so many nanoseconds | nanoseconds now, low half |
+/// | 0x04 | sets line 0 high in `value` nanoseconds | nanoseconds now, low half |
 /// | 0x08 | clock of SRAM1 on or off | on or off |
-/// | 0x0C | asks for a watchdog reset | 0 |
-/// | 0x10 | asks the outside to run | 0 |
-/// | 0x14 | sets the core clock, Hz | it |
+/// | 0x0C | requests a watchdog reset | 0 |
+/// | 0x10 | requests that the outside runs | 0 |
+/// | 0x14 | sets the core clock, Hz | core clock, Hz |
 ///
-/// Storage gives bus errors in its first 32 bytes, and has its memory elsewhere. Everything else below 0x6000_0000 is not
+/// Storage gives bus errors in its first 32 bytes, and has memory in the rest. Everything else below 0x6000_0000 is not
 /// modelled; above that there are bus errors.
 pub(crate) struct TestChip {
     pub(crate) memory: Memory,
@@ -62,7 +62,7 @@ pub(crate) struct TestChip {
     pub(crate) outside: bool,
     pub(crate) core_hz: u64,
     pub(crate) writes: Vec<(u64, u32, u32)>,
-    /// The next event is always now.
+    /// True if the next event is always now.
     pub(crate) stuck: bool,
 }
 
@@ -81,7 +81,7 @@ impl TestChip {
     }
 }
 
-/// Peripherals, most of which this chip does not have.
+/// Returns true for addresses of peripherals, most of which this chip does not have.
 fn is_peripheral(address: u32) -> bool {
     matches!(address, 0x4000_0000..0x6000_0000)
 }
@@ -156,12 +156,12 @@ impl Chip for TestChip {
     }
 }
 
-/// A machine with nothing loaded.
+/// Creates a machine with nothing loaded.
 pub(crate) fn machine<C: Tested>(settings: Settings) -> Machine<C, TestChip> {
     Machine::new(C::create(), TestChip::new(), settings).unwrap()
 }
 
-/// Runs a program that speaks by semihosting to its end: what it wrote, and whether it called that a success.
+/// Runs a program that uses semihosting to its end; returns its output, and true if it reports success.
 pub(crate) fn run_semihosted<C: Core>(machine: &mut Machine<C, TestChip>, until_ns: u64) -> (String, bool) {
     let mut text = Vec::new();
     loop {
@@ -170,13 +170,13 @@ pub(crate) fn run_semihosted<C: Core>(machine: &mut Machine<C, TestChip>, until_
         assert_eq!(stopped.reason, Reason::Breakpoint { operand: 0xAB }, "{}", String::from_utf8_lossy(&text));
         let argument = machine.core.get(Register::R(1));
         match machine.core.get(Register::R(0)) {
-            // SYS_WRITE0: up to a zero.
+            // SYS_WRITE0: text up to a zero.
             4 => text.extend(
                 (argument..)
                     .map(|at| machine.chip.memory.read(at, Size::Byte).unwrap() as u8)
                     .take_while(|byte| *byte != 0),
             ),
-            // SYS_EXIT with ADP_Stopped_ApplicationExit, or something worse.
+            // SYS_EXIT with ADP_Stopped_ApplicationExit for success.
             0x18 => return (String::from_utf8(text).unwrap(), argument == 0x2_0026),
             operation => panic!("semihosting operation {operation:#x}"),
         }

@@ -1,4 +1,4 @@
-//! What is executed: a few instructions, and everything they may look at.
+//! Test case: a few instructions, and the whole state that they may read.
 
 use std::collections::BTreeMap;
 
@@ -7,22 +7,22 @@ use r4_mcu::Bank;
 use super::random::Random;
 use super::templates::{ALIGNED, ALONE, DISTINCT, FLOAT, INTEGER, LAST, PLAIN, Template};
 
-/// Where the instructions are, in the midst of flash, so that most branches stay there.
+/// Address of the instructions, in the middle of flash, so that most branches stay there.
 pub(crate) const CODE: u32 = 0x0808_0000;
-/// WFI: what all other flash holds.
+/// WFI, with which all other flash is filled.
 pub(crate) const WFI: u16 = 0xBF30;
-/// Data, in the midst of DTCM.
+/// Address of the data, in the middle of DTCM.
 pub(crate) const DATA: u32 = 0x2001_0000;
-/// What is compared after each case: so much on both sides of [`DATA`].
+/// Number of bytes on either side of [`DATA`] that are compared after each case.
 pub(crate) const AROUND: u32 = 0x1800;
 
-/// One of them.
+/// Instructions and initial state of one case.
 #[derive(Clone, Debug)]
 pub(crate) struct Case {
     pub(crate) code: Vec<u16>,
-    /// The template of each instruction but IT, as it is written.
+    /// Template of each instruction except IT, as written.
     pub(crate) templates: Vec<&'static str>,
-    /// R0 to R12 and LR at 14.
+    /// Values of R0 to R12, and LR at index 14.
     pub(crate) r: [u32; 15],
     pub(crate) msp: u32,
     pub(crate) psp: u32,
@@ -32,15 +32,15 @@ pub(crate) struct Case {
     pub(crate) fpscr: u32,
     pub(crate) s: [u32; 32],
     pub(crate) data: Vec<u8>,
-    /// Loads from peripherals have no result.
+    /// True if loads from peripherals have no result.
     pub(crate) refused: bool,
     pub(crate) mask_changes: bool,
     pub(crate) fpu: bool,
-    /// Some of it is in an IT block.
+    /// True if some of it is in an IT block.
     pub(crate) is_conditional: bool,
 }
 
-/// Registers that hold what instructions need of them.
+/// Register values that instructions require.
 type Wanted = BTreeMap<u8, u32>;
 
 impl Case {
@@ -113,7 +113,7 @@ impl Case {
             },
             s,
             data,
-            // Which registers of several were loaded before, the architecture does not say.
+            // The architecture does not define which of several registers were loaded before.
             refused: !aligned && random.percent(10),
             mask_changes: random.percent(30),
             is_conditional: conditional != 0,
@@ -131,13 +131,13 @@ fn any(random: &mut Random, templates: &'static [Template]) -> &'static Template
     &templates[random.below(templates.len() as u32) as usize]
 }
 
-/// Condition and mask of an IT (A7.7.38), and how many instructions it is for.
+/// Condition and mask of an IT (A7.7.38), and number of instructions in its block.
 fn it(random: &mut Random) -> (u32, u32) {
     let condition = random.below(15);
     let count = 1 + random.below(4);
     let mut mask = 1 << (4 - count);
     for place in 1..count {
-        // AL has no else: the bit is the condition's lowest then.
+        // AL has no else: the bit is then the condition's lowest.
         let other = condition == 14 || random.percent(50);
         let bit = if condition == 14 { 0 } else { u32::from(other) };
         mask |= bit << (4 - place);
@@ -145,7 +145,7 @@ fn it(random: &mut Random) -> (u32, u32) {
     (condition << 4 | mask, count)
 }
 
-/// A value of a core register.
+/// Samples the value of a core register.
 fn integer(random: &mut Random) -> u32 {
     const EDGES: [u32; 14] =
         [0, 1, 2, 31, 32, 0x7F, 0x80, 0x7FFF, 0x8000, 0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFF, 0xFFFF_8000, 0x8000_8000];
@@ -156,7 +156,7 @@ fn integer(random: &mut Random) -> u32 {
     }
 }
 
-/// A word of data: an address of code now and then, for what loads PC.
+/// Samples a word of data, sometimes an address of code, for instructions that load PC.
 fn datum(random: &mut Random) -> u32 {
     match random.below(4) {
         0 => target(random),
@@ -174,7 +174,7 @@ fn target(random: &mut Random) -> u32 {
     }
 }
 
-/// An address to load from or store to.
+/// Samples an address for loads and stores.
 fn pointer(random: &mut Random, aligned: bool, plain: bool) -> u32 {
     let base = match random.below(if plain { 8 } else { 12 }) {
         0..8 => DATA,
@@ -186,7 +186,7 @@ fn pointer(random: &mut Random, aligned: bool, plain: bool) -> u32 {
     base + 4 * random.below(64) + unaligned
 }
 
-/// Floats of all kinds, single and double by turns.
+/// Fills the registers with floats of all kinds, single and double in turns.
 fn fill_floats(random: &mut Random, s: &mut [u32; 32]) {
     let mut at = 0;
     while at < 32 {
@@ -226,7 +226,7 @@ fn single(random: &mut Random) -> u32 {
         ]),
         1 => random.below(0x80_0000),
         2 => (random.below(2000) as f32 / random.of(&[1.0, 2.0, 4.0, 8.0, 3.0])).to_bits(),
-        // About where integers end, and where halves do.
+        // Near the range limits of integers, and of half precision.
         3 => (random.of(&[31, 32, 15, 16, 30]) as f32).exp2().to_bits() + random.below(5) - 2,
         4 => (127 - 28 + random.below(45)) << 23 | random.word() & 0x7F_FFFF,
         5 => {
@@ -245,7 +245,7 @@ fn double(random: &mut Random) -> u64 {
         2 => (f64::from(random.below(2000)) / random.of(&[1.0, 2.0, 4.0, 8.0, 3.0])).to_bits(),
         3 => f64::from(random.of(&[31, 32, 15, 16, 30])).exp2().to_bits() + u64::from(random.below(5)) - 2,
         4 => u64::from(1023 - 28 + random.below(45)) << 52 | random.next() >> 12,
-        // What a float holds, or nearly.
+        // Exactly or nearly representable as a float.
         5 => f64::from(f32::from_bits(single(random) & 0x7FFF_FFFF)).to_bits() ^ u64::from(random.below(2)),
         _ => random.next() >> 1,
     }
@@ -260,7 +260,7 @@ impl Template {
         self.digits().count() / 16
     }
 
-    /// Its bits, the fields drawn; and what registers it needs to hold.
+    /// Samples the fields of a template and returns its bits; adds the register values that it requires to `wanted`.
     fn fill(&self, random: &mut Random, wanted: &mut Wanted) -> u128 {
         loop {
             let mut fields = BTreeMap::new();
@@ -291,7 +291,7 @@ impl Template {
                 };
                 wanted.insert(*register as u8, value);
             }
-            // REV and CLZ have their operand twice, instructions that belong together their base.
+            // REV and CLZ have their operand twice, instructions that belong together share their base.
             let mut left: BTreeMap<char, u32> = fields.clone();
             return self.digits().fold(0_u128, |bits, digit| {
                 let bit = match digit {

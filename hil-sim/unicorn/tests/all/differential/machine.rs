@@ -1,24 +1,24 @@
-//! A core with memory and a bus, and what came of a case on it.
+//! Core with memory and a bus, and the outcome of a case on it.
 
 use r4_mcu::cpu::{Access, Core, CoreBus, CoreError, CoreStop, Limits, NoResult, Register, Why};
 use r4_mcu::{Bank, Memory, Region};
 
 use super::case::{AROUND, CODE, Case, DATA, WFI};
 
-/// Handler mode, of some exception.
+/// Value of xPSR in handler mode, for some exception.
 const HANDLER: u32 = 1 << 24 | 15;
 
-/// What the translator shows to privileged programs only.
+/// Registers that the translator shows to privileged programs only.
 const PRIVILEGED: [Register; 5] =
     [Register::Msp, Register::Psp, Register::Primask, Register::Basepri, Register::Faultmask];
 
-/// Every other register.
+/// Every other register of the core.
 fn registers() -> impl Iterator<Item = Register> {
     let others = [Register::Sp, Register::Lr, Register::Pc, Register::Xpsr, Register::Control, Register::Fpscr];
     (0..13).map(Register::R).chain(others).chain((0..32).map(Register::S))
 }
 
-/// What is outside of memory: a value of each address, and a list of all that happens.
+/// Bus outside of memory: a value for each address, and a list of all accesses.
 struct Bus {
     accesses: Vec<(char, Access, u32)>,
     events: u32,
@@ -49,7 +49,7 @@ impl CoreBus for Bus {
     }
 }
 
-/// What came of a case.
+/// Outcome of a case on one core.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Outcome {
     pub(crate) stop: Result<CoreStop, String>,
@@ -69,22 +69,22 @@ impl Outcome {
     }
 }
 
-/// How a case is executed.
+/// Method of executing a case.
 #[derive(Clone, Copy)]
 pub(crate) enum Way {
-    /// By [`Core::run`].
+    /// One call of [`Core::run`].
     Run,
-    /// By [`Core::step`], so many times at most.
+    /// Calls of [`Core::step`], at most this number.
     Steps(u32),
 }
 
-/// Steps until something else than the next instruction ends one; all instructions are counted.
+/// Steps until one ends by anything but the next instruction; all instructions are counted.
 fn steps(core: &mut impl Core, count: u32, bus: &mut Bus) -> Result<CoreStop, CoreError> {
     let mut executed = 0;
     for _ in 1..count {
         let stop = core.step(bus)?;
         executed += stop.instructions;
-        // A change of a mask is a reason, too, but none is needed.
+        // A core may, but need not, report a change of a mask.
         if !matches!(stop.why, Why::Observed | Why::MaskChanged) {
             return Ok(CoreStop { instructions: executed, ..stop });
         }
@@ -111,14 +111,14 @@ impl<C: Core> Rig<C> {
         Self { core, memory }
     }
 
-    /// Makes the contents of memory what they are elsewhere.
+    /// Copies the contents of memory from another rig.
     pub(crate) fn copy_memory<D>(&self, other: &Rig<D>) {
         for (to, from) in self.memory.regions().iter().zip(other.memory.regions()) {
             to.bytes().iter().zip(from.bytes().iter()).for_each(|(to, from)| to.set(from.get()));
         }
     }
 
-    /// Executes a case from a state that the one before has nothing to do with.
+    /// Executes a case from a state that does not depend on the previous case.
     pub(crate) fn run(&mut self, case: &Case, way: Way) -> Outcome {
         let mut code: Vec<u8> = case.code.iter().flat_map(|half| half.to_le_bytes()).collect();
         code.resize(64, 0);
@@ -135,7 +135,7 @@ impl<C: Core> Rig<C> {
         core.set(Register::Control, 0);
         core.set(Register::Xpsr, 1 << 24);
         core.set(Register::Control, 0);
-        // The translator executes CLREX for it: not conditional by what the case before left.
+        // The translator executes CLREX for this, which must not be conditional by the state of the previous case.
         core.clear_exclusive().expect("clears");
         core.set(Register::Msp, case.msp);
         core.set(Register::Psp, case.psp);
@@ -165,7 +165,7 @@ impl<C: Core> Rig<C> {
         let mut registers: Vec<_> = registers().map(|register| (register, core.get(register))).collect();
         core.set(Register::Xpsr, HANDLER);
         registers.extend(PRIVILEGED.map(|register| (register, core.get(register))));
-        // A block that is gone through in steps may say with each that SEV is in it.
+        // A block executed in steps may report the SEV in it with each step.
         let events = if matches!(way, Way::Run) { bus.events } else { 0 };
         Outcome { stop, registers, accesses: bus.accesses, events, data }
     }

@@ -1,7 +1,8 @@
-//! Random instructions on random registers, by this crate's core and by [`ThumbCore`]: whatever a program can see is the
-//! same. What is known to differ is in `quirks`, each with the reason.
+//! Differential tests: random instructions on random registers, by this crate's core and by [`ThumbCore`], with the
+//! same results in everything that a program can see. Known differences are in `quirks`, each with the reason.
 //!
-//! `R4_DIFFERENTIAL_CASES` is how many cases are drawn (of two or three instructions each), `R4_DIFFERENTIAL_SEED` which.
+//! `R4_DIFFERENTIAL_CASES` is the number of cases (of two or three instructions each), `R4_DIFFERENTIAL_SEED` their
+//! seed.
 
 #![allow(clippy::unwrap_used, reason = "failing is a test's way to speak")]
 
@@ -26,7 +27,7 @@ fn number(name: &str, otherwise: u64) -> u64 {
     std::env::var(name).ok().map_or(otherwise, |text| text.parse().unwrap())
 }
 
-/// What differs, a line each.
+/// Differences of two outcomes, one per line.
 fn differences(ours: &Outcome, theirs: &Outcome) -> String {
     let mut text = String::new();
     if ours.stop != theirs.stop {
@@ -58,8 +59,8 @@ fn compare(seed: u64, cases: u64, way: Way) {
     for index in 0..cases {
         let case = Case::new(seed, index);
         if matches!(way, Way::Steps(_)) && (case.is_conditional || !case.fpu) {
-            // How many of an IT block are one step is the core's choice; and this crate's core miscounts before floating
-            // point that is not allowed.
+            // The number of instructions of an IT block in one step is the core's choice; and this crate's core
+            // miscounts before floating point that is not allowed.
             continue;
         }
         let (left, mut right) = (ours.run(&case, way), theirs.run(&case, way));
@@ -90,7 +91,7 @@ fn compare(seed: u64, cases: u64, way: Way) {
     // 1.1 % when this was written.
     assert!(u64::from(left_out) * 100 < cases * 3, "{left_out} of {cases} cases are excused");
     assert!(total == 0, "{total} of {cases} cases differ\n{shown}");
-    // What a store did elsewhere.
+    // Compares the effects of stores elsewhere.
     for (ours, theirs) in ours.memory.regions().iter().zip(theirs.memory.regions()) {
         assert!(ours.bytes() == theirs.bytes(), "{:?} differs", ours.bank);
     }

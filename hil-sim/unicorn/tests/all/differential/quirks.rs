@@ -1,10 +1,10 @@
-//! What the translator, or this crate's core around it, does otherwise than the architecture. Each is told apart by what
-//! came out and by the instructions; what it concerns is left out of the comparison, or the whole case is where it may
-//! concern everything. Besides, `case` draws nothing of these:
+//! Quirks: behaviour of the translator, or of this crate's core around it, that differs from the architecture. Each is
+//! identified by the outcomes and the instructions; the affected part is excluded from the comparison, or the whole
+//! case if everything may be affected. In addition, `case` never samples these:
 //!
 //! - Floating point that is not allowed, in an IT block: the core cannot stop within one.
-//! - A first use of floating point (CONTROL.FPCA zero) in an IT block: if it is not carried out, the translator takes the next
-//!   for the second one.
+//! - A first use of floating point (CONTROL.FPCA zero) in an IT block: if it is not carried out, the translator takes
+//!   the next for the second one.
 //! - CPS and MSR of FAULTMASK at priority -1 (HardFault): the translator sets it.
 
 use r4_mcu::cpu::{Access, CoreStop, Fault, Register, Why};
@@ -12,18 +12,19 @@ use r4_mcu::cpu::{Access, CoreStop, Fault, Register, Why};
 use super::case::Case;
 use super::machine::Outcome;
 
-/// EPSR.IT in xPSR.
+/// IT bits of the EPSR in xPSR.
 const IT: u32 = 0x0600_FC00;
-/// EPSR.T in xPSR.
+/// Thumb bit of the EPSR in xPSR.
 const THUMB: u32 = 1 << 24;
-/// APSR.Q in xPSR.
+/// Q flag of the APSR in xPSR.
 const SATURATED: u32 = 1 << 27;
-/// FPSCR.RMode.
+/// Rounding mode bits of the FPSCR.
 const ROUNDING: u32 = 3 << 22;
 
 type Quirk = (&'static str, fn(&Case, &Outcome, &mut Outcome) -> bool);
 
-/// In this order: why two outcomes may differ, and what makes the second one as the first where they may.
+/// Quirks in the order of application: a name, and a function that makes the second outcome equal to the first where
+/// they may differ.
 const QUIRKS: &[Quirk] = &[
     ("code in RAM", code_in_ram),
     ("unaligned", unaligned),
@@ -44,7 +45,7 @@ const QUIRKS: &[Quirk] = &[
     ("count of an access before floating point that is not allowed", count),
 ];
 
-/// Makes equal what may differ, and says why that is, the first reason if there are several.
+/// Makes permitted differences equal, and returns the reason, the first one if there are several.
 pub(crate) fn excuse(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> Option<&'static str> {
     let applies = |(name, quirk): &Quirk| (ours != theirs && quirk(case, ours, theirs)).then_some(*name);
     QUIRKS.iter().filter_map(applies).reduce(|first, _| first)
@@ -54,7 +55,7 @@ fn why(outcome: &Outcome) -> Option<Why> {
     outcome.stop.as_ref().map(|stop| stop.why).ok()
 }
 
-/// Nothing of the case is compared.
+/// Excludes the whole case from the comparison.
 fn dropped(applies: bool, ours: &Outcome, theirs: &mut Outcome) -> bool {
     if applies {
         theirs.clone_from(ours);
@@ -74,28 +75,28 @@ fn unaligned(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     dropped(why(ours) == Some(Why::Fault(Fault::Unaligned)), ours, theirs)
 }
 
-/// What goes on past the last address is UNPREDICTABLE (A3.1.1).
+/// Access beyond the last address is UNPREDICTABLE (A3.1.1).
 fn end_of_addresses(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     let at_end = theirs.accesses.iter().any(|(_, access, _)| access.address > 0xFFFF_FFFC - 4);
     dropped(at_end, ours, theirs)
 }
 
-/// A branch into ITCM executes what the cases before stored there, UNPREDICTABLE instructions among it.
+/// A branch into ITCM executes data that earlier cases stored there, which may be UNPREDICTABLE instructions.
 fn data_as_code(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     let there = [&*theirs, ours].into_iter().any(|outcome| outcome.register(Register::Pc) < 0x0001_0000);
     dropped(there, ours, theirs)
 }
 
-/// The core has instructions of its own in an area that is reserved.
+/// The core has instructions of its own in a reserved area.
 fn own_page(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     let inside = ours.accesses.iter().any(|(_, access, _)| (0x1F00_0000..0x1F00_1000).contains(&access.address));
     dropped(inside, ours, theirs)
 }
 
-/// The translator compares values, too: an exclusive store reads first, which a bus sees; and of one that is not as wide as the
-/// load it thinks otherwise, which is IMPLEMENTATION DEFINED (A3.4.5).
+/// The translator compares values, too: an exclusive store reads first, which a bus sees; and a store of another width
+/// than the load has a different result, which is IMPLEMENTATION DEFINED (A3.4.5).
 fn exclusive(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
-    // The load's and the store's first halfword, and which bytes of the second one tell the width.
+    // The first halfword of load and store, and some bits of the second, give the width.
     let width = |first: u16, second: u16, load: u16| match first & 0xFFE0 | first & 0x10 {
         0xE840 if load == 0 => Some(4),
         0xE850 if load == 1 => Some(4),
@@ -108,7 +109,7 @@ fn exclusive(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     dropped(reads || of(1).any(|load| of(0).any(|store| load != store)), ours, theirs)
 }
 
-/// From fixed point it is to the nearest whatever FPSCR says (A7.7.228); the translator asks FPSCR.
+/// Conversion from fixed point rounds to the nearest regardless of FPSCR (A7.7.228); the translator uses FPSCR.
 fn rounding(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     let writes_fpscr = |bits: &&str| bits.starts_with("1110 1110 1110 0001");
     let rounds = case.fpscr & ROUNDING != 0 || case.templates.iter().any(writes_fpscr);
@@ -117,7 +118,7 @@ fn rounding(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     dropped(rounds && case.words().any(from_fixed), ours, theirs)
 }
 
-/// To an unprivileged program the translator shows masks of zero, and so it does to the core, which takes that for a change.
+/// To an unprivileged program the translator shows masks of zero, and also to the core, which takes that for a change.
 fn masks(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     let unprivileged = theirs.register(Register::Control) & 1 != 0 && case.control & 1 == 0;
     dropped(unprivileged && case.mask_changes && why(theirs) == Some(Why::MaskChanged), ours, theirs)
@@ -131,12 +132,12 @@ fn low_bits(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     dropped(applies, ours, theirs)
 }
 
-/// README.md: an access leaves the state of an IT block behind. The block of code that followed was taken for conditional.
+/// README.md: an access leaves the state of an IT block behind. The following block of code was taken for conditional.
 fn skipped(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     let later = |stop: &CoreStop| {
         ours.stop.as_ref().is_ok_and(|ours| ours.why == Why::Wfi && stop.instructions > ours.instructions)
     };
-    // An MSR, too, begins a block with what follows it.
+    // An MSR also begins a block with the instructions that follow it.
     let begins = case.templates.iter().any(|bits| bits.starts_with("11110 0111"));
     // Or it ends with a branch, which is not allowed in such a block.
     let undefined = [why(theirs), why(ours)].map(|why| why == Some(Why::Fault(Fault::Undefined))) == [true, false];
@@ -144,7 +145,7 @@ fn skipped(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     dropped(applies, ours, theirs)
 }
 
-/// As before, and nothing followed.
+/// Like [`skipped`], with no instruction following.
 fn left_behind(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     let (ours, xpsr) = (ours.register(Register::Xpsr), theirs.register(Register::Xpsr));
     let applies = ours & IT == 0 && xpsr & IT != 0;
@@ -154,8 +155,8 @@ fn left_behind(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     applies
 }
 
-/// InvalidState and Fetch are both true of it; which is first, the architecture leaves open. A step to where nothing can be
-/// executed may end with that already.
+/// Both InvalidState and Fetch apply; the architecture leaves their order open. A step to an address that cannot be
+/// executed may already end with that.
 fn even_address(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     let applies = matches!(
         (why(ours), why(theirs)),
@@ -168,7 +169,7 @@ fn even_address(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     applies
 }
 
-/// EXC_RETURN begins with 0xF (B1.5.8), in the translator with 0xFF. Of an even one it has also made T zero.
+/// EXC_RETURN begins with 0xF (B1.5.8), in the translator with 0xFF. For an even one it has also set T to zero.
 fn exception_return(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     let Some(Why::ExceptionReturn(value)) = why(ours) else { return false };
     let applies = value < 0xFF00_0000 && why(theirs) == Some(Why::Fault(Fault::Fetch)) || why(theirs) == why(ours);
@@ -189,7 +190,7 @@ fn event(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     applies
 }
 
-/// SMLAD says whether the whole sum overflows (A7.7.134); the translator, whether that of the products does.
+/// SMLAD sets Q if the whole sum overflows (A7.7.134), the translator if that of the products does.
 fn two_products(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     let ours = ours.register(Register::Xpsr);
     let is_smlad = |(first, second): (u16, u16)| first & 0xFFF0 == 0xFB20 && second & 0x00E0 == 0;
@@ -200,7 +201,7 @@ fn two_products(case: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     applies
 }
 
-/// The translator repeats an unaligned store byte by byte, for which the core takes the next store of a byte there, too.
+/// The translator repeats an unaligned store byte by byte, for which the core mistakes the next byte store there, too.
 fn swallowed(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     let unaligned =
         |(kind, access, _): &(char, Access, u32)| *kind == 'w' && access.address & (access.size.bytes() - 1) != 0;

@@ -1,4 +1,4 @@
-//! Numbers that are the same in every run: SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number
+//! Pseudo-random numbers, the same in every run: SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number
 //! generators", OOPSLA 2014).
 
 pub(crate) struct Random(u64);
@@ -20,12 +20,12 @@ impl Random {
         (self.next() >> 32) as u32
     }
 
-    /// Below a number.
+    /// Samples a number below `end`.
     pub(crate) fn below(&mut self, end: u32) -> u32 {
         ((u64::from(self.word()) * u64::from(end)) >> 32) as u32
     }
 
-    /// True so many times of a hundred.
+    /// Returns true with a probability of `share` percent.
     pub(crate) fn percent(&mut self, share: u32) -> bool {
         self.below(100) < share
     }

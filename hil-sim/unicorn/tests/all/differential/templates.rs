@@ -1,32 +1,32 @@
 //! Every encoding of ARMv7E-M with FPv5-D16 (DDI0403E A5, A6), as bits. A letter is a field:
 //!
-//! | letter | is |
+//! | letter | field |
 //! | --- | --- |
 //! | `x` | any bit |
 //! | `d n m a t u` | a register: R0 to R12 or LR |
-//! | `b` | as those, holds an address; of a store or load |
-//! | `i` | as those, holds a small number; an index |
+//! | `b` | register like those, with an address; base of a store or load |
+//! | `i` | register like those, with a small number; an index |
 //! | `h` | R8 to R12 or LR, in three bits |
-//! | `p` | as those, holds a multiple of four |
-//! | `f` | as those, holds an address of code |
-//! | `l` | a list of registers, two at least where there are more than eight, and `b` none of them |
-//! | `c` | a condition but AL |
+//! | `p` | register like those, with a multiple of four |
+//! | `f` | register like those, with an address of code |
+//! | `l` | a list of registers, at least two where there are more than eight, without `b` |
+//! | `c` | a condition except AL |
 //! | `v` | a number that is not zero |
 //!
-//! Left out is what the architecture calls UNPREDICTABLE: no processor need do the same as another then.
+//! Encodings that the architecture calls UNPREDICTABLE are left out: processors may differ there.
 
-/// It ends what it is in: a branch, or a wait. Within an IT block it is the last.
+/// Instruction that ends its sequence: a branch, or a wait. Within an IT block it is the last.
 pub(crate) const LAST: u32 = 1;
-/// Not within an IT block.
+/// Instruction that is not permitted within an IT block.
 pub(crate) const ALONE: u32 = 2;
-/// Its registers are all different.
+/// Instruction whose registers must all differ.
 pub(crate) const DISTINCT: u32 = 4;
-/// It needs an aligned address, and makes several accesses.
+/// Instruction that needs an aligned address, and makes several accesses.
 pub(crate) const ALIGNED: u32 = 8;
-/// It is for memory, not for peripherals: exclusive accesses.
+/// Instruction for memory, not for peripherals: exclusive accesses.
 pub(crate) const PLAIN: u32 = 16;
 
-/// Instructions that belong together.
+/// Rules of instructions that belong together.
 const PAIR: u32 = ALONE | DISTINCT | ALIGNED | PLAIN;
 
 pub(crate) struct Template {
@@ -38,7 +38,7 @@ const fn of(bits: &'static str, rules: u32) -> Template {
     Template { bits, rules }
 }
 
-/// A5.2 and A5.3.
+/// Integer instructions (A5.2 and A5.3).
 pub(crate) const INTEGER: &[Template] = &[
     // A5.2.1: shifts, sums and immediate values.
     of("000 00 xxxxx nnn ddd", 0),
@@ -167,7 +167,7 @@ pub(crate) const INTEGER: &[Template] = &[
     of("11101 00 0 0 1 0 0 bbbb tttt dddd xxxxxxxx", ALIGNED | DISTINCT | PLAIN),
     of("11101 00 0 1 1 0 1 bbbb tttt 1111 010x 1111", ALIGNED | PLAIN),
     of("11101 00 0 1 1 0 0 bbbb tttt 1111 010x dddd", ALIGNED | DISTINCT | PLAIN),
-    // Both, and what comes between.
+    // Exclusive pairs, and instructions in between.
     of("11101 00 0 0 1 0 1 bbbb tttt 1111 0000000x  11101 00 0 0 1 0 0 bbbb uuuu dddd 0000000x", PAIR),
     of("11101 00 0 1 1 0 1 bbbb tttt 1111 0100 1111 11101 00 0 1 1 0 0 bbbb uuuu 1111 0100 dddd", PAIR),
     of("11101 00 0 1 1 0 1 bbbb tttt 1111 0101 1111 11101 00 0 1 1 0 0 bbbb uuuu 1111 0101 dddd", PAIR),
@@ -263,7 +263,7 @@ pub(crate) const INTEGER: &[Template] = &[
     of("11111 0111 110 nnnn dddd aaaa 0110 mmmm", DISTINCT),
 ];
 
-/// A6.4 to A6.7.
+/// Floating-point instructions (A6.4 to A6.7).
 pub(crate) const FLOAT: &[Template] = &[
     // Data processing of three registers.
     of("1110 1110 0x00 xxxx xxxx 1010 xxx0 xxxx", 0),
@@ -280,7 +280,7 @@ pub(crate) const FLOAT: &[Template] = &[
     of("1110 1110 1000 xxxx xxxx 1011 0000 xxxx", 0),
     of("1110 1110 1001 xxxx xxxx 1011 0x00 xxxx", 0),
     of("1110 1110 1010 xxxx xxxx 1011 0x00 xxxx", 0),
-    // Of two, or one.
+    // Data processing of two registers, or one.
     of("1110 1110 1x11 xxxx xxxx 1010 0000 xxxx", 0),
     of("1110 1110 1011 xxxx xxxx 1011 0000 xxxx", 0),
     of("1110 1110 1x11 000x xxxx 1010 x1x0 xxxx", 0),
@@ -308,7 +308,7 @@ pub(crate) const FLOAT: &[Template] = &[
     of("1110 1110 1x11 1x1x xxxx 1010 01x0 0xxx", 0),
     of("1110 1110 1011 1x1x xxxx 1011 01x0 0xxx", 0),
     of("1110 1110 1x11 1x1x xxxx 1010 0100 1000", 0),
-    // FPv5's own.
+    // Instructions that only FPv5 has.
     of("1111 1110 0xxx xxxx xxxx 1010 x0x0 xxxx", ALONE),
     of("1111 1110 00xx xxxx xxxx 1011 0000 xxxx", ALONE),
     of("1111 1110 1x00 xxxx xxxx 1010 xxx0 xxxx", ALONE),
@@ -338,7 +338,7 @@ pub(crate) const FLOAT: &[Template] = &[
     of("1110 1101 001x bbbb 0xxx 1011 0000 vvv1", ALIGNED),
     of("1110 1101 0x10 1101 0xxx 1010 0000 vvvv", ALIGNED),
     of("1110 1100 1x11 1101 0xxx 1010 0000 vvvv", ALIGNED),
-    // What is not there: D16 and above, division with bit 6.
+    // Registers and encodings that do not exist: D16 and above, division with bit 6.
     of("1110 1110 01xx xxxx xxxx 1011 xxx0 xxxx", 0),
     of("1110 1110 1x00 xxxx xxxx 1010 x1x0 xxxx", 0),
 ];
