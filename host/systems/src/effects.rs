@@ -94,7 +94,7 @@ impl Search<'_> {
         let Some(interval) = fit.intervals(CONFIDENCE)?.get(place).copied() else { return Ok(None) };
         let Effect { name, absent, least, .. } = self.effects[best];
         // Newey-West: residuals of a sampled trajectory are autocorrelated, and a plain interval would be too narrow.
-        // // A fit that the data do not determine has an interval without ends, which excludes nothing.
+        // A fit that the data do not determine has an interval without ends, which excludes nothing.
         if !(interval.low > absent || interval.high < absent) || (size - absent).abs() < least {
             return Ok(None);
         }
@@ -126,7 +126,7 @@ impl Search<'_> {
             let of = |run: &usize| {
                 let predicted = (self.predict)(effect, parameters, *run);
                 let observed = &self.observed[*run];
-                // // NaN makes the fit fail: a prediction that is too short must not score as a good one.
+                // NaN makes the fit fail: a prediction that is too short must not score as a good one.
                 (0..observed.len())
                     .map(|place| observed[place] - predicted.get(place).copied().unwrap_or(f64::NAN))
                     .collect::<Vec<_>>()

@@ -73,7 +73,7 @@ fn column<T: DataType>(
     values: impl Iterator<Item = Option<T::T>>,
 ) -> Result<(), ParquetError> {
     let all: Vec<Option<T::T>> = values.collect();
-    // // Definition levels: 1 for a value, 0 for null. The writer ignores them for a required column.
+    // Definition levels: 1 for a value, 0 for null. The writer ignores them for a required column.
     let is_there: Vec<i16> = all.iter().map(|value| i16::from(value.is_some())).collect();
     let values: Vec<T::T> = all.into_iter().flatten().collect();
     let Some(mut writer) = group.next_column()? else {

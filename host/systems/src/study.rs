@@ -205,7 +205,7 @@ pub fn rows(records: &[Record]) -> Result<Vec<Row>, Error> {
         let seeds = [seeds().min().unwrap_or(0), seeds().max().unwrap_or(0)];
         for metric in about.metrics {
             let values: Vec<f64> = ours.iter().filter_map(|record| record.values.get(metric.name).copied()).collect();
-            // // One value has no interval. A metric that few trials have, such as the time to a rare event, has no row
+            // One value has no interval. A metric that few trials have, such as the time to a rare event, has no row
             // then, instead of an error that loses all others.
             if values.is_empty() || values.len() < 2 && metric.target(arm).is_none() {
                 continue;
@@ -287,7 +287,7 @@ pub fn save(path: &Path, records: &[Record]) -> Result<(), Error> {
 /// its name ends in .parquet.
 pub fn read(path: &Path) -> Result<Vec<Record>, Error> {
     if is_parquet(path) {
-        // // The Parquet reader panics on damaged files.
+        // The Parquet reader panics on damaged files.
         let why = "records are read from JSON lines; Parquet is for other programs".to_owned();
         return Err(Error::Parquet { path: path.to_owned(), why });
     }
@@ -328,7 +328,7 @@ mod tests {
 
     #[test]
     fn shards_merge_into_the_records_of_one_run() {
-        // // Sorted as in a study's file: arms in order, with a kinematic arm between two arms on a board.
+        // Sorted as in a study's file: arms in order, with a kinematic arm between two arms on a board.
         let arm = |arm, board: &str, seed| Record { board: board.into(), ..record(arm, seed, 0.1 * seed as f64) };
         let arms = [("ablation:a", "sim"), ("baseline:b", "kinematic"), ("ours", "sim")];
         let all: Vec<_> = arms.iter().flat_map(|(name, board)| (0..7).map(|seed| arm(name, board, seed))).collect();
@@ -368,7 +368,7 @@ mod tests {
         let records = [of(1, &[("failed", 0.0), ("diameter_error_m", 1e-4)]), of(2, &[("failed", 1.0)])];
         let named: Vec<String> = rows(&records).expect("rows").into_iter().map(|row| row.metric).collect();
         assert_eq!(named, ["failed"]);
-        // // A metric with a target is not skipped: too few values are an error then.
+        // A metric with a target is not skipped: too few values are an error then.
         let with_target = records.map(|record| Record { arm: "ours".into(), ..record });
         assert!(rows(&with_target).is_err());
     }

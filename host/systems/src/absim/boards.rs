@@ -102,7 +102,7 @@ pub fn run(
     let work = async move |clock: &r4_rig::HostClock| {
         let mut run = Run::new(mission, robots, wall);
         run.drive(clock, reported).await?;
-        // // The members end when their senders are dropped.
+        // The members end when their senders are dropped.
         run.robots.clear();
         Ok(run)
     };
@@ -189,7 +189,7 @@ impl Pilot<'_> {
         board.arm().await.map_err(RigError::Arm)?;
         match self.follow(telemetry, &wheels, &mut orders).await {
             Ok(()) => board.disarm().await.map_err(RigError::Disarm),
-            // // A stop of the board is a result: the mission gives its goals to other robots.
+            // A stop of the board is a result: the mission gives its goals to other robots.
             Err(RigError::Board(error @ (r4_driver::Error::Stopped { .. } | r4_driver::Error::Refused(_)))) => {
                 self.report(Input::Failed(self.robot, error.to_string()));
                 Ok(())
@@ -199,7 +199,7 @@ impl Pilot<'_> {
     }
 
     fn report(&self, input: Input) {
-        // // Sending fails only when the mission is over and the coordinator is gone.
+        // Sending fails only when the mission is over and the coordinator is gone.
         drop(self.reports.unbounded_send(input));
     }
 

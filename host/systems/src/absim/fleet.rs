@@ -243,7 +243,7 @@ impl<P: Program> Run<P> {
             Fidelity::Board(_) => None,
         };
         if let Fidelity::Board(orders) = &self.robots[robot] {
-            // // Sending fails only when the board is gone, which has reported its reason.
+            // Sending fails only when the board is gone, which has reported its reason.
             drop(orders.unbounded_send(order));
             return;
         }
@@ -256,7 +256,7 @@ impl<P: Program> Run<P> {
                 queue.push(arrives_us, Due::Arrived { robot, leg: body.number });
             }
             Order::Sample { for_s, .. } => queue.push(after(for_s), Due::Sampled { robot, leg: body.number }),
-            // // A preemption is immediate: the event is due now.
+            // A preemption is immediate: the event is due now.
             _ => queue.push(now_us, Due::Stopped { robot }),
         }
     }

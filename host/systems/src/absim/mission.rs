@@ -65,7 +65,7 @@ pub struct Work {
 /// An event that a mission reacts to.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Input {
-    /// The mission starts.
+    /// The mission starts, at time 0.
     Start,
     /// The coordinator has finished its computation.
     Planned,
@@ -332,7 +332,7 @@ impl Mission {
     fn allocate(&mut self) {
         let mut paths: Vec<(usize, f64, [f64; 2])> = Vec::new();
         for (robot, state) in self.robots.iter().enumerate().filter(|(_, state)| !state.is_lost) {
-            // // The robot's path through its goals, from the last goal that it reached, or from its start.
+            // The robot's path through its goals, from the last goal that it reached, or from its start.
             let ended = self.goals.iter().rev().find(|goal| goal.robot == robot && goal.state == State::Succeeded);
             let start = self.scene.starts[robot];
             let mut at_m = ended.map_or([start.x_m, start.y_m], |goal| self.map.place_m(goal.cell));

@@ -46,7 +46,7 @@ use motion::Motion;
 use scene::Scene;
 use wall::{Charging, Wall};
 
-/// The system ABSIM.
+/// Robot system ABSIM, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Absim;
 
@@ -83,7 +83,7 @@ const MEDIAN: Statistic = Statistic::Quantile(0.5);
 const LEAST: Statistic = Statistic::Quantile(0.0);
 const MOST: Statistic = Statistic::Quantile(1.0);
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {
@@ -283,7 +283,7 @@ fn compared(run: &Run<Mission>) -> [f64; 5] {
     let mission = &run.mission;
     let robots = mission.scene().robots as f64;
     let taken = mission.taken();
-    // // The map's error is constant from one sample to the next; before the first sample it is that of the prior.
+    // The map's error is constant from one sample to the next; before the first sample it is that of the prior.
     let mut over_time = 0.0;
     let mut before = (0.0, mission.first_rmse_kpa());
     for sample in taken {

@@ -40,7 +40,7 @@ impl Trapezoid {
         let ramp_s = (speed / acceleration).min(duration_s / 2.0);
         let left_s = duration_s - time_s;
         if ramp_s == 0.0 {
-            // // An infinite acceleration has no ramps: multiplied by a time of 0 it would be NaN.
+            // An infinite acceleration has no ramps: multiplied by a time of 0 it would be NaN.
             speed * time_s
         } else if time_s <= ramp_s {
             acceleration * time_s * time_s / 2.0

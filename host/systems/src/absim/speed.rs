@@ -99,7 +99,7 @@ pub(super) fn rows(is_quick: bool) -> Result<Vec<Row>, Error> {
     let mut rows = Vec::new();
     let many = |seed| Scene::sampled(seed, ROBOTS, SIDE_M, SAMPLES);
     let cases: [(_, &dyn Fn(u64) -> Scene, _, _); 2] = [
-        // // Against the paper's factor at a nominal 15. In the study's scenes the coordinator computes for a quarter
+        // Against the paper's factor at a nominal 15. In the study's scenes the coordinator computes for a quarter
         // of simulated time; with 20 robots it would compute nearly always, and skipping that time would flatter the
         // simulator.
         ("real_time_factor_charged", &Scene::of, Charging::Declared, 14.18),

@@ -38,7 +38,7 @@ proptest! {
             };
             (0..STEPS).map(at).sum::<f64>() * step_s
         };
-        // // Two kinks in 2000 steps: each contributes at most the slope times the square of a step.
+        // Two kinks in 2000 steps: each contributes at most the slope times the square of a step.
         let tolerance = 1e-9 + 2.0 * acceleration * (duration_s / 2_000.0).powi(2);
         prop_assert!((integral(duration_s) - length).abs() < tolerance, "{} {length}", integral(duration_s));
         let time_s = share * duration_s;
@@ -73,7 +73,7 @@ fn short_legs_do_not_reach_the_top_speed_and_the_published_formula_is_negative_a
     assert_eq!([0.25, 3.0].map(|length| trapezoid.duration_s(length)), [2.0, 8.0]);
     let published = |time_s: f64| 0.5 * time_s - 0.5 * 0.5 / (2.0 * 0.25);
     assert!(published(0.5) < 0.0 && trapezoid.covered(3.0, 0.5) > 0.0);
-    // // It is right on the plateau, but half a ramp late.
+    // It is right on the plateau, but half a ramp late.
     assert!((published(4.0) - trapezoid.covered(3.0, 4.0)).abs() < 1e-12);
     let paper = Motion::PRINTED.leg(r4_rig::Place::default(), [0.0, 9.0]);
     assert_eq!((paper.duration_s(), paper.covered_m(5.0), paper.covered_m(f64::INFINITY)), (22.5, 2.0, 9.0));
@@ -138,7 +138,7 @@ fn the_map_is_that_of_simple_kriging() {
     for cell in 0..map.cells() {
         let expected: f64 =
             samples.iter().zip(weights.iter()).map(|((at, _), weight)| weight * covariance(cell, *at)).sum();
-        // // Rounding errors of numbers of a few thousand.
+        // Rounding errors of numbers of a few thousand.
         assert!((map.mean_kpa()[cell] - 2_000.0 - expected).abs() < 1e-8, "cell {cell}");
     }
 }
@@ -170,7 +170,7 @@ fn the_papers_runs_depend_on_the_speed_and_ours_do_not() {
         let (slowed, faster, ours) = (of(PRINTED), of(FASTER), of(OURS));
         assert!(ours["cosine"] == 1.0 && ours["bit_equal"] == 1.0, "seed {seed}: {ours:?}");
         assert!(slowed["cosine"] < 1.0 && slowed["bit_equal"] == 0.0, "seed {seed}: {slowed:?}");
-        // // The order of the printed results: 0.87 at 15, "highly similar" at 10.
+        // The order of the printed results: 0.87 at 15, "highly similar" at 10.
         assert!(faster["cosine"] < slowed["cosine"], "seed {seed}: {faster:?}");
         assert!(faster["speed_factor"] > 14.0 && slowed["speed_factor"] < 4.0, "seed {seed}: {slowed:?}");
         // A single trial without turns may be auctioned into longer paths; their sum is not.
@@ -269,7 +269,7 @@ fn the_calibration_is_right_on_legs_that_it_does_not_know() {
         (squares.sum::<f64>() / legs.len() as f64).sqrt()
     };
     assert!(legs.len() >= 16);
-    // // Limits: three periods of the telemetry, and a tenth of what is known without boards.
+    // Limits: three periods of the telemetry, and a tenth of what is known without boards.
     let (after_s, before_s) = (rms_s(&calibration::CALIBRATED), rms_s(&Motion::NOMINAL));
     assert!(after_s < 0.06 && before_s > 0.3, "{after_s} s, {before_s} s");
     let again = calibration::identified(&legs);
@@ -288,7 +288,7 @@ fn boards_and_perfect_actuators_differ_in_every_metric_of_motion() {
     for metric in ["completion_s", "distance_per_robot_m", "map_rmse_kpa"] {
         assert_ne!(boards[metric], ideal[metric], "{metric}");
     }
-    // // The lag of the wheels adds less than a second to each of four legs.
+    // The lag of the wheels adds less than a second to each of four legs.
     assert!((boards["completion_s"] - ideal["completion_s"]).abs() < 4.0);
     assert!(boards["completion_error"] < 0.01 && boards["completion_error_printed"] > 0.05, "{boards:?}");
 }
@@ -313,7 +313,7 @@ fn a_released_dead_man_leaves_its_goals_to_the_other_robot() {
     );
     assert_eq!(run.mission.taken().len(), scene.samples);
     assert!(completion_s(&run) > completion_s(&whole));
-    // // The brakes stop 0.4 m/s within 0.2 m after the release.
+    // The brakes stop 0.4 m/s within 0.2 m after the release.
     let path = &driven[0].path;
     let at = path[path.partition_point(|(time_s, _)| *time_s < 6.0) - 1].1;
     let last = path[path.len() - 1].1;

@@ -25,14 +25,14 @@ pub mod swarm;
 
 use crate::{About, Arm, Error, Figure, Limit, Metric, Paper, Source, Statistic, System, Target, Trial, Values, View};
 
-/// The system.
+/// Robot system FIELDMAP, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Fieldmap;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "fieldmap";
 
-/// Arms.
+/// Names of the arms.
 const PRINTED: &str = "paper";
 const OURS: &str = "ours";
 const PERFECT: &str = "ablation:perfect-actuators";
@@ -67,7 +67,7 @@ const TWO_PERCENT: Limit = Limit::AtMost(0.02);
 const QUARTER: Limit = Limit::AtMost(0.25);
 const MOSTLY: Limit = Limit::AtLeast(0.9);
 
-/// Arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {

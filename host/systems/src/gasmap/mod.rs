@@ -39,14 +39,14 @@ use plan::CELL_M;
 use scene::{Case, Hall};
 use survey::{PUBLISHED, Settings, Strategy, Survey, WEIGHTS, replayed, rmse};
 
-/// The system.
+/// Robot system GASMAP, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Gasmap;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "gasmap";
 
-/// Arms.
+/// Names of the arms.
 const PRINTED: &str = "paper";
 const OURS: &str = "ours";
 const LAWN: &str = "baseline:lawn-mower";
@@ -86,7 +86,7 @@ const SET: &str = "set by this project";
 const MEDIAN: Statistic = Statistic::Quantile(0.5);
 const MOST: Statistic = Statistic::Quantile(1.0);
 
-/// Arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {

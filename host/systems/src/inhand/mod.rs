@@ -24,14 +24,14 @@ use four_bar::{Linkage, Observation};
 use protocol::{Motion, Stop};
 use scene::{Case, Hidden, Setup};
 
-/// The system.
+/// Robot system INHAND, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Inhand;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "inhand";
 
-/// Arms.
+/// Names of the arms.
 const PAPER: &str = "paper";
 const ROLL: &str = "baseline:roll-only";
 const PIVOT: &str = "baseline:pivot-only";
@@ -63,7 +63,7 @@ const fn named(arm: &'static str) -> Target {
     Target { arm, limit: Limit::AtLeast(0.9), from: "set by this project" }
 }
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {

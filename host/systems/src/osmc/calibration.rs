@@ -46,7 +46,7 @@ impl Calibration {
     #[must_use]
     pub fn count(&self, bench: &Bench) -> f64 {
         use std::f64::consts::TAU;
-        // // The actuator's metrics are in counts of the paper's converter, which no calibration changes.
+        // The actuator's metrics are in counts of the paper's converter, which no calibration changes.
         if bench.step.is_some() { TAU / f64::from(self.counts_per_turn(TAU / bench.count)) } else { bench.count }
     }
 
@@ -98,10 +98,10 @@ pub fn found(bench: &Bench, readings: &[Reading]) -> Option<Found> {
     let fit = linear(&line, &sensed).ok()?;
     let intervals = fit.intervals(CONFIDENCE).ok()?;
     let (gain, offset) = (*fit.parameters.get(0)?, *fit.parameters.get(1)?);
-    // // An error below one count is the sensor's quantisation.
+    // An error below one count is the sensor's quantisation.
     let is_scaled = !intervals.first()?.contains(1.0) && (gain - 1.0).abs() * span > bench.count;
     let is_moved = !intervals.get(1)?.contains(0.0) && offset.abs() > bench.count;
-    // // With only one of the two claimed, it is estimated again without the other, which narrows its interval.
+    // With only one of the two claimed, it is estimated again without the other, which narrows its interval.
     let calibration = match (is_scaled, is_moved) {
         (false, false) => Calibration::NONE,
         (true, true) => Calibration { gain, offset },
@@ -148,13 +148,13 @@ mod tests {
                 let scaled = Calibration { gain: 0.985, ..Calibration::NONE };
                 let by_scale = found(&bench, &readings(&bench, scaled, seed)).expect("enough rows");
                 assert_eq!(by_scale.effects, ["encoder-scale"], "{} {seed}", bench.name);
-                // // Half a degree over the square root of 12, in 16 rows of 246 degrees RMS: a standard error of
+                // Half a degree over the square root of 12, in 16 rows of 246 degrees RMS: a standard error of
                 // 1.5e-4; the limit is four of them.
                 assert!((by_scale.calibration.gain - 0.985).abs() < 6e-4, "{} {seed}: {by_scale:?}", bench.name);
                 let moved = Calibration { offset, ..Calibration::NONE };
                 let by_offset = found(&bench, &readings(&bench, moved, seed)).expect("enough rows");
                 assert_eq!(by_offset.effects, ["encoder-offset"], "{} {seed}", bench.name);
-                // // 0.144 degrees over the square root of 16 is a standard error of 6e-4 rad; for the caliper 3.2e-6
+                // 0.144 degrees over the square root of 16 is a standard error of 6e-4 rad; for the caliper 3.2e-6
                 // m. The limits are four of them.
                 let within = if bench == GEARED { 2.5e-3 } else { 1.4e-5 };
                 assert!((by_offset.calibration.offset - offset).abs() < within, "{} {seed}: {by_offset:?}", bench.name);
@@ -173,7 +173,7 @@ mod tests {
         let mut feedback = Feedback::Potentiometer { analog: 0, low: point(2000, 0.0), high: point(62000, 0.1) };
         sensor.put_into(&mut feedback);
         let Feedback::Potentiometer { low, high, .. } = feedback else { panic!("{feedback:?}") };
-        // // A reading of 0.04 m by the old configuration was 0.0387 m.
+        // A reading of 0.04 m by the old configuration was 0.0387 m.
         let share = 0.4;
         let now_m = f64::from(low.position_m) + share * f64::from(high.position_m - low.position_m);
         assert!((now_m - (0.04 - 0.5e-3) / 1.02).abs() < 1e-8, "{now_m}");
@@ -183,7 +183,7 @@ mod tests {
             encoder,
             Feedback::Encoder { index: 0, counts_per_turn: 2448, inverted: false, counts_per_index: 0 }
         );
-        // // The board's size of a count, to the last bit but one.
+        // The board's size of a count, to the last bit but one.
         let count = sensor.count(&GEARED);
         assert!((count * 2448.0 / std::f64::consts::TAU - 1.0).abs() < 1e-15, "{count} rad");
         let back = sensor.asked(&GEARED, sensor.command(&GEARED, 1.0));

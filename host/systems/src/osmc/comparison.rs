@@ -103,7 +103,7 @@ fn row(bench: &Bench, metric: &'static Metric, records: &[Record]) -> Option<Com
         Some(set) => format!("{} {set} {}", bench.name, bench.unit()),
         None => bench.name.to_owned(),
     };
-    // // A share is 1 or 0 in one plant: each 0 is a failure by itself.
+    // A share is 1 or 0 in one plant: each 0 is a failure by itself.
     let single = limit.map(|limit| if is_share { Limit::AtLeast(1.0) } else { limit });
     let failing = |(seed, value): &(u64, f64)| single.is_some_and(|limit| !limit.is_held_by(*value)).then_some(*seed);
     let met = limit.and_then(|limit| Some(limit.is_held_by(worst(&ours)?)));

@@ -44,7 +44,7 @@ pub(super) fn driven(motor: &Motor, seed: u64) -> Driven {
     let points = bench.set_points.iter().map(|set| (Purpose::SetPoint, *set));
     let steps = bench.step.into_iter().flat_map(|step| [(Purpose::Return, 0.0), (Purpose::Step, step)]);
     for (purpose, set) in points.chain(steps) {
-        // // Corrected as the board's configuration would be.
+        // Corrected as the board's configuration would be.
         let set = found.command(bench, set / bench.per_si());
         let (from_s, start) = (at_s, position);
         let way = set - start;
@@ -53,7 +53,7 @@ pub(super) fn driven(motor: &Motor, seed: u64) -> Driven {
             let gone = gone(motor.profile, way.abs(), at_s - from_s).copysign(way);
             position = start + gone;
             let sensed = (position / bench.count).round() * bench.count;
-            // // The simulated position is the board's corrected one; the raw reading follows by the found calibration,
+            // The simulated position is the board's corrected one; the raw reading follows by the found calibration,
             // the truth by the sensor's.
             let raw = if bench.step.is_some() { position * found.gain } else { position * found.gain + found.offset };
             response.looks.push(Look { at_s, sensed, truth: (raw - sensor.offset) / sensor.gain, duty: 0.0 });

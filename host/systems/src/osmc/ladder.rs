@@ -31,7 +31,7 @@ pub fn all(trial: &Trial) -> Result<Vec<Ladder>, Error> {
     let scene = scene(trial)?;
     for (index, motor) in scene.motors.iter().enumerate() {
         let driven = driven(&scene, index, &Trial { arm: OURS, ..trial.clone() }, 0.0)?;
-        // // A board that stopped has too few rows for a law: it is skipped.
+        // A board that stopped has too few rows for a law: it is skipped.
         ladders.extend(own(&motor.bench, &driven).ok());
     }
     Ok(ladders)

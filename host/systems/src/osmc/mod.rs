@@ -43,7 +43,7 @@ use protocol::Controller;
 use response::{Measured, Response};
 use scene::{Motor, Scene};
 
-/// The system OSMC.
+/// Robot system OSMC, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Osmc;
 
@@ -90,7 +90,7 @@ const CYCLES: &[Target] = &[ours(Limit::AtMost(0.0), "set by this project: none 
 const SETTLED: &[Target] = &[ours(Limit::AtLeast(1.0), "set by this project: the board says so at each")];
 const NAMED: &[Target] = &[Target { arm: BLIND, limit: Limit::AtLeast(0.9), from: "set by this project" }];
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {
@@ -166,7 +166,7 @@ impl System for Osmc {
         let mut values = Values::new();
         for (index, motor) in scene.motors.iter().enumerate() {
             match trial.arm {
-                // // One motor per seed: its fits take half a minute.
+                // One motor per seed: its fits take half a minute.
                 BLIND if index as u64 != trial.seed % scene.motors.len() as u64 => {}
                 BLIND => naming::put(&scene, index, trial, &mut values)?,
                 PERFECT => put(motor, &kinematic::driven(motor, trial.seed), &mut values),
@@ -191,7 +191,7 @@ pub fn missed(record: &Record) -> Vec<(String, f64)> {
     let missed = METRICS.iter().filter_map(|metric| {
         let value = *record.values.get(metric.name)?;
         let limit = metric.target(&record.arm)?.limit;
-        // // A target on a share is for many trials; in one record, 0 misses it.
+        // A target on a share is for many trials; in one record, 0 misses it.
         let limit = if metric.statistic == Statistic::Share { Limit::AtLeast(1.0) } else { limit };
         (!limit.is_held_by(value)).then(|| (metric.name.to_owned(), value))
     });
@@ -266,7 +266,7 @@ pub fn calibrated(scene: &Scene, index: usize, trial: &Trial) -> Result<(calibra
     let ((response, readings), _) = rig.run(None, work)?;
     let measured = response.measured(&bench, |set| set);
     let worst = measured.true_errors.iter().map(|error| error.abs()).reduce(f64::max);
-    // // After a stop there are too few rows: the sensor keeps its calibration.
+    // After a stop there are too few rows: the sensor keeps its calibration.
     let none = calibration::Found { calibration: Calibration::NONE, effects: Vec::new() };
     Ok((calibration::found(&bench, &readings).unwrap_or(none), worst))
 }

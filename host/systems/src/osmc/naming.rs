@@ -95,7 +95,7 @@ fn recordings(scene: &Scene, index: usize, trial: &Trial) -> Result<Vec<Vec<u8>>
         let number = logs.len();
         let work = async |session: &Session<'_>| {
             if bench.step.is_none() {
-                // // From the middle of its stroke the actuator can move in both directions.
+                // From the middle of its stroke the actuator can move in both directions.
                 let middle = r4_rig::Quantity::new(0.05, bench.si());
                 session.move_to(bench.channel, middle, 30.0).await?;
             }
@@ -125,7 +125,7 @@ fn identified(motor: &Motor, logs: &[Vec<u8>], trial: &Trial) -> Result<Report, 
     let read = |(index, log): (usize, &Vec<u8>)| -> Result<Recorded, Error> {
         let name = format!("recording-{}.mcap", index + 1);
         let mut recorded = data::read_bytes(&name, log, &options).map_err(|why| unsuitable(trial, why))?;
-        // // The input is the duty after the declared effects of the bridge, as in `r4 identify close`.
+        // The input is the duty after the declared effects of the bridge, as in `r4 identify close`.
         let signals = recorded.runs.iter_mut().filter_map(|run| run.signals.get_mut("input"));
         for duty in signals.flat_map(|signal| &mut signal.values) {
             *duty = bridge.iter().fold(*duty, |duty, effect| effect.at_once(duty).unwrap_or(duty));

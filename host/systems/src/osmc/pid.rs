@@ -80,7 +80,7 @@ mod tests {
         assert_eq!(pid.step(2.0, 0.01), 10.0 * 2.0 + 4.0 * 0.02, "no derivative at first");
         assert!((pid.step(1.9, 0.01) - (19.0 + 4.0 * 0.039 - 30.0)).abs() < 1e-9);
         assert_eq!(pid.step(-100.0, 0.01), -230.0);
-        // // A repeated sample must not divide by a dt of 0.
+        // A repeated sample must not divide by a dt of 0.
         assert!(pid.step(-100.0, 0.0).is_finite());
     }
 
@@ -91,7 +91,7 @@ mod tests {
             (0..1000).fold(0.0, |_, _| pid.step(100.0, 0.01))
         };
         assert_eq!(last(SUM_MAX), 1000.0 + 4.0 * SUM_MAX);
-        // // 10 s of an error of 100: an integral part of four times 1000 beside the proportional 1000.
+        // 10 s of an error of 100: an integral part of four times 1000 beside the proportional 1000.
         assert!((last(f64::INFINITY) - 5000.0).abs() < 1e-6, "{}", last(f64::INFINITY));
     }
 }

@@ -206,7 +206,7 @@ async fn by_host(
             });
             let Some(position) = position else { continue };
             let (at_s, sensed) = (frame.device_us as f64 * 1e-6, f64::from(position) * resolution);
-            // // Quantised as by the paper's converter and counter.
+            // Quantised as by the paper's converter and counter.
             let sensed = (sensed / bench.count).round() * bench.count;
             let dt_s = if before_s.is_nan() { 0.0 } else { at_s - before_s };
             before_s = at_s;

@@ -125,7 +125,7 @@ impl Response {
                     let error = self.last(segment, |look| look.truth).map(|end| (end - asked) * bench.per_si());
                     found.true_errors.extend(error);
                     let sensed = self.last(segment, |look| look.sensed).unwrap_or(f64::INFINITY);
-                    // // The board's resolution is a 32-bit float: a count is exact to a thousandth only.
+                    // The board's resolution is a 32-bit float: a count is exact to a thousandth only.
                     let counts = ((sensed - segment.set).abs() / bench.count * 1e3).round() / 1e3;
                     found.counts = found.counts.max(counts);
                 }
@@ -152,7 +152,7 @@ impl Response {
 
 /// Cycles of a position about its set point: reversals of more than `count`, halved.
 fn limit_cycles(positions: &[f64], count: f64) -> f64 {
-    // // Slightly more than a count, so that one count to and fro is no cycle whatever its rounding.
+    // Slightly more than a count, so that one count to and fro is no cycle whatever its rounding.
     let least = 1.01 * count;
     let Some(&first) = positions.first() else { return 0.0 };
     let (mut low, mut high, mut direction, mut reversals) = (first, first, 0.0, 0_u32);
@@ -191,11 +191,11 @@ mod tests {
     #[test]
     fn a_response_is_measured_as_it_is_defined() {
         let step = response(Purpose::Step, 0.0, 0.0).measured(&GEARED, |set| set);
-        // // 0.5 s ln 100 = 2.303 s, rounded up to the next sample of 10 ms.
+        // 0.5 s ln 100 = 2.303 s, rounded up to the next sample of 10 ms.
         assert!(step.rise_s.is_some_and(|rise_s| (rise_s - 2.31).abs() < 1e-9), "{step:?}");
         assert_eq!(step.overshoot_percent, 0.0);
         let point = response(Purpose::SetPoint, 0.0, 9.0).measured(&GEARED, |set| set);
-        // // The hump is 10 % of the step; the exponential is 0.25 % below the set point at its peak.
+        // The hump is 10 % of the step; the exponential is 0.25 % below the set point at its peak.
         assert!((point.overshoot_percent - 9.75).abs() < 0.01, "{point:?}");
         assert!((point.true_errors[0] - 0.01_f64.to_degrees()).abs() < 1e-6 && point.counts < 1e-3, "{point:?}");
     }
@@ -203,7 +203,7 @@ mod tests {
     #[test]
     fn swings_of_more_than_a_count_are_limit_cycles() {
         let cycles = |counts| response(Purpose::Hold, counts, 0.0).measured(&GEARED, |set| set).limit_cycles;
-        // // Ten periods, each with a reversal after its peak and its trough.
+        // Ten periods, each with a reversal after its peak and its trough.
         assert_eq!((cycles(0.5), cycles(2.0)), (Some(0.0), Some(10.0)));
         assert_eq!(limit_cycles(&[0.0, 1.0, 2.0, 3.0, 4.0], 1.0), 0.0, "a drift is none");
         assert_eq!(limit_cycles(&[], 1.0), 0.0);

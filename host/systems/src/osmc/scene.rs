@@ -86,7 +86,7 @@ impl Scene {
             let channel = bench.channel;
             let plant = plants.iter().find(|plant| plant.channel == channel).ok_or(SceneError::NoMotor { channel })?;
             let (declared, supply_v) = (plant.spec.clone(), plant.supply_v);
-            // // The seeds of a board's motors are far apart, so that the next seed hides another effect in all of
+            // The seeds of a board's motors are far apart, so that the next seed hides another effect in all of
             // them.
             let hidden =
                 hide_one_of(&AMONG, &declared, supply_v, seed ^ (index << 48), &|spec| suits(spec, supply_v, &bench))?;
@@ -120,7 +120,7 @@ impl Scene {
                 let configured = robot.config.motors.iter_mut().filter(|motor| motor.id == bench.channel);
                 for control in configured.filter_map(|motor| motor.control.as_mut()) {
                     calibration.put_into(&mut control.feedback);
-                    // // Set points must stay within the calibrated ends.
+                    // Set points must stay within the calibrated ends.
                     if let Feedback::Potentiometer { low, high, .. } = control.feedback {
                         control.position.min = control.position.min.max(low.position_m);
                         control.position.max = control.position.max.min(high.position_m);
@@ -170,7 +170,7 @@ impl Calibration {
                     point.position_m = ((f64::from(point.position_m) - self.offset) / self.gain) as f32;
                 }
             }
-            // // No motor of the paper has such a sensor: it is taken as exact.
+            // No motor of the paper has such a sensor: it is taken as exact.
             Feedback::Angle { .. } | Feedback::Pulses { .. } => {}
         }
     }

@@ -41,7 +41,7 @@ fn ours_is_nearer_than_the_papers_controller_on_the_same_motor() {
     let (paper, ours) = (paper.measured(&motor.bench), ours.measured(&motor.bench));
     assert!(ours.counts <= 1.0 && ours.overshoot_percent <= 1.0, "{ours:?}");
     assert!(paper.counts > 5.0 && paper.overshoot_percent > 2.0, "{paper:?}");
-    // // Printed: 2.81 s. The plant's shape follows the tables; its speed is our choice.
+    // Printed: 2.81 s. The plant's shape follows the tables; its speed is our choice.
     assert!(paper.rise_s.is_some_and(|rise_s| (2.0..3.6).contains(&rise_s)), "{paper:?}");
     assert!(ours.rise_s.is_some_and(|rise_s| rise_s <= 2.75), "{ours:?}");
 }

@@ -221,7 +221,7 @@ impl Pilot<'_> {
             }
             self.sense(program, board.now_s() - begin_s, &frame.samples);
             let Some([left_rad, right_rad]) = sides_rad(board, &self.setup.drive, &frame.samples) else { continue };
-            // // Stamps of the board, not arrival times: frames wait on the link for different durations.
+            // Stamps of the board, not arrival times: frames wait on the link for different durations.
             let now_s = frame.device_us as f64 * 1e-6;
             let angle_rad = f64::midpoint(left_rad, right_rad);
             if let Some((before_s, before_rad)) = self.before.replace((now_s, angle_rad)) {
@@ -245,7 +245,7 @@ impl Pilot<'_> {
                         self.driven.trips += 1;
                         tripped_at_s = None;
                         setpoints = board.stream(&speeds, SETPOINT_TTL_MS).await?;
-                        // // Frames that were queued meanwhile still report the trip.
+                        // Frames that were queued meanwhile still report the trip.
                         telemetry = board.telemetry();
                     }
                 }

@@ -75,14 +75,14 @@ impl PoseFilter {
     /// false, and changes nothing, when the innovation exceeds `gate` standard deviations of the prediction.
     pub fn correct(&mut self, row: &RowVector4<f64>, off: f64, deviation: f64, gate: f64) -> bool {
         let variance = (row * self.covariance * row.transpose())[(0, 0)] + deviation * deviation;
-        // // NaN compares as none and is rejected too.
+        // NaN compares as none and is rejected too.
         if off.abs().partial_cmp(&(gate * variance.sqrt())).is_none_or(std::cmp::Ordering::is_gt) {
             return false;
         }
         let gain = self.covariance * row.transpose() / variance;
         self.state += gain * off;
         let rest = Matrix4::identity() - gain * row;
-        // // Joseph's form keeps the covariance symmetric.
+        // Joseph's form keeps the covariance symmetric.
         self.covariance = rest * self.covariance * rest.transpose() + gain * gain.transpose() * (deviation * deviation);
         true
     }

@@ -25,18 +25,18 @@ use crate::{
     About, Arm, Error, Figure, Limit, Metric, Paper, ResultFile, Source, Statistic, System, Target, Trial, Values,
 };
 
-/// The system.
+/// Robot system SKIDCAL, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Skidcal;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "skidcal";
 /// The arm in which something is hidden in the robot.
 const BLIND: &str = "blind:one-effect";
 /// Straight runs there and back in that arm.
 const BLIND_RUNS: usize = 4;
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {

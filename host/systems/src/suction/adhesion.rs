@@ -63,12 +63,12 @@ mod tests {
     fn the_printed_forces_are_a_tenth_of_vacuum() {
         let of = |place: usize| effective(PRINTED[place].force_n, PRINTED[2].force_n, RADIUS_M);
         for (place, expected_pa) in [11.6e3, 10.4e3, 7.0e3, 3.7e3].into_iter().enumerate() {
-            // // Half of the last digit that is printed above, 0.1 kPa.
+            // Half of the last digit that is printed above, 0.1 kPa.
             assert!((of(place).suction_pa - expected_pa).abs() <= 50.0, "{:?}", of(place));
             assert!((0.036..0.116).contains(&of(place).of_vacuum));
         }
         assert!((of(0).of_dry - 1.65).abs() < 0.005 && (of(3).of_dry - 0.53).abs() < 0.005);
-        // // By area alone a moist rim would have to seal 23 mm across, more than the cup has: the seal changes, not
+        // By area alone a moist rim would have to seal 23 mm across, more than the cup has: the seal changes, not
         // the area.
         assert!(of(0).radius_by_area_m > 1.25 * RADIUS_M && of(1).radius_by_area_m > 1.2 * RADIUS_M);
         assert_eq!(of(2).radius_by_area_m, RADIUS_M);

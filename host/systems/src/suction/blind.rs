@@ -92,7 +92,7 @@ fn predicted(setup: &Setup, effect: Option<usize>, numbers: &[f64], run: &[Readi
         let decay = (-step_s / RELAXES_S).exp();
         // Backward Euler: the membrane's pressure at the tried stretch must equal the gas pressure there.
         let held_pa = |tried: f64| {
-            // // Softening is full at rest and vanishes where the membrane reaches its largest stretch so far.
+            // Softening is full at rest and vanishes where the membrane reaches its largest stretch so far.
             let behind = if farthest > 1.01 { ((farthest - tried) / (farthest - 1.0)).clamp(0.0, 1.0) } else { 0.0 };
             let relaxed = relaxed_pa * decay + own_pa(tried) * (1.0 - decay);
             own_pa(tried) * (1.0 - softening * (1.0 - (1.0 - behind).powi(3))) - relaxing * relaxed
@@ -113,7 +113,7 @@ fn predicted(setup: &Setup, effect: Option<usize>, numbers: &[f64], run: &[Readi
         pressures_pa.push(line_pa - delay * 0.01 * (line_pa - line_before_pa) / step_s);
         line_before_pa = line_pa;
         relaxed_pa = relaxed_pa * decay + own_pa(now) * (1.0 - decay);
-        // // Orifice flow: proportional to the root of the pressure. The size is in units of 0.01 ml/s at 10 kPa.
+        // Orifice flow: proportional to the root of the pressure. The size is in units of 0.01 ml/s at 10 kPa.
         gas_pa_m3 -= leaking * 1e-8 * ATMOSPHERE_PA * (pressure_pa.max(0.0) / 1e4).sqrt() * step_s;
         stretch = now;
         farthest = farthest.max(now);

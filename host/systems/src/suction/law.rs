@@ -33,7 +33,7 @@ impl Default for Settings {
             rate_m3_s: 0.8e-6,
             volume_max_m3: 6e-6,
             pressure_max_pa: Some(18e3),
-            // // Six standard deviations of the difference between the trend and the mean. 4.5 % of 1000 trials detach
+            // Six standard deviations of the difference between the trend and the mean. 4.5 % of 1000 trials detach
             // undetected.
             drop_pa: Some(120.0),
             watched_s: 1.0,
@@ -68,7 +68,7 @@ impl Signature {
         }
         self.samples_pa.pop_front();
         let trend = || self.samples_pa.iter().take(TREND).enumerate();
-        // // Least-squares line over places 0..TREND, whose mean place is known in closed form.
+        // Least-squares line over places 0..TREND, whose mean place is known in closed form.
         let middle = (TREND - 1) as f64 / 2.0;
         let mean_pa = trend().map(|(_, pa)| pa).sum::<f64>() / TREND as f64;
         let (mut over, mut squares) = (0.0, 0.0);
@@ -97,7 +97,7 @@ mod tests {
             dropped.push(signature.drop_pa(slope(place) - step_pa));
         }
         assert!(dropped[..48].iter().all(Option::is_none));
-        // // A straight line is its own trend, to rounding errors.
+        // A straight line is its own trend, to rounding errors.
         assert!(dropped[48..120].iter().flatten().all(|pa| pa.abs() < 1e-6));
         let seen = dropped[120..].iter().flatten().take_while(|pa| **pa < 299.0).count();
         assert!(seen < NEWEST, "{seen} samples late");

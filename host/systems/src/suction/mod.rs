@@ -25,7 +25,7 @@ use law::{MIDDLE_FIRST, OUTERS_FIRST, Settings};
 use protocol::{Method, Moment, Trace};
 use scene::{Blind, Case, Feed, Hidden, Setup};
 
-/// The system SUCTION.
+/// Robot system SUCTION, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Suction;
 
@@ -69,7 +69,7 @@ const fn ours(limit: Limit, from: &'static str) -> Target {
     Target { arm: OURS, limit, from }
 }
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {

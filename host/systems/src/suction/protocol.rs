@@ -150,7 +150,7 @@ fn look(session: &Session<'_>) -> Result<Moment, Error> {
             shear_n: state.shear_n,
         }
     })?;
-    // // Not reached: `Setup::of` refuses robots without a pad.
+    // Not reached: `Setup::of` refuses robots without a pad.
     Ok(moment.unwrap_or(Moment {
         time_s: 0.0,
         line_pa: [0.0; MEMBRANES],
@@ -275,7 +275,7 @@ async fn watch_pressures(
         if frame.state == SafetyState::Tripped {
             return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
         }
-        // // Without an interlock a saturated sensor stops nothing: the ablation continues with its last value.
+        // Without an interlock a saturated sensor stops nothing: the ablation continues with its last value.
         let is_strict = fill.borrow().settings.pressure_max_pa.is_some();
         let Some(pressures_pa) = pressures(setup, &frame.samples, is_strict)? else {
             if now_s - complete_s > FRAMES_S {

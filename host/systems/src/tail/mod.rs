@@ -33,14 +33,14 @@ use law::Regulator;
 use protocol::{Moment, Trace};
 use scene::{Case, Reading, Setup};
 
-/// The system.
+/// Robot system TAIL, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Tail;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "tail";
 
-/// Arms.
+/// Names of the arms.
 const PRINTED: &str = "paper";
 const OURS: &str = "ours";
 const NO_TAIL: &str = "baseline:no-tail";
@@ -57,7 +57,7 @@ const fn measured(name: &'static str, unit: &'static str, statistic: Statistic, 
     Metric { name, unit, statistic, source: Source::Simulated, targets }
 }
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {

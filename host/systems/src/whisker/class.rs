@@ -25,7 +25,7 @@ pub fn features(run: &Run) -> Option<[f64; FEATURES]> {
     let begin_s = run.moments.iter().find(bent)?.time_s;
     let mut features = [0.0; FEATURES];
     for (number, feature) in features.iter_mut().enumerate() {
-        // // The middle of a sample's period of 0.2 s.
+        // The middle of a sample's period of 0.2 s.
         let at_s = begin_s + 0.2 * number as f64 + 0.1;
         let moment = run.moments.iter().find(|moment| moment.time_s >= at_s)?;
         *feature = 0.5 * (moment.seen.bent_rad[0] + moment.seen.bent_rad[1]);

@@ -216,7 +216,7 @@ impl Ours {
                 self.sides[number].shown_rad = bent_rad;
                 self.take(number, then, bent_rad);
             }
-            // // The whisker may still lean on this point until the next sample shows otherwise.
+            // The whisker may still lean on this point until the next sample shows otherwise.
             if self.sides[number].is_bent {
                 let Ray { tip_m, .. } = self.ray(number, then, bent_rad);
                 self.sides[number].last_m = self.sides[number].last_m.max(tip_m[0]);
@@ -254,7 +254,7 @@ impl Ours {
         let aside_m = sign * whiskers.hinge_m[1];
         let (sin, cos) = then.yaw_rad.sin_cos();
         let hinge_m = [then.x_m + cos * ahead_m - sin * aside_m, sign * (then.y_m + sin * ahead_m + cos * aside_m)];
-        // // While a whisker is pushed back its magnet lags by half the play.
+        // While a whisker is pushed back its magnet lags by half the play.
         let bearing_rad = sign * then.yaw_rad + whiskers.rest_rad + bent_rad + 0.5 * whiskers.hysteresis_rad;
         let (sin, cos) = bearing_rad.sin_cos();
         let tip_m = [hinge_m[0] + whiskers.length_m * cos, hinge_m[1] + whiskers.length_m * sin];
@@ -279,7 +279,7 @@ impl Ours {
             // Only noise moves the face of a standing box: the nearest tip is kept.
             side.face_m = Some(face_m.min(tip_m[0]));
         } else if hinge_m[0] > face_m + CORNER_M {
-            // // On the plane of the near face, at most at the tip.
+            // On the plane of the near face, at most at the tip.
             let along_m = ((face_m - hinge_m[0]) / bearing_rad.cos()).clamp(0.0, length_m);
             side.corner_m = Some(hinge_m[1] + along_m * bearing_rad.sin());
         }
@@ -298,7 +298,7 @@ impl Ours {
             let is_past = rear_m > last_m + BEHIND_M;
             return if is_past || !self.uses.waits { 0.0 } else { self.wanted_rad };
         }
-        // // Outwards from the robot's axis. A side that has felt nothing yet is taken to be at distance 0: the shell
+        // Outwards from the robot's axis. A side that has felt nothing yet is taken to be at distance 0: the shell
         // narrows fully.
         let sides = self.sides.iter().zip(SIGNS);
         let room_m = sides.map(|(side, sign)| match side.corner_m {
@@ -308,7 +308,7 @@ impl Ours {
         let narrowest_m = room_m.fold(f64::INFINITY, f64::min);
         let half_m = (narrowest_m - MARGIN_M).clamp(0.0, shell.panel_m * shell.rest_rad.sin());
         let wanted_rad = self.setup.servo_rad((half_m / shell.panel_m).asin());
-        // // While the shell rubs on a corner the wheels slip, and odometry moves that corner outwards by the slip. A
+        // While the shell rubs on a corner the wheels slip, and odometry moves that corner outwards by the slip. A
         // shell that opened by it jammed between standing boxes (seeds 5 and 23: 6 and 11 cm of travel).
         if self.uses.holds { wanted_rad.max(self.wanted_rad) } else { wanted_rad }
     }

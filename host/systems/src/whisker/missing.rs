@@ -139,7 +139,7 @@ fn predict(effect: Option<usize>, parameters: &[f64], recording: &Recording, set
         Some(2) => at(face_m + size * at(face_m - x_m) - x_m),
         _ => at(face_m - x_m),
     };
-    // // A sample known late belongs to an earlier moment.
+    // A sample known late belongs to an earlier moment.
     let moment_s = |place: usize| recording[place][0] - setup.settles_s;
     if effect == Some(1) {
         let half_rad = 0.5 * size.abs();
@@ -189,7 +189,7 @@ pub fn run(trial: &Trial, hidden: Hidden) -> Result<Values, Error> {
     };
     let (late_s, hysteresis_rad) = (size(Hidden::DeadTime, 0.1, 0.3), size(Hidden::Hysteresis, 0.03, 0.08));
     let nominal = Case::of(trial.seed, Load::Heavy);
-    // // The robot is put down by hand, straight in front of the gap's middle.
+    // The robot is put down by hand, straight in front of the gap's middle.
     let case = Case { late_s, hysteresis_rad, aside_m: 0.1 * nominal.aside_m, yaw_rad: 0.0, ..nominal };
     let (rig, setup) = prepared(trial, &case)?;
     let work = async |session: &Session<'_>| record(session, &setup, &case).await;
@@ -216,14 +216,14 @@ pub fn run(trial: &Trial, hidden: Hidden) -> Result<Values, Error> {
 
 /// Searches the recordings for an effect.
 fn search(recordings: &[Recording], setup: &Setup) -> Result<Option<Found>, Error> {
-    // // Nominal geometry: the hinge of the narrow robot, the nose at rest 20 cm before the boxes, half the gap beside
+    // Nominal geometry: the hinge of the narrow robot, the nose at rest 20 cm before the boxes, half the gap beside
     // it.
     let shell = &setup.shell;
     let hinge_m = 0.5 * shell.length_m(shell.angle_rad(setup.servo_max_rad)) + setup.whiskers.hinge_m[0];
     let face_m = 0.5 * shell.length_m(shell.rest_rad) + super::scene::AHEAD_M - hinge_m;
     let corner_m = 0.5 * super::scene::GAP_M - setup.whiskers.hinge_m[1];
     let base_start = [face_m, corner_m, 0.0];
-    // // The position at which the robot was put down is one more observation.
+    // The position at which the robot was put down is one more observation.
     let put_down = |corner_m: f64| std::iter::once(PUT_DOWN_RAD_PER_M * corner_m);
     let shown = |recording: &Recording| {
         samples(recording).into_iter().map(|place| recording[place][2]).chain(put_down(corner_m)).collect()

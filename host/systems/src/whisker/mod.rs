@@ -22,14 +22,14 @@ use law::{Coefficients, Law, Ours, Printed, Uses};
 use protocol::{Moment, Run};
 use scene::{Case, Load, Setup};
 
-/// The system.
+/// Robot system WHISKER, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Whisker;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "whisker";
 
-/// Arms.
+/// Names of the arms.
 const PRINTED: &str = "paper";
 const OURS: &str = "ours";
 const NO_PREDICTION: &str = "ablation:no-prediction";
@@ -58,7 +58,7 @@ const fn at_least(arm: &'static str, share: f64) -> Target {
     Target { arm, limit: Limit::AtLeast(share), from: "set by this project" }
 }
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {

@@ -56,7 +56,7 @@ fn robot(panels_rad: f64) -> Deformable {
         rest_rad: panels_rad,
         per_rad: -0.5,
         ends_rad: [0.58_f64.min(panels_rad), WIDE_RAD.max(panels_rad)],
-        // // Rigid: no box can yield the panels.
+        // Rigid: no box can yield the panels.
         holds_n: 1e6,
         shaft: 2,
     };
@@ -122,10 +122,10 @@ fn boxes_go_where_mujoco_pushes_them() {
         );
         println!("{all}");
         if went_m < 1e-3 {
-            // // Bumper and soft contact: measured 0.3 mm and 1 mrad.
+            // Bumper and soft contact: measured 0.3 mm and 1 mrad.
             assert!(robot_m < 1e-3 && place_m < 5e-4 && turn_rad < 2e-3, "{all}");
         } else {
-            // // A box on 36 feet has another limit surface than the ellipsoid: measured 14 mm of 89 to 121 mm, and
+            // A box on 36 feet has another limit surface than the ellipsoid: measured 14 mm of 89 to 121 mm, and
             // 0.11 rad, or 0.23 rad with the narrower shell. The limits are a quarter above.
             assert!(robot_m < 2e-3 && place_m < 0.018 && turn_rad < 0.29, "{all}");
         }

@@ -149,7 +149,7 @@ impl<'r, 'b> Rider<'r, 'b> {
         }
         if was.is_none_or(|was| order.velocity != was.velocity) {
             sent.velocity = order.velocity;
-            // // Both sides at once: a side that starts before the other turns the robot.
+            // Both sides at once: a side that starts before the other turns the robot.
             let sets = self.ground.setpoints(order.velocity).into_iter();
             try_join_all(sets.map(|(wheel, setpoint)| board.set(wheel, setpoint))).await?;
         }

@@ -28,7 +28,7 @@ pub const TRIAL_S: f64 = 5.0;
 /// Contents of the boxes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Load {
-    /// Empty boxes.
+    /// Boxes without contents.
     Light,
     /// Boxes with 100 g.
     Moderate,

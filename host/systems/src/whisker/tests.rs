@@ -92,7 +92,7 @@ fn a_released_dead_man_stops_the_robot_in_the_gap() {
     assert!(matches!(&ended, Err(r4_rig::Error::Board(_))), "{ended:?}");
     assert_eq!(state, SafetyState::Tripped);
     let [before, after] = [&released, &still].map(|body| r4_world::Body::pose(body).x_m);
-    // // 0.187 m/s at a friction of 0.6 stop within 3 mm; the rest of the limit is the stop's time.
+    // 0.187 m/s at a friction of 0.6 stop within 3 mm; the rest of the limit is the stop's time.
     assert!((0.0..0.03).contains(&(after - before)), "{before} {after}");
     let twist = r4_world::Body::twist(&still);
     assert!(twist.forward_m_s.abs() < 1e-3 && twist.yaw_rad_s.abs() < 1e-2, "{twist:?}");
@@ -129,7 +129,7 @@ fn a_person_in_the_way_costs_time_and_no_sample() {
     let person = r4_world::Person { radius_m: 0.06, path };
     let ((free, _), (met, state)) = (run(Vec::new()), run(vec![person.clone()]));
     assert_ne!(state, SafetyState::Tripped);
-    // // The robot stands while the leg does: 0.187 m/s for at least half a second.
+    // The robot stands while the leg does: 0.187 m/s for at least half a second.
     let cost_m = way_m(&free) - way_m(&met);
     assert!((0.09..0.25).contains(&cost_m), "{cost_m} m of {} m", way_m(&free));
     assert!(way_m(&met) >= scene::PASSED_M, "{} m", way_m(&met));
