@@ -3,13 +3,15 @@
 //! Paper: *Toward Semi-Autonomous Terrestrial Robots for Atmospheric Electricity Measurement*, TAROS 2023. A rover with GNSS and an upward
 //! field mill is driven in a loop and its readings go on a map; a sparse swarm is planned.
 //!
-//! [`mill`] makes the undisturbed field of the mill's voltage, by a calibration between plates. [`survey`] drives over a plot, [`map`] makes a
-//! map of its readings by place and time (`r4-maps`), and the simpler maps that it is compared with. [`swarm`] has several robots share an
-//! open field. [`gnss`] corrects the pose, [`scene`] samples fields and mills, [`kinematic`] runs the same programs on perfect actuators,
-//! [`missing`] finds effects that the model of the mill does not have.
+//! [`mill`] converts the mill's voltage to the undisturbed field, by a calibration between plates. [`survey`] drives
+//! over a plot, [`map`] computes the map of its readings by place and time (`r4-maps`), and the simpler maps for
+//! comparison. In [`swarm`] several robots share an open field. [`gnss`] corrects the pose, [`scene`] samples fields
+//! and mills, [`kinematic`] runs the same programs on perfect actuators, [`missing`] searches for effects that the
+//! mill's model lacks.
 //!
 //! # Differences from the paper
-//! - It prints no map error, no calibration and no swarm: its arm here is what it describes, a loop with means of cells.
+//! - It prints no map error, no calibration and no swarm: its arm here follows its description, a loop with means of
+//!   cells.
 //! - The field is synthetic, with a drift as large as the structure. Nothing is claimed of the atmosphere.
 
 mod figure;
