@@ -17,7 +17,7 @@ const NEAREST_M: f64 = 2.0;
 /// Variances by which a goal is chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Variances {
-    /// Exact marginal variances.
+    /// Exact marginal variances of the field.
     Exact,
     /// Variances of belief propagation, which are too small.
     Propagated,

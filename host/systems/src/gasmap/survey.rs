@@ -77,7 +77,7 @@ pub struct Goal {
 pub struct Survey {
     plan: Rc<Plan>,
     settings: Settings,
-    /// Map so far.
+    /// Map of the readings so far.
     field: Field,
     readings: Vec<Reading>,
     signals: Vec<Reading>,

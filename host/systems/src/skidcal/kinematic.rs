@@ -1,4 +1,5 @@
-//! The same tests on perfect actuators: wheels whose speed follows the ramp of the board's profile, and nothing else.
+//! The same tests on perfect actuators: wheels whose speed follows the ramp of the board's profile, without motors and
+//! board.
 
 use r4_boards::Drive;
 use r4_world::{MAX_STEP_S, Scene, ShaftMotion};
@@ -11,9 +12,9 @@ use super::{
 };
 use crate::Error;
 
-/// Ramp of speeds, m/s²: that of openscout's profile.
+/// Ramp of the wheel speeds, m/s²: that of openscout's profile.
 const RAMP_M_S2: f64 = 1.0;
-/// Steps of the body between two samples of the wheels: 10 ms.
+/// Integration steps of the body between two samples of the wheels: 10 ms.
 const STEPS_PER_SAMPLE: usize = 40;
 
 pub(super) fn recorded(truth: &Truth, repeats: Repeats, mut noise: Noise) -> Result<Recording, Error> {
