@@ -7,7 +7,7 @@ use r4_protocol::{ChannelId, Mode, Sample, Setpoint};
 /// Velocity of a robot over the ground, in its own frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Velocity {
-    /// Forward speed, m/s.
+    /// Forward speed, m/s, negative backwards.
     pub forward_m_s: f64,
     /// Turn rate, rad/s, counterclockwise.
     pub yaw_rad_s: f64,

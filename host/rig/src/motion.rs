@@ -56,7 +56,7 @@ pub struct Driven {
     pub info: ChannelInfo,
     /// Mode of the set point.
     pub mode: Mode,
-    /// Requested value.
+    /// Requested value, in the unit of the mode.
     pub set: Quantity,
     /// State of the motor in the last sample.
     pub end: Motion,

@@ -45,7 +45,7 @@ impl Odometry {
         }
     }
 
-    /// Estimated pose.
+    /// Estimated pose relative to the start.
     #[must_use]
     pub fn place(&self) -> Place {
         self.place

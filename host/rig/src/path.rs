@@ -41,7 +41,7 @@ pub enum PathError {
     Line {
         /// Line number, from 1 on.
         line: usize,
-        /// Reason in words.
+        /// Reason for the user, in words.
         why: String,
     },
     /// A point is not valid.
@@ -51,7 +51,7 @@ pub enum PathError {
         channel: ChannelId,
         /// Index of the point, from 0 on.
         index: usize,
-        /// Reason in words.
+        /// Reason for the user, in words.
         why: &'static str,
     },
     /// A path has fewer than two points.

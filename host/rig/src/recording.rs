@@ -21,7 +21,7 @@ use crate::{HostClock, Target};
 pub enum Output {
     /// File on disk, buffered.
     File(BufWriter<File>),
-    /// Buffer in memory.
+    /// Buffer in memory, which grows.
     Memory(Cursor<Vec<u8>>),
     /// Discarded: the recording is for live views only ([`Tap::tell`]).
     Nowhere(io::Sink),

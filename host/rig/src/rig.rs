@@ -32,7 +32,7 @@ pub type Notify = Rc<dyn Fn(&Notice)>;
 /// A virtual board is powered up anew for each session: the same settings give the same bytes.
 #[derive(Clone)]
 pub struct Rig {
-    /// Board to open.
+    /// Board that the sessions open.
     pub target: Target,
     /// Seed of a virtual board's noise.
     pub seed: u64,
@@ -70,7 +70,7 @@ pub struct Rig {
 pub struct Elapsed {
     /// Time on a virtual board's clock, s; wall time on a real board.
     pub simulated_s: f64,
-    /// Wall time, s.
+    /// Wall time of the session, s.
     pub wall_s: f64,
 }
 

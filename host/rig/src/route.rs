@@ -7,9 +7,9 @@ use crate::{ground::Velocity, odometry::Place};
 /// Limits of the motion along a route.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Forward speed, m/s.
+    /// Highest forward speed, m/s.
     pub speed_m_s: f64,
-    /// Turn rate, rad/s.
+    /// Highest turn rate, rad/s.
     pub turn_rate_rad_s: f64,
     /// Deceleration in front of waypoints and obstacles, m/s².
     pub braking_m_s2: f64,

@@ -49,7 +49,7 @@ pub enum TwinError {
     /// The replay has no samples of the quantity.
     #[error("the simulated board sent no samples of {observed}")]
     NotSimulated {
-        /// Motor or signal.
+        /// Name of the motor or signal.
         observed: String,
     },
     /// The two runs do not overlap in time.

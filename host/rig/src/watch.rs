@@ -21,9 +21,9 @@ pub enum WatchError {
         channel: ChannelId,
         /// Position of the motor.
         at: Quantity,
-        /// Lowest allowed position.
+        /// Lowest allowed position of the motor.
         low: Quantity,
-        /// Highest allowed position.
+        /// Highest allowed position of the motor.
         high: Quantity,
     },
     /// The experiment exceeds its time limit.
@@ -31,7 +31,7 @@ pub enum WatchError {
     Time {
         /// Channel of the motor.
         channel: ChannelId,
-        /// Time limit, s.
+        /// Time limit of the experiment, s.
         limit_s: f64,
     },
     /// The motor does not settle at its set point.

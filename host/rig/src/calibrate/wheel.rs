@@ -1,4 +1,4 @@
-//! Radius and track: no parameters of the board, but of the file that says what the robot is.
+//! Calibration of wheel radius and track: entries of the robot's file, not parameters of the board.
 
 use futures::future::try_join_all;
 use r4_protocol::{ChannelId, Mode, Unit};
@@ -6,7 +6,8 @@ use r4_protocol::{ChannelId, Mode, Unit};
 use super::{CalibrateError, Found, Person, counts, motor::TIMEOUT_S, read};
 use crate::{Error, Quantity, Session};
 
-/// From how far the robot went, and how far it turned on the spot, while the wheels turned as far as their encoders say.
+/// Calibrates the radius from the distance that the robot moves, and the track from the angle that it turns on the
+/// spot, while the encoders count the wheels' angles.
 pub(crate) async fn run(
     session: &Session<'_>,
     person: &mut impl Person,
@@ -66,7 +67,7 @@ pub(crate) async fn run(
     Ok(Found { changes: Vec::new(), toml: Some(toml), note })
 }
 
-/// Turns the wheels of both sides and returns how far they turned, rad, as a mean of each side.
+/// Turns the wheels of both sides. Returns the mean angle of each side's wheels, rad.
 async fn drive(
     session: &Session<'_>,
     left: &[ChannelId],

@@ -48,7 +48,7 @@ pub enum Effect {
 /// An effect detected in a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Finding {
-    /// Detected effect.
+    /// Effect that was detected.
     pub effect: Effect,
     /// Size of the effect, as in the table above.
     pub size: f64,

@@ -18,7 +18,7 @@ const HALF_RAISED_RAD: [f64; 2] = [0.6, 0.3];
 pub struct Motor {
     /// Torque limit, N m.
     pub torque_max_nm: f64,
-    /// Power limit, W.
+    /// Limit of the mechanical power, W.
     pub power_max_w: f64,
     /// Speed at full share, rad/s.
     pub top_speed_rad_s: f64,

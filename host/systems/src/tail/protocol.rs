@@ -48,7 +48,7 @@ impl Moment {
 /// True states over a trial.
 #[derive(Clone, Debug, Default)]
 pub struct Trace {
-    /// States every millisecond.
+    /// True states, one every millisecond.
     pub moments: Vec<Moment>,
     /// Time at which the regulator started, s; infinite without a regulator.
     pub armed_at_s: f64,

@@ -28,7 +28,7 @@ pub const TRIAL_S: f64 = 5.0;
 /// Contents of the boxes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Load {
-    /// Boxes without contents.
+    /// Boxes without any contents.
     Light,
     /// Boxes with 100 g.
     Moderate,
