@@ -36,6 +36,7 @@ fn exception(py: Python<'_>, kind: &str, message: String, attributes: &[(&str, P
         }
         PyResult::Ok(PyErr::from_value(py.import("r4.errors")?.getattr(kind)?.call((&message,), Some(&keywords))?))
     };
+    // When the exception cannot be created, the error of its creation is raised instead.
     made().unwrap_or_else(|error| error)
 }
 
@@ -66,6 +67,7 @@ fn dashed(name: &str) -> String {
 }
 
 fn refused(py: Python<'_>, refusal: &Refusal, message: String) -> PyErr {
+    // serde gives the name of the variant, with its fields if it has any.
     let (reason, details) = match serde_json::to_value(refusal) {
         Ok(Value::String(name)) => (dashed(&name), Value::Object(serde_json::Map::new())),
         Ok(Value::Object(variant)) => {
@@ -73,6 +75,7 @@ fn refused(py: Python<'_>, refusal: &Refusal, message: String) -> PyErr {
         }
         _ => (String::new(), Value::Null),
     };
+    // Only these refusals have causes.
     let latched = match refusal {
         Refusal::CausesPresent { causes } | Refusal::Tripped { causes } => *causes,
         _ => Causes::NONE,

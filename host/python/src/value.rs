@@ -244,6 +244,7 @@ impl Sample {
             values: BTreeMap::new(),
             settled: false,
             homed: false,
+            // Samples without a quality of their own are always good.
             quality: r4_log::quality_name(Quality::Good).to_owned(),
             age_s: 0.0,
         };

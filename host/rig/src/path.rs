@@ -116,6 +116,7 @@ impl Paths {
         let columns: Result<Vec<_>, _> = header.split(',').map(|name| Column::parse(name.trim())).collect();
         let columns = columns.map_err(PathError::Header)?;
         let header = |why: &str| PathError::Header(why.to_owned());
+        // A repeated column would silently replace the first one.
         let twice = columns.iter().enumerate().any(|(place, column)| columns[..place].contains(column));
         let time = columns.iter().position(|column| *column == Column::Time);
         let time = time.filter(|_| !twice).ok_or_else(|| header("time_s must be there, and each only once"))?;
@@ -124,6 +125,7 @@ impl Paths {
             _ => None,
         });
         let units: BTreeMap<ChannelId, Unit> = positions.collect();
+        // Speed and duty need a position column of the same channel, the speed in the same unit.
         let alone = columns.iter().any(|column| match column {
             Column::Speed(channel, unit) => units.get(channel) != Some(unit),
             Column::Duty(channel) => !units.contains_key(channel),
@@ -142,6 +144,7 @@ impl Paths {
                 return Err(wrong(format!("it has {} values, and there are {} columns", values.len(), columns.len())));
             }
             let time_s = values[time];
+            // The board interpolates between points, which needs a positive duration.
             if time_s <= last_s {
                 return Err(wrong("each time is later than the one before".to_owned()));
             }
@@ -294,6 +297,7 @@ impl Session<'_> {
             }
             sending.push(Sending { info, points, sent: 0, dates_us: Vec::new(), seen: Vec::new(), end: None });
         }
+        // Only after all channels were checked: an unsuitable one changes nothing.
         for path in &sending {
             self.board.subscribe(path.info.id, LOOK_EVERY_MS).await?;
         }
@@ -320,8 +324,10 @@ impl Session<'_> {
         board.sleep_s(0.1).await;
         look(sending);
         let ways_s = sending.iter().map(|path| path.way_s());
+        // Without a common start, the motor with the longest way to its first point sets the lead.
         let lead_s = begin_s.map_or_else(|| ways_s.fold(LEAD_S, f64::max), |begin_s| begin_s - board.now_s());
         let begin_us = board.device_us() + (lead_s * 1e6) as u64;
+        // A table may start at any time: its earliest point is the start of all paths.
         let first_s = sending.iter().map(|path| path.points[0].time_s).fold(f64::INFINITY, f64::min);
         for path in sending.iter_mut() {
             let date = |point: &Waypoint| begin_us + ((point.time_s - first_s) * 1e6).round() as u64;
@@ -348,6 +354,7 @@ impl Session<'_> {
                 return Err(DriverError::Stopped { causes }.into());
             }
             look(sending);
+            // After the last point the board holds the position, in the mode for positions.
             let rests = |path: &Sending<'_>| matches!(path.end, Some((_, true, Mode::Position)));
             if board.device_us() > end_us && sending.iter().all(rests) {
                 break;
@@ -368,6 +375,7 @@ impl Sending<'_> {
 
     /// Returns the points for which the board has room now, and counts them as sent.
     fn next(&mut self, now_us: u64) -> Vec<PathPoint> {
+        // Refused points stop the channel, so that only places that are surely free count.
         let kept = self.dates_us[..self.sent].iter().filter(|date_us| **date_us + STILL_KEPT_US > now_us).count();
         let count = (PATH_POINTS - kept).min(self.points.len() - self.sent);
         let range = self.sent..self.sent + count;
@@ -384,6 +392,7 @@ impl Sending<'_> {
 
     fn judged(self) -> Followed {
         let begin_us = self.dates_us.first().copied().unwrap_or_default();
+        // The move to the first point is not part of the path.
         let on_path: Vec<_> = self.seen.iter().filter(|(.., at_us)| *at_us >= begin_us).collect();
         let errors = on_path.iter().map(|(reference, position, _)| reference - position);
         let worst = errors.clone().fold(0.0, |worst: f64, error| worst.max(error.abs()));
@@ -398,6 +407,7 @@ impl Sending<'_> {
         }
         let (end, settled) =
             self.end.map_or((f64::NAN, false), |(end, settled, mode)| (end, settled && mode == Mode::Position));
+        // A path without motion does not determine a lag.
         let lag_s = if square > 0.0 { product / square } else { 0.0 };
         Followed { info: self.info, points: self.sent, worst, rms, lag_s, end, settled }
     }

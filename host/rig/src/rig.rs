@@ -147,6 +147,8 @@ impl Rig {
     fn prepared(&self) -> Result<(Robot, bool), Error> {
         let name = self.target.robot()?;
         let mut robot = r4_boards::load(name)?;
+        // Later settings override earlier ones: environment file, body, plants, hidden effect, world, the caller's
+        // change.
         if let Some(file) = &self.environment {
             r4_boards::load_environment(file, &mut robot)?;
         }
@@ -193,6 +195,7 @@ impl Rig {
             && let InRobot::Motors(motors) = hidden(&robot, seed)?
         {
             for ((channel, hidden), index) in motors.into_iter().zip(0u64..) {
+                // Each motor has noise of its own.
                 board.world().set_plant(channel, hidden.plant(self.seed.wrapping_add(index)));
             }
         }
@@ -279,11 +282,13 @@ impl Rig {
         let clock = simulation.clock();
         let begin = Instant::now();
         let result = simulation.block_on(self.session_with(board.clone(), &clock, tap, work));
+        // Before the result: the failure is what explains a session that stood still.
         if let Some(failure) = board.failure() {
             return Err(Error::Stopped(failure).into());
         }
         let result = result.ok_or(Error::Standstill)?;
         let elapsed = Elapsed { simulated_s: clock.now_ns() as f64 * 1e-9, wall_s: begin.elapsed().as_secs_f64() };
+        // Also after a failed session: a real board would have kept its flash.
         if let Some(file) = file {
             file.write(&board.flash()).map_err(Error::from)?;
         }
@@ -359,6 +364,7 @@ impl Rig {
             clock.clone(),
             |link| {
                 if let Some(tap) = &tap {
+                    // Marks the gap in the recording.
                     tap.borrow_mut().reopened();
                 }
                 (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(link.tx, tap.as_ref(), &clock))
@@ -419,11 +425,13 @@ impl Rig {
             }
         };
         let Some(AtEnd { channel, mode, gains, tuning }) = session.take_at_end() else { return result };
+        // Also after an error or an interrupt: the next session must not find the gains of an experiment.
         let put_back = async {
             session.board.set_gains(channel, mode, gains).await?;
             session.board.set_tuning(channel, tuning).await
         };
         let put_back = put_back.await;
+        // The error of the work takes precedence over that of the gains.
         let value = result?;
         put_back.map_err(|source| Error::GainsLeft { channel, source })?;
         Ok(value)

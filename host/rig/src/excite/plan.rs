@@ -50,6 +50,7 @@ impl Plan {
     pub fn new(index: usize, length_s: f64, low: f64, cap: f64) -> Self {
         use Shape::{Hold, Ramp, Rest, Sines};
         let parts: &[(f64, Shape)] = match index {
+            // Holds for friction and gain, a ramp for the dead zone, sines for inertia and lags.
             0 => &[
                 (0.3, Rest),
                 (0.7, Hold(0.5)),
@@ -77,6 +78,7 @@ impl Plan {
                 (1.2, Hold(0.7)),
                 (0.4, Rest),
             ],
+            // The held-out plan has the same shapes in another order and with other sizes.
             TRAIN => &[
                 (0.3, Rest),
                 (0.9, Hold(-0.8)),
@@ -90,6 +92,7 @@ impl Plan {
                 (1.1, Hold(0.85)),
                 (0.4, Rest),
             ],
+            // Long holds of whole turns, for effects that depend on the position.
             3 => &[
                 (0.3, Rest),
                 (3.2, Hold(1.0)),
@@ -153,6 +156,7 @@ impl Plan {
                 let sines = SINES_HZ.iter().zip(1_u8..);
                 let sum: f64 =
                     sines.map(|(hz, number)| (TAU * hz * after_s + turn * f64::from(number * number)).sin()).sum();
+                // Rare peaks are clipped, so that the usual amplitude comes close to the limit.
                 self.cap * (sum / PEAK).clamp(-1.0, 1.0)
             }
         }

@@ -246,6 +246,7 @@ async fn start(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Start, Error> 
             motor.go_to(plan.base, plan.settle_s).await?;
             motor.command(Mode::Duty, 0.0).await?;
             let looks = motor.watch(REST_S).await?;
+            // The first half may still contain the end of the motion.
             let still = &looks[looks.len() / 2..];
             let noise = noise(still.iter().map(|look| look.position));
             Ok(Start { duty: 0.0, output: plan.base, height: plan.amplitude, noise })
@@ -254,10 +255,12 @@ async fn start(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Start, Error> 
             let speed = (plan.steps.0 + plan.steps.1) / 2.0;
             motor.command(Mode::Speed, speed).await?;
             let looks = motor.watch(SPEED_HOLD_S).await?;
+            // The first half may still contain the acceleration.
             let steady = &looks[looks.len() / 2..];
             let duty = mean(steady.iter().map(|look| look.duty));
             let room = plan.motor.duty_max - duty.abs();
             let wanted = plan.given_amplitude.unwrap_or(SPEED_SHARE * (duty.abs() - plan.motor.static_duty()));
+            // Both levels must stay below the board's limit, which would distort the square wave.
             let height = wanted.min(0.95 * room);
             if height.is_nan() || height < LEAST_DUTY {
                 return Err(TuneError::from(Inconclusive::NoRoom { duty }).into());
@@ -315,8 +318,10 @@ pub(crate) async fn relay(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Swi
             switched_s = Some(look.time_s);
             if high {
                 rises += 1;
+                // A cycle that is high for longer than low shows a static load, which the bias must balance.
                 let share = high_s / (high_s + lasted_s).max(f64::MIN_POSITIVE) - 0.5;
                 if rises > 1 && share.abs() > BIAS_BEYOND {
+                    // Keeps both levels within the duty limit.
                     let room = (most - height).max(0.0);
                     bias = (bias + height * share).clamp(-room, room);
                 }
@@ -326,6 +331,7 @@ pub(crate) async fn relay(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Swi
             let value = bias + if high { height } else { -height };
             motor.command(Mode::Duty, value).await?;
             asked = Some((look.time_s, value as f32));
+            // Evaluated at rises only, so that the samples contain whole cycles.
             if high && rises > FIRST_CYCLES + CYCLES {
                 match Oscillation::of(&samples, centre, hysteresis, CYCLES, CYCLES_WITHIN) {
                     Ok(oscillation) => {
@@ -351,6 +357,7 @@ pub(crate) async fn step(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Fit,
     come(motor, (plan.window.0 + plan.window.1) / 2.0, plan.settle_s).await?;
     stop(motor).await?;
     let still = motor.watch(REST_S).await?;
+    // A noisy sensor resolves less than its counts.
     let count = plan.motor.resolution.max(NOISE_AS_COUNT * noise(still.iter().map(|look| look.position)));
     let up = overcomes_friction(motor, plan, 1.0, count).await?;
     let down = overcomes_friction(motor, plan, -1.0, count).await?;
@@ -367,12 +374,14 @@ pub(crate) async fn step(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Fit,
             shortest_s = shortest_s.min(duration_s.unwrap_or(0.0));
             runs.push(run);
         }
+        // Fast enough for the speeds of paths, or too short for a faster run to add information.
         let is_fast = fastest >= OF_PATH_SPEED * plan.motor.speed || shortest_s < SHORT_RUN_S;
         if is_fast && runs.len() >= 2 * LEAST_PAIRS || up.max(down) + beyond >= most {
             break;
         }
         beyond *= 2.0;
     }
+    // The slow first runs are dropped: the model is needed at the speed of paths.
     let mut runs = runs.split_off(runs.len().saturating_sub(2 * PAIRS));
     for _ in 0..MORE_PAIRS {
         let counts: f64 = runs.iter().map(|run| counts(run, count)).sum();
@@ -394,6 +403,7 @@ pub(crate) async fn step(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Fit,
 
 /// Searches the duty at which a resting motor begins to move.
 async fn overcomes_friction(motor: &mut MotorWatch<'_>, plan: &Plan, sign: f64, count: f64) -> Result<f64, Error> {
+    // The search must not trip the board by a stall.
     let most = BELOW_STALL * plan.motor.stall_duty.min(plan.motor.duty_max);
     let first = motor.look().await?;
     for number in 1_usize.. {
@@ -446,6 +456,7 @@ async fn run(
         if look.speed * sign > STILL_RISING * risen {
             (risen, rise_s) = (look.speed * sign, look.time_s - first.time_s);
         }
+        // A stop that takes as long as the acceleration did travels half of that time at the present speed.
         let stops_at = look.position + look.speed * (REACTION_S + rise_s / 2.0);
         let is_there = (look.position - end) * sign >= 0.0 || (stops_at - stopped) * sign >= 0.0;
         if is_there || fastest > TOO_FAST * plan.motor.speed || look.time_s - first.time_s > RUN_LIMIT_S {
@@ -466,6 +477,7 @@ async fn rest(motor: &mut MotorWatch<'_>, plan: &Plan, sign: f64, speed: f64, du
     let first = motor.look().await?;
     let brake = BELOW_STALL * plan.motor.stall_duty.min(plan.motor.duty_max);
     if first.speed * sign > BRAKED_TO * speed {
+        // Neither as much as a stall, nor more than the duty that the motor was driven by.
         motor.command(Mode::Duty, -sign * brake.min(duty)).await?;
         loop {
             let look = motor.look().await?;
@@ -479,6 +491,7 @@ async fn rest(motor: &mut MotorWatch<'_>, plan: &Plan, sign: f64, speed: f64, du
     let begin_s = still.time_s;
     loop {
         let look = motor.look().await?;
+        // Half a count or half the settle error is no motion.
         if (look.position - still.position).abs() >= plan.motor.settle_error.max(plan.motor.resolution) / 2.0 {
             still = look;
         }

@@ -182,6 +182,7 @@ impl Plan {
         position: f64,
     ) -> Result<Self, Error> {
         let channel = info.id;
+        // A cascade gain above 0 selects the cascade.
         let present =
             if parameters.active(channel, Parameter::Cascade)? > 0.0 { Loop::Cascade } else { Loop::Position };
         let of = request.of.unwrap_or(present);
@@ -195,6 +196,7 @@ impl Plan {
             (None, _, Unit::M) => TRAVEL_SHARE * room,
             (None, ..) => TRAVEL_RAD.max(TRAVEL_COUNTS * motor.resolution).min(TRAVEL_SHARE * room),
         };
+        // A step must be well above the error at which the motor counts as arrived.
         let least = if of == Loop::Speed { run } else { 20.0 * motor.settle_error.max(motor.resolution) };
         if travel.is_nan() || travel < least {
             let (least, travel) = (quantity(least), quantity(travel));
@@ -219,6 +221,7 @@ impl Plan {
             }
         };
         let (most, static_duty) = (motor.duty_max, motor.static_duty());
+        // The experiment starts from rest, where more duty would count as a stall.
         let cap = most.min(BELOW_STALL * motor.stall_duty);
         if let Some(given) = request.amplitude
             && !(given > 0.0 && given <= most)
@@ -236,6 +239,7 @@ impl Plan {
         };
         let settle_s = motor.path_s(travel) + PATIENCE_S;
         let approach_s = motor.path_s((base - position).abs().max(travel)) + PATIENCE_S;
+        // Approach, two responses of two steps each, three moves within the window, and the experiment itself.
         let needs_s =
             motor.path_s((base - position).abs()) + 4.0 * answer_s + 3.0 * motor.path_s(travel) + EXPERIMENT_S;
         if needs_s > request.time_s {
@@ -253,6 +257,7 @@ impl Plan {
             approach_s,
             amplitude,
             given_amplitude: request.amplitude,
+            // A requested amplitude may exceed the default limit.
             cap: cap.max(amplitude),
         })
     }

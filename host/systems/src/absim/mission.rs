@@ -241,6 +241,7 @@ impl Mission {
 
     fn take(&mut self, at_us: u64, robot: usize, goal: Option<usize>, place_m: [f64; 2]) {
         let Some(cell) = goal.map(|goal| self.goals[goal].cell) else { return };
+        // Noise by cell, not by time: a reading does not depend on the order of the samples.
         let noise_kpa = Sampler::new(self.scene.seed, OF_SAMPLES + cell as u64).normal(NOISE_OF_SAMPLE_KPA);
         let value_kpa = self.soil.at(place_m) + noise_kpa;
         self.map.add(cell, Some(value_kpa));
@@ -255,6 +256,7 @@ impl Mission {
         let is_busy = std::mem::replace(&mut lost.is_busy, false);
         lost.idle_us = now_us;
         for (index, goal) in std::mem::take(&mut lost.goals).into_iter().enumerate() {
+            // Only the goal that the robot was busy with is aborted; waiting ones are recalled.
             if index == 0 && is_busy {
                 self.happens(goal, Event::Abort)?;
                 self.goals[goal].reason = Some(reason.to_owned());
@@ -270,6 +272,7 @@ impl Mission {
     /// Cancels everything at the deadline: no goal is created any more, waiting goals are recalled, driving robots
     /// stop.
     fn cancel_all(&mut self, orders: &mut Vec<Order>) -> Result<(), Impossible> {
+        // As if all goals had been created, so that `plan` creates no more.
         self.created = self.scene.samples;
         self.cells.clear();
         self.is_planning = false;
@@ -314,6 +317,7 @@ impl Mission {
             let cell = self.planned.least_known();
             // The cost of kriging: every cell is updated by every earlier sample.
             work.updates += (self.planned.cells() * (self.created + 1)) as u64;
+            // The planned sample lowers the variance at once, so that the next goal is placed elsewhere.
             self.planned.add(cell, None);
             self.cells.push(cell);
             self.created += 1;
@@ -353,6 +357,7 @@ impl Mission {
             for (path, (_, length_m, at_m)) in paths.iter().enumerate() {
                 for (index, cell) in cells.iter().enumerate() {
                     let bid_m = length_m + distance_m(*at_m, self.map.place_m(*cell));
+                    // Strictly less: equal bids go to the lower number, so that the result is reproducible.
                     if bid_m < best.0 {
                         best = (bid_m, path, index);
                     }
@@ -397,6 +402,7 @@ impl Program for Mission {
     }
 
     fn handle(&mut self, now_us: u64, input: Input, orders: &mut Vec<Order>) -> Result<(), Impossible> {
+        // Reports that cross the end of the mission are ignored.
         if self.ended_us.is_some() {
             return Ok(());
         }
@@ -424,6 +430,7 @@ impl Program for Mission {
             }
             Input::Failed(robot, reason) => self.lose(robot, &reason, now_us)?,
         }
+        // In this order: idle robots take waiting goals before new ones are planned.
         self.dispatch(now_us, orders)?;
         self.plan(orders);
         self.end(now_us, orders);

@@ -215,10 +215,12 @@ fn abstracted(trial: &Trial, arm: &str) -> Result<(Run<Mission>, Vec<Run<Mission
                 _ => (NOMINAL_FASTER, true),
             };
             run = printed(factor, slows)?;
+            // The reference runs at real time.
             others.push(printed(1.0, slows)?);
         }
         OURS => {
             run = ours(calibrated, Charging::Declared, SPEEDS[0], false)?;
+            // Neither the speed nor the order of orders may change a result.
             for factor in SPEEDS {
                 for is_reversed in [false, true] {
                     others.push(ours(calibrated, Charging::Declared, factor, is_reversed)?);

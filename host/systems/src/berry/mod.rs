@@ -205,12 +205,14 @@ pub fn picked(trial: &Trial) -> Result<Outcome, Error> {
     rig.seed = trial.seed;
     let nominal = rig.robot()?;
     let picker = scene::picker(&nominal).map_err(unsuitable)?;
+    // The paper's arms run at its supply, ours at the pressure from statics; the ablation trusts the printed force.
     let regulated_pa = match trial.arm {
         PAPER | HARD => PRINTED_PA,
         BELIEF => scene::stall_pa(picker, PRINTED_N / PRINTED_PA),
         _ => scene::stall_pa(picker, picker.cylinder().areas_m2()[0]),
     };
     let setup = Setup::of(&nominal, regulated_pa).map_err(unsuitable)?;
+    // Tried on a copy first: the rig's own change cannot report an error.
     case.put_into(&mut nominal.clone(), gripper, regulated_pa).map_err(unsuitable)?;
     rig.alter = Some(case.altered(gripper, regulated_pa));
     let work = async |session: &Session<'_>| protocol::pick(session, &setup, &case, method).await;
@@ -243,6 +245,7 @@ fn blind(trial: &Trial, hidden: &str) -> Result<Values, Error> {
         };
         (0..missing::RUNS).map(run).collect::<Result<Vec<_>, Error>>()
     };
+    // Other run numbers for the second set: the same noise would cancel in the comparison.
     let (new, now) = (record(None, 0)?, record(change, missing::RUNS)?);
     let found = missing::found(&sheet, &new, &now)?;
     let mut values = Values::new();

@@ -187,6 +187,7 @@ pub async fn grip(session: &Session<'_>, setup: &Setup, seen: Seen, uses: Uses) 
         .armed(async || {
             let mut gripper = Gripper::open(session, setup, uses).await?;
             let report = gripper.run(&mut sequence, seen, &mut found, &mut carried).await;
+            // Also after an error: the last set point of the spool would stay in force until the disarm.
             gripper.stop().await?;
             report
         })
@@ -285,6 +286,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
     pub(super) async fn next(&mut self) -> Result<(), Error> {
         loop {
             let frame = self.telemetry.next().await?;
+            // A trip stops the spool: waiting on would only end in a timeout.
             if frame.state == SafetyState::Tripped {
                 return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
             }
@@ -308,6 +310,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
             }
             if let Some(force_n) = force_n {
                 let time_s = frame.device_us as f64 * 1e-6;
+                // 0 for the first reading: the time since power-up is no sample period.
                 let after_s = if self.read.time_s > 0.0 { time_s - self.read.time_s } else { 0.0 };
                 self.read = Read { time_s, after_s, force_n, ..self.read };
                 return Ok(());
@@ -323,6 +326,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
     /// Sends a set point to the spool, unless it is the last one sent.
     async fn tell(&mut self, mode: Mode, value: f64) -> Result<(), Error> {
         let setpoint = Setpoint { mode, value: value as f32 };
+        // Repeated set points are not sent: this runs in every period of 10 ms.
         if self.told != Some(setpoint) {
             self.session.board.set(self.setup.spool, setpoint).await?;
             self.told = Some(setpoint);
@@ -341,6 +345,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
 
     /// Lets the board hold the force's set point, shifted by the sensor's present zero.
     async fn press(&mut self) -> Result<(), Error> {
+        // The board's loop works on the uncorrected reading, so that the zero is added to the set point.
         let shown_n = self.set_n + self.read.force_n - self.force_n();
         match self.told {
             Some(Setpoint { mode: Mode::Force, value }) if (f64::from(value) - shown_n).abs() < ZERO_STEP_N => Ok(()),
@@ -390,9 +395,11 @@ impl<'s, 'b> Gripper<'s, 'b> {
                 }
             }
             while let Some(sample) = samples.try_next() {
+                // `settled` alone may still belong to the previous set point.
                 if let Sample::Motor { setpoint, settled: true, .. } = sample.sample
                     && setpoint.value == target
                 {
+                    // A standing axis needs no telemetry.
                     self.session.board.subscribe(channel, 0).await?;
                     return Ok(());
                 }
@@ -430,6 +437,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
             if force_n > TIGHT_N {
                 contact.add(self.read.angle_rad, force_n);
             }
+            // Three points are the least for the line of force over angle.
             if force_n > HOME_N && (contact.count() >= 3 || !self.uses.bowden) {
                 self.home_rad = match contact.angle_rad() {
                     Some(angle_rad) if self.uses.bowden => angle_rad,
@@ -469,6 +477,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
 
     /// Draws the loop tight round its contents. Returns false when there is no vial.
     async fn reel(&mut self, seen_m: f64, found: &mut Found) -> Result<bool, Error> {
+        // Fast, up to just before the loop can be tight. It is slack on the way, which gives the sensor's zero.
         self.turn_to(self.angle_rad(self.setup.tight_m(seen_m + SLOW_BEFORE_M)), true).await?;
         let missed_rad = self.angle_rad(self.setup.tight_m(seen_m - MISSED_M)).min(self.home_rad - 0.1);
         let gone_rad = self.angle_rad(self.setup.tight_m(seen_m - MISSED_M));
@@ -479,11 +488,13 @@ impl<'s, 'b> Gripper<'s, 'b> {
             if force_n > TIGHT_N {
                 contact.add(self.read.angle_rad, force_n);
             }
+            // One reading above the threshold may be noise; three in a row are a contact.
             let is_there = contact.count() > 2;
             if (!is_there && self.read.angle_rad < gone_rad) || self.read.angle_rad < missed_rad - 1.0 {
                 self.stop().await?;
                 return Ok(false);
             }
+            // The board's force loop takes over below its set point: at the spool's speed the force would overshoot it.
             let enough_n = if self.uses.force_loop { 0.75 * GRIP_N } else { GRIP_N };
             if force_n >= enough_n && (is_there || !self.uses.bowden) {
                 let angle_rad = match contact.angle_rad() {
@@ -498,12 +509,14 @@ impl<'s, 'b> Gripper<'s, 'b> {
         self.stop().await?;
         if self.uses.force_loop {
             let mut close = 0;
+            // Several readings in a row: a force that only passes the set point does not count.
             while close < 5 {
                 self.next().await?;
                 let force_n = self.force_n();
                 close = if (force_n - self.set_n).abs() < 0.2 { close + 1 } else { 0 };
                 self.press().await?;
             }
+            // The force changes of the closing itself are no slip.
             self.slip = SlipWatch::default();
         }
         Ok(true)
@@ -577,6 +590,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         }
         sequence.state("lift", 2.0, self.move_and(0, 0.0, Loop::Closed(found))).await?;
         let is_there = sequence.state("carry", 2.0, self.carry(found)).await?;
+        // Recorded before the vial is put down: the metrics judge the grip in the air.
         *carried = truth(self.session)?.map(|body| (body, self.set_n));
         if !is_there {
             return Ok(Report::Lost);
@@ -584,6 +598,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         sequence.state("lower", 2.0, self.move_and(0, down_m, Loop::Closed(found))).await?;
         sequence.state("open", 2.5, self.turn_to(open_rad, false)).await?;
         sequence.state("retract", 2.0, self.move_and(0, 0.0, Loop::Slack)).await?;
+        // Slack by 0.3 rad, so that the parked loop does not load the sensor.
         let parked_rad = self.home_rad + 0.3;
         sequence.state("park", 2.5, self.turn_to(parked_rad, false)).await?;
         Ok(Report::Placed)

@@ -27,6 +27,7 @@ struct Trials {
 
 impl Trials {
     fn of(trial: &Trial) -> Result<Self, Error> {
+        // The figure shows our arm, whichever was requested.
         let trial = Trial { arm: OURS, ..trial.clone() };
         let scene = Scene::of(trial.seed, PLOT)?;
         let calibration = run::calibrated(&trial, scene.mill)?;

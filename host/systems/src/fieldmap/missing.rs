@@ -281,6 +281,7 @@ impl Program for Crossings {
         let Some(lap) = self.laps.last_mut() else { return };
         if self.follower.is_none() {
             lap.rest.push(sample);
+        // Samples of ramps and turns are dropped: a profile needs one speed.
         } else if self.is_straight {
             lap.crossings[self.leg].push(sample);
         }

@@ -62,6 +62,7 @@ pub(super) fn on_board(trial: &Trial, rig: &Rig, program: &mut impl Program) -> 
 /// Calibrates a mill between plates, on the trial's board or on perfect actuators.
 pub(super) fn calibrated(trial: &Trial, mill: Mill) -> Result<Calibration, Error> {
     let between = |reference: usize| {
+        // The program assumes the nominal references; the plates' gap and voltages are off.
         let actual = REFERENCES_V_PER_M[reference] * (1.0 + mill.voltage_errors[reference]) / (1.0 + mill.gap_error);
         Scene::with(ElectricSpec { uniform_v_per_m: actual, ..ElectricSpec::default() }, mill)
     };
@@ -127,6 +128,7 @@ pub(super) fn plot(trial: &Trial) -> Result<Values, Error> {
         let off_m = driven.path.iter().map(|(_, at, truth)| distance_m(*at, *truth));
         put(&mut values, "pose_error_m", off_m.fold(0.0, f64::max));
     }
+    // Only the paper's arm drives a loop that can be closed.
     if trial.arm == PRINTED {
         loop_closure(&scene, &readings, until_s, &mut values).map_err(of_process(trial))?;
     }
@@ -153,6 +155,7 @@ fn maps(
         map::by_process(frame, &readings(taken, calibration), until_s, has_time)
             .map_err(|error| unsuitable("the readings", error.to_string()))
     };
+    // All maps use the same readings, so that only the method differs.
     let ours = of(calibration, true)?;
     let cells = map::per_cell(frame, &readings(taken, calibration), SQUARE_M);
     let (error, error_per_cell) = (map::rmse(&ours.mean, &truth), map::rmse(&cells, &truth));
@@ -177,6 +180,7 @@ fn maps(
 /// Share of cells whose true pattern lies within the map's 95 % interval.
 fn covered(map: &map::Map, truth: &Grid<f64>) -> f64 {
     let mean = |grid: &Grid<f64>| grid.values().iter().sum::<f64>() / grid.values().len() as f64;
+    // The interval is that of the spatial part: a difference of the means belongs to the temporal one.
     let shift = mean(&map.mean) - mean(truth);
     let cells = map.mean.values().iter().zip(map.deviation.values()).zip(truth.values());
     let inside = cells.filter(|((mean, deviation), truth)| (*mean - shift - *truth).abs() <= WIDTH * *deviation);
@@ -190,6 +194,7 @@ fn centred(values: Vec<f64>) -> Vec<f64> {
 
 /// Error of the pattern along the loop: by its first lap alone, and by all laps, with the same kernel.
 fn loop_closure(scene: &Scene, readings: &[Sample], until_s: f64, values: &mut Values) -> Result<(), ProcessError> {
+    // Laps have equal lengths and so about equal numbers of readings.
     let lap = readings.len() / survey::LAPS;
     let along: Vec<Point> = readings[..lap].iter().map(|sample| sample.at).collect();
     let truth = centred(scene.means_at(&along, until_s));
@@ -241,6 +246,7 @@ pub(super) fn swarmed(trial: &Trial, scene: &Scene, calibration: Calibration, ro
         let mut members: Vec<Member> = (0..robots).map(member).collect();
         kinematic::run(scene, &starts, &mut members);
     } else {
+        // Each robot's board has noise of its own.
         let seed = |number: usize| trial.seed.wrapping_mul(100).wrapping_add(number as u64);
         let rig = |number: usize| scene.rig(&trial.board, seed(number), starts[number], Vec::new());
         let fleet = Fleet::new((0..robots).map(rig).collect());

@@ -25,6 +25,7 @@ impl Trials {
     fn of(trial: &Trial) -> Result<Self, Error> {
         let hall = Hall::of(Case::of(trial.seed), CELL_M)?;
         let lawn = lawn_mower(&hall)?;
+        // The figure shows our arm, whichever was requested.
         let trial = Trial { arm: OURS, ..trial.clone() };
         let (ours, _) = surveyed(&trial, &hall, SHARE * lawn.until_s)?;
         let truth = hall.truth_ppm(lawn.until_s);

@@ -190,8 +190,10 @@ fn evaluate(arm: &str, case: &Case, setup: &Setup, stops: &[Stop]) -> Values {
     let used = used(arm, stops);
     let mut values = Values::new();
     let share = |is: bool| f64::from(u8::from(is));
+    // The size is NaN without both contacts: the object was lost.
     let held = stops.iter().all(|stop| stop.truth.size_m.is_finite());
     values.insert("held".into(), share(held));
+    // Both methods estimate the grasp at their first stop.
     let Some(truth) = used.first().map(|stop| stop.truth) else { return values };
     let plain: Vec<Observation> = used.iter().map(|stop| stop.plain(setup)).collect();
     let corrected: Vec<Observation> = used.iter().map(|stop| stop.corrected(setup)).collect();
@@ -218,6 +220,7 @@ fn evaluate(arm: &str, case: &Case, setup: &Setup, stops: &[Stop]) -> Values {
         ways_m.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b)) - ways_m.iter().fold(f64::INFINITY, |a, b| a.min(*b));
     let contact_error_m = contact_error_m[0].max(contact_error_m[1]);
     let mut put = |name: &str, value: f64| {
+        // A lost object has no truth to compare with: the metric is absent then.
         if value.is_finite() {
             values.insert(name.to_owned(), value);
         }

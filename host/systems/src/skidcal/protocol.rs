@@ -230,6 +230,7 @@ impl Recording {
     /// Number of further straight runs that make the interval narrow; 0 when it is narrow, or the limit of runs is
     /// reached.
     pub(super) fn more(&self, repeats: Repeats) -> usize {
+        // Without a run there is no interval yet.
         if self.runs == 0 {
             return 1;
         }
@@ -295,6 +296,7 @@ pub async fn drive(
             Ok::<_, Error>(())
         })
         .await?;
+    // The uncertainty may have grown during the runs: the larger value counts.
     recording.clock_s = recording.clock_s.max(session.board.clock_uncertainty_us() * 1e-6);
     Ok(recording)
 }
@@ -336,6 +338,7 @@ impl<'s> Rider<'s> {
             }
             let reading = self.robot.gyroscope.and_then(|sensor| inertial_reading(sensor, &frame.samples));
             if let (Some(run), Some(reading)) = (run.as_deref_mut(), reading) {
+                // The gyroscope's sample is older than its frame.
                 let time_s = board.host_us(frame.device_us) as f64 * 1e-6 - reading.age_s;
                 run.turned.push(Turned { time_s, rate_rad_s: reading.rate_rad_s[2] });
             }

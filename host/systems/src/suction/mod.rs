@@ -175,6 +175,7 @@ pub fn trace(trial: &Trial) -> Result<Trace, Error> {
     rig.seed = trial.seed;
     let mut robot = rig.robot()?;
     let setup = Setup::of(&robot).map_err(unsuitable(trial))?;
+    // Tried on this copy first: the rig's own change cannot report an error.
     case.put_into(&mut robot, feed).map_err(unsuitable(trial))?;
     rig.alter = Some(case.altered(feed));
     let order = if trial.arm == OTHER_ORDER { OUTERS_FIRST } else { MIDDLE_FIRST };
@@ -203,6 +204,7 @@ fn evaluate(trace: &Trace) -> Values {
     put("residual_adhesion_n", moments.last().map_or(0.0, |last| last.adhesion_n.iter().sum()));
     put("stretch_max", most(&|moment| largest(&moment.stretch)));
     put("shear_max_n", most(&|moment| largest(&moment.shear_n)));
+    // A signature is true when a cup was off the tissue before it.
     let is_true = |at_s: f64| detached.is_some_and(|detached| detached.time_s <= at_s);
     put("stopped_by_signature", is(signature_s.is_some_and(is_true)));
     put("false_signature", is(signature_s.is_some_and(|at_s| !is_true(at_s))));
@@ -218,8 +220,10 @@ fn blind_trial(trial: &Trial, hidden: Option<Hidden>) -> Result<Values, Error> {
     rig.alter = Some(Blind::of(trial.seed, hidden).altered());
     let mut runs = Vec::new();
     for number in 0..RECORDINGS {
+        // Each recording has noise of its own.
         rig.seed = trial.seed.wrapping_mul(RECORDINGS as u64).wrapping_add(number as u64);
         let first_m3 = sampler.uniform(2.4e-6, 3.2e-6);
+        // Load, unload, and reload a little beyond: the reload shows softening, the rests show creep and leaks.
         let volumes_m3 = [first_m3, 1e-6, first_m3 + 0.5e-6];
         let work = async |session: &Session<'_>| protocol::record(session, &setup, &volumes_m3, 0.8e-6, 1.0).await;
         runs.push(rig.run(None, work)?.0);

@@ -110,6 +110,7 @@ pub async fn inflate(session: &Session<'_>, setup: &Setup, order: Order, method:
             Method::Pressure { group_s } => by_pressure(session, setup, order, group_s).await,
         });
         let (signature_s, is_interlocked) = done.await?;
+        // The residual adhesion is that of vented membranes.
         session.board.sleep_s(VENTS_S).await;
         trace.set(Trace { moments: Vec::new(), began_s, signature_s, is_interlocked });
         Ok::<_, Error>(())
@@ -186,6 +187,7 @@ async fn by_pressure(
         }
         session.board.sleep_s(group_s).await;
     }
+    // Valves that are switched off vent the membranes, on every path out of this method.
     for line in &setup.lines {
         set(session, line.valve, Mode::Switch, 0.0).await?;
     }
@@ -234,10 +236,12 @@ async fn by_volume(
         let seen = sequence.state("fill", fills_s + 2.0, filling).await?;
         let watching = async {
             pumps(0.0).await?;
+            // A detached cup needs no further watch.
             if seen { Ok(true) } else { watch_pressures(session, setup, &fill, settings.watched_s).await }
         };
         if sequence.state("watch", settings.watched_s + 2.0, watching).await? {
             signature_s = Some(look(session)?.time_s);
+            // The remaining groups are not inflated.
             break;
         }
     }
@@ -266,6 +270,7 @@ async fn watch_pressures(
     seconds: f64,
 ) -> Result<bool, Error> {
     let began_s = session.board.now_s();
+    // The pump's start or stop changes the slope of the pressure: the trend begins anew.
     fill.borrow_mut().signatures.iter_mut().for_each(Signature::restart);
     let mut telemetry = session.board.telemetry();
     let mut complete_s = began_s;
@@ -288,6 +293,7 @@ async fn watch_pressures(
         {
             let fill = &mut *fill.borrow_mut();
             for (number, pressure_pa) in pressures_pa.into_iter().enumerate() {
+                // A withdrawing line loses pressure by itself, which is no signature.
                 if fill.stopped[number] {
                     continue;
                 }
@@ -383,6 +389,7 @@ pub async fn record(
         for volume_m3 in volumes_m3 {
             let by_m3 = volume_m3 - at_m3;
             at_m3 = *volume_m3;
+            // Timed, not positioned: the recorded volume comes from the counted steps anyway.
             set(session, line.stepper, Mode::Speed, rate_m3_s.copysign(by_m3) / line.m3_per_rad).await?;
             session.board.sleep_s(by_m3.abs() / rate_m3_s).await;
             set(session, line.stepper, Mode::Speed, 0.0).await?;

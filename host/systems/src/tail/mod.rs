@@ -198,6 +198,7 @@ pub fn trace(trial: &Trial) -> Result<(Trace, Setup), Error> {
     case.put_into(&mut robot, reading).map_err(unsuitable)?;
     let perfect = |moments| Trace { moments, armed_at_s: 0.0 };
     let trace = match trial.arm {
+        // Without a tail there is nothing for a board to drive.
         NO_TAIL => {
             let body = case.without_tail(&nominal).map_err(unsuitable)?;
             Trace { moments: kinematic::without_tail(body, &case), armed_at_s: f64::INFINITY }
@@ -207,6 +208,7 @@ pub fn trace(trial: &Trial) -> Result<(Trace, Setup), Error> {
         }
         arm => {
             rig.alter = Some(case.altered(reading));
+            // Without a regulator the motors stay on their brakes.
             let regulator = Some(&regulator).filter(|_| arm != HANGING);
             let work = async |session: &Session<'_>| protocol::lift(session, &setup, case.lift.at_s, regulator).await;
             rig.run(None, work)?.0
@@ -219,6 +221,7 @@ pub fn trace(trial: &Trial) -> Result<(Trace, Setup), Error> {
 fn evaluate(case: &Case, setup: &Setup, with: &Trace, without: &Trace) -> Values {
     let lifted = |moments: &[Moment]| {
         let start = moments.partition_point(|moment| moment.time_s < case.lift.at_s);
+        // Relative to the stance before the lift, which the tail's weight alone shifts.
         let rest_m = moments.get(start).map_or(0.0, |moment| moment.wearer_x_m);
         let lean = move |moment: &Moment| (moment.wearer_x_m - rest_m).abs();
         let farthest = moments[start..].iter().map(lean).fold(0.0, f64::max);
@@ -235,6 +238,7 @@ fn evaluate(case: &Case, setup: &Setup, with: &Trace, without: &Trace) -> Values
     put("excursion_relative", relative);
     put("excursion_halved", f64::from(u8::from(relative <= 0.5)));
     put("end_m", end_m);
+    // Torques and limits exist only where the motors were armed.
     if with.armed_at_s.is_finite() {
         put("at_limit_s", at_limit as f64 * protocol::WATCHED_EVERY_S);
         put("back_torque_max_nm", most(&|moment| moment.torque_nm[0].abs()));

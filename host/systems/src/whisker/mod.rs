@@ -190,6 +190,7 @@ fn prepared(trial: &Trial, case: &Case) -> Result<(Rig, Setup), Error> {
 /// Five seconds of a trial's arm before boxes of one load.
 fn driven(trial: &Trial, load: Load) -> Result<Run, Error> {
     let case = case(trial, load);
+    // Without a board there is no low-pass whose delay the law must know: `settles_s` is 0.
     if trial.arm == PERFECT {
         let robot = r4_boards::load(ABOUT.robot).map_err(r4_rig::Error::from)?;
         let unsuitable = |why: String| Error::Unsuitable { system: NAME, board: ABOUT.robot.to_owned(), why };
@@ -215,6 +216,7 @@ fn evaluate(load: Load, run: &Run, values: &mut Values) {
     put(format!("way_{load_name}_m"), way_m);
     let found = class::features(run).map(|features| class::classify(&features));
     put(format!("class_{load_name}"), share(found == Some(load)));
+    // The same values under another name, of which the row has the standard deviation.
     if load == Load::Heavy {
         put("way_heavy_spread_m".into(), way_m);
     }

@@ -98,6 +98,7 @@ impl Case {
     pub fn of(seed: u64, load: Load) -> Self {
         let mut sampler = Sampler::new(seed, OF_CASE);
         let mut both = |low: f64, high: f64| [sampler.uniform(low, high), sampler.uniform(low, high)];
+        // Nothing sampled depends on the load: all loads of a seed share boxes and start.
         let (empty_kg, friction) = (both(0.14, 0.18), both(0.35, 0.45));
         Self {
             load,
@@ -118,6 +119,7 @@ impl Case {
 
     /// Puts the boxes into the world, in front of a robot whose nose at rest is `nose_m` ahead of its origin.
     pub fn put_boxes(&self, nose_m: f64, scene: &mut Scene) -> Result<(), String> {
+        // The robot's file may have boxes of its own.
         scene.clear_boxes();
         for (number, side) in [1.0, -1.0].into_iter().enumerate() {
             let spec = BoxSpec {
@@ -169,6 +171,7 @@ impl Case {
     /// The reason in words: the robot has no shell, or the changed body is not valid.
     pub fn altered(&self, robot: &Robot) -> Result<Alter, String> {
         let nominal = shell_of(robot)?;
+        // Built outside the closure, so that an invalid case is an error here.
         let body = self.body(nominal)?;
         let nose_m = 0.5 * nominal.shell().length_m(nominal.shell().rest_rad);
         let mut scene = robot.simulation.scene.clone();
