@@ -63,6 +63,7 @@ impl Fleet {
             rig.session_with(Rc::clone(board), &clock, None, async move |session| member(number, session).await)
         });
         let ended = simulation.block_on(try_join(work(&host_clock), try_join_all(members)));
+        // Checked before the result, since a failed board is the cause of a standstill.
         if let Some(failure) = boards.iter().find_map(|(board, _)| board.failure()) {
             return Err(Error::Stopped(failure).into());
         }
@@ -70,6 +71,7 @@ impl Fleet {
         let elapsed = Elapsed { simulated_s: clock.now_ns() as f64 * 1e-9, wall_s: begin.elapsed().as_secs_f64() };
         for (board, file) in &boards {
             if let Some(file) = file {
+                // Also after an error of a member: the flash keeps what was stored until then.
                 file.write(&board.flash()).map_err(Error::from)?;
             }
         }

@@ -149,6 +149,7 @@ impl Session<'_> {
                 break position;
             }
         };
+        // Computed from the counted position, so that rounding errors of repeated moves do not add up.
         let position = (f64::from(counts) + f64::from(steps)) * resolution;
         self.move_to(channel, Quantity::new(position, Unit::Rad), timeout_s).await
     }

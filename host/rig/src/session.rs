@@ -130,6 +130,7 @@ impl Session<'_> {
         };
         self.notify_of_heat();
         let disarmed = self.board.disarm().await;
+        // The error of the work goes first: a failed disarm is often its consequence.
         let value = result?;
         disarmed.map_err(Error::Disarm)?;
         Ok(value)

@@ -181,6 +181,7 @@ impl<'b> MotorWatch<'b> {
         loop {
             let frame = self.frame().await?;
             let lost = self.telemetry.dropped();
+            // A fit would take the samples around a gap as neighbours in time.
             if self.gapless && lost > 0 {
                 return Err(WatchError::Holes { lost }.into());
             }

@@ -98,6 +98,7 @@ pub(crate) async fn potentiometer(
         let what = if drive { "Measure where it is" } else { "Move it there, and measure where that is" };
         let answer = person.ask(session, &format!("{channel}, {which} place. {what}, as in 12.5mm?")).await?;
         let truly = read(&answer, Unit::M, "12.5mm")?;
+        // The board reports positions by its present calibration, which is undone here.
         *point = (truly, line.code(counts(board, channel).await? * resolution));
     }
     let [first, second] = points;

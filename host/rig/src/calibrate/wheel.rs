@@ -51,6 +51,7 @@ pub(crate) async fn run(
     let (left_rad, right_rad) = drive(session, left, right, [-turn.value, turn.value]).await?;
     let answer = person.ask(session, "How far did it turn to the left, as in 90deg?").await?;
     let yaw_rad = read(&answer, Unit::Rad, "90deg")?;
+    // This is the effective track: the scrubbing of the tyres makes it wider than the distance of the wheels.
     let track_m = radius_m * (right_rad - left_rad) / yaw_rad;
     if track_m <= 0.0 || !track_m.is_finite() {
         return Err(CalibrateError::NoTrack.into());
@@ -84,6 +85,7 @@ async fn drive(
     }
     session
         .armed(async || {
+            // All wheels move at the same time; one after another they would scrub over the ground.
             let moves = wheels.iter().map(|(channel, _, at, angle)| board.move_to(*channel, at + angle, TIMEOUT_S));
             try_join_all(moves).await?;
             Ok::<_, Error>(())

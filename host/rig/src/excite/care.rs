@@ -61,6 +61,8 @@ impl Care {
             }
             Ok(_) if is_unlimited => return Err(immovable.into()),
             Ok(_) => {
+                // The guard may have cut the duty before a slow motor moved. Without the guard only the board's own
+                // limit remains.
                 self.patience = f64::INFINITY;
                 "did not move: once more, until the board stops it"
             }
@@ -73,6 +75,7 @@ impl Care {
                 self.strength *= LESS_DUTY;
                 "was driven too hard: cleared, and again with less duty"
             }
+            // Gentler excitation cannot avoid other errors: without a reason there is no further attempt.
             Err(_) => "",
         };
         self.repeats += 1;
@@ -125,6 +128,7 @@ impl Guard {
     /// Returns true when the motor gets no duty for the rest of this part of the plan.
     pub(super) fn is_stuck(&mut self, now_s: f64, part: usize, position: f64, duty: f64) -> bool {
         let (from, since_s) = *self.moved.get_or_insert((position, now_s));
+        // Below the stall duty the board counts no time either.
         if duty.abs() < self.stall_duty || (position - from).abs() >= self.travel {
             self.moved = Some((position, now_s));
         } else if now_s - since_s > self.patience_s {

@@ -101,6 +101,7 @@ pub async fn excite(
     if cap <= limits.static_duty {
         return Err(ExciteError::BelowFriction { channel, duty: cap, static_duty: limits.static_duty }.into());
     }
+    // Only the part above friction is reduced; otherwise a gentler excitation might not move the motor at all.
     let cap = limits.static_duty + care.strength * (cap - limits.static_duty);
     let plan = Plan::new(index, excitation.length_s, limits.static_duty, cap);
     let driven = session.armed(async || drive(session, channel, &plan, &limits, care, progress).await).await;

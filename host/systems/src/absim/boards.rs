@@ -232,6 +232,7 @@ impl Pilot<'_> {
             let at = moved(self.start, self.odometry.place());
             match orders.try_recv() {
                 Ok(order) => doing = self.begin(order, doing, now_s, at),
+                // The coordinator has dropped its end: the mission is over.
                 Err(error) if error.is_closed() => return Ok(()),
                 Err(_) => {}
             }

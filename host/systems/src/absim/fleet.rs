@@ -158,6 +158,7 @@ impl<P: Program> Run<P> {
         let mut orders = Vec::new();
         while !self.mission.has_ended() {
             let now_us = clock.now_us() - begin_us;
+            // An event keeps the time at which it was due, even if the clock is a little past it.
             let (at_us, input) = if let Some((at_us, due)) = queue.pop_due(now_us) {
                 let Some(input) = self.happened(due, at_us, &mut bodies) else { continue };
                 (at_us, input)
@@ -218,6 +219,7 @@ impl<P: Program> Run<P> {
     /// Stops an abstract robot at its present pose and returns the path length of its leg, m.
     fn stopped(&mut self, robot: usize, at_us: u64, bodies: &mut [Body]) -> f64 {
         let body = &mut bodies[robot];
+        // The arrival of this leg may still be in the queue; a new number makes it void.
         body.number += 1;
         let Some((way, since_us)) = body.leg.take() else { return 0.0 };
         let (place, driven_m) = way.at((at_us - since_us) as f64 * 1e-6);

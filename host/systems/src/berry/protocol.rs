@@ -116,6 +116,7 @@ impl<'s, 'b> Watch<'s, 'b> {
             if is_there(self) {
                 return Ok(());
             }
+            // Before the first frame there is no device time to count from.
             if begin_s > 0.0 && self.now_s - begin_s > WAIT_S {
                 return Err(Error::StateTimedOut { state: what, at_most_s: WAIT_S });
             }
@@ -320,6 +321,7 @@ async fn carry(
     if method.overlaps {
         watch.until("an axis moves", |watch| watch.axes_m[0] < CLEAR_M).await?;
         if berry + 1 < case.berries.len() {
+            // The row may move only now that the fingers are clear of the plants.
             watch.go(1, case.seen_m(berry + 1, 0)[1]).await?;
         }
         let opens_m = watch.setup.tray_m + OPENS_AHEAD_M;

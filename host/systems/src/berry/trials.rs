@@ -243,7 +243,9 @@ pub fn compare(picks: &[Pick], first: &str, second: &str) -> Result<Comparison, 
         let (one, two) = (trend(&one_s)?, trend(&two_s)?);
         levels[0].push(one[0]);
         levels[1].push(two[0]);
+        // One slope per participant: those of the two tools are not independent.
         slopes.push(f64::midpoint(one[1], two[1]));
+        // Contrast coding: the intercept of the regression is then the difference without the effect of the order.
         signs.push(if one_order > two_order { 1.0 } else { -1.0 });
     }
     let participants = signs.len();
@@ -261,6 +263,7 @@ pub fn compare(picks: &[Pick], first: &str, second: &str) -> Result<Comparison, 
         participants,
         difference_s: fit.parameters[0],
         interval_s: fit.intervals(0.95)?[0],
+        // The two orders are two units of the contrast apart.
         order_s: -2.0 * fit.parameters[1],
         t_p: paired_t(&levels[0], &levels[1], Alternative::TwoSided)?.p_value,
         wilcoxon_p: wilcoxon_signed_rank(&levels[0], &levels[1], Alternative::TwoSided)?.p_value,

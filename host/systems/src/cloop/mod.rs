@@ -167,6 +167,7 @@ fn prepared(trial: &Trial) -> Result<(Rig, Setup, Case), Error> {
     rig.seed = trial.seed;
     let mut robot = rig.robot()?;
     let setup = Setup::of(&robot).map_err(unsuitable)?;
+    // Tried here on a copy first: the change that the rig makes later has no way to report an error.
     case.put_into(&mut robot).map_err(unsuitable)?;
     rig.alter = Some(case.altered());
     Ok((rig, setup, case))

@@ -225,7 +225,10 @@ impl Setup {
             legs_m,
             bend_radius_m,
             half_angle_rad,
+            // The cosine enters twice: for the force of the strands on the tip, and for the deflection of the tip along
+            // a strand.
             stretch: [tube_m_per_n, 2.0 * half_angle_rad.cos().powi(2) / tip_n_per_m, 0.5 / strand_n],
+            // The loop lies around the vial, so that both of its sides share the clearance.
             gap_m: 0.5 * (body.vial().clearance_m - thickness_m),
             tube_share: tube_m_per_n / (tube_m_per_n + outer_m_per_n),
         })

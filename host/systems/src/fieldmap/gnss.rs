@@ -70,6 +70,7 @@ impl Sentences {
             match byte {
                 b'$' => self.line.clear(),
                 b'\n' => positions.extend(std::str::from_utf8(&self.line).ok().and_then(position)),
+                // The rest of a longer line is dropped; its checksum fails then.
                 _ if self.line.len() < SENTENCE_MAX => self.line.push(*byte),
                 _ => {}
             }
@@ -149,6 +150,7 @@ impl Fix for Receiver {
                 let from_middle_m = [cos * ahead_m - sin * aside_m, sin * ahead_m + cos * aside_m];
                 let mut row = RowVector4::zeros();
                 row[axis] = 1.0;
+                // The aerial is not above the middle, so that its position also depends on the yaw.
                 row[2] = [-from_middle_m[1], from_middle_m[0]][axis];
                 let off_m = seen_m[axis] - (pose.state()[axis] + from_middle_m[axis]);
                 is_good &= pose.correct(&row, off_m, DEVIATION_M, GATE);

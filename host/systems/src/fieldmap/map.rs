@@ -41,9 +41,11 @@ pub struct Map {
 /// # Errors
 /// [`ProcessError`] for readings that define no regression.
 pub fn by_process(frame: Frame, readings: &[Sample], until_s: f64, has_time: bool) -> Result<Map, ProcessError> {
+    // The process has a mean of 0.
     let offset = readings.iter().map(|sample| sample.value).sum::<f64>() / readings.len().max(1) as f64;
     let centred: Vec<Sample> =
         readings.iter().map(|sample| Sample { value: sample.value - offset, ..*sample }).collect();
+    // The fit factorises a matrix at every step, with a cost cubic in the readings; the map needs that only once.
     let few: Vec<Sample> = centred.iter().step_by(centred.len().div_ceil(FITTED).max(1)).copied().collect();
     let (low, high) = if has_time {
         (LEAST, GREATEST)

@@ -222,6 +222,7 @@ impl Program for Survey {
     fn sense(&mut self, time_s: f64, at: Place, volts: f64) {
         let Some(taken) = self.mapper.sense(time_s, at, volts) else { return };
         let sample = taken.by(self.mapper.calibration());
+        // The process has a mean of 0, from which raw readings are far away.
         let offset = *self.offset.get_or_insert(sample.value);
         if self.strategy == Strategy::Sites {
             // A sample too close to an earlier one cannot be added, and would not change the choice of the next site.

@@ -109,6 +109,7 @@ impl Link {
         while time_s >= self.until_s {
             self.is_up = !self.is_up;
             let mean_s = if self.is_up { UP_S } else { DOWN_S };
+            // Inversion of the exponential distribution; the lower bound keeps the logarithm finite.
             self.until_s -= mean_s * self.sampler.uniform(1e-9, 1.0).ln();
         }
         self.is_up
@@ -181,6 +182,7 @@ impl Member {
     /// measured already.
     fn next(&self, time_s: f64, at: Place) -> Option<Point> {
         let others = self.heard.iter().enumerate().filter(|(number, _)| *number != self.number);
+        // Their values are unknown and have no effect: only the covariance is used below.
         let claimed = others.filter_map(|(_, goal)| Some(Sample { at: (*goal)?, at_s: time_s, value: 0.0 }));
         let samples: Vec<Sample> = self.known.iter().chain(&self.waiting).copied().chain(claimed).collect();
         let process = Process::of(EXPECTED, &samples).ok()?;

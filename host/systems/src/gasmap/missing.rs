@@ -223,6 +223,7 @@ impl Program for Crossings {
     fn sense(&mut self, time_s: f64, at: Place, signal_ppm: f64) {
         if self.follower.is_none() {
             self.rest.push((time_s, signal_ppm));
+        // Only readings at the full speed count, since the lag is found from the distance between there and back.
         } else if let (true, Some(lap)) = (self.is_straight, self.laps.last_mut()) {
             let place_m = at.y_m + SENSOR_M * at.yaw_rad.sin();
             lap.crossings[self.leg].push(Sample { time_s, place_m, ppm: signal_ppm });

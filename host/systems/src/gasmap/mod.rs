@@ -317,6 +317,7 @@ fn evaluate(hall: &Hall, surveyed: &Surveyed, lawn: &Surveyed, weights: r4_maps:
         put("reached", f64::from(u8::from(reached_s.is_some())));
     }
     let other = surveyed.survey.goals().iter().filter_map(|goal| goal.propagated_off_m);
+    // Two cells apart counts as another goal; a neighbouring cell is as good.
     let (others, goals) =
         other.fold((0.0, 0.0), |(others, goals), off_m| (others + f64::from(u8::from(off_m > 1.0)), goals + 1.0));
     if goals > 0.0 {

@@ -235,6 +235,7 @@ impl Hand<'_, '_> {
                 }
             }
         }
+        // The grip is still settling after the last step and would move the part before the first stop.
         for _ in 0..4 * SETTLE_PERIODS {
             self.follow().await?;
         }

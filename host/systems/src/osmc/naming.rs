@@ -87,6 +87,7 @@ fn recordings(scene: &Scene, index: usize, trial: &Trial) -> Result<Vec<Vec<u8>>
     let bench = scene.motors[index].bench;
     let excitation = Excitation { channel: bench.channel, length_s: LENGTH_S, duty: None };
     let (mut logs, mut care) = (Vec::new(), Care::default());
+    // One more than the fit takes: the last log is held out.
     while logs.len() <= TRAIN {
         let rig = rig(scene, index, trial, Calibration::NONE, |_| ());
         let tap = |output| {

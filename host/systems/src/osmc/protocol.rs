@@ -168,6 +168,7 @@ async fn by_board(
             board.sleep_s(REST_S).await;
         }
         segments.borrow_mut().push(Segment { purpose, set, from_s, until_s: device_s(session), settled });
+        // The board may also have tripped during a rest, which no command reports.
         let (state, causes) = board.safety();
         if state == SafetyState::Tripped {
             return Err(DriverError::Stopped { causes }.into());

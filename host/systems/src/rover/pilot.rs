@@ -154,6 +154,7 @@ pub async fn run(
         board.subscribe(*channel, RANGE_MS).await?;
     }
     let bias_rad_s = rest(session, setup).await?;
+    // The robot starts at a known place; that of a real one is the origin.
     let start = session.true_place().unwrap_or_default();
     let mut pilot = Pilot {
         session,

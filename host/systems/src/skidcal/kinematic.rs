@@ -44,6 +44,7 @@ pub(super) fn recorded(truth: &Truth, repeats: Repeats, mut noise: Noise) -> Res
                 for side in [0, 1] {
                     let most_m_s = RAMP_M_S2 * MAX_STEP_S;
                     let change_m_s = (wanted_m_s[side] - rim_m_s[side]).clamp(-most_m_s, most_m_s);
+                    // The mean speed of the step is exact here, as the ramp is linear.
                     travel_m[side] += (rim_m_s[side] + change_m_s / 2.0) * MAX_STEP_S;
                     rim_m_s[side] += change_m_s;
                 }
@@ -60,6 +61,7 @@ pub(super) fn recorded(truth: &Truth, repeats: Repeats, mut noise: Noise) -> Res
         }
     };
     loop {
+        // The schedule of a recording on a board, so that the two differ only in the dynamics.
         let more = recording.more(repeats);
         for _ in 0..more {
             for way in skid.straight() {

@@ -85,6 +85,7 @@ impl Case {
             damping_nm_s_per_rad: self.damping_nm_s_per_rad,
             ..nominal.ankle
         };
+        // The height of the centre of mass stays the nominal one: the inertia is in proportion to the mass.
         let inertia_kg_m2 = nominal.inertia_kg_m2 * self.mass_kg / nominal.mass_kg;
         Wearer { mass_kg: self.mass_kg, inertia_kg_m2, ankle, ..*nominal }
     }
@@ -94,6 +95,8 @@ impl Case {
         let links = nominal.links().map(|mut link| {
             link.mass_kg *= weighs;
             link.inertia_kg_m2 *= weighs;
+            // The cables are scaled like the masses, so that an almost weightless tail keeps the time constants of the
+            // real one.
             link.cable.stiffness_nm_per_rad *= self.cable * weighs;
             link.cable.damping_nm_s_per_rad *= weighs;
             link.cable.friction_nm *= weighs;
