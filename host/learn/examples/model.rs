@@ -1,4 +1,5 @@
-//! How well the kinematic model predicts full boards of other seeds: `cargo run --release -p r4-learn --example model FIRST COUNT`.
+//! Prediction error of the kinematic model on full boards of other seeds: `cargo run --release -p r4-learn --example
+//! model FIRST COUNT`.
 
 use r4_learn::{
     Error,

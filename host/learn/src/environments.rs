@@ -1,4 +1,4 @@
-//! Many environments side by side.
+//! Environments that are stepped together.
 
 use r4_rig::Place;
 use rayon::prelude::*;
@@ -9,17 +9,17 @@ use crate::{
     kinematic::Kinematic,
 };
 
-/// How much of a board is simulated.
+/// Fidelity of the simulation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fidelity {
-    /// The whole board and robot: what results are reported of.
+    /// Full simulation of board and robot: reported results come from it.
     Full,
-    /// The kinematic model identified from them: what is trained on.
+    /// Kinematic model identified from full boards: policies are trained on it.
     Kinematic,
 }
 
-/// From this many kinematic environments on they are stepped on all cores: one step takes about a microsecond, and handing it to
-/// another core as long as some tens of them.
+/// Number of kinematic environments from which on all cores step them: one step takes about a microsecond, handing it
+/// to another core as long as some tens of them.
 const SHARED_FROM: usize = 256;
 
 enum Boards {
@@ -27,20 +27,21 @@ enum Boards {
     Kinematic(Vec<Kinematic>),
 }
 
-/// Environments that are reset and stepped together: full boards on a thread each, and so on all cores; kinematic ones in slices.
+/// Environments that are reset and stepped together: full boards on a thread each, and so on all cores; kinematic ones
+/// in slices.
 ///
 /// Results depend on seeds and actions only, not on the number of cores.
 pub struct Environments {
     boards: Boards,
-    /// Of each, the last step once its episode is over; `None` without an episode.
+    /// State of each environment: `None` without an episode; inside, the last step once the episode is over.
     ended: Vec<Option<Option<Step>>>,
 }
 
 impl Environments {
-    /// `count` environments without an episode: [`Environments::reset`] begins one in each.
+    /// Creates `count` environments without an episode: [`Environments::reset`] begins one in each.
     ///
     /// # Errors
-    /// When the robot's file does not fit, or there is no thread for a board.
+    /// [`Error::NoSkidSteer`] when the robot does not fit; [`Error::Thread`] when there is no thread for a board.
     pub fn new(count: usize, fidelity: Fidelity) -> Result<Self, Error> {
         let boards = match fidelity {
             Fidelity::Full => Boards::Full((0..count).map(|_| FullBoard::new()).collect::<Result<_, _>>()?),
@@ -52,32 +53,33 @@ impl Environments {
         Ok(Self { boards, ended: vec![None; count] })
     }
 
-    /// How many there are.
+    /// Number of environments in the set.
     #[must_use]
     pub fn len(&self) -> usize {
         self.ended.len()
     }
 
-    /// Whether there are none.
+    /// Returns true when there are no environments.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.ended.is_empty()
     }
 
-    /// Begins an episode in each, by its seed: goal, and a full board's noise.
+    /// Begins an episode in each environment. The seed decides the goal, and a full board's noise.
     ///
     /// # Errors
-    /// [`Error::WrongCount`]; when a board cannot be powered up or armed.
+    /// [`Error::WrongCount`] unless there is one seed for each environment; [`Error::Rig`] when a board cannot be
+    /// powered up or armed.
     pub fn reset(&mut self, seeds: &[u64]) -> Result<Vec<Observation>, Error> {
         self.count("seeds", seeds.len())?;
         let seeds: Vec<_> = seeds.iter().copied().map(Some).collect();
         Ok(self.reset_some(&seeds)?.into_iter().flatten().collect())
     }
 
-    /// Begins an episode where there is a seed. Returns what is seen there.
+    /// Begins an episode in each environment with a seed, and returns its first observation.
     ///
     /// # Errors
-    /// As [`Environments::reset`].
+    /// The errors of [`Environments::reset`].
     pub fn reset_some(&mut self, seeds: &[Option<u64>]) -> Result<Vec<Option<Observation>>, Error> {
         self.count("seeds", seeds.len())?;
         let orders: Vec<_> = seeds.iter().map(|seed| seed.map(Order::Reset)).collect();
@@ -88,20 +90,23 @@ impl Environments {
         Ok(self.carry_out(&orders)?.into_iter().map(seen).collect())
     }
 
-    /// Lets each take a step. One whose episode is over does nothing: it returns its last step again, without a reward.
+    /// Steps each environment. One whose episode is over stands still and returns its last step again, with a reward of
+    /// 0.
     ///
     /// # Errors
-    /// [`Error::WrongCount`], [`Error::BadAction`], [`Error::NotReset`], before anything moves; when a board fails otherwise than by a
-    /// trip, which ends its episode.
+    /// Before anything moves: [`Error::WrongCount`]; [`Error::BadAction`] for an action outside -1..=1;
+    /// [`Error::NotReset`] without an episode. Afterwards: [`Error::Rig`] when a board fails otherwise than by a trip,
+    /// which ends its episode.
     pub fn step(&mut self, actions: &[Action]) -> Result<Vec<Step>, Error> {
         let nothing = vec![None; self.len()];
         self.step_or_reset(actions, &nothing)
     }
 
-    /// As [`Environments::step`], but begins an episode where there is a seed, at the same time: that has no reward, and no action.
+    /// Steps each environment as [`Environments::step`], but begins an episode in those with a seed, at the same time.
+    /// These ignore their action and have a reward of 0.
     ///
     /// # Errors
-    /// As [`Environments::step`] and [`Environments::reset`].
+    /// The errors of [`Environments::step`] and [`Environments::reset`].
     pub fn step_or_reset(&mut self, actions: &[Action], seeds: &[Option<u64>]) -> Result<Vec<Step>, Error> {
         self.count("actions", actions.len())?;
         self.count("seeds", seeds.len())?;
@@ -128,7 +133,7 @@ impl Environments {
                 Step { observation, reward: 0.0, terminated: false, truncated: false, truth }
             }
             (None, Some(Some(last))) => Step { reward: 0.0, ..*last },
-            // Where nothing was ordered, an episode is over.
+            // No order was given, so that the episode is over.
             (None, _) => Step::default(),
         };
         Ok(answers.into_iter().zip(seeds.iter().zip(&self.ended)).map(step).collect())
@@ -138,7 +143,8 @@ impl Environments {
     fn carry_out(&mut self, orders: &[Option<Order>]) -> Result<Vec<Option<Answer>>, Error> {
         let answers: Vec<Option<Result<Answer, Error>>> = match &mut self.boards {
             Boards::Full(boards) => {
-                // All begin, then all answers: the first error is told once every board has answered.
+                // All boards begin before the first answer is awaited; an error is returned only after every board has
+                // answered.
                 boards.iter().zip(orders).for_each(|(board, order)| order.iter().for_each(|order| board.order(*order)));
                 let answer = |(index, (board, order)): (usize, (&FullBoard, &Option<Order>))| {
                     order.map(|_| board.answer().map_err(|error| at(index, error)))
@@ -172,7 +178,7 @@ impl Environments {
         answers.into_iter().map(Option::transpose).collect()
     }
 
-    /// Whether the episode of each is over, or has not begun.
+    /// Returns true for each environment whose episode is over or has not begun.
     pub fn is_over(&self) -> impl Iterator<Item = bool> {
         self.ended.iter().map(|ended| !matches!(ended, Some(None)))
     }
@@ -182,7 +188,7 @@ impl Environments {
     }
 }
 
-/// An error of one board, with its number.
+/// Adds the number of the environment to an error of its board.
 fn at(index: usize, error: Error) -> Error {
     match error {
         Error::NotReset { .. } => Error::NotReset { index },
@@ -192,7 +198,7 @@ fn at(index: usize, error: Error) -> Error {
 }
 
 impl Step {
-    /// Whether the goal was reached.
+    /// Returns true when the step reached the goal.
     #[must_use]
     pub fn reached(&self) -> bool {
         let Truth { tripped, .. } = self.truth;
@@ -204,7 +210,7 @@ impl Step {
 mod tests {
     use super::*;
 
-    /// Turns towards the goal and drives: a proportional controller, which knows nothing of the model.
+    /// Proportional controller that turns towards the goal and drives, independent of the model.
     fn towards(seen: &Observation) -> Action {
         let [_, cos, sin, ..] = seen.map(f64::from);
         [if cos > 0.9 { 0.8 } else { 0.0 }, (1.5 * sin.atan2(cos)).clamp(-1.0, 1.0)]
@@ -235,7 +241,7 @@ mod tests {
     fn the_same_seeds_and_actions_give_the_same_bits_whatever_stands_beside() {
         let alone = driven(Fidelity::Full, &[5]);
         let beside = driven(Fidelity::Full, &[5, 6]);
-        // Its last step, without the reward where it waited for the other.
+        // The final state must agree. Its reward is 0 where it waited for the other environment.
         assert_eq!((alone[0].observation, alone[0].truth), (beside[0].observation, beside[0].truth));
     }
 

@@ -1,7 +1,7 @@
 //! The task on a full board: firmware, chips, motors and tyres on virtual time, each board on a thread of its own.
 //!
-//! A step is a cycle of set points for the four wheels, the rest of its 0.1 s, and a cycle that asks what the wheels do. The board's clock
-//! stands still between steps, so that a slow learner is no late host.
+//! A step is a cycle of set points for the four wheels, the rest of its 0.1 s, and a cycle that reads the wheels. The
+//! board's clock stands still between steps, so that a slow learner does not appear as a late host.
 
 use std::{
     sync::mpsc::{self, Receiver, Sender},
@@ -18,25 +18,25 @@ use crate::{
     wheels::{ROBOT, SIDE, Wheels},
 };
 
-/// Set points hold this long, ms: two and a half steps.
+/// Time to live of set points, ms: two and a half steps.
 const TTL_MS: u16 = 250;
 
-/// What an environment is to do next.
+/// Order to an environment.
 #[derive(Clone, Copy)]
 pub(crate) enum Order {
     /// Begin an episode of this seed.
     Reset(u64),
-    /// Take a step.
+    /// Take a step with this action.
     Step(Action),
 }
 
-/// What an environment answers: what is seen after a reset, or a step.
+/// Answer of an environment: the observation after a reset, or a step.
 pub(crate) enum Answer {
     Seen(Observation),
     Stepped(Step),
 }
 
-/// A board with an episode on it.
+/// A board that runs one episode after the other.
 pub(crate) struct FullBoard {
     orders: Option<Sender<Order>>,
     answers: Receiver<Result<Answer, Error>>,
@@ -55,7 +55,7 @@ impl FullBoard {
                         Ok(next) => next,
                         Err(error) => answer(&outbox, Err(error), &inbox),
                     },
-                    // The episode before has failed.
+                    // The previous episode has failed: only a reset helps.
                     Order::Step(_) => answer(&outbox, Err(Error::NotReset { index: 0 }), &inbox),
                 };
             }
@@ -64,14 +64,14 @@ impl FullBoard {
         Ok(Self { orders: Some(orders), answers, thread: Some(thread) })
     }
 
-    /// The answer to the order before.
+    /// Waits for the answer to the last order.
     pub(crate) fn answer(&self) -> Result<Answer, Error> {
         self.answers.recv().unwrap_or(Err(Error::Gone { index: 0 }))
     }
 
-    /// Begins what is ordered. Does not wait for it: [`FullBoard::answer`] does.
+    /// Begins an order without waiting for it; [`FullBoard::answer`] waits.
     pub(crate) fn order(&self, order: Order) {
-        // Where its thread is gone, the answer says so.
+        // Sending fails only when the thread is gone, which the answer reports.
         let _ = self.orders.as_ref().map(|orders| orders.send(order));
     }
 }
@@ -85,7 +85,7 @@ impl Drop for FullBoard {
     }
 }
 
-/// Gives an answer and takes the next order; `None` when nobody can order any more.
+/// Sends an answer and waits for the next order; `None` when the environment was dropped.
 fn answer(
     outbox: &Sender<Result<Answer, Error>>,
     answer: Result<Answer, Error>,
@@ -95,7 +95,7 @@ fn answer(
     inbox.recv().ok()
 }
 
-/// Runs an episode until it is to be reset, and returns the order to do so.
+/// Runs an episode until it is to be reset, and returns the order of the reset.
 fn episode(seed: u64, inbox: &Receiver<Order>, outbox: &Sender<Result<Answer, Error>>) -> Result<Option<Order>, Error> {
     let wheels = Wheels::new()?;
     let (next, _) = rig(seed).run(None, async |session| {
@@ -104,7 +104,7 @@ fn episode(seed: u64, inbox: &Receiver<Order>, outbox: &Sender<Result<Answer, Er
         let mut episode = Episode::new(seed);
         let mut told = Answer::Seen(driver.look(episode.goal).await?);
         loop {
-            // Waiting here, inside of a poll, is what stops the virtual clock.
+            // Blocking here, inside of a poll, is what stops the virtual clock.
             match answer(outbox, Ok(told), inbox) {
                 Some(Order::Step(action)) => told = Answer::Stepped(driver.step(action, &mut episode).await?),
                 next => return Ok::<_, Error>(next),
@@ -114,7 +114,7 @@ fn episode(seed: u64, inbox: &Receiver<Order>, outbox: &Sender<Result<Answer, Er
     Ok(next)
 }
 
-/// True places of a full board's robot: at the start, and after each action.
+/// True poses of a full board's robot: at the start, and after each action.
 pub(crate) fn record(seed: u64, actions: &[Action]) -> Result<Vec<Place>, Error> {
     let wheels = Wheels::new()?;
     let (places, _) = rig(seed).run(None, async |session| {
@@ -135,13 +135,13 @@ fn rig(seed: u64) -> Rig {
     Rig { seed, ..Rig::new(Target::Sim(ROBOT.to_owned())) }
 }
 
-/// A session in which a robot is driven step by step.
+/// Session in which a robot is driven step by step.
 pub(crate) struct Driver<'s> {
     session: &'s Session<'s>,
     wheels: &'s Wheels,
     cycles: Cycles<'s, HostClock>,
     odometry: Odometry,
-    /// Steps since `begin_us`.
+    /// Number of steps since `begin_us`.
     steps: u64,
     begin_us: u64,
     last: Place,
@@ -149,7 +149,7 @@ pub(crate) struct Driver<'s> {
 }
 
 impl<'s> Driver<'s> {
-    /// On an armed board, whose wheels' positions count from now.
+    /// Starts on an armed board; the present positions of the wheels are the origin.
     pub(crate) async fn new(session: &'s Session<'s>, wheels: &'s Wheels) -> Result<Self, Error> {
         let channels: Vec<_> = wheels.channels.iter().map(|wheel| (*wheel, Mode::Speed)).collect();
         let mut cycles = session.board.stream(&channels, TTL_MS).await.map_err(r4_rig::Error::from)?;
@@ -177,24 +177,24 @@ impl<'s> Driver<'s> {
         self.tripped |= report.state != SafetyState::Armed;
     }
 
-    /// What the robot sees of a goal now.
+    /// Observation of a goal at the present moment.
     async fn look(&mut self, goal: Goal) -> Result<Observation, Error> {
         let report = self.cycles.ask().await.map_err(r4_rig::Error::from)?;
         self.take(&report);
         let (before, at) = (self.last, self.odometry.place());
         self.last = at;
-        // Over the step; exact on an arc, and forwards by the bow half way.
+        // Mean speeds over the step; exact on an arc, along the heading halfway.
         let bow_rad = (before.yaw_rad + at.yaw_rad) / 2.0;
         let forward_m = (at.x_m - before.x_m) * bow_rad.cos() + (at.y_m - before.y_m) * bow_rad.sin();
         Ok(goal.observation(at, forward_m / STEP_S, (at.yaw_rad - before.yaw_rad) / STEP_S))
     }
 
-    /// Where the robot is: by the truth of a simulation; a board at the end of a link has none but its odometry.
+    /// True pose of the robot, from the simulation; by odometry for a board on a link.
     fn place(&self) -> Place {
         self.session.true_place().unwrap_or(self.odometry.place())
     }
 
-    /// Drives one step.
+    /// Drives one step of the episode.
     pub(crate) async fn step(&mut self, action: Action, episode: &mut Episode) -> Result<Step, Error> {
         if !self.tripped {
             let values = self.wheels.speeds_rad_s(action);

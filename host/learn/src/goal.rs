@@ -17,83 +17,84 @@ use r4_rig::Place;
 use rand_distr::{Distribution, Uniform};
 use rand_pcg::Pcg64;
 
-/// Numbers of an action.
+/// Number of values in an action.
 pub const ACTIONS: usize = 2;
-/// Numbers of an observation.
+/// Number of values in an observation.
 pub const OBSERVATIONS: usize = 5;
-/// Forward speed and yaw rate, as shares of the robot's limits.
+/// Action: forward speed and yaw rate, as shares of the robot's limits, -1 to 1.
 pub type Action = [f64; ACTIONS];
-/// See the module's table; `f32`, as learning libraries have them.
+/// Observation, as in the module's table; `f32`, like in learning libraries.
 pub type Observation = [f32; OBSERVATIONS];
-/// Between two decisions, s. Our choice: OpenScout's own controller runs at 20 Hz, planners of such robots at 5 Hz to 20 Hz.
+/// Time between two decisions, s. Our choice: OpenScout's own controller runs at 20 Hz, planners of such robots at 5 Hz
+/// to 20 Hz.
 pub const STEP_S: f64 = 0.1;
-/// Steps after which an episode is truncated: 30 s, in which the robot could drive 15 m.
+/// Number of steps after which an episode is truncated: 30 s, in which the robot could drive 15 m.
 pub const EPISODE_STEPS: u32 = 300;
-/// The goal is reached within this, m. Our choice: a quarter of the robot's length.
+/// Distance at which the goal is reached, m. Our choice: a quarter of the robot's length.
 pub const REACHED_M: f64 = 0.1;
-/// Lowest and highest value of each number of an observation; measured ones are kept within. The distance is that of a goal 3 m away and
-/// an episode at 0.5 m/s; speeds are four times what the robot may be asked for, for noise.
+/// Lowest and highest value of each number of an observation; measured values are clipped to them. The distance covers
+/// a goal 3 m away and an episode at 0.5 m/s; speeds are four times the robot's limits, for noise.
 pub const BOUNDS: [(f32, f32); OBSERVATIONS] = [(0.0, 20.0), (-1.0, 1.0), (-1.0, 1.0), (-2.0, 2.0), (-6.0, 6.0)];
-/// Nearest and farthest goal, m.
+/// Distance of the nearest and the farthest goal, m.
 const GOAL_M: (f64, f64) = (1.0, 3.0);
-/// What a step costs: a straight drive at full speed earns 0.05 a step.
+/// Cost of a step, m: a straight drive at full speed earns 0.05 a step.
 const TIME_COST: f64 = 0.01;
-/// Apart from what else a seed decides.
+/// Stream of random numbers that separates goals from other uses of a seed.
 const PURPOSE: u128 = 0x676f_7474;
 
-/// A goal, in the frame of the place where the robot starts.
+/// A goal, in the frame of the robot's start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Goal {
-    /// m
+    /// Position along the initial heading, m.
     pub x_m: f64,
-    /// m
+    /// Position to the left of the initial heading, m.
     pub y_m: f64,
 }
 
-/// What is true after a step, beside what the robot sees.
+/// True state after a step, which the robot does not observe.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Truth {
-    /// To the goal, m.
+    /// True distance to the goal, m.
     pub distance_m: f64,
-    /// The board has tripped.
+    /// True when the board has tripped.
     pub tripped: bool,
 }
 
 /// Result of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Step {
-    /// What the robot sees.
+    /// Observation after the step.
     pub observation: Observation,
-    /// See the module's table.
+    /// Reward of the step, as in the module's table.
     pub reward: f64,
-    /// The episode is over: the goal was reached, or the board tripped.
+    /// True when the episode is over because the goal was reached or the board tripped.
     pub terminated: bool,
-    /// The episode is over: its time is.
+    /// True when the episode is over because of its time limit.
     pub truncated: bool,
-    /// What is true.
+    /// True state after the step.
     pub truth: Truth,
 }
 
 impl Goal {
-    /// The goal of an episode.
+    /// Samples the goal of an episode from its seed.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         let mut random = Pcg64::new(seed.into(), PURPOSE);
         let mut uniform = |low: f64, high: f64| {
-            // Bounds are finite and in order.
+            // Cannot fail: the bounds are finite and in order.
             Uniform::new(low, high).map_or(low, |uniform| uniform.sample(&mut random))
         };
         let (distance_m, bearing_rad) = (uniform(GOAL_M.0, GOAL_M.1), uniform(-PI, PI));
         Self { x_m: distance_m * bearing_rad.cos(), y_m: distance_m * bearing_rad.sin() }
     }
 
-    /// How far it is from a place, m.
+    /// Distance from a pose, m.
     #[must_use]
     pub fn distance_m(self, at: Place) -> f64 {
         (self.x_m - at.x_m).hypot(self.y_m - at.y_m)
     }
 
-    /// What a robot sees that takes itself to be at a place, and has measured these speeds, m/s and rad/s.
+    /// Observation of a robot whose odometry is at a pose, with these measured speeds, m/s and rad/s.
     #[must_use]
     pub fn observation(self, at: Place, forward_m_s: f64, yaw_rad_s: f64) -> Observation {
         let bearing_rad = (self.y_m - at.y_m).atan2(self.x_m - at.x_m) - at.yaw_rad;
@@ -106,7 +107,7 @@ impl Goal {
     }
 }
 
-/// What an episode is so far, whatever it is driven on.
+/// State of an episode, at either fidelity.
 #[derive(Clone, Debug)]
 pub(crate) struct Episode {
     pub(crate) goal: Goal,
@@ -120,7 +121,7 @@ impl Episode {
         Self { goal, distance_m: goal.distance_m(Place::default()), steps: 0 }
     }
 
-    /// The verdict on a step that has led to this.
+    /// Evaluates a step by its observation and true state.
     pub(crate) fn step(&mut self, observation: Observation, truth: Truth) -> Step {
         self.steps += 1;
         let way_m = self.distance_m - truth.distance_m;
@@ -185,7 +186,7 @@ mod tests {
             for (number, (low, high)) in seen.into_iter().zip(BOUNDS) {
                 prop_assert!((low..=high).contains(&number));
             }
-            // Rounded to f32.
+            // Rounding errors of f32.
             prop_assert!((seen[1].hypot(seen[2]) - 1.0).abs() < 1e-6);
         }
     }

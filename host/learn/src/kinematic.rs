@@ -1,10 +1,12 @@
-//! The task on a kinematic model: what is trained on.
+//! The task on a kinematic model, for training.
 //!
-//! Each side's wheels follow what they are asked for, after a delay, with limited acceleration and a first-order lag; the robot's forward
-//! speed and yaw rate are those of its wheels times a gain each. Slip, winding, friction and firmware are in these five numbers only,
-//! which [`identify`] fits to full boards. They are for training: results are reported of full boards.
+//! Each side's wheels follow their set points after a delay, with limited acceleration and a first-order lag; the
+//! robot's forward speed and yaw rate are those of its wheels times a gain each. These five parameters stand for slip,
+//! winding, friction and firmware; [`identify`] fits them to full boards. They are for training: reported results come
+//! from full boards.
 //!
-//! Tried instead of the limited acceleration: a lag each for forward speed and yaw rate. It left 36 mm RMS after 1 s on seeds 9 to 12.
+//! Tried instead of the limited acceleration: a lag each for forward speed and yaw rate. Its residual was 36 mm RMS
+//! after 1 s on seeds 9 to 12.
 
 use r4_maths::minimise::nelder_mead;
 use r4_rig::Place;
@@ -18,42 +20,44 @@ use crate::{
     wheels::Wheels,
 };
 
-/// Numbers of the model.
+/// Parameters of the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Model {
-    /// Forward speed of the robot for that of its wheels.
+    /// Forward speed of the robot over that of its wheels.
     pub forward_gain: f64,
-    /// Yaw rate of the robot for that of its wheels, with the track of its file.
+    /// Yaw rate of the robot over that of its wheels, with the track of its file.
     pub yaw_gain: f64,
     /// Largest acceleration of a wheel's rim, m/s².
     pub acceleration_m_s2: f64,
-    /// Lag of the wheels behind that, s.
+    /// Time constant of the wheels' lag behind that, s.
     pub lag_s: f64,
-    /// From the decision to where the wheels begin, s; at most a step.
+    /// Time from the decision to the start of the wheels' reaction, s; at most a step.
     pub delay_s: f64,
 }
 
-/// Identified from full boards of seeds 1 to 8 by [`identify`]; the test `the_numbers_are_those_of_the_experiment` runs it again.
-/// The lag is at the lower bound of the fit: the limited acceleration, the profile's 1 m/s² of the robot's file, leaves it nothing to explain.
+/// Model identified from full boards of seeds 1 to 8 by [`identify`]; the test
+/// `the_numbers_are_those_of_the_experiment` repeats it. The lag is at the lower bound of the fit: the limited
+/// acceleration, which is the profile's 1 m/s² of the robot's file, explains all of it.
 pub const MODEL: Model =
     Model { forward_gain: 0.990, yaw_gain: 0.932, acceleration_m_s2: 1.032, lag_s: 0.001, delay_s: 0.022 };
 
-/// The path is integrated in steps of this, s: halved, a place after 1 s changes by less than 0.1 mm.
+/// Integration step of the path, s. With half of it, the position after 1 s changes by less than 0.1 mm.
 const PATH_STEP_S: f64 = 0.01;
-/// A prediction is compared with a full board over this many steps: 1 s.
+/// Steps over which a prediction is compared with a full board: 1 s.
 const WINDOW: usize = 10;
-/// Steps of a recording.
+/// Number of steps in a recording.
 const RECORDED: usize = 100;
-/// A radian of yaw counts as much as this, m: a third of the robot's length.
+/// Weight of yaw errors against positions, m/rad: a third of the robot's length.
 const YAW_M: f64 = 0.15;
 /// Bounds of the fit, in the order of the model's fields.
 const FITTED: [(f64, f64); 5] = [(0.5, 1.5), (0.5, 1.5), (0.1, 10.0), (0.001, 0.5), (0.0, STEP_S)];
-/// Evaluations of the fit, begun three times from its best point: the last changes no number by 1e-4.
+/// Evaluations of each of three fits, which start from the best point before: the last one changes no parameter by
+/// 1e-4.
 const EVALUATIONS: usize = 400;
-/// Apart from what else a seed decides.
+/// Stream of random numbers that separates excitations from other uses of a seed.
 const PURPOSE: u128 = 0x6578_6369;
 
-/// The task on a kinematic model.
+/// Environment of the task on a kinematic model.
 #[derive(Clone, Debug)]
 pub(crate) struct Kinematic {
     wheels: Wheels,
@@ -68,16 +72,16 @@ type Sides = [f64; 2];
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct State {
     at: Place,
-    /// Set points of the wheels' loops, whose acceleration is limited.
+    /// Ramped set points of the wheels' loops, m/s.
     ramped: Sides,
-    /// What the wheels do.
+    /// Present rim speeds, m/s.
     rims: Sides,
-    /// What was asked for in the step before.
+    /// Requested rim speeds of the previous step, m/s.
     asked: Sides,
 }
 
 impl State {
-    /// After a step in which `asked` is asked for, of a robot with this track, m.
+    /// State after a step with the requested rim speeds `asked`, for a robot with this track, m.
     fn stepped(mut self, model: &Model, track_m: f64, asked: Sides) -> Self {
         let count = (STEP_S / PATH_STEP_S).round() as usize;
         let keep = (-PATH_STEP_S / model.lag_s).exp();
@@ -86,7 +90,7 @@ impl State {
             (model.forward_gain * (left + right) / 2.0, model.yaw_gain * (right - left) / track_m)
         };
         for step in 0..count {
-            // Of the delay's last part a share.
+            // The path step in which the delay ends gets a weighted mean of both requests.
             let late = ((model.delay_s / PATH_STEP_S) - step as f64).clamp(0.0, 1.0);
             let before = self.rims;
             for side in 0..2 {
@@ -146,7 +150,7 @@ fn excitation(seed: u64) -> Vec<Action> {
     (0..RECORDED).map(|_| step()).collect()
 }
 
-/// A full board's drive: what was asked for in each step, and the true places, one more.
+/// Drive of a full board: requested rim speeds of each step, and the true poses, one more.
 struct Recording {
     track_m: f64,
     asked: Vec<Sides>,
@@ -164,8 +168,8 @@ fn recordings(seeds: &[u64]) -> Result<Vec<Recording>, Error> {
     seeds.iter().map(recorded).collect()
 }
 
-/// RMS distance of predictions over 1 s from full boards, m; a radian of yaw counts as 0.15 m. Predictions begin each second at the true
-/// place, with the model's own speeds.
+/// RMS distance of predictions over 1 s from full boards, m; a radian of yaw counts as 0.15 m. Predictions restart each
+/// second at the true pose, with the model's own speeds.
 fn error_m(model: &Model, recordings: &[Recording]) -> f64 {
     let (mut squares, mut count) = (0.0, 0usize);
     for recording in recordings {
@@ -184,7 +188,7 @@ fn error_m(model: &Model, recordings: &[Recording]) -> f64 {
 }
 
 impl Model {
-    /// Wheels that do at once what they are asked for, and do not slip: what an identified model has to beat.
+    /// Model of wheels that follow at once and do not slip: the reference for an identified model.
     pub const IDEAL: Self =
         Self { forward_gain: 1.0, yaw_gain: 1.0, acceleration_m_s2: 1e3, lag_s: 0.001, delay_s: 0.0 };
 
@@ -193,19 +197,21 @@ impl Model {
         Self { forward_gain: of(0), yaw_gain: of(1), acceleration_m_s2: of(2), lag_s: of(3), delay_s: of(4) }
     }
 
-    /// RMS distance, m, of its predictions over 1 s from full boards of these seeds, with a radian of yaw as 0.15 m.
+    /// RMS distance of the model's predictions over 1 s from full boards of these seeds, m, with a radian of yaw as
+    /// 0.15 m.
     ///
     /// # Errors
-    /// When a board cannot be driven.
+    /// [`Error::Rig`] when a board cannot be driven.
     pub fn error_m(&self, seeds: &[u64]) -> Result<f64, Error> {
         Ok(error_m(self, &recordings(seeds)?))
     }
 }
 
-/// The model that predicts full boards of these seeds best, each over 10 s of random actions, one second ahead.
+/// Identifies the model that best predicts full boards of these seeds one second ahead, each over 10 s of random
+/// actions.
 ///
 /// # Errors
-/// When a board cannot be driven.
+/// [`Error::Rig`] when a board cannot be driven.
 pub fn identify(seeds: &[u64]) -> Result<Model, Error> {
     let recordings = recordings(seeds)?;
     let cost = |numbers: &[f64]| error_m(&Model::of(numbers), &recordings);
@@ -220,14 +226,14 @@ pub fn identify(seeds: &[u64]) -> Result<Model, Error> {
 mod tests {
     use super::*;
 
-    /// Seeds 1 to 8: those that MODEL was identified from.
+    /// Seeds 1 to 8, from which MODEL was identified.
     const TRAINING: [u64; 8] = [1, 2, 3, 4, 5, 6, 7, 8];
 
     #[test]
     fn the_numbers_are_those_of_the_experiment() {
         let found = identify(&TRAINING).expect("boards");
         println!("{found:?}");
-        // Rounded to three decimals.
+        // MODEL is rounded to three decimals.
         let pairs = [
             (found.forward_gain, MODEL.forward_gain),
             (found.yaw_gain, MODEL.yaw_gain),
@@ -240,7 +246,8 @@ mod tests {
         }
     }
 
-    /// On seeds that it was not identified from. That ideal wheels are five times as far off is what was measured on seeds 1 to 8.
+    /// Prediction on seeds that were not used for the fit. The factor of five against ideal wheels was measured on
+    /// seeds 1 to 8.
     #[test]
     fn it_predicts_other_boards_better_than_ideal_wheels() {
         let seeds = [9, 10, 11, 12];
@@ -261,7 +268,7 @@ mod tests {
         }
         let decay = (-0.5f64 / 0.08).exp();
         assert!((state.rims[0] - 0.4 * (1.0 - decay)).abs() < 1e-12);
-        // The trapezoid's error over one lag: 0.01²/(12 · 0.08) of the speed.
+        // Error of the trapezoidal rule over one lag: 0.01²/(12 · 0.08) of the speed.
         assert!((state.at.x_m - 0.36 * (0.5 - 0.08 * (1.0 - decay))).abs() < 5e-5, "{}", state.at.x_m);
         assert_eq!((state.at.y_m, state.at.yaw_rad), (0.0, 0.0));
     }
@@ -270,7 +277,7 @@ mod tests {
     fn limited_acceleration_is_a_ramp() {
         let model = Model { acceleration_m_s2: 1.0, lag_s: 1e-4, ..Model::IDEAL };
         let state = State::default().stepped(&model, TRACK_M, [0.5, 0.5]);
-        // A lag that has passed within a path's step leaves the ramp: half of a t².
+        // With a lag much shorter than a path step only the ramp remains: half of a t².
         assert!((state.rims[0] - 0.1).abs() < 1e-12 && (state.at.x_m - 0.005).abs() < 1e-12, "{state:?}");
     }
 

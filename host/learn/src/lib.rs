@@ -1,8 +1,8 @@
 //! Tasks on R4 boards as environments for learning: observations, actions and rewards, on many boards at once.
 //!
-//! A task runs at two [fidelities](Fidelity): the **full** board, firmware, chips, motors and tyres on virtual time, and a **kinematic**
-//! model whose numbers were identified from full boards ([`kinematic`]). The rule: train on the kinematic model, which is thousands
-//! of times faster, and report only what the full board does with the result.
+//! A task runs at two [fidelities](Fidelity): the **full** board, firmware, chips, motors and tyres on virtual time,
+//! and a **kinematic** model whose parameters were identified from full boards ([`kinematic`]). The rule: train on the
+//! kinematic model, which is thousands of times faster, and report only results of the full board.
 //!
 //! ```
 //! use r4_learn::{Environments, Fidelity};
@@ -25,39 +25,39 @@ pub use goal::{
     ACTIONS, Action, BOUNDS, EPISODE_STEPS, Goal, OBSERVATIONS, Observation, REACHED_M, STEP_S, Step, Truth,
 };
 
-/// An environment cannot go on.
+/// Error of an environment.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// An action is outside of its range, or no number.
+    /// An action is outside its range, or not a number.
     #[error("action {action} of environment {index} is {value}: each is from -1 to 1; clip what a policy samples")]
     BadAction {
-        /// Which environment, from 0.
+        /// Number of the environment, from 0 on.
         index: usize,
-        /// Which of its actions, from 0.
+        /// Index of the number in the action, from 0 on.
         action: usize,
-        /// The action.
+        /// Value of the action.
         value: f64,
     },
-    /// Another number of seeds or actions than there are environments.
+    /// The number of seeds or actions differs from that of the environments.
     #[error("{given} {what} for {expected} environments: give one for each")]
     WrongCount {
-        /// Seeds or actions.
+        /// Kind of the argument, `seeds` or `actions`.
         what: &'static str,
-        /// How many were given.
+        /// Number that was given.
         given: usize,
-        /// How many there are.
+        /// Number of environments in the set.
         expected: usize,
     },
-    /// There is no episode.
+    /// The environment has no episode.
     #[error("environment {index} has no episode: reset it before its first step")]
     NotReset {
-        /// Which environment, from 0.
+        /// Number of the environment, from 0 on.
         index: usize,
     },
-    /// The robot does not drive as the task needs.
+    /// The robot does not have the drive that the task needs.
     #[error("{robot} is no skid-steer robot with two wheels on each side, which this task drives")]
     NoSkidSteer {
-        /// Its name.
+        /// Name of the robot.
         robot: String,
     },
     /// The full board failed otherwise than by a trip.
@@ -66,10 +66,10 @@ pub enum Error {
     /// The operating system gives no thread.
     #[error("cannot start a thread for a board: {0}")]
     Thread(std::io::Error),
-    /// The thread of a board is gone, by a defect.
+    /// The thread of a board has ended because of a defect.
     #[error("the thread of environment {index} has ended: this is a defect")]
     Gone {
-        /// Which environment, from 0.
+        /// Number of the environment, from 0 on.
         index: usize,
     },
 }

@@ -1,4 +1,4 @@
-//! The task's robot: what its wheels are asked for by an action, at both fidelities.
+//! Robot of the task: set points of its wheels for an action, at both fidelities.
 
 use r4_boards::{Drive, SkidSteer};
 use r4_protocol::ChannelId;
@@ -6,19 +6,19 @@ use r4_rig::{GroundDrive, Velocity};
 
 use crate::{Action, Error};
 
-/// The built-in robot of the task.
+/// Built-in robot of the task.
 pub(crate) const ROBOT: &str = "openscout";
-/// Wheels on each side.
+/// Number of wheels on each side.
 pub(crate) const SIDE: usize = 2;
 
-/// The wheels of a skid-steer robot with two on each side.
+/// Wheels of a skid-steer robot with two on each side.
 #[derive(Clone, Debug)]
 pub(crate) struct Wheels {
     pub(crate) drive: SkidSteer,
     ground: GroundDrive,
-    /// The left ones, then the right ones.
+    /// Channels of the left wheels, then of the right ones.
     pub(crate) channels: Vec<ChannelId>,
-    /// Highest speed that each may be asked for, rad/s.
+    /// Highest set point of each wheel, rad/s.
     speed_max_rad_s: f64,
 }
 
@@ -37,20 +37,20 @@ impl Wheels {
         Ok(Self { ground: GroundDrive::new(Drive::SkidSteer(drive.clone())), drive, channels, speed_max_rad_s })
     }
 
-    /// Speeds of the wheels in the order of `channels`, rad/s. Each is kept within what it may be asked for: the outer wheels of a fast
-    /// turn would be faster.
+    /// Set points of the wheels in the order of `channels`, rad/s. Each is clipped to the wheel's limit, which the
+    /// outer wheels of a fast turn would exceed.
     pub(crate) fn speeds_rad_s(&self, [forward, yaw]: Action) -> Vec<f64> {
         let velocity = Velocity {
             forward_m_s: forward * self.drive.speed_max_m_s,
             yaw_rad_s: yaw * self.drive.turn_rate_max_rad_s,
         };
-        // In the same order: its left wheels first.
+        // The set points are in the same order: left wheels first.
         let setpoints = self.ground.setpoints(velocity).into_iter();
         let most = self.speed_max_rad_s;
         setpoints.map(|(_, setpoint)| f64::from(setpoint.value).clamp(-most, most)).collect()
     }
 
-    /// Speeds of the left and the right rims that an action asks for, m/s.
+    /// Requested speeds of the left and the right rims for an action, m/s.
     pub(crate) fn rims_m_s(&self, action: Action) -> [f64; 2] {
         let speeds = self.speeds_rad_s(action);
         [speeds[0] * self.drive.wheel_radius_m, speeds[SIDE] * self.drive.wheel_radius_m]

@@ -1,4 +1,4 @@
-//! Identification and studies.
+//! Python functions for identification and studies.
 
 use std::{collections::BTreeMap, path::PathBuf, time::Duration};
 
@@ -11,12 +11,13 @@ use serde_json::Value;
 
 use crate::error::{self, json};
 
-/// A value of the Rust libraries as JSON has it.
+/// Converts a value of the Rust libraries to JSON.
 fn to_json(value: &impl Serialize) -> PyResult<Value> {
     serde_json::to_value(value).map_err(|error| PyTypeError::new_err(error.to_string()))
 }
 
-/// Identifies what a model lacks of recordings. Returns the report, as in `report.json`, and the plant file's text where there is one.
+/// Searches recordings for effects that a model lacks. Returns the report, as in `report.json`, and the text of the
+/// plant file where there is one.
 #[pyfunction]
 #[pyo3(signature = (train, holdout, model, columns, *, parameters, time, split, plant, seed, budget_s))]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
@@ -84,7 +85,7 @@ pub(crate) fn systems() -> Vec<&'static str> {
     r4_systems::all().iter().map(|system| system.about().name).collect()
 }
 
-/// Runs a system's arms over seeds on all cores: rows and records, as `r4 system study` prints and writes them.
+/// Runs a system's arms over seeds on all cores. Returns rows and records, as `r4 system study` prints and writes them.
 #[pyfunction]
 #[pyo3(signature = (system, *, arms, first_seed, seeds, board, shard))]
 pub(crate) fn study<'py>(
@@ -107,14 +108,14 @@ pub(crate) fn study<'py>(
     let is_whole = study.shard == Shard::default();
     let run = || {
         let records = study.run(system, |_| {})?;
-        // Rows of a part would have intervals of a part.
+        // The rows of a shard would have intervals of a shard: they need the records of all.
         Ok((if is_whole { rows(&records)? } else { Vec::new() }, records))
     };
     let (rows, records) = py.detach(run).map_err(failed)?;
     Ok((json(py, &to_json(&rows)?)?, json(py, &to_json(&records)?)?))
 }
 
-/// Rows and records of the study whose parts' records these are, as JSON.
+/// Merges the records of a study's shards, given as JSON. Returns rows and records.
 #[pyfunction]
 pub(crate) fn merge(py: Python<'_>, parts: Vec<String>) -> PyResult<(Bound<'_, PyAny>, Bound<'_, PyAny>)> {
     let read = |text: &String| serde_json::from_str::<Vec<Record>>(text);

@@ -1,4 +1,4 @@
-//! An opened board: calls that wait, and calls whose results are fetched after a wake-up.
+//! An opened board: blocking calls, and calls whose results are fetched after a wake-up.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -23,13 +23,13 @@ use crate::{
     value::{Info, Port},
 };
 
-/// How often a waiting call looks for a signal, as Ctrl-C is one.
+/// Period at which a blocking call checks for signals, such as Ctrl-C.
 const SIGNALS_EVERY: Duration = Duration::from_millis(50);
 
 /// Results of submitted calls, on their way to the thread with the event loop.
 struct Mailbox {
     results: Mutex<Vec<(u64, Result<Outcome, Error>)>>,
-    /// A byte in it wakes the event loop.
+    /// Socket that wakes the event loop: a byte is written for each result.
     bell: UnixStream,
 }
 
@@ -45,12 +45,12 @@ pub(crate) struct Board {
     is_virtual: bool,
 }
 
-/// Locks, also after another thread panicked: every change below a lock is a single step.
+/// Locks a mutex, also after another thread panicked: every change under a lock is a single step.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Serial ports of this machine, boards first.
+/// Serial ports of this computer, boards first.
 #[pyfunction]
 pub(crate) fn find(py: Python<'_>) -> PyResult<Vec<Port>> {
     let ports = py.detach(ports::list).map_err(|error| error::plain(py, "LinkError", &error))?;
@@ -65,7 +65,7 @@ pub(crate) fn robots() -> Vec<&'static str> {
 
 #[pymethods]
 impl Board {
-    /// Opens the board at `address`; what concerns a virtual one only is passed over for others.
+    /// Opens the board at `address`; options for virtual boards are ignored for others.
     #[staticmethod]
     #[pyo3(signature = (address, *, seed=1, world=None, plants=BTreeMap::new(), body=None, hidden=None, flash=None, key=None, log=None))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
@@ -101,24 +101,24 @@ impl Board {
         })
     }
 
-    /// What the board said of itself when the session was opened.
+    /// Description of the board, received when the session was opened.
     #[getter]
     fn info(&self, py: Python<'_>) -> Py<Info> {
         self.info.clone_ref(py)
     }
 
-    /// Whether its time is simulated.
+    /// True when the board's time is simulated.
     #[getter]
     fn is_virtual(&self) -> bool {
         self.is_virtual
     }
 
-    /// Carries out a request and waits for its result. Ctrl-C ends the waiting, and not what the board does.
+    /// Carries out a request and waits for its result. Ctrl-C ends the wait, but not the motion of the board.
     fn call(&self, py: Python<'_>, request: &Request) -> PyResult<Py<PyAny>> {
         let (done, answer) = mpsc::channel();
         let (call, abort) = Call::new(request.work(), move |result| drop(done.send(result)));
         self.submit_to_thread(py, vec![call])?;
-        // What goes over the gap without the interpreter must be shareable.
+        // The closure that runs without the interpreter's lock may capture shareable values only.
         let answer = Mutex::new(answer);
         let result = loop {
             match py.detach(|| lock(&answer).recv_timeout(SIGNALS_EVERY)) {
@@ -136,13 +136,13 @@ impl Board {
         python(py, result)
     }
 
-    /// Hands requests over with their tickets, and gives a virtual board's clock its next turn. Does not wait.
+    /// Submits requests with their tickets, and gives a virtual board's clock its next turn. Does not wait.
     fn submit(&self, py: Python<'_>, requests: Vec<(u64, Py<Request>)>) -> PyResult<()> {
         let calls = requests.iter().map(|(ticket, request)| {
             let (ticket, mailbox) = (*ticket, Arc::clone(&self.mailbox));
             let (call, abort) = Call::new(request.get().work(), move |result| {
                 lock(&mailbox.results).push((ticket, result));
-                // A full buffer rings too.
+                // A full buffer wakes the event loop too.
                 let _ = (&mailbox.bell).write(&[1]);
             });
             lock(&self.under_way).insert(ticket, abort);
@@ -151,7 +151,7 @@ impl Board {
         self.submit_to_thread(py, calls.collect())
     }
 
-    /// Results of submitted requests that have come: ticket, whether it succeeded, and the value or the exception.
+    /// Results of submitted requests that have arrived: ticket, success, and the value or the exception.
     fn drain(&self, py: Python<'_>) -> PyResult<Vec<(u64, bool, Py<PyAny>)>> {
         let mut rung = [0; 64];
         while matches!((&self.bell).read(&mut rung), Ok(count) if count == rung.len()) {}
@@ -167,19 +167,19 @@ impl Board {
         drained.collect()
     }
 
-    /// Gives up a submitted request: its result is an error unless it has come. What the board does goes on.
+    /// Aborts a submitted request: its result is an error unless it has arrived. The motion of the board continues.
     fn abort(&self, ticket: u64) {
         if let Some(handle) = lock(&self.under_way).remove(&ticket) {
             handle.abort();
         }
     }
 
-    /// A file that can be read from when results have come.
+    /// File descriptor that becomes readable when results have arrived.
     fn fileno(&self) -> i32 {
         self.bell.as_raw_fd()
     }
 
-    /// Closes the session; once more is no error.
+    /// Closes the session; closing again is no error.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
         let thread = lock(&self.thread).take();
         py.detach(|| thread.map_or(Ok(()), BoardThread::close)).map_err(|error| error::of_rig(py, &error))

@@ -1,4 +1,4 @@
-//! Errors of the Rust libraries as exceptions of `r4.errors`.
+//! Conversion of the Rust libraries' errors to exceptions of `r4.errors`.
 
 use std::error::Error as StdError;
 
@@ -8,12 +8,12 @@ use r4_protocol::{Cause, Causes, Refusal};
 use r4_rig::Error;
 use serde_json::Value;
 
-/// Names of causes, as people read them.
+/// Names of causes, for the user.
 pub(crate) fn causes(causes: Causes) -> Vec<String> {
     Cause::ALL.into_iter().filter(|cause| causes.contains(*cause)).map(|cause| cause.to_string()).collect()
 }
 
-/// An error with what caused it, on one line. What a source's message repeats is there once.
+/// Message of an error with its sources, on one line. Text that a source's message repeats appears once.
 pub(crate) fn message(error: &(dyn StdError + 'static)) -> String {
     let mut text = error.to_string();
     let mut next = error.source();
@@ -27,7 +27,7 @@ pub(crate) fn message(error: &(dyn StdError + 'static)) -> String {
     text
 }
 
-/// The exception `kind` of `r4.errors` with `message` and attributes.
+/// Creates the exception `kind` of `r4.errors` with `message` and attributes.
 fn exception(py: Python<'_>, kind: &str, message: String, attributes: &[(&str, Py<PyAny>)]) -> PyErr {
     let made = || {
         let keywords = PyDict::new(py);
@@ -36,10 +36,11 @@ fn exception(py: Python<'_>, kind: &str, message: String, attributes: &[(&str, P
         }
         PyResult::Ok(PyErr::from_value(py.import("r4.errors")?.getattr(kind)?.call((&message,), Some(&keywords))?))
     };
+    // When the exception cannot be created, the error of its creation is raised instead.
     made().unwrap_or_else(|error| error)
 }
 
-/// An exception without attributes.
+/// Creates an exception without attributes.
 pub(crate) fn plain(py: Python<'_>, kind: &str, error: &(dyn StdError + 'static)) -> PyErr {
     exception(py, kind, message(error), &[])
 }
@@ -48,12 +49,12 @@ fn object<'py, T: IntoPyObject<'py>>(py: Python<'py>, value: T) -> Py<PyAny> {
     value.into_bound_py_any(py).map_or_else(|_| py.None(), Bound::unbind)
 }
 
-/// A value of JSON as Python has it.
+/// Converts a JSON value to Python.
 pub(crate) fn json<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
     py.import("json")?.call_method1("loads", (value.to_string(),))
 }
 
-/// `WrongMode` as `wrong-mode`.
+/// Converts a variant's name to dashes: `WrongMode` to `wrong-mode`.
 fn dashed(name: &str) -> String {
     let mut dashed = String::new();
     for letter in name.chars() {
@@ -66,6 +67,7 @@ fn dashed(name: &str) -> String {
 }
 
 fn refused(py: Python<'_>, refusal: &Refusal, message: String) -> PyErr {
+    // serde gives the name of the variant, with its fields if it has any.
     let (reason, details) = match serde_json::to_value(refusal) {
         Ok(Value::String(name)) => (dashed(&name), Value::Object(serde_json::Map::new())),
         Ok(Value::Object(variant)) => {
@@ -73,6 +75,7 @@ fn refused(py: Python<'_>, refusal: &Refusal, message: String) -> PyErr {
         }
         _ => (String::new(), Value::Null),
     };
+    // Only these refusals have causes.
     let latched = match refusal {
         Refusal::CausesPresent { causes } | Refusal::Tripped { causes } => *causes,
         _ => Causes::NONE,
@@ -82,7 +85,7 @@ fn refused(py: Python<'_>, refusal: &Refusal, message: String) -> PyErr {
     exception(py, "Refused", message, &attributes)
 }
 
-/// The exception for what the driver reports, with `message` for people.
+/// Converts an error of the driver to an exception with `message`.
 fn driver(py: Python<'_>, error: &DriverError, message: String) -> PyErr {
     match error {
         DriverError::Refused(refusal) => refused(py, refusal, message),
@@ -101,7 +104,7 @@ fn driver(py: Python<'_>, error: &DriverError, message: String) -> PyErr {
     }
 }
 
-/// The exception for what a session reports.
+/// Converts an error of a session to an exception.
 pub(crate) fn of_rig(py: Python<'_>, error: &Error) -> PyErr {
     let message = message(error);
     match error {
@@ -126,7 +129,7 @@ pub(crate) fn of_rig(py: Python<'_>, error: &Error) -> PyErr {
     }
 }
 
-/// An argument that is wrong by itself, before anything is asked of a board.
+/// Exception for an invalid argument, before any request to a board.
 pub(crate) fn bad_value(text: String) -> PyErr {
     PyValueError::new_err(text)
 }

@@ -1,4 +1,4 @@
-//! Environments for learning, as arrays.
+//! Environments for learning, with arrays of numpy.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -8,7 +8,8 @@ use r4_learn::{ACTIONS, Action, BOUNDS, EPISODE_STEPS, Environments, Error, Fide
 
 use crate::error;
 
-/// Results of a step of all environments: observations, rewards, terminated, truncated, goal reached, distance to the goal in m.
+/// Results of a step of all environments: observations, rewards, terminated, truncated, goal reached, distance to the
+/// goal in m.
 type Steps<'py> = (
     Bound<'py, PyArray2<f32>>,
     Bound<'py, PyArray1<f64>>,
@@ -22,7 +23,7 @@ type Steps<'py> = (
 #[pyclass(frozen, module = "r4._native")]
 pub(crate) struct GoTo(Mutex<Environments>);
 
-/// An error of the environments as an exception.
+/// Converts an error of the environments to an exception.
 fn failed(py: Python<'_>, error: &Error) -> PyErr {
     match error {
         Error::Rig(error) => error::of_rig(py, error),
@@ -48,7 +49,7 @@ impl GoTo {
         seen.to_pyarray(py).reshape([seen.len() / OBSERVATIONS, OBSERVATIONS])
     }
 
-    /// Lets each environment take a step, or begin an episode where there is a seed.
+    /// Steps each environment, or begins an episode where there is a seed.
     fn step<'py>(
         &self,
         py: Python<'py>,
@@ -81,13 +82,13 @@ impl GoTo {
         BOUNDS.to_vec()
     }
 
-    /// Steps after which an episode is truncated.
+    /// Number of steps after which an episode is truncated.
     #[staticmethod]
     fn episode_steps() -> u32 {
         EPISODE_STEPS
     }
 
-    /// Time of a step, s.
+    /// Duration of a step, s.
     #[staticmethod]
     fn step_s() -> f64 {
         STEP_S

@@ -1,8 +1,8 @@
-//! The native half of the Python package `r4`, as `r4._native`: what crosses from Rust to Python and back.
+//! Native half of the Python package `r4`, as `r4._native`: conversion between Rust and Python.
 //!
-//! The other half, in `python/r4`, is what users import. Whatever a user of the Rust libraries would want too is in those: boards on
-//! threads in [`r4_rig::BoardThread`], environments in [`r4_learn`]. Here values are changed from one language's to the other's, and
-//! the interpreter is let go (`Python::detach`) while a board works.
+//! The other half, in `python/r4`, is what users import. Functionality that users of the Rust libraries need too is in
+//! those: boards on threads in [`r4_rig::BoardThread`], environments in [`r4_learn`]. Here values are converted between
+//! the languages, and the interpreter's lock is released (`Python::detach`) while a board works.
 
 mod analysis;
 mod board;

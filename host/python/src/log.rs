@@ -1,4 +1,4 @@
-//! Recordings as arrays.
+//! Python function that reads recordings as arrays.
 
 use std::path::PathBuf;
 
@@ -8,10 +8,10 @@ use r4_log::{Kind, Log, Signal};
 
 use crate::error;
 
-/// One signal: name, what holds between its samples, times in s, and values: numbers, or texts where one is no number.
+/// One signal: name, kind of interpolation, times in s, and values: numbers, or texts where a value is no number.
 type Series<'py> = (String, &'static str, Bound<'py, PyArray1<f64>>, Py<PyAny>);
 
-/// A recording: facts about it, its signals, and what of the file is not in them.
+/// Reads a recording: facts about it, its signals, and warnings about content of the file that they lack.
 #[pyfunction]
 pub(crate) fn read_log(py: Python<'_>, path: PathBuf) -> PyResult<(Py<PyDict>, Vec<Series<'_>>, Vec<String>)> {
     let read = || Log::read(&path).map(|log| (log.signals(), log));

@@ -1,4 +1,4 @@
-//! What a board is asked: made in Python, carried out on the board's thread.
+//! Requests to a board: created in Python, carried out on the board's thread.
 
 use std::collections::BTreeMap;
 
@@ -13,10 +13,10 @@ use crate::{
     value::{self, Motion, PathReport, Sample},
 };
 
-/// Longest time-to-live of a stream's set points, s: what fits into the protocol's milliseconds, and more than any link needs.
+/// Longest time to live of a stream's set points, s: within the protocol's milliseconds, and more than any link needs.
 const MAX_TTL_S: f64 = 60.0;
 
-/// A request to a board; [`Request`] in Python.
+/// Order to a board, wrapped by [`Request`] for Python.
 #[derive(Clone, Debug)]
 enum Order {
     Arm,
@@ -36,7 +36,7 @@ enum Order {
     TruePosition { channel: ChannelId },
 }
 
-/// What a request brings, before it is Python's.
+/// Result of a request, before its conversion to Python.
 pub(crate) enum Outcome {
     Nothing,
     Number(f64),
@@ -61,14 +61,14 @@ impl Outcome {
     }
 }
 
-/// A point of a path: time_s, position, speed or None, feed-forward duty.
+/// A point of a path: time, s; position; speed or None; feed-forward duty.
 type Point = (f64, f64, Option<f64>, f64);
 
-/// Something to ask of a board, for `Board.call` and `Board.submit`.
+/// A request for `Board.call` and `Board.submit`.
 #[pyclass(frozen, module = "r4._native")]
 pub(crate) struct Request(Order);
 
-/// The channel of this name.
+/// Parses the name of a channel.
 pub(crate) fn channel(name: &str) -> PyResult<ChannelId> {
     name.parse::<ChannelId>().map_err(|bad| error::bad_value(format!("{name:?} is {bad}")))
 }
@@ -79,7 +79,7 @@ fn mode(name: &str) -> PyResult<Mode> {
     found.ok_or_else(|| error::bad_value(format!("{name:?} is no mode: one of {}", known())))
 }
 
-/// A time that can be waited for, s.
+/// Checks a duration, s: finite and not negative.
 fn seconds(value: f64) -> PyResult<f64> {
     if value.is_finite() && value >= 0.0 {
         return Ok(value);
@@ -194,7 +194,7 @@ impl Request {
 }
 
 impl Request {
-    /// The work of this request on a board's thread.
+    /// Returns the work of this request for a board's thread.
     pub(crate) fn work(
         &self,
     ) -> impl for<'c, 'b> FnOnce(&'c Desk<'b>) -> LocalBoxFuture<'c, Result<Outcome, Error>> + Send + 'static {
@@ -212,7 +212,7 @@ async fn carry_out(order: Order, desk: &Desk<'_>) -> Result<Outcome, Error> {
         Order::Clear => board.clear().await?,
         Order::Stop => board.stop().await?,
         Order::State => {
-            // What was heard last may be a heartbeat old; any channel's next sample is not.
+            // The last reported state may be a heartbeat old; the next sample of any channel is not.
             if let Some(info) = board.channels().first() {
                 let sample = session.query(info.id).await?;
                 return Ok(Outcome::State(sample.state, sample.causes));
@@ -244,7 +244,7 @@ async fn carry_out(order: Order, desk: &Desk<'_>) -> Result<Outcome, Error> {
             desk.streams.borrow_mut().insert(number, stream);
         }
         Order::Cycle { number, values } => {
-            // Not in the map meanwhile: a cycle that is aborted ends its stream.
+            // Removed from the map meanwhile, so that an aborted cycle ends its stream.
             let mut stream = desk.streams.borrow_mut().remove(&number).ok_or(Error::SessionEnded)?;
             let report = stream.cycle(&values).await;
             desk.streams.borrow_mut().insert(number, stream);
@@ -255,7 +255,7 @@ async fn carry_out(order: Order, desk: &Desk<'_>) -> Result<Outcome, Error> {
     Ok(Outcome::Nothing)
 }
 
-/// A number in the unit that the channel takes in this mode.
+/// Quantity of a number in the unit that the channel accepts in this mode.
 fn quantity(info: &ChannelInfo, mode: Mode, value: f64) -> Result<Quantity, Error> {
     match info.mode(mode) {
         Some(takes) => Ok(Quantity::new(value, takes.unit)),

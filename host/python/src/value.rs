@@ -1,4 +1,4 @@
-//! What calls return, as Python has it. SI units; NaN for a number that the channel does not have.
+//! Values that calls return to Python. SI units; NaN for a number that the channel does not have.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use r4_rig::Followed;
 
 use crate::error;
 
-/// How a channel is commanded.
+/// A mode in which a channel accepts set points.
 #[pyclass(frozen, get_all, module = "r4", from_py_object)]
 #[derive(Clone)]
 pub(crate) struct Mode {
@@ -19,7 +19,7 @@ pub(crate) struct Mode {
     max: f64,
 }
 
-/// What a channel is and takes, as the board describes it.
+/// Description of a channel by the board.
 #[pyclass(frozen, get_all, module = "r4", from_py_object)]
 #[derive(Clone)]
 pub(crate) struct Channel {
@@ -34,7 +34,7 @@ pub(crate) struct Channel {
     modes: Vec<Mode>,
 }
 
-/// What a board says of itself when its session opens.
+/// Description of a board, received when its session opens.
 #[pyclass(frozen, get_all, module = "r4")]
 pub(crate) struct Info {
     address: String,
@@ -44,7 +44,7 @@ pub(crate) struct Info {
     channels: Vec<Channel>,
 }
 
-/// What a motor did when it was looked at last.
+/// State of a motor in its last sample.
 #[pyclass(frozen, get_all, module = "r4")]
 pub(crate) struct Motion {
     position: f64,
@@ -73,7 +73,7 @@ pub(crate) struct Sample {
     age_s: f64,
 }
 
-/// How a motor has followed its path.
+/// Result of following a path with one motor.
 #[pyclass(frozen, get_all, module = "r4")]
 pub(crate) struct PathReport {
     channel: String,
@@ -85,7 +85,7 @@ pub(crate) struct PathReport {
     settled: bool,
 }
 
-/// What became of a cycle of set points, and what the channels of its stream do, in their order.
+/// Result of a cycle of set points, with the state of the stream's channels, in their order.
 #[pyclass(frozen, get_all, module = "r4")]
 pub(crate) struct Cycle {
     number: u64,
@@ -100,7 +100,7 @@ pub(crate) struct Cycle {
     settled: Vec<bool>,
 }
 
-/// A serial port.
+/// A serial port of this computer.
 #[pyclass(frozen, get_all, module = "r4")]
 pub(crate) struct Port {
     address: String,
@@ -109,7 +109,7 @@ pub(crate) struct Port {
     serial: Option<String>,
 }
 
-/// Prints as the call that would make it.
+/// Implements `__repr__` as the call that would create the value.
 macro_rules! shown {
     ($($class:ident { $($field:ident),* })*) => {
         $(
@@ -244,6 +244,7 @@ impl Sample {
             values: BTreeMap::new(),
             settled: false,
             homed: false,
+            // Samples without a quality of their own are always good.
             quality: r4_log::quality_name(Quality::Good).to_owned(),
             age_s: 0.0,
         };

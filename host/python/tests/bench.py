@@ -1,6 +1,6 @@
-"""Steps of environments per second, beside the same kinematic model as a plain Python environment.
+"""Benchmark: steps of environments per second, against the same kinematic model as a plain Python environment.
 
-On the wall, and for each second that processors worked on it: the latter does not depend on what else the machine does.
+Per second of wall time, and per second of CPU time, which does not depend on other load of the computer.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 
 class PlainGoTo(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """What a user would write: the kinematic model of docs/python.md, a loop in Python, observations in NumPy."""
+    """Reference that a user would write: the kinematic model of docs/python.md, a loop in Python, observations in NumPy."""
 
     GAINS, ACCELERATION, DELAY, TRACK, SPEED, TURN, RIM = (0.990, 0.932), 1.032, 0.022, 0.35, 0.5, 1.5, 0.532
 
@@ -66,7 +66,7 @@ class PlainGoTo(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
 
 def measured(step: Callable[[], int], seconds: float = 2.0) -> tuple[float, float]:
-    """Steps per second on the wall, and per second of processors' time; ``step`` returns how many it took."""
+    """Steps per second of wall time, and per second of CPU time; ``step`` returns its number of steps."""
     steps, wall, processors = 0, time.perf_counter(), time.process_time()
     while time.perf_counter() - wall < seconds:
         steps += step()
@@ -74,7 +74,7 @@ def measured(step: Callable[[], int], seconds: float = 2.0) -> tuple[float, floa
 
 
 def single(env: gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]) -> tuple[float, float]:
-    """Of one environment, with the resets that its steps take."""
+    """Measures one environment, including the resets at the ends of its episodes."""
     env.reset(seed=1)
     action = np.array([0.5, 0.1], dtype=np.float32)
 
@@ -88,7 +88,7 @@ def single(env: gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]) -> tupl
 
 
 def vector(fidelity: r4.gym.Fidelity, count: int) -> tuple[float, float]:
-    """Of all environments of a vector together."""
+    """Measures a vector of environments; counts the steps of all."""
     envs = r4.gym.make("openscout-goto", fidelity=fidelity, num_envs=count)
     envs.reset(seed=1)
     actions = np.tile(np.array([0.5, 0.1], dtype=np.float32), (count, 1))
@@ -101,7 +101,7 @@ def vector(fidelity: r4.gym.Fidelity, count: int) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Prints a row for each."""
+    """Prints a row for each kind of environment."""
     cores = len(os.sched_getaffinity(0))
     rows = [
         ("plain Python, kinematic, 1", single(PlainGoTo())),

@@ -1,4 +1,4 @@
-"""What tests share."""
+"""Fixtures that the tests share."""
 
 from __future__ import annotations
 
@@ -20,6 +20,6 @@ def bench() -> Iterator[r4.BlockingBoard]:
 
 @pytest.fixture
 def armed(bench: r4.BlockingBoard) -> r4.BlockingBoard:
-    """The same, armed."""
+    """The simulated bench, armed."""
     bench.arm()
     return bench

@@ -1,4 +1,4 @@
-"""Recordings, identification, studies."""
+"""Tests of recordings, identification and studies."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_a_session_is_recorded_and_read_as_arrays(tmp_path: Path) -> None:
     position = log["osmc0.position_rad"]
     assert position.value.dtype == position.time_s.dtype == np.float64 and position.kind == "continuous"
     assert len(position.value) == len(position.time_s) > 50
-    # Sent every 10 ms and dated with the control period, of 1 ms, in which the position was measured.
+    # Sent every 10 ms; the time is that of the control period, 1 ms, in which the position was measured.
     np.testing.assert_allclose(np.diff(position.time_s), 0.01, atol=1.001e-3)
     np.testing.assert_allclose(np.diff(position.time_s).mean(), 0.01, atol=1e-3 / len(position.time_s))
     assert abs(position.value - end.position).min() < 1e-9
@@ -36,7 +36,7 @@ def test_a_session_is_recorded_and_read_as_arrays(tmp_path: Path) -> None:
 
 
 def motor(path: Path, seed: int, friction_n_m: float) -> Path:
-    """A motor at 100 Hz whose friction the model does not have, by equations that are written down here."""
+    """Recording at 100 Hz of a motor with a friction that the model lacks, by the equations written here."""
     random = np.random.default_rng(seed)
     inertia, damping, torque_constant, resistance, supply_v = 2e-4, 1e-4, 0.05, 1.0, 12.0
     speed, angle, rows = 0.0, 0.0, ["time_s,duty,theta_rad"]

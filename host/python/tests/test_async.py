@@ -1,4 +1,4 @@
-"""A board for event loops."""
+"""Tests of a board in event loops."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def test_tasks_move_side_by_side_and_time_does_not_depend_on_the_machine() -> No
     async def run(delay_s: float) -> tuple[float, ...]:
         async with r4.sim("osmc-bench", seed=2) as board:
             await board.arm()
-            # A slow machine, or a slow person.
+            # Simulates a slow computer, or a slow user.
             time.sleep(delay_s)
 
             async def back_and_forth() -> float:
@@ -27,7 +27,7 @@ def test_tasks_move_side_by_side_and_time_does_not_depend_on_the_machine() -> No
     quick, slow = asyncio.run(run(0.0)), asyncio.run(run(0.2))
     assert quick == slow
     assert quick[0] == pytest.approx(0.5, abs=0.005) and quick[1] == pytest.approx(0.03, abs=0.001)
-    # Side by side: the session is no longer than the longer of both, and arming.
+    # The moves run concurrently: the session takes no longer than the longer one, and arming.
     assert quick[3] < quick[2] + 0.2
 
 
@@ -63,7 +63,7 @@ def test_cancelling_ends_waiting_for_one_call_only() -> None:
             far.cancel()
             with pytest.raises(asyncio.CancelledError):
                 await far
-            # It still moves: cancelling is no stop.
+            # The motor still moves: cancelling a call does not stop it.
             assert (await board.osmc[0].query()).speed > 0.1
             await board.disarm()
 

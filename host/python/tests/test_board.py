@@ -1,4 +1,4 @@
-"""A board whose calls wait."""
+"""Tests of a board with blocking calls."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import r4
 def test_three_lines_move_a_motor() -> None:
     board = r4.sim("osmc-bench", seed=1).blocking
     board.arm()
-    # The bench's motor settles within 0.005 rad by its file.
+    # Settle error of the bench's motor in its file: 0.005 rad.
     assert board.osmc[0].move_to(1.57).position == pytest.approx(1.57, abs=0.005)
 
 
@@ -86,7 +86,7 @@ def test_time_goes_on_by_calls_only(armed: r4.BlockingBoard) -> None:
     armed.osmc[0].set_speed(2.0)
     armed.run_for(0.5)
     before = armed.time_s()
-    # Longer than the link's time-out of 0.2 s: a board that saw this time would trip.
+    # Longer than the link's timeout of 0.2 s: a board whose clock ran meanwhile would trip.
     time.sleep(0.3)
     assert armed.time_s() == before
     assert armed.state()[0] == "armed"
@@ -102,7 +102,7 @@ def test_the_same_seed_gives_the_same_bits() -> None:
             return list(board.imu[0].query().values.values())
 
     assert run(3) == run(3)
-    # Noise of the inertial sensor.
+    # The tolerance is the noise of the inertial sensor.
     assert run(3) != run(4)
 
 
@@ -112,9 +112,9 @@ def test_paths_are_followed_together(armed: r4.BlockingBoard) -> None:
     reports = armed.follow({"osmc0": (time_s, turn), "actuator1": (time_s, 0.03 + 0.005 * turn)})
     by_channel = {report.channel: report for report in reports}
     motor, rod = by_channel["osmc0"], by_channel["actuator1"]
-    # It rests two counts of 2.6 mrad from the last point at most, and their rounding.
+    # The motor rests at most two counts of 2.6 mrad, plus their rounding, from the last point.
     assert motor.settled and motor.end == pytest.approx(2.0, abs=0.0065)
-    # At 1.6 rad/s at most, and within 1 % of the range of the rod.
+    # Limits: 1.6 rad/s, and 1 % of the range of the rod.
     assert motor.worst < 0.05 and rod.worst < 0.001
     with pytest.raises(ValueError, match="not later than the one before"):
         armed.follow({"osmc0": ([0.0, 0.0], [0.0, 1.0])})
@@ -131,7 +131,7 @@ def test_cycles_are_answered_by_what_the_channels_do(armed: r4.BlockingBoard) ->
     assert report.outcome == "taken" and report.state == "armed" and report.number == 99
     assert report.speeds[0] == pytest.approx(2.0, rel=0.1)
     assert report.positions[1] == pytest.approx(armed.actuator[1].query().position, abs=0.002)
-    # Without cycles its set points have grown too old.
+    # Without cycles the set points exceed their time to live.
     armed.run_for(1.0)
     assert armed.osmc[0].query().speed == pytest.approx(0.0, abs=0.05)
 
@@ -153,7 +153,7 @@ def test_a_stop_ends_what_is_waited_for(armed: r4.BlockingBoard) -> None:
 
 
 def test_ctrl_c_ends_waiting_and_the_board_goes_on(bench: r4.BlockingBoard) -> None:
-    # Python leaves SIGINT alone where it was started with it ignored, as in the background of a shell.
+    # Python keeps SIGINT ignored when it was started so, as in the background of a shell.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     timer = threading.Timer(0.3, _thread.interrupt_main)
     timer.start()
@@ -171,7 +171,7 @@ def test_a_closed_session_says_so() -> None:
     first = blocking.info.robot
     blocking.close()
     blocking.close()
-    # A board that is powered up anew.
+    # Each session powers up a new board.
     assert blocking.info.robot == first and blocking.time_s() < 0.1
     blocking.close()
 
@@ -197,5 +197,5 @@ board.arm()
 board.run_for(0.2)
 """
     subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
-    # Its end was written.
+    # The recording is complete.
     assert r4.read_log(tmp_path / "run.mcap").warnings == []

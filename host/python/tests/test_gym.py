@@ -1,4 +1,4 @@
-"""Environments for learning."""
+"""Tests of the learning environments."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FIDELITIES = ("full", "kinematic")
 
 
 def towards(seen: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A proportional controller: turns to the goal, then drives."""
+    """Proportional controller that turns to the goal, then drives."""
     bearing = np.arctan2(seen[:, 2], seen[:, 1])
     forward = np.where(np.abs(bearing) < 0.5, np.clip(2.0 * seen[:, 0], 0.2, 1.0), 0.0)
     return np.stack([forward, np.clip(2.0 * bearing, -1.0, 1.0)], axis=1).astype(np.float32)
@@ -23,7 +23,7 @@ def towards(seen: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @pytest.mark.parametrize("fidelity", FIDELITIES)
 def test_gymnasium_has_nothing_against_it(fidelity: r4.gym.Fidelity) -> None:
-    # Warnings are errors here.
+    # pytest turns warnings of the checker into errors.
     check_env(r4.gym.make("openscout-goto", fidelity=fidelity))
 
 
@@ -62,7 +62,7 @@ def test_an_environment_of_a_vector_begins_anew_after_its_end() -> None:
     over = np.zeros(2, dtype=bool)
     for _ in range(700):
         seen, reward, terminated, truncated, _ = vector.step(towards(seen))
-        # The step after an end begins an episode: no reward, a goal at 1 m to 3 m.
+        # The step after an end begins an episode: a reward of 0, a goal at 1 m to 3 m.
         assert (reward[over] == 0.0).all() and (seen[over, 0] > 0.99).all()
         over = terminated | truncated
         ends += over
@@ -81,7 +81,7 @@ def test_policies_are_evaluated_on_full_boards() -> None:
     good = r4.gym.evaluate(towards, range(31, 35))
     assert good.reached == 1.0 and good.episodes == 4 and 0.3 < good.reached_low < 1.0 == good.reached_high
     idle = r4.gym.evaluate(lambda seen: np.zeros((len(seen), 2), np.float32), [31])
-    # 300 steps at 0.01 for the time.
+    # Cost of the time: 300 steps at 0.01 each.
     assert idle.reached == 0.0 and idle.mean_steps == 300 and idle.mean_return == pytest.approx(-3.0, abs=0.01)
 
 

@@ -1,4 +1,4 @@
-"""Boards at the other end of a link: served by the program `r4`, in real time."""
+"""Tests of boards on a link, served by the program `r4` in real time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.skipif(not PROGRAM.exists(), reason=f"not run: no progr
 
 @contextlib.contextmanager
 def served(how: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """A simulated bench that is served: its address, and the program."""
+    """Serves a simulated bench; yields its address and the process."""
     command = [PROGRAM, "sim", "serve", "osmc-bench", how]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as program:
         try:
@@ -35,7 +35,7 @@ def served(how: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
 
 @pytest.fixture(params=["--tcp=127.0.0.1:0", "--pty", "--slcan"])
 def address(request: pytest.FixtureRequest) -> Iterator[str]:
-    """Where a simulated bench is served."""
+    """Address of a served simulated bench."""
     with served(request.param) as (address, _):
         yield address
 
@@ -47,7 +47,7 @@ def test_the_same_calls_drive_a_board_behind_a_link(address: str, tmp_path: Path
             board.osmc[0].set_speed(1.0)
         assert refused.value.reason == "not-armed"
         board.arm()
-        # 0.3 rad at 1 rad/s to 2 rad/s, in real time; within two counts of 2.6 mrad.
+        # 0.3 rad at 1 rad/s to 2 rad/s in real time; the tolerance is two counts of 2.6 mrad.
         assert board.osmc[0].move_to(0.3).position == pytest.approx(0.3, abs=0.0065)
         with pytest.raises(r4.R4Error, match="simulated"):
             board.osmc[0].true_position()

@@ -1,11 +1,12 @@
 //! A board on a thread of its own, for programs that wait for each call, and for other languages.
 //!
-//! A [`Session`] is a closure on one thread, and a simulation cannot leave its thread. A [`BoardThread`] keeps both on a thread that takes
-//! [calls](Call) from any other. The same code opens simulated, emulated and real boards.
+//! A [`Session`] is a closure on one thread, and a simulation cannot leave its thread. A [`BoardThread`] keeps both on
+//! a thread that receives [calls](Call) from any other. The same code opens simulated, emulated and real boards.
 //!
-//! **Time of a virtual board goes on only while a call is waited for.** Between calls its thread sleeps and the clock stands still, so
-//! that results do not depend on how fast the calls come. Calls that take turns ([`Call::taking_turns`]) go further: when one of them
-//! ends, the clock stands still until the next [`BoardThread::submit`], even while others are under way.
+//! **Time of a virtual board passes only while a call is waited for.** Between calls its thread sleeps and the clock
+//! stands still, so that results do not depend on how fast the calls come. Calls that take turns
+//! ([`Call::taking_turns`]) go further: when one of them ends, the clock stands still until the next
+//! [`BoardThread::submit`], even while others are in progress.
 //!
 //! ```
 //! use r4_rig::{BoardThread, Rig};
@@ -42,23 +43,24 @@ use crate::{
     recording::{self, Recording},
 };
 
-/// The session as calls see it.
+/// Session with the state that calls share.
 pub struct Desk<'b> {
-    /// The session.
+    /// Session on the board's thread.
     pub session: &'b Session<'b>,
-    /// Streams of set points that calls opened, by the numbers that they gave them. A stream ends when it is taken out and dropped.
+    /// Streams of set points that calls opened, by the numbers that the calls chose. A stream ends when it is removed
+    /// and dropped.
     pub streams: RefCell<BTreeMap<u64, Cycles<'b, HostClock>>>,
 }
 
 type Work = Box<dyn for<'c, 'b> FnOnce(&'c Desk<'b>) -> LocalBoxFuture<'c, ()> + Send>;
 
-/// A call, before it is handed over.
+/// A unit of work for the board's thread, before it is submitted.
 pub struct Call {
     work: Work,
     takes_turns: bool,
 }
 
-/// Result of a call on its way back; one that is dropped without a result says so.
+/// Callback of a call's result. Dropped without a result, it reports [`Error::SessionEnded`].
 struct Answer<T, F: FnOnce(Result<T, Error>)>(Option<F>, std::marker::PhantomData<fn(T)>);
 
 impl<T, F: FnOnce(Result<T, Error>)> Answer<T, F> {
@@ -78,8 +80,8 @@ impl<T, F: FnOnce(Result<T, Error>)> Drop for Answer<T, F> {
 }
 
 impl Call {
-    /// A call of `work`; `done` is given its result on the board's thread, [`Error::SessionEnded`] when it was aborted by the handle or
-    /// the session ended before.
+    /// Creates a call of `work`. `done` receives its result on the board's thread: [`Error::SessionEnded`] when the
+    /// handle aborted the call or the session ended before.
     pub fn new<T: 'static>(
         work: impl for<'c, 'b> FnOnce(&'c Desk<'b>) -> LocalBoxFuture<'c, Result<T, Error>> + Send + 'static,
         done: impl FnOnce(Result<T, Error>) + Send + 'static,
@@ -98,7 +100,7 @@ impl Call {
         (Self { work, takes_turns: false }, handle)
     }
 
-    /// The same, after whose end a virtual board's clock waits for the next [`BoardThread::submit`].
+    /// Returns the same call, after whose end a virtual board's clock waits for the next [`BoardThread::submit`].
     #[must_use]
     pub fn taking_turns(mut self) -> Self {
         self.takes_turns = true;
@@ -108,9 +110,9 @@ impl Call {
 
 /// An opened board on a thread of its own.
 ///
-/// Time of a virtual board goes on only while a call is waited for: between calls its clock stands still.
+/// Time of a virtual board passes only while a call is waited for: between calls its clock stands still.
 ///
-/// May be used from several threads at once. Dropping it closes the session: the board makes its outputs safe.
+/// Several threads may use it at once. Dropping it closes the session: the board makes its outputs safe.
 pub struct BoardThread {
     calls: Option<UnboundedSender<Vec<Call>>>,
     thread: Option<JoinHandle<Result<(), Error>>>,
@@ -122,10 +124,10 @@ pub struct BoardThread {
 type Opened = (Target, DeviceInfo, Vec<ChannelInfo>);
 
 impl BoardThread {
-    /// Opens the board of the rig that `make` makes on the new thread, recorded into the file `log` if one is given.
+    /// Opens the board of the rig that `make` creates on the new thread, recorded into the file `log` if one is given.
     ///
     /// # Errors
-    /// When the board cannot be opened, or the log not be made.
+    /// The error of opening the board or the log; [`Error::Thread`] when the operating system gives no thread.
     pub fn start(make: impl FnOnce() -> Rig + Send + 'static, log: Option<PathBuf>) -> Result<Self, Error> {
         let (calls, queue) = unbounded();
         let (opened, outcome) = mpsc::channel();
@@ -137,33 +139,33 @@ impl BoardThread {
             Ok((target, info, channels)) => {
                 Ok(Self { calls: Some(calls), thread: Some(thread), target, info, channels })
             }
-            // It ended before there was a session.
+            // The thread ended before there was a session; its result is the reason.
             Err(_) => Err(thread.join().unwrap_or(Err(Error::SessionEnded)).err().unwrap_or(Error::SessionEnded)),
         }
     }
 
-    /// Name of the board.
+    /// Name of the board, as the caller gave it.
     #[must_use]
     pub fn target(&self) -> &Target {
         &self.target
     }
 
-    /// What the board says of itself.
+    /// Description of the board, received when the session opened.
     #[must_use]
     pub fn info(&self) -> &DeviceInfo {
         &self.info
     }
 
-    /// The channels, as the board describes them.
+    /// Descriptions of the board's channels.
     #[must_use]
     pub fn channels(&self) -> &[ChannelInfo] {
         &self.channels
     }
 
-    /// Hands calls over, all at once, without waiting for them. Without calls it gives the next turn to those under way.
+    /// Submits calls, all at once, without waiting for them. An empty list gives the next turn to those in progress.
     ///
     /// # Errors
-    /// [`Error::SessionEnded`]
+    /// [`Error::SessionEnded`] after the end of the session.
     pub fn submit(&self, calls: Vec<Call>) -> Result<(), Error> {
         let sent = self.calls.as_ref().and_then(|queue| queue.unbounded_send(calls).ok());
         sent.ok_or(Error::SessionEnded)
@@ -178,7 +180,7 @@ impl BoardThread {
         work: impl for<'c, 'b> FnOnce(&'c Desk<'b>) -> LocalBoxFuture<'c, Result<T, Error>> + Send + 'static,
     ) -> Result<T, Error> {
         let (done, answer) = mpsc::channel();
-        // Whoever asked waits below.
+        // Sending fails only when the caller below no longer waits.
         let (call, _) = Call::new(work, move |result| drop(done.send(result)));
         self.submit(vec![call])?;
         answer.recv().unwrap_or(Err(Error::SessionEnded))
@@ -187,7 +189,7 @@ impl BoardThread {
     /// Closes the session and waits for its end.
     ///
     /// # Errors
-    /// When it did not end as it should, or its recording is not complete.
+    /// The error of the session, or of its recording when that is not complete.
     pub fn close(mut self) -> Result<(), Error> {
         self.end()
     }
@@ -214,7 +216,7 @@ fn run(
     let recording = log.map(|path| Recording::create(path, tap)).transpose()?;
     let result = rig.run(recording.as_ref().map(Recording::tap), async |session| {
         let board = session.board;
-        // Whoever opened it may be gone: then the queue ends at once.
+        // Sending fails only when the caller is gone; its queue of calls then ends at once.
         let _ = opened.send((session.target().clone(), board.info().clone(), board.channels().to_vec()));
         serve(&Desk { session, streams: RefCell::default() }, &mut queue).await;
         Ok::<_, Error>(())
@@ -224,19 +226,19 @@ fn run(
     Ok(closed?)
 }
 
-/// Takes calls until nobody can make any more; those under way are dropped then.
+/// Runs calls until all senders are dropped; calls in progress are dropped then.
 async fn serve(desk: &Desk<'_>, queue: &mut UnboundedReceiver<Vec<Call>>) {
     let is_virtual = desk.session.target().is_virtual();
     let mut running = FuturesUnordered::new();
     let mut waits_for_turn = false;
     loop {
         let calls = if is_virtual && (running.is_empty() || waits_for_turn) {
-            // Waiting here, inside of a poll, is what stops the virtual clock.
+            // Blocking here, inside of a poll, is what stops the virtual clock.
             r4_links::block_on(queue.next())
         } else {
             match select(queue.next(), running.next()).await {
                 Either::Left((calls, _)) => calls,
-                // None when nothing runs: then only a new call can change that.
+                // None when no call is in progress: only a new call can change that.
                 Either::Right((None, calls)) => calls.await,
                 Either::Right((Some(takes_turns), _)) => {
                     waits_for_turn = takes_turns;

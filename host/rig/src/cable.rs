@@ -1,31 +1,31 @@
-//! The cable from the host to a virtual board, to cut.
+//! Cable from the host to a virtual board, which a test can cut.
 
 use std::{cell::Cell, convert::Infallible, rc::Rc};
 
 use embedded_io_async::Write;
 use r4_sim::{Clock, link::Sender};
 
-/// Nanoseconds of a byte on the link: ten bits at 1 Mbit/s.
+/// Time of a byte on the link, ns: ten bits at 1 Mbit/s.
 const BYTE_NS: u64 = 10_000;
 
-/// The cable, as the driver writes into it.
+/// Writer of the driver's bytes, through the cable.
 pub struct Cable {
     sender: Sender,
     clock: Clock,
     state: Rc<CableState>,
 }
 
-/// What became of a cable.
+/// State of a cable, shared with the test that cuts it.
 #[derive(Default)]
 pub struct CableState {
-    /// Whether it is cut: what is sent does not arrive.
+    /// True when the cable is cut: bytes sent are lost.
     pub cut: Cell<bool>,
-    /// When the last byte that was let through has arrived.
+    /// Time at which the last byte that passed arrives, ns.
     pub arrived_ns: Cell<u64>,
 }
 
 impl Cable {
-    /// A whole cable, and what to cut it by.
+    /// Creates a cable that is not cut, with its state.
     #[must_use]
     pub fn new(sender: Sender, clock: Clock) -> (Self, Rc<CableState>) {
         let state = Rc::<CableState>::default();

@@ -1,4 +1,4 @@
-//! The time that a session runs on.
+//! Clock of a session, virtual or real.
 
 use std::future::Future;
 
@@ -6,12 +6,12 @@ use futures::future::Either;
 use r4_driver::Clock;
 use r4_links::RealClock;
 
-/// Virtual time of a simulation, or this machine's.
+/// Virtual time of a simulation, or real time of this computer.
 #[derive(Clone)]
 pub enum HostClock {
-    /// Of a simulation.
+    /// Clock of a simulation, which advances by its events.
     Virtual(r4_sim::Clock),
-    /// Of this machine.
+    /// Clock of this computer.
     Real(RealClock),
 }
 

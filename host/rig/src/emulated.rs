@@ -1,4 +1,4 @@
-//! Boards with an emulated processor, in programs that are built with one: the feature `emu`.
+//! Boards with an emulated processor, for programs built with the feature `emu`.
 
 #[cfg(not(feature = "emu"))]
 pub use absent::EmulatedError;
@@ -16,34 +16,34 @@ mod present {
 
     use crate::{Notice, rig::Notify};
 
-    /// Attaches what observes an emulated board to one that was powered up: a log, a trace, a debugger.
+    /// Callback that attaches an observer to an emulated board after power-up: a log, a trace or a debugger.
     pub type Observer = Rc<dyn Fn(&EmuBoard<ThumbCore>, &Image) -> Result<(), Box<dyn Error + Send + Sync>>>;
 
-    /// An emulated board cannot be started.
+    /// Error when an emulated board is started.
     #[derive(Debug, thiserror::Error)]
     pub enum EmulatedError {
-        /// There is no image for the robot, or it cannot be read.
+        /// No image exists for the robot, or it cannot be read.
         #[error(transparent)]
         File(#[from] FileError),
-        /// The image does not run.
+        /// The image cannot be run.
         #[error(transparent)]
         Emu(#[from] EmuError),
-        /// What was to observe the board cannot.
+        /// The observer could not be attached.
         #[error(transparent)]
         Observer(Box<dyn Error + Send + Sync>),
     }
 
-    /// How an emulated board is run.
+    /// Settings of an emulated board.
     #[derive(Clone, Default)]
     pub struct Setup {
         /// Behaviour of the emulated processor.
         pub settings: Settings,
-        /// Observes each board that is powered up.
+        /// Observer of each board that is powered up; `None` for none.
         pub observer: Option<Observer>,
     }
 
     impl Setup {
-        /// Powers up an emulated board for `robot`, whose name or file is `name`, with the image that was built for it.
+        /// Powers up an emulated board for `robot`, whose name or file is `name`, with the image built for it.
         pub(crate) fn start(
             &self,
             simulation: &mut Simulation,
@@ -65,7 +65,7 @@ mod present {
 
 #[cfg(not(feature = "emu"))]
 mod absent {
-    /// This program has no emulated processor, and nothing that decodes the firmware's log.
+    /// Error of a program without the emulated processor, which also cannot decode the firmware's log.
     #[derive(Debug, thiserror::Error)]
     #[error(
         "this r4 was built without the emulated processor, which emu: boards, `debug`, `bench firmware` and --log need. \

@@ -1,4 +1,4 @@
-//! Failures of sessions.
+//! Errors of sessions and of the programs that run in them.
 
 use r4_boards::BoardError;
 use r4_driver::Error as DriverError;
@@ -13,73 +13,73 @@ use crate::{
     replay::ReplayError, round::RoundError, scenario::ScenarioError, tune::TuneError, twin::TwinError,
 };
 
-/// A session could not be opened, or did not end as it should.
+/// Error of a session that could not be opened, or did not end as it should.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// There is no session.
+    /// The driver cannot open a session on the link.
     #[error("cannot connect to {board}")]
     Connect {
-        /// The board's name.
+        /// Name of the board.
         board: String,
-        /// Why not.
+        /// Error of the driver.
         source: DriverError,
     },
-    /// There is no link to the board.
+    /// The link to the board cannot be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// The board does not arm.
+    /// The board refuses to arm.
     #[error("cannot arm")]
     Arm(#[source] DriverError),
-    /// The board does not disarm.
+    /// The board refuses to disarm.
     #[error("cannot disarm; closing the session makes the board stop by itself")]
     Disarm(#[source] DriverError),
     /// An interrupted session could not disarm.
     #[error("interrupted; could not disarm, the board stops by itself")]
     NotDisarmed(#[source] DriverError),
-    /// A request failed.
+    /// A request to the board failed.
     #[error(transparent)]
     Board(#[from] DriverError),
-    /// A channel does not take what it was asked for; nothing was sent.
+    /// A channel does not accept the request; nothing was sent.
     #[error(transparent)]
     Unsuitable(#[from] Unsuitable),
-    /// A motor did not do what it was asked for in time.
+    /// A motor did not reach what was requested in time.
     #[error(transparent)]
     NotReached(#[from] NotReached),
     /// A motor does not take a set point.
     #[error("cannot command {channel}")]
     NotCommanded {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// Why not.
+        /// Error of the request.
         source: DriverError,
     },
-    /// The board lacks a parameter that its channel should have.
+    /// The board lacks a parameter that the channel must have.
     #[error("the board does not tell {} of {channel}", parameter.name())]
     NotTold {
-        /// The channel.
+        /// Channel of the parameter.
         channel: ChannelId,
-        /// The parameter.
+        /// Parameter that is missing.
         parameter: Parameter,
     },
-    /// A sensor that is relied on gives no good readings.
+    /// A required sensor gives no good readings.
     #[error("{channel} gives no good readings: `r4 watch {channel}` shows its quality")]
     NoReadings {
-        /// The sensor.
+        /// Channel of the sensor.
         channel: ChannelId,
     },
-    /// A program's state did not end in time.
+    /// A state of a program reached its timeout.
     #[error("`{state}` did not end within {at_most_s} s")]
     StateTimedOut {
         /// Name of the state.
         state: &'static str,
-        /// Its time-out, s.
+        /// Timeout of the state, s.
         at_most_s: f64,
     },
     /// An experiment with a motor ended early.
     #[error(transparent)]
     Watch(Box<WatchError>),
-    /// A calibration came to no result.
+    /// A calibration has no result.
     #[error(transparent)]
     Calibrate(Box<CalibrateError>),
     /// A loop could not be tuned.
@@ -94,7 +94,7 @@ pub enum Error {
     /// A simulated board cannot be compared with a recording.
     #[error(transparent)]
     Twin(#[from] TwinError),
-    /// A robot cannot drive round waypoints.
+    /// A robot cannot drive round its waypoints.
     #[error(transparent)]
     Round(Box<RoundError>),
     /// A scenario cannot be read or played.
@@ -106,27 +106,27 @@ pub enum Error {
     /// The gains for the end of the session could not be set.
     #[error("{channel} has other gains than it began with: restart the board")]
     GainsLeft {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// Why not.
+        /// Error of the request.
         source: DriverError,
     },
     /// The operation needs a simulated environment.
     #[error(transparent)]
     NotVirtual(#[from] NotVirtual),
-    /// The robot's or world's file is wrong.
+    /// The file of the robot or of the world is not valid.
     #[error(transparent)]
     Robot(Box<BoardError>),
-    /// A robot without a body is to stand in a world.
+    /// A robot without a body cannot stand in a world.
     #[error("{robot} has no [body] to stand in a world: add one to its file (boards/README.md), or leave out --world")]
     NoBody {
-        /// Name or file.
+        /// Name or file of the robot.
         robot: String,
     },
     /// The robot's environment cannot be simulated.
     #[error(transparent)]
     Simulation(Box<SimError>),
-    /// A plant of the robot's file is wrong.
+    /// A plant in the robot's file is not valid.
     #[error(transparent)]
     Plant(Box<PlantError>),
     /// A plant file cannot be used.
@@ -138,10 +138,10 @@ pub enum Error {
     /// The emulated board cannot be started.
     #[error(transparent)]
     Emulated(#[from] EmulatedError),
-    /// The emulated processor met something that its models do not have.
+    /// The emulated processor accessed something that its models lack.
     #[error("the emulated board stopped: {0}")]
     Stopped(String),
-    /// Nothing in the simulation will ever happen again.
+    /// No event remains in the simulation, and the program still waits.
     #[error("the simulation came to a standstill")]
     Standstill,
     /// The operating system gives no thread for a board.
@@ -153,13 +153,13 @@ pub enum Error {
     /// A [`BoardThread`](crate::BoardThread) has closed its session, or the call was aborted.
     #[error("the session has ended: open the board again")]
     SessionEnded,
-    /// Another host has the board's only port.
+    /// The only port of the board is in use by another host.
     #[error("the simulated board is already connected")]
     Connected,
 }
 
 impl Error {
-    /// The failure itself, below what was being done meanwhile.
+    /// The underlying error, without the context of the operation around it.
     #[must_use]
     pub fn innermost(&self) -> &Self {
         match self {
@@ -172,7 +172,7 @@ impl Error {
     }
 }
 
-/// Boxed, so that results of which most are none of these stay small.
+/// Boxes the large variants, so that results of this type stay small.
 macro_rules! boxed {
     ($($variant:ident($error:ty)),*) => {
         $(impl From<$error> for Error {

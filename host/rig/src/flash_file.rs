@@ -1,4 +1,4 @@
-//! The file that holds a virtual board's flash between two runs.
+//! File that holds a virtual board's flash between two runs.
 
 use std::{
     fs, io,
@@ -13,44 +13,44 @@ use r4_sim::{
 
 use crate::Notice;
 
-/// A file with a virtual board's flash, or the place for one.
+/// File of a virtual board's flash; it need not exist yet.
 #[derive(Debug)]
 pub struct FlashFile {
     path: PathBuf,
-    /// Content when it was opened; empty before there was a file.
+    /// Content of the file when it was opened; empty when there was none.
     before: Vec<u8>,
 }
 
-/// The flash cannot be taken from its file, or put there.
+/// Error of reading or writing a flash file.
 #[derive(Debug, thiserror::Error)]
 pub enum FlashFileError {
-    /// There is a file, and it cannot be read.
+    /// The file exists and cannot be read.
     #[error("cannot read the flash {path}")]
     NotReadable {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// The file cannot be written.
     #[error("cannot write the flash {path}")]
     NotWritable {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// Its content is something else.
+    /// The file does not contain a flash.
     #[error(
         "{path} is not the flash of a simulated board, or not all of it ({len} bytes; a whole one has {whole}): name \
          another file, or move this one away to begin with an empty flash"
     )]
     NoFlash {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Its length, bytes.
+        /// Length of the file, bytes.
         len: usize,
-        /// Length of a flash, bytes.
+        /// Length of a complete flash, bytes.
         whole: usize,
     },
 }
@@ -65,7 +65,7 @@ impl FlashFile {
         Ok(Self { path: path.to_owned(), before })
     }
 
-    /// The flash, or `None` where nothing was ever written.
+    /// Returns the flash; `None` for a file that does not exist or is empty.
     pub(crate) fn flash(&self) -> Result<Option<Flash>, FlashFileError> {
         if self.before.is_empty() {
             return Ok(None);
@@ -76,7 +76,7 @@ impl FlashFile {
         flash.map(Some).ok_or_else(no_flash)
     }
 
-    /// Why a board that was built with `config` leaves something of `flash` unused, if it does.
+    /// Notice for the user when a board built with `config` leaves a part of `flash` unused; `None` otherwise.
     pub(crate) fn review(&self, flash: &Flash, config: &BoardConfig) -> Option<Notice> {
         let Loaded { saved, skipped, .. } = kept::review(flash, config);
         let is_used = matches!(saved, Saved::Nothing | Saved::Changes) && skipped.count == 0;
@@ -84,15 +84,16 @@ impl FlashFile {
         (!is_used).then_some(Notice::FlashNotUsed { path, saved, skipped: skipped.count.into(), robot })
     }
 
-    /// Writes what `flash` holds now: all of it, or nothing.
+    /// Writes the content of `flash`, completely or not at all.
     ///
     /// # Errors
-    /// [`FlashFileError::NotWritable`]
+    /// [`FlashFileError::NotWritable`] when the file cannot be written.
     pub fn write(&self, flash: &Flash) -> Result<(), FlashFileError> {
         let now = flash.to_bytes();
         if now == self.before {
             return Ok(());
         }
+        // Written beside the file and renamed over it: a crash in between leaves the old flash.
         let mut beside = self.path.clone().into_os_string();
         beside.push(".new");
         let written = fs::write(&beside, &now).and_then(|()| fs::rename(&beside, &self.path));

@@ -9,7 +9,7 @@ use crate::{Elapsed, Error, HostClock, NotVirtual, Rig, Session};
 
 /// Virtual boards that share one event clock, and the program that coordinates them.
 ///
-/// Without boards it is the clock alone: a program of timed events runs on it as it does beside boards.
+/// Without boards it is a clock alone: a program of timed events runs on it as it does beside boards.
 ///
 /// ```
 /// use r4_rig::{Error, Fleet, Rig};
@@ -25,24 +25,25 @@ use crate::{Elapsed, Error, HostClock, NotVirtual, Rig, Session};
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct Fleet {
-    /// The boards with what is around each; their own paces do not count.
+    /// Boards with their environments; the pace of each rig is ignored.
     pub rigs: Vec<Rig>,
-    /// Speed of the common clock.
+    /// Pace of the common clock.
     pub pace: Pace,
 }
 
 impl Fleet {
-    /// A fleet whose clock runs as fast as the machine can.
+    /// Creates a fleet whose clock runs as fast as the computer can.
     #[must_use]
     pub fn new(rigs: Vec<Rig>) -> Self {
         Self { rigs, pace: Pace::Free }
     }
 
-    /// Connects to all boards and runs `member` in a session with each, with its number, beside `work`, which coordinates them.
-    /// Ends when all of these have ended; returns the results of `work` and of the members in order.
+    /// Connects to all boards and runs `member` in a session with each, with the board's number, beside `work`, which
+    /// coordinates them. Ends when all of these have ended; returns the results of `work`, and of the members in order.
     ///
     /// # Errors
-    /// The first of `work` or of a member, which ends all others; or when a board is not virtual or stops.
+    /// The first error of `work` or of a member, which ends all others; [`NotVirtual`] for a board on a link;
+    /// [`Error::Stopped`] when an emulated board stops.
     pub fn run<T, M, E: From<Error>>(
         &self,
         member: impl AsyncFn(usize, &Session<'_>) -> Result<M, E>,
@@ -62,6 +63,7 @@ impl Fleet {
             rig.session_with(Rc::clone(board), &clock, None, async move |session| member(number, session).await)
         });
         let ended = simulation.block_on(try_join(work(&host_clock), try_join_all(members)));
+        // Checked before the result, since a failed board is the cause of a standstill.
         if let Some(failure) = boards.iter().find_map(|(board, _)| board.failure()) {
             return Err(Error::Stopped(failure).into());
         }
@@ -69,6 +71,7 @@ impl Fleet {
         let elapsed = Elapsed { simulated_s: clock.now_ns() as f64 * 1e-9, wall_s: begin.elapsed().as_secs_f64() };
         for (board, file) in &boards {
             if let Some(file) = file {
+                // Also after an error of a member: the flash keeps what was stored until then.
                 file.write(&board.flash()).map_err(Error::from)?;
             }
         }
@@ -81,7 +84,7 @@ impl Fleet {
 mod tests {
     use super::*;
 
-    /// Members sleep until the same moment and see the same clock, beside a coordinator on it.
+    /// Members sleep until the same moment and read the same clock, beside a coordinator on it.
     #[test]
     fn boards_and_coordinator_share_one_clock() {
         let rig = Rig::new("sim:osmc-bench".parse().expect("a board"));

@@ -1,20 +1,20 @@
-//! From a velocity over the ground to set points of wheels.
+//! Conversion of a velocity over the ground to set points of wheels.
 
 use r4_boards::{Ackermann, Drive, SkidSteer};
 use r4_driver::{Board, Clock};
 use r4_protocol::{ChannelId, Mode, Sample, Setpoint};
 
-/// How a robot moves over the ground.
+/// Velocity of a robot over the ground, in its own frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Velocity {
-    /// Forwards, m/s.
+    /// Forward speed, m/s, negative backwards.
     pub forward_m_s: f64,
-    /// Counterclockwise, rad/s.
+    /// Turn rate, rad/s, counterclockwise.
     pub yaw_rad_s: f64,
 }
 
 impl Velocity {
-    /// The same curve, slower: both by one factor.
+    /// Scales both components by one factor, which keeps the curve.
     #[must_use]
     pub fn times(self, factor: f64) -> Self {
         Self { forward_m_s: self.forward_m_s * factor, yaw_rad_s: self.yaw_rad_s * factor }
@@ -28,27 +28,27 @@ impl Velocity {
     }
 }
 
-/// A robot that drives over the ground.
+/// Drive of a robot over the ground.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroundDrive {
     drive: Drive,
 }
 
 impl GroundDrive {
-    /// As its file describes it.
+    /// Creates the drive from the description in a robot's file.
     #[must_use]
     pub fn new(drive: Drive) -> Self {
         Self { drive }
     }
 
-    /// The description it was made of.
+    /// Description that the drive was created from.
     #[must_use]
     pub fn drive(&self) -> &Drive {
         &self.drive
     }
 
-    /// Set points for a velocity. One beyond what the robot may be asked for is slowed down and keeps its curve; one that is not
-    /// finite stands still.
+    /// Set points for a velocity. A velocity beyond the robot's limits is scaled down and keeps its curve; one that is
+    /// not finite becomes a standstill.
     #[must_use]
     pub fn setpoints(&self, velocity: Velocity) -> Vec<(ChannelId, Setpoint)> {
         let is_finite = velocity.forward_m_s.is_finite() && velocity.yaw_rad_s.is_finite();
@@ -80,7 +80,7 @@ pub fn sides_rad_s(drive: &SkidSteer, samples: &[Sample]) -> Option<[f64; 2]> {
     })
 }
 
-/// Means over the wheels of each side of a number in their samples.
+/// Means of a number over the wheels of each side; `None` unless all wheels are in the samples.
 fn of_sides(drive: &SkidSteer, samples: &[Sample], number: impl Fn(&Sample) -> Option<f64>) -> Option<[f64; 2]> {
     let mean = |side: &[ChannelId]| {
         let numbers = side.iter().map(|wheel| {
@@ -92,7 +92,7 @@ fn of_sides(drive: &SkidSteer, samples: &[Sample], number: impl Fn(&Sample) -> O
     Some([mean(&drive.left)?, mean(&drive.right)?])
 }
 
-/// 1, or less where `asked` is more than `most`.
+/// Factor that scales `asked` down to `most`; 1 where it is within.
 fn share(asked: f64, most: f64) -> f64 {
     if asked.abs() > most { most / asked.abs() } else { 1.0 }
 }
@@ -107,7 +107,7 @@ fn skid_steer(robot: &SkidSteer, asked: Velocity) -> Vec<(ChannelId, Setpoint)> 
     left.chain(right).collect()
 }
 
-/// A turn on the spot is not possible: it stands, with the wheels as far round as they go.
+/// Set points of a car. It cannot turn on the spot: it stands then, with the wheels at their largest angle.
 fn ackermann(robot: &Ackermann, asked: Velocity) -> Vec<(ChannelId, Setpoint)> {
     let Velocity { forward_m_s, yaw_rad_s } = asked.times(share(asked.forward_m_s, robot.speed_max_m_s));
     let wanted_rad = if yaw_rad_s == 0.0 { 0.0 } else { (robot.wheelbase_m * yaw_rad_s / forward_m_s).atan() };
@@ -140,7 +140,7 @@ mod tests {
         assert_eq!(values(&openscout, 0.2, 0.0), [straight; 4]);
         let turning = (track_m / 2.0 / wheel_radius_m) as f32;
         assert_eq!(values(&openscout, 0.0, 1.0), [-turning, -turning, turning, turning]);
-        // Left wheels first, as the file has them.
+        // Left wheels first, as in the file.
         let channels: Vec<_> =
             openscout.setpoints(Velocity::default()).iter().map(|(channel, _)| channel.to_string()).collect();
         assert_eq!(channels, ["dhb0", "dhb2", "dhb1", "dhb3"]);
@@ -153,7 +153,7 @@ mod tests {
         for (forward_m_s, yaw_rad_s) in [(0.3, 0.0), (0.0, 1.2), (-0.2, -0.4)] {
             let [left, _, right, _] = values(&openscout, forward_m_s, yaw_rad_s)[..] else { panic!("four wheels") };
             let back = Velocity::of_sides(drive, [left, right].map(f64::from));
-            // f32 on wheels of 10 rad/s: 1e-6 rad/s times 0.056 m over 0.175 m.
+            // f32 at 10 rad/s: 1e-6 rad/s times 0.056 m over 0.175 m.
             assert!((back.forward_m_s - forward_m_s).abs() < 1e-6 && (back.yaw_rad_s - yaw_rad_s).abs() < 1e-6);
         }
     }
@@ -161,7 +161,7 @@ mod tests {
     #[test]
     fn too_much_is_slowed_down_and_keeps_its_curve() {
         let openscout = robot("openscout");
-        // 0.5 m/s and 1.5 rad/s are the most.
+        // The limits are 0.5 m/s and 1.5 rad/s.
         assert_eq!(values(&openscout, 2.0, 1.0), values(&openscout, 0.5, 0.25));
         assert_eq!(values(&openscout, -0.1, -3.0), values(&openscout, -0.05, -1.5));
         assert_eq!(values(&openscout, f64::NAN, 1.0), [0.0; 4]);
@@ -178,7 +178,7 @@ mod tests {
         // f32 on a rod of 0.1 m: 19 rad/m times 4e-9 m.
         let near = |one: f64, other: f64| (one - other).abs() < 1e-6;
         assert!(near(steered(0.2, 0.05), (car.wheelbase_m * 0.05 / 0.2).atan()));
-        // Backwards the other way round, and slowed down by the same factor.
+        // Backwards the steering angle is opposite; the velocity is scaled down by the same factor.
         assert!(near(steered(-0.4, 0.1), -steered(0.2, 0.05)));
         assert!(near(steered(0.2, 0.0), 0.0) && near(steered(0.0, 0.0), 0.0));
         assert!(near(steered(0.0, 1.0), car.steering_rad.max) && near(steered(0.0, -1.0), car.steering_rad.min));

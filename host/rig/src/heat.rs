@@ -1,21 +1,21 @@
-//! Warnings of windings that are close to what they withstand.
+//! Warnings of windings that approach their temperature limit.
 
 use std::cell::RefCell;
 
 use r4_protocol::{ChannelId, HotWinding};
 
-/// A winding as people read it: `osmc0 winding 91 %`.
+/// Formats a hot winding for the user, as in `osmc0 winding 91 %`.
 #[must_use]
 pub fn words(hot: &HotWinding) -> String {
     format!("{} winding {} %", hot.channel, hot.heat_percent)
 }
 
-/// The channels whose winding a person has been warned of, and that have not cooled since.
+/// Channels whose winding the user was warned of, and that have not cooled since.
 #[derive(Default)]
 pub(crate) struct Warned(RefCell<Vec<ChannelId>>);
 
 impl Warned {
-    /// Those of `hot` of which a person is to be warned now: once until the board says that they have cooled.
+    /// Returns those of `hot` for which a warning is due: once until the board reports that the winding has cooled.
     pub(crate) fn fresh(&self, hot: &[HotWinding]) -> Vec<HotWinding> {
         let mut warned = self.0.borrow_mut();
         let fresh = hot.iter().filter(|hot| !warned.contains(&hot.channel)).copied().collect();

@@ -3,18 +3,18 @@
 use r4_boards::Robot;
 use r4_protocol::{ChannelId, ChannelKind, Quality, Sample};
 
-/// A reading of an inertial sensor, in its own axes.
+/// A reading of an inertial sensor, in the sensor's axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InertialReading {
-    /// Acceleration less that of free fall, m/s².
+    /// Specific force: acceleration minus that of free fall, m/s².
     pub acceleration_m_s2: [f64; 3],
-    /// Rates of turn, counterclockwise positive, rad/s.
+    /// Turn rates about the axes, counterclockwise positive, rad/s.
     pub rate_rad_s: [f64; 3],
-    /// How long before the sample it was measured, s.
+    /// Age of the measurement at the time of the sample, s.
     pub age_s: f64,
 }
 
-/// The first inertial sensor of a robot.
+/// Returns the first inertial sensor of a robot.
 ///
 /// # Errors
 /// A robot without an `[[imu]]`, in words.
@@ -23,7 +23,7 @@ pub fn inertial_sensor(robot: &Robot) -> Result<ChannelId, String> {
     Ok(sensor.ok_or("it has no [[imu]]")?.id)
 }
 
-/// The reading of an inertial sensor in a telemetry frame; `None` without a good one.
+/// Returns the reading of an inertial sensor in a telemetry frame; `None` without a good one.
 #[must_use]
 pub fn inertial_reading(sensor: ChannelId, samples: &[Sample]) -> Option<InertialReading> {
     samples.iter().find_map(|sample| match *sample {

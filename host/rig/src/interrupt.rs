@@ -1,26 +1,27 @@
-//! A request to end what runs in good order.
+//! Request to end a session in good order.
 
 use std::sync::{
     Arc,
     atomic::{AtomicBool, Ordering},
 };
 
-/// Set by Ctrl-C or another thread: the board is disarmed and the session ends with [`Interrupted`]. Clones share it.
+/// Flag set by Ctrl-C or by another thread: the board is disarmed and the session ends with [`Interrupted`]. Clones
+/// share the flag.
 #[derive(Clone, Debug, Default)]
 pub struct Interrupt(Arc<AtomicBool>);
 
-/// The session was ended by an [`Interrupt`].
+/// Error of a session that an [`Interrupt`] ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("interrupted; the board is disarmed")]
 pub struct Interrupted;
 
 impl Interrupt {
-    /// Asks for the end.
+    /// Requests the end of the session.
     pub fn set(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// Whether somebody asked for the end.
+    /// Returns true after [`Interrupt::set`].
     #[must_use]
     pub fn is_set(&self) -> bool {
         self.0.load(Ordering::Relaxed)

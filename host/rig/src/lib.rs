@@ -1,4 +1,4 @@
-//! An opened board, and what programs above its channels share.
+//! Sessions with a board, and the parts that programs above its channels share.
 //!
 //! A [`Rig`] opens a board by its name, `sim:`, `emu:` (with the feature `emu`) or a link, and runs a program in a [`Session`] with it:
 //!
@@ -11,9 +11,10 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! A [`Fleet`] runs several virtual boards on one clock. A [`BoardThread`] keeps a board on a thread of its own, for programs that wait.
+//! A [`Fleet`] runs several virtual boards on one clock. A [`BoardThread`] keeps a board on a thread of its own, for
+//! blocking callers.
 //!
-//! The rest is pure: it is given what was measured, and returns set points for channels.
+//! The other modules are pure: they take measurements and return set points for channels.
 //!
 //! Frames are those of REP-103: x forwards, y to the left, angles counterclockwise; SI units.
 

@@ -1,4 +1,5 @@
-//! Armed motion with a verdict: a channel is commanded, watched, made safe, and judged by what was asked of it.
+//! Armed motion with a verdict: commands a channel, watches it, makes it safe, and compares the result with the
+//! request.
 //!
 //! ```
 //! use r4_rig::{Error, Rig};
@@ -17,68 +18,68 @@ use r4_protocol::{ChannelId, ChannelInfo, ChannelKind, Mode, Sample, Setpoint, U
 
 use crate::{Error, Session, quantity::Quantity};
 
-/// A channel does not take what it was asked for; nothing was sent.
+/// A channel does not accept the request; nothing was sent.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{channel} {why}")]
 pub struct Unsuitable {
-    /// The channel.
+    /// Channel of the request.
     pub channel: ChannelId,
-    /// What it lacks or takes instead, as the end of a sentence that begins with its name.
+    /// Reason as the end of a sentence that begins with the channel's name.
     pub why: String,
 }
 
-/// A motor did not do what it was asked for in time.
+/// A motor did not reach what was requested in time.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{channel} {how}")]
 pub struct NotReached {
-    /// The channel.
+    /// Channel of the motor.
     pub channel: ChannelId,
-    /// What it did instead, as the end of a sentence that begins with its name.
+    /// Behaviour of the motor, as the end of a sentence that begins with the channel's name.
     pub how: String,
 }
 
-/// A duty counts as held within this: the bridge has 1/4096.
+/// Tolerance of a held duty: the bridge resolves 1/4096.
 const DUTY_WITHIN: f64 = 0.001;
-/// A speed counts as held within this share of it, and what a motor's sensor resolves at low speed, rad/s and m/s.
+/// Tolerance of a held speed as a share of it, plus the resolution of a motor's sensor at low speed, rad/s and m/s.
 const SPEED_WITHIN: f64 = 0.1;
 const RAD_S_RESOLVED: f64 = 0.02;
 const M_S_RESOLVED: f64 = 0.000_3;
-/// A value counts as held within this, rad, V or share: finer than the pulses and codes that the outputs are made of.
+/// Tolerance of a held value, rad, V or share: smaller than the resolution of the outputs' pulses and codes.
 const VALUE_WITHIN: f64 = 0.001;
-/// How often a stepper is looked at before it steps, ms.
+/// Telemetry period of a stepper before it steps, ms.
 const LOOK_EVERY_MS: u16 = 10;
 
-/// A commanded motion at its end.
+/// Result of a commanded motion.
 #[derive(Clone, Debug)]
 pub struct Driven {
-    /// The channel, as the board describes it.
+    /// Description of the channel by the board.
     pub info: ChannelInfo,
-    /// How it was commanded.
+    /// Mode of the set point.
     pub mode: Mode,
-    /// What it was commanded.
+    /// Requested value, in the unit of the mode.
     pub set: Quantity,
-    /// What the motor did at the last look.
+    /// State of the motor in the last sample.
     pub end: Motion,
-    /// Whether what was asked for held then: the position at rest, the home found, the speed within 10 % of it or of what the
-    /// sensor resolves and in its direction, the duty within the bridge's resolution.
+    /// True when the request was fulfilled at the end: the position at rest; the home found; the speed in its
+    /// direction, within 10 % or the sensor's resolution; the duty within the bridge's resolution.
     pub held: bool,
 }
 
-/// An output that was told one number for a time.
+/// Result of holding an output at one value for a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HeldOutput {
-    /// What the output was told at the end, in `unit`; NaN if nothing.
+    /// Value that the output reported at the end, in `unit`; NaN for none.
     pub value: f64,
     /// Unit of the output.
     pub unit: Unit,
-    /// Whether that was what was asked for.
+    /// True when the reported value was the requested one.
     pub held: bool,
 }
 
-/// The set point that a quantity means for a channel, checked against what the channel says it takes.
+/// Converts a quantity to a set point of a channel, and checks it against the channel's description.
 ///
 /// # Errors
-/// [`Unsuitable`] when the channel has no such mode, or takes another unit or range.
+/// [`Unsuitable`] when the channel has no such mode, or accepts another unit or range.
 pub fn setpoint(info: &ChannelInfo, mode: Mode, quantity: Quantity) -> Result<Setpoint, Unsuitable> {
     let unsuitable = |why| Unsuitable { channel: info.id, why };
     let Some(takes) = info.mode(mode) else {
@@ -107,26 +108,28 @@ pub fn setpoint(info: &ChannelInfo, mode: Mode, quantity: Quantity) -> Result<Se
 }
 
 impl Session<'_> {
-    /// The set point that a quantity means for a channel, checked against what the channel says it takes.
+    /// Converts a quantity to a set point of a channel, and checks it against the channel's description.
     ///
     /// # Errors
-    /// [`Unsuitable`] when the channel does not take it; when the board has no such channel.
+    /// [`Error::Unsuitable`] when the channel does not accept it; [`Error::Board`] when the board has no such channel.
     pub fn setpoint(&self, channel: ChannelId, mode: Mode, quantity: Quantity) -> Result<Setpoint, Error> {
         Ok(setpoint(self.board.channel(channel)?, mode, quantity)?)
     }
 
-    /// Arms, sends a motor or stepper to a position (rad or m), waits until it rests there, at most `timeout_s`, and disarms.
+    /// Arms, sends a motor or stepper to a position (rad or m), waits until it rests there, at most `timeout_s`, and
+    /// disarms.
     ///
     /// # Errors
-    /// As [`Session::drive`].
+    /// The errors of [`Session::drive`].
     pub async fn move_to(&self, channel: ChannelId, position: Quantity, timeout_s: f64) -> Result<Driven, Error> {
         self.drive(channel, Mode::Position, position, Until::Settled { timeout_s }).await
     }
 
-    /// Arms, moves a stepper by whole steps from where it is, waits until it rests, at most `timeout_s`, and disarms.
+    /// Arms, moves a stepper by whole steps from its present position, waits until it rests, at most `timeout_s`, and
+    /// disarms.
     ///
     /// # Errors
-    /// [`Unsuitable`] for what is no stepper; else as [`Session::drive`].
+    /// [`Unsuitable`] for a channel that is no stepper; otherwise the errors of [`Session::drive`].
     pub async fn step(&self, channel: ChannelId, steps: i32, timeout_s: f64) -> Result<Driven, Error> {
         let board = self.board;
         let resolution = f64::from(board.channel(channel)?.resolution);
@@ -146,6 +149,7 @@ impl Session<'_> {
                 break position;
             }
         };
+        // Computed from the counted position, so that rounding errors of repeated moves do not add up.
         let position = (f64::from(counts) + f64::from(steps)) * resolution;
         self.move_to(channel, Quantity::new(position, Unit::Rad), timeout_s).await
     }
@@ -153,9 +157,9 @@ impl Session<'_> {
     /// Arms, commands a motor or stepper, follows it until `until`, and disarms.
     ///
     /// # Errors
-    /// [`Unsuitable`], before anything is sent, when the channel does not take the command or does not report how it moves;
-    /// [`NotReached`] when it did not come to rest in time; when the board refuses, stops, does not arm or disarm, or the link
-    /// fails. What merely did not hold is no error: [`Driven::held`] tells.
+    /// [`Unsuitable`], before anything is sent, when the channel does not accept the command or does not report its
+    /// motion; [`NotReached`] when it did not come to rest in time; the error of the board when it refuses, stops, does
+    /// not arm or disarm, or of the link. A request that was merely not held is no error: see [`Driven::held`].
     pub async fn drive(&self, channel: ChannelId, mode: Mode, set: Quantity, until: Until) -> Result<Driven, Error> {
         let setpoint = self.setpoint(channel, mode, set)?;
         if let verb @ ("servo" | "bldc") = channel.kind.name() {
@@ -163,7 +167,7 @@ impl Session<'_> {
             return Err(Unsuitable { channel, why }.into());
         }
         let info = self.board.channel(channel)?.clone();
-        // A board that does not disarm is told before what the motor did.
+        // The inner result is checked after the disarm: a failed disarm is reported before the motor's own error.
         let end = self.armed(async || Ok::<_, Error>(self.board.drive(channel, setpoint, until).await)).await?;
         let end = match end {
             Err(DriverError::NotSettled { position, after_s, .. }) => {
@@ -177,12 +181,12 @@ impl Session<'_> {
         Ok(Driven { info, mode, set, end, held })
     }
 
-    /// Arms, holds an output at one number for `seconds`, and disarms. `set` is a quantity for `mode`, or `None` for one that
-    /// takes none, as a brake.
+    /// Arms, holds an output at one value for `seconds`, and disarms. `set` is a quantity for `mode`, or `None` for a
+    /// mode without a value, such as a brake.
     ///
     /// # Errors
-    /// [`Unsuitable`], before anything is sent, when the channel does not take it; when the board refuses, stops, does not arm or
-    /// disarm, or the link fails.
+    /// [`Unsuitable`], before anything is sent, when the channel does not accept the request; the error of the board
+    /// when it refuses, stops, does not arm or disarm, or of the link.
     pub async fn hold(
         &self,
         channel: ChannelId,
@@ -201,13 +205,13 @@ impl Session<'_> {
         };
         let hold = async || Ok::<_, Error>(self.board.hold(channel, setpoint, seconds).await?);
         let value = self.armed(hold).await?;
-        // A brake leaves a duty of 0.
+        // A brake reports a duty of 0.
         let asked = set.map_or(0.0, |set| set.value);
         Ok(HeldOutput { value, unit: info.unit, held: (value - asked).abs() <= VALUE_WITHIN })
     }
 }
 
-/// Whether a motion ended as it was asked to.
+/// Returns true when a motion fulfilled its request.
 fn has_held(info: &ChannelInfo, mode: Mode, set: Quantity, end: &Motion) -> bool {
     match mode {
         Mode::Position | Mode::Force => end.settled,
@@ -216,7 +220,7 @@ fn has_held(info: &ChannelInfo, mode: Mode, set: Quantity, end: &Motion) -> bool
         _ => {
             let resolved = if info.unit == Unit::M { M_S_RESOLVED } else { RAD_S_RESOLVED };
             let within = SPEED_WITHIN * set.value.abs() + resolved;
-            // However low a speed is asked for, a motor that stands does not hold it.
+            // A motor that stands does not hold even the lowest requested speed.
             let turns = set.value == 0.0 || end.speed * set.value > 0.0;
             turns && (end.speed - set.value).abs() <= within.min(set.value.abs().max(resolved))
         }

@@ -1,30 +1,30 @@
-//! What a person should read while a session runs.
+//! Notices for the user while a session runs.
 
 use std::{fmt, path::PathBuf};
 
 use r4_protocol::HotWinding;
 use r4_sim::kept::Saved;
 
-/// Something to show to a person; nothing has failed.
+/// Message for the user; it is not an error.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Notice {
-    /// A winding is close to what it withstands.
+    /// A winding approaches its temperature limit.
     HotWinding(HotWinding),
-    /// A flash file holds parameters that the board does not use.
+    /// A flash file contains parameters that the board does not use.
     FlashNotUsed {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is in it.
+        /// Kind of the saved content.
         saved: Saved,
-        /// How many single parameters do not fit.
+        /// Number of single parameters that do not fit.
         skipped: u32,
-        /// The robot that was started.
+        /// Name of the robot that was started.
         robot: String,
     },
-    /// The image that an emulated board runs.
+    /// Image that an emulated board runs.
     Image {
-        /// Its ELF file.
+        /// Path of the ELF file.
         path: PathBuf,
         /// SHA-256 of the file, in hex.
         digest: String,

@@ -1,22 +1,22 @@
-//! Where a robot with measured wheels is, by their way, and how much that may be wrong.
+//! Odometry of a robot with measured wheels: pose and covariance from the wheels' travel.
 //!
 //! # Source
-//! Siegwart, Nourbakhsh, Scaramuzza, *Introduction to Autonomous Mobile Robots*, 2nd edition, MIT Press 2011, 5.2.4: each side's way has a
-//! variance in proportion to its length, and is carried on by the Jacobians of the step.
+//! Siegwart, Nourbakhsh, Scaramuzza, *Introduction to Autonomous Mobile Robots*, 2nd edition, MIT Press 2011, 5.2.4:
+//! the travel of each side has a variance proportional to its length, which the Jacobians of the step propagate.
 
 use r4_boards::SkidSteer;
 
-/// Variance of a side's way for each metre of it, m: our choice, 1 cm after 1 m.
+/// Variance of a side's travel per metre, m²/m: our choice, 1 cm after 1 m.
 pub const WHEEL_VARIANCE_M: f64 = 1e-4;
 
-/// Where a robot is, from where it was at first.
+/// Pose of a robot relative to its start.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Place {
-    /// m
+    /// Position along the initial heading, m.
     pub x_m: f64,
-    /// m
+    /// Position to the left of the initial heading, m.
     pub y_m: f64,
-    /// rad, counterclockwise, not wrapped.
+    /// Heading, rad, counterclockwise, not wrapped.
     pub yaw_rad: f64,
 }
 
@@ -26,14 +26,14 @@ pub struct Odometry {
     wheel_radius_m: f64,
     track_m: f64,
     place: Place,
-    /// Of x, y and yaw: m², m rad, rad².
+    /// Covariance of x, y and yaw: m², m rad, rad².
     covariance: [[f64; 3]; 3],
-    /// Mean wheel angles of left and right at the last look, rad.
+    /// Mean wheel angles of the left and the right side at the last call, rad; `None` before the first.
     last_rad: Option<[f64; 2]>,
 }
 
 impl Odometry {
-    /// At the origin, of which it is certain.
+    /// Starts at the origin, without uncertainty.
     #[must_use]
     pub fn new(robot: &SkidSteer) -> Self {
         Self {
@@ -45,20 +45,21 @@ impl Odometry {
         }
     }
 
-    /// Where it is.
+    /// Estimated pose relative to the start.
     #[must_use]
     pub fn place(&self) -> Place {
         self.place
     }
 
-    /// Covariance of x, y and yaw: m², m rad, rad². Slip that all wheels of a side share is in it by [`WHEEL_VARIANCE_M`] only.
+    /// Covariance of x, y and yaw: m², m rad, rad². Slip that all wheels of a side share is contained by
+    /// [`WHEEL_VARIANCE_M`] only.
     #[must_use]
     pub fn covariance(&self) -> [[f64; 3]; 3] {
         self.covariance
     }
 
-    /// Takes the mean positions of the left and the right wheels, rad. The first look is where counting begins; one that is not finite
-    /// is left out.
+    /// Updates the pose by the mean angles of the left and the right wheels, rad. The first call defines the start;
+    /// angles that are not finite are ignored.
     pub fn look(&mut self, left_rad: f64, right_rad: f64) {
         if !(left_rad.is_finite() && right_rad.is_finite()) {
             return;
@@ -68,6 +69,7 @@ impl Odometry {
         let right_m = (right_rad - right_before) * self.wheel_radius_m;
         let way_m = (left_m + right_m) / 2.0;
         let turned_rad = (right_m - left_m) / self.track_m;
+        // Midpoint heading: second-order accurate for a constant turn rate within the step.
         let (sin, cos) = (self.place.yaw_rad + turned_rad / 2.0).sin_cos();
         self.place.x_m += way_m * cos;
         self.place.y_m += way_m * sin;
@@ -75,7 +77,7 @@ impl Odometry {
 
         let by_place = [[1.0, 0.0, -way_m * sin], [0.0, 1.0, way_m * cos], [0.0, 0.0, 1.0]];
         let mut covariance = carried(&by_place, &self.covariance);
-        // How x, y and yaw change with the way of each side.
+        // Jacobian of x, y and yaw by the travel of each side.
         let per_m = 1.0 / self.track_m;
         for (side_m, yaw) in [(left_m, -per_m), (right_m, per_m)] {
             let change = [cos / 2.0 - way_m * sin * yaw / 2.0, sin / 2.0 + way_m * cos * yaw / 2.0, yaw];
@@ -88,7 +90,7 @@ impl Odometry {
     }
 }
 
-/// `F C Fᵀ`
+/// Propagated covariance `F C Fᵀ`.
 fn carried(by: &[[f64; 3]; 3], covariance: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     let times = |row: &[f64; 3], column: [f64; 3]| row.iter().zip(column).map(|(one, other)| one * other).sum::<f64>();
     let mut result = [[0.0; 3]; 3];
@@ -113,7 +115,7 @@ mod tests {
         robot
     }
 
-    /// Rolls left and right wheels by these ways in so many looks.
+    /// Rolls left and right wheels by these distances, m, in `looks` equal steps.
     fn rolled(robot: &SkidSteer, left_m: f64, right_m: f64, looks: u32) -> Odometry {
         let mut odometry = Odometry::new(robot);
         for look in 0..=looks {
@@ -132,13 +134,13 @@ mod tests {
         assert!((turned.yaw_rad - 1.0 / robot.track_m).abs() < 1e-12 && turned.x_m.abs() < 1e-12);
     }
 
-    /// Half a circle of radius 1 m ends 2 m to the left.
+    /// Half a circle of radius 1 m ends 2 m to the left of the start.
     #[test]
     fn a_half_circle_comes_back_beside_its_start() {
         let robot = robot();
         let half_m = robot.track_m / 2.0;
         let Place { x_m, y_m, yaw_rad } = rolled(&robot, PI * (1.0 - half_m), PI * (1.0 + half_m), 200).place();
-        // The middle of each of 200 steps: (pi / 200)² / 24 of the way.
+        // The midpoint rule with 200 steps: an error of (pi / 200)² / 24 of the travel.
         assert!((yaw_rad - PI).abs() < 1e-9 && x_m.abs() < 1e-4 && (y_m - 2.0).abs() < 1e-4, "{x_m} {y_m}");
     }
 
@@ -146,12 +148,12 @@ mod tests {
     fn uncertainty_grows_with_the_way_and_most_across_it() {
         let robot = robot();
         let covariance = rolled(&robot, 4.0, 4.0, 400).covariance();
-        // Half of the sides' sum each: variance of a mean of two; yaw by their difference over the track, and across by its integral,
-        // s³/3.
+        // Expected variances: along the path that of a mean of two sides; of the yaw by their difference over the
+        // track; across the path by the integral of the latter, s³/3.
         let (along, yaw) = (WHEEL_VARIANCE_M * 4.0 / 2.0, 2.0 * WHEEL_VARIANCE_M / robot.track_m.powi(2));
         assert!((covariance[0][0] / along - 1.0).abs() < 1e-9);
         assert!((covariance[2][2] / (yaw * 4.0) - 1.0).abs() < 1e-9);
-        // Within the length of a look, 1/400 of the way.
+        // To within the length of a step, 1/400 of the travel.
         assert!((covariance[1][1] / (yaw * 64.0 / 3.0) - 1.0).abs() < 5e-3, "{}", covariance[1][1]);
     }
 

@@ -1,4 +1,5 @@
-//! Paths of motors over time: read from a table, sent in time, followed together, judged by how far the motors were from them.
+//! Paths of motors over time: read from a table, sent ahead of time, followed together, and graded by the distance of
+//! the motors from them.
 
 use std::collections::BTreeMap;
 
@@ -7,58 +8,58 @@ use r4_protocol::{ChannelId, ChannelInfo, Mode, PathPoint, SafetyState, Sample, 
 
 use crate::{Error, Session, Unsuitable};
 
-/// A point of a path from a table.
+/// A point of a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Waypoint {
-    /// From the beginning of the table's time, s.
+    /// Time since the start of the path, s.
     pub time_s: f64,
-    /// rad or m
+    /// Position, rad or m.
     pub position: f64,
-    /// rad/s or m/s; `None` where the board takes it from the neighbours.
+    /// Speed, rad/s or m/s; `None` lets the board compute it from the neighbouring points.
     pub speed: Option<f64>,
-    /// Duty on the way to it, added to the board's own.
+    /// Feed-forward duty on the way to the point, added to the board's own.
     pub feed_forward: f64,
 }
 
-/// Paths of several channels, in one time.
+/// Paths of several channels over a common time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Paths {
-    /// Of each channel, its points in the order of time; at least two.
+    /// Points of each channel, in the order of time; at least two.
     pub channels: Vec<(ChannelId, Vec<Waypoint>)>,
 }
 
-/// Why a table is no path.
+/// Reason why a table is no path.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PathError {
-    /// The first line does not name columns.
+    /// The first line does not name valid columns.
     #[error(
         "the first line names the columns: time_s, then osmc0.position_rad and, if wanted, osmc0.speed_rad_s and osmc0.duty; {0}"
     )]
     Header(String),
-    /// A line cannot be read.
+    /// A line cannot be parsed.
     #[error("line {line}: {why}")]
     Line {
-        /// From 1.
+        /// Line number, from 1 on.
         line: usize,
-        /// What is wrong with it.
+        /// Reason for the user, in words.
         why: String,
     },
-    /// A point cannot be on a path.
+    /// A point is not valid.
     #[error("point {index} of {channel}: {why}")]
     Points {
-        /// The channel.
+        /// Channel of the point.
         channel: ChannelId,
-        /// From 0.
+        /// Index of the point, from 0 on.
         index: usize,
-        /// What is wrong with it.
+        /// Reason for the user, in words.
         why: &'static str,
     },
-    /// A path has no way.
+    /// A path has fewer than two points.
     #[error("a path has two points at least")]
     Short,
 }
 
-/// What a column of a table is.
+/// Meaning of a table's column.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Column {
     Time,
@@ -86,33 +87,36 @@ impl Column {
     }
 }
 
-/// Points closer together than this are left out, s: the board keeps 32, which are to last longer than a link takes.
+/// Least distance of points, s; closer ones are left out. The board keeps 32 points, which must last longer than a
+/// transfer takes.
 pub const THIN_S: f64 = 0.008;
-/// Of times in s with three decimals, and more.
+/// Rounding of times in s with three decimals or more.
 const ROUNDING_S: f64 = 1e-9;
-/// The first point is so far ahead of the board's clock, s, and further where the motor has a way to it.
+/// Lead of the first point over the board's clock, s; longer where the motor must first move to it.
 const LEAD_S: f64 = 0.3;
-/// Points are sent again so often, s.
+/// Period at which points are sent, s.
 const SEND_EVERY_S: f64 = 0.02;
-/// A point that passed less than this ago may still take room on the board, µs.
+/// Age up to which a passed point may still occupy a place on the board, µs.
 const STILL_KEPT_US: u64 = 5_000;
-/// How often the motors are looked at, ms.
+/// Telemetry period of the motors, ms.
 const LOOK_EVERY_MS: u16 = 5;
-/// After its last point a motor is given so long to rest, s.
+/// Time for a motor to settle after its last point, s.
 const SETTLE_S: f64 = 5.0;
 
 impl Paths {
-    /// Reads a table with a line of names: `time_s`, and for each channel `osmc0.position_rad` (`actuator1.position_m`), and, where
-    /// wanted, `osmc0.speed_rad_s` and `osmc0.duty`, as recordings call them. Values are separated by commas.
+    /// Parses a table whose first line names the columns: `time_s`, and for each channel `osmc0.position_rad`
+    /// (`actuator1.position_m`) and, optionally, `osmc0.speed_rad_s` and `osmc0.duty`, as in recordings. Values are
+    /// separated by commas.
     ///
     /// # Errors
-    /// [`PathError`].
+    /// [`PathError`] for a table that is not valid.
     pub fn parse(text: &str) -> Result<Self, PathError> {
         let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
         let header = lines.next().map_or("", |(_, line)| line);
         let columns: Result<Vec<_>, _> = header.split(',').map(|name| Column::parse(name.trim())).collect();
         let columns = columns.map_err(PathError::Header)?;
         let header = |why: &str| PathError::Header(why.to_owned());
+        // A repeated column would silently replace the first one.
         let twice = columns.iter().enumerate().any(|(place, column)| columns[..place].contains(column));
         let time = columns.iter().position(|column| *column == Column::Time);
         let time = time.filter(|_| !twice).ok_or_else(|| header("time_s must be there, and each only once"))?;
@@ -121,6 +125,7 @@ impl Paths {
             _ => None,
         });
         let units: BTreeMap<ChannelId, Unit> = positions.collect();
+        // Speed and duty need a position column of the same channel, the speed in the same unit.
         let alone = columns.iter().any(|column| match column {
             Column::Speed(channel, unit) => units.get(channel) != Some(unit),
             Column::Duty(channel) => !units.contains_key(channel),
@@ -139,6 +144,7 @@ impl Paths {
                 return Err(wrong(format!("it has {} values, and there are {} columns", values.len(), columns.len())));
             }
             let time_s = values[time];
+            // The board interpolates between points, which needs a positive duration.
             if time_s <= last_s {
                 return Err(wrong("each time is later than the one before".to_owned()));
             }
@@ -162,11 +168,11 @@ impl Paths {
         Ok(Self { channels: paths.into_iter().map(|(channel, points)| (channel, thinned(points))).collect() })
     }
 
-    /// Paths of points: of each channel two at least, each later than the one before, all numbers finite. Points closer than
-    /// [`THIN_S`] to the one before are left out, as of a table.
+    /// Creates paths from points: at least two for each channel, each later than the one before, all numbers finite.
+    /// Points closer than [`THIN_S`] to the one before are left out, as from a table.
     ///
     /// # Errors
-    /// [`PathError::Points`], [`PathError::Short`].
+    /// [`PathError::Points`] for a point that is not valid; [`PathError::Short`] for fewer than two.
     pub fn new(channels: impl IntoIterator<Item = (ChannelId, Vec<Waypoint>)>) -> Result<Self, PathError> {
         let mut made = Vec::new();
         for (channel, points) in channels {
@@ -191,7 +197,7 @@ impl Paths {
         if made.is_empty() { Err(PathError::Short) } else { Ok(Self { channels: made }) }
     }
 
-    /// From the first point to the last, s.
+    /// Time from the first point to the last, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
         let ends = self.channels.iter().filter_map(|(_, points)| Some((points.first()?.time_s, points.last()?.time_s)));
@@ -204,7 +210,7 @@ fn number_of(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| format!("`{text}` is not a number"))
 }
 
-/// The points without those closer than [`THIN_S`] to the one before; the last is kept.
+/// Removes points closer than [`THIN_S`] to the one before; the last is kept.
 fn thinned(points: Vec<Waypoint>) -> Vec<Waypoint> {
     let mut kept: Vec<Waypoint> = Vec::new();
     let last = points.last().copied();
@@ -216,7 +222,7 @@ fn thinned(points: Vec<Waypoint>) -> Vec<Waypoint> {
     if kept.last() != last.as_ref()
         && let Some(last) = last
     {
-        // Two points at least, and the last not too close to the one before it.
+        // At least two points remain, and the last is not too close to the one before it.
         if kept.len() > 1 && kept.last().is_some_and(|before| last.time_s - before.time_s < THIN_S) {
             kept.pop();
         }
@@ -225,62 +231,62 @@ fn thinned(points: Vec<Waypoint>) -> Vec<Waypoint> {
     kept
 }
 
-/// How a motor has followed its path.
+/// Result of following a path with one motor.
 #[derive(Clone, Debug)]
 pub struct Followed {
-    /// The channel, as the board describes it.
+    /// Description of the channel by the board.
     pub info: ChannelInfo,
-    /// Points sent.
+    /// Number of points that were sent.
     pub points: usize,
-    /// Largest distance from the path while it lasted, rad or m, by the motor's own sensor.
+    /// Largest distance from the path, rad or m, by the motor's own sensor.
     pub worst: f64,
-    /// RMS of that distance, rad or m.
+    /// RMS distance from the path, rad or m.
     pub rms: f64,
-    /// By how much the motion came later than the path, s, by least squares; 0 for a motor that was not to move.
+    /// Lag of the motion behind the path, s, by least squares; 0 for a path without motion.
     pub lag_s: f64,
-    /// Where it was at the end, rad or m.
+    /// Final position, rad or m.
     pub end: f64,
-    /// Whether it came to rest at the path's last point.
+    /// True when the motor came to rest at the path's last point.
     pub settled: bool,
 }
 
-/// A path on its way to the board.
+/// A path while it is sent to the board.
 struct Sending<'p> {
     info: ChannelInfo,
     points: &'p [Waypoint],
     sent: usize,
-    /// Of each point, on the board's clock.
+    /// Times of the points on the board's clock, µs.
     dates_us: Vec<u64>,
-    /// Reference and position at each look.
+    /// Reference, position and time, µs, of each sample.
     seen: Vec<(f64, f64, u64)>,
     end: Option<(f64, bool, Mode)>,
 }
 
 impl Session<'_> {
-    /// Arms, lets motors follow their paths, all beginning in the same period, waits until they rest, and disarms. A motor that is
-    /// not at the first point goes there first, at a third of the speed it may have at most. The paths begin at `begin_s` on the
-    /// driver's clock, so that several boards follow theirs together, or as soon as they can.
+    /// Arms, lets motors follow their paths with a common start, waits until they rest, and disarms. A motor that is
+    /// not at its first point moves there first, at a third of its speed limit. The paths begin at `begin_s` on the
+    /// driver's clock, so that several boards can follow theirs together; `None` begins as soon as possible.
     ///
     /// # Errors
-    /// [`Unsuitable`], before anything is sent, for a channel that follows no path; when the board refuses points, which stops the
-    /// channel, does not arm or disarm, or the link fails.
+    /// [`Unsuitable`], before anything is sent, for a channel that cannot follow a path; the error of the board when it
+    /// refuses points, which stops the channel, or does not arm or disarm; the error of the link.
     pub async fn follow(&self, paths: &Paths, begin_s: Option<f64>) -> Result<Vec<Followed>, Error> {
         let mut sending = self.prepared(paths).await?;
         self.armed(async || self.send(&mut sending, begin_s).await).await?;
         Ok(sending.into_iter().map(Sending::judged).collect())
     }
 
-    /// As [`Session::follow`] on a board that is armed, and stays so.
+    /// Follows paths as [`Session::follow`], on a board that is armed and stays so.
     ///
     /// # Errors
-    /// As there; a board that is not armed refuses the points.
+    /// The errors of [`Session::follow`]; a board that is not armed refuses the points.
     pub async fn follow_armed(&self, paths: &Paths, begin_s: Option<f64>) -> Result<Vec<Followed>, Error> {
         let mut sending = self.prepared(paths).await?;
         self.send(&mut sending, begin_s).await?;
         Ok(sending.into_iter().map(Sending::judged).collect())
     }
 
-    /// The paths before their first points are sent, with their motors subscribed to.
+    /// Checks the channels and subscribes to them, before the first points are sent.
     async fn prepared<'p>(&self, paths: &'p Paths) -> Result<Vec<Sending<'p>>, Error> {
         let mut sending = Vec::new();
         for (channel, points) in &paths.channels {
@@ -291,6 +297,7 @@ impl Session<'_> {
             }
             sending.push(Sending { info, points, sent: 0, dates_us: Vec::new(), seen: Vec::new(), end: None });
         }
+        // Only after all channels were checked: an unsuitable one changes nothing.
         for path in &sending {
             self.board.subscribe(path.info.id, LOOK_EVERY_MS).await?;
         }
@@ -313,12 +320,14 @@ impl Session<'_> {
                 }
             }
         };
-        // The motors' supply has been closed by then, and each has been looked at.
+        // The motors' supply is on by then, and each motor has been sampled.
         board.sleep_s(0.1).await;
         look(sending);
         let ways_s = sending.iter().map(|path| path.way_s());
+        // Without a common start, the motor with the longest way to its first point sets the lead.
         let lead_s = begin_s.map_or_else(|| ways_s.fold(LEAD_S, f64::max), |begin_s| begin_s - board.now_s());
         let begin_us = board.device_us() + (lead_s * 1e6) as u64;
+        // A table may start at any time: its earliest point is the start of all paths.
         let first_s = sending.iter().map(|path| path.points[0].time_s).fold(f64::INFINITY, f64::min);
         for path in sending.iter_mut() {
             let date = |point: &Waypoint| begin_us + ((point.time_s - first_s) * 1e6).round() as u64;
@@ -345,6 +354,7 @@ impl Session<'_> {
                 return Err(DriverError::Stopped { causes }.into());
             }
             look(sending);
+            // After the last point the board holds the position, in the mode for positions.
             let rests = |path: &Sending<'_>| matches!(path.end, Some((_, true, Mode::Position)));
             if board.device_us() > end_us && sending.iter().all(rests) {
                 break;
@@ -355,16 +365,17 @@ impl Session<'_> {
 }
 
 impl Sending<'_> {
-    /// How long it takes to go to the first point, s.
+    /// Time of the move to the first point, s.
     fn way_s(&self) -> f64 {
         let Some((position, ..)) = self.end else { return 0.0 };
         let fastest = self.info.mode(Mode::Speed).map_or(f64::INFINITY, |mode| mode.range.max.into());
-        // The cubic from rest to rest has at most one and a half times the mean speed.
+        // The peak speed of a cubic from rest to rest is one and a half times its mean; a third of the limit makes 4.5.
         4.5 * (self.points[0].position - position).abs() / fastest
     }
 
-    /// The points that the board has room for now.
+    /// Returns the points for which the board has room now, and counts them as sent.
     fn next(&mut self, now_us: u64) -> Vec<PathPoint> {
+        // Refused points stop the channel, so that only places that are surely free count.
         let kept = self.dates_us[..self.sent].iter().filter(|date_us| **date_us + STILL_KEPT_US > now_us).count();
         let count = (PATH_POINTS - kept).min(self.points.len() - self.sent);
         let range = self.sent..self.sent + count;
@@ -381,11 +392,12 @@ impl Sending<'_> {
 
     fn judged(self) -> Followed {
         let begin_us = self.dates_us.first().copied().unwrap_or_default();
+        // The move to the first point is not part of the path.
         let on_path: Vec<_> = self.seen.iter().filter(|(.., at_us)| *at_us >= begin_us).collect();
         let errors = on_path.iter().map(|(reference, position, _)| reference - position);
         let worst = errors.clone().fold(0.0, |worst: f64, error| worst.max(error.abs()));
         let rms = (errors.map(|error| error * error).sum::<f64>() / on_path.len().max(1) as f64).sqrt();
-        // The distance that a lag makes is speed times lag.
+        // A lag causes a distance of speed times lag: regression of the distance on the speed.
         let (mut product, mut square) = (0.0, 0.0);
         for pair in on_path.windows(2) {
             let [(before, _, before_us), (reference, position, at_us)] = pair else { continue };
@@ -395,6 +407,7 @@ impl Sending<'_> {
         }
         let (end, settled) =
             self.end.map_or((f64::NAN, false), |(end, settled, mode)| (end, settled && mode == Mode::Position));
+        // A path without motion does not determine a lag.
         let lag_s = if square > 0.0 { product / square } else { 0.0 };
         Followed { info: self.info, points: self.sent, worst, rms, lag_s, end, settled }
     }

@@ -1,4 +1,4 @@
-//! Physics of a virtual board's motors and body other than those of its robot's file.
+//! Physics of a virtual board's motors and body from files that replace those of its robot's file.
 
 use std::{
     fs, io,
@@ -15,38 +15,38 @@ use r4_world::AnyBody;
 /// A plant file for one motor of a board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlantFile {
-    /// The motor.
+    /// Channel of the motor.
     pub channel: ChannelId,
-    /// The file.
+    /// Path of the file.
     pub path: PathBuf,
 }
 
-/// A plant file cannot be used.
+/// Error of a plant file.
 #[derive(Debug, thiserror::Error)]
 pub enum PlantFileError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("cannot read the plant {path}")]
     NotReadable {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// It describes no plant.
+    /// The file describes no valid plant.
     #[error(transparent)]
     Plant(#[from] PlantError),
     /// The robot has no such motor, or one of another kind.
     #[error(transparent)]
     Replace(#[from] ReplaceError),
-    /// The same motor has two plants.
+    /// Two files were given for the same motor.
     #[error("--plant gives {0} two plants: give it one")]
     Twice(ChannelId),
 }
 
-/// Name and content of a plant file.
+/// Reads a plant file; returns its name and content.
 ///
 /// # Errors
-/// When it cannot be read, or describes no plant.
+/// [`PlantFileError::NotReadable`] when it cannot be read; [`PlantFileError::Plant`] when it describes no valid plant.
 pub fn read_plant(path: &Path) -> Result<(String, PlantSpec), PlantFileError> {
     let name = path.display().to_string();
     let not_readable = |source| PlantFileError::NotReadable { path: path.to_owned(), source };
@@ -55,10 +55,10 @@ pub fn read_plant(path: &Path) -> Result<(String, PlantSpec), PlantFileError> {
     Ok((name, spec))
 }
 
-/// Gives motors of `robot` the plants in `files`.
+/// Replaces plants of `robot`'s motors by those in `files`.
 ///
 /// # Errors
-/// When a file cannot be used for its motor.
+/// [`PlantFileError`] for a file that cannot be used for its motor.
 pub fn replace_plants(robot: &mut Robot, files: &[PlantFile]) -> Result<(), PlantFileError> {
     for (index, PlantFile { channel, path }) in files.iter().enumerate() {
         if files[..index].iter().any(|before| before.channel == *channel) {
@@ -70,29 +70,29 @@ pub fn replace_plants(robot: &mut Robot, files: &[PlantFile]) -> Result<(), Plan
     Ok(())
 }
 
-/// Gives `robot` the body of a file, at rest where the one before it stood.
+/// Replaces the body of `robot` by that of a file, at rest at the pose of the former one.
 ///
 /// # Errors
-/// When the file is no body for this robot.
+/// [`BoardError`] when the file contains no body for this robot.
 pub fn replace_body(robot: &mut Robot, file: &Path) -> Result<(), BoardError> {
     let body = r4_boards::load_body(file, robot)?;
     robot.simulation.set_body(body);
     Ok(())
 }
 
-/// What a seed hides in a robot: something in its body, or in each of its motors.
+/// Hidden effect of a seed in a robot: in its body, or in each of its motors.
 #[derive(Clone, Debug)]
 pub enum InRobot {
-    /// The body with it, and what it is; `None` where nothing could be hidden.
+    /// Body with the effect, and its truth; `None` where no effect could be hidden.
     Body(Box<SimulatedBody>, Option<Truth>),
-    /// The motors with it.
+    /// Motors with their effects.
     Motors(Vec<(ChannelId, Hidden)>),
 }
 
-/// What `seed` hides in `robot`. In which part, is up to the seed.
+/// Samples the hidden effects of `robot` from `seed`, which also decides between body and motors.
 ///
 /// # Errors
-/// When a plant of the robot's file is wrong.
+/// [`PlantError`] when a plant of the robot's file is not valid.
 pub fn hidden(robot: &Robot, seed: u64) -> Result<InRobot, PlantError> {
     if let Some(body) = &robot.simulation.body
         && let Some(wheeled) = body.wheeled().filter(|_| r4_blind::is_in_body(seed))
@@ -102,7 +102,7 @@ pub fn hidden(robot: &Robot, seed: u64) -> Result<InRobot, PlantError> {
         return Ok(InRobot::Body(Box::new(SimulatedBody { kind, channels: body.channels.clone() }), truth));
     }
     let motors = r4_sim::plants(robot)?.into_iter().zip(0u64..);
-    // Seeds of a board's motors are far apart: the next seed hides something else in all of them.
+    // The seeds of a board's motors are far apart, so that the next seed hides another effect in all of them.
     let hide =
         |motor: r4_sim::MotorPlant, index: u64| r4_blind::hide(&motor.spec, motor.supply_v, seed ^ (index << 48));
     Ok(InRobot::Motors(motors.map(|(motor, index)| (motor.channel, hide(motor, index))).collect()))

@@ -1,30 +1,30 @@
-//! Numbers with units, as people type and read them.
+//! Numbers with units, as users type and read them.
 
 use std::{f64::consts::TAU, fmt, str::FromStr};
 
 use r4_protocol::Unit;
 
-/// A number in SI with what it measures and how it is printed: in the unit in which it was typed.
+/// A number in SI units, with its unit for printing: that in which it was typed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quantity {
-    /// In SI.
+    /// Value in SI units.
     pub value: f64,
-    /// What it measures.
+    /// SI unit of the value.
     pub unit: Unit,
-    /// In which unit it is printed.
+    /// Unit in which it is printed.
     pub shown: Shown,
 }
 
-/// How a quantity is printed.
+/// Unit and precision of a printed quantity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shown {
-    /// Numbers printed for one SI unit.
+    /// Factor from SI to the printed unit.
     per_si: f64,
     name: &'static str,
     decimals: usize,
 }
 
-/// How a unit is written, what it measures, how many of the SI unit it is, and decimals that show what the board resolves.
+/// Known units: name, SI unit, SI units in one of it, and decimals that show the board's resolution.
 const UNITS: [(&str, Unit, f64, usize); 19] = [
     ("deg/s", Unit::RadPerS, TAU / 360.0, 1),
     ("rad/s", Unit::RadPerS, 1.0, 3),
@@ -43,7 +43,7 @@ const UNITS: [(&str, Unit, f64, usize); 19] = [
     ("V", Unit::V, 1.0, 2),
     ("mN", Unit::N, 1e-3, 0),
     ("N", Unit::N, 1.0, 2),
-    // A share is printed as one, without a unit.
+    // A share is printed without a unit, also when it was typed in %.
     ("%", Unit::Duty, 1e-2, 3),
     ("", Unit::Duty, 1.0, 3),
 ];
@@ -53,7 +53,7 @@ impl FromStr for Quantity {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let text = text.trim();
-        // The longest unit that fits: `deg/s` before nothing, `mm` before `m`.
+        // The unit is everything after the last digit or point.
         let split = text.rfind(|c: char| c.is_ascii_digit() || c == '.').map_or(0, |last| last + 1);
         let (number, unit) = text.split_at(split);
         let (name, unit, factor, decimals) =
@@ -72,25 +72,25 @@ impl FromStr for Quantity {
 }
 
 impl Quantity {
-    /// A quantity that is printed in the unit that people read it in.
+    /// Creates a quantity that is printed in the unit customary for users.
     #[must_use]
     pub fn new(value: f64, unit: Unit) -> Self {
         let (per_si, name, decimals) = human(unit);
         Self { value, unit, shown: Shown { per_si, name, decimals } }
     }
 
-    /// `value` in `unit`, printed as this one if that is its unit.
+    /// Creates a quantity of `value` in `unit`, printed like this one where the SI unit agrees.
     #[must_use]
     pub fn like(self, value: f64, unit: Unit) -> Self {
         if unit == self.unit { Self { value, ..self } } else { Self::new(value, unit) }
     }
 
-    /// The number as it is printed, without its unit.
+    /// Formats the number without its unit.
     #[must_use]
     pub fn number(self) -> String {
         let Shown { per_si, decimals, .. } = self.shown;
         let number = format!("{:.decimals$}", self.value * per_si);
-        // What rounds to zero has no sign.
+        // A value that rounds to zero is printed without a sign.
         let is_zero = !number.contains(|digit: char| ('1'..='9').contains(&digit));
         if is_zero { number.trim_start_matches('-').to_owned() } else { number }
     }
@@ -105,7 +105,7 @@ impl fmt::Display for Quantity {
     }
 }
 
-/// What people read a unit in: factor from SI, its sign, and decimals that show what the board resolves.
+/// Unit customary for users: factor from SI, symbol, and decimals that show the board's resolution.
 #[must_use]
 pub fn human(unit: Unit) -> (f64, &'static str, usize) {
     match unit {
@@ -122,7 +122,7 @@ pub fn human(unit: Unit) -> (f64, &'static str, usize) {
     }
 }
 
-/// Unit of a motor's speed, from that of its position.
+/// Unit of a motor's speed, from the unit of its position.
 #[must_use]
 pub fn speed_unit(position: Unit) -> Unit {
     if position == Unit::M { Unit::MPerS } else { Unit::RadPerS }

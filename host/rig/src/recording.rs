@@ -1,4 +1,4 @@
-//! What goes over a session's link, as a log.
+//! Recording of a session's link traffic as a log.
 
 use std::{
     cell::RefCell,
@@ -16,12 +16,12 @@ use r4_log::{About, RecordError, Tap, Wall};
 
 use crate::{HostClock, Target};
 
-/// Where a recording goes.
+/// Destination of a recording.
 #[derive(Debug)]
 pub enum Output {
-    /// Into a file.
+    /// File on disk, buffered.
     File(BufWriter<File>),
-    /// Into memory.
+    /// Buffer in memory, which grows.
     Memory(Cursor<Vec<u8>>),
     /// Discarded: the recording is for live views only ([`Tap::tell`]).
     Nowhere(io::Sink),
@@ -45,37 +45,38 @@ impl Write for Output {
     }
 }
 
-/// A recording that the link, the session and the caller share.
+/// Recording that the link, the session and the caller share.
 pub type SharedTap = Rc<RefCell<Tap<Output>>>;
 
-/// A recording is not complete.
+/// Error of a recording that is not complete.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
-    /// Its file cannot be created.
+    /// The log file cannot be created.
     #[error("cannot make the log {path}")]
     NotCreated {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// The end of the log cannot be written.
     #[error(transparent)]
     NotWritten(#[from] RecordError),
-    /// The end of a file cannot be written.
+    /// The end of a log file cannot be written.
     #[error("{path} is not complete")]
     NotComplete {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of writing the end.
         source: Box<Self>,
     },
-    /// Something else still records into it.
+    /// The recording is still shared, so that its end cannot be written.
     #[error("the recording is still in use")]
     InUse,
 }
 
-/// A tap for a session with the board at `target`, recorded by `program` for `command`, a command line without secrets.
+/// Creates a tap for a session with the board at `target`, recorded by `program` for `command`, a command line without
+/// secrets.
 #[must_use]
 pub fn tap(target: &Target, seed: u64, program: String, command: String, output: Output) -> SharedTap {
     let unix_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as u64;
@@ -87,10 +88,10 @@ pub fn tap(target: &Target, seed: u64, program: String, command: String, output:
     Rc::new(RefCell::new(Tap::new(output, about)))
 }
 
-/// Writes the end of a recording and returns where it went; `None` if nothing was written.
+/// Writes the end of a recording and returns its output; `None` if nothing was written.
 ///
 /// # Errors
-/// When the session still has it, or the end cannot be written.
+/// [`RecordingError::InUse`] while the session holds it; [`RecordingError::NotWritten`] when the end cannot be written.
 pub fn finish(tap: SharedTap) -> Result<Option<Output>, RecordingError> {
     match Rc::try_unwrap(tap) {
         Ok(tap) => Ok(tap.into_inner().finish()?),
@@ -98,7 +99,7 @@ pub fn finish(tap: SharedTap) -> Result<Option<Output>, RecordingError> {
     }
 }
 
-/// The log of a recording in memory, after [`finish`]; empty if the board never described itself.
+/// Returns the log of a recording in memory, after [`finish`]; empty if the board never described itself.
 #[must_use]
 pub fn bytes(output: Option<Output>) -> Vec<u8> {
     match output {
@@ -107,9 +108,9 @@ pub fn bytes(output: Option<Output>) -> Vec<u8> {
     }
 }
 
-/// The recording of one session, or of several that a lost link parts, in a file.
+/// Recording of one session, or of several that a lost link separates, in a file.
 pub struct Recording {
-    /// `None` for a recording that is discarded.
+    /// Path of the file; `None` for a recording that is discarded.
     path: Option<PathBuf>,
     tap: SharedTap,
 }
@@ -117,17 +118,17 @@ pub struct Recording {
 /// End of a recording that went into a file.
 #[derive(Debug)]
 pub struct Closed {
-    /// Frames from the board that were damaged: their content is not in the file.
+    /// Number of damaged frames from the board: their content is not in the file.
     pub bad_frames: u64,
-    /// Why the file is not complete, if it is not.
+    /// Error when the file is not complete.
     pub result: Result<(), RecordingError>,
 }
 
 impl Recording {
-    /// Makes the file `path`; `tap` makes the recording of it.
+    /// Creates the file `path`; `tap` creates the recording on it.
     ///
     /// # Errors
-    /// [`RecordingError::NotCreated`]
+    /// [`RecordingError::NotCreated`] when the file cannot be created.
     pub fn create(path: PathBuf, tap: impl FnOnce(Output) -> SharedTap) -> Result<Self, RecordingError> {
         match File::create(&path) {
             Ok(file) => Ok(Self { tap: tap(Output::File(BufWriter::new(file))), path: Some(path) }),
@@ -135,25 +136,25 @@ impl Recording {
         }
     }
 
-    /// Makes a recording without a file, for live views.
+    /// Creates a recording without a file, for live views.
     pub fn nowhere(tap: impl FnOnce(Output) -> SharedTap) -> Self {
         Self { tap: tap(Output::Nowhere(io::sink())), path: None }
     }
 
-    /// The recording, for a session.
+    /// Returns the tap for a session.
     #[must_use]
     pub fn tap(&self) -> SharedTap {
         self.tap.clone()
     }
 
-    /// Ends the file once the session is over. A file of a board that never described itself is removed.
+    /// Completes the file after the session. A file of a board that never described itself is removed.
     #[must_use]
     pub fn close(self) -> Closed {
         let bad_frames = self.tap.borrow().bad_frames();
         let result = match finish(self.tap) {
             Ok(Some(_)) => Ok(()),
             Ok(None) => {
-                // The session failed, and says why.
+                // The session has failed and reports the reason itself.
                 if let Some(path) = &self.path {
                     let _ = fs::remove_file(path);
                 }
@@ -168,7 +169,7 @@ impl Recording {
     }
 }
 
-/// One direction of a link, listened to.
+/// Wrapper of one direction of a link that records its bytes.
 pub(crate) struct Listened<L> {
     link: L,
     tap: Option<SharedTap>,
@@ -197,7 +198,7 @@ impl<L: Read> Read for Listened<L> {
 
 impl<L: embedded_io_async::Write> embedded_io_async::Write for Listened<L> {
     async fn write(&mut self, bytes: &[u8]) -> Result<usize, L::Error> {
-        // Before it waits: when the host wanted it sent.
+        // Taken before the write, which may wait: the log has the time at which the host sent.
         let now_us = self.clock.now_us();
         let len = self.link.write(bytes).await?;
         if let Some(tap) = &self.tap {

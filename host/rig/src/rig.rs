@@ -1,4 +1,4 @@
-//! From a board's name to sessions with it.
+//! Opening of a board by its name, and sessions with it.
 
 use std::{cell::Cell, io::Cursor, path::PathBuf, pin::pin, rc::Rc, time::Instant};
 
@@ -18,64 +18,64 @@ use crate::{
     session::AtEnd,
 };
 
-/// How often an [`Interrupt`] is looked for, µs on the session's clock.
+/// Period of the check for an [`Interrupt`], µs on the session's clock.
 const INTERRUPT_POLL_US: u64 = 10_000;
 
-/// Changes a virtual board's robot before power comes on: its body, its world, its physics.
+/// Callback that changes a virtual board's robot before power-up: its body, its world, its physics.
 pub type Alter = Rc<dyn Fn(&mut Robot)>;
 
-/// Shows notices to a person.
+/// Callback that shows notices to the user.
 pub type Notify = Rc<dyn Fn(&Notice)>;
 
-/// A board and what is around it, before a session with it.
+/// A board with its settings and environment, before a session.
 ///
 /// A virtual board is powered up anew for each session: the same settings give the same bytes.
 #[derive(Clone)]
 pub struct Rig {
-    /// The board.
+    /// Board that the sessions open.
     pub target: Target,
     /// Seed of a virtual board's noise.
     pub seed: u64,
-    /// Speed of a virtual board's time.
+    /// Pace of a virtual board's time against real time.
     pub pace: Pace,
-    /// File with a virtual board's flash; made if there is none.
+    /// File with a virtual board's flash; created if it does not exist.
     pub flash: Option<PathBuf>,
-    /// File whose `[body]` and `[world]` a virtual board's robot gets in place of its own, each if the file has it: a scenario's.
-    /// `body` and `world` go before these.
+    /// File whose `[body]` and `[world]`, as far as present, replace those of a virtual board's robot: a scenario's.
+    /// `body` and `world` take precedence.
     pub environment: Option<PathBuf>,
     /// World in which a virtual robot's body stands: a built-in name or a TOML file.
     pub world: Option<String>,
-    /// Other physics for motors of a virtual board.
+    /// Plants that replace those of a virtual board's motors.
     pub plants: Vec<PlantFile>,
-    /// File with another body for a virtual board's robot.
+    /// File with a body that replaces that of a virtual board's robot.
     pub body: Option<PathBuf>,
-    /// Seed of what is hidden in the physics of a virtual board's body, or in each of its motors.
+    /// Seed of an effect hidden in the physics of a virtual board's body, or in each of its motors.
     pub hidden: Option<u64>,
-    /// Changes the robot of a virtual board before it is powered up: for scenes that a file cannot describe, such as a body with
+    /// Change of a virtual board's robot before power-up: for scenes that a file cannot describe, such as a body with
     /// sampled tyres.
     pub alter: Option<Alter>,
-    /// Key of a board at the other end of a link.
+    /// Key of a board on a link; `None` for a board without one.
     pub key: Option<Key>,
-    /// Ends a session in good order.
+    /// Request to end a session in good order.
     pub interrupt: Interrupt,
-    /// Shows notices to a person; without it they go nowhere.
+    /// Callback for notices to the user; the default discards them.
     pub notify: Notify,
-    /// How an emulated board is run, and what observes it.
+    /// Settings and observer of an emulated board.
     #[cfg(feature = "emu")]
     pub emulated: emulated::Setup,
 }
 
-/// How long a session ran, in the board's time and on the wall.
+/// Duration of a session, in the board's time and in wall time.
 #[derive(Clone, Copy, Debug)]
 pub struct Elapsed {
-    /// Time on a virtual board's clock, s; on the wall where time is real.
+    /// Time on a virtual board's clock, s; wall time on a real board.
     pub simulated_s: f64,
-    /// Time on the wall, s.
+    /// Wall time of the session, s.
     pub wall_s: f64,
 }
 
 impl Elapsed {
-    /// Simulated seconds per second on the wall.
+    /// Simulated seconds per second of wall time.
     #[must_use]
     pub fn real_time_factor(self) -> f64 {
         self.simulated_s / self.wall_s.max(1e-9)
@@ -86,13 +86,13 @@ impl Elapsed {
 pub struct Recorded<T, E> {
     /// Result of the session.
     pub result: Result<(T, Elapsed), E>,
-    /// The log as far as it came; empty if the board never described itself.
+    /// Log up to the end or the error; empty if the board never described itself.
     pub log: Vec<u8>,
-    /// Why the log is not complete, if it is not.
+    /// Error when the log is not complete.
     pub log_error: Option<RecordingError>,
 }
 
-/// Errors of a session that comes back: those of the caller's work, and of what is around it.
+/// Errors of a session that reconnects: those of the caller's work, and those of link and driver.
 enum Ended<E> {
     Open(OpenError),
     Board(DriverError),
@@ -112,7 +112,8 @@ impl<E> From<DriverError> for Ended<E> {
 }
 
 impl Rig {
-    /// A board with default settings: seed 1, as fast as the machine can, the world and physics of its robot's file.
+    /// Creates a rig with default settings: seed 1, as fast as the computer can, the world and physics of its robot's
+    /// file.
     #[must_use]
     pub fn new(target: Target) -> Self {
         Self {
@@ -134,18 +135,20 @@ impl Rig {
         }
     }
 
-    /// Robot of a virtual board, with its physics and world as the settings say.
+    /// Loads the robot of a virtual board, with physics and world as the settings define.
     ///
     /// # Errors
-    /// When the board is not virtual, or a file is wrong.
+    /// [`Error::NotVirtual`] for a board on a link; the error of a file that is not valid.
     pub fn robot(&self) -> Result<Robot, Error> {
         Ok(self.prepared()?.0)
     }
 
-    /// The same, and whether something is hidden in its body, so that nothing is in its motors.
+    /// Loads the robot; also returns true when an effect is hidden in its body, so that none is in its motors.
     fn prepared(&self) -> Result<(Robot, bool), Error> {
         let name = self.target.robot()?;
         let mut robot = r4_boards::load(name)?;
+        // Later settings override earlier ones: environment file, body, plants, hidden effect, world, the caller's
+        // change.
         if let Some(file) = &self.environment {
             r4_boards::load_environment(file, &mut robot)?;
         }
@@ -177,7 +180,7 @@ impl Rig {
     /// Powers up the virtual board, with the flash in its file.
     ///
     /// # Errors
-    /// When the board is not virtual, or a file is wrong.
+    /// [`Error::NotVirtual`] for a board on a link; the error of a file that is not valid.
     pub fn power_up(&self, simulation: &mut Simulation) -> Result<(Rc<dyn VirtualBoard>, Option<FlashFile>), Error> {
         let (robot, is_in_body) = self.prepared()?;
         let file = self.flash.as_deref().map(FlashFile::open).transpose()?;
@@ -192,6 +195,7 @@ impl Rig {
             && let InRobot::Motors(motors) = hidden(&robot, seed)?
         {
             for ((channel, hidden), index) in motors.into_iter().zip(0u64..) {
+                // Each motor has noise of its own.
                 board.world().set_plant(channel, hidden.plant(self.seed.wrapping_add(index)));
             }
         }
@@ -238,10 +242,10 @@ impl Rig {
 
     /// Connects to the board and runs `work` in a session with it, recorded by `tap`.
     ///
-    /// An [`Interrupt`] disarms, closes the session and is an error.
+    /// An [`Interrupt`] disarms the board, closes the session and gives [`Error::Interrupted`].
     ///
     /// # Errors
-    /// That of `work`; or when there is no session, or it does not end as it should.
+    /// The error of `work`; the error of opening, closing or interrupting the session.
     pub fn run<T, E: From<Error>>(
         &self,
         tap: Option<SharedTap>,
@@ -253,7 +257,7 @@ impl Rig {
         }
     }
 
-    /// The same, recorded into memory by `tap`, a recording of [`Output::Memory`].
+    /// Runs `work` as [`Rig::run`], recorded into memory by `tap`, which gets an [`Output::Memory`].
     pub fn recorded<T, E: From<Error>>(
         &self,
         tap: impl FnOnce(Output) -> SharedTap,
@@ -278,18 +282,20 @@ impl Rig {
         let clock = simulation.clock();
         let begin = Instant::now();
         let result = simulation.block_on(self.session_with(board.clone(), &clock, tap, work));
+        // Before the result: the failure is what explains a session that stood still.
         if let Some(failure) = board.failure() {
             return Err(Error::Stopped(failure).into());
         }
         let result = result.ok_or(Error::Standstill)?;
         let elapsed = Elapsed { simulated_s: clock.now_ns() as f64 * 1e-9, wall_s: begin.elapsed().as_secs_f64() };
+        // Also after a failed session: a real board would have kept its flash.
         if let Some(file) = file {
             file.write(&board.flash()).map_err(Error::from)?;
         }
         Ok((result?, elapsed))
     }
 
-    /// Connects to a virtual board that is powered up and runs `work` in a session with it.
+    /// Connects to a powered virtual board and runs `work` in a session with it.
     pub(crate) async fn session_with<T, E: From<Error>>(
         &self,
         board: Rc<dyn VirtualBoard>,
@@ -332,14 +338,15 @@ impl Rig {
         Ok((value, Elapsed { simulated_s: wall_s, wall_s }))
     }
 
-    /// Runs `work` in a session on a board at the other end of a link, and again each time that a lost link is back; `tell` is
-    /// called with both. While there is no link, `meanwhile` runs; where that ends, all does. `lost` finds in an error of `work`
-    /// what the driver said of a lost link.
+    /// Runs `work` in a session with a board on a link, and again each time a lost link is restored; `tell` is called
+    /// with both events. While there is no link, `meanwhile` runs; when it ends, everything ends. `lost` extracts from
+    /// an error of `work` the driver's error of a lost link.
     ///
     /// A recording continues with the next session; the time between is a gap in it.
     ///
     /// # Errors
-    /// When the board is not there to begin with; those of `work` that are not of the link, and of `meanwhile`.
+    /// The error when the board cannot be reached at the start; errors of `work` that do not come from the link; errors
+    /// of `meanwhile`; [`Error::Interrupted`].
     pub fn keep<T, E: From<Error>>(
         &self,
         address: &Address,
@@ -357,6 +364,7 @@ impl Rig {
             clock.clone(),
             |link| {
                 if let Some(tap) = &tap {
+                    // Marks the gap in the recording.
                     tap.borrow_mut().reopened();
                 }
                 (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(link.tx, tap.as_ref(), &clock))
@@ -376,7 +384,7 @@ impl Rig {
             tell,
         );
         r4_links::block_on(async {
-            // A session disarms first.
+            // While a session runs, it handles the interrupt itself, because it must disarm first.
             let interrupted = async {
                 while !self.interrupt.is_set() || has_session.get() {
                     clock.sleep_until(clock.now_us() + INTERRUPT_POLL_US).await;
@@ -409,7 +417,7 @@ impl Rig {
             Either::Left((result, _)) => result,
             Either::Right(((), _)) => {
                 match session.board.disarm().await {
-                    // Of a shared board, that another program commands: what that has armed is not ours to end.
+                    // A shared board commanded by another client: disarming it is not ours to do.
                     Ok(()) | Err(DriverError::Refused(Refusal::InUse)) => {}
                     Err(error) => return Err(Error::NotDisarmed(error).into()),
                 }
@@ -417,11 +425,13 @@ impl Rig {
             }
         };
         let Some(AtEnd { channel, mode, gains, tuning }) = session.take_at_end() else { return result };
+        // Also after an error or an interrupt: the next session must not find the gains of an experiment.
         let put_back = async {
             session.board.set_gains(channel, mode, gains).await?;
             session.board.set_tuning(channel, tuning).await
         };
         let put_back = put_back.await;
+        // The error of the work takes precedence over that of the gains.
         let value = result?;
         put_back.map_err(|source| Error::GainsLeft { channel, source })?;
         Ok(value)

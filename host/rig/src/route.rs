@@ -1,32 +1,33 @@
-//! From place to place: turn towards it, drive there, and slow down for what is in the way.
+//! Follower of waypoints: turns towards a point, drives there, and slows down before obstacles.
 
 use std::{collections::VecDeque, f64::consts::PI};
 
 use crate::{ground::Velocity, odometry::Place};
 
-/// What a route is driven with.
+/// Limits of the motion along a route.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// m/s
+    /// Highest forward speed, m/s.
     pub speed_m_s: f64,
-    /// rad/s
+    /// Highest turn rate, rad/s.
     pub turn_rate_rad_s: f64,
-    /// Slowing down in front of places and obstacles, m/s².
+    /// Deceleration in front of waypoints and obstacles, m/s².
     pub braking_m_s2: f64,
-    /// Way that is kept free in front, m.
+    /// Distance that is kept free in front, m.
     pub stop_m: f64,
-    /// A place counts as reached within this, m.
+    /// Distance within which a waypoint counts as reached, m.
     pub reached_m: f64,
 }
 
-/// Angle off the bow from which the robot stops driving and turns on the spot, rad. Our choice.
+/// Bearing from which on the robot stops and turns on the spot, rad. Our choice.
 const FACING_RAD: f64 = 0.35;
-/// Angle off the bow at which turning on the spot ends, rad. Our choice.
+/// Bearing at which the turn on the spot ends, rad. Our choice.
 const FACED_RAD: f64 = 0.05;
-/// Turn rate for an angle to turn, 1/s. Our choice: slow against the 20 ms of a look and the 20 ms in which a wheel follows.
+/// Gain of the turn rate by the bearing, 1/s. Our choice: slow against the 20 ms of a telemetry period and the 20 ms in
+/// which a wheel follows.
 const TURN_PER_S: f64 = 2.0;
 
-/// Follows places one after the other.
+/// Follower of waypoints in their order.
 #[derive(Clone, Debug)]
 pub struct Follower {
     limits: Limits,
@@ -35,22 +36,22 @@ pub struct Follower {
 }
 
 impl Follower {
-    /// Through these places, m, in the frame of the odometry.
+    /// Creates a follower of these waypoints, m, in the frame of the odometry.
     #[must_use]
     pub fn new(limits: Limits, places_m: impl IntoIterator<Item = [f64; 2]>) -> Self {
         Self { limits, places_m: places_m.into_iter().collect(), turns: false }
     }
 
-    /// Places that are not reached yet.
+    /// Number of waypoints that are not reached yet.
     #[must_use]
     pub fn places_left(&self) -> usize {
         self.places_m.len()
     }
 
-    /// Velocity from where the robot is, with `free_m` in front of it; `None` once all places are reached.
+    /// Velocity at a pose, with `free_m` of free distance in front; `None` once all waypoints are reached.
     ///
-    /// Nothing is driven towards what is nearer than [`Limits::stop_m`]: the robot stands until it is gone. It turns on the spot
-    /// all the same.
+    /// The robot does not drive towards an obstacle nearer than [`Limits::stop_m`]: it stands until the obstacle is
+    /// gone. It still turns on the spot.
     pub fn velocity(&mut self, at: Place, free_m: f64) -> Option<Velocity> {
         let Limits { speed_m_s, turn_rate_rad_s, braking_m_s2, stop_m, reached_m } = self.limits;
         let (to_x, to_y) = loop {
@@ -68,7 +69,7 @@ impl Follower {
         if self.turns {
             return Some(Velocity { forward_m_s: 0.0, yaw_rad_s });
         }
-        // As fast as it can still stop from.
+        // The speed from which the robot still stops in time.
         let within = |way_m: f64| (2.0 * braking_m_s2 * way_m.max(0.0)).sqrt();
         let to_place = within(to_x.hypot(to_y) - reached_m / 2.0);
         let forward_m_s = speed_m_s.min(to_place).min(within(free_m - stop_m));
@@ -79,7 +80,7 @@ impl Follower {
     }
 }
 
-/// The same angle within half a turn.
+/// Wraps an angle to -π..π, rad.
 fn wrapped(angle_rad: f64) -> f64 {
     let turned = (angle_rad + PI).rem_euclid(2.0 * PI);
     turned - PI
@@ -93,7 +94,7 @@ mod tests {
         Limits { speed_m_s: 0.3, turn_rate_rad_s: 1.0, braking_m_s2: 0.3, stop_m: 0.4, reached_m: 0.05 };
     const STEP_S: f64 = 0.02;
 
-    /// Lets an ideal robot follow for so long at most; where it ends, and after how long.
+    /// Simulates an ideal robot that follows for at most `most_s`; returns its final pose and the time, s.
     fn followed(
         follower: &mut Follower,
         mut at: Place,
@@ -121,17 +122,18 @@ mod tests {
         let (at, time_s) = followed(&mut follower, Place::default(), |_, _| f64::INFINITY, 60.0);
         assert_eq!(follower.places_left(), 0);
         assert!(at.x_m.hypot(at.y_m) <= LIMITS.reached_m, "{at:?}");
-        // 3.8 m at 0.3 m/s and three turns of 90 degrees at 1 rad/s are 17.4 s; turning in and slowing down take their time too.
+        // 3.8 m at 0.3 m/s and three turns of 90 degrees at 1 rad/s are 17.4 s; turning in and slowing down take
+        // additional time.
         assert!((17.4..26.0).contains(&time_s), "{time_s} s");
     }
 
     #[test]
     fn it_waits_for_what_is_in_the_way_and_goes_on() {
         let mut follower = Follower::new(LIMITS, [[3.0, 0.0]]);
-        // Something at 1.5 m until 20 s.
+        // An obstacle at 1.5 m until 20 s.
         let wall = |at: Place, time_s: f64| if time_s < 20.0 { 1.5 - at.x_m } else { f64::INFINITY };
         let (at, _) = followed(&mut follower.clone(), Place::default(), wall, 19.0);
-        // Between two looks it goes on by less than 1 mm at the speed that it has then.
+        // Between two calls the robot moves by less than 1 mm at its speed there.
         assert!((1.0..=1.101).contains(&at.x_m), "{at:?} is {} m in front of it", 1.5 - at.x_m);
         let (at, time_s) = followed(&mut follower, Place::default(), wall, 60.0);
         assert!(time_s > 20.0 && (at.x_m - 3.0).abs() <= LIMITS.reached_m);

@@ -1,4 +1,4 @@
-//! States with time-outs, for programs that go through one after the other.
+//! Sequences of states with timeouts.
 
 use std::{future::Future, pin::pin};
 
@@ -6,7 +6,7 @@ use futures::future::{Either, select};
 
 use crate::{Error, Session};
 
-/// A program's states: each has a name and a time in which it must end.
+/// Sequence of a program's states: each has a name and a timeout.
 ///
 /// ```
 /// use r4_rig::{Error, Rig, Sequence};
@@ -27,29 +27,29 @@ pub struct Sequence<'s, 'b> {
     visits: Vec<Visit>,
 }
 
-/// A state that a program was in.
+/// A completed state of a sequence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Visit {
     /// Name of the state.
     pub state: &'static str,
-    /// When it began, s on the host's clock.
+    /// Start of the state, s on the host's clock.
     pub entered_s: f64,
-    /// When it ended, s; also where it failed or timed out.
+    /// End of the state, s on the host's clock; also after an error or a timeout.
     pub left_s: f64,
 }
 
 impl<'s, 'b> Sequence<'s, 'b> {
-    /// A program that has been in no state yet.
+    /// Creates a sequence before its first state.
     #[must_use]
     pub fn new(session: &'s Session<'b>) -> Self {
         Self { session, visits: Vec::new() }
     }
 
-    /// Runs the work of a state. Work that is not done in time is dropped where it waits: what it commanded last stays in force, so
-    /// the caller's error path has to stop it (the end of [`Session::armed`] does).
+    /// Runs the work of a state. Work that reaches the timeout is dropped where it waits: its last set point stays in
+    /// force, so that the caller's error path must stop it (the end of [`Session::armed`] does).
     ///
     /// # Errors
-    /// That of the work, or [`Error::StateTimedOut`].
+    /// The error of the work, or [`Error::StateTimedOut`].
     pub async fn state<T>(
         &mut self,
         state: &'static str,
@@ -66,7 +66,7 @@ impl<'s, 'b> Sequence<'s, 'b> {
         ended
     }
 
-    /// States so far, in order.
+    /// Completed states, in their order.
     #[must_use]
     pub fn visits(&self) -> &[Visit] {
         &self.visits

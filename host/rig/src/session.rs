@@ -1,4 +1,4 @@
-//! A session with a board.
+//! Session with a board, and its state on the host.
 
 use std::{cell::Cell, convert::Infallible, pin::pin, rc::Rc};
 
@@ -15,35 +15,35 @@ use crate::{
     recording::SharedTap, rig::Notify,
 };
 
-/// How often hot windings are looked for, s: heartbeats report them.
+/// Period of the check for hot windings, s: that of the heartbeats, which report them.
 const HEAT_EVERY_S: f64 = 0.05;
 
-/// What a motor gets when a session ends: the gains of a loop, and its tuning.
+/// Gains and tuning that a motor gets when a session ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AtEnd {
-    /// The motor.
+    /// Channel of the motor.
     pub channel: ChannelId,
-    /// Which of its loops gets gains, [`Mode::Position`] or [`Mode::Speed`].
+    /// Loop that the gains belong to, [`Mode::Position`] or [`Mode::Speed`].
     pub mode: Mode,
     /// Gains of that loop.
     pub gains: PidGains,
-    /// Feed-forward and cascade.
+    /// Feed-forward and cascade settings.
     pub tuning: Tuning,
 }
 
-/// A connected board, and what is known about it on this side of the link.
+/// A connected board, with its state on this side of the link.
 pub struct Session<'s> {
-    /// The board.
+    /// Board of the session.
     pub board: &'s Board<HostClock>,
-    /// Time of the driver.
+    /// Clock of the driver, virtual or real.
     pub clock: HostClock,
-    /// Recording of this session, if there is one.
+    /// Recording of this session; `None` without one.
     pub tap: Option<SharedTap>,
     target: &'s Target,
     notify: Notify,
     warned: Warned,
     at_end: Cell<Option<AtEnd>>,
-    /// `None` at the end of a link.
+    /// Virtual board and its cable; `None` for a board on a link.
     environment: Option<(Rc<dyn VirtualBoard>, Rc<CableState>)>,
 }
 
@@ -62,14 +62,14 @@ impl<'s> Session<'s> {
 }
 
 impl Session<'_> {
-    /// Name of the board.
+    /// Name of the board, as the caller gave it.
     #[must_use]
     pub fn target(&self) -> &Target {
         self.target
     }
 
-    /// How the robot drives over the ground, if its file is known: a board does not describe that. At the end of a link it is known for
-    /// the name of a built-in robot.
+    /// Drive of the robot over the ground, from its file; `None` when the file is not known. A board does not report
+    /// it: for a board on a link it is known by the name of a built-in robot.
     #[must_use]
     pub fn ground_drive(&self) -> Option<GroundDrive> {
         let name = match self.target {
@@ -79,36 +79,37 @@ impl Session<'_> {
         r4_boards::load(name).ok()?.drive.map(GroundDrive::new)
     }
 
-    /// True position of a motor's output, rad or m: of a virtual board only.
+    /// True position of a motor's output, rad or m; `None` unless the board is virtual.
     #[must_use]
     pub fn true_position(&self, channel: ChannelId) -> Option<f64> {
         self.environment.as_ref()?.0.world().position(channel)
     }
 
-    /// True place of a robot's body now: of a virtual board whose robot has one.
+    /// True pose of the robot's body; `None` unless the board is virtual and its robot has one.
     #[must_use]
     pub fn true_place(&self) -> Option<Place> {
         let pose = self.environment.as_ref()?.0.world().pose()?;
         Some(Place { x_m: pose.x_m, y_m: pose.y_m, yaw_rad: pose.yaw_rad })
     }
 
-    /// The board with its environment, to read and to break.
+    /// Virtual board with its environment, which the caller may read and change.
     ///
     /// # Errors
-    /// When the board is at the other end of a link.
+    /// [`NotVirtual`] for a board on a link.
     pub fn virtual_board(&self) -> Result<&dyn VirtualBoard, NotVirtual> {
         self.environment.as_ref().map(|(board, _)| &**board).ok_or_else(|| NotVirtual(self.target.clone()))
     }
 
-    /// The cable to a virtual board, to cut.
+    /// Cable to a virtual board, which the caller may cut.
     ///
     /// # Errors
-    /// When the board is at the other end of a link.
+    /// [`NotVirtual`] for a board on a link.
     pub fn cable(&self) -> Result<&CableState, NotVirtual> {
         self.environment.as_ref().map(|(_, cable)| &**cable).ok_or_else(|| NotVirtual(self.target.clone()))
     }
 
-    /// Sets what a motor gets when the session ends, also when it fails or is interrupted; `None` takes that back.
+    /// Sets the gains and tuning that a motor gets when the session ends, also after an error or an interrupt; `None`
+    /// cancels that.
     pub fn at_end(&self, of: Option<AtEnd>) {
         self.at_end.set(of);
     }
@@ -117,10 +118,10 @@ impl Session<'_> {
         self.at_end.take()
     }
 
-    /// Arms, runs `work`, and disarms whatever its result. Notifies meanwhile of windings that become hot.
+    /// Arms, runs `work`, and disarms whatever its result. Notifies of windings that become hot meanwhile.
     ///
     /// # Errors
-    /// That of `work`; or when the board does not arm or disarm.
+    /// The error of `work`; [`Error::Arm`] or [`Error::Disarm`] when the board refuses.
     pub async fn armed<T, E: From<Error>>(&self, work: impl AsyncFnOnce() -> Result<T, E>) -> Result<T, E> {
         self.board.arm().await.map_err(Error::Arm)?;
         let result = match select(pin!(work()), pin!(self.watch_heat())).await {
@@ -129,12 +130,13 @@ impl Session<'_> {
         };
         self.notify_of_heat();
         let disarmed = self.board.disarm().await;
+        // The error of the work goes first: a failed disarm is often its consequence.
         let value = result?;
         disarmed.map_err(Error::Disarm)?;
         Ok(value)
     }
 
-    /// Notifies of windings that became hot since the last time.
+    /// Notifies of windings that became hot since the last call.
     pub fn notify_of_heat(&self) {
         for hot in self.warned.fresh(&self.board.hot_windings()) {
             (self.notify)(&Notice::HotWinding(hot));

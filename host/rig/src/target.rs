@@ -1,48 +1,48 @@
-//! Names of boards.
+//! Names of boards, as users write them.
 
 use std::{fmt, str::FromStr};
 
 use r4_links::{Address, BadAddress};
 
-/// A board, by its name or by where it is.
+/// A board, by its name or by its address.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Target {
     /// A simulated board of this robot: a built-in name or a TOML file.
     Sim(String),
-    /// An emulated processor that runs the firmware's ELF, in the same simulated environment.
+    /// Emulated board: an emulated processor runs the firmware's ELF file, in the same simulated environment.
     Emu(String),
-    /// A board at the other end of a link: a real one, or a virtual one that another program serves.
+    /// Board on a link: a real one, or a virtual one that another program serves.
     Link(Address),
 }
 
-/// The operation needs a board whose environment can be read and changed.
+/// Error of an operation that needs a board whose environment can be read and changed.
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("{0} is a board at the other end of a link: this needs a simulated one, as in --board sim:osmc-bench")]
 pub struct NotVirtual(pub(crate) Target);
 
-/// The text names no board.
+/// Error of a text that names no board.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum BadTarget {
-    /// A link, but not one that can be opened.
+    /// The address of a link is not valid.
     #[error(transparent)]
     Address(#[from] BadAddress),
-    /// Neither a kind of virtual board nor a kind of link.
+    /// The kind is neither a virtual board nor a link.
     #[error(
         "`{text}` names no board: write sim: and a robot's name or file, or serial:, tcp: or can: and where it is; \
          built in: {}",
         r4_boards::names().map(|name| format!("sim:{name}")).collect::<Vec<_>>().join(" ")
     )]
     UnknownKind {
-        /// As it was given.
+        /// Text as the caller gave it.
         text: String,
     },
 }
 
 impl Target {
-    /// The same kind of virtual board for another robot.
+    /// Returns the same kind of virtual board for another robot.
     ///
     /// # Errors
-    /// When this is a link, whose board has the robot that it has.
+    /// [`NotVirtual`] for a link, whose board has its own robot.
     pub fn with_robot(&self, robot: &str) -> Result<Self, NotVirtual> {
         match self {
             Self::Sim(_) => Ok(Self::Sim(robot.to_owned())),
@@ -51,7 +51,7 @@ impl Target {
         }
     }
 
-    /// Name, with `(simulated)` or `(emulated)` behind it where the board is not real.
+    /// Name of the board, followed by `(simulated)` or `(emulated)` unless it is on a link.
     #[must_use]
     pub fn described(&self) -> String {
         match self {
@@ -64,7 +64,7 @@ impl Target {
     /// Name or file of a virtual board's robot.
     ///
     /// # Errors
-    /// When this is a link.
+    /// [`NotVirtual`] for a link.
     pub fn robot(&self) -> Result<&str, NotVirtual> {
         match self {
             Self::Sim(robot) | Self::Emu(robot) => Ok(robot),
@@ -72,7 +72,7 @@ impl Target {
         }
     }
 
-    /// Whether the board and its environment are simulated.
+    /// Returns true when the board and its environment are simulated.
     #[must_use]
     pub fn is_virtual(&self) -> bool {
         !matches!(self, Self::Link(_))

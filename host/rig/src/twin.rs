@@ -1,4 +1,4 @@
-//! Digital twins: the difference between a recorded run and the same run on a simulated board.
+//! Digital twins: comparison of a recorded run with the same run on a simulated board.
 
 use std::path::PathBuf;
 
@@ -9,47 +9,47 @@ use serde::Serialize;
 
 use crate::{Error, PlantFile, Rig, replay};
 
-/// What of a recorded run is compared.
+/// Quantity of a recorded run that is compared.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Observed {
     /// Position and speed of a motor.
     Motor(ChannelId),
-    /// A signal of numbers by its name, as in `imu0.rate_z_rad_s`.
+    /// A numeric signal by its name, as in `imu0.rate_z_rad_s`.
     Signal(String),
 }
 
-/// Physics of a virtual board other than those of its robot's file.
+/// Physics that replace those of a virtual board's robot file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Physics {
     /// The plant of one motor, in place of the one in the robot's file.
     Plant(PlantFile),
-    /// File of the robot's body.
+    /// File with the robot's body.
     Body(PathBuf),
 }
 
-/// A simulated board cannot be compared with a recording.
+/// Error of a recording that cannot be compared with a simulated board.
 #[derive(Debug, thiserror::Error)]
 pub enum TwinError {
     /// The recording has no samples of the motor.
     #[error("the log has no samples of a motor {channel}: it has {}", listed(motors))]
     NotRecorded {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// The motors that are recorded.
+        /// Motors that are in the log.
         motors: Vec<ChannelId>,
     },
-    /// The recording has no such signal of numbers.
+    /// The recording has no numeric signal of this name.
     #[error("the log has no signal {name} of numbers: it has {}", .signals.join(", "))]
     NoSignal {
-        /// The name asked for.
+        /// Name that the caller requested.
         name: String,
-        /// Signals that are recorded.
+        /// Names of the recorded signals.
         signals: Vec<String>,
     },
-    /// The replay has no samples of it.
+    /// The replay has no samples of the quantity.
     #[error("the simulated board sent no samples of {observed}")]
     NotSimulated {
-        /// The motor or the signal.
+        /// Name of the motor or signal.
         observed: String,
     },
     /// The two runs do not overlap in time.
@@ -62,7 +62,7 @@ fn listed(motors: &[ChannelId]) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-/// Errors of one quantity on a simulated board with two kinds of physics.
+/// Errors of one quantity on a simulated board with two sets of physics.
 #[derive(Clone, Debug, Serialize)]
 pub struct Difference {
     /// `position`, `speed`, or the signal's name.
@@ -70,38 +70,39 @@ pub struct Difference {
     /// Unit of the errors; `None` for a signal, whose name ends with it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unit: Option<&'static str>,
-    /// Root mean square error with the physics as they were; an angle's is counted from where each run began.
+    /// Root mean square error with the physics before; an angle is relative to the start of each run.
     pub rmse_before: f64,
-    /// The same with the physics as they are now.
+    /// Root mean square error with the physics after.
     pub rmse_after: f64,
 }
 
-/// Differences between a recording and a simulated board with two kinds of physics.
+/// Differences between a recording and a simulated board with two sets of physics.
 #[derive(Clone, Debug, Serialize)]
 pub struct Twins {
-    /// Of each quantity; the first says which is nearer.
+    /// Difference of each quantity; the first decides which physics are nearer.
     pub differences: Vec<Difference>,
-    /// Causes of the simulated board's trip with the physics as they were, if the recorded one did not trip.
+    /// Causes of the simulated board's trip with the physics before; `None` without a trip, or when the recorded board
+    /// tripped too.
     pub stopped_before: Option<String>,
-    /// The same with the physics as they are now.
+    /// Causes of the simulated board's trip with the physics after, in the same way.
     pub stopped_after: Option<String>,
     /// Number of recorded samples.
     pub samples: usize,
 }
 
 impl Twins {
-    /// Whether the simulated board is at least as near to the recording as before.
+    /// Returns true when the simulated board is at least as near to the recording as before.
     #[must_use]
     pub fn is_as_near(&self) -> bool {
         self.differences.first().is_some_and(|first| first.rmse_after <= first.rmse_before)
     }
 }
 
-/// Replays `log` on the virtual board of `rig` with two kinds of physics, and compares each run with the recording. Physics of `None`
-/// are those of `rig`.
+/// Replays `log` on the virtual board of `rig` with two sets of physics, and compares each run with the recording.
+/// `None` stands for the physics of `rig`.
 ///
 /// # Errors
-/// When what is observed is not in the log, or the log cannot be replayed.
+/// [`Error::Twin`] when the quantity is not in the log or the replay; the error of a log that cannot be replayed.
 pub fn compare(
     rig: &Rig,
     log: &Log,
@@ -124,7 +125,7 @@ pub fn compare(
 struct Track {
     name: String,
     unit: Option<&'static str>,
-    /// Time in s and value.
+    /// Samples: time, s, and value.
     samples: Vec<(f64, f64)>,
 }
 
@@ -134,7 +135,7 @@ impl Track {
         Self { name: name.to_owned(), unit: Some(unit), samples }
     }
 
-    /// Counted from the first sample.
+    /// Returns the track relative to its first sample.
     fn relative_to_start(mut self) -> Self {
         let start = self.samples.first().map_or(0.0, |(_, value)| *value);
         self.samples.iter_mut().for_each(|(_, value)| *value -= start);
@@ -142,7 +143,7 @@ impl Track {
     }
 }
 
-/// What is observed, as `log` has it.
+/// Extracts the tracks of a quantity from `log`.
 fn tracks(log: &Log, observed: &Observed) -> Result<Vec<Track>, TwinError> {
     match observed {
         &Observed::Motor(channel) => {
@@ -152,10 +153,10 @@ fn tracks(log: &Log, observed: &Observed) -> Result<Vec<Track>, TwinError> {
             let position = |unit| of("position", unit, |sample| sample.position);
             let speed = |unit| of("speed", unit, |sample| sample.speed);
             Ok(if motor.is_linear() {
-                // The zero of a rod is calibrated.
+                // The zero of a rod is calibrated, so that positions compare absolutely.
                 vec![position("m"), speed("m/s")]
             } else {
-                // The zero of an angle is where power came on, which differs between the machine and a simulation.
+                // The zero of an angle is the position at power-on, which differs between the machine and a simulation.
                 vec![position("rad").relative_to_start(), speed("rad/s")]
             })
         }
@@ -173,7 +174,8 @@ fn tracks(log: &Log, observed: &Observed) -> Result<Vec<Track>, TwinError> {
     }
 }
 
-/// Errors of each track of a virtual board that replays `log` with other physics, and causes of a trip that is not recorded.
+/// Errors of each track of a virtual board that replays `log` with other physics, and causes of a trip that the log
+/// does not have.
 fn errors(
     rig: &Rig,
     log: &Log,
@@ -204,8 +206,8 @@ fn errors(
     Ok((errors.ok_or(TwinError::NothingInCommon)?, stopped))
 }
 
-/// Root mean square of the difference between two runs, at the moments of the first. The second is interpolated linearly, its times
-/// shifted by `shift_s`. `None` without a common moment.
+/// Root mean square of the difference between two runs, at the times of the first. The second is linearly interpolated,
+/// with its times shifted by `shift_s`. `None` without a common time.
 fn rmse(recorded: &Track, simulated: &Track, shift_s: f64) -> Option<f64> {
     let mut differences = RootMeanSquare::default();
     for &(time_s, value) in &recorded.samples {
@@ -214,7 +216,7 @@ fn rmse(recorded: &Track, simulated: &Track, shift_s: f64) -> Option<f64> {
         let (Some(&(right_s, right)), left) = (simulated.samples.get(after), after.saturating_sub(1)) else { continue };
         let (left_s, left) = simulated.samples[left];
         let step_s = right_s - left_s;
-        // The second run has no sample yet.
+        // Before the first sample of the second run there is nothing to compare.
         if at_s < left_s && at_s != right_s {
             continue;
         }

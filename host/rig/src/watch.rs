@@ -1,4 +1,4 @@
-//! A motor under experiment, watched with every sample.
+//! Watch over a motor in an experiment, with every telemetry sample.
 
 use std::pin::pin;
 
@@ -8,99 +8,99 @@ use r4_protocol::{ChannelId, Mode, SafetyState, Sample, Setpoint, Telemetry, Uni
 
 use crate::{Error, HostClock, Session, quantity::Quantity};
 
-/// Telemetry may be silent for this long, s.
+/// Timeout of the telemetry, s.
 const SILENT_S: f64 = 0.3;
 
-/// What ends an experiment with a motor. The board is disarmed then.
+/// Error that ends an experiment with a motor. The board is disarmed then.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum WatchError {
-    /// It is where it must not be.
+    /// The motor left its allowed travel.
     #[error("{channel} left the travel that was allowed, at {at}: from {low} to {high}")]
     Travel {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// Its position.
+        /// Position of the motor.
         at: Quantity,
-        /// The lowest position that was allowed.
+        /// Lowest allowed position of the motor.
         low: Quantity,
-        /// The highest position that was allowed.
+        /// Highest allowed position of the motor.
         high: Quantity,
     },
-    /// The experiment takes too long.
+    /// The experiment exceeds its time limit.
     #[error("{channel} was not done within {limit_s:.0} s: --time allows more")]
     Time {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// Time that was allowed, s.
+        /// Time limit of the experiment, s.
         limit_s: f64,
     },
-    /// It does not come to rest where it was sent.
+    /// The motor does not settle at its set point.
     #[error("{channel} did not come to rest at {target} within {after_s:.1} s")]
     NotSettled {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// Where it was sent.
+        /// Position that it was sent to.
         target: Quantity,
-        /// How long it was waited for, s.
+        /// Time since the set point, s.
         after_s: f64,
     },
-    /// The board tells nothing of it any more.
+    /// Telemetry of the motor has stopped.
     #[error("no telemetry of {channel} for {SILENT_S} s")]
     Silent {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
     },
-    /// Samples are missing.
+    /// Samples are missing, which the experiment does not allow.
     #[error("{lost} telemetry frames were lost: the experiment has holes")]
     Holes {
-        /// Frames that were lost.
+        /// Number of lost telemetry frames.
         lost: u64,
     },
 }
 
-/// What a motor did at one moment.
+/// Sample of a motor at one moment.
 #[derive(Clone, Copy, Debug)]
 pub struct Look {
     /// Time on the board's clock, s.
     pub time_s: f64,
-    /// Set point that it followed.
+    /// Set point in force.
     pub setpoint: Setpoint,
     /// Position, rad or m.
     pub position: f64,
     /// Speed, rad/s or m/s.
     pub speed: f64,
-    /// Duty, as a share of the supply.
+    /// Duty as a share of the supply, -1 to 1.
     pub duty: f64,
-    /// Whether it rested at its set point.
+    /// True when the motor rested at its set point.
     pub settled: bool,
 }
 
-/// A motor of an armed board, looked at with every sample: it must stay where it may be, be done in time, and nothing that it
-/// does may be missed.
+/// A motor of an armed board, checked with every sample: it must stay within its travel and time limit, and no sample
+/// may be missed.
 ///
-/// Samples from before the board was armed are passed over.
+/// Samples from before the board was armed are skipped.
 pub struct MotorWatch<'b> {
     board: &'b Board<HostClock>,
     channel: ChannelId,
     unit: Unit,
     resolution: f64,
     telemetry: TelemetryStream,
-    /// Whether the board has been seen armed.
+    /// True once the board has been seen armed.
     armed: bool,
-    /// Whether no sample may be missing.
+    /// True when no sample may be missing.
     gapless: bool,
-    /// Where the motor may be; anywhere while it is sent to where it begins.
+    /// Allowed travel, rad or m; `None` allows any position, while the motor is sent to its start.
     window: Option<(f64, f64)>,
-    /// How long all may take, and until when on the board's clock, once it has begun, s.
+    /// Time limit, s; and deadline on the board's clock, s, set by the first sample.
     limit_s: f64,
     deadline_s: Option<f64>,
 }
 
 impl<'b> MotorWatch<'b> {
-    /// Subscribes to `channel` with a sample each `every_ms`.
+    /// Subscribes to `channel` with a sample every `every_ms`.
     ///
     /// # Errors
-    /// When the board has no such channel, or refuses.
+    /// [`Error::Board`] when the board has no such channel, or refuses.
     pub async fn new(session: &Session<'b>, channel: ChannelId, every_ms: u16) -> Result<Self, Error> {
         let board = session.board;
         let info = board.channel(channel)?;
@@ -120,27 +120,27 @@ impl<'b> MotorWatch<'b> {
         })
     }
 
-    /// Lets all that the motor does from its first look on take at most `limit_s`.
+    /// Sets a time limit for everything from the first sample on, s.
     #[must_use]
     pub fn within(mut self, limit_s: f64) -> Self {
         self.limit_s = limit_s;
         self
     }
 
-    /// Takes a missing sample for an error.
+    /// Makes a missing sample an error.
     #[must_use]
     pub fn gapless(mut self) -> Self {
         self.gapless = true;
         self
     }
 
-    /// The motor.
+    /// Channel of the motor.
     #[must_use]
     pub fn channel(&self) -> ChannelId {
         self.channel
     }
 
-    /// Where the motor must stay from now on, rad or m; `None` is anywhere.
+    /// Sets the allowed travel from now on, rad or m; `None` allows any position.
     pub fn stay_within(&mut self, window: Option<(f64, f64)>) {
         self.window = window;
     }
@@ -156,10 +156,10 @@ impl<'b> MotorWatch<'b> {
         }
     }
 
-    /// Where the motor is, rad or m, whether the board is armed or not.
+    /// Returns the position of the motor, rad or m, whether the board is armed or not.
     ///
     /// # Errors
-    /// [`WatchError::Silent`]; when the link fails.
+    /// [`WatchError::Silent`] without telemetry; the error of the link.
     pub async fn position(&mut self) -> Result<f64, Error> {
         loop {
             let frame = self.frame().await?;
@@ -173,18 +173,19 @@ impl<'b> MotorWatch<'b> {
         }
     }
 
-    /// The next look.
+    /// Waits for the next sample and checks it.
     ///
     /// # Errors
-    /// [`WatchError`]; that the board stopped; when the link fails.
+    /// [`WatchError`] when a limit is exceeded; the cause when the board stopped; the error of the link.
     pub async fn look(&mut self) -> Result<Look, Error> {
         loop {
             let frame = self.frame().await?;
             let lost = self.telemetry.dropped();
+            // A fit would take the samples around a gap as neighbours in time.
             if self.gapless && lost > 0 {
                 return Err(WatchError::Holes { lost }.into());
             }
-            // Under way since before it was armed.
+            // This frame was sent before the board armed.
             if !self.armed && frame.state == SafetyState::Disarmed {
                 continue;
             }
@@ -217,16 +218,16 @@ impl<'b> MotorWatch<'b> {
     /// Commands the motor; the unit of `value` is that of the mode.
     ///
     /// # Errors
-    /// [`Error::NotCommanded`]
+    /// [`Error::NotCommanded`] when the board refuses.
     pub async fn command(&mut self, mode: Mode, value: f64) -> Result<(), Error> {
         let (channel, setpoint) = (self.channel, Setpoint { mode, value: value as f32 });
         self.board.set(channel, setpoint).await.map_err(|source| Error::NotCommanded { channel, source })
     }
 
-    /// Looks for `seconds` on the board's clock; at least once.
+    /// Samples the motor for `seconds` on the board's clock, at least once.
     ///
     /// # Errors
-    /// As [`MotorWatch::look`].
+    /// The errors of [`MotorWatch::look`].
     pub async fn watch(&mut self, seconds: f64) -> Result<Vec<Look>, Error> {
         let first = self.look().await?;
         let mut looks = vec![first];
@@ -239,7 +240,7 @@ impl<'b> MotorWatch<'b> {
     /// Sends the motor to a position, rad or m, and waits until it rests there.
     ///
     /// # Errors
-    /// [`WatchError::NotSettled`] after `timeout_s`; as [`MotorWatch::look`] and [`MotorWatch::command`].
+    /// [`WatchError::NotSettled`] after `timeout_s`; the errors of [`MotorWatch::look`] and [`MotorWatch::command`].
     pub async fn go_to(&mut self, target: f64, timeout_s: f64) -> Result<(), Error> {
         self.command(Mode::Position, target).await?;
         let asked = Setpoint { mode: Mode::Position, value: target as f32 };

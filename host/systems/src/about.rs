@@ -1,4 +1,4 @@
-//! What a system is about.
+//! Description of a system: its paper, its arms and the metrics that compare them.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,26 +9,26 @@ use crate::Statistic;
 pub struct About {
     /// Short name, as in `r4 system run NAME`.
     pub name: &'static str,
-    /// The paper.
+    /// Paper that the system reproduces.
     pub paper: Paper,
-    /// What it asks, in one sentence.
+    /// Question of the paper, in one sentence.
     pub question: &'static str,
-    /// Robot whose board it runs on unless another is named: a built-in name.
+    /// Built-in name of the robot whose board the system runs on unless the caller names another.
     pub robot: &'static str,
-    /// What a seed decides: each quantity with its range and unit.
+    /// Quantities that a seed decides, each with its range and unit.
     pub sampled: &'static [&'static str],
-    /// Ways to answer the question.
+    /// Methods that answer the question, compared with each other.
     pub arms: &'static [Arm],
-    /// What is measured of the answers.
+    /// Quantities measured in each trial.
     pub metrics: &'static [Metric],
 }
 
-/// A published paper.
+/// A published paper, as cited in reports.
 #[derive(Debug)]
 pub struct Paper {
-    /// Its title.
+    /// Title of the paper.
     pub title: &'static str,
-    /// Where and when it was published.
+    /// Venue and year of publication.
     pub published: &'static str,
 }
 
@@ -37,35 +37,35 @@ pub struct Paper {
 pub struct Arm {
     /// `paper`, `ours`, or a name behind `baseline:`, `ablation:` or `blind:`.
     pub name: &'static str,
-    /// What it does, in one sentence.
+    /// Method of the arm, in one sentence.
     pub does: &'static str,
-    /// It drives the body by perfect actuators, without a board.
+    /// True when perfect actuators move the body, without a board.
     pub is_kinematic: bool,
 }
 
-/// A number that is measured of each trial.
+/// A number measured in each trial.
 #[derive(Debug)]
 pub struct Metric {
     /// Name with its unit as a suffix, as in `c_long_error` or `excursion_m`.
     pub name: &'static str,
     /// Unit; `1` for a share.
     pub unit: &'static str,
-    /// How the trials' values make a row's.
+    /// Statistic that makes one row of the values of all trials.
     pub statistic: Statistic,
-    /// Where its values come from.
+    /// Origin of the values.
     pub source: Source,
-    /// What it must reach.
+    /// Limits on the row's value, by arm; empty for a metric that is only reported.
     pub targets: &'static [Target],
 }
 
-/// What a metric of an arm must reach.
+/// Limit that a metric must keep in one arm.
 #[derive(Debug)]
 pub struct Target {
-    /// The arm.
+    /// Name of the arm that the limit applies to.
     pub arm: &'static str,
-    /// The limit.
+    /// Limit on the row's value, in the metric's unit.
     pub limit: Limit,
-    /// Where the limit comes from: printed in the paper, or set by this project.
+    /// Origin of the limit: printed in the paper, or set by this project.
     pub from: &'static str,
 }
 
@@ -73,28 +73,28 @@ pub struct Target {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Limit {
-    /// Held by values up to it.
+    /// Upper limit of the value, inclusive.
     AtMost(f64),
-    /// Held by values from it on.
+    /// Lower limit of the value, inclusive.
     AtLeast(f64),
 }
 
-/// Where the numbers of a metric come from.
+/// Origin of a metric's numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
-    /// A simulation.
+    /// Values measured in a simulation.
     Simulated,
     /// A model that was fitted to measurements.
     Fitted,
     /// Measurements on a real machine.
     Measured,
-    /// The paper.
+    /// Values printed in the paper.
     Printed,
 }
 
 impl About {
-    /// The arm with this name.
+    /// Returns the arm with this name, if the system has it.
     #[must_use]
     pub fn arm(&self, name: &str) -> Option<&'static Arm> {
         self.arms.iter().find(|arm| arm.name == name)
@@ -102,7 +102,7 @@ impl About {
 }
 
 impl Metric {
-    /// What it must reach in an arm, if anything.
+    /// Returns the target of the metric in an arm; `None` where it has none.
     #[must_use]
     pub fn target(&self, arm: &str) -> Option<&'static Target> {
         self.targets.iter().find(|target| target.arm == arm)
@@ -110,7 +110,7 @@ impl Metric {
 }
 
 impl Limit {
-    /// Whether a value holds it. A value that is no number holds none.
+    /// Returns true when the value keeps the limit; NaN keeps none.
     #[must_use]
     pub fn is_held_by(self, value: f64) -> bool {
         match self {

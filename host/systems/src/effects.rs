@@ -1,9 +1,10 @@
 //! Search for the effect that a base model lacks, over recordings of independent runs.
 //!
-//! Each candidate is the base model with one effect more, fitted to the recordings by nonlinear least squares. Leave-one-run-out
-//! cross-validation chooses between the candidates. The best one is claimed where its cross-validated error is below the base model's
-//! and the confidence interval of its size excludes its absence, by no less than [`Effect::least`]. The last run is held out: it decides nothing, and the errors before and
-//! after are its.
+//! Each candidate is the base model with one additional effect, fitted to the recordings by nonlinear least squares.
+//! Leave-one-run-out cross-validation chooses between the candidates. The best one is claimed when its cross-validated
+//! error is below the base model's and the confidence interval of its size excludes its absence, with the size at least
+//! [`Effect::least`] away from it. The last run is held out: it decides nothing, and the reported errors before and
+//! after are those on this run.
 
 use r4_maths::{
     least_squares::{Fit, newey_west_lag, nonlinear},
@@ -19,52 +20,54 @@ const CONFIDENCE: f64 = 0.999;
 /// An effect that a base model may lack.
 #[derive(Clone, Copy, Debug)]
 pub struct Effect {
-    /// Its name, as reports have it.
+    /// Name of the effect in reports.
     pub name: &'static str,
-    /// Initial guess of its parameters; the first is its size.
+    /// Initial guess of the effect's parameters; the first is its size.
     pub start: &'static [f64],
-    /// The size at which it is not there.
+    /// The size at which the effect is absent, in the size's unit.
     pub absent: f64,
-    /// Smallest distance of the size from `absent` that is claimed: what a base model leaves out anyway, such as the steps of an encoder,
-    /// looks like a small effect whose interval excludes its absence. 0 where the interval alone decides.
+    /// Smallest distance of the size from `absent` that is claimed. An effect that every base model ignores, such as
+    /// the quantisation of an encoder, looks like a small effect whose interval excludes its absence. 0 where the
+    /// interval alone decides.
     pub least: f64,
 }
 
-/// Predicted observations: of the base model or the effect of a number, from parameters, of the run of a number.
+/// Predicted observations of one run: arguments are the effect's index (`None` for the base model), the parameters and
+/// the run's index.
 pub type Predict<'a> = dyn Fn(Option<usize>, &[f64], usize) -> Vec<f64> + 'a;
 
-/// What is searched, and in what.
+/// Inputs of a search for the missing effect: base model, candidates and recordings.
 pub struct Search<'a> {
     /// Initial guess of the base model's parameters.
     pub base_start: &'a [f64],
-    /// Candidates.
+    /// Candidate effects, of which at most one is claimed.
     pub effects: &'a [Effect],
     /// Observations of each run, of equal standard deviation; at least three runs, the last of which is held out.
     pub observed: &'a [Vec<f64>],
-    /// Predicted observations of a run by the base model, or with the effect of a number: from the base model's parameters, followed
-    /// by those of the effect.
+    /// Predicts the observations of a run by the base model, or with one effect added. The base model's parameters come
+    /// first, then those of the effect.
     pub predict: &'a Predict<'a>,
 }
 
 /// An effect that the recordings show.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
-    /// Its name.
+    /// Name of the effect, from [`Effect::name`].
     pub name: &'static str,
-    /// Its size.
+    /// Size of the effect: its first parameter, fitted to all runs but the held-out one.
     pub size: f64,
     /// 99.9 % confidence interval of the size, with residuals taken as autocorrelated (Newey-West).
     pub interval: Interval,
     /// RMSE of the held-out run with the base model, in the observations' unit.
     pub before: f64,
-    /// The same with the effect.
+    /// RMSE of the held-out run with the effect, in the observations' unit.
     pub after: f64,
 }
 
 impl Search<'_> {
-    /// The effect that the recordings show; `None` where they show none.
+    /// Searches for the effect that the recordings show; `None` where they show none.
     ///
-    /// An effect that cannot be fitted, with a run left out or with none, is no candidate.
+    /// An effect whose fit fails, on all runs or with one run held out for cross-validation, is no candidate.
     ///
     /// # Errors
     /// [`Error::Effects`] where there are fewer than three runs, or the base model cannot be fitted.
@@ -90,6 +93,7 @@ impl Search<'_> {
         let size = fit.parameters[place];
         let Some(interval) = fit.intervals(CONFIDENCE)?.get(place).copied() else { return Ok(None) };
         let Effect { name, absent, least, .. } = self.effects[best];
+        // Newey-West: residuals of a sampled trajectory are autocorrelated, and a plain interval would be too narrow.
         // A fit that the data do not determine has an interval without ends, which excludes nothing.
         if !(interval.low > absent || interval.high < absent) || (size - absent).abs() < least {
             return Ok(None);
@@ -99,7 +103,7 @@ impl Search<'_> {
         Ok(Some(Found { name, size, interval, before, after }))
     }
 
-    /// Root mean square error over runs that were each left out of the fit.
+    /// Root mean square error over the held-out folds: each run is predicted by a fit to the others.
     fn cross_validated(&self, effect: Option<usize>) -> Result<f64, String> {
         let runs = self.observed.len() - 1;
         let mut squares = 0.0;
@@ -122,7 +126,7 @@ impl Search<'_> {
             let of = |run: &usize| {
                 let predicted = (self.predict)(effect, parameters, *run);
                 let observed = &self.observed[*run];
-                // A prediction that is too short is no prediction.
+                // NaN makes the fit fail: a prediction that is too short must not score as a good one.
                 (0..observed.len())
                     .map(|place| observed[place] - predicted.get(place).copied().unwrap_or(f64::NAN))
                     .collect::<Vec<_>>()
@@ -146,7 +150,7 @@ mod tests {
         Effect { name: "square", start: &[0.1], absent: 0.0, least: 0.0 },
     ];
 
-    /// A gain, with each effect's term.
+    /// Model of the tests: a gain on a sine input, with the effect's term added when one is given.
     fn predict(effect: Option<usize>, parameters: &[f64], run: usize) -> Vec<f64> {
         let input = |place: usize| ((place as f64 * 0.17 + run as f64).sin(), place as f64 / LENGTH as f64);
         (0..LENGTH)

@@ -1,4 +1,4 @@
-//! Failures of studies.
+//! Errors of systems and studies.
 
 use std::{io, path::PathBuf};
 
@@ -11,17 +11,17 @@ pub enum Error {
     /// There is no such system.
     #[error("there is no system `{name}`: `r4 system list` prints them")]
     UnknownSystem {
-        /// As it was given.
+        /// Name as the caller gave it.
         name: String,
     },
     /// The system has no such arm.
     #[error("{system} has no arm `{arm}`: it has {}", .known.join(", "))]
     UnknownArm {
-        /// The system.
+        /// Name of the system.
         system: &'static str,
-        /// As it was given.
+        /// Name of the arm as the caller gave it.
         arm: String,
-        /// All of its arms.
+        /// Names of all arms of the system.
         known: Vec<&'static str>,
     },
     /// The board cannot be opened, or the session with it failed.
@@ -30,79 +30,79 @@ pub enum Error {
     /// A trial needs more of the board than it has.
     #[error("{board} cannot run {system}: {why}")]
     Unsuitable {
-        /// The system.
+        /// Name of the system.
         system: &'static str,
-        /// The board.
+        /// Board that was opened, in words.
         board: String,
-        /// What is missing.
+        /// Missing channel or property of the board, in words.
         why: String,
     },
     /// A trial's result does not fit the system's metrics.
     #[error("{system}, arm {arm}, seed {seed}: {why}")]
     BadResult {
-        /// The system.
+        /// Name of the system.
         system: String,
-        /// The arm.
+        /// Name of the arm.
         arm: String,
-        /// The seed.
+        /// Seed of the trial.
         seed: u64,
-        /// What is wrong.
+        /// Metric that does not fit, in words.
         why: String,
     },
     /// No trial of an arm could be run, so that it has no rows.
     #[error("{system}, arm {arm}: none of {trials} trials could be run; the first: {why}")]
     NothingRan {
-        /// The system.
+        /// Name of the system.
         system: String,
-        /// The arm.
+        /// Name of the arm.
         arm: String,
-        /// Trials.
+        /// Number of trials that failed.
         trials: usize,
-        /// Why the first could not.
+        /// Error of the first trial.
         why: String,
     },
-    /// Records of two studies that cannot be one.
+    /// Two records of the same trial differ.
     #[error(
         "{system}, arm {arm}, seed {seed} is there twice, with different results: the shards are of different programs"
     )]
     Conflict {
-        /// The system.
+        /// Name of the system.
         system: String,
-        /// The arm.
+        /// Name of the arm.
         arm: String,
-        /// The seed.
+        /// Seed of the trial.
         seed: u64,
     },
-    /// A shard that does not exist.
+    /// A shard that is not of the form `part/of` with `part` in 1..=`of`.
     #[error("`{0}` is no shard: write which of how many, as in 3/8")]
     BadShard(String),
-    /// A line of a file is no record.
+    /// A line of a file cannot be parsed as a record.
     #[error("{path}:{line}: not a record of a study: {why}")]
     BadRecord {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Its line, from 1 on.
+        /// Line number in the file, from 1 on.
         line: usize,
-        /// What is wrong.
+        /// Error of the JSON parser.
         why: String,
     },
-    /// A Parquet file cannot be written, or was given to be read.
+    /// A Parquet file cannot be written, or a caller asked to read one.
     #[error("{path}: {why}")]
     Parquet {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong.
+        /// Reason in words, such as the writer's error.
         why: String,
     },
     /// A file cannot be read or written.
     #[error("{path}")]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// A search for missing effects has nothing to go by.
+    /// A search for missing effects has too few recordings, or its base model cannot be fitted.
     #[error("no search for missing effects: {0}")]
     Effects(String),
     /// A statistic cannot be computed.
@@ -110,7 +110,7 @@ pub enum Error {
     Statistics(#[from] StatisticsError),
 }
 
-/// Boxed, so that results of which most are no such error stay small.
+/// Boxes the error: `r4_rig::Error` is large, and most results of this type are no such error.
 impl From<r4_rig::Error> for Error {
     fn from(error: r4_rig::Error) -> Self {
         Self::Rig(Box::new(error))

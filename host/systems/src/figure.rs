@@ -1,36 +1,36 @@
-//! Curves of a trial, to be drawn.
+//! Curves and maps of a trial, drawn on the page of a system.
 
 /// Panels above each other over one horizontal axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Figure {
-    /// What it shows, for those who cannot see it.
+    /// Text alternative of the figure, for readers who cannot see it.
     pub description: String,
     /// The horizontal axis with its unit, as in `Time (s)`.
     pub axis: &'static str,
-    /// From top to bottom.
+    /// Panels from top to bottom, which share the horizontal axis.
     pub panels: Vec<Panel>,
 }
 
-/// One plot.
+/// One plot with its vertical axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Panel {
     /// The vertical axis with its unit.
     pub title: &'static str,
-    /// At most four.
+    /// Curves of the panel, at most four.
     pub curves: Vec<Curve>,
 }
 
-/// A line of a panel.
+/// A named line of a panel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
     /// Name in the legend.
     pub name: &'static str,
-    /// From left to right.
+    /// Points of the line, x and y in the axes' units, from left to right.
     pub points: Vec<(f64, f64)>,
 }
 
 impl Curve {
-    /// A line through one point for each of `samples`.
+    /// Makes a curve with one point for each of `samples`.
     pub fn new<T>(name: &'static str, samples: &[T], point: impl Fn(&T) -> (f64, f64)) -> Self {
         Self { name, points: samples.iter().map(point).collect() }
     }
@@ -39,7 +39,7 @@ impl Curve {
 /// A square of ground from above: values of its cells, with paths and marks over them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
-    /// What it shows.
+    /// Quantity that the colours show.
     pub title: String,
     /// Unit of the values, for the scale.
     pub unit: &'static str,
@@ -49,10 +49,10 @@ pub struct View {
     pub columns: usize,
     /// Values from the south-western cell on, row by row.
     pub values: Vec<f64>,
-    /// At most four.
+    /// Curves over the map, x and y in m from the origin; at most four.
     pub paths: Vec<Curve>,
-    /// Places, m, from the origin.
+    /// Marked positions, m from the origin.
     pub marks_m: Vec<[f64; 2]>,
-    /// What the places are, for the legend.
+    /// Meaning of the marks, for the legend.
     pub marks_name: &'static str,
 }

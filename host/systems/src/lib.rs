@@ -48,7 +48,7 @@ pub use study::{Record, Study, Trial, Values};
 pub struct ResultFile {
     /// File name without folders.
     pub name: &'static str,
-    /// Content.
+    /// Content of the file, UTF-8.
     pub text: String,
 }
 
@@ -62,7 +62,7 @@ pub trait System: Sync {
     /// The same trial gives the same values, bit for bit. What the seed decides is documented in [`About::sampled`].
     ///
     /// # Errors
-    /// When the trial could not be run. An algorithm that fails is a value, not an error.
+    /// When the trial could not be run. An algorithm that fails gives a metric's value, not an error.
     fn run(&self, trial: &Trial) -> Result<Values, Error>;
 
     /// Curves of a trial's seed and board, for a page about the system; `None` for a system without.
@@ -92,7 +92,7 @@ pub trait System: Sync {
         Ok(Vec::new())
     }
 
-    /// Rows about this machine's speed, which no seed repeats: they are part of benchmarks and not of studies.
+    /// Rows about the speed of this computer, which no seed repeats: benchmarks have them, studies do not.
     ///
     /// # Errors
     /// When something could not be run.
@@ -120,10 +120,10 @@ pub fn all() -> &'static [&'static dyn System] {
     ]
 }
 
-/// The system with this name.
+/// Returns the system with this name.
 ///
 /// # Errors
-/// [`Error::UnknownSystem`]
+/// [`Error::UnknownSystem`] when [`all`] has none of this name.
 pub fn find(name: &str) -> Result<&'static dyn System, Error> {
     let found = all().iter().copied().find(|system| system.about().name == name);
     found.ok_or_else(|| Error::UnknownSystem { name: name.to_owned() })

@@ -1,4 +1,4 @@
-//! Stands for `parquet.rs` in programs without the feature.
+//! Replaces `parquet.rs` in programs built without the feature `parquet`: writing returns an error.
 
 use std::path::Path;
 

@@ -30,7 +30,7 @@ const SCHEMA: &str = "message record {
     optional binary metric (UTF8);
     optional double value;
 }";
-/// Records in a group of rows: a few megabytes.
+/// Records in one row group: a few megabytes.
 const GROUP: usize = 10_000;
 
 /// Writes records into a new file.
@@ -59,7 +59,7 @@ fn written(file: File, records: &[Record]) -> Result<(), ParquetError> {
     Ok(())
 }
 
-/// A record with each of its metrics, or with none.
+/// A record paired with each of its metrics, or with `None` when it has no values.
 fn rows(record: &Record) -> Vec<(&Record, Option<(&String, &f64)>)> {
     if record.values.is_empty() {
         return vec![(record, None)];
@@ -67,13 +67,13 @@ fn rows(record: &Record) -> Vec<(&Record, Option<(&String, &f64)>)> {
     record.values.iter().map(|metric| (record, Some(metric))).collect()
 }
 
-/// Writes the next column of a group.
+/// Writes the next column of a row group; `None` makes a null.
 fn column<T: DataType>(
     group: &mut SerializedRowGroupWriter<'_, File>,
     values: impl Iterator<Item = Option<T::T>>,
 ) -> Result<(), ParquetError> {
     let all: Vec<Option<T::T>> = values.collect();
-    // Of a required column they are not looked at.
+    // Definition levels: 1 for a value, 0 for null. The writer ignores them for a required column.
     let is_there: Vec<i16> = all.iter().map(|value| i16::from(value.is_some())).collect();
     let values: Vec<T::T> = all.into_iter().flatten().collect();
     let Some(mut writer) = group.next_column()? else {

@@ -1,4 +1,4 @@
-//! A result of a study, as it is printed and written.
+//! One result of a study, as it is printed and written.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,39 +15,40 @@ pub struct Row {
     pub arm: String,
     /// Name of the metric.
     pub metric: String,
-    /// Its unit.
+    /// Unit of `value`, `lo` and `hi`.
     pub unit: String,
     /// Trials with a value.
     pub n: usize,
     /// Trials that could not be run; a row with any of them is not met.
     pub failed: usize,
-    /// The statistic of all trials.
+    /// Statistic over all trials that have a value.
     pub value: f64,
     /// Lower end of the 95 % interval.
     pub lo: f64,
     /// Upper end of the 95 % interval.
     pub hi: f64,
-    /// Statistic, and method of the interval.
+    /// Name of the statistic and of the interval's method.
     pub method: String,
-    /// Two-sided p-value of "no difference from the paper's arm", over the same seeds; absent for that arm, and without it.
+    /// Two-sided p-value of "no difference from the paper's arm" over the same seeds; absent for the paper's arm
+    /// itself, and for studies without it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paired_p: Option<f64>,
-    /// Where the values come from.
+    /// Origin of the values.
     pub source: Source,
     /// Kind of the board: sim, emu, kinematic or link.
     pub board: String,
     /// First and last seed.
     pub seeds: [u64; 2],
-    /// What the value must reach, if anything.
+    /// Limit that the value must keep; absent for a metric without a target.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub target: Option<Limit>,
-    /// Whether it does.
+    /// True when the value keeps the target and no trial failed; absent without a target.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub met: Option<bool>,
 }
 
 impl Row {
-    /// A row of a system's own arm about this machine's speed, over `n` values, which no seed repeats.
+    /// Makes a row about the speed of this computer from `n` measured values, which no seed repeats.
     pub(crate) fn timed(
         [system, arm]: [&str; 2],
         [metric, unit]: [&str; 2],

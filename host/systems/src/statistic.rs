@@ -1,44 +1,45 @@
-//! From the values of trials to a number with an interval.
+//! Statistics over the values of trials, each with a confidence interval.
 
 use r4_maths::statistics::{
     Alternative, Bootstrap, Interval, QuantileRule, StatisticsError, mcnemar_exact, mean, quantile, standard_deviation,
     wilcoxon_signed_rank, wilson,
 };
 
-/// Confidence of all intervals.
+/// Confidence level of all intervals.
 const CONFIDENCE: f64 = 0.95;
-/// Seed of the bootstraps' resamples: a row is the same each time it is made.
+/// Seed of the bootstrap resamples: the same records always give the same row.
 const RESAMPLES_SEED: u64 = 2023;
 
-/// How the values of trials make one number.
+/// Statistic that makes one number of the values of trials.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Statistic {
-    /// Arithmetic mean.
+    /// Arithmetic mean of the values.
     Mean,
     /// Quantile of this probability: 0.5 is the median.
     Quantile(f64),
-    /// Standard deviation, by the number of trials less one.
+    /// Sample standard deviation (divisor n - 1).
     Deviation,
-    /// Share of trials whose value is 1; the others have 0.
+    /// Share of trials whose value is 1; the values of the others are 0.
     Share,
 }
 
-/// A number with its interval.
+/// A statistic with its confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
-    /// The statistic of all trials.
+    /// Statistic over all trials.
     pub value: f64,
     /// 95 % confidence interval.
     pub interval: Interval,
-    /// Name of the interval's method.
+    /// Name of the statistic and of the interval's method.
     pub method: &'static str,
 }
 
 impl Statistic {
-    /// The statistic of `values`, one for each trial.
+    /// Computes the statistic of `values`, one for each trial.
     ///
     /// # Errors
-    /// Fewer than two values, which have no interval, or one that is not finite.
+    /// [`StatisticsError::TooFew`] for fewer than two values, which have no interval; another [`StatisticsError`] for a
+    /// value that is not finite.
     pub fn of(self, values: &[f64]) -> Result<Summary, StatisticsError> {
         if values.len() < 2 {
             return Err(StatisticsError::TooFew { got: values.len(), need: 2 });
@@ -58,9 +59,10 @@ impl Statistic {
         }
     }
 
-    /// Two-sided p-value of "both arms are alike", for values of the same seeds in the same order: exact McNemar for shares, Wilcoxon's
-    /// signed ranks otherwise. `None` without a pair; 1 where all pairs are equal.
+    /// Two-sided p-value of "both arms are alike" for values of the same seeds in the same order: McNemar's exact test
+    /// for shares, Wilcoxon's signed-rank test otherwise. `None` without a pair; 1 where all pairs are equal.
     #[must_use]
+    // McNemar's test uses only the seeds in which exactly one of the arms succeeded.
     pub fn paired_p(self, first: &[f64], second: &[f64]) -> Option<f64> {
         if first.is_empty() || first.len() != second.len() {
             return None;

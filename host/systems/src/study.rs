@@ -1,4 +1,4 @@
-//! Trials over seeds, on all cores or as shards, and the rows that follow from them.
+//! Studies: trials over seeds, on all cores or as shards, and the rows computed from their records.
 //!
 //! A study's trials are independent. Their records are lines of JSON, sorted by system, arm, board and seed, so that the records of
 //! all shards, merged, are those of one run, byte for byte; rows follow from records alone. With the feature `parquet` they can
@@ -22,38 +22,38 @@ use crate::{Arm, Error, Row, Statistic, System, find, parquet};
 /// Values of a trial's metrics, by their names.
 pub type Values = BTreeMap<String, f64>;
 
-/// One arm, one seed, one board.
+/// One arm, one seed and one board: the unit that a study repeats.
 #[derive(Clone, Debug)]
 pub struct Trial {
-    /// The arm.
+    /// Name of the arm.
     pub arm: &'static str,
-    /// Decides all that is random.
+    /// Seed of everything random in the trial.
     pub seed: u64,
-    /// The board.
+    /// Board that the trial runs on.
     pub board: Board,
 }
 
 /// Arms, seeds and board of a study.
 #[derive(Clone, Debug)]
 pub struct Study {
-    /// Names of the arms; empty for all.
+    /// Names of the arms; empty selects all.
     pub arms: Vec<String>,
-    /// First seed.
+    /// First seed of the study; the others follow it without gaps.
     pub first_seed: u64,
-    /// Number of seeds.
+    /// Number of seeds for each arm.
     pub seeds: u64,
-    /// The board.
+    /// Board that all trials run on.
     pub board: Board,
-    /// Which trials of it to run.
+    /// Part of the trials that this process runs.
     pub shard: Shard,
 }
 
 /// One of several equal parts of a study.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
-    /// Which, from 1 on.
+    /// Number of the part, from 1 on.
     part: u64,
-    /// Of how many.
+    /// Number of parts that the study has.
     of: u64,
 }
 
@@ -66,11 +66,11 @@ pub struct Record {
     pub arm: String,
     /// Kind of the board: sim, emu, kinematic or link.
     pub board: String,
-    /// The seed.
+    /// Seed of the trial.
     pub seed: u64,
     /// Values of the metrics; empty where the trial failed.
     pub values: Values,
-    /// Why the trial could not be run.
+    /// Error of a trial that could not be run.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub failed: Option<String>,
 }
@@ -100,10 +100,10 @@ impl fmt::Display for Shard {
 }
 
 impl Study {
-    /// Trials of the study's shard, in the order of their records.
+    /// Returns the trials of the study's shard, in the order of their records.
     ///
     /// # Errors
-    /// [`Error::UnknownArm`]
+    /// [`Error::UnknownArm`] for a name in [`Study::arms`] that the system does not have.
     pub fn trials(&self, system: &dyn System) -> Result<Vec<Trial>, Error> {
         let about = system.about();
         let known = || about.arms.iter().map(|arm| arm.name).collect::<Vec<_>>();
@@ -119,14 +119,16 @@ impl Study {
         let trials = arms
             .into_iter()
             .flat_map(|arm| seeds.clone().map(move |seed| Trial { arm, seed, board: self.board.clone() }));
+        // Round robin: neighbouring trials are of the same arm and take about as long, so that shards end together.
         let is_ours = |index: &u64| index % self.shard.of == self.shard.part - 1;
         Ok((0u64..).zip(trials).filter(|(index, _)| is_ours(index)).map(|(_, trial)| trial).collect())
     }
 
-    /// Runs the study's trials on all cores; `tell` is called after each.
+    /// Runs the study's trials on all cores and calls `tell` after each.
     ///
     /// # Errors
-    /// [`Error::UnknownArm`], or a trial whose values do not fit the system's metrics. A trial that cannot be run is a record.
+    /// [`Error::UnknownArm`], or [`Error::BadResult`] for a trial whose values do not fit the system's metrics. A trial
+    /// that cannot be run gives a record with [`Record::failed`].
     pub fn run(&self, system: &dyn System, tell: impl Fn(&Record) + Sync) -> Result<Vec<Record>, Error> {
         let run = |trial: &Trial| {
             let record = record(system, trial)?;
@@ -178,11 +180,12 @@ fn record(system: &dyn System, trial: &Trial) -> Result<Record, Error> {
     Ok(record(values, None))
 }
 
-/// The rows of records, one for each metric of each arm on each kind of board. A metric without a target of which there are fewer than two
-/// values has none.
+/// Computes rows from records, one for each metric of each arm on each kind of board. A metric without a target and
+/// with fewer than two values has no row.
 ///
 /// # Errors
-/// Records of an unknown system, an arm of which no trial could be run, or values without a statistic.
+/// [`Error::UnknownSystem`]; [`Error::NothingRan`] for an arm of which no trial could be run; [`Error::Statistics`] for
+/// values without a statistic.
 pub fn rows(records: &[Record]) -> Result<Vec<Row>, Error> {
     let mut rows = Vec::new();
     let groups: BTreeSet<_> = records.iter().map(|record| (&record.system, &record.board, &record.arm)).collect();
@@ -202,7 +205,8 @@ pub fn rows(records: &[Record]) -> Result<Vec<Row>, Error> {
         let seeds = [seeds().min().unwrap_or(0), seeds().max().unwrap_or(0)];
         for metric in about.metrics {
             let values: Vec<f64> = ours.iter().filter_map(|record| record.values.get(metric.name).copied()).collect();
-            // One value has no interval: what few trials have, such as a time to what seldom happens, is no row and no reason to lose all others.
+            // One value has no interval. A metric that few trials have, such as the time to a rare event, has no row
+            // then, instead of an error that loses all others.
             if values.is_empty() || values.len() < 2 && metric.target(arm).is_none() {
                 continue;
             }
@@ -233,7 +237,7 @@ pub fn rows(records: &[Record]) -> Result<Vec<Row>, Error> {
     Ok(rows)
 }
 
-/// Values of a metric in both arms, for the seeds that both have.
+/// Pairs the values of a metric in both arms, for the seeds that both have.
 fn paired(first: &[&Record], second: &[&Record], metric: &str) -> (Vec<f64>, Vec<f64>) {
     let second: BTreeMap<u64, f64> =
         second.iter().filter_map(|record| Some((record.seed, *record.values.get(metric)?))).collect();
@@ -241,7 +245,7 @@ fn paired(first: &[&Record], second: &[&Record], metric: &str) -> (Vec<f64>, Vec
     both.unzip()
 }
 
-/// Records of several shards as those of one study, in order.
+/// Merges records of several shards into those of one study, sorted.
 ///
 /// # Errors
 /// [`Error::Conflict`] where two records of the same trial differ.
@@ -259,7 +263,7 @@ pub fn merge(shards: impl IntoIterator<Item = Vec<Record>>) -> Result<Vec<Record
     Ok(merged.into_values().collect())
 }
 
-/// Whether a file's name says that it is Parquet; JSON lines otherwise.
+/// Returns true when the file's name ends in `.parquet`, in any case.
 fn is_parquet(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("parquet"))
 }
@@ -267,7 +271,7 @@ fn is_parquet(path: &Path) -> bool {
 /// Writes records into a new file: Parquet if its name ends in .parquet, JSON lines otherwise.
 ///
 /// # Errors
-/// When it cannot be written, or is Parquet in a program without the feature.
+/// [`Error::File`] when it cannot be written; [`Error::Parquet`] for a Parquet file in a program without the feature.
 pub fn save(path: &Path, records: &[Record]) -> Result<(), Error> {
     if is_parquet(path) {
         return parquet::write(path, records);
@@ -279,10 +283,11 @@ pub fn save(path: &Path, records: &[Record]) -> Result<(), Error> {
 /// Reads the records of a file of JSON lines.
 ///
 /// # Errors
-/// When it cannot be read, a line is no record, or its name says that it is Parquet.
+/// [`Error::File`] when it cannot be read; [`Error::BadRecord`] for a line that is no record; [`Error::Parquet`] when
+/// its name ends in .parquet.
 pub fn read(path: &Path) -> Result<Vec<Record>, Error> {
     if is_parquet(path) {
-        // What reads Parquet panics on damaged files.
+        // The Parquet reader panics on damaged files.
         let why = "records are read from JSON lines; Parquet is for other programs".to_owned();
         return Err(Error::Parquet { path: path.to_owned(), why });
     }
@@ -303,7 +308,7 @@ pub fn read(path: &Path) -> Result<Vec<Record>, Error> {
 /// Writes records as JSON lines.
 ///
 /// # Errors
-/// When `out` cannot be written.
+/// The error of `out`, when it cannot be written.
 pub fn write(records: &[Record], mut out: impl Write) -> std::io::Result<()> {
     for record in records {
         serde_json::to_writer(&mut out, record)?;
@@ -323,7 +328,7 @@ mod tests {
 
     #[test]
     fn shards_merge_into_the_records_of_one_run() {
-        // As a study has them: arms in order, and an arm on perfect actuators between two on a board.
+        // Sorted as in a study's file: arms in order, with a kinematic arm between two arms on a board.
         let arm = |arm, board: &str, seed| Record { board: board.into(), ..record(arm, seed, 0.1 * seed as f64) };
         let arms = [("ablation:a", "sim"), ("baseline:b", "kinematic"), ("ours", "sim")];
         let all: Vec<_> = arms.iter().flat_map(|(name, board)| (0..7).map(|seed| arm(name, board, seed))).collect();
@@ -351,7 +356,8 @@ mod tests {
         assert!(error.contains("none of 2 trials") && error.contains("no [body]"), "{error}");
     }
 
-    /// Diameters of a vial that was gripped once in three trials: no interval, and the other rows stay.
+    /// A metric that one trial of three has, as the diameter of a vial that was gripped once: it has no interval and no
+    /// row, and the other rows stay.
     #[test]
     fn a_metric_with_one_value_is_no_row() {
         let of = |seed, values: &[(&str, f64)]| Record {
@@ -362,7 +368,7 @@ mod tests {
         let records = [of(1, &[("failed", 0.0), ("diameter_error_m", 1e-4)]), of(2, &[("failed", 1.0)])];
         let named: Vec<String> = rows(&records).expect("rows").into_iter().map(|row| row.metric).collect();
         assert_eq!(named, ["failed"]);
-        // What has a target is not left out.
+        // A metric with a target is not skipped: too few values are an error then.
         let with_target = records.map(|record| Record { arm: "ours".into(), ..record });
         assert!(rows(&with_target).is_err());
     }

@@ -82,10 +82,10 @@ __all__ = [
 def open(
     address: str, *, key: str | os.PathLike[str] | None = None, log: str | os.PathLike[str] | None = None
 ) -> Board:
-    """A board by its address: ``serial:auto``, ``serial:/dev/ttyACM0``, ``tcp:HOST:PORT``, ``can:can0#NODE``, ``sim:osmc-bench``.
+    """Board at an address: ``serial:auto``, ``serial:/dev/ttyACM0``, ``tcp:HOST:PORT``, ``can:can0#NODE``, ``sim:osmc-bench``.
 
-    The session opens with ``async with``, or with the first call of :attr:`Board.blocking`. ``key`` is the file with a link's key;
-    ``log`` a file to record the session into, for :func:`read_log`.
+    The session opens with ``async with``, or with the first call of :attr:`Board.blocking`. ``key`` is a file with the key of
+    the link; ``log`` is a file that the session is recorded into, for :func:`read_log`.
     """
     return Board(Session(address, {"key": key, "log": log}))
 
@@ -101,12 +101,13 @@ def sim(
     flash: str | os.PathLike[str] | None = None,
     log: str | os.PathLike[str] | None = None,
 ) -> Board:
-    """A simulated board with a robot: the name of a built-in one (:func:`robots`), or a TOML file.
+    """Simulated board of a robot: the name of a built-in one (:func:`robots`), or a TOML file.
 
-    The same seed and calls give the same results, to the bit: its clock goes on only while a call is waited for.
+    The same seed and calls give the same results, bit for bit: its clock runs only while a call waits.
 
-    ``world`` is what it stands in, a name or a file; ``plants`` plant files of motors, as in ``{"osmc0": "plant.toml"}``; ``body`` a body
-    file; ``hidden`` the seed of an effect that its physics hide; ``flash`` a file for what it keeps.
+    ``world`` is the name or file of the world that it stands in; ``plants`` are plant files of motors, as in
+    ``{"osmc0": "plant.toml"}``; ``body`` is a body file; ``hidden`` is the seed of an effect hidden in its physics; ``flash`` is
+    a file that holds its flash memory between sessions.
     """
     settings: dict[str, Any] = {
         "seed": seed,

@@ -1,4 +1,4 @@
-"""What a board's channels are called, for both kinds of boards."""
+"""Channels of a board by kind and number, for both kinds of boards."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .errors import Unsuitable
 C = TypeVar("C")
 
 class Channels(Mapping[int, C], Generic[C]):
-    """Channels of one kind by their numbers, which are the connectors' and need not begin at 0."""
+    """Channels of one kind by their numbers, which are those of the connectors and need not begin at 0."""
 
     def __init__(self, kind: str, by_number: dict[int, C], info: Info) -> None:
         self._kind, self._by_number, self._info = kind, by_number, info
@@ -69,7 +69,7 @@ class ByKind(Generic[C]):
 
     @property
     def bldc(self) -> Channels[C]:
-        """Brushless drives."""
+        """Drives of brushless motors."""
         return self._of("bldc")
 
     @property
@@ -84,7 +84,7 @@ class ByKind(Generic[C]):
 
     @property
     def relay(self) -> Channels[C]:
-        """Relays."""
+        """Relays, which switch on and off."""
         return self._of("relay")
 
     @property

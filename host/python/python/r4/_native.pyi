@@ -31,7 +31,7 @@ _File = str | PathLike[str]
 
 @final
 class Mode:
-    """How a channel is commanded: the mode's name, the unit of its set points, and their range."""
+    """A mode in which a channel accepts set points: name, unit of the set points, and their range."""
 
     @property
     def mode(self) -> str: ...
@@ -44,7 +44,7 @@ class Mode:
 
 @final
 class Channel:
-    """What a channel is and takes, as the board describes it: unit and range of what it measures, or, for a pure output, takes."""
+    """Description of a channel by the board: unit and range of its measurement, or, for a pure output, of its set points."""
 
     @property
     def name(self) -> str: ...
@@ -67,7 +67,7 @@ class Channel:
 
 @final
 class Info:
-    """What a board says of itself when its session opens."""
+    """Description of a board, received when its session opens."""
 
     @property
     def address(self) -> str: ...
@@ -82,7 +82,7 @@ class Info:
 
 @final
 class Motion:
-    """What a motor did at the last look: rad or m, rad/s or m/s, share of the supply. Position is NaN where nothing measures it."""
+    """State of a motor in its last sample: rad or m, rad/s or m/s, share of the supply. Position is NaN without a sensor for it."""
 
     @property
     def position(self) -> float: ...
@@ -99,10 +99,10 @@ class Motion:
 
 @final
 class Sample:
-    """A sample of a channel, dated by the board's clock. A number that the channel does not have is NaN.
+    """A sample of a channel, with a time of the board's clock. A number that the channel does not have is NaN.
 
     Motors and encoders have ``position`` and ``speed``, motors ``duty``, ``settled`` and ``homed``; channels with one number have
-    ``value``, sensors with several ``values``, by names with units. ``quality`` is ``"good"`` or why a reading cannot be relied on.
+    ``value``, sensors with several ``values``, by names with units. ``quality`` is ``"good"`` or the reason why a reading is unreliable.
     """
 
     @property
@@ -134,7 +134,7 @@ class Sample:
 
 @final
 class PathReport:
-    """How a motor has followed its path: largest and RMS distance from it, rad or m; by how much it came later, s."""
+    """Result of following a path with one motor: largest and RMS distance from the path, rad or m; lag, s."""
 
     @property
     def channel(self) -> str: ...
@@ -153,7 +153,7 @@ class PathReport:
 
 @final
 class Cycle:
-    """What became of a cycle of set points (``"taken"``, ``"refused"``, ``"stale"``, ``"unbound"``), and what its channels do."""
+    """Result of a cycle of set points (``"taken"``, ``"refused"``, ``"stale"``, ``"unbound"``), with the state of its channels."""
 
     @property
     def number(self) -> int: ...
@@ -178,7 +178,7 @@ class Cycle:
 
 @final
 class Port:
-    """A serial port: its address for :func:`r4.open`, and whether its USB device says that it is a board."""
+    """A serial port of this computer: its address for :func:`r4.open`; ``is_board`` is true when its USB device reports a board."""
 
     @property
     def address(self) -> str: ...
@@ -191,7 +191,7 @@ class Port:
 
 @final
 class Request:
-    """Something to ask of a board. Made before it is sent: a wrong name or number raises :class:`ValueError` here."""
+    """A request to a board. A wrong name or number raises :class:`ValueError` here, before anything is sent."""
 
     @staticmethod
     def arm() -> Request: ...
@@ -257,7 +257,7 @@ class Board:
     def close(self) -> None: ...
 
 def find() -> list[Port]:
-    """Serial ports of this machine, boards first."""
+    """Serial ports of this computer, boards first."""
 
 def robots() -> list[str]:
     """Names of the built-in robots."""
@@ -265,7 +265,7 @@ def robots() -> list[str]:
 _Series = tuple[str, str, NDArray[np.float64], Any]
 
 def read_log(path: _File) -> tuple[dict[str, Any], list[_Series], list[str]]:
-    """A recording: facts, signals, warnings."""
+    """Reads a recording: facts, signals, warnings."""
 
 def identify(
     train: Sequence[_File],
@@ -280,18 +280,18 @@ def identify(
     seed: int,
     budget_s: float | None,
 ) -> tuple[dict[str, Any], str | None]:
-    """The report, and a plant file's text."""
+    """Searches recordings for effects that a model lacks: the report, and the text of a plant file."""
 
 def models() -> list[dict[str, Any]]:
-    """Base models."""
+    """Base models: name, summary, roles, parameters, effects."""
 
 def study(
     system: str, *, arms: Sequence[str], first_seed: int, seeds: int, board: str | None, shard: str | None
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Rows and records."""
+    """Runs a study: rows and records."""
 
 def merge(parts: Sequence[str]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Rows and records of parts of a study, whose records are given as JSON."""
+    """Merges the records of a study's shards, given as JSON: rows and records."""
 
 def systems() -> list[str]:
     """Names of the robot systems."""

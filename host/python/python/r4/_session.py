@@ -1,4 +1,4 @@
-"""What both kinds of boards share: one session, opened once."""
+"""Session that both kinds of boards share: it is opened once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from . import _native
 from ._turns import Turns
 from .errors import SessionEnded
 
-#: Times in s and positions in rad or m, and speeds in rad/s or m/s if wanted: sequences or arrays.
+#: Times in s, positions in rad or m, and optionally speeds in rad/s or m/s: sequences or arrays.
 Path: TypeAlias = Union[
     tuple[Sequence[float], Sequence[float]],
     tuple[Sequence[float], Sequence[float], Sequence[float]],
@@ -20,7 +20,7 @@ Path: TypeAlias = Union[
 
 
 class Session:
-    """Opens a board when it is first needed."""
+    """Session that opens its board at the first use."""
 
     def __init__(self, address: str, settings: dict[str, Any]) -> None:
         self._address, self._settings = address, settings
@@ -34,17 +34,17 @@ class Session:
         return self._address
 
     def connect(self) -> _native.Board:
-        """Opens the session unless it is open."""
+        """Opens the session unless it is open already, and returns the native board."""
         with self._lock:
             if self._native is None:
                 self._native = _native.Board.open(self._address, **self._settings)
                 self._turns = Turns(self._native)
-                # A program that ends, or forgets its board, closes the session all the same.
+                # The session also closes when the program ends or drops its last reference to the board.
                 self._at_end = weakref.finalize(self, self._native.close)
             return self._native
 
     def close(self) -> None:
-        """Closes the session unless it is closed."""
+        """Closes the session unless it is closed already."""
         with self._lock:
             native, turns = self._native, self._turns
             self._native = self._turns = None
@@ -55,31 +55,31 @@ class Session:
             native.close()
 
     def detach(self) -> None:
-        """Ends the part of this thread's event loop."""
+        """Stops this thread's event loop from watching for results."""
         if self._turns is not None:
             self._turns.detach()
 
     @property
     def native(self) -> _native.Board:
-        """The open session."""
+        """Native board of the open session. Raises :class:`SessionEnded` without one."""
         if self._native is None:
             raise SessionEnded(f"no session with {self._address}: open it by `async with`, or use `.blocking`")
         return self._native
 
     @property
     def turns(self) -> Turns:
-        """Calls from event loops."""
+        """Calls from event loops. Raises :class:`SessionEnded` without a session."""
         self.native  # noqa: B018 - raises when there is no session
         assert self._turns is not None
         return self._turns
 
     def next_stream(self) -> int:
-        """A number for a stream."""
+        """Returns a number that no other stream of the session has."""
         return next(self._streams)
 
 
 def points(paths: Mapping[str, Path]) -> dict[str, list[tuple[float, float, float | None, float]]]:
-    """Paths as the board's thread takes them."""
+    """Converts paths to the points that the board's thread expects."""
     made = {}
     for name, path in paths.items():
         times, positions = path[0], path[1]

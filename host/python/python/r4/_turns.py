@@ -1,8 +1,8 @@
-"""Calls of an event loop, carried over to a board's thread and back.
+"""Calls from an event loop to a board's thread.
 
-Results ring a bell, a socket that the event loop watches. A virtual board's clock goes on in turns: it stands still until all tasks
-of the loop that were ready have made their calls, then runs until the first call has its result, then stands still again. So the
-results of a program do not depend on how fast the machine or a typing person is.
+A result writes to a socket that the event loop watches. The clock of a virtual board runs in turns: it stands still until all ready
+tasks of the loop have made their calls, then runs until the first call has its result, then stands still again. The results of a
+program therefore do not depend on the speed of the computer or of a typing user.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 from . import _native
 from .errors import SessionEnded
 
-#: Turns of the event loop without a new call before a virtual board's clock goes on. A result reaches the task that waits for it
-#: after one turn, and through ``gather`` or a task group after two more for each level: eight are enough for three levels. Four
-#: would be enough for one; each turn takes about 10 us.
+#: Turns of the event loop without a new call before a virtual board's clock runs. A result reaches its waiting task after one turn,
+#: and through ``gather`` or a task group after two more for each level: eight are enough for three levels. Four would be enough for
+#: one; each turn takes about 10 us.
 _QUIET_TURNS = 8
 
 
@@ -33,7 +33,7 @@ class Turns:
         self._is_counting = False
 
     async def call(self, request: _native.Request) -> Any:
-        """The result of a request."""
+        """Carries out a request and returns its result. A cancelled call is aborted; a motion that it started continues."""
         loop = self._attach()
         ticket, self._next_ticket = self._next_ticket, self._next_ticket + 1
         future: asyncio.Future[Any] = loop.create_future()
@@ -46,7 +46,7 @@ class Turns:
             self._waiting.pop(ticket, None)
             self._requests = [one for one in self._requests if one[0] != ticket]
             self._board.abort(ticket)
-            # After the session's end there is nothing to go on with.
+            # After the end of the session there is no clock to release.
             with contextlib.suppress(SessionEnded):
                 if self._waiting:
                     self._count(loop)
@@ -55,7 +55,7 @@ class Turns:
             raise
 
     def detach(self) -> None:
-        """Ends watching for results: calls that still wait end with an error."""
+        """Stops watching for results: waiting calls end with :class:`SessionEnded`."""
         if self._loop is not None and not self._loop.is_closed():
             self._loop.remove_reader(self._board.fileno())
             for ticket in list(self._waiting):
@@ -63,7 +63,7 @@ class Turns:
         self._loop = None
 
     def detach_from_any_thread(self) -> None:
-        """The same, when the loop may run in another thread."""
+        """Detaches from a loop that may run in another thread."""
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self.detach)
 
@@ -78,7 +78,7 @@ class Turns:
         return loop
 
     def _count(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Hands over what is asked once the loop's tasks have nothing more to ask."""
+        """Counts turns without a new call; the last one submits the collected requests."""
         self._quiet = _QUIET_TURNS if self._board.is_virtual else 1
         if not self._is_counting:
             self._is_counting = True

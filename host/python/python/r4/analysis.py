@@ -1,4 +1,4 @@
-"""Recordings as arrays, identification of what a model lacks, and studies of robot systems."""
+"""Recordings as arrays, identification of unmodelled effects, and studies of robot systems."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ File: TypeAlias = Union[str, "os.PathLike[str]"]
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """One named series of a recording: times on the board's clock in s, and values in the unit of the name's end."""
+    """One named series of a recording: times on the board's clock, s, and values in the unit at the end of the name."""
 
     name: str
-    #: What holds between samples: "continuous", "held", "changes" or "event".
+    #: Meaning between samples: "continuous", "held", "changes" or "event".
     kind: str
     time_s: NDArray[np.float64]
-    #: Numbers, switches as 0 and 1; texts where a signal is no number.
+    #: Numbers, with switches as 0 and 1; texts for a signal without numbers.
     value: NDArray[Any]
 
 
 class Log(Mapping[str, Signal]):
-    """A recording: its signals by their names, as in ``log["osmc0.position_rad"].value``."""
+    """A recording: maps names to signals, as in ``log["osmc0.position_rad"].value``."""
 
     def __init__(self, facts: dict[str, Any], signals: list[Signal], warnings: list[str]) -> None:
         self._signals = {signal.name: signal for signal in signals}
         self.robot: str = facts["robot"]
         self.board: str = facts["board"]
         self.firmware: str = facts["firmware"]
-        #: Seed of a simulated board; None of a real one.
+        #: Seed of a simulated board; None for a real one.
         self.seed: int | None = facts["seed"]
         self.duration_s: float = facts["duration_s"]
-        #: What of the file could not be read.
+        #: Warnings about content of the file that could not be read.
         self.warnings = warnings
 
     def __getitem__(self, name: str) -> Signal:
@@ -63,21 +63,21 @@ def read_log(path: File) -> Log:
 
 @dataclass(frozen=True)
 class Identified:
-    """What was found. ``report`` is that of ``r4 identify --json``: docs/identify.md describes its fields."""
+    """Result of an identification. ``report`` is that of ``r4 identify --json``: docs/identify.md describes its fields."""
 
     report: dict[str, Any]
-    #: Text of a plant file with the effects in it, for ``r4.sim(plants=...)``; None where the model is of a robot's body.
+    #: Text of a plant file that contains the effects, for ``r4.sim(plants=...)``; None for a model of a robot's body.
     plant: str | None
 
     @property
     def verdict(self) -> str:
-        """The result in a sentence."""
+        """Result of the identification in one sentence."""
         verdict: str = self.report["verdict"]
         return verdict
 
     @property
     def effects(self) -> list[str]:
-        """Names of the effects that the model lacked."""
+        """Names of the effects that the base model lacks."""
         return [effect["name"] for effect in self.report["effects"]]
 
 
@@ -94,12 +94,12 @@ def identify(
     seed: int = 1,
     budget_s: float | None = None,
 ) -> Identified:
-    """Fits a base model to recordings, and finds the effects that it lacks.
+    """Fits a base model to recordings, and searches for the effects that it lacks.
 
-    ``train`` are recordings to fit to, ``holdout`` others that decide nothing and are reported on, or ``"every:2"``. ``columns`` are
-    columns of the model's roles, as in ``{"input": "duty", "output": "theta_rad"}``; :func:`models` lists the roles. ``parameters`` is
-    what is known, as in ``{"supply_v": 24}``; ``split`` are columns that tell the runs of one file apart; ``budget_s`` ends the search
-    after this time, which makes results depend on the machine.
+    ``train`` are the recordings of the fit; ``holdout`` are held-out recordings, which decide nothing and grade the result, or
+    ``"every:2"``. ``columns`` maps the model's roles to columns, as in ``{"input": "duty", "output": "theta_rad"}``; :func:`models`
+    lists the roles. ``parameters`` are known values, as in ``{"supply_v": 24}``; ``split`` are columns that separate the runs of one
+    file; ``budget_s`` ends the search after this time, which makes results depend on the computer.
     """
     report, text = _native.identify(
         _files(train),
@@ -121,13 +121,13 @@ def _files(files: File | Sequence[File]) -> list[File]:
 
 
 def models() -> list[dict[str, Any]]:
-    """The base models of :func:`identify`, with their roles, parameters and effects."""
+    """Returns the base models of :func:`identify`, with their roles, parameters and effects."""
     return _native.models()
 
 
 @dataclass(frozen=True)
 class Study:
-    """Rows of a study, one for each metric of each arm, with 95 % intervals; and its trials' records."""
+    """Result of a study: rows, one for each metric of each arm, with 95 % intervals; and the records of its trials."""
 
     rows: list[dict[str, Any]]
     records: list[dict[str, Any]]
@@ -143,10 +143,10 @@ def study(
     shard: str | None = None,
     engine: Literal["threads", "ray"] = "threads",
 ) -> Study:
-    """Runs arms of a robot system (:func:`systems`) over seeds: what ``r4 system study`` prints.
+    """Runs arms of a robot system (:func:`systems`) over seeds, as ``r4 system study`` does.
 
-    ``arms`` are all unless some are named. ``board`` is the system's own unless another is named. ``shard="2/4"`` runs a part: it has
-    records and no rows, and :func:`merge` makes the whole of all parts.
+    ``arms`` selects arms, all by default. ``board`` selects a board, by default the system's own. ``shard="2/4"`` runs a part of the
+    trials: its result has records and no rows, and :func:`merge` combines all parts.
 
     ``engine`` is ``"threads"``, all cores of this machine, or ``"ray"``, the Ray cluster that ``ray.init`` has connected to, or a local
     one. Results are the same to the bit, also when workers die in between: their parts are run again.
@@ -167,11 +167,11 @@ def study(
 
 
 def merge(parts: Sequence[Study]) -> Study:
-    """The study of which these are parts, bit for bit."""
+    """Combines the parts of a study; the result is that of the whole study, bit for bit."""
     rows, records = _native.merge([json.dumps(part.records) for part in parts])
     return Study(rows, records)
 
 
 def systems() -> list[str]:
-    """Names of the robot systems."""
+    """Returns the names of the robot systems."""
     return _native.systems()

@@ -1,4 +1,4 @@
-"""Exceptions: what happened, with the cause as attributes, and what to do next in the message."""
+"""Exceptions. The message says what happened and the next step; causes are attributes."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from typing import Any
 
 
 class R4Error(Exception):
-    """Any failure of a board, a link, a recording or a computation."""
+    """Base class: failure of a board, a link, a recording or a computation."""
 
 
 class BadAddress(R4Error, ValueError):
-    """The text names no board."""
+    """The address does not name a board."""
 
 
 class BadRobot(R4Error, ValueError):
@@ -22,7 +22,7 @@ class BadFile(R4Error, ValueError):
 
 
 class NotIdentified(R4Error, ValueError):
-    """Recordings, model and columns do not go together; the message says what to change."""
+    """Recordings, model and columns do not fit together; the message says what to change."""
 
 
 class NotStudied(R4Error):
@@ -30,7 +30,7 @@ class NotStudied(R4Error):
 
 
 class LinkError(R4Error, ConnectionError):
-    """There is no link, or it was lost, or no answer came in time. Open the board again."""
+    """The link cannot be opened or was lost, or an answer timed out. Open the board again."""
 
 
 class SessionEnded(R4Error):
@@ -38,20 +38,20 @@ class SessionEnded(R4Error):
 
 
 class Refused(R4Error):
-    """The board understood the request and did not carry it out."""
+    """The board understood the request and refused it."""
 
     def __init__(self, message: str, *, reason: str, details: Any = None, causes: list[str] | None = None) -> None:
         super().__init__(message)
         #: Name of the refusal, as in ``"not-armed"`` or ``"out-of-range"``.
         self.reason = reason
-        #: Its numbers, as the board sent them.
+        #: Fields of the refusal, such as the limits, as the board sent them.
         self.details: dict[str, Any] = details or {}
-        #: Causes that keep the board from arming, as in ``"dead-man released"``.
+        #: Causes that prevent the board from arming, as in ``"dead-man released"``.
         self.causes: list[str] = causes or []
 
 
 class Stopped(R4Error):
-    """The board tripped or was disarmed while something was waited for."""
+    """The board tripped or was disarmed while a call waited."""
 
     def __init__(self, message: str, *, causes: list[str]) -> None:
         super().__init__(message)
@@ -67,8 +67,8 @@ class _OfChannel(R4Error):
 
 
 class Unsuitable(_OfChannel, ValueError):
-    """The channel does not take this; nothing was sent."""
+    """The channel does not accept the request; nothing was sent."""
 
 
 class NotReached(_OfChannel, TimeoutError):
-    """The motor did not reach its set point, or not find its home, in time. It still tries: disarm, or command it otherwise."""
+    """The motor did not reach its set point, or did not find its home, in time. It still tries: disarm, or send another set point."""

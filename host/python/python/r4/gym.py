@@ -1,9 +1,10 @@
-"""Environments for learning, on boards: ``r4.gym.make("openscout-goto")``.
+"""Learning environments on boards: ``r4.gym.make("openscout-goto")``.
 
-Two fidelities, and one rule: **train on ``"kinematic"``**, a model whose five numbers were identified from full boards, **and report
-only what ``"full"`` does**, the board's firmware, chips, motors and tyres. :func:`evaluate` takes the full one only.
+There are two fidelities and one rule: **train on ``"kinematic"``**, a model whose five parameters were identified from full boards,
+**and report only results of ``"full"``**, the board's firmware, chips, motors and tyres. :func:`evaluate` uses the full one only.
 
-The task (observations, actions, rewards, ends) is described in docs/python.md. The same seeds and actions give the same bits at both.
+docs/python.md describes the task (observations, actions, rewards, ends). The same seeds and actions give the same bits at both
+fidelities.
 """
 
 from __future__ import annotations
@@ -28,23 +29,23 @@ Action = NDArray[np.float32]
 
 #: Names of the tasks.
 TASKS = ("openscout-goto",)
-#: Episodes of a vector of environments are this far apart in their seeds, so that none meets another's.
+#: Upper bound of sampled episode seeds: so large that two environments practically never get the same one.
 _SEEDS = 2**62
 
 
 def observation_space() -> spaces.Box[np.float32]:
-    """Distance to the goal in m, cosine and sine of its bearing, forward speed in m/s, yaw rate in rad/s."""
+    """Space of observations: distance to the goal, m; cosine and sine of its bearing; forward speed, m/s; yaw rate, rad/s."""
     low, high = np.array(GoTo.bounds(), dtype=np.float32).T
     return spaces.Box(low, high, dtype=np.float32)
 
 
 def action_space() -> spaces.Box[np.float32]:
-    """Forward speed and yaw rate, as shares of what the robot may be asked for."""
+    """Space of actions: forward speed and yaw rate, as shares of the robot's limits, -1..1."""
     return spaces.Box(-1.0, 1.0, (2,), dtype=np.float32)
 
 
 class GoToEnv(gymnasium.Env[Observation, Action]):
-    """One environment. ``reset(options={"episode": n})`` begins the episode of that seed, whatever was sampled before."""
+    """A single environment. ``reset(options={"episode": n})`` begins the episode of that seed instead of a sampled one."""
 
     metadata = {"render_modes": []}
 
@@ -73,7 +74,7 @@ class GoToEnv(gymnasium.Env[Observation, Action]):
 
 
 class GoToVectorEnv(VectorEnv[Observation, Action, NDArray[Any]]):
-    """Environments on all cores. An environment whose episode is over begins the next one with the next step."""
+    """Vector of environments, stepped on all cores. One whose episode is over begins the next episode with the next step."""
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
 
@@ -92,7 +93,7 @@ class GoToVectorEnv(VectorEnv[Observation, Action, NDArray[Any]]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins all episodes. ``options={"episodes": [...]}`` gives the seed of each."""
+        """Begins an episode in each environment. ``options={"episodes": [...]}`` sets the seed of each."""
         super().reset(seed=seed if isinstance(seed, int) else None)
         episodes = (options or {}).get("episodes")
         if episodes is None:
@@ -126,12 +127,12 @@ def make(task: str, *, fidelity: Fidelity = "full", num_envs: None = None) -> Go
 @overload
 def make(task: str, *, fidelity: Fidelity = "full", num_envs: int) -> GoToVectorEnv: ...
 def make(task: str, *, fidelity: Fidelity = "full", num_envs: int | None = None) -> GoToEnv | GoToVectorEnv:
-    """An environment of a task, or ``num_envs`` of them, one beside another on all cores."""
+    """Creates an environment of a task, or a vector of ``num_envs`` environments."""
     if task not in TASKS:
         raise ValueError(f"no task is called {task!r}: there are {', '.join(TASKS)}")
     if num_envs is not None:
         return GoToVectorEnv(num_envs, fidelity)
-    # By the registry, so that it has a spec; without its wrappers.
+    # Created by the registry, so that it has a spec; without the registry's wrappers.
     env = gymnasium.make("r4/openscout-goto-v0", fidelity=fidelity, disable_env_checker=True).unwrapped
     assert isinstance(env, GoToEnv)
     return env
@@ -139,7 +140,7 @@ def make(task: str, *, fidelity: Fidelity = "full", num_envs: int | None = None)
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a policy does on full boards, with a 95 % interval of the share that reached the goal, by Wilson's score."""
+    """Result of a policy on full boards, with a 95 % interval (Wilson) of the share that reached the goal."""
 
     episodes: int
     reached: float
@@ -150,9 +151,9 @@ class Evaluation:
 
 
 def evaluate(policy: Callable[[Observation], Action], episodes: Iterable[int]) -> Evaluation:
-    """Runs a policy on full boards, one for each episode's seed; ``policy`` takes all observations and returns all actions.
+    """Runs a policy on full boards, one for each episode's seed. ``policy`` maps all observations to all actions.
 
-    Seeds from 200001 on are for reports; tune and choose on those below.
+    Seeds from 200001 on are report seeds; tune and select policies on those below.
     """
     seeds = [int(episode) for episode in episodes]
     if not seeds:

@@ -1,4 +1,4 @@
-"""Several robots side by side, each on a board of its own, as a PettingZoo environment: ``r4.multi.parallel_env("openscout-goto", 4)``."""
+"""Several robots, each on a board of its own, as a PettingZoo environment: ``r4.multi.parallel_env("openscout-goto", 4)``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ._native import GoTo
 
 
 class ParallelGoTo(ParallelEnv):  # type: ignore[misc]
-    """Robots that do not meet: each drives to its own goal on its own plane, all at the same time. An agent leaves at its episode's end."""
+    """Independent robots: each drives to its own goal on its own plane, all at the same time. An agent leaves at the end of its episode."""
 
     metadata = {"name": "openscout-goto", "render_modes": []}
 
@@ -72,7 +72,7 @@ class ParallelGoTo(ParallelEnv):  # type: ignore[misc]
 
 
 def parallel_env(task: str, robots: int, fidelity: gym.Fidelity = "full") -> ParallelGoTo:
-    """Robots that each do a task on a board of its own."""
+    """Creates an environment of ``robots`` robots, each with the task on a board of its own."""
     if task not in gym.TASKS:
         raise ValueError(f"no task is called {task!r}: there are {', '.join(gym.TASKS)}")
     return ParallelGoTo(robots, fidelity)

@@ -1,7 +1,7 @@
-//! What a board has to be told about the robot it is in, measured.
+//! Calibration: measurement of the parameters that a board needs about its robot.
 //!
-//! Each kind measures with the parameters that hold now, takes what a person has measured on the robot, and computes from both
-//! what the parameters should be. The board works with them from its next start on.
+//! Each kind measures with the active parameters, takes a person's measurement on the robot, and computes the
+//! parameters from both. The board uses them from its next start on.
 
 mod error;
 mod motor;
@@ -19,68 +19,69 @@ use crate::{Error, Quantity, Session, parameters::Parameters};
 
 pub use error::{CalibrateError, NoAnswer};
 
-/// Somebody at the robot, who measures and answers.
+/// Person at the robot, who measures and answers.
 pub trait Person {
-    /// Asks a question and returns the answer, without white space around it. The session goes on while a person thinks.
+    /// Asks a question and returns the answer, without surrounding white space. The session continues while a person
+    /// thinks.
     ///
     /// # Errors
-    /// [`NoAnswer`]
+    /// [`NoAnswer`] when there is none.
     fn ask(&mut self, session: &Session<'_>, question: &str) -> impl Future<Output = Result<String, NoAnswer>>;
 }
 
-/// What is calibrated, and how.
+/// Kind of a calibration, with its options.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Calibration {
     /// Counts per turn of a motor's encoder or of an encoder channel.
     Encoder {
-        /// The motor or encoder.
+        /// Channel of the motor or encoder.
         channel: ChannelId,
-        /// How its shaft is turned.
+        /// Method by which the shaft is turned.
         by: Turning,
     },
     /// Both calibration points of a motor's potentiometer.
     Potentiometer {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// Whether it is driven to both places, a tenth of its range from either end; otherwise a person moves it.
+        /// True: the motor is driven to both positions, a tenth of its range from either end. False: a person moves it.
         drive: bool,
     },
     /// Oscillator of the chip that makes the servos' pulses.
     ServoOscillator {
-        /// Any servo; it is held at its largest pulse while a person measures that.
+        /// Channel of any servo; it is held at its largest pulse while a person measures that.
         channel: ChannelId,
     },
     /// Radius of wheels, and the track of a robot that steers by them.
     Wheels {
-        /// Motors of the left wheels, or of all, for the radius only.
+        /// Motors of the left wheels; or of all wheels, when only the radius is calibrated.
         left: Vec<ChannelId>,
-        /// Motors of the right wheels.
+        /// Motors of the right wheels; empty when only the radius is calibrated.
         right: Vec<ChannelId>,
-        /// How far every wheel turns, an angle.
+        /// Angle by which every wheel turns.
         turn: Quantity,
     },
 }
 
-/// How a shaft is turned whose encoder is calibrated.
+/// Method by which the shaft of a calibrated encoder is turned.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Turning {
-    /// By hand, by whole turns between two looks at the same mark.
+    /// Turns by hand: whole turns between two readings at the same mark.
     ByHand {
-        /// Turns forwards.
+        /// Number of turns forwards.
         turns: f64,
     },
-    /// By its motor, by an angle that the board believes; a person tells how far it really went.
+    /// A drive by the motor, by an angle of the present calibration; a person measures the true one.
     Driven(Quantity),
 }
 
-/// A parameter that should have another number.
+/// Change of a parameter's value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Change {
-    /// The parameter.
+    /// Key of the parameter.
     pub parameter: ParameterKey,
-    /// Its number in force.
+    /// Value that is active now.
     pub from: f32,
-    /// The number that was measured.
+    /// Value from the measurement.
     pub to: f32,
 }
 
@@ -90,22 +91,22 @@ impl Change {
     }
 }
 
-/// The result of a calibration.
+/// Result of a calibration.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Found {
-    /// Parameters of the board.
+    /// Changed parameters of the board.
     pub changes: Vec<Change>,
-    /// What is no parameter of the board, for the robot's file.
+    /// Values that are no parameters of the board: TOML for the robot's file.
     pub toml: Option<String>,
-    /// What was measured and how sure it is, in words.
+    /// Measurement and its uncertainty, in words.
     pub note: String,
 }
 
 impl Found {
-    /// Sets the parameters that were found and keeps them; they hold from the board's next start on.
+    /// Sets and saves the changed parameters, which the board uses from its next start on.
     ///
     /// # Errors
-    /// [`CalibrateError::NotTaken`], [`CalibrateError::NotSaved`]
+    /// [`CalibrateError::NotTaken`] when the board refuses a value; [`CalibrateError::NotSaved`] when it cannot save.
     pub async fn save(&self, session: &Session<'_>) -> Result<(), Error> {
         for &Change { parameter, to, .. } in &self.changes {
             let set = session.board.set_parameter(parameter, to).await;
@@ -115,10 +116,11 @@ impl Found {
     }
 }
 
-/// Measures, arming where something is to be driven, and asks `person` what only a person can see. Nothing is saved.
+/// Runs a calibration: arms where something is driven, and asks `person` for measurements. Nothing is saved.
 ///
 /// # Errors
-/// [`CalibrateError`]; when the board refuses or stops, a motor does not arrive, or the link fails.
+/// [`CalibrateError`] for a calibration without a result; the error of the board when it refuses or stops, of a motor
+/// that does not arrive, or of the link.
 pub async fn calibrate(
     session: &Session<'_>,
     calibration: &Calibration,
@@ -133,7 +135,7 @@ pub async fn calibrate(
 }
 
 impl Parameters {
-    /// One that the channel must have.
+    /// Parameter that the channel must have.
     fn need(
         &self,
         channel: ChannelId,
@@ -144,11 +146,11 @@ impl Parameters {
     }
 }
 
-/// How often a channel is looked at, ms, and over how long, s.
+/// Telemetry period of a channel, ms, and averaging time, s.
 const LOOK_EVERY_MS: u16 = 5;
 const LOOK_S: f64 = 0.3;
 
-/// Where a channel is, in counts of its resolution: the mean over a moment in which it must not move.
+/// Position of a channel in counts of its resolution: the mean over [`LOOK_S`], in which it must not move.
 async fn counts<C: Clock>(board: &Board<C>, channel: ChannelId) -> Result<f64, Error> {
     board.channel(channel)?;
     let mut telemetry = board.telemetry();
@@ -174,7 +176,7 @@ async fn counts<C: Clock>(board: &Board<C>, channel: ChannelId) -> Result<f64, E
     }
 }
 
-/// A quantity that was answered, which must be in `unit`.
+/// Parses an answered quantity, which must be in `unit`.
 fn read(answer: &str, unit: Unit, example: &str) -> Result<f64, CalibrateError> {
     let wrong = |why| CalibrateError::WrongAnswer { answer: answer.to_owned(), why };
     let quantity: Quantity = answer.parse().map_err(wrong)?;

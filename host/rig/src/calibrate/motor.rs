@@ -1,4 +1,4 @@
-//! Encoders and potentiometers.
+//! Calibration of encoders and potentiometers.
 
 use std::f64::consts::TAU;
 
@@ -7,14 +7,14 @@ use r4_protocol::{ChannelId, Mode, Parameter, Unit};
 use super::{CalibrateError, Change, Found, Person, Turning, counts, read};
 use crate::{Error, Quantity, Session, parameters::Parameters};
 
-/// A motor that is sent somewhere is waited for so long, s.
+/// Timeout of a motor's move, s.
 pub(crate) const TIMEOUT_S: f64 = 60.0;
-/// Where a potentiometer is read: this share of the range from either end.
+/// Distance of a potentiometer's positions from either end, as a share of the range.
 const FROM_END: f64 = 0.1;
-/// Two places nearer than this share of the range tell too little.
+/// Least distance of two positions, as a share of the range: closer ones give too little accuracy.
 const LEAST_APART: f64 = 0.2;
 
-/// Counts per turn, from turns by hand or a drive whose true length is told.
+/// Calibrates counts per turn, from turns by hand, or from a drive whose true angle a person measures.
 pub(crate) async fn encoder(
     session: &Session<'_>,
     person: &mut impl Person,
@@ -64,7 +64,7 @@ pub(crate) async fn encoder(
     if per_turn < 0.0 {
         return Err(CalibrateError::Backwards { channel }.into());
     }
-    // Each look may be a count off.
+    // Either reading may be off by one count.
     let unsure = 100.0 * 2.0 / moved.abs();
     let change = Change::new(&info, per_turn.round());
     let note = format!(
@@ -73,7 +73,7 @@ pub(crate) async fn encoder(
     Ok(Found { changes: vec![change], toml: None, note })
 }
 
-/// Both points of a potentiometer, from two places whose true position is told.
+/// Calibrates both points of a potentiometer, from two positions that a person measures.
 pub(crate) async fn potentiometer(
     session: &Session<'_>,
     person: &mut impl Person,
@@ -98,6 +98,7 @@ pub(crate) async fn potentiometer(
         let what = if drive { "Measure where it is" } else { "Move it there, and measure where that is" };
         let answer = person.ask(session, &format!("{channel}, {which} place. {what}, as in 12.5mm?")).await?;
         let truly = read(&answer, Unit::M, "12.5mm")?;
+        // The board reports positions by its present calibration, which is undone here.
         *point = (truly, line.code(counts(board, channel).await? * resolution));
     }
     let [first, second] = points;
@@ -117,7 +118,7 @@ pub(crate) async fn potentiometer(
     Ok(Found { changes, toml: None, note })
 }
 
-/// Codes against positions, by two points.
+/// Straight line of codes over positions, m, through two points.
 struct Line {
     low: (f64, f64),
     high: (f64, f64),

@@ -1,25 +1,25 @@
-//! The oscillator behind the servos' pulses.
+//! Calibration of the oscillator of the servos' pulses.
 
 use r4_protocol::{ChannelId, ChannelKind, Mode, Parameter, Setpoint};
 
 use super::{CalibrateError, Change, Found, Person};
 use crate::{Error, Session, parameters::Parameters};
 
-/// Steps of a PWM cycle (PCA9685 datasheet, 7.3.3).
+/// Number of steps in a PWM cycle (PCA9685 datasheet, 7.3.3).
 const STEPS: f64 = 4096.0;
-/// A servo that turns has arrived by then, s.
+/// Time for a servo to arrive, s.
 const MOVE_S: f64 = 2.0;
-/// No oscillator is further off; more is a wrong measurement.
+/// Largest deviation of an oscillator, as a share; more is a wrong measurement.
 const MOST_OFF: f64 = 0.2;
 
-/// What was measured.
+/// Measurement by a person.
 enum Measured {
-    /// s
+    /// Length of a pulse, s.
     Pulse(f64),
     Hz(f64),
 }
 
-/// From a pulse or the frequency of pulses that was measured.
+/// Calibrates the oscillator from a measured pulse length or pulse frequency.
 pub(crate) async fn oscillator(
     session: &Session<'_>,
     person: &mut impl Person,
@@ -35,7 +35,8 @@ pub(crate) async fn oscillator(
     let of = |parameter| parameters.need(channel, parameter, "is no servo").map(|info| f64::from(info.active));
     let (pulse_s, angle) = (of(Parameter::PulseHigh)?, of(Parameter::AngleHigh)?);
     let assumed_hz = f64::from(oscillator.active);
-    // 7.3.5; the chip is told this, whatever its oscillator really does.
+    // Datasheet, 7.3.5. The firmware computes the prescaler from the assumed frequency, whatever the oscillator really
+    // does.
     let prescale = (assumed_hz / (STEPS * f64::from(info.rate_hz))).round();
     let step_s = prescale / assumed_hz;
     let steps = (pulse_s / step_s).round();

@@ -1,4 +1,5 @@
-//! Robots whose parameters are wrong on purpose; the simulated world is the truth, read as a person would measure it.
+//! Robots with deliberately wrong parameters; the true values are read from the simulated world, as a person would
+//! measure them.
 
 use std::fs;
 
@@ -12,7 +13,7 @@ use crate::{Rig, Target};
 const BENCH: &str = include_str!("../../../../boards/osmc-bench.toml");
 const EVERYTHING: &str = include_str!("../../../../boards/every-interface.toml");
 
-/// A person who reads the true position of the simulated world.
+/// A person who answers from the true state of the simulated world.
 struct Known<F>(F);
 
 impl<F: FnMut(&Session<'_>) -> String> Person for Known<F> {
@@ -21,7 +22,7 @@ impl<F: FnMut(&Session<'_>) -> String> Person for Known<F> {
     }
 }
 
-/// `robot` with this replaced, which must be there once.
+/// Returns `robot` with replacements, each of which must match exactly once.
 fn wrong(robot: &str, changes: &[(&str, &str)]) -> String {
     changes.iter().fold(robot.to_owned(), |robot, (is, becomes)| {
         assert_eq!(robot.matches(is).count(), 1, "{is}");
@@ -29,7 +30,7 @@ fn wrong(robot: &str, changes: &[(&str, &str)]) -> String {
     })
 }
 
-/// What is found on a board of this robot, with `known` for who measures.
+/// Calibrates a board of this robot; `known` answers the questions.
 fn calibrated(
     robot: &str,
     calibration: &Calibration,
@@ -73,7 +74,7 @@ fn truth(session: &Session<'_>, of: &str) -> f64 {
 
 #[test]
 fn an_encoders_scale_is_recovered() {
-    // 600 lines are 2400 counts.
+    // 600 lines give 2400 counts.
     for assumed in ["1800", "2500", "2400"] {
         let robot = wrong(BENCH, &[("counts_per_turn = 2400", &format!("counts_per_turn = {assumed}"))]);
         let mut begin = None;
@@ -82,7 +83,7 @@ fn an_encoders_scale_is_recovered() {
             format!("{}rad", at - *begin.get_or_insert(at))
         });
         let found = found.expect("calibrated");
-        // Two counts of some 6700, and the shaft creeps while it is measured.
+        // Two counts of some 6700, and the shaft creeps during the measurement.
         assert!((f64::from(found.changes[0].to) - 2400.0).abs() <= 3.0, "{assumed}: {found:?}");
     }
 }
@@ -118,7 +119,7 @@ fn a_potentiometers_points_are_recovered() {
     let measure = |session: &Session<'_>| format!("{}m", truth(session, "actuator1"));
     let found = calibrated(&robot, &potentiometer("actuator1", true), measure).expect("calibrated");
     let codes: Vec<_> = found.changes.iter().map(|change| (change.parameter.to_string(), change.to)).collect();
-    // 0.02 mm: a count of the simulated 10-bit codes' rounding, the noise, and what the rod creeps.
+    // The limit is 0.02 mm: rounding of the simulated 10-bit codes, noise, and creep of the rod.
     for ((key, code), (name, is)) in
         codes.iter().zip([("actuator1.pot_low_code", 1858.0), ("actuator1.pot_high_code", 63357.0)])
     {
@@ -130,7 +131,7 @@ fn a_potentiometers_points_are_recovered() {
 
 #[test]
 fn a_servo_chips_oscillator_is_recovered() {
-    // Believed 25 MHz; truly what the line says.
+    // The board assumes 25 MHz; the true frequency is in the robot's file.
     for hz in ["26.1e6", "24.2e6"] {
         let robot = wrong(EVERYTHING, &[("oscillator_hz = 25.6e6 # as if it had been measured\n", "")]);
         let robot = robot + "\n[simulation]\nservo_oscillator_hz = " + hz + "\n";
@@ -146,7 +147,7 @@ fn a_servo_chips_oscillator_is_recovered() {
             };
             let found = calibrated(&robot, &servo("servo0"), scope).expect("calibrated");
             let is: f32 = hz.parse().expect("a number");
-            // What is typed has four digits after the point of 50 Hz, two after that of 2000 us.
+            // Rounding of the answer: four digits after the point of 50 Hz, two after that of 2000 µs.
             assert!((found.changes[0].to / is - 1.0).abs() < 1e-5, "{found:?}");
         }
     }
@@ -157,10 +158,11 @@ fn a_servo_chips_oscillator_is_recovered() {
 #[test]
 fn wheels_are_told_for_the_robots_file() {
     const RADIUS_M: f64 = 0.056;
-    // By the linear law of the tyres: track (l² + r b²) / r b² for half a track b, half a wheelbase l, and r = 4 times as much slip across.
+    // By the linear law of the tyres: track (l² + r b²) / r b² for half a track b, half a wheelbase l, and r = 4 times
+    // as much slip across.
     const TRACK_M: f64 = 0.302 * (0.12 * 0.12 + 4.0 * 0.151 * 0.151) / (4.0 * 0.151 * 0.151);
     let (mut asked, mut begin) = (0, Pose::default());
-    // A ruler and a protractor on the floor.
+    // The answers of a ruler and a protractor on the floor.
     let measure = move |session: &Session<'_>| {
         let board = session.virtual_board().expect("simulated");
         let now = board.world().pose().expect("it has a body");
@@ -178,7 +180,8 @@ fn wheels_are_told_for_the_robots_file() {
     let toml: toml::Table = found.toml.expect("for the file").parse().expect("TOML");
     let drive = &toml["drive"]["skid-steer"];
     let number = |name: &str| drive[name].as_float().expect("a number");
-    // Wheels slip by 1 % while they accelerate, and as much the other way while they brake; the brush slides a little at once.
+    // Wheels slip by 1 % while they accelerate, and by as much the other way while they brake; the brush slides a
+    // little at once.
     assert!((number("wheel_radius_m") / RADIUS_M - 1.0).abs() < 2e-3, "{drive}");
     assert!((number("track_m") / TRACK_M - 1.0).abs() < 0.02, "{drive}");
     assert_eq!(drive["left"].as_array().expect("channels").len(), 2);

@@ -1,4 +1,4 @@
-//! Radius and track: no parameters of the board, but of the file that says what the robot is.
+//! Calibration of wheel radius and track: entries of the robot's file, not parameters of the board.
 
 use futures::future::try_join_all;
 use r4_protocol::{ChannelId, Mode, Unit};
@@ -6,7 +6,8 @@ use r4_protocol::{ChannelId, Mode, Unit};
 use super::{CalibrateError, Found, Person, counts, motor::TIMEOUT_S, read};
 use crate::{Error, Quantity, Session};
 
-/// From how far the robot went, and how far it turned on the spot, while the wheels turned as far as their encoders say.
+/// Calibrates the radius from the distance that the robot moves, and the track from the angle that it turns on the
+/// spot, while the encoders count the wheels' angles.
 pub(crate) async fn run(
     session: &Session<'_>,
     person: &mut impl Person,
@@ -50,6 +51,7 @@ pub(crate) async fn run(
     let (left_rad, right_rad) = drive(session, left, right, [-turn.value, turn.value]).await?;
     let answer = person.ask(session, "How far did it turn to the left, as in 90deg?").await?;
     let yaw_rad = read(&answer, Unit::Rad, "90deg")?;
+    // This is the effective track: the scrubbing of the tyres makes it wider than the distance of the wheels.
     let track_m = radius_m * (right_rad - left_rad) / yaw_rad;
     if track_m <= 0.0 || !track_m.is_finite() {
         return Err(CalibrateError::NoTrack.into());
@@ -66,7 +68,7 @@ pub(crate) async fn run(
     Ok(Found { changes: Vec::new(), toml: Some(toml), note })
 }
 
-/// Turns the wheels of both sides and returns how far they turned, rad, as a mean of each side.
+/// Turns the wheels of both sides. Returns the mean angle of each side's wheels, rad.
 async fn drive(
     session: &Session<'_>,
     left: &[ChannelId],
@@ -83,6 +85,7 @@ async fn drive(
     }
     session
         .armed(async || {
+            // All wheels move at the same time; one after another they would scrub over the ground.
             let moves = wheels.iter().map(|(channel, _, at, angle)| board.move_to(*channel, at + angle, TIMEOUT_S));
             try_join_all(moves).await?;
             Ok::<_, Error>(())

@@ -1,4 +1,5 @@
-//! Care taken with an excited motor: what it may be given before it moves, and how much less after a trip.
+//! Adaptation of an excitation to its motor: less duty or shorter stalls after a trip, and more patience for a motor
+//! that does not move.
 
 use r4_driver::Error as DriverError;
 use r4_protocol::Cause;
@@ -6,25 +7,26 @@ use r4_protocol::Cause;
 use super::{Excitation, ExciteError, Limits};
 use crate::Error;
 
-/// Share of the time to a stall's trip after which a motor that does not move gets no duty, at first.
+/// Initial share of the stall's trip time after which a motor that does not move gets no duty.
 const FIRST_PATIENCE: f64 = 0.6;
-/// Factor of that share after a stall.
+/// Factor on that share after a stall.
 const LESS_PATIENCE: f64 = 0.5;
-/// Factor of the duty beyond friction after a trip that less duty may avoid. A shaft of 0.98 Hz behind the motor (tuning seed 60660010)
-/// overheats the winding model of `osmc-bench` at all of it, and does not at this share.
+/// Factor on the duty beyond friction after a trip that less duty may avoid. With all of it, a shaft of 0.98 Hz behind
+/// the motor (tuning seed 60660010) overheats the winding model of `osmc-bench`; with this share it does not.
 const LESS_DUTY: f64 = 0.7;
-/// Largest number of recordings that are begun again.
+/// Largest number of repeated recordings.
 const REPEATS: usize = 4;
 
-/// Care with which recordings are made. Grows when the board trips, shrinks when a motor does not move.
+/// Limits for the next recording: tightened after a trip, relaxed when a motor does not move.
 #[derive(Clone, Copy, Debug)]
 pub struct Care {
-    /// Share of the time to a stall's trip; infinite where the board may trip.
+    /// Share of the stall's trip time; infinite where the board may trip.
     pub(super) patience: f64,
     /// Share of the duty beyond friction.
     pub(super) strength: f64,
     repeats: usize,
-    /// Whether it moved in a recording that was kept: one in which it stands tells what holds it.
+    /// True once the motor moved in a kept recording. A later recording in which it stands is valid then: it shows what
+    /// holds the motor.
     has_moved: bool,
 }
 
@@ -34,22 +36,21 @@ impl Default for Care {
     }
 }
 
-/// What to do about a recording.
+/// Decision about a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next {
-    /// Keep it.
+    /// Keep the recording for the fit.
     Keep,
-    /// Make it again, for this reason.
+    /// Repeat the recording, for this reason.
     Again(&'static str),
 }
 
 impl Care {
-    /// What to do about a recording in which the motor travelled so far (rad or m), or that ended with an error; changes how the next
-    /// is made.
+    /// Decides about a recording by its result, and adapts the limits for the next one.
     ///
     /// # Errors
-    /// [`ExciteError::Immovable`] when the motor has not moved in any recording though the board would have stopped it before it was let go, or the
-    /// error that came in when another attempt does not help.
+    /// [`ExciteError::Immovable`] when the motor moved in no recording, though the duty stayed on up to the board's
+    /// stall limit; otherwise the recording's own error, when another attempt does not help.
     pub fn judge(&mut self, excitation: &Excitation, excited: Result<Excited, Error>) -> Result<Next, Error> {
         let is_unlimited = self.patience.is_infinite();
         let immovable = ExciteError::Immovable { channel: excitation.channel };
@@ -60,6 +61,8 @@ impl Care {
             }
             Ok(_) if is_unlimited => return Err(immovable.into()),
             Ok(_) => {
+                // The guard may have cut the duty before a slow motor moved. Without the guard only the board's own
+                // limit remains.
                 self.patience = f64::INFINITY;
                 "did not move: once more, until the board stops it"
             }
@@ -72,6 +75,7 @@ impl Care {
                 self.strength *= LESS_DUTY;
                 "was driven too hard: cleared, and again with less duty"
             }
+            // Gentler excitation cannot avoid other errors: without a reason there is no further attempt.
             Err(_) => "",
         };
         self.repeats += 1;
@@ -82,31 +86,31 @@ impl Care {
     }
 }
 
-/// What came of an excitation.
+/// Result of an excitation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Excited {
-    /// Whether the motor moved, by more than steps of its sensor that may be noise.
+    /// True when the motor moved, by more than steps of its sensor that may be noise.
     pub moved: bool,
 }
 
-/// Whether the board tripped by one of these causes.
+/// Returns true when the board tripped by one of these causes.
 fn trip(error: &Error, causes: &[Cause]) -> bool {
     matches!(error, Error::Board(DriverError::Stopped { causes: of }) if causes.iter().any(|cause| of.contains(*cause)))
 }
 
-/// Whether the board tripped by what another way to excite the motor may avoid.
+/// Returns true when the board tripped by a cause that another excitation may avoid.
 pub(super) fn is_avoidable(error: &Error) -> bool {
     trip(error, &[Cause::Stalled, Cause::Overload, Cause::EncoderImplausible])
 }
 
-/// Detects a motor that does not move, before the board trips because of a stall.
+/// Detector of a motor that does not move, before the board trips because of a stall.
 pub(super) struct Guard {
     stall_duty: f64,
     travel: f64,
     patience_s: f64,
-    /// Position and time of the last motion.
+    /// Position, rad or m, and time, s, of the last motion.
     moved: Option<(f64, f64)>,
-    /// The part of the plan in which the motor does not move.
+    /// Part of the plan in which the motor does not move; `None` while it does.
     stuck_in: Option<usize>,
 }
 
@@ -121,9 +125,10 @@ impl Guard {
         }
     }
 
-    /// Whether the motor gets no duty for the rest of this part of the plan.
+    /// Returns true when the motor gets no duty for the rest of this part of the plan.
     pub(super) fn is_stuck(&mut self, now_s: f64, part: usize, position: f64, duty: f64) -> bool {
         let (from, since_s) = *self.moved.get_or_insert((position, now_s));
+        // Below the stall duty the board counts no time either.
         if duty.abs() < self.stall_duty || (position - from).abs() >= self.travel {
             self.moved = Some((position, now_s));
         } else if now_s - since_s > self.patience_s {

@@ -1,4 +1,5 @@
-//! Excitation: duties that make a motor's recording tell its parameters, within the limits that the board reports.
+//! Excitation: duties whose recording makes a motor's parameters identifiable, within the limits that the board
+//! reports.
 
 mod care;
 mod error;
@@ -21,25 +22,25 @@ use crate::{Error, Session, parameters::Parameters};
 const TELEMETRY_MS: u16 = 5;
 /// Shortest time between two duties of a sine or a ramp, s.
 const SEND_EVERY_S: f64 = 0.02;
-/// Longest time between two frames of telemetry, s.
+/// Timeout of the telemetry, s.
 const SILENT_S: f64 = 0.3;
-/// Largest duty as a share of what the board allows, so that rounding does not limit it.
+/// Largest duty as a share of the board's limit, so that rounding does not exceed it.
 const BELOW_LIMIT: f64 = 0.98;
-/// Steps of the sensor that a motor must travel to have moved: one may be noise, two its rounding.
+/// Sensor steps of travel above which a motor has moved: one step may be noise, two its rounding.
 const LEAST_STEPS: f64 = 2.0;
-/// Longest time that a winding is given to cool, s: four of the time constants that robots here declare (30 s).
+/// Longest time for a winding to cool, s: four of the time constants that robots here declare (30 s).
 const COOLS_WITHIN_S: f64 = 120.0;
-/// Share of the range at either end where the motor is sent the other way.
+/// Share of the range at either end in which the direction of the motor is reversed.
 const MARGIN: f64 = 0.15;
 
-/// Experiment with one motor, which must be free to move both ways.
+/// Experiment with one motor, which must be free to move in both directions.
 #[derive(Clone, Copy, Debug)]
 pub struct Excitation {
-    /// The motor.
+    /// Channel of the motor.
     pub channel: ChannelId,
     /// Length of each recording, s.
     pub length_s: f64,
-    /// Largest duty; just below what the board allows for `None`.
+    /// Largest duty; `None` uses just below the board's limit.
     pub duty: Option<f64>,
 }
 
@@ -70,11 +71,12 @@ impl Limits {
     }
 }
 
-/// Arms, excites the motor by plan number `index` and disarms; clears a trip that [`Care`] may avoid the next time. Calls `progress` with
-/// the share that is done.
+/// Arms, excites the motor by plan number `index` and disarms. Clears a trip that [`Care`] may avoid the next time.
+/// Calls `progress` with the completed share.
 ///
 /// # Errors
-/// When the channel cannot be excited, or the board trips: [`Care::judge`] tells whether another attempt helps.
+/// [`ExciteError`] when the channel cannot be excited; the causes when the board trips. [`Care::judge`] decides whether
+/// another attempt helps.
 pub async fn excite(
     session: &Session<'_>,
     excitation: &Excitation,
@@ -99,6 +101,7 @@ pub async fn excite(
     if cap <= limits.static_duty {
         return Err(ExciteError::BelowFriction { channel, duty: cap, static_duty: limits.static_duty }.into());
     }
+    // Only the part above friction is reduced; otherwise a gentler excitation might not move the motor at all.
     let cap = limits.static_duty + care.strength * (cap - limits.static_duty);
     let plan = Plan::new(index, excitation.length_s, limits.static_duty, cap);
     let driven = session.armed(async || drive(session, channel, &plan, &limits, care, progress).await).await;
@@ -108,7 +111,7 @@ pub async fn excite(
     driven
 }
 
-/// Clears a trip; one by heat once the winding has cooled.
+/// Clears a trip; after overheating, once the winding has cooled.
 async fn clear(session: &Session<'_>) -> Result<(), Error> {
     let mut waited_s = 0.0;
     loop {
@@ -120,7 +123,7 @@ async fn clear(session: &Session<'_>) -> Result<(), Error> {
     }
 }
 
-/// Sends the duties of `plan`, and keeps the motor within its range and from stalling.
+/// Sends the duties of `plan`, and keeps the motor within its range and below a stall.
 async fn drive(
     session: &Session<'_>,
     channel: ChannelId,
@@ -135,7 +138,7 @@ async fn drive(
     let (low, high) = limits.range;
     let inside = (low + MARGIN * (high - low), high - MARGIN * (high - low));
     let mut guard = Guard::new(limits, care);
-    // A motor that begins at one end of its range is sent away from it first.
+    // A motor that starts at one end of its range is sent away from it first.
     let mut direction = 1.0;
     let (mut begin_s, mut sent, mut sent_s) = (None, None, f64::NEG_INFINITY);
     let (mut lowest, mut highest) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -145,7 +148,7 @@ async fn drive(
             Either::Left((frame, _)) => frame?,
             Either::Right(_) => return Err(ExciteError::Silent { channel, silent_s: SILENT_S }.into()),
         };
-        // Sent before the board was armed.
+        // This frame was sent before the board armed.
         if !armed && frame.state == SafetyState::Disarmed {
             continue;
         }

@@ -8,7 +8,7 @@ pub struct Plan {
     parts: Vec<Part>,
     /// Duty that overcomes friction.
     low: f64,
-    /// Largest duty.
+    /// Largest duty of the plan.
     cap: f64,
 }
 
@@ -18,37 +18,39 @@ struct Part {
     shape: Shape,
 }
 
-/// Shares of the duty that is beyond friction, negative backwards, unless stated otherwise.
+/// Shape of a part. Numbers are shares of the duty beyond friction, negative backwards, unless stated otherwise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shape {
     Rest,
     Hold(f64),
-    /// A triangle from zero to a share of the largest duty and back, forwards and then backwards.
+    /// Triangle from zero to a share of the largest duty and back, forwards and then backwards.
     Ramp(f64),
     /// Four sines without a common period, up to the largest duty; the number shifts their phases.
     Sines(f64),
 }
 
-/// Number of recordings to fit to; one more, whose plan has this index, is to test on.
+/// Number of recordings for the fit; one more, whose plan has this index, is held out.
 pub const TRAIN: usize = 2;
-/// Number of further recordings to fit to, whose plans come after that: with long holds, for a motor of which the first ones do not tell
-/// enough. An eccentricity, a torque ripple or a friction that follows the position shows over whole turns only.
+/// Number of further recordings for the fit, whose plans follow: with long holds, for a motor whose parameters the
+/// first ones do not determine. Eccentricity, torque ripple or position-dependent friction show over whole turns only.
 pub const MORE: usize = 2;
 
 /// Frequencies of the sines, Hz; none is a multiple of another.
 const SINES_HZ: [f64; 4] = [0.31, 0.73, 1.37, 2.9];
-/// The sum of four unit sines seldom exceeds this.
+/// Scale of the sum of four unit sines, which it seldom exceeds; the sum is clipped there.
 const PEAK: f64 = 2.8;
 
-/// Length of a plan that is not stretched, s.
+/// Length of a plan before it is stretched, s.
 const LENGTH_S: f64 = 12.0;
 
 impl Plan {
-    /// The plan of recording number `index` of `length_s`, up to a duty of `cap`, of a motor that starts at about `low`.
+    /// Creates the plan of recording number `index` with length `length_s`, up to a duty of `cap`, for a motor that
+    /// starts to move at about `low`.
     #[must_use]
     pub fn new(index: usize, length_s: f64, low: f64, cap: f64) -> Self {
         use Shape::{Hold, Ramp, Rest, Sines};
         let parts: &[(f64, Shape)] = match index {
+            // Holds for friction and gain, a ramp for the dead zone, sines for inertia and lags.
             0 => &[
                 (0.3, Rest),
                 (0.7, Hold(0.5)),
@@ -76,6 +78,7 @@ impl Plan {
                 (1.2, Hold(0.7)),
                 (0.4, Rest),
             ],
+            // The held-out plan has the same shapes in another order and with other sizes.
             TRAIN => &[
                 (0.3, Rest),
                 (0.9, Hold(-0.8)),
@@ -89,6 +92,7 @@ impl Plan {
                 (1.1, Hold(0.85)),
                 (0.4, Rest),
             ],
+            // Long holds of whole turns, for effects that depend on the position.
             3 => &[
                 (0.3, Rest),
                 (3.2, Hold(1.0)),
@@ -121,7 +125,7 @@ impl Plan {
         self.parts.iter().map(|part| part.duration_s).sum()
     }
 
-    /// The part of the plan at `time_s` and its duty; `None` after the end.
+    /// Part of the plan at `time_s` and its duty; `None` after the end.
     #[must_use]
     pub fn at(&self, time_s: f64) -> Option<(usize, f64)> {
         let mut begin_s = 0.0;
@@ -152,6 +156,7 @@ impl Plan {
                 let sines = SINES_HZ.iter().zip(1_u8..);
                 let sum: f64 =
                     sines.map(|(hz, number)| (TAU * hz * after_s + turn * f64::from(number * number)).sin()).sum();
+                // Rare peaks are clipped, so that the usual amplitude comes close to the limit.
                 self.cap * (sum / PEAK).clamp(-1.0, 1.0)
             }
         }

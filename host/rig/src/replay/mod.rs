@@ -1,4 +1,4 @@
-//! Replays: the requests of a recorded run, sent to a virtual board again at their times.
+//! Replays: the requests of a recorded run are sent to a virtual board again, at their times.
 
 mod error;
 mod plan;
@@ -20,10 +20,12 @@ pub use plan::{Plan, Step};
 
 use crate::{Error, HostClock, Recorded, Rig, Session, recording};
 
-/// A log of the run that `log` records on the board of `rig`, and the offset that maps its times to those of `log`, s.
+/// Replays the run of `log` on the board of `rig`. Returns the new log and the offset that maps its times to those of
+/// `log`, s.
 ///
 /// # Errors
-/// When the log cannot be replayed, or the board is not virtual or fails otherwise than by refusing.
+/// [`Error::Replay`] when the log cannot be replayed; [`Error::NotVirtual`] for a board on a link; the error of a board
+/// that fails otherwise than by a refusal.
 pub fn again(rig: &Rig, log: &Log) -> Result<(Log, f64), Error> {
     rig.target.robot()?;
     let plan = Plan::of(log).map_err(|error| ReplayError::Unsuitable(Box::new(error)))?;
@@ -37,15 +39,15 @@ pub fn again(rig: &Rig, log: &Log) -> Result<(Log, f64), Error> {
     Ok((again, shift_s))
 }
 
-/// Sends every request of `plan` at its time, and returns at the recorded end of the session. The session must be recorded: its times
-/// count from the beginning of the recording.
+/// Sends every request of `plan` at its time, and returns at the recorded end of the session. The session must be
+/// recorded, since times count from the start of the recording.
 ///
 /// # Errors
-/// When the link fails; refusals and lost answers are part of the run.
+/// The error of a failed link; refusals and lost answers are part of the run.
 pub async fn play(session: &Session<'_>, plan: &Plan) -> Result<(), Error> {
     let (board, clock) = (session.board, &session.clock);
     let began_us = session.tap.as_ref().and_then(|tap| tap.borrow().began_us()).unwrap_or_default();
-    // All requests are later by what the recorded link was faster than this one.
+    // If the recorded link opened faster than this one, all requests are later by the difference.
     let opened_us = clock.now_us() - began_us;
     let late_us = plan.steps.first().map_or(0, |first| opened_us.saturating_sub(first.at_us));
     let at = |after_us: u64| began_us + late_us + after_us;
@@ -53,7 +55,7 @@ pub async fn play(session: &Session<'_>, plan: &Plan) -> Result<(), Error> {
     for step in &plan.steps {
         wait(clock, at(step.at_us), &mut under_way).await?;
         let mut sending = request(board, &step.request);
-        // Sent now, and answered later.
+        // Polled once to send it now; its answer comes later.
         match poll!(&mut sending) {
             Poll::Ready(result) => answered(result)?,
             Poll::Pending => under_way.push(sending),
@@ -79,7 +81,7 @@ async fn wait(
     Ok(())
 }
 
-/// Passes on only the end of the link: refusals and lost answers are part of the run.
+/// Returns only errors of the link: refusals and lost answers are part of the run.
 fn answered(result: Result<(), DriverError>) -> Result<(), Error> {
     match result {
         Err(error @ (DriverError::LinkLost { .. } | DriverError::LinkFailed { .. })) => Err(error.into()),
@@ -103,7 +105,7 @@ fn request<'b>(board: &'b Board<HostClock>, request: &'b Request) -> LocalBoxFut
             Request::SetParameter { key, value } => board.set_parameter(*key, *value).await,
             Request::SetName { robot } => board.set_name(robot).await,
             Request::Follow { channel, points, .. } => {
-                // Recorded from when it was sent.
+                // The log counts the points' times from the request; the board expects its own clock.
                 let now_us = board.device_us();
                 let dated = |point: &PathPoint| PathPoint { at_us: point.at_us.saturating_add(now_us), ..*point };
                 board.follow(*channel, &points.iter().map(dated).collect::<Vec<_>>()).await
@@ -117,7 +119,8 @@ fn request<'b>(board: &'b Board<HostClock>, request: &'b Request) -> LocalBoxFut
             }
             Request::UartWrite { port, bytes } => board.uart_write(*port, bytes).await,
             Request::UartRead { port } => board.uart_read(*port).await.map(|_| ()),
-            // The driver sends these itself when a session opens and closes, or a recording does not have them.
+            // The driver itself sends these at the start and the end of a session, or a recording does not contain
+            // them.
             Request::Hello { .. }
             | Request::Bind { .. }
             | Request::Log { .. }
@@ -131,7 +134,8 @@ fn request<'b>(board: &'b Board<HostClock>, request: &'b Request) -> LocalBoxFut
     })
 }
 
-/// Offset that maps the times of `again` to those of `log`, s: their first set points, or else their first requests, coincide.
+/// Offset that maps the times of `again` to those of `log`, s: it makes the first set points coincide, or without any,
+/// the first requests.
 #[must_use]
 pub fn shift_s(log: &Log, again: &Log) -> f64 {
     let commands = log.commands.first().zip(again.commands.first()).map(|(a, b)| a.time_s - b.time_s);

@@ -5,14 +5,14 @@ use r4_protocol::{Cause, Request, SafetyState};
 
 use super::ReplayError;
 
-/// The requests of a recorded run.
+/// Requests of a recorded run, with their times.
 #[derive(Debug, PartialEq)]
 pub struct Plan {
-    /// The requests, in order of time.
+    /// Requests in the order of time.
     pub steps: Vec<Step>,
     /// End of the session, µs since the host said hello.
     pub end_us: u64,
-    /// Whether arming and subscriptions are inferred from states and samples, because the log has only set points.
+    /// True when arming and subscriptions are inferred from states and samples, because the log has only set points.
     pub inferred: bool,
 }
 
@@ -21,17 +21,18 @@ pub struct Plan {
 pub struct Step {
     /// Time since the host said hello, µs.
     pub at_us: u64,
-    /// The request.
+    /// Request that is sent.
     pub request: Request,
 }
 
-/// A frame of samples leaves the board so long after its date at most, µs: a control period of 1 ms, and its time on the link.
+/// Longest time between the stamp of a frame and its departure from the board, µs: a control period of 1 ms, and its
+/// time on the link.
 const FRAME_AFTER_US: u64 = 2_000;
 /// Time of an inferred arming before the set point that needs it, s.
 const ARM_BEFORE_S: f64 = 0.001;
 
 impl Plan {
-    /// The requests of the run that `log` records.
+    /// Extracts the requests of the run that `log` records.
     ///
     /// # Errors
     /// [`ReplayError::Empty`] for a log without requests and samples.
@@ -45,7 +46,7 @@ impl Plan {
             return Ok(Self { steps: inferred(log, us), end_us: us(end_s), inferred: true });
         };
         let bye = timed.iter().find(|(_, request)| **request == Request::Bye).map(|(at_us, _)| *at_us);
-        // The host's clock and the board's go alike, as far as it matters for the end of a run that was cut off.
+        // Host and board clocks run alike, within the accuracy that the end of a truncated run needs.
         let first = log.requests.first();
         let offset_us = first.map_or(0, |first| first.sent_us.unwrap_or_default().saturating_sub(us(first.time_s)));
         let end_us = bye.unwrap_or_else(|| us(end_s) + offset_us + FRAME_AFTER_US);
@@ -55,7 +56,7 @@ impl Plan {
     }
 }
 
-/// The requests that must have been sent for the log to be as it is.
+/// Infers the requests that explain the states, samples and set points of the log.
 fn inferred(log: &Log, us: impl Fn(f64) -> u64) -> Vec<Step> {
     let mut steps = Vec::new();
     for coverage in log.coverage() {
@@ -72,10 +73,10 @@ fn inferred(log: &Log, us: impl Fn(f64) -> u64) -> Vec<Step> {
             (SafetyState::Armed, SafetyState::Disarmed) => Some(Request::Disarm),
             (SafetyState::Tripped, SafetyState::Disarmed) => Some(Request::Clear),
             (_, SafetyState::Tripped) if change.causes.contains(Cause::HostStop) => Some(Request::Stop),
-            // Other trips are the board's own, and must happen again by themselves.
+            // Other trips are the board's own, and must occur again by themselves.
             _ => None,
         };
-        // The next sample carries a new state; a set point that the board accepted was sent after arming.
+        // A state is recorded with the next sample only; an accepted set point proves that the board was armed before.
         let taken = log.commands.iter().find(|command| (before_s..change.time_s).contains(&command.time_s));
         let time_s = match (&request, taken) {
             (Some(Request::Arm), Some(command)) => command.time_s - ARM_BEFORE_S,
@@ -85,7 +86,7 @@ fn inferred(log: &Log, us: impl Fn(f64) -> u64) -> Vec<Step> {
         (before, before_s) = (change.state, change.time_s);
     }
     steps.extend(log.requests.iter().map(|logged| Step { at_us: us(logged.time_s), request: logged.request.clone() }));
-    // Subscriptions stay before what happens at once.
+    // The sort is stable: subscriptions stay before other requests at time 0.
     steps.sort_by_key(|step| step.at_us);
     steps
 }

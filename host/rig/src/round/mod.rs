@@ -1,8 +1,8 @@
-//! A drive round waypoints: a skid-steer robot follows them by its odometry, slows and stops for obstacles that its range sensors
-//! see, and goes on once they are gone.
+//! A drive round waypoints: a skid-steer robot follows them by its odometry, slows down and stops before obstacles that
+//! its range sensors detect, and continues when they are gone.
 //!
-//! The robot uses only what the board measures. An observer that is given to [`drive`] records, and may compare with the truth of a
-//! simulation.
+//! The robot uses only what the board measures. The observer passed to [`drive`] may record, and compare with the true
+//! state of a simulation.
 
 mod error;
 mod senses;
@@ -18,40 +18,40 @@ use senses::Senses;
 
 use crate::{Error, Follower, GroundDrive, Limits, Odometry, Place, Session, Velocity};
 
-/// Waypoints, and how a robot drives them.
+/// Waypoints and parameters of a drive.
 #[derive(Clone, Debug)]
 pub struct Round {
-    /// The waypoints, m, in the frame of the place where the robot starts.
+    /// Waypoints, m, in the frame of the robot's start.
     pub waypoints_m: Vec<[f64; 2]>,
-    /// Speeds and distances.
+    /// Speeds and distances of the follower.
     pub limits: Limits,
-    /// Period of wheels' and range sensors' telemetry, ms.
+    /// Telemetry period of wheels and range sensors, ms.
     pub telemetry_ms: u16,
-    /// Period of attempts to clear a trip, s.
+    /// Period of the attempts to clear a trip, s.
     pub clear_every_s: f64,
-    /// Time after which the drive ends before its last waypoint, s.
+    /// Time limit of the drive, s; it ends then before its last waypoint.
     pub timeout_s: f64,
 }
 
-/// Measurements of one telemetry frame, and the velocity that follows from them.
+/// Measurements of one telemetry frame, and the resulting velocity.
 #[derive(Clone, Copy, Debug)]
 pub struct Measured {
     /// Time since the drive began, s.
     pub time_s: f64,
     /// Mean positions of the left and the right wheels, rad.
     pub sides_rad: [f64; 2],
-    /// Place by the odometry.
+    /// Pose by the odometry.
     pub place: Place,
-    /// Free distance in front, m; infinite with no obstacle in range.
+    /// Free distance in front, m; infinite without an obstacle in range.
     pub free_m: f64,
-    /// Velocity that is asked for; zero while the board is tripped.
+    /// Requested velocity; zero while the board is tripped.
     pub velocity: Velocity,
 }
 
-/// A change of what the robot does.
+/// Change of the robot's behaviour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event {
-    /// The board tripped.
+    /// The board tripped, with these causes.
     Tripped(Causes),
     /// The trip's causes are gone; it was cleared and the board armed again.
     ArmedAgain,
@@ -72,21 +72,23 @@ impl fmt::Display for Event {
     }
 }
 
-/// A record of a drive, as it is passed to an observer.
+/// Record of a drive, passed to an observer.
 #[derive(Clone, Copy, Debug)]
 pub enum Observation {
-    /// One telemetry frame.
+    /// Measurements of one telemetry frame.
     Measured(Measured),
-    /// A change at a time since the drive began, s.
+    /// Event, with its time since the drive began, s.
     Event(f64, Event),
 }
 
-/// Arms, drives `round` and disarms. Passes each [`Observation`] to `observe`, and returns the number of waypoints reached.
+/// Arms, drives `round` and disarms. Passes each [`Observation`] to `observe`, and returns the number of waypoints
+/// reached.
 ///
-/// After a trip it clears and arms again as soon as the causes are gone: the caller answers for a person who would have looked why.
+/// After a trip it clears and arms again as soon as the causes are gone. The caller takes the responsibility of the
+/// person who would otherwise have checked the robot.
 ///
 /// # Errors
-/// That of `observe`; when the robot has no range sensor, or the board fails otherwise than by a trip.
+/// The error of `observe`; [`RoundError::NoRangeSensor`]; the error of a board that fails otherwise than by a trip.
 pub async fn drive<E: From<Error>>(
     session: &Session<'_>,
     robot: &SkidSteer,
@@ -128,7 +130,7 @@ pub async fn drive<E: From<Error>>(
                     clear_s = Some(time_s + round.clear_every_s);
                     if arm_again(session).await? {
                         observe(Observation::Event(board.now_s() - begin_s, Event::ArmedAgain))?;
-                        // Frames that waited meanwhile still report the trip.
+                        // Frames that were queued meanwhile still report the trip.
                         (clear_s, telemetry) = (None, board.telemetry());
                     }
                 }
@@ -137,7 +139,7 @@ pub async fn drive<E: From<Error>>(
                     Some(next) => velocity = next,
                     None => break,
                 }
-                // One after the other, so that a replay of the log sends them at the same moments.
+                // Sent one after the other, so that a replay of the log sends them at the same times.
                 for (channel, setpoint) in ground.setpoints(velocity) {
                     board.set(channel, setpoint).await.or_else(unless_refused).map_err(Error::from)?;
                 }
@@ -164,10 +166,10 @@ fn unless_refused(error: DriverError) -> Result<(), DriverError> {
     if matches!(error, DriverError::Refused { .. }) { Ok(()) } else { Err(error) }
 }
 
-/// Clears a trip and arms. Returns whether the causes were gone.
+/// Clears a trip and arms. Returns true when the causes were gone.
 ///
 /// # Errors
-/// When the board fails, or stays disarmed after the trip was cleared.
+/// The error of the board; [`RoundError::NotArmedAgain`] when it stays disarmed after the trip was cleared.
 pub async fn arm_again(session: &Session<'_>) -> Result<bool, Error> {
     match session.board.clear().await {
         Ok(()) => {}

@@ -8,7 +8,7 @@ use r4_protocol::{ChannelId, ChannelKind, Quality, Sample};
 
 use crate::HostClock;
 
-/// Newest measurements of a skid-steer robot's wheels and range sensors.
+/// Latest measurements of a skid-steer robot's wheels and range sensors.
 #[derive(Clone, Debug)]
 pub(super) struct Senses<'r> {
     robot: &'r SkidSteer,
@@ -17,14 +17,14 @@ pub(super) struct Senses<'r> {
 }
 
 impl<'r> Senses<'r> {
-    /// Measurements before the first telemetry: no wheel has a position, and each range sensor counts as blocked until it has sent
-    /// a distance.
+    /// State before the first telemetry: no wheel has a position, and each range sensor counts as blocked until it has
+    /// sent a distance.
     pub(super) fn new(robot: &'r SkidSteer, ranges: &[ChannelId]) -> Self {
         let ranges_m = ranges.iter().map(|channel| (*channel, 0.0)).collect();
         Self { robot, wheels_rad: HashMap::new(), ranges_m }
     }
 
-    /// Takes over the samples of one telemetry frame.
+    /// Stores the samples of one telemetry frame.
     pub(super) fn update(&mut self, board: &Board<HostClock>, samples: &[Sample]) {
         for sample in samples {
             match *sample {
@@ -49,13 +49,13 @@ impl<'r> Senses<'r> {
         Some([mean(&self.robot.left)?, mean(&self.robot.right)?])
     }
 
-    /// Shortest distance of any range sensor, m; infinite with no obstacle in range.
+    /// Shortest distance of all range sensors, m; infinite without an obstacle in range.
     pub(super) fn free_m(&self) -> f64 {
         self.ranges_m.values().copied().fold(f64::INFINITY, f64::min)
     }
 }
 
-/// Free distance that a reading stands for, m. A sensor that does not work sees nothing, so its distance counts as blocked.
+/// Free distance of a reading, m. A sensor that does not work detects nothing, so that it counts as blocked.
 fn distance_m(value: f32, quality: Quality) -> f64 {
     match quality {
         Quality::Good => value.into(),

@@ -6,16 +6,16 @@ use serde::Serialize;
 
 use super::{Motion, Outcome};
 
-/// A value in which a simulated and an emulated board differ by more than is allowed.
+/// Value in which a simulated and an emulated board differ by more than the tolerance.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
-    /// Moment and channel, or the list that differs.
+    /// Time and channel, or the list that differs.
     pub of: String,
     /// Value on the simulated board.
     pub simulated: String,
     /// Value on the emulated board.
     pub emulated: String,
-    /// Largest allowed difference.
+    /// Tolerance of the difference.
     pub allowed: String,
 }
 
@@ -28,17 +28,17 @@ impl fmt::Display for Difference {
 
 /// Result of a comparison.
 pub struct Compared {
-    /// Differences beyond what is allowed.
+    /// Differences beyond the tolerance.
     pub list: Vec<Difference>,
-    /// Largest difference of a position, as a share of the allowed one.
+    /// Largest difference of a position, as a share of its tolerance.
     pub worst_share: f64,
 }
 
 /// Compares the outcomes of one scenario on a simulated and an emulated board.
 ///
-/// Positions may differ by one count of the sensor and by one control period of motion: the two boards' loops do not run at
-/// the same moment. The motion is that at this checkpoint or the one before, whichever is faster: an output that stopped in between
-/// stopped up to a period earlier or later. States, trips and refusals must be the same.
+/// Positions may differ by one count of the sensor and by one control period of motion, since the two boards' loops do
+/// not run at the same times. The motion is that at this checkpoint or the previous one, whichever is faster: an output
+/// that stopped in between stopped up to a period earlier or later. States, trips and refusals must be the same.
 #[must_use]
 pub fn differences(simulated: &Outcome, emulated: &Outcome) -> Compared {
     let mut list = Vec::new();
@@ -53,7 +53,7 @@ pub fn differences(simulated: &Outcome, emulated: &Outcome) -> Compared {
         }
         for (index, (one, other)) in ours.motions.iter().zip(&theirs.motions).enumerate() {
             let speed = one.speed.abs().max(other.speed.abs());
-            // Channels are the same, in the same order, at each look.
+            // Channels are the same, in the same order, at each checkpoint.
             speeds.resize(speeds.len().max(index + 1), 0.0);
             let fastest = speed.max(std::mem::replace(&mut speeds[index], speed));
             let allowed = one.resolution + fastest * one.period_s;
@@ -97,7 +97,7 @@ mod tests {
         assert!(same.list.is_empty());
         assert!((same.worst_share - 0.9).abs() < 1e-9);
         assert_eq!(differences(&outcome(1.0, 0.0), &outcome(1.0011, 0.0)).list.len(), 1);
-        // 2 rad/s for 1 ms are 2 mrad more.
+        // 2 rad/s for 1 ms allow 2 mrad more.
         assert!(differences(&outcome(1.0, 2.0), &outcome(1.0029, 2.0)).list.is_empty());
         assert_eq!(differences(&outcome(1.0, 2.0), &outcome(1.0031, 2.0)).list.len(), 1);
         assert_eq!(differences(&outcome(1.0, 0.0), &outcome(f64::NAN, 0.0)).list.len(), 1);

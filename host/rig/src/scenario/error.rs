@@ -1,32 +1,32 @@
-//! Failures of scenarios.
+//! Errors of reading and playing scenarios.
 
 use std::{io, path::PathBuf};
 
 use r4_driver::Error as DriverError;
 
-/// A scenario cannot be read or played.
+/// Error of a scenario that cannot be read or played.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
-    /// The system does not let the file be read.
+    /// The file cannot be read.
     #[error("cannot read {}", path.display())]
     NotReadable {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The system's reason.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// The file is not TOML, or a step of it is unknown or incomplete.
+    /// The file is not TOML, or one of its steps is unknown or incomplete.
     #[error("{} is no scenario; docs/scenarios.md says how one is written", path.display())]
     Malformed {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Line, field and what is expected there.
+        /// Line, field and expected content.
         source: Box<toml::de::Error>,
     },
     /// The file has an empty list of steps.
     #[error("{} has no steps", path.display())]
     NoSteps {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
     /// The link to the board failed during a step.
@@ -34,7 +34,7 @@ pub enum ScenarioError {
     Step {
         /// Time of the step, s.
         at_s: f64,
-        /// The driver's error.
+        /// Error of the driver.
         source: DriverError,
     },
     /// The board does not send its history of trips.

@@ -1,4 +1,4 @@
-//! A scenario's file.
+//! File format of a scenario.
 
 use std::{
     fs,
@@ -14,31 +14,31 @@ use serde::{
 use super::ScenarioError;
 use crate::Rig;
 
-/// The robot and the timed steps of a scenario, as its file lists them.
+/// Robot and timed steps of a scenario, as its file lists them.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scenario {
-    /// A built-in robot, or a file beside this one.
+    /// Built-in name of the robot, or a file beside this one.
     pub robot: String,
-    /// The steps, in order of time.
+    /// Steps in the order of time.
     pub steps: Vec<Step>,
     /// `[body]` and `[world]`, which [`Rig::robot`] reads for the robot of the board.
     #[serde(rename = "body")]
     _body: Option<IgnoredAny>,
     #[serde(rename = "world")]
     _world: Option<IgnoredAny>,
-    /// The file itself.
+    /// Path of the scenario's file.
     #[serde(skip)]
     path: PathBuf,
 }
 
-/// An action and its time.
+/// An action with its time.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Step {
-    /// Time since the host's session began, s; a step that comes while another still waits for its answer follows that answer.
+    /// Time since the session began, s. A step whose time comes while another waits for its answer follows that answer.
     #[serde(deserialize_with = "seconds")]
     pub at_s: f64,
-    /// What the step does.
+    /// Action of the step.
     #[serde(flatten)]
     pub action: Action,
 }
@@ -50,17 +50,17 @@ pub struct Point {
     /// Time after the step, s.
     #[serde(deserialize_with = "seconds")]
     pub after_s: f64,
-    /// rad or m
+    /// Position, rad or m.
     pub position: f32,
-    /// rad/s or m/s; without it the board takes it from the neighbours.
+    /// Speed, rad/s or m/s; `None` lets the board compute it from the neighbouring points.
     pub speed: Option<f32>,
 }
 
-/// A request of the host, or a change around the board.
+/// A request of the host, or a change of the board's environment.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "do", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Action {
-    /// Samples every position and the board's state.
+    /// Checkpoint: samples every position and the board's state.
     Look,
     /// The host arms the board.
     Arm,
@@ -72,100 +72,101 @@ pub enum Action {
     Clear,
     /// The host sends a set point.
     Set {
-        /// The output.
+        /// Channel of the output.
         #[serde(deserialize_with = "channel")]
         channel: ChannelId,
-        /// The quantity that is set.
+        /// Mode of the set point.
         #[serde(deserialize_with = "mode")]
         mode: Mode,
-        /// The set point, in SI units.
+        /// Value of the set point, SI.
         value: f32,
     },
-    /// The host gives a motor points of a path.
+    /// The host sends points of a path to a motor.
     Follow {
-        /// The motor.
+        /// Channel of the motor.
         #[serde(deserialize_with = "channel")]
         channel: ChannelId,
-        /// Where it is to be when, counted from the step.
+        /// Points of the path, with times relative to the step.
         points: Vec<Point>,
     },
-    /// The host subscribes to a channel, so that a recording has its samples.
+    /// The host subscribes to a channel, so that a recording contains its samples.
     Subscribe {
-        /// The channel whose samples are sent.
+        /// Channel whose samples are sent.
         #[serde(deserialize_with = "channel")]
         channel: ChannelId,
-        /// Time between two samples, ms; 0 ends the subscription.
+        /// Period of the samples, ms; 0 ends the subscription.
         period_ms: u16,
     },
-    /// The operator holds or releases the dead-man's handle.
+    /// The operator holds or releases the dead man's handle.
     DeadMan {
-        /// Whether the handle is held from now on.
+        /// True while the handle is held.
         held: bool,
     },
     /// The operator presses or releases the auxiliary stop.
     AuxiliaryStop {
-        /// Whether the button is pressed from now on.
+        /// True while the button is pressed.
         pressed: bool,
     },
-    /// A range sensor sees an obstacle, or nothing without a distance.
+    /// A range sensor detects an obstacle; without a distance it detects none.
     Distance {
         /// Index of the sensor.
         range: u8,
-        /// Distance of the obstacle, m.
+        /// Distance of the obstacle, m; `None` for none.
         #[serde(default, deserialize_with = "some_finite")]
         distance_m: Option<f64>,
     },
-    /// A rail's voltage without load changes.
+    /// The open-circuit voltage of a rail changes.
     Supply {
-        /// The rail.
+        /// Channel of the rail.
         #[serde(deserialize_with = "channel")]
         channel: ChannelId,
-        /// Its voltage from now on, V.
+        /// New open-circuit voltage, V.
         #[serde(deserialize_with = "finite")]
         emf_v: f64,
     },
-    /// The mechanism behind a motor blocks, or turns again.
+    /// The mechanism behind a motor blocks or is released.
     Block {
-        /// The motor.
+        /// Channel of the motor.
         #[serde(deserialize_with = "channel")]
         channel: ChannelId,
-        /// Whether it is blocked from now on.
+        /// True while it is blocked.
         blocked: bool,
     },
     /// A chip does not acknowledge the next transfers on the board's bus.
     BusNack {
-        /// The chip's address.
+        /// I²C address of the chip.
         address: u8,
-        /// Number of transfers.
+        /// Number of transfers without acknowledgement.
         transfers: u32,
     },
-    /// The bus is held low from now on.
+    /// The bus is stuck low from now on.
     BusStuck {
-        /// For how long, s.
+        /// Duration of the fault, s.
         #[serde(deserialize_with = "seconds")]
         for_s: f64,
-        /// Whether it stays low after the nine clocks of a recovery.
+        /// True when it stays low after the nine clocks of a recovery.
         persistent: bool,
     },
     /// The next edges of an encoder are lost.
     LoseEdges {
         /// Index of the encoder.
         encoder: u8,
-        /// Number of edges.
+        /// Number of lost edges.
         count: u32,
     },
-    /// The wire from the host is cut, or mended.
+    /// The cable from the host is cut or restored.
     HostCable {
-        /// Whether it is cut from now on.
+        /// True while it is cut.
         cut: bool,
     },
 }
 
 impl Scenario {
-    /// Reads the file at `path`.
+    /// Reads a scenario from the file at `path`.
     ///
     /// # Errors
-    /// When it cannot be read, is no scenario or has no steps.
+    /// [`ScenarioError::NotReadable`], [`ScenarioError::Malformed`], or [`ScenarioError::NoSteps`] for an empty list of
+    /// steps.
     pub fn read(path: &Path) -> Result<Self, ScenarioError> {
         let path = path.to_owned();
         let text = match fs::read_to_string(&path) {
@@ -179,7 +180,7 @@ impl Scenario {
         }
     }
 
-    /// The same board with the scenario's `[body]` and `[world]`.
+    /// Returns the rig with the scenario's `[body]` and `[world]`.
     #[must_use]
     pub fn set_up(&self, rig: Rig) -> Rig {
         Rig { environment: Some(self.path.clone()), ..rig }
@@ -187,7 +188,7 @@ impl Scenario {
 }
 
 impl Action {
-    /// Name of a request to the board, for messages about its refusal.
+    /// Description of a request to the board, for messages about its refusal.
     pub(super) fn what(&self) -> String {
         match self {
             Self::Arm => "arm".into(),
@@ -197,13 +198,13 @@ impl Action {
             Self::Set { channel, mode, value } => format!("set {channel} {mode} {value}"),
             Self::Follow { channel, .. } => format!("follow {channel}"),
             Self::Subscribe { channel, .. } => format!("subscribe {channel}"),
-            // Changes around the board, which refuses nothing.
+            // Changes of the environment, which the board cannot refuse.
             _ => "step".into(),
         }
     }
 }
 
-/// Longest time in a scenario, s: far above what anybody waits for, far below what a clock of nanoseconds counts.
+/// Longest time in a scenario, s: far above any use, far below the range of a clock in nanoseconds.
 const LONGEST_S: f64 = 1e6;
 
 fn seconds<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
@@ -230,7 +231,7 @@ fn channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<ChannelId, D::E
 
 fn mode<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Mode, D::Error> {
     let text = String::deserialize(deserializer)?;
-    // Points of paths have dates, which a step of this kind does not give.
+    // Points of paths have times, which a step of this kind does not contain.
     let known = || Mode::ALL.into_iter().filter(|mode| *mode != Mode::Follow);
     let mode = known().find(|mode| mode.to_string() == text);
     mode.ok_or_else(|| {

@@ -1,4 +1,4 @@
-//! A scenario on a virtual board.
+//! Execution of a scenario on a virtual board.
 
 use r4_driver::{Board, Error as DriverError};
 use r4_protocol::{
@@ -17,7 +17,7 @@ use crate::{Error, HostClock, Session, cable::CableState};
 /// Result of a scenario on one board.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Outcome {
-    /// Samples of the steps that ask for one, in order of time.
+    /// Checkpoints in the order of time.
     #[serde(rename = "looks")]
     pub checkpoints: Vec<Checkpoint>,
     /// Causes of each trip, the oldest trip first.
@@ -26,41 +26,42 @@ pub struct Outcome {
     pub refused: Vec<String>,
 }
 
-/// Positions of all outputs and the board's state at one moment.
+/// Positions of all outputs, and the board's state, at one moment.
 #[derive(Clone, Debug, Serialize)]
 pub struct Checkpoint {
     /// Time of the step, s.
     pub at_s: f64,
-    /// The board's safety state.
+    /// Safety state of the board.
     pub state: String,
-    /// The outputs that move, in the order of the board's channels.
+    /// Outputs that move, in the order of the board's channels.
     pub motions: Vec<Motion>,
 }
 
-/// Motion of one output in the simulated world, which the board knows by its sensor only.
+/// True motion of one output in the simulated world, which the board knows only by its sensor.
 #[derive(Clone, Debug, Serialize)]
 pub struct Motion {
-    /// The output.
+    /// Channel of the output.
     pub channel: String,
     /// Unit of the position and the resolution.
     pub unit: &'static str,
-    /// True position.
+    /// True position of the output.
     pub position: f64,
     /// True speed, in the unit per second.
     pub speed: f64,
-    /// Resolution of its sensor; of a stepper its step.
+    /// Resolution of the output's sensor; for a stepper its step.
     pub resolution: f64,
     /// One period of the board's control loop, s.
     pub period_s: f64,
 }
 
-/// Noise of the simulated potentiometers reaches this many codes now and then (4.3 standard deviations of 2.3 codes).
+/// Noise amplitude of the simulated potentiometers, in codes: 4.3 standard deviations of 2.3 codes.
 const POTENTIOMETER_CODES: f64 = 10.0;
 
-/// Does the steps of `scenario` to the session's board, at their times. Refused steps are part of the outcome.
+/// Plays the steps of `scenario` to the session's board, at their times. Refused steps are part of the outcome.
 ///
 /// # Errors
-/// When the board is not virtual, or the link to it is lost.
+/// [`Error::NotVirtual`] for a board on a link; [`ScenarioError::Step`] when the link fails; [`ScenarioError::Trips`]
+/// when the trips cannot be read.
 pub async fn play(session: &Session<'_>, scenario: &Scenario) -> Result<Outcome, Error> {
     let (around, cable) = (session.virtual_board()?, session.cable()?);
     let mut outcome = Outcome::default();
@@ -69,7 +70,7 @@ pub async fn play(session: &Session<'_>, scenario: &Scenario) -> Result<Outcome,
         session.board.sleep_s(begin_s + step.at_s - session.board.now_s()).await;
         match act(session.board, around, cable, step, &mut outcome).await {
             Ok(()) => {}
-            // Part of the outcome: a scenario may well ask for what is not allowed.
+            // A refusal is part of the outcome: a scenario may deliberately request what is not allowed.
             Err(error @ (DriverError::Refused { .. } | DriverError::Stopped { .. } | DriverError::TimedOut { .. })) => {
                 outcome.refused.push(format!("{} at {} s: {error}", step.action.what(), step.at_s));
             }
@@ -165,7 +166,7 @@ fn checkpoint(board: &Board<HostClock>, around: &dyn VirtualBoard, at_s: f64) ->
     Checkpoint { at_s, motions: motions.collect(), state: board.safety().0.to_string() }
 }
 
-/// Resolution of an output's sensor, or its smallest command, and the unit; `None` for a channel that does not move.
+/// Resolution of an output's sensor, or its smallest command, with the unit; `None` for a channel that does not move.
 fn resolution(config: &BoardConfig, place: Place) -> Option<(f64, &'static str)> {
     use std::f64::consts::TAU;
     match place {
@@ -178,7 +179,7 @@ fn resolution(config: &BoardConfig, place: Place) -> Option<(f64, &'static str)>
             }
         },
         Place::Stepper(index) => Some((TAU / f64::from(config.steppers.get(index)?.steps_per_turn), "rad")),
-        // A servo's pulse has 4096 steps to its cycle of 20 ms: 4.9 us, of about 1 ms for a quarter of a turn.
+        // The pulse of a servo has 4096 steps in its cycle of 20 ms: 4.9 µs, of about 1 ms for a quarter of a turn.
         Place::Servo(_) => Some((0.0049 * TAU / 4.0, "rad")),
         _ => None,
     }

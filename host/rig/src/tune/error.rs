@@ -1,4 +1,4 @@
-//! Failures of tuning.
+//! Errors of tuning a loop.
 
 use r4_driver::{
     Error as DriverError,
@@ -8,18 +8,18 @@ use r4_protocol::{ChannelId, Unit};
 
 use crate::{Error, quantity::Quantity};
 
-/// An experiment that says nothing.
+/// Experiment without a conclusion.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum Inconclusive {
-    /// The motor does not swing steadily.
+    /// The motor does not oscillate steadily under the relay.
     #[error("the relay did not settle into a swing within {after_s:.0} s: {last}")]
     Relay {
-        /// How long it was waited for, s.
+        /// Duration of the relay experiment, s.
         after_s: f64,
-        /// Why the last cycles are no swing.
+        /// Reason why the last cycles do not count as an oscillation.
         last: RelayError,
     },
-    /// The duty that holds the speed is too near to a limit to go to both sides of it.
+    /// The duty that holds the speed is too close to a limit for an experiment around it.
     #[error("there is no room for a duty around {duty:.3} that holds the speed: --amplitude, or another speed")]
     NoRoom {
         /// Duty that holds the speed, as a share of the supply.
@@ -27,122 +27,122 @@ pub enum Inconclusive {
     },
 }
 
-/// A loop cannot be tuned as it was asked for.
+/// Error of a loop that cannot be tuned as requested.
 #[derive(Debug, thiserror::Error)]
 pub enum TuneError {
-    /// No such phase margin can be had.
+    /// The requested phase margin is outside 30 to 80 degrees.
     #[error("--margin takes 30 to 80 degrees")]
     Margin,
-    /// No time.
+    /// A requested time is not above 0.
     #[error("{option} takes a number of seconds above 0")]
     NoTime {
-        /// Which of the times.
+        /// Option of the time.
         option: &'static str,
     },
-    /// Nothing of this channel can be tuned.
+    /// The channel has no loops.
     #[error("{channel} has no loops to tune: a motor with an encoder or a potentiometer has")]
     NoLoops {
-        /// The channel.
+        /// Channel of the request.
         channel: ChannelId,
     },
-    /// A travel or position in a unit that the motor does not have.
+    /// A travel or position is in a unit that the motor does not have.
     #[error("{option} takes a number in {unit}, as in {}", example(*unit))]
     WrongUnit {
-        /// Which of the quantities.
+        /// Option of the quantity.
         option: &'static str,
         /// Unit of the motor's position.
         unit: Unit,
     },
-    /// Too little travel to see anything in.
+    /// The requested travel is too short to show a response.
     #[error("{channel} needs a travel of {least} for this, not {travel}")]
     TravelTooShort {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// Least travel.
+        /// Least travel for the experiment.
         least: Quantity,
-        /// Travel that was asked for.
+        /// Travel of the request.
         travel: Quantity,
     },
-    /// More travel than there is range.
+    /// The requested travel exceeds the range.
     #[error("{channel} has no room for a travel of {travel}: its range is {range}")]
     TravelTooLong {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// Travel that was asked for.
+        /// Travel of the request.
         travel: Quantity,
         /// Length of the motor's range.
         range: Quantity,
     },
-    /// A beginning from which the travel leaves the range.
+    /// From the requested start, the travel leaves the range.
     #[error("{channel} has room for a travel of {travel} from {low} to {high}, not at {at}")]
     NoRoomThere {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// Travel that was asked for.
+        /// Travel of the request.
         travel: Quantity,
-        /// Lowest beginning.
+        /// Lowest start within the range.
         low: Quantity,
-        /// Highest beginning.
+        /// Highest start within the range.
         high: Quantity,
-        /// Beginning that was asked for.
+        /// Start of the request.
         at: Quantity,
     },
-    /// No duty, or more than the board allows.
+    /// The requested duty is not above 0, or above the board's limit.
     #[error("{channel} takes an --amplitude up to {most:.3}")]
     Amplitude {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
         /// Largest duty, as a share of the supply.
         most: f64,
     },
-    /// A duty that does not move the motor.
+    /// The duty does not overcome friction.
     #[error(
         "duty {amplitude:.3} is no more than what friction takes of {channel} ({static_duty:.3}): allow more with --amplitude"
     )]
     WithinFriction {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
         /// Duty of the experiment, as a share of the supply.
         amplitude: f64,
-        /// Duty that friction takes, as a share of the supply.
+        /// Duty that overcomes friction, as a share of the supply.
         static_duty: f64,
     },
-    /// Nothing moves under the most duty that is safe for a motor that stands.
+    /// The motor does not move under the largest duty that is safe for a motor at standstill.
     #[error(
         "{channel} does not move {direction} under duty {duty:.3}: free it, check its wiring, or raise stall_duty, below which this stays"
     )]
     DoesNotMove {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// Which way it was driven: up or down.
+        /// Direction of the duty: up or down.
         direction: &'static str,
-        /// The most duty that was tried, as a share of the supply.
+        /// Largest duty that was tried, as a share of the supply.
         duty: f64,
     },
-    /// The run does not fit into the time.
+    /// The run would exceed the time limit.
     #[error("{channel} may take {needs_s:.0} s: allow it with --time, or less --travel")]
     NotInTime {
-        /// The motor.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// Time that the run may take, s.
+        /// Longest duration of the run, s.
         needs_s: f64,
     },
-    /// The experiment says nothing.
+    /// The experiment has no conclusion.
     #[error(transparent)]
     Inconclusive(#[from] Inconclusive),
-    /// No model fits what the motor did.
+    /// No model fits the motion of the motor.
     #[error(transparent)]
     Fit(#[from] FitError),
-    /// There are no gains for what was found.
+    /// The rule gives no gains for the identified motor.
     #[error(transparent)]
     Rule(#[from] RuleError),
-    /// No sample shows the step.
+    /// The telemetry has no sample after the step.
     #[error("no telemetry after the step")]
     NoAnswer,
     /// The run with the proposed gains failed.
     #[error("with the proposed gains, which are not kept")]
     WithProposed(#[source] Box<Error>),
-    /// The board does not keep the gains.
+    /// The board cannot save the gains.
     #[error("cannot save the gains")]
     NotSaved(#[source] DriverError),
 }

@@ -1,4 +1,4 @@
-//! What is done with the motor: steps of the set point, a relay, steps of the duty.
+//! Experiments with the motor: steps of the set point, a relay, and steps of the duty.
 
 use r4_driver::tune::{Fit, FitError, Loop, Oscillation, Relay, RelayError, Response, Run, Sample, beyond_friction};
 use r4_protocol::Mode;
@@ -9,111 +9,114 @@ use crate::{
     watch::{Look, MotorWatch, WatchError},
 };
 
-/// A speed is held so long before a step from it, s.
+/// Duration for which a speed is held before a step from it, s.
 const SPEED_HOLD_S: f64 = 1.0;
-/// A speed's band, as a share of the step, and the mean that the encoder's steps are taken out with, s.
+/// Settling band of a speed, as a share of the step; and averaging time that removes the encoder's quantisation, s.
 const SPEED_BAND: f64 = 0.05;
 const SPEED_MEAN_S: f64 = 0.03;
-/// A motor that was driven by duty is let come to rest for so long, s.
+/// Time for a motor driven by duty to come to rest, s.
 const REST_S: f64 = 0.3;
-/// Cycles of a relay that must agree, and within what share of their mean.
+/// Number of relay cycles that must agree, and their tolerance as a share of the mean.
 const CYCLES: usize = 5;
 const CYCLES_WITHIN: f64 = 0.1;
-/// The first cycles are not looked at.
+/// Number of first cycles that are ignored.
 const FIRST_CYCLES: usize = 2;
-/// A relay that has not settled by then will not, s.
+/// Time limit of a relay experiment, s: of a position, and of a speed.
 const RELAY_LIMIT_S: f64 = 8.0;
 const SPEED_RELAY_LIMIT_S: f64 = 3.0;
-/// Hysteresis: counts of the sensor, and times the noise.
+/// Hysteresis: in counts of the sensor, and in standard deviations of the noise.
 const HYSTERESIS_COUNTS: f64 = 4.0;
 const HYSTERESIS_NOISE: f64 = 4.0;
-/// The bias is moved when a cycle is high for a share this far from a half.
+/// Deviation of a cycle's high share from one half, beyond which the bias is moved.
 const BIAS_BEYOND: f64 = 0.03;
-/// Of the duty beyond friction that holds the speed: how far a speed experiment goes to both sides.
+/// Amplitude of a speed experiment: share of the duty beyond friction that holds the speed.
 const SPEED_SHARE: f64 = 0.35;
-/// Less does not show above the noise.
+/// Least duty of an experiment; smaller ones do not show above the noise.
 const LEAST_DUTY: f64 = 0.02;
-/// The duty that overcomes friction is sought at this rate, 1/s, in steps of so many looks, until so many counts have passed.
+/// Search for the duty that overcomes friction: rate of the duty, 1/s; number of samples in a step; counts of travel
+/// that end it.
 const RAMP_PER_S: f64 = 0.2;
 const RAMP_LOOKS: usize = 5;
 const RAMP_COUNTS: f64 = 4.0;
-/// A sensor with noise has counts of this many times its root mean square, as a count that is evenly distributed has.
+/// Count that is equivalent to a sensor's noise, in standard deviations: a uniformly distributed error of one count has
+/// that ratio.
 const NOISE_AS_COUNT: f64 = 3.5;
-/// The first runs are driven by so much duty beyond friction, each further pair by twice as much, until the motor has come to
-/// this share of its path's speed.
+/// Duty beyond friction of the first runs, which each further pair doubles, until the motor reaches this share of its
+/// path's speed.
 const FIRST_BEYOND: f64 = 0.04;
 const OF_PATH_SPEED: f64 = 0.7;
-/// A run is given up that is faster than its path by this.
+/// Share of the path's speed above which a run is aborted.
 const TOO_FAST: f64 = 1.2;
-/// The duty beyond friction of a run alternates between all of this and a part, for these times, s: they show lags of 10 to 300 ms.
+/// Pattern of a run: its duty beyond friction alternates between all of it and this share, for these times, s. They
+/// show lags of 10 to 300 ms.
 const LOW_SHARE: f64 = 0.5;
 const HALVES_S: [f64; 6] = [0.08, 0.08, 0.04, 0.04, 0.16, 0.16];
-/// A run ends at this share of the window on either side, or after so long, s. It ends sooner where the motor would not stop by
-/// itself within that other share, which it is taken to do as fast as it came to its speed, and after so long, s: two looks,
-/// the way over the host, the filter of the speed.
+/// End of a run: at this share of the window on either side, or at the time limit, s. It ends sooner where the motor
+/// would not stop by itself within the second share. The stop is assumed as fast as the acceleration, after a reaction
+/// time, s: two samples, the latency of the host, and the speed filter.
 const RUN_SHARE: f64 = 0.5;
 const STOP_SHARE: f64 = 0.8;
 const REACTION_S: f64 = 0.03;
-/// It still comes to its speed when that has risen by this.
+/// Growth of the speed that counts as still accelerating.
 const STILL_RISING: f64 = 1.05;
 const RUN_LIMIT_S: f64 = 1.5;
-/// A run shorter than this was so fast that a faster one would say less, s.
+/// Duration of a run below which it was so fast that a faster one would give less information, s.
 const SHORT_RUN_S: f64 = 0.08;
-/// The pairs of runs that the model is fitted to: the fastest, as it is wanted at the speed of paths.
+/// Number of pairs of runs for the fit: the fastest ones, since the model is needed at the speed of paths.
 const PAIRS: usize = 3;
-/// One pair does not tell friction from gain where it is short.
+/// Least number of pairs: a single short one cannot separate friction from gain.
 const LEAST_PAIRS: usize = 2;
-/// Runs of fewer counts together say little of the lag; the fastest pair is repeated at most so often. Our choice: on sampled motors 1
-/// to 200 as many are good without.
+/// Least total of counts in the runs, below which they determine the lag poorly; the fastest pair is repeated at most
+/// this number of times. Our choice: on sampled motors 1 to 200 as many are good without.
 const LEAST_COUNTS: f64 = 1500.0;
 const MORE_PAIRS: usize = 4;
-/// A motor that turns may be driven by this share of the largest duty.
+/// Share of the largest duty for a motor that turns.
 const OF_DUTY_MAX: f64 = 0.95;
-/// A motor is braked against its motion down to this share of its speed, and given up that needs longer than this, s.
+/// End of braking: share of the initial speed, and time limit, s.
 const BRAKED_TO: f64 = 0.1;
 const BRAKE_LIMIT_S: f64 = 1.0;
-/// It has come to rest when it has not moved by a count for so long, and is waited for so long, s.
+/// Rest: time without motion by a count, s, and time limit of the wait, s.
 const STILL_S: f64 = 0.1;
 const STILL_LIMIT_S: f64 = 2.0;
-/// What a model may leave of the motion.
+/// Largest residual of a model, as a share of the motion.
 const RESIDUAL: f64 = 0.25;
 
-/// One moment of steps of the set point, in the units of the loop: rad, m, rad/s or m/s.
+/// Sample of a step response, in the units of the loop: rad, m, rad/s or m/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AnswerSample {
     /// Time since the first step, s.
     pub time_s: f64,
-    /// What the loop measured; of a speed the mean over 30 ms.
+    /// Measured output of the loop; a speed is the mean over 30 ms.
     pub output: f64,
-    /// What it was to be.
+    /// Set point of the loop.
     pub setpoint: f64,
 }
 
-/// The response to steps of the set point, up and down again.
+/// Response to steps of the set point, up and down again.
 #[derive(Clone, Debug)]
 pub struct Answer {
-    /// Recorded moments of both steps.
+    /// Samples of both steps.
     pub samples: Vec<AnswerSample>,
-    /// The worse of both steps in each respect.
+    /// Worse value of both steps in each respect.
     pub response: Response,
 }
 
-/// What a relay told.
+/// Result of a relay experiment.
 #[derive(Clone, Copy, Debug)]
 pub struct Swing {
-    /// The motor's swing.
+    /// Oscillation of the motor.
     pub oscillation: Oscillation,
-    /// Half the height of the duty, as a share of the supply.
+    /// Half the height of the duty's square wave, as a share of the supply.
     pub height: f64,
-    /// Middle of the duty, as a share of the supply.
+    /// Mean of the duty's square wave, as a share of the supply.
     pub bias: f64,
     /// Hysteresis of the relay, in the unit of the loop.
     pub hysteresis: f64,
-    /// Mean time from a sample that made the relay switch to the board following it, s.
+    /// Mean time from the sample at which the relay switched until the board followed, s.
     pub host_delay_s: f64,
 }
 
-/// Steps of the set point with the gains that the board has, ending where they began.
+/// Steps the set point with the board's present gains, ending at the start.
 pub(crate) async fn answer(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Answer, Error> {
     let (low, high) = plan.steps;
     let mode = plan.mode();
@@ -137,7 +140,7 @@ pub(crate) async fn answer(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<An
         let outputs = if plan.of == Loop::Speed { smooth(&outputs) } else { outputs };
         let step: Vec<_> =
             looks.iter().zip(&outputs).map(|(look, value)| (look.time_s - first.time_s, *value)).collect();
-        // A measurement is known to half a count: an overshoot by that is none.
+        // A measurement is exact to half a count: an overshoot below that is none.
         let (band, known) = match plan.of {
             Loop::Position | Loop::Cascade => (plan.motor.settle_error, plan.motor.resolution / 2.0),
             Loop::Speed => {
@@ -150,7 +153,7 @@ pub(crate) async fn answer(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<An
             response.overshoot = (response.overshoot - known / (to - from).abs()).max(0.0);
         }
         if let (Some(response), Mode::Position) = (&mut response, mode) {
-            // When the board says so, which is what a user waits for.
+            // The board's own verdict, which is what a user waits for.
             let unsettled = looks.iter().rposition(|look| !look.settled).map_or(0, |index| index + 1);
             response.settling_s = looks.get(unsettled).map(|look| look.time_s - first.time_s);
         }
@@ -171,7 +174,7 @@ pub(crate) async fn answer(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<An
     Ok(Answer { samples, response })
 }
 
-/// Looks from the first that shows this set point, for `seconds`.
+/// Samples for `seconds`, from the first one with this set point on.
 async fn followed(motor: &mut MotorWatch<'_>, mode: Mode, value: f64, seconds: f64) -> Result<Vec<Look>, Error> {
     let mut looks: Vec<Look> = Vec::new();
     loop {
@@ -188,7 +191,7 @@ async fn followed(motor: &mut MotorWatch<'_>, mode: Mode, value: f64, seconds: f
     }
 }
 
-/// What this loop measures.
+/// Output of the loop in a sample.
 fn output(look: &Look, of: Loop) -> f64 {
     match of {
         Loop::Position | Loop::Cascade => look.position,
@@ -196,7 +199,7 @@ fn output(look: &Look, of: Loop) -> f64 {
     }
 }
 
-/// The mean around each value.
+/// Moving average around each value.
 fn smooth(values: &[f64]) -> Vec<f64> {
     let half = (SPEED_MEAN_S / LOOK_EVERY_S / 2.0) as usize;
     let around = |index: usize| &values[index.saturating_sub(half)..(index + half + 1).min(values.len())];
@@ -207,13 +210,13 @@ fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
     values.clone().sum::<f64>() / values.count().max(1) as f64
 }
 
-/// Root mean square around the mean.
+/// Standard deviation around the mean.
 fn noise(values: impl Iterator<Item = f64> + Clone) -> f64 {
     let mean = mean(values.clone());
     self::mean(values.map(|value| (value - mean) * (value - mean))).sqrt()
 }
 
-/// Sends the motor to a position; whether it has come to rest there in time. Gains that are no good yet may not do that.
+/// Sends the motor to a position; returns true when it came to rest there in time. Poor gains may miss that.
 pub(crate) async fn come(motor: &mut MotorWatch<'_>, target: f64, timeout_s: f64) -> Result<bool, Error> {
     match motor.go_to(target, timeout_s).await {
         Ok(()) => Ok(true),
@@ -222,14 +225,14 @@ pub(crate) async fn come(motor: &mut MotorWatch<'_>, target: f64, timeout_s: f64
     }
 }
 
-/// Lets a motor that was driven come to rest.
+/// Lets a driven motor come to rest.
 pub(crate) async fn stop(motor: &mut MotorWatch<'_>) -> Result<(), Error> {
     motor.command(Mode::Duty, 0.0).await?;
     motor.watch(REST_S).await?;
     Ok(())
 }
 
-/// Where an experiment begins: the middle of the duty and of the output, half the height of the duty, and the noise.
+/// Start of an experiment: duty and output around which it swings, half the height of the duty, and the noise.
 struct Start {
     duty: f64,
     output: f64,
@@ -243,6 +246,7 @@ async fn start(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Start, Error> 
             motor.go_to(plan.base, plan.settle_s).await?;
             motor.command(Mode::Duty, 0.0).await?;
             let looks = motor.watch(REST_S).await?;
+            // The first half may still contain the end of the motion.
             let still = &looks[looks.len() / 2..];
             let noise = noise(still.iter().map(|look| look.position));
             Ok(Start { duty: 0.0, output: plan.base, height: plan.amplitude, noise })
@@ -251,10 +255,12 @@ async fn start(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Start, Error> 
             let speed = (plan.steps.0 + plan.steps.1) / 2.0;
             motor.command(Mode::Speed, speed).await?;
             let looks = motor.watch(SPEED_HOLD_S).await?;
+            // The first half may still contain the acceleration.
             let steady = &looks[looks.len() / 2..];
             let duty = mean(steady.iter().map(|look| look.duty));
             let room = plan.motor.duty_max - duty.abs();
             let wanted = plan.given_amplitude.unwrap_or(SPEED_SHARE * (duty.abs() - plan.motor.static_duty()));
+            // Both levels must stay below the board's limit, which would distort the square wave.
             let height = wanted.min(0.95 * room);
             if height.is_nan() || height < LEAST_DUTY {
                 return Err(TuneError::from(Inconclusive::NoRoom { duty }).into());
@@ -265,7 +271,7 @@ async fn start(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Start, Error> 
     }
 }
 
-/// What a look is to an experiment.
+/// Converts a sample to the input and output of the experiment.
 fn sample(plan: &Plan, look: &Look) -> Sample {
     let input = match plan.of {
         Loop::Position | Loop::Cascade => beyond_friction(look.duty, plan.motor.static_duty()),
@@ -274,7 +280,7 @@ fn sample(plan: &Plan, look: &Look) -> Sample {
     Sample { time_s: look.time_s, input, output: output(look, plan.of) }
 }
 
-/// Lets the motor swing under a relay until several cycles agree.
+/// Lets the motor oscillate under a relay until several cycles agree.
 pub(crate) async fn relay(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Swing, Error> {
     let Start { duty, output: centre, height, noise } = start(motor, plan).await?;
     let resolved = match plan.of {
@@ -301,7 +307,8 @@ pub(crate) async fn relay(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Swi
             && look.setpoint.value == value
             && let Some((decided_s, _)) = asked.take()
         {
-            // It was followed somewhere between this look and the one before.
+            // The board followed at an unknown time between the previous sample and this one: half a period is the
+            // mean.
             delays_s.push(look.time_s - decided_s - LOOK_EVERY_S / 2.0);
         }
         let decided = relay.step(output(&look, plan.of));
@@ -311,8 +318,10 @@ pub(crate) async fn relay(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Swi
             switched_s = Some(look.time_s);
             if high {
                 rises += 1;
+                // A cycle that is high for longer than low shows a static load, which the bias must balance.
                 let share = high_s / (high_s + lasted_s).max(f64::MIN_POSITIVE) - 0.5;
                 if rises > 1 && share.abs() > BIAS_BEYOND {
+                    // Keeps both levels within the duty limit.
                     let room = (most - height).max(0.0);
                     bias = (bias + height * share).clamp(-room, room);
                 }
@@ -322,6 +331,7 @@ pub(crate) async fn relay(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Swi
             let value = bias + if high { height } else { -height };
             motor.command(Mode::Duty, value).await?;
             asked = Some((look.time_s, value as f32));
+            // Evaluated at rises only, so that the samples contain whole cycles.
             if high && rises > FIRST_CYCLES + CYCLES {
                 match Oscillation::of(&samples, centre, hysteresis, CYCLES, CYCLES_WITHIN) {
                     Ok(oscillation) => {
@@ -341,12 +351,13 @@ pub(crate) async fn relay(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Swi
     }
 }
 
-/// Drives the motor up and down, faster and faster, and fits a model to the runs. Friction needs no prior value: the duty that
-/// overcomes it is sought first.
+/// Drives the motor up and down with increasing duty, and fits a model to the runs. Friction needs no prior value: the
+/// duty that overcomes it is searched first.
 pub(crate) async fn step(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Fit, Error> {
     come(motor, (plan.window.0 + plan.window.1) / 2.0, plan.settle_s).await?;
     stop(motor).await?;
     let still = motor.watch(REST_S).await?;
+    // A noisy sensor resolves less than its counts.
     let count = plan.motor.resolution.max(NOISE_AS_COUNT * noise(still.iter().map(|look| look.position)));
     let up = overcomes_friction(motor, plan, 1.0, count).await?;
     let down = overcomes_friction(motor, plan, -1.0, count).await?;
@@ -363,12 +374,14 @@ pub(crate) async fn step(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Fit,
             shortest_s = shortest_s.min(duration_s.unwrap_or(0.0));
             runs.push(run);
         }
+        // Fast enough for the speeds of paths, or too short for a faster run to add information.
         let is_fast = fastest >= OF_PATH_SPEED * plan.motor.speed || shortest_s < SHORT_RUN_S;
         if is_fast && runs.len() >= 2 * LEAST_PAIRS || up.max(down) + beyond >= most {
             break;
         }
         beyond *= 2.0;
     }
+    // The slow first runs are dropped: the model is needed at the speed of paths.
     let mut runs = runs.split_off(runs.len().saturating_sub(2 * PAIRS));
     for _ in 0..MORE_PAIRS {
         let counts: f64 = runs.iter().map(|run| counts(run, count)).sum();
@@ -380,15 +393,17 @@ pub(crate) async fn step(motor: &mut MotorWatch<'_>, plan: &Plan) -> Result<Fit,
         }
     }
     let fit = match Fit::of(&runs, count, RESIDUAL) {
-        // A motor whose gain grows with its duty is linear at one level of it at most: that of its path.
+        // The gain of some motors grows with the duty: these are linear at one duty only, for which that of the path is
+        // taken.
         Err(FitError::Poor { .. }) => Fit::of(&runs[runs.len() - 2..], count, RESIDUAL),
         fit => fit,
     };
     Ok(fit.map_err(TuneError::from)?)
 }
 
-/// The duty at which a motor that rests begins to move.
+/// Searches the duty at which a resting motor begins to move.
 async fn overcomes_friction(motor: &mut MotorWatch<'_>, plan: &Plan, sign: f64, count: f64) -> Result<f64, Error> {
+    // The search must not trip the board by a stall.
     let most = BELOW_STALL * plan.motor.stall_duty.min(plan.motor.duty_max);
     let first = motor.look().await?;
     for number in 1_usize.. {
@@ -410,13 +425,14 @@ async fn overcomes_friction(motor: &mut MotorWatch<'_>, plan: &Plan, sign: f64, 
     Err(TuneError::DoesNotMove { channel: motor.channel(), direction, duty: most }.into())
 }
 
-/// How many counts of the sensor a run went.
+/// Travel of a run in counts of the sensor.
 fn counts(run: &Run, resolution: f64) -> f64 {
     let ends = run.samples.first().zip(run.samples.last());
     ends.map_or(0.0, |(first, last)| (last.output - first.output).abs() / resolution)
 }
 
-/// One run from rest, and its highest speed. Its duty alternates between `high` and one nearer to the friction.
+/// Makes one run from rest; returns it with its highest speed. Its duty alternates between `high` and a value closer to
+/// friction.
 async fn run(
     motor: &mut MotorWatch<'_>,
     plan: &Plan,
@@ -440,6 +456,7 @@ async fn run(
         if look.speed * sign > STILL_RISING * risen {
             (risen, rise_s) = (look.speed * sign, look.time_s - first.time_s);
         }
+        // A stop that takes as long as the acceleration did travels half of that time at the present speed.
         let stops_at = look.position + look.speed * (REACTION_S + rise_s / 2.0);
         let is_there = (look.position - end) * sign >= 0.0 || (stops_at - stopped) * sign >= 0.0;
         if is_there || fastest > TOO_FAST * plan.motor.speed || look.time_s - first.time_s > RUN_LIMIT_S {
@@ -454,11 +471,13 @@ async fn run(
     Ok((Run { up: sign > 0.0, samples }, fastest))
 }
 
-/// Brakes a motor that turns at up to `speed` in the direction of `sign`, with as much as `duty`, and waits until it rests.
+/// Brakes a motor that turns at up to `speed` in the direction of `sign`, with at most `duty`, and waits until it
+/// rests.
 async fn rest(motor: &mut MotorWatch<'_>, plan: &Plan, sign: f64, speed: f64, duty: f64) -> Result<(), Error> {
     let first = motor.look().await?;
     let brake = BELOW_STALL * plan.motor.stall_duty.min(plan.motor.duty_max);
     if first.speed * sign > BRAKED_TO * speed {
+        // Neither as much as a stall, nor more than the duty that the motor was driven by.
         motor.command(Mode::Duty, -sign * brake.min(duty)).await?;
         loop {
             let look = motor.look().await?;
@@ -472,6 +491,7 @@ async fn rest(motor: &mut MotorWatch<'_>, plan: &Plan, sign: f64, speed: f64, du
     let begin_s = still.time_s;
     loop {
         let look = motor.look().await?;
+        // Half a count or half the settle error is no motion.
         if (look.position - still.position).abs() >= plan.motor.settle_error.max(plan.motor.resolution) / 2.0 {
             still = look;
         }

@@ -1,9 +1,9 @@
-//! Gains for a loop of a motor, from an experiment on the board.
+//! Tuning: gains for a loop of a motor, from an experiment on the board.
 //!
-//! The loop of the experiment is closed here, over set points and telemetry, so it has a delay that the board's own loop does
-//! not have. The delay is measured, from the sample that makes the relay switch to the board following it, and told. It
-//! decides at what frequency the motor swings, but is not in what the swing tells of the motor: the board tells duty and
-//! position of the same moment. Gains come out cautious where the swing is slower than the board's loop could be.
+//! The loop of the experiment is closed on the host, over set points and telemetry, so that it has a delay that the
+//! board's own loop lacks. The delay is measured, from the sample that makes the relay switch to the board following
+//! it, and reported. It decides the frequency of the oscillation, but does not bias the result: the board reports duty
+//! and position of the same moment. Gains are cautious where the oscillation is slower than the board's loop could be.
 //!
 //! ```
 //! use r4_rig::{Error, Rig, tune::{TuneRequest, tune}};
@@ -39,47 +39,48 @@ pub use error::{Inconclusive, TuneError};
 pub use experiment::{Answer, AnswerSample, Swing};
 pub use plan::{Motor, Plan};
 
-/// How often the motor is looked at, ms.
+/// Telemetry period of the motor, ms.
 const LOOK_EVERY_MS: u16 = 2;
 const LOOK_EVERY_S: f64 = LOOK_EVERY_MS as f64 * 1e-3;
 
-/// A loop to tune, and how.
+/// Request to tune a loop.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TuneRequest {
-    /// The motor; it must be free to move.
+    /// Channel of the motor, which must be free to move.
     pub channel: ChannelId,
-    /// Experiment.
+    /// Experiment that identifies the motor.
     pub method: Method,
-    /// Which of its loops; `None` is the one that holds its positions.
+    /// Loop to tune; `None` selects the one that holds positions.
     pub of: Option<Loop>,
-    /// Whether gains that are better are kept over restarts of the board.
+    /// True: better gains are saved in the board.
     pub save: bool,
-    /// How far it may go from where it begins; `None` is 1 rad or a tenth of the range, for a speed what the run takes.
+    /// Largest distance from the start; `None` uses 1 rad or a tenth of the range, for a speed what the run needs.
     pub travel: Option<Quantity>,
-    /// Where it begins; `None` is where it is, or the nearest place with room.
+    /// Start of the run; `None` uses the present position, or the nearest one with room.
     pub at: Option<Quantity>,
-    /// How hard it is driven, as a share of the supply; `None` is short of a stall for a position, for a speed a third of what
-    /// holds it.
+    /// Amplitude of the duty, as a share of the supply; `None` uses just below a stall for a position, and for a speed
+    /// a third of the duty that holds it.
     pub amplitude: Option<f64>,
     /// Least phase margin, degrees, 30 to 80.
     pub margin_deg: f64,
-    /// Time constant of the closed loop, s; `None` is the shortest that leaves the phase margin and that the sensor allows.
+    /// Time constant of the closed loop, s; `None` uses the shortest one that keeps the phase margin and that the
+    /// sensor allows.
     pub time_constant_s: Option<f64>,
-    /// The run is given up when the board has been armed for so long, s.
+    /// Time limit while the board is armed, s.
     pub time_s: f64,
 }
 
-/// Experiment by which a motor is known.
+/// Experiment that identifies a motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
-    /// It swings under a relay.
+    /// Relay feedback: the motor oscillates.
     Relay,
-    /// The duty is stepped, and a model fitted.
+    /// Steps of the duty, to which a model is fitted.
     Step,
 }
 
 impl Method {
-    /// Name of the method.
+    /// Name of the method, for the user.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -89,43 +90,43 @@ impl Method {
     }
 }
 
-/// What the experiment told.
+/// Result of the experiment.
 #[derive(Clone, Debug)]
 pub enum Finding {
-    /// By [`Method::Relay`].
+    /// Oscillation under the relay of [`Method::Relay`].
     Swing(Swing),
-    /// By [`Method::Step`].
+    /// Model fitted by [`Method::Step`].
     Fit(Fit),
 }
 
-/// A tuned loop.
+/// Result of tuning a loop.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// The run.
+    /// Plan of the run.
     pub plan: Plan,
-    /// What the experiment told.
+    /// Result of the experiment.
     pub finding: Finding,
-    /// Rule by which the gains were chosen, in words.
+    /// Rule that chose the gains, in words.
     pub rule: String,
-    /// Phase margin that they leave on what was found of the motor, degrees.
+    /// Phase margin of the gains with the identified motor, degrees.
     pub margin_deg: f64,
-    /// Gains that were found.
+    /// Proposed gains of the loop.
     pub proposed: PidGains,
-    /// Feed-forward and cascade that go with them.
+    /// Proposed feed-forward and cascade gain.
     pub tuning: Tuning,
     /// Response with the present gains.
     pub before: Answer,
-    /// Response with the proposed gains, or why there is none.
+    /// Response with the proposed gains, or the reason why there is none.
     pub after: Result<Answer, String>,
-    /// Why the proposed gains are worse, if they are.
+    /// Reason why the proposed gains are worse; `None` when they are not.
     pub worse: Option<String>,
-    /// Whether the board keeps the proposed gains. Otherwise it has the present ones again when the session ends.
+    /// True when the board has saved the proposed gains. Otherwise it has the present ones again when the session ends.
     pub saved: bool,
 }
 
 impl TuneRequest {
-    /// The loop that holds a motor's positions, by runs under changing duties, with a phase margin of 60 degrees, within two
-    /// minutes; nothing is saved.
+    /// Request with default options: the loop that holds a motor's positions, runs under changing duties, a phase
+    /// margin of 60 degrees, two minutes; nothing is saved.
     #[must_use]
     pub fn new(channel: ChannelId) -> Self {
         Self {
@@ -142,10 +143,10 @@ impl TuneRequest {
         }
     }
 
-    /// Checks what can be checked without the board.
+    /// Checks the options that need no board.
     ///
     /// # Errors
-    /// [`TuneError::Margin`], [`TuneError::NoTime`]
+    /// [`TuneError::Margin`] outside 30 to 80 degrees; [`TuneError::NoTime`] for a time that is not above 0.
     pub fn check(&self) -> Result<(), Error> {
         if !(30.0..=80.0).contains(&self.margin_deg) {
             return Err(TuneError::Margin.into());
@@ -159,27 +160,30 @@ impl TuneRequest {
     }
 }
 
-/// More overshoot than this is worse, where there was less before.
+/// Overshoot above which a response is worse, unless it was as large before.
 const OVERSHOOT: f64 = 0.05;
-/// What settles within this share of the time is faster; what is not may overshoot by this much more of the step.
+/// Share of the settling time below which a response counts as faster; a response that is not faster may overshoot by
+/// this share of the step more.
 const FASTER: f64 = 0.95;
 const SAME_OVERSHOOT: f64 = 0.01;
-/// Gains that do not do what they should are tried again in a loop so many times as slow. Of a position a faster one overcomes
-/// friction that changes and a dead zone, as long as it has this phase margin, degrees; a slower one keeps a motor that is not as it
-/// was found from overshooting. A faster speed loop corrects an inexact feed-forward sooner: with 1, 2 and 4 alone 6 of
-/// the 200 motors 2001 to 2200 of `r4 bench motion` had no good speed loop, with 0.5 and 0.3 three.
+/// Factors of the closed-loop time constant that are tried in turn until the gains are good. For a position, a faster
+/// loop overcomes varying friction and a dead zone, as long as it has this phase margin, degrees; a slower one prevents
+/// overshoot where the motor differs from the model. A faster speed loop corrects an inexact feed-forward sooner: with
+/// 1, 2 and 4 alone, 6 of the 200 motors 2001 to 2200 of `r4 bench motion` had no good speed loop, with 0.5 and 0.3
+/// added three.
 const SLOWER: [f64; 4] = [1.0, 0.65, 0.45, 2.0];
 const SPEED_SLOWER: [f64; 5] = [1.0, 2.0, 0.5, 0.3, 4.0];
 const LEAST_MARGIN_DEG: f64 = 45.0;
 
-/// Arms, asks the motor as `request` says, compares the gains that follow with those that the board started with, saves them
-/// if they are better and that is wanted, and disarms. `progress` is told each step in words.
+/// Arms, runs the experiment of `request`, compares the resulting gains with those that the board started with, saves
+/// them if they are better and the request says so, and disarms. `progress` receives each step in words.
 ///
 /// The motor has its present gains again when the session ends, unless the proposed ones were saved.
 ///
 /// # Errors
-/// [`TuneError`] when the request cannot be met or the experiment says nothing; [`WatchError`] when the motor leaves its travel,
-/// does not come to rest, or is not done in time; when the board refuses or stops, or the link fails.
+/// [`TuneError`] when the request is not possible or the experiment has no conclusion; [`WatchError`] when the motor
+/// leaves its travel, does not settle, or exceeds the time limit; the error of the board when it refuses or stops, or
+/// of the link.
 pub async fn tune(
     session: &Session<'_>,
     request: &TuneRequest,
@@ -192,7 +196,8 @@ pub async fn tune(
     let parameters = Parameters::of(board).await?;
     let mut motor = MotorWatch::new(session, channel, LOOK_EVERY_MS).await?.within(request.time_s).gapless();
     let plan = Plan::new(request, board.channel(channel)?, &parameters, motor.position().await?)?;
-    // What the board started with. It does not tell gains that were changed since, and `r4` changes them nowhere else.
+    // The gains at the board's start. The board does not report gains that were changed since, and `r4` changes them
+    // only here.
     let present = AtEnd { channel, mode: plan.gains_of(), gains: plan.motor.gains, tuning: plan.motor.tuning };
     session.at_end(Some(present));
     set(session, &plan, channel, plan.motor.gains, plan.motor.tuning).await?;
@@ -219,14 +224,14 @@ pub async fn tune(
     Ok(Outcome { plan, finding, rule, margin_deg, proposed, tuning, before, after, worse, saved })
 }
 
-/// What was done while armed.
+/// Result of the armed part.
 struct Driven {
     finding: Finding,
     before: Answer,
     attempt: Attempt,
 }
 
-/// Gains for what was found, and the rule in words.
+/// Proposed gains, with their rule in words.
 struct Proposal {
     gains: PidGains,
     tuning: Tuning,
@@ -234,7 +239,7 @@ struct Proposal {
     margin_deg: f64,
 }
 
-/// How the board did with it.
+/// Trial of a proposal on the board.
 struct Attempt {
     proposal: Proposal,
     after: Result<Answer, String>,
@@ -242,7 +247,7 @@ struct Attempt {
 }
 
 impl Attempt {
-    /// Better than what there was, and without overshoot worth the name.
+    /// Returns true for a response that is better than before and has negligible overshoot.
     fn is_good(&self) -> bool {
         self.worse.is_none() && self.after.as_ref().is_ok_and(|after| after.response.overshoot <= OVERSHOOT)
     }
@@ -288,7 +293,7 @@ async fn drive(
     for &slower in if plan.of == Loop::Speed { &SPEED_SLOWER[..] } else { &SLOWER[..] } {
         let proposal = match propose(request, plan, &finding, slower) {
             Ok(Some(proposal)) => proposal,
-            // What was tried already is all that there is.
+            // The rule has no further proposals.
             Ok(None) => break,
             Err(error) if tried.is_empty() => return Err(error),
             Err(_) => break,
@@ -302,7 +307,7 @@ async fn drive(
             break;
         }
     }
-    // The first that is better; where none is, the first of all says why not.
+    // The first good attempt; without one, the first that is not worse; otherwise the first, which reports why.
     let best = tried.iter().position(Attempt::is_good).or(tried.iter().position(|attempt| attempt.worse.is_none()));
     let attempt = tried.swap_remove(best.unwrap_or(0));
     motor.stay_within(None);
@@ -310,7 +315,7 @@ async fn drive(
     Ok(Driven { finding, before, attempt })
 }
 
-/// Steps with proposed gains, after which the motor has its present ones again.
+/// Steps with proposed gains; afterwards the motor has its present ones again.
 async fn attempt(
     session: &Session<'_>,
     request: &TuneRequest,
@@ -323,7 +328,7 @@ async fn attempt(
     set(session, plan, request.channel, proposal.gains, proposal.tuning).await?;
     let after = match experiment::answer(motor, plan).await {
         Ok(after) => Ok(after),
-        // Gains that do not hold the motor are no gains; the motor goes back with those that do.
+        // Gains that do not hold the motor are rejected; the motor returns with the present ones.
         Err(Error::Watch(error)) if matches!(*error, WatchError::Travel { .. } | WatchError::NotSettled { .. }) => {
             Err(error.to_string())
         }
@@ -346,7 +351,7 @@ async fn attempt(
     Ok(Attempt { proposal, after, worse })
 }
 
-/// Gains by the rule of the method and the loop; `None` where the rule knows none for a loop so many times slower.
+/// Computes gains by the rule of method and loop; `None` where the rule has none for a loop slower by this factor.
 fn propose(request: &TuneRequest, plan: &Plan, finding: &Finding, slower: f64) -> Result<Option<Proposal>, Error> {
     let present = plan.motor.tuning;
     let margin_rad = request.margin_deg.to_radians();
@@ -371,7 +376,7 @@ fn propose(request: &TuneRequest, plan: &Plan, finding: &Finding, slower: f64) -
             let model = point.integrator();
             let fit = Fit { model, friction, residual: 0.0, residual_rms: 0.0, plausible: Vec::new() };
             let board = plan.surroundings();
-            // A speed swings behind the board's estimate of it: its lag is in the swing already.
+            // The swing of a speed is measured behind the board's estimate, whose lag it therefore contains already.
             let seen = of == Loop::Speed;
             let estimate = if seen { SpeedEstimate::LowPass { time_s: 0.0 } } else { board.estimate };
             (fit, present, Surroundings { estimate, ..board })
@@ -392,10 +397,11 @@ fn propose(request: &TuneRequest, plan: &Plan, finding: &Finding, slower: f64) -
     Ok(Some(Proposal { gains, tuning, rule, margin_deg: design.margin_rad.to_degrees() }))
 }
 
-/// What is worse about the new response, if anything: it must settle at least as fast, and be no worse in anything else.
+/// Reason why the new response is worse, if it is. It must settle at least as fast, and be no worse in any other
+/// respect.
 fn worse(plan: &Plan, before: Response, after: Response) -> Option<String> {
     match (after.settling_s, before.settling_s) {
-        // A look apart is the same.
+        // Settling times within one sample are equal.
         (Some(after_s), Some(before_s)) if after_s > before_s + LOOK_EVERY_S / 2.0 => {
             return Some(format!("they settle after {after_s:.3} s instead of {before_s:.3} s"));
         }
@@ -405,14 +411,14 @@ fn worse(plan: &Plan, before: Response, after: Response) -> Option<String> {
         (None, None) => return Some("neither they nor the present ones settle".into()),
         (Some(_), _) => {}
     }
-    // Speed may cost a little; what is no faster must be no rougher.
+    // A faster response may be slightly rougher; one that is not faster must not.
     let faster = after.settling_s.zip(before.settling_s).is_none_or(|(after, before)| after < FASTER * before);
     let overshoot = if faster { before.overshoot.max(OVERSHOOT) } else { before.overshoot + SAME_OVERSHOOT };
     if after.overshoot > overshoot {
         let (after, before) = (after.overshoot * 100.0, before.overshoot * 100.0);
         return Some(format!("they overshoot by {after:.1} % instead of {before:.1} %"));
     }
-    // A board lets a motor rest at up to twice the error at which it counts as arrived.
+    // The board lets a motor rest at up to twice the error at which it counts as settled.
     let band = plan.steady_band() * if faster { 2.0 } else { 1.0 };
     let steady = before.steady_error.abs().max(band);
     (after.steady_error.abs() > steady).then(|| {

@@ -1,4 +1,4 @@
-//! What a run does, checked before anything moves.
+//! Plan of a run, checked before anything moves.
 
 use r4_driver::tune::{Loop, SpeedEstimate, Surroundings};
 use r4_protocol::{
@@ -13,83 +13,83 @@ use crate::{
     quantity::{Quantity, speed_unit},
 };
 
-/// What a rotary motor may travel unless told otherwise, rad; what a linear one, as a share of its range.
+/// Default travel: of a rotary motor, rad, and of a linear one, as a share of its range.
 const TRAVEL_RAD: f64 = 1.0;
 const TRAVEL_SHARE: f64 = 0.1;
-/// Less travel shows a step's overshoot of 5 % as less than five counts of the sensor. With 80, 3 of 200 sampled position loops found
-/// no gains: the lag of one of them was open from 63 ms to 3 s.
+/// Least default travel, counts. Less shows a step's overshoot of 5 % as less than five counts of the sensor. With 80,
+/// 3 of 200 sampled position loops found no gains: the lag of one of them was undetermined between 63 ms and 3 s.
 const TRAVEL_COUNTS: f64 = 200.0;
-/// A step of the position, as a share of the travel.
+/// Step of the position, as a share of the travel.
 const STEP_SHARE: f64 = 0.5;
-/// Of the path's speed: between what a speed loop steps, and for how long it runs in one go.
+/// Speed steps of a speed loop, as shares of the path's speed; and longest run in one direction, s.
 const SPEEDS: (f64, f64) = (0.4, 0.8);
 const SPEED_RUN_S: f64 = 6.0;
-/// A relay stays this short of the duty that counts as a stall when nothing moves.
+/// Limit of a relay's duty, as a share of the duty that counts as a stall at standstill.
 pub(super) const BELOW_STALL: f64 = 0.9;
-/// So much duty beyond friction is the least that is worth a try.
+/// Least duty beyond friction for an experiment.
 const LEAST_BEYOND: f64 = 0.03;
-/// The steps are watched for the time of the path and so long, s.
+/// Time for which a position step is sampled beyond the duration of its path, s.
 const SETTLE_S: f64 = 3.0;
-/// A speed is watched for so long, s.
+/// Time for which a speed step is sampled, s.
 const SPEED_ANSWER_S: f64 = 1.5;
-/// A motor that does not rest for so long beyond its path's time does not come to rest, s.
+/// Timeout of a move beyond the duration of its path, s.
 const PATIENCE_S: f64 = 5.0;
-/// What all but going there and the steps takes at most, s.
+/// Longest duration of the experiment itself, without approach and steps, s.
 const EXPERIMENT_S: f64 = 30.0;
 
-/// A motor as its board describes it, SI.
+/// A motor with its parameters from the board, SI.
 #[derive(Clone, Copy, Debug)]
 pub struct Motor {
     /// Unit of its position.
     pub unit: Unit,
-    /// What its sensor resolves, rad or m.
+    /// Resolution of the sensor, rad or m.
     pub resolution: f64,
     /// Period of the board's loops, s.
     pub period_s: f64,
     /// Largest duty, as a share of the supply.
     pub duty_max: f64,
-    /// Error at which it counts as arrived, rad or m.
+    /// Position error at which the motor counts as arrived, rad or m.
     pub settle_error: f64,
-    /// Time constant of the filter of its speed, s.
+    /// Time constant of the speed filter, s.
     pub speed_filter_s: f64,
     /// Gains of the loop when the board started.
     pub gains: PidGains,
     /// Feed-forward and cascade when the board started.
     pub tuning: Tuning,
-    /// Duty that counts as a stall when nothing moves, as a share of the supply.
+    /// Duty that counts as a stall at standstill, as a share of the supply.
     pub stall_duty: f64,
-    /// Speed of its path, rad/s or m/s.
+    /// Speed limit of the path, rad/s or m/s.
     pub speed: f64,
     acceleration: f64,
-    /// How long the jerk takes to full acceleration, s.
+    /// Time for the jerk to reach full acceleration, s.
     onset_s: f64,
     range: (f64, f64),
 }
 
-/// A run: what is done with the motor, and within which bounds. Positions in rad or m.
+/// Plan of a run: actions and bounds. Positions in rad or m.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
-    /// Which loop is tuned.
+    /// Loop that is tuned.
     pub of: Loop,
-    /// The motor.
+    /// Motor with its parameters.
     pub motor: Motor,
-    /// Where the run begins.
+    /// Start of the run.
     pub base: f64,
-    /// How far from there it may go.
+    /// Largest distance from the start.
     pub travel: f64,
-    /// Where the motor must stay.
+    /// Allowed positions of the motor, lowest and highest.
     pub window: (f64, f64),
     /// Set points between which the loop steps, in its unit.
     pub steps: (f64, f64),
-    /// How long each is watched, s.
+    /// Time for which each step is sampled, s.
     pub answer_s: f64,
-    /// How long the motor may take to a position within the window, s.
+    /// Timeout of a move within the window, s.
     pub settle_s: f64,
-    /// How long it may take to where the run begins, s.
+    /// Timeout of the move to the start, s.
     pub approach_s: f64,
     /// Duty of a position experiment, as a share of the supply.
     pub amplitude: f64,
-    /// Duty that was asked for.
+    /// Requested duty; `None` for the default.
     pub given_amplitude: Option<f64>,
     /// Largest duty of a position experiment.
     pub cap: f64,
@@ -126,12 +126,12 @@ impl Motor {
         })
     }
 
-    /// Duty that friction is taken for, as a share of the supply.
+    /// Duty that is assumed for friction, as a share of the supply.
     pub(crate) fn static_duty(&self) -> f64 {
         self.tuning.feed_forward.static_duty.into()
     }
 
-    /// How long a path takes at most, s.
+    /// Longest duration of a path, s.
     fn path_s(&self, distance: f64) -> f64 {
         let ramps = self.speed * self.speed / self.acceleration;
         let trapezoid_s = if distance > ramps {
@@ -139,7 +139,7 @@ impl Motor {
         } else {
             2.0 * (distance / self.acceleration).sqrt()
         };
-        // Where jerk is limited, from 1 to 1.2 times the onset longer.
+        // Limited jerk adds 1 to 1.2 times the onset.
         trapezoid_s + 1.2 * self.onset_s
     }
 
@@ -152,7 +152,7 @@ impl Motor {
     }
 }
 
-/// The parameters with the gains of a loop: of the error, its integral and its derivative.
+/// Parameters with the gains of a loop: proportional, integral and derivative.
 pub(crate) fn of_gains(of: Loop) -> [Parameter; 3] {
     match of {
         Loop::Position => [Parameter::PositionKp, Parameter::PositionKi, Parameter::PositionKd],
@@ -160,7 +160,10 @@ pub(crate) fn of_gains(of: Loop) -> [Parameter; 3] {
     }
 }
 
-/// Whether a channel has loops at all.
+/// Checks that a channel has loops.
+///
+/// # Errors
+/// [`TuneError::NoLoops`] when it has none.
 pub(crate) fn check_has_loops(info: &ChannelInfo) -> Result<(), Error> {
     let channel = info.id;
     let moves = matches!(channel.kind, ChannelKind::Osmc | ChannelKind::Actuator | ChannelKind::Dhb);
@@ -168,10 +171,10 @@ pub(crate) fn check_has_loops(info: &ChannelInfo) -> Result<(), Error> {
 }
 
 impl Plan {
-    /// The run that `request` asks for with a motor that stands at `position`, rad or m.
+    /// Plans the run of `request` for a motor at `position`, rad or m.
     ///
     /// # Errors
-    /// [`TuneError`]: it cannot be made within the travel, the time and the duty that there are.
+    /// [`TuneError`] when the run is not possible within the travel, the time and the duty.
     pub(crate) fn new(
         request: &TuneRequest,
         info: &ChannelInfo,
@@ -179,6 +182,7 @@ impl Plan {
         position: f64,
     ) -> Result<Self, Error> {
         let channel = info.id;
+        // A cascade gain above 0 selects the cascade.
         let present =
             if parameters.active(channel, Parameter::Cascade)? > 0.0 { Loop::Cascade } else { Loop::Position };
         let of = request.of.unwrap_or(present);
@@ -192,12 +196,13 @@ impl Plan {
             (None, _, Unit::M) => TRAVEL_SHARE * room,
             (None, ..) => TRAVEL_RAD.max(TRAVEL_COUNTS * motor.resolution).min(TRAVEL_SHARE * room),
         };
+        // A step must be well above the error at which the motor counts as arrived.
         let least = if of == Loop::Speed { run } else { 20.0 * motor.settle_error.max(motor.resolution) };
         if travel.is_nan() || travel < least {
             let (least, travel) = (quantity(least), quantity(travel));
             return Err(TuneError::TravelTooShort { channel, least, travel }.into());
         }
-        // A speed is run upwards; what it swings back is little.
+        // A speed is run upwards; its backward swing is small.
         let (below, above) = if of == Loop::Speed { (0.1 * travel, travel) } else { (travel, travel) };
         let (lowest, highest) = (motor.range.0 + below, motor.range.1 - above);
         if lowest > highest {
@@ -216,6 +221,7 @@ impl Plan {
             }
         };
         let (most, static_duty) = (motor.duty_max, motor.static_duty());
+        // The experiment starts from rest, where more duty would count as a stall.
         let cap = most.min(BELOW_STALL * motor.stall_duty);
         if let Some(given) = request.amplitude
             && !(given > 0.0 && given <= most)
@@ -233,6 +239,7 @@ impl Plan {
         };
         let settle_s = motor.path_s(travel) + PATIENCE_S;
         let approach_s = motor.path_s((base - position).abs().max(travel)) + PATIENCE_S;
+        // Approach, two responses of two steps each, three moves within the window, and the experiment itself.
         let needs_s =
             motor.path_s((base - position).abs()) + 4.0 * answer_s + 3.0 * motor.path_s(travel) + EXPERIMENT_S;
         if needs_s > request.time_s {
@@ -250,11 +257,12 @@ impl Plan {
             approach_s,
             amplitude,
             given_amplitude: request.amplitude,
+            // A requested amplitude may exceed the default limit.
             cap: cap.max(amplitude),
         })
     }
 
-    /// Name of the loop.
+    /// Name of the loop, for the user.
     #[must_use]
     pub fn name(&self) -> &'static str {
         match self.of {
@@ -264,7 +272,7 @@ impl Plan {
         }
     }
 
-    /// How the loop is commanded.
+    /// Mode of the loop's set points.
     #[must_use]
     pub fn mode(&self) -> Mode {
         match self.of {
@@ -273,7 +281,7 @@ impl Plan {
         }
     }
 
-    /// Which loop takes the gains that are tuned.
+    /// Mode of the loop that gets the tuned gains.
     #[must_use]
     pub fn gains_of(&self) -> Mode {
         match self.of {
@@ -284,23 +292,24 @@ impl Plan {
 
     /// The board around the motor's loop.
     ///
-    /// The speed counts as behind the low-pass, also where the board has a model of the motor and knows it sooner: an angle sensor has no
-    /// model, and a board does not tell which sensor a motor has. Such loops are slower than they could be.
+    /// The speed is assumed to be low-pass filtered, even though a board with a model of the motor knows it sooner: an
+    /// angle sensor has no model, and a board does not report which sensor a motor has. Such loops are slower than they
+    /// could be.
     pub(crate) fn surroundings(&self) -> Surroundings {
         let Motor { period_s, speed_filter_s: time_s, resolution, speed, .. } = self.motor;
         let estimate = SpeedEstimate::LowPass { time_s };
         Surroundings { period_s, estimate, resolution, speeds: (SPEEDS.0 * speed, speed) }
     }
 
-    /// What the sensor's counts alone make of a speed, as the mean over `mean_s` shows it.
+    /// Speed error that the sensor's counts alone cause in a mean over `mean_s`.
     pub(crate) fn speed_resolution(&self, mean_s: f64) -> f64 {
         let Motor { period_s, resolution, .. } = self.motor;
         let speed = self.steps.1;
-        // Between rare counts lies a whole number of periods; of frequent ones there is one more or less.
+        // Between infrequent counts lies a whole number of periods; of frequent ones there is one more or less.
         (speed * speed * period_s / resolution).min(resolution / mean_s)
     }
 
-    /// What the loop measures in.
+    /// Unit of the loop's output.
     #[must_use]
     pub fn unit(&self) -> Unit {
         match self.of {
@@ -309,7 +318,7 @@ impl Plan {
         }
     }
 
-    /// Steady errors within this are as good as none.
+    /// Steady error below which a loop counts as exact, in its unit.
     pub(crate) fn steady_band(&self) -> f64 {
         match self.of {
             Loop::Position | Loop::Cascade => self.motor.settle_error,
@@ -324,7 +333,7 @@ mod tests {
 
     use super::*;
 
-    /// An actuator of 100 mm, as the bench's.
+    /// An actuator of 100 mm, like that of the bench.
     fn actuator() -> (ChannelInfo, Parameters) {
         let id = ChannelId::new(ChannelKind::Actuator, 1);
         let range = Range::new(0.0, 0.1);

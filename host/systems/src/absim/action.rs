@@ -1,61 +1,61 @@
-//! States of a goal as an action server of ROS 1 has them.
+//! States of a goal, those of an action server of ROS 1.
 //!
 //! # Source
 //! actionlib, *Detailed description*, "Server description": <http://wiki.ros.org/actionlib/DetailedDescription>. `LOST` is a state of
 //! clients only and is not here.
 
-/// State of a goal.
+/// State of a goal in the server's state machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum State {
-    /// It waits for its robot.
+    /// The goal waits for its robot.
     Pending,
-    /// Its robot is on the way.
+    /// Its robot drives to it.
     Active,
-    /// It was cancelled on the way, and its robot has not stopped yet.
+    /// Cancelled while its robot drove; the robot has not stopped yet.
     Preempting,
-    /// It was cancelled while it waited, and the server has not confirmed yet.
+    /// Cancelled while it waited; the server has not confirmed yet.
     Recalling,
-    /// It was refused.
+    /// Terminal: the robot refused it.
     Rejected,
-    /// It was cancelled on the way.
+    /// Terminal: cancelled while its robot drove, which has stopped.
     Preempted,
-    /// It was cancelled before its robot set off.
+    /// Terminal: cancelled before its robot started.
     Recalled,
-    /// It was reached.
+    /// Terminal: the robot reached it.
     Succeeded,
-    /// It was given up by the robot.
+    /// Terminal: the robot gave it up.
     Aborted,
 }
 
-/// What happens to a goal: the first is a client's, the others are the server's.
+/// Event of a goal: [`Event::Cancel`] comes from the client, the others from the server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// The client takes it back.
+    /// The client cancels the goal.
     Cancel,
-    /// The robot sets off.
+    /// The robot starts to drive.
     Accept,
-    /// The robot refuses.
+    /// The robot refuses the goal.
     Reject,
-    /// The robot has stopped, or never set off, after a cancel.
+    /// After a cancel: the robot has stopped, or never started.
     Canceled,
-    /// The robot is there.
+    /// The robot has reached the goal.
     Succeed,
-    /// The robot gives up.
+    /// The robot gives the goal up.
     Abort,
 }
 
-/// An event that a goal in this state cannot have.
+/// Error of an event that is not valid in the goal's state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a goal that is {state:?} cannot {event:?}: its server lost track of it")]
 pub struct Impossible {
-    /// The goal's state.
+    /// State of the goal before the event.
     pub state: State,
-    /// The event.
+    /// Event that the state does not allow.
     pub event: Event,
 }
 
 impl State {
-    /// Whether nothing follows.
+    /// Returns true for a state that no event changes.
     #[must_use]
     pub fn is_terminal(self) -> bool {
         use State::{Aborted, Preempted, Recalled, Rejected, Succeeded};
@@ -64,10 +64,11 @@ impl State {
 
     /// State after `event`.
     ///
-    /// A cancel of a goal that has ended, or that is being cancelled already, changes nothing: client and server cross on the way.
+    /// A cancel of a goal that has ended, or that is being cancelled already, changes nothing: the messages of client
+    /// and server may cross.
     ///
     /// # Errors
-    /// [`Impossible`]
+    /// [`Impossible`] for an event that the state does not allow.
     pub fn after(self, event: Event) -> Result<Self, Impossible> {
         use Event::{Abort, Accept, Cancel, Canceled, Reject, Succeed};
         use State::{Aborted, Active, Pending, Preempted, Preempting, Recalled, Recalling, Rejected, Succeeded};

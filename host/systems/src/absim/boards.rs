@@ -1,4 +1,4 @@
-//! The full fidelity: each robot a board, whose firmware turns wheels that carry a body.
+//! Full fidelity: each robot is a board, whose firmware turns wheels that carry a body.
 
 use std::{cell::RefCell, collections::VecDeque};
 
@@ -19,11 +19,12 @@ use crate::{Error, Trial};
 
 /// Period of the program on the host, ms: that of the wheels' telemetry.
 pub(super) const PERIOD_MS: u16 = 20;
-/// Boards stop set points older than this, ms: five periods.
+/// Time to live of the wheels' set points, ms: five periods.
 const SETPOINT_TTL_MS: u16 = 100;
 
-/// What the robots are driven with. Four fifths of the top speed leave the outer wheels what a curve takes: the follower turns on the
-/// spot from 0.35 rad off the bow on, so that it asks for 0.7 rad/s at most on the way, and openscout's wheels for 9.3 of 9.5 rad/s.
+/// Limits of the robots' motion. Four fifths of the top speed leave the outer wheels a margin for curves: the follower
+/// turns on the spot from 0.35 rad off the bow on, so that it requests at most 0.7 rad/s while it travels, and 9.3 of
+/// 9.5 rad/s of openscout's wheels.
 pub(super) fn limits(drive: &SkidSteer) -> Limits {
     Limits {
         speed_m_s: 0.8 * drive.speed_max_m_s,
@@ -34,32 +35,33 @@ pub(super) fn limits(drive: &SkidSteer) -> Limits {
     }
 }
 
-/// A leg that a board drove.
+/// A leg driven by a board, from rest to rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DrivenLeg {
-    /// From rest at this place, by odometry.
+    /// Start of the leg, by odometry.
     pub from: Place,
-    /// To rest at this goal, m.
+    /// Goal of the leg, m.
     pub goal_m: [f64; 2],
-    /// Duration, s.
+    /// Duration of the leg, s.
     pub duration_s: f64,
 }
 
-/// What a board's robot did.
+/// Record of one board's robot.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Driven {
-    /// Its legs.
+    /// Legs in the order in which they were driven.
     pub legs: Vec<DrivenLeg>,
-    /// True places, one for each period, with their times, s.
+    /// Time, s, and true position, m, once each period.
     pub path: Vec<(f64, [f64; 2])>,
-    /// Distance of odometry from the truth at each sample, m.
+    /// Distance between odometry and truth at each sample, m.
     pub off_m: Vec<f64>,
 }
 
-/// Runs a mission in which every robot is a board of the trial's kind. `released` lets go of a robot's dead-man at a time, s.
+/// Runs a mission in which every robot is a board of the trial's kind. `released` names a robot and the time, s, at
+/// which its dead man is released.
 ///
 /// # Errors
-/// When the board is no skid-steer robot with a body, or a session fails.
+/// [`Error::Unsuitable`] when the board is no skid-steer robot with a body; another error when a session fails.
 pub fn run(
     trial: &Trial,
     mission: Mission,
@@ -100,7 +102,7 @@ pub fn run(
     let work = async move |clock: &r4_rig::HostClock| {
         let mut run = Run::new(mission, robots, wall);
         run.drive(clock, reported).await?;
-        // Without senders the members end.
+        // The members end when their senders are dropped.
         run.robots.clear();
         Ok(run)
     };
@@ -108,10 +110,10 @@ pub fn run(
     Ok((run, driven))
 }
 
-/// The skid-steer drive of a trial's robot.
+/// Returns the skid-steer drive of a trial's robot.
 ///
 /// # Errors
-/// When it has none, or no body.
+/// [`Error::Unsuitable`] when the robot has no such drive, or no body.
 pub fn skid_steer(trial: &Trial) -> Result<SkidSteer, Error> {
     let unsuitable =
         |why: &str| Error::Unsuitable { system: super::NAME, board: trial.board.to_string(), why: why.to_owned() };
@@ -125,7 +127,7 @@ pub fn skid_steer(trial: &Trial) -> Result<SkidSteer, Error> {
     }
 }
 
-/// From a body's true place in its own world to one on the field.
+/// Transformation of a body's true pose in its own world to the mission's field.
 struct Truth {
     first: Option<Place>,
     start: Place,
@@ -145,7 +147,7 @@ impl Truth {
     }
 }
 
-/// A place in the frame of `from`, as one in the frame of that.
+/// Converts a pose in the frame of `from` to the frame in which `from` is given.
 fn moved(from: Place, by: Place) -> Place {
     let (sin, cos) = from.yaw_rad.sin_cos();
     Place {
@@ -155,14 +157,14 @@ fn moved(from: Place, by: Place) -> Place {
     }
 }
 
-/// What a robot is doing.
+/// Activity of a robot.
 enum Doing {
     Waiting,
     Driving { follower: Follower, since: (f64, Place), goal_m: [f64; 2], driven_m: f64 },
     Sampling { until_s: f64 },
 }
 
-/// Drives one robot by its board.
+/// Program that drives one robot by its board.
 struct Pilot<'s> {
     session: &'s Session<'s>,
     robot: usize,
@@ -176,7 +178,7 @@ struct Pilot<'s> {
 }
 
 impl Pilot<'_> {
-    /// Carries out orders until there are no more, or the board stops.
+    /// Carries out orders until their channel closes or the board stops.
     async fn fly(&mut self, mut orders: UnboundedReceiver<Order>) -> Result<(), RigError> {
         let board = self.session.board;
         let wheels: Vec<_> = self.drive.left.iter().chain(&self.drive.right).copied().collect();
@@ -187,7 +189,7 @@ impl Pilot<'_> {
         board.arm().await.map_err(RigError::Arm)?;
         match self.follow(telemetry, &wheels, &mut orders).await {
             Ok(()) => board.disarm().await.map_err(RigError::Disarm),
-            // A stop of the board is a result: its goals are for others.
+            // A stop of the board is a result: the mission gives its goals to other robots.
             Err(RigError::Board(error @ (r4_driver::Error::Stopped { .. } | r4_driver::Error::Refused(_)))) => {
                 self.report(Input::Failed(self.robot, error.to_string()));
                 Ok(())
@@ -197,7 +199,7 @@ impl Pilot<'_> {
     }
 
     fn report(&self, input: Input) {
-        // The coordinator is gone once its mission is over.
+        // Sending fails only when the mission is over and the coordinator is gone.
         drop(self.reports.unbounded_send(input));
     }
 
@@ -230,6 +232,7 @@ impl Pilot<'_> {
             let at = moved(self.start, self.odometry.place());
             match orders.try_recv() {
                 Ok(order) => doing = self.begin(order, doing, now_s, at),
+                // The coordinator has dropped its end: the mission is over.
                 Err(error) if error.is_closed() => return Ok(()),
                 Err(_) => {}
             }

@@ -1,4 +1,4 @@
-//! A fleet on one event clock: each robot a timed event, or a board.
+//! A fleet on one event clock, in which each robot is either timed events or a board.
 
 use std::pin::pin;
 
@@ -20,38 +20,38 @@ use super::{
 };
 use crate::Error;
 
-/// What a fleet is for.
+/// Task of a fleet: a function from inputs to orders.
 pub trait Program {
-    /// Where the robots start.
+    /// Poses of the robots at the start.
     fn starts(&self) -> &[Place];
 
-    /// When [`Input::Deadline`] is due, s.
+    /// Time of [`Input::Deadline`], s.
     fn deadline_s(&self) -> f64;
 
-    /// Takes what happened at `now_us` and appends what follows to `orders`.
+    /// Processes an input at `now_us` and appends the resulting orders to `orders`.
     ///
     /// # Errors
-    /// When a robot reports what its goal's state does not allow.
+    /// [`Impossible`] when a robot reports an event that its goal's state does not allow.
     fn handle(&mut self, now_us: u64, input: Input, orders: &mut Vec<Order>) -> Result<(), Impossible>;
 
-    /// Whether nothing follows any more.
+    /// Returns true when no more orders will follow.
     fn has_ended(&self) -> bool;
 }
 
-/// How a robot is simulated.
+/// Fidelity by which a robot is simulated.
 #[derive(Clone)]
 pub enum Fidelity {
-    /// Its navigation is a timed event.
+    /// Timed events: a leg is a duration by this motion.
     Abstract(Motion),
-    /// It is driven by the board's program, on wheels that turn as they are commanded.
+    /// Perfect actuators: the board's program drives wheels that turn as commanded.
     Ideal(IdealDrive),
-    /// It is a board, which gets its orders here.
+    /// A board, which receives its orders by this channel.
     Board(UnboundedSender<Order>),
 }
 
-/// What is due on the event clock. At the same time in this order, and among robots by their numbers.
+/// An event on the event clock. Events at the same time come in this order, and among robots by their numbers.
 ///
-/// A loss is an entry of [`Run::losses`], which has its reason: that keeps events small.
+/// A loss is an entry of [`Run::losses`], which holds its reason: this keeps events small.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Due {
     Start,
@@ -63,17 +63,17 @@ enum Due {
     Deadline,
 }
 
-/// A robot of the abstract fidelity.
+/// State of a robot of the abstract fidelity.
 #[derive(Clone)]
 struct Body {
     at: Place,
-    /// Way, and when it began, µs.
+    /// Current leg and its start, µs; `None` at rest.
     leg: Option<(Way, u64)>,
-    /// Counts orders, so that events of earlier ones are known.
+    /// Counter of orders, which marks events of earlier orders as stale.
     number: u64,
 }
 
-/// The way to a goal.
+/// A leg to a goal.
 #[derive(Clone)]
 enum Way {
     Timed(Leg),
@@ -88,7 +88,7 @@ impl Way {
         }
     }
 
-    /// Place and path length after `time_s`.
+    /// Pose and path length, m, `time_s` after the start.
     fn at(&self, time_s: f64) -> (Place, f64) {
         match self {
             Self::Timed(leg) => (leg.at(time_s), leg.covered_m(time_s)),
@@ -103,32 +103,32 @@ impl Way {
 
 /// A run of a program by a fleet.
 pub struct Run<P> {
-    /// The program.
+    /// Program of the fleet.
     pub mission: P,
-    /// One for each robot.
+    /// Fidelity of each robot.
     pub robots: Vec<Fidelity>,
-    /// Charges compute time.
+    /// Model of the compute time.
     pub wall: Wall,
-    /// Robots that are lost at a time, µs, and why.
+    /// Robots that are lost: time, µs, robot and reason.
     pub losses: Vec<(u64, usize, String)>,
-    /// Whether orders of the same time are carried out from the last to the first.
+    /// Carries out orders of the same time from the last to the first, to show that their order does not matter.
     pub is_reversed: bool,
-    /// Each place that an abstract robot's legs ended at, with its time, s.
+    /// End poses of each abstract robot's legs, with their times, s.
     pub paths: Vec<Vec<(f64, Place)>>,
 }
 
 impl<P: Program> Run<P> {
-    /// A run without losses.
+    /// Creates a run without losses.
     #[must_use]
     pub fn new(mission: P, robots: Vec<Fidelity>, wall: Wall) -> Self {
         let paths = mission.starts().iter().map(|start| vec![(0.0, *start)]).collect();
         Self { mission, robots, wall, losses: Vec::new(), is_reversed: false, paths }
     }
 
-    /// Runs a program in which no robot is a board, at a pace against the wall.
+    /// Runs a program in which no robot is a board; `pace` couples simulated time to the wall clock.
     ///
     /// # Errors
-    /// When the program loses track of a goal.
+    /// [`Error::Unsuitable`] when a robot reports an event that its goal's state does not allow.
     pub fn alone(self, pace: Pace) -> Result<Self, Error> {
         let (_, reports) = futures::channel::mpsc::unbounded();
         let member = async |_: usize, _: &Session<'_>| Ok::<_, Error>(());
@@ -141,10 +141,10 @@ impl<P: Program> Run<P> {
         Ok(fleet.run(member, work)?.0)
     }
 
-    /// Runs the program on a clock; `reports` are those of the boards.
+    /// Runs the program on a clock; `reports` are the inputs that boards send.
     ///
     /// # Errors
-    /// When the program loses track of a goal, or waits for nothing.
+    /// [`Error::Unsuitable`] when a robot reports an event that its goal's state does not allow.
     pub async fn drive(&mut self, clock: &HostClock, mut reports: UnboundedReceiver<Input>) -> Result<(), Error> {
         let begin_us = clock.now_us();
         let mut queue = Queue::default();
@@ -158,6 +158,7 @@ impl<P: Program> Run<P> {
         let mut orders = Vec::new();
         while !self.mission.has_ended() {
             let now_us = clock.now_us() - begin_us;
+            // An event keeps the time at which it was due, even if the clock is a little past it.
             let (at_us, input) = if let Some((at_us, due)) = queue.pop_due(now_us) {
                 let Some(input) = self.happened(due, at_us, &mut bodies) else { continue };
                 (at_us, input)
@@ -188,7 +189,7 @@ impl<P: Program> Run<P> {
         Ok(())
     }
 
-    /// What a due event is for the mission; `None` for one of an order that is no longer valid.
+    /// Converts a due event to an input of the mission; `None` for a stale one, whose order was replaced.
     fn happened(&mut self, due: Due, at_us: u64, bodies: &mut [Body]) -> Option<Input> {
         let at_s = at_us as f64 * 1e-6;
         Some(match due {
@@ -215,9 +216,10 @@ impl<P: Program> Run<P> {
         })
     }
 
-    /// Stops an abstract robot where it is, and how far it came, m.
+    /// Stops an abstract robot at its present pose and returns the path length of its leg, m.
     fn stopped(&mut self, robot: usize, at_us: u64, bodies: &mut [Body]) -> f64 {
         let body = &mut bodies[robot];
+        // The arrival of this leg may still be in the queue; a new number makes it void.
         body.number += 1;
         let Some((way, since_us)) = body.leg.take() else { return 0.0 };
         let (place, driven_m) = way.at((at_us - since_us) as f64 * 1e-6);
@@ -243,7 +245,7 @@ impl<P: Program> Run<P> {
             Fidelity::Board(_) => None,
         };
         if let Fidelity::Board(orders) = &self.robots[robot] {
-            // A board that is gone has reported why.
+            // Sending fails only when the board is gone, which has reported its reason.
             drop(orders.unbounded_send(order));
             return;
         }
@@ -256,13 +258,13 @@ impl<P: Program> Run<P> {
                 queue.push(arrives_us, Due::Arrived { robot, leg: body.number });
             }
             Order::Sample { for_s, .. } => queue.push(after(for_s), Due::Sampled { robot, leg: body.number }),
-            // Preemption is immediate: the event is due now.
+            // A preemption is immediate: the event is due now.
             _ => queue.push(now_us, Due::Stopped { robot }),
         }
     }
 }
 
-/// The next report of a board; without boards there is none.
+/// Waits for the next report of a board; without boards, it never ends.
 async fn next(reports: &mut UnboundedReceiver<Input>) -> Input {
     match reports.next().await {
         Some(input) => input,

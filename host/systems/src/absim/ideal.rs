@@ -1,14 +1,14 @@
-//! The board's program on perfect actuators: wheels that turn as they are commanded, and do not slip.
+//! The board's program on perfect actuators: wheels turn as commanded and do not slip.
 
 use r4_boards::SkidSteer;
 use r4_rig::{Follower, GroundDrive, Place, Velocity};
 
 use super::boards::limits;
 
-/// Longest leg, s: 90 m.
+/// Limit of a leg's duration, s: 90 m of travel.
 const MOST_S: f64 = 200.0;
 
-/// A skid-steer robot that moves as it is asked to.
+/// A skid-steer robot on perfect actuators.
 #[derive(Clone, Debug)]
 pub struct IdealDrive {
     drive: SkidSteer,
@@ -19,13 +19,13 @@ impl IdealDrive {
     /// Period of the program, s: that of a board's telemetry.
     pub const PERIOD_S: f64 = super::boards::PERIOD_MS as f64 * 1e-3;
 
-    /// A robot of this geometry.
+    /// Creates a robot of this geometry.
     #[must_use]
     pub fn new(drive: SkidSteer) -> Self {
         Self { ground: GroundDrive::new(r4_boards::Drive::SkidSteer(drive.clone())), drive }
     }
 
-    /// Places along a leg, one each period, from rest to rest.
+    /// Poses along a leg from rest to rest, one each period.
     #[must_use]
     pub fn leg(&self, from: Place, goal_m: [f64; 2]) -> Vec<Place> {
         let mut follower = Follower::new(limits(&self.drive), [goal_m]);
@@ -44,7 +44,7 @@ impl IdealDrive {
         places
     }
 
-    /// Velocity that the wheels' set points for an asked one make.
+    /// Velocity that follows from the wheels' set points for a requested one: the limits of the wheels act.
     fn moved(&self, asked: Velocity) -> Velocity {
         let setpoints = self.ground.setpoints(asked);
         let rim_m_s = |side: usize| {

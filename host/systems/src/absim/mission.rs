@@ -1,6 +1,7 @@
-//! Mapping a field with several robots: creation of sampling goals, their allocation, and what becomes of each.
+//! Mission that maps a field with several robots: it creates sampling goals, allocates them, and tracks the state of
+//! each.
 //!
-//! A mission is a function from inputs with their times to orders. It knows neither how a robot moves nor what a clock is, so both
+//! A mission is a function from timed inputs to orders. It knows neither the robots' motion nor a clock, so that both
 //! fidelities run the same one.
 
 use std::collections::VecDeque;
@@ -16,104 +17,105 @@ use super::{
 };
 use crate::sampler::Sampler;
 
-/// Purpose of random numbers: one for each cell, so that nothing depends on who samples when.
+/// Purpose of the random numbers of samples: one sequence for each cell, so that a reading does not depend on who takes
+/// it when.
 const OF_SAMPLES: u64 = 1_000;
 
-/// Goals of a batch for each robot. With one, robots wait for the coordinator after each sample; with four, two thirds of the samples
-/// are placed before any of them is known.
+/// Goals of a batch for each robot. With one, robots wait for the coordinator after each sample; with four, two thirds
+/// of the samples are placed before any of them is known.
 const BATCH_PER_ROBOT: usize = 2;
 
-/// What a mission asks for.
+/// An order of a mission to a robot or to the coordinator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Order {
     /// A robot drives to a goal.
     Go {
-        /// Which.
+        /// Number of the robot.
         robot: usize,
-        /// Goal, m.
+        /// Position of the goal, m.
         goal_m: [f64; 2],
     },
     /// A robot takes a sample.
     Sample {
-        /// Which.
+        /// Number of the robot.
         robot: usize,
-        /// Duration, s.
+        /// Duration of the sample, s.
         for_s: f64,
     },
     /// A robot stops at once.
     Stop {
-        /// Which.
+        /// Number of the robot.
         robot: usize,
     },
-    /// The coordinator computes: [`Input::Planned`] follows when that has taken its time.
+    /// The coordinator computes; [`Input::Planned`] follows after its compute time.
     Plan(Work),
     /// The mission is over.
     End,
 }
 
-/// What the coordinator computes, counted.
+/// Counted operations of the coordinator.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Work {
-    /// Updates of a cell of the map by an earlier sample, in the creation of goals.
+    /// Cell updates by earlier samples, in the creation of goals.
     pub updates: u64,
-    /// Bids of a robot for a goal, in their allocation.
+    /// Bids of a robot for a goal, in the allocation.
     pub bids: u64,
 }
 
-/// What happens to a mission.
+/// An event that a mission reacts to.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Input {
-    /// It begins.
+    /// The mission starts, at time 0.
     Start,
-    /// The coordinator has computed.
+    /// The coordinator has finished its computation.
     Planned,
-    /// Time is up.
+    /// The deadline is reached.
     Deadline,
     /// A robot has reached its goal, after this path length, m.
     Arrived(usize, f64),
-    /// A robot has taken its sample, truly at this place, m.
+    /// A robot has taken its sample, at this true position, m.
     Sampled(usize, [f64; 2]),
     /// A robot has stopped as ordered, after this path length, m.
     Stopped(usize, f64),
-    /// A robot is lost, and why.
+    /// A robot is lost, with the reason.
     Failed(usize, String),
 }
 
 /// A goal of the mission.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Goal {
-    /// Cell to be sampled.
+    /// Cell of the map to be sampled.
     pub cell: usize,
     /// Robot that it was allocated to.
     pub robot: usize,
-    /// What became of it.
+    /// State of the goal.
     pub state: State,
-    /// Why it was aborted.
+    /// Reason of an abort; `None` for goals that were not aborted.
     pub reason: Option<String>,
 }
 
 /// A sample that was taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Taken {
-    /// Time, µs.
+    /// Time of the sample, µs.
     pub at_us: u64,
-    /// Robot.
+    /// Number of the robot.
     pub robot: usize,
-    /// True place, m.
+    /// True position of the sample, m.
     pub place_m: [f64; 2],
-    /// Reading, kPa.
+    /// Reading of the penetrometer, kPa.
     pub value_kpa: f64,
-    /// Root mean square error of the map with it, kPa.
+    /// Root mean square error of the map after this sample, kPa.
     pub rmse_kpa: f64,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Robot {
-    /// Goals in their order; the first is on its way where the robot is busy.
+    /// Goals in their order; while the robot is busy, it drives to the first or samples there.
     goals: VecDeque<usize>,
     is_busy: bool,
     is_lost: bool,
-    /// Since when it waits, µs.
+    /// Start of the present waiting time, µs.
     idle_us: u64,
     waited_us: u64,
     driven_m: f64,
@@ -125,13 +127,13 @@ pub struct Mission {
     scene: Scene,
     soil: Soil,
     truth_kpa: Vec<f64>,
-    /// Of the samples that were taken.
+    /// Map of the samples that were taken.
     map: Map,
-    /// With the samples that are still to be taken.
+    /// Map that also contains the samples still to be taken.
     planned: Map,
     robots: Vec<Robot>,
     goals: Vec<Goal>,
-    /// Cells that wait for the allocation.
+    /// Cells that wait for their allocation.
     cells: Vec<usize>,
     created: usize,
     is_planning: bool,
@@ -141,7 +143,7 @@ pub struct Mission {
 }
 
 impl Mission {
-    /// A mission before its start.
+    /// Creates a mission before its start.
     #[must_use]
     pub fn new(scene: Scene) -> Self {
         let map = Map::new(scene.side_m, scene.cells);
@@ -164,31 +166,31 @@ impl Mission {
         }
     }
 
-    /// The scene.
+    /// Scene of the mission.
     #[must_use]
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// All goals so far.
+    /// All goals created so far.
     #[must_use]
     pub fn goals(&self) -> &[Goal] {
         &self.goals
     }
 
-    /// The samples so far.
+    /// All samples taken so far.
     #[must_use]
     pub fn taken(&self) -> &[Taken] {
         &self.taken
     }
 
-    /// The map of the samples so far.
+    /// Map of the samples taken so far.
     #[must_use]
     pub fn map(&self) -> &Map {
         &self.map
     }
 
-    /// The true soil in the middle of each cell, kPa.
+    /// True penetration resistance in the middle of each cell, kPa.
     #[must_use]
     pub fn truth_kpa(&self) -> &[f64] {
         &self.truth_kpa
@@ -201,13 +203,13 @@ impl Mission {
         rmse(&self.truth_kpa, self.map.mean_kpa()).unwrap_or(f64::NAN)
     }
 
-    /// The same before the first sample.
+    /// Root mean square error of the map before the first sample, kPa.
     #[must_use]
     pub fn first_rmse_kpa(&self) -> f64 {
         self.first_rmse_kpa
     }
 
-    /// When it ended, µs.
+    /// Time at which the mission ended, µs; `None` while it runs.
     #[must_use]
     pub fn ended_us(&self) -> Option<u64> {
         self.ended_us
@@ -218,12 +220,12 @@ impl Mission {
         self.robots.iter().map(|robot| robot.driven_m)
     }
 
-    /// How long each robot waited for goals, s.
+    /// Total waiting time of each robot without goals, s.
     pub fn waited_s(&self) -> impl Iterator<Item = f64> + '_ {
         self.robots.iter().map(|robot| robot.waited_us as f64 * 1e-6)
     }
 
-    /// The goal that a robot was busy with has ended.
+    /// Ends the goal that a robot is busy with, and returns its number.
     fn ended(&mut self, robot: usize, event: Event, now_us: u64) -> Result<Option<usize>, Impossible> {
         let Some(goal) = self.robots[robot].goals.pop_front() else { return Ok(None) };
         self.happens(goal, event)?;
@@ -239,6 +241,7 @@ impl Mission {
 
     fn take(&mut self, at_us: u64, robot: usize, goal: Option<usize>, place_m: [f64; 2]) {
         let Some(cell) = goal.map(|goal| self.goals[goal].cell) else { return };
+        // Noise by cell, not by time: a reading does not depend on the order of the samples.
         let noise_kpa = Sampler::new(self.scene.seed, OF_SAMPLES + cell as u64).normal(NOISE_OF_SAMPLE_KPA);
         let value_kpa = self.soil.at(place_m) + noise_kpa;
         self.map.add(cell, Some(value_kpa));
@@ -246,13 +249,14 @@ impl Mission {
         self.taken.push(Taken { at_us, robot, place_m, value_kpa, rmse_kpa });
     }
 
-    /// A robot's goals are for others.
+    /// Marks a robot as lost and returns its goals to the allocation.
     fn lose(&mut self, robot: usize, reason: &str, now_us: u64) -> Result<(), Impossible> {
         let lost = &mut self.robots[robot];
         lost.is_lost = true;
         let is_busy = std::mem::replace(&mut lost.is_busy, false);
         lost.idle_us = now_us;
         for (index, goal) in std::mem::take(&mut lost.goals).into_iter().enumerate() {
+            // Only the goal that the robot was busy with is aborted; waiting ones are recalled.
             if index == 0 && is_busy {
                 self.happens(goal, Event::Abort)?;
                 self.goals[goal].reason = Some(reason.to_owned());
@@ -265,8 +269,10 @@ impl Mission {
         Ok(())
     }
 
-    /// Time is up: nothing is created any more, waiting goals are recalled, robots on their way stop.
+    /// Cancels everything at the deadline: no goal is created any more, waiting goals are recalled, driving robots
+    /// stop.
     fn cancel_all(&mut self, orders: &mut Vec<Order>) -> Result<(), Impossible> {
+        // As if all goals had been created, so that `plan` creates no more.
         self.created = self.scene.samples;
         self.cells.clear();
         self.is_planning = false;
@@ -298,7 +304,7 @@ impl Mission {
         Ok(())
     }
 
-    /// Creates the next goals when a robot has none: where the map is least certain, one after the other.
+    /// Creates the next goals when a robot has none: one after the other, each where the map's variance is largest.
     fn plan(&mut self, orders: &mut Vec<Order>) {
         let has_idle = self.robots.iter().any(|robot| !robot.is_lost && !robot.is_busy);
         let more = self.scene.samples - self.created;
@@ -309,7 +315,9 @@ impl Mission {
         let mut work = Work::default();
         for _ in 0..more.min(BATCH_PER_ROBOT * robots) {
             let cell = self.planned.least_known();
+            // The cost of kriging: every cell is updated by every earlier sample.
             work.updates += (self.planned.cells() * (self.created + 1)) as u64;
+            // The planned sample lowers the variance at once, so that the next goal is placed elsewhere.
             self.planned.add(cell, None);
             self.cells.push(cell);
             self.created += 1;
@@ -320,15 +328,15 @@ impl Mission {
         orders.push(Order::Plan(work));
     }
 
-    /// Sequential single-item auctions: of all robots and goals, the pair with the shortest path of the robot up to and with the goal
-    /// is closed first.
+    /// Allocates cells by sequential single-item auctions. Of all robots and goals, the pair with the shortest total
+    /// path of the robot, including the goal, is closed first.
     ///
     /// # Source
     /// Koenig et al., "The power of sequential single-item auctions for agent coordination", AAAI 2006, with the objective `MiniMax`.
     fn allocate(&mut self) {
         let mut paths: Vec<(usize, f64, [f64; 2])> = Vec::new();
         for (robot, state) in self.robots.iter().enumerate().filter(|(_, state)| !state.is_lost) {
-            // Its path through the goals that it has, from the last one that it ended or where it started.
+            // The robot's path through its goals, from the last goal that it reached, or from its start.
             let ended = self.goals.iter().rev().find(|goal| goal.robot == robot && goal.state == State::Succeeded);
             let start = self.scene.starts[robot];
             let mut at_m = ended.map_or([start.x_m, start.y_m], |goal| self.map.place_m(goal.cell));
@@ -349,6 +357,7 @@ impl Mission {
             for (path, (_, length_m, at_m)) in paths.iter().enumerate() {
                 for (index, cell) in cells.iter().enumerate() {
                     let bid_m = length_m + distance_m(*at_m, self.map.place_m(*cell));
+                    // Strictly less: equal bids go to the lower number, so that the result is reproducible.
                     if bid_m < best.0 {
                         best = (bid_m, path, index);
                     }
@@ -363,7 +372,7 @@ impl Mission {
         }
     }
 
-    /// Ends when nothing is left to be done, or nobody to do it.
+    /// Ends the mission when no work remains, or no robot.
     fn end(&mut self, now_us: u64, orders: &mut Vec<Order>) {
         let is_done = self.created == self.scene.samples
             && self.cells.is_empty()
@@ -393,6 +402,7 @@ impl Program for Mission {
     }
 
     fn handle(&mut self, now_us: u64, input: Input, orders: &mut Vec<Order>) -> Result<(), Impossible> {
+        // Reports that cross the end of the mission are ignored.
         if self.ended_us.is_some() {
             return Ok(());
         }
@@ -420,6 +430,7 @@ impl Program for Mission {
             }
             Input::Failed(robot, reason) => self.lose(robot, &reason, now_us)?,
         }
+        // In this order: idle robots take waiting goals before new ones are planned.
         self.dispatch(now_us, orders)?;
         self.plan(orders);
         self.end(now_us, orders);

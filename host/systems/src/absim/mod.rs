@@ -4,18 +4,20 @@
 //! is a wait of distance over speed behind the standard action interface, and simulated time is slowed to real time while the coordinator
 //! computes. Shown on soil-compaction mapping: 2.87 times real time at a nominal 10, 14.18 at 15, of which the second gave other results.
 //!
-//! One [`mission`] creates sampling goals where the map is least certain and auctions them. A [`fleet`] runs it on the event clock of
-//! `r4-rig`, with robots of two fidelities: [`boards`], each with its firmware, wheels and body; and timed events of a [`queue`], by the
-//! trapezoid of [`motion`], whose numbers are identified from boards ([`calibration`]). Goals have the states of a ROS action server
-//! ([`action`]). [`wall`] is how compute time comes into simulated time, the paper's way and ours; [`soil`] the field and its map.
+//! One [`mission`] creates sampling goals where the map is least certain and auctions them. A [`fleet`] runs it on the
+//! event clock of `r4-rig`, with robots of two fidelities: [`boards`], each with its firmware, wheels and body; and
+//! timed events of a [`queue`], by the trapezoid of [`motion`], whose parameters are identified from boards
+//! ([`calibration`]). Goals have the states of a ROS action server ([`action`]). [`wall`] converts compute time to
+//! simulated time, by the paper's method and ours; [`soil`] has the field and its map.
 //!
 //! # Repairs
 //! - "Multiplying Euclidean distance by a given constant speed": a division is meant.
-//! - The published package has the position `v t - v²/(2a)` on the way, which is negative at first, and a duration of `D/v + v/(2a)`: half
-//!   of the ramps. [`motion::Trapezoid`] has both ramps, and legs too short for the top speed.
+//! - The published package has the position `v t - v²/(2a)` during a leg, which is negative at first, and a duration of
+//!   `D/v + v/(2a)`: half of the ramps. [`motion::Trapezoid`] has both ramps, and legs too short for the top speed.
 //! - Its poses are updated every 2 s, so that a preemption is late by as much; here it is an event like others.
-//! - 2.87 at a nominal 10 means that 27.6 % of simulated time ran at 1, 14.18 at 15 means 0.41 %: in the second experiment the slow-down
-//!   practically never acted ([`wall::share_at_1`]). With the first's share, a nominal 15 gives 3.08.
+//! - 2.87 at a nominal 10 means that 27.6 % of simulated time ran at 1; 14.18 at 15 means 0.41 %. In the second
+//!   experiment the slow-down practically never acted ([`wall::share_at_1`]). With the first's share, a nominal 15
+//!   gives 3.08.
 
 pub mod action;
 pub mod boards;
@@ -44,14 +46,14 @@ use motion::Motion;
 use scene::Scene;
 use wall::{Charging, Wall};
 
-/// The system.
+/// Robot system ABSIM, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Absim;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "absim";
 
-/// Arms.
+/// Names of the arms.
 const PRINTED: &str = "paper";
 const FASTER: &str = "baseline:15x";
 const FASTER_SLOWED: &str = "baseline:15x-slowed";
@@ -62,9 +64,9 @@ const PERFECT: &str = "ablation:perfect-actuators";
 const BOARDS: &str = "baseline:boards";
 const ONE_BOARD: &str = "baseline:one-board";
 
-/// Speeds of simulated time, against the wall, at which a result must be the same.
+/// Factors of simulated time over wall time at which a result must be the same.
 const SPEEDS: [f64; 4] = [1.0, 10.0, 15.0, 1_000.0];
-/// Nominal factors of the paper.
+/// Nominal factors printed in the paper.
 const NOMINAL: f64 = 10.0;
 const NOMINAL_FASTER: f64 = 15.0;
 
@@ -81,7 +83,7 @@ const MEDIAN: Statistic = Statistic::Quantile(0.5);
 const LEAST: Statistic = Statistic::Quantile(0.0);
 const MOST: Statistic = Statistic::Quantile(1.0);
 
-/// Arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {
@@ -176,7 +178,7 @@ impl System for Absim {
     }
 }
 
-/// A run of the abstract fidelity.
+/// Runs a mission at the abstract fidelity.
 fn timed_run(
     scene: Scene,
     robot: Fidelity,
@@ -191,7 +193,8 @@ fn timed_run(
     run.alone(Pace::Free)
 }
 
-/// One trial of an arm without boards, and the runs that it is compared with: of other speeds and orders.
+/// Runs one trial of an arm without boards. Also returns the runs that it is compared with: those at other speeds and
+/// in other orders.
 fn abstracted(trial: &Trial, arm: &str) -> Result<(Run<Mission>, Vec<Run<Mission>>), Error> {
     let scene = Scene::of(trial.seed);
     let printed = |factor: f64, slows: bool| {
@@ -212,10 +215,12 @@ fn abstracted(trial: &Trial, arm: &str) -> Result<(Run<Mission>, Vec<Run<Mission
                 _ => (NOMINAL_FASTER, true),
             };
             run = printed(factor, slows)?;
+            // The reference runs at real time.
             others.push(printed(1.0, slows)?);
         }
         OURS => {
             run = ours(calibrated, Charging::Declared, SPEEDS[0], false)?;
+            // Neither the speed nor the order of orders may change a result.
             for factor in SPEEDS {
                 for is_reversed in [false, true] {
                     others.push(ours(calibrated, Charging::Declared, factor, is_reversed)?);
@@ -234,7 +239,7 @@ fn abstracted(trial: &Trial, arm: &str) -> Result<(Run<Mission>, Vec<Run<Mission
     Ok((run, others))
 }
 
-/// Metrics of a run beside others of its arm.
+/// Computes the metrics of a run, and its agreement with the other runs of its arm.
 fn compare(arm: &str, run: &Run<Mission>, others: &[Run<Mission>]) -> Values {
     let mut values = evaluate(run);
     if !others.is_empty() {
@@ -249,7 +254,7 @@ fn compare(arm: &str, run: &Run<Mission>, others: &[Run<Mission>]) -> Values {
     values
 }
 
-/// A trial of boards, and how far the abstract fidelities of the same scene are from it.
+/// Runs a trial of boards, and computes the errors of the abstract fidelities on the same scene.
 fn on_boards(trial: &Trial, scene: Scene) -> Result<Values, Error> {
     let wall = Wall::new(scene.seed, 1.0, Charging::Declared);
     let (run, driven) = boards::run(trial, Mission::new(scene.clone()), wall, None)?;
@@ -272,7 +277,7 @@ fn completion_s(run: &Run<Mission>) -> f64 {
     run.mission.ended_us().map_or(f64::NAN, |at_us| at_us as f64 * 1e-6)
 }
 
-/// The metrics of a study of mapping, in the order of [`NAMES`].
+/// Metrics of a mapping study that are compared between runs, in the order of [`compared`].
 const NAMES: [&str; 5] =
     ["completion_s", "distance_per_robot_m", "waiting_per_robot_s", "map_rmse_kpa", "map_rmse_over_time_kpa"];
 
@@ -280,7 +285,7 @@ fn compared(run: &Run<Mission>) -> [f64; 5] {
     let mission = &run.mission;
     let robots = mission.scene().robots as f64;
     let taken = mission.taken();
-    // The error holds from one sample to the next; before the first, from the start on.
+    // The map's error is constant from one sample to the next; before the first sample it is that of the prior.
     let mut over_time = 0.0;
     let mut before = (0.0, mission.first_rmse_kpa());
     for sample in taken {
@@ -308,14 +313,15 @@ fn evaluate(run: &Run<Mission>) -> Values {
     values
 }
 
-/// Cosine similarity of two runs' metrics, each over that of the second run: otherwise the one with the largest unit decides alone.
+/// Cosine similarity of two runs' metrics, each divided by that of the second run: otherwise the metric with the
+/// largest unit decides alone.
 fn cosine(run: &[f64; 5], reference: &[f64; 5]) -> f64 {
     let relative = run.iter().zip(reference).map(|(value, reference)| value / reference);
     let (sum, squares) = relative.fold((0.0, 0.0), |(sum, squares), value| (sum + value, squares + value * value));
     sum / (squares * run.len() as f64).sqrt()
 }
 
-/// Whether goals, samples and metrics of two runs are equal to the last bit.
+/// Returns true when goals, samples and metrics of two runs are equal to the last bit.
 fn is_same(run: &Run<Mission>, other: &Run<Mission>) -> bool {
     let bits = |run: &Run<Mission>| compared(run).map(f64::to_bits);
     bits(run) == bits(other)

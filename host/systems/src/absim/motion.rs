@@ -1,21 +1,21 @@
-//! How long a leg of a robot takes: a turn on the spot towards the goal, then a straight line.
+//! Duration of a robot's leg: a turn on the spot towards the goal, then a straight line.
 
 use std::f64::consts::PI;
 
 use r4_rig::Place;
 use serde::Serialize;
 
-/// From rest to rest with limited speed and acceleration, over a distance or an angle.
+/// Trapezoidal speed profile over a distance or an angle, from rest to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Trapezoid {
-    /// m/s or rad/s
+    /// Top speed, m/s or rad/s.
     pub speed: f64,
-    /// m/s² or rad/s², at both ends.
+    /// Acceleration and deceleration, m/s² or rad/s².
     pub acceleration: f64,
 }
 
 impl Trapezoid {
-    /// Length from which the top speed is reached: `v² / a`.
+    /// Length from which on the top speed is reached, m or rad: `v² / a`.
     #[must_use]
     pub fn full_speed_from(self) -> f64 {
         self.speed * self.speed / self.acceleration
@@ -31,7 +31,7 @@ impl Trapezoid {
         }
     }
 
-    /// Length that is covered `time_s` after the start of a motion over `length`.
+    /// Length covered `time_s` after the start of a motion over `length`, m or rad.
     #[must_use]
     pub fn covered(self, length: f64, time_s: f64) -> f64 {
         let Self { speed, acceleration } = self;
@@ -40,7 +40,7 @@ impl Trapezoid {
         let ramp_s = (speed / acceleration).min(duration_s / 2.0);
         let left_s = duration_s - time_s;
         if ramp_s == 0.0 {
-            // Without ramps: an infinite acceleration has no square of time to be multiplied by.
+            // An infinite acceleration has no ramps: multiplied by a time of 0 it would be NaN.
             speed * time_s
         } else if time_s <= ramp_s {
             acceleration * time_s * time_s / 2.0
@@ -52,22 +52,22 @@ impl Trapezoid {
     }
 }
 
-/// How a robot turns on the spot, from rest to rest.
+/// Turn on the spot, from rest to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum Turn {
-    /// In no time.
+    /// Turns that take no time.
     Free,
-    /// With ramps of the turn rate.
+    /// Turns with ramps of the turn rate.
     Ramps(Trapezoid),
-    /// At a rate in proportion to the angle that remains, with a limit: the law of [`r4_rig::Follower`].
+    /// Turns at a rate proportional to the remaining angle, with a limit: the law of [`r4_rig::Follower`].
     Proportional {
-        /// Limit of the rate, rad/s.
+        /// Limit of the turn rate, rad/s.
         rate_rad_s: f64,
-        /// Angle that remains over the rate, s.
+        /// Remaining angle over turn rate, s.
         time_constant_s: f64,
-        /// Smaller angles are turned on the way, rad.
+        /// Threshold of turns on the spot, rad; smaller angles are turned while the robot travels.
         from_rad: f64,
-        /// The turn ends at this angle, rad; the rest is turned on the way.
+        /// Remaining angle at which the turn ends, rad; it is turned while the robot travels.
         to_rad: f64,
     },
 }
@@ -88,7 +88,8 @@ impl Turn {
         }
     }
 
-    /// Angle that is turned `time_s` after the start of a turn by `angle_rad`, rad. What a proportional turn leaves is turned at its end.
+    /// Angle turned `time_s` after the start of a turn by `angle_rad`, rad. The remainder of a proportional turn is
+    /// turned at its end.
     #[must_use]
     pub fn turned_rad(self, angle_rad: f64, time_s: f64) -> f64 {
         if time_s >= self.duration_s(angle_rad) {
@@ -110,27 +111,27 @@ impl Turn {
     }
 }
 
-/// How a robot moves from goal to goal, in the abstract fidelity.
+/// Motion of a robot from goal to goal, at the abstract fidelity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Motion {
-    /// Straight lines.
+    /// Profile of straight lines, m/s and m/s².
     pub travel: Trapezoid,
-    /// Turns on the spot, before them.
+    /// Turn on the spot before each line.
     pub turn: Turn,
-    /// A goal counts as reached this far in front of it, m.
+    /// Distance in front of a goal at which it counts as reached, m.
     pub reached_m: f64,
 }
 
-/// The constant speed of the paper's arm, m/s: that which the boards are driven at, so that no arm has a faster robot. The published
-/// package has 0.5 m/s.
+/// Constant speed of the paper's arm, m/s: that of the boards, so that no arm has a faster robot. The published package
+/// has 0.5 m/s.
 const SPEED_M_S: f64 = 0.4;
 
 impl Motion {
-    /// The paper's: distance over speed, without ramps and turns.
+    /// Motion of the paper: distance over speed, without ramps and turns.
     pub const PRINTED: Self =
         Self { travel: Trapezoid { speed: SPEED_M_S, acceleration: f64::INFINITY }, turn: Turn::Free, reached_m: 0.0 };
 
-    /// What is known before any leg was driven: the speeds that are asked for, 0.4 m/s and 1 rad/s, and the 1 m/s² of the wheels'
+    /// Motion known before any leg was driven: the requested speeds, 0.4 m/s and 1 rad/s, and the 1 m/s² of the wheels'
     /// profile, which are 5.7 rad/s² at wheels 0.175 m off the middle.
     pub const NOMINAL: Self = Self {
         travel: Trapezoid { speed: SPEED_M_S, acceleration: 1.0 },
@@ -138,13 +139,13 @@ impl Motion {
         reached_m: 0.0,
     };
 
-    /// The same without time for turns.
+    /// Returns the same motion without time for turns.
     #[must_use]
     pub fn without_turns(self) -> Self {
         Self { turn: Turn::Free, ..self }
     }
 
-    /// The leg from a place to a goal, from rest to rest.
+    /// Leg from a pose to a goal, from rest to rest.
     #[must_use]
     pub fn leg(&self, from: Place, goal_m: [f64; 2]) -> Leg {
         let (x_m, y_m) = (goal_m[0] - from.x_m, goal_m[1] - from.y_m);
@@ -155,7 +156,7 @@ impl Motion {
     }
 }
 
-/// A robot's way from rest at a place to rest at a goal.
+/// A robot's leg from rest at a pose to rest at a goal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Leg {
     motion: Motion,
@@ -167,19 +168,19 @@ pub struct Leg {
 }
 
 impl Leg {
-    /// Duration, s.
+    /// Duration of the leg, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.turn_s + self.travel_s
     }
 
-    /// Path length that is covered `time_s` after the start, m.
+    /// Path length covered `time_s` after the start, m.
     #[must_use]
     pub fn covered_m(&self, time_s: f64) -> f64 {
         self.motion.travel.covered(self.length_m, time_s - self.turn_s)
     }
 
-    /// Place `time_s` after the start.
+    /// Pose `time_s` after the start.
     #[must_use]
     pub fn at(&self, time_s: f64) -> Place {
         let turned_rad = self.turn_rad.signum() * self.motion.turn.turned_rad(self.turn_rad.abs(), time_s);
@@ -193,7 +194,7 @@ impl Leg {
     }
 }
 
-/// The same angle within half a turn.
+/// Wraps an angle to -π..π, rad.
 fn wrapped(angle_rad: f64) -> f64 {
     (angle_rad + PI).rem_euclid(2.0 * PI) - PI
 }

@@ -1,4 +1,4 @@
-//! Curves and views of a trial.
+//! Figure and maps of a trial.
 
 use super::{
     BOARDS, FASTER, OURS, PRINTED, abstracted, boards,
@@ -8,10 +8,10 @@ use super::{
 };
 use crate::{Curve, Error, Figure, Panel, Trial, View};
 
-/// Names of robots in legends.
+/// Names of the robots in legends.
 const ROBOTS: [&str; 4] = ["robot 1", "robot 2", "robot 3", "robot 4"];
 
-/// Error of the map over time: the paper's runs at both factors, ours, and boards.
+/// Draws the error of the map over time: the paper's runs at both factors, ours, and boards.
 pub(super) fn figure(trial: &Trial) -> Result<Figure, Error> {
     let mut curves = Vec::new();
     for (name, arm) in
@@ -31,7 +31,7 @@ pub(super) fn figure(trial: &Trial) -> Result<Figure, Error> {
     })
 }
 
-/// The true soil with the boards' paths, and the map of their samples.
+/// Draws the true soil with the boards' paths, and the map of their samples.
 pub(super) fn views(trial: &Trial) -> Result<Vec<View>, Error> {
     let (mission, driven) = on_boards(trial)?;
     let Scene { side_m, cells, .. } = *mission.scene();
@@ -64,7 +64,7 @@ fn on_boards(trial: &Trial) -> Result<(Mission, Vec<boards::Driven>), Error> {
     Ok((run.mission, driven))
 }
 
-/// Error of the map as a stair: it changes with each sample.
+/// Error of the map over time as steps: it changes with each sample.
 fn errors(mission: &Mission) -> Vec<(f64, f64)> {
     let mut points = vec![(0.0, mission.first_rmse_kpa())];
     for sample in mission.taken() {

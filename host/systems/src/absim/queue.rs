@@ -1,9 +1,9 @@
-//! Timed events in the order of time, and at one time in an order of their own.
+//! Queue of timed events, ordered by time and, at the same time, by the events themselves.
 
 use std::{cmp::Reverse, collections::BinaryHeap};
 
-/// Events by time. Those of the same time come out in the order of `E`, not in that of their insertion: who was charged first changes
-/// nothing.
+/// Event queue. Events of the same time come out in the order of `E`, not in that of their insertion, so that the order
+/// of computation changes nothing.
 #[derive(Clone, Debug)]
 pub struct Queue<E>(BinaryHeap<Reverse<(u64, E)>>);
 
@@ -19,13 +19,13 @@ impl<E: Ord> Queue<E> {
         self.0.push(Reverse((at_us, event)));
     }
 
-    /// Time of the next event, µs.
+    /// Time of the next event, µs; `None` when the queue is empty.
     #[must_use]
     pub fn next_us(&self) -> Option<u64> {
         self.0.peek().map(|Reverse((at_us, _))| *at_us)
     }
 
-    /// The next event with its time, if that is `now_us` or before.
+    /// Removes the next event and returns it with its time, if that is at most `now_us`.
     pub fn pop_due(&mut self, now_us: u64) -> Option<(u64, E)> {
         if self.next_us()? > now_us {
             return None;

@@ -1,25 +1,25 @@
-//! A field with soil compaction, and its map from samples.
+//! Field of soil compaction, and its map from samples.
 //!
-//! The field that a seed makes and the map share no code: the field is a sum of waves, the map is kriging with a covariance of another
-//! shape.
+//! The sampled field and the map share no code: the field is a sum of waves, the map is kriging with a covariance of
+//! another shape.
 
 use std::f64::consts::TAU;
 
 use crate::sampler::Sampler;
 
-/// Purpose of random numbers.
+/// Purpose of the random numbers of the field.
 const OF_FIELD: u64 = 11;
 
-/// Mean of the field, kPa: roots grow badly above it, so a farmer asks where it is exceeded. Declared.
+/// Mean of the field, kPa. Roots grow badly above it, so that a farmer asks where it is exceeded. Declared.
 const MEAN_KPA: f64 = 2_000.0;
-/// What the map assumes about the field before the first sample: standard deviation, kPa, and range, m. The
-/// middles of what the seeds sample.
+/// Prior of the map before the first sample: standard deviation, kPa, and range, m. The middle of the sampled ranges;
+/// 6 m of the map's Matérn covariance fall off nearly as 4.5 m of the field's Gaussian one.
 const PRIOR_KPA: f64 = 450.0;
 const RANGE_M: f64 = 6.0;
 /// Standard deviation of a penetrometer's reading, kPa. Declared.
 pub const NOISE_OF_SAMPLE_KPA: f64 = 50.0;
 
-/// Waves of a field. 100 make its values normal to within what a map can tell.
+/// Number of waves in a field. With 100 the distribution of its values is normal to within what a map can resolve.
 const WAVES: usize = 100;
 
 /// Penetration resistance over a square field, kPa: a declared random field, not a measured one.
@@ -32,7 +32,7 @@ pub struct Soil {
 }
 
 impl Soil {
-    /// The field of a seed. [`About::sampled`](crate::About::sampled) has the ranges.
+    /// Samples the field of a seed. [`About::sampled`](crate::About::sampled) has the ranges.
     #[must_use]
     pub fn of(seed: u64) -> Self {
         let mut sampler = Sampler::new(seed, OF_FIELD);
@@ -44,7 +44,7 @@ impl Soil {
         Self { mean_kpa: MEAN_KPA, deviation_kpa, waves: (0..WAVES).map(&mut wave).collect() }
     }
 
-    /// Penetration resistance at a place, kPa.
+    /// Penetration resistance at a position, kPa.
     #[must_use]
     pub fn at(&self, [x_m, y_m]: [f64; 2]) -> f64 {
         let sum: f64 = self.waves.iter().map(|[x, y, phase]| (x * x_m + y * y_m + phase).cos()).sum();
@@ -60,14 +60,14 @@ impl Soil {
 #[derive(Clone, Debug)]
 pub struct Map {
     cells_m: Vec<[f64; 2]>,
-    /// Over samples, then over cells.
+    /// Rows of the Cholesky factor: over samples, then over cells.
     rows: Vec<Vec<f64>>,
     mean_kpa: Vec<f64>,
     variance: Vec<f64>,
 }
 
 impl Map {
-    /// A map of `cells` by `cells` over a field of this side, m, without samples.
+    /// Creates a map without samples, of `cells` by `cells` over a field of side `side_m`.
     #[must_use]
     pub fn new(side_m: f64, cells: usize) -> Self {
         let cell_m = side_m / cells as f64;
@@ -77,25 +77,25 @@ impl Map {
         Self { cells_m, rows: Vec::new(), mean_kpa, variance }
     }
 
-    /// Middle of a cell, m.
+    /// Middle of a cell, m from the field's origin.
     #[must_use]
     pub fn place_m(&self, cell: usize) -> [f64; 2] {
         self.cells_m[cell]
     }
 
-    /// Number of cells.
+    /// Number of cells in the map.
     #[must_use]
     pub fn cells(&self) -> usize {
         self.cells_m.len()
     }
 
-    /// Mean of each cell, kPa, row by row.
+    /// Estimated mean of each cell, kPa, row by row.
     #[must_use]
     pub fn mean_kpa(&self) -> &[f64] {
         &self.mean_kpa
     }
 
-    /// The cell of greatest kriging variance; of several, the first.
+    /// Index of the cell with the largest kriging variance; of several, the first.
     #[must_use]
     pub fn least_known(&self) -> usize {
         let mut best = 0;
@@ -107,7 +107,8 @@ impl Map {
         best
     }
 
-    /// Takes a sample in the middle of a cell; one without a value, which is still to be taken, lowers the variance only.
+    /// Adds a sample in the middle of a cell. A sample without a value, which is still to be taken, only reduces the
+    /// variance.
     pub fn add(&mut self, cell: usize, value_kpa: Option<f64>) {
         let [x_m, y_m] = self.cells_m[cell];
         let at_sample: Vec<f64> = self.rows.iter().map(|row| row[cell]).collect();
@@ -129,7 +130,7 @@ impl Map {
         self.rows.push(row);
     }
 
-    /// The true soil in the middle of each cell, kPa.
+    /// True penetration resistance in the middle of each cell, kPa.
     #[must_use]
     pub fn truth_kpa(&self, soil: &Soil) -> Vec<f64> {
         self.cells_m.iter().map(|place_m| soil.at(*place_m)).collect()

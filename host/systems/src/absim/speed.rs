@@ -1,4 +1,4 @@
-//! How fast this machine simulates abstract fleets, on one core.
+//! Benchmark of the simulation speed of abstract fleets, on one core.
 
 use std::time::Instant;
 
@@ -18,27 +18,28 @@ use super::{
 };
 use crate::{Error, Limit, Row, Statistic, Summary, sampler::Sampler};
 
-/// Robots of the fleet that is promised to run at 1000 times real time, and the side of its field, m.
+/// Number of robots in the fleet that must run at 1000 times real time, and the side of its field, m.
 const ROBOTS: usize = 20;
 const SIDE_M: f64 = 50.0;
 /// Samples of its mission: eight for each robot.
 const SAMPLES: usize = 160;
-/// Numbers of robots whose cost is compared.
+/// Numbers of robots whose costs are compared.
 const SIZES: [usize; 6] = [20, 50, 100, 200, 500, 1_000];
-/// Goals of each robot in these fleets.
+/// Number of goals for each robot in these fleets.
 const GOALS: usize = 50;
-/// Runs of each fleet, of which the fastest counts: what else the machine does only adds to it.
+/// Number of runs of each fleet, of which the fastest counts: other load on the computer only adds time.
 const FASTEST_OF: usize = 5;
 /// Repeats of each measurement, and of a quick one.
 const REPEATS: usize = 20;
 const QUICK_REPEATS: usize = 5;
 
-/// Robots that go from goal to goal, each for itself: navigation and its events alone, without a coordinator.
+/// Robots that drive from goal to goal independently: the cost of navigation and its events alone, without a
+/// coordinator.
 struct Patrol {
     starts: Vec<Place>,
     goals_m: Vec<Vec<[f64; 2]>>,
     state: Vec<State>,
-    /// Goals that were not reached yet.
+    /// Number of goals not reached yet.
     open: usize,
 }
 
@@ -87,7 +88,8 @@ impl Program for Patrol {
     }
 }
 
-/// Rows about speed: a mission with charged compute time, one of 20 robots without, and how cost grows with robots.
+/// Rows about speed: a mission with charged compute time, a mission of 20 robots without it, and the growth of cost
+/// with the number of robots.
 pub(super) fn rows(is_quick: bool) -> Result<Vec<Row>, Error> {
     let repeats = if is_quick { QUICK_REPEATS } else { REPEATS };
     let seeds = [1_001, 1_000 + repeats as u64];
@@ -97,8 +99,9 @@ pub(super) fn rows(is_quick: bool) -> Result<Vec<Row>, Error> {
     let mut rows = Vec::new();
     let many = |seed| Scene::sampled(seed, ROBOTS, SIDE_M, SAMPLES);
     let cases: [(_, &dyn Fn(u64) -> Scene, _, _); 2] = [
-        // The paper's at a nominal 15. In the study's scenes a quarter of simulated time is computed; with 20 robots nearly all of it
-        // would be, and skipping that is no merit.
+        // Against the paper's factor at a nominal 15. In the study's scenes the coordinator computes for a quarter
+        // of simulated time; with 20 robots it would compute nearly always, and skipping that time would flatter the
+        // simulator.
         ("real_time_factor_charged", &Scene::of, Charging::Declared, 14.18),
         ("real_time_factor_20_robots", &many, Charging::Free, 1_000.0),
     ];
@@ -117,7 +120,7 @@ pub(super) fn rows(is_quick: bool) -> Result<Vec<Row>, Error> {
     Ok(rows)
 }
 
-/// Simulated seconds in one on the wall, of a mission with all that its coordinator really computes.
+/// Simulated seconds per second of wall time, for a mission whose coordinator really computes.
 fn factor(scene: Scene, charging: Charging) -> Result<f64, Error> {
     let (robots, wall) = (vec![Fidelity::Abstract(CALIBRATED); scene.robots], Wall::new(scene.seed, 1.0, charging));
     let run = Run::new(Mission::new(scene), robots, wall);
@@ -126,7 +129,7 @@ fn factor(scene: Scene, charging: Charging) -> Result<f64, Error> {
     Ok(completion_s(&run) / begin.elapsed().as_secs_f64())
 }
 
-/// Duration of a patrol on the wall, s.
+/// Wall time of a patrol, s.
 fn patrol_s(robots: usize, seed: u64) -> Result<f64, Error> {
     let mut fastest_s = f64::INFINITY;
     for _ in 0..FASTEST_OF {
@@ -139,7 +142,7 @@ fn patrol_s(robots: usize, seed: u64) -> Result<f64, Error> {
     Ok(fastest_s)
 }
 
-/// Exponent of cost against robots: slope of the logarithms, with its 95 % confidence interval.
+/// Exponent of cost over the number of robots: slope of the logarithms, with its 95 % confidence interval.
 fn exponent(points: &[(usize, f64)]) -> Result<Summary, Error> {
     let design =
         DMatrix::from_fn(points.len(), 2, |row, column| if column == 0 { 1.0 } else { (points[row].0 as f64).ln() });

@@ -22,7 +22,7 @@ fn mission_of(scene: Scene, charging: Charging) -> Run<Mission> {
 }
 
 proptest! {
-    /// Against the speed profile `min(v, a t, a (T - t))`, integrated by the midpoint rule.
+    /// Compares with the integral of the speed profile `min(v, a t, a (T - t))` by the midpoint rule.
     #[test]
     fn a_trapezoid_covers_what_its_speed_profile_integrates_to(
         speed in 0.1..2.0f64, acceleration in 0.1..5.0f64, length in 0.01..20.0f64, share in 0.0..1.0f64,
@@ -38,14 +38,14 @@ proptest! {
             };
             (0..STEPS).map(at).sum::<f64>() * step_s
         };
-        // Two kinks in 2000 steps: each costs at most the slope times the square of a step.
+        // Two kinks in 2000 steps: each contributes at most the slope times the square of a step.
         let tolerance = 1e-9 + 2.0 * acceleration * (duration_s / 2_000.0).powi(2);
         prop_assert!((integral(duration_s) - length).abs() < tolerance, "{} {length}", integral(duration_s));
         let time_s = share * duration_s;
         prop_assert!((trapezoid.covered(length, time_s) - integral(time_s)).abs() < tolerance);
     }
 
-    /// A proportional turn ends where its own law says that the angle is small enough, without a jump before.
+    /// A proportional turn ends where its own law finds the angle small enough, without a jump before.
     #[test]
     fn a_proportional_turn_slows_down_to_its_end(angle_rad in 0.36..3.1f64, rate_rad_s in 0.3..2.0f64, tau_s in 0.1..1.0f64) {
         let turn = Turn::Proportional { rate_rad_s, time_constant_s: tau_s, from_rad: 0.35, to_rad: 0.05 };
@@ -73,13 +73,13 @@ fn short_legs_do_not_reach_the_top_speed_and_the_published_formula_is_negative_a
     assert_eq!([0.25, 3.0].map(|length| trapezoid.duration_s(length)), [2.0, 8.0]);
     let published = |time_s: f64| 0.5 * time_s - 0.5 * 0.5 / (2.0 * 0.25);
     assert!(published(0.5) < 0.0 && trapezoid.covered(3.0, 0.5) > 0.0);
-    // It is right on the plateau, by half a ramp late.
+    // It is right on the plateau, but half a ramp late.
     assert!((published(4.0) - trapezoid.covered(3.0, 4.0)).abs() < 1e-12);
     let paper = Motion::PRINTED.leg(r4_rig::Place::default(), [0.0, 9.0]);
     assert_eq!((paper.duration_s(), paper.covered_m(5.0), paper.covered_m(f64::INFINITY)), (22.5, 2.0, 9.0));
 }
 
-/// Every state with every event, against the table of the server's transitions.
+/// Every state with every event, against the transition table of the server.
 #[test]
 fn goals_have_the_states_of_an_action_server() {
     use Event::{Abort, Accept, Cancel, Canceled, Reject, Succeed};
@@ -119,7 +119,7 @@ fn events_of_one_time_come_in_their_own_order() {
     assert_eq!(popped([(5, 2), (5, 1), (5, 3), (20, 0)]), expected);
 }
 
-/// Against the equations of simple kriging, solved at once.
+/// Compares with the equations of simple kriging, solved at once.
 #[test]
 fn the_map_is_that_of_simple_kriging() {
     let mut map = Map::new(10.0, 5);
@@ -138,7 +138,7 @@ fn the_map_is_that_of_simple_kriging() {
     for cell in 0..map.cells() {
         let expected: f64 =
             samples.iter().zip(weights.iter()).map(|((at, _), weight)| weight * covariance(cell, *at)).sum();
-        // Rounding of numbers of a few thousand.
+        // Rounding errors of numbers of a few thousand.
         assert!((map.mean_kpa()[cell] - 2_000.0 - expected).abs() < 1e-8, "cell {cell}");
     }
 }
@@ -153,7 +153,7 @@ fn the_soil_of_a_seed_has_its_mean_and_spread() {
     assert!((mean - 2_000.0).abs() < 50.0 && (spread - 458.0).abs() < 50.0, "{mean} {spread}");
 }
 
-/// 2.87 at 10 and 14.18 at 15: the shares of two different experiments.
+/// The factors 2.87 at 10 and 14.18 at 15 imply different shares: two different experiments.
 #[test]
 fn the_slow_down_did_not_act_in_the_second_experiment() {
     let [share, faster] = wall::PRINTED.map(|(nominal, achieved)| wall::share_at_1(nominal, achieved));
@@ -170,7 +170,7 @@ fn the_papers_runs_depend_on_the_speed_and_ours_do_not() {
         let (slowed, faster, ours) = (of(PRINTED), of(FASTER), of(OURS));
         assert!(ours["cosine"] == 1.0 && ours["bit_equal"] == 1.0, "seed {seed}: {ours:?}");
         assert!(slowed["cosine"] < 1.0 && slowed["bit_equal"] == 0.0, "seed {seed}: {slowed:?}");
-        // The order that is printed: 0.87 at 15, "highly similar" at 10.
+        // The order of the printed results: 0.87 at 15, "highly similar" at 10.
         assert!(faster["cosine"] < slowed["cosine"], "seed {seed}: {faster:?}");
         assert!(faster["speed_factor"] > 14.0 && slowed["speed_factor"] < 4.0, "seed {seed}: {slowed:?}");
         // A single trial without turns may be auctioned into longer paths; their sum is not.
@@ -181,7 +181,7 @@ fn the_papers_runs_depend_on_the_speed_and_ours_do_not() {
     assert!(sums_s[1] < sums_s[0] && sums_s[2] < sums_s[0], "{sums_s:?}");
 }
 
-/// Real pacing: 200 s in 10 ms, in 2 ms, and as fast as it goes.
+/// Paces against the wall clock: 200 s in 10 ms, in 2 ms, and as fast as possible.
 #[test]
 fn a_clock_that_keeps_pace_with_the_wall_gives_the_same_bits() {
     let run = |pace, is_reversed| {
@@ -195,7 +195,7 @@ fn a_clock_that_keeps_pace_with_the_wall_gives_the_same_bits() {
     }
 }
 
-/// Goals of a lost robot go to the others, and those of the last one end with its reason.
+/// The goals of a lost robot go to the others; those of the last one end with its reason.
 #[test]
 fn no_goal_is_lost_with_its_robot() {
     for seed in 1..=20 {
@@ -221,7 +221,7 @@ fn no_goal_is_lost_with_its_robot() {
     assert!(states(State::Aborted) > 0 && states(State::Pending) + states(State::Active) == 0);
 }
 
-/// At the deadline robots stop where they are, in the same microsecond.
+/// Robots stop where they are at the deadline, in the same microsecond.
 #[test]
 fn a_preemption_is_immediate() {
     let scene = Scene { deadline_s: 45.25, ..Scene::of(2) };
@@ -236,7 +236,7 @@ fn a_preemption_is_immediate() {
     assert_eq!(run.mission.taken(), &whole.mission.taken()[..samples], "until then nothing is different");
 }
 
-/// A robot that reports what it cannot have done is an error, not a number.
+/// A report that contradicts the goal's state is an error, not a value.
 #[test]
 fn a_sample_without_a_goal_changes_nothing_and_a_second_end_is_refused() {
     let mut mission = Mission::new(Scene::small(1));
@@ -260,7 +260,7 @@ fn legs(seeds: std::ops::RangeInclusive<u64>) -> Vec<DrivenLeg> {
     seeds.flat_map(driven).flat_map(|driven| driven.legs).collect()
 }
 
-/// On legs of other, shorter runs than those that it was identified from.
+/// Checks the calibration on legs of other, shorter runs than those that it was identified from.
 #[test]
 fn the_calibration_is_right_on_legs_that_it_does_not_know() {
     let legs = legs(101..=104);
@@ -269,7 +269,7 @@ fn the_calibration_is_right_on_legs_that_it_does_not_know() {
         (squares.sum::<f64>() / legs.len() as f64).sqrt()
     };
     assert!(legs.len() >= 16);
-    // Three periods of the telemetry, and a tenth of what is known without boards.
+    // Limits: three periods of the telemetry, and a tenth of what is known without boards.
     let (after_s, before_s) = (rms_s(&calibration::CALIBRATED), rms_s(&Motion::NOMINAL));
     assert!(after_s < 0.06 && before_s > 0.3, "{after_s} s, {before_s} s");
     let again = calibration::identified(&legs);
@@ -288,7 +288,7 @@ fn boards_and_perfect_actuators_differ_in_every_metric_of_motion() {
     for metric in ["completion_s", "distance_per_robot_m", "map_rmse_kpa"] {
         assert_ne!(boards[metric], ideal[metric], "{metric}");
     }
-    // Wheels that follow late add less than a second to each of four legs.
+    // The lag of the wheels adds less than a second to each of four legs.
     assert!((boards["completion_s"] - ideal["completion_s"]).abs() < 4.0);
     assert!(boards["completion_error"] < 0.01 && boards["completion_error_printed"] > 0.05, "{boards:?}");
 }
@@ -313,7 +313,7 @@ fn a_released_dead_man_leaves_its_goals_to_the_other_robot() {
     );
     assert_eq!(run.mission.taken().len(), scene.samples);
     assert!(completion_s(&run) > completion_s(&whole));
-    // Brakes from 0.4 m/s: less than 0.2 m after the release.
+    // The brakes stop 0.4 m/s within 0.2 m after the release.
     let path = &driven[0].path;
     let at = path[path.partition_point(|(time_s, _)| *time_s < 6.0) - 1].1;
     let last = path[path.len() - 1].1;

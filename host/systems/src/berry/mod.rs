@@ -1,4 +1,4 @@
-//! BERRY: a pneumatic gripper that picks berries, as a hand tool and by itself.
+//! BERRY: a pneumatic gripper for berries, as a hand tool and on two axes.
 //!
 //! Paper: "Human evaluation of robotic grippers for berry picking", TAROS 2023. A soft gripper of eight flexible fingers and a hard
 //! parallelogram, each on a cylinder of 16 mm bore and 25 mm stroke behind a 5/2 valve of 24 V, are used by four people as hand tools on
@@ -8,9 +8,10 @@
 //! 5 bar on 16 mm is 100.5 N, and 90.7 N on the side of a rod of 5 mm; the printed "up to 50 N" belongs to 2.5 bar. "Almost twice" as
 //! slow, of soft and hard, is 1.38 times.
 //!
-//! Times of people cannot be simulated: the printed ones stay printed, and [`trials`] records and compares those of real trials. The arms of
-//! the study move the tool by two axes: in the paper's arms a declared hand presses the handle's microswitch, in ours the board
-//! switches the valve itself. [`protocol`] runs them on a board, [`scene`] samples the bushes.
+//! Times of people cannot be simulated: the printed ones stay printed, and [`trials`] records and compares those of
+//! real trials. In the study two axes move the tool: in the paper's arms a declared hand presses the handle's
+//! microswitch, in ours the board switches the valve itself. [`protocol`] runs them on a board, [`scene`] samples the
+//! bushes.
 
 pub mod missing;
 pub mod protocol;
@@ -26,21 +27,21 @@ use missing::{Change, Sheet};
 use protocol::{Method, Outcome};
 use scene::{Case, Gripper, PRINTED_N, PRINTED_PA, Setup};
 
-/// The system.
+/// Robot system BERRY, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct BerryPicking;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "berry";
 
-/// Arms.
+/// Names of the arms.
 const PAPER: &str = "paper";
 const HARD: &str = "baseline:hard-gripper";
 const OURS: &str = "ours";
 const IN_TURN: &str = "ablation:no-overlap";
 const UNSEEN: &str = "ablation:no-pressure";
 const BELIEF: &str = "ablation:printed-force";
-/// Before the name of what is hidden, or of nothing.
+/// Prefix of the arms with a hidden change; the name of the change, or `clean`, follows.
 const BLIND: &str = "blind:";
 const CLEAN: &str = "blind:clean";
 
@@ -56,7 +57,7 @@ const fn printed(name: &'static str, unit: &'static str) -> Metric {
     Metric { name, unit, statistic: Statistic::Mean, source: Source::Printed, targets: &[] }
 }
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper { title: "Human evaluation of robotic grippers for berry picking", published: "TAROS 2023" },
@@ -185,7 +186,7 @@ fn figure(trial: &Trial) -> Result<Figure, Error> {
     })
 }
 
-/// How an arm picks, with which gripper.
+/// Picking method and gripper of an arm.
 fn method(arm: &str) -> (Method, Gripper) {
     let by_handle = matches!(arm, PAPER | HARD);
     let method = Method { by_handle, overlaps: !by_handle && arm != IN_TURN, detects: !by_handle && arm != UNSEEN };
@@ -195,7 +196,7 @@ fn method(arm: &str) -> (Method, Gripper) {
 /// Runs a trial along its bush.
 ///
 /// # Errors
-/// When the board does not fit, or the session fails.
+/// [`Error::Unsuitable`] when the board does not fit; [`Error::Rig`] when the session fails.
 pub fn picked(trial: &Trial) -> Result<Outcome, Error> {
     let unsuitable = |why: String| Error::Unsuitable { system: NAME, board: trial.board.to_string(), why };
     let case = Case::of(trial.seed);
@@ -204,25 +205,27 @@ pub fn picked(trial: &Trial) -> Result<Outcome, Error> {
     rig.seed = trial.seed;
     let nominal = rig.robot()?;
     let picker = scene::picker(&nominal).map_err(unsuitable)?;
+    // The paper's arms run at its supply, ours at the pressure from statics; the ablation trusts the printed force.
     let regulated_pa = match trial.arm {
         PAPER | HARD => PRINTED_PA,
         BELIEF => scene::stall_pa(picker, PRINTED_N / PRINTED_PA),
         _ => scene::stall_pa(picker, picker.cylinder().areas_m2()[0]),
     };
     let setup = Setup::of(&nominal, regulated_pa).map_err(unsuitable)?;
+    // Tried on a copy first: the rig's own change cannot report an error.
     case.put_into(&mut nominal.clone(), gripper, regulated_pa).map_err(unsuitable)?;
     rig.alter = Some(case.altered(gripper, regulated_pa));
     let work = async |session: &Session<'_>| protocol::pick(session, &setup, &case, method).await;
     Ok(rig.run(None, work)?.0)
 }
 
-/// Records the gripper when it is new and with what is `hidden` in it, and names that.
+/// Records the gripper when it is new and with the change `hidden`, and searches for that change.
 fn blind(trial: &Trial, hidden: &str) -> Result<Values, Error> {
     let unsuitable = |why: String| Error::Unsuitable { system: NAME, board: trial.board.to_string(), why };
     let change = Change::named(hidden, trial.seed);
     let rig = |run: usize| {
         let mut rig = Rig::new(trial.board.clone());
-        // Each recording has noise of its own.
+        // Own noise for each recording: repeated noise would look like a constant effect.
         rig.seed = trial.seed.wrapping_mul(64) + run as u64;
         rig
     };
@@ -242,6 +245,7 @@ fn blind(trial: &Trial, hidden: &str) -> Result<Values, Error> {
         };
         (0..missing::RUNS).map(run).collect::<Result<Vec<_>, Error>>()
     };
+    // Other run numbers for the second set: the same noise would cancel in the comparison.
     let (new, now) = (record(None, 0)?, record(change, missing::RUNS)?);
     let found = missing::found(&sheet, &new, &now)?;
     let mut values = Values::new();
@@ -264,7 +268,7 @@ fn blind(trial: &Trial, hidden: &str) -> Result<Values, Error> {
     Ok(values)
 }
 
-/// Metrics of a trial.
+/// Computes the metrics of a trial.
 fn evaluate(arm: &str, outcome: &Outcome) -> Values {
     let count = outcome.fates.len().max(1) as f64;
     let share =

@@ -1,4 +1,4 @@
-//! A run along a bush on a board: axes, valve and pressure by the board, decisions on the host.
+//! A run along a bush: axes, valve and pressure sensor are on the board, decisions on the host.
 
 use r4_driver::TelemetryStream;
 use r4_protocol::{Mode, Quality, SafetyState, Sample, Setpoint};
@@ -10,70 +10,72 @@ use super::{
     scene::{BUSH_M, Case, HANDLE, PRESSURE, Setup},
 };
 
-/// How often pressure is sent, ms.
+/// Telemetry period of the pressure, ms.
 const PRESSURE_EVERY_MS: u16 = 2;
-/// How often axes and handle are sent, ms.
+/// Telemetry period of axes and handle, ms.
 const AXES_EVERY_MS: u16 = 5;
-/// Share of the supply from which on a chamber counts as filled, and below which as empty.
+/// Shares of the supply pressure: a chamber counts as filled above the first, as empty below the second.
 const FILLED: f64 = 0.9;
 const EMPTIED: f64 = 0.25;
-/// The valve's command goes out this far before the axis is there, m: the last 60 ms of its deceleration, of which relay and coil take 20.
-/// The pads come over the berry 8 mm before, with the fingers open.
+/// Distance before the axis' target at which the valve is switched, m: the last 60 ms of its deceleration, of which
+/// relay and coil take 20. The pads reach the berry 8 mm before, with the fingers open.
 const CLOSES_AHEAD_M: f64 = 0.007;
-/// Fingers that open this far before the tray let go over it, m: the spring takes 30 ms at 0.4 m/s, the exhaust more.
+/// Distance before the tray at which the fingers are opened, m: the spring takes 30 ms at 0.4 m/s, the exhaust more, so
+/// that they release over it.
 const OPENS_AHEAD_M: f64 = 0.010;
-/// Reach of a tool that is clear of the bush, m.
+/// Reach at which the tool is clear of the bush, m.
 const CLEAR_M: f64 = BUSH_M - 0.04;
 /// Reach of the tool at the tray, m.
 const REST_M: f64 = 0.012;
-/// A closing that fills its chamber later than this share of the time of empty fingers has caught nothing: half way between the 0.75 to
-/// 0.88 of closings on a berry and the 1.00 of those beside one, seeds 1 to 15.
+/// Threshold for a miss: fill time of the chamber over that of empty fingers. It lies halfway between the 0.75 to 0.88
+/// of closings on a berry and the 1.00 of those beside one, seeds 1 to 15.
 const EMPTY_SHARE: f64 = 0.94;
-/// Attempts at a berry.
+/// Largest number of attempts at a berry.
 const ATTEMPTS: usize = 4;
-/// Waits of a program that has no pressure, s: our choice. On seeds 1 to 12 no berry was dropped for want of grip.
+/// Waiting times without a pressure sensor, s: our choice. On seeds 1 to 12 they dropped no berry for want of grip.
 const CLOSES_S: f64 = 0.16;
 const OPENS_S: f64 = 0.12;
-/// Time in which the handle must stay pressed or released, s: printed, 20 ms.
+/// Debounce time of the handle, s: printed, 20 ms.
 const DEBOUNCE_S: f64 = 0.020;
-/// Longest wait for anything, s.
+/// Timeout of any wait, s.
 const WAIT_S: f64 = 5.0;
-/// A position is reached within, m: two steps.
+/// Tolerance of a reached position, m: two steps.
 const REACHED_M: f64 = 1.5e-4;
 
-/// How berries are picked.
+/// Options of the picking method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Method {
-    /// The valve is switched by the handle, which whoever moves the tool presses; else by the program.
+    /// True: the handle switches the valve, pressed by the hand that moves the tool; false: the program switches it.
     pub by_handle: bool,
-    /// Valve and axes move at the same time.
+    /// True: valve and axes move at the same time.
     pub overlaps: bool,
-    /// Pressure says when fingers have closed, and on what; a miss is tried again.
+    /// True: the pressure shows when the fingers have closed and whether on a berry; a miss is tried again.
     pub detects: bool,
 }
 
-/// What came of a run.
+/// Record of a run along a bush.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// What happened to each berry, by the simulation.
+    /// Fate of each berry, from the simulation.
     pub fates: Vec<Fate>,
     /// Time of each berry, from its approach to its release, s.
     pub picks_s: Vec<f64>,
-    /// Attempts at each berry.
+    /// Number of attempts at each berry.
     pub attempts: Vec<usize>,
-    /// From the valve's command to a filled chamber, s: of empty fingers first, then of each attempt, where pressure is used.
+    /// Time from the valve's command to a filled chamber, s: first of empty fingers, then of each attempt; empty
+    /// without a pressure sensor.
     pub fills_s: Vec<f64>,
-    /// Highest force of air on the piston at a pick's end, N, by the simulation.
+    /// Highest force of air on the piston at the end of a pick, N, from the simulation.
     pub air_max_n: f64,
-    /// Lowest pressure of the receiver at a pick's end, Pa, by the simulation.
+    /// Lowest pressure of the receiver at the end of a pick, Pa, from the simulation.
     pub receiver_min_pa: f64,
-    /// Pressure as it was sent, s and Pa.
+    /// Telemetry of the pressure: time, s, and pressure, Pa.
     pub pressure_pa: Vec<(f64, f64)>,
-    /// Reach as it was sent, s and m.
+    /// Telemetry of the reach: time, s, and reach, m.
     pub reach_m: Vec<(f64, f64)>,
 }
 
-/// What the board sent last.
+/// Latest telemetry of the board, with its history.
 struct Watch<'s, 'b> {
     session: &'s Session<'b>,
     setup: &'s Setup,
@@ -99,7 +101,7 @@ impl<'s, 'b> Watch<'s, 'b> {
         }
     }
 
-    /// Waits until what the board sent fulfils `is_there`.
+    /// Receives frames until `is_there` is true. Fails after [`WAIT_S`], or when the board is no longer armed.
     async fn until(&mut self, what: &'static str, is_there: impl Fn(&Self) -> bool) -> Result<(), Error> {
         let begin_s = self.now_s;
         loop {
@@ -114,6 +116,7 @@ impl<'s, 'b> Watch<'s, 'b> {
             if is_there(self) {
                 return Ok(());
             }
+            // Before the first frame there is no device time to count from.
             if begin_s > 0.0 && self.now_s - begin_s > WAIT_S {
                 return Err(Error::StateTimedOut { state: what, at_most_s: WAIT_S });
             }
@@ -134,7 +137,7 @@ impl<'s, 'b> Watch<'s, 'b> {
         }
         let value = match *sample {
             Sample::Scalar { value, .. } | Sample::Reading { value, quality: Quality::Good, .. } => value,
-            // A transmitter that shows nothing plausible shows nothing: the wait for it times out.
+            // An implausible reading is not used; without any other the wait for the pressure times out.
             _ => return Ok(()),
         };
         if channel == PRESSURE {
@@ -169,7 +172,7 @@ impl<'s, 'b> Watch<'s, 'b> {
         Ok(self.session.board.set(self.setup.valve, setpoint).await?)
     }
 
-    /// The hand presses or releases; the relay follows a handle that stays so for [`DEBOUNCE_S`].
+    /// Presses or releases the handle; the relay follows once its switch has been stable for [`DEBOUNCE_S`].
     async fn handle(&mut self, is_pressed: bool) -> Result<(), Error> {
         if let Some(AnyBody::BerryPicker(picker)) = self.session.virtual_board()?.world().body_mut() {
             picker.press(is_pressed);
@@ -181,7 +184,7 @@ impl<'s, 'b> Watch<'s, 'b> {
         self.valve(is_pressed).await
     }
 
-    /// Closes and waits until the chamber is filled; returns how long that took, s.
+    /// Waits until the chamber is filled and returns the time since `begin_s`, s.
     async fn fill(&mut self, begin_s: f64) -> Result<f64, Error> {
         let filled_pa = FILLED * self.setup.regulated_pa;
         self.until("fingers close", |watch| watch.pressure_pa >= filled_pa).await?;
@@ -194,10 +197,10 @@ impl<'s, 'b> Watch<'s, 'b> {
     }
 }
 
-/// Picks every berry of a bush, armed, and reports what came of it.
+/// Picks every berry of a bush and returns the record of the run.
 ///
 /// # Errors
-/// When the board is not virtual, does not arm, or stops.
+/// The error of the board when it is not virtual, does not arm, or stops.
 pub async fn pick(session: &Session<'_>, setup: &Setup, case: &Case, method: Method) -> Result<Outcome, Error> {
     let board = session.board;
     board.subscribe(PRESSURE, PRESSURE_EVERY_MS).await?;
@@ -221,13 +224,13 @@ pub async fn pick(session: &Session<'_>, setup: &Setup, case: &Case, method: Met
     Ok(outcome)
 }
 
-/// What is true of the gripper.
+/// Reads the true state of the gripper.
 fn look<T: Default>(session: &Session<'_>, of: impl Fn(&BerryPicker) -> T) -> Result<T, Error> {
     let mut world = session.virtual_board()?.world();
     world.catch_up();
     match world.body() {
         Some(AnyBody::BerryPicker(picker)) => Ok(of(picker)),
-        // `Setup::of` refuses every other robot.
+        // Not reached: `Setup::of` refuses robots without a gripper.
         _ => Ok(T::default()),
     }
 }
@@ -237,7 +240,8 @@ async fn run(watch: &mut Watch<'_, '_>, case: &Case, method: Method, outcome: &m
     watch.there(0, REST_M).await?;
     let mut empty_s = f64::INFINITY;
     if method.detects {
-        // Empty fingers close once over the tray: what a miss looks like today.
+        // Reference closing with empty fingers over the tray: the fill time of a miss depends on the day's pressure
+        // and valve.
         watch.valve(true).await?;
         let begin_s = watch.now_s;
         empty_s = watch.fill(begin_s).await?;
@@ -256,7 +260,7 @@ async fn run(watch: &mut Watch<'_, '_>, case: &Case, method: Method, outcome: &m
             if catches || attempts == ATTEMPTS {
                 break;
             }
-            // Open again, clear of the bush.
+            // A miss: open again, clear of the bush.
             watch.valve(false).await?;
             watch.go(0, CLEAR_M).await?;
             watch.there(0, CLEAR_M).await?;
@@ -269,7 +273,7 @@ async fn run(watch: &mut Watch<'_, '_>, case: &Case, method: Method, outcome: &m
     Ok(())
 }
 
-/// Approaches and closes; returns whether there is a berry between the fingers, as far as the method knows.
+/// Approaches a berry and closes. Returns true when the method finds a berry between the fingers, or cannot know.
 async fn attempt(
     watch: &mut Watch<'_, '_>,
     [reach_m, row_m]: [f64; 2],
@@ -302,7 +306,7 @@ async fn attempt(
     Ok(filled_s < EMPTY_SHARE * empty_s)
 }
 
-/// Pulls back to the tray and lets go there; the row goes on to the next berry meanwhile.
+/// Pulls back to the tray and opens the fingers there; with overlap the row moves on to the next berry meanwhile.
 async fn carry(
     watch: &mut Watch<'_, '_>,
     case: &Case,
@@ -317,6 +321,7 @@ async fn carry(
     if method.overlaps {
         watch.until("an axis moves", |watch| watch.axes_m[0] < CLEAR_M).await?;
         if berry + 1 < case.berries.len() {
+            // The row may move only now that the fingers are clear of the plants.
             watch.go(1, case.seen_m(berry + 1, 0)[1]).await?;
         }
         let opens_m = watch.setup.tray_m + OPENS_AHEAD_M;
@@ -332,10 +337,10 @@ async fn carry(
     if method.detects { watch.emptied().await } else { watch.wait(OPENS_S).await }
 }
 
-/// Closes and opens over the tray by a schedule of times, s, armed; returns each closing by its pressure.
+/// Closes and opens over the tray by a schedule of durations, s, and returns each closing.
 ///
 /// # Errors
-/// When the board does not arm, or stops; [`Error::NoReadings`] where pressure does not rise.
+/// The error of the board when it does not arm, or stops; [`Error::NoReadings`] where the pressure does not rise.
 pub async fn close_often(session: &Session<'_>, setup: &Setup, schedule: &[[f64; 2]]) -> Result<Vec<Closing>, Error> {
     session.board.subscribe(PRESSURE, PRESSURE_EVERY_MS).await?;
     let mut watch = Watch::new(session, setup);

@@ -1,4 +1,4 @@
-//! Bushes that the study samples, the two grippers, and what the program knows of them.
+//! Bushes that the study samples, the two grippers, and the values that the program knows of them.
 
 use std::rc::Rc;
 
@@ -9,44 +9,45 @@ use r4_world::{AirSupply, AnyBody, Berry, BerryError, BerryPicker, Cylinder, Fin
 
 use crate::sampler::Sampler;
 
-/// Purposes of random numbers.
+/// Purposes of the random numbers: the bush, and the camera's errors.
 const OF_BUSH: u64 = 1;
 const OF_SIGHT: u64 = 2;
 
-/// Berries of a trial, as in the paper.
+/// Number of berries in a trial, as in the paper.
 pub const BERRIES: usize = 34;
-/// Between berries along the bush, m.
+/// Distance between berries along the bush, m.
 pub const PITCH_M: f64 = 0.04;
 /// Mean reach of the bush, m.
 pub const BUSH_M: f64 = 0.13;
-/// Printed: the force of a gripper at 5 bar, N.
+/// Force of a gripper at 5 bar, N: printed.
 pub const PRINTED_N: f64 = 50.0;
-/// Printed: the supply, Pa.
+/// Supply pressure, Pa: printed.
 pub const PRINTED_PA: f64 = 5e5;
-/// Squeeze that ours asks for, N: between what the strongest stalk needs on the smoothest berry, 2.4 N over twice 0.4, and the 7 N of the
-/// weakest berry, below the middle because larger berries are squeezed more. Seeds 1 to 15: 5.06 N at most, nothing slipped.
+/// Squeeze that our arm requests, N: between what the strongest stalk needs on the smoothest berry, 2.4 N over twice
+/// 0.4, and the 7 N of the weakest berry; below the middle, because larger berries are squeezed more. Seeds 1 to 15: at
+/// most 5.06 N, and nothing slipped.
 pub const SQUEEZE_N: f64 = 4.5;
 
-/// The paper's grippers.
+/// The two grippers of the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Gripper {
-    /// Eight flexible fingers pulled by tendons: as in the robot's file.
+    /// Soft gripper of the robot's file: eight flexible fingers pulled by tendons.
     Soft,
-    /// A parallelogram of rigid parts, which the rod closes outwards.
+    /// Hard gripper: a parallelogram of rigid parts, which closes when the rod extends.
     Hard,
 }
 
-/// A bush and how well it is seen. [`About::sampled`](crate::About::sampled) has the ranges.
+/// A bush and the accuracy of the camera. [`About::sampled`](crate::About::sampled) has the ranges.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Case {
-    /// Berries along the row.
+    /// Berries of the bush, along the row.
     pub berries: Vec<Berry>,
     seed: u64,
     sight_m: f64,
 }
 
 impl Case {
-    /// The case of a seed.
+    /// Samples the case of a seed.
     #[must_use]
     pub fn of(seed: u64) -> Self {
         let mut sampler = Sampler::new(seed, OF_BUSH);
@@ -58,7 +59,7 @@ impl Case {
                     PITCH_M * (number + 1) as f64 + sampler.uniform(-0.004, 0.004),
                 ],
                 diameter_m,
-                // Of the density of water.
+                // The density of water, 1000 kg/m³.
                 mass_kg: 1000.0 * std::f64::consts::PI / 6.0 * diameter_m.powi(3),
                 stiffness_n_per_m: sampler.uniform(1200.0, 1800.0),
                 friction: sampler.uniform(0.4, 0.7),
@@ -71,14 +72,14 @@ impl Case {
         Self { berries, seed, sight_m: sampler.uniform(0.002, 0.004) }
     }
 
-    /// Where a camera sees a berry in an attempt: reach and row, m.
+    /// Position of a berry as the camera measures it in an attempt: reach and row, m.
     #[must_use]
     pub fn seen_m(&self, berry: usize, attempt: usize) -> [f64; 2] {
         let mut sampler = Sampler::new(self.seed, OF_SIGHT + (berry * 16 + attempt) as u64);
         self.berries[berry].place_m.map(|place_m| place_m + sampler.normal(self.sight_m))
     }
 
-    /// What a rig does to a robot to make it this case.
+    /// Returns the function by which a rig changes its robot to this case.
     pub fn altered(&self, gripper: Gripper, regulated_pa: f64) -> Alter {
         let case = self.clone();
         // A robot without a gripper stays as it is: `Setup::of` has refused it.
@@ -88,7 +89,7 @@ impl Case {
     /// Changes a robot to this case.
     ///
     /// # Errors
-    /// What the robot's file has in place of a gripper, or why it cannot be this one.
+    /// The reason in words: the robot has no gripper, or the changed one is not valid.
     pub fn put_into(&self, robot: &mut Robot, gripper: Gripper, regulated_pa: f64) -> Result<(), String> {
         let changed = body(picker(robot)?, gripper, regulated_pa, self.berries.clone());
         let changed = changed.map_err(|error| error.to_string())?;
@@ -99,7 +100,7 @@ impl Case {
     }
 }
 
-/// What a rig does to a robot to give it another gripper.
+/// Returns the function by which a rig replaces its robot's gripper.
 pub(super) fn replaced(picker: BerryPicker) -> Alter {
     Rc::new(move |robot| {
         if let Some(body) = &mut robot.simulation.body {
@@ -117,14 +118,14 @@ fn body(
     let (mut cylinder, mut fingers): (Cylinder, Fingers) = (*nominal.cylinder(), *nominal.fingers());
     if gripper == Gripper::Hard {
         cylinder.closes_outwards = true;
-        // Synthetic: rigid fingers with thin pads that stop 12 mm apart.
+        // Synthetic: rigid fingers with thin pads, which stop 12 mm apart.
         fingers = Fingers { stiffness_n_per_m: 6000.0, bending_n_per_m: 0.0, gap_ratio: 0.96, ..fingers };
     }
     let supply = AirSupply { regulated_pa, ..*nominal.supply() };
     BerryPicker::new(supply, *nominal.valve(), cylinder, fingers, *nominal.axes(), berries)
 }
 
-/// The gripper of a robot.
+/// The gripper of a robot; an error in words when it has none.
 pub(super) fn picker(robot: &Robot) -> Result<&BerryPicker, String> {
     match robot.simulation.body.as_ref().map(|body| &body.kind) {
         Some(AnyBody::BerryPicker(picker)) => Ok(picker),
@@ -132,33 +133,33 @@ pub(super) fn picker(robot: &Robot) -> Result<&BerryPicker, String> {
     }
 }
 
-/// What the program knows before it starts: channels and data sheet.
+/// Channels and datasheet values that the program knows before it starts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
-    /// The valve's relay.
+    /// Channel of the valve's relay.
     pub valve: ChannelId,
-    /// Reach and row.
+    /// Channels of the axes: reach and row.
     pub axes: [ChannelId; 2],
-    /// m per rad of both axes.
+    /// Displacement of both axes per rad of their motors, m/rad.
     pub m_per_rad: f64,
-    /// Reach over the tray, m.
+    /// Reach of the tool over the tray, m.
     pub tray_m: f64,
-    /// Transmitter at the closing chamber: V without pressure, and V per Pa.
+    /// Transmitter at the closing chamber: voltage without pressure, V, and gain, V/Pa.
     pub pressure_v: [f64; 2],
-    /// Setting of the regulator, Pa.
+    /// Pressure set at the regulator, Pa.
     pub regulated_pa: f64,
 }
 
-/// The closing chamber's pressure.
+/// Analog channel of the closing chamber's pressure.
 pub const PRESSURE: ChannelId = ChannelId::new(r4_protocol::ChannelKind::Analog, 0);
-/// The handle's microswitch.
+/// Channel of the handle's microswitch.
 pub const HANDLE: ChannelId = ChannelId::new(r4_protocol::ChannelKind::Switch, 0);
 
 impl Setup {
-    /// That of a robot with its regulator at some pressure.
+    /// Reads the setup of a robot whose regulator is set to `regulated_pa`.
     ///
     /// # Errors
-    /// What the robot lacks.
+    /// The part that the robot lacks, in words.
     pub fn of(robot: &Robot, regulated_pa: f64) -> Result<Self, String> {
         let picker = picker(robot)?;
         let channels = robot.simulation.body.as_ref().map_or(&[][..], |body| &body.channels);
@@ -177,8 +178,9 @@ impl Setup {
     }
 }
 
-/// Pressure at which the rod of the soft gripper stalls on a berry of mean size with [`SQUEEZE_N`], Pa, by statics of the data sheet:
-/// bending, squeeze and half of the dry friction over the area. `area_m2` is what the designer takes for it.
+/// Pressure at which the soft gripper's rod stalls on a berry of mean size with [`SQUEEZE_N`], Pa, by statics with
+/// datasheet values: bending, squeeze and dry friction over the piston area. `area_m2` is the area that the designer
+/// assumes.
 #[must_use]
 pub fn stall_pa(picker: &BerryPicker, area_m2: f64) -> f64 {
     const DIAMETER_M: f64 = 0.019;

@@ -31,7 +31,7 @@ fn a_bush_is_picked_within_a_second_a_berry() {
     assert!(unseen["missed"] > ours["missed"], "{unseen:?}");
 }
 
-/// 5 bar are twice what is printed, and so is the squeeze of a gripper whose regulator was set by the print.
+/// 5 bar give twice the printed force, and so the squeeze of a gripper whose regulator was set by the printed force.
 #[test]
 fn the_printed_force_crushes() {
     let paper = values(PAPER, 2);
@@ -46,7 +46,7 @@ fn what_has_changed_is_named_and_nothing_is_quiet() {
         let arm = ABOUT.arms.iter().find(|arm| arm.name.strip_prefix(BLIND) == Some(name)).expect("an arm").name;
         let found = values(arm, 3);
         assert_eq!(found["effect_named"], 1.0, "{arm}: {found:?}");
-        // The board filters its analog input, which a rise of some milliseconds shows.
+        // The board's low-pass on its analog input distorts a rise of a few milliseconds.
         assert!(found["effect_size_error"] < 0.3, "{arm}: {found:?}");
         assert!(found["effect_rmse_after"] < 0.6 * found["effect_rmse_before"], "{arm}: {found:?}");
     }
@@ -60,8 +60,8 @@ fn a_robot_without_a_gripper_is_refused() {
     assert!(error.contains("no [body.berry-picker]"), "{error}");
 }
 
-/// The relay falls off, the valve's spring opens the fingers, and the axes stop: a berry that is squeezed stays on its stalk, one that is
-/// carried falls straight down.
+/// The relay drops out, the valve's spring opens the fingers, and the axes stop. A berry under squeeze stays on its
+/// stalk; a carried one falls straight down.
 #[test]
 fn a_released_dead_man_neither_crushes_nor_throws() {
     let case = Case::of(2);
@@ -111,7 +111,7 @@ fn a_released_dead_man_neither_crushes_nor_throws() {
         assert!(!fate.is_crushed, "{fate:?}");
         let place = if is_carried { Place::Ground } else { Place::Hanging };
         assert_eq!(fate.place, place, "{fate:?}");
-        // Pulses end at once, 60 ms before the fingers let go.
+        // The step pulses end at once, 60 ms before the fingers release: the berry has no horizontal speed.
         assert!(fate.released_m_s < 0.01, "{fate:?}");
     }
 }

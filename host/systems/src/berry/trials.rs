@@ -1,8 +1,8 @@
-//! Logger and paired statistics of trials with people, who pick with several tools one after the other.
+//! Logger and paired statistics for trials in which people pick with several tools, one after the other.
 //!
-//! [`Recorder`] makes picks of a handle's switch as a board reports it, [`to_csv`] writes them, [`order`] counterbalances who uses
-//! which tool when, and [`compare`] tests two tools against each other: one difference per participant, with the order of the two as
-//! covariate, after the trend over picks has been taken out.
+//! [`Recorder`] detects picks in the handle's switch as a board reports it, [`to_csv`] writes them, [`order`]
+//! counterbalances the sequence of the tools over participants, and [`compare`] tests two tools against each other: one
+//! difference per participant, with the order of the two as covariate, after removal of the trend over picks.
 //!
 //! ```
 //! use r4_protocol::Sample;
@@ -38,8 +38,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! The tests run on synthetic participants. Nothing is claimed about people. With four participants, as in the paper, no exact
-//! two-sided test can reach 5 %: of 16 equally likely signs two are as extreme as all alike.
+//! The tests use synthetic participants; nothing is claimed about people. With four participants, as in the paper, no
+//! exact two-sided test can reach 5 %: of 16 equally likely sign patterns, two are as extreme as all alike.
 
 use std::fmt::Write;
 
@@ -49,19 +49,19 @@ use r4_maths::{
     statistics::{Alternative, Interval, StatisticsError, mean, paired_t, wilcoxon_signed_rank},
 };
 
-/// What became of a berry.
+/// Result of one pick, noted by the observer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PickResult {
-    /// In the tray.
+    /// The berry is in the tray.
     Picked,
-    /// On the ground.
+    /// The berry is on the ground.
     Dropped,
-    /// Still on the bush.
+    /// The berry is still on the bush.
     Missed,
 }
 
 impl PickResult {
-    /// As in a CSV file.
+    /// Name of the result in a CSV file.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -77,38 +77,39 @@ impl PickResult {
 pub struct Pick {
     /// Code of the participant, never a name.
     pub participant: String,
-    /// Tool.
+    /// Name of the tool.
     pub gripper: String,
-    /// Which of the participant's tools it was, from 1 on.
+    /// Place of the tool in the participant's sequence, from 1 on.
     pub order: usize,
     /// Number of the pick with that tool, from 1 on.
     pub number: usize,
-    /// When the handle was pressed, s on the board's clock.
+    /// Time of the handle's press, s on the board's clock.
     pub pressed_s: f64,
-    /// When it was released, s.
+    /// Time of the handle's release, s on the board's clock.
     pub released_s: f64,
-    /// What became of the berry, by the observer.
+    /// Result, noted by the observer.
     pub result: PickResult,
 }
 
-/// Makes presses of samples of a switch: an edge counts once the switch has stayed for the debounce time, and is dated by its beginning.
+/// Detector of presses in the samples of a switch. An edge counts once the switch has been stable for the debounce
+/// time, and has the time of its first sample.
 #[derive(Clone, Debug)]
 pub struct Recorder {
     debounce_s: f64,
     is_pressed: bool,
-    /// Since when the switch has been in the other state, s.
+    /// Time since which the switch has been in the other state, s; `None` while it agrees with `is_pressed`.
     changed_s: Option<f64>,
     pressed_s: Option<f64>,
 }
 
 impl Recorder {
-    /// A recorder of a released handle; printed: 0.020 s.
+    /// Creates a recorder for a released handle with this debounce time, s; printed: 0.020 s.
     #[must_use]
     pub const fn new(debounce_s: f64) -> Self {
         Self { debounce_s, is_pressed: false, changed_s: None, pressed_s: None }
     }
 
-    /// Takes a sample at `at_s`; returns when the handle was pressed and released, once it was, s.
+    /// Takes a sample at `at_s`. Returns the times of press and release, s, when a press has ended.
     pub fn push(&mut self, at_s: f64, is_closed: bool) -> Option<[f64; 2]> {
         if is_closed == self.is_pressed {
             self.changed_s = None;
@@ -128,7 +129,7 @@ impl Recorder {
     }
 }
 
-/// Picks as a CSV file with a header, RFC 4180.
+/// Formats picks as a CSV file with a header (RFC 4180).
 #[must_use]
 pub fn to_csv(picks: &[Pick]) -> String {
     let quoted = |text: &str| {
@@ -153,14 +154,14 @@ pub fn to_csv(picks: &[Pick]) -> String {
     text
 }
 
-/// Order in which participant number `participant` uses `tools`: a Williams design, in which over 2 `tools` participants, or `tools` where
-/// that is even, each tool comes equally often at each place and after each other.
+/// Sequence in which participant number `participant` uses `tools`: a Williams design. Over 2 `tools` participants, or
+/// `tools` where that is even, each tool comes equally often at each place and after each other tool.
 #[must_use]
 pub fn order(participant: usize, tools: usize) -> Vec<usize> {
     if tools == 0 {
         return Vec::new();
     }
-    // 0, 1, n-1, 2, n-2, ...
+    // First row of a Williams design: 0, 1, n-1, 2, n-2, ...
     let zigzag = |place: usize| if place % 2 == 1 { place.div_ceil(2) } else { (tools - place / 2) % tools };
     let mut row: Vec<usize> = (0..tools).map(|place| (zigzag(place) + participant) % tools).collect();
     if tools % 2 == 1 && (participant / tools) % 2 == 1 {
@@ -172,38 +173,39 @@ pub fn order(participant: usize, tools: usize) -> Vec<usize> {
 /// Comparison of two tools over the participants who used both.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Comparison {
-    /// Participants.
+    /// Number of participants who used both tools.
     pub participants: usize,
-    /// Time per pick with the first less that with the second, s: mean over participants, without the effect of the order.
+    /// Time per pick with the first tool minus that with the second, s: mean over participants, corrected for the
+    /// order.
     pub difference_s: f64,
-    /// Its 95 % interval, by Student's t, s.
+    /// 95 % confidence interval of the difference, by Student's t, s.
     pub interval_s: Interval,
-    /// How much less time a tool took where it came second than where it came first, s, both tools together: twice the learning from one
-    /// tool to the next.
+    /// Reduction of a tool's time in second place against first place, s, summed over both tools: twice the learning
+    /// from one tool to the next.
     pub order_s: f64,
-    /// Two-sided p-value of a paired t test, without the order.
+    /// Two-sided p-value of a paired t-test, not corrected for the order.
     pub t_p: f64,
-    /// Two-sided exact p-value of Wilcoxon's signed ranks.
+    /// Two-sided exact p-value of Wilcoxon's signed-rank test.
     pub wilcoxon_p: f64,
-    /// Mean slope of time over picks, s per pick: negative where people learn.
+    /// Mean slope of the time over picks, s per pick: negative where participants learn.
     pub learning_s_per_pick: f64,
-    /// Its two-sided p-value, of the participants' slopes against 0.
+    /// Two-sided p-value of that slope: the participants' slopes against 0.
     pub learning_p: f64,
 }
 
-/// Why two tools cannot be compared.
+/// Reason why two tools cannot be compared.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TrialsError {
     /// Fewer than four participants used both tools.
     #[error("{with_both} participants used both tools at least three times: a comparison needs four")]
     TooFew {
-        /// Of them.
+        /// Number of participants who used both tools.
         with_both: usize,
     },
     /// All participants used the tools in the same order.
     #[error("all participants used the tools in the same order: order and tool cannot be separated; see `order`")]
     OneOrder,
-    /// A statistic has no value.
+    /// A statistic cannot be computed.
     #[error(transparent)]
     Statistics(#[from] StatisticsError),
     /// A line cannot be fitted.
@@ -211,7 +213,7 @@ pub enum TrialsError {
     Fit(#[from] FitError),
 }
 
-/// Line through times of successive picks, centred: `[level, slope]`, s and s per pick.
+/// Straight line through the times of successive picks, centred: `[level, slope]`, s and s per pick.
 fn trend(times_s: &[f64]) -> Result<[f64; 2], TrialsError> {
     let middle = 0.5 * (times_s.len() as f64 - 1.0);
     let design = DMatrix::from_fn(times_s.len(), 2, |row, column| if column == 0 { 1.0 } else { row as f64 - middle });
@@ -219,10 +221,11 @@ fn trend(times_s: &[f64]) -> Result<[f64; 2], TrialsError> {
     Ok([parameters[0], parameters[1]])
 }
 
-/// Compares times per pick, from one press to the next, of two tools.
+/// Compares the times per pick, from one press to the next, of two tools.
 ///
 /// # Errors
-/// [`TrialsError`]
+/// [`TrialsError::TooFew`] for fewer than four participants with both tools; [`TrialsError::OneOrder`] when all used
+/// them in the same order; otherwise the error of a fit or statistic.
 pub fn compare(picks: &[Pick], first: &str, second: &str) -> Result<Comparison, TrialsError> {
     let mut people: Vec<&str> = picks.iter().map(|pick| pick.participant.as_str()).collect();
     people.sort_unstable();
@@ -240,7 +243,9 @@ pub fn compare(picks: &[Pick], first: &str, second: &str) -> Result<Comparison, 
         let (one, two) = (trend(&one_s)?, trend(&two_s)?);
         levels[0].push(one[0]);
         levels[1].push(two[0]);
+        // One slope per participant: those of the two tools are not independent.
         slopes.push(f64::midpoint(one[1], two[1]));
+        // Contrast coding: the intercept of the regression is then the difference without the effect of the order.
         signs.push(if one_order > two_order { 1.0 } else { -1.0 });
     }
     let participants = signs.len();
@@ -258,6 +263,7 @@ pub fn compare(picks: &[Pick], first: &str, second: &str) -> Result<Comparison, 
         participants,
         difference_s: fit.parameters[0],
         interval_s: fit.intervals(0.95)?[0],
+        // The two orders are two units of the contrast apart.
         order_s: -2.0 * fit.parameters[1],
         t_p: paired_t(&levels[0], &levels[1], Alternative::TwoSided)?.p_value,
         wilcoxon_p: wilcoxon_signed_rank(&levels[0], &levels[1], Alternative::TwoSided)?.p_value,
@@ -271,7 +277,7 @@ mod tests {
     use super::*;
     use crate::Sampler;
 
-    /// Synthetic participants: each has an own pace, learns over 34 picks and from tool to tool, and scatters.
+    /// Synthetic participants: each has a pace of their own, learns over 34 picks and from tool to tool, and scatters.
     fn picks(seed: u64, participants: usize, slower_s: f64) -> Vec<Pick> {
         let mut sampler = Sampler::new(seed, 99);
         let mut picks = Vec::new();
@@ -299,7 +305,7 @@ mod tests {
         picks
     }
 
-    /// Without a difference the interval excludes 0 in 5 % of studies, and neither test is more often below 5 %.
+    /// Without a difference, 5 % of the studies' intervals exclude 0, and neither test is below 5 % more often.
     #[test]
     fn no_difference_is_found_in_one_of_twenty() {
         const STUDIES: u64 = 600;
@@ -312,7 +318,8 @@ mod tests {
         assert!(found(&|comparison| comparison.t_p <= 0.05) <= 46);
     }
 
-    /// A declared difference of 0.4 s, where participants differ by 0.2 s in it: the standard error of 8 is 0.08 s, found in nearly all.
+    /// A declared difference of 0.4 s, with a spread of 0.2 s between participants: the standard error with 8
+    /// participants is 0.08 s, so that nearly all studies find it.
     #[test]
     fn a_declared_difference_is_found_with_its_learning() {
         let mut found = 0;
@@ -333,7 +340,7 @@ mod tests {
         assert_eq!(compare(&same, "soft", "hard"), Err(TrialsError::OneOrder));
     }
 
-    /// Every tool equally often at each place, and behind each other one.
+    /// Every tool comes equally often at each place, and after each other tool.
     #[test]
     fn orders_are_balanced() {
         for (tools, participants) in [(2, 2), (3, 6), (4, 4)] {
@@ -357,7 +364,7 @@ mod tests {
         let closed = |ms: u32| matches!(ms, 100..=101 | 103..=500 | 502..=600);
         let presses: Vec<_> = (0..900).filter_map(|ms: u32| recorder.push(f64::from(ms) * 1e-3, closed(ms))).collect();
         let [[pressed_s, released_s]] = presses[..] else { panic!("{presses:?}") };
-        // After the last bounce.
+        // The press counts from the last bounce on.
         assert!((pressed_s - 0.103).abs() < 1e-9 && (released_s - 0.601).abs() < 1e-9, "{presses:?}");
     }
 

@@ -1,5 +1,5 @@
-//! A gripping sequence on a board: each state with its time-out. The board holds the force; the host says which, and takes the sensor's
-//! zero and drift into account.
+//! Gripping sequence on a board, each state with its timeout. The board's force loop holds the force; the host sets its
+//! set point and corrects the sensor's zero and drift.
 
 use std::{cell::RefCell, convert::Infallible, f64::consts::PI, pin::pin};
 
@@ -14,103 +14,106 @@ use super::{
     scene::{Seen, Setup},
 };
 
-/// Period of the samples of force and spool angle, ms.
+/// Telemetry period of force and spool angle, ms.
 const PERIOD_MS: u16 = 10;
-/// Period of the range, ms: the distance sensor's at 50 Hz.
+/// Telemetry period of the range, ms: the distance sensor's at 50 Hz.
 const RANGE_MS: u16 = 20;
-/// Change of the sensor's zero for which the board is given a new force, N: its force loop rests within 0.05 N.
+/// Change of the sensor's zero for which the board receives a new force set point, N: its force loop rests within 0.05
+/// N.
 const ZERO_STEP_N: f64 = 0.02;
-/// How often the truth is noted for a picture, s.
+/// Period of the true states for a figure, s.
 const WATCHED_EVERY_S: f64 = 5e-3;
 
-/// Squeeze that is asked for, N: holds 150 g on a friction of 0.45 with 2.4 times its weight. With 3.5 N 3 of seeds 100 001 to 104 000 slid
-/// out of the loop in a knock.
+/// Set point of the squeeze, N: it holds 150 g at a friction of 0.45 with 2.4 times the weight. With 3.5 N, 3 of seeds
+/// 100 001 to 104 000 slid out of the loop in a knock.
 pub const GRIP_N: f64 = 4.0;
-/// Squeeze after slip, N: below what crushes the weakest vial, 8.5 N, by what the loop overshoots.
+/// Set point after slip, N: below what crushes the weakest vial, 8.5 N, by the loop's overshoot.
 pub const FIRM_N: f64 = 6.0;
-/// Spool while the loop is drawn tight, rad/s: a period takes 0.3 N. Twice of it overshoots by 1.5 N and leaves half the points of the line.
+/// Spool speed while the loop is drawn tight, rad/s: a period adds 0.3 N. Twice the speed overshoots by 1.5 N and
+/// leaves half the points for the line.
 const REEL_RAD_S: f64 = 1.5;
-/// Spool after slip, rad/s.
+/// Spool speed after slip, rad/s.
 const HURRY_RAD_S: f64 = 4.0;
-/// Force above which the loop is tight, N: ten times the noise.
+/// Force above which the loop counts as tight, N: ten times the noise.
 const TIGHT_N: f64 = 0.3;
 /// Force that ends homing, N.
 const HOME_N: f64 = 2.0;
-/// Reel-in changes over from fast to slow so far before the loop can be tight, m of diameter: all that the camera's estimate may be off.
+/// Diameter margin at which the reel-in changes from fast to slow, m: the largest error of the camera's estimate.
 const SLOW_BEFORE_M: f64 = 1.0e-3;
-/// Vials that are no vial: this much thinner than seen, m.
+/// Diameter below the seen one from which on there is no vial in the loop, m.
 const MISSED_M: f64 = 2.0e-3;
-/// Height of the loop at a grip, m.
+/// Height of the loop during a grip, m.
 const GRIP_HEIGHT_M: f64 = 0.020;
-/// Time in the air, s, in which a vial would be carried on.
+/// Time in the air, s: a transport of the vial would take place in it.
 const CARRY_S: f64 = 0.9;
-/// Readings of the range that are averaged: 0.13 mm of standard deviation, with 1 mm of noise in steps of 1 mm. The loop is to be within 1.1 mm
-/// of the vial's middle, and camera and range sensor are off by 0.2 mm besides: four and a half standard deviations are left. With half as many it is three.
+/// Number of averaged range readings: 0.13 mm of standard deviation, with 1 mm of noise in steps of 1 mm. The loop must
+/// be within 1.1 mm of the vial's middle; camera and range sensor are off by 0.2 mm besides, which leaves a margin of
+/// four and a half standard deviations. With half as many readings it is three.
 const RANGES: usize = 60;
-/// Those in the air.
+/// Number of averaged range readings in the air.
 const CARRIED_RANGES: usize = 10;
-/// Range above which there is no vial at the tip, m.
+/// Range above which no vial is at the tip, m.
 const NO_VIAL_M: f64 = 8e-3;
 
-/// What of ours is used.
+/// Parts of our controller that are enabled; ablations disable one each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Uses {
-    /// The force is held by a loop; else the spool stops where the threshold is reached.
+    /// True: the board's force loop holds the force; false: the spool stops at the threshold.
     pub force_loop: bool,
-    /// Zero and drift of the sensor are measured while the loop is slack.
+    /// True: zero and drift of the sensor are estimated while the loop is slack.
     pub drift: bool,
-    /// A CUSUM watches for slip.
+    /// True: a CUSUM detector watches for slip.
     pub slip: bool,
-    /// The contact is the beginning of the line of force over angle; else where the threshold is reached, and home is corrected for
-    /// the stretch of the data sheet.
+    /// True: the contact is where the line of force over angle begins. False: the contact is where the threshold is
+    /// reached, and home is corrected by the datasheet's stretch.
     pub bowden: bool,
 }
 
 impl Uses {
-    /// All.
+    /// All parts of our controller, enabled.
     pub const OURS: Self = Self { force_loop: true, drift: true, slip: true, bowden: true };
-    /// None: reel in up to a threshold.
+    /// No part: the paper's arm reels in up to a threshold.
     pub const PAPER: Self = Self { force_loop: false, drift: false, slip: false, bowden: false };
 }
 
-/// What the program reports.
+/// Result of a sequence as the program knows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Report {
-    /// Gripped, carried, put down.
+    /// Gripped, carried and put down.
     Placed,
     /// No vial in the loop.
     Missed,
-    /// The vial was there, and is gone.
+    /// The vial was gripped and is lost.
     Lost,
-    /// A state did not end in time.
+    /// A state reached its timeout; the value is the state's name.
     TimedOut(&'static str),
 }
 
-/// What became of a trial.
+/// Record of a trial.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
-    /// By the program.
+    /// Result as the program reports it.
     pub report: Report,
-    /// Diameter by the contact, m.
+    /// Diameter of the vial, from the contact, m; `None` before a contact.
     pub diameter_m: Option<f64>,
-    /// How often slip was seen.
+    /// Number of slips that were detected.
     pub slips: u32,
-    /// The gripper at the end of the time in the air, and the set point then, N.
+    /// True state of the gripper at the end of the time in the air, and the set point then, N.
     pub carried: Option<(CableLoop, f64)>,
-    /// The gripper at the end.
+    /// True state of the gripper at the end.
     pub end: CableLoop,
     /// Time from arming to the end, s.
     pub lasted_s: f64,
-    /// States with when they began, s.
+    /// Names of the states with the times at which they began, s.
     pub states: Vec<(&'static str, f64)>,
 }
 
-/// What is true at one moment, and what the sensor shows.
+/// True state at one moment, with the sensor's reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
-    /// s
+    /// Time of the simulation, s.
     pub time_s: f64,
-    /// Squeeze or force of the retracted loop, and the sensor's, N.
+    /// Squeeze, or force of the retracted loop, and the sensor's reading, N.
     pub force_n: [f64; 2],
     /// Length of the loop, m.
     pub length_m: f64,
@@ -118,7 +121,7 @@ pub struct Moment {
     pub height_m: [f64; 2],
 }
 
-/// The gripper as it is, or `None` for a board without one.
+/// Copy of the gripper's true state; `None` for a board without one.
 pub fn truth(session: &Session<'_>) -> Result<Option<CableLoop>, Error> {
     let mut world = session.virtual_board()?.world();
     world.catch_up();
@@ -142,10 +145,10 @@ fn look(session: &Session<'_>) -> Result<Option<Moment>, Error> {
     }))
 }
 
-/// The same as [`grip`], with what is true meanwhile.
+/// Runs [`grip`] and returns the true states meanwhile.
 ///
 /// # Errors
-/// As [`grip`].
+/// The errors of [`grip`].
 pub async fn watched(
     session: &Session<'_>,
     setup: &Setup,
@@ -174,7 +177,7 @@ pub async fn watched(
 /// Grips a vial, carries it and puts it down.
 ///
 /// # Errors
-/// When the board does not arm, stops, or is not virtual. A grip that fails is an [`Outcome`].
+/// The error of the board when it does not arm, stops, or is not virtual. A grip that fails is an [`Outcome`].
 pub async fn grip(session: &Session<'_>, setup: &Setup, seen: Seen, uses: Uses) -> Result<Outcome, Error> {
     let begin_s = session.board.now_s();
     let mut carried = None;
@@ -184,6 +187,7 @@ pub async fn grip(session: &Session<'_>, setup: &Setup, seen: Seen, uses: Uses) 
         .armed(async || {
             let mut gripper = Gripper::open(session, setup, uses).await?;
             let report = gripper.run(&mut sequence, seen, &mut found, &mut carried).await;
+            // Also after an error: the last set point of the spool would stay in force until the disarm.
             gripper.stop().await?;
             report
         })
@@ -205,47 +209,47 @@ struct Found {
     slips: u32,
 }
 
-/// How the loop is while an axis moves.
+/// State of the loop while an axis moves.
 enum Loop<'f> {
     /// Slack: the sensor shows its zero.
     Slack,
-    /// Tight against the tip.
+    /// Tight against the tip, without a vial.
     Retracted,
-    /// Round a vial, which is to be held.
+    /// Closed round a vial, which the force loop holds.
     Closed(&'f mut Found),
 }
 
-/// The newest readings.
+/// Latest readings of spool and force sensor.
 #[derive(Clone, Copy, Debug, Default)]
 struct Read {
     time_s: f64,
     after_s: f64,
-    /// As the sensor shows it.
+    /// Force as the sensor shows it, N.
     force_n: f64,
     angle_rad: f64,
 }
 
-/// Spool, sensors, and what has been learned in a sequence.
+/// Spool, sensors, and the estimates of a sequence.
 pub(super) struct Gripper<'s, 'b> {
     session: &'s Session<'b>,
     setup: &'s Setup,
     uses: Uses,
     telemetry: TelemetryStream,
-    /// What the spool was told last.
+    /// Last set point that the spool received.
     told: Option<Setpoint>,
     radian: f64,
     read: Read,
     zero: Zero,
-    /// Angle of the spool at which the retracted loop is tight.
+    /// Angle of the spool at which the retracted loop becomes tight, rad.
     home_rad: f64,
-    /// Sum and number of ranges that are averaged.
+    /// Sum, m, and number of the ranges that are averaged; `None` while none are.
     range: Option<(f64, usize)>,
     set_n: f64,
     slip: SlipWatch,
     hurries: bool,
 }
 
-/// The quantity of a sensor in a sample, if the sample is its and good.
+/// First quantity of a sensor in a sample; `None` for a sample of another channel or of bad quality.
 fn quantity(sensor: ChannelId, sample: &Sample) -> Option<f64> {
     match *sample {
         Sample::Sensor { channel, values, quality: Quality::Good, .. } if channel == sensor => Some(values[0].into()),
@@ -278,10 +282,11 @@ impl<'s, 'b> Gripper<'s, 'b> {
         })
     }
 
-    /// Waits for the next force.
+    /// Waits for the next force reading.
     pub(super) async fn next(&mut self) -> Result<(), Error> {
         loop {
             let frame = self.telemetry.next().await?;
+            // A trip stops the spool: waiting on would only end in a timeout.
             if frame.state == SafetyState::Tripped {
                 return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
             }
@@ -305,6 +310,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
             }
             if let Some(force_n) = force_n {
                 let time_s = frame.device_us as f64 * 1e-6;
+                // 0 for the first reading: the time since power-up is no sample period.
                 let after_s = if self.read.time_s > 0.0 { time_s - self.read.time_s } else { 0.0 };
                 self.read = Read { time_s, after_s, force_n, ..self.read };
                 return Ok(());
@@ -312,14 +318,15 @@ impl<'s, 'b> Gripper<'s, 'b> {
         }
     }
 
-    /// Force without the sensor's zero, as far as that is known, N.
+    /// Force corrected by the sensor's zero where that is known, N.
     fn force_n(&self) -> f64 {
         if self.uses.drift { self.read.force_n - self.zero.at(self.read.time_s) } else { self.read.force_n }
     }
 
-    /// Tells the spool what it was not told last.
+    /// Sends a set point to the spool, unless it is the last one sent.
     async fn tell(&mut self, mode: Mode, value: f64) -> Result<(), Error> {
         let setpoint = Setpoint { mode, value: value as f32 };
+        // Repeated set points are not sent: this runs in every period of 10 ms.
         if self.told != Some(setpoint) {
             self.session.board.set(self.setup.spool, setpoint).await?;
             self.told = Some(setpoint);
@@ -336,8 +343,9 @@ impl<'s, 'b> Gripper<'s, 'b> {
         self.turn(0.0).await
     }
 
-    /// Has the board hold the set point of the force, on top of the sensor's zero as it is by now.
+    /// Lets the board hold the force's set point, shifted by the sensor's present zero.
     async fn press(&mut self) -> Result<(), Error> {
+        // The board's loop works on the uncorrected reading, so that the zero is added to the set point.
         let shown_n = self.set_n + self.read.force_n - self.force_n();
         match self.told {
             Some(Setpoint { mode: Mode::Force, value }) if (f64::from(value) - shown_n).abs() < ZERO_STEP_N => Ok(()),
@@ -345,7 +353,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         }
     }
 
-    /// Length of the loop, without what it stretches, m.
+    /// Length of the unloaded loop at an angle of the spool, m.
     fn length_m(&self, angle_rad: f64) -> f64 {
         let retracted_m = self.setup.tight_m(2.0 * self.setup.bend_radius_m);
         retracted_m + 2.0 * self.setup.spool_radius_m * (angle_rad - self.home_rad)
@@ -356,7 +364,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         self.home_rad + (length_m - retracted_m) / (2.0 * self.setup.spool_radius_m)
     }
 
-    /// Turns the spool to an angle, without a load.
+    /// Turns the spool to an angle without a load; with `takes_zero` the readings meanwhile belong to the zero.
     async fn turn_to(&mut self, angle_rad: f64, takes_zero: bool) -> Result<(), Error> {
         self.tell(Mode::Position, angle_rad).await?;
         loop {
@@ -370,7 +378,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         }
     }
 
-    /// Moves an axis and waits until it is there, with the force loop on if the vial is held.
+    /// Moves an axis and waits until it has settled, with the force loop on if a vial is held.
     async fn move_and(&mut self, axis: usize, place_m: f64, mut state: Loop<'_>) -> Result<(), Error> {
         let channel = self.setup.axes[axis];
         let mut samples = self.session.board.samples(channel, 20).await?;
@@ -387,9 +395,11 @@ impl<'s, 'b> Gripper<'s, 'b> {
                 }
             }
             while let Some(sample) = samples.try_next() {
+                // `settled` alone may still belong to the previous set point.
                 if let Sample::Motor { setpoint, settled: true, .. } = sample.sample
                     && setpoint.value == target
                 {
+                    // A standing axis needs no telemetry.
                     self.session.board.subscribe(channel, 0).await?;
                     return Ok(());
                 }
@@ -397,7 +407,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         }
     }
 
-    /// One period of holding: the set point of the force, and slip.
+    /// One period of holding: updates the force set point and checks for slip.
     async fn hold(&mut self, found: &mut Found) -> Result<(), Error> {
         if !self.uses.force_loop {
             return self.stop().await;
@@ -407,14 +417,14 @@ impl<'s, 'b> Gripper<'s, 'b> {
             found.slips += 1;
             (self.set_n, self.hurries) = (FIRM_N, true);
         }
-        // Ahead of the set point by what comes in late.
+        // The speed is switched off below the set point, by what the loop still gains in the latency of one period.
         self.hurries &= force_n < 0.75 * self.set_n;
         if self.hurries { self.turn(-HURRY_RAD_S).await } else { self.press().await }
     }
 
-    /// Draws the retracted loop against the tip: where it is tight is home.
+    /// Draws the retracted loop against the tip; home is the angle at which it becomes tight.
     async fn home(&mut self) -> Result<(), Error> {
-        // The loop is slack at first: ten readings are the zero.
+        // The loop is slack at first: ten readings give the zero.
         for _ in 0..10 {
             self.next().await?;
             self.zero.add(self.read.time_s, self.read.force_n);
@@ -427,6 +437,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
             if force_n > TIGHT_N {
                 contact.add(self.read.angle_rad, force_n);
             }
+            // Three points are the least for the line of force over angle.
             if force_n > HOME_N && (contact.count() >= 3 || !self.uses.bowden) {
                 self.home_rad = match contact.angle_rad() {
                     Some(angle_rad) if self.uses.bowden => angle_rad,
@@ -438,13 +449,13 @@ impl<'s, 'b> Gripper<'s, 'b> {
         }
     }
 
-    /// Begins to average ranges, which [`Gripper::ranged`] ends.
+    /// Starts to average ranges; [`Gripper::ranged`] ends it.
     async fn range(&mut self) -> Result<(), Error> {
         self.range = Some((0.0, 0));
         Ok(self.session.board.subscribe(self.setup.range, RANGE_MS).await?)
     }
 
-    /// Mean of the ranges, m, and the end of the subscription; `None` while there are fewer than `readings`.
+    /// Mean of the ranges, m, and end of their telemetry; `None` while there are fewer than `readings`.
     async fn ranged(&mut self, readings: usize) -> Result<Option<f64>, Error> {
         let Some((sum_m, count)) = self.range.filter(|(_, count)| *count >= readings) else { return Ok(None) };
         self.range = None;
@@ -452,7 +463,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         Ok(Some(sum_m / count as f64))
     }
 
-    /// Brings the tip to its distance before the vial, by ranges that have come in since [`Gripper::range`].
+    /// Moves the tip to its distance before the vial, by the ranges received since [`Gripper::range`].
     async fn centre(&mut self) -> Result<(), Error> {
         let range_m = loop {
             self.next().await?;
@@ -464,8 +475,9 @@ impl<'s, 'b> Gripper<'s, 'b> {
         self.move_and(1, range_m - self.setup.gap_m, Loop::Retracted).await
     }
 
-    /// Draws the loop tight round what is in it; `None` where there is nothing.
+    /// Draws the loop tight round its contents. Returns false when there is no vial.
     async fn reel(&mut self, seen_m: f64, found: &mut Found) -> Result<bool, Error> {
+        // Fast, up to just before the loop can be tight. It is slack on the way, which gives the sensor's zero.
         self.turn_to(self.angle_rad(self.setup.tight_m(seen_m + SLOW_BEFORE_M)), true).await?;
         let missed_rad = self.angle_rad(self.setup.tight_m(seen_m - MISSED_M)).min(self.home_rad - 0.1);
         let gone_rad = self.angle_rad(self.setup.tight_m(seen_m - MISSED_M));
@@ -476,11 +488,13 @@ impl<'s, 'b> Gripper<'s, 'b> {
             if force_n > TIGHT_N {
                 contact.add(self.read.angle_rad, force_n);
             }
+            // One reading above the threshold may be noise; three in a row are a contact.
             let is_there = contact.count() > 2;
             if (!is_there && self.read.angle_rad < gone_rad) || self.read.angle_rad < missed_rad - 1.0 {
                 self.stop().await?;
                 return Ok(false);
             }
+            // The board's force loop takes over below its set point: at the spool's speed the force would overshoot it.
             let enough_n = if self.uses.force_loop { 0.75 * GRIP_N } else { GRIP_N };
             if force_n >= enough_n && (is_there || !self.uses.bowden) {
                 let angle_rad = match contact.angle_rad() {
@@ -495,18 +509,20 @@ impl<'s, 'b> Gripper<'s, 'b> {
         self.stop().await?;
         if self.uses.force_loop {
             let mut close = 0;
+            // Several readings in a row: a force that only passes the set point does not count.
             while close < 5 {
                 self.next().await?;
                 let force_n = self.force_n();
                 close = if (force_n - self.set_n).abs() < 0.2 { close + 1 } else { 0 };
                 self.press().await?;
             }
+            // The force changes of the closing itself are no slip.
             self.slip = SlipWatch::default();
         }
         Ok(true)
     }
 
-    /// Holds for a time, and says whether the vial is still at the tip.
+    /// Holds for [`CARRY_S`] and returns true when the vial is still at the tip.
     async fn carry(&mut self, found: &mut Found) -> Result<bool, Error> {
         let until_s = self.read.time_s + CARRY_S;
         while self.read.time_s < until_s {
@@ -524,13 +540,14 @@ impl<'s, 'b> Gripper<'s, 'b> {
         Ok(range_m < NO_VIAL_M)
     }
 
-    /// Homes, and returns the spool's angle at which the retracted loop is tight.
+    /// Homes the spool and returns its angle at which the retracted loop becomes tight, rad.
     pub(super) async fn find_contact(&mut self) -> Result<f64, Error> {
         self.home().await?;
         Ok(self.home_rad)
     }
 
-    /// Turns the spool to an angle and stays there, noting time, angle and the sensor's force.
+    /// Turns the spool to an angle and stays there for `hold_s`; appends time, s, angle, rad, and the sensor's force,
+    /// N.
     pub(super) async fn record_to(
         &mut self,
         angle_rad: f64,
@@ -559,7 +576,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         let seen_m = seen.diameter_m;
         let open_m = self.setup.tight_m(seen_m + 2.0 * self.setup.gap_m);
         let down_m = self.setup.raised_m - GRIP_HEIGHT_M;
-        // Beside its middle a vial is farther away.
+        // Aligned first: a vial beside the tip's axis reads a longer range.
         sequence.state("align", 1.0, self.move_and(2, seen.aside_m, Loop::Slack)).await?;
         self.range().await?;
         sequence.state("home", 3.0, self.home()).await?;
@@ -573,6 +590,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         }
         sequence.state("lift", 2.0, self.move_and(0, 0.0, Loop::Closed(found))).await?;
         let is_there = sequence.state("carry", 2.0, self.carry(found)).await?;
+        // Recorded before the vial is put down: the metrics judge the grip in the air.
         *carried = truth(self.session)?.map(|body| (body, self.set_n));
         if !is_there {
             return Ok(Report::Lost);
@@ -580,6 +598,7 @@ impl<'s, 'b> Gripper<'s, 'b> {
         sequence.state("lower", 2.0, self.move_and(0, down_m, Loop::Closed(found))).await?;
         sequence.state("open", 2.5, self.turn_to(open_rad, false)).await?;
         sequence.state("retract", 2.0, self.move_and(0, 0.0, Loop::Slack)).await?;
+        // Slack by 0.3 rad, so that the parked loop does not load the sensor.
         let parked_rad = self.home_rad + 0.3;
         sequence.state("park", 2.5, self.turn_to(parked_rad, false)).await?;
         Ok(Report::Placed)

@@ -1,7 +1,9 @@
-//! Missing effects of a spring: which of capstan friction, creep and drift of the sensor a recording of the retracted loop shows.
+//! Search for the effect that a spring model lacks: capstan friction, creep or drift of the sensor, from recordings of
+//! the retracted loop.
 //!
-//! The spool draws the retracted loop against the tip, holds, lets back, holds and draws again: no vial is needed. The base model is a
-//! linear spring from the contact on, `F = zero + K (contact - angle)`; each candidate adds one effect.
+//! The spool draws the retracted loop against the tip, holds, releases partly, holds and draws again: no vial is
+//! needed. The base model is a linear spring from the contact on, `F = zero + K (contact - angle)`; each candidate adds
+//! one effect.
 //!
 //! | candidate | prediction | size |
 //! | --- | --- | --- |
@@ -10,8 +12,8 @@
 //! | `drift` | `d t` on the reading | `d`, N/s |
 //! | `stiffening` | `b` of the stretch squared on the force | `b`, 1/rad |
 //!
-//! `q` is the tube's share of the stretch, from the data sheet. The body integrates two springs about a play; here are lines with a
-//! clamp, and trapezoids between samples.
+//! `q` is the tube's share of the stretch, from the datasheet. The body of the simulator integrates two springs about a
+//! play; the model here has lines with a clamp, and trapezoids between samples.
 
 use r4_rig::{Error as RigError, Session};
 
@@ -25,20 +27,20 @@ use crate::{
     effects::{Effect, Search},
 };
 
-/// Purpose of random numbers.
+/// Purpose of the random numbers of the hidden effect.
 const OF_HIDDEN: u64 = 3;
 
-/// Recordings; the last is held out.
+/// Number of recordings; the last is held out.
 const FOLDS: usize = 5;
-/// Depths of a recording's first draw, rad beyond the contact.
+/// Depths of the recordings' first draws, rad beyond the contact.
 const DEPTHS_RAD: [f64; FOLDS] = [0.20, 0.26, 0.16, 0.23, 0.19];
-/// A sample is used where the spool moved no more than this in [`STANDS`] samples, rad: the board's filter of the force lags behind the
-/// angle, which in motion looks like friction (0 of 60 clean recordings stayed quiet with all samples).
+/// Largest motion of the spool in [`STANDS`] samples for which a sample is used, rad. The board's filter of the force
+/// lags behind the angle, which in motion looks like friction (0 of 60 clean recordings stayed quiet with all samples).
 const STANDS_RAD: f64 = 1e-3;
-/// 100 ms.
+/// Number of samples in 100 ms.
 const STANDS: usize = 10;
-/// Candidates. Least sizes: the encoder's steps, 12 mN at a hold, are alike over the whole hold, so that the interval of a size is too narrow
-/// (13 of 40 clean recordings claimed one without).
+/// Candidate effects. Least sizes: the encoder's quantisation, 12 mN at a hold, is the same over the whole hold, so
+/// that the interval of a size is too narrow (13 of 40 clean recordings claimed an effect without a least size).
 const EFFECTS: [Effect; 4] = [
     Effect { name: "bowden", start: &[0.3], absent: 0.0, least: 0.05 },
     Effect { name: "creep", start: &[0.1, 1.0], absent: 0.0, least: 0.03 },
@@ -46,21 +48,21 @@ const EFFECTS: [Effect; 4] = [
     Effect { name: "stiffening", start: &[0.1], absent: 0.0, least: 0.1 },
 ];
 
-/// What is hidden in a recording.
+/// Effect hidden in a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hidden {
-    /// Friction of the Bowden tube.
+    /// Capstan friction of the Bowden tube.
     Bowden,
-    /// Creep of the loop.
+    /// Creep of the loop's material.
     Creep,
-    /// Drift of the sensor.
+    /// Drift of the force sensor.
     Drift,
-    /// Nothing.
+    /// No effect, as a control.
     Nothing,
 }
 
 impl Hidden {
-    /// What the arm of this name hides.
+    /// Effect that the arm of this name hides; `None` for arms without recordings.
     #[must_use]
     pub fn of(arm: &str) -> Option<Self> {
         Some(match arm {
@@ -82,13 +84,14 @@ impl Hidden {
     }
 }
 
-/// Samples of a recording: time from the first recording's begin, s, spool angle, rad, force as the sensor shows it, N.
+/// Samples of a recording: time since the first recording's start, s; spool angle, rad; force as the sensor shows it,
+/// N.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recording {
     samples: Vec<[f64; 3]>,
 }
 
-/// Draws the loop tight and lets it go, five times.
+/// Records the loop five times: draws it tight and releases it.
 async fn record(session: &Session<'_>, setup: &Setup) -> Result<Vec<Recording>, RigError> {
     session
         .armed(async || {
@@ -97,7 +100,8 @@ async fn record(session: &Session<'_>, setup: &Setup) -> Result<Vec<Recording>, 
             let mut recordings = Vec::new();
             for depth_rad in DEPTHS_RAD {
                 let mut recording = Recording::default();
-                // Out, in, held, half back, held, in again, out: so far out that no straight line without a contact fits.
+                // Out, in, held, half back, held, in again, out. The loop goes so far out that no straight line
+                // without a contact fits.
                 for (place, hold_s) in [(-1.0, 0.4), (1.0, 0.9), (0.6, 0.5), (0.9, 0.5), (-1.0, 0.1)] {
                     gripper.record_to(contact_rad - place * depth_rad, hold_s, &mut recording.samples).await?;
                 }
@@ -113,8 +117,8 @@ async fn record(session: &Session<'_>, setup: &Setup) -> Result<Vec<Recording>, 
         .await
 }
 
-/// Predicted forces of the last of some recordings in a row, which begins as those before it leave the loop: `[zero, K, contact]` and what
-/// an effect adds.
+/// Predicts the forces of the last of several consecutive recordings, whose initial state is the end of those before
+/// it. Parameters: `[zero, K, contact]` and those of an effect.
 fn predict(effect: Option<usize>, parameters: &[f64], recordings: &[Recording], tube_share: f64) -> Vec<f64> {
     let [zero_n, n_per_rad, contact_rad, ref added @ ..] = *parameters else { return Vec::new() };
     let spring_n = |angle_rad: f64, given_rad: f64| (n_per_rad * (contact_rad - given_rad - angle_rad)).max(0.0);
@@ -133,6 +137,7 @@ fn predict(effect: Option<usize>, parameters: &[f64], recordings: &[Recording], 
             Some(1) => {
                 let (share, over_s) = (at(0).clamp(-0.9, 0.9), at(1).abs().max(0.02));
                 let first_n = spring_n(*angle_rad, given_rad);
+                // First-order creep over one sample period, with the force's trapezoid as its input.
                 if let Some((before_s, before_n)) = before {
                     let mean_n = f64::midpoint(before_n, first_n);
                     let end_rad = share / (1.0 - share) * mean_n / n_per_rad;
@@ -152,21 +157,22 @@ fn predict(effect: Option<usize>, parameters: &[f64], recordings: &[Recording], 
     predicted.skip(skipped).enumerate().filter(|(place, _)| stands(last, *place)).map(|(_, force_n)| force_n).collect()
 }
 
-/// Whether the spool stands still at a sample.
+/// Returns true when the spool stands still at a sample.
 fn stands(Recording { samples }: &Recording, place: usize) -> bool {
     place >= STANDS && (samples[place][1] - samples[place - STANDS][1]).abs() <= STANDS_RAD
 }
 
-/// The force that the sensor of a recording showed.
+/// Forces that the sensor of a recording showed while the spool stood.
 fn observed(recording: &Recording) -> Vec<f64> {
     let standing = recording.samples.iter().enumerate().filter(|(place, _)| stands(recording, *place));
     standing.map(|(_, sample)| sample[2]).collect()
 }
 
-/// A trial: recordings of a loop with at most one effect, and what the search says about them.
+/// Runs a trial: records a loop with at most one effect, and searches for it.
 ///
 /// # Errors
-/// When the board does not fit, the session fails, or the base model cannot be fitted.
+/// [`Error::Unsuitable`](crate::Error::Unsuitable) when the board does not fit; [`Error::Rig`](crate::Error::Rig) when
+/// the session fails; [`Error::Effects`](crate::Error::Effects) when the base model cannot be fitted.
 pub fn run(trial: &Trial, hidden: Hidden) -> Result<Values, Error> {
     let (mut rig, setup, case) = prepared(trial)?;
     let mut sampler = Sampler::new(trial.seed, OF_HIDDEN);
@@ -198,11 +204,11 @@ pub fn run(trial: &Trial, hidden: Hidden) -> Result<Values, Error> {
     Ok(values)
 }
 
-/// The effect that recordings show.
+/// Searches the recordings for an effect.
 fn search(recordings: &[Recording], setup: &Setup) -> Result<Option<crate::effects::Found>, Error> {
     let observed: Vec<Vec<f64>> = recordings.iter().map(observed).collect();
     let slack_n = recordings[0].samples.iter().map(|sample| sample[2]).fold(f64::INFINITY, f64::min);
-    // The farthest in of the first recording, and its force: a start for the spring.
+    // Initial guess of the spring: the deepest sample of the first recording, and its force.
     let deepest = recordings[0].samples.iter().copied().min_by(|a, b| a[1].total_cmp(&b[1])).unwrap_or_default();
     let contact_rad = deepest[1] + DEPTHS_RAD[0];
     let base_start = [slack_n, (deepest[2] - slack_n) / DEPTHS_RAD[0], contact_rad];

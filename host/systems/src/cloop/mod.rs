@@ -5,8 +5,9 @@
 //! printed: the `paper` arm reels in at an even speed up to a threshold of the sensor. It prints 8 failures in 1000 grips; those had
 //! other errors than the declared ones here, so that no rate on this page can be compared with it.
 //!
-//! [`grip`] is the sequence on a board, which holds the force; [`law`] what the host computes: zero and drift of the sensor, the
-//! contact, slip. [`scene`] samples grippers, vials and disturbances. [`missing`] finds which effect a recording of the loop shows.
+//! [`grip`] is the sequence on a board, whose force loop holds the force; [`law`] has the host's estimators: zero and
+//! drift of the sensor, the contact, slip. [`scene`] samples grippers, vials and disturbances. [`missing`] searches
+//! recordings of the loop for an effect.
 
 pub mod grip;
 pub mod law;
@@ -22,14 +23,14 @@ use crate::{
 use grip::{Moment, Outcome, Report, Uses};
 use scene::{Case, Setup};
 
-/// The system.
+/// Robot system CLOOP, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Cloop;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "cloop";
 
-/// Arms.
+/// Names of the arms.
 const PRINTED: &str = "paper";
 const OURS: &str = "ours";
 const NO_SLIP: &str = "ablation:no-slip-watch";
@@ -53,7 +54,7 @@ const fn at_least(arm: &'static str, share: f64) -> Target {
     Target { arm, limit: Limit::AtLeast(share), from: "set by this project" }
 }
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {
@@ -158,7 +159,7 @@ fn uses(arm: &str) -> Uses {
     }
 }
 
-/// Rig with the case of a trial's seed, and what the controller knows.
+/// Rig with the case of a trial's seed, and the values that the controller knows.
 fn prepared(trial: &Trial) -> Result<(Rig, Setup, Case), Error> {
     let unsuitable = |why: String| Error::Unsuitable { system: NAME, board: trial.board.to_string(), why };
     let case = Case::of(trial.seed);
@@ -166,12 +167,14 @@ fn prepared(trial: &Trial) -> Result<(Rig, Setup, Case), Error> {
     rig.seed = trial.seed;
     let mut robot = rig.robot()?;
     let setup = Setup::of(&robot).map_err(unsuitable)?;
+    // Tried here on a copy first: the change that the rig makes later has no way to report an error.
     case.put_into(&mut robot).map_err(unsuitable)?;
     rig.alter = Some(case.altered());
     Ok((rig, setup, case))
 }
 
-/// Metrics of a grip. A grip fails where the vial does not stand where it was put at the end, whole and let go, after it was carried.
+/// Computes the metrics of a grip. A grip succeeds when the vial was carried and stands at the end where it was put,
+/// whole and released.
 fn evaluate(case: &Case, outcome: &Outcome) -> Values {
     let end = &outcome.end;
     let was_carried =
@@ -186,7 +189,7 @@ fn evaluate(case: &Case, outcome: &Outcome) -> Values {
     put("missed", share(end.squeeze_max_n() == 0.0));
     put("dropped", share(is_dropped));
     put("crushed", share(end.is_crushed()));
-    // Nothing feels that a vial is crushed.
+    // No sensor detects a crushed vial: the report is right without it.
     put("reported", share(says_good == (is_good || end.is_crushed())));
     if let Some(diameter_m) = outcome.diameter_m.filter(|_| end.squeeze_max_n() > 0.0) {
         put("diameter_error_m", (diameter_m - case.vial.diameter_m).abs());
@@ -201,7 +204,7 @@ fn evaluate(case: &Case, outcome: &Outcome) -> Values {
     values
 }
 
-/// A grip by the paper's arm and by ours.
+/// Figure of one grip by the paper's arm and by ours.
 fn figure(trial: &Trial) -> Result<Figure, Error> {
     let of = |arm| -> Result<(Outcome, Vec<Moment>), Error> {
         let trial = Trial { arm, ..trial.clone() };

@@ -1,4 +1,4 @@
-//! Grippers, vials and disturbances that the study samples, and what the controller knows of them.
+//! Grippers, vials and disturbances that the study samples, and the values that the controller knows of them.
 
 use std::{f64::consts::PI, rc::Rc};
 
@@ -12,51 +12,51 @@ use r4_world::{
 
 use crate::sampler::Sampler;
 
-/// Purposes of random numbers.
+/// Purposes of the random numbers: the case, and the camera's noise.
 const OF_CASE: u64 = 1;
 const OF_CAMERA: u64 = 2;
 
-/// Frames that the camera takes of a vial.
+/// Number of frames that the camera takes of a vial.
 const FRAMES: u32 = 20;
-/// Noise of one frame, m.
+/// Standard deviation of one frame's measurement, m.
 const FRAME_NOISE_M: f64 = 0.3e-3;
 
-/// A gripper with its vial and what disturbs it. [`About::sampled`](crate::About::sampled) has the ranges.
+/// A gripper with its vial and its disturbances. [`About::sampled`](crate::About::sampled) has the ranges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
-    /// What is gripped.
+    /// Vial to be gripped.
     pub vial: Vial,
-    /// A knock while it is in the air.
+    /// Knock while the vial is in the air.
     pub jerk: Option<Jerk>,
-    /// The tube.
+    /// Friction coefficient times wrap angle of the Bowden tube; dimensionless.
     pub friction_angle: f64,
-    /// Creep of the loop.
+    /// Creep of the loop's material.
     pub creep: Creep,
     /// Zero, N, and drift, N/s, of the force sensor.
     pub force_zero: [f64; 2],
-    /// True over nominal: tip, strand, spool.
+    /// Scales, true over nominal: stiffness of the tip, stiffness of the strand, radius of the spool.
     pub scales: [f64; 3],
-    /// Legs of the loop less the nominal, m.
+    /// Deviation of the legs' length from the nominal, m.
     pub legs_off_m: f64,
-    /// Length of the loop at the beginning, m.
+    /// Length of the loop at the start, m.
     pub start_m: f64,
-    /// Of the range sensor, m.
+    /// Offset of the range sensor, m.
     pub range_off_m: f64,
-    /// Of the camera: to the left, and of the diameter, m.
+    /// Offsets of the camera: position, positive to the left, and diameter, m.
     pub camera_off_m: [f64; 2],
 }
 
-/// A camera above the gripper: declared, as the board has none.
+/// Measurement of a camera above the gripper: declared, as the board has none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seen {
-    /// To the left of the tip, m.
+    /// Position of the vial to the left of the tip, m.
     pub aside_m: f64,
-    /// m
+    /// Diameter of the vial, m.
     pub diameter_m: f64,
 }
 
 impl Case {
-    /// The case of a seed.
+    /// Samples the case of a seed.
     #[must_use]
     pub fn of(seed: u64) -> Self {
         let mut sampler = Sampler::new(seed, OF_CASE);
@@ -88,7 +88,7 @@ impl Case {
         }
     }
 
-    /// The same loop with at most one effect, and no vial within reach: its tube, its creep and its sensor's drift.
+    /// Returns the same loop with only one of tube friction, creep and sensor drift.
     #[must_use]
     pub fn with_only(self, friction_angle: f64, share: f64, drift_n_per_s: f64) -> Self {
         Self {
@@ -99,7 +99,7 @@ impl Case {
         }
     }
 
-    /// What the camera shows: the mean of its frames.
+    /// Measurement of the camera: the mean of its frames.
     #[must_use]
     pub fn seen(&self, seed: u64) -> Seen {
         let mut sampler = Sampler::new(seed, OF_CAMERA);
@@ -110,7 +110,7 @@ impl Case {
         }
     }
 
-    /// What a rig does to a robot to make it this case.
+    /// Returns the function by which a rig changes its robot to this case.
     pub fn altered(self) -> Alter {
         // A robot without a gripper stays as it is: `Setup::of` has refused it.
         Rc::new(move |robot| drop(self.put_into(robot)))
@@ -119,7 +119,7 @@ impl Case {
     /// Changes a robot to this case.
     ///
     /// # Errors
-    /// What the robot's file has in place of a gripper, or why it cannot be computed.
+    /// The reason in words: the robot has no such gripper, or the changed one is not valid.
     pub fn put_into(&self, robot: &mut Robot) -> Result<(), String> {
         let nominal = gripper(robot)?;
         let [tip, strand, spool] = self.scales;
@@ -147,7 +147,7 @@ impl Case {
     }
 }
 
-/// The gripper of a robot.
+/// The gripper of a robot; an error in words when it has none.
 fn gripper(robot: &Robot) -> Result<&CableLoop, String> {
     match robot.simulation.body.as_ref().map(|body| &body.kind) {
         Some(AnyBody::CableLoop(gripper)) => Ok(gripper),
@@ -155,42 +155,42 @@ fn gripper(robot: &Robot) -> Result<&CableLoop, String> {
     }
 }
 
-/// What the controller knows: the gripper's data sheet.
+/// Channels and datasheet values that the controller knows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setup {
-    /// The spool's motor.
+    /// Channel of the spool's motor.
     pub spool: ChannelId,
-    /// Lift, forwards, left.
+    /// Channels of the axes: lift, forwards, left.
     pub axes: [ChannelId; 3],
-    /// m for one rad of them.
+    /// Displacement of the axes per rad of their motors, m/rad.
     pub axes_m_per_rad: [f64; 3],
-    /// Height of the loop while the lift is at 0, m.
+    /// Height of the loop with the lift at 0, m.
     pub raised_m: f64,
-    /// Load cell at the tip.
+    /// Channel of the load cell at the tip.
     pub force: ChannelId,
-    /// Distance sensor in front of the tip.
+    /// Channel of the distance sensor in front of the tip.
     pub range: ChannelId,
-    /// m
+    /// Radius of the spool, m.
     pub spool_radius_m: f64,
-    /// m
+    /// Length of a tight loop minus the circumference that it surrounds, m.
     pub legs_m: f64,
-    /// m
+    /// Least radius of the loop, m: that of the retracted one.
     pub bend_radius_m: f64,
-    /// Room between the vial and the loop's inner side that leaves as much outside it, m.
+    /// Clearance between the vial and the loop's inner side that leaves the same clearance outside it, m.
     pub gap_m: f64,
     /// Half the angle between the strands, rad.
     pub half_angle_rad: f64,
-    /// Strand for each newton: of the tube; of the tip; and of each metre of loop, m/N and 1/N.
+    /// Elongation of the strand per newton: of the tube and of the tip, m/N, and of each metre of loop, 1/N.
     pub stretch: [f64; 3],
-    /// Share of the stretch that is the Bowden tube's, without friction, 1: of the retracted loop.
+    /// Share of the Bowden tube in the stretch of the retracted loop, without friction; dimensionless.
     pub tube_share: f64,
 }
 
 impl Setup {
-    /// That of a robot.
+    /// Reads the setup of a robot.
     ///
     /// # Errors
-    /// What the robot lacks.
+    /// The part that the robot lacks, in words.
     pub fn of(robot: &Robot) -> Result<Self, String> {
         let body = gripper(robot)?;
         let channels = robot.simulation.body.as_ref().map_or(&[][..], |body| &body.channels);
@@ -225,19 +225,23 @@ impl Setup {
             legs_m,
             bend_radius_m,
             half_angle_rad,
+            // The cosine enters twice: for the force of the strands on the tip, and for the deflection of the tip along
+            // a strand.
             stretch: [tube_m_per_n, 2.0 * half_angle_rad.cos().powi(2) / tip_n_per_m, 0.5 / strand_n],
+            // The loop lies around the vial, so that both of its sides share the clearance.
             gap_m: 0.5 * (body.vial().clearance_m - thickness_m),
             tube_share: tube_m_per_n / (tube_m_per_n + outer_m_per_n),
         })
     }
 
-    /// Length of the loop that is tight round a diameter, m.
+    /// Length of a loop that is tight round a diameter, m.
     #[must_use]
     pub fn tight_m(&self, diameter_m: f64) -> f64 {
         PI * diameter_m + self.legs_m
     }
 
-    /// Spool angle between the contact and a force on the tip, rad, by the data sheet and without friction in the tube.
+    /// Spool angle between the contact and a force on the tip, rad, by datasheet values and without friction in the
+    /// tube.
     #[must_use]
     pub fn stretch_rad(&self, diameter_m: f64, force_n: f64) -> f64 {
         let [tube_m_per_n, tip_m_per_n, loop_per_n] = self.stretch;

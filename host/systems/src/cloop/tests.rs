@@ -23,19 +23,20 @@ fn on_a_simulated_board_a_vial_is_gripped_carried_and_put_down() {
     assert_eq!(values(OURS, 2), values(OURS, 2), "the same seed, bit for bit");
 }
 
-/// The threshold takes the sensor's zero of up to 1 N for force, and creep takes a part of what was reached; the force loop holds both.
+/// The threshold arm takes the sensor's zero of up to 1 N for force, and loses part of the reached force to creep; the
+/// force loop corrects both.
 #[test]
 fn a_threshold_does_not_hold_its_force_and_ours_does() {
     let error_n = |arm| (1..=6).map(|seed| values(arm, seed)["squeeze_error_n"]).fold(0.0, f64::max);
     let (printed_n, ours_n) = (error_n(PRINTED), error_n(OURS));
     assert!(printed_n > 0.6 && ours_n < 0.5 * printed_n, "{printed_n} N, {ours_n} N");
-    // Where the threshold is reached, loop and tube are stretched by 2 mm and more.
+    // At the threshold, loop and tube are already stretched by 2 mm and more.
     let diameter_m = (1..=6).map(|seed| values(NO_BOWDEN, seed)["diameter_error_m"]).fold(0.0, f64::max);
     assert!(diameter_m > 5e-4, "{diameter_m} m");
 }
 
-/// While the vial is in the air: the worm holds the loop, the axes' motors stay on, and the vial hangs where it was, squeezed no more
-/// than before and by no less than creep leaves.
+/// The dead man is released while the vial is in the air: the worm gear holds the loop, the axes' motors stay on, and
+/// the vial stays where it was. The squeeze does not rise, and falls by no more than the creep.
 #[test]
 fn a_released_dead_man_leaves_the_vial_in_the_loop() {
     let trial = trial(OURS, 1);
@@ -68,10 +69,10 @@ fn a_released_dead_man_leaves_the_vial_in_the_loop() {
     assert_eq!(held.hold(), Hold::Inside);
     assert!((held.height_m() - released.height_m()).abs() < 5e-3, "{} {}", held.height_m(), released.height_m());
     assert!(held.slip_m()[1] < 1e-4 && !held.is_crushed(), "{held:?}");
-    // All of the creep that is sampled, 30 %, at most; the sensor's 0.1 N of ripple on the way.
+    // Lower limit: all of the sampled creep, 30 %, and 0.1 N of ripple before.
     assert!(held.squeeze_n() > 0.65 * released.squeeze_n(), "{} {}", held.squeeze_n(), released.squeeze_n());
     assert!(held.squeeze_n() < released.squeeze_n() + 0.2);
-    // Enough for any vial that is allowed: 150 g on a friction of 0.45.
+    // Enough for every allowed vial: 150 g at a friction of 0.45.
     assert!(2.0 * 0.45 * held.squeeze_n() > 0.15 * r4_world::GRAVITY_M_S2, "{}", held.squeeze_n());
 }
 
@@ -86,7 +87,7 @@ fn a_robot_without_a_loop_is_refused() {
 fn a_vial_that_is_not_there_is_reported_as_missed() {
     let trial = trial(OURS, 1);
     let (rig, setup, case) = prepared(&trial).expect("a gripper");
-    // The camera sees something 5 mm beside the vial: the loop comes down on its rim.
+    // The camera reports a position 5 mm off: the loop comes down on the vial's rim.
     let mut seen = case.seen(trial.seed);
     seen.aside_m += 0.005;
     let work = async |session: &Session<'_>| grip::grip(session, &setup, seen, Uses::OURS).await;

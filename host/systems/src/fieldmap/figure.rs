@@ -1,4 +1,4 @@
-//! Curves and views of a trial.
+//! Figure and maps of a trial.
 
 use r4_maps::{grid::Grid, pose::distance_m};
 
@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{Curve, Error, Figure, Panel, Trial, View};
 
-/// Cells along a side of a view.
+/// Number of cells along a side of a view.
 const COLUMNS: usize = 80;
 /// Number of the path's points for each one that is drawn.
 const EVERY: usize = 50;
@@ -27,6 +27,7 @@ struct Trials {
 
 impl Trials {
     fn of(trial: &Trial) -> Result<Self, Error> {
+        // The figure shows our arm, whichever was requested.
         let trial = Trial { arm: OURS, ..trial.clone() };
         let scene = Scene::of(trial.seed, PLOT)?;
         let calibration = run::calibrated(&trial, scene.mill)?;
@@ -48,7 +49,7 @@ fn mapped(
         .map_err(|error| unsuitable("the readings", error.to_string()))
 }
 
-/// The drift, true and by the map; and how far the pose was off.
+/// Draws the drift, true and by the map, and the error of the pose.
 pub(super) fn curves(trial: &Trial) -> Result<Figure, Error> {
     let Trials { scene, ours, map, .. } = Trials::of(trial)?;
     let times_s: Vec<f64> = map.time_part.iter().map(|(time_s, _)| *time_s).collect();
@@ -81,7 +82,7 @@ pub(super) fn curves(trial: &Trial) -> Result<Figure, Error> {
     })
 }
 
-/// The true mean with the path, the maps of the same readings, and the open field with the swarm's.
+/// Draws the true mean with the path, the maps of the same readings, and the open field with the swarm's map.
 pub(super) fn views(trial: &Trial) -> Result<Vec<View>, Error> {
     let Trials { scene, calibration, ours, map, until_s } = Trials::of(trial)?;
     let truth = scene.truth(until_s)?;
@@ -101,7 +102,7 @@ pub(super) fn views(trial: &Trial) -> Result<Vec<View>, Error> {
     Ok(views)
 }
 
-/// The open field, and its map by six robots.
+/// Draws the open field, and its map by six robots.
 fn open(trial: &Trial) -> Result<Vec<View>, Error> {
     let trial = Trial { arm: SWARM_PERFECT, ..trial.clone() };
     let scene = Scene::of(trial.seed, OPEN)?;

@@ -1,4 +1,5 @@
-//! Positions of a GNSS receiver: NMEA 0183 sentences to metres east and north of the plot's corner, and the pose that they correct.
+//! Positions of a GNSS receiver: decodes NMEA 0183 sentences to metres east and north of the plot's corner, which
+//! correct the pose.
 //!
 //! # Source
 //! NMEA 0183, sentence GGA and checksum. Geodetic to earth-centred coordinates and to the local plane: Farrell, *Aided Navigation*, McGraw-Hill 2008,
@@ -13,29 +14,29 @@ use crate::rover::{Fix, PoseFilter};
 /// WGS 84: semi-major axis, m, and flattening.
 const AXIS_M: f64 = 6_378_137.0;
 const FLATTENING: f64 = 1.0 / 298.257_223_563;
-/// Number of the program's periods (20 ms) between reads of the connector: the robot goes 16 mm meanwhile.
+/// Number of the program's periods (20 ms) between reads of the connector; the robot moves 16 mm meanwhile.
 const TURNS: usize = 2;
-/// Standard deviation of a position for the filter, m. The receiver's is 0.02 m and keeps for a minute, which a filter of white noise does not
-/// know. Our choice; other values were not compared.
+/// Standard deviation of a position in the filter, m. The receiver's error of 0.02 m is correlated over a minute, which
+/// a filter of white noise cannot represent. Our choice; other values were not compared.
 const DEVIATION_M: f64 = 0.05;
-/// Positions farther off than this are left out, in standard deviations.
+/// Gate in standard deviations, beyond which positions are rejected.
 const GATE: f64 = 5.0;
-/// Longest sentence of the standard, bytes.
+/// Longest sentence of the standard, in bytes.
 const SENTENCE_MAX: usize = 82;
 
-/// Place on the ellipsoid.
+/// Position on the WGS 84 ellipsoid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Geodetic {
-    /// Positive to the north, rad.
+    /// Latitude, positive to the north, rad.
     pub latitude_rad: f64,
-    /// Positive to the east, rad.
+    /// Longitude, positive to the east, rad.
     pub longitude_rad: f64,
     /// Height above the ellipsoid, m.
     pub height_m: f64,
 }
 
 impl Geodetic {
-    /// Earth-centred, earth-fixed, m.
+    /// Position in earth-centred, earth-fixed coordinates, m.
     fn earth_centred_m(self) -> [f64; 3] {
         let squared = FLATTENING * (2.0 - FLATTENING);
         let ((sin, cos), (sin_east, cos_east)) = (self.latitude_rad.sin_cos(), self.longitude_rad.sin_cos());
@@ -44,7 +45,7 @@ impl Geodetic {
         [across_m * cos_east, across_m * sin_east, (normal_m * (1.0 - squared) + self.height_m) * sin]
     }
 
-    /// East and north of `origin` in its tangent plane, m.
+    /// Position east and north of `origin`, in its tangent plane, m.
     #[must_use]
     pub fn east_north_m(self, origin: Self) -> Point {
         let (here, there) = (self.earth_centred_m(), origin.earth_centred_m());
@@ -54,21 +55,22 @@ impl Geodetic {
     }
 }
 
-/// Bytes of a receiver as they come.
+/// Decoder of a receiver's byte stream.
 #[derive(Clone, Debug, Default)]
 pub struct Sentences {
     line: Vec<u8>,
 }
 
 impl Sentences {
-    /// Takes bytes and returns the positions that they complete. Sentences with a wrong checksum, of another kind or without a position
-    /// are none.
+    /// Takes bytes and returns the positions that they complete. Sentences with a wrong checksum, of another kind or
+    /// without a position give none.
     pub fn take(&mut self, bytes: &[u8]) -> Vec<Geodetic> {
         let mut positions = Vec::new();
         for byte in bytes {
             match byte {
                 b'$' => self.line.clear(),
                 b'\n' => positions.extend(std::str::from_utf8(&self.line).ok().and_then(position)),
+                // The rest of a longer line is dropped; its checksum fails then.
                 _ if self.line.len() < SENTENCE_MAX => self.line.push(*byte),
                 _ => {}
             }
@@ -77,7 +79,7 @@ impl Sentences {
     }
 }
 
-/// Position of a GGA sentence between `$` and the line's end.
+/// Position of a GGA sentence, without its `$`; `None` for other or damaged sentences.
 fn position(line: &str) -> Option<Geodetic> {
     let (content, checksum) = line.trim_end().split_once('*')?;
     if u8::from_str_radix(checksum, 16).ok()? != content.bytes().fold(0, |sum, byte| sum ^ byte) {
@@ -95,29 +97,29 @@ fn position(line: &str) -> Option<Geodetic> {
     })
 }
 
-/// Degrees and minutes, of which `digits` are of whole degrees.
+/// Parses an angle in degrees and minutes, of which the first `digits` are whole degrees; the result is in rad.
 fn angle_rad(text: &str, digits: usize) -> Option<f64> {
     let (whole, minutes) = text.split_at_checked(digits)?;
     Some((whole.parse::<f64>().ok()? + minutes.parse::<f64>().ok()? / 60.0).to_radians())
 }
 
-/// A receiver on the robot.
+/// A GNSS receiver on the robot.
 #[derive(Clone, Debug)]
 pub struct Receiver {
     port: u8,
-    /// Corner of the plot.
+    /// Corner of the plot, the origin of positions.
     origin: Geodetic,
-    /// Place of the aerial on the robot, m.
+    /// Position of the aerial on the robot: forwards and to the left of its middle, m.
     aerial_m: Point,
     sentences: Sentences,
     counts: [u64; 2],
 }
 
 impl Receiver {
-    /// The receiver of a robot's file.
+    /// Creates the receiver of a robot's file.
     ///
     /// # Errors
-    /// In words: a robot without one.
+    /// A robot without a receiver, in words.
     pub fn of(robot: &Robot) -> Result<Self, String> {
         let receiver = robot.simulation.uarts.iter().find_map(|uart| match uart.device {
             UartDevice::Gnss(gnss) => Some((uart.port, gnss)),
@@ -148,6 +150,7 @@ impl Fix for Receiver {
                 let from_middle_m = [cos * ahead_m - sin * aside_m, sin * ahead_m + cos * aside_m];
                 let mut row = RowVector4::zeros();
                 row[axis] = 1.0;
+                // The aerial is not above the middle, so that its position also depends on the yaw.
                 row[2] = [-from_middle_m[1], from_middle_m[0]][axis];
                 let off_m = seen_m[axis] - (pose.state()[axis] + from_middle_m[axis]);
                 is_good &= pose.correct(&row, off_m, DEVIATION_M, GATE);

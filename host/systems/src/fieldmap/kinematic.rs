@@ -1,4 +1,5 @@
-//! The same programs on perfect actuators: robots that move as commanded and know where they are, and a mill without lag or noise.
+//! The same programs on perfect actuators: robots move as commanded and know their pose, and the mill has neither lag
+//! nor noise.
 
 use r4_maps::pose::Point;
 use r4_rig::Place;
@@ -39,7 +40,7 @@ impl Robot {
     }
 }
 
-/// Runs programs, each from its start, until all have ended; returns their ways, with times, s.
+/// Runs programs, each from its start, until all have ended. Returns their paths: time, s, and position, m.
 pub fn run(scene: &Scene, starts: &[Place], programs: &mut [impl Program]) -> Vec<Vec<(f64, Point)>> {
     let mut field = scene.field();
     let robot = |at: &Place| Robot { at: *at, charge: 0.0, path: vec![(0.0, [at.x_m, at.y_m])], has_ended: false };

@@ -1,4 +1,4 @@
-//! Maps of readings: by place and time, and the simpler ones that they are compared with.
+//! Maps of readings: by place and time, and the simpler maps that it is compared with.
 
 use r4_maps::{
     grid::{Frame, Grid},
@@ -7,43 +7,45 @@ use r4_maps::{
 };
 use r4_maths::minimise::Effort;
 
-/// Least and greatest parameters of the kernel on a plot of 40 m: from the ranges of what may be there, as `About::sampled` has them, and
-/// wider by half. The noise is that of the place within a reading and of what a cloud changes over the plot.
+/// Bounds of the kernel's parameters on a plot of 40 m: half again as wide as the sampled ranges of `About::sampled`.
+/// The noise covers the displacement within a reading and a cloud's changes over the plot.
 const LEAST: Kernel = Kernel { place_deviation: 10.0, length_m: 3.0, time_deviation: 10.0, time_s: 40.0, noise: 0.5 };
 const GREATEST: Kernel =
     Kernel { place_deviation: 60.0, length_m: 12.0, time_deviation: 60.0, time_s: 2000.0, noise: 8.0 };
-/// Without a time term, all that changes is noise.
+/// Bounds of a kernel without a time term, for which all changes are noise.
 const NO_TIME: f64 = 1e-3;
 const NOISE_WITHOUT_TIME: f64 = 80.0;
-/// Effort of the fit. Our choice, made for speed; other values were not compared.
+/// Effort of the fit: our choice for speed; other values were not compared.
 const EFFORT: Effort = Effort { points: 8, generations: 6, simplex: 60 };
 const FIT_SEED: u64 = 14;
-/// Readings of which the kernel is fitted, at most: every n-th, since the time of a fit grows with their cube.
+/// Largest number of readings for the kernel's fit: every n-th is used, since the time of a fit grows with their cube.
 const FITTED: usize = 220;
-/// How often the temporal part is averaged over the mission, s.
+/// Period at which the temporal part is averaged over the mission, s.
 const AVERAGED_S: f64 = 20.0;
 
-/// A map of the mean over a mission, and what it is made of.
+/// A map of the mean over a mission, with its components.
 #[derive(Clone, Debug)]
 pub struct Map {
     /// Mean of the field over the mission in each cell, V/m.
     pub mean: Grid<f64>,
     /// Kernel that fits the readings best.
     pub kernel: Kernel,
-    /// Temporal part each `AVERAGED_S`, s and V/m, from the readings' mean on.
+    /// Temporal part every `AVERAGED_S`: time, s, and difference from the readings' mean, V/m.
     pub time_part: Vec<(f64, f64)>,
     /// Standard deviation of the spatial part in each cell, V/m.
     pub deviation: Grid<f64>,
 }
 
-/// Map by place and time; without a time term all that changes is taken for noise.
+/// Computes the map by place and time; without a time term all changes count as noise.
 ///
 /// # Errors
-/// Readings that make no regression.
+/// [`ProcessError`] for readings that define no regression.
 pub fn by_process(frame: Frame, readings: &[Sample], until_s: f64, has_time: bool) -> Result<Map, ProcessError> {
+    // The process has a mean of 0.
     let offset = readings.iter().map(|sample| sample.value).sum::<f64>() / readings.len().max(1) as f64;
     let centred: Vec<Sample> =
         readings.iter().map(|sample| Sample { value: sample.value - offset, ..*sample }).collect();
+    // The fit factorises a matrix at every step, with a cost cubic in the readings; the map needs that only once.
     let few: Vec<Sample> = centred.iter().step_by(centred.len().div_ceil(FITTED).max(1)).copied().collect();
     let (low, high) = if has_time {
         (LEAST, GREATEST)
@@ -70,7 +72,8 @@ pub fn by_process(frame: Frame, readings: &[Sample], until_s: f64, has_time: boo
     Ok(Map { mean, kernel, time_part, deviation })
 }
 
-/// Map of the mean of the readings in each square of `side_m`; one without a reading has that of the nearest square with one.
+/// Map of the mean of the readings in each square of `side_m`; a square without a reading takes the mean of the nearest
+/// one with readings.
 #[must_use]
 pub fn per_cell(frame: Frame, readings: &[Sample], side_m: f64) -> Grid<f64> {
     let of = |at: Point| at.map(|metres| (metres / side_m).floor() as i64);
@@ -91,13 +94,13 @@ pub fn per_cell(frame: Frame, readings: &[Sample], side_m: f64) -> Grid<f64> {
     })
 }
 
-/// Root mean square difference of two maps, in their unit.
+/// Root mean square difference of two maps, in their unit; NaN when their sizes differ.
 #[must_use]
 pub fn rmse(map: &Grid<f64>, truth: &Grid<f64>) -> f64 {
     r4_maths::statistics::rmse(truth.values(), map.values()).unwrap_or(f64::NAN)
 }
 
-/// The same without the difference of their means: the error of the pattern alone.
+/// Root mean square difference of two maps without the difference of their means: the error of the pattern alone.
 #[must_use]
 pub fn pattern_rmse(map: &Grid<f64>, truth: &Grid<f64>) -> f64 {
     let mean = |grid: &Grid<f64>| grid.values().iter().sum::<f64>() / grid.values().len() as f64;

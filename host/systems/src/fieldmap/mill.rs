@@ -1,7 +1,8 @@
-//! The field mill: from the voltage of its offset stage to the undisturbed field, and the calibration between plates.
+//! Field mill: conversion of its offset stage's voltage to the undisturbed field, and calibration between plates.
 //!
-//! `E = (V - V_0) / (k F) - q`, with the voltage V_0 without a field, the data sheet's k, the form factor F of the body, and the field q
-//! of the charge that wheels bring onto it: `dq/dt = a |ω| - q / T` at a rate ω of the wheels.
+//! `E = (V - V_0) / (k F) - q`, with the voltage V_0 without a field, the datasheet's k, the form factor F of the body,
+//! and the field q of the charge that the wheels bring onto the body: `dq/dt = a |ω| - q / T` at a rate ω of the
+//! wheels.
 
 use nalgebra::DMatrix;
 use r4_maths::least_squares::{linear, nonlinear};
@@ -11,51 +12,51 @@ use crate::rover::Program;
 
 /// Fields between the plates, V/m: voltages over 1 m. With 250 V/m the offset stage reaches its ends at a form factor of 2.
 pub const REFERENCES_V_PER_M: [f64; 5] = [-150.0, -75.0, 0.0, 75.0, 150.0];
-/// The reference without a field, at which wheels turn for the charge.
+/// Index of the reference without a field, at which the wheels turn to measure the charge.
 pub const NO_FIELD: usize = 2;
-/// How long the mill is read at each reference, s.
+/// Reading time of the mill at each reference, s.
 const READS_S: f64 = 4.0;
-/// How long wheels turn to and fro, and how long the charge leaks away after that, s.
+/// Time for which the wheels turn to and fro, and time for which the charge leaks afterwards, s.
 const TURNS_S: f64 = 150.0;
 const LEAKS_S: f64 = 120.0;
-/// One way to and fro, m, and its speed, m/s.
+/// Displacement of one swing, m, and its speed, m/s.
 const SWING_M: f64 = 0.5;
 const SPEED_M_S: f64 = 0.3;
 
-/// What a calibration says of a mill on its robot.
+/// Parameters of a mill on its robot, from a calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Calibration {
-    /// Voltage without a field, V; the charge at rest is part of it.
+    /// Voltage without a field, V; it includes the charge at rest.
     pub offset_v: f64,
-    /// Field at the mill over the undisturbed field (form factor), 1.
+    /// Form factor: field at the mill over the undisturbed field; dimensionless.
     pub form: f64,
     /// Field that a radian of the wheels adds (a), V/m.
     pub per_rad: f64,
-    /// Time in which the charge leaks away (T), s.
+    /// Time constant of the charge's leak (T), s.
     pub leak_s: f64,
 }
 
 impl Calibration {
-    /// Field of a voltage, V/m, with the field of the body's charge, V/m.
+    /// Undisturbed field, V/m, for a voltage, V, and the field of the body's charge, V/m.
     #[must_use]
     pub fn field(&self, volts: f64, charge: f64) -> f64 {
         (volts - self.offset_v) / (super::scene::VOLTS_PER_UNIT * self.form) - charge
     }
 
-    /// As if the mill stood alone: without a form factor.
+    /// Returns the calibration of a mill that stands alone, without a form factor.
     #[must_use]
     pub const fn without_form(self) -> Self {
         Self { form: 1.0, ..self }
     }
 
-    /// As if nothing charged the body.
+    /// Returns the calibration of a mill on a body without charge.
     #[must_use]
     pub const fn without_charge(self) -> Self {
         Self { per_rad: 0.0, ..self }
     }
 }
 
-/// Field of the body's charge over that at rest, from what the wheels turned.
+/// Field of the body's charge relative to that at rest, computed from the wheels' motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ChargeState {
     field: f64,
@@ -63,7 +64,8 @@ pub struct ChargeState {
 }
 
 impl ChargeState {
-    /// Takes the angle by which the wheels turned until `time_s`, rad, at one rate since the last time.
+    /// Updates the charge by the angle, rad, that the wheels turned until `time_s`, at a constant rate since the last
+    /// call.
     pub fn roll(&mut self, of: &Calibration, time_s: f64, angle_rad: f64) {
         let after_s = time_s - self.at_s;
         self.at_s = time_s;
@@ -73,14 +75,14 @@ impl ChargeState {
         }
     }
 
-    /// Undisturbed field by this reading, V/m.
+    /// Field of the charge, V/m, relative to that at rest.
     #[must_use]
     pub const fn field(&self) -> f64 {
         self.field
     }
 }
 
-/// Reads the mill at rest.
+/// Program that reads the mill at rest.
 #[derive(Debug, Default)]
 pub struct Reads {
     sum_v: f64,
@@ -106,10 +108,10 @@ impl Program for Reads {
     }
 }
 
-/// Turns the wheels to and fro, and lets the charge leak away.
+/// Program that turns the wheels to and fro, then lets the charge leak.
 #[derive(Debug, Default)]
 pub struct Turns {
-    /// Times, s, and angles by which the wheels turned since the one before, rad.
+    /// Times, s, and wheel angles since the previous time, rad.
     rolled: Vec<(f64, f64)>,
     /// Times, s, and voltages, V.
     signal: Vec<(f64, f64)>,
@@ -134,10 +136,11 @@ impl Program for Turns {
     }
 }
 
-/// Offset and form factor from mean voltages at [`REFERENCES_V_PER_M`], and the charge from wheels that turned without a field.
+/// Computes offset and form factor from the mean voltages at [`REFERENCES_V_PER_M`], and the charge's parameters from
+/// the wheels' motion without a field.
 ///
 /// # Errors
-/// In words: voltages that say nothing.
+/// A fit that the voltages do not determine, in words.
 pub fn calibrated(means_v: &[f64], turns: &Turns) -> Result<Calibration, String> {
     let references = DMatrix::from_fn(means_v.len(), 2, |row, column| [1.0, REFERENCES_V_PER_M[row]][column]);
     let line = linear(&references, means_v).map_err(|error| error.to_string())?;
@@ -149,7 +152,7 @@ pub fn calibrated(means_v: &[f64], turns: &Turns) -> Result<Calibration, String>
         per_rad: parameters[0],
         leak_s: parameters[1].clamp(0.0, 8.0).exp(),
     };
-    // The offset is fitted again: remaining charge at rest and drift do not come from the wheels.
+    // The offset is fitted again: a remaining charge at rest, and drift, must not be attributed to the wheels.
     let residuals = |parameters: &[f64]| {
         let calibration = with(parameters);
         let (mut charge, mut rolled) = (ChargeState::default(), turns.rolled.iter().peekable());

@@ -1,17 +1,17 @@
-//! Effects missing from the model of a field mill, found in laps through a pair of plates.
+//! Search for effects missing from the model of a field mill, in laps through a pair of plates.
 //!
-//! Plates of a known voltage stand across a lane in a hall without a field. The robot drives through them to and fro, at two speeds, and stands
-//! before each lap. The base model is the calibrated mill: an offset that may have moved, and nothing else. Of each lap four numbers are
-//! taken: how far the plates' centres are apart, to and fro; how high the field between them is over the known one; the signal beside them
-//! while the robot drives; and the signal at rest.
+//! Plates of a known voltage stand across a lane in a hall without a field. The robot drives through them to and fro,
+//! at two speeds, and stands before each lap. The base model is the calibrated mill with an offset that may have
+//! changed. Each lap gives four numbers: the distance between the plates' apparent centres, to and fro; the relative
+//! error of the field between them; the signal beside them while the robot drives; and the signal at rest.
 //!
 //! | effect | apart | height | beside | at rest | size |
 //! | --- | --- | --- | --- | --- | --- |
 //! | `form-factor` | | s | | | relative error s of the calibrated form factor, 1 |
 //! | `wheel-charge` | | | q(t) | q(t) | field that a radian of the wheels adds, V/m |
-//! | `mill-lag` | until the signal y is taken for y + T dy/dt | the same | | | time constant T, s |
+//! | `mill-lag` | removed by y + T dy/dt in place of the signal y | the same | | | time constant T, s |
 //!
-//! None is a formula of the simulated mill: that samples the field and integrates.
+//! None is a formula of the simulated mill, which samples the field and integrates.
 
 use r4_boards::{Robot, SelfCharge};
 use r4_maps::pose::Point;
@@ -29,32 +29,33 @@ use crate::{
     rover::Program,
 };
 
-/// Laps, each at one of these speeds in turn, m/s. The last is held out.
+/// Number of laps, each at one of these speeds in turn, m/s. The last is held out.
 pub const LAPS: usize = 10;
 const SPEEDS_M_S: [f64; 2] = [0.4, 0.2];
 /// Ends of the lane, m.
 pub const ENDS_M: [Point; 2] = [[0.0, 0.0], [8.0, 0.0]];
-/// Middle of the plates, m, the size of their field, and the field in their middle, V/m.
+/// Middle of the plates, m; size of their field, m; field in their middle, V/m.
 const PLATES_M: Point = [4.0, 0.0];
 const PLATES_SIZE_M: f64 = 0.7;
 const PLATES_V_PER_M: f64 = 150.0;
-/// Farther than this from the plates' middle their field is below 0.02 V/m, m.
+/// Distance from the plates' middle beyond which their field is below 0.02 V/m, m.
 const BESIDE_M: f64 = 3.0;
-/// What the mill is calibrated to.
+/// Calibration that the program assumes.
 const CALIBRATED: Calibration = Calibration { offset_v: 2.5, form: 1.4, per_rad: 0.0, leak_s: LEAK_S };
-/// Time in which the body's charge leaks away, s: known from its calibration.
+/// Time constant of the charge's leak, s: known from the calibration.
 const LEAK_S: f64 = 60.0;
-/// Units of the numbers, so that the scatter of all is about alike: m, share of the plates' field, V/m, V/m. Our choice.
+/// Units of the four numbers, which make their scatter about alike: m, share of the plates' field, V/m, V/m. Our
+/// choice.
 const UNITS: [f64; 4] = [0.02, 0.001, 0.1, 0.1];
-/// Purpose of random numbers.
+/// Purpose of the random numbers of the change.
 const OF_CHANGE: u64 = 1_404;
-/// Changes smaller than these are not claimed: what the 20 ms of a telemetry period and the pose's 2 cm leave.
+/// Smallest changes that are claimed: above the errors from a telemetry period of 20 ms and the pose's 2 cm.
 const LEAST: [f64; 3] = [0.01, 0.003, 0.15];
 
-/// Names, in the order of the candidates.
+/// Names of the candidate effects, in their order.
 pub const NAMES: [&str; 3] = ["form-factor", "wheel-charge", "mill-lag"];
 
-/// What is hidden in a mill.
+/// Hidden change of a mill.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Change {
     /// Relative error of the form factor.
@@ -66,7 +67,7 @@ pub enum Change {
 }
 
 impl Change {
-    /// The change of this name, with a size by `seed`; `None` for any other name.
+    /// The change of this name, with a size sampled from `seed`; `None` for any other name.
     #[must_use]
     pub fn named(name: &str, seed: u64) -> Option<Self> {
         let mut sampler = Sampler::new(seed, OF_CHANGE);
@@ -80,7 +81,7 @@ impl Change {
         }
     }
 
-    /// Its size, in the candidate's unit.
+    /// Size of the change, in the candidate's unit.
     #[must_use]
     pub const fn size(self) -> f64 {
         match self {
@@ -89,10 +90,10 @@ impl Change {
     }
 }
 
-/// The hall with the plates, and a mill as it is calibrated.
+/// The hall with the plates, and a mill as calibrated.
 ///
 /// # Errors
-/// When the field cannot be made.
+/// [`Error::Unsuitable`] when the field is not valid.
 pub fn scene() -> Result<Scene, Error> {
     let plates = Charge { place_m: PLATES_M, size_m: PLATES_SIZE_M, peak_v_per_m: PLATES_V_PER_M };
     let mill = Mill {
@@ -105,7 +106,7 @@ pub fn scene() -> Result<Scene, Error> {
     Scene::with(ElectricSpec { charges: vec![plates], ..ElectricSpec::default() }, mill)
 }
 
-/// Hides a change in the mill of a robot, which otherwise follows at once.
+/// Hides a change in the mill of a robot, and removes the lag that its file has.
 pub fn hide(change: Option<Change>, robot: &mut Robot) {
     for reading in robot.simulation.analogs.iter_mut().filter_map(|analog| analog.field.as_mut()) {
         reading.lag_s = 0.0;
@@ -118,30 +119,30 @@ pub fn hide(change: Option<Change>, robot: &mut Robot) {
     }
 }
 
-/// One sample: time, s, place along the lane, m, and field by the calibration, V/m.
+/// One sample of the mill in a crossing or at rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// Time of the reading, s.
     pub time_s: f64,
     /// Position along the lane, m.
     pub place_m: f64,
-    /// Measured field, V/m.
+    /// Field by the calibration, V/m.
     pub field: f64,
-    /// Field of the charge if a radian of the wheels adds 1 V/m, V/m.
+    /// Field of the charge if a radian of the wheels added 1 V/m, V/m.
     pub per_charge: f64,
 }
 
-/// One lap.
+/// Samples of one lap.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Lap {
-    /// There and back.
+    /// Samples of the drive there and back.
     pub crossings: [Vec<Sample>; 2],
-    /// At rest, before.
+    /// Samples at rest before the drive.
     pub rest: Vec<Sample>,
 }
 
 impl Lap {
-    /// The four numbers, where the mill has a lag, s.
+    /// The four numbers in their units, after correction for a lag, s; `None` where a crossing did not meet the plates.
     fn numbers(&self, lag_s: f64) -> Option<[f64; 4]> {
         let [there, back] = [0, 1].map(|leg: usize| profile(&self.crossings[leg], lag_s));
         let (there, back) = (there?, back?);
@@ -156,7 +157,7 @@ impl Lap {
         self.crossings.iter().flatten().filter(|sample| (sample.place_m - PLATES_M[0]).abs() > BESIDE_M)
     }
 
-    /// Field of the charge beside the plates and at rest, if a radian adds 1 V/m, V/m.
+    /// Field of the charge beside the plates and at rest if a radian added 1 V/m, V/m.
     fn per_charge(&self) -> [f64; 2] {
         let of = |sample: &Sample| sample.per_charge;
         [mean(self.beside(), of), mean(self.rest.iter(), of)].map(Option::unwrap_or_default)
@@ -173,7 +174,8 @@ struct Profile {
     height: f64,
 }
 
-/// Centroid of the plates' field in a crossing, and its height over what is beside; the field is `y + T dy/dt`.
+/// Centroid of the plates' field in a crossing, and its height above the signal beside the plates; the field is `y + T
+/// dy/dt` for a lag T.
 fn profile(crossing: &[Sample], lag_s: f64) -> Option<Profile> {
     let near = |place_m: f64| (place_m - PLATES_M[0]).abs() < BESIDE_M;
     let corrected: Vec<(f64, f64)> = crossing
@@ -203,10 +205,10 @@ fn profile(crossing: &[Sample], lag_s: f64) -> Option<Profile> {
     (whole.abs() > 1.0).then(|| Profile { centre_m: area(&|place_m| place_m) / whole, height })
 }
 
-/// The change that laps show; `None` where they show none.
+/// Searches the laps for the change; `None` where they show none.
 ///
 /// # Errors
-/// [`Error::Effects`] where a lap did not meet the plates, or there are too few.
+/// [`Error::Effects`] where a lap did not meet the plates, or for too few laps.
 pub fn found(laps: &[Lap]) -> Result<Option<Found>, Error> {
     let effects = [0, 1, 2].map(|index| Effect {
         name: NAMES[index],
@@ -218,7 +220,7 @@ pub fn found(laps: &[Lap]) -> Result<Option<Found>, Error> {
     let numbers = numbers.ok_or_else(|| Error::Effects("a lap did not meet the plates".into()))?;
     let observed: Vec<Vec<f64>> = numbers.iter().copied().map(Vec::from).collect();
     let predict = |effect: Option<usize>, parameters: &[f64], run: usize| {
-        // The base model's offset may have moved since the calibration.
+        // The base model: the offset may have changed since the calibration.
         let mut predicted = vec![0.0, 0.0, parameters[0] / UNITS[2], parameters[0] / UNITS[3]];
         let size = parameters.get(1).copied().unwrap_or(0.0);
         match effect {
@@ -228,7 +230,7 @@ pub fn found(laps: &[Lap]) -> Result<Option<Found>, Error> {
                 predicted[2] += size * beside / UNITS[2];
                 predicted[3] += size * rest / UNITS[3];
             }
-            // What the lag has changed is what its correction takes away.
+            // The lag's influence on the numbers is what its correction removes.
             Some(_) => {
                 let corrected = laps[run].numbers(size).unwrap_or([f64::NAN; 4]);
                 predicted[0] += numbers[run][0] - corrected[0];
@@ -241,23 +243,23 @@ pub fn found(laps: &[Lap]) -> Result<Option<Found>, Error> {
     Search { base_start: &[0.0], effects: &effects, observed: &observed, predict: &predict }.run()
 }
 
-/// How long the robot stands before each lap, s.
+/// Time at rest before each lap, s.
 const STANDS_S: f64 = 5.0;
 
-/// Drives the laps of [`LAPS`].
+/// Program that drives [`LAPS`] laps.
 #[derive(Debug, Default)]
 pub struct Crossings {
     laps: Vec<Lap>,
     charge: ChargeState,
     stands_until_s: Option<f64>,
     follower: Option<Follower>,
-    /// Of the present leg: 0 there, 1 back.
+    /// Direction of the present leg: 0 there, 1 back.
     leg: usize,
     is_straight: bool,
 }
 
 impl Crossings {
-    /// Laps that are complete.
+    /// Returns the completed laps.
     #[must_use]
     pub fn into_laps(self) -> Vec<Lap> {
         self.laps
@@ -279,6 +281,7 @@ impl Program for Crossings {
         let Some(lap) = self.laps.last_mut() else { return };
         if self.follower.is_none() {
             lap.rest.push(sample);
+        // Samples of ramps and turns are dropped: a profile needs one speed.
         } else if self.is_straight {
             lap.crossings[self.leg].push(sample);
         }

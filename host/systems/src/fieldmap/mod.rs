@@ -3,13 +3,15 @@
 //! Paper: *Toward Semi-Autonomous Terrestrial Robots for Atmospheric Electricity Measurement*, TAROS 2023. A rover with GNSS and an upward
 //! field mill is driven in a loop and its readings go on a map; a sparse swarm is planned.
 //!
-//! [`mill`] makes the undisturbed field of the mill's voltage, by a calibration between plates. [`survey`] drives over a plot, [`map`] makes a
-//! map of its readings by place and time (`r4-maps`), and the simpler maps that it is compared with. [`swarm`] has several robots share an
-//! open field. [`gnss`] corrects the pose, [`scene`] samples fields and mills, [`kinematic`] runs the same programs on perfect actuators,
-//! [`missing`] finds effects that the model of the mill does not have.
+//! [`mill`] converts the mill's voltage to the undisturbed field, by a calibration between plates. [`survey`] drives
+//! over a plot, [`map`] computes the map of its readings by place and time (`r4-maps`), and the simpler maps for
+//! comparison. In [`swarm`] several robots share an open field. [`gnss`] corrects the pose, [`scene`] samples fields
+//! and mills, [`kinematic`] runs the same programs on perfect actuators, [`missing`] searches for effects that the
+//! mill's model lacks.
 //!
 //! # Differences from the paper
-//! - It prints no map error, no calibration and no swarm: its arm here is what it describes, a loop with means of cells.
+//! - It prints no map error, no calibration and no swarm: its arm here follows its description, a loop with means of
+//!   cells.
 //! - The field is synthetic, with a drift as large as the structure. Nothing is claimed of the atmosphere.
 
 mod figure;
@@ -25,14 +27,14 @@ pub mod swarm;
 
 use crate::{About, Arm, Error, Figure, Limit, Metric, Paper, Source, Statistic, System, Target, Trial, Values, View};
 
-/// The system.
+/// Robot system FIELDMAP, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Fieldmap;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "fieldmap";
 
-/// Arms.
+/// Names of the arms.
 const PRINTED: &str = "paper";
 const OURS: &str = "ours";
 const PERFECT: &str = "ablation:perfect-actuators";
@@ -67,7 +69,7 @@ const TWO_PERCENT: Limit = Limit::AtMost(0.02);
 const QUARTER: Limit = Limit::AtMost(0.25);
 const MOSTLY: Limit = Limit::AtLeast(0.9);
 
-/// Arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {

@@ -1,4 +1,4 @@
-//! Trials: calibration, surveys, swarms and searches, and what is measured of them.
+//! Trials: calibration, surveys, swarms and searches, and their metrics.
 
 use r4_maps::{
     grid::Grid,
@@ -22,19 +22,18 @@ use crate::{
     rover::{self, Driven, Program, Setup},
 };
 
-/// Side of the squares of which means are taken, m: the distance of the rows. Our choice; other values were
-/// not compared.
+/// Side of the squares of the per-cell means, m: the distance of the rows. Our choice; other values were not compared.
 pub(super) const SQUARE_M: f64 = 5.0;
-/// Standard deviations of a 95 % interval.
+/// Half-width of a 95 % interval, in standard deviations.
 const WIDTH: f64 = 1.96;
 
-/// A survey that has ended.
+/// Result of a completed survey.
 #[derive(Debug)]
 pub(super) struct Surveyed {
     pub(super) taken: Vec<Taken>,
-    /// Way of the robot with times, s.
+    /// True path of the robot: time, s, and position, m.
     pub(super) path: Vec<(f64, Point)>,
-    /// What was measured on a board.
+    /// Record of the drive; `None` without a board.
     pub(super) driven: Option<Driven>,
 }
 
@@ -52,7 +51,7 @@ fn of_process(trial: &Trial) -> impl Fn(ProcessError) -> Error {
     move |error| failed(error.to_string())
 }
 
-/// Runs a program on a board.
+/// Runs a program on a board and returns the record of the drive.
 pub(super) fn on_board(trial: &Trial, rig: &Rig, program: &mut impl Program) -> Result<Driven, Error> {
     let setup = Setup::of(rig, limits().stop_m).map_err(failed(trial))?.in_volts();
     let mut receiver = super::gnss::Receiver::of(&rig.robot()?).map_err(failed(trial))?;
@@ -60,9 +59,10 @@ pub(super) fn on_board(trial: &Trial, rig: &Rig, program: &mut impl Program) -> 
     Ok(rig.run(None, work)?.0)
 }
 
-/// Calibration between plates, on the trial's board or without one.
+/// Calibrates a mill between plates, on the trial's board or on perfect actuators.
 pub(super) fn calibrated(trial: &Trial, mill: Mill) -> Result<Calibration, Error> {
     let between = |reference: usize| {
+        // The program assumes the nominal references; the plates' gap and voltages are off.
         let actual = REFERENCES_V_PER_M[reference] * (1.0 + mill.voltage_errors[reference]) / (1.0 + mill.gap_error);
         Scene::with(ElectricSpec { uniform_v_per_m: actual, ..ElectricSpec::default() }, mill)
     };
@@ -86,7 +86,7 @@ pub(super) fn calibrated(trial: &Trial, mill: Mill) -> Result<Calibration, Error
     mill::calibrated(&means_v, &turns).map_err(|why| unsuitable("the mill", why))
 }
 
-/// A survey of a plot by an arm.
+/// Runs a survey of a plot by the trial's arm.
 pub(super) fn surveyed(
     trial: &Trial,
     scene: &Scene,
@@ -110,7 +110,7 @@ pub(super) fn surveyed(
     Ok(Surveyed { taken: survey.taken().to_vec(), path, driven: Some(driven) })
 }
 
-/// A trial on a plot of 40 m.
+/// Runs a trial on a plot of 40 m and computes its metrics.
 pub(super) fn plot(trial: &Trial) -> Result<Values, Error> {
     let scene = Scene::of(trial.seed, PLOT)?;
     let calibration = calibrated(trial, scene.mill)?;
@@ -128,6 +128,7 @@ pub(super) fn plot(trial: &Trial) -> Result<Values, Error> {
         let off_m = driven.path.iter().map(|(_, at, truth)| distance_m(*at, *truth));
         put(&mut values, "pose_error_m", off_m.fold(0.0, f64::max));
     }
+    // Only the paper's arm drives a loop that can be closed.
     if trial.arm == PRINTED {
         loop_closure(&scene, &readings, until_s, &mut values).map_err(of_process(trial))?;
     }
@@ -135,12 +136,12 @@ pub(super) fn plot(trial: &Trial) -> Result<Values, Error> {
     Ok(values)
 }
 
-/// Readings by a calibration.
+/// Converts raw readings to fields by a calibration.
 pub(super) fn readings(taken: &[Taken], calibration: &Calibration) -> Vec<Sample> {
     taken.iter().map(|taken| taken.by(calibration)).collect()
 }
 
-/// Errors of the maps of readings.
+/// Computes the errors of the maps of one set of readings: with and without time, form factor and charge.
 fn maps(
     scene: &Scene,
     taken: &[Taken],
@@ -154,6 +155,7 @@ fn maps(
         map::by_process(frame, &readings(taken, calibration), until_s, has_time)
             .map_err(|error| unsuitable("the readings", error.to_string()))
     };
+    // All maps use the same readings, so that only the method differs.
     let ours = of(calibration, true)?;
     let cells = map::per_cell(frame, &readings(taken, calibration), SQUARE_M);
     let (error, error_per_cell) = (map::rmse(&ours.mean, &truth), map::rmse(&cells, &truth));
@@ -175,9 +177,10 @@ fn maps(
     Ok(())
 }
 
-/// Share of cells whose true pattern is within the 95 % interval of the map's.
+/// Share of cells whose true pattern lies within the map's 95 % interval.
 fn covered(map: &map::Map, truth: &Grid<f64>) -> f64 {
     let mean = |grid: &Grid<f64>| grid.values().iter().sum::<f64>() / grid.values().len() as f64;
+    // The interval is that of the spatial part: a difference of the means belongs to the temporal one.
     let shift = mean(&map.mean) - mean(truth);
     let cells = map.mean.values().iter().zip(map.deviation.values()).zip(truth.values());
     let inside = cells.filter(|((mean, deviation), truth)| (*mean - shift - *truth).abs() <= WIDTH * *deviation);
@@ -189,8 +192,9 @@ fn centred(values: Vec<f64>) -> Vec<f64> {
     values.into_iter().map(|value| value - mean).collect()
 }
 
-/// Error of the pattern along the loop by its first lap alone, and by all laps, with the same kernel.
+/// Error of the pattern along the loop: by its first lap alone, and by all laps, with the same kernel.
 fn loop_closure(scene: &Scene, readings: &[Sample], until_s: f64, values: &mut Values) -> Result<(), ProcessError> {
+    // Laps have equal lengths and so about equal numbers of readings.
     let lap = readings.len() / survey::LAPS;
     let along: Vec<Point> = readings[..lap].iter().map(|sample| sample.at).collect();
     let truth = centred(scene.means_at(&along, until_s));
@@ -209,7 +213,7 @@ fn loop_closure(scene: &Scene, readings: &[Sample], until_s: f64, values: &mut V
     Ok(())
 }
 
-/// Six robots, and one, on an open field.
+/// Runs a trial with six robots, and with one, on an open field.
 pub(super) fn swarm(trial: &Trial) -> Result<Values, Error> {
     let scene = Scene::of(trial.seed, OPEN)?;
     let calibration = calibrated(trial, scene.mill)?;
@@ -217,7 +221,8 @@ pub(super) fn swarm(trial: &Trial) -> Result<Values, Error> {
         .map(|swarmed| swarmed.reached_s);
     let mut values = Values::new();
     put(&mut values, "reached", f64::from(u8::from(one_s.is_some() && six_s.is_some())));
-    // A mission that did not reach it counts as its whole time: for the one robot that flatters it.
+    // A mission that did not reach the accuracy counts with its time limit; for the single robot this is an
+    // underestimate.
     let [one_s, six_s] = [one_s, six_s].map(|reached_s| reached_s.unwrap_or(swarm::LATEST_S));
     put(&mut values, "one_robot_s", one_s);
     put(&mut values, "six_robots_s", six_s);
@@ -225,11 +230,11 @@ pub(super) fn swarm(trial: &Trial) -> Result<Values, Error> {
     Ok(values)
 }
 
-/// What came of a swarm.
+/// Result of a swarm's mission.
 pub(super) struct Swarmed {
-    /// When the map was known well enough, s.
+    /// Time at which the map was accurate enough, s; `None` when it never was.
     pub(super) reached_s: Option<f64>,
-    /// Samples that came to the base.
+    /// Samples that the base received.
     pub(super) samples: Vec<Sample>,
 }
 
@@ -241,6 +246,7 @@ pub(super) fn swarmed(trial: &Trial, scene: &Scene, calibration: Calibration, ro
         let mut members: Vec<Member> = (0..robots).map(member).collect();
         kinematic::run(scene, &starts, &mut members);
     } else {
+        // Each robot's board has noise of its own.
         let seed = |number: usize| trial.seed.wrapping_mul(100).wrapping_add(number as u64);
         let rig = |number: usize| scene.rig(&trial.board, seed(number), starts[number], Vec::new());
         let fleet = Fleet::new((0..robots).map(rig).collect());
@@ -256,7 +262,7 @@ pub(super) fn swarmed(trial: &Trial, scene: &Scene, calibration: Calibration, ro
     Ok(Swarmed { reached_s: base.reached_s, samples: base.samples().to_vec() })
 }
 
-/// Runs the blind arm: searches laps between plates for an effect missing from the mill's model.
+/// Runs a blind arm: searches laps between plates for an effect missing from the mill's model.
 pub(super) fn blind(trial: &Trial, hidden: &str) -> Result<Values, Error> {
     let change = Change::named(hidden, trial.seed);
     let found = missing::found(&laps(trial, change)?)?;
@@ -275,7 +281,7 @@ pub(super) fn blind(trial: &Trial, hidden: &str) -> Result<Values, Error> {
     Ok(values)
 }
 
-/// Laps through the plates on the trial's board.
+/// Drives laps through the plates on the trial's board.
 fn laps(trial: &Trial, change: Option<Change>) -> Result<Vec<missing::Lap>, Error> {
     let scene = missing::scene()?;
     let [x_m, y_m] = missing::ENDS_M[0];

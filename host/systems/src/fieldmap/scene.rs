@@ -12,64 +12,64 @@ use r4_world::{Charge, Cloud, Electric, ElectricSpec, Field, FieldKind, Person, 
 
 use crate::{Error, sampler::Sampler};
 
-/// Purposes of random numbers.
+/// Purposes of the random numbers: fields and mills.
 const OF_FIELD: u64 = 1_401;
 const OF_MILL: u64 = 1_402;
-/// Name of the world's field, as the robot's file has it.
+/// Name of the world's field in the robot's file.
 const NAME: &str = "electric";
-/// How often the truth is sampled for its mean, s.
+/// Period at which the truth is sampled for its mean, s.
 const TRUTH_EVERY_S: f64 = 5.0;
-/// What the mill's data sheet says, V for 1 V/m: the form factor is a number against it.
+/// Gain of the mill by its datasheet, V per V/m: the form factor is relative to it.
 pub const VOLTS_PER_UNIT: f64 = 0.005;
 
-/// A square of ground.
+/// A square of ground with the statistics of its field.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plot {
-    /// Side, m; its south-western corner is the origin.
+    /// Side of the square, m; its south-western corner is the origin.
     pub side_m: f64,
-    /// Cells along a side in which maps are compared.
+    /// Number of cells along a side in which maps are compared.
     pub columns: usize,
-    /// Space charges that stay: their number.
+    /// Number of stationary space charges.
     charges: usize,
-    /// Their sizes, m, and sizes of the cloud that passes, m.
+    /// Range of the sizes of the charges, m; range of the size of the passing cloud, m.
     sizes_m: [f64; 2],
     cloud_m: [f64; 2],
 }
 
-/// 40 m by 40 m, which one robot maps.
+/// Plot of 40 m by 40 m, which one robot maps.
 pub const PLOT: Plot = Plot { side_m: 40.0, columns: 20, charges: 5, sizes_m: [4.0, 9.0], cloud_m: [100.0, 200.0] };
-/// 1 km².
+/// Open field of 1 km², for the swarm.
 pub const OPEN: Plot =
     Plot { side_m: 1000.0, columns: 20, charges: 8, sizes_m: [100.0, 180.0], cloud_m: [2000.0, 4000.0] };
 
 impl Plot {
-    /// Grid of its cells.
+    /// Grid of the plot's cells.
     ///
     /// # Errors
-    /// A plot without a size.
+    /// [`Error::Unsuitable`] for a plot without a size.
     pub fn frame(&self) -> Result<Frame, Error> {
         Frame::new(Pose::default(), self.side_m / self.columns as f64, self.columns, self.columns)
             .map_err(|error| super::unsuitable("the plot", error.to_string()))
     }
 }
 
-/// A field mill on a robot. [`About::sampled`](crate::About::sampled) has the ranges.
+/// A sampled field mill on a robot. [`About::sampled`](crate::About::sampled) has the ranges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mill {
-    /// Field at the mill over the undisturbed one: the form factor.
+    /// Form factor: field at the mill over the undisturbed one; dimensionless.
     pub form: f64,
     /// Output of the offset stage without a field, V.
     pub zero_v: f64,
-    /// Field of the body's charge.
+    /// Charge of the body and its field.
     pub charge: SelfCharge,
-    /// Relative error of the calibration plates' distance, 1.
+    /// Relative error of the calibration plates' distance; dimensionless.
     pub gap_error: f64,
-    /// Relative errors of their voltages, 1.
+    /// Relative errors of the plates' voltages; dimensionless.
     pub voltage_errors: [f64; super::mill::REFERENCES_V_PER_M.len()],
 }
 
 impl Mill {
-    /// The mill of a seed.
+    /// Samples the mill of a seed.
     #[must_use]
     pub fn of(seed: u64) -> Self {
         let mut sampler = Sampler::new(seed, OF_MILL);
@@ -86,13 +86,13 @@ impl Mill {
         }
     }
 
-    /// Output without an undisturbed field and with the body's charge at rest, V: the offset that a calibration sees.
+    /// Output without an undisturbed field and with the body's charge at rest, V: the offset that a calibration finds.
     #[must_use]
     pub fn offset_v(&self) -> f64 {
         self.zero_v + VOLTS_PER_UNIT * self.form * self.charge.rest
     }
 
-    /// What the robot's file says of it is changed to this.
+    /// Replaces the mill in a robot by this one.
     pub fn mount(&self, robot: &mut Robot) {
         for reading in robot.simulation.analogs.iter_mut().filter_map(|analog| analog.field.as_mut()) {
             reading.enhancement = self.form;
@@ -102,21 +102,21 @@ impl Mill {
     }
 }
 
-/// A field over a plot, and the mill that measures it.
+/// A sampled field over a plot, and the mill that measures it.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// The ground.
+    /// Plot of ground under the field.
     pub plot: Plot,
-    /// The mill.
+    /// Mill on the robot.
     pub mill: Mill,
     electric: Electric,
 }
 
 impl Scene {
-    /// The scene of a seed.
+    /// Samples the scene of a seed.
     ///
     /// # Errors
-    /// When the field cannot be made.
+    /// [`Error::Unsuitable`] when the sampled field is not valid.
     pub fn of(seed: u64, plot: Plot) -> Result<Self, Error> {
         let mut sampler = Sampler::new(seed, OF_FIELD);
         let side_m = plot.side_m;
@@ -130,7 +130,7 @@ impl Scene {
             })
             .collect();
         let drift = Wander { deviation: sampler.uniform(15.0, 30.0), tau_s: sampler.log_uniform(60.0, 300.0) };
-        // The course of the day: so wide and so fast that all of the plot sees the same, a hill over some 2000 s.
+        // The course of the day is a hill so wide and so fast that the whole plot sees the same, over some 2000 s.
         let (day_m, day_m_s) = (40_000.0, 20.0);
         let day = Cloud {
             charge: Charge {
@@ -141,7 +141,7 @@ impl Scene {
             velocity_m_s: [day_m_s, 0.0],
             wander: Wander::default(),
         };
-        // A cloud that passes nearby: no part of the plot sees quite the same, which the robot's model does not know.
+        // Every part of the plot sees the passing cloud differently, which the robot's model of drift does not contain.
         let cloud_m = sampler.uniform(plot.cloud_m[0], plot.cloud_m[1]);
         let passing = Cloud {
             charge: Charge {
@@ -157,31 +157,31 @@ impl Scene {
         Ok(Self { plot, mill: Mill::of(seed), electric: made(spec)? })
     }
 
-    /// One in which the field is given, with a mill as it is at rest.
+    /// Scene with a given field and mill, on [`PLOT`].
     ///
     /// # Errors
-    /// When the field cannot be made.
+    /// [`Error::Unsuitable`] when the field is not valid.
     pub fn with(spec: ElectricSpec, mill: Mill) -> Result<Self, Error> {
         Ok(Self { plot: PLOT, mill, electric: made(spec)? })
     }
 
-    /// The field at time 0.
+    /// Copy of the field at time 0.
     #[must_use]
     pub fn field(&self) -> Field {
         Field { name: NAME.to_owned(), kind: FieldKind::Electric(Box::new(self.electric.clone())) }
     }
 
-    /// Where one robot starts: in the corner, facing east.
+    /// Start of a single robot: in the south-western corner, facing east.
     #[must_use]
     pub fn start(&self) -> Place {
         let middle_m = super::survey::SPACING_M / 2.0;
         Place { x_m: middle_m, y_m: middle_m, yaw_rad: 0.0 }
     }
 
-    /// Mean of the field in each cell's middle from time 0 to `until_s`, V/m.
+    /// Mean of the field from time 0 to `until_s` in the middle of each cell, V/m.
     ///
     /// # Errors
-    /// A plot without a size.
+    /// [`Error::Unsuitable`] for a plot without a size.
     pub fn truth(&self, until_s: f64) -> Result<Grid<f64>, Error> {
         let frame = self.plot.frame()?;
         let places: Vec<Point> = (0..frame.cells()).map(|index| frame.centre(frame.cell(index))).collect();
@@ -189,7 +189,7 @@ impl Scene {
             .map_err(|error| super::unsuitable("the plot", error.to_string()))
     }
 
-    /// Means of the field at places, m, from time 0 to `until_s`, V/m.
+    /// Means of the field at positions, m, from time 0 to `until_s`, V/m.
     #[must_use]
     pub fn means_at(&self, places: &[Point], until_s: f64) -> Vec<f64> {
         let mut field = self.field();
@@ -204,13 +204,14 @@ impl Scene {
         sums
     }
 
-    /// How the mean over the plot differs at each of these times, s, from its mean over them, V/m.
+    /// Drift: mean over the plot at each of these times, s, minus the mean over the times, V/m.
     ///
     /// # Errors
-    /// A plot without a size.
+    /// [`Error::Unsuitable`] for a plot without a size.
     pub fn drift(&self, times_s: &[f64]) -> Result<Vec<f64>, Error> {
         let (mut field, frame) = (self.field(), self.plot.frame()?);
         let over_plot = |time_s: &f64| {
+            // A seventh of the cells is enough for a mean, and saves most of the time.
             let cells = (0..frame.cells()).step_by(7);
             let count = cells.len() as f64;
             cells.map(|index| field.value(*time_s, frame.centre(frame.cell(index)))).sum::<f64>() / count
@@ -220,7 +221,7 @@ impl Scene {
         Ok(values.into_iter().map(|value| value - mean).collect())
     }
 
-    /// A board in the scene, from `start` on, with `people`.
+    /// Rig of a board in the scene, from `start` on, with `people`.
     #[must_use]
     pub fn rig(&self, board: &Target, seed: u64, start: Place, people: Vec<Person>) -> Rig {
         let mut rig = Rig::new(board.clone());
@@ -235,7 +236,7 @@ impl Scene {
             robot.simulation.fields = vec![field.clone()];
             mill.mount(robot);
             for person in &people {
-                // A path that increases in time, as its maker says.
+                // Adding fails only for a path whose times do not increase; callers give increasing ones.
                 let _ = robot.simulation.scene.add_person(person.clone());
             }
             if let Some(body) = &mut robot.simulation.body {
@@ -249,7 +250,7 @@ fn made(spec: ElectricSpec) -> Result<Electric, Error> {
     Electric::new(spec).map_err(|error| super::unsuitable("the field", error.to_string()))
 }
 
-/// Distance of a place from another, m.
+/// Distance between a pose and a position, m.
 #[must_use]
 pub fn from_m(at: Place, to: Point) -> f64 {
     (at.x_m - to[0]).hypot(at.y_m - to[1])

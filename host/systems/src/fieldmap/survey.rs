@@ -1,4 +1,4 @@
-//! The robot's program on a plot: where it drives, and the readings that it takes on its way.
+//! Program of the robot on a plot: its path, and the readings that it takes.
 
 use r4_maps::{
     pose::{Point, distance_m},
@@ -9,41 +9,42 @@ use r4_rig::{Follower, Limits, Place, Velocity};
 use super::mill::{Calibration, ChargeState};
 use crate::rover::Program;
 
-/// A reading is the mean of the mill's signal over this time, s: 0.8 m of way, a fifth of the smallest space charge.
+/// Averaging time of a reading, s: 0.8 m of travel, a fifth of the smallest space charge.
 pub const PERIOD_S: f64 = 2.0;
-/// Distance of the lawn-mower's rows, m: the size of the smallest space charge. Our choice; other values were not compared.
+/// Distance of the lawn-mower's rows, m: the size of the smallest space charge. Our choice; other values were not
+/// compared.
 pub const SPACING_M: f64 = 5.0;
-/// Laps of the loop.
+/// Number of laps round the loop.
 pub const LAPS: usize = 3;
-/// Sites that may be next, along a side.
+/// Number of candidate sites along a side.
 const SITES: usize = 8;
-/// Of the best sites this many are compared, and the nearest is driven to, so that the robot does not cross the plot to and fro. Our
+/// Number of best sites, of which the nearest is chosen, so that the robot does not cross the plot to and fro. Our
 /// choice; other values were not compared.
 const NEAREST_OF: usize = 4;
-/// What is expected of the plot before there are readings: the middle of the ranges.
+/// Prior kernel before there are readings: the middle of the sampled ranges.
 pub const EXPECTED: Kernel =
     Kernel { place_deviation: 35.0, length_m: 6.0, time_deviation: 30.0, time_s: 150.0, noise: 3.0 };
-/// An obstacle that stays this long in front makes the robot go elsewhere, s.
+/// Time for which an obstacle may stand in front before the robot changes its path, s.
 const PATIENCE_S: f64 = 12.0;
 
-/// How the robot finds its way.
+/// Strategy by which the robot chooses its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Strategy {
-    /// Row by row.
+    /// Row by row over the plot.
     LawnMower,
-    /// Round a square of half the plot's side, [`LAPS`] times.
+    /// Laps round a square of half the plot's side, [`LAPS`] times.
     Loop,
-    /// From site to site by their mutual information with the plot.
+    /// From site to site, by their mutual information with the plot.
     Sites,
 }
 
-/// Speeds of the robot: four fifths of its top speed.
+/// Limits of the robot's motion: four fifths of its top speed.
 #[must_use]
 pub fn limits() -> Limits {
     Limits { speed_m_s: 0.4, turn_rate_rad_s: 1.0, braking_m_s2: 0.5, stop_m: 0.35, reached_m: 0.2 }
 }
 
-/// The mill on its way: voltages become readings.
+/// Mill in motion: averages voltages to readings.
 #[derive(Clone, Debug)]
 pub struct Mapper {
     calibration: Calibration,
@@ -51,25 +52,25 @@ pub struct Mapper {
     period_s: f64,
     begin_s: Option<f64>,
     window: Vec<Taken>,
-    /// Voltages with the field of the charge at their time: what other calibrations make readings of.
+    /// Raw readings, from which other calibrations compute fields.
     taken: Vec<Taken>,
 }
 
-/// A reading before it is a field.
+/// A reading before its conversion to a field.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Taken {
-    /// Place, m.
+    /// Mean position of the samples, m.
     pub at: Point,
-    /// s
+    /// Mean time of the samples, s.
     pub at_s: f64,
-    /// Mean voltage, V.
+    /// Mean voltage of the mill, V.
     pub volts: f64,
     /// Mean field of the body's charge, V/m.
     pub charge: f64,
 }
 
 impl Taken {
-    /// The reading by a calibration, in V/m; with the charge left out where that has none.
+    /// Converts the reading to a field by a calibration, V/m; a calibration without charge ignores that of the body.
     #[must_use]
     pub fn by(&self, calibration: &Calibration) -> Sample {
         let charge = if calibration.per_rad == 0.0 { 0.0 } else { self.charge };
@@ -78,14 +79,14 @@ impl Taken {
 }
 
 impl Mapper {
-    /// A mill with its calibration, of which each period, s, is a reading.
+    /// Creates a mill with its calibration, which gives one reading each period, s.
     #[must_use]
     pub fn new(calibration: Calibration, period_s: f64) -> Self {
         let charge = ChargeState::default();
         Self { calibration, charge, period_s, begin_s: None, window: Vec::new(), taken: Vec::new() }
     }
 
-    /// Takes a voltage, V, at a place.
+    /// Takes a voltage, V, at a pose. Returns a reading when its period is complete.
     pub fn sense(&mut self, time_s: f64, at: Place, volts: f64) -> Option<Taken> {
         self.window.push(Taken { at: [at.x_m, at.y_m], at_s: time_s, volts, charge: self.charge.field() });
         let begin_s = *self.begin_s.get_or_insert(time_s);
@@ -106,25 +107,25 @@ impl Mapper {
         Some(taken)
     }
 
-    /// Takes what the wheels turned, rad.
+    /// Updates the body's charge by the angle that the wheels turned, rad.
     pub fn rolled(&mut self, time_s: f64, angle_rad: f64) {
         self.charge.roll(&self.calibration, time_s, angle_rad);
     }
 
-    /// Readings so far.
+    /// Raw readings taken so far.
     #[must_use]
     pub fn taken(&self) -> &[Taken] {
         &self.taken
     }
 
-    /// Its calibration.
+    /// Calibration of the mill.
     #[must_use]
     pub const fn calibration(&self) -> &Calibration {
         &self.calibration
     }
 }
 
-/// A survey of a plot.
+/// Program of a survey over a plot.
 #[derive(Debug)]
 pub struct Survey {
     strategy: Strategy,
@@ -141,10 +142,10 @@ pub struct Survey {
 }
 
 impl Survey {
-    /// A survey from its start; a lawn-mower's ends with its last row, if not before.
+    /// Creates a survey before its start. It ends at `until_s`, or with its last row.
     ///
     /// # Errors
-    /// In words: numbers that make no regression.
+    /// A kernel that defines no regression, in words.
     pub fn new(strategy: Strategy, side_m: f64, until_s: f64, calibration: Calibration) -> Result<Self, String> {
         let process = Process::new(EXPECTED).map_err(|error| error.to_string())?;
         let pitch_m = side_m / SITES as f64;
@@ -166,13 +167,13 @@ impl Survey {
         })
     }
 
-    /// Readings so far.
+    /// Raw readings taken so far.
     #[must_use]
     pub fn taken(&self) -> &[Taken] {
         self.mapper.taken()
     }
 
-    /// Gives up a goal that somebody stands before.
+    /// Changes the path when an obstacle has stood in front for [`PATIENCE_S`].
     fn mind_obstacles(&mut self, time_s: f64, at: Place, free_m: f64) {
         if free_m > limits().stop_m {
             self.stands_since_s = None;
@@ -189,7 +190,7 @@ impl Survey {
             self.follower = Follower::new(limits(), []);
             return;
         }
-        // Round it, to the left, and on along the row.
+        // Round the obstacle, to the left, and back to the row.
         let (sin, cos) = at.yaw_rad.sin_cos();
         let beside = |ahead_m: f64, aside_m: f64| {
             [at.x_m + ahead_m * cos - aside_m * sin, at.y_m + ahead_m * sin + aside_m * cos]
@@ -221,9 +222,10 @@ impl Program for Survey {
     fn sense(&mut self, time_s: f64, at: Place, volts: f64) {
         let Some(taken) = self.mapper.sense(time_s, at, volts) else { return };
         let sample = taken.by(self.mapper.calibration());
+        // The process has a mean of 0, from which raw readings are far away.
         let offset = *self.offset.get_or_insert(sample.value);
         if self.strategy == Strategy::Sites {
-            // One that cannot be told from another says nothing of where to go next.
+            // A sample too close to an earlier one cannot be added, and would not change the choice of the next site.
             let _ = self.process.add(Sample { value: sample.value - offset, ..sample });
         }
     }
@@ -247,7 +249,8 @@ impl Program for Survey {
     }
 }
 
-/// Ends of the lawn-mower's rows, which go to and fro, and the way back to the start across them: the place where it began is seen again.
+/// Ends of the lawn-mower's rows, which run to and fro, then the return to the start across them: the first position is
+/// measured again.
 fn rows_m(side_m: f64) -> Vec<Point> {
     let (first_m, last_m) = (SPACING_M / 2.0, side_m - SPACING_M / 2.0);
     let rows = (side_m / SPACING_M).floor() as usize;
@@ -263,14 +266,14 @@ fn rows_m(side_m: f64) -> Vec<Point> {
     ends
 }
 
-/// Corners of the loop, lap by lap; the robot starts at the first.
+/// Corners of the loop, lap by lap; the robot starts at the first one.
 fn laps_m(side_m: f64) -> Vec<Point> {
     let (low_m, high_m) = (SPACING_M / 2.0, SPACING_M / 2.0 + side_m / 2.0);
     let lap = [[high_m, low_m], [high_m, high_m], [low_m, high_m], [low_m, low_m]];
     (0..LAPS).flat_map(|_| lap).collect()
 }
 
-/// Time that the lawn-mower takes, s: its way at full speed and its turns, each as on the board within a second.
+/// Duration of the lawn-mower's mission, s: its path at full speed and its turns, within a second of that on a board.
 #[must_use]
 pub fn mission_s(side_m: f64) -> f64 {
     const TURN_S: f64 = 2.5;

@@ -1,7 +1,9 @@
-//! Robots that share an open field: each goes where it expects the most for its time, by what it has heard over a link that comes and goes.
+//! Robots that share an open field. Each chooses the site with the largest expected gain per second, from what it has
+//! heard over an intermittent link.
 //!
-//! Samples go to a base when the link is up; with them the robot hears of the others' samples and goals. The base says when the spatial part
-//! is known well enough. Time is common to all: samples at many places at one moment tell drift from place.
+//! When the link is up, a robot sends its samples to a base and hears of the others' samples and goals. The base ends
+//! the mission when the spatial part is known well enough. All robots share one time: samples at many positions at one
+//! moment separate drift from position.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -19,48 +21,48 @@ use super::{
 };
 use crate::{rover::Program, sampler::Sampler};
 
-/// What is expected of the open field: the middle of the ranges.
+/// Prior kernel of the open field: the middle of the sampled ranges.
 pub const EXPECTED: Kernel =
     Kernel { place_deviation: 40.0, length_m: 130.0, time_deviation: 30.0, time_s: 150.0, noise: 5.0 };
-/// The uncertainty to be reached: root mean square deviation of the spatial part, V/m; half of what is expected before a reading.
+/// Uncertainty at which the mission ends: root mean square deviation of the spatial part, V/m. Half of the prior one.
 pub const ENOUGH_V_PER_M: f64 = 20.0;
-/// A reading is the mean over this time, s: 13 m of way.
+/// Averaging time of a reading, s: 13 m of travel.
 pub const PERIOD_S: f64 = 30.0;
-/// Places at which uncertainty is looked at, and to which robots may go, along a side.
+/// Number of sites along a side, at which the uncertainty is computed and to which robots may drive.
 const SITES: usize = 10;
-/// How often the base looks, s.
+/// Period at which the base computes the uncertainty, s.
 const LOOKS_S: f64 = 20.0;
-/// A goal costs this besides its way, s: the mean over a reading and the turn.
+/// Time that a goal costs besides its path, s: the average over a reading and the turn.
 const OVERHEAD_S: f64 = 60.0;
 /// Mean times for which a link is up and down, s.
 const UP_S: f64 = 120.0;
 const DOWN_S: f64 = 60.0;
-/// Fair weather, V/m: what is expected everywhere.
+/// Prior mean of the field, V/m: fair weather.
 const FAIR_V_PER_M: f64 = 80.0;
-/// Purpose of random numbers.
+/// Purpose of the random numbers of the links.
 const OF_LINKS: u64 = 1_403;
-/// When it ends at the latest, s: with 0.45 m/s the wheels have then turned for less than the 5.6 km of the robot's file.
+/// Time limit of the mission, s: at 0.45 m/s the wheels have then turned for less than the 5.6 km of the robot's file.
 pub const LATEST_S: f64 = 12_000.0;
 
-/// What has come to the base.
+/// Base station: the samples and goals that it received.
 #[derive(Debug)]
 pub struct Base {
     process: Process,
-    /// Goals of the robots, as they were last heard of.
+    /// Goals of the robots as last received; `None` for none.
     claims: Vec<Option<Point>>,
     sites: Vec<Point>,
     looked_s: f64,
-    /// Root mean square deviation of the spatial part, V/m, over time, s.
+    /// Time, s, and root mean square deviation of the spatial part, V/m.
     pub deviation: Vec<(f64, f64)>,
-    /// When it was low enough, s.
+    /// Time at which the deviation was low enough, s; `None` before.
     pub reached_s: Option<f64>,
 }
 
 impl Base {
-    /// A base station for `robots` robots.
+    /// Creates a base station for `robots` robots.
     ///
     /// # Errors
-    /// [`ProcessError`].
+    /// [`ProcessError`] when the prior kernel is not valid.
     pub fn new(plot: &Plot, robots: usize) -> Result<Rc<RefCell<Self>>, ProcessError> {
         let pitch_m = plot.side_m / SITES as f64;
         let site = |number: usize| [number % SITES, number / SITES].map(|place| (place as f64 + 0.5) * pitch_m);
@@ -74,7 +76,7 @@ impl Base {
         })))
     }
 
-    /// Samples that arrived, in their order.
+    /// Samples that the base received, in their order.
     #[must_use]
     pub fn samples(&self) -> &[Sample] {
         self.process.samples()
@@ -94,7 +96,7 @@ impl Base {
     }
 }
 
-/// A link that is up and down for times of exponential distribution.
+/// A link that is up and down for exponentially distributed times.
 #[derive(Debug)]
 struct Link {
     sampler: Sampler,
@@ -107,20 +109,21 @@ impl Link {
         while time_s >= self.until_s {
             self.is_up = !self.is_up;
             let mean_s = if self.is_up { UP_S } else { DOWN_S };
+            // Inversion of the exponential distribution; the lower bound keeps the logarithm finite.
             self.until_s -= mean_s * self.sampler.uniform(1e-9, 1.0).ln();
         }
         self.is_up
     }
 }
 
-/// One robot.
+/// One robot of the swarm.
 #[derive(Debug)]
 pub struct Member {
     number: usize,
     base: Rc<RefCell<Base>>,
     mapper: Mapper,
     link: Link,
-    /// Samples of the base that it has heard of, goals of the others, and samples that wait for the link.
+    /// Samples of the base that the robot has heard of; goals of the others; samples that wait for the link.
     known: Vec<Sample>,
     heard: Vec<Option<Point>>,
     waiting: Vec<Sample>,
@@ -128,13 +131,13 @@ pub struct Member {
     goal: Option<Point>,
 }
 
-/// Speeds on open ground.
+/// Limits of the motion on open ground.
 fn speeds() -> Limits {
     Limits { speed_m_s: 0.45, reached_m: 1.0, ..limits() }
 }
 
 impl Member {
-    /// The robot of a number, from 0.
+    /// Creates robot number `number`, from 0 on.
     #[must_use]
     pub fn new(base: Rc<RefCell<Base>>, number: usize, seed: u64, calibration: Calibration) -> Self {
         let sampler = Sampler::new(seed, OF_LINKS + number as u64);
@@ -152,20 +155,20 @@ impl Member {
         }
     }
 
-    /// Samples that wait for the link.
+    /// Number of samples that wait for the link.
     #[cfg(test)]
     pub(super) fn waiting(&self) -> usize {
         self.waiting.len()
     }
 
-    /// Sends what waits and hears what is new.
+    /// Sends waiting samples and the own goal, and receives those of the others, when the link is up.
     fn exchange(&mut self, time_s: f64) {
         if !self.link.is_up(time_s) {
             return;
         }
         let mut base = self.base.borrow_mut();
         for sample in self.waiting.drain(..) {
-            // A sample that cannot be told from another adds nothing.
+            // A sample too close to an earlier one cannot be added, and would add nothing.
             let _ = base.process.add(sample);
         }
         base.claims[self.number] = self.goal;
@@ -175,9 +178,11 @@ impl Member {
         self.heard.clone_from(&base.claims);
     }
 
-    /// The site that reduces the variance of all sites most for its time, with the others' goals as if they were measured already.
+    /// Site that reduces the variance of all sites most per second of its time, with the others' goals as if they were
+    /// measured already.
     fn next(&self, time_s: f64, at: Place) -> Option<Point> {
         let others = self.heard.iter().enumerate().filter(|(number, _)| *number != self.number);
+        // Their values are unknown and have no effect: only the covariance is used below.
         let claimed = others.filter_map(|(_, goal)| Some(Sample { at: (*goal)?, at_s: time_s, value: 0.0 }));
         let samples: Vec<Sample> = self.known.iter().chain(&self.waiting).copied().chain(claimed).collect();
         let process = Process::of(EXPECTED, &samples).ok()?;
@@ -220,7 +225,7 @@ impl Program for Member {
     }
 }
 
-/// Where robots start: in a row across the middle of the plot, 2 m apart.
+/// Poses of the robots at the start: in a row across the middle of the plot, 2 m apart.
 #[must_use]
 pub fn starts(plot: &Plot, robots: usize) -> Vec<Place> {
     let middle_m = plot.side_m / 2.0;
@@ -228,10 +233,10 @@ pub fn starts(plot: &Plot, robots: usize) -> Vec<Place> {
     (0..robots).map(place).collect()
 }
 
-/// Map of the mean over a mission, V/m, of the base's samples.
+/// Map of the mean over a mission, V/m, from the base's samples.
 ///
 /// # Errors
-/// Samples that make no regression.
+/// [`ProcessError`] for samples that define no regression.
 pub fn map(frame: Frame, samples: &[Sample], until_s: f64) -> Result<Grid<f64>, ProcessError> {
     let process = Process::of(EXPECTED, samples)?;
     let steps = (until_s / LOOKS_S).ceil().max(1.0);

@@ -21,13 +21,13 @@ fn trial(arm: &'static str, seed: u64) -> Trial {
 
 const SOUND: Calibration = Calibration { offset_v: 2.5, form: 1.4, per_rad: 0.04, leak_s: 50.0 };
 
-/// From 7 s to 40 s somebody stands in the first row, 5 m from the start.
+/// A person who stands in the first row, 5 m from the start, from 7 s to 40 s.
 fn person() -> Person {
     let (beside, before) = ([7.5, 6.0], [7.5, 2.5]);
     Person { radius_m: 0.25, path: vec![(4.0, beside), (7.0, before), (40.0, before), (43.0, beside)] }
 }
 
-/// The robot stands before a person, readings go on without a gap, and it drives on round them.
+/// The robot stops before a person, readings go on without a gap, and the robot drives on round the person.
 #[test]
 fn a_person_in_the_way_costs_time_and_no_reading() {
     let trial = trial(OURS, 1);
@@ -37,15 +37,15 @@ fn a_person_in_the_way_costs_time_and_no_reading() {
     let driven = with.driven.as_ref().expect("on a board");
     assert!((8.0..40.0).contains(&driven.stood_s), "{} s", driven.stood_s);
     assert_eq!(without.driven.as_ref().expect("on a board").stood_s, 0.0);
-    // A sample each 100 ms, of which the link may delay one.
+    // A sample every 100 ms, one of which the link may delay.
     assert!(driven.gap_s < 0.25, "{} s", driven.gap_s);
     let last_s = with.path.last().expect("a path").0;
     let expected = last_s / survey::PERIOD_S;
-    // A reading ends with the first sample after its period: 2.1 s at most.
+    // A reading ends with the first sample after its period: at most 2.1 s.
     assert!(with.taken.len() as f64 > 0.93 * expected, "{} of {expected}", with.taken.len());
     let furthest = with.path.iter().map(|(_, at)| at[1]).fold(0.0, f64::max);
     assert!(furthest > 30.0, "it went on to y = {furthest} m");
-    // The receiver's 2 cm are correlated over a minute; four of them.
+    // The receiver's 2 cm are correlated over a minute; the limit is six standard deviations.
     let off_m = driven.path.iter().map(|(_, at, truth)| distance_m(*at, *truth)).fold(0.0, f64::max);
     assert!(off_m < 0.12, "{off_m} m");
     assert!(driven.fixes[0] > 1000 && driven.fixes[1] < driven.fixes[0] / 100, "{:?}", driven.fixes);
@@ -55,15 +55,15 @@ fn a_person_in_the_way_costs_time_and_no_reading() {
 fn a_calibration_between_plates_finds_the_mill_of_a_board() {
     let mill = Mill::of(3);
     let found = calibrated(&trial(OURS, 3), mill).expect("a calibration");
-    // Plates are 0.3 % off, their voltages 0.2 %: three standard deviations.
+    // Plates are 0.3 % off, their voltages 0.2 %: the limit is three standard deviations.
     assert!((found.form / mill.form - 1.0).abs() < 0.011, "{found:?} {mill:?}");
-    // Converter noise in the mean, and 0.2 % of 150 V/m in the line's middle.
+    // Converter noise of the mean, and 0.2 % of 150 V/m in the line's middle.
     assert!((found.offset_v - mill.offset_v()).abs() < 0.004, "{found:?} {mill:?}");
     assert!((found.per_rad / mill.charge.per_rad - 1.0).abs() < 0.05, "{found:?} {mill:?}");
     assert!((found.leak_s / mill.charge.leak_s - 1.0).abs() < 0.05, "{found:?} {mill:?}");
 }
 
-/// A step response of the charge, against its closed form.
+/// Compares a step response of the charge with its closed form.
 #[test]
 fn charge_grows_and_leaks_as_the_law_says() {
     let mut charge = ChargeState::default();
@@ -78,7 +78,8 @@ fn charge_grows_and_leaks_as_the_law_says() {
     assert!((charge.field() - before * (-50.0 / SOUND.leak_s).exp()).abs() < 1e-9);
 }
 
-/// Latitude and longitude of a place 100 m east and 200 m south, as computed by way of earth-centred coordinates elsewhere.
+/// Latitude and longitude of a position 100 m east and 200 m south, computed elsewhere by way of earth-centred
+/// coordinates.
 #[test]
 fn positions_become_metres_and_damaged_sentences_none() {
     let sentence = |content: &str| {
@@ -102,7 +103,7 @@ fn positions_become_metres_and_damaged_sentences_none() {
         let positions: Vec<Geodetic> = text.as_bytes().chunks(piece).flat_map(|bytes| sentences.take(bytes)).collect();
         assert_eq!(positions.len(), 1, "pieces of {piece}");
         let at = positions[0].east_north_m(origin);
-        // 1e-6 minutes are 2 mm.
+        // 1e-6 minutes of arc are 2 mm.
         assert!(distance_m(at, [100.0, -200.0]) < 0.005, "{at:?}");
     }
 }
@@ -130,14 +131,14 @@ fn nothing_is_lost_by_links_that_come_and_go() {
             waited = waited.max(member.waiting());
         }
     }
-    // 6000 s in readings of 30 s from each, of which the last may wait.
+    // 6000 s in readings of 30 s from each robot, the last of which may wait.
     let arrived = base.borrow().samples().len();
     let still = members.iter().map(Member::waiting).sum::<usize>();
     assert!(waited > 1, "a link was down for longer than a reading");
     assert_eq!(arrived + still, 2 * 199, "{arrived} arrived, {still} wait");
 }
 
-/// Laps through the plates on a board, with each effect in turn and without.
+/// Laps through the plates on a board, with each effect in turn and without one.
 #[test]
 fn each_hidden_effect_is_named_and_a_clean_mill_has_none() {
     for (arm, expected) in [(FORM, 1.0), (CHARGE, 1.0), (LAG, 1.0)] {
@@ -152,7 +153,7 @@ fn each_hidden_effect_is_named_and_a_clean_mill_has_none() {
     assert_eq!(values["effect_claimed"], 0.0, "{values:?}");
 }
 
-/// The same trial, bit for bit.
+/// The same trial gives the same readings, bit for bit.
 #[test]
 fn a_survey_repeats_itself() {
     let scene = Scene::of(2, PLOT).expect("a scene");

@@ -1,4 +1,4 @@
-//! The map itself: errors of means, over-confidence of variances, and the time that a reading takes.
+//! Measurements of the map itself: errors of means, over-confidence of variances, and computing time of a reading.
 
 use std::time::Instant;
 
@@ -11,12 +11,12 @@ use r4_maps::{
 use super::survey::PUBLISHED;
 use crate::{Limit, Row, Statistic};
 
-/// Readings of the timed map, one a second along a lane.
+/// Number of readings of the timed map, one each second along a lane.
 const READINGS: usize = 100;
-/// Cells that messages may update after a reading, and change at which they stop, ppm.
+/// Number of cells that messages may update after a reading, and the change at which they stop, ppm.
 const BUDGET: usize = 20_000;
 const THRESHOLD: f64 = 1.0;
-/// Tolerance of means after each reading, ppm: a solve to it, after the messages.
+/// Tolerance of the means after each reading, ppm: a solve after the messages reaches it.
 const TOLERANCE: f64 = 1e-3;
 
 /// The hall of the published maps, 60 m by 50 m in cells of 0.2 m, without shelves: 75 000 cells.
@@ -24,17 +24,17 @@ fn hall() -> Result<Grid<bool>, FieldError> {
     Ok(Grid::filled(Frame::new(Pose::default(), 0.2, 300, 250)?, true))
 }
 
-/// A reading along a lane through the hall.
+/// Reading number `number` along a lane through the hall.
 fn reading(number: usize) -> Reading {
     let (lane, along) = (number / 45, number % 45);
     let column = if lane % 2 == 0 { 15 + 6 * along } else { 285 - 6 * along };
     Reading { cell: [column, 30 + 25 * lane], value: 45.0 + 35.0 * (number as f64 * 0.37).sin(), at_s: number as f64 }
 }
 
-/// Time of each reading with its means brought up to date, ms.
+/// Measures the computing time of each reading, including the update of the means, ms.
 ///
 /// # Errors
-/// When a solve does not converge.
+/// [`FieldError`] when a solve does not converge.
 pub fn times_ms(readings: usize) -> Result<Vec<f64>, FieldError> {
     let mut field = Field::new(&hall()?, PUBLISHED)?;
     let mut times_ms = Vec::with_capacity(readings);
@@ -48,16 +48,16 @@ pub fn times_ms(readings: usize) -> Result<Vec<f64>, FieldError> {
     Ok(times_ms)
 }
 
-/// Greatest and median factor by which the variances of belief propagation are below the exact ones.
+/// Largest and median factor by which the variances of belief propagation are below the exact ones.
 ///
 /// # Errors
-/// When the weights or readings make no field.
+/// [`FieldError`] for weights or readings that define no field.
 pub fn over_confidence(free: &Grid<bool>, weights: Weights, readings: &[Reading]) -> Result<[f64; 2], FieldError> {
     let mut field = Field::new(free, weights)?;
     for reading in readings {
         field.observe(*reading)?;
     }
-    // Precisions of messages settle without their means.
+    // The precisions of messages converge without their means.
     field.settle(1e-9, 40 * field.cells());
     let (exact, propagated) = (field.variances(), field.propagated_variances());
     let pairs = exact.values().iter().zip(propagated.values());
@@ -66,10 +66,11 @@ pub fn over_confidence(free: &Grid<bool>, weights: Weights, readings: &[Reading]
     Ok([factors[factors.len() - 1], factors[factors.len() / 2]])
 }
 
-/// Row of a benchmark: the time of a reading on this machine.
+/// Benchmark row: the computing time of a reading on this computer.
 ///
 /// # Errors
-/// When a solve does not converge, or the statistic cannot be computed.
+/// [`crate::Error::Unsuitable`] when a solve does not converge; [`crate::Error::Statistics`] when the statistic cannot
+/// be computed.
 pub(super) fn rows(is_quick: bool) -> Result<Vec<Row>, crate::Error> {
     let readings = if is_quick { READINGS / 5 } else { READINGS };
     let failed = |error: FieldError| crate::Error::Unsuitable {

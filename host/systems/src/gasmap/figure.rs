@@ -1,4 +1,4 @@
-//! Curves and views of a trial.
+//! Figure and maps of a trial.
 
 use r4_maps::grid::Grid;
 
@@ -8,10 +8,10 @@ use super::{
 };
 use crate::{Curve, Error, Figure, Panel, Trial, View};
 
-/// Side of a view, m, and its cells.
+/// Side of a view, m, and number of cells along it.
 const SIDE_M: f64 = 60.0;
 const COLUMNS: usize = 120;
-/// One in so many of the path's points is drawn.
+/// Number of the path's points for each one that is drawn.
 const EVERY: usize = 50;
 
 struct Trials {
@@ -25,6 +25,7 @@ impl Trials {
     fn of(trial: &Trial) -> Result<Self, Error> {
         let hall = Hall::of(Case::of(trial.seed), CELL_M)?;
         let lawn = lawn_mower(&hall)?;
+        // The figure shows our arm, whichever was requested.
         let trial = Trial { arm: OURS, ..trial.clone() };
         let (ours, _) = surveyed(&trial, &hall, SHARE * lawn.until_s)?;
         let truth = hall.truth_ppm(lawn.until_s);
@@ -32,7 +33,8 @@ impl Trials {
     }
 }
 
-/// Error of the map over time: the lawn-mower, the paper's goals, and ours on the trial's board; and how far its pose was off.
+/// Draws the error of the map over time by the lawn-mower, the paper's goals, and ours on the trial's board; and the
+/// error of its pose.
 pub(super) fn curves(trial: &Trial) -> Result<Figure, Error> {
     let Trials { hall, lawn, ours, truth } = Trials::of(trial)?;
     let printed = perfectly(&hall, settings(PRINTED, lawn.until_s))?;
@@ -81,7 +83,7 @@ pub(super) fn curves(trial: &Trial) -> Result<Figure, Error> {
     })
 }
 
-/// The true mean with the path of the board's rover, and the map of its readings.
+/// Draws the true mean with the path of the board's rover, and the map of its readings.
 pub(super) fn views(trial: &Trial) -> Result<Vec<View>, Error> {
     let Trials { hall, ours, truth, lawn } = Trials::of(trial)?;
     let unsuitable = |why: String| super::unsuitable(trial, why);
@@ -93,7 +95,7 @@ pub(super) fn views(trial: &Trial) -> Result<Vec<View>, Error> {
         let cell_m = SIDE_M / COLUMNS as f64;
         let value = |index: usize| {
             let centre = [index % COLUMNS, index / COLUMNS].map(|cell| (cell as f64 + 0.5) * cell_m);
-            // Shelves and what is beyond the hall are drawn like air without gas.
+            // Shelves and the outside of the hall are drawn like air without gas.
             map.at(centre).ok().copied().flatten().unwrap_or(0.0).max(0.0)
         };
         let curve = |(name, of): (&'static str, &Surveyed)| Curve {

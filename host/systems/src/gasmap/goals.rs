@@ -1,4 +1,4 @@
-//! Where to drive next: the paper's utility, and ours.
+//! Choice of the next goal: the paper's utility, and ours.
 
 use r4_maps::{
     grid::{Cell, Grid},
@@ -7,53 +7,54 @@ use r4_maps::{
 
 use super::{plan::Plan, survey::limits};
 
-/// Distance between candidates, cells.
+/// Distance between candidate goals, in cells.
 const EVERY: usize = 4;
-/// Cells to each side of a reading of which it says something: 0.75 m, less than half an aisle.
+/// Number of cells to each side of a reading about which it gives information: 0.75 m, less than half an aisle.
 const NEAR: usize = 1;
-/// Nearest goal, m: nearer ones are on the way to others.
+/// Distance of the nearest goal, m: nearer ones lie on the way to others.
 const NEAREST_M: f64 = 2.0;
 
-/// Which variances a goal is chosen by.
+/// Variances by which a goal is chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Variances {
-    /// Exact marginals.
+    /// Exact marginal variances of the field.
     Exact,
-    /// Those that belief propagation has, which are too small.
+    /// Variances of belief propagation, which are too small.
     Propagated,
 }
 
-/// What a goal is worth.
+/// Utility of a goal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Utility {
-    /// `w1 σ²/σ²max + w2 µ/µmax - w4 d/dmax`, the frontier's term being 0 on a floor plan that is known.
+    /// The paper's utility `w1 σ²/σ²max + w2 µ/µmax - w4 d/dmax`; the frontier's term is 0 on a known floor plan.
     Weighted {
-        /// Of variance, mean and path.
+        /// Weights of variance, mean and path length.
         weights: [f64; 3],
-        /// By which variances.
+        /// Variances that the utility uses.
         by: Variances,
     },
-    /// Expected squared error along the way that the readings on it remove, per second that it takes: the standard error of concentrations
-    /// grows with them, so that `error² = σ² (µ + floor)²`, with σ² over that of a cell without readings.
+    /// Expected squared error along the path that its readings remove, per second of travel. The standard error of a
+    /// concentration grows with it, so that `error² = σ² (µ + floor)²`, with σ² relative to that of a cell without
+    /// readings.
     ErrorRate {
-        /// Concentration at which a cell without gas counts, ppm.
+        /// Concentration added to that of each cell, ppm: the weight of cells without gas.
         floor_ppm: f64,
         /// Time that a goal takes besides driving, s.
         overhead_s: f64,
-        /// By which variances.
+        /// Variances that the utility uses.
         by: Variances,
     },
 }
 
 impl Utility {
-    /// Which variances it goes by.
+    /// Variances that the utility uses.
     #[must_use]
     pub const fn by(&self) -> Variances {
         let (Self::Weighted { by, .. } | Self::ErrorRate { by, .. }) = self;
         *by
     }
 
-    /// The best goal from a place; `None` where nothing can be reached.
+    /// Returns the best goal from a position; `None` where no goal can be reached. `blocked` cells are excluded.
     #[must_use]
     pub fn best(
         &self,
@@ -103,15 +104,16 @@ impl Utility {
     }
 }
 
-/// Cells about one that a reading there says something of.
+/// Cells about which a reading in `cell` gives information.
 fn block([column, row]: Cell) -> impl Iterator<Item = Cell> {
     (row.saturating_sub(NEAR)..=row + NEAR)
         .flat_map(move |row| (column.saturating_sub(NEAR)..=column + NEAR).map(move |column| [column, row]))
 }
 
-/// Sums of a cell's worth along the shortest way to each cell, without the first.
+/// Sums of a cell's worth along the shortest path to each cell, without the first cell.
 fn sums_along(distances_m: &Grid<f64>, worth: impl Fn(Cell) -> f64) -> Grid<f64> {
     let frame = *distances_m.frame();
+    // In the order of distance, so that each cell's predecessor has its sum before the cell itself.
     let distance_m = |cell: Cell| distances_m.get(cell).copied().unwrap_or(f64::INFINITY);
     let mut reached: Vec<Cell> =
         distances_m.iter().filter(|(_, way_m)| way_m.is_finite()).map(|(cell, _)| cell).collect();

@@ -1,4 +1,4 @@
-//! The same survey on perfect actuators: a robot that moves as commanded and knows where it is, and a sensor with its lag.
+//! The same survey on perfect actuators: the robot moves as commanded and knows its pose; the sensor has its lag.
 
 use r4_maps::pose::Point;
 use r4_rig::Place;
@@ -7,12 +7,12 @@ use r4_world::Lag;
 use super::{scene::Hall, survey::SENSOR_M};
 use crate::rover::Program;
 
-/// Step, s.
+/// Time step of the simulation, s.
 const STEP_S: f64 = 0.1;
 /// Time constant of the simulated sensor, s: that of the robot's file.
 const LAG_S: f64 = 2.0;
 
-/// Runs a program to its end; returns the way, with times, s.
+/// Runs a program to its end. Returns the path: time, s, and position, m.
 pub fn run(hall: &Hall, program: &mut impl Program) -> Vec<(f64, Point)> {
     let start = hall.world.start;
     let mut at = Place { x_m: start.x_m, y_m: start.y_m, yaw_rad: start.yaw_rad };

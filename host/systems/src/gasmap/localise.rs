@@ -1,8 +1,8 @@
-//! Where the robot is on the floor plan: wheels and gyroscope carry its pose on, two lidar beams correct it.
+//! Localisation on the floor plan: wheels and gyroscope propagate the pose, two lidar beams correct it.
 //!
-//! A beam's reading is compared with the distance to the first wall of
-//! the plan in its direction; where a small turn would make it meet another wall, it says nothing. What is far nearer than the plan has it
-//! is somebody in the way, and is left out.
+//! The filter compares a beam's reading with the distance to the first wall of the plan in its direction. A beam that a
+//! small turn would move to another wall is not used. A reading far below the plan's distance comes from a person in
+//! the way, and is rejected.
 //!
 //! # Source
 //! Thrun, Burgard, Fox, *Probabilistic Robotics*, MIT Press 2005, 6.3 (beams).
@@ -15,29 +15,31 @@ use r4_maps::pose::Point;
 use super::plan::Plan;
 use crate::rover::{Fix, PoseFilter};
 
-/// A beam on the robot: its place, m, and direction, rad.
+/// A lidar beam on the robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beam {
-    /// m
+    /// Position of the lidar: forwards and to the left of the robot's middle, m.
     pub place_m: Point,
-    /// Counterclockwise from forwards, rad.
+    /// Direction of the beam, counterclockwise from forwards, rad.
     pub yaw_rad: f64,
 }
 
-/// The lidars at both connectors: ahead over the front edge, and to the left.
+/// Lidars at both connectors: forwards from the front edge, and to the left.
 pub const BEAMS: [Beam; 2] =
     [Beam { place_m: [0.20, 0.0], yaw_rad: 0.0 }, Beam { place_m: [0.0, 0.18], yaw_rad: std::f64::consts::FRAC_PI_2 }];
 
-/// Standard deviation of a beam's reading, m: of a TFmini-S, 2 cm and 1 cm of resolution, and as a share of its length.
+/// Standard deviation of a beam's reading: a constant, m, and a share of its length. A TFmini-S has 2 cm and a
+/// resolution of 1 cm.
 const BEAM_DEVIATION_M: f64 = 0.03;
 const BEAM_SHARE: f64 = 0.005;
-/// Turn by which a beam must not come to another wall, rad; and the change of its length that says so, m, besides that of a slanted wall.
+/// Turn by which a beam must not reach another wall, rad; and the change of its length that indicates one, m, beyond
+/// that of a slanted wall.
 const TURN_RAD: f64 = 0.03;
 const JUMP_M: f64 = 0.15;
-/// Readings farther off than this are of something that is not on the plan, in standard deviations.
+/// Gate in standard deviations: readings beyond it come from something that is not on the plan.
 const GATE: f64 = 4.0;
 
-/// Farthest reading of a lidar that is used, m: it has 12.
+/// Longest reading of a lidar that is used, m: its range is 12 m.
 const FARTHEST_M: f64 = 11.5;
 
 /// Both lidars in a hall.
@@ -45,18 +47,18 @@ const FARTHEST_M: f64 = 11.5;
 pub struct Beams {
     plan: Rc<Plan>,
     frames: [Frames; 2],
-    /// Beams that agreed with the plan, and that did not.
+    /// Number of readings that agreed with the plan, and of those that did not.
     counts: [u64; 2],
 }
 
 impl Beams {
-    /// In a hall whose plan is known.
+    /// Creates the beams in a hall with this plan.
     #[must_use]
     pub fn new(plan: Rc<Plan>) -> Self {
         Self { plan, frames: Default::default(), counts: [0; 2] }
     }
 
-    /// Corrects the pose by a beam's reading, m, where it says something.
+    /// Corrects the pose by a beam's reading, m, where the plan gives an unambiguous distance.
     fn look(&mut self, pose: &mut PoseFilter, beam: Beam, reading_m: f64) {
         let walls_m = self.plan.walls_m();
         let expected = |state: &Vector4<f64>, turn_rad: f64| {
@@ -71,12 +73,13 @@ impl Beams {
         else {
             return;
         };
-        // Along one straight wall the reciprocals of the lengths are a sine of the angle: their mean is that of the middle.
+        // Along one straight wall the reciprocal of the length is a sine of the angle: the mean of two directions gives
+        // that of the middle.
         let middle_m = 2.0 * TURN_RAD.cos() / (1.0 / right_m + 1.0 / left_m);
         if (middle_m - expected_m).abs() > JUMP_M / 5.0 || (right_m - left_m).abs() > JUMP_M * expected_m.max(1.0) {
             return;
         }
-        // Numerical derivatives: a wall is straight, and rounding is 1e-10 of them.
+        // Numerical derivatives: walls are straight, and the rounding error is 1e-10 of the derivative.
         const STEP: f64 = 1e-5;
         let mut row = RowVector4::zeros();
         for axis in 0..3 {
@@ -112,7 +115,7 @@ impl Fix for Beams {
     }
 }
 
-/// Distance from a point in a direction to the first wall, m.
+/// Distance from a point in a direction to the first wall, m; `None` without a wall.
 #[must_use]
 pub fn ray_m(walls_m: &[[Point; 2]], from: Point, direction_rad: f64) -> Option<f64> {
     let (sin, cos) = direction_rad.sin_cos();
@@ -126,7 +129,7 @@ pub fn ray_m(walls_m: &[[Point; 2]], from: Point, direction_rad: f64) -> Option<
     hits.min_by(f64::total_cmp)
 }
 
-/// Bytes of a TFmini-S, as they come: frames of nine with the distance in cm.
+/// Decoder of a TFmini-S byte stream: frames of nine bytes with the distance in cm.
 #[derive(Clone, Debug, Default)]
 pub struct Frames {
     bytes: Vec<u8>,
@@ -145,7 +148,7 @@ impl Frames {
             }
             let number = |place: usize| u16::from_le_bytes([frame[place], frame[place + 1]]);
             let (centimetres, strength) = (number(2), number(4));
-            // The manual calls less than 100 unreliable.
+            // The manual calls a strength below 100 unreliable.
             readings.push((strength >= 100 && centimetres < 0xFFFF).then(|| f64::from(centimetres) * 1e-2));
             self.bytes.drain(..9);
         }

@@ -1,17 +1,17 @@
-//! What the model of a gas sensor lacks, from crossings of a plume.
+//! Search for the effect that a gas sensor's model lacks, from crossings of a plume.
 //!
-//! A source is put into the gap between the shelves, and the robot crosses its plume to and fro, at two speeds. The base model is a sensor
-//! that shows the gas where it is at once. Of each lap, one crossing each way, three numbers are taken: how far the centres of the plume are
-//! apart, to and fro, at the lap's speed; and how much more the signal is beside the plume while the robot drives than before it began.
-//! Candidates:
+//! A source is in the gap between the shelves, and the robot crosses its plume to and fro, at two speeds. The base
+//! model is a sensor without lag at its drawn position. Each lap, one crossing each way, gives three numbers: the
+//! distance between the plume's apparent centres, to and fro; the lap's speed; and the signal beside the plume while
+//! the robot drives, relative to that before the start. Candidates:
 //!
 //! | effect | apart | beside the plume | size |
 //! | --- | --- | --- | --- |
-//! | `sensor-lag` | until the signal y is taken for y + T dy/dt | | time constant T, s |
+//! | `sensor-lag` | removed by y + T dy/dt in place of the signal y | | time constant T, s |
 //! | `sensor-place` | -2 a | | the sensor is a ahead of where the drawing has it, m |
 //! | `drive-interference` | | k v / r | signal per rate of the wheels, ppm s/rad |
 //!
-//! None is a formula of the simulated sensor: that samples the gas and integrates.
+//! None is a formula of the simulated sensor, which samples the gas and integrates.
 
 use r4_boards::Robot;
 use r4_maps::pose::Point;
@@ -24,43 +24,43 @@ use crate::{
     rover::Program,
 };
 
-/// Laps, each at one of these speeds in turn, m/s: one after the other, so that the wind's turning is not taken for an effect of speed. The
-/// last is held out.
+/// Number of laps, each at one of these speeds in turn, m/s. Alternating speeds keep a turn of the wind apart from an
+/// effect of speed. The last lap is held out.
 pub const LAPS: usize = 18;
 const SPEEDS_M_S: [f64; 2] = [0.4, 0.2];
-/// Gas released, m³/s: the sensor shows 225 ppm at most, which twice as much reaches.
+/// Flow of released gas, m³/s. Twice the flow would saturate the sensor, which shows at most 225 ppm.
 pub const RELEASE_M3_S: f64 = 0.5e-4;
-/// Ends of the crossing, m. The source is so near that the wind's wandering moves the plume by 0.15 m; at 1.4 m, 0.5 m, that hid a lag of
-/// 2 s (seeds 1 and 2).
+/// Ends of the crossing, m. The source is so near that the wind's wandering moves the plume by only 0.15 m; at a
+/// distance of 1.4 m it moved by 0.5 m, which hid a lag of 2 s (seeds 1 and 2).
 pub const ENDS_M: [Point; 2] = [[30.0, 22.0], [30.0, 28.0]];
-/// Where gas comes out, m.
+/// Position of the source, m.
 pub const SOURCE_M: Point = [29.2, 25.0];
-/// Purpose of random numbers.
+/// Purpose of the random numbers of the change.
 const OF_CHANGE: u64 = 2_101;
-/// Distances are in units of this, m, and signals of this, ppm: the scatter of both is then alike.
+/// Units of distances, m, and signals, ppm, which make their scatter alike.
 const UNIT_M: f64 = 0.2;
 const UNIT_PPM: f64 = 1.0;
 /// Radius of the wheels, m, of the robot's file.
 const WHEEL_M: f64 = 0.056;
-/// Changes smaller than these are not claimed: the robot's turning at the ends and its pose, which is off by some 2 cm, leave as much.
+/// Smallest changes that are claimed: the robot's turns at the ends and its pose error of some 2 cm cause as much.
 const LEAST: [f64; 3] = [0.3, 0.1, 0.1];
 
-/// Names, in the order of the candidates.
+/// Names of the candidate effects, in their order.
 pub const NAMES: [&str; 3] = ["sensor-lag", "sensor-place", "drive-interference"];
 
-/// What is hidden in a sensor.
+/// Hidden change of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Change {
-    /// Time constant, s.
+    /// Time constant of a first-order lag, s.
     Lag(f64),
-    /// Ahead of the drawing, m.
+    /// Displacement ahead of the drawn position, m.
     Place(f64),
-    /// Of the wheels' rate, ppm s/rad.
+    /// Signal per rate of the wheels, ppm s/rad.
     Interference(f64),
 }
 
 impl Change {
-    /// The change of this name, with a size by `seed`; `None` for any other name.
+    /// The change of this name, with a size sampled from `seed`; `None` for any other name.
     #[must_use]
     pub fn named(name: &str, seed: u64) -> Option<Self> {
         let mut sampler = Sampler::new(seed, OF_CHANGE);
@@ -73,7 +73,7 @@ impl Change {
         }
     }
 
-    /// Its size, in the candidate's unit.
+    /// Size of the change, in the candidate's unit.
     #[must_use]
     pub const fn size(self) -> f64 {
         match self {
@@ -82,9 +82,9 @@ impl Change {
     }
 }
 
-/// Hides a change in the sensor of a robot, whose sensor otherwise follows at once.
+/// Hides a change in the sensor of a robot, and removes the lag that its file has.
 pub fn hide(change: Option<Change>, robot: &mut Robot) {
-    /// Time in which interference follows the wheels, s.
+    /// Time constant by which the interference follows the wheels, s: short against a crossing.
     const FOLLOWS_S: f64 = 0.05;
     for reading in robot.simulation.analogs.iter_mut().filter_map(|analog| analog.field.as_mut()) {
         reading.lag_s = 0.0;
@@ -100,34 +100,34 @@ pub fn hide(change: Option<Change>, robot: &mut Robot) {
     }
 }
 
-/// Samples of a crossing.
+/// Samples of one crossing.
 pub type Crossing = Vec<Sample>;
 
-/// One sample.
+/// One sample of the sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// s
+    /// Time of the sample, s.
     pub time_s: f64,
-    /// Place of the sensor across the plume, by the drawing, m.
+    /// Position of the sensor across the plume, as drawn, m.
     pub place_m: f64,
-    /// Signal, ppm.
+    /// Signal of the sensor, ppm.
     pub ppm: f64,
 }
 
-/// One lap: its speed, both crossings, and the signal before, at rest.
+/// One lap: its speed, both crossings, and the signal at rest before them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Lap {
-    /// m/s
+    /// Speed of the lap, m/s.
     pub speed_m_s: f64,
-    /// There and back.
+    /// Crossings there and back.
     pub crossings: [Crossing; 2],
     /// Signal at rest beside the plume, ppm.
     pub rest_ppm: f64,
 }
 
 impl Lap {
-    /// Distance of the centres, there minus back, and the signal beside the plume over that at rest, where the sensor has a lag, s; in units
-    /// of scatter.
+    /// Distance of the plume's centres, there minus back, and signal beside the plume minus that at rest, after
+    /// correction for a lag, s. Both in units of their scatter; `None` where a crossing met no gas.
     fn numbers(&self, rest_ppm: f64, lag_s: f64) -> Option<[f64; 2]> {
         let [there, back] = [0, 1].map(|leg: usize| centre(&self.crossings[leg], lag_s));
         let (there, back) = (there?, back?);
@@ -136,7 +136,8 @@ impl Lap {
     }
 }
 
-/// Centre of the plume in a crossing, m: the median of the gas above what it is beside the plume, and that, ppm. The gas is `y + T dy/dt`.
+/// Centre of the plume in a crossing, m: the median of the gas above the signal beside the plume; and that signal, ppm.
+/// The gas is `y + T dy/dt` for a lag T.
 fn centre(crossing: &[Sample], lag_s: f64) -> Option<(f64, f64)> {
     let gas = crossing.windows(3).map(|three| {
         let rate_ppm_s = (three[2].ppm - three[0].ppm) / (three[2].time_s - three[0].time_s);
@@ -145,6 +146,7 @@ fn centre(crossing: &[Sample], lag_s: f64) -> Option<(f64, f64)> {
     let mut gas: Vec<(f64, f64)> = gas.collect();
     let mut signals: Vec<f64> = crossing.iter().map(|sample| sample.ppm).collect();
     signals.sort_by(f64::total_cmp);
+    // The lowest eighth of the signals lies beside the plume.
     let beside_ppm = *signals.get(signals.len() / 8)?;
     gas.sort_by(|a, b| a.0.total_cmp(&b.0));
     let half = gas.iter().map(|(_, ppm)| ppm - beside_ppm).sum::<f64>() / 2.0;
@@ -155,7 +157,7 @@ fn centre(crossing: &[Sample], lag_s: f64) -> Option<(f64, f64)> {
     for pair in gas.windows(2) {
         let more = pair[0].1 - beside_ppm;
         if sum + more >= half {
-            // Between two samples, so that it changes smoothly with the lag.
+            // Interpolated between two samples, so that the centre changes smoothly with the lag.
             return Some((pair[0].0 + (pair[1].0 - pair[0].0) * (half - sum) / more, beside_ppm));
         }
         sum += more;
@@ -163,24 +165,24 @@ fn centre(crossing: &[Sample], lag_s: f64) -> Option<(f64, f64)> {
     None
 }
 
-/// The change that laps show; `None` where they show none.
+/// Searches the laps for the change; `None` where they show none.
 ///
 /// # Errors
-/// [`Error::Effects`] where a crossing met no gas, or there are too few.
+/// [`Error::Effects`] where a crossing met no gas, or for too few laps.
 pub fn found(laps: &[Lap]) -> Result<Option<Found>, Error> {
     let effects = [0, 1, 2].map(|index| Effect { name: NAMES[index], start: &[0.1], absent: 0.0, least: LEAST[index] });
-    // A rest may be in a stray puff; the cleanest one is not.
+    // A stray puff may pass during a rest; the lowest rest is without one.
     let rest_ppm = laps.iter().map(|lap| lap.rest_ppm).fold(f64::INFINITY, f64::min);
     let numbers: Option<Vec<[f64; 2]>> = laps.iter().map(|lap| lap.numbers(rest_ppm, 0.0)).collect();
     let numbers = numbers.ok_or_else(|| Error::Effects("a crossing met no gas".into()))?;
     let observed: Vec<Vec<f64>> = numbers.iter().copied().map(Vec::from).collect();
     let predict = |effect: Option<usize>, parameters: &[f64], run: usize| {
-        // The base model has the wind turn slowly over all laps.
+        // The base model: the wind turns slowly over all laps.
         let turn = parameters[0] * (run as f64 / (laps.len() - 1) as f64 - 0.5);
         let mut predicted = vec![turn, 0.0];
         let (speed_m_s, size) = (laps[run].speed_m_s, parameters.get(1).copied().unwrap_or(0.0));
         match effect {
-            // What the lag has changed is what its correction takes away.
+            // The lag's influence on the numbers is what its correction removes.
             Some(0) => {
                 let corrected = laps[run].numbers(rest_ppm, size).map_or(f64::NAN, |numbers| numbers[0]);
                 predicted[0] += numbers[run][0] - corrected;
@@ -194,19 +196,19 @@ pub fn found(laps: &[Lap]) -> Result<Option<Found>, Error> {
     Search { base_start: &[0.0], effects: &effects, observed: &observed, predict: &predict }.run()
 }
 
-/// How long the robot stands before each lap, s, and over how much of that, in the end, the signal is averaged.
+/// Time at rest before each lap, s, and the part at its end over which the signal is averaged, s.
 const STANDS_S: f64 = 6.0;
 const AVERAGED_S: f64 = 2.0;
 
-/// Drives the laps of [`LAPS`].
+/// Program that drives [`LAPS`] laps.
 #[derive(Debug, Default)]
 pub struct Crossings {
-    /// Laps that are complete, and the one under way.
+    /// Completed laps, and the present one.
     pub laps: Vec<Lap>,
     stands_from_s: Option<f64>,
     rest: Vec<(f64, f64)>,
     follower: Option<Follower>,
-    /// Of the present leg: 0 there, 1 back.
+    /// Direction of the present leg: 0 there, 1 back.
     leg: usize,
     is_straight: bool,
 }
@@ -221,6 +223,7 @@ impl Program for Crossings {
     fn sense(&mut self, time_s: f64, at: Place, signal_ppm: f64) {
         if self.follower.is_none() {
             self.rest.push((time_s, signal_ppm));
+        // Only readings at the full speed count, since the lag is found from the distance between there and back.
         } else if let (true, Some(lap)) = (self.is_straight, self.laps.last_mut()) {
             let place_m = at.y_m + SENSOR_M * at.yaw_rad.sin();
             lap.crossings[self.leg].push(Sample { time_s, place_m, ppm: signal_ppm });

@@ -1,17 +1,19 @@
-//! GASMAP: a rover that maps gas in a factory and drives to where a reading says most.
+//! GASMAP: a rover that maps gas in a factory and drives to the most informative positions.
 //!
-//! Paper: *Automating Robotic Gas Distribution Mapping in Unknown and GPS-denied Environments*, TAROS 2023. Free cells are a
-//! Gauss-Markov random field whose means follow from Gaussian belief propagation as readings arrive each second; the robot drives to the
-//! reachable place of the best utility.
+//! Paper: *Automating Robotic Gas Distribution Mapping in Unknown and GPS-denied Environments*, TAROS 2023. Free cells
+//! are a Gauss-Markov random field, whose means follow by Gaussian belief propagation from one reading each second; the
+//! robot drives to the reachable position with the largest utility.
 //!
-//! The robot's program is a [`survey`]: it is given poses and the sensor's signal, keeps the map (`r4-maps`) and says velocities. The drive
-//! of `crate::rover` runs it on a board, with its pose from wheels, gyroscope and two lidar beams on the floor [`plan`] ([`localise`]); [`kinematic`] on perfect
-//! actuators. [`goals`] has both utilities, the paper's and ours. [`scene`] samples leaks, [`missing`] finds what the model of the sensor
-//! lacks, [`field`] measures means, variances and times of the map itself.
+//! The robot's program is a [`survey`]: it receives poses and the sensor's signal, keeps the map (`r4-maps`) and
+//! returns velocities. `crate::rover` runs it on a board, with the pose from wheels, gyroscope and two lidar beams on
+//! the floor [`plan`] ([`localise`]); [`kinematic`] runs it on perfect actuators. [`goals`] has both utilities, the
+//! paper's and ours. [`scene`] samples leaks, [`missing`] searches for the effect that the sensor's model lacks,
+//! [`field`] measures means, variances and computing times of the map itself.
 //!
 //! # Differences from the paper
 //! - The floor plan is given: the robot has single beams and no scanning lidar. Nothing is claimed about unknown halls.
-//! - Variances are exact marginals. Those of belief propagation are too small by up to several times, and a planner goes by them elsewhere.
+//! - Variances are exact marginals. Those of belief propagation are too small by up to several times, and lead a
+//!   planner to other goals.
 //! - Readings are corrected for the sensor's lag.
 
 pub mod field;
@@ -39,14 +41,14 @@ use plan::CELL_M;
 use scene::{Case, Hall};
 use survey::{PUBLISHED, Settings, Strategy, Survey, WEIGHTS, replayed, rmse};
 
-/// The system.
+/// Robot system GASMAP, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Gasmap;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "gasmap";
 
-/// Arms.
+/// Names of the arms.
 const PRINTED: &str = "paper";
 const OURS: &str = "ours";
 const LAWN: &str = "baseline:lawn-mower";
@@ -57,17 +59,18 @@ const PLACE: &str = "blind:sensor-place";
 const INTERFERENCE: &str = "blind:drive-interference";
 const CLEAN: &str = "blind:nothing";
 
-/// Time constant of the gas sensor, s: its data sheet's, of the robot's file.
+/// Time constant of the gas sensor, s: its datasheet's value in the robot's file.
 const LAG_S: f64 = 2.0;
-/// How often the error of the map is sampled, s.
+/// Period at which the error of the map is sampled, s.
 const LOOKS_S: f64 = 20.0;
-/// Share of the lawn-mower's time after which a survey from goal to goal ends.
+/// Share of the lawn-mower's time at which a survey from goal to goal ends.
 const SHARE: f64 = 0.6;
 
-/// Ours: fixed on seeds 1 to 12 on perfect actuators. With a tenth of the overhead the robot goes back and forth near the first gas that it
-/// finds and never sees the rest of the plume.
+/// Utility of our arm, fixed on seeds 1 to 12 on perfect actuators. With a tenth of the overhead the robot moves back
+/// and forth near the first gas that it finds, and never maps the rest of the plume.
 pub const UTILITY: Utility = Utility::ErrorRate { floor_ppm: 15.0, overhead_s: 60.0, by: Variances::Exact };
-/// The paper's form with the weights of the published program's example: variance, mean and path alike.
+/// Utility of the paper's form with the weights of the published program's example: the same for variance, mean and
+/// path.
 pub const PRINTED_UTILITY: Utility = Utility::Weighted { weights: [1.0, 1.0, 1.0], by: Variances::Propagated };
 
 const fn board(name: &'static str, does: &'static str) -> Arm {
@@ -86,7 +89,7 @@ const SET: &str = "set by this project";
 const MEDIAN: Statistic = Statistic::Quantile(0.5);
 const MOST: Statistic = Statistic::Quantile(1.0);
 
-/// Arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {
@@ -201,15 +204,15 @@ impl System for Gasmap {
     }
 }
 
-/// A survey that has ended.
+/// Result of a completed survey.
 #[derive(Debug)]
 pub(crate) struct Surveyed {
     survey: Survey,
-    /// Way of the robot with times, s.
+    /// True path of the robot: time, s, and position, m.
     path: Vec<(f64, Point)>,
-    /// What was measured on a board.
+    /// Record of the drive; `None` without a board.
     driven: Option<Driven>,
-    /// When it ended, s.
+    /// Time at which the survey ended, s.
     until_s: f64,
 }
 
@@ -227,7 +230,7 @@ fn settings(arm: &str, until_s: f64) -> Settings {
     }
 }
 
-/// Ours by both variances.
+/// Utilities of our arm with either kind of variances.
 struct ErrorRates {
     exact: Utility,
     propagated: Utility,
@@ -238,7 +241,7 @@ const RATES: ErrorRates = ErrorRates {
     propagated: Utility::ErrorRate { floor_ppm: 15.0, overhead_s: 60.0, by: Variances::Propagated },
 };
 
-/// The lawn-mower on perfect actuators, which all arms of a seed are compared with.
+/// Runs the lawn-mower on perfect actuators, the reference of all arms of a seed.
 fn lawn_mower(hall: &Hall) -> Result<Surveyed, Error> {
     perfectly(hall, settings(LAWN, f64::INFINITY))
 }
@@ -251,7 +254,7 @@ fn perfectly(hall: &Hall, settings: Settings) -> Result<Surveyed, Error> {
     Ok(Surveyed { survey, path, driven: None, until_s })
 }
 
-/// A trial's survey, and the weights of its map.
+/// Runs a trial's survey; also returns the weights of its map.
 fn surveyed(trial: &Trial, hall: &Hall, until_s: f64) -> Result<(Surveyed, r4_maps::field::Weights), Error> {
     let settings = settings(trial.arm, until_s);
     let is_kinematic = ABOUT.arm(trial.arm).is_some_and(|arm| arm.is_kinematic);
@@ -259,7 +262,7 @@ fn surveyed(trial: &Trial, hall: &Hall, until_s: f64) -> Result<(Surveyed, r4_ma
     Ok((surveyed, settings.weights))
 }
 
-/// A survey on the trial's board, with `people` in the hall.
+/// Runs a survey on the trial's board, with `people` in the hall.
 pub(crate) fn on_board(trial: &Trial, hall: &Hall, settings: Settings, people: Vec<Person>) -> Result<Surveyed, Error> {
     let rig = hall.rig(&trial.board, trial.seed, people);
     let mut survey = Survey::new(hall.plan.clone(), settings).map_err(|why| unsuitable(trial, why))?;
@@ -276,7 +279,7 @@ fn driven(trial: &Trial, rig: &Rig, hall: &Hall, program: &mut impl Program) -> 
     Ok(rig.run(None, work)?.0)
 }
 
-/// Error of the map over time, s and ppm.
+/// Error of the map over time: time, s, and RMSE, ppm.
 fn errors(
     hall: &Hall,
     weights: r4_maps::field::Weights,
@@ -305,15 +308,16 @@ fn evaluate(hall: &Hall, surveyed: &Surveyed, lawn: &Surveyed, weights: r4_maps:
     put("rmse_relative", end_ppm / to_reach_ppm);
     put("duration_s", surveyed.until_s);
     let empty_ppm = rmse(&truth.map(|ppm| ppm.map(|_| 0.0)), &truth);
-    // A map without any reading would have reached the error of a lawn-mower that is worse than that.
+    // Where the lawn-mower is worse than an empty map, every arm would reach its error before the first reading.
     let is_useful = to_reach_ppm < empty_ppm;
     put("lawn_mower_better_than_no_map", f64::from(u8::from(is_useful)));
     if is_useful {
-        // One that did not reach it counts as one that takes as long as the lawn-mower.
+        // A survey that did not reach the error counts like one that takes as long as the lawn-mower.
         put("time_share", reached_s.map_or(1.0, |reached_s| reached_s / lawn.until_s));
         put("reached", f64::from(u8::from(reached_s.is_some())));
     }
     let other = surveyed.survey.goals().iter().filter_map(|goal| goal.propagated_off_m);
+    // Two cells apart counts as another goal; a neighbouring cell is as good.
     let (others, goals) =
         other.fold((0.0, 0.0), |(others, goals), off_m| (others + f64::from(u8::from(off_m > 1.0)), goals + 1.0));
     if goals > 0.0 {
@@ -327,7 +331,7 @@ fn evaluate(hall: &Hall, surveyed: &Surveyed, lawn: &Surveyed, weights: r4_maps:
     values
 }
 
-/// A search for what is hidden in the sensor.
+/// Runs a blind arm: searches laps across a plume for the sensor's hidden change.
 fn blind(trial: &Trial, hidden: &str) -> Result<Values, Error> {
     let change = Change::named(hidden, trial.seed);
     let laps = laps(trial, change)?;
@@ -348,7 +352,7 @@ fn blind(trial: &Trial, hidden: &str) -> Result<Values, Error> {
     Ok(values)
 }
 
-/// Laps across a plume on the trial's board.
+/// Drives laps across a plume on the trial's board.
 fn laps(trial: &Trial, change: Option<Change>) -> Result<Vec<missing::Lap>, Error> {
     let case = Case { source_m: missing::SOURCE_M, release_m3_s: missing::RELEASE_M3_S, ..Case::of(trial.seed) };
     let hall = Hall::of(case, CELL_M)?;

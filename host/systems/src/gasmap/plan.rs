@@ -1,4 +1,5 @@
-//! The floor plan of a hall: cells that a field is mapped on, cells that a robot's centre may be in, and ways over them.
+//! Floor plan of a hall: cells on which a field is mapped, cells in which the robot's centre may be, and paths over
+//! them.
 
 use r4_maps::{
     grid::{Cell, Frame, Grid},
@@ -7,14 +8,16 @@ use r4_maps::{
     pose::{Point, Pose, distance_m},
 };
 
-/// Side of a cell of missions, m: a quarter of an aisle. The published maps have 0.2 m, at which times and errors are measured.
+/// Side of a mission's cell, m: a quarter of an aisle. The published maps have 0.2 m, at which times and errors are
+/// measured.
 pub const CELL_M: f64 = 0.5;
-/// Distance of the robot's way from what is not free, between centres of cells, m: half a cell more than 0.75 m from a wall.
+/// Distance of the robot's path from cells that are not free, between centres of cells, m: half a cell more than 0.75 m
+/// from a wall.
 const ROOM_M: f64 = 1.0;
-/// Distance between rows of the lawn-mower, m: that between aisles.
+/// Distance between the lawn-mower's rows, m: that between aisles.
 const PITCH_M: f64 = 4.0;
 
-/// Floor plan of a hall.
+/// Floor plan of a hall, as cells.
 #[derive(Clone, Debug)]
 pub struct Plan {
     walls_m: Vec<[Point; 2]>,
@@ -24,16 +27,16 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Plan of a hall with these walls in cells of `cell_m`: what is connected to `start_m` is free.
+    /// Computes the plan of a hall with these walls in cells of `cell_m`; the cells connected to `start_m` are free.
     ///
     /// # Errors
-    /// In words: without walls, or where they leave no room.
+    /// The reason in words: no walls, a start outside them, or no position far enough from every wall.
     pub fn of(walls_m: Vec<[Point; 2]>, start_m: Point, cell_m: f64) -> Result<Self, String> {
         let points = || walls_m.iter().flatten();
         let bound = |axis: usize, of: fn(f64, f64) -> f64, from: f64| points().map(|point| point[axis]).fold(from, of);
         let low = [0, 1].map(|axis| bound(axis, f64::min, f64::INFINITY));
         let high = [0, 1].map(|axis| bound(axis, f64::max, f64::NEG_INFINITY));
-        // One cell more on each side, which is not free.
+        // A margin of one cell on each side, which is not free.
         let counts = [0, 1].map(|axis| ((high[axis] - low[axis]) / cell_m).round() as usize + 2);
         let origin = Pose::new(low[0] - cell_m, low[1] - cell_m, 0.0);
         let frame = Frame::new(origin, cell_m, counts[0], counts[1]).map_err(|error| error.to_string())?;
@@ -59,25 +62,25 @@ impl Plan {
         Ok(Self { cramped: roomy.map(|roomy| !roomy), walls_m, free, roomy })
     }
 
-    /// Walls, from and to, m.
+    /// Walls of the hall, both ends of each, m.
     #[must_use]
     pub fn walls_m(&self) -> &[[Point; 2]] {
         &self.walls_m
     }
 
-    /// Cells in which there is air.
+    /// Cells that contain air.
     #[must_use]
     pub const fn free(&self) -> &Grid<bool> {
         &self.free
     }
 
-    /// Cells that the robot's centre may be in.
+    /// Cells in which the robot's centre may be.
     #[must_use]
     pub const fn roomy(&self) -> &Grid<bool> {
         &self.roomy
     }
 
-    /// The cell of the robot's ways nearest to a place, within 2 m; `None` without one.
+    /// Cell of the robot's paths that is nearest to a position, within 2 m; `None` without one.
     #[must_use]
     pub fn nearest(&self, at: Point) -> Option<Cell> {
         let frame = self.roomy.frame();
@@ -89,13 +92,13 @@ impl Plan {
         near.min_by(|a, b| distance_m(frame.centre(*a), at).total_cmp(&distance_m(frame.centre(*b), at)))
     }
 
-    /// Lengths of the shortest ways from a place, m; `None` far off every way.
+    /// Lengths of the shortest paths from a position, m; `None` when it is far from every path.
     #[must_use]
     pub fn distances_m(&self, from: Point) -> Option<Grid<f64>> {
         distances_m(&self.roomy, self.nearest(from)?).ok()
     }
 
-    /// Corners of the shortest way, without the first, m; `None` where there is none. `blocked` cells are avoided.
+    /// Corners of the shortest path, without the first, m; `None` where there is none. The path avoids `blocked` cells.
     #[must_use]
     pub fn way(&self, from: Point, to: Point, blocked: &[Cell]) -> Option<Vec<Point>> {
         let frame = *self.roomy.frame();
@@ -106,6 +109,7 @@ impl Plan {
         }
         let cells = route(&roomy, start, self.nearest(to)?).ok()?.nodes;
         let cramped = if blocked.is_empty() { &self.cramped } else { &roomy.map(|roomy| !roomy) };
+        // A corner remains only where the straight line to the next cell would leave the roomy cells.
         let mut corners = Vec::new();
         let mut here = frame.centre(*cells.first()?);
         for pair in cells.windows(2) {
@@ -119,7 +123,7 @@ impl Plan {
         Some(corners)
     }
 
-    /// Rows of the lawn-mower with their ends, m, from below to above, each in the direction opposite to that of the one before.
+    /// Ends of the lawn-mower's rows, m, from south to north, in alternating directions.
     #[must_use]
     pub fn rows_m(&self) -> Vec<[Point; 2]> {
         let frame = self.roomy.frame();
@@ -138,7 +142,7 @@ impl Plan {
     }
 }
 
-/// Whether two segments cross; touching counts.
+/// Returns true when two segments cross or touch.
 fn crosses([a, b]: [Point; 2], [c, d]: [Point; 2]) -> bool {
     let side = |from: Point, to: Point, of: Point| {
         (to[0] - from[0]) * (of[1] - from[1]) - (to[1] - from[1]) * (of[0] - from[0])

@@ -10,34 +10,34 @@ use r4_world::{Field, FieldKind, Person, Plume};
 use super::plan::Plan;
 use crate::{Error, sampler::Sampler};
 
-/// Purpose of random numbers.
+/// Purpose of the random numbers of a case.
 const OF_CASE: u64 = 1;
-/// Name of the world.
+/// Name of the world's file.
 pub const WORLD: &str = "factory";
-/// Name of its field.
+/// Name of the world's gas field.
 const GAS: &str = "gas";
-/// Aisles in which gas may leak: middle of the first, m, distance between two, m, and their number.
+/// Aisles in which gas may leak: y of the middle of the first, m; distance between two, m; number of aisles.
 const AISLES: (f64, f64, f64) = (9.0, 4.0, 9.0);
-/// Ends of the aisles' two halves, m.
+/// Ends of the aisles' two halves along x, m.
 const HALVES_M: [[f64; 2]; 2] = [[9.0, 27.0], [33.0, 47.0]];
-/// How often the truth is sampled for its mean, s.
+/// Period at which the truth is sampled for its mean, s.
 const TRUTH_EVERY_S: f64 = 40.0;
 
-/// A leak. [`About::sampled`](crate::About::sampled) has the ranges.
+/// A sampled leak. [`About::sampled`](crate::About::sampled) has the ranges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
-    /// Where gas comes out, m.
+    /// Position of the source, m.
     pub source_m: Point,
-    /// Gas released, m³/s.
+    /// Flow of released gas, m³/s.
     pub release_m3_s: f64,
-    /// Standard deviation of a new puff, m: that of a leak which mixes with the air about it, of the size of a cell.
+    /// Standard deviation of a new puff, m: that of a leak that mixes with the air around it, about the size of a cell.
     pub radius_m: f64,
-    /// Of the plume's randomness.
+    /// Seed of the plume's randomness.
     pub seed: u64,
 }
 
 impl Case {
-    /// The case of a seed.
+    /// Samples the case of a seed.
     #[must_use]
     pub fn of(seed: u64) -> Self {
         let mut sampler = Sampler::new(seed, OF_CASE);
@@ -52,10 +52,10 @@ impl Case {
         }
     }
 
-    /// The plume in a world.
+    /// Returns the plume of this case in a world.
     ///
     /// # Errors
-    /// In words: a world without gas, or a source where no air flows.
+    /// The reason in words: a world without gas, or a source where no air flows.
     pub fn plume(&self, world: &World) -> Result<Plume, String> {
         let gas = world.fields.iter().find_map(|field| match &field.kind {
             FieldKind::Gas(plume) if field.name == GAS => Some(plume),
@@ -71,24 +71,24 @@ impl Case {
     }
 }
 
-/// A hall with a leak.
+/// A hall with a leak, as the study simulates it.
 #[derive(Clone, Debug)]
 pub struct Hall {
-    /// The leak.
+    /// Leak of the seed.
     pub case: Case,
     /// The world without people.
     pub world: World,
-    /// The gas at time 0.
+    /// State of the gas at time 0.
     pub plume: Plume,
-    /// Its floor plan, which the robot has.
+    /// Floor plan of the hall, known to the robot.
     pub plan: Rc<Plan>,
 }
 
 impl Hall {
-    /// The hall of a seed.
+    /// Loads the hall and puts the leak of a case into it.
     ///
     /// # Errors
-    /// When the world cannot be read, or has no gas or no room.
+    /// [`Error::Rig`] when the world cannot be read; [`Error::Unsuitable`] when it has no gas or no room.
     pub fn of(case: Case, cell_m: f64) -> Result<Self, Error> {
         let world = r4_boards::load_world(WORLD).map_err(r4_rig::Error::from)?;
         let unsuitable = |why: String| Error::Unsuitable { system: super::NAME, board: WORLD.to_owned(), why };
@@ -98,13 +98,13 @@ impl Hall {
         Ok(Self { case, world, plume, plan: Rc::new(plan) })
     }
 
-    /// Gas in the air as a field of a world.
+    /// Gas in the air, as a field of a world.
     #[must_use]
     pub fn field(&self) -> Field {
         Field { name: GAS.to_owned(), kind: FieldKind::Gas(Box::new(self.plume.clone())) }
     }
 
-    /// Mean concentration of each free cell over a mission, ppm; `None` where nothing is free.
+    /// Mean concentration of each free cell over a mission, ppm; `None` for cells that are not free.
     #[must_use]
     pub fn truth_ppm(&self, until_s: f64) -> Grid<Option<f64>> {
         let mut gas = self.field();
@@ -122,7 +122,7 @@ impl Hall {
         sum
     }
 
-    /// A board in the hall: with the leak, a second lidar that looks to the left, and `people`.
+    /// Rig of a board in the hall: with the leak, a second lidar that looks to the left, and `people`.
     #[must_use]
     pub fn rig(&self, board: &Target, seed: u64, people: Vec<Person>) -> Rig {
         let mut rig = Rig::new(board.clone());
@@ -137,7 +137,7 @@ impl Hall {
         Rc::new(move |robot: &mut Robot| {
             robot.simulation.fields = vec![field.clone()];
             for person in &people {
-                // A path that increases in time, as its maker says.
+                // Adding fails only for a path whose times do not increase; callers give increasing ones.
                 let _ = robot.simulation.scene.add_person(person.clone());
             }
             let left = Mount { place_m: [0.0, 0.18], yaw_rad: std::f64::consts::FRAC_PI_2 };

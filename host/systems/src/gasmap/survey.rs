@@ -1,5 +1,5 @@
-//! The robot's program: where it drives, and what it notes of the gas on its way. It knows poses, the sensor's signal and what is free in
-//! front; where these come from, a board or perfect actuators, is the caller's.
+//! Program of the robot: its path, and the readings of gas along it. It receives poses, the sensor's signal and the
+//! free distance in front, either from a board or from perfect actuators.
 
 use std::rc::Rc;
 
@@ -18,19 +18,19 @@ use crate::rover::Program;
 
 /// Period of readings, s: the paper's 1 Hz.
 pub const PERIOD_S: f64 = 1.0;
-/// Where the gas sensor is in front of the robot's middle, m.
+/// Position of the gas sensor in front of the robot's middle, m.
 pub const SENSOR_M: f64 = 0.18;
-/// An obstacle that stays this long in front makes the robot go elsewhere, s.
+/// Time for which an obstacle may stand in front before the robot changes its path, s.
 const PATIENCE_S: f64 = 12.0;
-/// How long a goal that failed is left out, s.
+/// Time for which the cells of an obstacle are excluded, s.
 const BLACKLISTED_S: f64 = 120.0;
 
-/// What the field's weights are, in the field's unit: set on seeds 1 to 12 for the least error of the lawn-mower's maps.
+/// Weights of the field, in its unit: set on seeds 1 to 12 for the least error of the lawn-mower's maps.
 pub const WEIGHTS: Weights = Weights { smoothness: 0.5, reading: 0.5, forgetting_s: 1e6, prior: 1e-3 };
-/// Those of the published program.
+/// Weights of the published program.
 pub const PUBLISHED: Weights = Weights { smoothness: 0.5, reading: 10.0, forgetting_s: 1e6, prior: 1e-4 };
 
-/// How the robot finds its ways.
+/// Strategy by which the robot chooses its path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Strategy {
     /// Row by row over the whole hall.
@@ -39,44 +39,45 @@ pub enum Strategy {
     Goals(goals::Utility),
 }
 
-/// What a survey is run with.
+/// Parameters of a survey.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Where to.
+    /// Strategy of the path.
     pub strategy: Strategy,
-    /// Weights of the map.
+    /// Weights of the map's field.
     pub weights: Weights,
-    /// Time constant of the sensor that readings are corrected for, s; 0 takes its signal for the gas.
+    /// Time constant of the sensor's lag that readings are corrected for, s; 0 uses the signal as it is.
     pub lag_s: f64,
-    /// When it ends, s; a lawn-mower ends with its last row.
+    /// Time limit of the survey, s; a lawn-mower ends earlier with its last row.
     pub until_s: f64,
 }
 
-/// Speeds of the robot: four fifths of its top speed, as the fleets of `absim`, and the room that an aisle of 2 m leaves.
+/// Limits of the robot's motion: four fifths of its top speed, as in the fleets of `absim`, and the room that an aisle
+/// of 2 m leaves.
 pub fn limits() -> Limits {
     Limits { speed_m_s: 0.4, turn_rate_rad_s: 1.0, braking_m_s2: 0.5, stop_m: 0.35, reached_m: 0.1 }
 }
 
-/// A goal that was chosen.
+/// A goal that the survey chose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Goal {
-    /// s
+    /// Time of the choice, s.
     pub chosen_s: f64,
-    /// m
+    /// Position of the goal, m.
     pub at: Point,
-    /// Whether it was given up because something stood in the way.
+    /// True when the goal was given up because of an obstacle, or when no path led to it.
     pub failed: bool,
-    /// How far from it is the goal that variances of belief propagation would have led to, m; `None` where it was chosen by these, or by
-    /// none.
+    /// Distance from the goal that variances of belief propagation would have chosen, m; `None` where they chose it, or
+    /// no variances did.
     pub propagated_off_m: Option<f64>,
 }
 
-/// A survey under way.
+/// State of a survey.
 #[derive(Debug)]
 pub struct Survey {
     plan: Rc<Plan>,
     settings: Settings,
-    /// The map so far.
+    /// Map of the readings so far.
     field: Field,
     readings: Vec<Reading>,
     signals: Vec<Reading>,
@@ -90,14 +91,14 @@ pub struct Survey {
     is_over: bool,
 }
 
-/// The signal over one period.
+/// Samples of the signal in the present period.
 #[derive(Debug, Default)]
 struct Window {
-    /// Time, s, place of the sensor, m, and signal, ppm.
+    /// Time, s; position of the sensor, m; signal, ppm.
     samples: Vec<(f64, Point, f64)>,
 }
 
-/// One period of the signal.
+/// One completed period of the signal.
 struct Period {
     at_s: f64,
     middle_place: Point,
@@ -108,8 +109,9 @@ struct Period {
 }
 
 impl Window {
-    /// A full period. A first-order lag obeys `T dy/dt = x - y`, so that the mean of the gas x over it is that of the signal y and T times
-    /// the change of y over it, exactly: the lag's state at both ends is the signal itself.
+    /// Adds a sample and returns the period when it is complete. A first-order lag obeys `T dy/dt = x - y`. The mean of
+    /// the gas x over a period is therefore the mean of the signal y plus T times the change rate of y over it,
+    /// exactly: the lag's state at both ends is the signal itself.
     fn take(&mut self, sample: (f64, Point, f64)) -> Option<Period> {
         self.samples.push(sample);
         let (first, last) = (*self.samples.first()?, *self.samples.last()?);
@@ -133,10 +135,10 @@ impl Window {
 }
 
 impl Survey {
-    /// A survey from its start.
+    /// Creates a survey before its start.
     ///
     /// # Errors
-    /// In words: weights that make no field.
+    /// Weights that define no field, in words.
     pub fn new(plan: Rc<Plan>, settings: Settings) -> Result<Self, String> {
         let field = Field::new(plan.free(), settings.weights).map_err(|error| error.to_string())?;
         let mut rows: Vec<Point> = plan.rows_m().into_iter().flatten().collect();
@@ -158,25 +160,26 @@ impl Survey {
         })
     }
 
-    /// Readings so far.
+    /// Readings taken so far, corrected for the lag.
     #[must_use]
     pub fn readings(&self) -> &[Reading] {
         &self.readings
     }
 
-    /// The same readings, where the signal is taken for the gas.
+    /// The same readings without correction for the lag.
     #[must_use]
     pub fn signals(&self) -> &[Reading] {
         &self.signals
     }
 
-    /// Goals so far.
+    /// Goals chosen so far.
     #[must_use]
     pub fn goals(&self) -> &[Goal] {
         &self.goals
     }
 
-    /// Gives up a goal that somebody stands before.
+    /// Gives up a goal when an obstacle has stood in front for [`PATIENCE_S`], and excludes the obstacle's cells for a
+    /// time.
     fn mind_obstacles(&mut self, time_s: f64, at: Place, free_m: f64) {
         if free_m > limits().stop_m {
             self.stands_since_s = None;
@@ -196,7 +199,7 @@ impl Survey {
             }
         }
         match self.settings.strategy {
-            // The row goes on, round the obstacle.
+            // The row continues, round the obstacle.
             Strategy::LawnMower => self.go(time_s, at, goal),
             Strategy::Goals(_) => self.follower = Follower::new(limits(), []),
         }
@@ -208,7 +211,7 @@ impl Survey {
         let from = [at.x_m, at.y_m];
         let way = self.plan.way(from, goal, &blocked);
         let failed = way.is_none();
-        // Behind what is blocked: it waits for the way to be free again.
+        // The goal is behind blocked cells: the robot drives up to them and waits.
         let way = way.or_else(|| self.plan.way(from, goal, &[])).unwrap_or_default();
         self.goals.push(Goal {
             chosen_s: time_s,
@@ -226,7 +229,7 @@ impl Survey {
                 self.rows.pop()
             }
             Strategy::Goals(utility) => {
-                // Rounding that keeps a solve from its tolerance leaves the best means there are.
+                // A solve that misses its tolerance by rounding still leaves the best available means.
                 let _ = self.field.solve(1e-2);
                 let means = self.field.means();
                 let blocked: Vec<Cell> = self.blacklist.iter().map(|(_, cell)| *cell).collect();
@@ -255,7 +258,7 @@ impl Program for Survey {
         let corrected =
             frame.cell_at(taken.middle_place).map(|cell| Reading { cell, value: corrected_ppm, at_s: taken.at_s });
         let reading = if self.settings.lag_s > 0.0 { corrected } else { signal };
-        // A cell that is not free is one of a wall, and the pose is off by centimetres.
+        // The pose is off by centimetres: a position in a cell of a wall is discarded.
         if let (Ok(reading), Ok(signal)) = (reading, signal)
             && self.field.observe(reading).is_ok()
         {
@@ -277,7 +280,7 @@ impl Program for Survey {
             let goal = self.next(at)?;
             self.go(time_s, at, goal);
         }
-        // A goal where it stands already.
+        // Four goals in a row that the robot has already reached: it stands for this period.
         Some(Velocity::default())
     }
 }
@@ -289,13 +292,13 @@ fn by_variances(field: &Field, by: Variances) -> Grid<Option<f64>> {
     }
 }
 
-/// Maps with their times, s.
+/// Means of maps with their times, s.
 pub type Maps = Vec<(f64, Grid<Option<f64>>)>;
 
-/// Means of a map of readings in the order in which they were taken, each `every_s`, with the times, s.
+/// Computes the map again from readings in their order, and returns its means every `every_s`, with the times, s.
 ///
 /// # Errors
-/// In words: weights that make no field.
+/// Weights that define no field, or a solve that does not converge, in words.
 pub fn replayed(
     plan: &Plan,
     weights: Weights,
@@ -319,7 +322,7 @@ pub fn replayed(
     Ok(maps)
 }
 
-/// Root mean square difference of two maps over the cells of both, in their unit.
+/// Root mean square difference of two maps over the cells that both have, in their unit.
 #[must_use]
 pub fn rmse(map: &Grid<Option<f64>>, truth: &Grid<Option<f64>>) -> f64 {
     let pairs = map

@@ -12,13 +12,14 @@ fn trial(arm: &'static str, seed: u64) -> Trial {
     Trial { arm, seed, board: "sim:gas-scout".parse().expect("a board") }
 }
 
-/// Five metres down the first leg of the lawn-mower, from 6 s to 24 s.
+/// A person who stands five metres down the first leg of the lawn-mower, from 6 s to 24 s.
 fn person() -> Person {
     let beside = [6.5, 19.5];
     Person { radius_m: 0.25, path: vec![(4.0, beside), (6.0, [4.0, 19.5]), (24.0, [4.0, 19.5]), (26.0, beside)] }
 }
 
-/// The robot stands before a person, takes readings all the same, and goes on. Its pose stays within the target of the study.
+/// The robot stops before a person, continues to take readings, and drives on. Its pose stays within the target of the
+/// study.
 #[test]
 fn a_person_in_the_way_costs_time_and_no_reading() {
     let hall = Hall::of(Case::of(1), CELL_M).expect("a hall");
@@ -27,7 +28,7 @@ fn a_person_in_the_way_costs_time_and_no_reading() {
     let with = run(vec![person()]);
     let driven = with.driven.as_ref().expect("on a board");
     assert!((5.0..20.0).contains(&driven.stood_s), "{} s", driven.stood_s);
-    // A sample each 100 ms, of which the link may delay one.
+    // A sample every 100 ms, one of which the link may delay.
     assert!(
         driven.gap_s < 0.25 && with.survey.readings().len() >= 30,
         "{} s, {:?}",
@@ -38,12 +39,12 @@ fn a_person_in_the_way_costs_time_and_no_reading() {
     assert!(last.2[1] < 19.0, "beyond the person at the end: {last:?}");
     let off_m = driven.path.iter().map(|(_, at, truth)| r4_maps::pose::distance_m(*at, *truth)).fold(0.0, f64::max);
     assert!(off_m < 0.10, "{off_m} m");
-    // Walls within reach are seen about ten times a second; the person is not one of them.
+    // Walls within reach are measured about ten times a second; the person is rejected by the gate.
     assert!(driven.fixes[0] > 100 && driven.fixes[1] > 0, "{:?}", driven.fixes);
     assert_eq!(driven, run(vec![person()]).driven.as_ref().expect("again"), "the same seed, bit for bit");
 }
 
-/// A program that stands and keeps its periods.
+/// A program that stands still and keeps its periods.
 struct Stands(Survey);
 
 impl Program for Stands {
@@ -56,7 +57,7 @@ impl Program for Stands {
     }
 }
 
-/// Readings with the lag state are the means of the gas over each period; the signal alone is late.
+/// Readings corrected for the lag are the means of the gas over each period; the signal alone is late.
 #[test]
 fn readings_are_corrected_for_the_lag_exactly() {
     let hall = Hall::of(Case::of(1), CELL_M).expect("a hall");
@@ -70,13 +71,14 @@ fn readings_are_corrected_for_the_lag_exactly() {
     }
     let [corrected, signal] = [program.0.readings(), program.0.signals()].map(|readings| {
         let off = readings.iter().map(|reading| {
-            // Mean of a sine over the second before.
+            // Mean of a sine over the second before the reading.
             let mean = 50.0 + 40.0 / 0.9 * ((0.9 * (reading.at_s - 1.0)).cos() - (0.9 * reading.at_s).cos());
             (reading.value - mean).abs()
         });
         off.fold(0.0, f64::max)
     });
-    // The trapezoid rule on steps of 0.1 s: 40 · 0.81 / 12 · 0.01, twice for the simulated sensor's straight input.
+    // The trapezoidal rule on steps of 0.1 s: 40 · 0.81 / 12 · 0.01, twice for the linear input of the simulated
+    // sensor.
     assert!(corrected < 0.06, "{corrected}");
     assert!(signal > 20.0, "{signal}");
 }
@@ -85,7 +87,7 @@ fn readings_are_corrected_for_the_lag_exactly() {
 fn the_plan_leads_through_aisles_and_round_what_is_blocked() {
     let hall = Hall::of(Case::of(1), CELL_M).expect("a hall");
     let plan = &hall.plan;
-    // 60 m by 50 m less 20 shelves of 40 m2, in cells of 0.25 m2.
+    // 60 m by 50 m minus 20 shelves of 40 m², in cells of 0.25 m².
     assert_eq!(plan.free().values().iter().filter(|free| **free).count(), 8_800);
     let way = plan.way([4.0, 25.0], [56.0, 9.0], &[]).expect("a way");
     let at_m = [vec![[4.0, 25.0]], way.clone()].concat();
@@ -99,7 +101,8 @@ fn the_plan_leads_through_aisles_and_round_what_is_blocked() {
     assert_eq!(plan.rows_m().len(), 11);
 }
 
-/// The 8 × 8 grid with a wall of which the variances were computed elsewhere (`host/maps/tests/oracle/gmrf.py` has the same kind of map).
+/// An 8 × 8 grid with a wall, whose variances were computed elsewhere (`host/maps/tests/oracle/gmrf.py` has the same
+/// kind of map).
 #[test]
 fn variances_of_belief_propagation_are_over_confident() {
     let frame = Frame::new(Pose::default(), 0.2, 8, 8).expect("a grid");
@@ -119,7 +122,8 @@ fn a_reading_of_75_000_cells_is_taken_and_timed() {
     assert!(times_ms.len() == 3 && times_ms.iter().all(|time_ms| *time_ms > 0.0));
 }
 
-/// Laps across a Gaussian plume that walks a little, as seen by a sensor with a lag that is stepped by Euler.
+/// Laps across a Gaussian plume with a small random shift, measured by a sensor with a lag, integrated by Euler's
+/// method.
 fn laps(seed: u64, lag_s: f64, ahead_m: f64, per_rad_s: f64) -> Vec<missing::Lap> {
     let mut sampler = Sampler::new(seed, 9);
     let step_s = 0.1;
@@ -156,14 +160,14 @@ fn each_hidden_effect_is_named_and_a_clean_sensor_has_none() {
         ] {
             let found = found.expect("an effect");
             assert_eq!(found.name, name, "seed {seed}: {found:?}");
-            // The plume's walk of 0.1 m is 0.035 m in the mean of 17 laps: 7 % of a lag of 2 s.
+            // The plume's random shift of 0.1 m is 0.035 m in the mean of 17 laps: 7 % of a lag of 2 s.
             assert!((found.size / size - 1.0).abs() < 0.25 && found.after < found.before, "seed {seed}: {found:?}");
         }
         assert_eq!(of(0.0, 0.0, 0.0), None, "seed {seed}");
     }
 }
 
-/// A kinematic trial's path does not leave the free cells, and its goals are free.
+/// A kinematic trial's path stays in free cells, and its goals are reachable.
 #[test]
 fn ours_drives_through_free_cells_only() {
     let hall = Hall::of(Case::of(3), CELL_M).expect("a hall");

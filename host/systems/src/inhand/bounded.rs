@@ -1,11 +1,11 @@
-//! Least squares inside bounds.
+//! Nonlinear least squares with bounds on the parameters.
 
 use nalgebra::{DMatrix, DVector};
 use r4_maths::least_squares::trust_region::{SumOfSquares, minimise};
 
-/// A step or gain below this share ends the search: a millionth of a millimetre here.
+/// Relative step or gain below which the search ends: a millionth of a millimetre here.
 const TOLERANCE: f64 = 1e-12;
-/// Evaluations of the Jacobian at most; fits that the data determine take fewer than thirty.
+/// Largest number of Jacobian evaluations; fits that the data determine take fewer than thirty.
 const JACOBIANS: usize = 200;
 
 struct Problem<'r> {
@@ -17,7 +17,7 @@ struct Problem<'r> {
     left: usize,
 }
 
-/// Parameters inside their bounds, whatever the variables: `low + (high - low) (1 + sin v) / 2`.
+/// Maps unbounded variables to parameters inside their bounds: `low + (high - low) (1 + sin v) / 2`.
 fn inside(low: &[f64], high: &[f64], variables: &DVector<f64>) -> Vec<f64> {
     let bounds = low.iter().zip(high);
     bounds.zip(variables).map(|((low, high), variable)| low + 0.5 * (high - low) * (1.0 + variable.sin())).collect()
@@ -48,7 +48,8 @@ impl SumOfSquares for Problem<'_> {
         self.left = self.left.checked_sub(1)?;
         let residuals = self.look(&self.variables);
         let mut jacobian = DMatrix::zeros(residuals.len(), self.variables.len());
-        // The cube root balances the error of a central difference with that of rounding; variables are of the order of 1.
+        // Central difference: the cube root of the rounding unit balances truncation against rounding; variables are of
+        // order 1.
         let step = f64::EPSILON.cbrt();
         let mut at = self.variables.clone();
         for column in 0..at.len() {
@@ -66,11 +67,12 @@ impl SumOfSquares for Problem<'_> {
     }
 }
 
-/// The parameters with the least sum of squared `residuals` inside `low..=high`, followed downhill from `start`, and that sum.
+/// Minimises the sum of squared `residuals` inside `low..=high`, by descent from `start`. Returns the parameters and
+/// that sum.
 pub(super) fn fit(low: &[f64], high: &[f64], start: &[f64], residuals: &dyn Fn(&[f64]) -> Vec<f64>) -> (Vec<f64>, f64) {
     let variable = |(place, value): (usize, &f64)| {
         let share: f64 = 2.0 * (value - low[place]) / (high[place] - low[place]) - 1.0;
-        // At a bound the slope is 0, and the search would stay there.
+        // At a bound the mapping has slope 0, and the search would not leave it.
         share.clamp(-0.99, 0.99).asin()
     };
     let variables = DVector::from_iterator(start.len(), start.iter().enumerate().map(variable));

@@ -3,31 +3,32 @@
 //! `R1 cos(phi) - R2 cos(psi) + R3 - cos(phi - psi) = 0`, `R1 = a / d`, `R2 = a / b`, `R3 = (a² + b² - c² + d²) / (2 b d)`.
 //!
 //! # Repair
-//! With both angles counted from the palm's axis, from the left joint to the right one, the first two terms need the opposite sign. As
-//! printed the equation holds for angles from the opposite ray, `pi - angle`, and so do the printed
-//! `phi = theta_l + asin(w / b)` and `psi = theta_r - asin(w / d)`. Angles are turned here and everything else is as printed.
+//! With both angles counted from the palm's axis, from the left joint to the right one, the first two terms need the
+//! opposite sign. As printed, the equation holds for angles from the opposite ray, `pi - angle`, and so do the printed
+//! `phi = theta_l + asin(w / b)` and `psi = theta_r - asin(w / d)`. This module converts the angles and leaves
+//! everything else as printed.
 
 use std::f64::consts::PI;
 
 use super::bounded;
 
-/// Angles at one stop, as the method takes them.
+/// Palm and finger angles at one stop: the inputs of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// Distance between the fingers' joints, m.
     pub palm_m: f64,
-    /// Left and right finger from the palm's axis, counterclockwise, rad.
+    /// Angles of the left and right finger from the palm's axis, counterclockwise, rad.
     pub finger_rad: [f64; 2],
 }
 
-/// Lengths of a four-bar linkage beside the palm.
+/// Lengths of a four-bar linkage, without that of the palm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Linkage {
-    /// From the left joint to its contact, m.
+    /// Length from the left joint to its contact, m.
     pub b_m: f64,
-    /// Between the contacts, m.
+    /// Distance between the contacts, m.
     pub c_m: f64,
-    /// From the right joint to its contact, m.
+    /// Length from the right joint to its contact, m.
     pub d_m: f64,
 }
 
@@ -38,7 +39,7 @@ impl Linkage {
         [palm_m / d_m, palm_m / b_m, third]
     }
 
-    /// What Freudenstein's equation leaves at a stop, with fingers half `w_m` wide.
+    /// Residual of Freudenstein's equation at a stop, dimensionless, with fingers of half-width `w_m`.
     #[must_use]
     pub fn residual(&self, w_m: f64, seen: &Observation) -> f64 {
         let [left_rad, right_rad] = seen.finger_rad.map(|angle_rad| PI - angle_rad);
@@ -48,8 +49,8 @@ impl Linkage {
         r1 * phi.cos() - r2 * psi.cos() + r3 - (phi - psi).cos()
     }
 
-    /// Angle of the right finger for one of the left, rad, by the half-angle form; of both solutions that nearest to `near_rad`. NaN where
-    /// the linkage does not close.
+    /// Angle of the right finger for an angle of the left one, rad, by the half-angle form; of both solutions the one
+    /// nearest to `near_rad`. NaN where the linkage does not close.
     #[must_use]
     pub fn right_rad(&self, w_m: f64, palm_m: f64, left_rad: f64, near_rad: f64) -> f64 {
         let phi = PI - left_rad + (w_m / self.b_m).asin();
@@ -61,7 +62,7 @@ impl Linkage {
         let right = |sign: f64| {
             let psi = 2.0 * (-b + sign * root).atan2(2.0 * a);
             let angle_rad = PI - (psi + (w_m / self.d_m).asin());
-            // Within half a turn of the angle that is near.
+            // Unwrapped to within half a turn of `near_rad`.
             near_rad + (angle_rad - near_rad + PI).rem_euclid(2.0 * PI) - PI
         };
         let both = [right(1.0), right(-1.0)];
@@ -69,13 +70,13 @@ impl Linkage {
     }
 }
 
-/// Bounds of b and d, above half the finger's width, and of c, m.
+/// Upper bounds of b and d, and of c, m. The lower bound of b and d is half the finger's width.
 const REACH_M: f64 = 0.14;
 const WIDEST_M: f64 = 0.12;
-/// Starts of c, m: the sum of squares has a second minimum near c = 0.
+/// Initial guesses of c, m: the sum of squares has a second minimum near c = 0.
 const SIZES_M: [f64; 3] = [0.010, 0.025, 0.045];
 
-/// Constant b, c and d with the least sum of squares over all stops.
+/// Fits constant b, c and d to all stops by least squares.
 #[must_use]
 pub fn fit(w_m: f64, seen: &[Observation]) -> Linkage {
     let linkage = |at: &[f64]| Linkage { b_m: at[0], c_m: at[1], d_m: at[2] };
@@ -92,7 +93,7 @@ mod tests {
 
     const W_M: f64 = 0.008;
 
-    /// Fingers through two given contacts, from plane geometry.
+    /// Observation of fingers through two given contacts, by plane geometry.
     fn seen(palm_m: f64, contacts_m: [[f64; 2]; 2]) -> Observation {
         let angle = |side: usize| {
             let [x, y] = contacts_m[side];
@@ -115,7 +116,7 @@ mod tests {
                 d_m: length(rx - 0.5 * palm_m, ry),
             };
             assert!(linkage.residual(W_M, &seen).abs() < 1e-12);
-            // As printed, with angles from the palm's axis: what the repair is for.
+            // As printed, with angles from the palm's axis, the equation does not hold.
             let turned = Observation { finger_rad: seen.finger_rad.map(|angle| PI - angle), ..seen };
             assert!(linkage.residual(W_M, &turned).abs() > 0.1);
             let [left_rad, right_rad] = seen.finger_rad;

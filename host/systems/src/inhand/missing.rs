@@ -1,14 +1,14 @@
-//! What the four-bar linkage with constant links lacks, found in repeated manipulations of one grasp.
+//! Search for the effect that a four-bar linkage with constant links lacks, in repeated manipulations of one grasp.
 //!
-//! Observed is the right finger's angle at each stop, predicted from the palm, the left finger and b, c, d by the half-angle form. Each
-//! repetition is a run; the last is held out.
+//! The observation is the right finger's angle at each stop; the half-angle form predicts it from the palm, the left
+//! finger and b, c, d. Each repetition is a run; the last is held out.
 //!
 //! | effect | its size | in the prediction |
 //! | --- | --- | --- |
 //! | `migration` | radius of the edges, m | contacts roll: `db = r (delta - d theta_l)`, `dd = -r (delta - d theta_r)`; links join the arcs' centres |
 //! | `slip` | m/s | b and d change with time |
-//! | `backlash` | m | the palm is half of it behind its encoder, on the side it came from |
-//! | `zero-offset` | rad | the left encoder shows so much more |
+//! | `backlash` | m | the palm lags its encoder by half of it, on the side it came from |
+//! | `zero-offset` | rad | constant error of the left encoder |
 
 use super::{
     four_bar::{self, Linkage, Observation},
@@ -20,21 +20,22 @@ use crate::{
     effects::{Effect, Found, Search},
 };
 
-/// Candidates, with guesses of the magnitude that is looked for. Below its least size an effect is one of the gripper's tolerances. Play: a
-/// servo's dead band of 2 us bends each finger by another 0.2 mrad when it comes from the other side, which looks like 0.04 to 0.08 mm of the
-/// rack (seeds 1 to 8, nothing hidden).
+/// Candidate effects, with initial guesses of their scale. Below its least size an effect is within the gripper's
+/// tolerances. For play: a servo's dead band of 2 µs bends each finger by another 0.2 mrad when it comes from the other
+/// side, which looks like 0.04 to 0.08 mm of play in the rack (seeds 1 to 8, nothing hidden).
 const EFFECTS: [Effect; 4] = [
     Effect { name: "migration", start: &[0.003], absent: 0.0, least: 5e-4 },
     Effect { name: "slip", start: &[-2e-5], absent: 0.0, least: 2e-6 },
     Effect { name: "backlash", start: &[5e-4], absent: 0.0, least: 1.5e-4 },
     Effect { name: "zero-offset", start: &[0.01], absent: 0.0, least: 5e-3 },
 ];
-/// Largest sizes: beyond them an effect is seen without a search. Radius of an edge, 1 mm/s of slip, 5 mm of play, 6 degrees.
+/// Largest sizes, beyond which an effect is obvious without a search: radius of an edge, 1 mm/s of slip, 5 mm of play,
+/// 6 degrees.
 const MOST: [f64; 4] = [0.03, 1e-3, 5e-3, 0.1];
-/// Newton steps for the turn of an object with round edges.
+/// Newton steps for the rotation of an object with round edges.
 const TURN_STEPS: usize = 8;
 
-/// Name of what a trial hides, as the search reports it.
+/// Name of a trial's hidden effect in the search's result; `None` for none.
 pub(super) fn name(hidden: Hidden) -> Option<&'static str> {
     Some(match hidden {
         Hidden::Nothing => return None,
@@ -45,7 +46,7 @@ pub(super) fn name(hidden: Hidden) -> Option<&'static str> {
     })
 }
 
-/// A stop with what the search takes of it.
+/// Inputs of the search from one stop.
 #[derive(Clone, Copy)]
 struct Seen {
     at: Observation,
@@ -53,10 +54,10 @@ struct Seen {
     time_s: f64,
 }
 
-/// The effect that recordings of one grasp show, if any.
+/// Searches the recordings of one grasp for an effect; `None` where they show none.
 ///
 /// # Errors
-/// Fewer than three repetitions, or a base model that cannot be fitted.
+/// [`Error::Effects`] for fewer than three repetitions, or when the base model cannot be fitted.
 pub fn find(setup: &Setup, stops: &[Stop]) -> Result<Option<Found>, Error> {
     let w_m = setup.finger.half_width_m;
     let repeats = stops.iter().map(|stop| stop.repeat + 1).max().unwrap_or(0);
@@ -77,6 +78,7 @@ fn predicted(w_m: f64, effect: Option<usize>, parameters: &[f64], run: &[Seen]) 
     let &[b_m, c_m, d_m, ref rest @ ..] = parameters else { return Vec::new() };
     let base = Linkage { b_m, c_m, d_m };
     let size = rest.first().copied().unwrap_or(0.0);
+    // An empty prediction scores as NaN, which rejects the candidate.
     if effect.is_some_and(|effect| size.abs() > MOST[effect]) {
         return Vec::new();
     }
@@ -100,12 +102,14 @@ fn predicted(w_m: f64, effect: Option<usize>, parameters: &[f64], run: &[Seen]) 
     run.iter().map(right).collect()
 }
 
-/// Right finger's angles with edges of radius `r_m`: the linkage joins the centres of the edges, which go along the fingers.
+/// Right finger's angles, rad, with edges of radius `r_m`: the linkage joins the centres of the edges, which move along
+/// the fingers.
 fn rolling(w_m: f64, base: Linkage, r_m: f64, run: &[Seen]) -> Vec<f64> {
     let along_m = |contact_m: f64| (contact_m * contact_m - w_m * w_m).sqrt();
     let (left_m, right_m) = (along_m(base.b_m), along_m(base.d_m));
     let off_m = w_m + r_m;
-    // The right finger's angle and the direction from centre to centre, for centres at these places along the fingers.
+    // The right finger's angle and the direction from centre to centre, for centres at these positions along the
+    // fingers.
     let closed = |seen: &Seen, left_m: f64, right_m: f64, near_rad: f64| {
         let Observation { palm_m, finger_rad: [left_rad, _] } = seen.at;
         let linkage = Linkage { b_m: left_m.hypot(off_m), c_m: base.c_m, d_m: right_m.hypot(off_m) };
@@ -128,7 +132,8 @@ fn rolling(w_m: f64, base: Linkage, r_m: f64, run: &[Seen]) -> Vec<f64> {
             let (left, right) = rolled(turn_rad, right_rad);
             let way_rad;
             (right_rad, way_rad) = closed(seen, left, right, right_rad);
-            // The further the edges roll, the less the centres' line turns with the object: slope -(1 + 2 r / c).
+            // Newton's method with an approximate slope, -(1 + 2 r / c): the further the edges roll, the less the
+            // centres' line turns with the object.
             turn_rad += (way_rad - first_way_rad - turn_rad) / (1.0 + 2.0 * r_m / base.c_m);
         }
         right_rad

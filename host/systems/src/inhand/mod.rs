@@ -1,12 +1,12 @@
-//! INHAND: size and place of an object between two fingers, from the joints' encoders alone.
+//! INHAND: size and position of an object between two fingers, estimated from the joints' encoders alone.
 //!
-//! Paper: "Object Feature Reconstruction via Robotic In-Hand-Manipulation and Haptic Proprioception", TAROS 2023. The gripper holds an
-//! object, pivots it by widening and narrowing the palm, rolls it by turning both fingers, and takes fingers and object for a four-bar
-//! linkage whose lengths do not change: [`four_bar`].
+//! Paper: "Object Feature Reconstruction via Robotic In-Hand-Manipulation and Haptic Proprioception", TAROS 2023. The
+//! gripper holds an object, pivots it by widening and narrowing the palm, rolls it by turning both fingers, and models
+//! fingers and object as a four-bar linkage with constant links: [`four_bar`].
 //!
-//! Contacts do change: round edges roll along the fingers. Ours ([`rolling`]) estimates the radius with the rest, and reads the encoders
-//! with what the gripper's data sheet says of play and compliance ([`protocol::Stop::corrected`]). [`missing`] searches what the linkage
-//! lacks. [`protocol`] manipulates on a board, [`scene`] samples objects.
+//! In fact the contacts move: round edges roll along the fingers. Our method ([`rolling`]) also estimates the radius,
+//! and corrects the encoders by the datasheet's play and compliance ([`protocol::Stop::corrected`]). [`missing`]
+//! searches for the effect that the linkage lacks. [`protocol`] manipulates on a board, [`scene`] samples objects.
 
 mod bounded;
 pub mod four_bar;
@@ -24,14 +24,14 @@ use four_bar::{Linkage, Observation};
 use protocol::{Motion, Stop};
 use scene::{Case, Hidden, Setup};
 
-/// The system.
+/// Robot system INHAND, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Inhand;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "inhand";
 
-/// Arms.
+/// Names of the arms.
 const PAPER: &str = "paper";
 const ROLL: &str = "baseline:roll-only";
 const PIVOT: &str = "baseline:pivot-only";
@@ -40,7 +40,7 @@ const SHARP: &str = "ablation:no-migration";
 const PLAIN: &str = "ablation:plain-readings";
 const EXACT: &str = "ablation:perfect-encoders";
 const CLEAN: &str = "blind:clean";
-/// Arms in which something is hidden.
+/// Arms with a hidden effect, or none as a control.
 const BLIND: [(&str, Hidden); 5] = [
     ("blind:migration", Hidden::Migration),
     ("blind:slip", Hidden::Slip),
@@ -48,7 +48,7 @@ const BLIND: [(&str, Hidden); 5] = [
     ("blind:zero-offset", Hidden::ZeroOffset),
     (CLEAN, Hidden::Nothing),
 ];
-/// Repetitions of both motions in blind arms; the last is held out.
+/// Number of repetitions of both motions in blind arms; the last is held out.
 const BLIND_REPEATS: usize = 4;
 
 const fn board(name: &'static str, does: &'static str) -> Arm {
@@ -63,7 +63,7 @@ const fn named(arm: &'static str) -> Target {
     Target { arm, limit: Limit::AtLeast(0.9), from: "set by this project" }
 }
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {
@@ -152,12 +152,12 @@ impl System for Inhand {
     }
 }
 
-/// What an arm hides; `None` for arms that estimate.
+/// Effect that an arm hides; `None` for arms that estimate.
 fn hidden(arm: &str) -> Option<Hidden> {
     BLIND.iter().find(|(name, _)| *name == arm).map(|(_, hidden)| *hidden)
 }
 
-/// A trial's object, what the program knows of the gripper, and what was read.
+/// Runs a trial's manipulation. Returns the object, the values that the program knows of the gripper, and the readings.
 fn recorded(trial: &Trial) -> Result<(Case, Setup, Vec<Stop>), Error> {
     let unsuitable = |why: String| Error::Unsuitable { system: NAME, board: trial.board.to_string(), why };
     let (case, repeats) = match hidden(trial.arm) {
@@ -174,7 +174,7 @@ fn recorded(trial: &Trial) -> Result<(Case, Setup, Vec<Stop>), Error> {
     Ok((case, setup, stops))
 }
 
-/// Stops that an arm uses.
+/// Stops that an arm uses: those of one motion in the baselines, all otherwise.
 fn used(arm: &str, stops: &[Stop]) -> Vec<Stop> {
     let only = match arm {
         ROLL => Some(Motion::Roll),
@@ -184,14 +184,16 @@ fn used(arm: &str, stops: &[Stop]) -> Vec<Stop> {
     stops.iter().filter(|stop| only.is_none_or(|motion| stop.motion == motion)).copied().collect()
 }
 
-/// Metrics of an estimate beside what was true at the first stop that it uses.
+/// Computes the metrics of an estimate against the truth at the first stop that it uses.
 fn evaluate(arm: &str, case: &Case, setup: &Setup, stops: &[Stop]) -> Values {
     let w_m = setup.finger.half_width_m;
     let used = used(arm, stops);
     let mut values = Values::new();
     let share = |is: bool| f64::from(u8::from(is));
+    // The size is NaN without both contacts: the object was lost.
     let held = stops.iter().all(|stop| stop.truth.size_m.is_finite());
     values.insert("held".into(), share(held));
+    // Both methods estimate the grasp at their first stop.
     let Some(truth) = used.first().map(|stop| stop.truth) else { return values };
     let plain: Vec<Observation> = used.iter().map(|stop| stop.plain(setup)).collect();
     let corrected: Vec<Observation> = used.iter().map(|stop| stop.corrected(setup)).collect();
@@ -218,6 +220,7 @@ fn evaluate(arm: &str, case: &Case, setup: &Setup, stops: &[Stop]) -> Values {
         ways_m.iter().fold(f64::NEG_INFINITY, |a, b| a.max(*b)) - ways_m.iter().fold(f64::INFINITY, |a, b| a.min(*b));
     let contact_error_m = contact_error_m[0].max(contact_error_m[1]);
     let mut put = |name: &str, value: f64| {
+        // A lost object has no truth to compare with: the metric is absent then.
         if value.is_finite() {
             values.insert(name.to_owned(), value);
         }
@@ -233,9 +236,9 @@ fn evaluate(arm: &str, case: &Case, setup: &Setup, stops: &[Stop]) -> Values {
     values
 }
 
-/// Metrics of a search for what is hidden.
+/// Computes the metrics of a search for the hidden effect.
 fn found(hidden: Hidden, setup: &Setup, stops: &[Stop]) -> Result<Values, Error> {
-    // A base model that cannot be fitted, as to an object that was lost, names nothing; nor is it a clean run.
+    // A base model that cannot be fitted, as when the object was lost, identifies nothing, and is no clean run either.
     let (found, was_searched) = match missing::find(setup, stops) {
         Err(Error::Effects(_)) => (None, false),
         found => (found?, true),
@@ -253,7 +256,7 @@ fn found(hidden: Hidden, setup: &Setup, stops: &[Stop]) -> Result<Values, Error>
     Ok(values)
 }
 
-/// Contacts over a manipulation, and the errors of both methods.
+/// Figure of the contacts over a manipulation, and of the estimates of both methods.
 fn figure(trial: &Trial) -> Result<Figure, Error> {
     let (case, setup, stops) = recorded(&Trial { arm: OURS, ..trial.clone() })?;
     let w_m = setup.finger.half_width_m;

@@ -1,5 +1,6 @@
-//! Both methods on fingers in MuJoCo 3.17.0, which share no line with `r4-world`: `tests/oracle/inhand_mujoco.py` grips discs and square
-//! bars and goes through both motions. Angles are exact: what differs is contact, friction and rolling.
+//! Comparison of both methods on fingers in MuJoCo 3.17.0, which shares no code with `r4-world`:
+//! `tests/oracle/inhand_mujoco.py` grips discs and square bars and performs both motions. Angles are exact; contact,
+//! friction and rolling differ.
 
 use serde::Deserialize;
 
@@ -18,7 +19,8 @@ struct Oracle {
 struct Grasp {
     shape: String,
     across_m: f64,
-    /// Palm, m, left and right finger, rad, left and right contact from the joints and between the contacts, m.
+    /// Palm, m; left and right finger, rad; left and right contact from the joints, and distance between the contacts,
+    /// m.
     stops: Vec<[f64; 6]>,
 }
 
@@ -43,7 +45,7 @@ fn objects_in_mujoco_are_measured_by_ours_and_less_well_by_constant_links() {
         println!("{shape} {across_m} m: size and contact, ours and constant links {errors_m:?}");
         let [size_m, contact_m, _, constant_m] = errors_m;
         assert!(size_m.abs() < 3e-4 && contact_m < 1e-3, "{shape} {across_m}: {errors_m:?}");
-        // Sharp bars do not roll: there both are alike.
+        // Sharp bars do not roll: both methods are alike there.
         assert!(shape == "bar" || constant_m > 3.0 * contact_m, "{shape} {across_m}: {errors_m:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! A manipulation on a board: grip, pivot by the palm, roll by the fingers, with stops at which the encoders are read.
+//! Manipulation on a board: grip, pivot by the palm, roll by the fingers, with stops at which the encoders are read.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -9,76 +9,78 @@ use r4_world::{AnyBody, TwoFingers};
 
 use super::{four_bar::Observation, scene::Setup};
 
-/// The palm's way to each side, m, and the fingers', rad: the paper's.
+/// Travel of the palm to each side, m, and of the fingers, rad: the paper's.
 const PIVOT_M: f64 = 0.015;
 const ROLL_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
-/// Stops of a motion, as shares of its way: from the middle to one end, to the other, and back. Each place is reached from both sides.
+/// Stops of a motion, as shares of its travel: from the middle to one end, to the other, and back. Each position is
+/// approached from both sides.
 const SHARES: [f64; 21] =
     [0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2, 0.0, -0.2, -0.4, -0.6, -0.8, -1.0, -0.8, -0.6, -0.4, -0.2, 0.0];
-/// The set point's lead over the shaft that holds the grip, rad: 0.3 N m by a servo of 6 N m/rad. Our choice: no trial has been run with
-/// another one.
+/// Lead of the set point over the shaft that holds the grip, rad: 0.3 N m with a servo of 6 N m/rad. Our choice: no
+/// trial was run with another one.
 pub(super) const SQUEEZE_RAD: f64 = 0.05;
-/// Fingers open before the grip, rad from upright.
+/// Angle of the open fingers before the grip, rad from upright.
 pub(super) const OPEN_RAD: f64 = 0.25;
-/// How fast fingers close, rad/s.
+/// Closing speed of the fingers, rad/s.
 const CLOSE_RAD_S: f64 = 0.4;
-/// Set points follow the encoders so often, s: a period of the servos' pulses.
+/// Period at which set points follow the encoders, s: one period of the servos' pulses.
 const EVERY_S: f64 = 0.02;
-/// The way to a stop takes so many of these periods, and coming to rest there.
+/// Number of these periods for the move to a stop, and for settling there.
 const MOVE_PERIODS: usize = 8;
 const SETTLE_PERIODS: usize = 6;
-/// Readings averaged at a stop, one every 10 ms.
+/// Number of readings averaged at a stop, one every 10 ms.
 const READINGS: usize = 20;
-/// Period of the readings, ms.
+/// Telemetry period of the readings, ms.
 const READ_EVERY_MS: u16 = 10;
-/// Where contacts are taken to be for the fingers' way during a pivot, m: what the fingers do is measured.
+/// Nominal distance of the contacts for the fingers' motion during a pivot, m. It need not be exact: the fingers'
+/// angles are measured.
 const NOMINAL_M: f64 = 0.08;
 
-/// The two motions.
+/// Motion of the manipulation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Motion {
-    /// The palm widens and narrows.
+    /// Pivot: the palm widens and narrows.
     Pivot,
-    /// Both fingers turn the same way.
+    /// Roll: both fingers turn the same way.
     Roll,
 }
 
-/// What was read at a stop.
+/// Readings at one stop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stop {
-    /// Which motion it belongs to.
+    /// Motion that the stop belongs to.
     pub motion: Motion,
-    /// Number of the repetition, from 0.
+    /// Number of the repetition, from 0 on.
     pub repeat: usize,
-    /// Since the first stop, s.
+    /// Time since the first stop, s.
     pub time_s: f64,
     /// Mean readings of left, right and palm encoder, rad.
     pub read_rad: [f64; 3],
     /// Set points of both fingers meanwhile, rad.
     pub set_rad: [f64; 2],
-    /// Whether the palm widened when it moved last (1) or narrowed (-1).
+    /// Last direction of the palm: 1 when it widened, -1 when it narrowed.
     pub palm_direction: f64,
-    /// What was true meanwhile.
+    /// True state during the readings.
     pub truth: Truth,
 }
 
-/// What is true of a grasp.
+/// True state of a grasp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Truth {
-    /// From the joints to the contacts, left and right, m; NaN without a contact.
+    /// Distances from the joints to the contacts, left and right, m; NaN without a contact.
     pub contact_m: [f64; 2],
-    /// Between the contacts, m.
+    /// Distance between the contacts, m; NaN without both.
     pub size_m: f64,
     /// Normal force at the left contact, N.
     pub grip_n: f64,
     /// Speed of the object, m/s.
     pub object_m_s: f64,
-    /// Palm and fingers.
+    /// True palm width and finger angles.
     pub at: Observation,
 }
 
 impl Truth {
-    /// That of a gripper.
+    /// Reads the true state of a gripper.
     #[must_use]
     pub fn of(body: &TwoFingers) -> Self {
         let touches = body.touches();
@@ -94,7 +96,7 @@ impl Truth {
 }
 
 impl Stop {
-    /// Distance of the joints and angles of the fingers as the encoders have them.
+    /// Palm width and finger angles by the encoders alone.
     #[must_use]
     pub fn plain(&self, setup: &Setup) -> Observation {
         let [left_rad, right_rad, palm_rad] = self.read_rad;
@@ -102,9 +104,10 @@ impl Stop {
         Observation { palm_m, finger_rad: [FRAC_PI_2 + left_rad, FRAC_PI_2 + right_rad] }
     }
 
-    /// The same with what the gripper's data sheet says of play and compliance. The grip presses fingers open against their shafts: play
-    /// is on one side always, and what is between shaft and finger bends by the servo's torque, which follows from how far the shaft is
-    /// behind its set point. The rack's play is on the side from which the palm came.
+    /// Palm width and finger angles, corrected by the datasheet's play and compliance. The grip presses the fingers
+    /// open against their shafts, so that play is always on one side. The link between shaft and finger bends by the
+    /// servo's torque, which follows from the shaft's lag behind its set point. The rack's play is on the side from
+    /// which the palm came.
     #[must_use]
     pub fn corrected(&self, setup: &Setup) -> Observation {
         let Observation { palm_m, finger_rad } = self.plain(setup);
@@ -120,7 +123,7 @@ impl Stop {
     }
 }
 
-/// The board with its gripper.
+/// Connection of the program to the gripper of a board.
 struct Hand<'h, 'b> {
     session: &'h Session<'b>,
     setup: &'h Setup,
@@ -130,10 +133,11 @@ struct Hand<'h, 'b> {
     palm_direction: f64,
 }
 
-/// Grips the object with the palm `palm_m` wide, and goes through both motions `repeats` times.
+/// Grips the object with a palm width of `palm_m`, and performs both motions `repeats` times.
 ///
 /// # Errors
-/// When the board is not virtual, does not arm, or stops, or a state takes too long: nothing was there to be gripped.
+/// The error of the board when it is not virtual, does not arm, or stops; [`Error::StateTimedOut`] when a state takes
+/// too long because there is nothing to grip.
 pub async fn manipulate(session: &Session<'_>, setup: &Setup, palm_m: f64, repeats: usize) -> Result<Vec<Stop>, Error> {
     for joint in &setup.joints {
         session.board.subscribe(joint.encoder, READ_EVERY_MS).await?;
@@ -177,7 +181,7 @@ impl Hand<'_, '_> {
         Ok(self.session.board.set(self.setup.joints[number].servo, setpoint).await?)
     }
 
-    /// The next readings of all three encoders, rad.
+    /// Waits for the next readings of all three encoders, rad.
     async fn read(&mut self) -> Result<[f64; 3], Error> {
         loop {
             let frame = self.telemetry.next().await?;
@@ -217,7 +221,7 @@ impl Hand<'_, '_> {
         Ok(())
     }
 
-    /// Closes both fingers until both shafts are as far behind their set points as the grip wants.
+    /// Closes both fingers until both shafts lag their set points by [`SQUEEZE_RAD`].
     async fn grip(&mut self) -> Result<(), Error> {
         let mut holds = [false; 2];
         while holds != [true; 2] {
@@ -231,18 +235,20 @@ impl Hand<'_, '_> {
                 }
             }
         }
+        // The grip is still settling after the last step and would move the part before the first stop.
         for _ in 0..4 * SETTLE_PERIODS {
             self.follow().await?;
         }
         Ok(())
     }
 
-    /// Forgets readings that have waited.
+    /// Discards readings that were queued.
     fn skip(&mut self) {
         while self.telemetry.try_next().is_some() {}
     }
 
-    /// The right finger keeps its lead over its shaft: it gives a torque, and the left one a place.
+    /// One period of the grip: the right finger keeps its lead over its shaft. It controls the torque, the left finger
+    /// the position.
     async fn follow(&mut self) -> Result<(), Error> {
         self.session.board.sleep_s(EVERY_S - 1e-3 * f64::from(READ_EVERY_MS)).await;
         self.skip();
@@ -250,7 +256,8 @@ impl Hand<'_, '_> {
         self.set(1, read_rad[1] + SQUEEZE_RAD).await
     }
 
-    /// Goes to a share of a motion, from the middle of which the left finger's and the palm's set points are given, and reads there.
+    /// Moves to a share of a motion, whose middle has the given set points of the left finger and the palm, and reads
+    /// the encoders there.
     async fn stop(
         &mut self,
         motion: Motion,
@@ -274,7 +281,7 @@ impl Hand<'_, '_> {
         for _ in 0..SETTLE_PERIODS {
             self.follow().await?;
         }
-        // The set point stays from here on; the shaft comes to rest within two pulses.
+        // The set points are constant from here on; the shaft settles within two pulses.
         self.session.board.sleep_s(0.06).await;
         self.skip();
         let read_rad = self.mean(READINGS).await?;
@@ -282,13 +289,13 @@ impl Hand<'_, '_> {
     }
 }
 
-/// What is true now.
+/// Reads the true state of the grasp.
 pub(super) fn look(session: &Session<'_>) -> Result<Truth, Error> {
     let mut world = session.virtual_board()?.world();
     world.catch_up();
     match world.body() {
         Some(AnyBody::TwoFingers(body)) => Ok(Truth::of(body)),
-        // `Setup::of` refuses every other robot.
+        // Not reached: `Setup::of` refuses robots without such a gripper.
         _ => Ok(Truth {
             contact_m: [f64::NAN; 2],
             size_m: f64::NAN,

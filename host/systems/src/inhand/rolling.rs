@@ -1,41 +1,43 @@
-//! Ours: an object with two round edges that roll along the fingers.
+//! Our method: an object with two round edges that roll along the fingers.
 //!
-//! Each contact belongs to an arc of radius `r` about a centre that is fixed in the object. While the object turns by `delta` and a finger
-//! by `theta`, the left arc's centre goes `r (delta - theta)` along its finger and the right one's `-r (delta - theta)`. The vector between
-//! the centres, `e`, turns with the object:
+//! Each contact belongs to an arc of radius `r` about a centre that is fixed in the object. While the object turns by
+//! `delta` and a finger by `theta`, the left arc's centre moves by `r (delta - theta)` along its finger and the right
+//! one's by `-r (delta - theta)`. The vector `e` between the centres turns with the object:
 //!
 //! `right centre - left centre = R(delta) e`
 //!
-//! At each stop these are two equations for one unknown turn, so each stop leaves one residual; at the first, where the turn is 0 by
-//! definition, both remain. Five numbers are fitted to all stops: places of both contacts along their fingers at the first stop, the two of
-//! `e`, and `r`. With `r = 0` this is the paper's four-bar linkage, with `e = 0` a disc.
+//! At each stop these are two equations for one unknown rotation, so that each stop has one residual; at the first,
+//! where the rotation is 0 by definition, both remain. Five parameters are fitted to all stops: the positions of both
+//! contacts along their fingers at the first stop, the two components of `e`, and `r`. With `r = 0` this is the paper's
+//! four-bar linkage, with `e = 0` a disc.
 
 use super::{bounded, four_bar::Observation};
 
-/// Newton steps for the turn at a stop: from the turn at the stop before, three leave less than rounding.
+/// Newton steps for the rotation at a stop: from that at the previous stop, three reach rounding errors.
 const NEWTON_STEPS: usize = 4;
-/// Bounds: places along the fingers, centres' distance, radius, m.
+/// Bounds of the parameters, m: positions along the fingers, components of the vector between the centres, radius.
 const PLACE_M: [f64; 2] = [0.03, 0.12];
 const APART_M: f64 = 0.06;
 const RADIUS_M: f64 = 0.03;
-/// Starts of the radius, m: sharp and round edges.
+/// Initial guesses of the radius, m: sharp and round edges.
 const RADII_M: [f64; 3] = [0.001, 0.006, 0.015];
 
-/// An object between two fingers, at the first stop.
+/// An object between two fingers, as estimated at the first stop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grasp {
-    /// From the joints to the contacts, left and right, m.
+    /// Distances from the joints to the contacts, left and right, m.
     pub contact_m: [f64; 2],
-    /// Between the contacts, m.
+    /// Distance between the contacts, m.
     pub size_m: f64,
-    /// Across the object, over both edges, m.
+    /// Width of the object over both edges, m.
     pub across_m: f64,
-    /// Radius of its edges, m.
+    /// Radius of the object's edges, m.
     pub radius_m: f64,
     numbers: [f64; 5],
 }
 
-/// From the left arc's centre to the right one's less what the object's turn makes of the vector at first, and its change by the turn.
+/// Closure error of the vector between the arcs' centres for a rotation of the object, m, and its derivative by the
+/// rotation, m/rad.
 fn closure(w_m: f64, numbers: &[f64], first: &Observation, seen: &Observation, turn_rad: f64) -> ([f64; 2], [f64; 2]) {
     let &[left_m, right_m, e_x, e_y, r] = numbers else { return ([f64::NAN; 2], [f64::NAN; 2]) };
     let [left_rad, right_rad] = seen.finger_rad;
@@ -50,7 +52,7 @@ fn closure(w_m: f64, numbers: &[f64], first: &Observation, seen: &Observation, t
     (gap, [-r * (cos_r + cos_l) + turned[1], -r * (sin_r + sin_l) - turned[0]])
 }
 
-/// The turn of the object at a stop, from that at the stop before, rad.
+/// Rotation of the object at a stop, rad, by Newton's method from that at the previous stop.
 fn turn_rad(w_m: f64, numbers: &[f64], first: &Observation, seen: &Observation, before_rad: f64) -> f64 {
     let mut turn_rad = before_rad;
     for _ in 0..NEWTON_STEPS {
@@ -72,7 +74,8 @@ fn residuals(w_m: f64, numbers: &[f64], seen: &[Observation]) -> Vec<f64> {
     closure(w_m, numbers, first, first, 0.0).0.into_iter().chain(rest).collect()
 }
 
-/// The grasp with the least sum of squares over all stops of fingers half `w_m` wide; with `rolls` false the edges are sharp.
+/// Fits the grasp to all stops by least squares; fingers have half-width `w_m`. With `rolls` false the edges are sharp.
+/// `None` without stops.
 #[must_use]
 pub fn fit(w_m: f64, seen: &[Observation], rolls: bool) -> Option<Grasp> {
     let first = seen.first()?;
@@ -89,7 +92,7 @@ pub fn fit(w_m: f64, seen: &[Observation], rolls: bool) -> Option<Grasp> {
     let (numbers, _) = fits.into_iter().min_by(|one, other| one.1.total_cmp(&other.1))?;
     let &[left_m, right_m, e_x, e_y, radius_m] = &numbers[..] else { return None };
     let [left_rad, right_rad] = first.finger_rad;
-    // Contacts are a radius outside the centres, at right angles to the fingers.
+    // The contacts are one radius outside the centres, perpendicular to the fingers.
     let between =
         [e_x + radius_m * (right_rad.sin() + left_rad.sin()), e_y - radius_m * (right_rad.cos() + left_rad.cos())];
     Some(Grasp {
@@ -102,7 +105,7 @@ pub fn fit(w_m: f64, seen: &[Observation], rolls: bool) -> Option<Grasp> {
 }
 
 impl Grasp {
-    /// From the joints to the contacts at each stop, m.
+    /// Distances from the joints to the contacts at each stop, m.
     #[must_use]
     pub fn contacts_m(&self, w_m: f64, seen: &[Observation]) -> Vec<[f64; 2]> {
         let Some(first) = seen.first() else { return Vec::new() };

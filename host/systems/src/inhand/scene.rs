@@ -1,4 +1,4 @@
-//! Objects and grippers that the study samples, what is hidden in some, and what a program knows of a gripper.
+//! Objects and grippers that the study samples, the hidden effects, and the values that a program knows of a gripper.
 
 use std::rc::Rc;
 
@@ -9,42 +9,42 @@ use r4_world::{AnyBody, Encoders, Finger, Held, Pads, Palm, TwoFingers};
 
 use crate::sampler::Sampler;
 
-/// Purpose of random numbers.
+/// Purposes of the random numbers: objects, and hidden effects.
 const OF_CASE: u64 = 1;
 const OF_HIDDEN: u64 = 2;
 
-/// Edges that do not roll, m: what blind trials have where nothing is hidden.
+/// Radius of edges that practically do not roll, m: in blind trials without hidden migration.
 const SHARP_M: f64 = 5e-5;
-/// Smallest object of blind trials, m.
+/// Least width of an object in blind trials, m.
 const SMALLEST_HIDING_M: f64 = 0.025;
-/// From a joint along the finger to a contact in the middle of what is sampled, m.
+/// Distance along the finger from its joint to a contact in the middle of the sampled range, m.
 const MIDDLE_M: f64 = 0.078;
 
 /// An effect that a blind trial hides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hidden {
-    /// Nothing.
+    /// No effect, as a control.
     Nothing,
-    /// Edges are round, and contacts roll.
+    /// Round edges: the contacts roll along the fingers.
     Migration,
-    /// Contacts creep.
+    /// Slip: the contacts creep along the fingers.
     Slip,
-    /// The palm's rack has play.
+    /// Play of the palm's rack beyond the datasheet.
     Backlash,
-    /// The left encoder's zero is wrong.
+    /// Wrong zero of the left encoder.
     ZeroOffset,
 }
 
-/// An object in a gripper. [`About::sampled`](crate::About::sampled) has the ranges.
+/// A sampled object in a gripper. [`About::sampled`](crate::About::sampled) has the ranges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
-    /// Across the object where the fingers hold it, m.
+    /// Width of the object where the fingers hold it, m.
     pub across_m: f64,
-    /// Radius of its edges, m.
+    /// Radius of the object's edges, m.
     pub edge_m: f64,
-    /// Distance between the joints at which it is gripped, m: set by who puts the object down.
+    /// Palm width for the grip, m: chosen by the person who puts the object down.
     pub palm_m: f64,
-    /// Where its centre is put down, m.
+    /// Position of the object's centre, m.
     pub place_m: [f64; 2],
     mass_kg: f64,
     table_friction: f64,
@@ -53,13 +53,13 @@ pub struct Case {
     play: f64,
     encoder_rad: [f64; 3],
     rack_m: Option<f64>,
-    /// Size of what is hidden, in SI units.
+    /// Size of the hidden effect, in SI units.
     pub hidden: f64,
     seed: u64,
 }
 
 impl Case {
-    /// The case of a seed.
+    /// Samples the case of a seed.
     #[must_use]
     pub fn of(seed: u64) -> Self {
         let mut sampler = Sampler::new(seed, OF_CASE);
@@ -90,12 +90,13 @@ impl Case {
         }
     }
 
-    /// The same gripper with an object whose edges are sharp, and with something hidden of a size that the seed decides.
+    /// Samples the same gripper with a sharp-edged object and a hidden effect, whose size the seed decides.
     #[must_use]
     pub fn hiding(seed: u64, hidden: Hidden) -> Self {
         let mut sampler = Sampler::new(seed, OF_HIDDEN);
         let mut case = Self { edge_m: SHARP_M, ..Self::of(seed) };
-        // Smaller squares with sharp edges leave the friction cone within the paper's rolling: there is no grasp to compare.
+        // Smaller squares with sharp edges leave the friction cone during the paper's rolling: no grasp remains to be
+        // compared.
         case.resize(sampler.uniform(SMALLEST_HIDING_M, 0.045), sampler.uniform(0.06, 0.12));
         match hidden {
             Hidden::Nothing => {}
@@ -125,7 +126,7 @@ impl Case {
         self.palm_m = across_m + 2.0 * (0.008 + MIDDLE_M * lean_rad);
     }
 
-    /// Lies across the fingers with two opposite edges, or anyhow if it is a disc.
+    /// Lays the object across the fingers with two opposite edges; a disc has no orientation.
     fn held(&self) -> Held {
         let half_m = (0.5 * self.across_m - self.edge_m) * std::f64::consts::FRAC_1_SQRT_2;
         Held {
@@ -138,10 +139,10 @@ impl Case {
         }
     }
 
-    /// The gripper of `nominal` in this case.
+    /// Returns the gripper of `nominal` in this case.
     ///
     /// # Errors
-    /// Why it cannot be computed.
+    /// The reason in words when the changed gripper is not valid.
     pub fn body(&self, nominal: &TwoFingers) -> Result<TwoFingers, String> {
         let finger = nominal.finger();
         let finger = Finger {
@@ -154,10 +155,10 @@ impl Case {
         TwoFingers::new(palm, finger, self.pads, self.held(), encoders).map_err(|error| error.to_string())
     }
 
-    /// What a rig does to a robot to make it this case.
+    /// Returns the function by which a rig changes its robot to this case.
     ///
     /// # Errors
-    /// What the robot's file has in place of a gripper, or why it cannot be computed.
+    /// The reason in words: the robot has no such gripper, or the changed one is not valid.
     pub fn altered(&self, robot: &Robot) -> Result<Alter, String> {
         let body = self.body(gripper(robot)?)?;
         Ok(Rc::new(move |robot| {
@@ -168,7 +169,7 @@ impl Case {
     }
 }
 
-/// The gripper of a robot.
+/// The gripper of a robot; an error in words when it has none.
 pub(super) fn gripper(robot: &Robot) -> Result<&TwoFingers, String> {
     match robot.simulation.body.as_ref().map(|body| &body.kind) {
         Some(AnyBody::TwoFingers(gripper)) => Ok(gripper),
@@ -176,35 +177,35 @@ pub(super) fn gripper(robot: &Robot) -> Result<&TwoFingers, String> {
     }
 }
 
-/// A servo and the voltage of the encoder on its shaft.
+/// A servo and the analog encoder on its shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Joint {
-    /// The servo.
+    /// Channel of the servo.
     pub servo: ChannelId,
-    /// The encoder's analog input.
+    /// Analog channel of the encoder.
     pub encoder: ChannelId,
-    /// Volts at 0.
+    /// Voltage of the encoder at 0 rad, V.
     pub zero_v: f64,
-    /// Volts for each radian.
+    /// Gain of the encoder, V/rad.
     pub v_per_rad: f64,
 }
 
-/// What a program knows of a gripper: its data sheet.
+/// Channels and datasheet values that a program knows of a gripper.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setup {
-    /// Left finger, right finger, palm.
+    /// Joints in the order left finger, right finger, palm.
     pub joints: [Joint; 3],
-    /// The palm.
+    /// Geometry and play of the palm.
     pub palm: Palm,
-    /// Either finger.
+    /// Geometry, stiffness and play of either finger.
     pub finger: Finger,
 }
 
 impl Setup {
-    /// That of a robot.
+    /// Reads the setup of a robot.
     ///
     /// # Errors
-    /// What the robot lacks.
+    /// The part that the robot lacks, in words.
     pub fn of(robot: &Robot) -> Result<Self, String> {
         let gripper = gripper(robot)?;
         let channels = robot.simulation.body.as_ref().map_or(&[][..], |body| &body.channels);

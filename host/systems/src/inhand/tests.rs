@@ -13,7 +13,7 @@ fn values(arm: &'static str, seed: u64) -> Values {
     Inhand.run(&trial(arm, seed)).expect("a trial")
 }
 
-/// Of five objects the median: the study's limits, on seeds that the constants were set on.
+/// Median errors of five objects against the study's limits, on seeds that the constants were tuned on.
 #[test]
 fn ours_finds_size_and_contacts_and_constant_links_do_not() {
     let median = |arm: &'static str, metric: &str| {
@@ -44,7 +44,8 @@ fn a_robot_without_fingers_is_refused() {
     assert!(error.contains("no [body.two-fingers]"), "{error}");
 }
 
-/// In the middle of the pivot: the pulses go on, so the servos hold the object as it is. It is neither crushed nor thrown.
+/// The dead man is released in the middle of the pivot: the servos' pulses continue, so that the servos hold the
+/// object. It is neither crushed nor thrown.
 #[test]
 fn a_released_dead_man_leaves_the_object_in_the_grip() {
     let case = Case::of(2);
@@ -54,7 +55,7 @@ fn a_released_dead_man_leaves_the_object_in_the_grip() {
     rig.alter = Some(case.altered(&nominal).expect("a gripper"));
     let work = async |session: &Session<'_>| {
         let release = async {
-            // Opening and grip take 1.5 to 3 s, the pivot 10 s.
+            // Opening and grip take 1.5 to 3 s, the pivot 10 s: 6 s are in the middle of the pivot.
             session.board.sleep_s(6.0).await;
             session.virtual_board()?.dead_man().set(false);
             std::future::pending::<Result<(), r4_rig::Error>>().await
@@ -69,7 +70,7 @@ fn a_released_dead_man_leaves_the_object_in_the_grip() {
     let ((ended, state, [held, later]), _) = rig.run(None, work).expect("a session");
     assert!(matches!(&ended, Err(r4_rig::Error::Board(_))), "{ended:?}");
     assert_eq!(state, SafetyState::Tripped);
-    // The grip's 4 N; a servo at its stall torque would press with 11.
+    // The grip has 4 N; a servo at its stall torque would press with 11 N.
     assert!((2.0..6.0).contains(&held.grip_n) && (later.grip_n - held.grip_n).abs() < 0.1, "{held:?} {later:?}");
     assert!((later.contact_m[0] - held.contact_m[0]).abs() < 1e-4 && later.object_m_s < 1e-5, "{held:?} {later:?}");
     assert!(held.at.palm_m != case.palm_m, "it was on its way: {held:?}");

@@ -1,29 +1,30 @@
-//! The three motors of the paper, and what each is asked for.
+//! The paper's three motors and their set points.
 
 use r4_protocol::{ChannelId, ChannelKind, Unit};
 
 /// One of the paper's motors on the board.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bench {
-    /// First part of its metrics' names.
+    /// Name of the motor, and first part of its metrics' names.
     pub name: &'static str,
-    /// Its channel.
+    /// Channel of the motor on the board.
     pub channel: ChannelId,
-    /// Set points in the order in which they are visited, deg or mm.
+    /// Set points in the order of the visits, deg or mm.
     pub set_points: &'static [f64],
-    /// Where the motor was in the paper, deg or mm; empty where nothing is printed.
+    /// Final positions printed in the paper, deg or mm; empty where nothing is printed.
     pub printed: &'static [f64],
-    /// Step of the tables of gains, deg; none for the actuator.
+    /// Step of the tables of gains, deg; `None` for the actuator.
     pub step: Option<f64>,
-    /// Published largest duty, 255ths.
+    /// Largest duty as published, 255ths.
     pub clip: f64,
-    /// rad or m in a count: of the encoder, or of the 10-bit converter that the paper read the potentiometer with.
+    /// Size of one count, rad or m: of the encoder, or of the 10-bit converter by which the paper read the
+    /// potentiometer.
     pub count: f64,
-    /// How long the host's controller has for one set point, s: four times what ours takes.
+    /// Time limit of the host's controller for one set point, s: four times what ours takes.
     pub patience_s: f64,
 }
 
-/// The small motor: the set points of Table 1, for which nothing is printed of it.
+/// The small motor with the set points of Table 1, for which the paper prints no results.
 pub const SMALL: Bench = Bench {
     name: "small",
     channel: ChannelId::new(ChannelKind::Dhb, 0),
@@ -59,33 +60,33 @@ pub const LINEAR: Bench = Bench {
     patience_s: 15.0,
 };
 
-/// All three.
+/// All three motors of the paper.
 pub const ALL: [Bench; 3] = [SMALL, GEARED, LINEAR];
 
-/// Step of Tables 3 to 5, deg. It is not printed; 270 and 360 both explain the tables. Ours is the one that a definition of the rise
-/// from 10 to 90 % allows, too.
+/// Step of Tables 3 to 5, deg. The paper does not print it; 270 and 360 both explain the tables. 270 also agrees with a
+/// rise time that is defined from 10 to 90 %.
 pub const STEP_DEG: f64 = 270.0;
 
 impl Bench {
-    /// deg in a rad, or mm in a m.
+    /// Scale of the set points: deg in a rad, or mm in a m.
     #[must_use]
     pub fn per_si(&self) -> f64 {
         if self.channel.kind == ChannelKind::Actuator { 1e3 } else { 180.0 / std::f64::consts::PI }
     }
 
-    /// Unit of its set points.
+    /// Unit of the set points, `deg` or `mm`.
     #[must_use]
     pub fn unit(&self) -> &'static str {
         if self.channel.kind == ChannelKind::Actuator { "mm" } else { "deg" }
     }
 
-    /// Unit of its channel.
+    /// Unit of the channel's positions.
     #[must_use]
     pub fn si(&self) -> Unit {
         if self.channel.kind == ChannelKind::Actuator { Unit::M } else { Unit::Rad }
     }
 
-    /// What the host's controller computes with: degrees, or counts of the 10-bit converter.
+    /// Scale of the host controller's error: degrees in a rad, or counts of the 10-bit converter in a m.
     #[must_use]
     pub fn per_error(&self) -> f64 {
         if self.channel.kind == ChannelKind::Actuator { 1.0 / self.count } else { self.per_si() }

@@ -1,12 +1,12 @@
-//! Scale and offset of a sensor, which no controller can see: found by a measurement beside the board.
+//! Scale and offset of a sensor, which no controller can observe: they need a measurement beside the board.
 //!
-//! The declared procedure: set points up and down, twice. At each the board's reading is noted, and where the motor really is, by an
-//! instrument: a protractor, or a caliper, read to [`DIVISION_DEG`] and [`DIVISION_MM`]. A line is fitted to the readings:
-//! `reading = gain · true + offset`. What its intervals tell from 1 and 0, and is more than a count, is corrected in the
-//! board's configuration, and the set points are run again.
+//! The declared procedure visits the set points up and down, twice. At each it records the board's reading and the true
+//! position by an instrument: a protractor or a caliper, read to [`DIVISION_DEG`] and [`DIVISION_MM`]. A line is fitted
+//! to the readings: `reading = gain · true + offset`. A gain or offset whose interval excludes 1 or 0, and which
+//! amounts to more than a count, is corrected in the board's configuration, and the set points are run again.
 //!
-//! The identifier's `static-map` was tried for this. It looks for an offset after a gain, and on so few rows, all of one sign, a gain
-//! takes up what an offset leaves: an offset of 7 degrees was found as a scale of 4 %.
+//! The identifier's `static-map` was tried for this. It searches an offset after a gain. On so few rows, all of one
+//! sign, the gain absorbs the offset: an offset of 7 degrees was found as a scale of 4 %.
 
 use nalgebra::DMatrix;
 use r4_maths::least_squares::linear;
@@ -18,76 +18,78 @@ use crate::sampler::Sampler;
 pub const DIVISION_DEG: f64 = 0.5;
 /// Reading error of the caliper, mm, in the same way. Our choice: a vernier of a twentieth.
 pub const DIVISION_MM: f64 = 0.05;
-/// Confidence at which a scale and an offset are claimed: of a thousand motors with a good sensor two get another calibration.
+/// Confidence level at which a scale and an offset are claimed: of a thousand motors with a good sensor, two get
+/// another calibration.
 const CONFIDENCE: f64 = 0.999;
 
-/// What a sensor reads: `gain · true + offset`.
+/// Characteristic of a sensor: `reading = gain · true + offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Calibration {
-    /// 1
+    /// Gain of the sensor; 1 for a correct one.
     pub gain: f64,
-    /// rad or m
+    /// Offset of the reading, rad or m.
     pub offset: f64,
 }
 
 impl Calibration {
-    /// A sensor that reads what is true.
+    /// A sensor without error.
     pub const NONE: Self = Self { gain: 1.0, offset: 0.0 };
 
-    /// Counts of a turn of an encoder with this calibration, of one with `counts_per_turn` without: a configuration holds a whole number.
+    /// Counts per turn of an encoder with this calibration, from its nominal `counts_per_turn`. Rounded: a
+    /// configuration holds a whole number.
     #[must_use]
     pub fn counts_per_turn(&self, counts_per_turn: f64) -> u32 {
         (counts_per_turn * self.gain).round() as u32
     }
 
-    /// rad or m in a count as the board has it that was told this calibration.
+    /// Size of one count, rad or m, on a board whose configuration contains this calibration.
     #[must_use]
     pub fn count(&self, bench: &Bench) -> f64 {
         use std::f64::consts::TAU;
-        // A potentiometer's count is one of the paper's converter.
+        // The actuator's metrics are in counts of the paper's converter, which no calibration changes.
         if bench.step.is_some() { TAU / f64::from(self.counts_per_turn(TAU / bench.count)) } else { bench.count }
     }
 
-    /// What to send a board to that has this calibration in its configuration, for a true position. A rotary sensor's zero is where
-    /// power came on, which no configuration holds: the host adds it.
+    /// Set point for a true position, rad or m, on a board whose configuration contains this calibration. The zero of a
+    /// rotary sensor is its position at power-on, which no configuration holds: the host adds the offset.
     #[must_use]
     pub fn command(&self, bench: &Bench, position: f64) -> f64 {
         if bench.step.is_some() { position + self.offset / self.gain } else { position }
     }
 
-    /// The true position that a command of [`Calibration::command`] asks for.
+    /// True position requested by a set point of [`Calibration::command`], rad or m.
     #[must_use]
     pub fn asked(&self, bench: &Bench, command: f64) -> f64 {
         if bench.step.is_some() { command - self.offset / self.gain } else { command }
     }
 }
 
-/// A set point at which both were read, rad or m.
+/// A set point at which sensor and instrument were read, rad or m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
-    /// By the board's sensor.
+    /// Reading of the board's sensor.
     pub sensed: f64,
-    /// By the instrument.
+    /// Reading of the instrument.
     pub measured: f64,
 }
 
-/// What the instrument reads where the truth is known.
+/// Reading of the instrument for a known true position, rad or m: uniform reading error of one division.
 #[must_use]
 pub fn read(bench: &Bench, truth: f64, noise: &mut Sampler) -> f64 {
     let division = if bench.step.is_some() { DIVISION_DEG } else { DIVISION_MM };
     truth + noise.uniform(-0.5, 0.5) * division / bench.per_si()
 }
 
-/// A calibration and what it is named after.
+/// A calibration and the effects that it implies.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Found {
-    /// What to correct.
+    /// Gain and offset to be corrected.
     pub calibration: Calibration,
-    /// Names of the effects that were claimed, as in the catalogue of plants.
+    /// Names of the claimed effects, as in the catalogue of plants.
     pub effects: Vec<&'static str>,
 }
 
-/// Fits the line; `None` for fewer than four readings, or readings at one place.
+/// Fits the line; `None` for fewer than four readings, or readings at one position.
 #[must_use]
 pub fn found(bench: &Bench, readings: &[Reading]) -> Option<Found> {
     let sensed: Vec<f64> = readings.iter().map(|reading| reading.sensed).collect();
@@ -96,10 +98,10 @@ pub fn found(bench: &Bench, readings: &[Reading]) -> Option<Found> {
     let fit = linear(&line, &sensed).ok()?;
     let intervals = fit.intervals(CONFIDENCE).ok()?;
     let (gain, offset) = (*fit.parameters.get(0)?, *fit.parameters.get(1)?);
-    // Less than a count is what the sensor rounds.
+    // An error below one count is the sensor's quantisation.
     let is_scaled = !intervals.first()?.contains(1.0) && (gain - 1.0).abs() * span > bench.count;
     let is_moved = !intervals.get(1)?.contains(0.0) && offset.abs() > bench.count;
-    // Without the other, one of them is known better.
+    // With only one of the two claimed, it is estimated again without the other, which narrows its interval.
     let calibration = match (is_scaled, is_moved) {
         (false, false) => Calibration::NONE,
         (true, true) => Calibration { gain, offset },
@@ -126,7 +128,7 @@ mod tests {
         *,
     };
 
-    /// Set points up and down twice, by a sensor and an instrument of a seed.
+    /// Simulated readings at the set points, up and down twice, by a sensor and an instrument of a seed.
     fn readings(bench: &Bench, sensor: Calibration, seed: u64) -> Vec<Reading> {
         let mut noise = Sampler::new(seed, 1);
         let up = bench.set_points.iter().chain(bench.set_points.iter().rev());
@@ -146,12 +148,14 @@ mod tests {
                 let scaled = Calibration { gain: 0.985, ..Calibration::NONE };
                 let by_scale = found(&bench, &readings(&bench, scaled, seed)).expect("enough rows");
                 assert_eq!(by_scale.effects, ["encoder-scale"], "{} {seed}", bench.name);
-                // Half a degree over the square root of 12, in 16 rows of 246 degrees in the mean square: 1.5e-4; four of them.
+                // Half a degree over the square root of 12, in 16 rows of 246 degrees RMS: a standard error of
+                // 1.5e-4; the limit is four of them.
                 assert!((by_scale.calibration.gain - 0.985).abs() < 6e-4, "{} {seed}: {by_scale:?}", bench.name);
                 let moved = Calibration { offset, ..Calibration::NONE };
                 let by_offset = found(&bench, &readings(&bench, moved, seed)).expect("enough rows");
                 assert_eq!(by_offset.effects, ["encoder-offset"], "{} {seed}", bench.name);
-                // 0.144 degrees over the square root of 16: 6e-4 rad; for the caliper 3.2e-6 m. Four of them.
+                // 0.144 degrees over the square root of 16 is a standard error of 6e-4 rad; for the caliper 3.2e-6
+                // m. The limits are four of them.
                 let within = if bench == GEARED { 2.5e-3 } else { 1.4e-5 };
                 assert!((by_offset.calibration.offset - offset).abs() < within, "{} {seed}: {by_offset:?}", bench.name);
                 let none = found(&bench, &readings(&bench, Calibration::NONE, seed)).expect("enough rows");
@@ -169,7 +173,7 @@ mod tests {
         let mut feedback = Feedback::Potentiometer { analog: 0, low: point(2000, 0.0), high: point(62000, 0.1) };
         sensor.put_into(&mut feedback);
         let Feedback::Potentiometer { low, high, .. } = feedback else { panic!("{feedback:?}") };
-        // What read 0.04 m before was 0.0387 m.
+        // A reading of 0.04 m by the old configuration was 0.0387 m.
         let share = 0.4;
         let now_m = f64::from(low.position_m) + share * f64::from(high.position_m - low.position_m);
         assert!((now_m - (0.04 - 0.5e-3) / 1.02).abs() < 1e-8, "{now_m}");
@@ -179,7 +183,7 @@ mod tests {
             encoder,
             Feedback::Encoder { index: 0, counts_per_turn: 2448, inverted: false, counts_per_index: 0 }
         );
-        // The board's count, to the last bit but one.
+        // The board's size of a count, to the last bit but one.
         let count = sensor.count(&GEARED);
         assert!((count * 2448.0 / std::f64::consts::TAU - 1.0).abs() < 1e-15, "{count} rad");
         let back = sensor.asked(&GEARED, sensor.command(&GEARED, 1.0));

@@ -1,4 +1,5 @@
-//! The paper as printed, its plain controller, and ours over the blind plants, as `r4 evaluate osmc` prints them.
+//! Comparison of the paper as printed, its plain controller and our loops over the blind plants, as `r4 evaluate osmc`
+//! prints it.
 
 use serde::Serialize;
 
@@ -13,35 +14,36 @@ use crate::{Limit, Metric, Record};
 /// Field names are a contract: more may be added.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// The motor, and where a metric has one, its set point.
+    /// Name of the motor, with the set point where the metric has one.
     pub case: String,
-    /// What is measured; definitions: [`super::response`].
+    /// Name of the metric; definitions: [`super::response`].
     pub metric: &'static str,
-    /// Its unit.
+    /// Unit of the values.
     pub unit: &'static str,
-    /// As printed for the gains 10, 4, 3, or in Tables 1 and 2; absent where nothing is printed.
+    /// Value as printed for the gains 10, 4, 3, or in Tables 1 and 2; absent where nothing is printed.
     pub paper: Option<f64>,
-    /// The plain controller at these gains, on the same plants: median.
+    /// Median of the plain controller at these gains, on the same plants.
     pub plain_pid: Option<f64>,
-    /// The same: worst.
+    /// Worst value of the plain controller on the same plants.
     pub plain_pid_worst: Option<f64>,
-    /// Ours: median, or for a share the mean.
+    /// Median of our arm, or for a share the mean.
     pub ours_median: Option<f64>,
-    /// Ours: worst, or for a share the mean.
+    /// Worst value of our arm, or for a share the mean.
     pub ours_worst: Option<f64>,
-    /// Plants with a value of ours.
+    /// Number of plants with a value of our arm.
     pub plants: usize,
-    /// What ours must reach in the worst plant.
+    /// Limit that our arm must keep in the worst plant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub target: Option<Limit>,
-    /// Whether it does.
+    /// True when our arm keeps it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub met: Option<bool>,
-    /// Plants in which it does not, by their seeds.
+    /// Seeds of the plants in which our arm misses it.
     pub failing: Vec<u64>,
 }
 
-/// What is printed for a metric: Tables 1 and 2, and the row 10, 4, 3 of Table 5, which is taken to be of the geared motor.
+/// Printed value of a metric: from Tables 1 and 2, or from the row 10, 4, 3 of Table 5, which is taken to be of the
+/// geared motor.
 fn printed(bench: &Bench, metric: &str) -> Option<f64> {
     if let Some(rest) = metric.strip_prefix("error_") {
         let places = bench.set_points.iter().zip(bench.printed);
@@ -57,7 +59,7 @@ fn printed(bench: &Bench, metric: &str) -> Option<f64> {
     }
 }
 
-/// Lines of the comparison, from the records of a study, in the order of the metrics.
+/// Computes the lines of the comparison from the records of a study, in the order of the metrics.
 #[must_use]
 pub fn rows(records: &[Record]) -> Vec<Comparison> {
     let mut rows = Vec::new();
@@ -101,7 +103,7 @@ fn row(bench: &Bench, metric: &'static Metric, records: &[Record]) -> Option<Com
         Some(set) => format!("{} {set} {}", bench.name, bench.unit()),
         None => bench.name.to_owned(),
     };
-    // A share counts its failures one by one.
+    // A share is 1 or 0 in one plant: each 0 is a failure by itself.
     let single = limit.map(|limit| if is_share { Limit::AtLeast(1.0) } else { limit });
     let failing = |(seed, value): &(u64, f64)| single.is_some_and(|limit| !limit.is_held_by(*value)).then_some(*seed);
     let met = limit.and_then(|limit| Some(limit.is_held_by(worst(&ours)?)));

@@ -1,12 +1,12 @@
-//! The figure of a trial: every motor's set points by the paper's controller and by ours.
+//! Figure of a trial: every motor's set points by the paper's controller and by ours.
 
 use super::{HOLD_S, OURS, PAPER, bench::Bench, driven, response::Purpose, scene};
 use crate::{Curve, Error, Figure, Panel, Trial};
 
-/// How much of the hold is drawn, s.
+/// Part of the hold that is drawn, s.
 const HOLD_DRAWN_S: f64 = 2.0;
 
-/// True positions over time, and what is asked for.
+/// Draws true positions and requested positions over time.
 pub(super) fn of(trial: &Trial) -> Result<Figure, Error> {
     let scene = scene(trial)?;
     let mut panels = Vec::new();
@@ -45,14 +45,14 @@ const fn title(bench: &Bench) -> &'static str {
     }
 }
 
-/// True position over the time since the first command.
+/// True positions, deg or mm, over the time since the first set point, s.
 pub(super) fn positions(bench: &Bench, driven: &super::Driven) -> Vec<(f64, f64)> {
     let begin_s = begin_s(driven);
     let looks = driven.response.looks.iter().filter(|look| look.at_s >= begin_s);
     looks.map(|look| (look.at_s - begin_s, look.truth * bench.per_si())).collect()
 }
 
-/// True position that is asked for, over the same time.
+/// Requested true positions, deg or mm, over the same time.
 fn asked(bench: &Bench, driven: &super::Driven) -> Vec<(f64, f64)> {
     let begin_s = begin_s(driven);
     let segments = driven.response.segments.iter().filter(|segment| segment.purpose != Purpose::Hold);

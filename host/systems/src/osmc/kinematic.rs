@@ -1,4 +1,4 @@
-//! Perfect actuators: a motor is where the profile of its file has it, measured by the sensor of its seed.
+//! Trial on perfect actuators: the motor follows the profile of its file exactly, measured by the sensor of its seed.
 
 use super::{
     Driven,
@@ -8,12 +8,12 @@ use super::{
 };
 use crate::sampler::Sampler;
 
-/// Period of the samples, as that of the board's telemetry, s.
+/// Period of the samples, s: that of the board's telemetry.
 const PERIOD_S: f64 = 0.01;
-/// How long a set point is held before the next, s.
+/// Rest at a set point before the next one, s.
 const REST_S: f64 = 0.5;
 
-/// The sensor of a motor: what it reads where the truth is `gain · true + offset`.
+/// Characteristic of the motor's sensor.
 fn sensor(motor: &Motor) -> Calibration {
     match &motor.truth {
         Some(truth) if truth.name == "encoder-scale" => Calibration { gain: size(truth), ..Calibration::NONE },
@@ -22,7 +22,7 @@ fn sensor(motor: &Motor) -> Calibration {
     }
 }
 
-/// The evaluation of a motor with perfect actuators.
+/// Runs the evaluation of a motor with perfect actuators.
 pub(super) fn driven(motor: &Motor, seed: u64) -> Driven {
     let bench = &motor.bench;
     let (sensor, mut noise) = (sensor(motor), Sampler::new(seed, super::OF_INSTRUMENT));
@@ -44,7 +44,7 @@ pub(super) fn driven(motor: &Motor, seed: u64) -> Driven {
     let points = bench.set_points.iter().map(|set| (Purpose::SetPoint, *set));
     let steps = bench.step.into_iter().flat_map(|step| [(Purpose::Return, 0.0), (Purpose::Step, step)]);
     for (purpose, set) in points.chain(steps) {
-        // By the board's sensor, which the calibration corrects.
+        // Corrected as the board's configuration would be.
         let set = found.command(bench, set / bench.per_si());
         let (from_s, start) = (at_s, position);
         let way = set - start;
@@ -53,7 +53,8 @@ pub(super) fn driven(motor: &Motor, seed: u64) -> Driven {
             let gone = gone(motor.profile, way.abs(), at_s - from_s).copysign(way);
             position = start + gone;
             let sensed = (position / bench.count).round() * bench.count;
-            // What the sensor reads is corrected by what was found.
+            // The simulated position is the board's corrected one; the raw reading follows by the found calibration,
+            // the truth by the sensor's.
             let raw = if bench.step.is_some() { position * found.gain } else { position * found.gain + found.offset };
             response.looks.push(Look { at_s, sensed, truth: (raw - sensor.offset) / sensor.gain, duty: 0.0 });
             at_s += PERIOD_S;
@@ -64,7 +65,7 @@ pub(super) fn driven(motor: &Motor, seed: u64) -> Driven {
     Driven { response, calibration: found, uncalibrated }
 }
 
-/// Time of a trapezoid over a distance, s.
+/// Duration of a trapezoidal profile over a distance, s.
 fn profile_s([speed, acceleration]: [f64; 2], distance: f64) -> f64 {
     if distance * acceleration < speed * speed {
         2.0 * (distance / acceleration).sqrt()
@@ -73,7 +74,7 @@ fn profile_s([speed, acceleration]: [f64; 2], distance: f64) -> f64 {
     }
 }
 
-/// Way along it after a time.
+/// Travel along the profile after a time, in the distance's unit.
 fn gone(limits: [f64; 2], distance: f64, after_s: f64) -> f64 {
     let [speed, acceleration] = limits;
     let whole_s = profile_s(limits, distance);

@@ -1,4 +1,4 @@
-//! Laws for the printed rows, and the same laws for our own: which of them explains rows that it was not fitted to.
+//! Candidate laws for the printed rows, and for our own rows: the best one must predict rows that it was not fitted to.
 
 use std::fmt::Write as _;
 
@@ -7,13 +7,13 @@ use r4_identify::statics::table::{Ladder, Rows, TableError, osmc};
 use super::{Driven, OURS, bench::Bench, driven, scene, unsuitable};
 use crate::{Error, Trial};
 
-/// Seed of the laws' fits.
+/// Seed of the fits of all laws.
 const SEED: u64 = 1;
 
-/// Laws for Tables 1 to 5 as printed.
+/// Fits the laws for Tables 1 to 5 as printed.
 ///
 /// # Errors
-/// When the tables are damaged.
+/// [`TableError`] when the built-in tables are damaged.
 pub fn printed() -> Result<Vec<Ladder>, TableError> {
     let tables = osmc::Printed::new()?;
     let mut ladders = vec![osmc::rotary(&tables, SEED)?, osmc::linear(&tables, SEED)?];
@@ -21,26 +21,26 @@ pub fn printed() -> Result<Vec<Ladder>, TableError> {
     Ok(ladders)
 }
 
-/// Laws for the printed rows, and for those of each motor of a trial's seed by our controller.
+/// Fits the laws for the printed rows, and for the rows that our controller makes with each motor of a trial's seed.
 ///
 /// # Errors
-/// When a trial cannot be run, or the tables are damaged.
+/// [`Error::Unsuitable`] when the board does not fit or the tables are damaged; [`Error::Rig`] when a session fails.
 pub fn all(trial: &Trial) -> Result<Vec<Ladder>, Error> {
     let failed = |why: TableError| unsuitable(trial, why);
     let mut ladders = printed().map_err(failed)?;
     let scene = scene(trial)?;
     for (index, motor) in scene.motors.iter().enumerate() {
         let driven = driven(&scene, index, &Trial { arm: OURS, ..trial.clone() }, 0.0)?;
-        // A board that stopped has too few rows for a law.
+        // A board that stopped has too few rows for a law: it is skipped.
         ladders.extend(own(&motor.bench, &driven).ok());
     }
     Ok(ladders)
 }
 
-/// The laws of Table 1 or 2 for where a motor of ours came to rest.
+/// Fits the laws of Table 1 or 2 to the final positions of one of our motors.
 ///
 /// # Errors
-/// When the board stopped before three set points.
+/// [`TableError`] when the board stopped before three set points.
 pub fn own(bench: &Bench, driven: &Driven) -> Result<Ladder, TableError> {
     let mut tables = osmc::Printed::new()?;
     let unit = bench.unit();

@@ -1,9 +1,10 @@
-//! OSMC: the evaluation of a motor driver by set points, repeated on plants in which something is hidden.
+//! OSMC: the evaluation of a motor driver by set points, repeated on plants with a hidden effect each.
 //!
-//! Alabi, Camara, Fox, *Evaluation of OSMC open source motor driver for reproducible robotics research*, TAROS 2023, drives a small
-//! motor by an L298N, a 24 V geared motor and a linear actuator by an OSMC, all by a PID, and prints where they came to rest (Tables 1
-//! and 2) and rise, overshoot and steady-state error over gains (Tables 3 to 5). The printed numbers, with units and definitions as we
-//! read them, are in [`r4_identify::statics::table::osmc`], together with the laws that explain them.
+//! Alabi, Camara, Fox, *Evaluation of OSMC open source motor driver for reproducible robotics research*, TAROS 2023,
+//! drives a small motor by an L298N, and a 24 V geared motor and a linear actuator by an OSMC, all under a PID. It
+//! prints the final positions (Tables 1 and 2), and rise, overshoot and steady-state error over gains (Tables 3 to 5).
+//! The printed numbers, with units and definitions as we read them, are in [`r4_identify::statics::table::osmc`],
+//! together with the laws that explain them.
 //!
 //! | module | subject |
 //! | --- | --- |
@@ -42,26 +43,27 @@ use protocol::Controller;
 use response::{Measured, Response};
 use scene::{Motor, Scene};
 
-/// The system.
+/// Robot system OSMC, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Osmc;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 pub const NAME: &str = "osmc";
-/// The paper's controller.
+/// Arm of the paper's controller.
 pub const PAPER: &str = "paper";
-/// The board's own loops, after a calibration.
+/// Arm of the board's own loops, after a calibration.
 pub const OURS: &str = "ours";
 const UNBOUNDED: &str = "baseline:unbounded-sum";
 const NO_FEED_FORWARD: &str = "ablation:no-feed-forward";
 const UNCALIBRATED: &str = "ablation:uncalibrated";
-/// Naming of what is hidden.
+/// Arm that identifies the hidden effect.
 pub const BLIND: &str = "blind:one-effect";
 const PERFECT: &str = "ablation:perfect-actuators";
-/// How long the last set point is held, s: on a simulated board, and on others, which are slower.
+/// Duration of the hold at the last set point, s, on a simulated board. Other boards, which are slower, have a shorter
+/// one.
 pub const HOLD_S: f64 = 60.0;
 const SHORT_HOLD_S: f64 = 5.0;
-/// Purpose of the instrument's random numbers.
+/// Purpose of the random numbers of the instrument.
 const OF_INSTRUMENT: u64 = 1;
 
 const fn arm(name: &'static str, does: &'static str) -> Arm {
@@ -72,7 +74,7 @@ const fn of(name: &'static str, unit: &'static str, statistic: Statistic, target
     Metric { name, unit, statistic, source: Source::Simulated, targets }
 }
 
-/// The worst of all trials.
+/// Largest value of all trials.
 const WORST: Statistic = Statistic::Quantile(1.0);
 
 const fn ours(limit: Limit, from: &'static str) -> Target {
@@ -88,7 +90,7 @@ const CYCLES: &[Target] = &[ours(Limit::AtMost(0.0), "set by this project: none 
 const SETTLED: &[Target] = &[ours(Limit::AtLeast(1.0), "set by this project: the board says so at each")];
 const NAMED: &[Target] = &[Target { arm: BLIND, limit: Limit::AtLeast(0.9), from: "set by this project" }];
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {
@@ -164,7 +166,7 @@ impl System for Osmc {
         let mut values = Values::new();
         for (index, motor) in scene.motors.iter().enumerate() {
             match trial.arm {
-                // One motor of each seed: fits take half a minute.
+                // One motor per seed: its fits take half a minute.
                 BLIND if index as u64 != trial.seed % scene.motors.len() as u64 => {}
                 BLIND => naming::put(&scene, index, trial, &mut values)?,
                 PERFECT => put(motor, &kinematic::driven(motor, trial.seed), &mut values),
@@ -189,35 +191,36 @@ pub fn missed(record: &Record) -> Vec<(String, f64)> {
     let missed = METRICS.iter().filter_map(|metric| {
         let value = *record.values.get(metric.name)?;
         let limit = metric.target(&record.arm)?.limit;
-        // Of a share, each trial counts.
+        // A target on a share is for many trials; in one record, 0 misses it.
         let limit = if metric.statistic == Statistic::Share { Limit::AtLeast(1.0) } else { limit };
         (!limit.is_held_by(value)).then(|| (metric.name.to_owned(), value))
     });
     missed.collect()
 }
 
-/// What the seed of a trial hides.
+/// Samples the scene of a trial's seed: motors with a hidden effect each.
 ///
 /// # Errors
-/// A board that is not virtual, or whose robot lacks a motor.
+/// [`Error::Unsuitable`] for a board whose robot lacks a motor; [`Error::Rig`] when the robot cannot be read.
 pub fn scene(trial: &Trial) -> Result<Scene, Error> {
     let rig = Rig::new(trial.board.clone());
     Scene::of(&rig.robot()?, trial.seed).map_err(|why| unsuitable(trial, why))
 }
 
-/// One motor's trial.
+/// Result of one motor's trial.
 #[derive(Clone, Debug)]
 pub struct Driven {
-    /// What it did.
+    /// Response of the motor.
     pub response: Response,
-    /// What the board, or the host, had been told of its sensor.
+    /// Calibration in the configuration of the board, or of the host.
     pub calibration: Calibration,
-    /// Largest error of the true position over the set points before that, deg or mm.
+    /// Largest error of the true position over the set points before the calibration, deg or mm; `None` without a
+    /// calibration run.
     pub uncalibrated: Option<f64>,
 }
 
 impl Driven {
-    /// Its metrics.
+    /// Metrics of the response.
     #[must_use]
     pub fn measured(&self, bench: &Bench) -> Measured {
         let count = self.calibration.count(bench);
@@ -228,7 +231,7 @@ impl Driven {
 /// Runs motor number `index` of a scene by the controller of the trial's arm; the last set point is held for `hold_s`.
 ///
 /// # Errors
-/// When there is no session, or it does not end as it should. A board that stops is a result.
+/// [`Error::Rig`] when the session fails. A board that stops is a result.
 pub fn driven(scene: &Scene, index: usize, trial: &Trial, hold_s: f64) -> Result<Driven, Error> {
     let bench = scene.motors[index].bench;
     let change = if trial.arm == NO_FEED_FORWARD { without_feed_forward } else { |_: &mut Robot| () };
@@ -249,24 +252,26 @@ pub fn driven(scene: &Scene, index: usize, trial: &Trial, hold_s: f64) -> Result
     Ok(Driven { response, calibration, uncalibrated })
 }
 
-/// Finds the calibration of a motor's sensor, with the largest error of the true position before it, deg or mm.
+/// Calibrates a motor's sensor. Returns the calibration and the largest error of the true position before it, deg or
+/// mm.
 ///
 /// # Errors
-/// As [`driven`].
+/// The errors of [`driven`].
 pub fn calibrated(scene: &Scene, index: usize, trial: &Trial) -> Result<(calibration::Found, Option<f64>), Error> {
     let bench = scene.motors[index].bench;
+    // Bits 48 and up keep the sequences of the motors apart: seeds are small numbers.
     let mut noise = Sampler::new(trial.seed ^ ((index as u64) << 48), OF_INSTRUMENT);
     let rig = rig(scene, index, trial, Calibration::NONE, |_| ());
     let work = async |session: &Session<'_>| protocol::readings(session, &bench, &mut noise).await;
     let ((response, readings), _) = rig.run(None, work)?;
     let measured = response.measured(&bench, |set| set);
     let worst = measured.true_errors.iter().map(|error| error.abs()).reduce(f64::max);
-    // A board that stopped leaves too few rows: its sensor stays as it is.
+    // After a stop there are too few rows: the sensor keeps its calibration.
     let none = calibration::Found { calibration: Calibration::NONE, effects: Vec::new() };
     Ok((calibration::found(&bench, &readings).unwrap_or(none), worst))
 }
 
-/// A board with the motors of a scene, of which number `index` has a calibration.
+/// Rig of a board with the motors of a scene, of which number `index` has a calibration.
 fn rig(scene: &Scene, index: usize, trial: &Trial, calibration: Calibration, change: fn(&mut Robot)) -> Rig {
     let mut calibrations = vec![Calibration::NONE; scene.motors.len()];
     calibrations[index] = calibration;
@@ -283,7 +288,7 @@ fn without_feed_forward(robot: &mut Robot) {
     }
 }
 
-/// Puts the metrics of a motor's trial.
+/// Puts the metrics of a motor's trial into `values`.
 fn put(motor: &Motor, driven: &Driven, values: &mut Values) {
     let Motor { bench, .. } = motor;
     let (name, unit) = (bench.name, bench.unit());

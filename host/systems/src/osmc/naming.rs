@@ -1,8 +1,9 @@
-//! Which effect is hidden in a motor, by what anybody with the board can record: three recordings of an excitation, of which the last is
-//! held out, for what shows in them; and the calibration's readings for what does not.
+//! Identification of the hidden effect in a motor, from data that any user of the board can record: three recordings of
+//! an excitation, the last of which is held out, and the calibration's readings for errors of the sensor, which no
+//! recording shows.
 //!
-//! The identifier knows the plant as the robot's file declares it. The hidden effect is named when it is the only one that is claimed,
-//! or when the data cannot tell the claimed one from it and the report says so (`rivals`).
+//! The identifier knows the plant as the robot's file declares it. The hidden effect counts as identified when it is
+//! the only claimed one, or when it is collinear with the claimed one and the report says so (`rivals`).
 
 use r4_identify::{
     Task,
@@ -23,33 +24,33 @@ use super::{
 };
 use crate::{Error, Trial, Values};
 
-/// Length of each recording, s. Twice of it takes more than twice the time to fit.
+/// Length of each recording, s. Twice the length takes more than twice the time to fit.
 const LENGTH_S: f64 = 6.0;
-/// A friction that the file declares is claimed as hidden when it is found so many standard errors, and this share, from what the file
-/// says.
+/// Limits for a declared friction, which is claimed as hidden when its estimate differs from the file's value by this
+/// number of standard errors and by this share.
 const OTHER_DEVIATIONS: f64 = 4.0;
 const OTHER_SHARE: f64 = 0.25;
 
-/// An effect that is claimed, with those that the data cannot tell from it.
+/// A claimed effect with those that are collinear with it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Claim {
-    /// Its name and its rivals'.
+    /// Names of the effect and of its rivals.
     pub names: Vec<String>,
 }
 
-/// What was found in a motor.
+/// Result of the search in one motor.
 #[derive(Clone, Debug)]
 pub struct Named {
-    /// Effects that the declared plant does not have.
+    /// Claimed effects that the declared plant does not have.
     pub claims: Vec<Claim>,
-    /// Error on the held-out recording with them over that without.
+    /// RMSE on the held-out recording with the claimed effects over that without them.
     pub after_over_before: f64,
 }
 
 /// Records and identifies motor number `index` of a scene.
 ///
 /// # Errors
-/// When the motor cannot be excited or its recordings cannot be used.
+/// [`Error::Rig`] when the motor cannot be excited; [`Error::Unsuitable`] when its recordings cannot be used.
 pub fn named(scene: &Scene, index: usize, trial: &Trial) -> Result<Named, Error> {
     let motor = &scene.motors[index];
     let (calibration, _) = calibrated(scene, index, trial)?;
@@ -59,7 +60,7 @@ pub fn named(scene: &Scene, index: usize, trial: &Trial) -> Result<Named, Error>
     Ok(Named { claims, after_over_before: report.last.holdout.rmse / report.baseline.holdout.rmse })
 }
 
-/// Puts the metrics of a motor.
+/// Puts the metrics of a motor into `values`.
 pub(super) fn put(scene: &Scene, index: usize, trial: &Trial, values: &mut Values) -> Result<(), Error> {
     let motor = &scene.motors[index];
     let found = named(scene, index, trial)?;
@@ -81,11 +82,12 @@ pub(super) fn put(scene: &Scene, index: usize, trial: &Trial, values: &mut Value
     Ok(())
 }
 
-/// Logs of the excitation, those to fit to first.
+/// Records the excitation; the logs for the fit come first, the held-out one last.
 fn recordings(scene: &Scene, index: usize, trial: &Trial) -> Result<Vec<Vec<u8>>, Error> {
     let bench = scene.motors[index].bench;
     let excitation = Excitation { channel: bench.channel, length_s: LENGTH_S, duty: None };
     let (mut logs, mut care) = (Vec::new(), Care::default());
+    // One more than the fit takes: the last log is held out.
     while logs.len() <= TRAIN {
         let rig = rig(scene, index, trial, Calibration::NONE, |_| ());
         let tap = |output| {
@@ -94,7 +96,7 @@ fn recordings(scene: &Scene, index: usize, trial: &Trial) -> Result<Vec<Vec<u8>>
         let number = logs.len();
         let work = async |session: &Session<'_>| {
             if bench.step.is_none() {
-                // From the middle of its stroke, so that it can move both ways.
+                // From the middle of its stroke the actuator can move in both directions.
                 let middle = r4_rig::Quantity::new(0.05, bench.si());
                 session.move_to(bench.channel, middle, 30.0).await?;
             }
@@ -124,7 +126,7 @@ fn identified(motor: &Motor, logs: &[Vec<u8>], trial: &Trial) -> Result<Report, 
     let read = |(index, log): (usize, &Vec<u8>)| -> Result<Recorded, Error> {
         let name = format!("recording-{}.mcap", index + 1);
         let mut recorded = data::read_bytes(&name, log, &options).map_err(|why| unsuitable(trial, why))?;
-        // Behind what the file has of the bridge, as `r4 identify close` does.
+        // The input is the duty after the declared effects of the bridge, as in `r4 identify close`.
         let signals = recorded.runs.iter_mut().filter_map(|run| run.signals.get_mut("input"));
         for duty in signals.flat_map(|signal| &mut signal.values) {
             *duty = bridge.iter().fold(*duty, |duty, effect| effect.at_once(duty).unwrap_or(duty));
@@ -147,7 +149,7 @@ fn identified(motor: &Motor, logs: &[Vec<u8>], trial: &Trial) -> Result<Report, 
     Ok(found.map_err(|why| unsuitable(trial, why))?.report)
 }
 
-/// Effects of a report that the declared plant does not have, or has at another size.
+/// Effects of a report that the declared plant does not have, or has with another size.
 fn claims(motor: &Motor, report: &Report) -> Vec<Claim> {
     let kind = motor.declared.kind();
     let declared = |name: &str| motor.declared.effects().iter().find(|effect| effect.name() == name);

@@ -19,30 +19,31 @@ use super::{
 };
 use crate::sampler::Sampler;
 
-/// Period of the motor's telemetry, and of the host's controller, ms: the released program's prints let it run at about this rate.
+/// Period of the motor's telemetry and of the host's controller, ms: about the rate to which the prints of the released
+/// program limit it.
 const PERIOD_MS: u16 = 10;
-/// Duties of the host older than this are not followed any more, ms: five periods.
+/// Time to live of the host's duties, ms: five periods.
 const DUTY_TTL_MS: u16 = 50;
-/// How long a set point is held before the next, s, as a person with an instrument would.
+/// Rest at a set point before the next, s: time for a person to read an instrument.
 const REST_S: f64 = 0.5;
-/// A set point of the board's own loops that is not reached by then is not reached, s.
+/// Timeout of the board's loops for one set point, s; it counts as not reached then.
 const TIMEOUT_S: f64 = 15.0;
-/// The host's controller is at rest within a count when it has been there for so long, s.
+/// Time within one count of the set point after which the host's controller counts as settled, s.
 const RESTED_S: f64 = 0.3;
 
-/// What controls the motor.
+/// Controller of the motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Controller {
     /// The board's own position loop.
     Board,
-    /// The paper's, on the host.
+    /// The paper's controller, on the host.
     Host {
-        /// Bound of its sum.
+        /// Bound of the sum, degree or count seconds; infinite for none.
         sum_max: f64,
     },
 }
 
-/// Where the motor is sent, one after the other: purpose, true position that is asked for (rad or m), and for the hold its time, s.
+/// Plan of the moves, in their order: purpose, requested true position (rad or m), and the duration of the hold, s.
 fn plan(bench: &Bench, hold_s: f64) -> Vec<(Purpose, f64, f64)> {
     let set = |position: f64| position / bench.per_si();
     let mut plan: Vec<_> = bench.set_points.iter().map(|point| (Purpose::SetPoint, set(*point), 0.0)).collect();
@@ -58,7 +59,7 @@ fn plan(bench: &Bench, hold_s: f64) -> Vec<(Purpose, f64, f64)> {
 /// Runs the evaluation of one motor. A board that stops ends it early: [`Response::stopped`].
 ///
 /// # Errors
-/// When the board does not arm or disarm, or the link fails.
+/// The error of the board when it does not arm or disarm, or the link fails.
 pub async fn evaluate(
     session: &Session<'_>,
     bench: &Bench,
@@ -75,10 +76,10 @@ pub async fn evaluate(
     .await
 }
 
-/// Sends the motor by the board's loops to its set points up and down, twice, and reads sensor and instrument at each.
+/// Visits the set points up and down, twice, by the board's loops, and reads sensor and instrument at each.
 ///
 /// # Errors
-/// As [`evaluate`]; without a simulated truth there is no instrument yet.
+/// The errors of [`evaluate`].
 pub async fn readings(
     session: &Session<'_>,
     bench: &Bench,
@@ -96,7 +97,7 @@ pub async fn readings(
     Ok((response, readings))
 }
 
-/// Arms, runs `work`, and notes what the motor does meanwhile.
+/// Arms, runs `work`, and records the motor's telemetry meanwhile.
 async fn watched(
     session: &Session<'_>,
     bench: &Bench,
@@ -167,6 +168,7 @@ async fn by_board(
             board.sleep_s(REST_S).await;
         }
         segments.borrow_mut().push(Segment { purpose, set, from_s, until_s: device_s(session), settled });
+        // The board may also have tripped during a rest, which no command reports.
         let (state, causes) = board.safety();
         if state == SafetyState::Tripped {
             return Err(DriverError::Stopped { causes }.into());
@@ -186,6 +188,7 @@ async fn by_host(
     let resolution = f64::from(board.channel(bench.channel)?.resolution);
     let mut telemetry = board.telemetry();
     let mut duties = board.stream(&[(bench.channel, Mode::Duty)], DUTY_TTL_MS).await?;
+    // The firmware refuses duties above 0.98: the bridge needs low phases to charge its bootstrap.
     let mut pid = Pid::new(PRINTED, bench.clip.min(0.98 * 255.0), sum_max);
     let mut before_s = f64::NAN;
     for &(purpose, set, hold_s) in plan {
@@ -204,7 +207,7 @@ async fn by_host(
             });
             let Some(position) = position else { continue };
             let (at_s, sensed) = (frame.device_us as f64 * 1e-6, f64::from(position) * resolution);
-            // As the paper's converter and counter quantise it.
+            // Quantised as by the paper's converter and counter.
             let sensed = (sensed / bench.count).round() * bench.count;
             let dt_s = if before_s.is_nan() { 0.0 } else { at_s - before_s };
             before_s = at_s;

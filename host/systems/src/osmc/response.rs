@@ -1,4 +1,4 @@
-//! What is measured of a motor's response. All definitions are here; the paper prints none.
+//! Metrics of a motor's response. All definitions are here; the paper prints none.
 //!
 //! | metric | definition |
 //! | --- | --- |
@@ -11,60 +11,60 @@
 
 use super::bench::Bench;
 
-/// How long a set point's end is averaged, s.
+/// Window at a set point's end over which the final value is averaged, s.
 const FINAL_S: f64 = 0.3;
-/// Share of the way at which a rise is over.
+/// Share of the way from start to final value at which the rise ends.
 const RISEN: f64 = 0.99;
 
-/// A motor at one moment.
+/// Sample of a motor at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
-    /// On the board's clock, s.
+    /// Time on the board's clock, s.
     pub at_s: f64,
-    /// By the board's sensor, rad or m.
+    /// Position by the board's sensor, rad or m.
     pub sensed: f64,
     /// True position, rad or m.
     pub truth: f64,
-    /// Duty at the bridge.
+    /// Duty at the bridge, -1 to 1.
     pub duty: f64,
 }
 
-/// Why a motor was sent somewhere.
+/// Purpose of a move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
     /// A set point of Table 1 or 2.
     SetPoint,
-    /// The last of them, held.
+    /// The last set point, held.
     Hold,
-    /// Back to 0, which nothing is measured of.
+    /// The return to 0, of which nothing is measured.
     Return,
     /// The step of Tables 3 to 5.
     Step,
 }
 
-/// From one command to the next.
+/// Time from one set point to the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Segment {
-    /// Why.
+    /// Purpose of the move.
     pub purpose: Purpose,
-    /// Where to, rad or m by the board.
+    /// Set point of the board, rad or m.
     pub set: f64,
-    /// On the board's clock, s.
+    /// Start on the board's clock, s.
     pub from_s: f64,
-    /// The same.
+    /// End on the board's clock, s.
     pub until_s: f64,
-    /// Whether the board, or the host, said that the motor had come to rest there.
+    /// True when the board, or the host's controller, reported that the motor settled.
     pub settled: bool,
 }
 
-/// What one motor did in a session.
+/// Record of one motor in a session.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Response {
-    /// In the order of time.
+    /// Samples in the order of time.
     pub looks: Vec<Look>,
-    /// The same.
+    /// Segments in the order of time.
     pub segments: Vec<Segment>,
-    /// Why the board stopped, if it did.
+    /// Cause of the board's stop, in words; `None` when it did not stop.
     pub stopped: Option<String>,
 }
 
@@ -77,13 +77,13 @@ pub struct Measured {
     pub counts: f64,
     /// Largest overshoot over all steps, %.
     pub overshoot_percent: f64,
-    /// Of the step of Tables 3 to 5, s.
+    /// Rise time in the step of Tables 3 to 5, s; `None` without a step.
     pub rise_s: Option<f64>,
-    /// Magnitude of the steady-state error, deg or mm.
+    /// Magnitude of the steady-state error, deg or mm; `None` without a hold.
     pub steady: Option<f64>,
-    /// In the hold.
+    /// Limit cycles during the hold; `None` without a hold.
     pub limit_cycles: Option<f64>,
-    /// Whether every set point was said to be reached.
+    /// True when every set point was reported as reached and the board did not stop.
     pub is_settled: bool,
 }
 
@@ -105,7 +105,7 @@ impl Response {
         mean(looks.map(of))
     }
 
-    /// All metrics. `set_true` turns a set point of the board into the true position that is asked for.
+    /// Computes all metrics. `set_true` converts a set point of the board into the requested true position.
     #[must_use]
     pub fn measured(&self, bench: &Bench, set_true: impl Fn(f64) -> f64) -> Measured {
         let mut found = Measured { is_settled: self.stopped.is_none(), ..Measured::default() };
@@ -125,7 +125,7 @@ impl Response {
                     let error = self.last(segment, |look| look.truth).map(|end| (end - asked) * bench.per_si());
                     found.true_errors.extend(error);
                     let sensed = self.last(segment, |look| look.sensed).unwrap_or(f64::INFINITY);
-                    // The board's resolution is a float: a count is one to a thousandth.
+                    // The board's resolution is a 32-bit float: a count is exact to a thousandth only.
                     let counts = ((sensed - segment.set).abs() / bench.count * 1e3).round() / 1e3;
                     found.counts = found.counts.max(counts);
                 }
@@ -150,9 +150,9 @@ impl Response {
     }
 }
 
-/// Cycles of a position about where it is held: reversals of more than `count`, halved.
+/// Cycles of a position about its set point: reversals of more than `count`, halved.
 fn limit_cycles(positions: &[f64], count: f64) -> f64 {
-    // A hair above a count, so that one count to and fro is none whatever its rounding.
+    // Slightly more than a count, so that one count to and fro is no cycle whatever its rounding.
     let least = 1.01 * count;
     let Some(&first) = positions.first() else { return 0.0 };
     let (mut low, mut high, mut direction, mut reversals) = (first, first, 0.0, 0_u32);
@@ -173,7 +173,8 @@ fn limit_cycles(positions: &[f64], count: f64) -> f64 {
 mod tests {
     use super::{super::bench::GEARED, *};
 
-    /// A response of the geared motor that goes to 90 degrees by `1 - exp(-t / 0.5 s)` and a sine about it.
+    /// Simulated response of the geared motor that approaches 90 degrees by `1 - exp(-t / 0.5 s)`, with a sine of some
+    /// counts and a hump in degrees added.
     fn response(purpose: Purpose, swing_counts: f64, over_deg: f64) -> Response {
         let set = 90.0_f64.to_radians();
         let looks = (0..1000).map(|index| {
@@ -190,11 +191,11 @@ mod tests {
     #[test]
     fn a_response_is_measured_as_it_is_defined() {
         let step = response(Purpose::Step, 0.0, 0.0).measured(&GEARED, |set| set);
-        // 0.5 s ln 100, to the next sample of 10 ms.
+        // 0.5 s ln 100 = 2.303 s, rounded up to the next sample of 10 ms.
         assert!(step.rise_s.is_some_and(|rise_s| (rise_s - 2.31).abs() < 1e-9), "{step:?}");
         assert_eq!(step.overshoot_percent, 0.0);
         let point = response(Purpose::SetPoint, 0.0, 9.0).measured(&GEARED, |set| set);
-        // The hump of 10 % of the step on what is missing of it then, 0.25 %.
+        // The hump is 10 % of the step; the exponential is 0.25 % below the set point at its peak.
         assert!((point.overshoot_percent - 9.75).abs() < 0.01, "{point:?}");
         assert!((point.true_errors[0] - 0.01_f64.to_degrees()).abs() < 1e-6 && point.counts < 1e-3, "{point:?}");
     }
@@ -202,7 +203,7 @@ mod tests {
     #[test]
     fn swings_of_more_than_a_count_are_limit_cycles() {
         let cycles = |counts| response(Purpose::Hold, counts, 0.0).measured(&GEARED, |set| set).limit_cycles;
-        // Ten periods, with a reversal after each of their peaks.
+        // Ten periods, each with a reversal after its peak and its trough.
         assert_eq!((cycles(0.5), cycles(2.0)), (Some(0.0), Some(10.0)));
         assert_eq!(limit_cycles(&[0.0, 1.0, 2.0, 3.0, 4.0], 1.0), 0.0, "a drift is none");
         assert_eq!(limit_cycles(&[], 1.0), 0.0);

@@ -1,4 +1,4 @@
-//! Plants that the study samples: each of the three motors has one thing hidden in it, or nothing.
+//! Plants that the study samples: each of the three motors has one hidden effect or none.
 
 use std::rc::Rc;
 
@@ -11,7 +11,7 @@ use r4_rig::{Alter, motor_plants};
 use super::bench::{self, Bench};
 use super::calibration::Calibration;
 
-/// What may be hidden, and how large: sizes that a person would not see at once.
+/// Effects that may be hidden, with the scale of their sizes: not obvious to an observer.
 pub const AMONG: [Among; 7] = [
     Among { effect: "coulomb-friction", size: 0.4 },
     Among { effect: "static-friction", size: 0.4 },
@@ -22,69 +22,72 @@ pub const AMONG: [Among; 7] = [
     Among { effect: "encoder-scale", size: 1.0 },
 ];
 
-/// Longest time in which a rotary plant turns by the step of Tables 3 to 5 at the duty clip, s: below the 2.75 s of the paper's fastest
-/// row, or no controller could be asked for them.
+/// Longest time in which a rotary plant turns by the step of Tables 3 to 5 at the duty clip, s: below the 2.75 s of the
+/// paper's fastest row, which otherwise no controller could reach.
 const STEP_S: [f64; 2] = [1.0, 2.5];
-/// Least speed of the actuator at its clip, m/s: a tenth more than that of its profile.
+/// Least speed of the actuator at its clip, m/s: a tenth above that of its profile.
 const LINEAR_M_S: f64 = 6.6e-3;
-/// Step of the plants that are tried, s.
+/// Time step of the simulation that checks a plant, s.
 const TRIED_EVERY_S: f64 = 1e-3;
 
-/// A motor with what is hidden in it.
+/// A motor with its hidden effect.
 #[derive(Clone, Debug)]
 pub struct Motor {
-    /// Which.
+    /// Motor of the paper.
     pub bench: Bench,
-    /// The plant as the robot's file has it.
+    /// Plant as the robot's file declares it.
     pub declared: PlantSpec,
-    /// The true one.
+    /// True plant, with the hidden effect.
     pub spec: PlantSpec,
-    /// Where it stands at first, rad or m: a rotary sensor's zero is where power comes on, so that its offset is here.
+    /// True initial position, rad or m. The zero of a rotary sensor is its position at power-on, so that its hidden
+    /// offset is here.
     pub start: f64,
-    /// V
+    /// Supply voltage of the motor, V.
     pub supply_v: f64,
     /// Speed and acceleration of the board's profile, rad/s and rad/s² or m/s and m/s².
     pub profile: [f64; 2],
-    /// What is hidden.
+    /// Hidden effect; `None` for none.
     pub truth: Option<Truth>,
 }
 
-/// All motors of a seed.
+/// Motors of a seed on one board.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// In the order of [`bench::ALL`].
+    /// Motors in the order of [`bench::ALL`].
     pub motors: Vec<Motor>,
 }
 
-/// Why a robot has no such scene.
+/// Reason why a robot has no such scene.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
-    /// A motor of the paper is not there.
+    /// A motor of the paper is missing.
     #[error("its robot has no simulated motor {channel}: sim:osmc-evaluation has all three")]
     NoMotor {
-        /// The motor.
+        /// Channel of the missing motor.
         channel: r4_protocol::ChannelId,
     },
-    /// A plant file is wrong.
+    /// A plant file cannot be used.
     #[error(transparent)]
     Plant(#[from] r4_plants::PlantError),
-    /// An effect is none.
+    /// An effect cannot be hidden in a plant.
     #[error(transparent)]
     NotHidden(#[from] NotHidden),
 }
 
 impl Scene {
-    /// What a seed hides in a robot's motors.
+    /// Samples the hidden effects of a robot's motors from a seed.
     ///
     /// # Errors
-    /// [`SceneError`]
+    /// [`SceneError::NoMotor`] for a missing motor; [`SceneError::Plant`] and [`SceneError::NotHidden`] for a plant
+    /// that cannot be used.
     pub fn of(robot: &Robot, seed: u64) -> Result<Self, SceneError> {
         let plants = motor_plants(robot)?;
         let motor = |(bench, index): (Bench, u64)| {
             let channel = bench.channel;
             let plant = plants.iter().find(|plant| plant.channel == channel).ok_or(SceneError::NoMotor { channel })?;
             let (declared, supply_v) = (plant.spec.clone(), plant.supply_v);
-            // Seeds of a board's motors are far apart: the next seed hides something else in all of them.
+            // The seeds of a board's motors are far apart, so that the next seed hides another effect in all of
+            // them.
             let hidden =
                 hide_one_of(&AMONG, &declared, supply_v, seed ^ (index << 48), &|spec| suits(spec, supply_v, &bench))?;
             let truth = hidden.truth().first().cloned();
@@ -103,7 +106,8 @@ impl Scene {
         Ok(Self { motors })
     }
 
-    /// What a rig does to a robot: its motors become these, and the board gets `calibrations`, one for each.
+    /// Returns the function by which a rig changes its robot: the motors become these, the board's configuration gets
+    /// `calibrations`, one for each motor.
     #[must_use]
     pub fn altered(&self, calibrations: &[Calibration], change: fn(&mut r4_boards::Robot)) -> Alter {
         let motors: Vec<(Motor, Calibration)> = self.motors.iter().cloned().zip(calibrations.iter().copied()).collect();
@@ -116,7 +120,7 @@ impl Scene {
                 let configured = robot.config.motors.iter_mut().filter(|motor| motor.id == bench.channel);
                 for control in configured.filter_map(|motor| motor.control.as_mut()) {
                     calibration.put_into(&mut control.feedback);
-                    // No set point may lie beyond the calibrated ends.
+                    // Set points must stay within the calibrated ends.
                     if let Feedback::Potentiometer { low, high, .. } = control.feedback {
                         control.position.min = control.position.min.max(low.position_m);
                         control.position.max = control.position.max.min(high.position_m);
@@ -128,19 +132,20 @@ impl Scene {
     }
 }
 
-/// Size of an effect that has one number.
+/// Size of an effect with one parameter, in that parameter's unit; 0 without a parameter.
 #[must_use]
 pub fn size(truth: &Truth) -> f64 {
     truth.parameters.first().map_or(0.0, |parameter| parameter.value)
 }
 
-/// Whether the motor can still do what the paper's did, at its duty clip.
+/// Returns true when the motor can still do at its duty clip what the paper's did.
 fn suits(spec: &PlantSpec, supply_v: f64, bench: &Bench) -> bool {
     let mut plant = Plant::new(spec, 0);
     let duty = (bench.clip / 255.0).min(0.98);
     match (spec.kind(), bench.step) {
         (PlantKind::Rotary, Some(step_deg)) => {
             let limit_s = if bench.clip == 255.0 { STEP_S[0] } else { STEP_S[1] };
+            // Full duty from rest for the time limit: the plant must turn by 99 % of the step.
             let steps = (limit_s / TRIED_EVERY_S) as usize;
             (0..steps).for_each(|_| plant.advance(Drive::with_brake(duty), supply_v, TRIED_EVERY_S));
             plant.position() >= 0.99 * step_deg.to_radians()
@@ -154,7 +159,7 @@ fn suits(spec: &PlantSpec, supply_v: f64, bench: &Bench) -> bool {
 }
 
 impl Calibration {
-    /// Corrects what the board believes of a sensor that reads `gain · true + offset`.
+    /// Corrects the board's configuration of a sensor that reads `gain · true + offset`.
     pub(super) fn put_into(&self, feedback: &mut Feedback) {
         match feedback {
             Feedback::Encoder { counts_per_turn, .. } => {
@@ -165,7 +170,7 @@ impl Calibration {
                     point.position_m = ((f64::from(point.position_m) - self.offset) / self.gain) as f32;
                 }
             }
-            // No rig of the paper has an angle sensor: it is what it says.
+            // No motor of the paper has such a sensor: it is taken as exact.
             Feedback::Angle { .. } | Feedback::Pulses { .. } => {}
         }
     }

@@ -6,7 +6,7 @@ fn trial(arm: &'static str, seed: u64) -> Trial {
     Trial { arm, seed, board: BOARD.parse().expect("a board") }
 }
 
-/// One motor of a seed.
+/// Runs one motor of a seed.
 fn one(arm: &'static str, seed: u64, index: usize, hold_s: f64) -> (Motor, Driven) {
     let trial = trial(arm, seed);
     let scene = scene(&trial).expect("a scene");
@@ -14,7 +14,7 @@ fn one(arm: &'static str, seed: u64, index: usize, hold_s: f64) -> (Motor, Drive
     (scene.motors[index].clone(), driven)
 }
 
-/// The first seed that hides `effect` in motor number `index`.
+/// Finds the first seed that hides `effect` in motor number `index`.
 fn seed_of(effect: &str, index: usize) -> u64 {
     let hides = |seed: &u64| {
         let scene = scene(&trial(OURS, *seed)).expect("a scene");
@@ -32,7 +32,7 @@ fn a_scale_of_the_actuators_sensor_is_corrected_and_the_error_falls_below_the_ta
     assert_eq!((measured.true_errors.len(), measured.is_settled), (5, true));
 }
 
-/// The plain controller overshoots and stays away from its set points, as the paper's tables say; the board's loops do not.
+/// The plain controller overshoots and misses its set points, as in the paper's tables; the board's loops do neither.
 #[test]
 fn ours_is_nearer_than_the_papers_controller_on_the_same_motor() {
     let seed = seed_of("nothing", 1);
@@ -41,7 +41,7 @@ fn ours_is_nearer_than_the_papers_controller_on_the_same_motor() {
     let (paper, ours) = (paper.measured(&motor.bench), ours.measured(&motor.bench));
     assert!(ours.counts <= 1.0 && ours.overshoot_percent <= 1.0, "{ours:?}");
     assert!(paper.counts > 5.0 && paper.overshoot_percent > 2.0, "{paper:?}");
-    // Printed: 2.81 s. The plant's shape is made after the tables, its speed is a choice.
+    // Printed: 2.81 s. The plant's shape follows the tables; its speed is our choice.
     assert!(paper.rise_s.is_some_and(|rise_s| (2.0..3.6).contains(&rise_s)), "{paper:?}");
     assert!(ours.rise_s.is_some_and(|rise_s| rise_s <= 2.75), "{ours:?}");
 }
@@ -52,7 +52,7 @@ fn a_sum_without_bound_overshoots_by_more_than_the_printed_rows() {
     assert!(driven.measured(&motor.bench).overshoot_percent > 19.0);
 }
 
-/// What board and motor add is not in perfect actuators; what the sensor does is.
+/// Perfect actuators lack the errors of board and motor, but have that of the sensor.
 #[test]
 fn perfect_actuators_change_the_error() {
     let seed = seed_of("encoder-offset", 1);

@@ -1,4 +1,4 @@
-//! What rovers that map a field have in common: the pose by wheels and gyroscope, and the drive of a program on a board.
+//! Parts shared by rovers that map a field: the pose filter, and the loop that drives a program on a board.
 
 pub mod pilot;
 pub mod pose;

@@ -1,5 +1,5 @@
-//! A rover's program on a board: wheels, gyroscope, a sensor of the field and ultrasonic sensors by telemetry, what corrects the pose by the
-//! UART connectors.
+//! Loop that runs a rover's program on a board. Telemetry carries wheels, gyroscope, the field sensor and ultrasonic
+//! sensors; the UART connectors carry the readings that correct the pose.
 
 use r4_boards::{Drive, SkidSteer};
 use r4_maps::pose::Point;
@@ -10,17 +10,18 @@ use r4_rig::{
 
 use super::pose::PoseFilter;
 
-/// What the robot does with what it measures.
+/// Behaviour of the robot: consumes measurements, returns velocities.
 pub trait Program {
-    /// Takes a sample of the field sensor's signal, in the unit of [`Setup`], at a time, s, and a pose of the robot.
+    /// Takes a sample of the field sensor's signal, in the unit of [`Setup`], with its time, s, and the estimated pose
+    /// of the robot.
     fn sense(&mut self, time_s: f64, at: Place, signal: f64);
 
-    /// Takes the angle by which the wheels turned since the last time, rad, in their mean and without sign.
+    /// Takes the mean absolute angle of all wheels since the last call, rad.
     fn rolled(&mut self, time_s: f64, angle_rad: f64) {
         let _ = (time_s, angle_rad);
     }
 
-    /// The next velocity, with `free_m` in front; `None` at the end.
+    /// Returns the next velocity; `free_m` is the shortest ultrasonic range, m. `None` ends the program.
     fn drive(&mut self, time_s: f64, at: Place, free_m: f64) -> Option<Velocity>;
 }
 
@@ -38,32 +39,32 @@ impl<P: Program + ?Sized> Program for &mut P {
     }
 }
 
-/// What corrects the pose.
+/// Source of pose corrections, such as a GNSS receiver on a UART connector.
 pub trait Fix {
-    /// UART connector to read in this turn of the program; `None` for none.
+    /// UART connector to read in this cycle of the program; `None` for none.
     fn port(&self, turn: usize) -> Option<u8>;
 
-    /// Corrects the pose by bytes of a connector.
+    /// Corrects the pose by bytes received on a connector.
     fn correct(&mut self, port: u8, bytes: &[u8], pose: &mut PoseFilter);
 
-    /// Readings that corrected the pose, and that were left out.
+    /// Readings that corrected the pose, and readings that the gate rejected.
     fn counts(&self) -> [u64; 2];
 }
 
 /// Period of the program and of the wheels' telemetry, ms.
 const PERIOD_MS: u16 = 20;
-/// Of the field sensor's telemetry, ms.
+/// Period of the field sensor's telemetry, ms.
 const SIGNAL_MS: u16 = 100;
-/// Of the ultrasonic sensors', ms.
+/// Period of the ultrasonic sensors' telemetry, ms.
 const RANGE_MS: u16 = 60;
-/// Boards stop set points older than this, ms: five periods.
+/// Time to live of set points, ms: five periods of the program.
 const SETPOINT_TTL_MS: u16 = 100;
-/// How long the gyroscope is averaged at rest before the wheels are armed, s.
+/// Time over which the gyroscope is averaged at rest before the wheels are armed, s.
 const RESTS_S: f64 = 2.0;
-/// How often a trip's causes are looked for to be gone, s.
+/// Period of the attempts to clear a trip, s.
 const CLEAR_EVERY_S: f64 = 1.0;
 
-/// What the program knows of its robot.
+/// Channels and scales that the program needs of its robot.
 #[derive(Clone, Debug)]
 pub struct Setup {
     drive: SkidSteer,
@@ -72,15 +73,16 @@ pub struct Setup {
     ranges: Vec<ChannelId>,
     zero_v: f64,
     volts_per_unit: f64,
-    /// Way that the program keeps free in front, m.
+    /// Distance that the program keeps free in front, m.
     stop_m: f64,
 }
 
 impl Setup {
-    /// Of a robot's file; the field sensor's line is what its data sheet says. The robot's program keeps `stop_m` free in front, m.
+    /// Reads the setup from a robot's file, with the field sensor's offset and gain from its datasheet. The robot's
+    /// program keeps `stop_m` free in front, m.
     ///
     /// # Errors
-    /// In words: what the robot lacks.
+    /// The channel or section that the robot lacks, in words.
     pub fn of(rig: &Rig, stop_m: f64) -> Result<Self, String> {
         let robot = rig.robot().map_err(|error| error.to_string())?;
         let gyroscope = inertial_sensor(&robot)?;
@@ -106,21 +108,21 @@ impl Setup {
 }
 
 impl Setup {
-    /// The same with the sensor's voltage as its signal, V.
+    /// Returns the same setup with the sensor's voltage as its signal, V.
     #[must_use]
     pub fn in_volts(self) -> Self {
         Self { zero_v: 0.0, volts_per_unit: 1.0, ..self }
     }
 }
 
-/// What was measured and what was true on the way.
+/// Record of a run: estimated and true path, corrections and interruptions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Driven {
-    /// Times, s, places by the program and true places, m, each period.
+    /// Time, s, estimated position and true position, m, once each period.
     pub path: Vec<(f64, Point, Point)>,
-    /// Distance of wheels and gyroscope alone from the truth, m, each period.
+    /// Distance between the dead-reckoned position (wheels and gyroscope only) and the true one, m, once each period.
     pub dead_reckoned_off_m: Vec<f64>,
-    /// Readings that corrected the pose, and that were left out.
+    /// Readings that corrected the pose, and readings that the gate rejected.
     pub fixes: [u64; 2],
     /// Trips of the board that were cleared.
     pub trips: usize,
@@ -128,14 +130,14 @@ pub struct Driven {
     pub gap_s: f64,
     /// Samples of the field sensor.
     pub samples: usize,
-    /// Time during which the robot stood for something in front, s.
+    /// Time during which the robot stood because of an obstacle in front, s.
     pub stood_s: f64,
 }
 
 /// Arms, runs a program to its end and disarms. Clears trips as soon as their causes are gone.
 ///
 /// # Errors
-/// When the board is not virtual, or fails otherwise than by a trip.
+/// The board's error, other than a trip; [`Error::NoReadings`] when the gyroscope sends nothing at rest.
 pub async fn run(
     session: &Session<'_>,
     setup: &Setup,
@@ -152,6 +154,7 @@ pub async fn run(
         board.subscribe(*channel, RANGE_MS).await?;
     }
     let bias_rad_s = rest(session, setup).await?;
+    // The robot starts at a known place; that of a real one is the origin.
     let start = session.true_place().unwrap_or_default();
     let mut pilot = Pilot {
         session,
@@ -169,7 +172,7 @@ pub async fn run(
     Ok(pilot.driven)
 }
 
-/// Mean rate of the gyroscope at rest, rad/s.
+/// Averages the gyroscope's yaw rate at rest, rad/s: its bias.
 async fn rest(session: &Session<'_>, setup: &Setup) -> Result<f64, Error> {
     let mut telemetry = session.board.telemetry();
     let until_s = session.board.now_s() + RESTS_S;
@@ -189,9 +192,9 @@ struct Pilot<'s> {
     at: PoseFilter,
     reckoned: PoseFilter,
     ranges_m: Vec<f64>,
-    /// Time, s, and mean angle of all wheels, rad.
+    /// Time of the last frame, s, and mean angle of all wheels then, rad.
     before: Option<(f64, f64)>,
-    /// Angles of the left and right wheels at that time, rad.
+    /// Angles of the left and right wheels in the last frame, rad.
     sides_rad: [f64; 2],
     signal_at_s: Option<f64>,
     driven: Driven,
@@ -219,7 +222,7 @@ impl Pilot<'_> {
             }
             self.sense(program, board.now_s() - begin_s, &frame.samples);
             let Some([left_rad, right_rad]) = sides_rad(board, &self.setup.drive, &frame.samples) else { continue };
-            // Times of the board: its frames wait on the link for different times.
+            // Stamps of the board, not arrival times: frames wait on the link for different durations.
             let now_s = frame.device_us as f64 * 1e-6;
             let angle_rad = f64::midpoint(left_rad, right_rad);
             if let Some((before_s, before_rad)) = self.before.replace((now_s, angle_rad)) {
@@ -243,7 +246,7 @@ impl Pilot<'_> {
                         self.driven.trips += 1;
                         tripped_at_s = None;
                         setpoints = board.stream(&speeds, SETPOINT_TTL_MS).await?;
-                        // Frames that waited meanwhile still report the trip.
+                        // Frames that were queued meanwhile still report the trip.
                         telemetry = board.telemetry();
                     }
                 }
@@ -261,7 +264,7 @@ impl Pilot<'_> {
         Ok(())
     }
 
-    /// Takes the samples of the field sensor and of the ultrasonic sensors.
+    /// Passes samples of the field sensor to the program and stores the ultrasonic ranges, m.
     fn sense(&mut self, program: &mut impl Program, time_s: f64, samples: &[Sample]) {
         for sample in samples {
             let Sample::Reading { channel, value, quality, .. } = *sample else { continue };
@@ -275,6 +278,7 @@ impl Pilot<'_> {
             if channel.kind == ChannelKind::Range
                 && let Some(range) = self.setup.ranges.iter().position(|range| *range == channel)
             {
+                // No echo means free space; any other fault counts as an obstacle at 0 m, which is the safe side.
                 self.ranges_m[range] = match quality {
                     Quality::Good => value,
                     Quality::OutOfRange => f64::INFINITY,
@@ -293,7 +297,7 @@ impl Pilot<'_> {
     }
 }
 
-/// Mean angle by which both sides' wheels turned, without sign, rad.
+/// Mean absolute angle by which both sides' wheels turned, rad.
 fn rolled_rad(now_rad: [f64; 2], before_rad: [f64; 2]) -> f64 {
     f64::midpoint((now_rad[0] - before_rad[0]).abs(), (now_rad[1] - before_rad[1]).abs())
 }

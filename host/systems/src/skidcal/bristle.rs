@@ -1,15 +1,16 @@
-//! `c_long` by ours: a least-squares fit of the tyres' law to what was measured, without differentiating it.
+//! Our estimate of `c_long`: a least-squares fit of the tyres' law to the measurements, without differentiating them.
 //!
-//! A bristle bends with the slip velocity and rolls out within the relaxation length `L`; its force moves a quarter of the robot:
+//! A bristle bends with the slip velocity and relaxes within the relaxation length `L`; its force moves a quarter of
+//! the robot:
 //!
 //! ```text
 //! dz/dt = v_r - v - |v_r| z / L      F = z / (c L)      dv/dt = 4 F / m
 //! ```
 //!
-//! With the wheels' measured speed `v_r` as input this predicts the robot's displacement, which [`c_long`] fits to tracked positions,
-//! and its acceleration, which [`c_long_inertial`] fits to an inertial sensor. `L` and the offset of the sensor's clock are fitted
-//! beside `c`, with the scale of the wheels' radius or the sensor's bias. Nothing is differentiated twice, so noise does not bias the
-//! estimate, and the residual gives its interval.
+//! With the wheels' measured speed `v_r` as input this predicts the robot's displacement, which [`c_long`] fits to
+//! tracked positions, and its acceleration, which [`c_long_inertial`] fits to an inertial sensor. `L` and the offset of
+//! the sensor's clock are fitted beside `c`, with the scale of the wheels' radius or the sensor's bias. Nothing is
+//! differentiated twice, so that noise does not bias the estimate, and the residual gives its interval.
 
 use r4_maths::{
     least_squares,
@@ -22,40 +23,42 @@ use super::{
     scene::INERTIAL_M_S2,
 };
 
-/// Steps of the robot's speed between two samples of the wheels: 0.5 ms. The law swings with `sqrt(c L m / 4)`, 25 ms or more for the
-/// robots that are sampled.
+/// Integration steps of the robot's speed between two samples of the wheels: 0.5 ms. The law oscillates on a time scale
+/// of `sqrt(c L m / 4)`, 25 ms or more for the sampled robots.
 const SUBSTEPS: u32 = 20;
 /// Initial guess of the compliance, 1/N: that of the paper's robot.
 const START_PER_N: f64 = 0.005;
-/// Residual, m, that counts as 1.
+/// Scale of displacement residuals, m.
 const SCALE_M: f64 = 1e-3;
-/// Scale of the error of the wheels' radius, as a share of it.
+/// Scale of the error of the wheels' radius, as a share of the radius.
 const RADIUS_SHARE: f64 = 1e-3;
 /// Scale of an inertial sensor's bias, m/s²: 10 mg.
 const BIAS_M_S2: f64 = 0.1;
 /// Standard deviation, s, of the offset between a sensor's clock and the board's.
 const CLOCK_S: f64 = 5e-3;
-/// Confidence of intervals.
+/// Confidence level of the intervals.
 const CONFIDENCE: f64 = 0.95;
-/// Places of the scaled numbers.
+/// Indices of the scaled parameters.
 const SYSTEMATIC: usize = 0;
 const LOG_C: usize = 2;
-/// Runs there and back that the inertial sensor needs at most: Student's t interval of four is 1.6 times as wide as a normal one, that
-/// of two 6.5 times.
+/// Largest number of runs there and back for the inertial estimate: Student's t interval of four is 1.6 times as wide
+/// as a normal one, that of two 6.5 times.
 const INERTIAL_RUNS: usize = 4;
 
-/// `c_long` from tracked positions, 1/N.
+/// Estimates `c_long` from tracked positions, 1/N; `None` when the fit fails.
 #[must_use]
 pub fn c_long(recording: &Recording) -> Option<Estimate> {
     let (curves, fit) = fit_tracked(recording)?;
-    // The mean of each run has taken one observation.
+    // The mean of each run's residuals uses up one observation.
     Some(fit.estimate(curves.len()))
 }
 
-/// `c_long` from the acceleration along the robot, 1/N, in up to four runs there and back.
+/// Estimates `c_long` from the acceleration along the robot, 1/N, in up to four runs there and back; `None` when no run
+/// can be fitted.
 ///
-/// Each run is fitted by itself, and the interval is Student's t of their logarithms: the error of the wheels' quantised travel swings
-/// with the bristles, so that one run's residual makes its interval too narrow (92 % of seeds 1 to 200 covered).
+/// Each run is fitted by itself, and the interval is Student's t of their logarithms. The error of the wheels'
+/// quantised travel oscillates with the bristles, so that one run's residual makes its interval too narrow (92 % of
+/// seeds 1 to 200 covered).
 #[must_use]
 pub fn c_long_inertial(recording: &Recording) -> Option<Estimate> {
     let fit = |there_and_back: &[Run]| {
@@ -73,20 +76,20 @@ pub fn c_long_inertial(recording: &Recording) -> Option<Estimate> {
     Some(Estimate { value, interval: Some(Interval { low: interval.low.exp(), high: interval.high.exp() }) })
 }
 
-/// Radius of the wheels from tracked positions of `fit_to`.
+/// Radius of the wheels, estimated from one recording and tested on another.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Radius {
-    /// True radius over the configured one.
+    /// True radius over the configured one; dimensionless.
     pub(super) scale: f64,
-    /// Whether the interval at the level asked for excludes the configured one.
+    /// True when the interval at the requested level excludes the configured radius.
     pub(super) is_another: bool,
-    /// Root mean square error of the displacements in `held_out` with the configured radius, m.
+    /// Root mean square error of the held-out displacements with the configured radius, m.
     pub(super) before_m: f64,
-    /// The same with the one found.
+    /// Root mean square error of the held-out displacements with the estimated radius, m.
     pub(super) after_m: f64,
 }
 
-/// The wheels' radius by the runs of one recording, tried on those of another.
+/// Estimates the wheels' radius by the runs of one recording, and tests it on those of another.
 pub(super) fn wheel_radius(fit_to: &Recording, held_out: &Recording, level: f64) -> Option<Radius> {
     let (curves, fit) = fit_tracked(fit_to)?;
     let error_m = |numbers: &Numbers| {
@@ -110,21 +113,21 @@ fn fit_tracked(recording: &Recording) -> Option<(Vec<Curve>, Fit)> {
     Some((curves, fit))
 }
 
-/// The first straight run beside what the fitted law predicts of it.
+/// The first straight run with the prediction of the fitted law.
 pub struct FirstRun {
     curve: Curve,
     numbers: Numbers,
 }
 
 impl FirstRun {
-    /// That of a recording, with the law fitted to all of its tracked runs.
+    /// Takes the first run of a recording, with the law fitted to all of its tracked runs; `None` when the fit fails.
     #[must_use]
     pub fn of(recording: &Recording) -> Option<Self> {
         let (curves, fit) = fit_tracked(recording)?;
         Some(Self { curve: curves.into_iter().next()?, numbers: fit.numbers })
     }
 
-    /// Time, s, speed of the wheels' rims and predicted speed of the robot, m/s.
+    /// Time, s; speed of the wheels' rims, m/s; predicted speed of the robot, m/s.
     #[must_use]
     pub fn speeds(&self) -> Vec<(f64, f64, f64)> {
         let motion = self.curve.motion(&self.numbers.law).into_iter();
@@ -134,7 +137,8 @@ impl FirstRun {
         motion.enumerate().map(at).collect()
     }
 
-    /// Time, s, and predicted slip, m: how much less than its wheels the robot has moved. `c_per_n` replaces the fitted compliance.
+    /// Time, s, and predicted slip, m: travel of the wheels minus that of the robot. `c_per_n` replaces the fitted
+    /// compliance.
     #[must_use]
     pub fn slip_m(&self, c_per_n: Option<f64>) -> Vec<(f64, f64)> {
         let fitted = self.numbers.law;
@@ -143,7 +147,7 @@ impl FirstRun {
         times.zip(self.curve.motion(&law)).map(|(time_s, motion)| (time_s, motion.slipped_m)).collect()
     }
 
-    /// Time, s, and slip, m, as it was tracked.
+    /// Time, s, and tracked slip, m.
     #[must_use]
     pub fn tracked_slip_m(&self) -> Vec<(f64, f64)> {
         let motion = self.curve.motion(&self.numbers.law);
@@ -160,7 +164,7 @@ impl FirstRun {
     }
 }
 
-/// Numbers of the law.
+/// Parameters of the tyres' law.
 #[derive(Clone, Copy, Debug)]
 struct Law {
     c_per_n: f64,
@@ -168,25 +172,26 @@ struct Law {
     mass_kg: f64,
 }
 
-/// What is fitted.
+/// Parameters of the fit.
 #[derive(Clone, Copy, Debug)]
 struct Numbers {
     law: Law,
-    /// Error of the wheels' radius as a share of it, or bias of the inertial sensor, m/s².
+    /// Relative error of the wheels' radius in units of `RADIUS_SHARE`, or bias of the inertial sensor in units of
+    /// `BIAS_M_S2`.
     systematic: f64,
-    /// How late the sensor's clock is against the board's, s.
+    /// Delay of the sensor's clock against the board's, s.
     offset_s: f64,
 }
 
 /// A fit of the law to observations of one kind.
 struct Fit {
     numbers: Numbers,
-    /// Of the scaled numbers: systematic error, offset, logarithms of `c` and of `L`.
+    /// Fit of the scaled parameters: systematic error, offset, logarithms of `c` and of `L`.
     scaled: least_squares::Fit,
 }
 
 impl Fit {
-    /// Fits `residuals`, which are 1 where an observation is off by one standard deviation.
+    /// Fits `residuals`, which are in units of one standard deviation.
     fn of(recording: &Recording, curves: &[Curve], residuals: impl Fn(&Curve, &Numbers) -> Vec<f64>) -> Option<Self> {
         let clock_s = recording.clock_s.max(CLOCK_S);
         let start = [0.0, 0.0, START_PER_N.ln(), (recording.robot.drive.wheel_radius_m / 2.0).ln()];
@@ -197,17 +202,17 @@ impl Fit {
         };
         let all = |numbers: &[f64]| {
             let mut all: Vec<f64> = curves.iter().flat_map(|curve| residuals(curve, &scaled(numbers))).collect();
-            // What is known of the clocks is one more observation: an offset of 0, as exact as they are.
+            // Prior knowledge of the clocks as one more observation: an offset of 0, with their standard deviation.
             all.push(numbers[1]);
             all
         };
         let fit = least_squares::nonlinear(&start, all).ok()?;
-        // The wheels' quantised travel is an input of the law, so the residual is not white.
+        // The wheels' quantised travel is an input of the law, so that the residual is not white.
         let lag = least_squares::newey_west_lag(fit.residuals.len());
         Some(Self { numbers: scaled(fit.parameters.as_slice()), scaled: fit.autocorrelated(lag) })
     }
 
-    /// The compliance, with an interval that counts `taken` observations less.
+    /// Estimate of the compliance, with an interval for `taken` fewer degrees of freedom.
     fn estimate(&self, taken: usize) -> Estimate {
         let c_per_n = self.numbers.law.c_per_n;
         let interval = self.interval(LOG_C, CONFIDENCE, taken).map(|log| {
@@ -217,7 +222,7 @@ impl Fit {
         Estimate { value: c_per_n, interval }
     }
 
-    /// Interval of one of the scaled numbers.
+    /// Interval of one of the scaled parameters.
     fn interval(&self, number: usize, level: f64, taken: usize) -> Option<Interval> {
         let interval = *self.scaled.intervals(level).ok()?.get(number)?;
         let free = self.scaled.degrees_of_freedom as f64;
@@ -228,13 +233,13 @@ impl Fit {
 }
 
 impl Numbers {
-    /// Tracked minus predicted displacements, m, less their mean: where a run begins is not known.
+    /// Tracked minus predicted displacements, m, without their mean: the start of a run is unknown.
     fn displacement_residuals_m(&self, curve: &Curve) -> Vec<f64> {
         let motion = curve.motion(&self.law);
         let residual = |seen: &Seen| {
             let travelled_m = seen.travel_m * (1.0 + self.systematic * RADIUS_SHARE);
             let slipped_m = seen.between(|index| motion[index].slipped_m);
-            // The robot's speed: with that of its wheels the offset would explain a part of the slip.
+            // The robot's speed, not that of its wheels: with the latter the offset would absorb a part of the slip.
             let late_m = self.offset_s * seen.between(|index| motion[index].speed_m_s);
             seen.measured - (travelled_m - slipped_m + late_m)
         };
@@ -262,7 +267,7 @@ impl Numbers {
     }
 }
 
-/// Wheels of a straight run at the moments of their samples, and what a sensor saw of the robot.
+/// Wheels of a straight run at their samples, with the observations of a sensor.
 struct Curve {
     time_s: Vec<f64>,
     travel_m: Vec<f64>,
@@ -272,18 +277,18 @@ struct Curve {
 
 /// An observation between two samples of the wheels.
 struct Seen {
-    /// The sample before.
+    /// Index of the sample before it.
     index: usize,
-    /// Share of the time to the next.
+    /// Share of the time from that sample to the next one.
     share: f64,
-    /// Travel of the wheels, m.
+    /// Mean travel of the wheels, m.
     travel_m: f64,
     /// Displacement, m, or acceleration, m/s², of the robot.
     measured: f64,
 }
 
 impl Seen {
-    /// A quantity of the wheels' samples at the moment of the observation, linear between them.
+    /// Quantity of the wheels' samples at the time of the observation, linearly interpolated.
     fn between(&self, quantity: impl Fn(usize) -> f64) -> f64 {
         let (before, after) = (quantity(self.index), quantity(self.index + 1));
         before + self.share * (after - before)
@@ -293,24 +298,24 @@ impl Seen {
 /// Predicted motion of the robot at a sample of the wheels.
 #[derive(Clone, Copy, Debug)]
 struct Motion {
-    /// How much less than its wheels the robot has moved since the first sample, m.
+    /// Travel of the wheels minus that of the robot since the first sample, m.
     slipped_m: f64,
     speed_m_s: f64,
     acceleration_m_s2: f64,
 }
 
 impl Curve {
-    /// A run as it was tracked.
+    /// Curve of a run with the tracked positions.
     fn tracked(run: &Run) -> Option<Self> {
         Self::of(run, &along(run))
     }
 
-    /// A run as the inertial sensor felt it.
+    /// Curve of a run with the inertial sensor's readings.
     fn felt(run: &Run) -> Option<Self> {
         Self::of(run, &run.felt.iter().map(|felt| [felt.time_s, felt.measured_m_s2()]).collect::<Vec<_>>())
     }
 
-    /// `observed`: times, s, with what was measured then.
+    /// Curve of a run with `observed`: times, s, and measurements.
     fn of(run: &Run, observed: &[[f64; 2]]) -> Option<Self> {
         let travel_m: Vec<f64> = run.wheels.iter().map(|sample| sample.travel_m.iter().sum::<f64>() / 2.0).collect();
         let time_s: Vec<f64> = run.wheels.iter().map(|sample| sample.time_s).collect();
@@ -330,7 +335,7 @@ impl Curve {
         Some(Self { time_s, travel_m, speed_m_s, seen })
     }
 
-    /// What the law predicts at each sample of the wheels.
+    /// Integrates the law and returns the predicted motion at each sample of the wheels.
     fn motion(&self, law: &Law) -> Vec<Motion> {
         let Law { c_per_n, relaxation_m, mass_kg } = *law;
         let stiffness_s2 = 4.0 / (c_per_n * relaxation_m * mass_kg);
@@ -340,14 +345,15 @@ impl Curve {
         for index in 1..self.time_s.len() {
             let sampled_s = self.time_s[index] - self.time_s[index - 1];
             let step_s = sampled_s / f64::from(SUBSTEPS);
-            // A line whose mean is that between two samples, which is exact. Constant over 10 ms, the speed would make tyres look
-            // stiffer by 1 %.
+            // A linear speed whose mean is that between two samples, which is exact. A constant speed over 10 ms would
+            // make tyres appear stiffer by 1 %.
             let mean_m_s = (self.travel_m[index] - self.travel_m[index - 1]) / sampled_s;
             let change_m_s = self.speed_m_s[index] - self.speed_m_s[index - 1];
             for step in 0..SUBSTEPS {
                 let share = (f64::from(step) + 0.5) / f64::from(SUBSTEPS) - 0.5;
                 let rim_m_s = mean_m_s + change_m_s * share;
                 let before_m_s = speed_m_s;
+                // Semi-implicit step: stable for rims that roll farther than the relaxation length in one step.
                 bent_m = (bent_m + (rim_m_s - speed_m_s) * step_s) / (1.0 + rim_m_s.abs() * step_s / relaxation_m);
                 speed_m_s += stiffness_s2 * bent_m * step_s;
                 slipped_m += (rim_m_s - f64::midpoint(before_m_s, speed_m_s)) * step_s;

@@ -1,4 +1,4 @@
-//! Compliances for simulated boards and other simulators.
+//! Export of compliances for simulated boards and other simulators.
 
 use std::fmt::Write;
 
@@ -8,7 +8,7 @@ use r4_rig::Rig;
 use super::{Recorded, bristle, estimate, scene::Truth};
 use crate::{Error, ResultFile, Trial};
 
-/// The result of a trial as a body for `--body` and as `wheel_slip` for Gazebo.
+/// Writes the result of a trial as a body for `--body` and as `wheel_slip` for Gazebo.
 pub(super) fn files(trial: &Trial) -> Result<Vec<ResultFile>, Error> {
     let Recorded { truth, recording, .. } = Recorded::of(trial)?;
     if estimate::reaches_friction(&recording, truth.friction) {
@@ -33,10 +33,11 @@ pub(super) fn files(trial: &Trial) -> Result<Vec<ResultFile>, Error> {
     ])
 }
 
-/// Links of the wheels in the SDF file, to be replaced by the model's own.
+/// Links of the wheels in the SDF file; the user replaces them by the model's own.
 const LINKS: [&str; 4] = ["front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel"];
 
-/// A robot's body with these tyres and this mass, as a file that a simulated board loads; `None` for one without wheels.
+/// Formats a robot's body with these tyres and this mass, as a file that a simulated board loads; `None` for a robot
+/// without wheels.
 #[must_use]
 pub fn body(robot: &Robot, slip: &Slip, mass_kg: f64, comments: &[String]) -> Option<String> {
     let body = robot.simulation.body.as_ref()?;
@@ -49,18 +50,20 @@ pub fn body(robot: &Robot, slip: &Slip, mass_kg: f64, comments: &[String]) -> Op
 /// Slip compliances and friction of a robot's wheels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slip {
-    /// Along a wheel, 1/N.
+    /// Compliance along a wheel, 1/N.
     pub c_long_per_n: f64,
-    /// Across a wheel, 1/N.
+    /// Compliance across a wheel, 1/N.
     pub c_lat_per_n: f64,
-    /// Friction, 1; for an estimate that did not reach it a large number, such as 10.
+    /// Friction coefficient; for an estimate that did not reach it a large number, such as 10.
     pub friction: f64,
 }
 
-/// `wheel_slip` plugin and ODE surface of each wheel for Gazebo's SDF, by the names of the wheels' links.
+/// Formats the `wheel_slip` plugin and the ODE surface of each wheel for Gazebo's SDF, by the names of the wheels'
+/// links.
 ///
-/// Tag names: Gazebo's `WheelSlipPlugin` and SDFormat's `surface/friction/ode`. The plugin multiplies by its normal force, which is 1
-/// so that compliances stay 1/N; ODE's own slip stays 0, for the plugin sets it as the wheel turns.
+/// Tag names: Gazebo's `WheelSlipPlugin` and SDFormat's `surface/friction/ode`. The plugin multiplies by its normal
+/// force, which is 1 so that compliances stay in 1/N; ODE's own slip stays 0, since the plugin sets it as the wheel
+/// turns.
 #[must_use]
 pub fn sdf(slip: &Slip, links: &[&str], wheel_radius_m: f64) -> String {
     let Slip { c_long_per_n, c_lat_per_n, friction } = slip;

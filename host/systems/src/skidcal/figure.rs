@@ -1,9 +1,9 @@
-//! The figure of a trial.
+//! Figure of a trial.
 
 use super::{Recorded, bristle, estimate};
 use crate::{Curve, Error, Figure, Panel, Trial};
 
-/// The first straight run: speeds, and its slip as it was tracked, as ours predicts it, and with the paper's estimate.
+/// Draws the first straight run: speeds, and its slip as tracked, as predicted by ours, and with the paper's estimate.
 pub(super) fn of(trial: &Trial) -> Result<Figure, Error> {
     let Recorded { recording, .. } = Recorded::of(&Trial { arm: "ours", ..trial.clone() })?;
     let run = bristle::FirstRun::of(&recording).ok_or_else(|| super::without_estimate(trial))?;

@@ -1,4 +1,5 @@
-//! The spin's ratio on recordings of a real robot, `data/husky_skidsteer`: windows of 2 s in which a Husky turns nearly on the spot.
+//! Ratio of the spin on recordings of a real robot, `data/husky_skidsteer`: windows of 2 s in which a Husky turns
+//! nearly on the spot.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -9,10 +10,12 @@ use super::{
     protocol::{Recording, Run, SkidRobot, Tracked, WheelSample},
 };
 
-/// Wheels' radius and track of the recording's README, and the wheelbase of the maker's data sheet (0.512 m), m.
+/// Radius of the wheels and half track from the recording's README, and half wheelbase from the maker's datasheet
+/// (0.512 m), m.
 const RADIUS_M: f64 = 0.165;
 const HALF_M: [f64; 2] = [0.256, 0.275];
-/// A window counts as a spin where the robot moves less than this, m/s, and its wheels turn it faster than this, rad/s.
+/// Limits of a window that counts as a spin: the robot moves less than the first, m/s, and its wheels turn it faster
+/// than the second, rad/s.
 const MOVES_M_S: f64 = 0.1;
 const TURNS_RAD_S: f64 = 0.5;
 
@@ -22,7 +25,7 @@ struct Sample {
     yaw_rad: f64,
 }
 
-/// Windows in which the speeds have settled.
+/// Windows of the recording in which the speeds have settled.
 fn windows() -> Vec<Vec<Sample>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/husky_skidsteer/husky.csv");
     let text = std::fs::read_to_string(path).expect("the recording");
@@ -50,7 +53,7 @@ fn rims_m_s(window: &[Sample]) -> [f64; 2] {
         .map(|side| RADIUS_M * window.iter().map(|sample| sample.wheels_rad_s[side]).sum::<f64>() / window.len() as f64)
 }
 
-/// A window as SKIDCAL's spin.
+/// Converts a window to SKIDCAL's spin.
 fn spin(window: &[Sample]) -> Recording {
     let openscout = r4_boards::load("openscout").expect("built in");
     let mut robot = SkidRobot::of(&openscout, 50.0).expect("a skid-steer robot");
@@ -70,8 +73,8 @@ fn spin(window: &[Sample]) -> Recording {
     Recording { spin: run, ..Recording::new(robot, 0.0) }
 }
 
-/// On a real robot the ratio is no constant, as the linear law has it: its quartiles are 13 % and more from the median, which the page
-/// reports.
+/// On a real robot the ratio is not constant, unlike in the linear law: its quartiles are 13 % and more from the
+/// median, as the page reports.
 #[test]
 fn spins_of_a_husky_have_a_ratio_of_two_thirds_that_scatters() {
     let is_spin = |window: &&Vec<Sample>| {
@@ -84,7 +87,7 @@ fn spins_of_a_husky_have_a_ratio_of_two_thirds_that_scatters() {
     assert_eq!(ratios.len(), 22);
     let quartiles = [0.25, 0.5, 0.75].map(|share| quantile(&ratios, share, QuantileRule::Linear).expect("numbers"));
     for (found, reported) in quartiles.into_iter().zip([0.543, 0.642, 0.696]) {
-        // Half of the last digit.
+        // Half of the last reported digit.
         assert!((found - reported).abs() < 5e-4, "{quartiles:?}");
     }
 }

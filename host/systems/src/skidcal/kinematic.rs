@@ -1,4 +1,5 @@
-//! The same tests on perfect actuators: wheels whose speed follows the ramp of the board's profile, and nothing else.
+//! The same tests on perfect actuators: wheels whose speed follows the ramp of the board's profile, without motors and
+//! board.
 
 use r4_boards::Drive;
 use r4_world::{MAX_STEP_S, Scene, ShaftMotion};
@@ -11,9 +12,9 @@ use super::{
 };
 use crate::Error;
 
-/// Ramp of speeds, m/s²: that of openscout's profile.
+/// Ramp of the wheel speeds, m/s²: that of openscout's profile.
 const RAMP_M_S2: f64 = 1.0;
-/// Steps of the body between two samples of the wheels: 10 ms.
+/// Integration steps of the body between two samples of the wheels: 10 ms.
 const STEPS_PER_SAMPLE: usize = 40;
 
 pub(super) fn recorded(truth: &Truth, repeats: Repeats, mut noise: Noise) -> Result<Recording, Error> {
@@ -43,6 +44,7 @@ pub(super) fn recorded(truth: &Truth, repeats: Repeats, mut noise: Noise) -> Res
                 for side in [0, 1] {
                     let most_m_s = RAMP_M_S2 * MAX_STEP_S;
                     let change_m_s = (wanted_m_s[side] - rim_m_s[side]).clamp(-most_m_s, most_m_s);
+                    // The mean speed of the step is exact here, as the ramp is linear.
                     travel_m[side] += (rim_m_s[side] + change_m_s / 2.0) * MAX_STEP_S;
                     rim_m_s[side] += change_m_s;
                 }
@@ -59,6 +61,7 @@ pub(super) fn recorded(truth: &Truth, repeats: Repeats, mut noise: Noise) -> Res
         }
     };
     loop {
+        // The schedule of a recording on a board, so that the two differ only in the dynamics.
         let more = recording.more(repeats);
         for _ in 0..more {
             for way in skid.straight() {

@@ -1,20 +1,21 @@
-//! Missing effects of the base model, found in the residuals of both tests. Each effect moves another residual.
+//! Search for unmodelled effects in the residuals of both tests. Each effect changes another residual.
 //!
-//! | effect | residual that it moves | its size |
+//! | effect | residual that it changes | its size |
 //! | --- | --- | --- |
-//! | [`Effect::GyroScale`] | tracked heading of the spin less the integral of the gyroscope, without what it shows at rest | rad/s shown per rad/s |
-//! | [`Effect::WheelRadius`] | tracked travel of straight runs less that of the wheels and the slip of the tyres' law | true radius over the configured one |
-//! | [`Effect::CentreOfMass`] | tracked places of a spin with sliding wheels, less those of a robot that turns about its middle | m, forwards |
+//! | [`Effect::GyroScale`] | tracked heading of the spin minus the integral of the gyroscope, corrected for its bias | rad/s shown per rad/s |
+//! | [`Effect::WheelRadius`] | tracked travel of straight runs minus that of the wheels and the slip by the tyres' law | true radius over the configured one |
+//! | [`Effect::CentreOfMass`] | tracked positions of a spin with sliding wheels, minus those of a robot that turns about its middle | m, forwards |
 //!
-//! Sizes are fitted to one half of a recording, and an effect is claimed where the interval at `CONFIDENCE` excludes that there is
-//! none. Its error is that of the other half.
+//! Sizes are fitted to one half of a recording, and an effect is claimed when its interval at `CONFIDENCE` excludes its
+//! absence. The reported errors are those of the other half.
 //!
 //! # The centre of mass
 //!
-//! A spin turns about the point at which the lateral forces of front and rear wheels balance. As long as no wheel slides these do not
-//! depend on weight, and this point is the middle. Where wheels slide it moves towards the heavier axle: `centre_of_mass_m` solves the
-//! balance of lateral forces and of moments for the centre of mass and the compliance across. One axle on a slippery floor does the
-//! same: only a scale under each axle can tell which of both it is.
+//! A spin turns about the point at which the lateral forces of front and rear wheels balance. As long as no wheel
+//! slides these do not depend on weight, and this point is the middle. Where wheels slide it moves towards the heavier
+//! axle: `centre_of_mass_m` solves the balance of lateral forces and of moments for the centre of mass and the lateral
+//! compliance. One axle on a slippery floor has the same effect: only a scale under each axle can separate the two
+//! causes.
 
 use nalgebra::DMatrix;
 use r4_maths::{
@@ -29,34 +30,36 @@ use super::{
     protocol::{Recording, Run},
 };
 
-/// Confidence with which an effect is claimed: of a thousand recordings of a robot without effects, three claim one of the three.
+/// Confidence level at which an effect is claimed: of a thousand recordings of a robot without effects, three claim one
+/// of the three.
 const CONFIDENCE: f64 = 0.999;
 
-/// An effect that the base model of a robot does not have.
+/// An effect that the base model of a robot lacks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect {
-    /// The gyroscope shows too much or too little.
+    /// Scale error of the gyroscope.
     GyroScale,
-    /// All wheels are larger or smaller than configured.
+    /// Radius of all wheels, against the configured one.
     WheelRadius,
-    /// The centre of mass is before or behind the middle of the wheels.
+    /// Centre of mass before or behind the middle of the wheels.
     CentreOfMass,
 }
 
-/// An effect that a recording shows.
+/// An effect detected in a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Finding {
-    /// The effect.
+    /// Effect that was detected.
     pub effect: Effect,
-    /// Its size, as in the table above.
+    /// Size of the effect, as in the table above.
     pub size: f64,
-    /// Root mean square error of the half that was not fitted to, without the effect: rad or m.
+    /// Root mean square error of the held-out half without the effect, rad or m.
     pub before: f64,
-    /// The same with it.
+    /// Root mean square error of the held-out half with the effect, rad or m.
     pub after: f64,
 }
 
-/// Effects that a recording on a floor of some `friction` shows, the one first that explains most of its residual.
+/// Searches a recording on a floor of known `friction` for effects. The first result is the one that explains most of
+/// its residual.
 #[must_use]
 pub fn findings(recording: &Recording, friction: f64) -> Vec<Finding> {
     let found = [gyro_scale(recording), wheel_radius(recording), centre_of_mass(recording, friction)];
@@ -65,7 +68,8 @@ pub fn findings(recording: &Recording, friction: f64) -> Vec<Finding> {
     found
 }
 
-/// One half of a spin: `observed = size · effect + others · numbers`, row by row. The numbers, such as where the half began, are its own.
+/// Regression of one half of a spin: `observed = size · effect + others · parameters`, row by row. The parameters, such
+/// as the start of the half, are its own.
 #[derive(Default)]
 struct Half {
     observed: Vec<f64>,
@@ -74,7 +78,7 @@ struct Half {
 }
 
 impl Half {
-    /// The size of the effect, if the data exclude 0.
+    /// Size of the effect, if the data exclude 0.
     fn size(&self) -> Option<f64> {
         let columns = 1 + self.others.first()?.len();
         let row = |row: usize, column: usize| match column {
@@ -82,13 +86,13 @@ impl Half {
             _ => self.others[row][column - 1],
         };
         let fit = linear(&DMatrix::from_fn(self.observed.len(), columns, row), &self.observed).ok()?;
-        // A gyroscope's noise adds up in its integral, so that the residual is not white.
+        // A gyroscope's noise accumulates in its integral, so that the residual is not white.
         let fit = fit.autocorrelated(newey_west_lag(self.observed.len()));
         let is_another = !fit.intervals(CONFIDENCE).ok()?.first()?.contains(0.0);
         is_another.then(|| fit.parameters[0])
     }
 
-    /// Root mean square of what an effect of this size does not explain.
+    /// Root mean square of the residual with an effect of this size.
     fn error(&self, size: f64) -> Option<f64> {
         let rest: Vec<f64> = self.observed.iter().zip(&self.effect).map(|(y, x)| y - size * x).collect();
         let columns = self.others.first()?.len();
@@ -97,13 +101,13 @@ impl Half {
     }
 }
 
-/// The size of an effect by one half, if its data exclude 0, and the errors of the other without and with it.
+/// Size of an effect by the first half, if its data exclude 0, and the errors of the other half without and with it.
 fn claimed([fit_to, held_out]: &[Half; 2]) -> Option<(f64, f64, f64)> {
     let size = fit_to.size()?;
     Some((size, held_out.error(0.0)?, held_out.error(size)?))
 }
 
-/// The first and the second half of the spin.
+/// Splits the spin into its first and second half.
 fn spins(recording: &Recording) -> [Run; 2] {
     let Run { wheels, tracked, felt, turned } = &recording.spin;
     let begin_s = tracked.first().map_or(0.0, |first| first.time_s);
@@ -119,7 +123,8 @@ fn spins(recording: &Recording) -> [Run; 2] {
     })
 }
 
-/// `heading - integral = (1 / scale - 1) integral`, without the bias that was seen at rest.
+/// Scale of the gyroscope: `heading - integral = (1 / scale - 1) integral`, with the integral corrected for the bias at
+/// rest.
 fn gyro_scale(recording: &Recording) -> Option<Finding> {
     let rest: Vec<f64> = recording.rest.turned.iter().map(|sample| sample.rate_rad_s).collect();
     let bias_rad_s = mean(&rest).ok()?;
@@ -149,11 +154,11 @@ fn headings(run: &Run, bias_rad_s: f64) -> Half {
     half
 }
 
-/// The law of the tyres with the radius beside it: slip is not alike in speeding up and slowing down, so that soft tyres would
-/// pass for wheels that are 0.3 % smaller.
+/// Radius of the wheels, fitted together with the tyres' law. The slip in acceleration and deceleration differs, so
+/// that without the law soft tyres would appear as wheels that are 0.3 % smaller.
 fn wheel_radius(recording: &Recording) -> Option<Finding> {
     let pairs = recording.straight.chunks_exact(2);
-    // One run of each pair there and back, and the other.
+    // Alternating directions: each half has one run of each pair there and back.
     let [fit_to, held_out] = [0, 1].map(|half| {
         let straight = pairs.clone().enumerate().map(|(index, pair)| pair[(index + half) % 2].clone()).collect();
         Recording { straight, ..Recording::new(recording.robot.clone(), recording.clock_s) }
@@ -164,13 +169,14 @@ fn wheel_radius(recording: &Recording) -> Option<Finding> {
 }
 
 fn centre_of_mass(recording: &Recording, friction: f64) -> Option<Finding> {
-    // Of the robot's middle, from the point about which it turns.
+    // The circle gives the robot's middle relative to the point about which it turns.
     let (forward_m, before, after) = claimed(&spins(recording).map(|spin| circle(&spin)))?;
     let size = centre_of_mass_m(recording, friction, -forward_m)?;
     Some(Finding { effect: Effect::CentreOfMass, size, before, after })
 }
 
-/// Places of the robot's middle on a circle about the point of rotation: `x = x0 + a cos - b sin`, `y = y0 + a sin + b cos`.
+/// Regression of the robot's middle on a circle about the point of rotation: `x = x0 + a cos - b sin`, `y = y0 + a sin
+/// + b cos`.
 fn circle(run: &Run) -> Half {
     let mut half = Half::default();
     for tracked in &run.tracked {
@@ -183,17 +189,18 @@ fn circle(run: &Run) -> Half {
     half
 }
 
-/// Centre of mass before the middle of the wheels, m, of a robot that spins about a point `ahead_m` before it; `None` where no
-/// wheel slides, which says nothing.
+/// Centre of mass before the middle of the wheels, m, of a robot that spins about a point `ahead_m` before it. `None`
+/// where no wheel slides: the point then carries no information.
 fn centre_of_mass_m(recording: &Recording, friction: f64, ahead_m: f64) -> Option<f64> {
     let [half_base_m, half_track_m] = recording.robot.half_m;
     let (rim_rad_s, rate_rad_s, _) = estimate::rates(recording)?;
     let c_long_per_n = bristle::c_long(recording)?.value;
     let weight_n = recording.robot.mass_kg * GRAVITY_M_S2;
-    // Slip along the wheels is alike, across them it is that of their axle: slip velocity over rim speed, 1.
+    // The slip along the wheels is the same for all, that across them depends on the axle. Slip velocity over rim
+    // speed; dimensionless.
     let along = 1.0 - rate_rad_s / rim_rad_s;
     let across = [1.0, -1.0].map(|axle| (axle * half_base_m - ahead_m) * rate_rad_s / (half_track_m * rim_rad_s));
-    // Forces of one wheel of each axle, front first, along and across, N.
+    // Forces on one wheel of each axle, front first: along and across, N.
     let forces = |c_lat_per_n: f64, centre_m: f64| {
         [0, 1].map(|axle| {
             let share = 0.5 + [0.5, -0.5][axle] * centre_m / half_base_m;
@@ -205,12 +212,12 @@ fn centre_of_mass_m(recording: &Recording, friction: f64, ahead_m: f64) -> Optio
         })
     };
     let most_m = 0.99 * half_base_m;
-    // The heavier the front, the more its forces: monotone.
+    // The heavier the front, the larger its forces: the function is monotone.
     let balanced_m = |c_lat_per_n: f64| {
         let lateral_n = |centre_m: f64| forces(c_lat_per_n, centre_m).iter().map(|([_, across_n], _)| across_n).sum();
         bisect(lateral_n, -most_m, most_m, 1e-6).ok()
     };
-    // The moment that turns the robot is that which keeps it from turning faster.
+    // The driving moment of the longitudinal forces equals the resisting moment of the lateral ones.
     let moment_nm = |power: f64| {
         let c_lat_per_n = c_long_per_n * 10f64.powf(power);
         let centre_m = balanced_m(c_lat_per_n).unwrap_or(0.0);

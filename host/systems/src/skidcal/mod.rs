@@ -1,9 +1,9 @@
 //! SKIDCAL: the two slip compliances of a four-wheel skid-steer robot, from two tests on a floor.
 //!
-//! Trimble, Fox, *Skid-steer friction calibration protocol for digital twin creation*, TAROS 2023. A straight run with steps of the
-//! speed gives `c_long`, a spin on the spot the ratio `c_lat / c_long`. [`protocol`] drives both on any skid-steer board;
-//! [`estimate`] has the paper's formulas and the repaired one, [`bristle`] ours; [`missing`] finds unmodelled effects;
-//! [`scene`] samples the robots that the study tries them on.
+//! Trimble, Fox, *Skid-steer friction calibration protocol for digital twin creation*, TAROS 2023. A straight run with
+//! steps of the speed gives `c_long`, a spin on the spot the ratio `c_lat / c_long`. [`protocol`] drives both on any
+//! skid-steer board; [`estimate`] has the paper's formulas and the repaired one, [`bristle`] ours; [`missing`] searches
+//! for unmodelled effects; [`scene`] samples the robots of the study.
 //!
 //! # Repairs
 //! Newton's law for four wheels, `a = 4 (v_r - v) / (c v_r m)`, solves to `v_r = v / (1 - a c m / 4)`. Equations (1) and (2) print
@@ -25,18 +25,18 @@ use crate::{
     About, Arm, Error, Figure, Limit, Metric, Paper, ResultFile, Source, Statistic, System, Target, Trial, Values,
 };
 
-/// The system.
+/// Robot system SKIDCAL, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Skidcal;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "skidcal";
-/// The arm in which something is hidden in the robot.
+/// Arm with a hidden effect in the robot.
 const BLIND: &str = "blind:one-effect";
-/// Straight runs there and back in that arm.
+/// Number of straight runs there and back in that arm.
 const BLIND_RUNS: usize = 4;
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {
@@ -228,7 +228,7 @@ impl System for Skidcal {
     }
 }
 
-/// A trial's robot, and what was recorded of it.
+/// A trial's robot and recording.
 struct Recorded {
     truth: scene::Truth,
     hidden: Option<scene::Hidden>,
@@ -263,7 +263,7 @@ impl Recorded {
     }
 }
 
-/// Metrics of what was found in a robot in which something is hidden.
+/// Computes the metrics of a search in a robot with at most one hidden effect.
 fn named(hidden: Option<scene::Hidden>, found: &[missing::Finding]) -> Values {
     let share = |is: bool| f64::from(u8::from(is));
     let Some(hidden) = hidden else {
@@ -288,7 +288,7 @@ fn without_estimate(trial: &Trial) -> Error {
     unsuitable(trial, "its runs give no estimate: is it a skid-steer robot that moves?")
 }
 
-/// Metrics of one recording.
+/// Computes the metrics of one recording.
 fn evaluate(arm: &str, truth: &scene::Truth, recording: &protocol::Recording) -> Values {
     let mut values = Values::new();
     let mut put = |name: &str, value: f64| {
@@ -318,7 +318,7 @@ fn evaluate(arm: &str, truth: &scene::Truth, recording: &protocol::Recording) ->
     if !is_paper {
         put("coulomb_check_right", share(estimate::reaches_friction(recording, truth.friction) == slides));
     }
-    // Sliding wheels do not obey the linear law: the check says so, and there is no ratio to be compared.
+    // Sliding wheels do not obey the linear law: the check reports them, and there is no ratio to compare.
     if slides {
         return values;
     }

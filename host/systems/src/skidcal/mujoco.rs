@@ -1,5 +1,5 @@
-//! The estimators on a car in MuJoCo 3.17.0, which shares no line with `r4-world`: `tests/oracle/skidcal_mujoco.py` drives it through both
-//! tests and measures its compliance by towing it.
+//! Test of the estimators on a car in MuJoCo 3.17.0, which shares no code with `r4-world`:
+//! `tests/oracle/skidcal_mujoco.py` drives it through both tests and measures its compliance by towing it.
 
 use serde::Deserialize;
 
@@ -21,11 +21,11 @@ struct Oracle {
 
 #[derive(Deserialize)]
 struct Seen {
-    /// Time, s, travel left and right, m.
+    /// Time, s; travel left and right, m.
     wheels: Vec<[f64; 3]>,
-    /// Time, s, x and y, m, yaw, rad.
+    /// Time, s; x and y, m; yaw, rad.
     tracked: Vec<[f64; 4]>,
-    /// Time, s, acceleration forwards, m/s².
+    /// Time, s; forward acceleration, m/s².
     felt: Vec<[f64; 2]>,
 }
 
@@ -75,7 +75,7 @@ fn without_noise_a_car_in_mujoco_has_the_compliances_it_was_towed_with() {
             assert!((relative - 1.0).abs() < 0.02, "{sensor}: {relative} of {towed_per_n}");
         }
     }
-    // One damping for both directions. Wheels that sink in roll on a radius that is 0.1 % smaller.
+    // The model has one damping for both directions. Wheels that sink in roll on a radius that is 0.1 % smaller.
     let ratio = estimate::ratio(&exact).expect("an estimate").value;
     assert!((ratio - 1.0).abs() < 0.003, "{ratio}");
 }
@@ -89,7 +89,7 @@ fn intervals_from_one_noisy_run_cover_what_a_car_in_mujoco_was_towed_with() {
     let count = |estimate: fn(&Recording) -> Option<estimate::Estimate>| {
         (1..=SEEDS).filter(|seed| estimate(&oracle.recording(*seed)).is_some_and(covers)).count()
     };
-    // 95 % intervals: fewer than 16 of 20 has a probability of 0.3 %.
+    // 95 % intervals: fewer than 16 of 20 have a probability of 0.3 %.
     let (tracked, felt) = (count(bristle::c_long), count(bristle::c_long_inertial));
     assert!(tracked >= 16 && felt >= 16, "tracker {tracked}, inertial {felt} of {SEEDS}");
 }

@@ -1,4 +1,4 @@
-//! Both tests, on a board.
+//! Both tests of the paper, driven on a board.
 
 use futures::future::try_join_all;
 use r4_boards::{Drive, Robot, SimulatedBody, SkidSteer};
@@ -8,132 +8,132 @@ use r4_rig::{Error, Session, inertial_reading, inertial_sensor, sides_rad};
 
 use super::{bristle, scene::Noise};
 
-/// How often wheels are read, ms.
+/// Telemetry period of the wheels, ms.
 const WHEELS_EVERY_MS: u16 = 10;
-/// How often the robot is tracked, s: the rate of the paper's positions.
+/// Period of the tracker, s: the rate of the paper's positions.
 pub(super) const TRACKED_EVERY_S: f64 = 0.05;
-/// Speed before a straight run, as a share of the robot's speed limit, and those that it steps through. No wheel is slower: what holds
-/// a tyre that hardly rolls is not in the law.
+/// Shares of the robot's speed limit: that before a straight run, and those of its steps. No wheel is slower, since the
+/// law does not contain the friction of a tyre that hardly rolls.
 const SLOW: f64 = 0.3;
 const STEPS: [f64; 4] = [0.94, 0.6, 0.94, 0.3];
-/// How long the robot is slow after it turned round, before a run is noted, s: the law is predicted from rest of its bristles, and the
-/// swing that a turn leaves in soft tyres would otherwise bias it.
+/// Time at the slow speed after a turn, before a run is recorded, s. The prediction starts with bristles at rest; the
+/// oscillation that a turn leaves in soft tyres would bias it.
 const TURNS_S: f64 = 1.4;
-/// How long a run is slow before its first step, s.
+/// Time at the slow speed before the first step of a run, s.
 pub(super) const LEAD_S: f64 = 0.3;
-/// How long each speed is held, s: twice what the ramp of 1 m/s² takes, so that half of it is steady.
+/// Duration of each speed, s: twice that of the ramp at 1 m/s², so that half of it is steady.
 const STEP_S: f64 = 0.8;
 /// Turning rate of the spin with wheels that do not slip, rad/s: the paper's.
 pub(super) const SPIN_RAD_S: f64 = 1.0;
-/// How long the robot spins before it is measured, and while, s: at least two rotations.
+/// Settling time of the spin before the measurement, and duration of the measurement, s: at least two rotations.
 pub(super) const SPIN_SETTLES_S: f64 = 3.0;
 pub(super) const SPIN_S: f64 = 20.0;
-/// How long the robot stands still where a gyroscope is recorded, s: its bias is then known to 0.1 mrad/s, with half of it to 0.14 mrad/s.
+/// Rest for the gyroscope's bias, s: known to 0.1 mrad/s then, with half the time to 0.14 mrad/s.
 const REST_S: f64 = 4.0;
-/// Straight runs are repeated until the 95 % interval is this share of the estimate to both sides, or so many times. Half the share
-/// takes four times the runs.
+/// End of the repeated straight runs: half-width of the 95 % interval as a share of the estimate, or this number of
+/// runs. Half the share takes four times the runs.
 const NARROW: f64 = 0.04;
 pub(super) const MOST_RUNS: usize = 100;
 
-/// A skid-steer robot with what must be measured of it before.
+/// A skid-steer robot with its premeasured dimensions.
 #[derive(Clone, Debug)]
 pub struct SkidRobot {
-    /// Wheels and limits.
+    /// Wheels and speed limits.
     pub drive: SkidSteer,
     /// Half the wheelbase and half the track between the wheels' middles, m.
     pub half_m: [f64; 2],
-    /// Mass, kg.
+    /// Mass of the robot, kg: weighed before.
     pub mass_kg: f64,
-    /// Inertial sensor whose rate of yaw is recorded.
+    /// Inertial sensor whose yaw rate is recorded; `None` for none.
     pub gyroscope: Option<ChannelId>,
 }
 
-/// How often straight runs are repeated.
+/// Number of repetitions of the straight runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Repeats {
-    /// One run.
+    /// One run there and back.
     Once,
-    /// As many runs there and back.
+    /// This number of runs there and back.
     Times(usize),
-    /// Until the interval of `c_long` is narrow.
+    /// Runs until the interval of `c_long` is narrow, at most `MOST_RUNS`.
     UntilNarrow,
 }
 
-/// Travel of the wheels at one moment, m: means of both sides.
+/// Travel of the wheels at one moment, m: means over each side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WheelSample {
-    /// On the host's clock, s.
+    /// Time on the host's clock, s.
     pub time_s: f64,
-    /// Left and right.
+    /// Travel of the left and the right side, m.
     pub travel_m: [f64; 2],
 }
 
-/// Place of the robot at one moment.
+/// Tracked pose of the robot at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tracked {
-    /// On the host's clock, s.
+    /// Time on the host's clock, s.
     pub time_s: f64,
-    /// x and y, m, and heading, rad, without noise.
+    /// True x and y, m, and heading, rad, without noise.
     exact: [f64; 3],
-    /// Noise of the three.
+    /// Noise of x and y, m, and of the heading, rad.
     noise: [f64; 3],
 }
 
 /// A sample of the inertial sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Felt {
-    /// On the host's clock, s.
+    /// Time on the host's clock, s.
     pub time_s: f64,
-    /// Specific force forwards, m/s², without noise.
+    /// True specific force forwards, m/s², without noise.
     exact_m_s2: f64,
-    /// Noise of it, m/s².
+    /// Noise of the specific force, m/s².
     noise_m_s2: f64,
 }
 
 /// A reading of the board's gyroscope.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turned {
-    /// On the host's clock, s.
+    /// Time on the host's clock, s.
     pub time_s: f64,
-    /// Rate of yaw, rad/s.
+    /// Yaw rate, rad/s, positive to the left.
     pub rate_rad_s: f64,
 }
 
-/// What was seen of a stretch of time.
+/// Samples of one stretch of time.
 #[derive(Clone, Debug, Default)]
 pub struct Run {
-    /// Each time that wheels were read.
+    /// Samples of the wheels, each time that they were read.
     pub wheels: Vec<WheelSample>,
-    /// Each time that the robot was tracked.
+    /// Tracked poses, each time that the robot was tracked.
     pub tracked: Vec<Tracked>,
-    /// Samples of the inertial sensor.
+    /// Samples of the inertial sensor, simulated.
     pub felt: Vec<Felt>,
-    /// Readings of the gyroscope, if one is recorded.
+    /// Readings of the board's gyroscope, if it is recorded.
     pub turned: Vec<Turned>,
 }
 
-/// Both tests.
+/// Recording of both tests.
 #[derive(Clone, Debug)]
 pub struct Recording {
-    /// The robot.
+    /// Robot that was driven.
     pub robot: SkidRobot,
-    /// Straight runs, one way each.
+    /// Straight runs, one for each direction.
     pub straight: Vec<Run>,
-    /// How often the robot went there and back.
+    /// Number of times the robot went there and back.
     pub runs: usize,
-    /// Standing still before the first run, if a gyroscope is recorded.
+    /// Samples at rest before the first run; empty unless a gyroscope is recorded.
     pub rest: Run,
-    /// The spin, once it has settled.
+    /// Samples of the spin after it has settled.
     pub spin: Run,
-    /// How far the clocks of wheels and tracking may be apart, s: a standard deviation.
+    /// Standard deviation of the offset between the clocks of wheels and tracker, s.
     pub clock_s: f64,
 }
 
 impl SkidRobot {
-    /// A virtual board's robot, with its wheels where its body has them.
+    /// Reads the robot of a virtual board, with the wheels at the positions of its body.
     ///
     /// # Errors
-    /// What the robot lacks.
+    /// The part that the robot lacks, in words.
     pub fn of(robot: &Robot, mass_kg: f64) -> Result<Self, String> {
         let Some(Drive::SkidSteer(drive)) = &robot.drive else {
             return Err("it has no [drive.skid-steer]".into());
@@ -152,16 +152,16 @@ impl SkidRobot {
         Ok(Self { drive: drive.clone(), half_m: [mean(0), mean(1)], mass_kg, gyroscope: None })
     }
 
-    /// The same with the readings of the robot's first inertial sensor.
+    /// Adds the robot's first inertial sensor, whose readings are then recorded.
     ///
     /// # Errors
-    /// When it has none.
+    /// The reason in words when the robot has none.
     pub fn with_gyroscope(self, robot: &Robot) -> Result<Self, String> {
         Ok(Self { gyroscope: Some(inertial_sensor(robot)?), ..self })
     }
 
-    /// Straight runs there and back: rim speeds, left and right, m/s, and how long each is held, s. The first
-    /// speed of each direction is before the run.
+    /// Straight runs there and back: rim speeds, left and right, m/s, and the duration of each, s. The first speed of
+    /// each direction is before the run.
     pub(super) fn straight(&self) -> [Vec<([f64; 2], f64)>; 2] {
         let most_m_s = self.drive.speed_max_m_s;
         [1.0, -1.0].map(|way| {
@@ -179,13 +179,13 @@ impl SkidRobot {
 }
 
 impl Tracked {
-    /// A tracked place: x and y, m, and heading, rad, with noise.
+    /// Creates a tracked pose: x and y, m, and heading, rad, with their noise.
     #[must_use]
     pub fn new(time_s: f64, exact: [f64; 3], noise: [f64; 3]) -> Self {
         Self { time_s, exact, noise }
     }
 
-    /// x and y, m, and heading, rad, as they are measured.
+    /// Measured x and y, m, and heading, rad, including noise.
     #[must_use]
     pub fn measured(&self) -> [f64; 3] {
         [0, 1, 2].map(|axis| self.exact[axis] + self.noise[axis])
@@ -193,13 +193,13 @@ impl Tracked {
 }
 
 impl Felt {
-    /// A specific force forwards, m/s², with noise.
+    /// Creates a sample of the forward specific force, m/s², with its noise.
     #[must_use]
     pub fn new(time_s: f64, exact_m_s2: f64, noise_m_s2: f64) -> Self {
         Self { time_s, exact_m_s2, noise_m_s2 }
     }
 
-    /// The specific force as it is measured, m/s².
+    /// Measured specific force, m/s², including noise.
     #[must_use]
     pub fn measured_m_s2(&self) -> f64 {
         self.exact_m_s2 + self.noise_m_s2
@@ -215,20 +215,22 @@ impl Run {
 }
 
 impl Recording {
-    /// An empty recording of a robot.
+    /// Creates an empty recording of a robot.
     pub(super) fn new(robot: SkidRobot, clock_s: f64) -> Self {
         Self { robot, straight: Vec::new(), runs: 0, rest: Run::default(), spin: Run::default(), clock_s }
     }
 
-    /// The same as a tracker without noise would have seen it.
+    /// Returns the recording of a tracker without noise.
     #[must_use]
     pub fn without_noise(&self) -> Self {
         let straight = self.straight.iter().map(Run::without_noise).collect();
         Self { straight, spin: self.spin.without_noise(), ..self.clone() }
     }
 
-    /// How many more straight runs make the interval narrow; none when it is, or when there were enough.
+    /// Number of further straight runs that make the interval narrow; 0 when it is narrow, or the limit of runs is
+    /// reached.
     pub(super) fn more(&self, repeats: Repeats) -> usize {
+        // Without a run there is no interval yet.
         if self.runs == 0 {
             return 1;
         }
@@ -246,16 +248,17 @@ impl Recording {
         if wide <= 1.0 {
             return 0;
         }
-        // A standard error falls with the root of the runs.
+        // A standard error falls with the square root of the number of runs.
         let needed = (self.runs as f64 * wide * wide).ceil().min(MOST_RUNS as f64) as usize;
         needed.saturating_sub(self.runs).max(1)
     }
 }
 
-/// Drives both tests. `noise` is added to the true place and acceleration of a virtual board's robot.
+/// Drives both tests. `noise` is added to the true pose and acceleration of a virtual board's robot.
 ///
 /// # Errors
-/// When the board does not arm, stops, or has no body.
+/// The error of the board when it does not arm or stops; [`Error::NoReadings`] when the gyroscope sends nothing at
+/// rest.
 pub async fn drive(
     session: &Session<'_>,
     robot: &SkidRobot,
@@ -293,11 +296,12 @@ pub async fn drive(
             Ok::<_, Error>(())
         })
         .await?;
+    // The uncertainty may have grown during the runs: the larger value counts.
     recording.clock_s = recording.clock_s.max(session.board.clock_uncertainty_us() * 1e-6);
     Ok(recording)
 }
 
-/// Holds speeds, and notes what is seen meanwhile.
+/// Drive at constant speeds, which records telemetry and tracker meanwhile.
 struct Rider<'s> {
     session: &'s Session<'s>,
     robot: &'s SkidRobot,
@@ -318,7 +322,7 @@ impl<'s> Rider<'s> {
     async fn hold(&mut self, rim_m_s: [f64; 2], seconds: f64, mut run: Option<&mut Run>) -> Result<(), Error> {
         let board = self.session.board;
         let drive = &self.robot.drive;
-        // All at once: sides that step one after the other turn the robot.
+        // All wheels at once: sides that step one after the other turn the robot.
         let sides = [&drive.left, &drive.right].into_iter().zip(rim_m_s);
         let wheels = sides.flat_map(|(side, rim_m_s)| side.iter().map(move |channel| (*channel, rim_m_s)));
         let sets = wheels.map(|(channel, rim_m_s)| {
@@ -334,6 +338,7 @@ impl<'s> Rider<'s> {
             }
             let reading = self.robot.gyroscope.and_then(|sensor| inertial_reading(sensor, &frame.samples));
             if let (Some(run), Some(reading)) = (run.as_deref_mut(), reading) {
+                // The gyroscope's sample is older than its frame.
                 let time_s = board.host_us(frame.device_us) as f64 * 1e-6 - reading.age_s;
                 run.turned.push(Turned { time_s, rate_rad_s: reading.rate_rad_s[2] });
             }
@@ -357,7 +362,8 @@ impl<'s> Rider<'s> {
         Ok(())
     }
 
-    /// True specific force along the robot now, m/s², of a virtual board: the inertial sensor is not read over the board's bus.
+    /// True specific force along the robot, m/s², from a virtual board; `None` on others. The sensor is simulated here,
+    /// not read over the board's bus.
     fn forward_m_s2(&self) -> Option<f64> {
         let mut world = self.session.virtual_board().ok()?.world();
         world.catch_up();

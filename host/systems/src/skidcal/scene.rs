@@ -9,54 +9,55 @@ use r4_world::{AnyBody, GRAVITY_M_S2, SlipLaw, Wheeled};
 use super::{missing::Effect, protocol::Recording};
 use crate::sampler::Sampler;
 
-/// Purposes of random numbers.
+/// Purposes of the random numbers: robots, tracker, inertial sensor, hidden effects.
 const OF_ROBOT: u64 = 1;
 const OF_NOISE: u64 = 2;
 const OF_INERTIAL: u64 = 3;
 const OF_HIDDEN: u64 = 4;
 
-/// A robot that the estimator does not know.
+/// A sampled robot, whose compliances the estimator does not know.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Truth {
-    /// Slip along a wheel per force, 1/N.
+    /// Longitudinal compliance: slip along a wheel per force, 1/N.
     pub c_long_per_n: f64,
-    /// Slip across a wheel per force, 1/N.
+    /// Lateral compliance: slip across a wheel per force, 1/N.
     pub c_lat_per_n: f64,
-    /// Mass, kg; the protocol knows it, from scales.
+    /// Mass, kg; known to the protocol, from scales.
     pub mass_kg: f64,
-    /// Friction, 1; the protocol knows it, from a table.
+    /// Friction coefficient; known to the protocol, from a table.
     pub friction: f64,
 }
 
-/// Friction of a floor on which wheels slide in the spin.
+/// Friction coefficient of a floor on which wheels slide in the spin.
 const SLIPPERY: f64 = 0.2;
-/// Friction of one on which wheels of stiff tyres slide in the spin, and not in straight runs with the centre of mass off the middle.
+/// Friction coefficient of a floor on which wheels with stiff tyres slide in the spin, but not in straight runs with an
+/// off-centre mass.
 const SLIPPERY_IN_TURNS: f64 = 0.3;
 
-/// Something of a robot that the estimator's base model does not have, with its size, as [`missing`](super::missing) counts it.
+/// An effect of a robot that the estimator's base model lacks, with its size as [`missing`](super::missing) defines it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hidden {
-    /// The effect.
+    /// Hidden effect of the robot.
     pub effect: Effect,
-    /// rad/s shown per rad/s, true radius over the configured one, or m.
+    /// Size of the effect: rad/s shown per rad/s, true radius over the configured one, or m.
     pub size: f64,
 }
 
-/// Noise of the sensors.
+/// Noise of the tracker and of the inertial sensor.
 #[derive(Clone, Debug)]
 pub struct Noise {
     tracker: Sampler,
     inertial: Sampler,
 }
 
-/// Standard deviation of a tracked position, m, and heading, rad.
+/// Standard deviation of a tracked position, m.
 pub const POSITION_M: f64 = 1e-3;
-/// rad; of two markers 0.14 m apart.
+/// Standard deviation of a tracked heading, rad: of two markers 0.14 m apart.
 pub const HEADING_RAD: f64 = 1e-2;
 /// Standard deviation of the inertial sensor's specific force, m/s².
 pub const INERTIAL_M_S2: f64 = 0.05;
 
-/// The robot of a seed. [`About::sampled`](crate::About::sampled) has the ranges.
+/// Samples the robot of a seed. [`About::sampled`](crate::About::sampled) has the ranges.
 #[must_use]
 pub fn sample(seed: u64) -> Truth {
     let mut sampler = Sampler::new(seed, OF_ROBOT);
@@ -67,7 +68,7 @@ pub fn sample(seed: u64) -> Truth {
     Truth { c_long_per_n, c_lat_per_n: ratio * c_long_per_n, mass_kg, friction }
 }
 
-/// What a seed hides in a robot, or nothing, and the robot: with stiff tyres, on a floor on which they slide in the spin.
+/// Samples a robot with at most one hidden effect: with stiff tyres, on a floor on which they slide in the spin.
 #[must_use]
 pub fn hidden(seed: u64) -> (Truth, Option<Hidden>) {
     let mut sampler = Sampler::new(seed, OF_HIDDEN);
@@ -76,7 +77,7 @@ pub fn hidden(seed: u64) -> (Truth, Option<Hidden>) {
     let mut of = |effect, low, high, none| Some(Hidden { effect, size: none + sign * sampler.uniform(low, high) });
     let hidden = match which {
         ..1.0 => None,
-        // An ICM-20948 may be 1.5 % off at 25 °C.
+        // The datasheet of the ICM-20948 allows 1.5 % at 25 °C.
         ..2.0 => of(Effect::GyroScale, 0.005, 0.015, 1.0),
         ..3.0 => of(Effect::WheelRadius, 0.01, 0.05, 1.0),
         // OpenScout's axles are 0.12 m before and behind its middle.
@@ -88,7 +89,7 @@ pub fn hidden(seed: u64) -> (Truth, Option<Hidden>) {
 }
 
 impl Hidden {
-    /// Changes a robot's body, or its inertial sensors.
+    /// Changes a robot's body, or the scale of its inertial sensors.
     pub fn put_into(&self, robot: &mut Robot) {
         let Self { effect, size } = *self;
         if effect == Effect::GyroScale {
@@ -100,7 +101,7 @@ impl Hidden {
             Effect::WheelRadius => wheels.iter_mut().for_each(|wheel| wheel.radius_m *= size),
             Effect::CentreOfMass => chassis.centre_m[0] += size,
         });
-        // What is sampled lies between the axles.
+        // Valid for all sampled sizes: the centre of mass stays between the axles.
         if let Ok(changed) = changed {
             **body = changed;
         }
@@ -108,7 +109,7 @@ impl Hidden {
 }
 
 impl Truth {
-    /// Changes the body of a robot to this one.
+    /// Gives the body of a robot this mass and these tyres.
     pub fn put_into(&self, robot: &mut Robot) {
         let Some(AnyBody::Wheeled(body)) = robot.simulation.body.as_mut().map(|body| &mut body.kind) else { return };
         if let Some(changed) = self.wheeled(body) {
@@ -116,7 +117,8 @@ impl Truth {
         }
     }
 
-    /// A body with this mass and these tyres, by the linear slip law of the simulator that the paper calibrates.
+    /// Returns a body with this mass and these tyres, by the linear slip law of the simulator that the paper
+    /// calibrates; `None` when they are not valid.
     #[must_use]
     pub fn wheeled(&self, body: &Wheeled) -> Option<Wheeled> {
         let changed = body.changed(|chassis, wheels| {
@@ -128,11 +130,11 @@ impl Truth {
                 tyre.law = SlipLaw::Linear;
             }
         });
-        // Positive numbers are all that a chassis asks for, and the sampled and the estimated ones are.
+        // A chassis is valid for positive parameters, which the sampled and the estimated ones are.
         changed.ok()
     }
 
-    /// Whether a wheel slides in the spin of a recording, with the forces of the linear law.
+    /// Returns true when a wheel slides in the spin of a recording, by the forces of the linear law.
     #[must_use]
     pub fn slides(&self, recording: &Recording) -> bool {
         let [half_base_m, half_track_m] = recording.robot.half_m;
@@ -146,7 +148,7 @@ impl Truth {
     }
 }
 
-/// What a rig does to a robot to make it this one, with something hidden in it.
+/// Returns the function by which a rig changes its robot to this one, with a hidden effect.
 pub fn altered(truth: Truth, hidden: Option<Hidden>) -> Alter {
     Rc::new(move |robot| {
         truth.put_into(robot);
@@ -155,13 +157,13 @@ pub fn altered(truth: Truth, hidden: Option<Hidden>) -> Alter {
 }
 
 impl Noise {
-    /// That of a seed.
+    /// Creates the noise of a seed.
     #[must_use]
     pub fn of(seed: u64) -> Self {
         Self { tracker: Sampler::new(seed, OF_NOISE), inertial: Sampler::new(seed, OF_INERTIAL) }
     }
 
-    /// Noise of the next tracked place: x and y, m, and heading, rad.
+    /// Noise of the next tracked pose: x and y, m, and heading, rad.
     pub fn place(&mut self) -> [f64; 3] {
         [POSITION_M, POSITION_M, HEADING_RAD].map(|deviation| self.tracker.normal(deviation))
     }

@@ -10,7 +10,7 @@ use super::{
     *,
 };
 
-/// Wheels that turn as they are commanded, and a tracker without noise.
+/// Recording with wheels that turn as commanded, and a tracker without noise.
 fn exact(truth: &Truth) -> Recording {
     kinematic::recorded(truth, Repeats::Once, Noise::of(1)).expect("openscout has a body").without_noise()
 }
@@ -24,16 +24,16 @@ fn without_noise_ours_finds_both_compliances() {
     for seed in 1..=6 {
         let truth = sample(seed);
         let recording = exact(&truth);
-        // Speeds are held for 10 ms in the estimator, and forces for 0.25 ms in the simulation: 1 % of a slip of a few millimetres.
+        // The estimator holds speeds for 10 ms, the simulation forces for 0.25 ms: 1 % of a slip of a few millimetres.
         let c_long = relative(bristle::c_long(&recording), truth.c_long_per_n);
         assert!((c_long - 1.0).abs() < 0.015, "seed {seed}: {c_long}");
         let ratio = relative(estimate::ratio(&recording), truth.c_lat_per_n / truth.c_long_per_n);
-        // An equilibrium, which no step length moves.
+        // The ratio follows from an equilibrium, which does not depend on step lengths.
         assert!(truth.slides(&recording) || (ratio - 1.0).abs() < 1e-6, "seed {seed}: {ratio}");
     }
 }
 
-/// `1 - 4 a c m` in place of `1 - a c m / 4`: the same distance asks for a sixteenth of the compliance.
+/// `1 - 4 a c m` in place of `1 - a c m / 4`: the same distance implies a sixteenth of the compliance.
 #[test]
 fn the_printed_equation_returns_a_sixteenth_of_the_repaired_one() {
     for seed in 1..=6 {
@@ -44,7 +44,7 @@ fn the_printed_equation_returns_a_sixteenth_of_the_repaired_one() {
     }
 }
 
-/// Forces of the linear law follow from compliances alone, so that a slower spin slides as a fast one does.
+/// Forces of the linear law follow from compliances alone, so that wheels slide at a slow spin as at a fast one.
 #[test]
 fn wheels_that_slide_are_noticed_and_others_are_not() {
     let found: Vec<bool> = (1..=12)
@@ -65,10 +65,10 @@ fn a_simulated_board_gives_both_within_five_percent() {
     let ours = Skidcal.run(&trial("ours")).expect("a trial");
     assert!(ours["c_long_error"] < 0.05 && ours["coulomb_check_right"] == 1.0, "{ours:?}");
     assert_eq!(Skidcal.run(&trial("ours")).expect("a trial"), ours, "the same seed, bit for bit");
-    // The paper's equation, and its noise.
+    // The paper's equation, with the noise of its twofold differentiation.
     let paper = Skidcal.run(&trial("paper")).expect("a trial");
     assert!(paper["c_long_relative"] < 0.2, "{paper:?}");
-    // What motors and board add is not in perfect actuators.
+    // Perfect actuators lack the errors of motors and board.
     let perfect = Skidcal.run(&trial("ablation:perfect-actuators")).expect("a trial");
     assert_ne!(perfect["c_long_error"], ours["c_long_error"]);
 }
@@ -92,13 +92,13 @@ fn a_released_dead_man_ends_the_protocol_with_the_robot_at_rest() {
             Either::Left((ended, _)) => ended,
             Either::Right(_) => unreachable!("a release does not end"),
         };
-        // Soft tyres swing for a while, by a fraction of a millimetre.
+        // Soft tyres oscillate for a while, by a fraction of a millimetre.
         session.board.sleep_s(3.0).await;
         let speed_m_s = board.world().twist().map(|twist| twist.forward_m_s);
         Ok::<_, r4_rig::Error>((ended.map(drop), session.board.safety().0, speed_m_s))
     };
     let ((ended, state, speed_m_s), _) = rig.run(None, work).expect("a session");
-    // Either the set point that comes next is refused, or the telemetry says why.
+    // Either the next set point is refused, or the telemetry reports the trip first.
     assert!(
         matches!(&ended, Err(r4_rig::Error::Board(DriverError::Stopped { .. } | DriverError::Refused(_)))),
         "{ended:?}"
@@ -123,7 +123,7 @@ fn the_found_slip_is_a_body_that_a_board_loads() {
     let body = robot.simulation.body.expect("a body");
     let tyre = body.wheeled().and_then(|body| body.wheels()[0].tyre).expect("a tyre");
     let truth = sample(15);
-    // Numbers of a file are read back to the bit.
+    // The file's numbers are read back exactly.
     let relative = tyre.compliance_per_n[0] / truth.c_long_per_n;
     assert_eq!(relative, found["c_long_relative"]);
     assert_eq!(body.wheeled().map(|body| body.chassis().mass_kg), Some(truth.mass_kg));
@@ -145,7 +145,7 @@ fn slip_is_written_for_gazebo() {
     }
 }
 
-/// One seed of each effect and one of none, by the board's own gyroscope.
+/// One seed of each effect and one without, by the board's own gyroscope.
 #[test]
 fn unmodelled_effects_are_named() {
     for (seed, effect) in [
@@ -163,9 +163,10 @@ fn unmodelled_effects_are_named() {
             continue;
         }
         assert_eq!(values["hidden_effect_named"], 1.0, "seed {seed}");
-        // 0.51, 0.02 and 0.08: a tracked heading has 0.01 rad of noise, which the gyroscope's 0.5 to 1.5 % hardly exceed.
+        // Measured: 0.51, 0.02 and 0.08. A tracked heading has 0.01 rad of noise, which the gyroscope's 0.5 to 1.5 %
+        // hardly exceed.
         assert!(values["held_out_error_after_over_before"] < 0.6, "seed {seed}: {values:?}");
-        // 1.7, 1.2 and 1.3 %.
+        // Measured: 1.7, 1.2 and 1.3 %.
         assert!(values["effect_size_error"] < 0.1, "seed {seed}: {values:?}");
     }
 }

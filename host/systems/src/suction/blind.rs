@@ -1,7 +1,8 @@
-//! The effect of a membrane that its base model lacks, named from recordings of pressure over pushed volume.
+//! Search for the effect that a membrane's base model lacks, from recordings of pressure over displaced volume.
 //!
-//! The base model: gas at constant temperature in syringe, tube and a sphere of Gent's rubber, whose modulus, viscosity, tube and delay the fit finds.
-//! One effect more: pressure lost on reloading, pressure that relaxes, or gas that leaks. No formula of an effect is the simulator's.
+//! The base model: gas at constant temperature in syringe, tube and a sphere of Gent's rubber; the fit finds modulus,
+//! viscosity, tube resistance and delay. Each candidate adds one effect: pressure lost on reloading, pressure that
+//! relaxes, or gas that leaks. No formula of an effect is the simulator's.
 
 use r4_world::ATMOSPHERE_PA;
 
@@ -11,28 +12,29 @@ use crate::{
     effects::{Effect, Found, Search},
 };
 
-/// Candidates, in the order of [`scene::Hidden`](super::scene::Hidden). Least sizes: seeds 1 to 8 of `blind:clean`, where what the base model's
-/// steps of 20 ms leave is taken for creep of -0.0014 to -0.0024, and its interval excludes 0.
+/// Candidate effects, in the order of [`scene::Hidden`](super::scene::Hidden). Their least sizes come from seeds 1 to 8
+/// of `blind:clean`: there the base model's residual from its steps of 20 ms is fitted as creep of -0.0014 to -0.0024,
+/// with an interval that excludes 0.
 pub const EFFECTS: [Effect; 3] = [
     Effect { name: "mullins", start: &[0.1], absent: 0.0, least: 0.02 },
     Effect { name: "creep", start: &[0.1], absent: 0.0, least: 0.01 },
     Effect { name: "leak", start: &[1.0], absent: 0.0, least: 0.05 },
 ];
-/// Modulus over the data sheet's, viscosity in kPa s, the tube's pressure drop in 100 Pa for 1 ml/s, and by how much the converter's
-/// pressure is older than the pump's steps, in 10 ms.
+/// Initial guess of the base model: modulus over the datasheet's; viscosity, kPa s; the tube's pressure drop at 1 ml/s,
+/// 100 Pa; age of the converter's pressure relative to the pump's steps, 10 ms.
 const BASE_START: [f64; 4] = [1.0, 1.0, 1.0, 0.1];
-/// Time constant of creep, s: declared. Rests of 1 s do not determine it: with it as a second parameter the fit of a clean recording
-/// has a singular Jacobian (seed 3).
+/// Time constant of creep, s: declared. Rests of 1 s do not determine it: with it as a second parameter, the fit of a
+/// clean recording has a singular Jacobian (seed 3).
 const RELAXES_S: f64 = 2.0;
-/// Time between the readings that are fitted, s.
+/// Period over which readings are averaged before the fit, s.
 const EVERY_S: f64 = 0.02;
-/// Bisections of a stretch between 0.9 and 5: to 4e-9.
+/// Bisection steps for a stretch between 0.9 and 5: a resolution of 4e-9.
 const BISECTIONS: usize = 30;
 
 /// Searches recordings of virgin membranes of one kind, the last of which is held out.
 ///
 /// # Errors
-/// Where there are fewer than three, or the base model cannot be fitted.
+/// [`Error::Effects`] for fewer than three recordings, or when the base model cannot be fitted.
 pub fn find(setup: &Setup, runs: &[Vec<Reading>]) -> Result<Option<Found>, Error> {
     let runs: Vec<Vec<Reading>> = runs.iter().map(|run| thinned(run)).collect();
     let observed: Vec<Vec<f64>> =
@@ -41,7 +43,7 @@ pub fn find(setup: &Setup, runs: &[Vec<Reading>]) -> Result<Option<Found>, Error
     Search { base_start: &BASE_START, effects: &EFFECTS, observed: &observed, predict: &predict }.run()
 }
 
-/// Means over [`EVERY_S`].
+/// Averages readings over periods of [`EVERY_S`].
 fn thinned(run: &[Reading]) -> Vec<Reading> {
     let mut thin = Vec::new();
     let mut sum = [0.0; 4];
@@ -65,7 +67,8 @@ fn thinned(run: &[Reading]) -> Vec<Reading> {
     thin
 }
 
-/// Pressures that a model gives for the pushed volumes of a run.
+/// Pressures in Pa that a model predicts for the displaced volumes of a run. The simulation is free-run: it uses no
+/// measured pressure.
 fn predicted(setup: &Setup, effect: Option<usize>, numbers: &[f64], run: &[Reading]) -> Vec<f64> {
     let (membrane, line) = (&setup.membrane, &setup.lines[r4_world::MIDDLE]);
     let &[modulus, viscosity, tube, delay, ref of @ ..] = numbers else { return Vec::new() };
@@ -87,8 +90,9 @@ fn predicted(setup: &Setup, effect: Option<usize>, numbers: &[f64], run: &[Readi
         let step_s = (reading.time_s - before_s).max(1e-3);
         before_s = reading.time_s;
         let decay = (-step_s / RELAXES_S).exp();
+        // Backward Euler: the membrane's pressure at the tried stretch must equal the gas pressure there.
         let held_pa = |tried: f64| {
-            // Of the way to the farthest stretch, what is not yet made again is soft.
+            // Softening is full at rest and vanishes where the membrane reaches its largest stretch so far.
             let behind = if farthest > 1.01 { ((farthest - tried) / (farthest - 1.0)).clamp(0.0, 1.0) } else { 0.0 };
             let relaxed = relaxed_pa * decay + own_pa(tried) * (1.0 - decay);
             own_pa(tried) * (1.0 - softening * (1.0 - (1.0 - behind).powi(3))) - relaxing * relaxed
@@ -96,6 +100,7 @@ fn predicted(setup: &Setup, effect: Option<usize>, numbers: &[f64], run: &[Readi
         };
         let gas_pa =
             |tried: f64| gas_pa_m3 / (line.volume_m3 - reading.pushed_m3 + at_rest_m3 * tried.powi(3)) - ATMOSPHERE_PA;
+        // The pressure balance changes sign once in this bracket; bisection cannot diverge where the rubber softens.
         let (mut low, mut high) = (0.9, 5.0);
         for _ in 0..BISECTIONS {
             let middle = f64::midpoint(low, high);
@@ -108,7 +113,7 @@ fn predicted(setup: &Setup, effect: Option<usize>, numbers: &[f64], run: &[Readi
         pressures_pa.push(line_pa - delay * 0.01 * (line_pa - line_before_pa) / step_s);
         line_before_pa = line_pa;
         relaxed_pa = relaxed_pa * decay + own_pa(now) * (1.0 - decay);
-        // An orifice: with the root of the pressure; the size is in units of 0.01 ml/s at 10 kPa.
+        // Orifice flow: proportional to the root of the pressure. The size is in units of 0.01 ml/s at 10 kPa.
         gas_pa_m3 -= leaking * 1e-8 * ATMOSPHERE_PA * (pressure_pa.max(0.0) / 1e4).sqrt() * step_s;
         stretch = now;
         farthest = farthest.max(now);

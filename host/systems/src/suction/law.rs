@@ -1,10 +1,10 @@
-//! The inflation's order and its ends: pure functions of what the pressure sensors show.
+//! Order and end of an inflation, as pure functions of the measured pressures.
 
 use std::collections::VecDeque;
 
 use r4_maths::statistics::mean;
 
-/// Order in which membranes are inflated: groups of line numbers.
+/// Order in which membranes are inflated: groups of line numbers, each filled at the same time.
 pub type Order = &'static [&'static [usize]];
 /// Sequence A: middle, then outers.
 pub const MIDDLE_FIRST: Order = &[&[1], &[0, 2]];
@@ -14,15 +14,16 @@ pub const OUTERS_FIRST: Order = &[&[0, 2], &[1]];
 /// Limits of a fill by volume.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Rate of each syringe, m³/s. Our choice: no other rate was tried.
+    /// Flow of each syringe, m³/s. Our choice: no other rate was tried.
     pub rate_m3_s: f64,
-    /// Most that a syringe pushes, m³.
+    /// Largest volume that a syringe displaces, m³.
     pub volume_max_m3: f64,
-    /// Pressure above which a line's syringe stops and withdraws, Pa above the atmosphere: below 0.2 bar by what is pushed until it stops.
+    /// Gauge pressure above which a line's syringe stops and withdraws, Pa; `None` disables the interlock. It is below
+    /// 0.2 bar by what the pump still displaces until it stops.
     pub pressure_max_pa: Option<f64>,
-    /// Drop below the trend that ends the fill, Pa.
+    /// Pressure drop below the trend that ends the fill, Pa; `None` disables the detection.
     pub drop_pa: Option<f64>,
-    /// How long a filled group is watched before the next one, s: a rim that leaks takes time.
+    /// Time for which a filled group is watched before the next one starts, s: a rim that leaks takes time to detach.
     pub watched_s: f64,
 }
 
@@ -32,31 +33,34 @@ impl Default for Settings {
             rate_m3_s: 0.8e-6,
             volume_max_m3: 6e-6,
             pressure_max_pa: Some(18e3),
-            // Six standard deviations of the trend and the mean below. 4.5 % of 1000 trials detach without being seen by it.
+            // Six standard deviations of the difference between the trend and the mean. 4.5 % of 1000 trials detach
+            // undetected.
             drop_pa: Some(120.0),
             watched_s: 1.0,
         }
     }
 }
 
-/// Samples of the newest pressure, of the gap before it, and of the trend before that.
+/// Windows of the detector, in samples: the newest pressures, the gap before them, and the trend before that.
 const NEWEST: usize = 4;
 const GAP: usize = 8;
 const TREND: usize = 36;
 
-/// Compares a line's newest pressure with the straight line through those before: a strip that relaxes at once drops it.
+/// Detector of a detachment: compares a line's newest pressure with a straight line through earlier ones. A strip that
+/// relaxes at once drops the pressure.
 #[derive(Clone, Debug, Default)]
 pub struct Signature {
     samples_pa: VecDeque<f64>,
 }
 
 impl Signature {
-    /// Forgets what was before: the syringe starts or stops.
+    /// Clears the samples. The caller restarts the detector when a syringe starts or stops, which changes the trend.
     pub fn restart(&mut self) {
         self.samples_pa.clear();
     }
 
-    /// How far the newest samples are below the trend, Pa; `None` until there are enough of them. To be called once for each sample.
+    /// Takes one sample and returns the distance of the newest samples below the trend, Pa; `None` until the windows
+    /// are full. Call it once for each sample.
     pub fn drop_pa(&mut self, pressure_pa: f64) -> Option<f64> {
         self.samples_pa.push_back(pressure_pa);
         if self.samples_pa.len() <= NEWEST + GAP + TREND {
@@ -64,7 +68,7 @@ impl Signature {
         }
         self.samples_pa.pop_front();
         let trend = || self.samples_pa.iter().take(TREND).enumerate();
-        // Straight line by least squares over 0..TREND, of which the mean place is known.
+        // Least-squares line over places 0..TREND, whose mean place is known in closed form.
         let middle = (TREND - 1) as f64 / 2.0;
         let mean_pa = trend().map(|(_, pa)| pa).sum::<f64>() / TREND as f64;
         let (mut over, mut squares) = (0.0, 0.0);
@@ -93,7 +97,7 @@ mod tests {
             dropped.push(signature.drop_pa(slope(place) - step_pa));
         }
         assert!(dropped[..48].iter().all(Option::is_none));
-        // A straight line is its own trend, to rounding.
+        // A straight line is its own trend, to rounding errors.
         assert!(dropped[48..120].iter().flatten().all(|pa| pa.abs() < 1e-6));
         let seen = dropped[120..].iter().flatten().take_while(|pa| **pa < 299.0).count();
         assert!(seen < NEWEST, "{seen} samples late");

@@ -1,12 +1,13 @@
-//! SUCTION: a strip with two suction cups that three inflatable membranes take off.
+//! SUCTION: a strip with two suction cups, detached by three inflatable membranes.
 //!
 //! Paper: "Suction Cup Detachment Mechanism based on Fluidic Soft Actuators Strain for In-vivo Applications", TAROS 2023: a strip of
 //! 68 x 18 x 5 mm of Ecoflex 00-50 with membranes of 1 mm, cups of 18 mm, inflated at 0.38 bar, middle then outers or the other way round.
 //!
-//! 0.38 bar is three to six times what such a membrane can hold: its pressure is highest at a stretch of 1.383, 11.8 kPa with a wall of
-//! a fifth of its radius, 6.5 kPa with a ninth. Pressure control beyond it runs away, volume control does not. [`law`] is ours: syringes,
-//! an interlock on pressure, and an end on the drop of pressure by which a detachment shows. [`adhesion`] is what the printed pull-off
-//! forces say, [`blind`] names effects from recordings. The tissue is a plane with a stiffness: nothing is claimed about bodies.
+//! 0.38 bar is three to six times what such a membrane can hold: its pressure has a maximum at a stretch of 1.383, 11.8
+//! kPa with a wall of a fifth of its radius, 6.5 kPa with a ninth. Pressure control beyond this limit point runs away;
+//! volume control does not. [`law`] is ours: syringes, an interlock on pressure, and an end on the pressure drop that a
+//! detachment causes. [`adhesion`] interprets the printed pull-off forces, [`blind`] identifies missing effects from
+//! recordings. The tissue is a plane with a stiffness: no claim is made about bodies.
 
 pub mod adhesion;
 pub mod blind;
@@ -24,14 +25,14 @@ use law::{MIDDLE_FIRST, OUTERS_FIRST, Settings};
 use protocol::{Method, Moment, Trace};
 use scene::{Blind, Case, Feed, Hidden, Setup};
 
-/// The system.
+/// Robot system SUCTION, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Suction;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "suction";
 
-/// Arms.
+/// Names of the arms.
 const PRINTED: &str = "paper";
 const OTHER_ORDER: &str = "baseline:outers-first";
 const OURS: &str = "ours";
@@ -47,13 +48,13 @@ const BLIND: [(&str, Option<Hidden>); 4] = [
 
 /// Printed inflation pressure, Pa.
 const PRINTED_PA: f64 = 38e3;
-/// Pressure that ours must stay below, Pa.
+/// Pressure that our arm must stay below, Pa.
 const MOST_PA: f64 = 20e3;
-/// How long a valve is open before the next group's, s: not printed, our choice.
+/// Time for which a group's valves are open before the next group's, s: not printed, our choice.
 const GROUP_S: f64 = 5.0;
-/// Recordings of a blind trial.
+/// Number of recordings in a blind trial; the last is held out.
 const RECORDINGS: usize = 4;
-/// Purpose of random numbers.
+/// Purpose of the random numbers of recordings.
 const OF_RECORDINGS: u64 = 3;
 
 const fn board(name: &'static str, does: &'static str) -> Arm {
@@ -68,7 +69,7 @@ const fn ours(limit: Limit, from: &'static str) -> Target {
     Target { arm: OURS, limit, from }
 }
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {
@@ -150,7 +151,7 @@ fn unsuitable(trial: &Trial) -> impl Fn(String) -> Error {
     move |why| Error::Unsuitable { system: NAME, board: board.clone(), why }
 }
 
-/// How an arm feeds and inflates.
+/// Supply and inflation method of an arm.
 fn method(arm: &str) -> (Feed, Method) {
     let ours = Settings::default();
     let by_volume = |settings| (Feed::Syringes, Method::Volume(settings));
@@ -163,10 +164,10 @@ fn method(arm: &str) -> (Feed, Method) {
     }
 }
 
-/// What is true over a trial.
+/// Runs a trial and returns the true states during it.
 ///
 /// # Errors
-/// When the board does not fit, or the session fails.
+/// [`Error::Unsuitable`] when the board does not fit; [`Error::Rig`] when the session fails.
 pub fn trace(trial: &Trial) -> Result<Trace, Error> {
     let (feed, method) = method(trial.arm);
     let case = Case::of(trial.seed);
@@ -174,6 +175,7 @@ pub fn trace(trial: &Trial) -> Result<Trace, Error> {
     rig.seed = trial.seed;
     let mut robot = rig.robot()?;
     let setup = Setup::of(&robot).map_err(unsuitable(trial))?;
+    // Tried on this copy first: the rig's own change cannot report an error.
     case.put_into(&mut robot, feed).map_err(unsuitable(trial))?;
     rig.alter = Some(case.altered(feed));
     let order = if trial.arm == OTHER_ORDER { OUTERS_FIRST } else { MIDDLE_FIRST };
@@ -181,9 +183,10 @@ pub fn trace(trial: &Trial) -> Result<Trace, Error> {
     Ok(rig.run(None, work)?.0)
 }
 
-/// Metrics of a trial.
+/// Computes the metrics of a trial.
 fn evaluate(trace: &Trace) -> Values {
     let Trace { moments, began_s, signature_s, is_interlocked } = trace;
+    // Before the first membrane is fed the world settles; the metrics ignore that time.
     let moments = &moments[moments.partition_point(|moment| moment.time_s < *began_s)..];
     let detached = moments.iter().find(|moment| moment.is_attached != [true; 2]);
     let most = |of: &dyn Fn(&Moment) -> f64| moments.iter().map(of).fold(0.0, f64::max);
@@ -201,6 +204,7 @@ fn evaluate(trace: &Trace) -> Values {
     put("residual_adhesion_n", moments.last().map_or(0.0, |last| last.adhesion_n.iter().sum()));
     put("stretch_max", most(&|moment| largest(&moment.stretch)));
     put("shear_max_n", most(&|moment| largest(&moment.shear_n)));
+    // A signature is true when a cup was off the tissue before it.
     let is_true = |at_s: f64| detached.is_some_and(|detached| detached.time_s <= at_s);
     put("stopped_by_signature", is(signature_s.is_some_and(is_true)));
     put("false_signature", is(signature_s.is_some_and(|at_s| !is_true(at_s))));
@@ -208,7 +212,7 @@ fn evaluate(trace: &Trace) -> Values {
     values
 }
 
-/// Records virgin membranes, and names what their base model lacks.
+/// Records virgin membranes and searches for the effect that their base model lacks.
 fn blind_trial(trial: &Trial, hidden: Option<Hidden>) -> Result<Values, Error> {
     let mut sampler = Sampler::new(trial.seed, OF_RECORDINGS);
     let mut rig = Rig::new(trial.board.clone());
@@ -216,8 +220,10 @@ fn blind_trial(trial: &Trial, hidden: Option<Hidden>) -> Result<Values, Error> {
     rig.alter = Some(Blind::of(trial.seed, hidden).altered());
     let mut runs = Vec::new();
     for number in 0..RECORDINGS {
+        // Each recording has noise of its own.
         rig.seed = trial.seed.wrapping_mul(RECORDINGS as u64).wrapping_add(number as u64);
         let first_m3 = sampler.uniform(2.4e-6, 3.2e-6);
+        // Load, unload, and reload a little beyond: the reload shows softening, the rests show creep and leaks.
         let volumes_m3 = [first_m3, 1e-6, first_m3 + 0.5e-6];
         let work = async |session: &Session<'_>| protocol::record(session, &setup, &volumes_m3, 0.8e-6, 1.0).await;
         runs.push(rig.run(None, work)?.0);
@@ -239,7 +245,7 @@ fn blind_trial(trial: &Trial, hidden: Option<Hidden>) -> Result<Values, Error> {
     Ok(values)
 }
 
-/// Pressure control as printed and at 0.2 bar, and ours.
+/// Figure of one case: pressure control as printed and at 0.2 bar, and volume control by our arm.
 fn figure(trial: &Trial) -> Result<Figure, Error> {
     let of = |arm| trace(&Trial { arm, ..trial.clone() });
     let (printed, low, ours) = (of(PRINTED)?, of(LOW_PRESSURE)?, of(OURS)?);

@@ -1,4 +1,5 @@
-//! Inflation on a board: pumps or valves in an order, pressures by telemetry, and what is true meanwhile.
+//! Inflation on a board: switches pumps or valves in an order, receives pressures by telemetry, and samples the true
+//! state meanwhile.
 
 use std::{
     cell::{Cell, RefCell},
@@ -16,80 +17,82 @@ use super::{
     scene::Setup,
 };
 
-/// How often the truth is noted, s.
+/// Period of the samples of the true state, s.
 const WATCHED_EVERY_S: f64 = 5e-3;
-/// How often pressures are sent, ms.
+/// Period of the pressures' telemetry, ms.
 const SENT_EVERY_MS: u16 = 5;
-/// How long the pressure follows a pump that starts or stops, s: the motor's ramp of 75 ms, then tube and viscosity of 30 ms.
+/// Time for which the pressure lags behind a pump that starts or stops, s: the motor's ramp of 75 ms, then tube and
+/// viscosity of 30 ms.
 const FOLLOWS_S: f64 = 0.3;
-/// How long the program waits for frames with all pressures, s.
+/// Timeout for a frame with all pressures, s.
 const FRAMES_S: f64 = 0.5;
-/// Rate of a pump that withdraws, m³/s: below the motors' top speed.
+/// Flow of a pump that withdraws, m³/s: below the motors' top speed.
 const WITHDRAWS_M3_S: f64 = 1.4e-6;
-/// How long the vented membranes are waited for, s.
+/// Waiting time for the vented membranes to empty, s.
 const VENTS_S: f64 = 0.6;
 
-/// What is true at one moment.
+/// True state at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
-    /// s
+    /// Time of the simulation, s.
     pub time_s: f64,
-    /// Above the atmosphere, in the lines, Pa.
+    /// Gauge pressure in the lines, Pa.
     pub line_pa: [f64; MEMBRANES],
-    /// Above the atmosphere, in the membranes, Pa.
+    /// Gauge pressure in the membranes, Pa.
     pub balloon_pa: [f64; MEMBRANES],
-    /// Stretch of the membranes.
+    /// Stretch of the membranes; 1 at rest.
     pub stretch: [f64; MEMBRANES],
-    /// Whether each has burst.
+    /// True for each membrane that has burst.
     pub is_burst: [bool; MEMBRANES],
     /// Pull-off force of each cup, N.
     pub adhesion_n: [f64; 2],
-    /// Whether each is on the tissue.
+    /// True for each cup that holds on the tissue.
     pub is_attached: [bool; 2],
-    /// Tangential force of each on the tissue, N.
+    /// Tangential force of each cup on the tissue, N.
     pub shear_n: [f64; 2],
 }
 
-/// What was true over a trial, and what the program decided.
+/// True states over a trial, and the decisions of the program.
 #[derive(Clone, Debug, Default)]
 pub struct Trace {
-    /// Every 5 ms.
+    /// True states every 5 ms.
     pub moments: Vec<Moment>,
-    /// When the first membrane was fed, s on the clock of the moments.
+    /// Time at which the first membrane was fed, s on the clock of the moments.
     pub began_s: f64,
-    /// When the signature ended the inflation, s; `None` where it did not.
+    /// Time at which the signature ended the inflation, s; `None` where it did not.
     pub signature_s: Option<f64>,
-    /// Whether a line reached the interlock's pressure.
+    /// True when a line reached the interlock's pressure.
     pub is_interlocked: bool,
 }
 
-/// How a trial inflates.
+/// Inflation method of a trial.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Method {
-    /// By syringes.
+    /// Volume control by syringes.
     Volume(Settings),
-    /// By valves, each group for so long, s.
+    /// Pressure control by valves, group by group.
     Pressure {
-        /// s
+        /// Time for which a group's valves are open before the next group's, s.
         group_s: f64,
     },
 }
 
-/// A pressure of a recording.
+/// One pressure reading of a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
-    /// Since the recording began, s.
+    /// Time since the recording began, s.
     pub time_s: f64,
-    /// What the pump has pushed by its steps, m³.
+    /// Volume that the pump has displaced, counted by its steps, m³.
     pub pushed_m3: f64,
-    /// Above the atmosphere, as the sensor has it, Pa.
+    /// Gauge pressure as measured, Pa.
     pub pressure_pa: f64,
 }
 
-/// Inflates in an order, and vents.
+/// Inflates the membranes in an order, and vents them.
 ///
 /// # Errors
-/// When the board is not virtual, does not arm, or stops.
+/// The error of the board when it is not virtual, does not arm, or stops; [`Error::NoReadings`] when pressures are
+/// missing.
 pub async fn inflate(session: &Session<'_>, setup: &Setup, order: Order, method: Method) -> Result<Trace, Error> {
     let moments = RefCell::new(Vec::new());
     let watch = async {
@@ -107,6 +110,7 @@ pub async fn inflate(session: &Session<'_>, setup: &Setup, order: Order, method:
             Method::Pressure { group_s } => by_pressure(session, setup, order, group_s).await,
         });
         let (signature_s, is_interlocked) = done.await?;
+        // The residual adhesion is that of vented membranes.
         session.board.sleep_s(VENTS_S).await;
         trace.set(Trace { moments: Vec::new(), began_s, signature_s, is_interlocked });
         Ok::<_, Error>(())
@@ -122,7 +126,7 @@ pub async fn inflate(session: &Session<'_>, setup: &Setup, order: Order, method:
     Ok(Trace { moments: moments.into_inner(), ..trace.take() })
 }
 
-/// The pad of a session's board.
+/// Calls `of` with the board's pad and the simulation time, s; `None` when the body is no pad.
 pub(super) fn with_pad<T>(session: &Session<'_>, of: impl FnOnce(&SuctionPad, f64) -> T) -> Result<Option<T>, Error> {
     let mut world = session.virtual_board()?.world();
     let time_s = world.clock().now_ns() as f64 * 1e-9;
@@ -147,7 +151,7 @@ fn look(session: &Session<'_>) -> Result<Moment, Error> {
             shear_n: state.shear_n,
         }
     })?;
-    // `Setup::of` refuses every other robot.
+    // Not reached: `Setup::of` refuses robots without a pad.
     Ok(moment.unwrap_or(Moment {
         time_s: 0.0,
         line_pa: [0.0; MEMBRANES],
@@ -183,13 +187,14 @@ async fn by_pressure(
         }
         session.board.sleep_s(group_s).await;
     }
+    // Valves that are switched off vent the membranes, on every path out of this method.
     for line in &setup.lines {
         set(session, line.valve, Mode::Switch, 0.0).await?;
     }
     Ok((None, false))
 }
 
-/// What the pressures of a fill have shown.
+/// State of a fill: detectors and interlocks of the lines.
 struct Fill<'a> {
     settings: &'a Settings,
     signatures: [Signature; MEMBRANES],
@@ -227,13 +232,16 @@ async fn by_volume(
             pumps(settings.rate_m3_s).await?;
             watch_pressures(session, setup, &fill, fills_s).await
         };
+        // The margin of 2 s lets the state end by itself; its timeout is for a board that stalls.
         let seen = sequence.state("fill", fills_s + 2.0, filling).await?;
         let watching = async {
             pumps(0.0).await?;
+            // A detached cup needs no further watch.
             if seen { Ok(true) } else { watch_pressures(session, setup, &fill, settings.watched_s).await }
         };
         if sequence.state("watch", settings.watched_s + 2.0, watching).await? {
             signature_s = Some(look(session)?.time_s);
+            // The remaining groups are not inflated.
             break;
         }
     }
@@ -253,8 +261,8 @@ async fn by_volume(
     Ok((signature_s, is_interlocked))
 }
 
-/// Watches pressures for a time after pumps started or stopped; whether the signature of a detachment was seen. Lines beyond the
-/// interlock's pressure are withdrawn.
+/// Watches the pressures for `seconds` after pumps started or stopped, and returns true as soon as a detachment's
+/// signature is detected. Withdraws lines whose pressure exceeds the interlock's limit.
 async fn watch_pressures(
     session: &Session<'_>,
     setup: &Setup,
@@ -262,6 +270,7 @@ async fn watch_pressures(
     seconds: f64,
 ) -> Result<bool, Error> {
     let began_s = session.board.now_s();
+    // The pump's start or stop changes the slope of the pressure: the trend begins anew.
     fill.borrow_mut().signatures.iter_mut().for_each(Signature::restart);
     let mut telemetry = session.board.telemetry();
     let mut complete_s = began_s;
@@ -271,7 +280,7 @@ async fn watch_pressures(
         if frame.state == SafetyState::Tripped {
             return Err(r4_driver::Error::Stopped { causes: frame.causes }.into());
         }
-        // Without an interlock nobody minds that a sensor is at the end of its range.
+        // Without an interlock a saturated sensor stops nothing: the ablation continues with its last value.
         let is_strict = fill.borrow().settings.pressure_max_pa.is_some();
         let Some(pressures_pa) = pressures(setup, &frame.samples, is_strict)? else {
             if now_s - complete_s > FRAMES_S {
@@ -284,11 +293,13 @@ async fn watch_pressures(
         {
             let fill = &mut *fill.borrow_mut();
             for (number, pressure_pa) in pressures_pa.into_iter().enumerate() {
+                // A withdrawing line loses pressure by itself, which is no signature.
                 if fill.stopped[number] {
                     continue;
                 }
                 over[number] = fill.settings.pressure_max_pa.is_some_and(|most_pa| pressure_pa > most_pa);
                 fill.stopped[number] |= over[number];
+                // A pump that starts or stops bends the pressure curve, which would look like a drop.
                 if now_s - began_s > FOLLOWS_S {
                     let drop_pa = fill.signatures[number].drop_pa(pressure_pa).unwrap_or(0.0);
                     seen |= fill.settings.drop_pa.is_some_and(|least_pa| drop_pa > least_pa) && !over[number];
@@ -304,7 +315,8 @@ async fn watch_pressures(
     }
 }
 
-/// Pressures above the atmosphere, Pa, if a frame has all of them; the last good ones of sensors that fail, unless `is_strict`.
+/// Gauge pressures, Pa, when a frame has those of all lines, else `None`. A reading that is not good is an error if
+/// `is_strict`; otherwise its value is used.
 fn pressures(setup: &Setup, samples: &[Sample], is_strict: bool) -> Result<Option<[f64; MEMBRANES]>, Error> {
     let mut pressures_pa = [0.0; MEMBRANES];
     for (pressure_pa, line) in pressures_pa.iter_mut().zip(&setup.lines) {
@@ -314,7 +326,7 @@ fn pressures(setup: &Setup, samples: &[Sample], is_strict: bool) -> Result<Optio
     Ok(Some(pressures_pa))
 }
 
-/// Voltage of a sensor in a frame.
+/// Voltage of a sensor in a frame, V; `None` when the frame does not contain it.
 fn volts(sensor: ChannelId, samples: &[Sample], is_strict: bool) -> Result<Option<f64>, Error> {
     for sample in samples {
         match *sample {
@@ -332,8 +344,8 @@ fn volts(sensor: ChannelId, samples: &[Sample], is_strict: bool) -> Result<Optio
     Ok(None)
 }
 
-/// Records pressure over pushed volume of the middle line: its pump goes at `rate_m3_s` from one volume to the next, and rests for
-/// `rests_s` at each.
+/// Records pressure over displaced volume of the middle line. Its pump moves at `rate_m3_s` from one of `volumes_m3` to
+/// the next and rests for `rests_s` at each.
 ///
 /// # Errors
 /// When the board does not arm, or stops.
@@ -377,6 +389,7 @@ pub async fn record(
         for volume_m3 in volumes_m3 {
             let by_m3 = volume_m3 - at_m3;
             at_m3 = *volume_m3;
+            // Timed, not positioned: the recorded volume comes from the counted steps anyway.
             set(session, line.stepper, Mode::Speed, rate_m3_s.copysign(by_m3) / line.m3_per_rad).await?;
             session.board.sleep_s(by_m3.abs() / rate_m3_s).await;
             set(session, line.stepper, Mode::Speed, 0.0).await?;

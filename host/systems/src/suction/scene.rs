@@ -1,4 +1,4 @@
-//! Pads and tissues that the study samples, and which channels of a robot they are on.
+//! Pads and tissues that the study samples, and their channels on a robot.
 
 use std::{f64::consts::TAU, rc::Rc};
 
@@ -9,40 +9,40 @@ use r4_world::{AnyBody, Cup, MEMBRANES, MIDDLE, Membrane, SuctionPad};
 
 use crate::sampler::Sampler;
 
-/// Purposes of random numbers.
+/// Purposes of the random numbers: one sequence for cases, one for blind recordings.
 const OF_CASE: u64 = 1;
 const OF_BLIND: u64 = 2;
 
-/// What feeds the membranes.
+/// Supply of the membranes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Feed {
-    /// Syringes; the valves' supply ports are plugged.
+    /// Syringe pumps; the valves' supply ports are plugged.
     Syringes,
-    /// A regulator at this pressure above the atmosphere, Pa.
+    /// A regulator at this gauge pressure, Pa.
     Supply(f64),
 }
 
-/// A pad on tissue. [`About::sampled`](crate::About::sampled) has the ranges.
+/// A sampled pad on tissue. [`About::sampled`](crate::About::sampled) has the ranges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
-    /// Modulus of each membrane over the file's.
+    /// Modulus of each membrane over that of the robot's file.
     pub modulus: [f64; MEMBRANES],
     /// Radius of the membranes at rest, m.
     pub radius_m: f64,
-    /// Stretch at which each bursts.
+    /// Stretch at which each membrane bursts.
     pub burst_stretch: [f64; MEMBRANES],
     /// Suction under both cups, Pa.
     pub suction_pa: f64,
     /// Tangential stiffness of each rim on the tissue, N/m.
     pub stiffness_n_m: [f64; 2],
-    /// Strain beyond which each rim leaks.
+    /// Strain beyond which each rim leaks; dimensionless.
     pub leak_strain: [f64; 2],
-    /// Share of the conductance that a kink leaves the middle's tube; 1 without.
+    /// Conductance of the middle line's tube over its nominal one: 0.01 with a kink, 1 without.
     pub kink: f64,
 }
 
 impl Case {
-    /// The case of a seed.
+    /// Samples the case of a seed.
     #[must_use]
     pub fn of(seed: u64) -> Self {
         let mut sampler = Sampler::new(seed, OF_CASE);
@@ -61,7 +61,7 @@ impl Case {
     /// Changes a robot to this case.
     ///
     /// # Errors
-    /// What the robot's file has in place of a pad, or why the pad cannot be.
+    /// The reason in words: the robot has no suction pad, or the changed pad is not valid.
     pub fn put_into(&self, robot: &mut Robot, feed: Feed) -> Result<(), String> {
         let nominal = pad(robot)?;
         let mut membranes = *nominal.membranes();
@@ -87,25 +87,25 @@ impl Case {
         Ok(())
     }
 
-    /// What a rig does to a robot to make it this case.
+    /// Returns the function by which a rig changes its robot to this case.
     pub fn altered(self, feed: Feed) -> Alter {
         // A robot without a pad stays as it is: `Setup::of` has refused it.
         Rc::new(move |robot| drop(self.put_into(robot, feed)))
     }
 }
 
-/// An effect that a membrane of the recordings may have, and the model of who reads them may lack.
+/// An effect that a recorded membrane may have and the base model of the search lacks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hidden {
-    /// Less pressure on reloading.
+    /// Mullins effect: less pressure on reloading than on the first loading.
     Mullins,
-    /// Pressure that relaxes.
+    /// Creep: pressure that relaxes at a constant stretch.
     Creep,
-    /// A membrane that leaks.
+    /// Leak of the membrane, proportional to its pressure.
     Leak,
 }
 
-/// A pad in air with a membrane whose modulus is unknown, and perhaps an effect.
+/// A pad in air whose middle membrane has a random modulus and at most one effect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Blind {
     modulus: f64,
@@ -113,7 +113,7 @@ pub struct Blind {
 }
 
 impl Blind {
-    /// That of a seed with this effect.
+    /// Samples the pad of a seed with this effect.
     #[must_use]
     pub fn of(seed: u64, hidden: Option<Hidden>) -> Self {
         let mut sampler = Sampler::new(seed, OF_BLIND);
@@ -129,7 +129,7 @@ impl Blind {
         Self { modulus, hidden }
     }
 
-    /// What a rig does to a robot to make it this one.
+    /// Returns the function by which a rig changes its robot to this pad.
     pub fn altered(self) -> Alter {
         Rc::new(move |robot| {
             let Ok(nominal) = pad(robot) else { return };
@@ -159,7 +159,7 @@ fn replace(robot: &mut Robot, pad: SuctionPad) {
     }
 }
 
-/// The pad of a robot.
+/// The pad of a robot; an error in words when it has none.
 pub(super) fn pad(robot: &Robot) -> Result<&SuctionPad, String> {
     match robot.simulation.body.as_ref().map(|body| &body.kind) {
         Some(AnyBody::SuctionPad(pad)) => Ok(pad),
@@ -167,39 +167,39 @@ pub(super) fn pad(robot: &Robot) -> Result<&SuctionPad, String> {
     }
 }
 
-/// A line's channels.
+/// Channels and scales of one line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Line {
-    /// Its syringe pump.
+    /// Channel of the syringe pump's stepper.
     pub stepper: ChannelId,
-    /// Its valve.
+    /// Channel of the valve.
     pub valve: ChannelId,
-    /// Its pressure sensor.
+    /// Analog channel of the pressure sensor.
     pub sensor: ChannelId,
-    /// Volts of the sensor at the pressure of the atmosphere.
+    /// Voltage of the sensor at atmospheric pressure, V.
     pub zero_v: f64,
-    /// V/Pa
+    /// Gain of the sensor, V/Pa.
     pub volts_per_pa: f64,
-    /// Volume that the pump pushes for each rad, m³.
+    /// Volume displaced per rad of the pump's shaft, m³/rad.
     pub m3_per_rad: f64,
     /// Volume of syringe, tube and sensor with the pump at 0, m³.
     pub volume_m3: f64,
 }
 
-/// What a program knows of the robot.
+/// Channels and datasheet values that a program knows of its robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setup {
-    /// The lines: outer, middle, outer.
+    /// Lines in the order outer, middle, outer.
     pub lines: [Line; MEMBRANES],
-    /// The middle membrane as it was cast, of a modulus by the data sheet.
+    /// Middle membrane as cast, with the datasheet's modulus.
     pub membrane: Membrane,
 }
 
 impl Setup {
-    /// That of a robot.
+    /// Reads the setup of a robot.
     ///
     /// # Errors
-    /// What the robot lacks.
+    /// The part that the robot lacks, in words.
     pub fn of(robot: &Robot) -> Result<Self, String> {
         let pad = pad(robot)?;
         let channels = robot.simulation.body.as_ref().map_or(&[][..], |body| &body.channels);

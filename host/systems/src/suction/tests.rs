@@ -20,7 +20,7 @@ fn volume_control_takes_a_cup_off_below_a_fifth_of_a_bar_and_ends_on_the_drop() 
     assert!(ours["detached"] == 1.0 && ours["burst"] == 0.0 && ours["peak_pressure_pa"] <= MOST_PA, "{ours:?}");
     assert!(ours["stopped_by_signature"] == 1.0 && ours["false_signature"] == 0.0, "{ours:?}");
     assert_eq!(values(OURS, 2), ours, "the same seed, bit for bit");
-    // Who does not look for the drop stretches the membranes farther.
+    // Without the end on the pressure drop the membranes stretch farther.
     let blind = values(NO_SIGNATURE, 2);
     assert!(blind["stretch_max"] > ours["stretch_max"] && blind["burst"] == 0.0, "{blind:?} {ours:?}");
 }
@@ -33,7 +33,7 @@ fn pressure_control_bursts_at_the_printed_pressure_and_at_a_fifth_of_a_bar() {
     }
 }
 
-/// A kinked tube lets the line's pressure rise beyond 0.2 bar where nothing stops the syringe.
+/// A kinked tube lets the line's pressure rise beyond 0.2 bar when nothing stops the syringe.
 #[test]
 fn the_interlock_stops_a_pump_before_a_kinked_tube() {
     let seed = (1..=1000).find(|seed| Case::of(*seed).kink < 1.0).expect("one of ten");
@@ -42,7 +42,8 @@ fn the_interlock_stops_a_pump_before_a_kinked_tube() {
     assert!(without["interlocked"] == 0.0 && without["peak_pressure_pa"] > 1.5 * MOST_PA, "{without:?}");
 }
 
-/// Half way through the inflation: pumps stand, valves vent, the membranes go slack and both cups stay on the tissue.
+/// The dead man is released halfway through the inflation: pumps stop, valves vent, the membranes go slack and both
+/// cups stay on the tissue.
 #[test]
 fn a_released_dead_man_vents_the_membranes_and_leaves_the_cups() {
     let case = Case { kink: 1.0, leak_strain: [0.2; 2], ..Case::of(2) };
@@ -70,10 +71,10 @@ fn a_released_dead_man_vents_the_membranes_and_leaves_the_cups() {
     assert_eq!(state, SafetyState::Tripped);
     assert!(released.membrane[MIDDLE].stretch > 1.2, "{released:?}");
     assert!(later.membrane[MIDDLE].stretch < 1.02 && later.line[MIDDLE].gauge_pa().abs() < 200.0, "{later:?}");
-    // The strip lets go of the rims; the cups hold with the suction that they had.
+    // The strip releases the rims; the cups hold by their unchanged suction.
     assert!(later.is_attached == [true; 2] && later.suction_pa == released.suction_pa, "{later:?}");
     assert!(later.shear_n.iter().all(|shear_n| *shear_n < 0.02), "{later:?}");
-    // A screw of 2 mm holds the plunger where it was.
+    // The lead screw of 2 mm pitch is self-locking: the plunger stays in place.
     let volume = |state: &SuctionState| state.line[MIDDLE].volume_m3;
     assert!((volume(&later) - volume(&released)).abs() < 0.02e-6, "{} {}", volume(&later), volume(&released));
 }

@@ -1,4 +1,4 @@
-//! The same lift without a board: drives that do what they are commanded, and sensors that measure exactly.
+//! The same lift without a board: drives that follow their commands, and sensors that measure exactly.
 
 use r4_world::{BalanceTail, Body as _, MAX_STEP_S, Scene, ShaftMotion};
 
@@ -8,12 +8,13 @@ use super::{
     scene::{Case, Joint, Setup},
 };
 
-/// The person without a tail.
+/// Simulates the person without a tail.
 pub(super) fn without_tail(mut body: BalanceTail, case: &Case) -> Vec<Moment> {
     run(&mut body, case, &mut |_, _, _, _| {})
 }
 
-/// The person with a tail on perfect actuators: the regulator measures trunk and motors exactly, without delay.
+/// Simulates the person with a tail on perfect actuators: the regulator measures trunk and motors exactly, without
+/// delay.
 pub(super) fn with_tail(mut body: BalanceTail, case: &Case, setup: &Setup, regulator: &Regulator) -> Vec<Moment> {
     let every = (setup.settings.period_s / MAX_STEP_S).round() as usize;
     let (mut command, mut integral) = (Command::default(), 0.0);
@@ -45,7 +46,7 @@ impl MotorState {
     fn step(&mut self, joint: &Joint, share: f64, load_nm: f64) {
         let Motor { torque_max_nm, power_max_w, top_speed_rad_s, speed_gain_nm_s } = joint.motor;
         let target = share * top_speed_rad_s;
-        // Implicit, so that 6 ms at 0.25 ms stay stable under a held load.
+        // Implicit step: a time constant of 6 ms at steps of 0.25 ms stays stable under a held load.
         let rate = speed_gain_nm_s / joint.rotor_kg_m2;
         let ShaftMotion { position, speed } = self.shaft;
         let free = (speed + MAX_STEP_S * (rate * target + load_nm / joint.rotor_kg_m2)) / (1.0 + MAX_STEP_S * rate);
@@ -59,7 +60,8 @@ impl MotorState {
     }
 }
 
-/// Moves the motors in each step: the body before it, its number, motors and loads.
+/// Callback that moves the motors in each step. Arguments: the body before the step, the step's number, motors and
+/// loads.
 type Drive<'d> = &'d mut dyn FnMut(&BalanceTail, usize, &mut [MotorState; 2], &[f64; 2]);
 
 fn run(body: &mut BalanceTail, case: &Case, drive: Drive<'_>) -> Vec<Moment> {

@@ -1,4 +1,5 @@
-//! The controller of the tail: a linear quadratic regulator on gravity compensation, inside what motors and joints can do.
+//! Controller of the tail: a linear quadratic regulator with gravity compensation, limited to what motors and joints
+//! can do.
 
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 
@@ -8,41 +9,43 @@ use super::{
     scene::Setup,
 };
 
-/// Angles of the joints about which the gain is designed, rad. Experiment: seeds 1 to 30 of `r4 system study tail --arms ours`. With half
-/// of them the median excursion is 0.477 of that without a tail, so 0.397.
+/// Angles of the joints about which the gain is designed, rad. Experiment: seeds 1 to 30 of `r4 system study tail
+/// --arms ours`. With half the angles the median excursion is 0.477 of that without a tail, with these 0.397.
 const HALF_RAISED_RAD: [f64; 2] = [0.6, 0.3];
 
-/// What a motor and its drive can do, at the motor's shaft.
+/// Limits of a motor and its drive, at the motor's shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motor {
-    /// N m
+    /// Torque limit, N m.
     pub torque_max_nm: f64,
-    /// W
+    /// Limit of the mechanical power, W.
     pub power_max_w: f64,
-    /// At full share, rad/s.
+    /// Speed at full share, rad/s.
     pub top_speed_rad_s: f64,
-    /// Torque for each rad/s by which the motor lags behind its command, N m s/rad.
+    /// Gain of the drive's speed loop: torque per speed error, N m s/rad.
     pub speed_gain_nm_s: f64,
 }
 
-/// What the controller must keep to and what it weighs.
+/// Limits and weights of the controller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Time from one command to the next, s.
+    /// Period of the commands, s.
     pub period_s: f64,
-    /// Of trunk, joints, their rates, and the integral of the trunk's lean; squares of what counts as large.
+    /// Weights of trunk angle, joint angles, their rates, and the integral of the lean: inverse squares of values that
+    /// count as large.
     pub weight: [f64; 7],
-    /// Of the joints' torques.
+    /// Weights of the joints' torques.
     pub torque_weight: [f64; 2],
     /// Lowest and highest angle of each joint, rad.
     pub range_rad: [[f64; 2]; 2],
-    /// Share of torque and power that is asked for at most: the rest is for what is measured late.
+    /// Share of the torque and power limits that is used; the rest is a margin for late measurements.
     pub share: f64,
 }
 
 impl Default for Settings {
-    /// Weights of a lean of 3 mrad, a rate of 10 mrad/s, 1 rad of the first joint, 0.06 rad of the second. On perfect actuators, with a
-    /// fifth of the trunk's three weights the excursion is 52 % of that without a tail, with half of them 44 %, so 39 %.
+    /// Weights for a lean of 3 mrad, a rate of 10 mrad/s, 1 rad of the first joint and 0.06 rad of the second. On
+    /// perfect actuators the excursion is 39 % of that without a tail; with a fifth of the trunk's three weights it is
+    /// 52 %, with half of them 44 %.
     fn default() -> Self {
         Self {
             period_s: 0.01,
@@ -54,25 +57,25 @@ impl Default for Settings {
     }
 }
 
-/// What is measured.
+/// Measurements for one command.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Measured {
-    /// Trunk and joints, rad.
+    /// Angles of trunk and joints, rad.
     pub angle_rad: [f64; 3],
-    /// rad/s
+    /// Rates of trunk and joints, rad/s.
     pub rate_rad_s: [f64; 3],
 }
 
-/// What goes to the drives.
+/// Commands for the drives.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Command {
-    /// Share of full speed of each motor, -1 to 1.
+    /// Share of full speed for each motor, -1 to 1.
     pub share: [f64; 2],
-    /// Torque it is meant to give at each motor's shaft, N m.
+    /// Torque intended at each motor's shaft, N m.
     pub torque_nm: [f64; 2],
 }
 
-/// The regulator.
+/// Linear quadratic regulator with its limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Regulator {
     model: Model,
@@ -82,25 +85,25 @@ pub struct Regulator {
 }
 
 impl Regulator {
-    /// The regulator of a tail and its motors.
+    /// Designs the regulator of a tail and its motors.
     ///
     /// # Errors
-    /// [`LqrError`], for a model that no gain makes stable.
+    /// [`LqrError`] when no gain stabilises the model, or the torque weight has no inverse.
     pub fn of(setup: &Setup) -> Result<Self, LqrError> {
         Self::new(setup.model, setup.joints.map(|joint| joint.motor), setup.settings, HALF_RAISED_RAD)
     }
 
-    /// Designs the gain about the tail half raised, `about_rad`.
+    /// Designs the gain about joint angles `about_rad`, the tail half raised.
     ///
     /// # Errors
-    /// [`LqrError`], for a model that no gain makes stable.
+    /// [`LqrError`] when no gain stabilises the model, or the torque weight has no inverse.
     pub fn new(model: Model, motors: [Motor; 2], settings: Settings, about_rad: [f64; 2]) -> Result<Self, LqrError> {
         let about = Vector3::new(0.0, about_rad[0], about_rad[1]);
         let (a, b) = model.linear(about).ok_or(LqrError::NotStabilisable)?;
         let mut with_integral = SMatrix::<f64, 7, 7>::zeros();
         with_integral.fixed_view_mut::<6, 6>(0, 0).copy_from(&a);
         with_integral[(6, 0)] = 1.0;
-        // The law adds what gravity takes at the joints' own angles: the model of what is left has no such springs.
+        // The law compensates gravity at the joints' measured angles: the remaining model has no such springs.
         let mut input = SMatrix::<f64, 7, 2>::zeros();
         input.fixed_view_mut::<6, 2>(0, 0).copy_from(&b);
         for joint in 0..2 {
@@ -117,7 +120,7 @@ impl Regulator {
         Ok(Self { model, motors, settings, gain })
     }
 
-    /// The command for what is measured, and the integral of the lean, rad s, after it: a pure function of both.
+    /// Command for a measurement, and the integral of the lean after it, rad s. Pure function of the arguments.
     #[must_use]
     pub fn next(&self, measured: &Measured, rest_rad: [f64; 2], integral_rad_s: f64) -> (Command, f64) {
         let [trunk, first, second] = measured.angle_rad;
@@ -144,12 +147,13 @@ impl Regulator {
             command.torque_nm[joint] = torque_nm;
             command.share[joint] = share;
         }
-        // While a limit holds the torque, adding up the lean only delays the way back.
+        // Anti-windup: while a limit holds the torque, integrating the lean only delays the return.
         let integral_rad_s = if is_limited { integral_rad_s } else { integral_rad_s + trunk * self.settings.period_s };
         (command, integral_rad_s)
     }
 
-    /// Torque and share of speed of a motor that it and its joint can take.
+    /// Limits a motor's torque, N m, to what it and its joint can take; also returns the share of speed that produces
+    /// it.
     fn within(&self, joint: usize, asked_nm: f64, angle_rad: f64, motor_rad_s: f64) -> (f64, f64) {
         let Motor { torque_max_nm, power_max_w, top_speed_rad_s, speed_gain_nm_s } = self.motors[joint];
         let Settings { period_s, range_rad, share, .. } = self.settings;
@@ -158,7 +162,7 @@ impl Regulator {
         let most_nm = if gives { most_nm.min(share * power_max_w / motor_rad_s.abs()) } else { most_nm };
         let torque_nm = asked_nm.clamp(-most_nm, most_nm);
         let mut speed_rad_s = motor_rad_s + torque_nm / speed_gain_nm_s;
-        // Near an end the joint goes no faster than it can stop in, ten periods at an even rate.
+        // Near an end the joint is limited to a speed from which it stops within ten periods at constant rate.
         let ratio = self.model.links[joint].ratio;
         let [low_rad, high_rad] = range_rad[joint];
         let within_s = 10.0 * period_s;
@@ -182,7 +186,7 @@ mod tests {
         let (motors, settings) = (setup.joints.map(|joint| joint.motor), setup.settings);
         let regulator = Regulator::of(&setup).expect("a gain");
         for number in 0..2000 {
-            // Low-discrepancy states well beyond what happens.
+            // Low-discrepancy states far outside the range of trials.
             let spread = |k: usize, most: f64| {
                 ((number as f64 * [0.618, 0.414, 0.732, 0.236, 0.875, 0.156][k]).fract() - 0.5) * 2.0 * most
             };

@@ -2,16 +2,16 @@
 
 use nalgebra::SMatrix;
 
-/// Doublings after which the Riccati equation must be solved: each squares the closed loop's contraction, so 40 suffice for
+/// Limit of doublings for the Riccati equation. Each squares the closed loop's contraction, so that 40 suffice for
 /// eigenvalues up to `1 - 1e-11`.
 const DOUBLINGS: usize = 40;
-/// Relative change of the solution at which it is taken for final: rounding of sums of ten products.
+/// Relative change of the solution at which it has converged: the rounding of sums of ten products.
 const SETTLED: f64 = 1e-13;
 
-/// Why there is no regulator.
+/// Reason why there is no regulator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LqrError {
-    /// No gain stabilises the system, or the weights do not see an unstable part of it.
+    /// No gain stabilises the system, or the weights do not contain an unstable part of it.
     #[error(
         "the Riccati equation has no stabilising solution: check that all that is unstable can be driven and is weighted"
     )]
@@ -21,11 +21,11 @@ pub enum LqrError {
     InputWeight,
 }
 
-/// A system sampled with a zero-order hold of `step_s`: `x' = A x + B u` becomes `x[k+1] = Ad x[k] + Bd u[k]`.
+/// Samples a system with a zero-order hold of `step_s`: `x' = A x + B u` becomes `x[k+1] = Ad x[k] + Bd u[k]`.
 ///
 /// # Source
-/// Van Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23 (1978): both are blocks of one exponential. Here its
-/// series is summed for a short step and doubled.
+/// Van Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23 (1978): both are blocks of one
+/// exponential. Here its series is summed for a short step, which is then doubled.
 #[must_use]
 pub fn sampled<const N: usize, const M: usize>(
     a: &SMatrix<f64, N, N>,
@@ -34,7 +34,7 @@ pub fn sampled<const N: usize, const M: usize>(
 ) -> (SMatrix<f64, N, N>, SMatrix<f64, N, M>) {
     let doublings = (a.norm() * step_s).max(1e-300).log2().ceil().max(0.0) as u32 + 4;
     let short_s = step_s / 2f64.powi(doublings as i32);
-    // Ad = I + a s + ..., and the integral of it.
+    // Ad = I + a s + ..., and its integral.
     let mut term = SMatrix::<f64, N, N>::identity();
     let mut transition = term;
     let mut integral = term * short_s;
@@ -51,10 +51,10 @@ pub fn sampled<const N: usize, const M: usize>(
     (transition, integral * b)
 }
 
-/// The stabilising solution `P` of `P = A' P A - A' P B (R + B' P B)^-1 B' P A + Q`.
+/// Finds the stabilising solution `P` of `P = A' P A - A' P B (R + B' P B)^-1 B' P A + Q`.
 ///
 /// # Errors
-/// [`LqrError`], when there is none.
+/// [`LqrError::InputWeight`] when `R` has no inverse; [`LqrError::NotStabilisable`] when there is no such solution.
 ///
 /// # Source
 /// Chu, Fan, Lin, Wang, "Structure-preserving algorithms for periodic discrete-time algebraic Riccati equations", International Journal
@@ -85,10 +85,10 @@ pub fn riccati<const N: usize, const M: usize>(
     Err(LqrError::NotStabilisable)
 }
 
-/// The gain `K` of `u = -K x` that makes the sum of `x' Q x + u' R u` least.
+/// Computes the gain `K` of `u = -K x` that minimises the sum of `x' Q x + u' R u`.
 ///
 /// # Errors
-/// [`LqrError`], when there is none.
+/// The errors of [`riccati`].
 pub fn gain<const N: usize, const M: usize>(
     a: &SMatrix<f64, N, N>,
     b: &SMatrix<f64, N, M>,
@@ -106,7 +106,7 @@ mod tests {
 
     use super::*;
 
-    /// `x[k+1] = a x + b u`: `P` solves a quadratic equation.
+    /// The scalar system `x[k+1] = a x + b u`, for which `P` solves a quadratic equation.
     #[test]
     fn a_scalar_has_the_closed_form() {
         for (a, b, q, r) in [(1.0, 1.0, 1.0, 1.0), (1.2, 0.3, 0.5, 2.0), (0.5, 1.0, 1.0, 0.1)] {
@@ -118,7 +118,7 @@ mod tests {
         }
     }
 
-    /// scipy 1.17.1 `solve_discrete_are` and `cont2discrete` of an inverted pendulum at 10 ms.
+    /// Reference values of scipy 1.17.1, `solve_discrete_are` and `cont2discrete`, for an inverted pendulum at 10 ms.
     #[test]
     fn a_pendulum_has_scipys_solution() {
         let (a, b) = sampled(&matrix![0.0, 1.0; 9.0, -0.4], &vector![0.0, 2.0], 0.01);
@@ -127,7 +127,7 @@ mod tests {
         assert!((b - Vector2::new(SCIPY_B[0], SCIPY_B[1])).norm() < 1e-14, "{b}");
         let p = riccati(&a, &b, &Matrix2::new(10.0, 0.0, 0.0, 1.0), &Matrix1::new(0.1)).unwrap();
         let [[p00, p01], [p10, p11]] = SCIPY_P;
-        // scipy solves it by a Schur form: its own residual is 1e-12 of the norm.
+        // scipy uses a Schur form, whose own residual is 1e-12 of the norm.
         assert!((p - Matrix2::new(p00, p01, p10, p11)).norm() < 1e-10 * p.norm(), "{p}");
     }
 

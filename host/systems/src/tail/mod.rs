@@ -3,8 +3,8 @@
 //! Paper: "Prototyping Mechanical Design of a Robotic Tail for Human Balance Support", TAROS 2023. It is mechanics only: links of 0.70
 //! and 0.40 m, at most 7 kg, cable drives of 20 to 30, 0.625 N/m (taken for N m) and 573 W for motor 1, 4 N/m and 262 W for motor 2.
 //!
-//! What is printed contradicts itself: at a ratio of 25 the motors give 15.6 and 100 N m, and the tail's weight asks for about 50 N m
-//! at the back and 10 N m at the middle joint. Three readings:
+//! The printed data contradict each other: at a ratio of 25 the motors give 15.6 and 100 N m, but the tail's weight
+//! needs about 50 N m at the back and 10 N m at the middle joint. Three readings:
 //!
 //! | reading | at the back | at the middle joint |
 //! | --- | --- | --- |
@@ -12,9 +12,10 @@
 //! | motor 1 is the outer joint's | 4 N m, 262 W | 0.625 N m, 573 W |
 //! | columns of torque and power crossed | 4 N m, 573 W | 0.625 N m, 262 W |
 //!
-//! The controller is ours: [`law`] is a pure function from what is measured to commands of the drives, [`model`] is its model of person
-//! and tail, [`lqr`] finds its gain, [`trunk`] the lean from an inertial sensor. [`protocol`] runs it on a board, [`scene`] samples the
-//! persons. The person is a declared inverted pendulum: nothing is claimed about people.
+//! The controller is ours: [`law`] is a pure function from measurements to commands of the drives, [`model`] is its
+//! model of person and tail, [`lqr`] computes its gain, [`trunk`] estimates the lean from an inertial sensor.
+//! [`protocol`] runs it on a board, [`scene`] samples the persons. The person is a declared inverted pendulum: nothing
+//! is claimed about people.
 
 mod kinematic;
 pub mod law;
@@ -33,14 +34,14 @@ use law::Regulator;
 use protocol::{Moment, Trace};
 use scene::{Case, Reading, Setup};
 
-/// The system.
+/// Robot system TAIL, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Tail;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "tail";
 
-/// Arms.
+/// Names of the arms.
 const PRINTED: &str = "paper";
 const OURS: &str = "ours";
 const NO_TAIL: &str = "baseline:no-tail";
@@ -57,7 +58,7 @@ const fn measured(name: &'static str, unit: &'static str, statistic: Statistic, 
     Metric { name, unit, statistic, source: Source::Simulated, targets }
 }
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {
@@ -129,7 +130,7 @@ impl System for Tail {
     }
 }
 
-/// No tail, the motors as printed, and ours.
+/// Figure of one lift without a tail, with the motors as printed, and with ours.
 fn figure(trial: &Trial) -> Result<Figure, Error> {
     let of = |arm| trace(&Trial { arm, ..trial.clone() });
     let ((without, _), (printed, _), (ours, setup)) = (of(NO_TAIL)?, of(PRINTED)?, of(OURS)?);
@@ -175,10 +176,10 @@ fn figure(trial: &Trial) -> Result<Figure, Error> {
     })
 }
 
-/// What is true over a trial, and what its controller knows.
+/// Runs a trial. Returns the true states and the values that its controller knows.
 ///
 /// # Errors
-/// When the board does not fit, or the session fails.
+/// [`Error::Unsuitable`] when the board does not fit; [`Error::Rig`] when the session fails.
 pub fn trace(trial: &Trial) -> Result<(Trace, Setup), Error> {
     let unsuitable = |why: String| Error::Unsuitable { system: NAME, board: trial.board.to_string(), why };
     let reading = match trial.arm {
@@ -197,6 +198,7 @@ pub fn trace(trial: &Trial) -> Result<(Trace, Setup), Error> {
     case.put_into(&mut robot, reading).map_err(unsuitable)?;
     let perfect = |moments| Trace { moments, armed_at_s: 0.0 };
     let trace = match trial.arm {
+        // Without a tail there is nothing for a board to drive.
         NO_TAIL => {
             let body = case.without_tail(&nominal).map_err(unsuitable)?;
             Trace { moments: kinematic::without_tail(body, &case), armed_at_s: f64::INFINITY }
@@ -206,6 +208,7 @@ pub fn trace(trial: &Trial) -> Result<(Trace, Setup), Error> {
         }
         arm => {
             rig.alter = Some(case.altered(reading));
+            // Without a regulator the motors stay on their brakes.
             let regulator = Some(&regulator).filter(|_| arm != HANGING);
             let work = async |session: &Session<'_>| protocol::lift(session, &setup, case.lift.at_s, regulator).await;
             rig.run(None, work)?.0
@@ -214,10 +217,11 @@ pub fn trace(trial: &Trial) -> Result<(Trace, Setup), Error> {
     Ok((trace, setup))
 }
 
-/// Metrics of a trial, beside the same person without a tail.
+/// Computes the metrics of a trial, relative to the same person without a tail.
 fn evaluate(case: &Case, setup: &Setup, with: &Trace, without: &Trace) -> Values {
     let lifted = |moments: &[Moment]| {
         let start = moments.partition_point(|moment| moment.time_s < case.lift.at_s);
+        // Relative to the stance before the lift, which the tail's weight alone shifts.
         let rest_m = moments.get(start).map_or(0.0, |moment| moment.wearer_x_m);
         let lean = move |moment: &Moment| (moment.wearer_x_m - rest_m).abs();
         let farthest = moments[start..].iter().map(lean).fold(0.0, f64::max);
@@ -234,6 +238,7 @@ fn evaluate(case: &Case, setup: &Setup, with: &Trace, without: &Trace) -> Values
     put("excursion_relative", relative);
     put("excursion_halved", f64::from(u8::from(relative <= 0.5)));
     put("end_m", end_m);
+    // Torques and limits exist only where the motors were armed.
     if with.armed_at_s.is_finite() {
         put("at_limit_s", at_limit as f64 * protocol::WATCHED_EVERY_S);
         put("back_torque_max_nm", most(&|moment| moment.torque_nm[0].abs()));
@@ -244,13 +249,14 @@ fn evaluate(case: &Case, setup: &Setup, with: &Trace, without: &Trace) -> Values
     values
 }
 
-/// Whether a motor is at a limit of torque, power or speed, which a drive enforces, or a joint beyond its range.
+/// Returns true when a motor is at its limit of torque, power or speed, which the drive enforces, or a joint is outside
+/// its range.
 fn is_at_limit(moment: &Moment, setup: &Setup) -> bool {
     (0..2).any(|number| {
         let law::Motor { torque_max_nm, power_max_w, top_speed_rad_s, .. } = setup.joints[number].motor;
         let (torque_nm, speed_rad_s) = (moment.torque_nm[number], moment.speed_rad_s[number]);
         let [low_rad, high_rad] = setup.settings.range_rad[number];
-        // To the rounding of a power.
+        // With a tolerance for the rounding of a power.
         let at = |value: f64, limit: f64| value >= limit * (1.0 - 1e-9);
         at(torque_nm.abs(), torque_max_nm)
             || at(torque_nm * speed_rad_s, power_max_w)

@@ -1,6 +1,7 @@
 //! The controller's model of a person with a two-link tail: rigid cables without losses.
 //!
-//! Lagrange's equations in absolute angles `p = [trunk, trunk + joint 1, trunk + joint 2 + joint 1]`, from z to x; links hang at 0:
+//! Lagrange's equations in absolute angles `p = [trunk, trunk + joint 1, trunk + joint 2 + joint 1]`, from z to x;
+//! links at 0 hang:
 //!
 //! ```text
 //! M01 = -S1 (b cos(p1 - p0) + a sin(p1 - p0))    S1 = m1 c1 + m2 l1    tail at a forwards, b up
@@ -13,47 +14,48 @@
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
 const GRAVITY_M_S2: f64 = 9.806_65;
-/// Change of an angle or rate for a derivative, rad or rad/s: a cube root of rounding, so that both errors are below 1e-9.
+/// Step of an angle or rate for a central difference, rad or rad/s: about the cube root of the rounding unit, which
+/// keeps both errors below 1e-9.
 const DIFFERENCE: f64 = 1e-5;
 
 /// Trunk with everything fixed to it, about the ankle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trunk {
-    /// kg m²
+    /// Moment of inertia about the ankle, kg m².
     pub inertia_kg_m2: f64,
-    /// Mass times place of the centre of mass, `[forwards, up]`, kg m.
+    /// Mass times position of the centre of mass, `[forwards, up]`, kg m.
     pub moment_kg_m: [f64; 2],
-    /// Where the tail hangs, `[forwards, up]`, m.
+    /// Position of the tail's joint, `[forwards, up]`, m.
     pub tail_m: [f64; 2],
-    /// Of the person's own balance.
+    /// Stiffness of the person's own balance at the ankle, N m/rad.
     pub ankle_nm_per_rad: f64,
-    /// Of the person's own balance.
+    /// Damping of the person's own balance at the ankle, N m s/rad.
     pub ankle_nm_s_per_rad: f64,
 }
 
-/// A link and its motor.
+/// A link of the tail and its motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
-    /// kg
+    /// Mass of the link, kg.
     pub mass_kg: f64,
-    /// m
+    /// Length of the link, m.
     pub length_m: f64,
-    /// Of the centre of mass from the joint, m.
+    /// Distance of the centre of mass from the joint, m.
     pub centre_m: f64,
-    /// About the centre of mass, kg m².
+    /// Moment of inertia about the centre of mass, kg m².
     pub inertia_kg_m2: f64,
-    /// Of the motor, kg m².
+    /// Inertia of the motor, kg m².
     pub rotor_kg_m2: f64,
-    /// Turns of the motor for one of the joint.
+    /// Gear ratio: turns of the motor for one of the joint.
     pub ratio: f64,
 }
 
-/// The model.
+/// Equations of motion of a person with a tail.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Model {
-    /// The person.
+    /// The person, as a rigid trunk on the ankle.
     pub trunk: Trunk,
-    /// From the back outwards.
+    /// Links from the back outwards.
     pub links: [Link; 2],
 }
 
@@ -62,7 +64,7 @@ impl Model {
         Vector3::new(joints[0], joints[0] + joints[1], joints[0] + joints[1] + joints[2])
     }
 
-    /// Torques at trunk and joints that hold all at rest there without the ankle, N m.
+    /// Torques at trunk and joints that hold everything at rest without the ankle's balance, N m.
     #[must_use]
     pub fn gravity_nm(&self, angle_rad: Vector3<f64>) -> Vector3<f64> {
         let [first, second] = &self.links;
@@ -79,16 +81,17 @@ impl Model {
         Vector3::new(about[0] + about[1] + about[2], about[1] + about[2], about[2])
     }
 
-    /// Change of [`Model::gravity_nm`] with one of the angles, N m/rad.
+    /// Derivative of [`Model::gravity_nm`] by one of the angles, N m/rad.
     #[must_use]
     pub fn gravity_change(&self, angle_rad: Vector3<f64>, with: usize) -> Vector3<f64> {
         let step = Vector3::from_fn(|row, _| if row == with { DIFFERENCE } else { 0.0 });
         (self.gravity_nm(angle_rad + step) - self.gravity_nm(angle_rad - step)) / (2.0 * DIFFERENCE)
     }
 
-    /// Accelerations of trunk and joints under torques at ankle (beside the person's own) and joints, rad/s².
+    /// Accelerations of trunk and joints, rad/s², under torques at the ankle (in addition to the person's own) and at
+    /// the joints.
     ///
-    /// `None` for numbers that no body has.
+    /// `None` when the mass matrix has no inverse.
     #[must_use]
     pub fn acceleration(
         &self,
@@ -103,7 +106,7 @@ impl Model {
         let s2 = second.mass_kg * second.centre_m;
         let inner = |s: f64, between: f64| {
             let (sin, cos) = between.sin_cos();
-            // And its derivative by the second angle.
+            // The coefficient and its derivative by the second angle.
             [-s * (b * cos + a * sin), -s * (a * cos - b * sin)]
         };
         let ([m01, d01], [m02, d02]) = (inner(s1, p[1] - p[0]), inner(s2, p[2] - p[0]));
@@ -127,7 +130,8 @@ impl Model {
         (to_absolute.transpose() * mass * to_absolute + rotors).try_inverse().map(|inverse| inverse * force)
     }
 
-    /// Linear about rest at `angle_rad`: state angles and rates of trunk and joints, input the joints' torques.
+    /// Linear model about rest at `angle_rad`: the state has angles and rates of trunk and joints, the input the
+    /// joints' torques.
     #[must_use]
     pub fn linear(&self, angle_rad: Vector3<f64>) -> Option<(SMatrix<f64, 6, 6>, SMatrix<f64, 6, 2>)> {
         let hold_nm = self.gravity_nm(angle_rad);
@@ -174,7 +178,7 @@ mod tests {
         pinocchio: [f64; 3],
     }
 
-    /// The numbers of `hil-sim/world/tests/oracle/tail.py`.
+    /// Model with the parameters of `hil-sim/world/tests/oracle/tail.py`.
     fn oracle_model(load_kg: f64) -> Model {
         let link = |mass_kg, length_m, centre_m, inertia_kg_m2| Link {
             mass_kg,
@@ -203,7 +207,7 @@ mod tests {
             let got =
                 oracle_model(load_kg).acceleration(Vector3::from(q), Vector3::from(v), Vector3::from(tau)).unwrap();
             let expected = Vector3::from(pinocchio);
-            // Rounding of an inverse of condition 2000.
+            // Rounding of an inverse with a condition number of 2000.
             assert!((got - expected).norm() < 1e-11 * expected.norm(), "{got}, {expected}");
         }
     }
@@ -221,7 +225,7 @@ mod tests {
         let angle = at + Vector3::new(small[0], small[1], small[2]);
         let exact = model.acceleration(angle, Vector3::new(small[3], small[4], small[5]), torque).unwrap();
         let got = predicted.fixed_rows::<3>(3).into_owned();
-        // Squares of 3e-4 rad are left out, 3e-4 of what is linear.
+        // The linear model neglects squares of 3e-4 rad, 3e-4 of the linear terms.
         assert!((got - exact).norm() < 1e-3 * exact.norm(), "{got} {exact}");
     }
 }

@@ -1,4 +1,5 @@
-//! A lift on a board: the regulator on the host, drives and encoders by the board, and what is true meanwhile.
+//! A lift on a board: the regulator is on the host, drives and encoders are on the board; the true state is sampled
+//! meanwhile.
 
 use std::{cell::RefCell, convert::Infallible, pin::pin};
 
@@ -13,52 +14,53 @@ use super::{
     trunk::{self, Lean},
 };
 
-/// How long the trial goes on after the lift began, s.
+/// Duration of a trial after the start of the lift, s.
 pub(super) const AFTER_S: f64 = 9.0;
-/// How often the truth is noted, s.
+/// Period of the samples of the true state, s.
 pub(super) const WATCHED_EVERY_S: f64 = 1e-3;
-/// How long the inertial sensor is averaged before the motors are armed, s.
+/// Time over which the inertial sensor is averaged before the motors are armed, s.
 const RESTS_S: f64 = 1.0;
-/// Commands older than this are not followed any more, ms: five periods of the regulator.
+/// Time to live of commands, ms: five periods of the regulator.
 const COMMAND_TTL_MS: u16 = 50;
 
-/// What is true at one moment.
+/// True state at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
-    /// s
+    /// Time of the simulation, s.
     pub time_s: f64,
-    /// How far the person's centre of mass is in front of the ankle, m.
+    /// Position of the person's centre of mass in front of the ankle, m.
     pub wearer_x_m: f64,
-    /// Trunk and joints, rad.
+    /// Angles of trunk and joints, rad.
     pub angle_rad: [f64; 3],
-    /// Torque of the motors' drives, from the back outwards, N m.
+    /// Torques of the motors' drives, from the back outwards, N m.
     pub torque_nm: [f64; 2],
-    /// Speed of the motors, rad/s.
+    /// Speeds of the motors, rad/s.
     pub speed_rad_s: [f64; 2],
 }
 
 impl Moment {
-    /// A body's, with the state of its motors.
+    /// True state of a body, with the torques and speeds of its motors.
     pub(super) fn of(body: &BalanceTail, time_s: f64, torque_nm: [f64; 2], speed_rad_s: [f64; 2]) -> Self {
         Self { time_s, wearer_x_m: body.wearer_x_m(), angle_rad: body.state().angle_rad, torque_nm, speed_rad_s }
     }
 }
 
-/// What was true over a trial.
+/// True states over a trial.
 #[derive(Clone, Debug, Default)]
 pub struct Trace {
-    /// Every millisecond.
+    /// True states, one every millisecond.
     pub moments: Vec<Moment>,
-    /// When the regulator took over, s; infinite where there is none.
+    /// Time at which the regulator started, s; infinite without a regulator.
     pub armed_at_s: f64,
 }
 
-/// Notes what is true until the lift is over.
+/// Samples the true state until the lift is over.
 ///
-/// With `regulator` the motors are armed and it has them; without it they are left to their brakes.
+/// With a `regulator` the motors are armed and regulated; without one they stay on their brakes.
 ///
 /// # Errors
-/// When the board is not virtual, does not arm, or stops.
+/// The error of the board when it is not virtual, does not arm, or stops; [`Error::NoReadings`] when the inertial
+/// sensor sends nothing.
 pub async fn lift(
     session: &Session<'_>,
     setup: &Setup,
@@ -100,12 +102,12 @@ pub async fn lift(
     Ok(Trace { moments: moments.into_inner(), armed_at_s })
 }
 
-/// Time of the virtual board's world, s, on which the person lifts.
+/// Time of the virtual board's world, s, to which the person's lift refers.
 fn time_s(session: &Session<'_>) -> Result<f64, Error> {
     Ok(session.virtual_board()?.world().clock().now_ns() as f64 * 1e-9)
 }
 
-/// What is true now.
+/// Reads the true state of person, tail and motors.
 fn look(session: &Session<'_>, setup: &Setup) -> Result<Moment, Error> {
     let mut world = session.virtual_board()?.world();
     let time_s = world.clock().now_ns() as f64 * 1e-9;
@@ -118,7 +120,7 @@ fn look(session: &Session<'_>, setup: &Setup) -> Result<Moment, Error> {
     });
     match world.body() {
         Some(AnyBody::BalanceTail(body)) => Ok(Moment::of(body, time_s, torque_nm, speed_rad_s)),
-        // `Setup::of` refuses every other robot.
+        // Not reached: `Setup::of` refuses robots without a tail.
         _ => Ok(Moment { time_s, wearer_x_m: 0.0, angle_rad: [0.0; 3], torque_nm, speed_rad_s }),
     }
 }
@@ -144,7 +146,7 @@ async fn balance(
         let Some(motors_rad) = encoders(session, setup, &frame.samples)? else { continue };
         let at_us = frame.device_us;
         let Some(sample) = trunk_sample(setup, &frame.samples) else {
-            // The last command is void by now, so that the board has stopped the tail.
+            // The last command has expired by now, so that the board has stopped the tail.
             if before.is_some_and(|(before_us, _)| at_us.saturating_sub(before_us) > u64::from(COMMAND_TTL_MS) * 1000) {
                 return Err(Error::NoReadings { channel: setup.trunk });
             }
@@ -168,7 +170,7 @@ async fn balance(
     Ok(())
 }
 
-/// Angles of the motors, rad, if a frame has those of both.
+/// Angles of the motors, rad; `None` for a frame without those of both.
 fn encoders(session: &Session<'_>, setup: &Setup, samples: &[Sample]) -> Result<Option<[f64; 2]>, Error> {
     let mut angles_rad = [0.0; 2];
     for (angle_rad, joint) in angles_rad.iter_mut().zip(&setup.joints) {
@@ -182,7 +184,7 @@ fn encoders(session: &Session<'_>, setup: &Setup, samples: &[Sample]) -> Result<
     Ok(Some(angles_rad))
 }
 
-/// Lean of the trunk from a second of its sensor's readings, before the motors are armed.
+/// Estimates the lean of the trunk from a second of its sensor's readings, before the motors are armed.
 async fn rest(session: &Session<'_>, setup: &Setup) -> Result<Lean, Error> {
     let mut telemetry = session.board.telemetry();
     let until_s = session.board.now_s() + RESTS_S;
@@ -196,7 +198,7 @@ async fn rest(session: &Session<'_>, setup: &Setup) -> Result<Lean, Error> {
     Ok(Lean::at_rest(&samples))
 }
 
-/// The reading of the sensor on the trunk in a telemetry frame.
+/// Reading of the trunk's sensor in a telemetry frame; `None` for a frame without it.
 fn trunk_sample(setup: &Setup, samples: &[Sample]) -> Option<trunk::Sample> {
     let InertialReading { acceleration_m_s2, rate_rad_s, .. } = inertial_reading(setup.trunk, samples)?;
     Some(trunk::Sample { rate_rad_s: rate_rad_s[1], force_m_s2: [acceleration_m_s2[0], acceleration_m_s2[2]] })

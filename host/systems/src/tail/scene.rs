@@ -1,4 +1,4 @@
-//! Persons, tails and lifts that the study samples, and the readings of the printed motors.
+//! Persons, tails and lifts that the study samples, and the readings of the printed motor data.
 
 use std::rc::Rc;
 
@@ -16,41 +16,42 @@ use crate::sampler::Sampler;
 /// Purpose of random numbers.
 const OF_CASE: u64 = 1;
 
-/// Pulleys on plain bearings take this share of the force for each half turn.
+/// Force loss of pulleys on plain bearings per half turn, as a share.
 const PLAIN_BEARINGS: f64 = 0.1;
-/// Share of a weight that stands for none.
+/// Scale of the tail's weight that counts as none.
 const WEIGHTLESS: f64 = 1e-6;
 
-/// Which motor moves which joint, and with what power.
+/// Assignment of motors and powers to the joints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reading {
-    /// Motor 1, 0.625 N m and 573 W, is at the back.
+    /// Motor 1, 0.625 N m and 573 W, is at the back: as printed.
     Printed,
-    /// Motor 1 is the outer joint's, as in the robot's file.
+    /// Motor 1 is at the outer joint, as in the robot's file.
     OuterFirst,
-    /// The same with the powers exchanged: 4 N m and 573 W at the back, 0.625 N m and 262 W outside.
+    /// Motor 1 is at the outer joint and the powers are exchanged: 4 N m and 573 W at the back, 0.625 N m and 262 W
+    /// outside.
     CrossedPowers,
 }
 
-/// A person with a tail, and what is lifted. [`About::sampled`](crate::About::sampled) has the ranges.
+/// A sampled person with a tail, and the lift. [`About::sampled`](crate::About::sampled) has the ranges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
-    /// Mass of the person, kg; the controller knows it, from scales.
+    /// Mass of the person, kg; known to the controller, from scales.
     pub mass_kg: f64,
-    /// Stiffness of the ankle over what gravity takes at it, 1.
+    /// Stiffness of the ankle over that of gravity at it; dimensionless.
     pub ankle: f64,
     /// Damping of the ankle, N m s/rad.
     pub damping_nm_s_per_rad: f64,
-    /// Share of the force that a half turn over a pulley takes.
+    /// Force loss of a half turn over a pulley, as a share.
     pub loss_per_wrap: f64,
-    /// Stiffness of the cables over that of the robot's file, 1.
+    /// Stiffness of the cables over that of the robot's file; dimensionless.
     pub cable: f64,
-    /// What the person lifts.
+    /// Load that the person lifts, with time and place.
     pub lift: Lift,
 }
 
 impl Case {
-    /// The case of a seed.
+    /// Samples the case of a seed.
     #[must_use]
     pub fn of(seed: u64) -> Self {
         let mut sampler = Sampler::new(seed, OF_CASE);
@@ -69,13 +70,14 @@ impl Case {
         }
     }
 
-    /// The same with pulleys on plain bearings, which take ten times as much as the controller's design allows for.
+    /// Returns the same case with pulleys on plain bearings, whose loss is ten times what the controller's design
+    /// allows for.
     #[must_use]
     pub fn with_plain_bearings(self) -> Self {
         Self { loss_per_wrap: PLAIN_BEARINGS, ..self }
     }
 
-    /// The person, of the height of `nominal`.
+    /// The person of this case, with the height of `nominal`.
     fn wearer(&self, nominal: &Wearer) -> Wearer {
         let moment_nm = self.mass_kg * GRAVITY_M_S2 * nominal.centre_m;
         let ankle = Ankle {
@@ -83,15 +85,18 @@ impl Case {
             damping_nm_s_per_rad: self.damping_nm_s_per_rad,
             ..nominal.ankle
         };
+        // The height of the centre of mass stays the nominal one: the inertia is in proportion to the mass.
         let inertia_kg_m2 = nominal.inertia_kg_m2 * self.mass_kg / nominal.mass_kg;
         Wearer { mass_kg: self.mass_kg, inertia_kg_m2, ankle, ..*nominal }
     }
 
-    /// The person of this case with the tail of `nominal`, of which each weight is multiplied by `weighs`.
+    /// The person of this case with the tail of `nominal`, whose weights are scaled by `weighs`.
     fn body(&self, nominal: &BalanceTail, weighs: f64) -> Result<BalanceTail, TailError> {
         let links = nominal.links().map(|mut link| {
             link.mass_kg *= weighs;
             link.inertia_kg_m2 *= weighs;
+            // The cables are scaled like the masses, so that an almost weightless tail keeps the time constants of the
+            // real one.
             link.cable.stiffness_nm_per_rad *= self.cable * weighs;
             link.cable.damping_nm_s_per_rad *= weighs;
             link.cable.friction_nm *= weighs;
@@ -104,12 +109,12 @@ impl Case {
     /// The person of this case without a tail.
     ///
     /// # Errors
-    /// What the robot's file has in place of a tail, or why the person cannot stand.
+    /// The reason in words: the robot has no tail, or the person cannot stand.
     pub fn without_tail(&self, robot: &Robot) -> Result<BalanceTail, String> {
         self.body(tail(robot)?, WEIGHTLESS).map_err(|error| error.to_string())
     }
 
-    /// What a rig does to a robot to make it this case.
+    /// Returns the function by which a rig changes its robot to this case.
     pub fn altered(self, reading: Reading) -> Alter {
         // A robot without a tail stays as it is: `Setup::of` has refused it.
         Rc::new(move |robot| drop(self.put_into(robot, reading)))
@@ -118,7 +123,7 @@ impl Case {
     /// Changes a robot to this case.
     ///
     /// # Errors
-    /// What the robot's file has in place of a tail, or why the person cannot stand.
+    /// The reason in words: the robot has no tail, or the person cannot stand.
     pub fn put_into(&self, robot: &mut Robot, reading: Reading) -> Result<(), String> {
         let changed = self.body(tail(robot)?, 1.0).map_err(|error| error.to_string())?;
         reading.put_into(robot);
@@ -145,7 +150,7 @@ impl Reading {
     }
 }
 
-/// The tail of a robot.
+/// The tail of a robot; an error in words when it has none.
 pub(super) fn tail(robot: &Robot) -> Result<&BalanceTail, String> {
     match robot.simulation.body.as_ref().map(|body| &body.kind) {
         Some(AnyBody::BalanceTail(tail)) => Ok(tail),
@@ -153,39 +158,39 @@ pub(super) fn tail(robot: &Robot) -> Result<&BalanceTail, String> {
     }
 }
 
-/// A motor of the tail and its encoder, from the back outwards.
+/// A motor of the tail and its encoder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Joint {
-    /// Its drive.
+    /// Channel of the motor's drive.
     pub channel: ChannelId,
-    /// The encoder on the motor's shaft.
+    /// Channel of the encoder on the motor's shaft.
     pub encoder: ChannelId,
-    /// What motor and drive can do.
+    /// Limits of motor and drive.
     pub motor: Motor,
     /// Inertia of the motor, kg m².
     pub rotor_kg_m2: f64,
-    /// Turns of the motor for one of the joint.
+    /// Gear ratio: turns of the motor for one of the joint.
     pub ratio: f64,
 }
 
-/// What the controller knows before it starts: the tail's data sheet, and the person's weight and height.
+/// Channels, datasheet values, and the person's weight and height, known to the controller before the start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
-    /// From the back outwards.
+    /// Joints from the back outwards.
     pub joints: [Joint; 2],
-    /// Person and tail.
+    /// Model of person and tail.
     pub model: Model,
-    /// Limits and weights.
+    /// Limits and weights of the controller.
     pub settings: law::Settings,
-    /// The inertial sensor on the trunk.
+    /// Channel of the inertial sensor on the trunk.
     pub trunk: ChannelId,
 }
 
 impl Setup {
-    /// That of a robot with this reading of its motors, worn by a person of `mass_kg`.
+    /// Reads the setup of a robot with this reading of its motors, worn by a person of `mass_kg`.
     ///
     /// # Errors
-    /// What the robot lacks.
+    /// The part that the robot lacks, in words.
     pub fn of(robot: &Robot, reading: Reading, mass_kg: f64) -> Result<Self, String> {
         let mut robot = robot.clone();
         reading.put_into(&mut robot);

@@ -1,8 +1,8 @@
-//! Lean of the trunk from an inertial sensor on it.
+//! Lean of the trunk, estimated from an inertial sensor on it.
 
-/// Time constant of the complementary filter, s: slower than a lift, which takes about a second, so that the sensor's own acceleration
-/// does not count for a lean. Experiment: seeds 1 to 30 of `r4 system study tail --arms ours`. With half of it the median excursion is
-/// 0.416 of that without a tail, so 0.403.
+/// Time constant of the complementary filter, s: slower than a lift, which takes about a second, so that the sensor's
+/// own acceleration does not appear as a lean. Experiment: seeds 1 to 30 of `r4 system study tail --arms ours`. With
+/// half the time constant the median excursion is 0.416 of that without a tail, with this one 0.403.
 const TIME_CONSTANT_S: f64 = 5.0;
 
 /// One sample of the sensor, in the trunk's frame.
@@ -14,17 +14,17 @@ pub struct Sample {
     pub force_m_s2: [f64; 2],
 }
 
-/// Complementary filter of rate and specific force: fast changes from the rate, the mean from gravity.
+/// Complementary filter of rate and specific force: fast changes come from the rate, the mean from gravity.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Lean {
     angle_rad: f64,
     rate_rad_s: f64,
-    /// Offset of the rate, as it was at rest.
+    /// Offset of the rate, measured at rest, rad/s.
     bias_rad_s: f64,
 }
 
 impl Lean {
-    /// From samples at rest.
+    /// Starts from samples at rest; upright and without offset when there are none.
     #[must_use]
     pub fn at_rest(samples: &[Sample]) -> Self {
         let count = samples.len().max(1) as f64;
@@ -33,7 +33,7 @@ impl Lean {
         Self { angle_rad, rate_rad_s: 0.0, bias_rad_s }
     }
 
-    /// The lean after the next sample, `after_s` later: angle, rad, and rate, rad/s.
+    /// Takes the next sample, `after_s` later. Returns the lean, rad, and its rate, rad/s.
     pub fn next(&mut self, sample: Sample, after_s: f64) -> (f64, f64) {
         let rate_rad_s = sample.rate_rad_s - self.bias_rad_s;
         self.angle_rad += f64::midpoint(self.rate_rad_s, rate_rad_s) * after_s;
@@ -44,7 +44,7 @@ impl Lean {
     }
 }
 
-/// The lean at which gravity alone gives this specific force, rad.
+/// Lean at which gravity alone causes this specific force, rad.
 fn leans([forward, up]: [f64; 2]) -> f64 {
     (-forward).atan2(up)
 }
@@ -53,7 +53,7 @@ fn leans([forward, up]: [f64; 2]) -> f64 {
 mod tests {
     use super::*;
 
-    /// A lean of 0.1 rad within a second, held; the sensor 1.1 m above the ankle, its rate off by 2 mrad/s.
+    /// A lean of 0.1 rad within a second, held; the sensor is 1.1 m above the ankle, its rate is off by 2 mrad/s.
     #[test]
     fn a_lean_is_followed_through_its_acceleration_and_an_offset() {
         let sample = |time_s: f64| {
@@ -69,7 +69,7 @@ mod tests {
         for step in 1..=300 {
             let (angle_rad, sample) = sample(f64::from(step) * 0.01);
             let (found_rad, _) = lean.next(sample, 0.01);
-            // By the sensor's acceleration, 0.54 m/s2 or 0.055 rad, for half a second of the filter's 5 s.
+            // The sensor's acceleration, 0.54 m/s² or 0.055 rad, acts for half a second of the filter's 5 s.
             assert!((found_rad - angle_rad).abs() < 5e-3, "{found_rad} rad of {angle_rad} at step {step}");
         }
     }

@@ -1,4 +1,5 @@
-//! The same trial on perfect actuators: wheels that follow a ramp, a servo that turns at its speed, and no board. What laws are tuned on.
+//! Trial on perfect actuators, without a board: wheels follow a ramp, the servo turns at its rated speed. Laws are
+//! tuned on it.
 
 use r4_boards::Robot;
 use r4_world::{Body as _, MAX_STEP_S, Scene, ShaftMotion};
@@ -9,17 +10,17 @@ use super::{
     scene::{Case, Setup, TRIAL_S, shell_of},
 };
 
-/// Ramp of speeds, m/s²: that of the robot's profile.
+/// Ramp of the wheel speeds, m/s²: that of the robot's profile.
 const RAMP_M_S2: f64 = 1.0;
 /// Steps of the body between two calls of the law: 10 ms.
 const STEPS: usize = 40;
 
 /// Drives a case of a robot by a law.
 ///
-/// What it reads is what the whiskers show: a law for it has a `settles_s` of 0.
+/// The law reads the shown bends without a board's delay: it must have a `settles_s` of 0.
 ///
 /// # Errors
-/// Why the robot has no such case.
+/// The reason in words: the robot has no shell, or the case is not valid.
 pub fn drive(robot: &Robot, setup: &Setup, case: &Case, law: &mut Law) -> Result<Run, String> {
     let nominal = shell_of(robot)?;
     let (mut body, mut scene) = (case.body(nominal)?, Scene::default());

@@ -1,4 +1,5 @@
-//! What a rigid whisker lacks: which of dead time and play of its magnet a recording of two boxes that stand shows.
+//! Search for the effect that a rigid whisker's model lacks: dead time or play of its magnet, from recordings at two
+//! standing boxes.
 //!
 //! The narrow robot drives up to the boxes and back, each recording at another speed, and touches them with its whiskers only. The base
 //! model is geometry, with the near face `f`, the inner corner `y` and the magnet's zero: `d = f - x`, and the bend is the larger of
@@ -10,8 +11,8 @@
 //! | `hysteresis` | follows the bend within half of `h` to both sides | `h`, rad |
 //! | `yielding` | the face gives way by `g` of the bend | `g`, m/rad |
 //!
-//! Speeds tell a dead time, which lags with the speed, from play, which does not. The body of `r4-world` finds the bend by intervals of
-//! bearings of whatever is within reach; here are two formulas.
+//! The speed separates a dead time, which lags in proportion to it, from play, which does not. The body of `r4-world`
+//! computes the bend by intervals of bearings of everything within reach; the model here is two formulas.
 
 use r4_rig::{Error as RigError, Session, Velocity};
 
@@ -26,38 +27,40 @@ use crate::{
     effects::{Effect, Found, Search},
 };
 
-/// Purpose of random numbers.
+/// Purpose of the random numbers of the hidden effect.
 const OF_HIDDEN: u64 = 2;
 /// Speeds of the recordings, m/s; the last one is held out.
 const SPEEDS_M_S: [f64; 5] = [0.187, 0.06, 0.14, 0.09, 0.12];
-/// Where the robot turns round, m from its start: before the whiskers touch, and before the shell does.
+/// Turning points of the robot, m from its start: one before the whiskers touch, one before the shell does.
 const BETWEEN_M: [f64; 2] = [0.08, 0.19];
-/// How often it goes there and back in a recording.
+/// Number of approaches in a recording.
 const TIMES: usize = 3;
-/// Candidates. Least sizes: the board's samples are known 20 to 30 ms after they change; the noise of a magnet is 2 mrad.
+/// Candidate effects. Least sizes: the board's samples are known 20 to 30 ms after they change; the noise of a magnet
+/// is 2 mrad.
 const EFFECTS: [Effect; 3] = [
     Effect { name: "dead time", start: &[0.05], absent: 0.0, least: 0.05 },
     Effect { name: "hysteresis", start: &[0.02], absent: 0.0, least: 0.01 },
     Effect { name: "yielding", start: &[0.002], absent: 0.0, least: 0.002 },
 ];
 
-/// What the place of the inner corner counts, rad/m: the robot is put down to 5 mm, and a sample is known to 2 mrad. Without it 4 of 6
-/// recordings with a dead time (seeds 1 to 6) had base models whose whisker never meets the corner, which leaves its place open.
+/// Weight of the prior on the inner corner's position, rad/m: the robot is put down to 5 mm, and a sample is known to 2
+/// mrad. Without it 4 of 6 recordings with a dead time (seeds 1 to 6) had base models whose whisker never meets the
+/// corner, which leaves its position undetermined.
 const PUT_DOWN_RAD_PER_M: f64 = 2e-3 / 5e-3;
 
-/// What is hidden in a recording.
+/// Effect hidden in a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hidden {
-    /// Samples are shown late.
+    /// Dead time: samples are shown late.
     DeadTime,
-    /// Magnets have play.
+    /// Play of the magnets.
     Hysteresis,
-    /// Nothing.
+    /// No effect, as a control.
     Nothing,
 }
 
 impl Hidden {
-    /// What the arm of this name hides.
+    /// Effect that the arm of this name hides; `None` for arms without recordings.
     #[must_use]
     pub fn of(arm: &str) -> Option<Self> {
         Some(match arm {
@@ -77,10 +80,10 @@ impl Hidden {
     }
 }
 
-/// What the board showed: time, s, travel, m, left whisker, rad.
+/// Samples shown by the board: time, s; travel, m; bend of the left whisker, rad.
 type Recording = Vec<[f64; 3]>;
 
-/// Drives to the boxes and back, at each speed.
+/// Drives to the boxes and back, at each of the speeds.
 async fn record(session: &Session<'_>, setup: &Setup, case: &Case) -> Result<Vec<Recording>, RigError> {
     session
         .armed(async || {
@@ -115,13 +118,13 @@ async fn record(session: &Session<'_>, setup: &Setup, case: &Case) -> Result<Vec
         .await
 }
 
-/// Places in a recording at which a new sample is shown: what is shown is level in between.
+/// Indices of a recording at which a new sample is shown; the shown value is constant in between.
 fn samples(recording: &Recording) -> Vec<usize> {
     let is_new = |place: &usize| recording[*place][2] != recording[*place - 1][2];
     (1..recording.len()).filter(is_new).collect()
 }
 
-/// Predicted samples of a recording by `[f, y, zero]` and what an effect adds.
+/// Predicts the samples of a recording from `[f, y, zero]` and the parameter of an effect.
 fn predict(effect: Option<usize>, parameters: &[f64], recording: &Recording, setup: &Setup) -> Vec<f64> {
     let [face_m, corner_m, zero_rad, ref added @ ..] = *parameters else { return Vec::new() };
     let size = added.first().copied().unwrap_or(0.0);
@@ -136,7 +139,7 @@ fn predict(effect: Option<usize>, parameters: &[f64], recording: &Recording, set
         Some(2) => at(face_m + size * at(face_m - x_m) - x_m),
         _ => at(face_m - x_m),
     };
-    // What is known late belongs to an earlier moment.
+    // A sample known late belongs to an earlier moment.
     let moment_s = |place: usize| recording[place][0] - setup.settles_s;
     if effect == Some(1) {
         let half_rad = 0.5 * size.abs();
@@ -160,7 +163,7 @@ fn predict(effect: Option<usize>, parameters: &[f64], recording: &Recording, set
     samples(recording).into_iter().map(place).collect()
 }
 
-/// Travel at a time, between the samples of a recording and level beyond them, m.
+/// Travel at a time, m: linear between the samples of a recording, constant beyond its ends.
 fn travelled_m(recording: &Recording, time_s: f64) -> f64 {
     let after = recording.partition_point(|[at_s, ..]| *at_s < time_s);
     match (after.checked_sub(1).map(|before| recording[before]), recording.get(after).copied()) {
@@ -172,19 +175,21 @@ fn travelled_m(recording: &Recording, time_s: f64) -> f64 {
     }
 }
 
-/// A trial: recordings of whiskers with at most one effect, and what the search says about them.
+/// Runs a trial: records whiskers with at most one effect, and searches for it.
 ///
 /// # Errors
-/// When the board does not fit, the session fails, or the base model cannot be fitted.
+/// [`Error::Unsuitable`] when the board does not fit; [`Error::Rig`] when the session fails; [`Error::Effects`] when
+/// the base model cannot be fitted.
 pub fn run(trial: &Trial, hidden: Hidden) -> Result<Values, Error> {
     let mut sampler = Sampler::new(trial.seed, OF_HIDDEN);
+    // Both sizes are sampled in every arm, so that a seed's sequence does not depend on the arm.
     let mut size = |is: Hidden, low: f64, high: f64| {
         let value = sampler.uniform(low, high);
         if hidden == is { value } else { 0.0 }
     };
     let (late_s, hysteresis_rad) = (size(Hidden::DeadTime, 0.1, 0.3), size(Hidden::Hysteresis, 0.03, 0.08));
     let nominal = Case::of(trial.seed, Load::Heavy);
-    // Put down by hand, straight before the middle.
+    // The robot is put down by hand, straight in front of the gap's middle.
     let case = Case { late_s, hysteresis_rad, aside_m: 0.1 * nominal.aside_m, yaw_rad: 0.0, ..nominal };
     let (rig, setup) = prepared(trial, &case)?;
     let work = async |session: &Session<'_>| record(session, &setup, &case).await;
@@ -209,15 +214,16 @@ pub fn run(trial: &Trial, hidden: Hidden) -> Result<Values, Error> {
     Ok(values)
 }
 
-/// The effect that recordings show.
+/// Searches the recordings for an effect.
 fn search(recordings: &[Recording], setup: &Setup) -> Result<Option<Found>, Error> {
-    // The hinge of the narrow robot, 20 cm and the nose at rest before the boxes, and half the gap beside it.
+    // Nominal geometry: the hinge of the narrow robot, the nose at rest 20 cm before the boxes, half the gap beside
+    // it.
     let shell = &setup.shell;
     let hinge_m = 0.5 * shell.length_m(shell.angle_rad(setup.servo_max_rad)) + setup.whiskers.hinge_m[0];
     let face_m = 0.5 * shell.length_m(shell.rest_rad) + super::scene::AHEAD_M - hinge_m;
     let corner_m = 0.5 * super::scene::GAP_M - setup.whiskers.hinge_m[1];
     let base_start = [face_m, corner_m, 0.0];
-    // Where the robot was put down is one more observation.
+    // The position at which the robot was put down is one more observation.
     let put_down = |corner_m: f64| std::iter::once(PUT_DOWN_RAD_PER_M * corner_m);
     let shown = |recording: &Recording| {
         samples(recording).into_iter().map(|place| recording[place][2]).chain(put_down(corner_m)).collect()

@@ -22,14 +22,14 @@ use law::{Coefficients, Law, Ours, Printed, Uses};
 use protocol::{Moment, Run};
 use scene::{Case, Load, Setup};
 
-/// The system.
+/// Robot system WHISKER, listed in [`crate::all`].
 #[derive(Debug)]
 pub struct Whisker;
 
-/// Name of the system.
+/// Name of the system in commands and records.
 const NAME: &str = "whisker";
 
-/// Arms.
+/// Names of the arms.
 const PRINTED: &str = "paper";
 const OURS: &str = "ours";
 const NO_PREDICTION: &str = "ablation:no-prediction";
@@ -58,7 +58,7 @@ const fn at_least(arm: &'static str, share: f64) -> Target {
     Target { arm, limit: Limit::AtLeast(share), from: "set by this project" }
 }
 
-/// Robot, arms and metrics.
+/// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
     paper: Paper {
@@ -190,6 +190,7 @@ fn prepared(trial: &Trial, case: &Case) -> Result<(Rig, Setup), Error> {
 /// Five seconds of a trial's arm before boxes of one load.
 fn driven(trial: &Trial, load: Load) -> Result<Run, Error> {
     let case = case(trial, load);
+    // Without a board there is no low-pass whose delay the law must know: `settles_s` is 0.
     if trial.arm == PERFECT {
         let robot = r4_boards::load(ABOUT.robot).map_err(r4_rig::Error::from)?;
         let unsuitable = |why: String| Error::Unsuitable { system: NAME, board: ABOUT.robot.to_owned(), why };
@@ -215,6 +216,7 @@ fn evaluate(load: Load, run: &Run, values: &mut Values) {
     put(format!("way_{load_name}_m"), way_m);
     let found = class::features(run).map(|features| class::classify(&features));
     put(format!("class_{load_name}"), share(found == Some(load)));
+    // The same values under another name, of which the row has the standard deviation.
     if load == Load::Heavy {
         put("way_heavy_spread_m".into(), way_m);
     }

@@ -1,5 +1,6 @@
-//! Boxes that a rigid shell pushes, beside MuJoCo 3.17.0, which shares no line with `r4-world`: `tests/oracle/whisker_mujoco.py` drives the shell
-//! against two boxes whose weight is spread over 36 feet, free to tilt. What differs is contact, sliding friction and the limit surface.
+//! Comparison of boxes pushed by a rigid shell with MuJoCo 3.17.0, which shares no code with `r4-world`:
+//! `tests/oracle/whisker_mujoco.py` drives the shell against two boxes whose weight is spread over 36 feet, free to
+//! tilt. The two differ in contact, sliding friction and limit surface.
 
 use r4_world::{
     Body as _, BoxSpec, Chassis, Deformable, MAX_STEP_S, Pose, Scene, ShaftMotion, Shell, SlipLaw, Tyre, Wheel,
@@ -19,11 +20,11 @@ struct Case {
     mass_kg: f64,
     friction: f64,
     panels_rad: f64,
-    /// Time, s, the shell's middle, m, x, y and angle of the left and of the right box, m and rad.
+    /// Time, s; x of the shell's middle, m; x and y, m, and angle, rad, of the left and of the right box.
     rows: Vec<[f64; 8]>,
 }
 
-/// Speed, ramp and place of the boxes, as in the script.
+/// Speed, ramp and position of the boxes, as in the script.
 const SPEED_M_S: f64 = 0.187;
 const RAMP_M_S2: f64 = 1.0;
 const BOX_X_M: f64 = 0.4925;
@@ -31,7 +32,7 @@ const WHEEL_M: f64 = 0.056;
 /// Widest angle of the shell, rad.
 const WIDE_RAD: f64 = std::f64::consts::FRAC_PI_3;
 
-/// The script's shell on wheels that do not slip to speak of, with whiskers too weak to push.
+/// The script's shell on wheels with negligible slip, with whiskers too weak to push.
 fn robot(panels_rad: f64) -> Deformable {
     let tyre = Tyre { compliance_per_n: [5e-4, 2e-3], friction: 0.7, relaxation_m: 0.03, law: SlipLaw::Brush };
     let wheel = |place_m, shaft: Option<usize>| Wheel {
@@ -55,7 +56,7 @@ fn robot(panels_rad: f64) -> Deformable {
         rest_rad: panels_rad,
         per_rad: -0.5,
         ends_rad: [0.58_f64.min(panels_rad), WIDE_RAD.max(panels_rad)],
-        // Rigid.
+        // Rigid: no box can yield the panels.
         holds_n: 1e6,
         shaft: 2,
     };
@@ -73,7 +74,7 @@ fn robot(panels_rad: f64) -> Deformable {
     Deformable::new(base, shell, whiskers).expect("a shell")
 }
 
-/// Rows of a case as `r4-world` has them.
+/// Simulates a case by `r4-world` and returns its rows.
 fn pushed(case: &Case) -> Vec<[f64; 8]> {
     let (mut body, mut scene) = (robot(case.panels_rad), Scene::default());
     let spec = BoxSpec { size_m: BOX_M, mass_kg: case.mass_kg, friction: case.friction, kinetic_share: 1.0 };
@@ -124,8 +125,8 @@ fn boxes_go_where_mujoco_pushes_them() {
             // Bumper and soft contact: measured 0.3 mm and 1 mrad.
             assert!(robot_m < 1e-3 && place_m < 5e-4 && turn_rad < 2e-3, "{all}");
         } else {
-            // A box on 36 feet has another limit surface than the ellipsoid: measured 14 mm of 89 to 121 mm, and 0.11 rad, or 0.23 rad of the
-            // narrower shell. A quarter more.
+            // A box on 36 feet has another limit surface than the ellipsoid: measured 14 mm of 89 to 121 mm, and
+            // 0.11 rad, or 0.23 rad with the narrower shell. The limits are a quarter above.
             assert!(robot_m < 2e-3 && place_m < 0.018 && turn_rad < 0.29, "{all}");
         }
     }

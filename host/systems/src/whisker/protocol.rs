@@ -1,4 +1,4 @@
-//! A trial on a board: five seconds forwards, the shell and the wheels by a law.
+//! A trial on a board: five seconds forwards, with the shell and the wheels under a law.
 
 use futures::future::try_join_all;
 use r4_boards::Drive;
@@ -12,35 +12,35 @@ use super::{
     scene::{Magnet, Setup, TRIAL_S},
 };
 
-/// Period of whiskers and wheels, ms.
+/// Telemetry period of whiskers and wheels, ms.
 const PERIOD_MS: u16 = 10;
-/// Time constant of the board's low-pass of analog inputs, s: that of the firmware.
+/// Time constant of the board's low-pass on analog inputs, s: that of the firmware.
 const FILTER_S: f64 = 0.010;
-/// Two inputs of that low-pass in a row that are the same, and a change of what is shown, rad: six times the converter's noise as it is in the
-/// filter's input. With 1 mrad noise is taken for new samples.
+/// Threshold for two things, rad: consecutive inputs of that low-pass that count as equal, and a change of the shown
+/// value. Six times the converter's noise, referred to the filter's input. With 1 mrad noise is taken for new samples.
 const SAME_RAD: f64 = 4e-3;
-/// Changes of the servo's set point that are sent, rad: a tenth of what its dead band is.
+/// Smallest change of the servo's set point that is sent, rad: a tenth of its dead band.
 const SERVO_STEP_RAD: f64 = 1e-3;
 
-/// What is true at one moment, and what the program knows and commands.
+/// True state at one moment, with the program's inputs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
-    /// Since the start, s.
+    /// Time since the start, s.
     pub time_s: f64,
-    /// As the board has it.
+    /// Inputs of the law, as the board shows them.
     pub seen: Seen,
-    /// Bends of both whiskers, rad.
+    /// True bends of both whiskers, rad.
     pub bent_rad: [f64; 2],
     /// Width of the shell, m.
     pub width_m: f64,
-    /// The robot's middle.
+    /// True pose of the robot's middle.
     pub pose: Pose,
 }
 
-/// A trial.
+/// Record of a trial.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Run {
-    /// Every 10 ms from the start on.
+    /// States every 10 ms from the start on.
     pub moments: Vec<Moment>,
 }
 
@@ -51,7 +51,7 @@ impl Moment {
     }
 }
 
-/// The board with its whiskers and wheels.
+/// Connection of the program to whiskers and wheels of a board.
 pub(super) struct Rider<'r, 'b> {
     session: &'r Session<'b>,
     setup: &'r Setup,
@@ -63,7 +63,8 @@ pub(super) struct Rider<'r, 'b> {
     sent: Option<Order>,
 }
 
-/// A whisker's reading with the board's low-pass taken back: samples are held, so that its input is level between them.
+/// Inverse of the board's low-pass for one whisker. Samples are held, so that the filter's input is constant between
+/// them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Whisker {
     read_rad: f64,
@@ -77,6 +78,8 @@ impl Whisker {
     }
 
     fn next(self, read_rad: f64, after_s: f64) -> Self {
+        // First-order low-pass over one period, solved for its input. The floor bounds the gain where two frames are
+        // close.
         let keeps = (-after_s / FILTER_S).exp();
         let input_rad = (read_rad - keeps * self.read_rad) / (1.0 - keeps).max(0.1);
         let is_level = (input_rad - self.input_rad).abs() < SAME_RAD;
@@ -97,12 +100,12 @@ impl<'r, 'b> Rider<'r, 'b> {
         Ok(Self { session, setup, ground, telemetry, whiskers: [None; 2], time_s: 0.0, wheels_rad: None, sent: None })
     }
 
-    /// Forgets frames that have waited.
+    /// Discards frames that were queued.
     pub(super) fn skip(&mut self) {
         while self.telemetry.try_next().is_some() {}
     }
 
-    /// What the next frame with whiskers shows.
+    /// Waits for the next frame with whiskers and returns the law's inputs.
     pub(super) async fn seen(&mut self) -> Result<Seen, Error> {
         loop {
             let frame = self.telemetry.next().await?;
@@ -134,7 +137,7 @@ impl<'r, 'b> Rider<'r, 'b> {
         }
     }
 
-    /// Sends what of a command has changed.
+    /// Sends the parts of a command that have changed.
     pub(super) async fn order(&mut self, order: Order) -> Result<(), Error> {
         let board = self.session.board;
         let changed = |is: f64, was: Option<f64>, step: f64| was.is_none_or(|was| (is - was).abs() > step);
@@ -146,7 +149,7 @@ impl<'r, 'b> Rider<'r, 'b> {
         }
         if was.is_none_or(|was| order.velocity != was.velocity) {
             sent.velocity = order.velocity;
-            // All at once: a side that starts before the other turns the robot.
+            // Both sides at once: a side that starts before the other turns the robot.
             let sets = self.ground.setpoints(order.velocity).into_iter();
             try_join_all(sets.map(|(wheel, setpoint)| board.set(wheel, setpoint))).await?;
         }
@@ -158,7 +161,7 @@ impl<'r, 'b> Rider<'r, 'b> {
 /// Drives for five seconds by a law, after `waits_s` at rest.
 ///
 /// # Errors
-/// When the board is not virtual, does not arm or stops, or its body has no shell.
+/// The error of the board when it is not virtual, does not arm or stops.
 pub async fn drive(session: &Session<'_>, setup: &Setup, law: &mut Law, waits_s: f64) -> Result<Run, Error> {
     session
         .armed(async || {
@@ -181,7 +184,7 @@ pub async fn drive(session: &Session<'_>, setup: &Setup, law: &mut Law, waits_s:
         .await
 }
 
-/// The robot as it is, or `None` for a board without a shell.
+/// Copy of the robot's true state; `None` for a board without a shell.
 ///
 /// # Errors
 /// When the board is not virtual.

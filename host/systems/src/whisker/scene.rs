@@ -1,4 +1,4 @@
-//! Boxes and robots that the study samples, and what a program knows of the robot.
+//! Boxes and robots that the study samples, and the values that a program knows of the robot.
 
 use std::rc::Rc;
 
@@ -9,36 +9,38 @@ use r4_world::{AnyBody, BoxSpec, Chassis, Deformable, Pose, Scene, Shell, Whiske
 
 use crate::Sampler;
 
-/// Purpose of random numbers.
+/// Purpose of the random numbers of a case.
 const OF_CASE: u64 = 1;
 
-/// Along the way and across it, m: printed are 22 x 16.5 x 11.5 cm; that the long side is across is our choice.
+/// Size of a box along and across the direction of travel, m. Printed are 22 x 16.5 x 11.5 cm; that the long side is
+/// across is our choice.
 pub const BOX_M: [f64; 2] = [0.165, 0.22];
-/// Between the boxes, m: printed.
+/// Gap between the boxes, m: printed.
 pub const GAP_M: f64 = 0.24;
-/// From the nose at rest to the boxes, m: printed.
+/// Distance from the nose at rest to the boxes, m: printed.
 pub const AHEAD_M: f64 = 0.20;
-/// Way after which the side panels, half a panel of 0.21 m before and behind the middle, are past the boxes' far faces, m.
+/// Travel after which the side panels, half a panel of 0.21 m before and behind the middle, are past the boxes' far
+/// faces, m.
 pub const PASSED_M: f64 = 0.21 + AHEAD_M + BOX_M[0] + 0.105;
-/// Time of a trial, s: printed.
+/// Duration of a trial, s: printed.
 pub const TRIAL_S: f64 = 5.0;
 
-/// What is in the boxes.
+/// Contents of the boxes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Load {
-    /// Nothing.
+    /// Boxes without any contents.
     Light,
-    /// 100 g.
+    /// Boxes with 100 g.
     Moderate,
-    /// 10 kg.
+    /// Boxes with 10 kg.
     Heavy,
 }
 
 impl Load {
-    /// All, from light to heavy.
+    /// All loads, from light to heavy.
     pub const ALL: [Self; 3] = [Self::Light, Self::Moderate, Self::Heavy];
 
-    /// Contents, kg: printed.
+    /// Mass of the contents, kg: printed.
     #[must_use]
     pub const fn contents_kg(self) -> f64 {
         match self {
@@ -48,7 +50,7 @@ impl Load {
         }
     }
 
-    /// Name in metrics.
+    /// Name of the load in metrics.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -59,43 +61,44 @@ impl Load {
     }
 }
 
-/// A robot before two boxes. [`About::sampled`](crate::About::sampled) has the ranges.
+/// A robot in front of two boxes. [`About::sampled`](crate::About::sampled) has the ranges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
-    /// What both boxes hold.
+    /// Load of both boxes.
     pub load: Load,
     /// Mass of the empty boxes, left and right, kg.
     pub empty_kg: [f64; 2],
-    /// Their static friction.
+    /// Static friction of the boxes, left and right.
     pub friction: [f64; 2],
-    /// Kinetic friction as a share of it.
+    /// Kinetic friction as a share of the static.
     pub kinetic_share: f64,
-    /// How far the robot starts to the left of the gap's middle, m.
+    /// Start of the robot to the left of the gap's middle, m.
     pub aside_m: f64,
-    /// Its heading at first, rad.
+    /// Heading of the robot at the start, rad.
     pub yaw_rad: f64,
-    /// Friction of its tyres.
+    /// Friction coefficient of the robot's tyres.
     pub tyre_friction: f64,
-    /// Of the whiskers' springs and its file's.
+    /// Stiffness of the whiskers' springs over that of the robot's file.
     pub spring: f64,
     /// Play of the whiskers' magnets, rad.
     pub hysteresis_rad: f64,
-    /// Dead time and period of the whiskers' samples, s.
+    /// Dead time of the whiskers' samples, s.
     pub late_s: f64,
-    /// s
+    /// Period of the whiskers' samples, s.
     pub every_s: f64,
-    /// Time at rest before the start, s: where in the period of the samples it falls.
+    /// Time at rest before the start, s: it decides the phase of the start in the samples' period.
     pub waits_s: f64,
-    /// Of the whiskers' noise.
+    /// Seed of the whiskers' noise.
     pub seed: u64,
 }
 
 impl Case {
-    /// The case of a seed with boxes of one load; masses, friction and the start are the same for all loads.
+    /// Samples the case of a seed with boxes of one load; masses, friction and the start are the same for all loads.
     #[must_use]
     pub fn of(seed: u64, load: Load) -> Self {
         let mut sampler = Sampler::new(seed, OF_CASE);
         let mut both = |low: f64, high: f64| [sampler.uniform(low, high), sampler.uniform(low, high)];
+        // Nothing sampled depends on the load: all loads of a seed share boxes and start.
         let (empty_kg, friction) = (both(0.14, 0.18), both(0.35, 0.45));
         Self {
             load,
@@ -114,8 +117,9 @@ impl Case {
         }
     }
 
-    /// The boxes in the world, before a robot whose nose at rest is so far ahead of its origin, m.
+    /// Puts the boxes into the world, in front of a robot whose nose at rest is `nose_m` ahead of its origin.
     pub fn put_boxes(&self, nose_m: f64, scene: &mut Scene) -> Result<(), String> {
+        // The robot's file may have boxes of its own.
         scene.clear_boxes();
         for (number, side) in [1.0, -1.0].into_iter().enumerate() {
             let spec = BoxSpec {
@@ -131,10 +135,10 @@ impl Case {
         Ok(())
     }
 
-    /// The robot of `nominal` in this case, where it starts.
+    /// The robot of `nominal` in this case, at its start.
     ///
     /// # Errors
-    /// Why it cannot be computed.
+    /// The reason in words when the changed body is not valid.
     pub fn body(&self, nominal: &Deformable) -> Result<Deformable, String> {
         let base = nominal.base().changed(|_: &mut Chassis, wheels| {
             for tyre in wheels.iter_mut().filter_map(|wheel| wheel.tyre.as_mut()) {
@@ -155,18 +159,19 @@ impl Case {
         Ok(body)
     }
 
-    /// Where the robot's middle is at first.
+    /// Pose of the robot's middle at the start.
     #[must_use]
     pub fn start(&self) -> Pose {
         Pose { x_m: 0.0, y_m: self.aside_m, yaw_rad: self.yaw_rad }
     }
 
-    /// What a rig does to a robot to make it this case.
+    /// Returns the function by which a rig changes its robot to this case.
     ///
     /// # Errors
-    /// What the robot's file has in place of a shell, or why it cannot be computed.
+    /// The reason in words: the robot has no shell, or the changed body is not valid.
     pub fn altered(&self, robot: &Robot) -> Result<Alter, String> {
         let nominal = shell_of(robot)?;
+        // Built outside the closure, so that an invalid case is an error here.
         let body = self.body(nominal)?;
         let nose_m = 0.5 * nominal.shell().length_m(nominal.shell().rest_rad);
         let mut scene = robot.simulation.scene.clone();
@@ -180,7 +185,7 @@ impl Case {
     }
 }
 
-/// The shell, wheels and whiskers of a robot.
+/// The shell, wheels and whiskers of a robot; an error in words when it has none.
 pub(super) fn shell_of(robot: &Robot) -> Result<&Deformable, String> {
     match robot.simulation.body.as_ref().map(|body| &body.kind) {
         Some(AnyBody::Deformable(body)) => Ok(body),
@@ -188,46 +193,46 @@ pub(super) fn shell_of(robot: &Robot) -> Result<&Deformable, String> {
     }
 }
 
-/// A whisker's analog input.
+/// Analog input of one whisker.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Magnet {
-    /// The input.
+    /// Channel of the input.
     pub channel: ChannelId,
-    /// Volts while the whisker is free.
+    /// Voltage while the whisker is free, V.
     pub zero_v: f64,
-    /// Volts for each radian that it is bent backwards.
+    /// Gain for backward bends, V/rad.
     pub v_per_rad: f64,
 }
 
-/// What a program knows of a robot: its data sheet.
+/// Channels and datasheet values that a program knows of its robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
-    /// What narrows the shell.
+    /// Channel of the servo that narrows the shell.
     pub servo: ChannelId,
-    /// Its last angle, rad; the shell is at rest at 0.
+    /// Largest angle of the servo, rad; the shell is at rest at 0.
     pub servo_max_rad: f64,
-    /// How fast it turns, rad/s.
+    /// Rated speed of the servo, rad/s.
     pub servo_rad_s: f64,
-    /// Its wheels, one on each side.
+    /// Wheels, one on each side.
     pub drive: SkidSteer,
-    /// Left and right.
+    /// Analog inputs of the left and right whisker.
     pub magnets: [Magnet; 2],
-    /// From a change of what a whisker shows until the program knows it, s.
+    /// Delay from a change of a whisker's shown value until the program knows it, s.
     pub settles_s: f64,
-    /// The shell.
+    /// Geometry of the shell.
     pub shell: Shell,
-    /// The whiskers.
+    /// Geometry and sampling of the whiskers.
     pub whiskers: Whiskers,
 }
 
-/// On a board: two samples of 10 ms until the input of its low-pass is level again.
+/// Delay on a board, s: two samples of 10 ms until the input of its low-pass is constant again.
 const SETTLES_S: f64 = 0.02;
 
 impl Setup {
-    /// That of a robot.
+    /// Reads the setup of a robot.
     ///
     /// # Errors
-    /// What the robot lacks.
+    /// The part that the robot lacks, in words.
     pub fn of(robot: &Robot) -> Result<Self, String> {
         let body = shell_of(robot)?;
         let channels = robot.simulation.body.as_ref().map_or(&[][..], |body| &body.channels);
@@ -254,7 +259,7 @@ impl Setup {
         })
     }
 
-    /// Angle of the servo at which the front panels have an angle, rad, within the servo's travel.
+    /// Servo angle, rad, for an angle of the front panels, rad, limited to the servo's travel.
     #[must_use]
     pub fn servo_rad(&self, panels_rad: f64) -> f64 {
         ((panels_rad - self.shell.rest_rad) / self.shell.per_rad).clamp(0.0, self.servo_max_rad)

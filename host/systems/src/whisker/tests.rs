@@ -10,7 +10,7 @@ fn trial(arm: &'static str, seed: u64) -> Trial {
     Trial { arm, seed, board: "sim:deformobot".parse().expect("a board") }
 }
 
-/// A trial on perfect actuators.
+/// Runs a trial on perfect actuators.
 fn perfect(arm: &'static str, seed: u64, load: Load, law: impl Fn(&Setup) -> Law) -> Run {
     let robot = r4_boards::load(ABOUT.robot).expect("built in");
     let setup = Setup { settles_s: 0.0, ..Setup::of(&robot).expect("a shell") };
@@ -22,7 +22,7 @@ fn values(arm: &'static str, seed: u64) -> Values {
     Whisker.run(&trial(arm, seed)).expect("a trial")
 }
 
-/// Way of an arm between heavy boxes on perfect actuators, mean of some seeds, m.
+/// Mean travel of an arm between heavy boxes over some seeds, m, on perfect actuators.
 fn heavy_m(arm: &'static str, seeds: std::ops::RangeInclusive<u64>) -> f64 {
     let seeds: Vec<u64> = seeds.collect();
     let way_m = |seed: &u64| {
@@ -45,7 +45,7 @@ fn on_a_simulated_board_the_robot_passes_boxes_of_every_load() {
     assert_eq!(values(OURS, 1), ours, "the same seed, bit for bit");
 }
 
-/// What holding and waiting are for; the body is the same in all.
+/// Travel with one part of the law disabled, against all parts, on the same bodies.
 #[test]
 fn without_holding_or_waiting_ours_comes_less_far() {
     let ours_m = heavy_m(OURS, 1..=6);
@@ -58,7 +58,8 @@ fn without_holding_or_waiting_ours_comes_less_far() {
     }
 }
 
-/// Between heavy boxes: the board trips, the robot stops within the travel of a stop, and the boxes stay; the servo has no pulses any more.
+/// The dead man is released between heavy boxes: the board trips, the robot stops within the travel of a stop, and the
+/// boxes stay. The servo has no pulses any more.
 #[test]
 fn a_released_dead_man_stops_the_robot_in_the_gap() {
     let trial = trial(OURS, 3);
@@ -91,7 +92,7 @@ fn a_released_dead_man_stops_the_robot_in_the_gap() {
     assert!(matches!(&ended, Err(r4_rig::Error::Board(_))), "{ended:?}");
     assert_eq!(state, SafetyState::Tripped);
     let [before, after] = [&released, &still].map(|body| r4_world::Body::pose(body).x_m);
-    // 0.187 m/s at a friction of 0.6 stop in 3 mm; the rest is the stop's time.
+    // 0.187 m/s at a friction of 0.6 stop within 3 mm; the rest of the limit is the stop's time.
     assert!((0.0..0.03).contains(&(after - before)), "{before} {after}");
     let twist = r4_world::Body::twist(&still);
     assert!(twist.forward_m_s.abs() < 1e-3 && twist.yaw_rad_s.abs() < 1e-2, "{twist:?}");
@@ -101,8 +102,8 @@ fn a_released_dead_man_stops_the_robot_in_the_gap() {
     assert!(boxes.iter().all(|one| (one.pose().x_m - centre_m).abs() < 1e-3), "{boxes:?}");
 }
 
-/// A leg before the nose until 2.2 s, which then goes away along the boxes. The robot leans on it and stands; no sample is lost, nothing trips,
-/// and it goes on between the boxes with the way that the wait has cost.
+/// A leg stands before the nose until 2.2 s, then leaves along the boxes. The robot leans on it and stands; no sample
+/// is lost, nothing trips, and the robot continues between the boxes, behind by the travel that the wait cost.
 #[test]
 fn a_person_in_the_way_costs_time_and_no_sample() {
     let trial = trial(OURS, 3);
@@ -128,7 +129,7 @@ fn a_person_in_the_way_costs_time_and_no_sample() {
     let person = r4_world::Person { radius_m: 0.06, path };
     let ((free, _), (met, state)) = (run(Vec::new()), run(vec![person.clone()]));
     assert_ne!(state, SafetyState::Tripped);
-    // It stands while the leg does: 0.187 m/s for at least half a second.
+    // The robot stands while the leg does: 0.187 m/s for at least half a second.
     let cost_m = way_m(&free) - way_m(&met);
     assert!((0.09..0.25).contains(&cost_m), "{cost_m} m of {} m", way_m(&free));
     assert!(way_m(&met) >= scene::PASSED_M, "{} m", way_m(&met));
@@ -158,7 +159,7 @@ fn hidden_effects_are_named_and_clean_whiskers_show_none() {
     }
 }
 
-/// How the coefficients of the paper's form were found: 200 sampled sets on seeds 1 to 20, heavy boxes, perfect actuators.
+/// Search for the coefficients of the paper's form: 200 sampled sets on seeds 1 to 20, heavy boxes, perfect actuators.
 #[test]
 #[ignore = "a search of minutes"]
 fn the_papers_coefficients_are_searched() {
@@ -183,7 +184,7 @@ fn the_papers_coefficients_are_searched() {
     }
 }
 
-/// How the weights of the classes were found.
+/// Training of the classifier: prints the weights for `class.rs`.
 #[test]
 #[ignore = "prints what is in class.rs"]
 fn the_classes_are_learned() {

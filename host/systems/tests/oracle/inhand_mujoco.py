@@ -1,10 +1,10 @@
-"""Two hinged fingers in MuJoCo hold a cylinder or a square bar and go through INHAND's two motions, for the tests of r4-systems.
+"""Oracle for the tests of r4-systems: two hinged fingers in MuJoCo hold a cylinder or a square bar and perform INHAND's two motions.
 
 Writes inhand_mujoco.json beside itself. Needs: pip install mujoco==3.17.0 numpy
 
-Fingers are boxes on hinges, the hinges' bases on slides whose places are given; the left finger is led by a stiff spring, the right one
-pressed by a torque. The object moves in the plane without weight. Friction and rolling are MuJoCo's own (elliptic cones, condim 3). At each
-stop the true joint angles, the palm and both contact points as MuJoCo reports them are written: no encoder, no play. No line is shared
+Fingers are boxes on hinges, whose bases are on slides with prescribed positions; a stiff spring drives the left finger, a torque presses
+the right one. The object moves in the plane without weight. Friction and rolling are MuJoCo's own (elliptic cones, condim 3). At each
+stop the file has the true joint angles, the palm and both contact points as MuJoCo reports them: no encoder, no play. No code is shared
 with r4-world.
 """
 
@@ -61,7 +61,7 @@ def run(shape, across, lean, height):
     data = mujoco.MjData(model)
     data.qpos[1], data.qpos[3] = 0.1, -0.1
     mujoco.mj_forward(model, data)
-    aim = [0.0, 0.1]  # palm wider by, left finger
+    aim = [0.0, 0.1]  # opening of the palm, angle of the left finger
 
     def go(to, seconds):
         start = list(aim)
@@ -69,7 +69,7 @@ def run(shape, across, lean, height):
         for number in range(count):
             part = (number + 1) / count
             aim[:] = [s + part * (t - s) for s, t in zip(start, to)]
-            # The left spring is led so that it holds the right one's torque.
+            # The set point of the left spring leads, so that it holds the torque of the right finger.
             data.ctrl[:] = [-aim[0] / 2, aim[0] / 2, aim[1] - TORQUE / 200, TORQUE]
             mujoco.mj_step(model, data)
 
@@ -89,7 +89,7 @@ def run(shape, across, lean, height):
         size = float(np.linalg.norm(mean["right"] - mean["left"]))
         return [width, math.pi / 2 + data.qpos[1], math.pi / 2 + data.qpos[3], *distance, size]
 
-    # Close until the left finger leans as the grasp wants.
+    # Close until the left finger has the lean of the grasp.
     go([0.0, -lean], 0.6)
     go([0.0, -lean], 0.4)
     stops = []

@@ -1,11 +1,12 @@
-"""A skid-steer car in MuJoCo drives SKIDCAL's two tests, for the tests of r4-systems.
+"""Oracle for the tests of r4-systems: a skid-steer car in MuJoCo drives SKIDCAL's two tests.
 
 Writes skidcal_mujoco.json beside itself. Needs: pip install mujoco==3.17.0 numpy
 
 Wheels are heavy spheres on hinges, so that their speed is given. Below its limit MuJoCo's friction is viscous: the force of a contact
-times the constraint's regularisation R equals damping times the slip velocity, after a transient of 1 / damping (0.2 ms at 0.3 m/s). As Gazebo's wheel_slip plugin does with ODE's slip, the
-damping of each contact is set in each step to R / (c |v_rim|), so that F = v_slip / (c |v_rim|) along a wheel and across it. What c the
-car then has is not taken from that formula but measured in MuJoCo: the rolling car is pulled along, and the slip read off ("towed").
+times the constraint's regularisation R equals damping times the slip velocity, after a transient of 1 / damping (0.2 ms at 0.3 m/s).
+Like Gazebo's wheel_slip plugin with ODE's slip, each step sets the damping of each contact to R / (c |v_rim|), so that
+F = v_slip / (c |v_rim|) along a wheel and across it. The resulting c of the car is not taken from that formula but measured in MuJoCo:
+the rolling car is towed, and its slip is read off ("towed").
 MuJoCo has one damping for both directions of a contact, so c_lat = c_long: the ratio is 1.
 """
 
@@ -21,9 +22,9 @@ G = 9.80665
 MASS, INERTIA, RADIUS, BASE, TRACK, FRICTION = 11.0, 0.22, 0.056, 0.12, 0.151, 10.0
 STEP = 0.00025
 COMPLIANCE = 0.015
-# Inertia of the wheels, kg m^2: so heavy that the tyres' forces do not change their speed.
+# Inertia of the wheels, kg m^2: so large that the tyres' forces do not change their speed.
 ARMATURE = 1e3
-# Where the rim hardly turns the tyre holds: a bound on the damping.
+# Upper bound of the damping: a tyre whose rim hardly turns holds.
 SLOWEST_M_S = 0.02
 SPEED_MAX = 0.5
 NAMES = [("fl", BASE, TRACK), ("fr", BASE, -TRACK), ("rl", -BASE, TRACK), ("rr", -BASE, -TRACK)]
@@ -62,7 +63,7 @@ class Car:
         self.travel[:] = self.data.qpos[7:11] * RADIUS
 
     def step(self, rims, pull=0.0):
-        """One step with the rims at these speeds, m/s, and the car pulled forwards, N."""
+        """Makes one step with the rims at these speeds, m/s, and a force that pulls the car forwards, N."""
         data = self.data
         for contact in data.contact:
             if contact.efc_address < 0:
@@ -73,7 +74,7 @@ class Car:
             regularisation = data.efc_R[contact.efc_address + 1]
             impedance = 0.9
             self.model.pair_solreffriction[index] = [-1.0, -regularisation / (COMPLIANCE * rim) * impedance]
-        # The torque that brings the wheels to their speed within the step.
+        # Torque that brings the wheels to their speed within the step.
         data.qfrc_applied[6:10] = ARMATURE * (np.asarray(rims) / RADIUS - data.qvel[6:10]) / STEP
         data.xfrc_applied[1, 0] = pull
         mujoco.mj_step(self.model, data)
@@ -88,8 +89,8 @@ class Car:
 
 
 def towed(rim):
-    """The compliance, 1/N, from the change of the slip between two steady pulls: a difference, as wheels that sink in roll on a smaller
-    radius."""
+    """Measures the compliance, 1/N, by the change of the slip between two steady pulls. A difference is used because wheels that sink in
+    roll on a smaller radius."""
     def slip(pull):
         car, speed = Car(), 0.0
         for _ in range(int(1.5 / STEP)):
@@ -100,7 +101,7 @@ def towed(rim):
 
 
 class Driver:
-    """Rims that follow ramps of 1 m/s^2."""
+    """Drives with rims that follow ramps of 1 m/s^2."""
 
     def __init__(self):
         self.car, self.rims, self.time, self.unwrapped = Car(), np.zeros(4), 0.0, 0.0

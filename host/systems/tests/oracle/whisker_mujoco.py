@@ -1,11 +1,11 @@
-"""A hexagonal shell is driven against two boxes in MuJoCo, for the tests of r4-systems.
+"""Oracle for the tests of r4-systems: a hexagonal shell is driven against two boxes in MuJoCo.
 
 Writes whisker_mujoco.json beside itself. Needs: pip install mujoco==3.17.0
 
-The shell is rigid, of the angle that is given, and moves along x only, led by a velocity servo of limited force (the traction). Boxes are free
+The shell is rigid, with a prescribed angle, and moves along x only, driven by a velocity servo of limited force (the traction). Boxes are free
 bodies on a plane under gravity; 36 small feet spread each one's weight over its base, so that its friction against turning is that of the
 whole base. Shell and boxes touch with a friction of 0.3, feet and floor with that of the case. Friction, contact and the boxes' tilt are
-MuJoCo's own (elliptic cones). No line is shared with r4-world.
+MuJoCo's own (elliptic cones). No code is shared with r4-world.
 """
 
 import json
