@@ -8,10 +8,13 @@ use std::{
 };
 
 use crate::{
-    firmware::{self, Firmware},
+    firmware,
+    images::{self, Background},
     licences,
     meter::Meter,
-    package, programs,
+    package,
+    peers::Peers,
+    programs,
     python::Python,
     release::Release,
     summary::{Outcome, Summary},
@@ -42,8 +45,12 @@ struct Step {
 enum Run {
     /// Looks for what the others need, and adds what is missing.
     Toolchain(Extent),
-    /// Builds the board's images that the tests run.
+    /// Begins to build the board's images that tests run, beside the steps that follow.
+    ImagesBegin,
+    /// Waits for these images.
     Images,
+    /// Tests the program beside programs of others.
+    Peers,
     /// Runs the test programs that these arguments of cargo build, and names the slowest tests.
     Tests(&'static [&'static str]),
     /// Compares the page of the protocol and what goes with it with what the protocol's types make.
@@ -74,24 +81,11 @@ const fn cargo(folder: &'static str, arguments: &'static [&'static str]) -> Run 
     Run::Cargo { folder, arguments, environment: &[] }
 }
 
-/// The images that tests run on the emulated board.
-const IMAGES: [(&str, &str); 12] = [
-    ("osmc-bench", "bare"),
-    ("osmc-bench", "hosted"),
-    ("openscout", "bare"),
-    ("every-interface", "bare"),
-    ("balance-tail", "bare"),
-    ("hil-sim/emu/tests/robots/feedback-bench.toml", "bare"),
-    ("osmc-evaluation", "bare"),
-    ("cable-loop", "bare"),
-    ("two-finger-gripper", "bare"),
-    ("berry-picker", "bare"),
-    ("suction-pad", "bare"),
-    ("deformobot", "bare"),
-];
-
 /// The same cases of property tests each time: what turns red is the change. Other cases are for who works on the code.
 const SAME_CASES: &[(&str, &str)] = &[("PROPTEST_RNG_SEED", "1")];
+
+/// Features of the program that tests use.
+const TESTED: &str = "r4/emu,r4/live,r4/parquet,r4/ros2";
 
 /// Cheapest first: what fails most often is seen soonest. The steps for the tests differ in what they do, not in what they
 /// compile: first everything is built, then run.
@@ -146,15 +140,17 @@ const FULL: &[Step] = &[
             ],
         ),
     ),
+    step("images, begin", Run::ImagesBegin),
     // Compiled and not linked: it needs no tools of theirs.
     step("other systems", cargo(".", &["check", "--package", "r4", "--target", SYSTEMS[0], "--target", SYSTEMS[1]])),
     step("packages", Run::Packages),
+    step("build tests", cargo(".", &["test", "--workspace", "--features", TESTED, "--no-run"])),
     step("images", Run::Images),
-    step("build tests", cargo(".", &["test", "--workspace", "--features", "r4/emu,r4/parquet", "--no-run"])),
-    step("tests", Run::Tests(&["test", "--workspace", "--features", "r4/emu,r4/parquet"])),
+    step("tests", Run::Tests(&["test", "--workspace", "--features", TESTED])),
+    step("peers", Run::Peers),
     step("python", Run::Python),
     step("archive", Run::Release),
-    step("examples", cargo(".", &["test", "--workspace", "--features", "r4/emu,r4/parquet", "--doc"])),
+    step("examples", cargo(".", &["test", "--workspace", "--features", TESTED, "--doc"])),
     step(
         "docs",
         Run::Cargo {
@@ -195,7 +191,8 @@ pub(crate) fn run(root: &Path, extent: Extent) -> ExitCode {
         Extent::Full => FULL,
         Extent::Quick => QUICK,
     };
-    let (summary, problem) = run_all(steps, |step| execute(step, root));
+    let mut images = None;
+    let (summary, problem) = run_all(steps, |step| execute(step, root, &mut images));
     println!("\n{summary}");
     // What is said on stderr comes last.
     let _ = io::stdout().flush();
@@ -227,17 +224,20 @@ fn run_all(steps: &[Step], mut execute: impl FnMut(&Step) -> Result<(), String>)
     (summary, problem)
 }
 
-fn execute(step: &Step, root: &Path) -> Result<(), String> {
+/// Carries out a step. `images` is the build of images that was begun and not waited for.
+fn execute(step: &Step, root: &Path, images: &mut Option<Background>) -> Result<(), String> {
     match &step.run {
         Run::Toolchain(Extent::Quick) => toolchain::complete(root, &[]),
         Run::Toolchain(Extent::Full) => {
             toolchain::complete(root, &toolchain::SYSTEMS)?;
             toolchain::emulator(root)
         }
-        Run::Images => IMAGES.iter().try_for_each(|(robot, image)| {
-            println!("{}", Firmware::new(robot, image).build(root)?);
+        Run::ImagesBegin => {
+            *images = Some(Background::start(root)?);
             Ok(())
-        }),
+        }
+        Run::Images => images.take().map_or_else(|| images::build(root), Background::finish),
+        Run::Peers => Peers::of_tests(root)?.test(root),
         Run::Protocol => Wire::Check.go(root),
         Run::Licences => licences::check(root),
         Run::Packages => package::check(root),
@@ -286,7 +286,9 @@ impl Step {
             Run::Packages => "cargo xtask package".into(),
             Run::Release => "cargo xtask release --program target/debug/r4".into(),
             Run::Python => "cargo xtask python".into(),
-            Run::Images => "cargo xtask firmware, for each robot that tests emulate".into(),
+            Run::ImagesBegin => "cargo xtask images, beside the next steps".into(),
+            Run::Images => "the end of cargo xtask images".into(),
+            Run::Peers => "cargo xtask peers --program target/debug/r4".into(),
             Run::Cargo { folder, arguments, environment } => command_line(folder, environment, arguments),
         }
     }
