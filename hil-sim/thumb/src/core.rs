@@ -1,4 +1,4 @@
-//! [`ThumbCore`].
+//! Core that connects interpreter, cache and machine: [`ThumbCore`].
 
 use r4_mcu::Region;
 use r4_mcu::cpu::{Core, CoreBus, CoreError, CoreStop, Fault, Protection, Register, Why};
@@ -9,7 +9,7 @@ use crate::execute::execute;
 use crate::operation::Op;
 use crate::state::State;
 
-/// A Cortex-M7 by an interpreter.
+/// Interpreter for the instruction set of a Cortex-M7.
 pub struct ThumbCore {
     state: State,
     blocks: Blocks,
@@ -25,7 +25,7 @@ impl Default for ThumbCore {
 }
 
 impl ThumbCore {
-    /// A processor without memory: [`Core::map`] comes next.
+    /// Makes a processor without memory: call [`Core::map`] next.
     #[must_use]
     pub fn new() -> Self {
         Self { state: State::new(), blocks: Blocks::new(), observed: Vec::new(), within: false }
@@ -37,7 +37,7 @@ impl ThumbCore {
         self.state.memory.forget_code();
     }
 
-    /// What is not looked at before every block: `Some` ends the run.
+    /// Handles the rare conditions before a block; `Some` ends the run.
     #[cold]
     fn attention(&mut self, bus: &mut dyn CoreBus) -> Option<Why> {
         if self.state.stale {
@@ -57,7 +57,7 @@ impl ThumbCore {
         None
     }
 
-    /// Decodes what is at PC, if need be: the block's number. `None` where nothing can be fetched.
+    /// Returns the number of the block at PC and decodes it if necessary; `None` where no instruction can be fetched.
     #[cold]
     fn find(&mut self) -> Option<u32> {
         let State { memory, it, pc, .. } = &mut self.state;
@@ -65,7 +65,7 @@ impl ThumbCore {
         if *it == 0 { self.blocks.find(*pc, &what) } else { self.blocks.add(*pc, &what) }
     }
 
-    /// A block with observed instructions.
+    /// Executes a block with observed instructions up to the first of them.
     #[cold]
     fn execute_observed(&mut self, block: &Block, is_first: bool, bus: &mut dyn CoreBus) -> Option<Why> {
         let Some((ops, address)) = self.blocks.observed(block, self.state.it, is_first) else {
@@ -74,7 +74,7 @@ impl ThumbCore {
         if address == block.address {
             return Some(Why::Observed);
         }
-        // What is before it is not the end of the block, and does not branch.
+        // The part before it is not the end of the block, and does not branch.
         let instructions = self.instructions_before(block, address);
         let before = block.beginning(address, ops, instructions);
         let why = execute(&mut self.state, &self.blocks, &before, false, bus);
@@ -82,7 +82,7 @@ impl ThumbCore {
         Some(why.unwrap_or(Why::Observed))
     }
 
-    /// Instructions of a block before one of them.
+    /// Counts the instructions of a block before `address`.
     fn instructions_before(&self, block: &Block, address: u32) -> u16 {
         let (mut at, mut count) = (block.address, 0);
         while at != address {
@@ -108,7 +108,7 @@ impl ThumbCore {
         }
     }
 
-    /// Up to what ends the run.
+    /// Executes blocks until the run ends; returns the reason.
     fn until_stop(&mut self, bus: &mut dyn CoreBus) -> Why {
         let mut is_first = true;
         loop {
@@ -139,7 +139,7 @@ impl ThumbCore {
         }
     }
 
-    /// One instruction.
+    /// Executes a single instruction, or nothing if the run ends before it.
     fn one(&mut self, bus: &mut dyn CoreBus) -> Why {
         if let Some(why) = self.attention(bus) {
             return why;
@@ -220,7 +220,7 @@ impl Core for ThumbCore {
     fn only_looks(&self) -> bool {
         let number = if self.state.it == 0 { self.blocks.number(self.state.pc) } else { None };
         let block = number.and_then(|number| self.blocks.by_number(number));
-        // What follows in its stretch is another block, before which limits are looked at.
+        // The rest of its stretch is another block, before which limits are checked.
         let own = |op: &&Op| !matches!(op, Op::Onward { .. });
         block.is_some_and(|block| self.blocks.ops(block).iter().take_while(own).all(Op::only_looks))
     }
