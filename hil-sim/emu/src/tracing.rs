@@ -27,7 +27,7 @@ pub enum SymbolError {
     /// Several functions have this name.
     #[error("`{name}` can be {}", .candidates.join(", "))]
     Several {
-        /// The requested name.
+        /// Name in the request.
         name: String,
         /// Full paths of the candidates.
         candidates: Vec<String>,

@@ -17,7 +17,7 @@ pub enum Address {
     Serial {
         /// Device path such as `/dev/ttyACM0`; `None` selects the only board found.
         path: Option<PathBuf>,
-        /// Baud rate, bit/s.
+        /// Baud rate of the port, bit/s.
         baud: u32,
     },
     /// TCP port of a served board, or of a serial server with a board.

@@ -9,7 +9,7 @@ use r4_protocol::can::{Direction, Inbound, Node, NotTaken};
 pub enum End {
     /// Host that talks to this board.
     Host(Node),
-    /// The board itself.
+    /// Board with this node number.
     Board(Node),
 }
 

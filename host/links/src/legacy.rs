@@ -165,7 +165,7 @@ pub enum Command {
         /// Channel number of the bridge, if readable.
         channel: Option<u8>,
     },
-    /// Stops all motors.
+    /// Stops all motors of the board.
     Stop,
     /// Unknown value of the `S` key.
     Unknown,
