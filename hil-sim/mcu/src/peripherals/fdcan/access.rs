@@ -1,4 +1,4 @@
-//! Accesses to the registers and the message RAM, and time.
+//! Accesses to the registers and the message RAM, and the progress of time.
 
 use crate::context::Context;
 use crate::peripheral::{Peripheral, Size, Unmodelled};
@@ -8,7 +8,7 @@ use super::ram;
 use super::registers::{self as register, PROTECTED, cccr, ir, psr, test};
 use super::{Fdcan, Module};
 
-/// Where the parts are.
+/// Offsets of the parts.
 const FDCAN2_AT: u32 = 0x400;
 const CCU_AT: u32 = 0x800;
 const RAM_AT: u32 = 0xC00;
@@ -27,7 +27,7 @@ impl Module {
         Ok(match offset {
             register::CREL => register::CREL_VALUE,
             register::ENDN => register::ENDN_VALUE,
-            // The bus is recessive whenever nobody looks closer.
+            // The receive pin always reads recessive: single bits are not modelled.
             register::TEST => self.reg(offset) | test::RX,
             register::TSCV => self.timestamp(now_ns),
             register::TOCV => 0xFFFF,
@@ -55,7 +55,7 @@ impl Module {
         })
     }
 
-    /// Registers that read as they are kept.
+    /// Returns true for registers that read as they were written.
     fn is_stored(&self, offset: u32) -> bool {
         matches!(
             offset,
@@ -176,7 +176,7 @@ impl Module {
             new &= !cccr::CCE;
         }
         if old & cccr::CSA != 0 {
-            // INIT stays until the clock stop is taken back.
+            // INIT stays set until the clock stop request is withdrawn.
             new |= cccr::INIT;
             if new & cccr::CSR == 0 {
                 new &= !cccr::CSA;
@@ -202,7 +202,7 @@ impl Module {
         self.stop_clock_if_asked(context.now_ns);
     }
 
-    /// What the manual demands of clocks and bit times.
+    /// Checks the manual's rules for clocks and bit times.
     fn check_bit_timing(&self, context: &mut Context<'_>) {
         if self.kernel_hz > self.apb_hz {
             context.misuse(self.name, "the kernel clock is faster than the APB clock (RM0399, 59.4.5)");
@@ -231,7 +231,7 @@ impl Fdcan {
     }
 }
 
-/// Which module an offset belongs to, and where in it; `None` is the message RAM.
+/// Returns the module an offset belongs to, and the offset in it; `None` is the message RAM.
 fn part(offset: u32) -> Result<Option<(u8, u32)>, Unmodelled> {
     match offset {
         0..FDCAN2_AT => Ok(Some((1, offset))),
@@ -276,7 +276,7 @@ impl Peripheral for Fdcan {
             }
             Some((bus, offset)) => self.module_mut(bus).write(offset, value, context)?,
         }
-        // A frame that may begin at once does.
+        // A frame that may begin now begins at once.
         self.bring_to_now(context);
         self.update_lines(context);
         Ok(())

@@ -1,4 +1,4 @@
-//! Accesses to the registers, and time.
+//! Accesses to the registers, and the progress of time.
 
 use crate::context::Context;
 use crate::peripheral::{Peripheral, Size, Unmodelled};
@@ -64,7 +64,7 @@ impl I2c {
         if self.instance.number == 4 { context.clocks.apb4_hz } else { context.clocks.apb1_hz }
     }
 
-    /// PE is 0: both lines are let go of, wherever the transfer was (RM0399, 50.4.6).
+    /// Handles PE = 0: both lines are released, at any point of a transfer (RM0399, 50.4.6).
     fn software_reset(&mut self) {
         self.abandon();
         self.cr2 &= !(cr2::SET_ONLY | cr2::PECBYTE);
@@ -137,7 +137,7 @@ impl I2c {
         self.send_next(context.now_ns);
     }
 
-    /// TXE may be set, which empties TXDR; TXIS only with NOSTRETCH.
+    /// Writes ISR: setting TXE empties TXDR; TXIS can be set with NOSTRETCH only.
     fn write_isr(&mut self, value: u32) {
         if value & isr::TXE != 0 {
             self.to_send = None;
@@ -221,7 +221,7 @@ impl Peripheral for I2c {
     }
 
     fn stable_until_ns(&self, offset: u32, _: u64) -> Option<u64> {
-        // While nothing of our own is on the wire, the lines are looked at by each read.
+        // While the controller drives nothing, each read samples the lines, so ISR may change.
         let under_way = self.owns_bus && self.phase.end_ns().is_some();
         (offset == register::ISR && under_way).then(|| self.next_ns())
     }

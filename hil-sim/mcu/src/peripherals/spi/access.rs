@@ -1,4 +1,4 @@
-//! Accesses to the registers, and time.
+//! Accesses to the registers, and the progress of time.
 
 use crate::context::Context;
 use crate::peripheral::{Peripheral, Size, Unmodelled};
@@ -16,7 +16,7 @@ impl Spi {
             return Err(unmodelled("receiving with automatic suspension (MASRX) is not modelled"));
         }
         let old = self.cr1;
-        // CSTART and IOLOCK are set only; CSUSP reads as 0.
+        // CSTART and IOLOCK can only be set; CSUSP reads as 0.
         self.cr1 = value & cr1::ALL & !cr1::CSUSP | old & (cr1::CSTART | cr1::IOLOCK);
         if self.flags & sr::MODF != 0 {
             self.cr1 &= !(cr1::SPE | cr1::IOLOCK);
@@ -56,7 +56,7 @@ impl Spi {
         if 2 * self.packet() > self.capacity() {
             context.misuse(NAME, "a packet is larger than half the FIFO (RM0399, 53.11.3)");
         }
-        // Mode fault: SS of a master is active (53.5.2).
+        // Mode fault: the master's SS input is active (53.5.2).
         let selected = (self.cr1 & cr1::SSI != 0) == (self.cfg2 & cfg2::SSIOP != 0);
         if self.cfg2 & cfg2::SSM != 0 && selected {
             self.flags |= sr::MODF;
@@ -67,7 +67,7 @@ impl Spi {
         Ok(())
     }
 
-    /// SPE is 0: all stops, FIFOs are emptied (53.11.1).
+    /// Handles SPE = 0: all activity stops, the FIFOs are emptied (53.11.1).
     fn switch_off(&mut self, context: &mut Context<'_>) {
         if self.shifting.is_some() || !self.to_send.is_empty() {
             context.misuse(NAME, "SPE is cleared while frames are still to be sent: they are lost (RM0399, 53.4.12)");

@@ -1,4 +1,4 @@
-//! Accesses to the registers, and time.
+//! Accesses to the registers, and the progress of time.
 
 use crate::context::Context;
 use crate::peripheral::{Peripheral, Size, Unmodelled};
@@ -12,7 +12,7 @@ impl Usart {
         Unmodelled { peripheral: self.port.name, what: what.into() }
     }
 
-    /// Changes only what may be changed now; the rest stays, which is reported.
+    /// Changes only the bits that are writable now; keeps the others and reports the attempt.
     fn locked(&self, register: &str, old: u32, new: u32, locked: u32, context: &mut Context<'_>) -> u32 {
         let refused = (old ^ new) & locked;
         if !self.enabled() || refused == 0 {
@@ -69,7 +69,7 @@ impl Usart {
         self.transmitter.cut();
     }
 
-    /// UE was cleared: what is going on is discarded, the flags are as after reset (RM0399, 51.8.1, UE).
+    /// Handles UE = 0: frames in progress are discarded, the flags are as after reset (RM0399, 51.8.1, UE).
     fn switch_off(&mut self, context: &mut Context<'_>) {
         self.cut_transmitter("UE", context);
         self.transmitter.flush();
@@ -127,7 +127,7 @@ impl Usart {
         }
     }
 
-    /// Everything up to now, in order of time.
+    /// Carries out all events up to now, in order of time.
     fn bring_to_now(&mut self, context: &mut Context<'_>) {
         self.kernel_hz = self.kernel_hz_of(context.clocks);
         loop {
@@ -208,7 +208,7 @@ impl Peripheral for Usart {
     }
 
     fn stable_until_ns(&self, offset: u32, _: u64) -> Option<u64> {
-        // BUSY begins between events while something is on its way in; reading RDR takes.
+        // ISR is stable only without incoming frames: BUSY is set between events, and reading RDR has side effects.
         let quiet = self.receiver_next().is_none();
         (offset & !3 == register::ISR && quiet).then(|| self.next_event_ns())
     }
