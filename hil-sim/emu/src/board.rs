@@ -80,6 +80,7 @@ impl<C: Core + 'static> EmuBoard<C> {
         }
         let mut machine = Machine::new(core, soc, settings)?;
         machine.load_elf(image.elf())?;
+        // After loading, because the reset reads the vector table.
         machine.reset(ResetCause::PowerOn)?;
         let board = Self {
             surroundings,
@@ -204,6 +205,7 @@ impl<C: Core + 'static> VirtualBoard for EmuBoard<C> {
 
     fn restart(&self, _simulation: &mut Simulation, cause: r4_firmware::ResetCause) {
         let link = self.surroundings.new_link();
+        // The old cable's bytes end with the session that the restart ends.
         self.from_host.replace(link.rx);
         let mut machine = self.machine.borrow_mut();
         machine.chip.outside().set_host(link.tx);

@@ -192,7 +192,7 @@ fn blocks_that_follow_each_other_are_each_begun_within_the_limit() {
     // 0: movs r0,#1; 2: beq 6; 4: movs r0,#2; 6: b 10; 8: wfi; 10: ldr r1,[r3]; 12: wfi
     let code = [0x2001, 0xD000, 0x2002, 0xE000, 0xBF30, 0x6819, 0xBF30];
     for (limit, executed, pc) in [(0, 0, 0), (1, 2, 4), (2, 2, 4), (3, 4, 10), (4, 4, 10)] {
-        // What is not decoded yet, and what is.
+        // The first run decodes the code, the second finds it decoded.
         let (mut core, _) = core(&code);
         for _ in 0..2 {
             core.set(Register::Pc, CODE);

@@ -138,6 +138,7 @@ impl Read for Receiver {
             match &frame {
                 CanAnyFrame::Normal(frame) => self.assembly.take(identifier.as_raw(), frame.data()),
                 CanAnyFrame::Fd(frame) => {
+                    // The board sends CAN FD, so this end may too, if its interface can.
                     if self.interface_has_fd {
                         self.fd.store(true, Ordering::Relaxed);
                     }

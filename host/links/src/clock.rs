@@ -34,6 +34,7 @@ impl RealClock {
 pub fn monotonic_ns(moment: Instant) -> u64 {
     let (now, shown_ns) = (Instant::now(), shared_clock_ns());
     let ns = |span: Duration| span.as_nanos() as u64;
+    // One of the two differences is 0, because `moment` lies before or after `now`.
     shown_ns.saturating_add(ns(moment.saturating_duration_since(now))) - ns(now.saturating_duration_since(moment))
 }
 

@@ -21,12 +21,15 @@ mod system {
 
     /// Opens a file or a pipe. Does not wait for the writer of a pipe, because such a wait could not be interrupted.
     pub(crate) fn open(path: &Path) -> io::Result<File> {
+        // CLOEXEC keeps the key from programs started meanwhile; NOCTTY keeps a terminal from becoming the controlling
+        // one.
         let flags = OFlags::NONBLOCK | OFlags::CLOEXEC | OFlags::NOCTTY;
         Ok(File::from(rustix::fs::open(path, flags, Mode::empty())?))
     }
 
     /// Returns true if group or others have any permission.
     pub(crate) fn is_open_to_others(metadata: &Metadata) -> bool {
+        // Group and others must have no permission at all: who can write the file can exchange the key.
         metadata.permissions().mode() & 0o077 != 0
     }
 

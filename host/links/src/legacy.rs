@@ -75,6 +75,7 @@ impl Packet {
             return Err(BadPacket::Form);
         }
         let sum = u32::from_str_radix(sum, 16).map_err(|_| BadPacket::Form)?;
+        // The sum includes the first `^`, the byte behind the fields.
         if sum != CRC32.checksum(&bytes[..=fields.len()]) {
             return Err(BadPacket::Checksum);
         }
@@ -221,6 +222,7 @@ impl Sequence {
             Some(newest) if newest == number => Order::Twice,
             Some(newest) if (1..LATE).contains(&newest.wrapping_sub(number)) => Order::Late,
             Some(newest) if !after(newest) && !self.far.is_some_and(after) => {
+                // Far from the newest: only a successor of this packet will confirm its sender's count.
                 let twice = self.far.replace(number) == Some(number);
                 return if twice { Order::Twice } else { Order::New };
             }

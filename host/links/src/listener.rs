@@ -59,6 +59,7 @@ impl Listener {
         }
         for place in 0..self.greeted.len() {
             if let Poll::Ready(link) = self.greeted[place].as_mut().poll(context) {
+                // Later places have moved, so only one handshake is taken per call; the caller polls again.
                 self.greeted.remove(place);
                 return Poll::Ready(Ok(link.map_or(Accepted::Stranger, Accepted::Client)));
             }

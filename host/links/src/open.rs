@@ -190,6 +190,7 @@ async fn connect(host: &str, port: u16) -> Result<Descriptor, OpenError> {
     // Name resolution blocks the thread, which is acceptable because nothing else runs yet.
     let addresses = (host, port).to_socket_addrs().map_err(|_| OpenError::NoHost(host.to_owned()))?;
     let mut last = None;
+    // A name may have several addresses, such as those of IPv6 and IPv4: the first one that answers is taken.
     for address in addresses {
         match select(std::pin::pin!(connect_to(address)), Timer::after(CONNECT_TIMEOUT)).await {
             Either::Left((Ok(socket), _)) => return Ok(socket),
@@ -240,6 +241,7 @@ const KEEPALIVE_TIMES: u32 = 3;
 /// # Errors
 /// Those of the operating system.
 pub fn tcp(stream: TcpStream) -> io::Result<Descriptor> {
+    // Frames are short and often wait for an answer: Nagle's algorithm would delay them.
     stream.set_nodelay(true)?;
     let socket = socket2::SockRef::from(&stream);
     let keepalive = socket2::TcpKeepalive::new().with_time(KEEPALIVE_AFTER).with_interval(KEEPALIVE_EVERY);

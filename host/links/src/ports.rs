@@ -61,6 +61,7 @@ fn sorted(found: Vec<SerialPortInfo>) -> Vec<Port> {
             },
         })
         .collect();
+    // `true` sorts after `false`; the exchanged operands put boards first.
     ports.sort_by(|one, other| other.is_board().cmp(&one.is_board()).then_with(|| one.path.cmp(&other.path)));
     ports
 }

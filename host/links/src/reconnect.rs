@@ -65,6 +65,7 @@ where
     W: Write,
     E: From<OpenError> + From<Error>,
 {
+    // Read before the first loss: a port that has vanished has no serial number any more.
     let usb_serial = match address {
         Address::Serial { path: Some(path), .. } => ports::serial_of(ports::list().unwrap_or_default(), path),
         _ => None,
@@ -92,6 +93,7 @@ where
                 tell(Event::Back { after, restart });
             }
             let result = work(board).await;
+            // The board's clock when it was last heard: after the loss it decides whether the board has restarted.
             heard_us = board.device_us();
             result
         });

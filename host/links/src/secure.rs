@@ -13,7 +13,7 @@
 //! After the handshake each direction is a sequence of records:
 //!
 //! ```text
-//! length of what follows, 2 bytes, least significant first | data, encrypted, and 16 bytes of MAC
+//! length of the rest, 2 bytes, least significant first | data, encrypted, and 16 bytes of MAC
 //! ```
 //!
 //! Both ends count records from 0, and TCP keeps their order; the count is the nonce, so that a repeated, reordered or
@@ -21,10 +21,10 @@
 //!
 //! | against | how |
 //! | --- | --- |
-//! | who has not the key | neither end says anything but its part of the handshake |
-//! | reading, changing, repeating, reordering, leaving out on the way | ChaCha20-Poly1305 under keys of this connection alone |
-//! | a key that is stolen later | what was recorded before stays secret: both ephemeral keys are gone |
-//! | a first message that is repeated | the server answers it, and takes no record: who repeats has not the ephemeral key |
+//! | a peer without the key | neither end sends more than its part of the handshake |
+//! | reading, changing, repeating, reordering, omitting records | ChaCha20-Poly1305 with keys of this connection alone |
+//! | a key stolen later | earlier recordings stay secret: both ephemeral keys are gone |
+//! | a repeated first message | the server answers, but accepts no record: its sender lacks the ephemeral key |
 //!
 //! The link does not hide who talks to whom, when, and how much. It cannot prevent cutting the connection, which stops
 //! the board as a lost link does, nor delaying it, which heartbeats and the dates of set points bound. A holder of the
@@ -257,6 +257,7 @@ fn ends(link: Descriptor, handshake: HandshakeState) -> io::Result<(Receiver, Tr
 }
 
 fn directions(handshake: HandshakeState, rekey_every: u64) -> io::Result<(Sealer, Opener)> {
+    // Both halves share the transport state, which holds one key per direction.
     let transport = Arc::new(Mutex::new(handshake.into_transport_mode().map_err(broken)?));
     let sealer = Sealer { transport: transport.clone(), rekey_every };
     Ok((sealer, Opener { transport, rekey_every, part: Vec::new(), failed: false }))
@@ -316,6 +317,7 @@ impl Opener {
             let mut opened = [0; MOST_DATA + TAG];
             let len = transport.read_message(record, &mut opened).map_err(|_| Distrust::Record)?;
             data.extend_from_slice(&opened[..len]);
+            // The sender changes its key after the same record.
             if transport.receiving_nonce().is_multiple_of(self.rekey_every) {
                 transport.rekey_incoming();
             }

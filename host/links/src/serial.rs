@@ -29,6 +29,7 @@ pub(crate) fn open_port(path: &Path, baud: u32) -> io::Result<Descriptor> {
     })?;
     ioctl_tiocexcl(&port)?;
     make_raw(&port, baud)?;
+    // Flushed last, so that no byte received with the old settings remains.
     tcflush(&port, QueueSelector::IFlush)?;
     Descriptor::new(port)
 }

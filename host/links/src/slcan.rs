@@ -64,6 +64,7 @@ impl Frame {
         };
         let (identifier, rest) = digits.split_at_checked(3)?;
         let (len, rest) = rest.split_first()?;
+        // A character above '9' gives a length that the test of `rest` refuses.
         let len = usize::from(len.checked_sub(b'0')?);
         // Adapters with time stamps append four digits to a frame.
         let data = rest.get(..2 * len).filter(|_| rest.len() == 2 * len || rest.len() == 2 * len + 4)?;

@@ -50,7 +50,7 @@ impl Setup {
         Self::of(r4_boards::load(robot).expect("built in"), image(robot, "bare"))
     }
 
-    /// Set-up of `osmc-bench`.
+    /// Set-up of the robot `osmc-bench`.
     pub(crate) fn osmc_bench() -> Self {
         Self::new("osmc-bench")
     }
