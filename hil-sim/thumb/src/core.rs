@@ -48,6 +48,7 @@ impl ThumbCore {
             return Some(Why::MaskChanged);
         }
         if self.state.executed >= self.state.limits.instructions {
+            // The bus does the work that is due and may set a later limit; otherwise the run ends.
             bus.reached(self.state.executed);
             self.state.refresh_limits(bus);
             if self.state.executed >= self.state.limits.instructions {
@@ -62,6 +63,7 @@ impl ThumbCore {
     fn find(&mut self) -> Option<u32> {
         let State { memory, it, pc, .. } = &mut self.state;
         let what = What { memory, observed: &self.observed, it: *it, one: false };
+        // Within an IT block the decoding depends on ITSTATE, so such blocks are not found by their address.
         if *it == 0 { self.blocks.find(*pc, &what) } else { self.blocks.add(*pc, &what) }
     }
 
@@ -85,6 +87,7 @@ impl ThumbCore {
     /// Counts the instructions of a block before `address`.
     fn instructions_before(&self, block: &Block, address: u32) -> u16 {
         let (mut at, mut count) = (block.address, 0);
+        // Merged operations hide instruction borders, so the instructions are counted in memory.
         while at != address {
             let Some(first) = self.state.memory.fetch(at) else { break };
             at = at.wrapping_add(if crate::decode::is_wide(first) { 4 } else { 2 });
@@ -112,6 +115,7 @@ impl ThumbCore {
     fn until_stop(&mut self, bus: &mut dyn CoreBus) -> Why {
         let mut is_first = true;
         loop {
+            // A single comparison covers the limit and the slow checks, which set `attention_at` to 0.
             if self.state.executed >= self.state.attention_at
                 && let Some(why) = self.attention(bus)
             {
@@ -120,12 +124,14 @@ impl ThumbCore {
             if !self.state.thumb {
                 return Why::Fault(Fault::InvalidState);
             }
+            // The table has only blocks that begin outside IT blocks.
             let known = if self.state.it == 0 { self.blocks.number(self.state.pc) } else { None };
             let number = known.or_else(|| self.find());
             let Some(block) = number.and_then(|number| self.blocks.by_number(number)) else {
                 return Why::Fault(Fault::Fetch);
             };
             let why = if block.observed {
+                // The copy ends the borrow of `blocks`, which executing a part needs.
                 let block = block.clone();
                 self.execute_observed(&block, is_first, bus)
             } else {
@@ -148,6 +154,7 @@ impl ThumbCore {
             return Why::Fault(Fault::InvalidState);
         }
         let (pc, it) = (self.state.pc, self.state.it);
+        // Two decodings: one instruction alone, and the whole block, to see if a part of it remains.
         let decode =
             |core: &mut Self, one| core.blocks.add(pc, &What { memory: &core.state.memory, observed: &[], it, one });
         let numbers = (decode(self, true), decode(self, false));

@@ -80,8 +80,9 @@ impl Memory {
     /// Maps memories in place of the previous ones.
     ///
     /// # Errors
-    /// Too many memories, or two within 64 KiB.
+    /// Too many memories, or one that does not begin and end at a page.
     pub(crate) fn map(&mut self, regions: &[Region]) -> Result<(), CoreError> {
+        // The old memories are unmapped first: the new ones may lie elsewhere.
         for region in std::mem::replace(&mut self.regions, regions.to_vec()) {
             let pages = page(region.base)..=page(region.base + (region.len() - 1));
             self.loads[pages.clone()].fill(0);
@@ -93,6 +94,7 @@ impl Memory {
         if regions.len() >= REGIONS {
             return Err(CoreError(format!("{} memories", regions.len())));
         }
+        // Number 0 is skipped: it means no memory.
         for ((number, mapped), region) in (0_u8..).zip(&mut self.mapped).skip(1).zip(regions) {
             if (region.base | region.len()) & ((1 << PAGE_BITS) - 1) != 0 || region.is_empty() {
                 return Err(CoreError(format!("{} does not begin and end with a page", region.bank)));
@@ -169,6 +171,7 @@ impl Memory {
     pub(crate) fn store_code(&self, address: u32, value: &[u8]) -> Option<bool> {
         let (bytes, offset) = self.bytes(self.fetches[page(address)], address);
         let cells = bytes.get(offset..offset + value.len()).filter(|_| self.is_changeable_code(address))?;
+        // With protection a store may be refused although the memory is writable.
         let refuses =
             |protection: &Protection| protection.refuses(address, value.len() as u32, Purpose::Store).is_some();
         if self.protection.as_ref().is_some_and(refuses) {
@@ -193,6 +196,7 @@ impl Memory {
         if self.protection.as_ref().is_some_and(|protection| !protection.allows(address, Purpose::Fetch)) {
             return None;
         }
+        // Words with an ECC error are holes: a fetch from them fails, and the machine raises the fault.
         let region = self.regions.get(usize::from(number).checked_sub(1)?)?;
         if region.has_hole(address, 2) {
             return None;

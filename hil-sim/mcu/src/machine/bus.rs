@@ -134,8 +134,10 @@ impl<'a, S: Chip> Bus<'a, S> {
     /// Returns the number of this run's instructions until the next action between instructions.
     fn instructions(&mut self) -> u64 {
         let requests = self.cpu.requests;
+        // Exceptions that were pending at the start of the run are held back by masks, which `watch_masks` covers.
         let newly_pending = self.exceptions_version != self.cpu.exceptions.version()
             && self.cpu.exceptions.preempting(Masks::NONE).is_some();
+        // Each of these must be handled between instructions, so the run ends at the next block.
         let now = self.failure.is_some()
             || self.polls.suspected()
             || self.store_fault
@@ -152,6 +154,7 @@ impl<'a, S: Chip> Bus<'a, S> {
             return 0;
         }
         let next_ns = self.t_ns.min(self.chip.next_event_ns()).min(self.cpu.systick.next_event_ns());
+        // The division in `until` is slow; the next event is often the same as at the last access.
         if self.next.0 != next_ns {
             self.next = (next_ns, self.time.until(next_ns));
         }
@@ -231,6 +234,7 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
             self.refused = Some(Cause::Unaligned);
             return Err(NoResult);
         } else {
+            // Normal memory allows unaligned accesses; the model makes them byte by byte.
             (0..size.bytes()).try_fold(0, |value, byte| {
                 let at = address.wrapping_add(byte);
                 Ok(value | self.read_one(at, Size::Byte, now_ns)? << (8 * byte))
@@ -252,6 +256,7 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
                 Err(NoResult)
             }
             Err(AccessError::Busy { until_ns }) => {
+                // The run ends; the machine lets time pass and the core repeats the access.
                 self.waits_until_ns = Some(until_ns);
                 self.limit = 0;
                 Err(NoResult)
@@ -265,6 +270,7 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
     }
 
     fn write(&mut self, access: &Access, value: u32) -> Result<(), NoResult> {
+        // After an unmodelled access the rest of the block must not change anything more.
         if self.failure.is_some() {
             return Ok(());
         }
@@ -287,6 +293,7 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
         };
         match result {
             Ok(()) => {}
+            // Imprecise: the fault is taken after the block, as stores are buffered on the Cortex-M7.
             Err(AccessError::Bus) => self.store_fault = true,
             Err(AccessError::Busy { until_ns }) => {
                 self.waits_until_ns = Some(until_ns);

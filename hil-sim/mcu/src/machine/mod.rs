@@ -141,6 +141,8 @@ impl<C: Core, S: Chip> Machine<C, S> {
         self.sleep = None;
         self.waits_until_ns = None;
         self.unfinished = false;
+        // The reset may have changed clocks and swapped banks, so the vector table is read after the memory map is up
+        // to date.
         self.follow_memory()?;
         let memory = self.chip.memory();
         let word = |address| memory.read(address, crate::Size::Word);
@@ -152,6 +154,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
             });
         };
         self.core.set(Register::Control, 0);
+        // Only EPSR.T is set: Thumb state, thread mode.
         self.core.set(Register::Xpsr, 1 << 24);
         for register in [Register::Primask, Register::Basepri, Register::Faultmask, Register::Fpscr, Register::Psp] {
             self.core.set(register, 0);
@@ -241,6 +244,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
     pub fn run_until(&mut self, t_ns: u64) -> Result<Stopped, MachineError> {
         let mut standstill = (0, 0, 0);
         loop {
+            // The rest of an interrupted block comes before everything else, as if the run had not been cut.
             if self.unfinished {
                 if let Some(reason) = self.execute(t_ns)? {
                     return Ok(self.stopped(reason));
@@ -248,6 +252,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
                 continue;
             }
             self.settle()?;
+            // Progress is time or instructions; nested exceptions need a few rounds without either.
             standstill = match (self.now_ns(), self.instructions()) {
                 (now_ns, executed) if (now_ns, executed) == (standstill.0, standstill.1) => {
                     (now_ns, executed, standstill.2 + 1)
@@ -263,6 +268,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
             if self.chip.outside_waits() {
                 return Ok(self.stopped(Reason::Outside));
             }
+            // Events due at `t_ns` have been handled by now, the instructions at `t_ns` have not.
             if self.now_ns() >= t_ns {
                 return Ok(self.stopped(Reason::Time));
             }
@@ -285,6 +291,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
                     continue;
                 }
             }
+            // Pending is checked first: the comparison of priorities is slower, and rarely needed.
             if self.cpu.exceptions.is_any_pending()
                 && let Some(exception) = self.cpu.exceptions.preempting(masks(&self.core))
             {
@@ -323,11 +330,13 @@ impl<C: Core, S: Chip> Machine<C, S> {
         bus::take_irqs(&mut self.chip, &mut self.cpu, &mut self.irqs);
         bus::follow_clock(&self.chip, &mut self.cpu, &mut self.core_hz, now_ns);
         self.follow_memory()?;
+        // The protection request stays: it is handled before the next run, at the priority that is valid then.
         let protection = self.cpu.requests.protection;
         let requests = std::mem::replace(&mut self.cpu.requests, Requests { protection, ..Requests::default() });
         if requests.fpu {
             self.core.set_fpu(self.cpu.fpu_enabled());
         }
+        // A software reset precedes one of the chip at the same moment.
         let cause = if requests.reset { Some(ResetCause::Software) } else { self.chip.take_reset() };
         if let Some(cause) = cause {
             self.reset(cause)?;
@@ -382,6 +391,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
     /// Executes up to `t_ns` or the next event; returns the reason of an earlier stop.
     fn execute(&mut self, t_ns: u64) -> Result<Option<Reason>, MachineError> {
         let pc = self.core.get(Register::Pc);
+        // An instruction reported before is executed now; while stepping every one is.
         if self.told == Some(pc) || self.stepping {
             self.told = None;
         } else if self.observed.contains(&pc) {
@@ -389,6 +399,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         }
         self.follow_protection()?;
         let executing = active(&self.core);
+        // Only if an exception is pending can a change of the masks matter to the run.
         let masked = self.cpu.exceptions.preempting(Masks::NONE).is_some();
         let mut bus = Bus::new(
             &mut self.chip,
@@ -412,6 +423,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         let waits_until_ns = bus.waits_until_ns;
         let (reads, wrote) = (std::mem::take(&mut bus.reads), bus.wrote);
         let (store_fault, refused, failure) = (bus.store_fault, bus.refused.take(), bus.failure.take());
+        // Time advances to the failing access, so that the error has its moment.
         if let Some(failure) = failure {
             let location = self.symbols.locate(failure.access.pc);
             self.time.execute(failure.access.instructions.min(instructions));
@@ -424,6 +436,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         if self.one_block.is_on() {
             self.one_block.executed(&reads, why == Why::Limit && !wrote && !store_fault);
         }
+        // Interrupts are taken between blocks only, wherever an observed instruction has stopped the core.
         self.unfinished = why == Why::Observed && self.core.is_within_block();
         if store_fault && self.ignores_bus_errors() {
             self.cpu.faults.note(Cause::Store);
@@ -432,6 +445,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
             pended.map_err(|failure| self.failed(failure, self.core.get(Register::Pc)))?;
         }
         match why {
+            // No instruction was executed, so there is nothing to report even while stepping.
             Why::Limit if instructions == 0 => return Ok(None),
             Why::Limit | Why::MaskChanged | Why::Yield => {}
             Why::Wfi => self.go_to_sleep(Sleep::Interrupt)?,
@@ -447,10 +461,12 @@ impl<C: Core, S: Chip> Machine<C, S> {
             Why::Breakpoint(_) => self.take(|taker| taker.breakpoint().map(|()| false))?,
             Why::Svc => self.take(|taker| taker.supervisor_call().map(|()| false))?,
             Why::ExceptionReturn(exc_return) => self.take(|taker| taker.leave(exc_return))?,
+            // Not a fault: the bus stalls, and the instruction is repeated afterwards.
             Why::Fault(_) if waits_until_ns.is_some() => self.waits_until_ns = waits_until_ns,
             Why::Fault(Fault::Fetch) if self.fetch_waits().is_some() => self.waits_until_ns = self.fetch_waits(),
             Why::Fault(fault) => {
                 let cause = match (fault, refused) {
+                    // The load is executed once more and then reads 0.
                     (Fault::Load, Some(Cause::Load { address })) if self.ignores_bus_errors() => {
                         self.cpu.faults.note(Cause::Load { address });
                         self.ignored_load = Some(address);

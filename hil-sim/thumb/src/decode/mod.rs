@@ -87,14 +87,17 @@ const LONG: usize = 32;
 /// can be fetched.
 pub(crate) fn stretch(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> Option<Decoded> {
     let mut stretch = block(address, what, floats)?;
+    // Stop points and IT blocks need single blocks.
     let goes_on = what.it == 0 && what.observed.is_empty() && !what.one;
     while goes_on && stretch.ops.len() < LONG {
         let Some(next) = stretch.next() else { break };
         let Some(mut more) = block(next, what, floats).filter(|block| block.it == 0) else { break };
+        // Execution simply continues in the target's operations.
         if let Some(Op::Branch { .. }) = stretch.ops.last() {
             stretch.ops.pop();
         }
         stretch.ops.push(Op::Onward { instructions: more.instructions, address: next });
+        // Positions have one entry per operation; that of the removed branch is replaced.
         stretch.positions.truncate(stretch.ops.len() - 1);
         stretch.positions.push(Position { instruction: 0, address: next, it: 0 });
         stretch.ops.append(&mut more.ops);
@@ -140,6 +143,7 @@ pub(crate) fn block(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> O
     loop {
         let at = block.end;
         let within = block.it != 0;
+        // The end of a line ends a block, but not within an IT block, which must stay together.
         let full = block.instructions > 0 && !within && (at ^ address) >= LINE;
         if full || what.one && block.instructions > 0 && !within {
             block.full = full;
@@ -159,6 +163,7 @@ pub(crate) fn block(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> O
             block.observed.push(stop);
         }
         let position = Position { instruction: block.instructions, address: at, it: block.it };
+        // BKPT is executed whatever the condition in an IT block is (A7.7.17).
         let unconditional = !within || first & 0xFF00 == 0xBE00;
         let condition = if unconditional { ALWAYS } else { (block.it >> 4).min(ALWAYS) };
         // Operations join the previous condition if it is the same and the flags have not changed.
@@ -170,6 +175,7 @@ pub(crate) fn block(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> O
             open = Some((condition, block.ops.len()));
         }
         let start = block.ops.len();
+        // Merging hides the border between two instructions, so neither may be observed or in an IT block.
         let joins = what.observed.is_empty() && !within && block.positions.last().is_some_and(|before| before.it == 0);
         let mut instruction =
             Instruction { ops: &mut block.ops, floats, memory: what.memory, address: at, conditional: within, joins };
@@ -180,6 +186,7 @@ pub(crate) fn block(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> O
             _ => (instruction.narrow(first), advanced(block.it)),
         };
         if let Some((_, after)) = open {
+            // The number of operations to skip is known only now.
             let skip = (block.ops.len() - after) as u8;
             block.ops[after - 1] = Op::Unless { condition, skip };
             if block.ops[start..].iter().any(|op| !op.keeps_flags()) {
@@ -398,6 +405,7 @@ impl Instruction<'_> {
             (data::SUB, false) => Op::AddValue { d, n, value: value.wrapping_neg() },
             (data::SUB, true) if d == NONE => Op::CmpValue { n, value },
             (data::SUB, true) => Op::SubValues { d, n, value },
+            // RSB from 0 is NEG: a subtraction from the register that reads zero.
             (data::RSB, _) if value == 0 => return self.data(data::SUB, s, d, ZERO, n),
             _ => {
                 self.push(Op::Value { d: SCRATCH, value });
@@ -420,6 +428,7 @@ impl Instruction<'_> {
             (0, 0, true) => Op::Movs { d, m },
             (0, _, false) => Op::Lsl { d, m, by },
             (0, _, true) => Op::Lsls { d, m, by },
+            // An amount of 0 encodes LSR by 32, ASR by 32 and RRX (A7.4.2).
             (1, 0, false) => Op::Value { d, value: 0 },
             (1, 0, true) => Op::Lsrs { d, m, by: 32 },
             (1, _, false) => Op::Lsr { d, m, by },

@@ -54,6 +54,7 @@ impl Instruction<'_> {
             return self.exclusive(first, second, up, is_load);
         }
         let (n, t, other) = (index(first, 0), index(second, 12), index(second, 8));
+        // A base that is also transferred, and PC as base with write-back, are UNPREDICTABLE.
         let written = write_back && (n == 15 || n == t || n == other);
         let not_data = |register| matches!(register, 13 | 15);
         if written || not_data(t) || not_data(other) || is_load && t == other || !is_load && n == 15 {

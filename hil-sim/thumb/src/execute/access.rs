@@ -67,6 +67,7 @@ impl State {
         bus: &mut dyn CoreBus,
     ) -> Result<(), Fault> {
         let bytes = size.bytes() as usize;
+        // Pages with decoded code are not in the table of direct stores, so their stores arrive here.
         if let Some(decoded) = self.memory.store_code(address, &value.to_le_bytes()[..bytes]) {
             if decoded {
                 self.set_stale();
@@ -74,6 +75,7 @@ impl State {
             return Ok(());
         }
         let access = self.access(address, size, index, context);
+        // The bus expects only the bits of the access; a register has 32.
         let value = if bytes == 4 { value } else { value & ((1 << (8 * bytes)) - 1) };
         let result = bus.write(&access, value);
         self.accessed(bus);
@@ -210,6 +212,7 @@ impl State {
             }
             return Ok(());
         }
+        // Registers change only after all loads, because one of them may be refused.
         let mut words = [0; LOADED as usize + 1];
         let words = &mut words[..count];
         self.load_words_by_bus(address, words, index, context, bus)?;

@@ -62,6 +62,7 @@ impl State {
             number::PSP => self.set_stack(true, value),
             number::PRIMASK => self.primask = value & 1,
             number::BASEPRI => self.basepri = value & 0xFF,
+            // BASEPRI_MAX only raises the priority: a lower number, or any while BASEPRI is 0 (off).
             number::BASEPRI_MAX => {
                 let value = value & 0xFF;
                 if value != 0 && (value < self.basepri || self.basepri == 0) {
@@ -74,6 +75,7 @@ impl State {
     }
 
     fn set_faultmask(&mut self, value: u32) {
+        // NMI and HardFault run at negative priority, where FAULTMASK cannot be set (B5.2.3).
         if value == 0 || !NEGATIVE.contains(&self.exception) {
             self.faultmask = value;
         }

@@ -49,6 +49,7 @@ fn sum(format: Format, first: Value, second: Value, fpscr: &mut u32) -> u64 {
         }
         (Value::Finite(first), Value::Finite(second)) => match exact_sum(first, second) {
             Some(number) => round(format, number, rounding, fpscr),
+            // An exact difference of zero is +0, or -0 when rounding down (IEEE 754, 6.3).
             None => format.zero(rounding == Rounding::Down),
         },
         _ => format.zero(rounding == Rounding::Down),
@@ -66,6 +67,7 @@ fn exact_sum(first: Number, second: Number) -> Option<Number> {
     let (large, small) = if order { (first, second) } else { (second, first) };
     let places = (large.exponent - small.exponent) as u32;
     let kept = small.significand.checked_shr(places).unwrap_or(0);
+    // The lost part becomes a sticky bit, which keeps the rounding correct.
     let lost = kept.checked_shl(places).unwrap_or(0) != small.significand;
     let moved = kept | u128::from(lost);
     let significand =
@@ -119,6 +121,7 @@ pub(super) fn fused(format: Format, addend: u64, a: u64, b: u64, fpscr: &mut u32
     let third = unpack(format, addend, fpscr);
     let (first, second) = (unpack(format, a, fpscr), unpack(format, b, fpscr));
     let undefined = first.is_infinite() && second.is_zero() || first.is_zero() && second.is_infinite();
+    // Zero times infinity is invalid even with a quiet NaN as addend; a signalling one has priority (FPMulAdd).
     if undefined && third == Value::Quiet {
         return invalid(format, fpscr);
     }
