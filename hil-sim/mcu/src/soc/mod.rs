@@ -308,6 +308,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
 
     /// Carries out the signals of peripherals and their consequences, until none is left.
     fn settle(&mut self) {
+        // Carrying out a signal may append more; an index allows for that, and keeps their order.
         let mut next = 0;
         loop {
             while next < self.signals.len() {
@@ -318,6 +319,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             self.signals.clear();
             self.sources.clear();
             next = 0;
+            // DMA follows the signals: one of them may have raised or lowered a request.
             if !self.dma_beat() {
                 break;
             }
@@ -353,6 +355,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
         let sources = &mut self.asserted[index];
         let was = !sources.is_empty();
+        // A source is listed at most once, however often it repeats its level.
         sources.retain(|other| *other != source);
         if level {
             sources.push(source);
@@ -378,6 +381,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             self.activity.beats += 1;
             let result = self.bus_access(beat);
             let finish = |devices: &mut Devices<F>, context: &mut Context<'_>| devices.dma.finish_beat(result, context);
+            // DMA in one-shot mode ends the ADC's conversions with its last item.
             if let Some(request) = self.call(Id::Dma as usize, finish) {
                 self.call(Id::Adc12 as usize, |devices, context| devices.adc.dma_ended(request, context));
             }
@@ -385,6 +389,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
         if let Some(beat) = self.devices.bdma.next_beat() {
             self.activity.beats += 1;
+            // The bus matrix connects BDMA to domain 3 only (RM0399, 2.1).
             let result = if beat.address < DOMAIN_3 { Err(dma::BusError) } else { self.bus_access(beat) };
             self.call(Id::Bdma as usize, |devices, context| devices.bdma.finish_beat(result, context));
             return true;
@@ -404,6 +409,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
                 self.call(FLASH, load);
                 return Err(dma::BusError);
             }
+            // The bus would stall the DMA, which the model cannot; the program learns of it at its next access.
             if bank.is_flash() && self.devices.flash.busy_until_ns(beat.address).is_some() {
                 let what = format!("DMA reads {:#010x} while the bank programs or erases: it would wait", beat.address);
                 self.unmodelled = self.unmodelled.take().or(Some(Unmodelled { peripheral: "FLASH", what }));
@@ -417,6 +423,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             }
             return match beat.access {
                 dma::Access::Read => self.memory.read(beat.address, beat.size).ok_or(dma::BusError),
+                // The model lets only the core program the flash.
                 dma::Access::Write(_) if bank.is_flash() => Err(dma::BusError),
                 dma::Access::Write(value) => {
                     self.memory.write(beat.address, beat.size, value).map(|()| 0).ok_or(dma::BusError)
@@ -441,6 +448,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     /// ones.
     fn follow_clocks(&mut self) {
         for id in 0..Id::COUNT {
+            // RCC, which made the change, is at the present moment already.
             if id != Id::Rcc as usize {
                 self.with(id, |device, context| device.advance(context));
             }
@@ -462,6 +470,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     /// Updates contents and readability of the flash, after an access to it or an event in it.
     fn follow_flash(&mut self) {
         let flash = &mut self.devices.flash;
+        // The swap exchanges the contents, so it precedes the update of the holes.
         if flash.cells.swap(flash.is_swapped()) {
             self.memory.swap_flash();
         }
@@ -472,6 +481,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             self.memory.code_changed();
         }
         for bank in FLASH_PARTS {
+            // A bank at work is taken from the core, so that its accesses and fetches stall in the chip.
             let waits = flash.busy_until_ns(bank.span().0).is_some();
             self.memory.set_enabled(bank, !waits && !flash.is_closed());
         }
@@ -488,6 +498,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
 
     /// Exchanges state between RCC, PWR and SYSCFG, after a write to one of them or an event in it.
     fn link_power(&mut self) {
+        // A write to RCC may have turned any clock off.
         self.clocked = [NO_BLOCK; CLOCKED];
         self.update_memory_clocks();
         for base in self.devices.rcc.take_resets() {
@@ -514,6 +525,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     /// Passes changes at input pins to the chip.
     pub fn poll_outside(&mut self) {
         self.activity.polls += 1;
+        // The buffer is reused, and taken out because carrying out an edge borrows the chip.
         let mut edges = std::mem::take(&mut self.edges);
         self.outside.poll(self.now_ns, &mut edges);
         for edge in edges.drain(..) {
@@ -558,6 +570,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
                 self.watched.extend(gpio.pins_with(Function::Timer(number, channel)));
             }
         }
+        // Other pins are watched now: the outside world is asked again at once.
         self.next_poll_ns = self.now_ns;
     }
 }
@@ -605,11 +618,13 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         write: bool,
         f: impl FnOnce(&mut dyn Peripheral, u32, &mut Context<'_>) -> Result<R, Unmodelled>,
     ) -> Result<(R, usize), AccessError> {
+        // Events before the access come first; an access always sees the peripheral at its own time.
         self.advance(now_ns);
         if let Some(unmodelled) = self.unmodelled.take() {
             return Err(unmodelled.into());
         }
         let Some(id) = self.map.find(address) else {
+            // The gaps between memories answer with a bus error, as on the chip.
             if address < PERIPHERALS {
                 let what = format!("an access to {address:#010x}, where no memory is: a bus error (RM0399, 2.3.2)");
                 self.misuse.push(Misuse { at_ns: now_ns, peripheral: "bus", what });
@@ -619,11 +634,13 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             let what = format!("nothing is modelled at {address:#010x}");
             return Err(Unmodelled { peripheral: "bus", what }.into());
         };
+        // The access is forbidden; its result is not modelled, so the run ends.
         if id == Id::Backup as usize && self.devices.flash.is_closed() {
             let what = "the backup registers at readout protection level 1 with a debugger (RM0399, 4.5.3)".into();
             return Err(Unmodelled { peripheral: "RTC", what }.into());
         }
         self.activity.accessed(id, address, write);
+        // The check of the clock is needed at each access, so its result is cached by block.
         let block = address >> 10;
         let place = block as usize % CLOCKED;
         if self.clocked[place] != block {
@@ -635,6 +652,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             }
         }
         let base = self.bases[id];
+        // Only timers and EXTI depend on the edges of a poll, which is expensive.
         let sees_pins = match id {
             TIM1..=TIM17 => self.devices.timers[id - TIM1].needs_inputs(address - base, write),
             EXTI => true,
@@ -656,6 +674,7 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
     fn read(&mut self, now_ns: u64, address: u32, size: Size) -> Result<u32, AccessError> {
         if let Some((region, _)) = self.memory.locate(address) {
             let is_flash = region.bank.is_flash();
+            // The core reaches enabled RAM directly, so an access here has no clock.
             return if is_flash { self.load_flash(now_ns, address, size) } else { Err(AccessError::Bus) };
         }
         let (value, _) =
@@ -672,15 +691,18 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
         let write =
             |device: &mut dyn Peripheral, offset, context: &mut Context<'_>| device.write(offset, size, value, context);
         let ((), id) = self.access(now_ns, address, true, write)?;
+        // These three exchange voltages, limits and clock enables.
         if id == Id::Rcc as usize || id == Id::Pwr as usize || id == Id::Syscfg as usize {
             self.link_power();
         }
         if id == FLASH {
             self.follow_flash();
         }
+        // A new selection of edges or ports changes the pins whose edges must be noticed at once.
         if id == EXTI && Exti::chooses(address & 0x3FF) || id == Id::Syscfg as usize {
             self.update_watched();
         }
+        // MODER and AFR connect pins to timers.
         if id == Id::Gpio as usize && matches!(address & 0x3FF, MODER | AFRL | AFRH) {
             self.connect_timers((address >> 10 & 0xF) as u8);
             self.update_watched();
@@ -748,6 +770,7 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
 
     fn reset(&mut self, now_ns: u64, cause: ResetCause) {
         self.now_ns = self.now_ns.max(now_ns);
+        // A pending request of the chip is covered by this reset.
         self.reset = None;
         self.devices.rcc.note_reset(cause);
         if self.devices.pwr.take_power_loss() {
@@ -771,9 +794,11 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
         }
         self.signals.clear();
         self.sources.clear();
+        // Clocks come first: limits and wait states are judged by them.
         self.follow_clocks();
         self.link_power();
         self.follow_flash();
+        // IWDG1_SW of the option bytes makes it a hardware watchdog, running from reset.
         if self.devices.flash.starts_watchdog() {
             self.call(Id::Iwdg as usize, |devices, context| devices.iwdg.start(context));
         }

@@ -432,6 +432,7 @@ impl Rcc {
             Oscillator::Lse => !self.lse_fitted,
             _ => false,
         };
+        // A missing crystal starts but never becomes ready.
         let ready_ns = if missing { u64::MAX } else { now_ns + oscillator.start_up_ns() };
         self.states[oscillator as usize] = State::Starting(ready_ns);
     }
@@ -469,6 +470,7 @@ impl Rcc {
         let divider = 0b11 << 3;
         if (before ^ value) & divider != 0 && self.pll_source() == Some(Oscillator::Hsi) && self.any_pll_on() {
             context.misuse("RCC", "HSIDIV is changed while a PLL runs on HSI; the chip ignores it (RCC_CR)");
+            // The write of the other fields still takes effect.
             value = value & !divider | before & divider;
         }
         if (before ^ value) & 1 << 18 != 0 && before & 1 << 16 != 0 {
@@ -478,6 +480,7 @@ impl Rcc {
         *self.register_mut(offset::CR) = value;
         for oscillator in Oscillator::ALL {
             let Some((on, _)) = oscillator.bits() else { continue };
+            // HSIKERON keeps HSI on for peripherals.
             let on = value & on != 0 || oscillator == Oscillator::Hsi && value & 1 << 1 != 0;
             let starts = on && self.states[oscillator as usize] == State::Off;
             self.switch(oscillator, on, context.now_ns);
@@ -493,6 +496,7 @@ impl Rcc {
         for fault in self.pll_faults(index) {
             context.misuse("RCC", fault);
         }
+        // The PLL latches its fraction when it is switched on.
         self.latched_fraction[index] = self.register(offset::PLL1FRACR + 8 * index as u32) >> 3;
         let runs = |source| if source == Oscillator::Hse { self.hse_swings() } else { self.is_ready(source) };
         if !self.pll_source().is_some_and(runs) {
@@ -500,6 +504,7 @@ impl Rcc {
                 "RCC",
                 format!("PLL{} is turned on while its source is not ready: it does not lock", index + 1),
             );
+            // It never locks, and the program waits for its ready flag in vain.
             self.states[Oscillator::PLLS[index] as usize] = State::Starting(u64::MAX);
         }
     }
@@ -527,9 +532,11 @@ impl Rcc {
 
     fn write_pll(&mut self, at: u32, value: u32, context: &mut Context<'_>) {
         let on = Oscillator::PLLS.map(|pll| self.is_on(pll));
+        // Each PLL that is on locks its own fields.
         let of_each = |mask: fn(usize) -> u32| (0..3).filter(|pll| on[*pll]).fold(0, |all, pll| all | mask(pll));
         match at {
             offset::PLLCKSELR => {
+                // The source is common to the PLLs, so any one that is on locks it.
                 let source = if on.contains(&true) { 0b11 } else { 0 };
                 let locked = source | of_each(|pll| 0x3F << (4 + 8 * pll));
                 self.write_locked(at, value & 0x03F3_F3F3, locked, "PLLCKSELR", context);
@@ -538,6 +545,7 @@ impl Rcc {
                 let locked = of_each(|pll| 0b1110 << (4 * pll) | 0b111 << (16 + 3 * pll));
                 let before = self.register(at);
                 self.write_locked(at, value & 0x01FF_0FFF, locked, "PLLCFGR", context);
+                // A rising FRACEN latches the fraction, also while the PLL runs.
                 for pll in 0..3 {
                     let latch = 1 << (4 * pll);
                     if before & latch == 0 && value & latch != 0 {
@@ -566,6 +574,7 @@ impl Rcc {
         }
         let before = self.register(offset::BDCR);
         let mut value = value & WRITABLE;
+        // BDRST: the reset counts once, at its rising edge, and holds the other bits at 0.
         if value & 1 << 16 != 0 {
             self.backup_reset |= before & 1 << 16 == 0;
             self.reset_backup();
@@ -627,6 +636,7 @@ impl Rcc {
         // starts within microseconds, which the switch waits for.
         let source = [None, None, Some(Oscillator::Hse), Some(Oscillator::Pll1)];
         let lost = source.get(self.system_source as usize).copied().flatten();
+        // A core that runs on HSI or CSI is not affected.
         if lost.is_some_and(|source| !self.is_ready(source)) {
             *self.register_mut(offset::CR) |= 1;
             *self.register_mut(offset::CFGR) &= !7;
@@ -646,6 +656,7 @@ impl Rcc {
                 && ready_ns <= context.now_ns
             {
                 self.states[oscillator as usize] = State::Ready;
+                // The flag is set only with its interrupt enabled (RCC_CIFR).
                 self.flags |= bit & self.register(offset::CIER);
             }
         }
@@ -662,6 +673,7 @@ impl Rcc {
             let Clocks { core_hz, ahb_hz, apb1_hz, apb2_hz, apb3_hz, apb4_hz, .. } = *clocks;
             [core_hz, ahb_hz, apb1_hz, apb2_hz, apb3_hz, apb4_hz]
         };
+        // Limits are checked again only if a bus clock has changed.
         let changed = buses(&nominal) != buses(&self.nominal);
         self.nominal = nominal;
         if changed {

@@ -22,9 +22,11 @@ impl Tim {
         loop {
             let passing = self.inputs.iter().enumerate().filter_map(|(n, input)| Some((input.passes_ns?, Some(n))));
             let ticking = self.next_source_ns().map(|at_ns| (at_ns, None));
+            // Of all pending edges the earliest one is handled first, so that counts and captures keep their order.
             let Some((at_ns, index)) = passing.chain(ticking).min().filter(|&(at_ns, _)| at_ns <= now_ns) else {
                 break;
             };
+            // A late edge counts as of the last access.
             let at_ns = at_ns.max(self.now_ns);
             self.count_to(at_ns, context);
             self.now_ns = at_ns;
@@ -60,9 +62,11 @@ impl Tim {
                 self.done = target;
                 return;
             }
+            // The prescaler restarts at each boundary, so the clocks already in it are taken off.
             self.done += to_boundary * per_count - self.prescaled;
             self.prescaled = 0;
             let at_ns = self.clock.when_ns(self.done);
+            // Periods are skipped from an overflow on.
             if self.cross_boundary(to_boundary, at_ns, context) {
                 overflows += 1;
                 self.skip_periods(overflows, target);
@@ -90,6 +94,7 @@ impl Tim {
     fn cross_boundary(&mut self, counts: u64, at_ns: u64, context: &mut Context<'_>) -> bool {
         self.crossed = true;
         let (last, within) = (self.count + counts, self.count <= self.arr);
+        // A count above ARR wraps at the end of the range, which is no update.
         let overflow = within && last > self.arr || last > self.kind.top();
         self.count = if overflow { 0 } else { last };
         if overflow && within {
@@ -116,6 +121,7 @@ impl Tim {
                 self.compare_event(index, context);
             }
         }
+        // The repetition counter delays the update by this many overflows.
         if self.repetitions > 0 {
             self.repetitions -= 1;
             return;
@@ -140,6 +146,7 @@ impl Tim {
         if self.bdtr & AOE != 0 {
             self.bdtr |= MOE;
         }
+        // URS limits flag and requests to overflows.
         if by_counter || self.cr1 & URS == 0 {
             self.sr |= UIF;
             if self.dier & UDE != 0 {
@@ -181,6 +188,7 @@ impl Tim {
         if self.arr == 0 {
             return;
         }
+        // An update belongs to a wrap at ARR only, not to one at the end of the range.
         if up && (self.count == self.arr || self.count == self.kind.top()) {
             let end = self.count == self.arr;
             self.count = 0;
@@ -199,11 +207,13 @@ impl Tim {
 
     /// Skips periods that change nothing: flags stay set, and toggled levels are restored after two updates.
     fn skip_periods(&mut self, overflows: u64, target: u64) {
+        // Two updates restore the repetition counter, and an even number of periods restores toggled outputs.
         let cycle = 2 * (u64::from(self.rcr_preload) + 1);
         let settled = self.repetitions == self.rcr_preload && self.arr != 0 && self.count == 0;
         if overflows < cycle || !settled || !self.is_quiet() {
             return;
         }
+        // Whole cycles are skipped, so that the phase of count, prescaler and repetitions stays.
         let clocks = cycle * (self.arr + 1) * (u64::from(self.psc) + 1);
         self.done += (target - self.done) / clocks * clocks;
     }
@@ -226,6 +236,7 @@ impl Tim {
         let to_overflow = self.counts_to_overflow();
         let mut counts = u64::MAX;
         let mut edge = u64::MAX;
+        // An event counts only if it changes what others observe: a flag that is set already does not.
         let update = self.dier & UIF & !self.sr != 0
             || self.dier & UDE != 0
             || self.master_mode() == 2
@@ -243,6 +254,7 @@ impl Tim {
                 edge = edge.min(next);
             }
         }
+        // Edges soon after the last report wait for the batch.
         let edge_ns = self.when_ns(edge).max(self.told_ns.saturating_add(OUTPUT_BATCH_NS));
         let edge_ns = if edge == u64::MAX { u64::MAX } else { edge_ns };
         filtered_ns.min(self.when_ns(counts)).min(edge_ns)
