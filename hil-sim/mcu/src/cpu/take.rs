@@ -79,6 +79,7 @@ impl<C: Core> Taker<'_, C> {
         let control = self.core.get(Register::Control);
         let float = control & FLOAT_ACTIVE != 0 && self.cpu.saves_float();
         let handler = active(self.core) != 0;
+        // EXC_RETURN (B1.5.8): 1 to a handler, 9 to thread mode on MSP, 0xD to thread mode on PSP.
         let mut exc_return = match (handler, control & PROCESS_STACK != 0) {
             (true, _) => 0xFFFF_FFF1,
             (false, false) => 0xFFFF_FFF9,
@@ -87,6 +88,7 @@ impl<C: Core> Taker<'_, C> {
         if float {
             exc_return &= !RETURN_BASIC;
         }
+        // A derived exception of the stacking competes with the original one by priority.
         let mut exception = exception;
         if let Err(cause) = self.push(float) {
             self.cpu.faults.note(cause);
@@ -128,6 +130,7 @@ impl<C: Core> Taker<'_, C> {
     pub fn breakpoint(&mut self) -> Result<(), Failure> {
         self.cpu.faults.debug |= BREAKPOINT;
         self.cpu.faults.hard |= DEBUG_EVENT;
+        // Within NMI and HardFault no fault can be taken.
         if !self.cpu.exceptions.can_take(number::HARD_FAULT, masks(self.core)) {
             return Err(Failure::LockUp("BKPT".into()));
         }
@@ -140,6 +143,7 @@ impl<C: Core> Taker<'_, C> {
     /// Lock-up in the handlers of HardFault and NMI.
     pub fn pend_store_fault(&mut self) -> Result<(), Failure> {
         self.cpu.faults.note(Cause::Store);
+        // The fault is asynchronous: it waits for its priority like an interrupt.
         if self.cpu.exceptions.enabled.get(number::BUS_FAULT) {
             self.cpu.exceptions.set_pending(number::BUS_FAULT);
             return Ok(());
@@ -158,10 +162,13 @@ impl<C: Core> Taker<'_, C> {
         let returning = active(self.core);
         let nested = self.cpu.exceptions.active_count();
         let to_thread = exc_return & 0xF != 1;
+        // Valid values are 0xFFFF_FFE1 to 0xFFFF_FFFD with the last digit 1, 9 or 0xD.
         let shape = exc_return | 0x1F == u32::MAX && matches!(exc_return & 0xF, 1 | 9 | 0xD);
+        // The last active handler returns to thread mode, others to a handler; NONBASETHRDENA allows exceptions.
         let depth = if to_thread { nested == 1 || self.cpu.any_level_returns_to_thread() } else { nested > 1 };
         let was_active = self.cpu.exceptions.is_active(returning);
         self.cpu.exceptions.deactivate(returning);
+        // A return from any handler but NMI's clears FAULTMASK (B1.5.8).
         if returning != number::NMI {
             self.core.set(Register::Faultmask, 0);
         }
@@ -180,10 +187,12 @@ impl<C: Core> Taker<'_, C> {
             Ok(frame) => frame,
             Err(cause) => return self.refuse(cause, exc_return),
         };
+        // The frame must agree with EXC_RETURN about the mode.
         if (frame.xpsr & EXCEPTION == 0) != to_thread {
             return self.refuse(Cause::InvalidReturn, exc_return);
         }
         self.restore(&frame, bank, process);
+        // An exception return is an event, and clears the exclusive monitor.
         self.cpu.event = true;
         self.core.clear_exclusive()?;
         if frame.xpsr & THUMB == 0 {
@@ -210,6 +219,7 @@ impl<C: Core> Taker<'_, C> {
         if !self.cpu.exceptions.can_take(number::HARD_FAULT, masks) {
             return Err(Failure::LockUp(what.into()));
         }
+        // FORCED marks a HardFault that replaces a disabled or too low fault.
         self.cpu.faults.hard |= FORCED;
         Ok(number::HARD_FAULT)
     }
@@ -220,6 +230,7 @@ impl<C: Core> Taker<'_, C> {
         let vector = match self.vector(exception) {
             Some(vector) => vector,
             None => {
+                // An unreadable vector becomes a HardFault; if that is the one, the processor locks up.
                 self.cpu.faults.hard |= VECTOR_TABLE;
                 let tables = "the vector table cannot be read";
                 if exception == number::HARD_FAULT {

@@ -181,6 +181,7 @@ impl Converter {
     /// Carries out the conversions that have ended up to now.
     pub(super) fn run(&mut self, clock: Clock, context: &mut Context<'_>) {
         let now_ns = context.now_ns;
+        // Done first, so that a long pause does not compute conversions without any effect.
         self.skip_lost(now_ns);
         while let Some(running) = self.running.filter(|running| running.ticks.when_ns(running.end) <= now_ns) {
             self.convert(running, context);
@@ -267,6 +268,7 @@ impl Converter {
         let code = self.sample(self.channel(running.rank), context);
         self.store(code);
         self.isr |= EOSMP | EOC;
+        // The ends add up in half clocks from the start of the sequence, so that rounding errors do not accumulate.
         if running.rank < self.ranks() {
             let rank = running.rank + 1;
             self.running = Some(Running { rank, end: running.end + self.duration(rank), ..running });
@@ -274,6 +276,7 @@ impl Converter {
         }
         self.isr |= EOS;
         self.running = None;
+        // A software start ends with its sequence; a triggered one stays armed.
         let software = self.cfgr >> 10 & 3 == 0;
         if self.cfgr & CONT != 0 {
             self.running = Some(Running { rank: 1, end: running.end + self.duration(1), ..running });

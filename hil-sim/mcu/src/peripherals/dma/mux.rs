@@ -123,6 +123,7 @@ impl Mux {
     fn line(&self, id: u8) -> bool {
         match id {
             0 => false,
+            // Requests 1 to 8 come from the request generators.
             1..=8 => self.generators[usize::from(id) - 1].pending > 0,
             _ => self.lines.get(id),
         }
@@ -151,6 +152,7 @@ impl Mux {
         let state = &mut self.channels[channel];
         state.open = state.open.saturating_sub(1);
         state.served += 1;
+        // NBREQ + 1 requests make an event.
         if state.served > state.control >> 19 & 0x1f {
             state.served = 0;
             if state.control & EGE != 0 {
@@ -191,6 +193,7 @@ impl Mux {
             if control & GE == 0 || !selected || !counts(control >> 17 & 3) {
                 continue;
             }
+            // A trigger before the last requests were served is an overrun.
             if generator.pending > 0 {
                 self.trigger_overruns |= 1 << number;
             }

@@ -133,6 +133,7 @@ impl Stream {
     /// Starts the stream when EN is set.
     pub(super) fn start(&mut self) {
         self.control |= EN;
+        // Double-buffer mode implies circular mode (RM0399, DMA_SxCR).
         if self.control & DBM != 0 {
             self.control |= CIRC;
         }
@@ -140,6 +141,7 @@ impl Stream {
         self.fifo.clear();
         self.emptying = false;
         self.burst_left = 0;
+        // A stream that is enabled again restarts with the number written before.
         if self.remaining == 0 {
             self.remaining = self.programmed;
         }
@@ -166,6 +168,7 @@ impl Stream {
     /// flush and suspension).
     pub(super) fn stop(&mut self) {
         let drains = self.direction() != Some(Direction::ToPeripheral);
+        // Data read from memory is dropped: only received data must reach its destination.
         if !drains {
             self.fifo.clear();
         }
@@ -191,6 +194,7 @@ impl Stream {
     fn wants_to_memory(&self, request: bool, direction: Direction) -> Option<Wanted> {
         let held = self.fifo.len();
         let size = self.memory_size();
+        // The rest of a transfer leaves the FIFO below its threshold too.
         let last = self.remaining == 0 || self.stopping;
         if held > 0 && (last || self.emptying || self.is_direct()) && (last || held >= size.bytes() as usize) {
             return Some(Wanted {
@@ -203,6 +207,7 @@ impl Stream {
         }
         let size = self.peripheral_size();
         let room = held + size.bytes() as usize <= FIFO_BYTES;
+        // A burst in progress needs no further request.
         (self.remaining > 0 && !self.stopping && room && (request || self.burst_left > 0)).then_some(Wanted {
             port: Port::Peripheral,
             address: self.peripheral,
@@ -215,6 +220,7 @@ impl Stream {
     fn wants_to_peripheral(&self, request: bool) -> Option<Wanted> {
         let held = self.fifo.len();
         let size = self.memory_size();
+        // Direct mode holds one item at most.
         let room = if self.is_direct() { held == 0 } else { held + size.bytes() as usize <= FIFO_BYTES };
         if self.memory_left > 0 && room {
             return Some(Wanted {
@@ -252,6 +258,7 @@ impl Stream {
             Port::Peripheral => self.done_peripheral(wanted, bytes),
             Port::Memory => self.done_memory(bytes),
         }
+        // Flags count items at the destination, not reads at the source.
         let arrived = match self.direction() {
             Some(Direction::ToPeripheral) => wanted.port == Port::Peripheral,
             _ => wanted.port == Port::Memory,
@@ -266,6 +273,7 @@ impl Stream {
             self.peripheral = self.peripheral.wrapping_add(if self.control & PINCOS != 0 { 4 } else { bytes });
         }
         self.remaining -= 1;
+        // The first beat of a burst serves the request, the others follow without one.
         self.burst_left = match (wanted.serves, self.burst_left) {
             (true, _) => self.burst_beats(21) - 1,
             (false, left) => left.saturating_sub(1),
@@ -280,6 +288,7 @@ impl Stream {
             self.memory = self.memory.wrapping_add(bytes);
         }
         self.memory_left = self.memory_left.saturating_sub(bytes);
+        // Emptying ends when no whole item is left, so that the FIFO fills to its threshold again.
         if self.fifo.len() < self.memory_size().bytes() as usize {
             self.emptying = false;
         }
@@ -297,6 +306,7 @@ impl Stream {
             Some(Direction::ToPeripheral) => unit,
             _ => self.memory_size().bytes(),
         };
+        // The flag is set by the item that passes the half.
         if self.programmed > 1 && left <= half && left + moved_last > half {
             self.flags |= HTIF;
         }

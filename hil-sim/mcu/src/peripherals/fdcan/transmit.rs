@@ -74,10 +74,12 @@ impl Module {
             context.misuse(self.name, "TXBAR is written while CCE is 1 (RM0399, 59.4.1)");
             return;
         }
+        // A node in bus monitoring mode cannot send (59.4.1).
         if self.on(cccr::MON) && !self.loops_back() {
             return;
         }
         let (first, size) = self.tx_fifo_place();
+        // The first request of an idle handler sets the earliest start.
         if self.reg(register::TXBRP) == 0 {
             self.requested_ns = context.now_ns;
         }
@@ -134,6 +136,7 @@ impl Module {
         }
         let (first, size) = self.tx_fifo_place();
         for buffer in (0..first + size).filter(|buffer| requests >> buffer & 1 == 1) {
+            // A frame on the wire cannot be stopped; its cancellation completes with it.
             if self.transmission.as_ref().is_some_and(|transmission| transmission.buffer == buffer) {
                 self.set_reg(register::TXBCR, self.reg(register::TXBCR) | 1 << buffer);
             } else {
@@ -190,7 +193,9 @@ impl Module {
         if !may {
             return None;
         }
+        // All three conditions must hold: synchronised, bus free, and requested.
         let mut start_ns = self.synchronised_ns.max(self.free_ns).max(self.requested_ns);
+        // Another node that began first wins the bus; this one waits until the frame and the intermission are over.
         for (end_ns, frame) in &self.coming {
             let others_ns = end_ns.saturating_sub(self.frame_ns(frame));
             if others_ns <= start_ns && start_ns < *end_ns {
@@ -204,8 +209,10 @@ impl Module {
         let Some(buffer) = self.next_buffer(ram) else { return };
         let word = self.buffer_word(buffer);
         let frame = ram.frame(word, element_bytes(self.reg(register::TXESC)), self.on(cccr::FDOE), self.on(cccr::BRSE));
+        // ESI is sent recessive by an error-passive node, or if the buffer demands it.
         let esi = frame.fd && (self.errors.passive() || ram.word(word) & ram::ESI != 0);
         let ack_clocks = self.clocks_to_ack(&frame, esi);
+        // Without a transceiver delay, the measured value is the offset.
         if frame.fd && self.reg(register::DBTP) >> 23 & 1 == 1 {
             let tdco = self.reg(register::TDCR) >> 8 & 0x7F;
             self.protocol = self.protocol & !(0x7F << psr::TDCV_AT) | tdco << psr::TDCV_AT;
@@ -230,12 +237,14 @@ impl Module {
             self.sent(at_ns, transmission, ram, context);
             return;
         }
+        // Internal loop back does not reach the bus.
         let internal = self.loops_back() && self.on(cccr::MON);
         let outcome = match internal {
             true => CanOutcome::Acknowledged,
             false => context.outside.can_sent(self.bus, at_ns, &transmission.frame),
         };
         match outcome {
+            // Loop back ignores a missing acknowledge (59.4.1).
             CanOutcome::NotAcknowledged if self.loops_back() => (),
             CanOutcome::Acknowledged => (),
             CanOutcome::NotAcknowledged => return self.not_sent(LastError::Acknowledge, at_ns, &transmission),
@@ -249,6 +258,7 @@ impl Module {
         let buffer = transmission.buffer;
         let cancelled = self.reg(register::TXBCR) >> buffer & 1 == 1;
         self.no_error(transmission.frame.bit_rate_switch);
+        // A frame sent without error lowers TEC by one (Bosch CAN 2.0, B, 8, rule 7).
         self.count(|errors| errors.transmit = errors.transmit.saturating_sub(1));
         self.wait(at_ns, if self.on(cccr::TXP) { PAUSE_BITS } else { 0 });
         self.retire(buffer);

@@ -114,6 +114,7 @@ impl Bank {
     }
 
     pub(super) fn write_key(&mut self, key: u32, context: &mut Context<'_>) {
+        // The keys must come in their order, and only while the register is locked.
         self.keys = match self.keys {
             Some(given) if self.cr & LOCK != 0 && KEYS.get(given) == Some(&key) => Some(given + 1),
             _ => {
@@ -142,6 +143,7 @@ impl Bank {
         if !self.queue.is_empty() && (value ^ self.cr) & SETTINGS != 0 {
             context.misuse("FLASH", "PSIZE or SNB is changed during an operation (FLASH_CR)");
         }
+        // START and FW clear themselves.
         self.cr = value & CR_WRITABLE & !(START | FW);
         if value & PG == 0 && self.buffer.is_some() {
             // A word abandoned before it is complete is lost.
@@ -198,6 +200,7 @@ impl Bank {
             self.flags |= PGSERR;
             return;
         };
+        // Programming and erasing exclude each other, and error flags must be cleared first.
         if self.cr & PG != 0 || self.buffer.is_some() || self.flags & PROGRAM_ERRORS != 0 {
             self.flags |= PGSERR;
             return;
@@ -213,6 +216,7 @@ impl Bank {
 
     /// Queues an operation; returns its end, ns.
     fn enqueue(&mut self, mut operation: Operation, now_ns: u64) -> u64 {
+        // Operations run one after another.
         operation.ends_ns = self.queue.back().map_or(now_ns, |last| last.ends_ns) + operation.takes_ns;
         let ends_ns = operation.ends_ns;
         self.queue.push_back(operation);
@@ -230,6 +234,7 @@ impl Bank {
             self.flags |= PGSERR;
             return;
         }
+        // The queue has room for one operation that runs and one that waits.
         if self.queue.len() > 1 {
             context.misuse(
                 "FLASH",
@@ -239,6 +244,7 @@ impl Bank {
         let index = self.base + word;
         let mut buffer = self.buffer.take().unwrap_or(Buffer { index, bytes: [0xFF; WORD_BYTES], written: 0 });
         let mask = ((1_u32 << bytes.len()) - 1) << at;
+        // A store to another word before this one is complete is inconsistent.
         if buffer.index != index {
             self.flags |= INCERR;
             return;

@@ -117,6 +117,7 @@ impl Usart {
 
     fn byte_arrived(&mut self, byte: UartByte) {
         let started_ns = byte.at_ns.saturating_sub(self.frame_ns());
+        // A frame that began before the receiver was on is lost.
         if !self.receiver_on() || started_ns < self.receiver.since_ns {
             return;
         }
@@ -131,6 +132,7 @@ impl Usart {
                 self.show_errors();
             }
         } else if self.cr3 & cr3::OVRDIS == 0 {
+            // On overrun the new character is lost, the held ones stay (51.8.9, ORE).
             self.kept |= isr::ORE;
             return;
         } else {

@@ -77,6 +77,7 @@ impl Usart {
             if self.fifo() {
                 return;
             }
+            // Without FIFO the new character replaces the one in TDR.
             self.transmitter.flush();
         }
         self.transmitter.waiting.push_back(value);
@@ -109,6 +110,7 @@ impl Usart {
                 self.kept |= isr::TC;
             }
         }
+        // The next frame follows without a gap, in the same count of half bits.
         self.load(sent.half_bits, sent.end);
     }
 
