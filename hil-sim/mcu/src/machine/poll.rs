@@ -45,6 +45,7 @@ impl Polls {
         if self.last.contains(&Some(read)) {
             self.equal += 1;
         } else {
+            // Another address or value: the program makes progress.
             (self.equal, self.pause) = (0, 0);
             self.last[self.next] = Some(read);
             self.next = (self.next + 1) % DIFFERENT;
@@ -52,6 +53,7 @@ impl Polls {
     }
 
     pub(super) fn wrote(&mut self) {
+        // A write can change what the next reads return.
         (self.equal, self.pause) = (0, 0);
         self.last = [None; DIFFERENT];
     }
@@ -61,6 +63,7 @@ impl Polls {
     }
 
     fn done(&mut self, left_out: bool) {
+        // An attempt executes block by block, which is slow, so a failed one is not repeated at once.
         (self.equal, self.pause) = (0, if left_out { 0 } else { PAUSE });
     }
 }
@@ -79,6 +82,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
     pub(super) fn leave_out_polling(&mut self, t_ns: u64) -> Result<(), MachineError> {
         let (head, executed) = (registers(&self.core), self.instructions());
         let event_ns = self.next_event_ns().min(t_ns);
+        // The pause applies unless `leave_out` succeeds and cancels it.
         self.polls.done(false);
         self.one_block.begin();
         for _ in 0..BLOCKS {
@@ -90,6 +94,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
             if told.is_some() || self.one_block.is_broken() || self.now_ns() >= event_ns {
                 break;
             }
+            // With the registers as at the head and no write in between, the next iteration is the same.
             if registers(&self.core) == head {
                 self.leave_out(self.instructions() - executed, event_ns);
                 break;
@@ -109,6 +114,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         };
         // The last skipped iteration ends before that time.
         let rounds = self.time.until(until_ns).saturating_sub(1).checked_div(round).unwrap_or(0);
+        // The skipped instructions count as executed, so that the time advances as it would with them.
         self.time.execute(rounds * round);
         if let Some(profile) = &mut self.profile {
             profile.executed(crate::cpu::take::active(&self.core), rounds * round);

@@ -286,6 +286,7 @@ impl Module {
     /// software initialization).
     fn enter_init(&mut self) {
         self.set_reg(register::CCCR, self.reg(register::CCCR) | cccr::INIT);
+        // The frame on the wire is lost; its request in TXBRP stays.
         self.transmission = None;
         self.recovery = None;
         self.protocol &= !(0x7F << psr::TDCV_AT);
@@ -295,10 +296,12 @@ impl Module {
     fn leave_init(&mut self, now_ns: u64) {
         self.set_reg(register::CCCR, self.reg(register::CCCR) & !(cccr::INIT | cccr::CCE));
         if self.errors.bus_off {
+            // During the recovery REC counts the sequences of 11 recessive bits.
             self.errors.receive = 0;
             self.recovery = Some(Recovery { since_ns: now_ns, seen: 0 });
             self.synchronised_ns = self.bits_after(now_ns, 11 * u64::from(errors::RECOVERY_SEQUENCES));
         } else {
+            // The node takes part after 11 recessive bits, which show an idle bus.
             self.synchronised_ns = self.bits_after(now_ns, 11);
         }
         self.free_ns = self.free_ns.max(self.synchronised_ns);
@@ -318,6 +321,7 @@ impl Module {
 
     fn recovery_ns(&self) -> u64 {
         self.recovery
+            // A dominant bus has no recessive sequences, so the recovery makes no progress.
             .filter(|_| self.dominant.is_none())
             .map_or(u64::MAX, |recovery| self.bits_after(recovery.since_ns, 11 * (u64::from(recovery.seen) + 1)))
     }
@@ -378,6 +382,7 @@ impl Module {
     fn bring_to_now(&mut self, ram: &mut MessageRam, context: &mut Context<'_>) {
         self.use_clocks(context.clocks);
         loop {
+            // Each event may change the time of the others, so each pass determines the next one anew.
             let at_ns = self.next_ns();
             if at_ns > context.now_ns || at_ns == u64::MAX {
                 break;
@@ -404,6 +409,7 @@ impl Module {
 
     /// Stops the clock at the request CSR: INIT and then CSA are set once all work is done (59.4.1, power down).
     fn stop_clock_if_asked(&mut self, now_ns: u64) {
+        // A pending request is sent first, unless initialisation blocks it.
         let quiet = self.transmission.is_none() && (self.reg(register::TXBRP) == 0 || self.on(cccr::INIT));
         if self.on(cccr::CSR) && !self.on(cccr::CSA) && quiet && now_ns >= self.free_ns {
             self.enter_init();

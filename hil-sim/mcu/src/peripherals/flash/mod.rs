@@ -205,6 +205,7 @@ impl<C: FlashCells> Flash<C> {
             return Err(Unmodelled { peripheral: "FLASH", what });
         }
         if value & MER != 0 {
+            // MER erases both banks, so the lock of either one blocks it.
             if self.banks.iter().any(Bank::is_locked) {
                 let what = "OPTCR.MER while CR1 or CR2 is locked; both are to be unlocked before (RM0399, 4.3.10)";
                 context.misuse("FLASH", what);
@@ -225,6 +226,7 @@ impl<C: FlashCells> Flash<C> {
             return;
         }
         self.options.ends_ns = now_ns + options::CHANGE_NS;
+        // A regression to level 0 erases both banks; the change lasts until the slower of the two is done.
         if self.options.regresses() {
             for bank in &mut self.banks {
                 let ends_ns = bank.erase_for_regression(now_ns, options::CHANGE_NS);
@@ -274,6 +276,7 @@ impl<C: FlashCells> Flash<C> {
     fn locate(&self, address: u32) -> Option<(usize, u32, usize)> {
         let offset = address.checked_sub(BASE).filter(|offset| *offset < BYTES)?;
         let word = offset / WORD_BYTES as u32;
+        // SWAP_BANK exchanges the addresses of the banks, not their cells.
         let bank = (word / BANK_WORDS) as usize ^ usize::from(self.swapped);
         Some((bank, word % BANK_WORDS, offset as usize % WORD_BYTES))
     }
@@ -292,11 +295,13 @@ impl<C: FlashCells> Flash<C> {
         self.advance(context);
         let (number, word, at) = self.locate(address).ok_or(LoadError::Outside)?;
         let bank = &mut self.banks[number];
+        // The read protection is examined before the wait for a busy bank: a refused read does not stall.
         if bank.closed {
             bank.refuse_read(address, context);
             self.raise(context);
             return Err(LoadError::Protected);
         }
+        // A read of a busy bank stalls the reader; the other bank remains readable.
         let until_ns = bank.busy_until_ns();
         if until_ns != u64::MAX {
             return Err(LoadError::Busy { until_ns });
@@ -329,6 +334,7 @@ impl<C: FlashCells> Flash<C> {
     }
 
     fn raise(&mut self, context: &mut Context<'_>) {
+        // Both banks share one interrupt line.
         let level = self.banks.iter().any(Bank::interrupt);
         if level != self.raised {
             self.raised = level;

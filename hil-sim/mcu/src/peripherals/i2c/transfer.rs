@@ -81,6 +81,7 @@ impl I2c {
                     self.byte_done(at_ns);
                 }
             }
+            // While RXDR is unread, the controller holds SCL low before the acknowledge bit.
             Phase::Receiving { .. } if self.flags & isr::RXNE != 0 => self.phase = Phase::Unread { since_ns: at_ns },
             Phase::Receiving { .. } => {
                 self.phase = Phase::Acknowledging { end_ns: at_ns.saturating_add(self.timing().bits_ns(1)) };
@@ -95,6 +96,7 @@ impl I2c {
             },
             Phase::Stopping { .. } => {
                 context.outside.i2c_stop(self.instance.number, at_ns);
+                // The STOP releases the bus before a START requested meanwhile is examined.
                 self.owns_bus = false;
                 self.flags |= isr::STOPF;
                 self.cr2 &= !cr2::STOP;
@@ -122,6 +124,7 @@ impl I2c {
     fn start_if_free(&mut self, at_ns: u64, context: &mut Context<'_>) {
         let lines = context.outside.i2c_lines(self.instance.number, at_ns);
         self.held_low = lines != (true, true);
+        // The lines are outside this model and report no change, so they are polled.
         if self.held_low {
             self.phase = Phase::Waiting { until_ns: at_ns + LINES_POLLED_NS };
             return;
@@ -159,6 +162,7 @@ impl I2c {
         match response {
             I2cResponse::Ack => true,
             I2cResponse::Nack => {
+                // The hardware sends the STOP after a NACK, also without AUTOEND.
                 self.flags = self.flags & !isr::TXIS | isr::NACKF;
                 self.stop(at_ns, at_ns);
                 false
@@ -177,6 +181,7 @@ impl I2c {
 
     /// Continues after an acknowledge bit: with the next byte, or as NBYTES, RELOAD, AUTOEND, START and STOP define.
     pub(super) fn go_on(&mut self, at_ns: u64) {
+        // A STOP requested by the program takes precedence over the bytes that remain.
         if self.cr2 & cr2::STOP != 0 {
             self.stop(at_ns, at_ns);
         } else if self.remaining > 0 && self.reading {
@@ -185,6 +190,7 @@ impl I2c {
             self.phase = Phase::Held { since_ns: at_ns };
             self.flags |= if self.to_send.is_none() { isr::TXIS } else { 0 };
             self.send_next(at_ns);
+        // AUTOEND has no effect while RELOAD is set, so RELOAD is examined first.
         } else if self.cr2 & cr2::RELOAD != 0 {
             self.flags |= isr::TCR;
             self.phase = Phase::Held { since_ns: at_ns };
@@ -206,9 +212,11 @@ impl I2c {
         }
         let Some(byte) = self.to_send.take() else { return };
         let timing = self.timing();
+        // SCL stays low for SCLL at least, and for the data set-up time SCLDEL after the write of TXDR.
         let low_ended_ns = since_ns.saturating_add(timing.phases_ns(1, 0));
         let risen_ns = low_ended_ns.max(at_ns.saturating_add(timing.setup_ns()));
         self.phase = Phase::Sending { byte, end_ns: risen_ns.saturating_add(timing.phases_ns(8, 9)) };
+        // TXDR is empty again, but only a further byte of this transfer is requested.
         if self.remaining > 1 {
             self.flags |= isr::TXIS;
         }
@@ -235,6 +243,7 @@ impl I2c {
     fn timed_out(&mut self, at_ns: u64) {
         self.flags |= isr::TIMEOUT;
         self.cr2 &= !cr2::START;
+        // Only in these phases this controller itself holds SCL, so that it can make a STOP.
         if let Phase::Held { since_ns } | Phase::Unread { since_ns } = self.phase {
             self.stop(since_ns, at_ns);
         }

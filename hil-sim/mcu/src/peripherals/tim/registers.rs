@@ -142,6 +142,7 @@ impl Tim {
             PSC => self.psc_preload = value & 0xffff,
             ARR => {
                 self.arr_preload = u64::from(value) & self.kind.top();
+                // Without preload the new limit applies at once; with it, from the next update event on.
                 if self.cr1 & ARPE == 0 {
                     self.arr = self.arr_preload;
                 }
@@ -151,6 +152,7 @@ impl Tim {
             BDTR => self.write_bdtr(value, context),
             DCR => {
                 self.dcr = value & 0x1f1f;
+                // A write of DCR starts the burst at its base address again.
                 self.burst = 0;
             }
             DMAR => {
@@ -183,19 +185,23 @@ impl Tim {
         if value & CMS != 0 {
             return self.refuse("center-aligned counting (CMS)");
         }
+        // In encoder mode DIR is read-only: the inputs define the direction.
         if self.encoder_mode().is_some() {
             value = value & !DIR | self.cr1 & DIR;
         }
         let started = value & !self.cr1 & CEN != 0;
         self.cr1 = value;
+        // The end of preload makes a pending limit effective at once.
         if value & ARPE == 0 {
             self.arr = self.arr_preload;
         }
         self.check_direction()?;
+        // The prescaler's clock counts from the rising edge of CEN.
         if started {
             let frequency_hz = self.kind.hz(context.clocks);
             self.clock = Ticks { start_ns: self.now_ns, frequency_hz, divider: 1 };
             self.done = 0;
+            // MMS = 1: the trigger output is the counter enable.
             if self.master_mode() == 1 {
                 self.trigger(context);
             }
@@ -230,6 +236,7 @@ impl Tim {
         }
         let was_running = self.is_running();
         self.smcr = value;
+        // The internal clock counts again after the encoder mode, from now on.
         if !was_running && self.is_running() {
             self.clock = Ticks { start_ns: self.now_ns, frequency_hz: self.kind.hz(context.clocks), divider: 1 };
             self.done = 0;
