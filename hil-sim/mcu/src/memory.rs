@@ -248,6 +248,7 @@ impl Memory {
     /// Returns the memory that holds an address, and the offset in it.
     #[must_use]
     pub fn locate(&self, address: u32) -> Option<(&Region, u32)> {
+        // Peripheral addresses need no search.
         if address >= END {
             return None;
         }
@@ -287,6 +288,7 @@ impl Memory {
     /// 4.3.13).
     pub fn swap_flash(&self) {
         let [lower, middle, upper] = [Bank::Flash1, Bank::Flash2, Bank::Storage].map(|bank| self.region(bank));
+        // The cores have mapped the regions by address, so the contents move and the regions stay.
         for (low, high) in lower.bytes.iter().zip(middle.bytes.iter().chain(upper.bytes.iter())) {
             low.swap(high);
         }

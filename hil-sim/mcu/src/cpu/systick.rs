@@ -48,6 +48,7 @@ impl SysTick {
         }
         let ticks = self.clock.at(now_ns);
         let value = u64::from(self.value);
+        // The first round begins at the present value; each further one takes RELOAD + 1 ticks.
         match ticks.checked_sub(value + 1) {
             None => (value - ticks) as u32,
             Some(past) => self.reload - (past % (u64::from(self.reload) + 1)) as u32,
@@ -74,6 +75,7 @@ impl SysTick {
         let Some(first) = self.zero(0) else { return u64::MAX };
         let period = u64::from(self.reload) + 1;
         let ticks = self.clock.at(after_ns);
+        // The ticks are rounded down, so the estimate may be too early; the loop corrects it.
         let mut n = ticks.saturating_sub(first) / period;
         loop {
             let Some(zero) = self.zero(n) else { return u64::MAX };
@@ -95,6 +97,7 @@ impl SysTick {
     pub fn advance(&mut self, now_ns: u64) -> bool {
         let reached = self.next_zero_ns(self.told_ns) <= now_ns;
         self.told_ns = self.told_ns.max(now_ns);
+        // COUNTFLAG is set without TICKINT too.
         self.count_flag |= reached;
         reached && self.interrupt
     }
@@ -117,6 +120,7 @@ impl SysTick {
     pub fn read(&mut self, offset: u32, now_ns: u64) -> Option<u32> {
         Some(match offset {
             0x0 => {
+                // A read of CSR clears COUNTFLAG.
                 let flag = std::mem::take(&mut self.count_flag);
                 u32::from(flag) << 16
                     | u32::from(self.core_clock) << 2
@@ -133,6 +137,7 @@ impl SysTick {
     pub fn write(&mut self, offset: u32, value: u32, now_ns: u64) -> Option<()> {
         match offset {
             0x0 => {
+                // The first restart counts up to now with the old settings, the second one applies the new clock.
                 self.restart(now_ns);
                 self.enable = value & 1 != 0;
                 self.interrupt = value & 2 != 0;

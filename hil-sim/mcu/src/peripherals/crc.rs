@@ -81,6 +81,7 @@ impl Crc {
             let carry = self.remainder & top != 0;
             let data = value >> bit & 1 != 0;
             self.remainder = (self.remainder << 1) & self.mask();
+            // The data bit meets the highest bit of the remainder, so no zeros need to follow the message.
             if carry != data {
                 self.remainder ^= self.polynomial & self.mask();
             }

@@ -183,6 +183,7 @@ impl Pwr {
         while let Some((_, millivolts)) = self.supply.changes.pop_front_if(|(at_ns, _)| *at_ns <= context.now_ns) {
             self.supply.now_mv = millivolts;
             let (falling, rising) = BROWN_OUT_MV[usize::from(self.brown_out_level)];
+            // The power-on threshold comes first: below it RAM is lost as well, whatever BOR_LEV is.
             if millivolts < BROWN_OUT_MV[0].0 && !self.supply.lost {
                 (self.supply.held_until_ns, self.supply.lost) = (Some(u64::MAX), true);
                 context.signals.push(Signal::Reset(ResetCause::PowerOn));
@@ -202,6 +203,7 @@ impl Pwr {
     /// Updates the voltage detector.
     fn compare(&mut self, context: &mut Context<'_>) {
         let rising = PVD_RISING_MV.get((self.cr1 >> 5 & 7) as usize).copied().filter(|_| self.cr1 & PVDEN != 0);
+        // The hysteresis: a low supply must reach the rising threshold, a good one fall below the lower threshold.
         let threshold = rising.map(|rising| if self.low { rising } else { rising - PVD_HYSTERESIS_MV });
         let low = threshold.is_some_and(|threshold| self.supply.now_mv < threshold);
         if low != self.low {
@@ -214,6 +216,7 @@ impl Pwr {
     #[must_use]
     pub fn scale(&self, now_ns: u64) -> VoltageScale {
         let target = self.target();
+        // A larger `VoltageScale` is a lower voltage.
         if now_ns >= self.settled_ns { target } else { target.max(self.from) }
     }
 

@@ -95,6 +95,7 @@ impl Rng {
             mixed = (mixed ^ mixed >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
             mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
             let upper = ((mixed ^ mixed >> 31) >> 32) as u32;
+            // A valid number is not 0.
             if upper != 0 {
                 return upper;
             }
@@ -116,6 +117,7 @@ impl Rng {
             return;
         }
         let after = |clocks: u64, frequency_hz: u64| Ticks { start_ns: 0, frequency_hz, divider: 1 }.when_ns(clocks);
+        // Cycle counts of 36.5; the first words after a reset take longer, by counts that depend on the clock ratio.
         let takes_ns = if self.warm {
             after(ROUND, ahb_hz).max(after(16, rng_hz))
         } else if ahb_hz < ROUND * rng_hz / 64 {
@@ -155,6 +157,7 @@ impl Rng {
         if self.seed_interrupt || self.clock_interrupt && self.ready == 0 {
             context.misuse(NAME, "DR is read in spite of an error (RM0399, 36.3.5)");
         }
+        // After SEIS is cleared, the words to discard read as 0 (36.3.7).
         if let Some(left) = self.seed_error.filter(|_| !self.seed_interrupt) {
             self.seed_error = Some(left - 1).filter(|left| *left > 0);
             self.begin_round(context.now_ns);
@@ -222,6 +225,7 @@ impl Peripheral for Rng {
         match offset {
             CR => self.write_cr(value, context),
             SR => {
+                // Flags are cleared by writing 0.
                 self.seed_interrupt &= value & SEIS != 0;
                 self.clock_interrupt &= value & CEIS != 0;
             }
@@ -250,6 +254,7 @@ impl Peripheral for Rng {
     }
 
     fn reset(&mut self, context: &mut Context<'_>) {
+        // The sequence continues after a reset by RCC.
         *self = Self { state: self.state, clocks: *context.clocks, line: self.line, ..Self::new(0) };
         self.update_line(context);
     }

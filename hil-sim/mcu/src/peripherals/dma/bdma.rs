@@ -159,6 +159,7 @@ impl Bdma {
         let mut best = held;
         if best.is_none() {
             for next in (0..CHANNELS).filter_map(wanted) {
+                // Strictly greater, so that the lower number wins among equal priorities.
                 if best.as_ref().is_none_or(|(_, _, priority)| next.2 > *priority) {
                     best = Some(next);
                 }
@@ -169,6 +170,7 @@ impl Bdma {
             return None;
         };
         let channel = &self.channels[number];
+        // The access on the peripheral's side serves the request; memory to memory has none.
         let serves = (access == Access::Read) != channel.reads_memory();
         if serves && channel.control & MEM2MEM == 0 {
             self.mux.acknowledge(number);
@@ -202,6 +204,7 @@ impl Bdma {
                 channel.held = None;
             }
         }
+        // A request that never falls would stop virtual time.
         if channel.patience.spend(context.now_ns) {
             context
                 .misuse("BDMA", format!("channel {number}: request {request} never falls, it waits until time passes"));
@@ -322,6 +325,7 @@ impl Peripheral for Bdma {
                 for number in 0..CHANNELS {
                     let clear = value >> (4 * number) & 0xf;
                     let flags = &mut self.channels[number].flags;
+                    // CGIF clears all flags of the channel.
                     *flags = if clear & 1 != 0 { 0 } else { *flags & !clear };
                     self.irq(number, context);
                 }

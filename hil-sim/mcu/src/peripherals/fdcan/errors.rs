@@ -86,6 +86,7 @@ impl Module {
     pub(super) fn count(&mut self, change: impl FnOnce(&mut Errors)) {
         let before = self.errors.state();
         change(&mut self.errors);
+        // Bus-off sets INIT; the recovery begins when the program clears it.
         if self.errors.transmit > 255 && !self.errors.bus_off {
             self.errors.bus_off = true;
             self.enter_init();
@@ -108,6 +109,7 @@ impl Module {
             self.raise(ir::PEA);
         }
         let (transmit, receive) = (self.errors.transmit, self.errors.receive);
+        // In restricted operation TEC and REC stay; only CEL counts.
         if self.on(cccr::ASM) {
             self.log();
             return;
@@ -124,12 +126,14 @@ impl Module {
             return;
         }
         if held {
+            // The short destroys the frame on the wire.
             let transmitter = self.transmission.take().is_some();
             let takes_part = self.takes_part(now_ns);
             let next_ns = self.bits_after(now_ns, FLAG_BITS + FIRST_DOMINANT_BITS);
             self.dominant = Some(Dominant { transmitter, next_ns: if takes_part { next_ns } else { u64::MAX } });
             match (takes_part, transmitter) {
                 (false, _) => {}
+                // A transmitter reads its recessive bit as dominant; a receiver sees more than five equal bits.
                 (true, true) => self.protocol_error(LastError::Bit1, false, |errors| errors.transmit += 8),
                 (true, false) => {
                     self.protocol_error(LastError::Stuff, false, |errors| {
@@ -159,12 +163,14 @@ impl Module {
         } else {
             self.count(|errors| errors.receive = (errors.receive + 8).min(128));
         }
+        // No further event changes a counter at its limit.
         let over = if dominant.transmitter { self.errors.bus_off } else { self.errors.receive >= 128 };
         let next_ns = if over { u64::MAX } else { self.bits_after(dominant.next_ns, MORE_DOMINANT_BITS) };
         self.dominant = Some(Dominant { next_ns, ..dominant });
     }
 
     fn log(&mut self) {
+        // CEL stops at 255; the next error sets ELO.
         if self.errors.logged == 0xFF {
             self.raise(ir::ELO);
         } else {

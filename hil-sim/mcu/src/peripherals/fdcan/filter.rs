@@ -67,6 +67,7 @@ impl Filters {
                 return verdict;
             }
         }
+        // ANFS and ANFE: 0 and 1 select a FIFO, 2 and 3 reject.
         match not_matching {
             fifo @ 0..2 => Verdict { store: Store::Fifo(fifo as usize), ..nowhere },
             _ => nowhere,
@@ -75,9 +76,11 @@ impl Filters {
 
     fn matches(&self, frame: &CanFrame, element: &Element, index: u32) -> Option<Verdict> {
         let masked = if frame.extended { frame.id & self.extended_mask } else { frame.id };
+        // Configuration 7: the frame goes to an Rx buffer, or is a debug message.
         if element.configuration == 7 {
             let buffer = (element.second & 0x3F) as usize;
             let debug = element.second >> 9 & 3 != 0;
+            // A buffer whose New data flag is set accepts no frame.
             let matched = masked == element.first && (debug || self.locked_buffers >> buffer & 1 == 0);
             let store = if debug { Store::Debug } else { Store::Buffer(buffer) };
             return matched.then_some(Verdict { store, element: Some(index), priority: false });
@@ -96,6 +99,7 @@ impl Filters {
             2 | 6 => Store::Fifo(1),
             _ => Store::Nowhere,
         };
+        // Configurations 4 to 6 report a priority match.
         matched.then_some(Verdict { store, element: Some(index), priority: element.configuration >= 4 })
     }
 }

@@ -26,6 +26,7 @@ impl RxFifo {
         }
         let index = self.put;
         self.put = (self.put + 1) % size;
+        // In overwrite mode the oldest element is lost.
         if self.level >= size {
             self.get = self.put;
         } else {
@@ -67,6 +68,7 @@ impl Module {
         context: &mut Context<'_>,
     ) {
         let started_ns = at_ns.saturating_sub(self.frame_ns(frame));
+        // A node that joined the bus within the frame does not receive it; in loop-back mode it ignores the bus.
         if !self.takes_part(started_ns) || self.dominant.is_some() || self.loops_back() {
             return;
         }
@@ -132,6 +134,7 @@ impl Module {
         let size = self.fifo_size(fifo);
         let Some(index) = self.fifos[fifo].put(size, configuration >> 31 == 1) else {
             self.raise(ir::RF0L << shift);
+            // MSI = 1: the message is lost.
             return 1 << 6;
         };
         let code = self.reg(register::RXESC) >> (4 * fifo) & 7;

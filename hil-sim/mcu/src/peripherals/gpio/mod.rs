@@ -204,6 +204,7 @@ impl Gpio {
         match self.driven(pin) {
             Level::Low => false,
             Level::High => true,
+            // In analog mode the input buffer is off and reads 0.
             Level::Floating(_) if self.mode(pin) == Mode::Analog => false,
             Level::Floating(pull) => outside.level(now_ns, pin, pull),
         }

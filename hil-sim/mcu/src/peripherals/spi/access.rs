@@ -18,6 +18,7 @@ impl Spi {
         let old = self.cr1;
         // CSTART and IOLOCK can only be set; CSUSP reads as 0.
         self.cr1 = value & cr1::ALL & !cr1::CSUSP | old & (cr1::CSTART | cr1::IOLOCK);
+        // While MODF is set, SPE and IOLOCK stay 0.
         if self.flags & sr::MODF != 0 {
             self.cr1 &= !(cr1::SPE | cr1::IOLOCK);
         }
@@ -32,6 +33,7 @@ impl Spi {
             return Ok(());
         }
         if value & cr1::CSUSP != 0 && self.cr1 & cr1::CSTART != 0 {
+            // The suspension waits for the end of the frame on the wire.
             if self.shifting.is_some() {
                 self.suspend = true;
             } else {
@@ -62,6 +64,7 @@ impl Spi {
             self.flags |= sr::MODF;
             self.cr1 &= !(cr1::SPE | cr1::IOLOCK);
         }
+        // TSIZE is taken when SPE rises.
         self.unsent = self.cr2 & 0xFFFF;
         self.unwritten = self.unsent;
         Ok(())
@@ -85,6 +88,7 @@ impl Spi {
         if value & cfg1::CRCEN != 0 {
             return Err(unmodelled("CRC (CFG1.CRCEN) is not modelled"));
         }
+        // While SPE is 1, only the DMA enable bits may change.
         let free = cfg1::TXDMAEN | cfg1::RXDMAEN;
         let value = value & cfg1::ALL;
         if self.enabled() && (self.cfg1 ^ value) & !free != 0 {
@@ -128,6 +132,7 @@ impl Spi {
             context.misuse(NAME, "TXDR is written while SPE is 0: the frame is lost (RM0399, 53.4.11)");
             return;
         }
+        // An access wider than a frame holds several frames, the first in the low bits.
         for nth in 0..access_bytes / frame_bytes {
             if self.counted() && self.unwritten == 0 {
                 // The rest of the last packet is discarded.
@@ -142,6 +147,7 @@ impl Spi {
                 self.unwritten -= 1;
                 if self.unwritten == 0 && self.cr2 >> 16 == 0 {
                     self.flags |= sr::TXTF;
+                    // All frames are written, so the interrupts that ask for more are disabled.
                     self.ier &= !(sr::TXP | sr::DXP);
                 }
             }

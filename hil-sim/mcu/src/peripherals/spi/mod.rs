@@ -177,6 +177,7 @@ impl Spi {
         if self.cfg2 & cfg2::LSBFRST != 0 {
             frame = frame.reverse_bits() >> (32 - bits);
         }
+        // The frame is reported with its most significant bit first on the wire.
         context.outside.spi_sent(CONTROLLER, at_ns, frame, bits as u8);
         if self.full_duplex() {
             if self.received < self.capacity() {
@@ -203,6 +204,7 @@ impl Spi {
         }
         let extension = self.cr2 >> 16;
         if extension > 0 {
+            // TSER moves to TSIZE, so that the transfer continues without an end.
             self.cr2 = extension;
             self.unsent = extension;
             self.unwritten += extension;

@@ -46,6 +46,7 @@ impl Usart {
             return Ok(());
         }
         if turned & (cr1::UE | cr1::TE) != 0 {
+            // The transmitter sends an idle frame first after TE or UE is set.
             if self.on(cr1::TE) {
                 self.transmitter.send_idle_frame();
                 self.load(self.half_bits_from(context.now_ns), 0);
@@ -83,6 +84,7 @@ impl Usart {
         if value & !cr2::MODELLED != 0 {
             return Err(self.unmodelled(format!("CR2 = {value:#010x}: a mode that is not modelled")));
         }
+        // While RE is 1, ADD is locked too.
         let add = if self.on(cr1::RE) { 0xFF << cr2::ADD_AT } else { 0 };
         let value = self.locked("CR2", self.cr2, value, cr2::LOCKED | add, context);
         if value & cr2::RTOEN == 0 {
@@ -134,6 +136,7 @@ impl Usart {
             let sent_ns = self.transmitter.next_ns();
             let received = self.receiver_next();
             let received_ns = received.map_or(u64::MAX, |(at_ns, _)| at_ns);
+            // At the same time, the transmitter's event comes first.
             if let Some(at_ns) = sent_ns.filter(|at_ns| *at_ns <= context.now_ns && *at_ns <= received_ns) {
                 self.frame_sent(at_ns, context);
             } else if let Some((_, happens)) = received.filter(|(at_ns, _)| *at_ns <= context.now_ns) {

@@ -146,6 +146,7 @@ impl Usart {
         let prescaler = PRESCALER[(self.presc as usize).min(PRESCALER.len() - 1)];
         let brr = u64::from(self.brr);
         let (clocks, divider) = if self.cr1 & cr1::OVER8 == 0 {
+            // Without OVER8 a bit takes BRR clocks, so a half bit takes BRR / 2.
             (2, brr)
         } else {
             // With OVER8, BRR[2:0] is USARTDIV[3:0] shifted right by one.
@@ -248,6 +249,7 @@ impl Usart {
             ]
             .iter()
             .any(|(enabled, flag)| *enabled && *flag);
+        // With DDRE, an error masks the DMA request for reception until its flag is cleared.
         let held_back = self.cr3 & cr3::DDRE != 0 && (errors || isr & isr::PE != 0);
         let lines = (
             interrupt,
