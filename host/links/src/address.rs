@@ -80,6 +80,7 @@ impl FromStr for Address {
         let whole = || text.to_owned();
         match text.split_once(':') {
             Some(("serial", rest)) if !rest.is_empty() => {
+                // From the right, because a path may contain `@`.
                 let (path, baud) = match rest.rsplit_once('@') {
                     Some((path, baud)) => {
                         (path, baud.parse().ok().filter(|baud| *baud > 0).ok_or(BadAddress::Baud(whole()))?)
@@ -90,6 +91,7 @@ impl FromStr for Address {
             }
             Some(("tcp", rest)) => {
                 let (host, port) = rest.rsplit_once(':').ok_or(BadAddress::Port(whole()))?;
+                // An IPv6 address is in brackets, because it contains colons.
                 let host = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
                 let port = port.parse().ok().filter(|port| *port > 0);
                 match port {
@@ -105,6 +107,7 @@ impl FromStr for Address {
                 let interface = match name.strip_prefix("slcan:") {
                     Some(port) if !port.is_empty() => {
                         let (path, kbit_per_s) = match port.rsplit_once('@') {
+                            // A board's bus has one of these rates only.
                             Some((path, rate)) => {
                                 let known = |rate: &u16| BITRATES_KBIT.contains(rate);
                                 (path, rate.parse().ok().filter(known).ok_or(BadAddress::CanRate(whole()))?)

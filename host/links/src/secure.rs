@@ -143,6 +143,7 @@ impl Key {
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
                 Err(error) => return Err(failed(error)),
             }
+            // A pipe or device may never end.
             if bytes.len() as u64 > KEY_FILE {
                 return Err(KeyError::Form(path.to_owned()));
             }

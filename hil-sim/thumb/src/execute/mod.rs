@@ -225,6 +225,8 @@ pub(crate) fn execute(
 
                     Op::Lsl { d, m, by } => r!(d) = r!(m) << (by & 31),
                     Op::Lsls { d, m, by } => {
+                        // Shifting in two steps gives the carry, which is the last bit shifted out; LSR and ASR may
+                        // shift by 32.
                         let partial = r!(m) << (by.wrapping_sub(1) & 31);
                         state.flags.c = partial >> 31 != 0;
                         nz!(d, partial << 1);
@@ -243,6 +245,7 @@ pub(crate) fn execute(
                     }
                     Op::Ror { d, m, by } => r!(d) = r!(m).rotate_right(by.into()),
                     Op::Rors { d, m, by } => {
+                        // The last bit rotated is now the highest one.
                         let result = r!(m).rotate_right(by.into());
                         state.flags.c = result >> 31 != 0;
                         nz!(d, result);
@@ -393,6 +396,7 @@ pub(crate) fn execute(
                     Op::Push { list } => {
                         let address = r!(SP).wrapping_sub(4 * list.count_ones());
                         words!(state.store_list(address, list, here!(), &context, bus));
+                        // SP changes last, so that an access that faults leaves it unchanged; the same holds for POP.
                         r!(SP) = address;
                     }
                     Op::Pop { list } => {
@@ -416,6 +420,8 @@ pub(crate) fn execute(
                     Op::Onward { instructions: next, address } => {
                         state.executed += u64::from(instructions);
                         instructions = next;
+                        // The loop stops here only when an event is due; otherwise the next instructions follow without
+                        // a lookup.
                         if state.executed >= state.attention_at {
                             state.pc = address;
                             state.it = 0;
@@ -446,6 +452,7 @@ pub(crate) fn execute(
                     Op::BranchNotZero { n, target } => branch!(r!(n) != 0, target),
                     Op::Exchange { m } => {
                         let target = r!(m);
+                        // In handler mode, a branch to 0xFxxx_xxxx is an exception return (DDI0403E, BXWritePC).
                         if state.exception != 0 && target >> 28 == 0xF {
                             return stop_after(
                                 state,
@@ -459,6 +466,7 @@ pub(crate) fn execute(
                         break 'block target & !1;
                     }
                     Op::CallExchange { m } => {
+                        // The target is read first, because `m` may be LR.
                         let target = r!(m);
                         r!(LR) = context.block.end | 1;
                         state.thumb = target & 1 != 0;
