@@ -155,7 +155,7 @@ impl AddressMap {
         Self(blocks)
     }
 
-    /// Returns the place of the peripheral in the list of [`Id::all`], or `None`.
+    /// Returns the place of the peripheral, the value of its [`Id`]; `None` outside all peripherals.
     #[inline]
     pub(super) fn find(&self, address: u32) -> Option<usize> {
         if address & !0x3FF == IDENTITY {
