@@ -1,4 +1,4 @@
-//! A TOML file as text, and the way from a field to its line and back.
+//! Text of a TOML file, with the line of each field and the field at each line.
 
 use std::{
     borrow::Cow,
@@ -17,7 +17,7 @@ use toml::{
 
 use crate::error::{BoardError, Location};
 
-/// The files that are part of the program: path below `boards/`, text.
+/// Files that are part of the program: path below `boards/`, text.
 const BUILT_IN: [(&str, &str); 28] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
@@ -49,11 +49,11 @@ const BUILT_IN: [(&str, &str); 28] = [
     ("worlds/gate.toml", include_str!("../worlds/gate.toml")),
 ];
 
-/// Where the files that a file names are looked up.
+/// Folder in which the files that a file names are looked up.
 pub(crate) enum Folder {
-    /// Among the built-in files.
+    /// Only the built-in files.
     BuiltIn,
-    /// In a folder, and where it does not have the file, among the built-in files.
+    /// A folder of the file system, and the built-in files for those that it does not have.
     At(PathBuf),
 }
 
@@ -61,7 +61,7 @@ impl Folder {
     /// Reads `path`, relative to this folder.
     ///
     /// # Errors
-    /// The path looked for, and why it cannot be read.
+    /// The path looked for, and the error of reading it.
     pub(crate) fn read(&self, path: &str) -> Result<Source, (String, io::Error)> {
         let outside = match self {
             Self::BuiltIn => Err((path.to_owned(), io::ErrorKind::NotFound.into())),
@@ -80,12 +80,12 @@ impl Folder {
     }
 }
 
-/// The tables of an array, not looked into yet.
+/// Tables of an array, not deserialised yet.
 pub(crate) type Tables<'s> = Vec<Spanned<DeValue<'s>>>;
 
-/// One file.
+/// One TOML file.
 pub(crate) struct Source {
-    /// As it is shown to a person.
+    /// Name of the file as a person sees it.
     pub(crate) name: String,
     pub(crate) text: Cow<'static, str>,
 }
@@ -104,12 +104,12 @@ impl Source {
         }
     }
 
-    /// The file as a `T`. The error names the line and the field.
+    /// Deserialises the file as a `T`. The error names the line and the field.
     pub(crate) fn parse<T: DeserializeOwned>(&self) -> Result<T, BoardError> {
         self.parse_without([]).map(|(parsed, [])| parsed)
     }
 
-    /// The file as a `T` without some arrays of tables, and those.
+    /// Deserialises the file as a `T` without some arrays of tables, which are returned beside it.
     pub(crate) fn parse_without<T: DeserializeOwned, const N: usize>(
         &self,
         arrays: [&'static str; N],
@@ -137,12 +137,13 @@ impl Source {
         BoardError::Malformed { at, problem: error.message().replace('\n', ", ") }
     }
 
-    /// The error of a field `path` that breaks a rule.
+    /// Makes the error of a field `path` that breaks a rule.
     pub(crate) fn rule(&self, path: impl Display, problem: impl Display) -> BoardError {
         BoardError::Malformed { at: self.at(path), problem: problem.to_string() }
     }
 
-    /// Where the field `path` stands, as in `osmc[0].encoder.input`; the nearest table around it if it is left out.
+    /// Returns the place of the field `path`, written as in `osmc[0].encoder.input`; that of the nearest table around
+    /// it if it is left out.
     pub(crate) fn at(&self, path: impl Display) -> Location {
         let field = path.to_string();
         let (root, _) = DeTable::parse_recoverable(&self.text);
@@ -164,7 +165,7 @@ impl Source {
         Location { file: self.name.clone(), line: self.line(found), field }
     }
 
-    /// The line and the field at a byte offset.
+    /// Returns the line and the field at a byte offset.
     fn location(&self, offset: usize) -> Location {
         let (root, _) = DeTable::parse_recoverable(&self.text);
         let field = field_in_table(root.get_ref(), offset).unwrap_or_else(|| self.key_in_line(offset));
@@ -176,7 +177,7 @@ impl Source {
         1 + before.filter(|byte| **byte == b'\n').count()
     }
 
-    /// What stands left of the `=`, for a line that is no TOML.
+    /// Returns the text left of the `=`, for a line that is no TOML.
     fn key_in_line(&self, offset: usize) -> String {
         let line = self.text.lines().nth(self.line(offset) - 1).unwrap_or_default();
         line.split_once('=').map(|(key, _)| key.trim().to_owned()).unwrap_or_default()
@@ -198,9 +199,9 @@ fn field_in_table(table: &DeTable<'_>, offset: usize) -> Option<String> {
     })
 }
 
-/// The path inside `value`; empty for the value itself.
+/// Returns the path inside `value` to the offset; empty for the value itself.
 ///
-/// A table with a header spans only the header, so what is inside comes first.
+/// The span of a table with a header covers only the header, so the fields inside are searched first.
 fn field_in_value(value: &Spanned<DeValue<'_>>, offset: usize) -> Option<String> {
     let inside = match value.get_ref() {
         DeValue::Table(table) => field_in_table(table, offset),
@@ -214,7 +215,7 @@ fn field_in_value(value: &Spanned<DeValue<'_>>, offset: usize) -> Option<String>
     inside.or_else(|| covers(&value.span(), offset).then(String::new))
 }
 
-/// Things of which each may be used once in a file.
+/// Record of things of which each may be used once in a file.
 pub(crate) struct Claims<'s> {
     source: &'s Source,
     taken: HashMap<(&'static str, String), String>,

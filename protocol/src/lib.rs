@@ -10,8 +10,8 @@
 //! | [`parameter`] | the numbers of the configuration that hosts may change |
 //! | [`log`] | the log of a board's firmware |
 //! | [`image`] | the image of a board's firmware, and how it is known to be whole |
-//! | [`frame`] | frames on a byte link: COBS and a checksum of 16 bits, of commands 32 |
 //! | [`frame`] | frames on a byte link: COBS, and a checksum of 16 bits or, for commands, 32 |
+//! | [`can`] | a byte link on a CAN bus |
 //! | [`version`] | versions of all this, and how a board and a host agree on one |
 //!
 //! Every wire change bumps [`VERSION`], most change [`SCHEMA_HASH`] by themselves, and each gets a line in `CHANGELOG.md`.

@@ -1,4 +1,4 @@
-//! What must hold between the fields of a carrier file.
+//! Rules between the fields of a carrier file.
 
 use std::fmt::Display;
 
@@ -201,7 +201,7 @@ impl Check<'_> {
         }
     }
 
-    /// Takes several outputs of a chip that has `count`.
+    /// Takes several outputs of a chip that has `count` of them.
     fn outputs(
         &mut self,
         what: &'static str,
