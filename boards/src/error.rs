@@ -71,7 +71,7 @@ pub enum BoardError {
         what: &'static str,
         /// Name in the reference.
         asked: String,
-        /// Names that exist.
+        /// Names that exist, as a list.
         known: String,
     },
     /// Something that can be used only once is used again.

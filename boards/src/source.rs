@@ -83,7 +83,7 @@ impl Folder {
 /// Tables of an array, not deserialised yet.
 pub(crate) type Tables<'s> = Vec<Spanned<DeValue<'s>>>;
 
-/// One TOML file.
+/// One TOML file with its text.
 pub(crate) struct Source {
     /// Name of the file as a person sees it.
     pub(crate) name: String,
@@ -115,6 +115,7 @@ impl Source {
         arrays: [&'static str; N],
     ) -> Result<(T, [Tables<'_>; N]), BoardError> {
         let mut root = DeTable::parse(&self.text).map_err(|error| self.malformed(&error))?;
+        // Removed before deserialising, or `deny_unknown_fields` of `T` would refuse them.
         let taken = arrays.map(|array| root.get_mut().remove(array));
         let parsed = T::deserialize(root.into_deserializer()).map_err(|error| self.malformed(&error))?;
         let mut tables = [const { Vec::new() }; N];
@@ -132,6 +133,7 @@ impl Source {
     pub(crate) fn malformed(&self, error: &toml::de::Error) -> BoardError {
         let at = match error.span() {
             Some(span) => self.location(span.start),
+            // Errors without a span are about the file as a whole.
             None => Location { file: self.name.clone(), line: 1, field: String::new() },
         };
         BoardError::Malformed { at, problem: error.message().replace('\n', ", ") }
@@ -157,6 +159,7 @@ impl Source {
                     .and_then(|array| index.parse::<usize>().ok().and_then(|index| array.get(index))),
                 None => table.and_then(|table| table.iter().find(|(key, _)| key.get_ref() == step)).map(|(_, v)| v),
             };
+            // A field that is left out has no line: the nearest table around it was the step before.
             let Some(next) = next else { break };
             found = next.span().start;
             table = next.get_ref().as_table();
@@ -173,6 +176,7 @@ impl Source {
     }
 
     fn line(&self, offset: usize) -> usize {
+        // Bytes and not characters, because spans are byte offsets.
         let before = self.text.as_bytes().iter().take(offset);
         1 + before.filter(|byte| **byte == b'\n').count()
     }
@@ -212,6 +216,7 @@ fn field_in_value(value: &Spanned<DeValue<'_>>, offset: usize) -> Option<String>
         }),
         _ => None,
     };
+    // The innermost field that covers the offset wins.
     inside.or_else(|| covers(&value.span(), offset).then(String::new))
 }
 
@@ -238,6 +243,7 @@ impl<'s> Claims<'s> {
     ) -> Result<(), BoardError> {
         let name = name.to_string();
         let path = path.to_string();
+        // The later use is reported, with the line of the first.
         match self.taken.insert((what, name.clone()), path.clone()) {
             None => Ok(()),
             Some(first) => {

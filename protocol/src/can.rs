@@ -135,6 +135,7 @@ pub fn cut(bytes: &[u8]) -> impl ExactSizeIterator<Item = &[u8]> {
 pub fn cut_fd(bytes: &[u8]) -> impl Iterator<Item = Vec<u8, MAX_FD_DATA>> {
     let mut rest = bytes;
     core::iter::from_fn(move || {
+        // Padding with 0x00 behind a delimiter is idle; inside a frame it would cut that frame.
         let may_fill = rest.ends_with(&[0]);
         let (piece, after) = match FD_LENGTHS.iter().find(|length| **length >= rest.len()) {
             Some(_) if rest.is_empty() => return None,
@@ -214,6 +215,7 @@ impl Inbound {
     pub fn take(&mut self, identifier: u16, data: &[u8]) -> Result<(), NotTaken> {
         if identifier == self.node.setpoint_identifier() {
             let setpoints = data.try_into().map_err(|_| NotTaken::Length)?;
+            // Set points are not queued: an older one must not move a motor after a newer one.
             if self.setpoints.replace(setpoints).is_some() {
                 self.replaced = self.replaced.wrapping_add(1);
             }
@@ -249,6 +251,7 @@ impl Inbound {
             let len = (from.len() - *given).min(buffer.len() - read);
             buffer[read..read + len].copy_from_slice(&from[*given..*given + len]);
             (read, *given) = (read + len, *given + len);
+            // The bytes behind this frame's end came in the same CAN frame and may complete the next one.
             if self.whole && self.given == self.len {
                 (self.len, self.given, self.whole) = (0, 0, false);
                 self.assemble();

@@ -146,6 +146,7 @@ impl Cycle {
     /// # Errors
     /// [`NotThisVersion`] for a mode or bits that this version does not know.
     pub fn mode(&self) -> Result<Option<Mode>, NotThisVersion> {
+        // Bits 5 to 7 belong to a later version: ignoring them could move a motor in a way that was not meant.
         if self.how & !(AS_BOUND | UNDATED) != 0 {
             return Err(NotThisVersion);
         }
@@ -162,6 +163,7 @@ impl Cycle {
         if self.how & UNDATED != 0 {
             return 0;
         }
+        // The wrapping difference of 32 bits is right over their wrap, up to half of it either way.
         (now_us as u32).wrapping_sub(u32::from_le_bytes(self.sent_us)).cast_signed()
     }
 

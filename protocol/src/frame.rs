@@ -99,6 +99,7 @@ pub fn encode_with<'b, T: Serialize>(
     check: Check,
     buffer: &'b mut [u8; MAX_FRAME],
 ) -> Result<&'b [u8], MessageTooLong> {
+    // The message is limited to its own room, so that any checksum fits behind it.
     let mut plain = [0; MAX_MESSAGE + LONG_LEN];
     let len = postcard::to_slice(message, &mut plain[..MAX_MESSAGE]).map_err(|_| MessageTooLong)?.len();
     let (message, after) = plain.split_at_mut(len);
@@ -112,6 +113,7 @@ pub fn encode_with<'b, T: Serialize>(
             len + LONG_LEN
         }
     };
+    // At most 254 bytes: COBS adds one, and the delimiter is the last that `buffer` has room for.
     let end = cobs::encode(&plain[..end], buffer);
     buffer[end] = 0;
     Ok(&buffer[..=end])
@@ -170,6 +172,7 @@ impl FrameDecoder {
                     *slot = byte;
                     self.len += 1;
                 }
+                // The rest of an overlong frame is skipped up to its delimiter.
                 None => self.overflow = true,
             }
             return None;

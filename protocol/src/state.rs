@@ -226,6 +226,7 @@ impl Causes {
         core::iter::from_fn(move || {
             while left != 0 {
                 let bit = left.trailing_zeros();
+                // Clears the lowest bit that is set.
                 left &= left - 1;
                 if let Some(cause) = Cause::ALL.get(bit as usize) {
                     return Some(*cause);

@@ -90,6 +90,7 @@ pub fn accept(spoken: &[Spoken], asked: Spoken) -> Result<u16, Refusal> {
 /// `board` refused one in `said`; `None` unless it speaks the board's newest version, and that is older than `said`.
 #[must_use]
 pub fn again(spoken: &[Spoken], said: Spoken, board: Spoken) -> Option<Spoken> {
+    // Only downwards, or two that refuse each other would say hello indefinitely.
     spoken.iter().copied().find(|one| *one == board && board.version < said.version)
 }
 

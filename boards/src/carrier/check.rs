@@ -76,6 +76,7 @@ impl Check<'_> {
             self.claims.take("I2C address", format!("{address:#04x}"), path)?;
         }
         for (index, device) in i2c.devices.iter().enumerate() {
+            // The address pins of a PCA9685 set the lower six bits of 1xxxxxx (NXP datasheet, "Device address").
             let holds = device.chip != Chip::Pca9685 || device.address >= 0x40;
             let path = format!("i2c.devices[{index}].address");
             self.rule(holds, path, "a PCA9685 has an address from 0x40 to 0x77")?;
@@ -118,6 +119,7 @@ impl Check<'_> {
         for (index, bit) in relay.outputs.iter().enumerate() {
             self.output("expander bit", &relay.expander, 16, *bit, &format!("relay.outputs[{index}]"))?;
         }
+        // Claimed, so that the motors' supply and the ignition are not one relay.
         for (relay_number, path) in [(relay.motor_power, "relay.motor_power"), (relay.ignition, "relay.ignition")] {
             let holds = usize::from(relay_number) < relay.outputs.len();
             self.rule(holds, path, "must be the number of a relay in relay.outputs, from 0")?;
@@ -178,6 +180,7 @@ impl Check<'_> {
         match self.carrier.pin(id) {
             Some(pin) => {
                 self.rule(kinds.contains(&pin.kind), &path, "the pin has a kind that cannot do this")?;
+                // A pin may be listed once and connected once.
                 self.claims.take("connection of the pin", id, path)
             }
             None => Err(BoardError::NoSuch {

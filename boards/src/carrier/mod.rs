@@ -37,7 +37,7 @@ pub struct Carrier {
     pub relay: Relay,
     /// Step/direction drivers and their timing.
     pub stepper: Stepper,
-    /// Quadrature encoder connectors.
+    /// Connectors of quadrature encoders.
     pub encoder: Encoder,
     /// Ultrasonic range sensor connectors.
     pub range: RangeSensors,
@@ -86,7 +86,7 @@ pub struct I2c {
     pub sda: String,
     /// Pin of the clock line.
     pub scl: String,
-    /// Clock frequency, Hz.
+    /// Frequency of the clock, Hz.
     pub rate_hz: u32,
     /// Chips on the bus.
     pub devices: Vec<Device>,
@@ -136,7 +136,7 @@ pub struct ReservedAddress {
 pub struct Osmc {
     /// Name of the PWM chip.
     pub pwm: String,
-    /// PWM frequency, Hz.
+    /// Frequency of the PWM, Hz.
     #[serde(deserialize_with = "pwm_frequency_hz")]
     pub frequency_hz: f32,
     /// Highest duty of a robot whose file gives none.
@@ -175,7 +175,7 @@ fn bridges<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<Brid
 pub struct Dhb {
     /// Name of the PWM chip.
     pub pwm: String,
-    /// PWM frequency, Hz.
+    /// Frequency of the PWM, Hz.
     #[serde(deserialize_with = "pwm_frequency_hz")]
     pub frequency_hz: f32,
     /// Highest duty of a robot whose file gives none.

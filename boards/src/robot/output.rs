@@ -1,4 +1,4 @@
-//! `[[bldc]]`, `[[servo]]`, `[[stepper]]`, `[[relay]]`, `[[dac]]`: outputs other than bridges.
+//! Tables `[[bldc]]`, `[[servo]]`, `[[stepper]]`, `[[relay]]`, `[[dac]]`: outputs other than bridges.
 
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
@@ -19,10 +19,11 @@ use crate::{
     number::{Interval, channel, finite, not_negative, oscillator_hz, positive, stop_brake_ms},
 };
 
-/// Nominal oscillator of a PCA9685 (datasheet 7.3.5).
+/// Nominal oscillator frequency of a PCA9685, Hz (datasheet 7.3.5).
 pub(super) const NOMINAL_OSCILLATOR_HZ: f32 = 25e6;
 
-/// A brushless drive: with a `reverse_v` it reverses by voltage, with a `direction` by a line, else not at all.
+/// Brushless drive: a `reverse_v` reverses it by voltage, a `direction` by a line; without either it cannot be
+/// reversed.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Bldc {
@@ -182,7 +183,7 @@ impl StepperBank {
     }
 }
 
-/// At least `time_s`; what a 32-bit float adds to a whole number of µs does not count.
+/// Rounds up to whole µs, without the error that a 32-bit float adds to a whole number.
 fn whole_us(time_s: f32) -> u32 {
     (f64::from(time_s) * 1e6 * (1.0 - f64::from(f32::EPSILON))).ceil() as u32
 }

@@ -220,6 +220,7 @@ impl BoardConfig {
                 self.$field.iter().enumerate().map(|(index, config)| (config.id, Place::$place(index)))
             };
         }
+        // The dead-man's handle is always there, the auxiliary stop only if it is wired.
         let stops = (0..1 + usize::from(self.auxiliary_stop))
             .map(|index| (ChannelId::new(ChannelKind::DeadMan, index as u8), Place::DeadMan(index)));
         list!(motors, Motor)
@@ -443,6 +444,7 @@ impl BoardConfig {
                 rule(once, "the encoder must exist and be used by one motor")?;
                 self.validate_angle(motor.id, control, &mut angles)?;
             }
+            // `osmc` and `actuator` are two uses of the same connector; `dhb` has connectors of its own.
             let same_connector = |other: &MotorConfig| {
                 other.id.index == motor.id.index
                     && (other.id.kind == ChannelKind::Dhb) == (motor.id.kind == ChannelKind::Dhb)

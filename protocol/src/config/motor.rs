@@ -412,6 +412,7 @@ impl MotorConfig {
         rule(positive(self.duty_slew_per_s), "duty_slew_per_s must be positive")?;
         rule(self.stop_brake_ms <= STOP_BRAKE_MAX_MS, STOP_BRAKE_RULE)?;
         rule(
+            // Otherwise the supply would be switched off while the motor is still driven.
             self.stop_brake_ms == 0 || f32::from(self.stop_brake_ms) * self.duty_slew_per_s >= 1000.0 * self.duty_max,
             "stop_brake_ms must leave duty_max time to fall to 0 by duty_slew_per_s",
         )?;
@@ -433,6 +434,7 @@ impl MotorConfig {
             return rule(self.id.kind != ChannelKind::Actuator, "an actuator needs a potentiometer");
         };
         match (self.id.kind, control.feedback) {
+            // The name of the channel says its unit: `osmc` is in rad, `actuator` in m.
             (ChannelKind::Osmc, Feedback::Potentiometer { .. }) => {
                 rule(false, "an osmc channel has an encoder or an angle sensor")?;
             }

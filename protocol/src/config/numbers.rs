@@ -46,6 +46,7 @@ impl BoardConfig {
     /// # Errors
     /// As [`BoardConfig::set_parameter`].
     pub fn set_parameters(&mut self, values: impl IntoIterator<Item = (ParameterKey, f32)>) -> Result<(), SetError> {
+        // Rules hold between numbers, so only a complete copy can be checked.
         let mut changed = self.clone();
         for (key, value) in values {
             let place = self.place_of(key).ok_or(SetError::Unknown(key))?;
@@ -109,6 +110,7 @@ impl Number for u32 {
     }
 
     fn set(&mut self, value: f32) -> Result<(), &'static str> {
+        // Above `MAX_EXACT` not every whole number is an f32: the host would read back another value.
         let whole = value as Self;
         if whole > MAX_EXACT || whole as f32 != value {
             return Err("this parameter must be a whole number from 0 to 16777216");

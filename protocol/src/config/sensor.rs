@@ -214,6 +214,7 @@ impl SensorChip {
 impl Nau7802Config {
     /// Returns the forces at both ends of the converter's range, N.
     fn range(&self) -> Range {
+        // A gain of 0 is refused by `validate`, but the range may be asked before.
         let full_scale_mv_v = NAU7802_FULL_SCALE_MV_V / f32::from(self.gain.max(1));
         let [low, high] = [-full_scale_mv_v, full_scale_mv_v].map(|end| (end - self.zero_mv_v) * self.newtons_per_mv_v);
         Range::new(low.min(high), low.max(high))

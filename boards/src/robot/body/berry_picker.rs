@@ -1,4 +1,4 @@
-//! `[body.berry-picker]`: a pneumatic gripper before a bush.
+//! Table `[body.berry-picker]`: a pneumatic gripper before a bush.
 
 use r4_protocol::channel::ChannelId;
 use r4_world::{AirSupply, AnyBody, Berry, BerryError, BerryPicker, CoilValve, Cylinder, Fingers, Point, ToolAxes};

@@ -1,4 +1,4 @@
-//! `[body.cable-loop]`: a gripper with a loop that closes round a vial.
+//! Table `[body.cable-loop]`: a gripper with a loop that closes round a vial.
 
 use r4_protocol::channel::ChannelId;
 use r4_world::{AnyBody, CableLoop, CableLoopError, Point, cable_loop};

@@ -1,4 +1,4 @@
-//! `[body.deformable]`: a robot on wheels in a shell of six panels that a servo narrows, with two whiskers.
+//! Table `[body.deformable]`: a robot on wheels in a shell of six panels that a servo narrows, with two whiskers.
 
 use r4_protocol::channel::ChannelId;
 use r4_world::{AnyBody, Deformable, DeformableError, Point, Shell, Whiskers};

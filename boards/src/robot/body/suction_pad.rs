@@ -1,4 +1,4 @@
-//! `[body.suction-pad]`: a strip with suction cups and inflatable membranes.
+//! Table `[body.suction-pad]`: a strip with suction cups and inflatable membranes.
 
 use r4_protocol::channel::ChannelId;
 use r4_world::{AnyBody, Cup, Line, Membrane, Restriction, Strip, SuctionError, SuctionPad};

@@ -1,4 +1,4 @@
-//! `[body.two-fingers]`: two fingers with an object between them.
+//! Table `[body.two-fingers]`: two fingers with an object between them.
 
 use r4_protocol::channel::ChannelId;
 use r4_world::{AnyBody, Encoders, Finger, GripError, Held, Pads, Palm, Point, TwoFingers};
