@@ -494,7 +494,7 @@ fn idle_strangers_hold_nobody_up() {
 }
 
 /// Half a frame and noise of a client that is gone do not reach the next client. While one client has the board,
-/// another is told that it is in use.
+/// another is refused because it is in use.
 #[test]
 fn clients_of_a_socket_do_not_disturb_each_other() {
     let served = Served::new("osmc-bench", "--tcp");

@@ -1,4 +1,4 @@
-//! `cargo xtask ros2`: the node of `r4 ros2` beside stock rclpy.
+//! Task `cargo xtask ros2`: tests the node of `r4 ros2` beside stock rclpy.
 
 use std::{
     env,
@@ -13,24 +13,24 @@ use crate::{
     venv::Venv,
 };
 
-/// The tests, in the repository; beside them a file for each distribution with what is pinned.
+/// Folder of the tests in the repository, with a file of pinned packages for each distribution.
 const TESTS: &str = "host/ros2/tests";
 /// Distributions of ROS 2 whose wheels are pinned there.
 const DISTRIBUTIONS: [&str; 2] = ["jazzy", "kilted"];
-/// Set to 1 where wheels that cannot be had are an error: in CI.
+/// Variable that is 1 where missing wheels are an error: in CI.
 const REQUIRED: &str = "R4_ROS2_REQUIRED";
 
-/// What `cargo xtask ros2` is asked for.
+/// Options of `cargo xtask ros2`.
 #[derive(Debug, Default, PartialEq)]
 pub(crate) struct Ros2 {
-    /// One distribution; all of them without.
+    /// Distribution to test; `None` for all of them.
     only: Option<&'static str>,
-    /// A program that is built already.
+    /// Path of a built program; `None` builds one.
     program: Option<PathBuf>,
 }
 
 impl Ros2 {
-    /// From the words behind `ros2`.
+    /// Reads the words after `ros2`.
     pub(crate) fn parse(words: &[&str]) -> Result<Self, String> {
         let mut ros2 = Self::default();
         let mut words = words.iter();
@@ -84,7 +84,7 @@ impl Ros2 {
             println!("{distribution}:");
             let pytest = ["-m", "pytest", "--quiet", "--durations", "5", "-r", "sP", "-p", "no:cacheprovider"];
             let mut tests = venv.python();
-            // The node's variables are those of the tests; the caller's would make it another.
+            // The tests set these variables of the node; the caller's would change its domain or its peers.
             for name in ["ROS_DOMAIN_ID", "ROS_LOCALHOST_ONLY", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"] {
                 tests.env_remove(name);
             }
