@@ -10,47 +10,47 @@ use nusb::{
 
 use crate::{Descriptor, Usb, UsbError};
 
-/// A sector is erased within one request by some bootloaders: 4 s by the data sheet of an STM32H7.
+/// Time-out of a request. Some bootloaders erase a sector within one: 4 s by the data sheet of an STM32H7.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Strings are answered at once.
+/// Time-out of a string request, which is answered at once.
 const STRING: Duration = Duration::from_secs(3);
 /// Class and subclass of a DFU interface (DFU 1.1, table 4.4).
 const DFU: (u8, u8) = (0xFE, 0x01);
 
-/// Why there is no bootloader to talk to.
+/// Reason why no bootloader could be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// The operating system's.
+    /// The operating system cannot list USB devices.
     #[error("cannot list the USB devices: a container or a virtual machine has to be given the board first")]
     List(#[source] nusb::Error),
-    /// More than one board is in its bootloader.
+    /// Several boards are in their bootloaders.
     #[error("{count} boards are in their bootloader: leave one of them plugged in")]
     Several {
-        /// So many.
+        /// Number of bootloaders found.
         count: usize,
     },
-    /// May this user?
+    /// The operating system does not let this user open the device.
     #[error(
         "cannot open the bootloader: does another program use it, and may you? On Linux only root may until the rule from \
          docs/program.md is installed; Windows needs the driver WinUSB for it (zadig.akeo.ie)"
     )]
     Open(#[source] nusb::Error),
-    /// It is another kind of device.
+    /// The device has no DFU interface: it is of another kind.
     #[error("the bootloader's USB device has no DFU interface for flash")]
     NoInterface,
 }
 
-/// The flash of a bootloader on USB.
+/// Flash of a bootloader on USB.
 pub struct Device {
     interface: Interface,
     descriptor: Descriptor,
 }
 
 impl Device {
-    /// The one that is there, of this vendor and product; `None` when there is none.
+    /// Opens the bootloader of this vendor and product; `None` when there is none.
     ///
     /// # Errors
-    /// [`OpenError`]
+    /// [`OpenError`] when it cannot be opened, or there are several.
     pub fn find(vendor: u16, product: u16) -> Result<Option<Self>, OpenError> {
         let devices = nusb::list_devices().wait().map_err(OpenError::List)?;
         let mut found: Vec<_> =
