@@ -25,7 +25,7 @@ pub const VERSION: u16 = 13;
 /// The hash covers names, types and variants, the capacity of each list and text, and the number of causes; not units
 /// and meanings.
 pub const SCHEMA_HASH: u64 = {
-    // The two directions have different paths, so that exchanging their types changes the hash.
+    // Two FNV-1a hashes; the paths of the two directions differ, so that exchanging their types changes the result.
     let mut hash = u64::from_le_bytes(hash_ty_path::<ToDevice>("r4/to-device"))
         ^ u64::from_le_bytes(hash_ty_path::<ToHost>("r4/to-host")).rotate_left(1);
     // Capacities are not part of a schema; FNV-1a's step adds them to the hash.

@@ -2,7 +2,7 @@
 
 use crate::grid::Grid;
 
-/// Distances, m; see [`super::clearance_m`].
+/// Returns distances, m; see [`super::clearance_m`].
 pub(super) fn transform(marked: &Grid<bool>) -> Grid<f64> {
     let (columns, rows) = (marked.frame().columns(), marked.frame().rows());
     let mut squared = marked.map(|marked| if *marked { 0.0 } else { f64::INFINITY });
@@ -27,7 +27,7 @@ pub(super) fn transform(marked: &Grid<bool>) -> Grid<f64> {
 /// Lower envelope of the parabolas `(x - at)² + line[at]`.
 #[derive(Default)]
 struct Hull {
-    /// Where each parabola stands, and from which x on it is the lowest.
+    /// Parabolas of the envelope: the vertex, and the x from which on it is the lowest.
     parabolas: Vec<(usize, f64)>,
     current: usize,
 }
@@ -51,7 +51,7 @@ impl Hull {
         }
     }
 
-    /// Squared distance at `x`, in cells; asked with `x` growing.
+    /// Returns the squared distance at `x`, in cells. `x` must grow from call to call.
     fn next(&mut self, x: usize, line: &[f64]) -> f64 {
         while self.parabolas.get(self.current + 1).is_some_and(|(_, from)| *from < x as f64) {
             self.current += 1;

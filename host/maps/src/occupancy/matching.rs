@@ -8,7 +8,7 @@ use crate::{
     pose::{Point, Pose, wrapped},
 };
 
-/// Where a pose is sought, about a guess, and how a scan is weighed.
+/// Region about a guess in which a pose is sought, and the weights of a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Search {
     /// Greatest displacement in x and in y, m.
@@ -17,28 +17,31 @@ pub struct Search {
     pub turn_rad: f64,
     /// Standard deviation of a scan's points about the map's walls, m: the sensor's noise and half a cell.
     pub deviation_m: f64,
-    /// Share of the points that count as independent for the covariance, above 0 to 1: neighbouring rays err alike.
+    /// Share of the points that count as independent for the covariance, above 0 to 1: neighbouring rays have
+    /// correlated errors.
     pub independent: f64,
 }
 
-/// Pose of a scan.
+/// Pose of a scan, with its quality.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Matched {
     /// Best pose, to a sixteenth of a cell.
     pub pose: Pose,
     /// Covariance of x, y and yaw (m, m, rad): wide along a corridor, which a scan does not determine.
     pub covariance: Matrix3<f64>,
-    /// Mean log-likelihood of a point, 0 at best and -4.5 where none is within three deviations of a wall.
+    /// Mean log-likelihood of a point: 0 at best, -4.5 where no point is within three standard deviations of a wall.
     pub score: f64,
 }
 
-/// Points farther than three standard deviations from every wall count alike: they are of something that is not on the map.
+/// Largest negative log-likelihood of a point. Points farther than three standard deviations from every wall count
+/// alike: they belong to objects that are not on the map.
 const FARTHEST: f64 = 4.5;
 
 /// Finds the pose of a scan, given as points in the sensor's frame (m), near `guess`.
 ///
-/// Every pose of the window is tried in steps of a cell and of the angle that moves the farthest point by a cell, then those about the
-/// best in quarters and sixteenths of that. Makes a distance map each time, which takes longer than the search on large maps.
+/// The search tries every pose of the window in steps of a cell and of the angle that moves the farthest point by a
+/// cell, then those about the best in quarters and sixteenths of that. Each call makes a distance map, which takes
+/// longer than the search on large maps.
 ///
 /// # Errors
 /// [`OccupancyError::Model`] names a parameter that is out of range, or the number of points when there is none;
@@ -86,12 +89,12 @@ pub fn match_scan(map: &Occupancy, points: &[Point], guess: Pose, search: Search
         square += off * off.transpose() * weight;
     }
     mean /= total;
-    // The steps of the search are quantised samples: a twelfth of their square is added.
+    // The steps of the search quantise the pose: a twelfth of their square is the variance of that.
     let quantised = Matrix3::from_diagonal(&Vector3::from(step.map(|step| step * step / 12.0)));
     Ok(Matched { pose, covariance: square / total - mean * mean.transpose() + quantised, score })
 }
 
-/// Poses about one, with their scores.
+/// Returns the poses about one, with their scores.
 fn around(likelihood: &Grid<f64>, points: &[Point], at: Pose, step: [f64; 3], sides: [i32; 3]) -> Vec<(Pose, f64)> {
     let mut tried = Vec::new();
     for turn in -sides[2]..=sides[2] {

@@ -5,10 +5,10 @@ use crate::{
     pose::{Point, distance_m},
 };
 
-/// A cell on a line, and where the line enters it.
+/// Cell on a line, with the place where the line enters it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
-    /// The cell.
+    /// Cell that the line crosses.
     pub cell: Cell,
     /// Length of the line up to the cell, m.
     pub entered_m: f64,
@@ -27,7 +27,8 @@ struct Walk {
     length_m: f64,
 }
 
-/// Cells that the line between two points of the world crosses, in order, up to its end or the grid's border.
+/// Iterates over the cells that the line between two points of the world crosses, in order, up to its end or the grid's
+/// border.
 ///
 /// # Errors
 /// [`GridError::Outside`] if the line does not start on the grid or does not end at a finite point.
@@ -79,7 +80,7 @@ impl Iterator for Walk {
         let axis = usize::from(self.next[1] < self.next[0]);
         self.entered = self.next[axis];
         self.cell = None;
-        // The end on a boundary belongs to the cell before it on the line's way.
+        // An end on a boundary belongs to the cell before it.
         if self.entered < 1.0
             && let Some(along) = cell[axis].checked_add_signed(self.step[axis])
             && along < [self.columns, self.rows][axis]
