@@ -108,7 +108,7 @@ pub fn steps(value: f32, scale: f32) -> Option<i16> {
 }
 
 /// Set points of several channels for one moment. The channels follow them until another cycle comes. When the
-/// time-to-live of the binding has passed since they were decided, the board stops these channels.
+/// time to live of the binding has passed since they were decided, the board stops these channels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Cycle {
     /// Sequence number, chosen by the host and echoed by the board.
@@ -186,7 +186,7 @@ pub enum CycleOutcome {
     /// A channel does not take its set point, or the board is not armed. The board stops the channels that the cycle
     /// has set points for, unless they follow later ones.
     Refused = 1,
-    /// The cycle is older than its time-to-live, or dated as far ahead. Stops channels as [`CycleOutcome::Refused`]
+    /// The cycle is older than its time to live, or dated as far ahead. Stops channels as [`CycleOutcome::Refused`]
     /// does.
     Stale = 2,
     /// There is no session over this link, or no channel is bound.
