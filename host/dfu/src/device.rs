@@ -56,6 +56,7 @@ impl Device {
         let mut found: Vec<_> =
             devices.filter(|info| (info.vendor_id(), info.product_id()) == (vendor, product)).collect();
         let Some(info) = found.pop() else { return Ok(None) };
+        // Writing to the wrong board must not happen by the order of the list.
         if !found.is_empty() {
             return Err(OpenError::Several { count: found.len() + 1 });
         }
@@ -64,16 +65,19 @@ impl Device {
         let dfu = configuration.interface_alt_settings().find(|alt| (alt.class(), alt.subclass()) == DFU);
         let alt = dfu.ok_or(OpenError::NoInterface)?;
         let (number, setting, name) = (alt.interface_number(), alt.alternate_setting(), alt.string_index());
+        // The functional descriptor may follow any alternate setting of the interface.
         let functional = configuration
             .interface_alt_settings()
             .flat_map(|alt| alt.descriptors().collect::<Vec<_>>())
             .find_map(|bytes| FunctionalDescriptor::from_bytes(&bytes))
             .and_then(Result::ok)
             .ok_or(OpenError::NoInterface)?;
+        // A driver of the system may hold the interface; it gives it back when the device is closed.
         let interface = device.detach_and_claim_interface(number).wait().map_err(OpenError::Open)?;
         interface.set_alt_setting(setting).wait().map_err(OpenError::Open)?;
         let languages = device.get_string_descriptor_supported_languages(STRING).wait();
         let language = languages.ok().and_then(|mut all| all.next()).unwrap_or_default();
+        // Without a description the update refuses the memory, with a better message than an error here.
         let memory = name.and_then(|name| device.get_string_descriptor(name, language, STRING).wait().ok());
         Ok(Some(Self { interface, descriptor: Descriptor { functional, memory: memory.unwrap_or_default() } }))
     }

@@ -150,6 +150,7 @@ pub fn flash<M: Machine>(
     match wait(machine, START, |machine| Ok(machine.running())).map_err(FlashError::Machine)? {
         Some(running) if running == wanted => Ok(Flashed { verified: updated.verified, confirmed: true }),
         Some(running) => Err(FlashError::Other { running, wanted }),
+        // Without an answer of the board the read-back is the proof.
         None if updated.verified => Ok(Flashed { verified: true, confirmed: false }),
         None => Err(FlashError::NotBack { waited_s: START.as_secs() }),
     }
@@ -191,6 +192,7 @@ fn wait<M: Machine, T>(
         if let Some(found) = look(machine)? {
             return Ok(Some(found));
         }
+        // After a search, so that a limit of 0 searches once.
         if machine.now() >= end {
             return Ok(None);
         }

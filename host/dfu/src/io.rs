@@ -105,6 +105,7 @@ impl<'u, U: Usb> Io<'u, U> {
 
     pub(crate) fn control_in(&self, request: u8, value: u16, buffer: &mut [u8]) -> Result<usize, Fault> {
         let length = self.usb.borrow_mut().control_in(request, value, buffer)?;
+        // Kept, because `dfu-core` does not return it and the errors depend on it.
         if let (GETSTATUS, Some(status), true) = (request, buffer.first(), length > 0) {
             self.status.set((*status).into());
         }
@@ -127,7 +128,7 @@ impl<U: Usb> DfuIo for Io<'_, U> {
         self.control_out(request, value, buffer)
     }
 
-    /// Fails: `dfu-core` is never asked for so much that it would leave the bootloader.
+    /// Does nothing, and is never called: downloads stop before `dfu-core` would leave the bootloader.
     fn usb_reset(self) -> Result<(), Fault> {
         Ok(())
     }

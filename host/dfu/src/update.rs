@@ -163,6 +163,7 @@ pub fn update<U: Usb>(
     let functional = descriptor.functional;
     let protocol = DfuProtocol::new(&descriptor.memory, functional.dfu_version).map_err(|_| not_dfuse())?;
     let DfuProtocol::Dfuse { address: first, memory_layout } = protocol else { return Err(not_dfuse()) };
+    // Checked before anything is erased: the image must begin at a sector and fit behind it.
     let no_room = UpdateError::NoRoom { memory: descriptor.memory.clone(), address, bytes: image.len() };
     let pages = pages_from(first, &memory_layout, address).ok_or(no_room.clone())?;
     if pages.iter().map(|page| u64::from(*page)).sum::<u64>() < image.len() as u64 || functional.transfer_size == 0 {
@@ -240,6 +241,7 @@ impl<U: Usb> Work<'_, '_, U> {
             last = state;
             match state {
                 State::DfuIdle => return Ok(()),
+                // Busy by itself, which is no failed try.
                 State::DfuDnbusy | State::DfuManifest if waited < BUSY_AT_MOST => {
                     let pause = poll.max(POLL);
                     waited += pause;
@@ -394,6 +396,7 @@ impl<U: Usb> Work<'_, '_, U> {
             let value = FIRST_BLOCK.wrapping_add(number as u16);
             let read = &mut buffer[..block.len()];
             let got = self.io.control_in(UPLOAD, value, read).map_err(|fault| self.error(Step::Verify, done, fault))?;
+            // A short answer counts as a difference at its end.
             let same = block.iter().zip(&read[..got]).take_while(|(ours, theirs)| ours == theirs).count();
             if same < block.len() {
                 return Ok(Some(done + same));

@@ -211,15 +211,18 @@ impl Kalman {
         matrix("the observation", jacobian, [measured, count])?;
         matrix("the measurement's noise", noise, [measured; 2])?;
         let covariance = symmetric(jacobian * &self.covariance * jacobian.transpose() + noise);
+        // The factor serves the gain, the squared residual and the determinant; no inverse is formed.
         let decomposed = covariance.clone().cholesky().ok_or(KalmanError::Singular)?;
         let gain = decomposed.solve(&(jacobian * &self.covariance)).transpose();
         let normalised_squared = residual.dot(&decomposed.solve(&residual));
         let log_determinant = 2.0 * decomposed.l_dirty().diagonal().iter().map(|root| root.ln()).sum::<f64>();
         let constant = measured as f64 * std::f64::consts::TAU.ln();
+        // Joseph's form: a sum of two products that are symmetric and positive whatever the rounding of the gain.
         let rest = DMatrix::identity(count, count) - &gain * jacobian;
         let after = symmetric(&rest * &self.covariance * rest.transpose() + &gain * noise * gain.transpose());
         let state = &self.state + &gain * &residual;
         vector("the state", &state, count)?;
+        // Both are checked before either is stored, so that an error leaves the filter as it was.
         finite("the covariance", &after)?;
         (self.state, self.covariance) = (state, after);
         let log_likelihood = -0.5 * (normalised_squared + log_determinant + constant);

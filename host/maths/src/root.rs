@@ -82,6 +82,7 @@ pub fn brent(f: impl Fn(f64) -> f64, low: f64, high: f64, tolerance: f64) -> Res
     let mut step = b.0 - a.0;
     let mut before = step;
     for _ in 0..MOST {
+        // The last step did not cross the root: a is on its other side, and the bracket starts again there.
         if b.1.signum() == c.1.signum() {
             c = a;
             step = b.0 - a.0;
@@ -95,10 +96,12 @@ pub fn brent(f: impl Fn(f64) -> f64, low: f64, high: f64, tolerance: f64) -> Res
         if half.abs() <= nearest || b.1 == 0.0 {
             break;
         }
+        // Earlier steps were tiny or did not improve: interpolation fails here, so bisect.
         if before.abs() < nearest || a.1.abs() <= b.1.abs() {
             (step, before) = (half, half);
         } else {
             let s = b.1 / a.1;
+            // With two distinct points a secant, with three inverse quadratic interpolation; the step is p / q.
             let (mut p, mut q) = if a.0 == c.0 {
                 (2.0 * half * s, 1.0 - s)
             } else {
@@ -110,10 +113,13 @@ pub fn brent(f: impl Fn(f64) -> f64, low: f64, high: f64, tolerance: f64) -> Res
             } else {
                 p = -p
             }
+            // Accepted only well inside of the bracket, and below half of the step before the last, so that steps
+            // shrink.
             let is_inside = 2.0 * p < (3.0 * half * q - (nearest * q).abs()).min((before * q).abs());
             (before, step) = if is_inside { (step, p / q) } else { (half, half) };
         }
         a = b;
+        // At least the tolerance, or the points could not close in from both sides.
         let to = b.0 + if step.abs() > nearest { step } else { nearest.copysign(half) };
         b = (to, number(&f, to)?);
     }
@@ -130,6 +136,7 @@ fn ends(f: &impl Fn(f64) -> f64, low: f64, high: f64, tolerance: f64) -> Result<
         return Err(RootError::Input(tolerance));
     }
     let (a, b) = ((low, number(f, low)?), (high, number(f, high)?));
+    // An end that is the root has no other sign to bracket with.
     if a.1 == 0.0 {
         return Ok((a, a));
     }

@@ -156,6 +156,7 @@ impl Spline {
         let straight = checked(knots, values)?;
         let last = straight.len();
         let end = |(near, slope): (f64, f64), (far, other): (f64, f64)| {
+            // Slope of the parabola through three knots, limited so that the end piece stays monotone (Moler, 3.4).
             let estimate = ((2.0 * near + far) * slope - near * other) / (near + far);
             if estimate * slope <= 0.0 {
                 0.0
@@ -173,6 +174,8 @@ impl Spline {
             _ => {
                 let ((before, a), (after, b)) = (straight[knot - 1], straight[knot]);
                 let (first, second) = (2.0 * after + before, after + 2.0 * before);
+                // Flat at a local extreme; otherwise a weighted harmonic mean, which never exceeds three times the
+                // lower slope.
                 if a * b <= 0.0 { 0.0 } else { (first + second) / (first / a + second / b) }
             }
         };
@@ -185,11 +188,13 @@ impl Spline {
         let count = knots.len();
         let piece = |knot: usize| {
             let is_last = knot + 1 == count;
+            // Constant beyond the last knot.
             if count < 2 || (is_last && period.is_none()) {
                 return [values[knot], 0.0, 0.0, 0.0];
             }
             let next = (knot + 1) % count;
             let length = knots[next] + if next == 0 { period.unwrap_or(0.0) } else { 0.0 } - knots[knot];
+            // Only for unchecked knots: a piece without length is constant.
             if length <= 0.0 {
                 return [values[knot], 0.0, 0.0, 0.0];
             }
@@ -287,6 +292,7 @@ impl Spline {
         let inside = self.knots.iter().zip(ends).flat_map(|(&from, to)| {
             (0..each.max(1)).map(move |part| from + (to - from) * f64::from(part) / f64::from(each.max(1)))
         });
+        // A periodic curve goes on at its first knot, which is listed already.
         let last = if self.period.is_none() { self.knots.last().copied() } else { None };
         let at: Vec<f64> = inside.chain(last).collect();
         let values = at.iter().map(|&at| self.value(at)).collect();
@@ -300,6 +306,7 @@ fn checked(knots: &[f64], values: &[f64]) -> Result<Vec<(f64, f64)>, SplineError
         return Err(SplineError::Count { knots: knots.len(), values: values.len() });
     }
     let is_bad = |index: &usize| {
+        // Written so that NaN, which compares false, counts as bad.
         let before = index.checked_sub(1).map_or(f64::NEG_INFINITY, |before| knots[before]);
         !(knots[*index] > before && knots[*index].is_finite() && values[*index].is_finite())
     };

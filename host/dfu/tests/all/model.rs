@@ -86,6 +86,7 @@ impl Bootloader {
     /// Makes a bootloader whose flash has old content.
     pub(crate) fn new() -> Self {
         Self {
+            // 239 is no divisor of a sector's length, so that no sector equals another.
             flash: (0..SECTOR * SECTORS).map(|byte| (byte % 239) as u8).collect(),
             wrong: Wrong::default(),
             transfers: 0,
@@ -149,10 +150,12 @@ impl Bootloader {
         let number = self.transfers;
         self.transfers += 1;
         self.now_ms += 1;
+        // Blocks that were only queued are programmed when their time has come, whatever the host does.
         while let Some(at) = self.later.iter().position(|(ms, ..)| *ms <= self.now_ms) {
             let (_, address, data) = self.later.remove(at);
             self.program(address, &data);
         }
+        // Without power the operation in progress is torn; without a host it is not.
         if self.wrong.unplugged_at.is_some_and(|at| number >= at) {
             self.tear();
             return Err(UsbError::Gone);
@@ -177,6 +180,7 @@ impl Bootloader {
         if let Some(worn) = self.wrong.worn
             && (address..address + data.len() as u32).contains(&worn)
         {
+            // A worn cell reads 0 where 1 was programmed.
             flash[(worn - address) as usize] &= !0x10;
         }
         Status::Ok
@@ -288,6 +292,7 @@ impl Bootloader {
 impl Usb for Bootloader {
     fn descriptor(&self) -> Descriptor {
         let [low, high] = self.transfer_bytes.to_le_bytes();
+        // Can download and will detach; upload is optional (DFU 1.1, table 4.2).
         let attributes = 0x09 | u8::from(self.can_upload) << 1;
         let bytes = [9, 0x21, attributes, 0xFF, 0, low, high, 0x1A, 0x01];
         let functional = dfu_core::functional_descriptor::FunctionalDescriptor::from_bytes(&bytes);

@@ -101,6 +101,8 @@ impl Messages {
         at.source = information;
         at.information = at.residual();
         let [steeper, pulled] = [at.diagonal - before.diagonal, at.information - before.information];
+        // Bound of the change of the mean: h changes by `pulled`, and the diagonal by `steeper` at the present
+        // correction.
         at.pending += (pulled.abs() + (steeper * correction).abs()) / precision;
         self.change(node);
         self.enqueue(node);
@@ -185,6 +187,7 @@ impl Messages {
         let (at, precision, total) = (*at, at.precision(), at.total());
         let neighbours = lattice.neighbours[node];
         for (direction, near) in neighbours.into_iter().enumerate().filter(|(_, near)| *near != NONE) {
+            // Without what this neighbour has sent itself: a message must not return to its sender.
             let share = self.smoothness / (precision - at.precision_in[direction]);
             let message = [-self.smoothness * share, share * (total - at.information_in[direction])];
             let to = &mut self.nodes[near as usize];
@@ -213,6 +216,7 @@ impl Messages {
                 }
                 let message = -self.smoothness * self.smoothness / (precision - at.precision_in[direction]);
                 let received = &mut self.nodes[near as usize].precision_in[back(direction)];
+                // The threshold ends this: changes shrink from cell to cell (see `SETTLED`).
                 let change = message - std::mem::replace(received, message);
                 if change.abs() > SETTLED * self.smoothness {
                     self.change(near as usize);
@@ -232,6 +236,7 @@ impl Messages {
         for (index, node) in self.nodes.iter_mut().enumerate() {
             node.base = means[index];
             node.around = self.smoothness * lattice.near(index).map(|near| means[near]).sum::<f64>();
+            // `residual` subtracts what is accepted, so that must be cleared first.
             node.accepted = 0.0;
             node.accepted = if is_solved { node.residual() } else { 0.0 };
             node.information = if is_solved { 0.0 } else { node.residual() };

@@ -131,9 +131,12 @@ impl Level {
         let mut edges: Vec<(u32, u32, f64)> = Vec::new();
         for node in 0..nodes {
             let far = self.edges(node).filter(|(near, _)| parents[*near] != parents[node]);
+            // Edges inside of a coarse node vanish.
             edges.extend(far.map(|(near, weight)| (parents[node], parents[near], weight / STIFFNESS)));
         }
+        // Rows in order, and in each row earlier nodes first, as `lower` and `upper` expect.
         edges.sort_unstable_by_key(|(from, to, _)| (*from, *to));
+        // Parallel edges between the same two nodes add up; sorting has made them neighbours.
         edges.dedup_by(|next, kept| {
             let is_same = (next.0, next.1) == (kept.0, kept.1);
             if is_same {
@@ -144,6 +147,7 @@ impl Level {
         let mut starts = vec![0u32; squares.len() + 1];
         for (from, _, weight) in &edges {
             starts[*from as usize + 1] += 1;
+            // Restores the diagonal from the weights as they are after division.
             base[*from as usize] += weight;
         }
         (1..starts.len()).for_each(|at| starts[at] += starts[at - 1]);
@@ -227,12 +231,14 @@ impl Hierarchy {
         let mut before = 0.0;
         let mut solved = Solved { estimate: f64::INFINITY, iterations: 0 };
         while solved.iterations < MOST_ITERATIONS {
+            // The preconditioned residual is also an estimate of the error, so the check costs nothing.
             let z = &cycle.apply(&residual)[..nodes];
             solved.estimate = ESTIMATE * z.iter().map(|z| z.abs()).fold(0.0, f64::max);
             if solved.estimate <= tolerance {
                 break;
             }
             let now = dot(&residual, z);
+            // The first direction is that of steepest descent.
             let beta = if solved.iterations == 0 { 0.0 } else { now / before };
             direction.iter_mut().zip(z).for_each(|(direction, z)| *direction = z + beta * *direction);
             let diagonal = &cycle.works[0].diagonal;
@@ -242,6 +248,7 @@ impl Hierarchy {
                 curvature += product[node] * direction[node];
             }
             let step = now / curvature;
+            // A residual of 0 in all nodes leaves no direction: 0 / 0.
             if !step.is_finite() {
                 break;
             }
@@ -278,6 +285,7 @@ impl<'l> Cycle<'l> {
             if let Some(next) = levels.get(depth + 1) {
                 let mut sums = vec![0.0; next.nodes()];
                 level.parents.iter().zip(&observed).for_each(|(parent, observed)| sums[*parent as usize] += observed);
+                // A coarse node has all readings of its cells.
                 observed = sums;
             }
         }

@@ -9,6 +9,7 @@ pub(super) fn transform(marked: &Grid<bool>) -> Grid<f64> {
     let mut hull = Hull::default();
     let values = squared.values_mut();
     let mut line = Vec::new();
+    // The squared distance separates: along the columns first, then along the rows of the result.
     for column in 0..columns {
         line.clear();
         line.extend((0..rows).map(|row| values[row * columns + column]));
@@ -38,6 +39,7 @@ impl Hull {
         self.current = 0;
         for (at, height) in line.iter().enumerate().filter(|(_, height)| height.is_finite()) {
             let mut from = f64::NEG_INFINITY;
+            // A parabola that is nowhere the lowest any more is removed.
             while let Some(&(other, other_from)) = self.parabolas.last() {
                 let [x, other_x] = [at as f64, other as f64];
                 from = (height + x * x - line[other] - other_x * other_x) / (2.0 * (x - other_x));

@@ -52,6 +52,7 @@ const FARTHEST: f64 = 4.5;
 /// *Probabilistic Robotics*, MIT Press 2005, 6.4.
 pub fn match_scan(map: &Occupancy, points: &[Point], guess: Pose, search: Search) -> Result<Matched, OccupancyError> {
     let Search { reach_m, turn_rad, deviation_m, independent } = search;
+    // NaN fails the check below, with the same message.
     let share = if independent <= 1.0 { independent } else { f64::NAN };
     let all = [("reach_m", reach_m), ("turn_rad", turn_rad), ("deviation_m", deviation_m), ("independent", share)];
     let numbers = all.into_iter().chain([("points of the scan", points.len() as f64)]);
@@ -73,12 +74,14 @@ pub fn match_scan(map: &Occupancy, points: &[Point], guess: Pose, search: Search
     let step = [cell_m, cell_m, cell_m / farthest_m.max(cell_m)];
     let sides = [reach_m, reach_m, turn_rad].into_iter().zip(step).map(|(reach, step)| (reach / step).ceil() as i32);
     let sides: Vec<i32> = sides.collect();
+    // Coarse over the whole window, then finer about the best, so that a narrow maximum costs few poses.
     let coarse = around(&likelihood, points, guess, step, [sides[0], sides[1], sides[2]]);
     let centre = best(&coarse, guess);
     let fine = around(&likelihood, points, centre.0, step.map(|step| step / 4.0), [4; 3]);
     let centre = best(&fine, centre.0);
     let finest = around(&likelihood, points, centre.0, step.map(|step| step / 16.0), [4; 3]);
     let (pose, score) = best(&finest, centre.0);
+    // Relative to the best score: likelihoods of hundreds of points would underflow.
     let weight = |score: f64| (independent * points.len() as f64 * (score - score_of(&coarse))).exp();
     let (mut total, mut mean, mut square) = (0.0, Vector3::zeros(), Matrix3::zeros());
     for (pose, score) in &coarse {

@@ -60,6 +60,7 @@ pub fn traverse(frame: &Frame, from: Point, to: Point) -> Result<impl Iterator<I
     };
     for axis in 0..2 {
         let along = end[axis] - start[axis];
+        // A line along an axis never crosses a boundary of the other one, whose `next` stays infinite.
         if along != 0.0 {
             let is_up = along > 0.0;
             let boundary = cell[axis] as f64 + if is_up { 1.0 } else { 0.0 };
@@ -77,6 +78,7 @@ impl Iterator for Walk {
     fn next(&mut self) -> Option<Crossing> {
         let cell = self.cell?;
         let crossing = Crossing { cell, entered_m: self.entered * self.length_m };
+        // The nearer boundary decides the next cell.
         let axis = usize::from(self.next[1] < self.next[0]);
         self.entered = self.next[axis];
         self.cell = None;

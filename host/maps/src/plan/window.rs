@@ -143,11 +143,13 @@ impl Local {
         }
         let needed_m = self.limits.clearance_m;
         let found_m = clear_m(clearance_m, pose.point());
+        // The clearance may have dropped by the slack between two checks of the arc.
         if found_m < needed_m - SLACK_CELLS * clearance_m.frame().cell_m() {
             return Err(Blocked::Here { found_m, needed_m });
         }
         let Limits { speed_m_s, turn_rad_s, acceleration_m_s2, turn_acceleration_rad_s2, .. } = self.limits;
         let [reach_m_s, reach_rad_s] = [acceleration_m_s2, turn_acceleration_rad_s2].map(|limit| limit * self.period_s);
+        // Farther than this no choice needs to see: one period at full speed, then braking.
         let look_m = self.stopping_m(speed_m_s) + speed_m_s * self.period_s;
         let mut best: Option<(f64, Choice)> = None;
         for step in 0..SPEEDS {
@@ -158,6 +160,7 @@ impl Local {
                 let turn_rad_s = (now.turn_rad_s + share * reach_rad_s).clamp(-turn_rad_s, turn_rad_s);
                 let drive = Drive { speed_m_s, turn_rad_s };
                 let free_m = self.free_m(clearance_m, pose, drive, look_m);
+                // Admissible only if it can still stop after one more period.
                 if self.stopping_m(speed_m_s) + speed_m_s * self.period_s > free_m {
                     continue;
                 }
@@ -189,6 +192,7 @@ impl Local {
 
     /// Returns the length of an arc up to the first place with too little clearance, at most `look_m`.
     fn free_m(&self, clearance_m: &Grid<f64>, pose: Pose, drive: Drive, look_m: f64) -> f64 {
+        // Turning on the spot meets nothing: the drive is round for the planner.
         if drive.speed_m_s <= 0.0 {
             return look_m;
         }

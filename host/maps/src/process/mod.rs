@@ -167,6 +167,7 @@ impl Process {
     /// [`ProcessError::Parameter`], [`ProcessError::NotFinite`] and [`ProcessError::Singular`].
     pub fn of(kernel: Kernel, samples: &[Sample]) -> Result<Self, ProcessError> {
         let mut process = Self::new(kernel)?;
+        // Before the cubic time of the factor.
         for (index, sample) in samples.iter().enumerate() {
             check(index, sample)?;
         }
@@ -195,6 +196,7 @@ impl Process {
         let factor = match &self.factor {
             None => Cholesky::new(DMatrix::from_element(1, 1, own)),
             Some(factor) => {
+                // Extending the factor by a row takes quadratic time; a new factor would take cubic time.
                 let mut column = self.column(|other| self.kernel.both(&sample, other)).push(own);
                 column[index] = own;
                 let grown = factor.insert_column(index, column);
@@ -274,6 +276,7 @@ impl Process {
             self.samples.iter().zip(self.weights.iter()).map(|(sample, weight)| sample.value * weight).sum();
         let diagonal =
             self.factor.iter().flat_map(|factor| factor.l_dirty().diagonal().iter().copied().collect::<Vec<_>>());
+        // The determinant is the square of the product of the factor's diagonal.
         let half_determinant: f64 = diagonal.map(f64::ln).sum();
         -0.5 * quadratic - half_determinant - 0.5 * self.samples.len() as f64 * std::f64::consts::TAU.ln()
     }
@@ -292,6 +295,7 @@ impl Process {
         if self.samples.len() < LEAST {
             return Err(ProcessError::TooFew { what: "samples to fit a kernel to", least: LEAST });
         }
+        // All parameters are scales: in logarithms the search covers decades evenly and stays positive.
         let bounds: Vec<(f64, f64)> =
             numbers(&low).into_iter().zip(numbers(&high)).map(|(low, high)| (low.ln(), high.ln())).collect();
         let cost = |at: &[f64]| Self::of(kernel(at), &self.samples).map_or(f64::INFINITY, |fit| -fit.log_likelihood());

@@ -168,6 +168,7 @@ impl Bootstrap {
         let mut resample = sample.to_vec();
         let mut distribution = Vec::with_capacity(self.resamples);
         for number in 0..self.resamples {
+            // Blocks of one item are the ordinary bootstrap of independent items.
             for items in resample.chunks_mut(block) {
                 let first = below(&mut random, sample.len());
                 for (place, item) in items.iter_mut().enumerate() {
@@ -241,8 +242,10 @@ pub fn bca_interval(
     finite(jackknife, 2)?;
     finite(&[value], 1)?;
     let count = |is: fn(&f64, &f64) -> bool| distribution.iter().filter(|other| is(other, &value)).count() as f64;
+    // Resamples equal to the value count half, or a discrete statistic would look biased.
     let below = (count(f64::lt) + count(f64::le)) / (2.0 * distribution.len() as f64);
     let bias = normal_quantile(below);
+    // All resamples on one side: the quantile of 0 or 1 is infinite.
     if !bias.is_finite() {
         return Err(StatisticsError::NoSpread);
     }
