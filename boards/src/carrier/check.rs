@@ -38,6 +38,7 @@ impl Check<'_> {
             self.claims.take("header pin", &pin.header, path("header"))?;
             self.claims.take("pin", pin.stm32, path("stm32"))?;
             if pin.kind == PinKind::Exti {
+                // An STM32 has one EXTI line for each pin number, whatever the port (RM0399, EXTI).
                 self.claims.take("EXTI line", pin.stm32.number, path("stm32"))?;
                 let line = format!("EXTI{}", pin.stm32.number);
                 let holds = pin.signal.as_deref() == Some(line.as_str());
@@ -45,6 +46,7 @@ impl Check<'_> {
             }
             if let Some(signal) = &pin.signal {
                 self.claims.take("signal", signal, path("signal"))?;
+                // A pin's signal would change the settings of the timer that keeps the firmware's time.
                 let keeps_time = signal.split('_').next() == Some(self.carrier.time.timer.as_str());
                 self.rule(!keeps_time, path("signal"), "the timer that keeps the time has no pins")?;
             }

@@ -261,6 +261,7 @@ impl TailTable {
         };
         let links = [link(0)?, link(1)?];
         let source = shafts.reader.source;
+        // `turning` takes a channel only once, so that a shared motor leaves the list shorter.
         if shafts.channels.len() < 2 {
             return Err(source.rule("body.balance-tail.link[1].channel", "each link needs a motor of its own"));
         }
@@ -627,6 +628,7 @@ impl WorldTable {
             at("surface", index, scene.add_surface(surface))?;
         }
         let start = self.start.map_or(Pose::default(), |Start { x_m, y_m, yaw_rad }| Pose { x_m, y_m, yaw_rad });
+        // After the scene, because a gas spreads around its walls.
         let fields = field::check(&self.fields, &scene, source)?;
         Ok(World { start, on_stand: self.on_stand, scene, fields })
     }

@@ -141,6 +141,7 @@ impl SkidSteer {
             for (index, wheel) in wheels.iter().enumerate() {
                 let path = format!("{path}[{index}]");
                 reader.one_of("motor with an encoder", *wheel, motors(config, turns), path.clone())?;
+                // A motor on both sides would turn the robot against itself.
                 claims.take("wheel", wheel, path)?;
             }
         }
@@ -156,6 +157,7 @@ impl Ackermann {
         let may_drive = motors(config, |feedback| !slides(feedback)).chain(config.bldcs.iter().map(|bldc| &bldc.id));
         reader.one_of("motor that turns", self.drive, may_drive, path(&"drive"))?;
         let is_measured = motors(config, turns).any(|id| *id == self.drive);
+        // With an encoder the speed is measured; a second source could contradict it.
         if is_measured == self.full_speed_m_s.is_some() {
             let rule = "full_speed_m_s is for a drive without an encoder, which needs it";
             return Err(reader.rule(path(&"full_speed_m_s"), rule));

@@ -238,6 +238,7 @@ pub(super) fn check(tables: &[FieldTable], scene: &Scene, source: &Source) -> Re
             (None, Some(electric)) => (electric.kind(), "electric"),
             _ => return Err(source.rule(path, "needs a table gas or electric, and only one")),
         };
+        // Names the field of the table that the error is about, to find its line.
         let kind = kind.map_err(|why| {
             let field = match &why {
                 FieldError::Number { what, .. } => format!(".{what}"),

@@ -306,6 +306,7 @@ impl Simulation {
     pub fn enter(&mut self, world: World) {
         self.scene = world.scene;
         self.fields = world.fields;
+        // On a stand the wheels touch nothing, so that each motor turns alone.
         if world.on_stand {
             self.body = None;
         }

@@ -490,6 +490,8 @@ macro_rules! controlled {
                                 drift_s: force.drift_s,
                             }),
                         }),
+                        // A motor in closed loop needs a winding, for its overload protection; one in open loop may
+                        // lack it.
                         winding: Some(self.winding.into()),
                         stop_brake_ms: self.stop_brake_ms,
                     }

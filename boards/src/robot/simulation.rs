@@ -380,6 +380,7 @@ impl Tables {
         let readings = body.as_ref().map_or(&[][..], |body| body.kind.readings());
         if let Some(body) = &body {
             let turns = |bldc: &&Bldc| bldc.rotor.is_some();
+            // Only a brushless drive with a rotor takes the load of a body.
             let known: Vec<_> = self.bldc.iter().filter(turns).map(|bldc| bldc.channel).collect();
             let drives = body.channels.iter().filter(|channel| channel.kind == ChannelKind::Bldc);
             for id in drives {
@@ -390,6 +391,7 @@ impl Tables {
         let on_bus = |kind| -> Vec<SensorConfig> {
             config.sensors.iter().filter(|sensor| sensor.id.kind == kind).copied().collect()
         };
+        // By default the chip is as it was calibrated.
         let calibrated_hz = config.servo_pwm.map_or(NOMINAL_OSCILLATOR_HZ, |chip| chip.oscillator_hz);
         Ok(Simulation {
             motors: check.motors(self)?,
@@ -414,6 +416,7 @@ impl Tables {
             switches: check.each(&self.switch, &config.switches, |switch| switch.id, Check::switch)?,
             uarts: uart::check(reader, &mut check.claims, has_body, (&self.lidar, &self.gnss))?,
             body,
+            // The world is added by `Simulation::enter`, which also moves the body.
             scene: Scene::default(),
             fields: Vec::new(),
         })

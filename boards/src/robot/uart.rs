@@ -125,6 +125,7 @@ pub(super) fn check(
         if port >= CONNECTORS {
             return Err(reader.rule(format!("{path}.uart"), "must be 0 or 1: the board has two UART connectors"));
         }
+        // Both kinds of sensors measure from a place on a body.
         if !has_body {
             return Err(reader.rule(path, "the robot has no [body] to mount it on"));
         }

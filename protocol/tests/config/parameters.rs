@@ -58,6 +58,7 @@ fn a_parameter_is_the_field_of_its_name() {
         let (mut set, mut written) = (good(), good());
         *field(&mut written) = value;
         assert_eq!(set.set_parameter(key(name), value), Ok(()), "{name}");
+        // A value that the good configuration has already would prove nothing.
         assert_ne!(set, good(), "{name}");
         assert_eq!(set, written, "{name}");
     }
@@ -136,6 +137,7 @@ fn whole_numbers_are_not_rounded_or_cut() {
         (time_key, f32::NAN, time),
         (time_key, f32::INFINITY, time),
         (counts_key, 16_777_216.0, Ok(())),
+        // 2^24 + 2 is an f32, but 2^24 + 1, its neighbour, is not.
         (counts_key, 16_777_218.0, counts),
         (counts_key, 4e9, counts),
         (counts_key, f32::INFINITY, counts),

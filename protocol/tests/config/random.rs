@@ -103,6 +103,7 @@ impl Writer {
                 self.bytes.push(value as u8);
             }
             DataModelType::U8 => {
+                // Mostly small, as numbers of channels and lines are.
                 let value = if self.below(4) > 0 { self.below(8) } else { self.below(256) };
                 self.bytes.push(value as u8);
             }
@@ -111,10 +112,12 @@ impl Writer {
                 self.varint(value);
             }
             DataModelType::U32 => {
+                // Shifted, so that every order of magnitude occurs.
                 let (value, shift) = (self.next(), self.below(32));
                 self.varint(value >> shift);
             }
             DataModelType::F32 => {
+                // Half of them 0 to 2, as most fields have; half any bits, NaN included.
                 let bits = if self.below(2) > 0 { (self.below(1000) as f32 / 500.0).to_bits() } else { self.next() };
                 self.bytes.extend(bits.to_le_bytes());
             }
@@ -149,6 +152,7 @@ impl Writer {
 
     fn next(&mut self) -> u32 {
         self.used += 1;
+        // From a list of proptest's, so that it can shrink a failing configuration.
         self.entropy[self.used % self.entropy.len()]
     }
 

@@ -31,6 +31,7 @@ fn every_message_has_the_bytes_of_the_golden_table() {
             Some(_) => {}
         }
     }
+    // A row without a sample is a message that is not tested any more.
     for name in golden.keys().filter(|name| !ours.contains_key(*name)) {
         writeln!(wrong, "no sample for:  {name}").expect("a string takes it");
     }
@@ -59,6 +60,7 @@ fn every_message_of_every_spoken_version_has_kept_its_bytes() {
     for spoken in SPOKEN {
         let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/v{}.txt", spoken.version));
         let golden = fs::read_to_string(&path).unwrap_or_else(|why| panic!("{}: {why}", path.display()));
+        // An empty or cut table would pass the loop below.
         assert!(rows(&golden).len() > 100, "{}", path.display());
         for (name, hex) in rows(&golden) {
             let now = if name.starts_with("to-device") { again::<ToDevice>(hex) } else { again::<ToHost>(hex) };
@@ -90,6 +92,7 @@ fn the_schema_of_this_version_is_pinned() {
 #[test]
 fn hello_and_its_refusal_are_frozen_for_ever() {
     let hello =
+        // Numbers that take varints of several bytes, up to the longest.
         ToDevice::Request { seq: 0x1234, request: Request::Hello { version: 0x0102, schema: 0x8000_0000_0000_0001 } };
     let request = [
         0, // ToDevice::Request

@@ -94,6 +94,7 @@ fn measure(root: &Path, list: &str, what: &'static str) -> Result<Row, String> {
         .map_err(|error| format!("{}: {error}", script.display()))?;
     let own = |library: &&PathBuf| library.file_name().is_some_and(|name| name.to_string_lossy().contains("code_size"));
     let linked = Command::new(linker(root)?)
+        // No entry and no startup code: only sections that the list reaches survive `--gc-sections`.
         .args(["-flavor", "gnu", "--gc-sections", "--entry=0", "--unresolved-symbols=ignore-all", "--whole-archive"])
         .args(libraries.iter().filter(own))
         .args(["--no-whole-archive", "--start-group"])
@@ -113,6 +114,7 @@ fn measure(root: &Path, list: &str, what: &'static str) -> Result<Row, String> {
 
 /// Returns a linker script that keeps only the list; the linker adds what it leads to.
 fn layout(list: &str) -> String {
+    // Parts of mangled names: the modules of `core` that format and panic.
     let panics = ["4core3fmt", "4core3str", "4core9panicking", "4core6result", "4core6option", "_fail"];
     let panics: String = panics.iter().map(|name| format!(" .text.*{name}*")).collect();
     format!(
@@ -130,6 +132,7 @@ fn build(root: &Path) -> Result<Vec<PathBuf>, String> {
         .args(settings)
         .arg("--target-dir")
         .arg(target_folder(root)?.join("code-size"))
+        // The caller's flags would change the size.
         .env_remove("RUSTFLAGS")
         .current_dir(root)
         .stderr(Stdio::inherit())
@@ -163,6 +166,7 @@ fn sysroot(root: &Path) -> Result<PathBuf, String> {
 
 /// Returns the linker that comes with rustc.
 fn linker(root: &Path) -> Result<PathBuf, String> {
+    // rust-lld belongs to the host's target, whose name is not known here.
     let hosts = sysroot(root)?.join("lib/rustlib");
     let found = fs::read_dir(&hosts).into_iter().flatten().flatten().map(|host| host.path().join("bin/rust-lld"));
     found

@@ -89,6 +89,7 @@ fn fill(root: &Path, program: &Path, folder: &Path) -> Result<(), String> {
     }
     call(Command::new(program).args(["man", "--out"]).arg(&manual).stdout(std::process::Stdio::null()))?;
     for (shell, file) in SHELLS {
+        // Run from the archive's own program, so that both always fit each other.
         let script = Command::new(program).args(["completions", shell]).output().map_err(failed(program))?;
         if !script.status.success() {
             return Err(format!("`r4 completions {shell}` ended with {}", script.status));

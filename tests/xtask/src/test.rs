@@ -214,6 +214,7 @@ fn run_all(steps: &[Step], mut execute: impl FnMut(&Step) -> Result<(), String>)
     let mut summary = Summary::default();
     let mut problem = String::new();
     for step in steps {
+        // Later steps are listed, so that the summary shows what was not tested.
         if summary.failed().is_some() {
             summary.add(step.name, Outcome::NotRun);
             continue;
@@ -248,6 +249,7 @@ fn execute(step: &Step, root: &Path) -> Result<(), String> {
         Run::Cargo { folder, arguments, environment } => {
             let target = firmware::target_folder(root)?;
             let (giga, probe) = (target.join("giga"), target.join("probe"));
+            // The constants stand for folders that are known only at run time.
             let arguments = arguments.iter().map(|word| match *word {
                 GIGA_TARGET => giga.as_os_str(),
                 PROBE_TARGET => probe.as_os_str(),

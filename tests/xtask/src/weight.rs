@@ -93,6 +93,7 @@ impl Weight {
         let target = target_folder(root)?.join("weight");
         let profile = if self.dist { "dist" } else { "release" };
         match fs::remove_dir_all(&target) {
+            // A folder with old crates would make the build look cheap.
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
                 return Err(format!("{}: {error}", target.display()));
             }
@@ -125,6 +126,7 @@ impl Weight {
     /// Returns whether the build stays within its budgets.
     fn held(self, report: &Report) -> bool {
         let within = |cost: std::time::Duration| cost.as_secs_f64() <= PROCESSOR_BUDGET_S;
+        // Each profile has one budget. Where processor time is not measured it counts as held.
         if self.dist { report.size <= SIZE_BUDGET } else { report.whole.processor.is_none_or(within) }
     }
 
@@ -213,6 +215,7 @@ fn depth_and_name(line: &str) -> Option<(usize, String)> {
 
 /// Returns for each package the one that needs it on the shortest path from the program.
 fn parents(tree: &[(usize, String)]) -> BTreeMap<String, String> {
+    // Cargo prints a tree by depth: the parent of a line is the last one above it with a lower depth.
     let mut edges: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     let mut path: Vec<&str> = Vec::new();
     for (depth, name) in tree {
@@ -223,6 +226,7 @@ fn parents(tree: &[(usize, String)]) -> BTreeMap<String, String> {
         path.push(name);
     }
     let mut parents = BTreeMap::new();
+    // Breadth first: the first parent found is on a shortest path.
     let mut next = VecDeque::from([PROGRAM]);
     while let Some(parent) = next.pop_front() {
         for &child in edges.get(parent).into_iter().flatten() {

@@ -146,6 +146,7 @@ impl PickerTable {
         };
         let reach = shafts.turning(axes.reach, "body.berry-picker.axes.reach".into())?;
         let row = shafts.turning(axes.row, "body.berry-picker.axes.row".into())?;
+        // Two axes on one shaft could not reach a berry.
         if reach == row {
             return Err(shafts.reader.source.rule("body.berry-picker.axes.row", "each axis needs a motor of its own"));
         }

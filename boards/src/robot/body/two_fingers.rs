@@ -107,6 +107,7 @@ impl GripTable {
             shafts.turning(id, format!("body.two-fingers.{path}"))?;
         }
         let source = shafts.reader.source;
+        // A channel is taken only once, so that a shared one leaves the list shorter.
         if shafts.channels.len() < 3 {
             return Err(source.rule("body.two-fingers", "left, right and palm need a channel of their own each"));
         }

@@ -76,6 +76,7 @@ pub(super) fn payload(frame: &[u8], check: Check) -> Result<Vec<u8>, String> {
         let length = usize::from(*code).checked_sub(1).ok_or("a 0 within")?;
         plain.extend(after.get(..length).ok_or("a code points behind the end")?);
         rest = &after[length..];
+        // Code 0xFF stands for 254 bytes without a zero behind them; the last piece has none either.
         if *code != 0xFF && !rest.is_empty() {
             plain.push(0);
         }
@@ -113,6 +114,7 @@ impl Reader<'_> {
 
     fn varint(&mut self, bits: u8) -> Result<u64, String> {
         let mut number = 0;
+        // Limits the length, so that a varint without end is an error.
         for place in 0..bits.div_ceil(7) {
             let [byte] = self.take()?;
             number |= u64::from(byte & 0x7F) << (7 * place);

@@ -68,15 +68,18 @@ fn compute(expression: &Expr, source: &Source, of: Option<&str>) -> Option<Value
     match expression {
         Expr::Lit(ExprLit { lit: Lit::Int(number), .. }) => number.base10_parse().ok().map(Value::Integer),
         Expr::Lit(ExprLit { lit: Lit::Float(number), .. }) => {
+            // As an f32, because the protocol has no constant of type f64.
             number.base10_parse::<f32>().ok().map(|number| Value::Float(number.into()))
         }
         Expr::Paren(inner) => compute(&inner.expr),
+        // Constants are cast without loss only, so the value stays.
         Expr::Cast(inner) => compute(&inner.expr),
         Expr::Array(list) => list.elems.iter().map(compute).collect::<Option<_>>().map(Value::List),
         Expr::Range(range) => {
             let (first, last) = (compute(range.start.as_deref()?)?, compute(range.end.as_deref()?)?);
             match (&range.limits, &last) {
                 (RangeLimits::Closed(_), _) => Some(Value::Range(first.into(), last.into())),
+                // The last value of a half-open range is one less; floats have no such value.
                 (RangeLimits::HalfOpen(_), Value::Integer(end)) => {
                     Some(Value::Range(first.into(), Value::Integer(end - 1).into()))
                 }
@@ -105,6 +108,7 @@ fn compute(expression: &Expr, source: &Source, of: Option<&str>) -> Option<Value
                 ["i16", "MIN"] => Some(Value::Integer(i16::MIN.into())),
                 ["u16", "MAX"] => Some(Value::Integer(u16::MAX.into())),
                 ["u8", "MAX"] => Some(Value::Integer(u8::MAX.into())),
+                // Names of other modules are unique in the source, so their paths can be ignored.
                 ["Self", name] => Value::of(&format!("{}::{name}", of?), source).ok(),
                 [.., name] => Value::of(name, source).ok(),
                 [] => None,
@@ -177,6 +181,7 @@ mod tests {
         ] {
             assert_eq!(Value::of(name, &source), Ok(value), "{name}");
         }
+        // A block expression is not supported, and must be an error and not a wrong value.
         assert!(Value::of("SCHEMA_HASH", &source).is_err_and(|problem| problem.contains("not made of numbers")));
         assert!(Value::of("NO_SUCH", &source).is_err_and(|problem| problem.contains("no constant NO_SUCH")));
     }

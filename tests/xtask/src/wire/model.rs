@@ -95,6 +95,7 @@ impl Model {
         }
         let of = source.of_type(name)?;
         let place = self.0.len();
+        // A placeholder keeps the order of first use, and ends the recursion of a type in itself.
         self.0.push(Named { name, doc: of.doc.clone(), kind: Kind::Struct(Vec::new()) });
         self.0[place].kind = self.kind(schema, of, source).map_err(|problem| format!("{name}: {problem}"))?;
         Ok(Shape::Named(name))
@@ -107,6 +108,7 @@ impl Model {
             DataModelType::Enum(variants) => {
                 let mut all = Vec::new();
                 for (variant, written) in variants.iter().zip(&of.variants) {
+                    // The order of variants is their encoding, so both sources must agree on it.
                     if variant.name != written.name {
                         return Err(format!(
                             "variant {} of the schema is {} in the source",
@@ -173,6 +175,7 @@ impl Model {
                 };
                 Shape::Array { of: self.shape(first, &array.elem, source)?.into(), length: all.len() }
             }
+            // serde's `Result` is an enum without a type of ours.
             DataModelType::Enum([ok, refusal]) if ok.name == "Ok" && refusal.name == "Err" => {
                 let (DataModelVariant::TupleVariant([ok_type]), DataModelVariant::TupleVariant([refusal_type])) =
                     (ok.ty, refusal.ty)
