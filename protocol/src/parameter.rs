@@ -253,6 +253,7 @@ impl Parameter {
     /// Returns the name used on command lines and in files.
     #[must_use]
     pub fn name(self) -> &'static str {
+        // The table is in the order of the variants, which a test checks.
         Self::NAMES[self as usize].1
     }
 }

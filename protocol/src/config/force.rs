@@ -77,9 +77,11 @@ impl ForceConfig {
         let Range { min, max } = self.range;
         rule(finite(min) && finite(max) && min < max, "force range must have a finite min below a finite max")?;
         rule(
+            // A set point at an end of the range must not trip the board.
             positive(self.limit_n) && min.abs().max(max.abs()) < self.limit_n,
             "force_limit must be above all forces of the range",
         )?;
+        // Its sign is that of the force over the position, so it may be negative.
         rule(finite(self.speed_per_n) && self.speed_per_n != 0.0, "force_gain must be finite and other than 0")?;
         rule(
             positive(self.approach_speed) && self.approach_speed <= speed_max,

@@ -331,6 +331,7 @@ impl BoardConfig {
         )?;
         rule(self.can.node < u16::from(Node::COUNT), "can_node must be 0 to 127")?;
         for chip in self.osmc_pwm.into_iter().chain(self.dhb_pwm) {
+            // Prescaler 255 to 3 of the PCA9685 (datasheet 7.3.5).
             rule(Range::new(24.0, 1526.0).contains(chip.frequency_hz), "the PWM chip has 24 to 1526 Hz")?;
             rule(pca9685_address(chip.address), PCA9685_RULE)?;
         }
@@ -371,6 +372,7 @@ impl BoardConfig {
         for address in self.output_addresses() {
             addresses.take(address);
         }
+        // OSMC bridges may be written in every period; sensors come after the outputs.
         let left = self.period_bits().saturating_sub(self.osmc_bits());
         let periods_per_s = 1_000_000 / u64::from(self.control_period_us.max(1));
         let mut bits_per_s = 0;
@@ -379,6 +381,7 @@ impl BoardConfig {
             sensor.validate()?;
             rule(addresses.take(sensor.address), "the address belongs to another chip on the bus")?;
             let SensorDescription { longest_bits, reading_bits, transfers, .. } = sensor.chip.description();
+            // A transfer is not split: one that does not fit beside these writes would never start.
             rule(u64::from(longest_bits) <= left, "the outputs' writes leave no room on the bus for this sensor")?;
             rule(
                 u64::from(sensor.rate_hz) * u64::from(transfers) <= periods_per_s,
@@ -416,6 +419,7 @@ impl BoardConfig {
         let all_lines = if osmc > 0 { bits(18) } else { 0 };
         let others =
             [(has_dhb, bits(14)), (!self.bldcs.is_empty(), bits(9)), (!self.motors.is_empty(), bits(5) + bits(4))];
+        // The others may wait for another period, so only the largest must fit.
         let largest = others.into_iter().filter(|(there, _)| *there).map(|(_, bits)| bits).max();
         let needed = all_lines.max(self.osmc_bits() + largest.unwrap_or(0)).max(bits(6));
         let room = self.period_bits();
@@ -487,6 +491,7 @@ impl BoardConfig {
     }
 
     fn validate_outputs(&self) -> Result<(), ConfigError> {
+        // Drives and relays share the expander, so they share its bits.
         let mut bits = Used::default();
         let bits_rule = "expander bits must be 0 to 15, each used once";
         let mut dac_outputs = Used::default();
@@ -529,6 +534,7 @@ impl BoardConfig {
         self.encoders.iter().try_for_each(EncoderConfig::validate)?;
         self.switches.iter().try_for_each(SwitchConfig::validate)?;
         self.ranges.iter().try_for_each(RangeConfig::validate)?;
+        // Potentiometers, analog channels and supplies share the analog inputs; each input has one use.
         let mut analogs = Used::default();
         let analog_rule = "the analog input must exist and be used once";
         for motor in &self.motors {
@@ -576,6 +582,7 @@ impl BoardConfig {
                     let cell = ChannelId::new(ChannelKind::Force, force);
                     let rate_hz = self.sensors.iter().find(|sensor| sensor.id == cell).map(|sensor| sensor.rate_hz);
                     rule(rate_hz.is_some(), "the motor's load cell must be in the list of sensors")?;
+                    // Analog inputs have no rate of their own.
                     let fast = rate_hz.is_some_and(|rate_hz| rate_hz >= FORCE_RATE_MIN_HZ);
                     rule(fast, "the rate_hz of a motor's load cell must be at least 250")?;
                 }
@@ -597,6 +604,7 @@ impl BoardConfig {
             let Some(control) = motor.control else { continue };
             let Feedback::Encoder { index, counts_per_index: 1.., .. } = control.feedback else { continue };
             let known = self.index_active_low(index).is_some();
+            // The index pulse may share its input with the axis' own homing, which seeks the same line.
             let own = control.homing.is_some_and(|homing| homing.switch == index);
             let rule =
                 "an index pulse needs the switch with its encoder's number in the list, which no other axis may seek";
@@ -621,6 +629,7 @@ struct Used(u128);
 impl Used {
     /// Takes `number`, which is below 128; returns whether it was free.
     fn take(&mut self, number: u8) -> bool {
+        // The mask keeps a wrong number from overflowing the shift.
         let bit = 1u128 << (number & 127);
         let free = self.0 & bit == 0;
         self.0 |= bit;

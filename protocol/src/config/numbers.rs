@@ -20,6 +20,7 @@ impl BoardConfig {
             .flat_map(|(channel, place)| {
                 Parameter::all().map(move |parameter| (place, ParameterKey { channel, parameter }))
             })
+            // Asking for each parameter of each channel needs no second list of what a channel has.
             .filter(|(place, key)| read::number(self, *place, key.parameter).is_some())
             .map(|(_, key)| key)
     }

@@ -249,6 +249,7 @@ impl BldcConfig {
         rule(positive(self.slew_per_s), "slew_per_s must be positive")?;
         rule(self.stop_brake_ms <= STOP_BRAKE_MAX_MS, STOP_BRAKE_RULE)?;
         rule(
+            // Without the line the drive would coast with its supply on.
             self.stop_brake_ms == 0 || self.brake.is_some(),
             "a brushless drive needs its brake line for a stop that brakes",
         )
@@ -281,6 +282,7 @@ impl StepperConfig {
         rule(self.id.kind == ChannelKind::Stepper, "a stepper needs a stepper channel name")?;
         rule(usize::from(self.id.index) < STEPPERS, "steppers are numbered 0 to 3")?;
         rule((1..=MAX_EXACT).contains(&self.steps_per_turn), "steps_per_turn must be 1 to 16777216")?;
+        // Limits are checked in steps, because positions are counted as i32.
         let steps_per_rad = self.steps_per_turn as f32 / core::f32::consts::TAU;
         rule(finite_range(self.position), "position must have a finite min below a finite max")?;
         let counts = |position: f32| (position * steps_per_rad).abs() <= 1e9;

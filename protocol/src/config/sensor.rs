@@ -204,8 +204,10 @@ impl SensorChip {
                 rule(chip.gain.is_power_of_two() && chip.gain <= 128, "gain must be 1, 2, 4, 8, 16, 32, 64 or 128")?;
                 rule(positive(chip.newtons_per_mv_v.abs()), "newtons_per_mv_v must be positive or negative")?;
                 let full_scale_mv_v = NAU7802_FULL_SCALE_MV_V / f32::from(chip.gain);
+                // An offset beyond the range would saturate every reading.
                 rule(chip.zero_mv_v.abs() < full_scale_mv_v, "zero_mv_v must be within 500 mV/V divided by gain")
             }
+            // The chip counts its period in steps of 10 ms.
             Self::Vl6180x(_) => rule(rate_hz > 0 && 100 % rate_hz == 0, "rate_hz must be 1, 2, 4, 5, 10, 20, 25 or 50"),
         }
     }

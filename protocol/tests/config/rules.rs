@@ -637,6 +637,7 @@ const GROUPS: [&[Case]; 7] = [BOARD, MOTORS, LOOPS, OUTPUTS, INPUTS, TWICE, SENS
 
 #[test]
 fn each_change_breaks_its_rule() {
+    // The change alone must break the rule.
     assert_eq!(good().validate(), Ok(()));
     for (group, cases) in GROUPS.into_iter().enumerate() {
         for (number, (channel, rule, change)) in cases.iter().enumerate() {
@@ -654,6 +655,7 @@ fn no_rule_is_without_a_change_that_breaks_it() {
     let sources = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("src/config");
     let broken: BTreeSet<_> = GROUPS.into_iter().flatten().map(|(_, rule, _)| (*rule).to_owned()).collect();
     let mut known = BTreeSet::new();
+    // A rule without a case here would be untested.
     for file in ["mod.rs", "motor.rs", "output.rs", "input.rs", "sensor.rs"] {
         let source = fs::read_to_string(sources.join(file)).expect("the sources are beside the tests");
         let code = source.lines().filter(|line| !line.trim_start().starts_with("//"));
@@ -665,6 +667,7 @@ fn no_rule_is_without_a_change_that_breaks_it() {
     }
     let missing: Vec<_> = known.difference(&broken).collect();
     assert!(missing.is_empty(), "nothing here breaks {missing:#?}");
+    // Guards the search by text: a changed style of the sources would find none.
     assert!(known.len() > 70, "{} rules found: are they written otherwise now?", known.len());
 }
 
@@ -780,6 +783,7 @@ fn a_period_has_room_for_every_output() {
         if !bldcs {
             config.bldcs.clear();
         }
+        // At 100 kHz a bit takes a whole number of microseconds.
         config.i2c_hz = 100_000;
         config
     };
@@ -856,6 +860,7 @@ fn a_board_with_nothing_on_it_is_taken() {
     config.stepper_bank = None;
     assert_eq!(config.validate(), Ok(()));
     config.auxiliary_stop = false;
+    // Every board has the dead-man's handle.
     assert!(config.channels().eq([(id(DeadMan, 0), Place::DeadMan(0))]));
 }
 

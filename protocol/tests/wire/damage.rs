@@ -56,6 +56,7 @@ proptest! {
     ) {
         let good = frame(&message);
         let places = data_places(&good);
+        // Places are apart where a COBS code lies between.
         let neighbours: Vec<_> = places.windows(2).filter(|pair| pair[0] + 1 == pair[1]).collect();
         prop_assume!(!neighbours.is_empty());
         let pair = place.get(&neighbours);
@@ -79,6 +80,7 @@ proptest! {
         prop_assert_eq!(end_lost.len(), 2);
         prop_assert!(is(end_lost.last(), &third));
         let start_lost = receive::<ToDevice>(&[&first[cut..], &second, &frame(&third)].concat());
+        // A delimiter alone is no frame.
         prop_assert_eq!(start_lost.len(), if cut == first.len() - 1 { 2 } else { 3 });
         prop_assert!(is(start_lost.last(), &third));
     }

@@ -125,6 +125,7 @@ fn a_command_with_the_shorter_checksum_is_not_taken_and_all_else_with_either() {
 #[test]
 fn a_frame_that_is_too_long_is_one_error_and_the_next_frame_is_taken() {
     let next = ToDevice::Heartbeat { session: 7, host_us: 1 };
+    // Around one and two lengths of the buffer, where an overflow that is forgotten would show.
     for len in [MAX_FRAME, MAX_FRAME + 1, MAX_FRAME + 2, 2 * MAX_FRAME, 2 * MAX_FRAME + 1, 100_000] {
         for value in [0x01, 0x55, 0xFF] {
             let mut bytes = vec![value; len];
@@ -163,6 +164,7 @@ fn a_frame_too_short_for_a_checksum_is_malformed() {
 /// Tries undamaged messages that are longer, shorter or other than this version's.
 #[test]
 fn a_message_of_another_version_is_not_a_message() {
+    // `ToDevice` has variants 0 to 2.
     let unknown_variant = 3u8;
     let nameless = FrameError::NotAMessage { seq: None };
     assert_eq!(receive::<ToDevice>(&raw(&unknown_variant, Check::Short)), [Err(nameless)]);
