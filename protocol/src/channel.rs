@@ -24,7 +24,7 @@ pub enum ChannelKind {
     Stepper,
     /// Relay, open or closed.
     Relay,
-    /// Quadrature encoder without a motor.
+    /// Quadrature encoder as a channel of its own.
     Encoder,
     /// Switch input beside an encoder connector.
     Switch,
@@ -170,25 +170,25 @@ impl FromStr for ChannelId {
 /// Physical unit of a value on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Unit {
-    /// rad, at the output shaft.
+    /// Angle at the output shaft, radians.
     Rad,
-    /// rad/s, at the output shaft.
+    /// Angular speed at the output shaft, radians per second.
     RadPerS,
-    /// m, of a rod or a distance.
+    /// Position of a rod or distance, metres.
     M,
-    /// m/s, of a rod.
+    /// Speed of a rod, metres per second.
     MPerS,
-    /// Duty, a share of the supply, -1..=1.
+    /// Duty as a share of the supply, -1..=1.
     Duty,
-    /// V, of an input, output or supply.
+    /// Voltage in volts.
     V,
     /// Boolean: 1 for on, 0 for off.
     Bool,
-    /// m/s², of an inertial sensor.
+    /// Acceleration, metres per second squared.
     MPerS2,
-    /// A, of a current monitor.
+    /// Current in amperes.
     A,
-    /// N, of a force sensor.
+    /// Force in newtons.
     N,
 }
 

@@ -1,4 +1,4 @@
-//! Cycles: set points for up to four channels and the state of these channels, in two short messages of fixed length.
+//! Set points for up to four channels, and the state of these channels, in two short messages of fixed length.
 //!
 //! [`Request::Bind`](crate::Request::Bind) says once which channels, modes and scales are meant. From then on the board
 //! answers each [`Cycle`] at once by one [`CycleState`]. With checksum, COBS and delimiter they take [`CYCLE_FRAME`]

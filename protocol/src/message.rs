@@ -24,7 +24,7 @@ pub const MAX_SAMPLES: usize = 8;
 /// Message from a host to a board.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum ToDevice {
-    /// A request, which the board answers by exactly one [`ToHost::Response`] with the same `seq`.
+    /// Request, which the board answers by exactly one [`ToHost::Response`] with the same `seq`.
     Request {
         /// Sequence number, chosen by the host and echoed by the board.
         seq: u16,
@@ -489,7 +489,7 @@ pub enum Refusal {
         /// Time to live of the set point.
         ttl_ms: u16,
     },
-    /// A gain is not 0 to [`PidGains::MAX`].
+    /// A gain is not within 0 to [`PidGains::MAX`].
     BadGains {
         /// Channel of the request.
         channel: ChannelId,

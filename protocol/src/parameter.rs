@@ -146,23 +146,23 @@ pub enum Parameter {
     CanDataRate,
     /// Feed-forward of a motor for its acceleration, duty s²/rad or duty s²/m.
     DutyPerAcceleration,
-    /// Cascade gain of a motor with feedback, 1/s: [`crate::config::ControlConfig::cascade_per_s`].
+    /// Cascade gain of a motor with feedback: speed for the distance from its path, 1/s: [`crate::config::ControlConfig::cascade_per_s`].
     Cascade,
     /// Angle sensor of a motor: angle that is position 0, rad.
     ZeroAngle,
-    /// Encoder on the motor's side: [`crate::config::MotorSideConfig::counts_per_turn`].
+    /// Encoder on the motor's side: counts in one turn of the output shaft: [`crate::config::MotorSideConfig::counts_per_turn`].
     MotorSideCounts,
-    /// Encoder on the motor's side, rad: [`crate::config::MotorSideConfig::gap_max`].
+    /// Encoder on the motor's side: largest difference from the sensor of the output shaft, rad: [`crate::config::MotorSideConfig::gap_max`].
     GapMax,
-    /// Force control of a motor, rad/(s N) or m/(s N): [`crate::config::ForceConfig::speed_per_n`].
+    /// Force control of a motor: speed per newton of error, rad/(s N) or m/(s N): [`crate::config::ForceConfig::speed_per_n`].
     ForceGain,
-    /// Force control of a motor, N: [`crate::config::ForceConfig::limit_n`].
+    /// Force control of a motor: force at which the board trips, N: [`crate::config::ForceConfig::limit_n`].
     ForceLimit,
-    /// Force control of a motor, rad/s or m/s: [`crate::config::ForceConfig::approach_speed`].
+    /// Force control of a motor: highest speed, rad/s or m/s: [`crate::config::ForceConfig::approach_speed`].
     ApproachSpeed,
-    /// Force control of a motor, N: [`crate::config::ForceConfig::contact_n`].
+    /// Force control of a motor: force that counts as contact, N: [`crate::config::ForceConfig::contact_n`].
     ContactForce,
-    /// Force control of a motor, N: [`crate::config::ForceConfig::error_n`].
+    /// Force control of a motor: error within which a force counts as reached, N: [`crate::config::ForceConfig::error_n`].
     ForceError,
 }
 
