@@ -9,15 +9,15 @@
 //! | `venv` | Python environments with what is pinned |
 //! | `firmware` | `cargo xtask firmware`: the image for the Giga |
 //! | `flash` | `cargo xtask flash`: the image written into the board |
-//! | `size` | `cargo xtask size`: what that image takes, and whether it may |
-//! | `protocol` | `cargo xtask size --protocol`: what frames take, encoded and decoded |
+//! | `size` | `cargo xtask size`: the size of that image, against its budgets |
+//! | `protocol` | `cargo xtask size --protocol`: the size of encoding and decoding frames |
 //! | `images` | `cargo xtask images`: the images that tests run |
-//! | `image` | what an ELF file takes in flash and RAM |
+//! | `image` | sizes and symbols of an ELF file |
 //! | `mutants` | `cargo xtask mutants`: changes that no test notices, against a list of those that are judged |
 //! | `toolchain` | the parts of the Rust toolchain the steps need |
 //! | `programs` | the test programs, and the slowest tests in them |
-//! | `summary` | what became of each step, as a table |
-//! | `meter` | time on the wall and time of the processor |
+//! | `summary` | outcome of each step, as a table |
+//! | `meter` | wall-clock time and processor time |
 //! | `wire` | `cargo xtask protocol`: the wire protocol as a page, a schema, a header and a dissector |
 //! | `licences` | `cargo xtask licences`: whether what is linked in may be passed on |
 //! | `package` | `cargo xtask package`: the crates as they are published, and the program built of them |
@@ -103,7 +103,7 @@ usage: cargo xtask <task>
                 (tests/mutants.toml); fails for one that is not. Hours: [--package r4-firmware|r4-protocol|r4-links]
                 [--file FILE]... [--shard K/N] [--tests FILTER] (nextest's)";
 
-/// The exit code for a command line that means nothing here.
+/// Exit code for a command line that has no meaning here.
 const USAGE_ERROR: u8 = 2;
 
 #[derive(Debug, PartialEq)]
@@ -129,7 +129,7 @@ enum Task {
 }
 
 fn main() -> ExitCode {
-    // In the place of a compiler, by which `cargo xtask weight` weighs each crate.
+    // Cargo calls this program in place of the compiler, so that `cargo xtask weight` can measure each crate.
     if let Some(exit) = weight::compiler() {
         return exit;
     }
@@ -163,7 +163,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Exit code of a task; a problem is printed.
+/// Prints a problem, if there is one, and returns the exit code of the task.
 fn ended(result: Result<(), String>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -208,7 +208,7 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
     }
 }
 
-/// The workspace: two folders above this crate, wherever the command was given.
+/// Returns the folder of the workspace, two above this crate, whatever the current folder is.
 fn root() -> PathBuf {
     concat!(env!("CARGO_MANIFEST_DIR"), "/../..").into()
 }
