@@ -170,8 +170,8 @@ pub fn identify(
     let Checked { suspicions: faults, notes: compared } = check_recordings(&task.model, train, holdout);
     let notes = notes.into_iter().chain(compared).collect();
     let mut found =
-        // An unexplained recording is most often a mistake in it, so common mistakes are tried before a verdict.
         with_family(task, train, holdout, Assemble { task, notes, names_only: !faults.is_empty(), progress })??;
+    // What no model explains is most often a mistake in the recording, so common mistakes are tried.
     if found.report.explained == Explained::Not {
         let likely = suspicions(task, train, holdout, found.report.last.holdout.nrmse);
         found.report.suspicions.splice(0..0, likely);

@@ -2,8 +2,7 @@
 //!
 //! | module | fault | evidence |
 //! | --- | --- | --- |
-//! | `saturated` | a sensor at the end of its range | it stays exactly at an extreme, entered and left at speed, or
-//! without its noise |
+//! | `saturated` | a sensor at the end of its range | it stays exactly at an extreme, entered and left at speed, or without its noise |
 //! | `dropped` | rows that are missing | lone steps of a multiple of those around them; gaps in the time stamps |
 //! | `order` | rows out of order | successive samples are uncorrelated |
 //! | `reaction` | a wrong column | the input's history explains none of the output's motion |
