@@ -534,7 +534,7 @@ fn what_is_found_of_the_duty_comes_before_what_the_plant_file_has_of_the_bridge(
     assert_eq!(names, ["slew-limit", "dead-zone", "gain-curve"]);
 }
 
-/// A force in the command is no push: it is not scaled by the inertia.
+/// A force that is commanded is no push: the mass does not multiply it.
 #[test]
 fn a_dead_zone_of_a_force_is_told_as_it_is_commanded() {
     let steps: Vec<f64> = (0..101).map(|sample| f64::from(sample % 2)).collect();

@@ -345,7 +345,7 @@ impl Model for Weak<'_> {
 }
 
 impl Motion {
-    /// Returns whether the recording is the motion itself, or a function of it, and only the model's pushes cause it.
+    /// Whether what is recorded is the motion itself, or tells it at each moment, and nothing but the model's pushes makes it.
     fn is_seen(&self, structure: &Structure) -> bool {
         const BEHIND: [Effect; 6] = [
             Effect::Backlash,
@@ -359,7 +359,7 @@ impl Motion {
         self.stops.is_none() && !BEHIND.iter().any(is_behind)
     }
 
-    /// Returns the recordings of some runs, corrected for a sensor's eccentricity if `structure` has one.
+    /// The recordings that runs are parts of; without what a sensor's eccentricity by `structure` adds to them.
     fn seen(&self, structure: &Structure, initial: &[Vec<f64>], runs: &[&MotionRun]) -> Option<Vec<Seen>> {
         let eccentricity = self.index(Effect::Eccentricity).and_then(|index| structure.of(index));
         let mut recordings: Vec<(&MotionRun, &Vec<f64>)> = Vec::new();
@@ -382,7 +382,7 @@ impl Motion {
         recordings.iter().map(seen).collect()
     }
 
-    /// Returns the windows of the whole recording that a run is a part of; `None` if it is too short.
+    /// Of all of the recording that a run is a part of.
     fn windows<'r>(&self, run: &'r MotionRun) -> Option<&'r Arc<Windows>> {
         let windows = run.all.windows.get_or_init(|| Windows::of(run, self.of_speed).map(Arc::new));
         windows.as_ref()
@@ -414,7 +414,7 @@ impl Motion {
         Some(seen.into_iter().flat_map(timed).collect())
     }
 
-    /// Returns the number of independent windows; `None` if the model cannot be evaluated in windows.
+    /// How many windows say as much as all that there are: of those that overlap, one.
     pub(super) fn independent_windows(&self, current: &Fit, runs: &[&MotionRun]) -> Option<f64> {
         let all: usize =
             self.seen(&current.structure, &current.initial, runs)?.iter().map(|seen| seen.windows.windows.len()).sum();
