@@ -100,6 +100,7 @@ impl<C: Clock> Broker<'_, C> {
             once: RefCell::default(),
         };
         let (later, answers) = unbounded();
+        // Answers are awaited concurrently: a slow one must not delay a stop.
         let answering = answers.for_each_concurrent(None, |answer: Later<'_>| async {
             let answer = answer.await;
             served.under_way.set(served.under_way.get() - 1);
@@ -404,6 +405,7 @@ impl<'s, C: Clock> Served<'s, '_, C> {
     /// command.
     fn close(&self) -> impl Future<Output = ()> + use<C> {
         self.state(|client| (client.session, client.log) = (None, None));
+        // Sequence numbers start again with the next session.
         self.once.borrow_mut().clear();
         self.unsubscribe();
         let ended = self.broker.shared.borrow_mut().command.end(self.number);

@@ -84,9 +84,9 @@ enum Holder {
 /// Actions that follow from a check of the commanding client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Look {
-    /// Whether the broker sends the board's heartbeat by itself: nothing can move, or no client commands.
+    /// True if the broker sends the board's heartbeat by itself: nothing can move, or no client commands.
     pub(crate) keeps_heartbeat: bool,
-    /// Whether the board has to be disarmed, and [`Command::ended`] called after that.
+    /// True if the board has to be disarmed, and [`Command::ended`] called after that.
     pub(crate) disarms: bool,
 }
 
@@ -151,6 +151,7 @@ impl Command {
     /// Checks the commanding client at `now_us`. `timeout_us` is the board's link time-out, `heard_us` the time at
     /// which the client was last heard (`None`: it is gone).
     pub(crate) fn look(&mut self, now_us: u64, timeout_us: u64, state: SafetyState, heard_us: Option<u64>) -> Look {
+        // A client that has left keeps the time at which it was last heard.
         self.heard_us = heard_us.unwrap_or(self.heard_us);
         let is_silent = now_us.saturating_sub(self.heard_us) > SILENT_TIMEOUTS * timeout_us;
         if matches!(self.holder, Holder::Client(_)) && is_silent {

@@ -185,6 +185,7 @@ impl<'b, C: Clock> Broker<'b, C> {
                     Err(error) => return error,
                 }
             }
+            // A change wakes the loop earlier, so that a client waits for no check.
             let next_look = self.board.sleep_s(timeout_us as f64 * 1e-6 / LOOKS_PER_TIMEOUT);
             select(pin!(self.woken()), pin!(next_look)).await;
         }

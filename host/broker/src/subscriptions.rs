@@ -45,6 +45,7 @@ impl Subscriptions {
         samples.retain(|sample| {
             let channel = sample.channel();
             let Some(wanted) = self.0.iter_mut().find(|one| one.channel == channel) else { return false };
+            // The board samples at the common divisor of all clients' periods.
             let of_board_ms = periods.get(&channel).copied().unwrap_or(wanted.period_ms);
             // Samples come on a grid of the board's period with less than half a period of jitter.
             let due_us = |last_us: u64| last_us + u64::from(wanted.period_ms) * 1000 - u64::from(of_board_ms) * 500;

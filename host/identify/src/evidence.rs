@@ -30,7 +30,7 @@ fn correlated(residuals: &[Vec<f64>]) -> f64 {
     let mut lag = 1;
     while lag < longest {
         let correlation = product(residuals, lag) / variance;
-        // Shorter correlations than 0.05 count as the first zero, below which the estimate is mostly noise.
+        // A correlation below 0.05 counts as the first zero.
         if correlation < 0.05 {
             break;
         }

@@ -57,6 +57,7 @@ impl Parameter {
     #[must_use]
     pub fn deviations_off(&self, value: f64, deviation: Option<f64>) -> Option<f64> {
         let absent = self.absent?;
+        // A parameter that the data do not determine is no evidence for the effect.
         let Some(deviation) = deviation else { return Some(0.0) };
         // To first order, the relative standard error of an inverse is that of the value itself.
         let off = if absent.is_infinite() { value } else { value - absent };

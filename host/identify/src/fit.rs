@@ -167,6 +167,7 @@ pub fn fit<F: Model>(
     effort: Effort,
 ) -> Fit {
     let mut first = Problem::new(family, runs, structure, initial, even(family, runs)).solved(effort);
+    // Costly, so only in thorough fits.
     if effort.evaluations > Effort::SCREEN.evaluations {
         first = first.beside(effort);
     }
@@ -174,6 +175,7 @@ pub fn fit<F: Model>(
         return first.into_fit();
     }
     let weights = first.huber();
+    // Without outliers a second fit would repeat the first.
     if weights.iter().flatten().all(|&weight| weight == 1.0) {
         return first.into_fit();
     }
@@ -228,6 +230,7 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
     let mut predicted = vec![0.0; samples];
     let mut tried = predicted.clone();
     let mut beginnings = family.beginnings(structure, run);
+    // The best of several guesses by its cost alone: a fit of each would take as many times as long.
     if beginnings.len() > 1 {
         let left = |state: &Vec<f64>| cost(family, &[&part], structure, std::slice::from_ref(state));
         let costs: Vec<f64> = beginnings.iter().map(left).collect();
@@ -237,6 +240,7 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
     let mut state = beginnings.into_iter().next().unwrap_or_else(|| guess.clone());
     family.predict(structure, &state, &part, &mut predicted);
     for _ in 0..SETTLING_STEPS {
+        // The residual itself scales the cost, so that the guess weighs little against good data.
         let noise = deviation(measured, &predicted).max(f64::MIN_POSITIVE);
         let cost = |state: &[f64], predicted: &[f64]| {
             let errors = measured.iter().zip(predicted).map(|(measured, predicted)| (measured - predicted) / noise);
@@ -388,10 +392,12 @@ impl<'p, F: Model> Problem<'p, F> {
             count += len;
         }
         let scales: Vec<Vec<f64>> = runs.iter().map(|run| family.initial(run).1).collect();
+        // Variables: the parameters of the structure, then the initial states of all runs.
         let globals = parameters.iter().zip(flat(&structure)).map(|(parameter, value)| parameter.range.variable(value));
         let locals = initial.iter().flatten().zip(scales.iter().flatten()).map(|(value, scale)| value / scale);
         let variables = DVector::from_vec(globals.chain(locals).collect());
         let largest = runs.iter().flat_map(|run| family.measured(run)).filter(|value| value.is_finite());
+        // A finite residual lets the solver step back from a simulation that failed.
         let absurd = 1e3 * largest.fold(1.0, |largest: f64, value| largest.max(value.abs()));
         let noise = runs.iter().map(|run| family.noise(run)).sum::<f64>() / runs.len().max(1) as f64;
         let mut problem = Self {
@@ -759,6 +765,7 @@ impl Fit {
         let columns = jacobian.ncols();
         let variance = self.cost / samples.saturating_sub(columns).max(1) as f64;
         let eigen = (jacobian.transpose() * &jacobian).symmetric_eigen();
+        // Columns have length one, so smaller eigenvalues are rounding errors.
         let known = |value: f64| value > 1e-10;
         let inverse_values = eigen.eigenvalues.map(|value| if known(value) { 1.0 / value } else { 0.0 });
         let inverse = &eigen.eigenvectors * DMatrix::from_diagonal(&inverse_values) * eigen.eigenvectors.transpose();
@@ -774,6 +781,7 @@ impl Fit {
                 count += 1.0;
             }
         }
+        // The last factor corrects for the finite number of clusters.
         let sandwich = &inverse * spread * &inverse * (count / (count - 1.0_f64).max(1.0));
         (0..globals)
             .map(|row| {
@@ -781,6 +789,7 @@ impl Fit {
                     .filter(|&column| !known(eigen.eigenvalues[column]))
                     .map(|column| eigen.eigenvectors[(row, column)].powi(2))
                     .sum();
+                // The parameter lies partly in directions that the data do not determine.
                 if lengths[row] == 0.0 || lost > 1e-3 {
                     return None;
                 }

@@ -114,6 +114,7 @@ impl Question {
                 let mut all = data::read(&self.train, options)?;
                 // Some models can divide a single recording.
                 let parts = all.runs.iter().map(|run| hold_out(&self.model, run, every)).collect::<Option<Vec<_>>>();
+                // With several recordings, whole ones are held out.
                 let Some(parts) = parts.filter(|parts| parts.len() == 1) else { return Ok(all.alternate(every)?) };
                 let (fitted, held_out) = parts.into_iter().unzip();
                 all.runs = fitted;
@@ -121,6 +122,7 @@ impl Question {
                 Ok((all, rest))
             }
             Holdout::Files(files) => {
+                // One file may be given by two paths.
                 let place = |path: &PathBuf| fs::canonicalize(path).unwrap_or_else(|_| path.clone());
                 let fitted: Vec<_> = self.train.iter().map(place).collect();
                 if let Some(both) = files.iter().find(|file| fitted.contains(&place(file))) {

@@ -44,6 +44,7 @@ impl Report {
     /// Describes an error of the output's stamps beyond four standard errors; `None` without one.
     #[must_use]
     pub fn timing_fault(&self) -> Option<String> {
+        // Uncertain errors of the stamps are not reported as faults.
         let sure = |name: &str| self.timing.get(name).filter(|estimate| estimate.is_off(0.0, SURE));
         let late = sure(STAMPS_LATE).map(|estimate| {
             let side = if estimate.value < 0.0 { "early" } else { "late" };

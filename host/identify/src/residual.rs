@@ -64,6 +64,7 @@ impl Left {
         let mut unexplained: Vec<Unexplained> = (0..count)
             .filter_map(|driver| {
                 let (share, p_value) = self.dependence(driver, seed)?;
+                // Bonferroni correction for the number of drivers.
                 let p_value = (p_value * count as f64).min(1.0);
                 let name = self.drivers[0][driver].over.name();
                 (p_value < 0.05 && share > LEAST_SHARE).then(|| Unexplained {
@@ -75,6 +76,7 @@ impl Left {
             .collect();
         unexplained.sort_by(|a, b| b.share.total_cmp(&a.share));
         let mut seen: Vec<String> = Vec::new();
+        // A position may occur with and without a period: the stronger dependence is reported.
         unexplained.retain(|entry| {
             let new = !seen.contains(&entry.depends_on);
             seen.push(entry.depends_on.clone());
@@ -110,6 +112,7 @@ impl Left {
             if total > 0.0 { between / total } else { 0.0 }
         };
         let observed = share(0);
+        // A generator per driver, so that results do not depend on their order.
         let mut rng = Pcg64Mcg::seed_from_u64(seed ^ driver as u64);
         let mut chance: Vec<f64> =
             (0..TURNS).map(|_| share((rng.next_u64() % residual.len().max(1) as u64) as usize)).collect();
@@ -138,10 +141,12 @@ impl Left {
             .map(|value| period.map_or(*value, |period| value.rem_euclid(period)))
             .collect();
         values.sort_by(f64::total_cmp);
+        // Fewer than ten samples per bin say nothing.
         if values.len() < 10 * BINS {
             return None;
         }
         let mut ends: Vec<f64> = (1..=BINS).map(|bin| values[bin * values.len() / BINS - 1]).collect();
+        // A value that repeats often may fill several bins.
         ends.dedup();
         (ends.len() > 1).then_some(ends)
     }
@@ -166,6 +171,7 @@ impl Left {
                     }
                 }
             }
+            // The standard error of a mean needs at least two samples.
             sums.retain(|sum| sum[0] > 1.0);
             let mean = |column: usize| sums.iter().map(|sum| sum[column] / sum[0]).collect::<Vec<f64>>();
             let error = sums

@@ -37,6 +37,7 @@ pub(crate) struct Checked {
 /// motion over time: rows of a map or a table need no order.
 pub(crate) fn check_recordings(model: &str, train: &[Run], holdout: &[Run]) -> Checked {
     let mut checked = Checked::default();
+    // Static models have no order of samples that could be wrong.
     let is_motion = Kind::ALL.iter().any(|kind| kind.name() == model);
     if !is_motion && !Output::ALL.iter().any(|output| output.model() == model) {
         return checked;
@@ -117,6 +118,7 @@ impl Mistake {
             }
             Self::Swapped => {
                 let inputs: Vec<&&str> = driving.iter().filter(|role| run.signals.contains_key(**role)).collect();
+                // Only a single input and output can have been exchanged.
                 let ([input], [output]) = (inputs.as_slice(), outputs.as_slice()) else { return None };
                 let (was_input, was_output) = (run.signals.remove(**input)?, run.signals.remove(output)?);
                 run.signals.insert((**input).to_owned(), was_output);

@@ -264,8 +264,10 @@ fn intervals<F: Family>(
     runs: &[&F::Run],
 ) -> (Vec<Option<[f64; 2]>>, impl Iterator<Item = String> + use<F>) {
     let mut intervals = fitted.intervals(family, runs);
+    // Costs up to this limit lie within the 95 % confidence region of the fit.
     let unnoticed = fitted.cost * (1.0 + fit::RISE / independent(family, runs, fitted));
     let mut exchanged = Vec::new();
+    // An exchanged solution that fits as well belongs to the confidence region too.
     for (what, other) in family.exchanged(&fitted.structure) {
         let other = fit::fit(family, runs, other, fitted.initial.clone(), Effort::FULL);
         if other.cost > unnoticed {
@@ -353,6 +355,7 @@ fn assemble<F: Family>(
     let until = task.budget.map(|budget| started + budget.mul_f64(SEARCHING));
     let found = search_within(family, train, &tell, Limits { until, names_only });
     notes.extend(family.known());
+    // A curve has enough freedom to reproduce a fault of the recordings.
     if names_only {
         notes.push(
             "effects without a name were not looked for: they would learn what is wrong with the recordings".to_owned(),
@@ -370,6 +373,7 @@ fn assemble<F: Family>(
     let protocol = task.protocol;
     let held_out_rmse =
         |fit: &Fit| score(family, &held_out, &free_runs(family, &fit.structure, holdout, protocol)).rmse;
+    // Held-out runs are scored only here, after the search has ended.
     let [baseline, last] = [&found.base, &found.last].map(|fit| scores(family, fit, (train, holdout), protocol));
     tell("intervals");
     let (intervals, exchanged) = intervals(family, &found.fitted.0, &found.fitted.1.iter().collect::<Vec<_>>());
@@ -388,6 +392,7 @@ fn assemble<F: Family>(
     };
     let mut timing: BTreeMap<String, Estimate> = of_stamps(&mut parameters).into_iter().collect();
     for (place, step) in found.steps.iter().enumerate() {
+        // The last step is the final model, whose error is known already.
         let after = if place + 1 == found.steps.len() { last.holdout.rmse } else { held_out_rmse(&step.fit) };
         let name = name(family, &step.term);
         ladder.push((format!("+ {name}"), after));
@@ -408,6 +413,7 @@ fn assemble<F: Family>(
                 blocked_rmse_after: step.blocked_rmse[1],
                 p_value: step.p_value,
                 blocks_better: step.blocks_better,
+                // JSON has no infinity, the z of a term without a size.
                 z: step.z.min(1e6),
             },
             rivals: step
@@ -442,6 +448,7 @@ fn assemble<F: Family>(
     let loadable = family.loadable(&found.last.structure, &source);
     let unit = family.unit().to_owned();
     let verdict = verdict(&task.model, &unit, &effects, &baseline, &last, residual.white);
+    // An output that precedes its input is not explained by it, however small the error.
     let is_early = family.is_early(&found.last.structure) && !residual.white;
     let explained = if is_early {
         Explained::Not
@@ -479,6 +486,7 @@ fn name<F: Family>(family: &F, term: &Term) -> String {
 fn table<F: Family>(family: &F, found: &Found<F::Run>, place: usize) -> Option<Table> {
     let structure = &found.last.structure;
     let Term::Curve(curve) = structure.terms.get(place)? else { return None };
+    // A gain is dimensionless; the other curves are per unit of inertia.
     let scale = if curve.acts == Acts::Gain { 1.0 } else { family.force_per_push(structure) };
     let from: usize = structure.base.len() + structure.added[..place].iter().map(Vec::len).sum::<usize>();
     let std = (0..curve.at.len())

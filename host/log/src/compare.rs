@@ -51,6 +51,7 @@ pub fn compare(a: &Log, b: &Log, shift_s: f64) -> Vec<Difference> {
     let of = |signals: &[Signal], name: &str| signals.iter().find(|signal| signal.name == name).cloned();
     let mut all: Vec<Difference> =
         a.iter().map(|signal| difference(Some(signal), of(&b, &signal.name).as_ref(), &signal.name)).collect();
+    // Signals of both are in the order of `a`, those of `b` alone follow.
     let only_b = b.iter().filter(|signal| of(&a, &signal.name).is_none());
     all.extend(only_b.map(|signal| difference(None, Some(signal), &signal.name)));
     all

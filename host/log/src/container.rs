@@ -22,7 +22,7 @@ pub(crate) struct RawRecord<'a> {
     pub(crate) body: &'a [u8],
     /// Offset of the record's first byte in the file, or in its chunk.
     pub(crate) offset: usize,
-    /// Whether the content would go on beyond the end of the bytes.
+    /// True if the content would go on beyond the end of the bytes.
     pub(crate) cut: bool,
 }
 
@@ -102,6 +102,7 @@ pub(crate) fn chunk<'a>(record: &RawRecord<'a>, decompressed: &'a mut Vec<u8>) -
     let records: Vec<_> = Records::new(data, 0).collect();
     // `ChunkReader` panics on other records, and no others belong into a chunk.
     let sound = |record: &RawRecord| !record.cut && matches!(record.opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE);
+    // The declared size is checked before `ChunkReader` relies on it.
     let whole = data.len() as u64 == header.uncompressed_size;
     let checked = || ChunkReader::new(header.clone(), data)?.try_for_each(|record| record.map(|_| ()));
     match (whole && records.iter().all(sound)).then(checked) {

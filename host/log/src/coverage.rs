@@ -76,6 +76,7 @@ fn missing(asked: &[(f64, u16)], times: &[f64], gaps: &[Gap], end_s: f64) -> u64
         }
         let period_s = f64::from(period_ms) / 1000.0;
         let until_s = asked.get(index + 1).map_or(end_s, |next| next.0);
+        // A subscription ends when its link is lost; the host subscribes again after it.
         let gap = gaps.iter().find(|gap| gap.time_s > from_s);
         let until_s = gap.map_or(until_s, |gap| until_s.min(gap.time_s - gap.without_link_s));
         let within = times.iter().copied().filter(|time_s| (from_s..=until_s).contains(time_s));

@@ -24,6 +24,7 @@ impl Log {
             let waiting = signals.iter().zip(written).filter_map(|(signal, &at)| signal.samples.get(at));
             waiting.map(|(time_s, _)| *time_s).min_by(f64::total_cmp)
         };
+        // A merge of all signals by time, without a table of all rows in memory.
         while let Some(time_s) = next(&written) {
             // Six decimals are exact: the board's clock counts microseconds.
             write!(out, "{time_s:.6}")?;

@@ -77,6 +77,7 @@ impl Header {
             ("protocol_version".to_owned(), self.protocol_version.to_string()),
             ("channels".to_owned(), serde_json::to_string(&channels)?),
         ]);
+        // Absent fields stay absent, so that readers can tell them from empty ones.
         metadata.extend(self.seed.map(|seed| ("seed".to_owned(), seed.to_string())));
         if let Some(recorded) = &self.recorded {
             metadata.insert("recorded_at".to_owned(), recorded.at());
@@ -99,6 +100,7 @@ impl Header {
             field("protocol_version")?.parse().map_err(|_| BadHeader::Field { key: "protocol_version" })?;
         let records: Vec<ChannelRecord> =
             serde_json::from_str(field("channels")?).map_err(|_| BadHeader::Field { key: "channels" })?;
+        // One unknown channel makes the header unreadable: samples of it could not be interpreted.
         let channels = records.iter().map(ChannelRecord::info).collect::<Option<_>>();
         Ok(Self {
             robot: field("robot")?.clone(),

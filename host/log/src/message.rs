@@ -355,6 +355,7 @@ pub(crate) fn quality_from(name: &str) -> Option<Quality> {
 
 /// Returns whether the channel moves linearly; otherwise its fields are rotary.
 pub(crate) fn is_linear(info: &ChannelInfo) -> bool {
+    // A channel in duty or volts is linear if one of its modes is.
     let linear = |unit| matches!(unit, Unit::M | Unit::MPerS);
     linear(info.unit) || info.modes.iter().any(|mode| linear(mode.unit))
 }

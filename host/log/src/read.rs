@@ -122,7 +122,7 @@ pub struct MotorSample {
     pub duty: f64,
     /// Whether, in position mode, the channel is at the set point and at rest.
     pub settled: bool,
-    /// Position is referenced by homing, not only counted since power-up.
+    /// True if the position is absolute, not only counted since power-up.
     pub homed: bool,
     /// Heat of the winding, share of what it withstands.
     pub winding_heat: f64,
@@ -370,6 +370,7 @@ impl Log {
                 (_, false) => reader.record(&record)?,
             }
         }
+        // A complete file ends with the magic bytes.
         reader.cut_short |= !reader.data_ended || !bytes.ends_with(MAGIC);
         reader.finish(bytes.len())
     }
@@ -651,6 +652,7 @@ impl Reader {
             setpoint: Logged { mode, value: number(message.setpoint()) },
         });
         let setpoint = Setpoint { mode, value: message.setpoint().unwrap_or(f32::NAN) };
+        // The time to live is not recorded.
         let request = Request::Set { channel, setpoint, sent_us: device_us, ttl_ms: 0 };
         self.requests.push(LoggedRequest { time_s, sent_us: message.sent_us, request });
         Some(())

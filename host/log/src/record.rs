@@ -22,7 +22,7 @@ use crate::{
     write::FileWriter,
 };
 
-/// Error of recording.
+/// Error that ends a recording.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     /// A sample belongs to a channel that the header does not list; the rest of the frame was not recorded.
@@ -99,11 +99,13 @@ impl<W: Write> Recorder<W> {
     /// Any [`RecordError`]; the samples before the faulty one are recorded.
     pub fn telemetry(&mut self, telemetry: &Telemetry) -> Result<(), RecordError> {
         let device_us = telemetry.device_us;
+        // The state comes first, so that readers see it before the samples it applies to.
         self.state(device_us, telemetry.state, telemetry.causes)?;
         for sample in &telemetry.samples {
             let channel = sample.channel();
             let info = self.channels.iter().find(|info| info.id == channel);
             let info = info.ok_or(RecordError::UnknownChannel { channel })?;
+            // Copied out, because `write` borrows the recorder mutably.
             let (unit, resolution, linear) = (info.unit, info.resolution, is_linear(info));
             let topic = format!("/{channel}");
             // Position in rad or m; `None` for a channel without a resolution.
@@ -249,6 +251,7 @@ impl<W: Write> Recorder<W> {
         message: &impl Serialize,
     ) -> Result<(), RecordError> {
         let out_of_range = RecordError::TimeOutOfRange { device_us };
+        // Publish times continue across a restart of the board's clock.
         let publish_us = device_us.checked_add_signed(self.shift_us);
         let Some(publish_time) = publish_us.and_then(|us| us.checked_mul(1_000)) else { return Err(out_of_range) };
         let Some(log_time) = publish_time.checked_add_signed(self.offset_ns) else { return Err(out_of_range) };

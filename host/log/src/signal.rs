@@ -131,6 +131,7 @@ impl Log {
                 add("speed_rad_s", Kind::Continuous, field(|sample| single(sample.speed)));
                 add("illegal", Kind::Held, field(|sample| Some(Value::Integer(sample.illegal.into()))));
             }
+            // Between two samples a switch cannot be interpolated.
             let switch = info.unit == Unit::Bool;
             let kind = if switch { Kind::Held } else { Kind::Continuous };
             let scalar = |value: f64| {
@@ -164,6 +165,7 @@ impl Log {
         let mut add = |name: &str, kind, samples| push(&mut all, name.to_owned(), kind, samples);
         add("state", Kind::Changes, of(&self.states, |change| (change.time_s, text(state_name(change.state)))));
         add("causes", Kind::Changes, of(&self.states, |change| (change.time_s, text(change.causes))));
+        // Set points have signals of their own.
         let requests = self.requests.iter().filter(|logged| !matches!(logged.request, Request::Set { .. }));
         add("request", Kind::Event, of(requests, |request| (request.time_s, text(request))));
         let refused = |refusal: &LoggedRefusal| text(format_args!("{}: {}", refusal.request, refusal.reason));

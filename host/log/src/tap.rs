@@ -113,6 +113,7 @@ impl<W: Write> Tap<W> {
     /// Notes that all further bytes come from a link that was opened anew. Once the board has described itself on it,
     /// the time without a link is recorded as a [`Gap`].
     pub fn reopened(&mut self) {
+        // Half a frame of the lost link must not be joined with the first bytes of the new one.
         (self.to_device, self.to_host) = (FrameDecoder::new(), FrameDecoder::new());
         self.waiting.clear();
         self.bound = (Vec::new(), 0);
@@ -361,6 +362,7 @@ impl<W: Write> Tap<W> {
     /// clock.
     fn clock_seen(&mut self, sent_us: u64, device_us: u64, now_us: u64) {
         let round_trip_us = now_us.saturating_sub(sent_us);
+        // Both directions are taken to last equally long.
         let middle_us = sent_us.saturating_add(round_trip_us / 2);
         let new = Offset { us: device_us.wrapping_sub(middle_us).cast_signed(), round_trip_us, seen_us: now_us };
         // Half the round trip bounds the error of the middle: a slow answer must not replace a better, recent offset.
@@ -379,6 +381,7 @@ const BEGAN_ANEW_US: u64 = 100_000;
 fn gap(heard_us: u64, board_us: u64, now: Offset, shift_us: i64) -> Gap {
     let without_link_us = now.seen_us.saturating_sub(heard_us);
     let (expected_us, is_us) = (board_us + without_link_us, now.seen_us.saturating_add_signed(now.us));
+    // The clocks may have drifted apart in the meantime.
     let wrong_us = BEGAN_ANEW_US + (without_link_us as f64 * DRIFT) as u64;
     let restarted = is_us + wrong_us < expected_us;
     let anew_us = if restarted { (expected_us - is_us).cast_signed() } else { 0 };

@@ -110,6 +110,7 @@ impl<W: Write> FileWriter<W> {
                 let data = [&(schema.json.len() as u32).to_le_bytes(), schema.json.as_bytes()].concat();
                 let begin = self.schemas.len();
                 push(&mut self.schemas, op::SCHEMA, &header, &data)?;
+                // A reader needs the schema before the first message that refers to it.
                 self.chunk.records.extend(&self.schemas[begin..]);
                 self.schema_ids.insert(schema.name.clone(), id);
                 self.statistics.schema_count += 1;
@@ -121,6 +122,7 @@ impl<W: Write> FileWriter<W> {
         let channel = Channel { id, schema_id, topic, message_encoding, metadata: BTreeMap::new() };
         let begin = self.channels.len();
         push(&mut self.channels, op::CHANNEL, &channel, &[])?;
+        // Likewise the topic.
         self.chunk.records.extend(&self.channels[begin..]);
         self.statistics.channel_count += 1;
         Ok(id)
@@ -153,6 +155,7 @@ impl<W: Write> FileWriter<W> {
         if records.is_empty() {
             return Ok(());
         }
+        // Compressed in memory, because the header needs the compressed size.
         let mut encoder = FrameEncoder::new(Vec::with_capacity(records.len() / 4));
         encoder.write_all(&records)?;
         let compressed = encoder.finish().map_err(io::Error::other)?;
@@ -258,6 +261,7 @@ impl<W: Write> FileWriter<W> {
         if let Some(kind) = self.failed {
             return Err(kind.into());
         }
+        // The writer was returned already.
         let Some(out) = &mut self.out else { return Err(io::ErrorKind::BrokenPipe.into()) };
         write(out).inspect_err(|error| self.failed = Some(error.kind()))
     }

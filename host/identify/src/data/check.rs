@@ -39,6 +39,7 @@ pub fn check(runs: &[Run], needs: &[Need]) -> Result<(), DataError> {
         if !need.quantities.is_empty() && !need.quantities.contains(&first.quantity) {
             return Err(wrong_unit(need, &column, first.quantity));
         }
+        // Missing values neither count as samples nor as a change.
         let values = || signals.iter().flat_map(|signal| &signal.values).copied().filter(|value| value.is_finite());
         let samples = values().count();
         if samples < need.samples {

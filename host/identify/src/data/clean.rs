@@ -88,6 +88,7 @@ fn time(file: &str, raw: &Raw, pieces: &[Piece], notes: &mut Vec<Note>) {
     let steps = || pieces.iter().flat_map(|piece| piece.time_s.windows(2).map(|pair| pair[1] - pair[0]));
     let Some(median_s) = quantile(&steps().collect::<Vec<_>>(), 0.5) else { return };
     let off: Vec<f64> = steps().map(|step| (step - median_s).abs()).collect();
+    // The quantile ignores gaps, which are noted below.
     let jitter_s = quantile(&off, 0.95).unwrap_or(0.0);
     if !stated {
         notes.push(Note::TimeUnit { file: file.to_owned(), column: column.clone(), step_s: median_s });
@@ -131,7 +132,7 @@ fn unwrap(file: &str, column: &str, at: usize, pieces: &mut [Piece], notes: &mut
     for piece in pieces {
         let (mut turns, mut last) = (0.0, f64::NAN);
         for value in piece.values[at].iter_mut().filter(|value| !value.is_nan()) {
-            // Three quarters of a turn between two samples is faster than a sensor can follow, so it is a wrap.
+            // More than three quarters of a turn between two samples is taken as a wrap, not as motion.
             let step = *value - last;
             if step.abs() > 0.75 * TAU {
                 turns -= step.signum();
@@ -151,6 +152,7 @@ fn outliers(file: &str, column: &str, at: usize, pieces: &mut [Piece], notes: &m
     let (mut samples, mut first_s) = (0, None);
     for piece in pieces {
         let found = spikes(&piece.values[at]);
+        // Frequent spikes belong to the signal.
         if found.len() as f64 > RARE * piece.time_s.len() as f64 {
             continue;
         }

@@ -32,6 +32,7 @@ pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<
     let mut columns = Vec::new();
     for mapping in &options.roles {
         let signal = &signals[find(file, &names, &mapping.column)?];
+        // Text such as a state is no signal for a model.
         let numbers = signal.samples.iter().filter_map(|(time_s, value)| Some((*time_s, value.number()?)));
         let samples: Vec<_> = numbers.filter(|(time_s, _)| time_s.is_finite()).collect();
         if samples.is_empty() {

@@ -110,6 +110,7 @@ impl Recorded {
         if every < 2 {
             return Err(DataError::Holdout { text: format!("every:{every}") });
         }
+        // Groups, not runs, are held out: runs of one group may be too similar for a test.
         let found = self.groups.iter().max().map_or(0, |last| last + 1);
         if found < every {
             return Err(DataError::OneRun { found, every });

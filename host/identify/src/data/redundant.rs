@@ -230,6 +230,7 @@ impl Pair {
             return None;
         }
         let steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        // Longer steps are gaps, over which a mean says nothing.
         let longest_s = 5.0 * finite_quantile(&steps, 0.5)?;
         // A wrapped angle, whatever its unit, jumps by most of its range between two samples; no motion does.
         let all = || first.iter().copied().filter(|value| value.is_finite());
@@ -317,6 +318,7 @@ pub fn compare(runs: &[&Run], first: &str, second: &str, relation: Relation) -> 
         let std = fits[at].scale.std;
         fits[at - 1].scale.std = fits[at - 1].scale.std.hypot(apart.abs().min(2.0 * fits[at - 1].scale.std.max(std)));
     }
+    // Short windows have more noise, long ones less motion: the relative error decides.
     let error = |fit: &Fit| (fit.scale.std / fit.scale.value).abs();
     let fit = fits.into_iter().min_by(|a, b| error(a).total_cmp(&error(b)))?;
     Some(Comparison {
@@ -336,6 +338,7 @@ pub fn compare(runs: &[&Run], first: &str, second: &str, relation: Relation) -> 
 /// Searches the lag with the best correlation of the windows' means. Returns lag (s), correlation and common motion;
 /// `None` if either signal is noise or constant.
 fn best_lag(pairs: &[Pair], width_s: f64, longest_s: f64) -> Option<(f64, f64, f64)> {
+    // Fine enough for the peak of a correlation that is as wide as a window.
     let step_s = width_s / 8.0;
     let reach = (longest_s / step_s).floor() as i32;
     let second = |pair: &Pair| -> Vec<(f64, f64)> {

@@ -95,6 +95,7 @@ pub(super) fn split(file: &str, raw: &Raw, notes: &mut Vec<Note>) -> Result<Vec<
             found.push((first, Piece { name, group, time_s, origin_s, values }));
         }
     }
+    // Runs in the order in which they begin in the file, across keys.
     found.sort_by_key(|(first, _)| *first);
     let file = || file.to_owned();
     if stampless > 0 {

@@ -10,7 +10,7 @@ use super::{Columns, DataError, Note, Options, read::Raw, unit};
 const NOTHING: [&str; 6] = ["", "nan", "na", "n/a", "null", "none"];
 
 pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<Note>) -> Result<Raw, DataError> {
-    // Spreadsheets begin a file with a byte order mark, which would become part of the first name.
+    // Some spreadsheets begin a file with a byte order mark, which would become part of the first name.
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     if bytes.contains(&0) {
         return Err(DataError::NotText { file: file.to_owned() });
@@ -43,6 +43,7 @@ pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<
     if time.is_none() && !options.untimed {
         return Err(DataError::NoTime { file: file.to_owned(), columns: Columns(header) });
     }
+    // Without a unit in its name, the time is taken as seconds and noted.
     let factor = time.map(|time| unit::seconds(&header[time]));
 
     let units: Vec<_> = roles.iter().map(|&place| unit::unit(&header[place], options.counts_per_turn)).collect();
@@ -142,6 +143,7 @@ fn find(file: &str, header: &[String], column: &str) -> Result<usize, DataError>
 /// Returns the error for an unknown name, with the most similar one.
 pub(super) fn no_column(file: &str, column: &str, names: &[String]) -> DataError {
     let wanted = column.to_lowercase();
+    // Part of a name counts as similar, because users abbreviate.
     let likeness = |name: &String| {
         let name = name.to_lowercase();
         let within = !wanted.is_empty() && !name.is_empty() && (name.contains(&wanted) || wanted.contains(&name));

@@ -59,6 +59,7 @@ impl Fit {
         let is_corner: Vec<bool> = std::iter::repeat_n(false, self.structure.base.len())
             .chain(corners.flat_map(|(term, values)| values.iter().map(move |_| matches!(term, Term::Curve(_)))))
             .collect();
+        // Both ends of all intervals are independent, so they run in parallel.
         let sides: Vec<Option<f64>> = (0..2 * spreads.len())
             .into_par_iter()
             .map(|side| {

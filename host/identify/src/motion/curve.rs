@@ -181,6 +181,7 @@ fn corners(values: &[f64], count: usize) -> Option<Vec<f64>> {
     let quantile = |share: f64| values[((values.len() - 1) as f64 * share) as usize];
     let mut at: Vec<f64> =
         (0..count).map(|index| 0.5 * (quantile(share(index)) + low + (high - low) * share(index))).collect();
+    // Knots that nearly coincide would make the spline's slopes huge.
     at.dedup_by(|a, b| *a - *b < 1e-3 * (high - low));
     (at.len() >= 2).then_some(at)
 }

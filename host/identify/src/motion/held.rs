@@ -99,6 +99,7 @@ impl Motion {
             slopes: fit.slopes(weak, &all),
             without: without.collect(),
         };
+        // Slots begin at the board's power-up, before the first sample.
         let from_s = seen.iter().map(|seen| seen.run.all.slots_s).fold(0.0, f64::max);
         let until_s = seen.iter().filter_map(|seen| Some(seen.run.all.slots_s + seen.run.all.time_s.last()?));
         let search = Search {

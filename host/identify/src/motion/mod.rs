@@ -491,6 +491,7 @@ impl Family for Motion {
         let simpler = match self.effects[index] {
             Effect::DirectionFriction => term(Effect::Coulomb, vec![0.5 * (values[0] + values[1])]),
             Effect::Static | Effect::WarmUp => term(Effect::Coulomb, vec![values[0]]),
+            // Gravity has the opposite sign in the equation of motion.
             Effect::Cogging if self.rotary => term(Effect::Gravity, vec![values[0], values[1] + PI]),
             _ => None,
         };

@@ -74,6 +74,7 @@ impl Motion {
             let inertia = constant / (resistance_ohm * dynamics.k);
             return Physical { inertia, constant, resistance_ohm, viscous: share * dynamics.b * inertia };
         }
+        // A negative radicand means that no motor with the declared friction reaches the fitted speed.
         let root = 1.0 - 4.0 * gain * gain * viscous * resistance_ohm;
         let (constant, viscous) =
             if root >= 0.0 { ((1.0 + root.sqrt()) / (2.0 * gain), viscous) } else { (1.0 / gain, 0.0) };
@@ -361,6 +362,7 @@ impl Motion {
     /// smoothed by a parabola over a window that is long enough for the noise, inserted in the equation of motion.
     pub(super) fn missing_push(&self, structure: &Structure, run: &MotionRun, residual: &[f64]) -> Vec<f64> {
         let times = self.time_s(run);
+        // A second derivative needs a window of several samples against noise.
         let half_s = (6.0 * self.scales.period_s).max(0.05);
         let inertia = self.physical(structure).inertia;
         let b = self.dynamics(&structure.base).b;

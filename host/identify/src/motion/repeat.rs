@@ -103,6 +103,7 @@ impl Motion {
         // A wave that passes within a window averages out in it.
         let moved = || carriers.iter().flat_map(|carrier| &carrier.seen.windows.moved);
         let speed = moved().map(|Moved { speed, .. }| speed.abs()).sum::<f64>() / moved().count() as f64;
+        // A wave must take at least as long as the shortest window.
         let most = (reach / (2.0 * SHORTEST_S * speed)).min(MOST);
         if !most.is_finite() || most < LEAST {
             return nothing;

@@ -177,6 +177,7 @@ fn steps(time_s: &[f64], longest_s: f64) -> Vec<(u32, f64)> {
         .windows(2)
         .map(|pair| {
             let dt_s = pair[1] - pair[0];
+            // The tolerance keeps rounding of a stamp from adding a step.
             let count = (dt_s / longest_s - 1e-6).ceil().clamp(1.0, MOST_STEPS);
             let step_s = dt_s / count;
             if step_s.is_nan() || step_s <= 0.0 {

@@ -164,6 +164,7 @@ impl Input {
 
     /// Returns the state at the begin of a run, as the commands before it left it.
     fn begin(&self, run: &MotionRun) -> InputState {
+        // Only these stages depend on earlier commands; without them a part begins with its own.
         let remembers = self.rate.is_some() || self.lag_s > 0.0 || self.heating.is_some();
         let from = if remembers { 0 } else { run.from };
         // The recorded position stands for the one that a servo's loop used before the run.
@@ -612,9 +613,11 @@ fn step<const LANES: usize, const PLAIN: bool>(
         } else {
             let (forward, backward) = mechanics[lane].coulomb;
             let goes_back = if body.speed == 0.0 { push[lane] < 0.0 } else { body.speed < 0.0 };
+            // Level of friction after a reversal within the step.
             let other_way = level[lane] + if goes_back { forward - backward } else { backward - forward };
             advance(body, push[lane], [level[lane], other_way.max(0.0)]);
         }
+        // End stops are inelastic: the speed is lost.
         if let Some(stops) = mechanics[lane].stops {
             let inside = body.position.clamp(stops.0, stops.1);
             if inside != body.position {
@@ -639,6 +642,7 @@ type Way = Vec<(f64, f64)>;
 
 /// Simulates the motion of axes, each under its own drive.
 fn ways(run: &MotionRun, fine: bool, axes: &[(&Mechanics<'_>, &[Driven])]) -> Vec<Way> {
+    // The axes of a group run the same code, so one with rarer forces slows them all.
     let plain = axes.iter().all(|(mechanics, _)| mechanics.is_plain());
     let side_by_side = |axes: &[(&Mechanics<'_>, &[Driven])]| match (axes, plain) {
         (&[a, b, c, d], true) => Vec::from(lanes::<4, true>(run, fine, [a, b, c, d])),
@@ -1045,6 +1049,7 @@ impl<'s> Plan<'s> {
                 let at = (run.all.origin_s + from_s, supply_v, step_s);
                 step::<1, false>(&[mechanics], std::array::from_mut(&mut body), [&driven], at);
                 sensor.step(&mut sensing, (body.position, body.speed), step_s);
+                // A servo's loop reads its sensor at each step, not only at the recorded samples.
                 if input.loop_gain != 0.0 && sensor.hold_s <= 0.0 {
                     sensing.held = if sensor.lag_s > 0.0 { sensing.sensed } else { sensing.output.0 };
                 }
@@ -1149,6 +1154,7 @@ impl Plan<'_> {
             let (now_s, supply_v) = (run.all.time_s[sample], run.supply_at(sample));
             let step_s = run.all.time_s[sample + 1] - now_s;
             if step_s <= 0.0 {
+                // Keeps the indexes aligned with the samples.
                 driven.push(Driven { command: 0.0, volts: 0.0, colder: 1.0, enabled: true });
                 continue;
             }
@@ -1309,6 +1315,7 @@ pub(super) fn simulate_each(
         }
     }
     for fine in [false, true] {
+        // Axes that run side by side need steps of the same length.
         let apart: Vec<_> = driven_apart.iter().filter(|(_, other)| other.input.fine == fine).collect();
         for apart in apart.chunks(4) {
             let driven: Vec<_> = apart.iter().map(|(_, other)| other.input.over(run)).collect();

@@ -105,7 +105,7 @@ impl Motion {
     pub(super) fn starting_values(&self, runs: &[&MotionRun]) -> Vec<Vec<f64>> {
         let regression = self.regression(runs);
         let mut found: Vec<(f64, f64)> = regression.into_iter().collect();
-        // The regression fails with friction or a dead zone, so some fixed time constants are tried as well.
+        // The regression gives one guess at most, so some fixed time constants are tried as well.
         for time_constant_s in TIME_CONSTANTS_S {
             if let Some(gain) = self.gain_for(runs, time_constant_s) {
                 found.push((gain / time_constant_s, 1.0 / time_constant_s));
@@ -158,6 +158,7 @@ impl Motion {
         let mut right = DVector::<f64>::zeros(2);
         for run in runs {
             let rows = self.integrals(run, |_, _| None);
+            // Removes the unknown initial state from the regression.
             let detrended = without_line(&rows, self.of_speed);
             for [response, drive, damping] in detrended {
                 let features = [drive, -damping];
@@ -293,6 +294,7 @@ fn scales(runs: &[MotionRun], rotary: bool, of_speed: bool, quantity: Quantity) 
         // Assumed: the highest speed is reached within a tenth of a second.
         acceleration = speed / 0.1;
     }
+    // These scales divide later.
     if input <= 0.0 || distance <= 0.0 || acceleration <= 0.0 {
         return Err(IdentifyError::NothingMoves);
     }

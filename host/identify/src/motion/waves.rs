@@ -62,6 +62,7 @@ impl Motion {
         let count = ((most - fewest) / step).max(0.0) as u32;
         let mut told: Vec<Told> =
             (0..=count).map(|number| lacking.told(fewest + f64::from(number) * step, per_unit)).collect();
+        // Best first: a later one that the motion cannot distinguish from it is dropped.
         told.sort_by(|a, b| b.explained.total_cmp(&a.explained));
         let mut best: Vec<Told> = Vec::new();
         for one in told {

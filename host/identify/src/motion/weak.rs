@@ -140,6 +140,7 @@ impl Windows {
         for sample in from..to {
             let before_s = time_s[sample.saturating_sub(1).max(from)];
             let after_s = time_s[(sample + 1).min(to - 1)];
+            // Trapezoidal rule for uneven samples.
             let share_s = 0.5 * (after_s - before_s);
             let [_, first, second] = weight((time_s[sample] - at_s) / half_s);
             let factor = share_s * if of_speed { -first / half_s } else { second / (half_s * half_s) };

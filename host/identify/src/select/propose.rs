@@ -110,6 +110,7 @@ impl<F: Family> Search<'_, F> {
         let mut starts: Vec<Structure> = candidate.starts.iter().map(with).collect();
         let by_declared = self.by_declared(&starts);
         if let Some((guessed, guess)) = self.guess(starts.clone(), current, Effort::GLANCE) {
+            // A second start keeps the base as fitted and takes only the effect's values from the guess.
             let same_base = with(guessed.0.added.last().unwrap_or(&vec![]));
             return Begun {
                 starts: [guessed, as_it_is(same_base)].into_iter().chain(by_declared).collect(),

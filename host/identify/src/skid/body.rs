@@ -139,6 +139,7 @@ impl SkidSteer {
             let index = self.effects.iter().position(|known| *known == effect)?;
             structure.of(index).and_then(|values| values.first().copied())
         };
+        // Effects that no body has are listed, so that a user knows where they belong.
         for term in &structure.terms {
             match term {
                 Term::Known(index) => {
@@ -171,6 +172,7 @@ impl SkidSteer {
         if shift_m != 0.0 {
             provenance.push(format!("place_m: moved along by {shift_m:?} m (slip-lateral)"));
         }
+        // Centre of mass and wheels move together relative to the pose's point.
         let moved = self.body.changed(|chassis, wheels| {
             chassis.centre_m[0] += shift_m;
             for wheel in wheels {

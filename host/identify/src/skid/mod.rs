@@ -353,6 +353,7 @@ impl Family for SkidSteer {
 
     fn curves(&self, current: &Fit, driver: (Dependence, Option<f64>), runs: &[&SkidRun]) -> Vec<Curve> {
         let (over, period) = driver;
+        // A second curve over the same quantity would be nearly collinear with the first.
         if current.structure.curves().any(|(curve, _)| curve.over == over) {
             return vec![];
         }

@@ -49,6 +49,7 @@ impl SkidRun {
         }
         let mut left = read.side("left")?;
         let mut right = read.side("right")?;
+        // Noted before the gaps are bridged: no value in them is compared.
         let unknown: Vec<bool> = left.iter().zip(&right).map(|(l, r)| !l.is_finite() || !r.is_finite()).collect();
         let known = bridge(&run.time_s, &mut left) && bridge(&run.time_s, &mut right);
         let nothing = || SkidError::NothingMeasured { run: run.name.clone() };
@@ -222,6 +223,7 @@ impl Reader<'_> {
         let time_s = &self.run.time_s;
         let moved = |span: &Range<usize>| {
             let steps = span.clone().zip(span.start + 1..span.end).map(|(a, b)| {
+                // The chord of a step has the direction at its middle.
                 let (sin, cos) = (0.5 * (yaw[a] + yaw[b])).sin_cos();
                 let (dx, dy) = (x[b] - x[a], y[b] - y[a]);
                 if output == Output::ForwardSpeed { cos * dx + sin * dy } else { cos * dy - sin * dx }

@@ -96,6 +96,7 @@ struct Sampled<'r> {
 impl Sampled<'_> {
     fn at(&mut self, sample: usize) -> (f64, f64) {
         let sides = &*self.run.sides;
+        // Without a delay the samples are used as they are, without rounding.
         if self.delay_s == 0.0 {
             return (sides.left[sample], sides.right[sample]);
         }
@@ -279,6 +280,7 @@ pub(super) fn simulate(family: &SkidSteer, structure: &Structure, run: &SkidRun,
 /// Returns the steady output for constant speeds of the sides, rad/s, by slip alone, without drives and sensors.
 pub(super) fn settles_at(family: &SkidSteer, structure: &Structure, left: f64, right: f64) -> f64 {
     let mut values = values(family, structure);
+    // These belong to the drives, which the body does not include.
     for elsewhere in [Effect::DeadZone, Effect::WheelSaturation] {
         values.effects[elsewhere as usize] = None;
     }

@@ -133,6 +133,7 @@ pub fn phase_ends(run: &Run) -> Result<Vec<PhaseEnd>, HysteresisError> {
             });
         }
     }
+    // Rests are cut to the shortest one if no goal shows when the shaft was sent elsewhere.
     let shortest = pulls.windows(2).map(|pair| pair[1].1.saturating_sub(pair[0].2)).min().unwrap_or(0);
     let known = |sample: usize| output[sample].is_finite() && goal.is_none_or(|goal| goal[sample].is_finite());
     let end_of = |side, loaded, cycle, from: usize, to: usize| {
@@ -302,6 +303,7 @@ fn explanations(ends: &[PhaseEnd]) -> Vec<Explanation> {
         let design =
             nalgebra::DMatrix::from_fn(fitted.len(), columns.len() + 1, |row, column| entry(fitted[row], column));
         let positions = nalgebra::DVector::from_fn(fitted.len(), |row, _| fitted[row].position);
+        // An SVD also solves a design in which a column is zero.
         let values = design.svd(true, true).solve(&positions, 1e-9).ok()?;
         let rmse = |ends: &[&PhaseEnd]| {
             let error = |end: &&PhaseEnd| {
@@ -367,6 +369,7 @@ impl HeldRun {
     /// Errors of [`phase_ends`].
     pub fn new(run: &Run) -> Result<Self, HysteresisError> {
         let ends = phase_ends(run)?;
+        // The side that ends higher counts as positive, because the model's gap cannot be negative.
         let sign = gap(&ends, true, 0.0).map_or(1.0, |gap| if gap.value < 0.0 { -1.0 } else { 1.0 });
         let way = |end: &PhaseEnd| if end.side == Side::A { sign } else { -sign };
         Ok(Self {

@@ -83,6 +83,7 @@ impl MapRun {
             return Err(MapError::TooFew { run: run.name.clone(), rows, needed: LEAST_ROWS });
         }
         let supply = run.values("supply").filter(|supply| supply.iter().any(|v| *v > 0.0));
+        // Before the first known level the input is taken as 0.
         let input = held(input, 0.0, |u| u.is_finite());
         Ok(Self {
             name: run.name.clone(),
@@ -315,6 +316,7 @@ impl StaticMap {
             steps.extend(levels.windows(2).map(|pair| (pair[1] - pair[0]).abs()).filter(|step| *step > 0.0));
         }
         let supplies: Vec<f64> = runs.iter().flat_map(|run| run.supply.iter().copied()).collect();
+        // Referred to the median supply, the gain hardly correlates with the exponent of the supply.
         let supply_ref = if supplies.is_empty() { 1.0 } else { median(&supplies) };
         let mut map = Self {
             base: vec![Parameter {
@@ -617,6 +619,7 @@ impl Found {
                 up += usize::from(u1 > u0);
                 down += usize::from(u1 < u0);
                 if still(y0) && !still(y1) && u1.abs() > u0.abs() && u0 * u1 >= 0.0 {
+                    // The start lies somewhere between the two levels.
                     starts[usize::from(u1 < 0.0)].push(f64::midpoint(u0.abs(), u1.abs()));
                 }
             }
@@ -636,6 +639,7 @@ impl Found {
                 [forward.last(), backward.last()].map(|level| level.copied().unwrap_or(0.0)),
             ],
             moving,
+            // At least one step in ten must go the other way.
             up_and_down: up.min(down) * 10 >= up.max(down) && up.min(down) > 1,
             // A change of less than 2 % shows an exponent only through its noise.
             supply_changes: high > 1.02 * low,
@@ -734,6 +738,7 @@ impl Model for StaticMap {
     /// Predicts the outputs of a machine that was at rest at level zero before the first row.
     fn predict(&self, structure: &Structure, _: &[f64], run: &MapRun, predicted: &mut [f64]) {
         let shape = self.shape(structure);
+        // Half of the range as the fixed point of a gain curve, so that its exponent hardly changes the gain.
         let scale = 0.5 * self.span;
         let (mut level, mut settled) = (0.0f64, 0.0);
         // Direction of the current motion, `None` at rest.
@@ -745,6 +750,7 @@ impl Model for StaticMap {
         };
         for row in shape.begin(run.first, driven)..end {
             let (supply, input) = (supply(row), driven(row));
+            // Play: the level follows the input at a distance of at most its half width.
             level = level.clamp(input - shape.play, input + shape.play);
             let backward = usize::from(level < 0.0);
             let dead = shape.dead[backward];
@@ -754,6 +760,7 @@ impl Model for StaticMap {
                 target = shape.output(above, backward, scale);
                 let start = shape.start[backward];
                 if start > 0.0 && moving != Some(backward) {
+                    // A logistic function instead of a step gives the start level a gradient.
                     let over = (level.abs() - start.max(dead)) / self.smear;
                     let started = 1.0 / (1.0 + (-over).exp());
                     moving = (started > 0.5).then_some(backward);
@@ -766,6 +773,7 @@ impl Model for StaticMap {
                 target *= supply.powf(shape.supply);
             }
             target *= 1.0 + shape.drift_per_s * run.time_s[row];
+            // The first row has no predecessor and counts as settled.
             let passed_s = row.checked_sub(1).map_or(f64::INFINITY, |before| run.time_s[row] - run.time_s[before]);
             settled = if shape.settling_s > 0.0 {
                 target + (settled - target) * (-passed_s / shape.settling_s).exp()
@@ -879,6 +887,7 @@ impl Family for StaticMap {
         }
         seen.sort_unstable_by(f64::total_cmp);
         let Some((&low, &high)) = seen.first().zip(seen.last()) else { return vec![] };
+        // Equal levels must not become two knots.
         let gap = 1e-3 * (high - low);
         // Knots are dense where rows are: at least six rows to a piece, and at most twelve pieces.
         let pieces = (seen.len() / 6).min(12);

@@ -116,6 +116,7 @@ impl SettlingMap<'_> {
         let duties = (-i32::try_from(PIECES).unwrap_or(0)..=i32::try_from(PIECES).unwrap_or(0))
             .map(|piece| f64::from(piece) / f64::from(PIECES));
         let corners: Vec<(f64, f64)> = duties.map(|duty| (duty, self.within(duty * self.full))).collect();
+        // Full duty reaches the largest output without the table.
         let top = corners.iter().map(|(_, settled)| settled.abs()).fold(0.0, f64::max);
         let mut text = String::new();
         // Writing to a `String` cannot fail, here and below.

@@ -87,6 +87,7 @@ pub(super) fn dropped(column: &Column<'_>, column_input: Option<&Column<'_>>) ->
             }
         }
     }
+    // Weighted sum of both kinds, each relative to its own smallest number.
     let is_enough = jumps * LEAST_BLOCKS + blocks * LEAST >= LEAST * LEAST_BLOCKS;
     let jumps = jumps + blocks;
     let is_fault = is_enough && jumps as f64 >= LEAST_SHARE * judged as f64 && !is_beat(&apart);

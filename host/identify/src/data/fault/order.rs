@@ -27,6 +27,7 @@ pub(super) fn shuffled(output: &Column<'_>, inputs: &[Column<'_>]) -> Option<Fau
         return None;
     }
     let correlation = pairs.iter().map(|(now, next)| now * next).sum::<f64>() / pairs.len() as f64 / square;
+    // A quick system forgets within a sample, but its input explains it.
     let is_quick = inputs.iter().any(|input| explained_by_last(output, input) > QUICK);
     (correlation < ORDER && !is_quick).then(|| Fault::Shuffled { column: output.name.to_owned(), correlation })
 }

@@ -28,13 +28,14 @@ const REACTS: f64 = 0.25;
 pub(super) fn none(output: &Column<'_>, inputs: &[Column<'_>]) -> Option<Fault> {
     let blocks = Blocks::of(output, inputs)?;
     let share = blocks.explained(0.0)?;
+    // Saves the regressions of all shifts.
     if share >= REACTS {
         return None;
     }
     let shifts = (1..SHIFTS).filter_map(|shift| blocks.explained(shift as f64 / SHIFTS as f64));
     let chance = shifts.fold(0.0, f64::max);
     let input = inputs.iter().map(|input| input.name).collect::<Vec<_>>().join("`, `");
-    // The input must explain at least 5 % more of the remaining variance than the best shift does.
+    // A reaction has a residual variance at least 5 % below that of the best shift.
     (1.0 - share >= 0.95 * (1.0 - chance)).then(|| Fault::NoReaction {
         output: output.name.to_owned(),
         input,

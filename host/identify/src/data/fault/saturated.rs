@@ -44,6 +44,7 @@ pub(super) fn saturated(column: &Column<'_>, input: Option<&Column<'_>>) -> Vec<
         return Vec::new();
     }
     let grain = column.grain();
+    // Both ends of the range are tested alike.
     let find = |(limit, other): (f64, f64)| {
         let stretches = stretches(column, limit);
         let samples = stretches.iter().map(|stretch| stretch.to - stretch.from).sum();

@@ -241,6 +241,7 @@ pub fn loop_ladders(printed: &Printed, effort: GainsEffort, seed: u64) -> Result
     let costs: Vec<(f64, usize)> = ladders.iter().map(best).collect();
     let (least, numbers) = costs.iter().copied().min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0));
     let most = costs.iter().fold(least, |most, (cost, _)| most.max(*cost));
+    // At least 1: an overfitted model must not make differences significant.
     let misfit = (least / (printed_numbers(&rows) as f64 - numbers as f64).max(1.0)).max(1.0);
     let target_identified = (most - least) / misfit > LIKELIHOOD;
     let mut unexplained: Vec<String> = Vec::new();

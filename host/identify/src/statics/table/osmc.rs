@@ -154,6 +154,7 @@ pub fn closed_forms(printed: &Printed, seed: u64) -> Result<Vec<Ladder>, TableEr
     let rows = gain_rows(printed, "steady_state_error", |g| g[1] == 0.0 && g[2] == 0.0)?;
     let laws = [none(), constant(), Law::new("stopping duty over Kp", vec![stopping()], |p, x| p[0] / x[0])];
     let error = climb(&about("OSMC Table 3", "steady-state error", "deg"), &rows, &laws, seed)?;
+    // Table 4 is predicted with the stopping duty of Table 3.
     let duty = error.step("stopping duty over Kp").map_or(0.0, |step| step.parameters[0].value);
 
     let sum = || Number::new("integral_sum", "deg s", 0.0, 300.0);

@@ -196,6 +196,7 @@ fn report(
     };
     let column = |at: usize| fitted.iter().map(move |row| row[at]);
     let mean = |at: usize| column(at).sum::<f64>() / fitted.len() as f64;
+    // A plant has one input; the other columns are held at their means.
     let others: Vec<f64> = (1..inputs.len()).map(mean).collect();
     let settles_at = |level: f64| {
         let row: Vec<f64> = [level].into_iter().chain(others.iter().copied()).collect();
