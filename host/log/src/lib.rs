@@ -19,8 +19,8 @@
 //!
 //! Every numeric field has one unit, which ends its name. Set points: `setpoint_position_rad`, `_m`;
 //! `setpoint_speed_rad_s`, `_m_s`; `setpoint_home_rad_s`, `_m_s`; `setpoint_duty` (share of the supply);
-//! `setpoint_voltage_v`; `setpoint_switch`, `setpoint_brake` (0 or 1). A number that is not finite is left out of its
-//! message. The metadata record `r4.run` describes the board that was recorded.
+//! `setpoint_voltage_v`; `setpoint_force_n`; `setpoint_switch`, `setpoint_brake` (0 or 1). A number that is not finite
+//! is left out of its message. The metadata record `r4.run` describes the board that was recorded.
 //!
 //! Chunks are LZ4 frames, which stock MCAP readers open; each is at most a second long. This is format 2. Format 1
 //! can also be read; it has uncompressed chunks and one field `setpoint` for all modes.

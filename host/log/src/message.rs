@@ -371,7 +371,7 @@ pub(crate) fn schema(name: &str, fields: &[(&str, &str, &str)]) -> Schema {
     let properties: Vec<String> = fields
         .iter()
         .map(|(field, kind, meaning)| {
-            // A viewer needs the type of an array's items; the only arrays here hold text.
+            // A viewer needs the type of an array's items.
             let items = if *kind == "array" { r#","items":{"type":"string"}"# } else { "" };
             format!(r#""{field}":{{"type":"{kind}"{items},"description":"{meaning}"}}"#)
         })
