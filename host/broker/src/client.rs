@@ -1,4 +1,4 @@
-//! One client of a shared board: what it asks, and what it is answered.
+//! One client of a shared board: its session, its requests and their answers.
 
 use std::{
     cell::{Cell, RefCell},
@@ -29,65 +29,68 @@ use crate::{
     subscriptions::{Subscriptions, common_ms},
 };
 
-/// A client without a session, or whose heartbeats do not come, is dropped after this time, µs: ten times as long as a board waits.
+/// Longest silence of a client, µs: without a session or a heartbeat for this time it is dropped. Ten times the link
+/// time-out of a board.
 const SILENT_US: u64 = 2_000_000;
-/// Most requests of one client that wait for the board's answer. Further ones are refused.
+/// Most requests of one client that may wait for the board's answer. Further ones are refused with [`Refusal::Busy`].
 const UNDER_WAY: usize = 64;
 
-/// How a client left.
+/// Reason why a client is no longer served.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Left {
-    /// It closed its end, or its link failed.
+    /// The client closed its end, or its link failed.
     Gone,
-    /// It opened no session, or sent no heartbeats.
+    /// The client opened no session, or sent no heartbeats, for two seconds.
     Silent,
-    /// It did not read what it was sent.
+    /// The client did not read what it was sent until its outbox was full.
     Slow,
 }
 
-/// State of a client that others see, too.
+/// State of a client that the broker and the other clients also use.
 pub(crate) struct ClientState {
     /// Number of the open session; `None` before hello and after bye.
     pub(crate) session: Option<u16>,
-    /// When its last heartbeat or hello came, by the host's clock, µs.
+    /// Time of its last heartbeat or hello, on the host's clock, µs.
     pub(crate) heard_us: u64,
-    /// The heartbeat that was sent to the board for one of the client's, and that one: clocks of the broker's host and of the client, µs.
+    /// Heartbeat sent to the board on behalf of the client, and the client's own that caused it: times on the clocks
+    /// of the broker's host and of the client, µs. `None` when no answer is due.
     pub(crate) relayed: Option<(u64, u64)>,
     pub(crate) subscriptions: Subscriptions,
-    /// Where it is in the firmware's log, if it asked for that.
+    /// Position in the firmware's log; `None` unless the client asked for the log.
     pub(crate) log: Option<LogReader>,
     pub(crate) outbox: Outbox,
 }
 
-/// An answer that comes later; `None` where there will be none.
+/// Future of an answer that comes later; it yields `None` if there is no answer to send.
 type Later<'s> = LocalBoxFuture<'s, Option<ToHost>>;
 
-/// A client that is served. Dropping it takes back what it had asked for.
+/// A client while it is served. Dropping it ends its subscriptions and its command.
 struct Served<'s, 'b, C: Clock> {
     broker: &'s Broker<'b, C>,
     number: u64,
-    /// Requests that wait for the board's answer.
+    /// Number of requests that wait for the board's answer.
     under_way: Cell<usize>,
-    /// Version of the protocol in which the session was opened, 0 before there is one.
+    /// Protocol version in which the session was opened; 0 before there is one.
     version: Cell<u16>,
-    /// Requests that are done once, newest last, with their answers where these have come.
+    /// Requests that must be executed only once, newest last, with their answers where these have come.
     once: RefCell<VecDeque<Once>>,
 }
 
-/// A request that is done once, however often the client sends it.
+/// A request that is executed once, however often the client sends it.
 struct Once {
     seq: u16,
     request: Request,
     answer: Option<ToHost>,
 }
 
-/// What the first of two futures ends with.
+/// Returns the output of the future that finishes first; the other one is dropped.
 async fn first<T>(one: impl Future<Output = T>, other: impl Future<Output = T>) -> T {
     select(pin!(one), pin!(other)).await.factor_first().0
 }
 
 impl<C: Clock> Broker<'_, C> {
-    /// Serves a client on a link until it leaves. Dropping the future is a client that is gone.
+    /// Serves a client on a link until it leaves, and returns why it left. Dropping the future counts as a lost
+    /// client.
     pub async fn client<R: Read, W: Write>(&self, rx: R, tx: W) -> Left {
         let served = Served {
             broker: self,
@@ -97,6 +100,7 @@ impl<C: Clock> Broker<'_, C> {
             once: RefCell::default(),
         };
         let (later, answers) = unbounded();
+        // Answers are awaited concurrently: a slow one must not delay a stop.
         let answering = answers.for_each_concurrent(None, |answer: Later<'_>| async {
             let answer = answer.await;
             served.under_way.set(served.under_way.get() - 1);
@@ -128,7 +132,8 @@ impl<C: Clock> Broker<'_, C> {
         shared.next_client
     }
 
-    /// Subscribes to a channel at the board as the clients want it now. Returns the period if that is another than before, ms.
+    /// Computes the period at which the board has to be subscribed to a channel, ms (0: not at all), and records it.
+    /// Returns it only if it differs from the one before.
     pub(crate) fn common_period(&self, channel: ChannelId) -> Option<u16> {
         let shared = &mut *self.shared.borrow_mut();
         let of_clients = shared.clients.values().map(|client| client.subscriptions.period_ms(channel));
@@ -139,7 +144,8 @@ impl<C: Clock> Broker<'_, C> {
 }
 
 impl<'s, C: Clock> Served<'s, '_, C> {
-    /// Gives the client's state to `with`; `None` never happens while it is served.
+    /// Calls `with` on the client's state. Returns `None` only if the client is not registered, which does not happen
+    /// while it is served.
     fn state<T>(&self, with: impl FnOnce(&mut ClientState) -> T) -> Option<T> {
         self.broker.shared.borrow_mut().clients.get_mut(&self.number).map(with)
     }
@@ -172,7 +178,7 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         }
     }
 
-    /// Handles all that the client sends, until its link ends.
+    /// Decodes and handles everything that the client sends, until its link ends.
     async fn receive(&self, mut rx: impl Read, later: &UnboundedSender<Later<'s>>) -> Left {
         let mut decoder = FrameDecoder::new();
         let mut buffer = [0; 4096];
@@ -181,7 +187,7 @@ impl<'s, C: Clock> Served<'s, '_, C> {
                 match decoder.push(*byte) {
                     Some(Ok(message)) => self.message(message, later),
                     Some(Err(FrameError::NotAMessage { seq: Some(seq) })) => self.unknown(seq, later),
-                    // Damaged: as on a link to the board, it is not there.
+                    // A damaged frame is ignored, as a board ignores it: the client repeats its request.
                     Some(Err(_)) | None => {}
                 }
             }
@@ -189,8 +195,9 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         Left::Gone
     }
 
-    /// Whether the client has sent this before, as a board does it ([`REPEATS`]): if it was answered, it is again. A repeat is never passed
-    /// on: the driver repeats by itself, and to the board this would be another request.
+    /// Returns whether the client has sent this request before, and repeats the answer if there is one, as a board
+    /// does ([`REPEATS`]). A repeat is never passed on: the driver repeats by itself, and the board would take it for
+    /// another request.
     fn is_repeat(&self, seq: u16, request: &Request) -> bool {
         let mut once = self.once.borrow_mut();
         let known = once.iter().find(|known| known.seq == seq && known.request == *request);
@@ -200,7 +207,7 @@ impl<'s, C: Clock> Served<'s, '_, C> {
             }
             return true;
         }
-        // A number is only that of the last request that had it.
+        // Sequence numbers wrap: a number belongs to the last request that used it.
         once.retain(|known| known.seq != seq);
         if request.is_done_once() && self.version.get() >= REPEATS.since {
             if once.len() == REPEATS.remembered {
@@ -235,7 +242,7 @@ impl<'s, C: Clock> Served<'s, '_, C> {
 
     fn later(&self, later: &UnboundedSender<Later<'s>>, answer: Later<'s>) {
         self.under_way.set(self.under_way.get() + 1);
-        // Received for as long as the client is served.
+        // The receiver lives as long as the client is served, so sending cannot fail.
         let _ = later.unbounded_send(answer);
     }
 
@@ -243,8 +250,8 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         self.broker.shared.borrow().command.holder() == Some(self.number)
     }
 
-    /// A heartbeat of the client that commands is one for the board, whose answer is the answer. One of another client is
-    /// answered by what is known of the board.
+    /// Handles a heartbeat. That of the commanding client is passed on to the board, whose answer becomes the answer
+    /// (see [`Broker::run`]). That of another client is answered from the last known state of the board.
     fn heartbeat(&self, session: u16, host_us: u64) {
         let board = self.broker.board;
         let now_us = board.host_now_us();
@@ -279,8 +286,8 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         }
     }
 
-    /// Refuses an undamaged request that neither this program nor, perhaps, the board knows. It may be a set point: a board would end
-    /// those in force, and here it is disarmed.
+    /// Refuses an undamaged request which this program does not know. It may be a set point of a newer protocol: a
+    /// board would end the set points in force, so the broker disarms it.
     fn unknown(&self, seq: u16, later: &UnboundedSender<Later<'s>>) {
         let refused = ToHost::Response { seq, result: Err(Refusal::UnknownMessage) };
         if !self.commands() {
@@ -289,20 +296,20 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         }
         let board = self.broker.board;
         let answer = async move {
-            // A board that does not answer has no heartbeats soon, and trips.
+            // If the link to the board is lost, heartbeats are lost too, and the board trips by itself.
             let _ = board.disarm().await;
             Some(refused)
         };
         self.later(later, answer.boxed_local());
     }
 
-    /// Answers a request at once, or by what this returns.
+    /// Answers a request at once and returns `None`, or returns the future of its answer.
     fn request(&self, seq: u16, request: Request) -> Option<Later<'s>> {
         let (broker, board) = (self.broker, self.broker.board);
         let has_session = self.state(|client| client.session.is_some()) == Some(true);
         let role = role(&request);
         let refusal = match role {
-            // A stop is never too much.
+            // A stop is never refused for load.
             Role::Watch | Role::Command | Role::Session if self.under_way.get() >= UNDER_WAY => Some(Refusal::Busy),
             Role::Watch | Role::Command if !has_session => Some(Refusal::NoSession),
             Role::Command if !broker.shared.borrow_mut().command.claim(self.number) => Some(Refusal::InUse),
@@ -325,18 +332,21 @@ impl<'s, C: Clock> Served<'s, '_, C> {
             (None, Request::Log { on }) => {
                 self.state(|client| client.log = on.then(LogReader::default));
                 let is_read = broker.shared.borrow().clients.values().any(|client| client.log.is_some());
-                // For each that begins the board begins anew.
+                // The board restarts its log for each request; [`LogReader::unread`] removes what the others already
+                // have.
                 return Some(self.pass_on(seq, Request::Log { on: *on || is_read }));
             }
             (None, Request::Arm) => {
                 broker.shared.borrow_mut().command.arming(board.host_now_us());
-                // From now on it depends on the client's.
+                // From now on the board gets a heartbeat only for each of the client's, so that it trips if the
+                // client fails.
                 board.keep_heartbeat(false);
                 return Some(self.pass_on(seq, request));
             }
             (None, Request::Stop) => {
                 let answer = self.pass_on(seq, request);
-                // So that all clients hear of it. Nothing is kept moving by it.
+                // The answer to this heartbeat carries the tripped state to all clients. A single heartbeat keeps
+                // nothing moving.
                 board.send_heartbeat();
                 return Some(answer);
             }
@@ -346,14 +356,14 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         None
     }
 
-    /// Passes a request on to the board, whose answer is the answer.
+    /// Passes a request on to the board. The future yields the board's reply or refusal.
     fn pass_on(&self, seq: u16, request: Request) -> Later<'s> {
         let answer = self.broker.board.pass_on(request);
         async move {
             let result = match answer.await {
                 Ok(reply) => Ok(reply),
                 Err(Error::Refused(refusal)) => Err(refusal),
-                // Nothing is known of it: the client's own time-out says so.
+                // Lost or timed out: the client's own time-out reports it.
                 Err(_) => return None,
             };
             Some(ToHost::Response { seq, result })
@@ -361,7 +371,8 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         .boxed_local()
     }
 
-    /// Opens a session of a version. What an earlier one of this client commanded ends first.
+    /// Opens a session in a protocol version. An earlier session of this client is closed first, with what it
+    /// commanded.
     fn hello(&self, seq: u16, version: u16) -> Later<'s> {
         let (broker, number) = (self.broker, self.number);
         let ended = self.close();
@@ -390,9 +401,11 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         .boxed_local()
     }
 
-    /// Closes the session. What this returns is ready when the board is disarmed, if the client commanded it.
+    /// Closes the session. The returned future is ready once the board is disarmed, at once if the client did not
+    /// command.
     fn close(&self) -> impl Future<Output = ()> + use<C> {
         self.state(|client| (client.session, client.log) = (None, None));
+        // Sequence numbers start again with the next session.
         self.once.borrow_mut().clear();
         self.unsubscribe();
         let ended = self.broker.shared.borrow_mut().command.end(self.number);
@@ -420,7 +433,8 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         let answer = async move {
             let Err(why) = asked.await else { return Some(response(Ok(Reply::Done))) };
             let shared = &mut *broker.shared.borrow_mut();
-            // Nothing is known of it: the next that subscribes asks again.
+            // It is unknown whether the board is subscribed: forget the period, so that the next subscriber asks
+            // again.
             shared.periods.remove(&channel);
             if let Some(client) = shared.clients.get_mut(&number) {
                 client.subscriptions.set(channel, before_ms);
@@ -431,12 +445,12 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         Some(answer.boxed_local())
     }
 
-    /// Ends the client's subscriptions, at the board where nobody else has one.
+    /// Ends the client's subscriptions, also at the board where no other client has one.
     fn unsubscribe(&self) {
         let channels = self.state(|client| std::mem::take(&mut client.subscriptions)).unwrap_or_default();
         for channel in channels.channels() {
             if let Some(period_ms) = self.broker.common_period(channel) {
-                // One that is lost leaves samples that nobody gets.
+                // The answer is not awaited: a lost request only leaves samples that no client reads.
                 drop(self.broker.board.pass_on(Request::Subscribe { channel, period_ms }));
             }
         }

@@ -1,27 +1,28 @@
-//! Which client commands the board, and when that ends.
+//! Command of the board: which client has it, and when it ends.
 
 use futures::channel::oneshot;
 use r4_protocol::{Request, SafetyState};
 
-/// A command may still be on its way to the board for this long after it was passed on, µs: what a driver waits for an answer.
+/// Longest time a request may be on its way to the board after it was passed on, µs: the driver's time-out for an
+/// answer.
 const UNDER_WAY_US: u64 = 600_000;
-/// A client that is silent for this many link time-outs no longer commands. The board has tripped after one.
+/// Number of link time-outs of silence after which a client no longer commands. The board has tripped after one.
 const SILENT_TIMEOUTS: u64 = 2;
 
-/// What a request is, to a board that is shared.
+/// Kind of a request with respect to a shared board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
     /// Opens or closes the client's session.
     Session,
-    /// Changes nothing for others: any client may.
+    /// Changes nothing for others: allowed to any client with a session.
     Watch,
-    /// Any client may, with or without a session.
+    /// Stops the board: allowed to any client, with or without a session.
     Stop,
-    /// Changes the board: for the client that commands.
+    /// Changes the board: allowed only to the client that commands.
     Command,
 }
 
-/// The role of a request. Without a wildcard: a new request has to be decided about.
+/// Returns the role of a request. The match has no wildcard, so that each new request has to be classified.
 pub(crate) const fn role(request: &Request) -> Role {
     match request {
         Request::Hello { .. } | Request::Bye => Role::Session,
@@ -46,7 +47,7 @@ pub(crate) const fn role(request: &Request) -> Role {
         | Request::Restart
         | Request::I2cTransfer { .. }
         | Request::UartWrite { .. }
-        // Takes bytes that another client may be waiting for.
+        // Reading takes bytes that another client may be waiting for.
         | Request::UartRead { .. }
         | Request::Bind { .. }
         | Request::Bootloader
@@ -55,17 +56,17 @@ pub(crate) const fn role(request: &Request) -> Role {
     }
 }
 
-/// Who commands the board.
+/// Holder of the command, with the times that decide when it ends.
 #[derive(Default)]
 pub(crate) struct Command {
     holder: Holder,
-    /// Until when an [`Request::Arm`] may be under way, by the host's clock, µs.
+    /// Time until which a [`Request::Arm`] may still be under way, on the host's clock, µs.
     arming_until_us: u64,
-    /// When the last heartbeat left that was answered, by the host's clock, µs.
+    /// Time at which the last answered heartbeat was sent, on the host's clock, µs.
     answered_us: u64,
-    /// When the client that commands, or commanded, was last heard, by the host's clock, µs.
+    /// Time at which the client that commands, or last commanded, was heard, on the host's clock, µs.
     heard_us: u64,
-    /// Those who wait for the end of [`Holder::Ending`].
+    /// Senders for the callers that wait for the end of [`Holder::Ending`].
     waiting: Vec<oneshot::Sender<()>>,
 }
 
@@ -74,28 +75,28 @@ enum Holder {
     #[default]
     Nobody,
     Client(u64),
-    /// The client has ended its session.
+    /// The client has ended its session; the board is not disarmed yet.
     Ending,
-    /// The client is gone without a goodbye, or silent.
+    /// The client is silent or has left without ending its session.
     Lost,
 }
 
-/// Result of a look at the commanding client.
+/// Actions that follow from a check of the commanding client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Look {
-    /// The broker keeps the board's heartbeat by itself: nothing can move, or nobody commands.
+    /// True if the broker sends the board's heartbeat by itself: nothing can move, or no client commands.
     pub(crate) keeps_heartbeat: bool,
-    /// The board is to be disarmed, and then [`Command::ended`] called.
+    /// True if the board has to be disarmed, and [`Command::ended`] called after that.
     pub(crate) disarms: bool,
 }
 
 impl Command {
-    /// Number of the client that commands.
+    /// Returns the number of the client that commands; `None` if no client does or its command is ending.
     pub(crate) const fn holder(&self) -> Option<u64> {
         if let Holder::Client(number) = self.holder { Some(number) } else { None }
     }
 
-    /// Whether `number` commands from now on.
+    /// Gives the command to client `number` if no client has it. Returns whether `number` has it now.
     pub(crate) fn claim(&mut self, number: u64) -> bool {
         if self.holder == Holder::Nobody {
             self.holder = Holder::Client(number);
@@ -103,18 +104,18 @@ impl Command {
         self.holder == Holder::Client(number)
     }
 
-    /// An [`Request::Arm`] leaves now.
+    /// Notes that a [`Request::Arm`] is sent now.
     pub(crate) const fn arming(&mut self, now_us: u64) {
         self.arming_until_us = now_us + UNDER_WAY_US;
     }
 
-    /// A heartbeat that left at `sent_us` was answered.
+    /// Notes the answer to a heartbeat that was sent at `sent_us`.
     pub(crate) fn heard(&mut self, sent_us: u64) {
         self.answered_us = self.answered_us.max(sent_us);
     }
 
-    /// Ends the command of client `number`, which has said goodbye. Returns `None` where it did not command, and otherwise what is ready once
-    /// the board is disarmed.
+    /// Ends the command of client `number`, which has closed its session. Returns a receiver that is ready once the
+    /// board is disarmed; `None` if the client did not command.
     pub(crate) fn end(&mut self, number: u64) -> Option<oneshot::Receiver<()>> {
         (self.holder() == Some(number)).then(|| {
             self.holder = Holder::Ending;
@@ -124,31 +125,33 @@ impl Command {
         })
     }
 
-    /// Client `number` is gone without a goodbye.
+    /// Notes that client `number` has left without closing its session.
     pub(crate) fn lose(&mut self, number: u64) {
         if self.holder() == Some(number) {
             self.holder = Holder::Lost;
         }
     }
 
-    /// The board is disarmed, and nothing of the client that commanded is left.
+    /// Frees the command after the board was disarmed and the binding of the former client removed.
     pub(crate) fn ended(&mut self) {
         if matches!(self.holder, Holder::Ending | Holder::Lost) {
             self.holder = Holder::Nobody;
         }
         for waiting in self.waiting.drain(..) {
-            // Gone by now, perhaps.
+            // The waiting client may have left by now.
             let _ = waiting.send(());
         }
     }
 
-    /// Whether outputs may move, or begin to, for all that is known of the board, which was last seen in `state`.
+    /// Returns whether outputs may be moving or about to move. `state` is the last known state of the board.
     fn may_be_armed(&self, now_us: u64, state: SafetyState) -> bool {
         state == SafetyState::Armed || now_us.min(self.answered_us) < self.arming_until_us
     }
 
-    /// What is to be done at `now_us`. `heard_us`: when the client that commands was last heard.
+    /// Checks the commanding client at `now_us`. `timeout_us` is the board's link time-out, `heard_us` the time at
+    /// which the client was last heard (`None`: it is gone).
     pub(crate) fn look(&mut self, now_us: u64, timeout_us: u64, state: SafetyState, heard_us: Option<u64>) -> Look {
+        // A client that has left keeps the time at which it was last heard.
         self.heard_us = heard_us.unwrap_or(self.heard_us);
         let is_silent = now_us.saturating_sub(self.heard_us) > SILENT_TIMEOUTS * timeout_us;
         if matches!(self.holder, Holder::Client(_)) && is_silent {
@@ -159,7 +162,7 @@ impl Command {
             Holder::Nobody => Look { keeps_heartbeat: true, disarms: false },
             Holder::Client(_) => Look { keeps_heartbeat: !may_be_armed, disarms: false },
             Holder::Ending => Look { keeps_heartbeat: !may_be_armed, disarms: true },
-            // First the board trips by itself: then it says that the link was lost.
+            // The board is left to trip by itself first, so that it latches the lost link as the cause.
             Holder::Lost => Look { keeps_heartbeat: !may_be_armed, disarms: is_silent || !may_be_armed },
         }
     }
@@ -186,7 +189,7 @@ mod tests {
         };
         assert!(kept(&mut command, 1, SafetyState::Disarmed) && kept(&mut command, 2, SafetyState::Tripped));
         assert!(!kept(&mut command, 3, SafetyState::Armed));
-        // Until a heartbeat that left after all that may be under way says that it is not.
+        // The broker's heartbeats resume only after an answer proves that the arm request had no effect.
         command.arming(10);
         assert!(!kept(&mut command, 11, SafetyState::Disarmed));
         command.heard(UNDER_WAY_US);

@@ -1,18 +1,20 @@
-//! One board for several programs: one commands it, all watch.
+//! Shares one board between several programs: one commands it, all can watch.
 //!
-//! A [`Broker`] has the only session with the board. Its clients speak the protocol of a board with it, so that every program which can talk
-//! to a board can be a client:
+//! A [`Broker`] holds the only session with the board. Its clients speak a board's protocol with it, so that every
+//! program that can talk to a board can be a client:
 //!
-//! - Each client has a session, subscriptions and a place in the firmware's log of its own. A channel is subscribed to at the board with the
-//!   greatest common divisor of the periods that clients want, and each client gets samples of its own period.
-//! - The first client that sends a command (arming, set points, parameters, external buses) commands the board until it says goodbye, is gone or
-//!   silent. Commands of others are refused with [`InUse`](r4_protocol::Refusal::InUse), and change nothing. A stop is taken from any client.
-//! - While the board may be armed, it gets a heartbeat only when the client that commands has sent one. Where that client, its machine or
-//!   its network fails, the board trips within its link time-out as if the client were connected to it. Clients that only watch
-//!   cannot delay that.
-//! - A client that says goodbye leaves the board disarmed.
+//! - Each client has its own session, subscriptions and position in the firmware's log. The board is subscribed to a
+//!   channel with the greatest common divisor of the clients' periods, and each client gets samples at its own
+//!   period.
+//! - The first client that sends a command (arming, set points, parameters, external buses) commands the board until
+//!   it closes its session, leaves or falls silent. Commands of others are refused with
+//!   [`InUse`](r4_protocol::Refusal::InUse) and change nothing. A stop is accepted from any client.
+//! - While the board may be armed, it gets a heartbeat only when the client that commands has sent one. If that
+//!   client, its machine or its network fails, the board trips within its link time-out, as if the client were
+//!   connected to it directly. Clients that only watch cannot delay that.
+//! - A client that commands and closes its session leaves the board disarmed.
 //!
-//! Nothing here knows what the links are or whether time is real.
+//! The broker does not depend on the kind of the links, nor on whether time is real or simulated.
 
 mod client;
 mod command;
@@ -37,43 +39,43 @@ use subscriptions::Periods;
 
 pub use client::Left;
 
-/// How often within the board's link time-out the broker looks after the client that commands.
+/// Number of checks of the commanding client per link time-out of the board.
 const LOOKS_PER_TIMEOUT: f64 = 4.0;
 
-/// A board that is shared. Give [`Broker::run`] and the clients' futures to one executor, side by side.
+/// A shared board. [`Broker::run`] and the clients' futures run side by side on one executor.
 pub struct Broker<'b, C> {
     board: &'b Board<C>,
     shared: RefCell<Shared>,
 }
 
-/// State that the clients share.
+/// State that all clients share.
 #[derive(Default)]
 struct Shared {
-    /// Connected clients by their numbers.
+    /// Connected clients by their number.
     clients: BTreeMap<u64, ClientState>,
     next_client: u64,
     next_session: u16,
     command: Command,
-    /// Subscriptions at the board.
+    /// Period at which the board is subscribed to each channel, ms.
     periods: Periods,
-    /// Subscriptions of [`Broker::watch`].
+    /// Periods requested by [`Broker::watch`], ms.
     watched: Periods,
-    /// Wakes [`Broker::supervise`] before its next look is due.
+    /// Waker of [`Broker::supervise`], to run its next check early.
     waker: Option<Waker>,
 }
 
 impl<'b, C: Clock> Broker<'b, C> {
-    /// Shares `board`, of which nobody else may be using the session.
+    /// Creates a broker for `board`. No other code may use the session of `board` to command it.
     #[must_use]
     pub fn new(board: &'b Board<C>) -> Self {
         Self { board, shared: RefCell::default() }
     }
 
-    /// Subscribes to a channel beside the clients, for a caller that reads the board's own session, as a recording does. Samples come at
-    /// least every `period_ms`, more often where a client wants them so.
+    /// Subscribes to a channel beside the clients, for a caller that reads the board's own session, such as a
+    /// recording. Samples come at least every `period_ms`, more often if a client wants them so.
     ///
     /// # Errors
-    /// Those of [`Board::subscribe`]: the board has no room, or its link has ended.
+    /// Errors of [`Board::subscribe`]: the board has no room for it, or its link has ended.
     pub async fn watch(&self, channel: ChannelId, period_ms: u16) -> Result<(), Error> {
         self.shared.borrow_mut().watched.insert(channel, period_ms);
         match self.common_period(channel) {
@@ -82,7 +84,8 @@ impl<'b, C: Clock> Broker<'b, C> {
         }
     }
 
-    /// Passes on what the board says, and looks after the client that commands. Ends with the board's link, and says why.
+    /// Passes on what the board sends, and supervises the client that commands. Returns the error that ended the
+    /// board's link.
     pub async fn run(&self) -> Error {
         let (mut telemetry, mut cycles) = (self.board.telemetry(), self.board.cycle_answers());
         let (mut log, mut heartbeats) = (self.board.log_chunks(), self.board.heartbeat_answers());
@@ -140,7 +143,7 @@ impl<'b, C: Clock> Broker<'b, C> {
         }
     }
 
-    /// Answers the heartbeat of the client that commands, for which this one was sent.
+    /// Answers the heartbeat of the commanding client, if it was for that one that the board got this heartbeat.
     fn heartbeat(&self, answer: &HeartbeatAnswer) {
         let shared = &mut *self.shared.borrow_mut();
         shared.command.heard(answer.host_us);
@@ -154,7 +157,8 @@ impl<'b, C: Clock> Broker<'b, C> {
         }
     }
 
-    /// Watches the commanding client: keeps the board's heartbeat while nothing can move, and disarms the board when the client is gone.
+    /// Supervises the commanding client: keeps the board's heartbeat while nothing can move, and disarms the board
+    /// when the client is gone.
     async fn supervise(&self) -> Error {
         let timeout_us = u64::from(self.board.info().link_timeout_ms) * 1000;
         loop {
@@ -176,28 +180,29 @@ impl<'b, C: Clock> Broker<'b, C> {
                         self.shared.borrow_mut().command.ended();
                         continue;
                     }
-                    // It goes on without heartbeats, and is asked again.
+                    // The loop continues without heartbeats, so the board trips, and disarms again at the next check.
                     Err(Error::TimedOut { .. } | Error::Refused(_)) => {}
                     Err(error) => return error,
                 }
             }
+            // A change wakes the loop earlier, so that a client waits for no check.
             let next_look = self.board.sleep_s(timeout_us as f64 * 1e-6 / LOOKS_PER_TIMEOUT);
             select(pin!(self.woken()), pin!(next_look)).await;
         }
     }
 
-    /// Takes back what a client that commanded has left at the board.
+    /// Disarms the board and removes the binding that the former commanding client may have left.
     async fn ended(&self) -> Result<(), Error> {
         self.board.disarm().await?;
         let nothing = Request::Bind { channels: heapless::Vec::new(), ttl_ms: 0 };
         match self.board.pass_on(nothing).await {
-            // A board that takes no empty binding has none.
+            // A board that refuses an empty binding has none to remove.
             Ok(_) | Err(Error::Refused(_)) => Ok(()),
             Err(error) => Err(error),
         }
     }
 
-    /// Ready when something has changed that [`Broker::supervise`] looks at.
+    /// Waits until something changes that [`Broker::supervise`] checks.
     async fn woken(&self) {
         let mut first = true;
         poll_fn(|context| {

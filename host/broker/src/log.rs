@@ -1,24 +1,25 @@
-//! Where a client is in the log of the board's firmware.
+//! Position of a client in the log of the board's firmware.
 
 use r4_protocol::LogChunk;
 
-/// A client's place in the log.
+/// Position of one client in the log.
 #[derive(Default)]
 pub(crate) struct LogReader {
-    /// Position behind the last byte that the client has; `None` before the first.
+    /// Position behind the last byte that the client has; `None` before the first chunk.
     next: Option<u32>,
 }
 
 impl LogReader {
-    /// What the client does not have of a chunk. The board begins anew with its log for each client that asks for it.
+    /// Returns the part of a chunk that the client does not have yet, `None` if it has all. The board restarts its
+    /// log for each client that asks for it, so chunks repeat.
     pub(crate) fn unread(&mut self, chunk: &LogChunk) -> Option<LogChunk> {
         let end = chunk.position.wrapping_add(chunk.bytes.len() as u32);
-        // Positions wrap; what is less than half of all ahead is later.
+        // Positions wrap at 2^32: a difference of less than half the range counts as ahead.
         let known = self.next.map_or(0, |next| next.wrapping_sub(chunk.position).cast_signed()).max(0) as usize;
         let bytes = chunk.bytes.get(known..).filter(|bytes| !bytes.is_empty())?;
         self.next = Some(end);
         let position = chunk.position.wrapping_add(known as u32);
-        // No more than the chunk has.
+        // The part fits: it is no longer than the chunk.
         Some(LogChunk { position, bytes: bytes.iter().copied().collect() })
     }
 }
@@ -30,7 +31,7 @@ mod tests {
     use super::*;
 
     proptest! {
-        /// Pieces of one log as a board sends them that begins anew now and then: a client gets each byte once, in order.
+        /// Chunks of one log from a board that restarts it now and then: a client gets each byte once, in order.
         #[test]
         fn each_byte_is_read_once(
             first in any::<u32>(),

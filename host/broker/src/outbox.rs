@@ -1,4 +1,4 @@
-//! What waits to be sent to a client.
+//! Queue of the bytes that wait to be sent to a client.
 
 use std::{
     collections::VecDeque,
@@ -7,24 +7,24 @@ use std::{
 
 use r4_protocol::{ToHost, encode_frame, frame::MAX_FRAME};
 
-/// Bytes that may wait before what is only watched is dropped: two seconds of what the board's fastest link, USB at full speed, carries of
-/// telemetry would be more, but a client that is that late is better served with what is new.
+/// Bytes that may wait before telemetry and log chunks are dropped. Two seconds of telemetry over the board's fastest
+/// link, USB at full speed, would be more; but a client that is that late needs new samples more than old ones.
 const ROOM: usize = 256 * 1024;
-/// Bytes that may wait in all. A client that does not read its answers either is not served any longer.
+/// Bytes that may wait in all. A client that does not even read its answers is no longer served.
 const MOST: usize = 2 * ROOM;
 
-/// What waits to be sent to a client.
+/// Frames that wait to be sent to one client.
 #[derive(Default)]
 pub(crate) struct Outbox {
     bytes: VecDeque<u8>,
-    /// Frames that were dropped.
+    /// Number of frames that were dropped for want of room.
     pub(crate) dropped: u64,
     is_full: bool,
     sender: Option<Waker>,
 }
 
 impl Outbox {
-    /// For what is only watched: dropped and counted where much is waiting.
+    /// Queues telemetry or a log chunk; drops and counts it if more than [`ROOM`] bytes wait.
     pub(crate) fn push_if_room(&mut self, message: &ToHost) {
         if self.bytes.len() > ROOM {
             self.dropped += 1;
@@ -44,10 +44,10 @@ impl Outbox {
         }
     }
 
-    /// What is to be sent, as soon as there is something.
+    /// Takes all waiting bytes; pending until there are some.
     ///
     /// # Errors
-    /// `()` where the client has left more than [`MOST`] unread.
+    /// `()` if the client has left more than [`MOST`] bytes unread.
     pub(crate) fn poll(&mut self, context: &std::task::Context<'_>) -> Poll<Result<Vec<u8>, ()>> {
         if self.is_full {
             return Poll::Ready(Err(()));
@@ -81,7 +81,7 @@ mod tests {
         assert_eq!(outbox.bytes.len() / len, ROOM / len + 1);
         let refused = ToHost::Response { seq: 0, result: Err(Refusal::Busy) };
         outbox.push(&refused);
-        // All that waited, and the answer behind it.
+        // All frames that waited, with the answer behind them.
         let Poll::Ready(Ok(bytes)) = outbox.poll(&context) else { panic!("nothing waits") };
         assert!(bytes.ends_with(encode_frame(&refused, &mut [0; MAX_FRAME]).expect("fits")));
         (0..=MOST / len + 1).for_each(|_| outbox.push(&answer));

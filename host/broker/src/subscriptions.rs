@@ -1,25 +1,25 @@
-//! What clients subscribe to, and what the board is subscribed to for them.
+//! Subscriptions of the clients, and the period at which the board has to be subscribed for them.
 
 use std::collections::BTreeMap;
 
 use r4_protocol::{ChannelId, Telemetry};
 
-/// Period of each channel that the board is subscribed to, ms.
+/// Period at which the board is subscribed to each channel, ms.
 pub(crate) type Periods = BTreeMap<ChannelId, u16>;
 
-/// What one client has subscribed to.
+/// Subscriptions of one client.
 #[derive(Default)]
 pub(crate) struct Subscriptions(Vec<Subscription>);
 
 struct Subscription {
     channel: ChannelId,
     period_ms: u16,
-    /// Date of the last sample that the client was given, on the board's clock, µs.
+    /// Time of the last sample that was sent to the client, on the board's clock, µs; `None` before the first.
     last_us: Option<u64>,
 }
 
 impl Subscriptions {
-    /// Sets the period of a channel, ms; 0 ends it. Returns the one before, 0 for none.
+    /// Sets the period of a channel, ms; 0 ends the subscription. Returns the period before, 0 for none.
     pub(crate) fn set(&mut self, channel: ChannelId, period_ms: u16) -> u16 {
         let before = self.period_ms(channel);
         self.0.retain(|one| one.channel != channel);
@@ -29,7 +29,7 @@ impl Subscriptions {
         before
     }
 
-    /// The period of a channel, ms; 0 for none.
+    /// Returns the period of a channel, ms; 0 for none.
     pub(crate) fn period_ms(&self, channel: ChannelId) -> u16 {
         self.0.iter().find(|one| one.channel == channel).map_or(0, |one| one.period_ms)
     }
@@ -38,14 +38,16 @@ impl Subscriptions {
         self.0.iter().map(|one| one.channel)
     }
 
-    /// What is due of a frame of the board's, which has samples of the channels in `periods`.
+    /// Returns the samples of a board's frame that are due for this client, `None` if none is. `periods` are those at
+    /// which the board is subscribed.
     pub(crate) fn due(&mut self, frame: &Telemetry, periods: &Periods) -> Option<Telemetry> {
         let mut samples = frame.samples.clone();
         samples.retain(|sample| {
             let channel = sample.channel();
             let Some(wanted) = self.0.iter_mut().find(|one| one.channel == channel) else { return false };
+            // The board samples at the common divisor of all clients' periods.
             let of_board_ms = periods.get(&channel).copied().unwrap_or(wanted.period_ms);
-            // Samples are on a grid of the board's period, whose dates vary by less than half of it.
+            // Samples come on a grid of the board's period with less than half a period of jitter.
             let due_us = |last_us: u64| last_us + u64::from(wanted.period_ms) * 1000 - u64::from(of_board_ms) * 500;
             let is_due = of_board_ms == wanted.period_ms
                 || wanted.last_us.is_none_or(|last_us| frame.device_us >= due_us(last_us));
@@ -58,7 +60,8 @@ impl Subscriptions {
     }
 }
 
-/// The period with which the board has to be subscribed to a channel, so that each of `wanted` is a multiple of it, ms; 0 for none.
+/// Returns the greatest common divisor of the periods `wanted`, ms, at which the board has to be subscribed; 0 for
+/// none.
 pub(crate) fn common_ms(wanted: impl Iterator<Item = u16>) -> u16 {
     wanted.fold(0, |mut a, mut b| {
         while b != 0 {
@@ -83,7 +86,8 @@ mod tests {
     }
 
     proptest! {
-        /// Two clients of one channel, and dates that are late by up to 0.4 of the board's period.
+        /// Two clients of one channel with different periods, and frames that are late by up to 0.4 of the board's
+        /// period.
         #[test]
         fn each_client_has_samples_of_its_own_period(
             periods in [1_u16..60, 1_u16..60],

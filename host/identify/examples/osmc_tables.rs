@@ -1,4 +1,4 @@
-//! The ladders of effects fitted to the printed tables of the OSMC evaluation (`host/identify/data/osmc_tables`).
+//! Ladders of effects fitted to the printed tables of the OSMC evaluation (`host/identify/data/osmc_tables`).
 //!
 //! `cargo run --release -p r4-identify --example osmc_tables`
 

@@ -1,4 +1,5 @@
-//! What bends the maps of two gear motors on an H-bridge (`data/micromouse_drv8833`), and what the battery does to them.
+//! Nonlinearities in the maps of two gear motors on an H-bridge (`data/micromouse_drv8833`), and the influence of the
+//! battery.
 //!
 //! `cargo run --release -p r4-identify --example static_map [data/micromouse_drv8833]`
 
@@ -12,7 +13,7 @@ use r4_identify::{
     statics::map::{MapRun, StaticMap, alternate_rows},
 };
 
-/// rad/s in an rpm.
+/// Angular speed of 1 rpm, rad/s.
 const RPM: f64 = std::f64::consts::TAU / 60.0;
 
 fn main() -> Result<(), Box<dyn Error>> {

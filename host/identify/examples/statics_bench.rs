@@ -1,4 +1,4 @@
-//! What static maps, tables and held shafts reach on `data/`.
+//! Benchmark of static maps, tables and held shafts on `data/`.
 //!
 //! `cargo run --release -p r4-identify --example statics_bench [data]`
 

@@ -1,112 +1,112 @@
-//! What can be wrong with a task.
+//! Errors that identification returns.
 
 use thiserror::Error;
 
-/// Why nothing can be identified.
+/// Reason why nothing could be identified.
 #[derive(Debug, Error)]
 pub enum IdentifyError {
-    /// No run to fit to.
+    /// There is no run to fit to.
     #[error("no run to fit to: give at least one file with recorded data")]
     NoRuns,
-    /// No run that is held out.
+    /// There is no held-out run.
     #[error("no run is held out: give other files with --holdout, or --holdout every:2 to keep every second run")]
     NoHoldout,
-    /// A role of the model has no column.
+    /// A role that the model requires has no column.
     #[error("the model {model} needs a column for `{role}`: name it with --map {role}=COLUMN")]
     MissingRole {
-        /// The model.
+        /// Name of the model.
         model: &'static str,
-        /// The role.
+        /// Role without a column.
         role: &'static str,
     },
-    /// Too few samples.
+    /// The recordings have too few samples.
     #[error("{samples} samples are too few to tell anything: record at least 50 samples over several steps")]
     TooShort {
-        /// There are.
+        /// Number of samples given.
         samples: usize,
     },
-    /// Command or output is constant.
+    /// Command or output is constant in all runs.
     #[error(
         "nothing moves: command or output is constant in all runs. Record steps both ways with rests between, \
          large enough to move the output"
     )]
     NothingMoves,
-    /// A parameter that a model needs.
+    /// A parameter that the model requires is missing.
     #[error("the model {model} needs --param {name}=…: {what}")]
     MissingParameter {
-        /// The model.
+        /// Name of the model.
         model: &'static str,
-        /// Of the parameter.
+        /// Name of the parameter.
         name: &'static str,
-        /// What it is.
+        /// Meaning of the parameter.
         what: &'static str,
     },
-    /// A parameter that no model knows.
+    /// A parameter is unknown to the model.
     #[error("the model {model} knows no parameter {name}; it knows {known}")]
     UnknownParameter {
-        /// The model.
+        /// Name of the model.
         model: &'static str,
-        /// As given.
+        /// Name of the parameter as given.
         name: String,
-        /// Those there are.
+        /// Parameters that the model has.
         known: String,
     },
-    /// A role that the model does not have.
+    /// A role is unknown to the model.
     #[error("{model} has no role `{role}`: it has {known}")]
     UnknownRole {
-        /// The model.
+        /// Name of the model.
         model: &'static str,
-        /// As given.
+        /// Role as it was given.
         role: String,
-        /// Those there are.
+        /// Roles that the model has.
         known: String,
     },
-    /// A recording is given twice.
+    /// A recording is both fitted to and held out.
     #[error(
         "{} is given both to fit to and to test on: give another recording to --holdout, or every:2",
         path.display()
     )]
     InBothParts {
-        /// Its file.
+        /// Path of the recording.
         path: std::path::PathBuf,
     },
-    /// A parameter out of its range.
+    /// A parameter is out of its range.
     #[error("{name}={value} is out of range: {allowed}")]
     OutOfRange {
-        /// Of the parameter.
+        /// Name of the parameter.
         name: String,
-        /// As given.
+        /// Value as it was given.
         value: f64,
-        /// What it may be.
+        /// Values that are allowed.
         allowed: &'static str,
     },
-    /// No model of this name.
+    /// There is no model with this name.
     #[error("no model is called {name}; there are {known}")]
     UnknownModel {
-        /// As given.
+        /// Name as it was given.
         name: String,
-        /// Those there are.
+        /// Names of all models.
         known: String,
     },
-    /// What is in the files will not do.
+    /// The files cannot be read as recordings.
     #[error(transparent)]
     Data(#[from] crate::data::DataError),
-    /// What is in the files will not do for a map.
+    /// The recordings do not suit a static map.
     #[error(transparent)]
     Map(#[from] crate::statics::map::MapError),
-    /// What is in the files shows no play.
+    /// The recordings do not suit the model of a held shaft.
     #[error(transparent)]
     Hysteresis(#[from] crate::statics::hysteresis::HysteresisError),
-    /// What is in the files is no table.
+    /// The recordings are no table of working points.
     #[error(transparent)]
     Table(#[from] crate::statics::table::TableError),
-    /// What is in the files will not do for a skid-steered robot.
+    /// The recordings do not suit a skid-steered robot.
     #[error(transparent)]
     Skid(#[from] crate::skid::SkidError),
-    /// The base model could not follow any run at all.
+    /// No values of the base model's parameters give a finite free-run simulation.
     #[error("the model cannot be fitted to these data: {why}")]
     NoFit {
-        /// What was seen.
+        /// Observation that led to this error.
         why: &'static str,
     },
 }

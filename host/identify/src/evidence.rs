@@ -30,10 +30,11 @@ fn correlated(residuals: &[Vec<f64>]) -> f64 {
     let mut lag = 1;
     while lag < longest {
         let correlation = product(residuals, lag) / variance;
+        // A correlation below 0.05 counts as the first zero.
         if correlation < 0.05 {
             break;
         }
-        // Far lags by strides: the sum stays right where the correlation is smooth.
+        // Long lags are summed in strides, which is accurate where the correlation is smooth.
         let stride = (lag / 10).max(1);
         sum += 2.0 * correlation * stride as f64;
         lag += stride;

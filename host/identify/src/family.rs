@@ -1,4 +1,4 @@
-//! What fitting and choosing need to know of a model: its parameters, its possible effects, its free run.
+//! Interfaces between a model and its identification: parameters, possible effects and free-run simulation.
 
 use std::collections::BTreeMap;
 
@@ -11,96 +11,98 @@ use crate::{
     report::Estimate,
 };
 
-/// What values a parameter may take. There is no way to leave its range.
+/// Range of a parameter. It is built into the optimiser's variables, so no fit can leave it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Range {
-    /// Above zero, over many decades.
+    /// Positive, over many decades; optimised as a logarithm.
     Positive,
-    /// Above zero, and what is predicted changes in steps only: a period of sampling. `step` is the share of it by which some
-    /// of these are seen.
+    /// Positive, but the prediction changes only in steps of a sampling period. `step` is the relative change that
+    /// passes some of these steps.
     Coarse {
-        /// A share.
+        /// Relative change of the value.
         step: f64,
     },
-    /// Zero and above; `scale` is a size that would be noticed.
+    /// Zero or positive; `scale` is a change that is noticeable.
     NotNegative {
-        /// In the parameter's unit.
+        /// Noticeable change, in the parameter's unit.
         scale: f64,
     },
-    /// Strictly between.
+    /// Strictly between two values.
     Between(f64, f64),
-    /// Between these, both included: a step that would leave the range comes back from its end as far.
+    /// Between two values, both included: a step beyond an end is reflected there.
     Reflected(f64, f64),
-    /// Any number; `scale` is a size that would be noticed.
+    /// Any number; `scale` is a change that is noticeable.
     Any {
-        /// In the parameter's unit.
+        /// Noticeable change, in the parameter's unit.
         scale: f64,
     },
 }
 
-/// A number that is fitted.
+/// Parameter that is fitted.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameter {
-    /// In reports, ending in its unit unless it is a plain number.
+    /// Name in reports; it ends in the unit unless the parameter is dimensionless.
     pub name: &'static str,
-    /// `N m`; `1` for a plain number.
+    /// Unit such as `N m`; `1` for a dimensionless number.
     pub unit: &'static str,
-    /// What it may be.
+    /// Range of the value.
     pub range: Range,
-    /// The value at which the effect is not there, which may be infinite; `None` where it only shapes the effect.
+    /// Value without the effect, which may be infinite; `None` for a parameter that only shapes the effect.
     pub absent: Option<f64>,
 }
 
 impl Parameter {
-    /// By how many standard deviations a value is off from the effect's absence; `None` where it only shapes the effect.
+    /// Returns the distance of a value from the effect's absence in standard errors; `None` for a parameter that only
+    /// shapes the effect, 0 if the standard error is unknown.
     #[must_use]
     pub fn deviations_off(&self, value: f64, deviation: Option<f64>) -> Option<f64> {
         let absent = self.absent?;
+        // A parameter that the data do not determine is no evidence for the effect.
         let Some(deviation) = deviation else { return Some(0.0) };
-        // To first order, the inverse of a value is as many of its own deviations from 0.
+        // To first order, the relative standard error of an inverse is that of the value itself.
         let off = if absent.is_infinite() { value } else { value - absent };
         Some(off.abs() / deviation.max(f64::MIN_POSITIVE))
     }
 }
 
-/// An effect the base model lacks and the data may show.
+/// Effect that the base model lacks and the data may show.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Candidate {
-    /// In reports and plant files.
+    /// Name in reports and plant files.
     pub name: &'static str,
-    /// What its contribution is a function of.
+    /// Quantities that the effect's contribution is a function of.
     pub depends_on: &'static [Dependence],
-    /// Empty for an effect that is there or not.
+    /// Parameters; empty for an effect that is either present or not.
     pub parameters: Vec<Parameter>,
-    /// Sets of values to begin a fit from, in units the family's own.
+    /// Initial guesses of the parameters, in the units of the family.
     pub starts: Vec<Vec<f64>>,
-    /// The recording that shows this effect apart from others.
+    /// Advice for a recording that separates this effect from others.
     pub experiment: &'static str,
-    /// Effects that would make this one superfluous or impossible when they are in already.
+    /// Effects whose presence makes this one superfluous or impossible.
     pub excludes: &'static [&'static str],
-    /// An effect that explains a part of what this one does, and is much easier to find: where it explains nothing, this one is not
-    /// looked for.
+    /// Effect that explains part of what this one does and is much easier to find. If it explains nothing, this one
+    /// is not tried.
     pub led_by: Option<&'static str>,
 }
 
-/// What the values of a [`Curve`] do.
+/// Way in which the values of a [`Curve`] act on the output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Acts {
-    /// They are added to what pushes the output.
+    /// Values are added to the push on the output.
     Push,
-    /// They are a friction, against motion whichever way it goes.
+    /// Values are a friction: they oppose motion in either direction.
     Friction,
-    /// What drives the output is multiplied by one more than they are.
+    /// The input is multiplied by one plus the value.
     Gain,
-    /// They are a friction, over the seconds since it last turned round.
+    /// Values are a friction as a function of the time since the last reversal, s.
     Settling,
-    /// They are a force against the way in which it moved last, also at rest: over the way since it turned, a spring that is
-    /// wound anew each time, from where it was.
+    /// Values oppose the last direction of motion, also at rest, as a function of the travel since the last reversal:
+    /// a spring that is wound anew after each reversal.
     Hysteresis,
 }
 
 impl Acts {
-    /// In messages.
+    /// Returns the name of the action in messages.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -113,33 +115,34 @@ impl Acts {
     }
 }
 
-/// A smooth curve over something the residual depends on; its values at the corners are the parameters.
+/// Smooth curve (spline) over something the residual depends on; its values at the knots are the parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
-    /// What is on its axis.
+    /// Quantity on its axis.
     pub over: Dependence,
     /// Unit of the axis.
     pub at_unit: &'static str,
     /// Unit of the values.
     pub unit: &'static str,
-    /// Corners, increasing.
+    /// Knots of the spline, increasing, in `at_unit`.
     pub at: Vec<f64>,
-    /// The axis is a circle of this length, the first corner follows the last.
+    /// Period of a circular axis, on which the first knot follows the last; `None` for a straight axis.
     pub period: Option<f64>,
-    /// What its values do.
+    /// Way in which the values act.
     pub acts: Acts,
-    /// A value that would be noticed.
+    /// Noticeable change of a value.
     pub scale: f64,
 }
 
 impl Curve {
-    /// With these values at its corners.
+    /// Returns the spline with these values at its knots.
     #[must_use]
     pub fn spline(&self, values: &[f64]) -> Spline {
         Spline::through(&self.at, values, self.period)
     }
 
-    /// The same curve with one more corner midway between neighbours; on a circle, between the last and the first too.
+    /// Returns the curve with an additional knot midway between neighbours; on a circle also between the last and the
+    /// first.
     #[must_use]
     pub fn with_midpoints(&self) -> Self {
         let around = self.period.and_then(|period| Some(self.at.first()? + period));
@@ -152,28 +155,28 @@ impl Curve {
     }
 }
 
-/// What is added to a base model.
+/// Addition to a base model.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Term {
-    /// An effect, by its index in the catalogue.
+    /// Effect with this index in the catalogue.
     Known(usize),
-    /// An effect without a name.
+    /// Effect without a name: a curve.
     Curve(Curve),
 }
 
-/// A base model and what was added to it, with values for all of it.
+/// Base model with the terms that were added to it, and values of all parameters.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Structure {
-    /// What was added, in the order of adding.
+    /// Terms in the order in which they were added.
     pub terms: Vec<Term>,
-    /// The base model's values.
+    /// Values of the base model's parameters.
     pub base: Vec<f64>,
-    /// The values of each term.
+    /// Values of each term's parameters.
     pub added: Vec<Vec<f64>>,
 }
 
 impl Structure {
-    /// The same structure without the term at a place, which must be one of [`Self::terms`].
+    /// Returns the structure without the term at index `place`. Panics if there is none.
     #[must_use]
     pub fn without(&self, place: usize) -> Self {
         let mut without = self.clone();
@@ -182,14 +185,14 @@ impl Structure {
         without
     }
 
-    /// The values of an effect of the catalogue; `None` if it was not added.
+    /// Returns the values of an effect of the catalogue; `None` if it was not added.
     #[must_use]
     pub fn of(&self, candidate: usize) -> Option<&[f64]> {
         let place = self.terms.iter().position(|term| *term == Term::Known(candidate))?;
         Some(&self.added[place])
     }
 
-    /// The curves that were added, with their values.
+    /// Returns the curves that were added, with their values at the knots.
     pub fn curves(&self) -> impl Iterator<Item = (&Curve, &[f64])> {
         self.terms.iter().zip(&self.added).filter_map(|(term, values)| match term {
             Term::Curve(curve) => Some((curve, &values[..])),
@@ -198,53 +201,53 @@ impl Structure {
     }
 }
 
-/// A free run that was simulated.
+/// Free-run simulation that was computed.
 #[derive(Clone, Copy, Debug)]
 pub struct Simulated<'s> {
-    /// Of what.
+    /// Structure that was simulated.
     pub structure: &'s Structure,
-    /// From where.
+    /// Initial state of the simulation.
     pub initial: &'s [f64],
-    /// What came of it.
+    /// Predicted output, one value per measured sample.
     pub predicted: &'s [f64],
 }
 
-/// A series beside the output that the residual may depend on, one value per sample.
+/// Series beside the output that the residual may depend on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Driver {
-    /// What it is.
+    /// Quantity of the series.
     pub over: Dependence,
-    /// Its unit.
+    /// Unit of the quantity.
     pub unit: &'static str,
-    /// The axis is a circle of this length, such as a turn.
+    /// Period of a circular axis, such as a turn; `None` for a straight one.
     pub period: Option<f64>,
-    /// One per measured sample.
+    /// Values of the series, one per measured sample.
     pub values: Vec<f64>,
 }
 
-/// Numbers and what follows from them: what a fit needs to know.
+/// Model as a fit sees it: parameters and the prediction that follows from them.
 ///
-/// `predict` is called many thousand times: it must not allocate more than it has to, and must return finite numbers for
-/// all values in range (a run that cannot be simulated is filled with NaN, which counts as infinitely bad).
+/// `predict` is called many thousand times: it must allocate as little as possible, and must return finite numbers
+/// for all values in range (a run that cannot be simulated is filled with NaN, which counts as infinitely bad).
 pub trait Model: Sync {
-    /// A run as the model wants it.
+    /// Run, prepared for the model.
     type Run: Clone + Sync;
 
-    /// The base model's parameters; none where all of it is declared.
+    /// Parameters of the base model; empty if all of it is declared.
     fn base(&self) -> &[Parameter];
 
-    /// Every effect these data could show.
+    /// Catalogue of the effects that these data could show.
     fn catalogue(&self) -> &[Candidate];
 
-    /// A guess of what of the initial state has to be fitted for each run, and how far off each may be; both of the same
-    /// length, empty where nothing has to.
+    /// Returns initial guesses of the initial state's variables that have to be fitted for a run, and the scale of
+    /// the error of each; both of the same length, empty if nothing has to be fitted.
     fn initial(&self, run: &Self::Run) -> (Vec<f64>, Vec<f64>);
 
-    /// Free run: what the output would have been, one value for each of [`Model::measured`], from the initial state.
+    /// Computes the free-run simulation from the initial state: the output at each sample of [`Model::measured`].
     fn predict(&self, structure: &Structure, initial: &[f64], run: &Self::Run, predicted: &mut [f64]);
 
-    /// Free runs that differ little from one that is known, given to `told` with their index: a family may do once what
-    /// they have in common.
+    /// Computes free-run simulations that differ little from a known one, and passes each to `told` with its index. A
+    /// family can override it to compute once what they have in common.
     fn predict_each(
         &self,
         known: &Simulated<'_>,
@@ -259,42 +262,42 @@ pub trait Model: Sync {
         }
     }
 
-    /// What was measured; NaN where nothing was.
+    /// Returns the measured output; NaN where there is no sample.
     fn measured<'r>(&self, run: &'r Self::Run) -> &'r [f64];
 
-    /// Deviation of the noise on it.
+    /// Returns the standard deviation of the measurement noise, in the output's unit.
     fn noise(&self, run: &Self::Run) -> f64 {
         white_noise(self.measured(run))
     }
 
-    /// Deviation of what the resolution of the sensor leaves of it; 0 where nothing tells.
+    /// Returns the standard deviation of the error that the sensor's resolution causes; 0 if it is unknown.
     fn rounding(&self, _run: &Self::Run) -> f64 {
         0.0
     }
 }
 
-/// A model as something that a simulated board loads.
+/// Fitted model in the form that a simulated board loads.
 #[derive(Clone, Debug)]
 pub enum Loadable {
-    /// The text of a plant file.
+    /// Text of a plant file.
     Plant(String),
-    /// A robot's body.
+    /// Body of a wheeled robot.
     Body(Box<FittedBody>),
 }
 
-/// A body with what was found of it.
+/// Body of a robot with the numbers that were identified.
 #[derive(Clone, Debug)]
 pub struct FittedBody {
-    /// The body, at rest.
+    /// The body, in its state at rest.
     pub wheeled: Wheeled,
-    /// Where its numbers are from, a line for each.
+    /// Origin of its numbers, one line each.
     pub provenance: Vec<String>,
-    /// What was found and no body has, by name, and where it belongs.
+    /// Identified values that a body has no place for, by name, with the place where they belong.
     pub left_out: Vec<(String, &'static str)>,
 }
 
 impl Loadable {
-    /// The text of the plant file; `None` for a body.
+    /// Returns the text of the plant file; `None` for a body.
     #[must_use]
     pub fn plant(&self) -> Option<&str> {
         match self {
@@ -303,7 +306,7 @@ impl Loadable {
         }
     }
 
-    /// The body; `None` for a plant.
+    /// Returns the body; `None` for a plant.
     #[must_use]
     pub fn body(&self) -> Option<&FittedBody> {
         match self {
@@ -313,83 +316,87 @@ impl Loadable {
     }
 }
 
-/// A kind of model: what is looked for beside what is fitted, and how it is told.
+/// Kind of model: the effects to search for, and their presentation in reports.
 pub trait Family: Model {
-    /// Unit of the output.
+    /// Returns the unit of the output.
     fn unit(&self) -> &'static str;
 
-    /// Sets of base values to begin a fit from, found from the data.
+    /// Returns initial guesses of the base parameters, found from the data.
     fn starts(&self, runs: &[&Self::Run]) -> Vec<Vec<f64>>;
 
-    /// Base values by what was declared of the plant beforehand, if anything was. What is missing may have bent a fit of the base
-    /// model so far that no slope leads from there to the truth; what was believed before is another place to begin.
+    /// Returns base parameters as declared beforehand, if they were. A missing effect may have biased the fit of the
+    /// base model so far that no descent leads back to the truth; the declared values are another initial guess.
     fn declared(&self) -> Option<Vec<f64>> {
         None
     }
 
-    /// The moments of [`Model::measured`], s.
+    /// Returns the times of [`Model::measured`], s.
     fn time_s<'r>(&self, run: &'r Self::Run) -> &'r [f64];
 
-    /// Name of the run.
+    /// Returns the name of the run.
     fn name<'r>(&self, run: &'r Self::Run) -> &'r str;
 
-    /// Name and values of what drives a run, for plots.
+    /// Returns name and values of the input of a run, for plots.
     fn input(&self, _run: &Self::Run) -> (String, Vec<f64>) {
         (String::new(), Vec::new())
     }
 
-    /// Samples `from..to` as a run of its own; the input before `from` stays known to models with memory.
+    /// Returns samples `from..to` as a run of its own; models with memory still know the input before `from`.
     fn part(&self, run: &Self::Run, from: usize, to: usize) -> Self::Run;
 
-    /// Into how many blocks a run is cut to leave some out; `None` for blocks as long as the run's memory asks for.
+    /// Returns the number of blocks into which a run is cut for block cross-validation; `None` for blocks as long as
+    /// the run's memory requires.
     fn blocks(&self, _: &Self::Run) -> Option<usize> {
         None
     }
 
-    /// The same model where a fit can begin: no value at an end of its range from which no slope leads back.
+    /// Returns the model with values from which a fit can move: none at an end of its range where the gradient
+    /// vanishes.
     fn movable(&self, structure: Structure) -> Structure {
         structure
     }
 
-    /// Whether a model needs the output earlier than any stamps explain: an output that moves before its input is not driven by it.
+    /// Returns whether the fitted model needs the output earlier than wrong stamps can explain: then the input does
+    /// not drive it.
     fn is_early(&self, _structure: &Structure) -> bool {
         false
     }
 
-    /// Structures that may predict the same with other numbers, each with what that is, in words.
+    /// Returns structures with other numbers that may predict the same, each with a description of the exchange.
     fn exchanged(&self, _structure: &Structure) -> Vec<(String, Structure)> {
         vec![]
     }
 
-    /// What is taken as known beside the base model's declared numbers, in words; `None` if nothing is.
+    /// Returns a description of what is taken as known beside the base model's declared numbers; `None` if nothing
+    /// is.
     fn known(&self) -> Option<String> {
         None
     }
 
-    /// Whether a model is as late as its base may be: an effect that delays is likely missing.
+    /// Returns whether the model's delay is at the end of its range, so that an effect that delays is likely missing.
     fn is_late(&self, _structure: &Structure) -> bool {
         false
     }
 
-    /// Simpler terms that may stand for one of a model's, with values that come near it.
+    /// Returns simpler terms that may replace one of a model's, with initial guesses of their values.
     fn simpler(&self, _structure: &Structure, _place: usize) -> Vec<(Term, Vec<f64>)> {
         vec![]
     }
 
-    /// One term that may replace two of a structure: the places of the two, of which the first is kept for it, the term, and initial
-    /// guesses of its values. `None` where there are no two such terms.
+    /// Returns one term that may replace two of a structure: the indexes of the two, of which the first is kept for
+    /// it, the term, and initial guesses of its values. `None` without such a pair.
     fn merged(&self, _structure: &Structure) -> Option<([usize; 2], Term, Vec<f64>)> {
         None
     }
 
-    /// Initial states from which that of a run is to be sought under a model, if one is not enough.
+    /// Returns the initial guesses of a run's initial state under a model; more than one where a single one may fail.
     fn beginnings(&self, _structure: &Structure, run: &Self::Run) -> Vec<Vec<f64>> {
         vec![self.initial(run).0]
     }
 
-    /// The most promising of some structures that add to a model as it is, with values from which a fit has less far to go,
-    /// and what they leave (a sum of squares, to be compared with other guesses for the same runs): found without free runs.
-    /// `None` where there is no such way.
+    /// Returns the most promising of some structures that extend a model, with values closer to the optimum, and the
+    /// sum of squared residuals (comparable only with other guesses for the same runs). It is found without free-run
+    /// simulations; `None` if the family has no such method.
     fn guess(
         &self,
         _starts: Vec<Structure>,
@@ -400,17 +407,17 @@ pub trait Family: Model {
         None
     }
 
-    /// The series that the residual is compared with.
+    /// Returns the series that the residual is compared with.
     fn drivers(&self, structure: &Structure, initial: &[f64], run: &Self::Run) -> Vec<Driver>;
 
-    /// The residual of the output as the push that is missing, and its unit: what causes show in. `None` where the
-    /// residual of the output itself is best looked at.
+    /// Returns the residual of the output as the missing push, with its unit: causes are clearer there. `None` if the
+    /// residual of the output itself is best.
     fn push(&self, _structure: &Structure, _run: &Self::Run, _residual: &[f64]) -> Option<(Vec<f64>, &'static str)> {
         None
     }
 
-    /// Values, deviations and intervals in the units of reports: of the base model, and of each term. By default as they
-    /// are fitted.
+    /// Returns values, standard errors and confidence intervals in the units of reports: of the base model, and of
+    /// each term. By default they are as fitted.
     fn estimates(
         &self,
         structure: &Structure,
@@ -436,7 +443,8 @@ pub trait Family: Model {
                     self.catalogue()[*index].parameters.iter().zip(values).map(&mut estimate).collect()
                 }
                 Term::Curve(_) => {
-                    // They are told as a table.
+                    // A curve's values are reported as a table, but their errors must be consumed here to stay in
+                    // step.
                     let corner = Parameter { name: "", unit: "", range: Range::Any { scale: 1.0 }, absent: None };
                     values.iter().for_each(|value| drop(estimate((&corner, value))));
                     BTreeMap::new()
@@ -446,21 +454,21 @@ pub trait Family: Model {
         (base, terms)
     }
 
-    /// Whether a parameter of the base model, or an effect, is of the recording's stamps and not of the machine; its name in
-    /// [`Report::timing`](crate::report::Report::timing).
+    /// Returns the name in [`Report::timing`](crate::report::Report::timing) of a base parameter or effect that
+    /// describes the recording's stamps; `None` for one of the machine.
     fn timing(&self, _name: &str) -> Option<&'static str> {
         None
     }
 
-    /// By how much a curve's values are multiplied to be in its unit.
+    /// Returns the factor that converts a curve's values to its unit.
     fn force_per_push(&self, _structure: &Structure) -> f64 {
         1.0
     }
 
-    /// The model as something that a simulated board loads.
+    /// Returns the model in the form that a simulated board loads. `source` names its origin.
     fn loadable(&self, structure: &Structure, source: &str) -> Loadable;
 
-    /// Empty curves over a driver, one for each way in which a model as it is can take one up.
+    /// Returns empty curves over a driver, one for each way in which the model can include it.
     fn curves(&self, current: &Fit, driver: (Dependence, Option<f64>), runs: &[&Self::Run]) -> Vec<Curve>;
 }
 

@@ -1,7 +1,7 @@
-//! Least squares between a free run and what was measured, by Levenberg-Marquardt.
+//! Nonlinear least squares between free-run simulations and measurements, by the method of Levenberg and Marquardt.
 //!
-//! What is fitted together: the base model's parameters, those of every term, and what of each run's initial state is
-//! unknown. Parameters go through a change of variable, so that no step can leave their [`Range`].
+//! The base model's parameters, those of every term, and the unknown initial state of each run are fitted together. A
+//! change of variable keeps every parameter in its [`Range`].
 
 mod profile;
 #[cfg(test)]
@@ -17,31 +17,31 @@ pub(crate) use profile::RISE;
 
 use crate::family::{Family, Model, Parameter, Range, Simulated, Structure, Term};
 
-/// Step of the change of variable for differences: well above what a stick or a stop moves a free run by chance, and far
-/// below the curvature (the variables are of order one).
+/// Step of the changed variable for numerical differences: well above the effect of a stick or a stop that occurs in
+/// another step, and far below the curvature (the variables are of order one).
 const DIFFERENCE: f64 = 3e-5;
-/// Beside what a parameter came to with which the free run changes in steps only, both sides are looked at so often: first so
-/// many steps off, then half as far from the better place.
+/// Number of distances that are tried on both sides of a parameter in which the prediction is a staircase, and the
+/// first distance in steps; each further one is half as far.
 const BESIDE: i32 = 8;
 const FARTHEST: f64 = 5.0;
-/// The same for an initial state alone, in deviations of its guess.
+/// Step for differences of an initial state alone, in standard deviations of its guess.
 const SETTLING: f64 = 1e-3;
-/// Steps by which an initial state is found, at most, and the relative gain of one that is the last.
+/// Largest number of steps for an initial state, and the relative gain of the last one.
 const SETTLING_STEPS: usize = 6;
 const SETTLED: f64 = 1e-3;
-/// Deviation of the difference between neighbouring corners of a curve, in sizes that would be noticed.
+/// Prior standard deviation of the difference between neighbouring knots of a curve, in noticeable changes.
 const JUMP: f64 = 3.0;
-/// Residuals beyond so many deviations (by the median) count linearly (Huber).
+/// Residual, in robust standard deviations, beyond which it counts linearly (Huber).
 const HUBER: f64 = 4.0;
-/// Stretches of the recordings that count as independent of each other.
+/// Number of stretches of the recordings that count as independent of each other.
 const CLUSTERS: usize = 40;
 
 impl Range {
-    /// The unbounded variable that stands for `value`.
+    /// Returns the unbounded variable for a value.
     fn variable(self, value: f64) -> f64 {
         match self {
             Self::Positive | Self::Coarse { .. } => value.max(f64::MIN_POSITIVE).ln(),
-            // The inverse of ln(1 + e^z).
+            // Inverse of ln(1 + e^z).
             Self::NotNegative { scale } => {
                 let share = (value / scale).max(1e-9);
                 if share > 30.0 { share } else { share.exp_m1().ln() }
@@ -55,7 +55,7 @@ impl Range {
         }
     }
 
-    /// The value that a variable stands for; in range for every finite one.
+    /// Returns the value for a variable; it is in range for every finite one.
     fn value(self, variable: f64) -> f64 {
         match self {
             Self::Positive | Self::Coarse { .. } => variable.clamp(-80.0, 80.0).exp(),
@@ -64,7 +64,7 @@ impl Range {
             }
             Self::Between(lower, upper) => lower + (upper - lower) / (1.0 + (-variable.clamp(-40.0, 40.0)).exp()),
             Self::Reflected(lower, upper) => {
-                // Once there and back is 2.
+                // A way to the other end and back is 2.
                 let way = variable.rem_euclid(2.0);
                 lower + (upper - lower) * way.min(2.0 - way)
             }
@@ -72,12 +72,12 @@ impl Range {
         }
     }
 
-    /// Step of the variable for differences.
+    /// Returns the step of the variable for numerical differences.
     fn difference(self) -> f64 {
         if let Self::Coarse { step } = self { step } else { DIFFERENCE }
     }
 
-    /// A small step of the value that stays in range.
+    /// Returns a small step of the value that stays in range.
     fn small(self, value: f64) -> f64 {
         match self {
             Self::Positive => value * 1e-4,
@@ -92,7 +92,8 @@ impl Range {
     }
 }
 
-/// The parameters of a structure in order: the base model's, then each term's. A curve's are its corners.
+/// Returns the parameters of a structure in order: the base model's, then those of each term. A curve has one per
+/// knot.
 #[must_use]
 pub fn parameters<F: Model>(family: &F, terms: &[Term]) -> Vec<Parameter> {
     let mut all = family.base().to_vec();
@@ -124,39 +125,39 @@ fn set_flat(structure: &mut Structure, values: &[f64]) {
 /// A model fitted to runs.
 #[derive(Clone, Debug)]
 pub struct Fit {
-    /// The model.
+    /// Structure with the fitted values.
     pub structure: Structure,
-    /// The initial state of each run.
+    /// Initial state of each run.
     pub initial: Vec<Vec<f64>>,
-    /// Sum of the squares of the residuals, each weighted.
+    /// Sum of the squared, weighted residuals.
     pub cost: f64,
-    /// Weights by which outlying samples were held down, run by run.
+    /// Weights of the samples, run by run; below 1 for outliers.
     weights: Vec<Vec<f64>>,
 }
 
-/// What a fit may do.
+/// Effort of a fit.
 #[derive(Clone, Copy, Debug)]
 pub struct Effort {
-    /// Free runs of all data, without those for differences.
+    /// Largest number of simulations of all data, not counting those for differences.
     pub evaluations: usize,
-    /// Relative gain at which it ends.
+    /// Relative gain of the cost at which the fit ends.
     pub tolerance: f64,
-    /// Once more with samples beyond all others held down.
+    /// True to repeat the fit with outliers weighted down.
     pub robust: bool,
 }
 
 impl Effort {
-    /// For numbers that are reported.
+    /// Effort for parameters that are reported.
     pub const FULL: Self = Self { evaluations: 40, tolerance: 1e-7, robust: true };
-    /// For comparing the most promising effects.
+    /// Effort for a comparison of the most promising effects.
     pub const COMPARE: Self = Self { evaluations: 24, tolerance: 1e-6, robust: false };
-    /// For telling these from others.
+    /// Effort for a selection of these among all.
     pub const SCREEN: Self = Self { evaluations: 10, tolerance: 1e-4, robust: false };
-    /// For telling a promising place to begin from others.
+    /// Effort for a selection among initial guesses.
     pub const GLANCE: Self = Self { evaluations: 4, tolerance: 1e-3, robust: false };
 }
 
-/// Fits a structure, from the values it has.
+/// Fits a structure, starting from its values.
 #[must_use]
 pub fn fit<F: Model>(
     family: &F,
@@ -166,6 +167,7 @@ pub fn fit<F: Model>(
     effort: Effort,
 ) -> Fit {
     let mut first = Problem::new(family, runs, structure, initial, even(family, runs)).solved(effort);
+    // Costly, so only in thorough fits.
     if effort.evaluations > Effort::SCREEN.evaluations {
         first = first.beside(effort);
     }
@@ -173,6 +175,7 @@ pub fn fit<F: Model>(
         return first.into_fit();
     }
     let weights = first.huber();
+    // Without outliers a second fit would repeat the first.
     if weights.iter().flatten().all(|&weight| weight == 1.0) {
         return first.into_fit();
     }
@@ -180,7 +183,7 @@ pub fn fit<F: Model>(
     Problem::new(family, runs, structure, initial, weights).solved(effort).into_fit()
 }
 
-/// Fits all of a structure but its last number, which stays as it is.
+/// Fits all parameters of a structure but the last, which keeps its value.
 pub(crate) fn fit_but_last<F: Model>(
     family: &F,
     runs: &[&F::Run],
@@ -193,12 +196,12 @@ pub(crate) fn fit_but_last<F: Model>(
     problem.solved(effort).into_fit()
 }
 
-/// Weights by which no sample is held down.
+/// Returns weights of 1 for all samples.
 fn even<F: Model>(family: &F, runs: &[&F::Run]) -> Vec<Vec<f64>> {
     runs.iter().map(|run| vec![1.0; family.measured(run).len()]).collect()
 }
 
-/// Sum of squares of a structure as it is.
+/// Returns the sum of squared residuals of a structure with its values.
 #[must_use]
 pub fn cost<F: Model>(family: &F, runs: &[&F::Run], structure: &Structure, initial: &[Vec<f64>]) -> f64 {
     let squares = runs.iter().zip(initial).map(|(run, initial)| {
@@ -207,14 +210,14 @@ pub fn cost<F: Model>(family: &F, runs: &[&F::Run], structure: &Structure, initi
     squares.sum()
 }
 
-/// The initial states that the family guesses.
+/// Returns the initial states that the family guesses.
 #[must_use]
 pub fn guessed<F: Model>(family: &F, runs: &[&F::Run]) -> Vec<Vec<f64>> {
     runs.iter().map(|run| family.initial(run).0).collect()
 }
 
-/// The initial state of a run under a given model, fitted to its first `samples` alone; a guess counts as a measurement
-/// with the deviation that the family gives it.
+/// Fits the initial state of a run under a given model to its first `samples`; the family's guess counts as a
+/// measurement with its standard deviation.
 #[must_use]
 pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, samples: usize) -> Vec<f64> {
     let (guess, deviations) = family.initial(run);
@@ -227,6 +230,7 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
     let mut predicted = vec![0.0; samples];
     let mut tried = predicted.clone();
     let mut beginnings = family.beginnings(structure, run);
+    // The best of several guesses by its cost alone: a fit of each would take as many times as long.
     if beginnings.len() > 1 {
         let left = |state: &Vec<f64>| cost(family, &[&part], structure, std::slice::from_ref(state));
         let costs: Vec<f64> = beginnings.iter().map(left).collect();
@@ -236,6 +240,7 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
     let mut state = beginnings.into_iter().next().unwrap_or_else(|| guess.clone());
     family.predict(structure, &state, &part, &mut predicted);
     for _ in 0..SETTLING_STEPS {
+        // The residual itself scales the cost, so that the guess weighs little against good data.
         let noise = deviation(measured, &predicted).max(f64::MIN_POSITIVE);
         let cost = |state: &[f64], predicted: &[f64]| {
             let errors = measured.iter().zip(predicted).map(|(measured, predicted)| (measured - predicted) / noise);
@@ -273,7 +278,7 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
         }
         let Ok(step) = jacobian.svd(true, true).solve(&residual, 1e-12) else { break };
         let before = cost(&state, &predicted);
-        // What sticks or turns elsewhere may make a whole step worse.
+        // Static friction, stops or reversals may make a whole step worse.
         let better = [1.0, 0.3, 0.1].into_iter().find_map(|share| {
             let other: Vec<f64> = state.iter().zip(step.iter()).map(|(state, step)| state + share * step).collect();
             family.predict(structure, &other, &part, &mut tried);
@@ -290,44 +295,45 @@ pub fn settle<F: Family>(family: &F, structure: &Structure, run: &F::Run, sample
     if state.iter().all(|value| value.is_finite()) { state } else { guess }
 }
 
-/// Deviation of the residuals by their median, which outliers do not move.
+/// Returns the standard deviation of the residuals from their median magnitude, which outliers hardly affect.
 fn deviation(measured: &[f64], predicted: &[f64]) -> f64 {
     let residuals = measured.iter().zip(predicted).map(|(measured, predicted)| (measured - predicted).abs());
     robust_deviation(residuals.collect())
 }
 
-/// 1.4826 times the median of the magnitudes: the standard deviation if they are normal.
+/// Returns 1.4826 times the median of the magnitudes: the standard deviation of a normal distribution.
 pub(crate) fn robust_deviation(mut magnitudes: Vec<f64>) -> f64 {
     magnitudes.retain(|magnitude| magnitude.is_finite());
     // Around zero, not around the median: a bias of the residuals counts.
     1.4826 * quantile(&magnitudes, 0.5, QuantileRule::NearestPosition).unwrap_or(0.0)
 }
 
-/// Deviation of white noise on a smooth series, by its second differences; of one that stands still for most of the time, what rounding to
-/// its smallest change makes.
+/// Returns the standard deviation of white noise on a smooth series, from its second differences. For a series that
+/// is constant most of the time, it is that of rounding to its smallest change.
 pub(crate) fn white_noise(values: &[f64]) -> f64 {
     let differences = values.windows(3).map(|three| (three[0] - 2.0 * three[1] + three[2]).abs());
     let noise = robust_deviation(differences.collect()) / 6.0_f64.sqrt();
     if noise > 0.0 { noise } else { rounding(values) }
 }
 
-/// Deviation of what a sensor's resolution leaves of a series, taken as its smallest change; 0 of one that never changes.
+/// Returns the standard deviation of rounding to a sensor's resolution, taken as the smallest change; 0 without
+/// changes.
 pub(crate) fn rounding(values: &[f64]) -> f64 {
     let changes = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).filter(|change| *change > 0.0);
     let smallest = changes.fold(f64::INFINITY, f64::min);
-    // Of a uniform distribution.
+    // Standard deviation of a uniform distribution of this width.
     if smallest.is_finite() { smallest / 12.0_f64.sqrt() } else { 0.0 }
 }
 
-/// Two neighbouring corners of a curve, and what their difference is multiplied by to count like a residual. Where data say
-/// anything, this says next to nothing; where they do not, a corner is as its neighbours are.
+/// Prior that ties two neighbouring knots of a curve: the factor that makes their difference a residual. It is
+/// negligible where data determine a knot; elsewhere the knot follows its neighbours.
 struct Neighbours {
-    /// Places among the parameters.
+    /// Indexes of the knots among the parameters.
     corners: [usize; 2],
     factor: f64,
 }
 
-/// Of the corners of all curves, by the noise of the data.
+/// Returns the ties between the knots of all curves, scaled by the noise of the data.
 fn neighbours(structure: &Structure, noise: f64) -> Vec<Neighbours> {
     let mut from = structure.base.len();
     let mut all = Vec::new();
@@ -349,23 +355,23 @@ struct Problem<'p, F: Model> {
     parameters: Vec<Parameter>,
     structure: Structure,
     initial: Vec<Vec<f64>>,
-    /// By which an initial state's variable is multiplied.
+    /// Factor from the variable of an initial state to its value.
     scales: Vec<Vec<f64>>,
     weights: Vec<Vec<f64>>,
-    /// Rows of each run.
+    /// Rows of each run in the residuals.
     rows: Vec<std::ops::Range<usize>>,
     neighbours: Vec<Neighbours>,
-    /// A parameter that stays as it is.
+    /// Index of a parameter that is held at its value.
     held: Option<usize>,
     variables: DVector<f64>,
     predicted: Vec<f64>,
-    /// Sum of the squares of the weighted residuals.
+    /// Sum of the squared, weighted residuals.
     cost: f64,
-    /// A prediction that is not finite counts as so far off.
+    /// Residual of a prediction that is not finite.
     absurd: f64,
-    /// Evaluations that are left.
+    /// Number of evaluations that remain.
     left: usize,
-    /// The least cost so far, and the variables that gave it.
+    /// Lowest cost so far, with its variables.
     best: (f64, DVector<f64>),
 }
 
@@ -386,10 +392,12 @@ impl<'p, F: Model> Problem<'p, F> {
             count += len;
         }
         let scales: Vec<Vec<f64>> = runs.iter().map(|run| family.initial(run).1).collect();
+        // Variables: the parameters of the structure, then the initial states of all runs.
         let globals = parameters.iter().zip(flat(&structure)).map(|(parameter, value)| parameter.range.variable(value));
         let locals = initial.iter().flatten().zip(scales.iter().flatten()).map(|(value, scale)| value / scale);
         let variables = DVector::from_vec(globals.chain(locals).collect());
         let largest = runs.iter().flat_map(|run| family.measured(run)).filter(|value| value.is_finite());
+        // A finite residual lets the solver step back from a simulation that failed.
         let absurd = 1e3 * largest.fold(1.0, |largest: f64, value| largest.max(value.abs()));
         let noise = runs.iter().map(|run| family.noise(run)).sum::<f64>() / runs.len().max(1) as f64;
         let mut problem = Self {
@@ -421,14 +429,14 @@ impl<'p, F: Model> Problem<'p, F> {
         let cost = self.cost;
         minimise(&mut self, cost, effort.tolerance);
         self.left = usize::MAX;
-        // The solver ends where it looked last.
+        // The solver ends at its last trial, which may not be the best.
         let best = self.best.1.clone();
         self.set_variables(&best);
         self
     }
 
-    /// What is predicted changes in steps with some parameters, and the solver stays at the next best place: it goes on from
-    /// where the cost is least around.
+    /// Continues from the best of several values beside each parameter in which the prediction is a staircase: the
+    /// gradient does not lead over its steps.
     fn beside(mut self, effort: Effort) -> Self {
         for column in 0..self.parameters.len() {
             let Range::Coarse { step } = self.parameters[column].range else { continue };
@@ -516,7 +524,7 @@ impl<'p, F: Model> Problem<'p, F> {
         residuals
     }
 
-    /// Square roots of Huber's weights.
+    /// Returns the square roots of Huber's weights.
     fn huber(&self) -> Vec<Vec<f64>> {
         let residuals = self.weighted();
         let scale = robust_deviation(residuals.iter().map(|residual| residual.abs()).collect());
@@ -544,8 +552,8 @@ impl<F: Model> SumOfSquares for Problem<'_, F> {
 }
 
 impl<F: Model> Problem<'_, F> {
-    /// The Jacobian's rows of each run, one at a time: columns of the parameters, then of the run's own initial state, which
-    /// concerns no other run.
+    /// Iterates over the rows of the Jacobian of each run: columns of the parameters, then of the run's own initial
+    /// state, which affects no other run.
     fn slopes(&self) -> impl Iterator<Item = DMatrix<f64>> + '_ {
         let globals = self.parameters.len();
         let steps: Vec<f64> = self.parameters.iter().map(|parameter| parameter.range.difference()).collect();
@@ -556,7 +564,7 @@ impl<F: Model> Problem<'_, F> {
             set_flat(&mut structure, &self.values_of(&variables));
             structure
         };
-        // The column of what is held stays nothing: the solver takes no step along it.
+        // The column of a held parameter stays zero, so that the solver takes no step along it.
         let free: Vec<usize> = (0..globals).filter(|&column| self.held != Some(column)).collect();
         let structures: Vec<Structure> = free.iter().map(|&column| moved(column)).collect();
         self.scales.iter().enumerate().map(move |(index, scales)| {
@@ -584,7 +592,7 @@ impl<F: Model> Problem<'_, F> {
         })
     }
 
-    /// The slope of each row that ties two corners of a curve to each other.
+    /// Iterates over the rows of the Jacobian that tie two knots of a curve.
     fn ties(&self) -> impl Iterator<Item = [(usize, f64); 2]> + '_ {
         self.neighbours.iter().map(|Neighbours { corners: [one, other], factor }| {
             [(*one, -1.0), (*other, 1.0)].map(|(column, sign)| match self.parameters[column].range {
@@ -594,7 +602,7 @@ impl<F: Model> Problem<'_, F> {
         })
     }
 
-    /// `JᵀJ` and `Jᵀr` of the Jacobian and the residuals.
+    /// Returns `JᵀJ` and `Jᵀr` of Jacobian and residuals.
     fn summed(&self) -> (DMatrix<f64>, DVector<f64>) {
         let (globals, all) = (self.parameters.len(), self.variables.len());
         let residuals = self.weighted();
@@ -603,7 +611,7 @@ impl<F: Model> Problem<'_, F> {
         for (rows, slopes) in self.rows.iter().zip(self.slopes()) {
             let own = slopes.ncols() - globals;
             let (of_run, down) = (slopes.tr_mul(&slopes), slopes.tr_mul(&residuals.rows(rows.start, rows.len())));
-            // Places of the parameters, and of the run's own initial state.
+            // Columns of the parameters, and of the run's own initial state.
             for (from, to, len) in [(0, 0, globals), (globals, local, own)] {
                 let mut sum = gradient.rows_mut(to, len);
                 sum += down.rows(from, len);
@@ -625,7 +633,7 @@ impl<F: Model> Problem<'_, F> {
         (gram, gradient)
     }
 
-    /// The whole Jacobian.
+    /// Returns the whole Jacobian, with the rows of all runs and ties.
     fn assembled(&self) -> DMatrix<f64> {
         let globals = self.parameters.len();
         let mut jacobian = DMatrix::zeros(self.predicted.len() + self.neighbours.len(), self.variables.len());
@@ -644,8 +652,8 @@ impl<F: Model> Problem<'_, F> {
         jacobian
     }
 
-    /// By how much other free runs of a run differ from this one: their index, the run's row, the difference. Rows that
-    /// were not measured are left out.
+    /// Passes to `differs` how other simulations of a run deviate from the current one: their index, the run's row,
+    /// and the difference. Rows without a measurement are skipped.
     fn predict_each(&self, run: usize, others: &[(&Structure, &[f64])], mut differs: impl FnMut(usize, usize, f64)) {
         let rows = &self.rows[run];
         let predicted = &self.predicted[rows.clone()];
@@ -661,19 +669,19 @@ impl<F: Model> Problem<'_, F> {
     }
 }
 
-/// How well a parameter is known by the curvature at the best fit.
+/// Uncertainty of a parameter from the curvature at the best fit.
 struct Spread {
-    /// In the parameter's unit.
+    /// Standard error, in the parameter's unit.
     deviation: f64,
-    /// Of a residual, as if all were independent of each other and as telling as these.
+    /// Variance of a residual that gives this standard error if all residuals are independent.
     variance: f64,
-    /// By how much the values of all parameters, then the variables of the initial states, change with this one where the
-    /// cost stays least.
+    /// Change of all parameters, then of the variables of the initial states, per change of this parameter, with the
+    /// others at their optimum.
     along: Vec<f64>,
 }
 
 impl Fit {
-    /// The same numbers over other runs, with the initial states that suit them.
+    /// Returns the same parameters for other runs, with initial states fitted to these.
     #[must_use]
     pub fn over<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Self {
         let structure = self.structure.clone();
@@ -682,31 +690,32 @@ impl Fit {
         Self::at(family, runs, structure, initial)
     }
 
-    /// A model with the values that it has.
+    /// Returns a model with its values, without a fit.
     pub(crate) fn at<F: Model>(family: &F, runs: &[&F::Run], structure: Structure, initial: Vec<Vec<f64>>) -> Self {
         let cost = cost(family, runs, &structure, &initial);
         Self { structure, initial, cost, weights: even(family, runs) }
     }
 
-    /// Measured minus predicted, run by run; NaN where nothing was measured.
+    /// Returns measured minus predicted output, run by run; NaN without a measurement.
     #[must_use]
     pub fn residuals<F: Model>(&self, family: &F, runs: &[&F::Run]) -> Vec<Vec<f64>> {
         runs.iter().zip(&self.initial).map(|(run, initial)| residuals(family, &self.structure, initial, run)).collect()
     }
 
-    /// By how much what is predicted of each run changes with the variables that stand for the structure's parameters, then
-    /// with the run's initial state: a row for each sample.
+    /// Returns the sensitivities of each run's prediction to the variables of the structure's parameters, then to
+    /// those of its initial state: a row per sample.
     pub(crate) fn slopes<F: Model>(&self, family: &F, runs: &[&F::Run]) -> Vec<DMatrix<f64>> {
         Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone())
             .slopes()
             .collect()
     }
 
-    /// Standard deviations of the structure's parameters, in the order of [`parameters()`]; `None` where the data do not
-    /// fix one.
+    /// Returns the standard errors of the structure's parameters, in the order of [`parameters()`]; `None` for a
+    /// parameter that the data do not determine.
     ///
-    /// What is left of real data is correlated over time: the spread of the score between stretches of the recording
-    /// tells how much (White's sandwich, clustered); the usual deviation for independent noise is its lower bound.
+    /// Residuals of real data are correlated over time: the spread of the score between stretches of the recording
+    /// gives the standard error (White's sandwich estimator, clustered). The usual one for independent noise is its
+    /// lower bound.
     #[must_use]
     pub fn deviations<F: Model>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<f64>> {
         self.spreads(family, runs).into_iter().map(|spread| spread.map(|spread| spread.deviation)).collect()
@@ -720,7 +729,7 @@ impl Fit {
         let mut jacobian = problem.assembled();
         let globals = problem.parameters.len();
         let values: Vec<f64> = flat(&self.structure).collect();
-        // By the values themselves: at the edge of a range the change of variable is flat.
+        // Derivatives with respect to the values: at the end of a range the change of variable is flat.
         let steps: Vec<f64> =
             problem.parameters.iter().zip(&values).map(|(parameter, &value)| parameter.range.small(value)).collect();
         let moved = |column: usize| {
@@ -744,7 +753,7 @@ impl Fit {
             let at = problem.predicted.len() + place;
             (jacobian[(at, *one)], jacobian[(at, *other)]) = (-factor, *factor);
         }
-        // Columns of length one, so that what is small is small for the data.
+        // Columns are scaled to length one, so that small eigenvalues mean collinear parameters.
         let lengths: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();
         for (mut column, &length) in jacobian.column_iter_mut().zip(&lengths) {
             if length > 0.0 {
@@ -756,6 +765,7 @@ impl Fit {
         let columns = jacobian.ncols();
         let variance = self.cost / samples.saturating_sub(columns).max(1) as f64;
         let eigen = (jacobian.transpose() * &jacobian).symmetric_eigen();
+        // Columns have length one, so smaller eigenvalues are rounding errors.
         let known = |value: f64| value > 1e-10;
         let inverse_values = eigen.eigenvalues.map(|value| if known(value) { 1.0 / value } else { 0.0 });
         let inverse = &eigen.eigenvectors * DMatrix::from_diagonal(&inverse_values) * eigen.eigenvectors.transpose();
@@ -771,6 +781,7 @@ impl Fit {
                 count += 1.0;
             }
         }
+        // The last factor corrects for the finite number of clusters.
         let sandwich = &inverse * spread * &inverse * (count / (count - 1.0_f64).max(1.0));
         (0..globals)
             .map(|row| {
@@ -778,11 +789,12 @@ impl Fit {
                     .filter(|&column| !known(eigen.eigenvalues[column]))
                     .map(|column| eigen.eigenvectors[(row, column)].powi(2))
                     .sum();
+                // The parameter lies partly in directions that the data do not determine.
                 if lengths[row] == 0.0 || lost > 1e-3 {
                     return None;
                 }
                 let square = (variance * inverse[(row, row)]).max(sandwich[(row, row)]);
-                // How the others go when this one does and is not fitted.
+                // Change of the other parameters per change of this one, at their optimum.
                 let per_own = |column: usize| match lengths[column] {
                     length if length > 0.0 => inverse[(column, row)] / inverse[(row, row)] * lengths[row] / length,
                     _ => 0.0,
@@ -797,7 +809,7 @@ impl Fit {
     }
 }
 
-/// Measured minus predicted of one run; NaN where nothing was measured.
+/// Returns measured minus predicted output of one run; NaN without a measurement.
 #[must_use]
 pub fn residuals<F: Model>(family: &F, structure: &Structure, initial: &[f64], run: &F::Run) -> Vec<f64> {
     let measured = family.measured(run);

@@ -1,19 +1,20 @@
-//! Closes the loop between a model and measured data: how well the model explains what it was not fitted to, what the
-//! residual depends on, which effect the model lacks, and how much better it is with it.
+//! Identification of models from measured data. It answers how well a model explains recordings that it was not
+//! fitted to, what its residual depends on, which effect it lacks, and how much better it is with that effect.
 //!
 //! | module | subject |
 //! | --- | --- |
 //! | [`task`] | [`identify`]: from recordings to a [`report::Report`]; the list of [`models`] |
-//! | [`data`] | recordings, read without inventing anything |
-//! | [`family`] | what fitting and choosing need to know of a model |
-//! | [`fit`] | least squares on free runs |
-//! | [`select`] | which effects the data ask for |
+//! | [`data`] | recordings, read without interpolation or guessing |
+//! | [`family`] | interface of a model to fitting and selection |
+//! | [`fit`] | nonlinear least squares on free-run simulations (simulation error, not one-step prediction error) |
+//! | [`select`] | selection of the effects that the data support |
 //! | [`motion`] | one axis that moves: motors, axes, actuators, servos |
-//! | [`statics`] | maps, tables, play of a held shaft |
+//! | [`statics`] | static maps, tables of working points, backlash of a held shaft |
 //! | [`skid`] | skid-steered robots: slip, limits, lags |
-//! | [`report`] | what comes out |
+//! | [`report`] | results |
 //!
-//! Everything here is the estimator's own: it shares no formula with the plants that make simulated data.
+//! The estimator's equations are its own: it shares no formula with the plants that make simulated data, so that a
+//! common mistake cannot hide.
 
 pub mod data;
 pub mod error;

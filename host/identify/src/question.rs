@@ -1,4 +1,4 @@
-//! A question about files: which are fitted to and which held out, and which of their columns play which part.
+//! Question about files: the recordings to fit to, those to hold out, and the roles of their columns.
 
 use std::{collections::BTreeMap, fs, path::PathBuf};
 
@@ -9,41 +9,42 @@ use crate::{
     statics::{hold_out, map::StaticMap, table::task as table},
 };
 
-/// The parameter that belongs to an encoder.
+/// Parameter that belongs to an encoder.
 const COUNTS: &str = "counts_per_turn";
 
-/// Files, the model that is to explain them, and what is known.
+/// Files, the model that is to explain them, and known parameters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Question {
-    /// Recordings to fit to: CSV with a header that has units, or logs.
+    /// Recordings to fit to: CSV with units in its header, or logs.
     pub train: Vec<PathBuf>,
-    /// Recordings that are never fitted to, or one `every:N`.
+    /// Held-out recordings, or the single entry `every:N`.
     pub holdout: Vec<PathBuf>,
     /// Name of the base model.
     pub model: String,
-    /// Role of the model and column of the files.
+    /// Pairs of a role of the model and a column of the files.
     pub columns: Vec<(String, String)>,
-    /// Time column; `None` looks for one.
+    /// Name of the time column; `None` to search for one.
     pub time: Option<String>,
-    /// Columns whose values tell the runs of one file apart.
+    /// Columns whose values separate the runs within a file.
     pub split: Vec<String>,
-    /// What is known, by name; `counts_per_turn` makes angles of encoder counts, unless the model has such a parameter itself.
+    /// Known parameters by name. `counts_per_turn` converts encoder counts to angles, unless the model has such a
+    /// parameter itself.
     pub parameters: BTreeMap<String, f64>,
 }
 
-/// The runs of a question.
+/// Runs that a question refers to.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recordings {
-    /// To fit to.
+    /// Runs to fit to.
     pub train: Recorded,
-    /// Held out.
+    /// Runs that are held out.
     pub holdout: Recorded,
-    /// What is known of the model.
+    /// Known parameters of the model.
     pub parameters: BTreeMap<String, f64>,
 }
 
 impl Recordings {
-    /// What was set aside, repaired or taken to be so, each once.
+    /// Returns the notes of reading (what was set aside, repaired or assumed), each once.
     #[must_use]
     pub fn notes(&self) -> Vec<String> {
         let mut notes: Vec<String> = Vec::new();
@@ -57,10 +58,10 @@ impl Recordings {
 }
 
 impl Question {
-    /// The model that it asks for.
+    /// Returns the model that the question names.
     ///
     /// # Errors
-    /// [`IdentifyError::UnknownModel`]
+    /// [`IdentifyError::UnknownModel`] if there is no such model.
     pub fn model(&self) -> Result<ModelInfo, IdentifyError> {
         models().into_iter().find(|model| model.name == self.model).ok_or_else(|| {
             let known = models().iter().map(|model| model.name).collect::<Vec<_>>().join(", ");
@@ -68,14 +69,15 @@ impl Question {
         })
     }
 
-    /// Reads the files.
+    /// Reads the files of the question.
     ///
     /// # Errors
-    /// [`IdentifyError`]: a model or role that does not exist, a file that is in both parts, or data that will not do.
+    /// An [`IdentifyError`] for a model or role that does not exist, a file in both parts, or data that cannot be
+    /// used.
     pub fn read(&self) -> Result<Recordings, IdentifyError> {
         let model = self.model()?;
         let mut parameters = self.parameters.clone();
-        // It belongs to the encoder, not to the model.
+        // The parameter belongs to the encoder unless the model declares one of that name.
         let own = model.parameters.iter().any(|parameter| parameter.name == COUNTS);
         let counts_per_turn = if own { parameters.get(COUNTS).copied() } else { parameters.remove(COUNTS) };
         if let Some(value) = counts_per_turn.filter(|counts| *counts <= 0.0) {
@@ -83,7 +85,7 @@ impl Question {
         }
         let options = Options {
             time: self.time.clone(),
-            // Models of what is at rest: the order of rows will do.
+            // These models are static, so the order of rows replaces a missing time column.
             untimed: [StaticMap::NAME, table::NAME].contains(&model.name),
             roles: self.roles(&model)?,
             split: self.split.clone(),
@@ -93,7 +95,7 @@ impl Question {
         Ok(Recordings { train, holdout, parameters })
     }
 
-    /// Which column plays which part, checked against what the model knows.
+    /// Returns the role of each column, checked against those of the model.
     fn roles(&self, model: &ModelInfo) -> Result<Vec<Mapping>, IdentifyError> {
         let mapping = |(role, column): &(String, String)| match model.roles.iter().find(|known| known.name == role) {
             Some(known) => Ok(Mapping { role: role.clone(), column: column.clone(), driving: known.driving }),
@@ -105,13 +107,14 @@ impl Question {
         self.columns.iter().map(mapping).collect()
     }
 
-    /// The runs to fit to and those to test on.
+    /// Reads the runs to fit to and the held-out runs.
     fn parts(&self, options: &Options) -> Result<(Recorded, Recorded), IdentifyError> {
         match Holdout::parse(&self.holdout)? {
             Holdout::Every(every) => {
                 let mut all = data::read(&self.train, options)?;
-                // Of some models one recording is enough.
+                // Some models can divide a single recording.
                 let parts = all.runs.iter().map(|run| hold_out(&self.model, run, every)).collect::<Option<Vec<_>>>();
+                // With several recordings, whole ones are held out.
                 let Some(parts) = parts.filter(|parts| parts.len() == 1) else { return Ok(all.alternate(every)?) };
                 let (fitted, held_out) = parts.into_iter().unzip();
                 all.runs = fitted;
@@ -119,6 +122,7 @@ impl Question {
                 Ok((all, rest))
             }
             Holdout::Files(files) => {
+                // One file may be given by two paths.
                 let place = |path: &PathBuf| fs::canonicalize(path).unwrap_or_else(|_| path.clone());
                 let fitted: Vec<_> = self.train.iter().map(place).collect();
                 if let Some(both) = files.iter().find(|file| fitted.contains(&place(file))) {

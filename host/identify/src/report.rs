@@ -1,4 +1,4 @@
-//! What `report.json` holds, and what the report's plots are drawn of.
+//! Content of `report.json`, and the data of the report's plots.
 
 use std::collections::BTreeMap;
 
@@ -9,40 +9,42 @@ use serde::Serialize;
 pub struct Report {
     /// Name of the base model.
     pub model: String,
-    /// Unit of every RMSE.
+    /// Unit of every RMSE, which is that of the output.
     pub unit: String,
-    /// The base model alone.
+    /// Scores of the base model alone.
     pub baseline: Scores,
-    /// What was added, in this order.
+    /// Accepted effects, in the order in which they were added.
     pub effects: Vec<EffectReport>,
-    /// The base model with all of them.
+    /// Scores of the base model with all accepted effects.
     #[serde(rename = "final")]
     pub last: Scores,
-    /// The base model's parameters in the end.
+    /// Parameters of the base model in the final fit.
     pub parameters: BTreeMap<String, Estimate>,
-    /// How the output's stamps differ from the input's: of the recording, not of the machine. Empty for models without time.
+    /// Timing errors of the output's stamps relative to the input's: properties of the recording, not of the machine.
+    /// Empty for models without time.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub timing: BTreeMap<String, Estimate>,
-    /// What is left.
+    /// Analysis of the residual of the final model.
     pub residual: ResidualReport,
-    /// What was looked for and not taken, strongest first.
+    /// Effects that were tried and not accepted, strongest first.
     pub rejected: Vec<Rejected>,
-    /// What reading the files set aside or repaired.
+    /// Notes of reading the files: what was set aside or repaired.
     pub notes: Vec<String>,
-    /// One plain sentence.
+    /// Result in one plain sentence.
     pub verdict: String,
-    /// How far the model explains the held-out recordings.
+    /// Grade of how far the model explains the held-out recordings.
     pub explained: Explained,
-    /// Faults that the recordings show without a model; then, if it explains nothing, likely mistakes, each with the base model's error once
-    /// it is corrected, smallest error first.
+    /// Faults of the recordings that show without a model; then, if the model explains nothing, likely mistakes, each
+    /// with the base model's error after its correction, smallest error first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub suspicions: Vec<String>,
 }
 
 impl Report {
-    /// What is wrong with the output's stamps, beyond four standard deviations; `None` if nothing is.
+    /// Describes an error of the output's stamps beyond four standard errors; `None` without one.
     #[must_use]
     pub fn timing_fault(&self) -> Option<String> {
+        // Uncertain errors of the stamps are not reported as faults.
         let sure = |name: &str| self.timing.get(name).filter(|estimate| estimate.is_off(0.0, SURE));
         let late = sure(STAMPS_LATE).map(|estimate| {
             let side = if estimate.value < 0.0 { "early" } else { "late" };
@@ -54,14 +56,14 @@ impl Report {
     }
 }
 
-/// In [`Report::timing`]: by how much the output's stamps are late, s.
+/// Key in [`Report::timing`] of the delay of the output's stamps, s; positive if they are late.
 pub const STAMPS_LATE: &str = "stamps_late_s";
-/// In [`Report::timing`]: by how much later they become each second.
+/// Key in [`Report::timing`] of the drift of that delay, s/s.
 pub const CLOCK_DRIFT: &str = "clock_drift";
-/// Standard deviations beyond which stamps are said to be off.
+/// Standard errors beyond which an error of the stamps is reported.
 const SURE: f64 = 4.0;
 
-/// How far a model explains recordings.
+/// Grade of how far a model explains recordings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Explained {
@@ -73,19 +75,19 @@ pub enum Explained {
     Not,
 }
 
-/// Largest NRMSE on held-out data of a base model without effects whose residual is not white: above it an effect is missing and was not
-/// found. Our choice, a tenth of the NRMSE of a constant; other values have not been compared.
+/// Largest NRMSE on held-out data of a base model without effects whose residual is not white: above it an effect is
+/// missing and was not found. Our choice, a tenth of the NRMSE of a constant; other values have not been compared.
 const NAMELESS: f64 = 0.1;
-/// Largest NRMSE on held-out data with effects, or with a white residual. Our choice: a quarter of the variance; other values have not
-/// been compared.
+/// Largest NRMSE on held-out data with effects, or with a white residual. Our choice: a quarter of the variance;
+/// other values have not been compared.
 const NAMED: f64 = 0.5;
 
 impl Explained {
-    /// Grades a model by its NRMSE on held-out data, `left`, whether it has an effect with a size (see [`EffectReport::has_size`]), and
-    /// whether its residual is white.
+    /// Grades a model by `left`, its NRMSE on held-out data, by whether it has an effect with a significant size (see
+    /// [`EffectReport::has_size`]), and by whether its residual is white.
     #[must_use]
     pub fn of(left: f64, has_effects: bool, is_white: bool) -> Self {
-        // The NRMSE of a constant is 1, and NaN where the recordings are constant.
+        // The NRMSE of a constant prediction is 1, and NaN if the recordings are constant.
         let most = if has_effects || is_white { NAMED } else { NAMELESS };
         if left.is_nan() || left > most {
             Self::Not
@@ -97,204 +99,206 @@ impl Explained {
     }
 }
 
-/// How well a model does on both kinds of data.
+/// Scores of a model on the fitted and on the held-out data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Scores {
-    /// On what it was fitted to.
+    /// Score on the runs that it was fitted to.
     pub train: Score,
-    /// On what it never saw.
+    /// Score on the held-out runs.
     pub holdout: Score,
 }
 
-/// Error of a free run.
+/// Error of a free-run simulation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Score {
-    /// Root mean square, in the unit of the output.
+    /// Root mean square error, in the output's unit.
     pub rmse: f64,
-    /// Over the standard deviation of what was measured.
+    /// RMSE divided by the standard deviation of the measured output.
     pub nrmse: f64,
-    /// Mean absolute error, in the unit of the output.
+    /// Mean absolute error, in the output's unit.
     pub mae: f64,
 }
 
-/// A number and how well it is known.
+/// Estimated number with its uncertainty.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Estimate {
-    /// Best value.
+    /// Value at the best fit.
     pub value: f64,
-    /// Standard deviation by the curvature at the best value; `null` where the data do not fix it.
+    /// Standard error by the curvature of the cost at the best fit; `null` if the data do not determine the number.
     pub std: Option<f64>,
-    /// `N m`; `1` for a plain number.
+    /// Unit such as `N m`; `1` for a dimensionless number.
     pub unit: String,
-    /// 95 % by the profile of the error: how far the number can go with all others fitted again. An end beyond what the
-    /// number may be is the end of that. Absent where the error does not rise enough on both sides.
+    /// 95 % confidence interval by profile likelihood: the others are refitted at each value. An end at the limit of
+    /// the number's range means that the data do not bound it there. Absent if the cost does not rise enough on both
+    /// sides.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub interval: Option<[f64; 2]>,
-    /// The data do not fix the scale: the value holds for this assumption.
+    /// Assumption under which the value holds, if the data do not determine its scale.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub assumed: Option<String>,
 }
 
 impl Estimate {
-    /// Whether it is so many standard deviations from a value.
+    /// Returns whether the value is at least `deviations` standard errors from `from`; false if the error is unknown.
     #[must_use]
     pub fn is_off(&self, from: f64, deviations: f64) -> bool {
         self.std.is_some_and(|std| (self.value - from).abs() >= deviations * std)
     }
 }
 
-/// An effect that was found.
+/// Effect that was found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EffectReport {
-    /// Name in the catalogue, or `unknown`.
+    /// Name in the catalogue, or `unknown` for an effect without a name.
     pub name: String,
-    /// Of `input, speed, position, acceleration, direction, time, supply, history`.
+    /// Dependences, of `input, speed, position, acceleration, direction, time, supply, history`.
     pub depends_on: Vec<String>,
-    /// By name.
+    /// Parameters of the effect by name.
     pub parameters: BTreeMap<String, Estimate>,
-    /// RMSE on the held-out data without it, in the order of adding.
+    /// RMSE on the held-out data before the effect was added.
     pub holdout_rmse_before: f64,
-    /// And with it.
+    /// RMSE on the held-out data with the effect added.
     pub holdout_rmse_after: f64,
-    /// Why it was taken.
+    /// Evidence on which the effect was accepted.
     pub evidence: Evidence,
-    /// Effects that explain these data as well, and how to tell them apart.
+    /// Effects that explain these data equally well, and how to distinguish them.
     pub rivals: Vec<Rival>,
-    /// The shape of an effect that has no name.
+    /// Curve of an effect without a name; `None` for a named effect.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub table: Option<Table>,
 }
 
 impl EffectReport {
-    /// Whether any of its parameters is at least two standard errors from 0, or the effect is a fitted curve.
+    /// Returns whether any parameter is at least two standard errors from 0, or the effect is a fitted curve.
     #[must_use]
     pub fn has_size(&self) -> bool {
         self.table.is_some() || self.parameters.values().any(|estimate| estimate.is_off(0.0, 2.0))
     }
 }
 
-/// Why an effect was taken.
+/// Evidence for an effect by block cross-validation on the training data.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Evidence {
-    /// RMSE on blocks of the training data left out of the fit, without the effect.
+    /// RMSE on held-out folds without the effect.
     pub blocked_rmse_before: f64,
-    /// And with it.
+    /// RMSE on held-out folds with the effect.
     pub blocked_rmse_after: f64,
-    /// Chance that blocks without the effect would show such a gain, times the number of effects tried.
+    /// Probability that blocks without the effect would show such a gain, times the number of effects tried
+    /// (Bonferroni).
     pub p_value: f64,
-    /// Blocks that got better, of all.
+    /// Number of blocks whose error fell, and number of all blocks.
     pub blocks_better: [usize; 2],
-    /// Least distance of a parameter from having no effect, in standard deviations.
+    /// Smallest distance of a parameter from the effect's absence, in standard errors.
     pub z: f64,
 }
 
-/// Another explanation.
+/// Other effect that explains the same data.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Rival {
-    /// Name in the catalogue.
+    /// Name of the effect in the catalogue.
     pub name: String,
-    /// Its RMSE on the blocks left out.
+    /// RMSE of the rival on held-out folds.
     pub blocked_rmse: f64,
-    /// What to record so that the two differ.
+    /// Advice for a recording that distinguishes the two.
     pub experiment: String,
 }
 
-/// An effect that was tried and not taken.
+/// Effect that was tried and not accepted.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Rejected {
-    /// Name in the catalogue.
+    /// Name of the effect in the catalogue.
     pub name: String,
-    /// Its RMSE on the blocks left out, beside the final model.
+    /// RMSE on held-out folds with this effect added to the final model.
     pub blocked_rmse: f64,
-    /// Why not.
+    /// Reason why it was not accepted.
     pub reason: String,
 }
 
-/// What is left of the data.
+/// Analysis of the residual.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ResidualReport {
-    /// Whether it is white: no correlation over time beyond chance.
+    /// True if the residual is white: no autocorrelation beyond chance.
     pub white: bool,
-    /// What it still depends on, strongest first.
+    /// Quantities that it still depends on, strongest first.
     pub unexplained: Vec<Unexplained>,
 }
 
-/// A dependence that remains.
+/// Remaining dependence of the residual.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Unexplained {
-    /// What on.
+    /// Name of the quantity it depends on.
     pub depends_on: String,
-    /// Share of the residual's variance, 0..=1.
+    /// Share of the residual's variance that the quantity explains, 0..=1.
     pub share: f64,
-    /// After correcting for all that was looked at.
+    /// Probability of such a share by chance, corrected for the number of quantities tried.
     pub p_value: f64,
 }
 
-/// A curve over what it depends on.
+/// Curve of an effect over the quantity it depends on.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Table {
-    /// What `at` is.
+    /// Quantity on the axis `at`.
     pub over: String,
-    /// Its unit.
+    /// Unit of the axis `at`.
     pub at_unit: String,
-    /// Unit of `values`.
+    /// Unit of the curve's `values`.
     pub unit: String,
-    /// Where the curve has its corners.
+    /// Knots of the curve, in `at_unit`.
     pub at: Vec<f64>,
-    /// Its values there, straight between.
+    /// Values at the knots.
     pub values: Vec<f64>,
-    /// Standard deviations of `values`.
+    /// Standard errors of `values`.
     pub std: Vec<f64>,
 }
 
-/// What the report's plots are drawn of.
+/// Data of the report's plots.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Figures {
-    /// What each step left on the held-out data: name and RMSE.
+    /// RMSE on the held-out data after each step of the search, with the name of the step.
     pub ladder: Vec<(String, f64)>,
-    /// Some runs, held-out ones first.
+    /// Some of the runs, held-out ones first.
     pub runs: Vec<Traces>,
-    /// The residual against each thing it may depend on, what explains most first.
+    /// Residual over each quantity that it may depend on, strongest dependence first.
     pub causes: Vec<Cause>,
 }
 
-/// One run.
+/// Signals of one run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Traces {
-    /// Of the run.
+    /// Name of the run.
     pub name: String,
-    /// Not fitted to.
+    /// True for a held-out run.
     pub held_out: bool,
-    /// s.
+    /// Times of the samples, s.
     pub time_s: Vec<f64>,
-    /// Name and values; empty where a model has none.
+    /// Name and values of the input; empty if the model has none.
     pub input: (String, Vec<f64>),
     /// Name and unit of the output.
     pub output: (String, String),
-    /// What was measured.
+    /// Measured output, in the output's unit.
     pub measured: Vec<f64>,
-    /// The base model's free run.
+    /// Free-run simulation of the base model.
     pub before: Vec<f64>,
-    /// The final model's.
+    /// Free-run simulation of the final model.
     pub after: Vec<f64>,
 }
 
-/// The residual over one thing it may depend on, as means of bins.
+/// Residual over one quantity that it may depend on, as means of bins.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cause {
-    /// Such as `speed`.
+    /// Name of the quantity, such as `speed`.
     pub depends_on: String,
-    /// Of `at`.
+    /// Unit of the axis `at`.
     pub at_unit: String,
-    /// Of the residual.
+    /// Unit of the residual.
     pub unit: String,
-    /// Middle of each bin.
+    /// Mean of the quantity in each bin.
     pub at: Vec<f64>,
-    /// Mean residual of the base model there.
+    /// Mean residual of the base model in each bin.
     pub before: Vec<f64>,
-    /// Mean residual of the final model there.
+    /// Mean residual of the final model in each bin.
     pub after: Vec<f64>,
-    /// Two standard errors of `before`.
+    /// Two standard errors of each value of `before`.
     pub error: Vec<f64>,
 }
 

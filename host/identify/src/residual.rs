@@ -1,4 +1,4 @@
-//! What is left of the data: whether it is white, and what it depends on.
+//! Analysis of residuals: whiteness, and the quantities they depend on.
 
 use rand_pcg::{
     Pcg64Mcg,
@@ -13,30 +13,31 @@ use crate::{
     report::{Cause, ResidualReport, Unexplained},
 };
 
-/// Share of the variance of a sensor's rounding below which an effect's part in the output is of no use, however significant. With nothing
-/// hidden, a board (tuning seed 60650000) leaves 1.41 times that variance, which is not white, and an eccentricity of half a count explains 0.03 of
-/// it. With half of this share the search goes on there, six times as long, and accepts nothing either.
+/// Share of the variance of a sensor's rounding below which an effect's contribution to the output is of no use,
+/// however significant. With nothing hidden, a board (tuning seed 60650000) has a residual of 1.41 times that
+/// variance, which is not white, and an eccentricity of half a count explains 0.03 of it. With half of this share the
+/// search continues there, six times as long, and accepts nothing either.
 const RESOLVED: f64 = 0.5;
-/// Lags that whiteness is judged by.
+/// Number of lags in the test of whiteness.
 const LAGS: usize = 20;
-/// A correlation below this is of no use to anybody, however certain.
+/// Autocorrelation below which a residual counts as white, however significant it is.
 const TRIFLE: f64 = 0.05;
 const BINS: usize = 16;
-/// Residuals turned round in time against what they are compared with: what chance alone would show.
+/// Number of circular shifts of the residual against a driver that estimate what chance alone would show.
 const TURNS: usize = 200;
-/// A share of variance below this is not worth telling.
+/// Smallest share of the variance that is reported as a dependence.
 const LEAST_SHARE: f64 = 0.01;
 
-/// The residual of each run, and what it may depend on.
+/// Residuals of runs under a model, and the series they may depend on.
 pub(crate) struct Left {
     residuals: Vec<Vec<f64>>,
-    /// As a push, where the model can tell.
+    /// Residuals as a push (see [`Family::push`]), or as they are if the model has none.
     pushes: Vec<Vec<f64>>,
     unit: &'static str,
     drivers: Vec<Vec<Driver>>,
 }
 
-/// What a model leaves of runs.
+/// Computes the residuals of a fitted model in each run, and the series they may depend on.
 pub(crate) fn left<F: Family>(family: &F, fit: &Fit, runs: &[&F::Run]) -> Left {
     let residuals = fit.residuals(family, runs);
     let mut unit = family.unit();
@@ -57,12 +58,13 @@ pub(crate) fn left<F: Family>(family: &F, fit: &Fit, runs: &[&F::Run]) -> Left {
 }
 
 impl Left {
-    /// Whiteness and dependences.
+    /// Tests the residuals for whiteness and for dependences. `seed` samples the circular shifts.
     pub(crate) fn report(&self, seed: u64) -> ResidualReport {
         let count = self.drivers.first().map_or(0, Vec::len);
         let mut unexplained: Vec<Unexplained> = (0..count)
             .filter_map(|driver| {
                 let (share, p_value) = self.dependence(driver, seed)?;
+                // Bonferroni correction for the number of drivers.
                 let p_value = (p_value * count as f64).min(1.0);
                 let name = self.drivers[0][driver].over.name();
                 (p_value < 0.05 && share > LEAST_SHARE).then(|| Unexplained {
@@ -74,6 +76,7 @@ impl Left {
             .collect();
         unexplained.sort_by(|a, b| b.share.total_cmp(&a.share));
         let mut seen: Vec<String> = Vec::new();
+        // A position may occur with and without a period: the stronger dependence is reported.
         unexplained.retain(|entry| {
             let new = !seen.contains(&entry.depends_on);
             seen.push(entry.depends_on.clone());
@@ -82,7 +85,8 @@ impl Left {
         ResidualReport { white: is_white(&self.residuals), unexplained }
     }
 
-    /// Share of the variance that bins over a driver explain beyond their number, and its chance.
+    /// Returns the share of the variance that bins over a driver explain beyond what chance explains, and its
+    /// p-value; `None` with too few samples for bins.
     fn dependence(&self, driver: usize, seed: u64) -> Option<(f64, f64)> {
         let bins = self.bins(driver)?;
         let residual: Vec<f64> = self.pushes.iter().flatten().copied().collect();
@@ -91,6 +95,7 @@ impl Left {
         let share = |turn: usize| {
             let mut sums = vec![(0.0, 0.0); bins.len()];
             let (mut square, mut mean, mut count) = (0.0, 0.0, 0.0);
+            // A circular shift keeps the autocorrelation of the residual, which a random permutation would destroy.
             for (index, bin) in places.iter().enumerate() {
                 let value = residual[(index + turn) % residual.len()];
                 if let (Some(bin), true) = (bin, value.is_finite()) {
@@ -107,13 +112,15 @@ impl Left {
             if total > 0.0 { between / total } else { 0.0 }
         };
         let observed = share(0);
+        // A generator per driver, so that results do not depend on their order.
         let mut rng = Pcg64Mcg::seed_from_u64(seed ^ driver as u64);
         let mut chance: Vec<f64> =
             (0..TURNS).map(|_| share((rng.next_u64() % residual.len().max(1) as u64) as usize)).collect();
         chance.sort_by(f64::total_cmp);
         let as_much = chance.iter().filter(|share| **share >= observed).count();
         let usual = chance[TURNS / 2];
-        // Below the resolution of so many turns, the tail is taken to fall exponentially.
+        // A p-value below one in [`TURNS`] is extrapolated with an exponential tail from the median to the 90 %
+        // quantile.
         let p_value = if as_much > 0 {
             as_much as f64 / TURNS as f64
         } else {
@@ -123,7 +130,7 @@ impl Left {
         Some((observed - usual, p_value))
     }
 
-    /// Upper ends of bins with equally many samples.
+    /// Returns the upper ends of at most [`BINS`] bins with equally many samples; `None` with too few samples.
     fn bins(&self, driver: usize) -> Option<Vec<f64>> {
         let period = self.drivers.first()?.get(driver)?.period;
         let mut values: Vec<f64> = self
@@ -134,15 +141,17 @@ impl Left {
             .map(|value| period.map_or(*value, |period| value.rem_euclid(period)))
             .collect();
         values.sort_by(f64::total_cmp);
+        // Fewer than ten samples per bin say nothing.
         if values.len() < 10 * BINS {
             return None;
         }
         let mut ends: Vec<f64> = (1..=BINS).map(|bin| values[bin * values.len() / BINS - 1]).collect();
+        // A value that repeats often may fill several bins.
         ends.dedup();
         (ends.len() > 1).then_some(ends)
     }
 
-    /// Means over bins of what was left before and is left after.
+    /// Returns the means of the residuals over bins of each driver, before and after effects were added.
     pub(crate) fn causes(before: &Self, after: &Self) -> Vec<Cause> {
         let count = before.drivers.first().map_or(0, Vec::len);
         let mut causes: Vec<(f64, Cause)> = Vec::new();
@@ -162,6 +171,7 @@ impl Left {
                     }
                 }
             }
+            // The standard error of a mean needs at least two samples.
             sums.retain(|sum| sum[0] > 1.0);
             let mean = |column: usize| sums.iter().map(|sum| sum[column] / sum[0]).collect::<Vec<f64>>();
             let error = sums
@@ -192,26 +202,28 @@ impl Left {
     }
 }
 
-/// Of the first lags, in size: about the share of the variance that is not noise.
+/// Returns the largest absolute autocorrelation of the first [`LAGS`] lags: about the share of the variance that is
+/// not noise.
 pub(crate) fn largest_correlation(residuals: &[Vec<f64>]) -> f64 {
     let variance = product(residuals, 0);
     let correlation = |lag| (product(residuals, lag) / variance).abs();
     if variance > 0.0 { (1..=LAGS).map(correlation).fold(0.0, f64::max) } else { 0.0 }
 }
 
-/// Whether residuals are about what the resolution of the sensor leaves: nothing that is of use can be behind them.
+/// Returns whether residuals are about as large as the rounding of the sensor: no useful effect can be in them.
 pub(crate) fn is_rounding<F: Family>(family: &F, residuals: &[Vec<f64>], runs: &[&F::Run]) -> bool {
     let known = residuals.iter().flatten().filter(|residual| residual.is_finite());
     let left: f64 = known.clone().map(|residual| residual * residual).sum();
     left <= (1.0 + RESOLVED) * rounding_variance(family, runs) * known.count() as f64
 }
 
-/// Whether a mean square error that falls from `before` to `after` falls by more than a trifle beside the resolution of the sensor.
+/// Returns whether a fall of the mean square error from `before` to `after` is large enough beside the sensor's
+/// rounding.
 pub(crate) fn is_resolved<F: Family>(family: &F, runs: &[&F::Run], [before, after]: [f64; 2]) -> bool {
     before - after >= RESOLVED * rounding_variance(family, runs)
 }
 
-/// Mean over all samples.
+/// Returns the variance of the sensors' rounding, averaged over all samples.
 fn rounding_variance<F: Family>(family: &F, runs: &[&F::Run]) -> f64 {
     let (sum, samples) = runs.iter().fold((0.0, 0), |(sum, samples), run| {
         let count = family.measured(run).len();
@@ -220,7 +232,8 @@ fn rounding_variance<F: Family>(family: &F, runs: &[&F::Run]) -> f64 {
     sum / f64::max(samples as f64, 1.0)
 }
 
-/// Ljung and Box's test over the first lags; correlations that are a trifle count as none.
+/// Tests for whiteness with the statistic of Ljung and Box at the 0.1 % level. Correlations below [`TRIFLE`] count as
+/// none.
 pub(crate) fn is_white(residuals: &[Vec<f64>]) -> bool {
     let samples: usize = residuals.iter().flatten().filter(|value| value.is_finite()).count();
     let variance = product(residuals, 0);

@@ -1,4 +1,5 @@
-//! Faults of recordings that show before a fit, and common mistakes: each is corrected and the base model fitted again.
+//! Faults of recordings that show before a fit, and common mistakes: each is corrected and the base model fitted
+//! again.
 
 use std::f64::consts::PI;
 
@@ -14,28 +15,29 @@ use crate::{
     task::{Task, Work, base_nrmse, models, with_family},
 };
 
-/// A mistake is reported if correcting it brings the base model's NRMSE down to at most this share of that of the model found before. Our
-/// choice; other values have not been compared.
+/// Largest ratio of the base model's NRMSE with a mistake corrected to that of the model found before, at which the
+/// mistake is reported. Our choice; other values have not been compared.
 const LESS: f64 = 0.5;
 
-/// Role of a second sensor of an axis; nothing is fitted to it.
+/// Role of a second sensor of an axis, which is not fitted to.
 const SPEED: &str = "speed";
-/// Roles that measure one quantity, or the second the rate of the first.
+/// Pairs of roles that measure one quantity, or a quantity and its rate.
 const REDUNDANT: [(&str, &str); 2] = [("output", SPEED), ("yaw", "gyro")];
 
 /// Result of the checks of recordings that need no model.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Checked {
-    /// What is wrong, worst first; each says what to do next.
+    /// Faults, worst first; each says what to do next.
     pub(crate) suspicions: Vec<String>,
-    /// How sensors of one quantity compare.
+    /// Comparisons of sensors that measure one quantity.
     pub(crate) notes: Vec<String>,
 }
 
-/// Looks for faults in the columns of recordings, and compares sensors of one quantity. Only for models of motion over time: rows of a map or
-/// a table need no order.
+/// Looks for faults in the columns of recordings, and compares sensors of one quantity. Applies only to models of
+/// motion over time: rows of a map or a table need no order.
 pub(crate) fn check_recordings(model: &str, train: &[Run], holdout: &[Run]) -> Checked {
     let mut checked = Checked::default();
+    // Static models have no order of samples that could be wrong.
     let is_motion = Kind::ALL.iter().any(|kind| kind.name() == model);
     if !is_motion && !Output::ALL.iter().any(|output| output.model() == model) {
         return checked;
@@ -48,7 +50,7 @@ pub(crate) fn check_recordings(model: &str, train: &[Run], holdout: &[Run]) -> C
     let all: Vec<&Run> = train.iter().chain(holdout).collect();
     let mut found = faults(&all, &inputs, &outputs);
     if found.is_empty() {
-        // A fault of some recordings may not stand out among all.
+        // A fault of one part only may not stand out among all recordings.
         let parts = [train, holdout].map(|runs| faults(&runs.iter().collect::<Vec<_>>(), &inputs, &outputs));
         found = parts.into_iter().find(|found| !found.is_empty()).unwrap_or_default();
     }
@@ -72,18 +74,18 @@ pub(crate) fn check_recordings(model: &str, train: &[Run], holdout: &[Run]) -> C
     checked
 }
 
-/// A mistake that can be undone.
+/// Mistake in a recording that can be corrected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Mistake {
-    /// Rows in the wrong order.
+    /// The rows are in reverse order of time.
     Reversed,
-    /// What drives the model and what it is compared with.
+    /// Input and output are exchanged.
     Swapped,
-    /// Angles in degrees under a name with rad.
+    /// Angles are in degrees under a name with rad.
     Degrees,
-    /// The other way round.
+    /// Angles are in rad under a name with degrees.
     Radians,
-    /// What is compared has the other sign.
+    /// The output has the wrong sign.
     Inverted,
 }
 
@@ -100,7 +102,7 @@ impl Mistake {
         }
     }
 
-    /// A recording without it; `None` where it cannot be there.
+    /// Returns the recording with the mistake corrected; `None` if the recording cannot contain it.
     fn undone(self, run: &Run, driving: &[&str]) -> Option<Run> {
         let mut run = run.clone();
         let is_output = |role: &&String| !driving.contains(&role.as_str()) && *role != SPEED;
@@ -116,6 +118,7 @@ impl Mistake {
             }
             Self::Swapped => {
                 let inputs: Vec<&&str> = driving.iter().filter(|role| run.signals.contains_key(**role)).collect();
+                // Only a single input and output can have been exchanged.
                 let ([input], [output]) = (inputs.as_slice(), outputs.as_slice()) else { return None };
                 let (was_input, was_output) = (run.signals.remove(**input)?, run.signals.remove(output)?);
                 run.signals.insert((**input).to_owned(), was_output);
@@ -130,7 +133,7 @@ impl Mistake {
     }
 }
 
-/// Multiplies those of the signals that are meant; whether there are any.
+/// Multiplies the signals of some roles whose quantity is meant by `factor`. Returns whether there are any.
 fn scale(run: &mut Run, roles: &[String], factor: f64, is_meant: fn(Quantity) -> bool) -> bool {
     let mut any = false;
     for role in roles {
@@ -142,7 +145,7 @@ fn scale(run: &mut Run, roles: &[String], factor: f64, is_meant: fn(Quantity) ->
     any
 }
 
-/// Fits the base model alone; its NRMSE on held-out data.
+/// Fits the base model alone and returns its NRMSE on held-out data.
 struct Base;
 
 impl Work for Base {
@@ -153,7 +156,8 @@ impl Work for Base {
     }
 }
 
-/// Likely mistakes in recordings that a model fits with the NRMSE `left` on held-out data, largest improvement first.
+/// Returns likely mistakes in recordings, largest improvement first. `left` is the NRMSE on held-out data without a
+/// correction.
 pub(crate) fn suspicions(task: &Task, train: &[Run], holdout: &[Run], left: f64) -> Vec<String> {
     let roles =
         models().into_iter().find(|model| model.name == task.model).map(|model| model.roles).unwrap_or_default();

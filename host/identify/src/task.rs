@@ -1,4 +1,4 @@
-//! A task from recordings to a report.
+//! Task of identification, from recordings to a report.
 
 use std::{
     collections::BTreeMap,
@@ -24,26 +24,27 @@ use crate::{
     suspect::{Checked, check_recordings, suspicions},
 };
 
-/// What to do.
+/// Task: the model, known parameters and limits of the search.
 #[derive(Clone, Debug, Default)]
 pub struct Task {
     /// Name of the base model.
     pub model: String,
-    /// What is known, by name.
+    /// Known parameters by name.
     pub parameters: BTreeMap<String, f64>,
-    /// What is known of the plant.
+    /// Declared plant of the motor or actuator, if there is one.
     pub plant: Option<PlantSpec>,
-    /// What is known of the body of a robot.
+    /// Declared body of the robot, if there is one.
     pub body: Option<Wheeled>,
-    /// Where random numbers begin.
+    /// Seed of the random numbers.
     pub seed: u64,
-    /// What of a held-out run its initial state is fitted to.
+    /// Samples of a held-out run that its initial state is fitted to.
     pub protocol: Protocol,
-    /// Time after which no further effect is looked for; unlimited if `None`.
+    /// Time after which no further effect is tried; `None` for no limit.
     pub budget: Option<Duration>,
 }
 
-/// What of a held-out run its initial state is fitted to. Errors are those of the whole run, this part included.
+/// Samples of a held-out run that its initial state is fitted to. Errors are those of the whole run, these samples
+/// included.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Protocol {
     /// The first tenth of its samples, and at least 20.
@@ -54,7 +55,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// Number of samples, of a run of `samples`, that its initial state is fitted to.
+    /// Returns the number of samples, of a run of `samples`, that its initial state is fitted to.
     fn window(self, samples: usize) -> usize {
         let wished = match self {
             Self::FirstTenth => (samples / SETTLE_SHARE).max(SETTLE_SAMPLES),
@@ -64,68 +65,68 @@ impl Protocol {
     }
 }
 
-/// How far it is.
+/// Progress of an identification.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Progress {
-    /// What it does now.
+    /// Description of the current step.
     pub step: String,
-    /// Done of what there is to do, 0..=1, about.
+    /// Estimated share of the work that is done, 0..=1.
     pub share: f64,
 }
 
-/// What came of it.
+/// Result of an identification.
 #[derive(Clone, Debug)]
 pub struct Identified {
-    /// As in `report.json`.
+    /// Content of the file `report.json`.
     pub report: Report,
-    /// For the page.
+    /// Data of the plots on the report's page.
     pub figures: Figures,
     /// The model as something that a simulated board loads.
     pub loadable: Loadable,
 }
 
-/// A parameter that may be known.
+/// Parameter that may be declared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ParameterInfo {
-    /// For `--param`.
+    /// Name used with `--param`.
     pub name: &'static str,
-    /// Of its value.
+    /// Unit of the value.
     pub unit: &'static str,
-    /// What it is.
+    /// Meaning of the parameter.
     pub what: &'static str,
 }
 
-/// Part that a column plays.
+/// Role of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RoleInfo {
-    /// For `--map`.
+    /// Name used with `--map`.
     pub name: &'static str,
-    /// The model cannot do without.
+    /// True if the model needs the column.
     pub required: bool,
-    /// It drives the model; otherwise it is compared with it.
+    /// True for an input of the model, false for an output that is compared with it.
     pub driving: bool,
-    /// What it is.
+    /// Meaning of the column.
     pub what: &'static str,
 }
 
-/// A base model.
+/// Description of a base model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelInfo {
-    /// For `--model`.
+    /// Name used with `--model`.
     pub name: &'static str,
-    /// What it is of.
+    /// Summary of what it is a model of.
     pub summary: &'static str,
-    /// Columns.
+    /// Roles of the columns.
     pub roles: Vec<RoleInfo>,
-    /// What may be known.
+    /// Parameters that may be declared.
     pub parameters: Vec<ParameterInfo>,
-    /// What is looked for.
+    /// Names of the effects that are tried.
     pub effects: Vec<&'static str>,
-    /// What a simulated board loads of it.
+    /// Kind of file that a simulated board loads.
     pub file: FileKind,
 }
 
-/// What a simulated board loads.
+/// Kind of file that a simulated board loads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {
     /// A plant file, by `--plant CHANNEL=FILE`.
@@ -135,7 +136,7 @@ pub enum FileKind {
 }
 
 impl FileKind {
-    /// Its name in the folder of the results.
+    /// Returns the name of the file in the folder of the results.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -145,10 +146,10 @@ impl FileKind {
     }
 }
 
-/// Fits the base model, searches for what it lacks, and reports errors on the runs that were held out.
+/// Fits the base model, searches for effects that it lacks, and reports errors on the held-out runs.
 ///
 /// # Errors
-/// [`IdentifyError`]; each says what to do next.
+/// An [`IdentifyError`], whose message says what to do next.
 pub fn identify(
     task: &Task,
     train: &[Run],
@@ -159,6 +160,7 @@ pub fn identify(
     if train.is_empty() {
         return Err(IdentifyError::NoRuns);
     }
+    // A table of working points may have too few rows to hold any out, so its held-out rows are optional.
     if task.model == table::NAME {
         return Ok(table::identify(train, holdout, notes, task.seed)?);
     }
@@ -169,6 +171,7 @@ pub fn identify(
     let notes = notes.into_iter().chain(compared).collect();
     let mut found =
         with_family(task, train, holdout, Assemble { task, notes, names_only: !faults.is_empty(), progress })??;
+    // What no model explains is most often a mistake in the recording, so common mistakes are tried.
     if found.report.explained == Explained::Not {
         let likely = suspicions(task, train, holdout, found.report.last.holdout.nrmse);
         found.report.suspicions.splice(0..0, likely);
@@ -187,7 +190,7 @@ pub(crate) trait Work {
     /// Result of the computation.
     type Done;
 
-    /// Runs it on the fitted-to and the held-out runs of `family`.
+    /// Runs the computation on the fitted and the held-out runs of `family`.
     fn with<F: Family>(self, family: &F, train: &[F::Run], holdout: &[F::Run]) -> Self::Done;
 }
 
@@ -225,7 +228,7 @@ pub(crate) fn with_family<W: Work>(
 struct Assemble<'t> {
     task: &'t Task,
     notes: Vec<String>,
-    /// The recordings have faults, which curves would learn.
+    /// True if the recordings have faults, which curves would learn; then only named effects are tried.
     names_only: bool,
     progress: &'t (dyn Fn(Progress) + Sync),
 }
@@ -238,7 +241,7 @@ impl Work for Assemble<'_> {
     }
 }
 
-/// Every base model there is.
+/// Returns the descriptions of all base models.
 #[must_use]
 pub fn models() -> Vec<ModelInfo> {
     Kind::ALL
@@ -249,19 +252,22 @@ pub fn models() -> Vec<ModelInfo> {
         .collect()
 }
 
-/// Share of a held-out run that its initial state is fitted to, and samples at least.
+/// Divisor of a held-out run's length that gives the samples its initial state is fitted to, and their smallest
+/// number.
 const SETTLE_SHARE: usize = 10;
 const SETTLE_SAMPLES: usize = 20;
-/// 95 % intervals of a fit's parameters, and what of them can be exchanged without being noticed: its intervals reach from the one to
-/// the other.
+/// Returns the 95 % confidence intervals of a fit's parameters, and descriptions of exchanges of parameters that fit
+/// as well: an interval reaches from one of the two solutions to the other.
 fn intervals<F: Family>(
     family: &F,
     fitted: &Fit,
     runs: &[&F::Run],
 ) -> (Vec<Option<[f64; 2]>>, impl Iterator<Item = String> + use<F>) {
     let mut intervals = fitted.intervals(family, runs);
+    // Costs up to this limit lie within the 95 % confidence region of the fit.
     let unnoticed = fitted.cost * (1.0 + fit::RISE / independent(family, runs, fitted));
     let mut exchanged = Vec::new();
+    // An exchanged solution that fits as well belongs to the confidence region too.
     for (what, other) in family.exchanged(&fitted.structure) {
         let other = fit::fit(family, runs, other, fitted.initial.clone(), Effort::FULL);
         if other.cost > unnoticed {
@@ -275,10 +281,11 @@ fn intervals<F: Family>(
     (intervals, exchanged.into_iter())
 }
 
-/// Share of the time allowed after which no further effect is looked for; the rest is for intervals. Our choice, not compared.
+/// Share of the allowed time after which no further effect is tried; the rest is for intervals. Our choice, not
+/// compared.
 const SEARCHING: f64 = 0.6;
 
-/// The free runs of a structure over held-out runs.
+/// Returns the free-run simulations of a structure over held-out runs.
 fn free_runs<F: Family>(family: &F, structure: &Structure, runs: &[F::Run], protocol: Protocol) -> Vec<Vec<f64>> {
     runs.iter()
         .map(|run| {
@@ -291,7 +298,7 @@ fn free_runs<F: Family>(family: &F, structure: &Structure, runs: &[F::Run], prot
         .collect()
 }
 
-/// NRMSE of the base model alone on the held-out runs.
+/// Returns the NRMSE of the base model alone on the held-out runs.
 pub(crate) fn base_nrmse<F: Family>(family: &F, train: &[F::Run], holdout: &[F::Run]) -> f64 {
     let fit = base(family, train);
     let held_out: Vec<&F::Run> = holdout.iter().collect();
@@ -342,12 +349,13 @@ fn assemble<F: Family>(
     let rounds = std::sync::atomic::AtomicUsize::new(0);
     let tell = |step: &str| {
         let round = rounds.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-        // The number of rounds is not known before: each takes a share of what is left.
+        // The number of rounds is unknown in advance: each takes a fixed share of the remaining progress.
         progress(Progress { step: step.to_owned(), share: 1.0 - 0.85_f64.powi(i32::try_from(round).unwrap_or(99)) });
     };
     let until = task.budget.map(|budget| started + budget.mul_f64(SEARCHING));
     let found = search_within(family, train, &tell, Limits { until, names_only });
     notes.extend(family.known());
+    // A curve has enough freedom to reproduce a fault of the recordings.
     if names_only {
         notes.push(
             "effects without a name were not looked for: they would learn what is wrong with the recordings".to_owned(),
@@ -365,6 +373,7 @@ fn assemble<F: Family>(
     let protocol = task.protocol;
     let held_out_rmse =
         |fit: &Fit| score(family, &held_out, &free_runs(family, &fit.structure, holdout, protocol)).rmse;
+    // Held-out runs are scored only here, after the search has ended.
     let [baseline, last] = [&found.base, &found.last].map(|fit| scores(family, fit, (train, holdout), protocol));
     tell("intervals");
     let (intervals, exchanged) = intervals(family, &found.fitted.0, &found.fitted.1.iter().collect::<Vec<_>>());
@@ -376,13 +385,14 @@ fn assemble<F: Family>(
     let mut ladder = vec![("base model".to_owned(), baseline.holdout.rmse)];
     let mut effects = Vec::new();
     let mut before = baseline.holdout.rmse;
-    // What is of the stamps is no claim about the machine.
+    // Errors of the stamps say nothing about the machine, so they are reported apart.
     let of_stamps = |parameters: &mut BTreeMap<String, Estimate>| -> Vec<(String, Estimate)> {
         let names: Vec<String> = parameters.keys().filter(|name| family.timing(name).is_some()).cloned().collect();
         names.into_iter().filter_map(|name| parameters.remove_entry(&name)).collect()
     };
     let mut timing: BTreeMap<String, Estimate> = of_stamps(&mut parameters).into_iter().collect();
     for (place, step) in found.steps.iter().enumerate() {
+        // The last step is the final model, whose error is known already.
         let after = if place + 1 == found.steps.len() { last.holdout.rmse } else { held_out_rmse(&step.fit) };
         let name = name(family, &step.term);
         ladder.push((format!("+ {name}"), after));
@@ -403,6 +413,7 @@ fn assemble<F: Family>(
                 blocked_rmse_after: step.blocked_rmse[1],
                 p_value: step.p_value,
                 blocks_better: step.blocks_better,
+                // JSON has no infinity, the z of a term without a size.
                 z: step.z.min(1e6),
             },
             rivals: step
@@ -437,6 +448,7 @@ fn assemble<F: Family>(
     let loadable = family.loadable(&found.last.structure, &source);
     let unit = family.unit().to_owned();
     let verdict = verdict(&task.model, &unit, &effects, &baseline, &last, residual.white);
+    // An output that precedes its input is not explained by it, however small the error.
     let is_early = family.is_early(&found.last.structure) && !residual.white;
     let explained = if is_early {
         Explained::Not
@@ -474,6 +486,7 @@ fn name<F: Family>(family: &F, term: &Term) -> String {
 fn table<F: Family>(family: &F, found: &Found<F::Run>, place: usize) -> Option<Table> {
     let structure = &found.last.structure;
     let Term::Curve(curve) = structure.terms.get(place)? else { return None };
+    // A gain is dimensionless; the other curves are per unit of inertia.
     let scale = if curve.acts == Acts::Gain { 1.0 } else { family.force_per_push(structure) };
     let from: usize = structure.base.len() + structure.added[..place].iter().map(Vec::len).sum::<usize>();
     let std = (0..curve.at.len())
@@ -489,11 +502,11 @@ fn table<F: Family>(family: &F, found: &Found<F::Run>, place: usize) -> Option<T
     })
 }
 
-/// Of stamps at the early end of their range.
+/// Suspicion if the delay of the output's stamps is at the early end of its range.
 const MOVES_FIRST: &str =
     "the output moves before its input: look whether both are of one recording and stamped by one clock";
 
-/// Runs that are drawn, at most.
+/// Largest number of runs that are plotted.
 const DRAWN: usize = 6;
 
 fn traces<F: Family>(
@@ -553,7 +566,7 @@ fn verdict(model: &str, unit: &str, effects: &[EffectReport], baseline: &Scores,
     }
 }
 
-/// The verdict where recordings are not explained.
+/// Returns the verdict for recordings that are not explained.
 fn not_explained(report: &Report) -> String {
     let left = report.last.holdout.nrmse;
     let compared = if left < 1.0 { "" } else { ", no less than a constant does" };

@@ -1,47 +1,47 @@
-//! How far two runs are apart.
+//! Comparison of two runs, signal by signal.
 
 use r4_maths::statistics::{QuantileRule, RootMeanSquare, quantile};
 
 use crate::{Kind, Log, Signal, Value};
 
-/// How a signal differs between two logs, seen from both: each sample of one is compared with what the other has at that
-/// moment.
+/// Difference of one signal between two logs, from both sides: each sample of one is compared with the value of the
+/// other at that time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
-    /// Of the [`Signal`].
+    /// Name of the [`Signal`].
     pub name: String,
-    /// How many samples each log has.
+    /// Number of samples in each log.
     pub samples: [usize; 2],
-    /// Samples of each for which the other has nothing: it was not recorded then, or never.
+    /// Samples of each log for which the other has no value at that time.
     pub one_sided: [usize; 2],
-    /// Samples of both that were compared.
+    /// Number of comparisons, of the samples of both logs.
     pub compared: usize,
-    /// Largest difference of numbers, in the signal's unit; `None` for words, and where nothing was compared.
+    /// Largest absolute difference of numbers, in the signal's unit; `None` for text, and if nothing was compared.
     pub max: Option<f64>,
-    /// Root mean square of the differences of numbers.
+    /// Root mean square of the differences of numbers; `None` where `max` is.
     pub rms: Option<f64>,
-    /// Compared samples that are not the same, to the last bit.
+    /// Number of compared samples that are not bit-identical.
     pub unequal: usize,
 }
 
 impl Difference {
-    /// Both logs have the same samples at the same moments, to the last bit.
+    /// Returns whether both logs have the same samples at the same times, to the last bit.
     #[must_use]
     pub fn is_identical(&self) -> bool {
         self.one_sided == [0, 0] && self.unequal == 0
     }
 }
 
-/// A gap is no longer than so many of the signal's usual periods.
+/// Longest time between two samples that still counts as continuous, in median periods of the signal.
 const GAP_PERIODS: f64 = 2.5;
-/// Moments closer than this are one: half of what a board's clock counts, s.
+/// Times closer than this are equal, s: half of what a board's clock counts.
 const SAME_S: f64 = 0.5e-6;
 
 /// Compares every signal that either log has. `shift_s` is added to the times of `b`.
 ///
-/// Between samples a continuous signal of the other log is taken to go straight from one to the next, and any other to be
-/// either; where its samples are farther apart than usual it has nothing. Events are compared in their order, whenever
-/// they were.
+/// Between two samples, a continuous signal of the other log is interpolated linearly, and any other signal may have
+/// either value; where its samples are farther apart than usual it has none. Events are compared in their order,
+/// whatever their times.
 #[must_use]
 pub fn compare(a: &Log, b: &Log, shift_s: f64) -> Vec<Difference> {
     let (a, mut b) = (a.signals(), b.signals());
@@ -51,12 +51,13 @@ pub fn compare(a: &Log, b: &Log, shift_s: f64) -> Vec<Difference> {
     let of = |signals: &[Signal], name: &str| signals.iter().find(|signal| signal.name == name).cloned();
     let mut all: Vec<Difference> =
         a.iter().map(|signal| difference(Some(signal), of(&b, &signal.name).as_ref(), &signal.name)).collect();
+    // Signals of both are in the order of `a`, those of `b` alone follow.
     let only_b = b.iter().filter(|signal| of(&a, &signal.name).is_none());
     all.extend(only_b.map(|signal| difference(None, Some(signal), &signal.name)));
     all
 }
 
-/// What comes of comparing samples.
+/// Counters of a comparison.
 #[derive(Default)]
 struct Tally {
     compared: usize,
@@ -66,7 +67,8 @@ struct Tally {
 }
 
 impl Tally {
-    /// Takes the difference of two numbers, if they are any, and whether they are the same.
+    /// Counts one comparison: the difference of the numbers, if they are numbers, and whether the values are
+    /// identical.
     fn take(&mut self, difference: Option<f64>, equal: bool) {
         self.compared += 1;
         self.unequal += usize::from(!equal);
@@ -102,13 +104,14 @@ fn difference(a: Option<&Signal>, b: Option<&Signal>, name: &str) -> Difference 
     }
 }
 
-/// Compares each sample of `signal` with what `other` has then; returns for how many that is nothing.
+/// Compares each sample of `signal` with the value of `other` at that time. Returns the number of samples for which
+/// `other` has none.
 fn one_way(signal: &Signal, other: &Signal, tally: &mut Tally) -> usize {
     let longest_s = if other.kind == Kind::Changes { f64::INFINITY } else { GAP_PERIODS * usual_period_s(other) };
     let mut one_sided = 0;
     let mut after = 0;
     for (time_s, value) in &signal.samples {
-        // The first at or after this moment.
+        // Index of the other's first sample at or after this time.
         while other.samples.get(after).is_some_and(|sample| sample.0 < time_s - SAME_S) {
             after += 1;
         }
@@ -123,6 +126,7 @@ fn one_way(signal: &Signal, other: &Signal, tally: &mut Tally) -> usize {
                     let difference = numbers.map(|(value, (from, to))| value - (from + share * (to - from)));
                     tally.take(difference, difference == Some(0.0));
                 }
+                // The time of the step between the two samples is unknown, so either value is right.
                 Kind::Held | Kind::Changes | Kind::Event => {
                     let nearer = [from, to].map(|neighbour| apart(value, neighbour));
                     let nearest = nearer.into_iter().flatten().min_by(|a, b| a.abs().total_cmp(&b.abs()));
@@ -135,14 +139,14 @@ fn one_way(signal: &Signal, other: &Signal, tally: &mut Tally) -> usize {
     one_sided
 }
 
-/// The difference of two numbers.
+/// Returns the difference of two numbers; `None` if either is text.
 fn apart(a: &Value, b: &Value) -> Option<f64> {
     a.number().zip(b.number()).map(|(a, b)| a - b)
 }
 
-/// The median time between samples.
+/// Returns the median time between samples, s; 0 for a single one.
 fn usual_period_s(signal: &Signal) -> f64 {
     let periods: Vec<f64> = signal.samples.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
-    // One of the periods, not the mean of two: a signal that changes its rate halfway has one of both.
+    // A measured period rather than the mean of two: a signal that changes its rate halfway has no period in between.
     quantile(&periods, 0.5, QuantileRule::NearestPosition).unwrap_or_default()
 }

@@ -1,7 +1,7 @@
-//! The records of an MCAP file, whatever state it is in (<https://mcap.dev/spec>).
+//! Records of an MCAP file in any state of damage (<https://mcap.dev/spec>).
 //!
-//! The readers of the `mcap` crate trust the lengths inside a chunk and can panic on a damaged one. This walk trusts
-//! nothing: it never reads beyond what is there, and a file cut anywhere gives the records before the cut.
+//! The readers of the `mcap` crate trust the lengths inside a chunk and can panic on a damaged one. These functions
+//! trust none: they never read beyond the bytes, and a file that is cut anywhere yields the records before the cut.
 
 use std::io::Read;
 
@@ -12,21 +12,21 @@ use mcap::{
     records::{ChunkHeader, op},
 };
 
-/// Name of the compression whose chunks are LZ4 frames.
+/// Name of LZ4 frame compression in a chunk's header.
 pub(crate) const LZ4: &str = "lz4";
 
-/// One record: its opcode, and what is there of its content.
+/// One record: its opcode, and the part of its content that is in the file.
 #[derive(Clone, Copy)]
 pub(crate) struct RawRecord<'a> {
     pub(crate) opcode: u8,
     pub(crate) body: &'a [u8],
-    /// Byte of the file, or of the chunk, at which the record starts.
+    /// Offset of the record's first byte in the file, or in its chunk.
     pub(crate) offset: usize,
-    /// The content goes on after the end.
+    /// True if the content would go on beyond the end of the bytes.
     pub(crate) cut: bool,
 }
 
-/// Walks records that follow each other; ends with at most one record that is [`RawRecord::cut`].
+/// Iterator over consecutive records. At most one record is [`RawRecord::cut`], the last.
 pub(crate) struct Records<'a> {
     bytes: &'a [u8],
     offset: usize,
@@ -42,6 +42,7 @@ impl<'a> Iterator for Records<'a> {
     type Item = RawRecord<'a>;
 
     fn next(&mut self) -> Option<RawRecord<'a>> {
+        // Opcode (1 byte) and length (8 bytes, little endian) precede the content.
         let rest = self.bytes.get(self.offset..).filter(|rest| !rest.is_empty())?;
         let offset = self.offset;
         let mut fields = Fields { rest };
@@ -57,17 +58,17 @@ impl<'a> Iterator for Records<'a> {
     }
 }
 
-/// What became of a chunk.
+/// Content of a chunk, or why it cannot be read.
 pub(crate) enum Chunk<'a> {
-    /// Its records; of a chunk that is cut, those before the cut.
+    /// Records of the chunk; of a chunk that is cut, those before the cut.
     Records(Vec<RawRecord<'a>>),
-    /// It is compressed in a way that this program does not read.
+    /// The chunk has this compression, which the crate does not read.
     Compressed(String),
-    /// Its checksum or its structure is wrong: the numbers in it cannot be trusted.
+    /// The checksum or the structure is wrong, so the numbers in the chunk cannot be trusted.
     Damaged,
 }
 
-/// Opens a chunk record; `decompressed` gets its content where that is compressed.
+/// Opens a chunk record; `decompressed` receives the content of a compressed one.
 pub(crate) fn chunk<'a>(record: &RawRecord<'a>, decompressed: &'a mut Vec<u8>) -> Chunk<'a> {
     let mut fields = Fields { rest: record.body };
     let Some(mut header) = fields.chunk_header() else {
@@ -82,7 +83,8 @@ pub(crate) fn chunk<'a>(record: &RawRecord<'a>, decompressed: &'a mut Vec<u8>) -
     let data = match header.compression.as_str() {
         "" => data,
         LZ4 => {
-            // One byte more than there should be is enough to see that it is too much.
+            // One byte more than declared shows that the content is too long, and bounds the memory that a damaged
+            // chunk takes.
             let most = header.uncompressed_size.saturating_add(1);
             let read = FrameDecoder::new(data).take(most).read_to_end(decompressed);
             if read.is_err() && !record.cut {
@@ -93,12 +95,14 @@ pub(crate) fn chunk<'a>(record: &RawRecord<'a>, decompressed: &'a mut Vec<u8>) -
         }
         _ => return Chunk::Compressed(header.compression),
     };
+    // The checksum covers the whole chunk, so it cannot be verified when part is missing.
     if record.cut {
         return Chunk::Records(Records::new(data, 0).filter(|record| !record.cut).collect());
     }
     let records: Vec<_> = Records::new(data, 0).collect();
-    // Only on these does `ChunkReader` not panic, and no others belong into a chunk.
+    // `ChunkReader` panics on other records, and no others belong into a chunk.
     let sound = |record: &RawRecord| !record.cut && matches!(record.opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE);
+    // The declared size is checked before `ChunkReader` relies on it.
     let whole = data.len() as u64 == header.uncompressed_size;
     let checked = || ChunkReader::new(header.clone(), data)?.try_for_each(|record| record.map(|_| ()));
     match (whole && records.iter().all(sound)).then(checked) {
@@ -107,7 +111,7 @@ pub(crate) fn chunk<'a>(record: &RawRecord<'a>, decompressed: &'a mut Vec<u8>) -
     }
 }
 
-/// Takes fields off the front; `None` where too few bytes are left.
+/// Reader of fields from the front of the bytes; each method returns `None` if too few bytes are left.
 struct Fields<'a> {
     rest: &'a [u8],
 }

@@ -1,4 +1,4 @@
-//! How complete a recording is.
+//! Completeness of a recording.
 
 use std::collections::BTreeMap;
 
@@ -6,23 +6,24 @@ use r4_protocol::{ChannelId, Request};
 
 use crate::{Gap, Log};
 
-/// What there is of a channel.
+/// Completeness of one channel in a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Coverage {
-    /// Which.
+    /// Channel that was recorded.
     pub channel: ChannelId,
-    /// How many samples.
+    /// Number of samples in the recording.
     pub samples: usize,
     /// Mean rate, Hz; `None` for a single sample.
     pub rate_hz: Option<f64>,
-    /// Longest time without a sample, s; `None` for a single sample.
+    /// Longest time between two samples, s; `None` for a single sample.
     pub longest_gap_s: Option<f64>,
-    /// Samples that were subscribed to and never came; `None` where the log does not hold subscriptions.
+    /// Number of samples that were subscribed to and never came; `None` if the log holds no subscriptions of the
+    /// channel.
     pub missing: Option<u64>,
 }
 
 impl Log {
-    /// Every channel with samples or with a subscription, in the header's order.
+    /// Returns the coverage of every channel with samples or with a subscription, in the header's order.
     #[must_use]
     pub fn coverage(&self) -> Vec<Coverage> {
         let mut subscriptions: BTreeMap<ChannelId, Vec<(f64, u16)>> = BTreeMap::new();
@@ -53,7 +54,7 @@ impl Log {
             .collect()
     }
 
-    /// When each sample of `channel` was taken, s.
+    /// Returns the time of each sample of `channel`, s.
     fn sample_times(&self, channel: ChannelId) -> Vec<f64> {
         let mut times = Vec::new();
         times.extend(self.motor(channel).iter().flat_map(|series| &series.samples).map(|sample| sample.time_s));
@@ -64,8 +65,9 @@ impl Log {
     }
 }
 
-/// Samples that should have come in each subscription's time and did not. A subscription ends with its link. One fewer than fit is not missed: the first
-/// comes within a period of the subscription, and the last may be under way at the end.
+/// Counts the samples that should have come in each subscription's time and did not. A subscription ends with its
+/// link. One sample less than fit is not missing: the first comes within a period of the subscription, and the last
+/// may be on its way at the end. `asked` holds the start (s) and the period (ms) of each subscription.
 fn missing(asked: &[(f64, u16)], times: &[f64], gaps: &[Gap], end_s: f64) -> u64 {
     let mut missing = 0;
     for (index, &(from_s, period_ms)) in asked.iter().enumerate() {
@@ -74,12 +76,13 @@ fn missing(asked: &[(f64, u16)], times: &[f64], gaps: &[Gap], end_s: f64) -> u64
         }
         let period_s = f64::from(period_ms) / 1000.0;
         let until_s = asked.get(index + 1).map_or(end_s, |next| next.0);
+        // A subscription ends when its link is lost; the host subscribes again after it.
         let gap = gaps.iter().find(|gap| gap.time_s > from_s);
         let until_s = gap.map_or(until_s, |gap| until_s.min(gap.time_s - gap.without_link_s));
         let within = times.iter().copied().filter(|time_s| (from_s..=until_s).contains(time_s));
         let mut before_s = from_s;
         for time_s in within.chain([until_s]) {
-            // As many periods as fit, less the one at whose end there is a sample or the end.
+            // As many periods as fit, less the one that ends at this sample; half a period of jitter is allowed.
             missing += ((time_s - before_s) / period_s - 0.5).floor().max(0.0) as u64;
             before_s = time_s;
         }

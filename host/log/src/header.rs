@@ -1,4 +1,4 @@
-//! What a file says about the run it holds, as a metadata record.
+//! Header of a log: the metadata record that describes the recorded board and the recording.
 
 use std::{
     collections::BTreeMap,
@@ -11,55 +11,55 @@ use serde::{Deserialize, Serialize};
 /// Name of the metadata record.
 pub(crate) const RECORD_NAME: &str = "r4.run";
 
-/// Version of the topics, fields and metadata keys; a reader refuses those it does not know.
+/// Version of the topics, fields and metadata keys; a reader refuses versions it does not know.
 ///
 /// In format 1 a set point of any mode was the field `setpoint`, and chunks were not compressed.
 pub(crate) const FORMAT: &str = "2";
-/// What a reader takes.
+/// Formats that this crate reads.
 pub(crate) const READABLE: [&str; 2] = ["1", FORMAT];
 
-/// Which board was recorded, and what its channels are.
+/// Description of the recorded board, its channels and the recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Header {
-    /// The robot's name.
+    /// Name of the robot.
     pub robot: String,
-    /// How the board was reached, such as `sim:osmc-bench`.
+    /// Address of the board, such as `sim:osmc-bench`.
     pub board: String,
     /// Version of the board's firmware.
     pub firmware: String,
     /// [`r4_protocol::VERSION`] of the recording program.
     pub protocol_version: u16,
-    /// The board's description of itself; only channels listed here can be recorded.
+    /// Channels as the board describes them; samples of other channels cannot be recorded.
     pub channels: Vec<ChannelInfo>,
-    /// Seed of a virtual board's noise; `None` for a real board, and in the first logs of this format.
+    /// Seed of a virtual board's noise; `None` for a real board, and in the first logs of format 1.
     pub seed: Option<u64>,
-    /// When and how; `None` in earlier logs.
+    /// Time and program of the recording; `None` in earlier logs.
     pub recorded: Option<Recorded>,
 }
 
-/// When, by which program and by which command a run was recorded.
+/// Time, program and command line of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Recorded {
     /// Wall clock when the session with the board was opened, ns since 1970-01-01T00:00:00Z.
     pub unix_ns: u64,
-    /// Name and version of the program.
+    /// Name and version of the recording program.
     pub program: String,
-    /// Its command line.
+    /// Command line of the recording program.
     pub command: String,
-    /// Wall clock minus the board's clock, ns, on a board in real time: the log times of its messages are wall-clock times. A
-    /// virtual board's are its own.
+    /// Wall clock minus the board's clock, ns, for a board in real time, whose messages have wall-clock log times.
+    /// `None` for a virtual board, whose log times are those of its own clock.
     pub clock_offset_ns: Option<i64>,
 }
 
 impl Recorded {
-    /// `unix_ns` as RFC 3339 has it, in UTC, in whole seconds.
+    /// Returns `unix_ns` in UTC as in RFC 3339, in whole seconds.
     #[must_use]
     pub fn at(&self) -> String {
         humantime::format_rfc3339_seconds(UNIX_EPOCH + Duration::from_nanos(self.unix_ns)).to_string()
     }
 }
 
-/// Why a metadata record is no [`Header`].
+/// Reason why a metadata record is no [`Header`].
 #[derive(Debug, PartialEq)]
 pub(crate) enum BadHeader {
     Format { found: String },
@@ -77,6 +77,7 @@ impl Header {
             ("protocol_version".to_owned(), self.protocol_version.to_string()),
             ("channels".to_owned(), serde_json::to_string(&channels)?),
         ]);
+        // Absent fields stay absent, so that readers can tell them from empty ones.
         metadata.extend(self.seed.map(|seed| ("seed".to_owned(), seed.to_string())));
         if let Some(recorded) = &self.recorded {
             metadata.insert("recorded_at".to_owned(), recorded.at());
@@ -99,6 +100,7 @@ impl Header {
             field("protocol_version")?.parse().map_err(|_| BadHeader::Field { key: "protocol_version" })?;
         let records: Vec<ChannelRecord> =
             serde_json::from_str(field("channels")?).map_err(|_| BadHeader::Field { key: "channels" })?;
+        // One unknown channel makes the header unreadable: samples of it could not be interpreted.
         let channels = records.iter().map(ChannelRecord::info).collect::<Option<_>>();
         Ok(Self {
             robot: field("robot")?.clone(),
@@ -129,7 +131,7 @@ fn recorded(metadata: &BTreeMap<String, String>) -> Result<Option<Recorded>, Bad
     }))
 }
 
-/// The name of `mode` in a file.
+/// Returns the name of `mode` in a file.
 pub(crate) fn mode_name(mode: Mode) -> &'static str {
     match mode {
         Mode::Position => "position",
@@ -144,7 +146,7 @@ pub(crate) fn mode_name(mode: Mode) -> &'static str {
     }
 }
 
-/// The mode of that name.
+/// Returns the mode with that name; `None` for an unknown one.
 pub(crate) fn mode_from(name: &str) -> Option<Mode> {
     Mode::ALL.into_iter().find(|mode| mode_name(*mode) == name)
 }
@@ -153,7 +155,7 @@ fn unit_from(name: &str) -> Option<Unit> {
     Unit::ALL.into_iter().find(|unit| unit.to_string() == name)
 }
 
-/// [`ChannelInfo`] in the words of the command line. JSON has no infinity: a missing limit is an open one.
+/// [`ChannelInfo`] with the names of the command line. JSON has no infinity: a missing limit is an open one.
 #[derive(Serialize, Deserialize)]
 struct ChannelRecord {
     id: String,
@@ -235,7 +237,7 @@ mod tests {
             let unix_ns = seconds * 1_000_000_000;
             Recorded { unix_ns, program: String::new(), command: String::new(), clock_offset_ns: None }.at()
         };
-        // By `date -u -d @SECONDS`.
+        // Reference dates are from `date -u -d @SECONDS`.
         for (seconds, date) in [
             (0, "1970-01-01T00:00:00Z"),
             (951_782_399, "2000-02-28T23:59:59Z"),

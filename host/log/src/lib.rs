@@ -1,7 +1,8 @@
 //! Recorded runs of an R4 board: MCAP files that Foxglove and PlotJuggler open as they are.
 //!
-//! [`Tap`] writes what goes over a link, in both directions; [`Recorder`] writes what it is given. [`Log`] reads either
-//! back into typed series; [`Log::write_csv`] makes a table of it, [`compare()`] tells two runs apart. Messages are JSON with a JSON Schema:
+//! [`Tap`] records what goes over a link, in both directions; [`Recorder`] writes what it is given. [`Log`] reads a
+//! file back into typed series, [`Log::write_csv`] makes a table of it, and [`compare()`] lists the differences of
+//! two runs. Messages are JSON with a JSON Schema:
 //!
 //! | topic | fields |
 //! | --- | --- |
@@ -16,20 +17,21 @@
 //! | `/refusal` | `request`, `reason`; a message per request refused |
 //! | `/gap` | `without_link_s`, `restarted`, `clock_shift_us`; a message when a lost link is back |
 //!
-//! Every numeric field has one unit, which ends its name. Set points: `setpoint_position_rad`, `_m`; `setpoint_speed_rad_s`, `_m_s`;
-//! `setpoint_home_rad_s`, `_m_s`; `setpoint_duty` (share of the supply); `setpoint_voltage_v`; `setpoint_switch`, `setpoint_brake` (0
-//! or 1). A number that is not finite is left out of its message. Who was recorded is in the metadata record `r4.run`.
+//! Every numeric field has one unit, which ends its name. Set points: `setpoint_position_rad`, `_m`;
+//! `setpoint_speed_rad_s`, `_m_s`; `setpoint_home_rad_s`, `_m_s`; `setpoint_duty` (share of the supply);
+//! `setpoint_voltage_v`; `setpoint_force_n`; `setpoint_switch`, `setpoint_brake` (0 or 1). A number that is not finite
+//! is left out of its message. The metadata record `r4.run` describes the board that was recorded.
 //!
-//! Chunks are LZ4 frames, which stock MCAP readers open; each is at most a second long. This is format 2. Format 1, which is read
-//! too, has uncompressed chunks and one field `setpoint` for all modes.
+//! Chunks are LZ4 frames, which stock MCAP readers open; each is at most a second long. This is format 2. Format 1
+//! can also be read; it has uncompressed chunks and one field `setpoint` for all modes.
 //!
-//! `sent_us` is the host's clock since it said hello: what is needed to send the same again at the same moments.
+//! `sent_us` is the host's clock since its hello: a replay sends the same requests at the same moments.
 //!
-//! Publish times are the board's clock; where a board restarts while it is recorded, times go on by the host's clock, and
-//! `clock_shift_us` leads back to the board's. Log times are publish times for a virtual board, and wall-clock times for a board
-//! in real time, which drift with the board's crystal from the beginning on. The metadata record also says when the run was recorded, by which program and command. Two identical runs of a virtual
-//! board have identical messages, to the last bit.
-//!
+//! Publish times are the board's clock; if a board restarts while it is recorded, times continue by the host's clock,
+//! and `clock_shift_us` leads back to the board's. Log times are publish times for a virtual board, and wall-clock
+//! times for a board in real time, which drift with the board's crystal from the beginning on. The metadata record
+//! also says when the run was recorded, by which program and command. Two identical runs of a virtual board have
+//! bit-identical messages.
 //! ```
 //! # use std::io::Cursor;
 //! # use r4_log::{Header, Log, Recorder};

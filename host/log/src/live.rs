@@ -1,23 +1,24 @@
-//! A log while it is recorded, for live views.
+//! Live view of a log while it is recorded.
 
-/// Topic of a log, with what describes its messages.
+/// Topic of a log, with the description of its messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LiveTopic<'a> {
-    /// Number in this log, by which its messages come.
+    /// Number of the topic in this log, which its messages refer to.
     pub number: u16,
-    /// Name in the log, as in `/osmc0`.
+    /// Name of the topic, as in `/osmc0`.
     pub name: &'a str,
     /// Name of the schema, as in `r4.Motor`.
     pub schema: &'a str,
-    /// The schema, a JSON Schema.
+    /// JSON Schema of the messages.
     pub json_schema: &'a str,
 }
 
-/// Receiver of what a recording holds, while it is recorded: the same topics, schemas and times.
+/// Receiver of a recording while it is made: the same topics, schemas and times as in the file.
 pub trait Live {
-    /// A topic begins. Each comes before its first message.
+    /// Announces a topic before its first message.
     fn topic(&mut self, topic: &LiveTopic<'_>);
 
-    /// A message of a topic, in JSON, at `log_time_ns` (ns since 1970, or of a virtual board's clock from the recording's beginning on).
+    /// Receives a message in JSON. `log_time_ns` is in ns since 1970, or on a virtual board's clock since the
+    /// recording began.
     fn message(&mut self, topic: u16, log_time_ns: u64, json: &[u8]);
 }

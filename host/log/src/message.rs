@@ -1,4 +1,4 @@
-//! The JSON messages and their schemas.
+//! JSON messages of a log and their schemas.
 
 use std::{borrow::Cow, collections::BTreeMap, fmt};
 
@@ -11,26 +11,26 @@ use serde::{
 
 use crate::header::{mode_from, mode_name};
 
-/// Topic of [`StateMessage`].
+/// Topic of the state messages, [`StateMessage`].
 pub(crate) const STATE_TOPIC: &str = "/state";
-/// Topic of [`CommandMessage`].
+/// Topic of the commands, [`CommandMessage`].
 pub(crate) const COMMAND_TOPIC: &str = "/command";
-/// Topic of [`crate::request::RequestMessage`].
+/// Topic of the other requests, [`crate::request::RequestMessage`].
 pub(crate) const REQUEST_TOPIC: &str = "/request";
-/// Topic of [`crate::request::RefusalMessage`].
+/// Topic of the refusals, [`crate::request::RefusalMessage`].
 pub(crate) const REFUSAL_TOPIC: &str = "/refusal";
-/// Topic of [`GapMessage`].
+/// Topic of the gaps, [`GapMessage`].
 pub(crate) const GAP_TOPIC: &str = "/gap";
 
-/// `None` for what JSON cannot hold.
+/// Returns `None` for a number that JSON cannot hold: infinite or NaN.
 pub(crate) fn finite(value: f32) -> Option<f32> {
     value.is_finite().then_some(value)
 }
 
-/// A struct with the fields of a set point between those before and those after `setpoint`: at most one of them is present, the one of
-/// its mode and unit, so that each field has one unit.
+/// Defines a struct with the fields of a set point between those before and those after `setpoint`. At most one of
+/// them is present, that of its mode and unit, so that each field has one unit.
 ///
-/// Written out rather than `serde(flatten)`, which would copy every message before reading it.
+/// The fields are written out because `serde(flatten)` would copy every message before reading it.
 macro_rules! with_setpoint {
     (
         $(#[$meta:meta])*
@@ -41,7 +41,7 @@ macro_rules! with_setpoint {
         pub(crate) struct $name<'a> {
             $($before)*
             pub(crate) setpoint_mode: &'a str,
-            /// In any unit: format 1 only.
+            /// Set point in any unit; only in logs of format 1.
             #[serde(default, skip_serializing)]
             pub(crate) setpoint: Option<f32>,
             #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -70,7 +70,7 @@ macro_rules! with_setpoint {
         }
 
         impl $name<'_> {
-            /// The same with this set point, of a channel that moves in a line or turns.
+            /// Returns the message with this set point, of a channel that moves linearly (`linear`) or turns.
             pub(crate) fn with_setpoint(mut self, setpoint: Setpoint, linear: bool) -> Self {
                 let field = match (setpoint.mode, linear) {
                     (Mode::Position | Mode::Follow, false) => &mut self.setpoint_position_rad,
@@ -90,7 +90,7 @@ macro_rules! with_setpoint {
                 self
             }
 
-            /// The set point's number, which was finite.
+            /// Returns the set point's number; `None` if it was not finite.
             pub(crate) fn setpoint(&self) -> Option<f32> {
                 let by_mode = match mode_from(self.setpoint_mode)? {
                     Mode::Position | Mode::Follow => self.setpoint_position_rad.or(self.setpoint_position_m),
@@ -109,9 +109,9 @@ macro_rules! with_setpoint {
 }
 
 with_setpoint! {
-/// A motor sample. Either the rotary or the linear fields are present.
+/// Sample of a motor channel. Either the rotary or the linear fields are present.
 ///
-/// `f32` as on the wire: the shortest decimal that means it, half as long as the same number written as `f64`.
+/// `f32` as on the wire: its shortest decimal is half as long as that of the same number written as `f64`.
 MotorMessage {} setpoint {
     pub(crate) position_counts: i32,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -125,16 +125,16 @@ MotorMessage {} setpoint {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) duty: Option<f32>,
     pub(crate) settled: bool,
-    /// Not in the first logs.
+    /// Absent from the first logs, which then read `false`.
     #[serde(default)]
     pub(crate) homed: bool,
-    /// Of boards that compute it, from protocol 7 on.
+    /// Only of boards that compute it, from protocol 7 on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) winding_heat: Option<f32>,
 }
 }
 
-/// A sample of an encoder.
+/// Sample of an encoder channel.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct EncoderMessage {
     pub(crate) position_counts: i32,
@@ -145,8 +145,8 @@ pub(crate) struct EncoderMessage {
     pub(crate) illegal: u32,
 }
 
-/// A sample with one number: the field named after the channel's unit is present, and the last two of an input that can
-/// fail.
+/// Sample with one number, in the field named after the channel's unit. `age_ms` and `quality` are present for an
+/// input that can fail.
 #[derive(Default, Serialize, Deserialize)]
 pub(crate) struct ScalarMessage<'a> {
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -210,10 +210,10 @@ impl ScalarMessage<'_> {
     }
 }
 
-/// A sample of a sensor that measures several numbers together: each in the field that its kind names, where it is finite.
+/// Sample of a sensor that measures several numbers together. Each finite number is in the field that its kind names.
 ///
-/// Written out for the reason given at `with_setpoint`, and because a flattened number cannot be read where serde_json keeps
-/// numbers as text, which another crate of the same program may ask for.
+/// Serialisation is written out for the reason given at `with_setpoint`, and because a flattened number cannot be
+/// read if serde_json keeps numbers as text, which another crate of the same program may ask for.
 pub(crate) struct SensorMessage<'a> {
     values: BTreeMap<Cow<'a, str>, f32>,
     pub(crate) age_ms: u16,
@@ -276,35 +276,35 @@ impl SensorMessage<'_> {
         }
     }
 
-    /// NaN for what is not there.
+    /// Returns the number in `field`; NaN if it is absent.
     pub(crate) fn value(&self, field: &str) -> f64 {
         self.values.get(field).map_or(f64::NAN, |value| f64::from(*value))
     }
 }
 
-/// Where the safety supervisor stands.
+/// State of the safety supervisor.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct StateMessage<'a> {
     #[serde(borrow)]
     pub(crate) state: &'a str,
-    /// For people; a cause that this version does not know is only in `causes_bits`.
+    /// Causes for people to read; one that this version does not know is only in `causes_bits`.
     #[serde(default)]
     pub(crate) causes: Vec<String>,
     pub(crate) causes_bits: u32,
 }
 
 with_setpoint! {
-/// A command that was sent.
+/// Set point that the host sent to a channel.
 CommandMessage {
     pub(crate) channel: &'a str,
 } setpoint {
-    /// Not in the first logs.
+    /// Absent from the first logs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) sent_us: Option<u64>,
 }
 }
 
-/// The link was gone, and is back.
+/// End of a time without a link.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct GapMessage {
     pub(crate) without_link_s: f64,
@@ -342,35 +342,36 @@ const QUALITIES: [(Quality, &str); 13] = [
     (Quality::StrongMagnet, "strong-magnet"),
 ];
 
-/// The name of `quality` in a file, as in `out-of-range`.
+/// Returns the name of `quality` in a file, as in `out-of-range`.
 #[must_use]
 pub fn quality_name(quality: Quality) -> &'static str {
     QUALITIES[quality as usize].1
 }
 
-/// The quality of that name.
+/// Returns the quality with that name; `None` for an unknown one.
 pub(crate) fn quality_from(name: &str) -> Option<Quality> {
     QUALITIES.into_iter().find(|(_, known)| *known == name).map(|(quality, _)| quality)
 }
 
-/// Whether the channel moves in a line; otherwise its fields are rotary.
+/// Returns whether the channel moves linearly; otherwise its fields are rotary.
 pub(crate) fn is_linear(info: &ChannelInfo) -> bool {
+    // A channel in duty or volts is linear if one of its modes is.
     let linear = |unit| matches!(unit, Unit::M | Unit::MPerS);
     linear(info.unit) || info.modes.iter().any(|mode| linear(mode.unit))
 }
 
-/// A JSON Schema with the name under which a viewer lists it.
+/// JSON Schema with the name under which a viewer lists it.
 pub(crate) struct Schema {
     pub(crate) name: String,
     pub(crate) json: String,
 }
 
-/// `fields`: name, JSON type, meaning.
+/// Builds the schema of an object. `fields` are name, JSON type and meaning of each.
 pub(crate) fn schema(name: &str, fields: &[(&str, &str, &str)]) -> Schema {
     let properties: Vec<String> = fields
         .iter()
         .map(|(field, kind, meaning)| {
-            // JSON Schema asks for the type of the items; the only arrays here hold text
+            // A viewer needs the type of an array's items.
             let items = if *kind == "array" { r#","items":{"type":"string"}"# } else { "" };
             format!(r#""{field}":{{"type":"{kind}"{items},"description":"{meaning}"}}"#)
         })
@@ -384,9 +385,9 @@ pub(crate) const LINEAR_MOTOR: &str = "r4.LinearMotor";
 pub(crate) const ENCODER: &str = "r4.Encoder";
 pub(crate) const REQUEST: &str = "r4.Request";
 pub(crate) const REFUSAL: &str = "r4.Refusal";
-/// Ends the names of the schemas of inputs that can fail.
+/// End of the schema names of inputs that can fail.
 pub(crate) const READING: &str = "Reading";
-/// Ends the names of the schemas of sensors that measure several numbers together.
+/// End of the schema names of sensors that measure several numbers together.
 pub(crate) const SENSOR: &str = "Sensor";
 
 pub(crate) const SENT_US: (&str, &str, &str) =
@@ -437,12 +438,12 @@ pub(crate) fn motor_schema(linear: bool) -> Schema {
     schema(name, &fields)
 }
 
-/// The field of a channel that has one number in `unit`.
+/// Returns the field of a channel that has one number in `unit`.
 pub(crate) fn scalar_field(unit: Unit) -> &'static str {
     scalar(unit).1.0
 }
 
-/// Name of the schema, and the field.
+/// Returns the name of the schema for `unit`, and its field as name, JSON type and meaning.
 fn scalar(unit: Unit) -> (&'static str, (&'static str, &'static str, &'static str)) {
     match unit {
         Unit::Rad => ("r4.Angle", ("angle_rad", "number", "Angle, rad")),
@@ -475,7 +476,7 @@ fn quality_meaning() -> String {
     format!("Whether it can be relied on: {}", names.join(", "))
 }
 
-/// Of a sensor that measures several numbers together.
+/// Returns the schema of a sensor that measures several numbers together.
 pub(crate) fn sensor_schema(kind: ChannelKind) -> Schema {
     let meanings: Vec<_> = kind.quantities().iter().map(|quantity| format!("In {}", quantity.unit)).collect();
     let quantities = kind.quantities().iter().zip(&meanings);

@@ -1,4 +1,4 @@
-//! Reading a run.
+//! Reading of a recorded run.
 
 use std::{
     collections::BTreeMap,
@@ -23,236 +23,237 @@ use crate::{
     request::{Described, RefusalMessage, RequestMessage},
 };
 
-/// Why a file could not be read as a recorded run.
+/// Error of reading a file as a recorded run.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The file could not be opened or read.
     #[error("cannot read {}: {source}", path.display())]
     Io {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What the operating system says.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// There is nothing in the file.
+    /// The file has no content.
     #[error("the file is empty: the recording never began, or the copy failed; record or copy it again")]
     Empty,
-    /// Not an MCAP file, or nothing is left of it.
+    /// Not an MCAP file, or its beginning is damaged.
     #[error("this is not an MCAP file: give a log that `r4` recorded")]
     NotMcap,
-    /// The file ends before it says which board it is of.
+    /// The file ends before its header, which says which board was recorded.
     #[error("the file ends after {length} bytes, before it says what was recorded: copy it again, or record again")]
     CutShort {
-        /// Bytes there are.
+        /// Length of the file in bytes.
         length: usize,
     },
-    /// An MCAP file of another program.
+    /// MCAP file of another program.
     #[error("this MCAP file was written by \"{library}\", not by `r4`: open it with the program that made it")]
     Foreign {
-        /// What the file says wrote it.
+        /// Library that wrote it, as the file says.
         library: String,
     },
-    /// A log of another version of this crate.
+    /// Log of a format that this version of the crate does not read.
     #[error("the log has format {found}, this program reads {}: use the version of `r4` that recorded it", known.join(" and "))]
     Format {
-        /// Of the file.
+        /// Format of the file.
         found: String,
-        /// Of this crate.
+        /// Formats that this crate reads.
         known: [&'static str; 2],
     },
-    /// The metadata record lacks a field, or it is none that this version knows.
+    /// The metadata record lacks a field, or its value is unknown to this version.
     #[error("the log's header has no usable \"{key}\": use the version of `r4` that recorded it, or record again")]
     BadHeader {
-        /// Which field.
+        /// Name of the field.
         key: &'static str,
     },
 }
 
-/// Something in a file that is not in the [`Log`] made from it.
+/// Part of a file that is missing from the [`Log`] made from it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Warning {
-    /// Recording was interrupted, or the file was copied incompletely; all before is read.
+    /// Recording was interrupted, or the file was copied incompletely; everything before is read.
     #[error("the file ends early: the recording was interrupted or the copy is incomplete; all before it is shown")]
     CutShort,
-    /// Part of the file is damaged and was left out.
+    /// Part of the file is damaged and was skipped.
     #[error("the file is damaged from byte {offset} on: that part is left out")]
     Damaged {
-        /// Byte at which that part starts.
+        /// Offset of that part's first byte in the file.
         offset: usize,
     },
-    /// Another program has compressed part of the file in a way that this one does not read; that part was left out.
+    /// Part of the file was compressed by another program in a way that this crate does not read, and was skipped.
     #[error("part of the file is compressed ({compression}) and left out: decompress it first, with `mcap decompress`")]
     Compressed {
-        /// How.
+        /// Name of the compression in the file.
         compression: String,
     },
-    /// Messages of a topic that do not have the fields they should, and were left out.
+    /// Messages of a topic without the fields they should have, which were skipped.
     #[error("{messages} messages of {topic} cannot be read and are left out")]
     Unreadable {
-        /// Which topic.
+        /// Name of the topic.
         topic: String,
-        /// How many.
+        /// Number of such messages.
         messages: usize,
     },
 }
 
-/// A set point.
+/// Set point as it was recorded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Logged {
-    /// How the number is meant.
+    /// Mode in which the number is meant.
     pub mode: Mode,
-    /// rad or m; rad/s or m/s; share of the supply; V; 0 or 1. NaN where none was recorded.
+    /// Set point: rad or m; rad/s or m/s; share of the supply; V; N; 0 or 1. NaN if none was recorded.
     pub value: f64,
 }
 
-/// A motor channel at one moment. NaN stands for a number that was not finite, or that the channel does not have.
+/// Sample of a motor channel. NaN stands for a number that was not finite, or that the channel does not have.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorSample {
-    /// The board's clock, s.
+    /// Time on the board's clock, s.
     pub time_s: f64,
-    /// What it follows.
+    /// Set point in force.
     pub setpoint: Logged,
     /// Position as measured, in counts of [`ChannelInfo::resolution`].
     pub position_counts: i32,
-    /// rad or m.
+    /// Position, rad or m.
     pub position: f64,
-    /// rad/s or m/s.
+    /// Speed, rad/s or m/s.
     pub speed: f64,
-    /// Share of the supply at the bridge.
+    /// Duty at the bridge, share of the supply, -1 to 1.
     pub duty: f64,
-    /// In position mode: at the set point and at rest.
+    /// Whether, in position mode, the channel is at the set point and at rest.
     pub settled: bool,
-    /// Whether the position is known, and not only counted from where power came on.
+    /// True if the position is absolute, not only counted since power-up.
     pub homed: bool,
-    /// Heat of its winding, share of what it withstands.
+    /// Heat of the winding, share of what it withstands.
     pub winding_heat: f64,
 }
 
-/// A motor channel over a run.
+/// Samples of a motor channel over a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotorSeries {
-    /// What the channel is.
+    /// Description of the channel.
     pub info: ChannelInfo,
-    /// In order of time; at least one.
+    /// Samples in order of time; at least one.
     pub samples: Vec<MotorSample>,
 }
 
 impl MotorSeries {
-    /// Whether it moves in a line (m, m/s); otherwise it turns (rad, rad/s).
+    /// Returns whether the channel moves linearly (m, m/s); otherwise it turns (rad, rad/s).
     #[must_use]
     pub fn is_linear(&self) -> bool {
         is_linear(&self.info)
     }
 }
 
-/// A channel that has one number, over a run.
+/// Samples of a channel with one number over a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScalarSeries {
-    /// What the channel is.
+    /// Description of the channel.
     pub info: ChannelInfo,
-    /// Time (s) and value (the channel's unit; NaN where it was not finite), in order of time; at least one.
+    /// Time (s) and value (in the channel's unit; NaN if it was not finite), in order of time; at least one.
     pub samples: Vec<(f64, f64)>,
 }
 
-/// An input that can fail, at one moment.
+/// Sample of an input that can fail.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReadingSample {
-    /// The board's clock, s.
+    /// Time on the board's clock, s.
     pub time_s: f64,
-    /// The channel's unit; the last good one where `quality` is not [`Quality::Good`]. NaN where it was not finite.
+    /// Value in the channel's unit: the last good one unless `quality` is [`Quality::Good`]. NaN if it was not
+    /// finite.
     pub value: f64,
-    /// Since it was measured.
+    /// Age of the value when it was sent, ms.
     pub age_ms: u16,
-    /// Whether it can be relied on.
+    /// Reliability of the value, or the reason against it.
     pub quality: Quality,
 }
 
-/// An input that can fail, over a run.
+/// Samples of an input that can fail, over a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReadingSeries {
-    /// What the channel is.
+    /// Description of the channel.
     pub info: ChannelInfo,
-    /// In order of time; at least one.
+    /// Samples in order of time; at least one.
     pub samples: Vec<ReadingSample>,
 }
 
-/// An encoder at one moment. NaN stands for a number that was not finite, or that the channel does not have.
+/// Sample of an encoder. NaN stands for a number that was not finite, or that the channel does not have.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EncoderSample {
-    /// The board's clock, s.
+    /// Time on the board's clock, s.
     pub time_s: f64,
-    /// In counts of [`ChannelInfo::resolution`].
+    /// Position in counts of [`ChannelInfo::resolution`].
     pub position_counts: i32,
-    /// rad
+    /// Angle of the shaft, rad.
     pub position: f64,
-    /// rad/s
+    /// Speed of the shaft, rad/s.
     pub speed: f64,
-    /// Transitions that no shaft makes, since power-up.
+    /// Number of transitions since power-up that no shaft makes.
     pub illegal: u32,
 }
 
-/// An encoder over a run.
+/// Samples of an encoder over a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EncoderSeries {
-    /// What the channel is.
+    /// Description of the channel.
     pub info: ChannelInfo,
-    /// In order of time; at least one.
+    /// Samples in order of time; at least one.
     pub samples: Vec<EncoderSample>,
 }
 
-/// A sensor that measures several numbers together, at one moment.
+/// Sample of a sensor that measures several numbers together.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorSample {
-    /// The board's clock, s.
+    /// Time on the board's clock, s.
     pub time_s: f64,
-    /// In the order and units of [`ChannelKind::quantities`](r4_protocol::ChannelKind::quantities); the last good ones where `quality` is
-    /// not [`Quality::Good`]. NaN where one was not finite.
+    /// Values in the order and units of [`ChannelKind::quantities`](r4_protocol::ChannelKind::quantities): the last
+    /// good ones unless `quality` is [`Quality::Good`]. NaN for one that was not finite.
     pub values: Vec<f64>,
-    /// Since they were measured.
+    /// Age of the values when they were sent, ms.
     pub age_ms: u16,
-    /// Whether they can be relied on.
+    /// Reliability of the values, or the reason against it.
     pub quality: Quality,
 }
 
-/// A sensor that measures several numbers together, over a run.
+/// Samples of a sensor that measures several numbers together, over a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorSeries {
-    /// What the channel is.
+    /// Description of the channel.
     pub info: ChannelInfo,
-    /// In order of time; at least one.
+    /// Samples in order of time; at least one.
     pub samples: Vec<SensorSample>,
 }
 
-/// The safety supervisor from one moment on.
+/// State of the safety supervisor from one time on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StateChange {
-    /// The board's clock, s.
+    /// Time on the board's clock, s.
     pub time_s: f64,
-    /// Where it stands.
+    /// State after the change.
     pub state: SafetyState,
     /// Causes latched by a trip.
     pub causes: Causes,
 }
 
-/// A command that was sent.
+/// Set point that the host sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoggedCommand {
-    /// The board's clock, s.
+    /// Time on the board's clock, s.
     pub time_s: f64,
-    /// Which channel.
+    /// Channel that was commanded.
     pub channel: ChannelId,
-    /// To what.
+    /// Set point for the channel.
     pub setpoint: Logged,
 }
 
-/// A request that the host sent: a set point, or anything else that is not only a question.
+/// Request that the host sent: a set point, or any other that is more than a question.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoggedRequest {
-    /// The board's clock, s.
+    /// Time on the board's clock, s.
     pub time_s: f64,
-    /// The host's clock, µs since it said hello; `None` in the first logs of this format.
+    /// Time on the host's clock since its hello, µs; `None` in the first logs of format 1.
     pub sent_us: Option<u64>,
-    /// What. A set point's `sent_us` is `time_s`.
+    /// The request itself; a set point's `sent_us` is `time_s`.
     pub request: Request,
 }
 
@@ -262,27 +263,27 @@ impl std::fmt::Display for LoggedRequest {
     }
 }
 
-/// A request that the board refused.
+/// Request that the board refused.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoggedRefusal {
-    /// The board's clock, s.
+    /// Time on the board's clock, s.
     pub time_s: f64,
-    /// What was asked, as in `set osmc0 position 1.5`.
+    /// Description of the request, as in `set osmc0 position 1.5`.
     pub request: String,
-    /// Why it was refused.
+    /// Reason of the refusal.
     pub reason: String,
 }
 
-/// A time without a link, after which the recording went on.
+/// Time without a link, after which the recording continued.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gap {
-    /// Its end: when the board was heard again, s.
+    /// End of the gap, when the board was heard again, s.
     pub time_s: f64,
-    /// How long nothing was heard, by the host's clock.
+    /// Time without a sign of the board, on the host's clock, s.
     pub without_link_s: f64,
-    /// Whether the board has restarted meanwhile: its clock began again at 0.
+    /// Restart of the board within the gap, after which its clock began at 0 again.
     pub restarted: bool,
-    /// Times of the log minus the board's clock from here on. Only a restart changes it, so that times go on.
+    /// Times of the log minus the board's clock from here on, µs. Only a restart changes it, so that times go on.
     pub clock_shift_us: i64,
 }
 
@@ -293,10 +294,10 @@ impl std::fmt::Display for Gap {
     }
 }
 
-/// A recorded run.
+/// A recorded run, read into typed series.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Log {
-    /// Which board was recorded.
+    /// Description of the recorded board and program.
     pub header: Header,
     /// Motor channels with samples, in the header's order.
     pub motors: Vec<MotorSeries>,
@@ -312,14 +313,14 @@ pub struct Log {
     pub states: Vec<StateChange>,
     /// Commands sent, in order of time.
     pub commands: Vec<LoggedCommand>,
-    /// Everything the host asked for, those commands included, in the order in which it was sent; the first logs of this
-    /// format hold nothing but the commands.
+    /// All requests that the host sent, commands included, in the order of sending. The first logs of format 1 hold
+    /// only the commands.
     pub requests: Vec<LoggedRequest>,
-    /// What was refused, in order of time.
+    /// Refused requests, in order of time.
     pub refusals: Vec<LoggedRefusal>,
-    /// Where the link was lost and came back, in order of time.
+    /// Times without a link, in order of time.
     pub gaps: Vec<Gap>,
-    /// What could not be read; empty for a sound file.
+    /// Parts that could not be read; empty for an intact file.
     pub warnings: Vec<Warning>,
 }
 
@@ -327,19 +328,19 @@ impl Log {
     /// Reads the file at `path`.
     ///
     /// # Errors
-    /// [`LogError::Io`], and those of [`from_bytes`](Self::from_bytes).
+    /// [`LogError::Io`] if the file cannot be read, and the errors of [`from_bytes`](Self::from_bytes).
     pub fn read(path: impl AsRef<Path>) -> Result<Self, LogError> {
         let path = path.as_ref();
         let bytes = fs::read(path).map_err(|source| LogError::Io { path: path.to_owned(), source })?;
         Self::from_bytes(&bytes)
     }
 
-    /// Reads a file that is in memory.
+    /// Reads a log from memory.
     ///
-    /// A file that is cut or damaged after its header gives what can be read, and [`warnings`](Self::warnings).
+    /// A file that is cut or damaged after its header yields what can be read, and [`warnings`](Self::warnings).
     ///
     /// # Errors
-    /// A [`LogError`] when the file is no log, or ends before its header.
+    /// A [`LogError`] if the file is no log, or ends before its header.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, LogError> {
         if bytes.is_empty() {
             return Err(LogError::Empty);
@@ -352,7 +353,8 @@ impl Log {
             });
         }
         let mut reader = Reader::default();
-        // The summary repeats the topics, which a damaged chunk may have declared for all after it.
+        // Topics are declared before the messages: the summary at the file's end repeats those that a damaged chunk
+        // declared.
         let declared = |record: &RawRecord| !record.cut && matches!(record.opcode, op::SCHEMA | op::CHANNEL);
         for record in Records::new(bytes, MAGIC.len()).filter(declared) {
             reader.record(&record)?;
@@ -368,41 +370,43 @@ impl Log {
                 (_, false) => reader.record(&record)?,
             }
         }
+        // A complete file ends with the magic bytes.
         reader.cut_short |= !reader.data_ended || !bytes.ends_with(MAGIC);
         reader.finish(bytes.len())
     }
 
-    /// The samples of motor channel `id`.
+    /// Returns the samples of motor channel `id`; `None` if it has none.
     #[must_use]
     pub fn motor(&self, id: ChannelId) -> Option<&MotorSeries> {
         self.motors.iter().find(|series| series.info.id == id)
     }
 
-    /// The samples of encoder `id`.
+    /// Returns the samples of encoder `id`; `None` if it has none.
     #[must_use]
     pub fn encoder(&self, id: ChannelId) -> Option<&EncoderSeries> {
         self.encoders.iter().find(|series| series.info.id == id)
     }
 
-    /// The samples of `id`, an input that can fail.
+    /// Returns the samples of `id`, an input that can fail; `None` if it has none.
     #[must_use]
     pub fn reading(&self, id: ChannelId) -> Option<&ReadingSeries> {
         self.readings.iter().find(|series| series.info.id == id)
     }
 
-    /// The samples of `id`, a sensor that measures several numbers together.
+    /// Returns the samples of `id`, a sensor that measures several numbers together; `None` if it has none.
     #[must_use]
     pub fn sensor(&self, id: ChannelId) -> Option<&SensorSeries> {
         self.sensors.iter().find(|series| series.info.id == id)
     }
 
-    /// The samples of `id`, a channel that has one number.
+    /// Returns the samples of `id`, a channel that has one number; `None` if it has none.
     #[must_use]
     pub fn scalar(&self, id: ChannelId) -> Option<&ScalarSeries> {
         self.scalars.iter().find(|series| series.info.id == id)
     }
 
-    /// The board's clock at the first and at the last thing recorded, s; `None` for an empty log.
+    /// Returns the times of the first and the last recorded sample, state or request on the board's clock, s; `None`
+    /// for an empty log.
     #[must_use]
     pub fn time_span_s(&self) -> Option<(f64, f64)> {
         let motors = self.motors.iter().flat_map(|series| series.samples.iter().map(|sample| sample.time_s));
@@ -427,14 +431,14 @@ impl Log {
         })
     }
 
-    /// How long the run was, s; 0 for an empty log.
+    /// Returns the duration of the run, s; 0 for an empty log.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.time_span_s().map_or(0.0, |(first, last)| last - first)
     }
 }
 
-/// What a topic's messages are.
+/// Kind of the messages of a topic, with the channel they belong to.
 #[derive(Clone, PartialEq)]
 enum Content {
     Motor(ChannelId),
@@ -451,7 +455,7 @@ enum Content {
 
 struct Topic {
     name: String,
-    /// `None` for topics of other programs: a log may have been merged with them.
+    /// Kind of the messages; `None` for topics of other programs, with whose log this one may have been merged.
     content: Option<Content>,
     unreadable: usize,
 }
@@ -490,7 +494,7 @@ impl Reader {
         match container::chunk(record, &mut decompressed) {
             Chunk::Records(records) => {
                 for record in &records {
-                    // no headers in chunks, so no error to pass on
+                    // Headers are not in chunks, so there is no error to pass on.
                     let _ = self.record(record);
                 }
             }
@@ -541,15 +545,15 @@ impl Reader {
             GAP_TOPIC => Some(Content::Gap),
             _ => name.strip_prefix('/').and_then(|name| name.parse().ok()).map(of_channel),
         };
-        // the same channel is repeated in the summary, and may be in every chunk
+        // A channel's record is repeated in the summary, and may be in every chunk: the first one counts.
         self.topics.entry(id).or_insert(Topic { name, content, unreadable: 0 });
     }
 
     fn message(&mut self, header: &MessageHeader, data: &[u8]) {
-        // a message without its channel was in a chunk of its own that is damaged
+        // A message of an unknown topic was declared in a damaged chunk.
         let Some(topic) = self.topics.get(&header.channel_id) else { return };
         let Some(content) = topic.content.clone() else { return };
-        // exact up to 2^53 ns, 104 days; the nearest nanoseconds beyond
+        // Exact up to 2^53 ns (104 days), rounded to the nearest double beyond.
         let time_s = header.publish_time as f64 / 1e9;
         let taken = match content {
             Content::Motor(id) => self.motor(id, time_s, data),
@@ -648,6 +652,7 @@ impl Reader {
             setpoint: Logged { mode, value: number(message.setpoint()) },
         });
         let setpoint = Setpoint { mode, value: message.setpoint().unwrap_or(f32::NAN) };
+        // The time to live is not recorded.
         let request = Request::Set { channel, setpoint, sent_us: device_us, ttl_ms: 0 };
         self.requests.push(LoggedRequest { time_s, sent_us: message.sent_us, request });
         Some(())
@@ -708,8 +713,8 @@ impl Reader {
         }
         self.states.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         self.commands.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-        // By the clock that told when each was sent; where that is not known, by the board's. Stable: the file's order
-        // decides between equals.
+        // The host's clock gives the order of sending. Logs without it are sorted by the board's clock. The sort is
+        // stable: the file's order decides between equal times.
         if self.requests.iter().all(|request| request.sent_us.is_some()) {
             self.requests.sort_by_key(|request| request.sent_us);
         } else {
@@ -735,7 +740,7 @@ impl Reader {
     }
 }
 
-/// The number recorded, or NaN where none was.
+/// Returns the recorded number; NaN if there is none.
 fn number(value: Option<f32>) -> f64 {
     value.map_or(f64::NAN, f64::from)
 }

@@ -1,4 +1,4 @@
-//! Writing a run.
+//! Writing of a log.
 
 use std::{
     collections::BTreeMap,
@@ -22,25 +22,25 @@ use crate::{
     write::FileWriter,
 };
 
-/// Why something could not be recorded.
+/// Error that ends a recording.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
-    /// A sample of a channel that the header does not list; the rest of the frame was not recorded.
+    /// A sample belongs to a channel that the header does not list; the rest of the frame was not recorded.
     #[error("the log's header does not describe {channel}: list every channel of the board when the recording starts")]
     UnknownChannel {
-        /// Which.
+        /// Channel that the header lacks.
         channel: ChannelId,
     },
-    /// A log counts nanoseconds in 64 bits, and the board's clock is beyond that: 584 years.
+    /// The board's clock is beyond 64 bits of nanoseconds (584 years), which a log cannot hold.
     #[error("the board's clock says {device_us} us, which no log can hold: restart the board")]
     TimeOutOfRange {
-        /// What the clock says.
+        /// Time on the board's clock, µs.
         device_us: u64,
     },
     /// The file could not be written.
     #[error("cannot write the log ({0}): check the free space and the permissions of its folder")]
     Write(#[from] io::Error),
-    /// The link leads to another board now, or the same one was given other channels.
+    /// The link now leads to another board, or the same board was given other channels.
     #[error("the board that answers now is not the one this log is of: record it to a log of its own")]
     OtherBoard,
     /// The recording has ended with an earlier error.
@@ -51,23 +51,22 @@ pub enum RecordError {
     Encode(#[from] serde_json::Error),
 }
 
-/// A topic of the file, and how many messages it has.
+/// Topic of the file, with the number of its messages so far.
 #[derive(Clone, Copy)]
 struct Topic {
     id: u16,
     messages: u32,
 }
 
-/// Writes what a board says and is told to an MCAP file.
+/// Writes the messages of a board and of its host to an MCAP file.
 ///
-/// A recorder that is dropped finishes its file too, but cannot say whether that went well: call
-/// [`finish`](Self::finish).
+/// A recorder that is dropped also finishes its file, but cannot report an error: call [`finish`](Self::finish).
 pub struct Recorder<W: Write> {
     mcap: FileWriter<W>,
     channels: Vec<ChannelInfo>,
-    /// Log time minus the board's clock, ns.
+    /// Log time minus publish time, ns.
     offset_ns: i64,
-    /// Times of the log minus the board's clock, us.
+    /// Publish times minus the board's clock, µs; changes when the board restarts.
     shift_us: i64,
     topics: BTreeMap<String, Topic>,
     state: Option<(SafetyState, Causes)>,
@@ -78,7 +77,7 @@ impl<W: Write> Recorder<W> {
     /// Starts a file with `header`. Give a [`std::io::BufWriter`] rather than a bare file.
     ///
     /// # Errors
-    /// [`RecordError::Write`] when `writer` fails.
+    /// [`RecordError::Write`] if `writer` fails.
     pub fn new(writer: W, header: &Header) -> Result<Self, RecordError> {
         let metadata = Metadata { name: header::RECORD_NAME.to_owned(), metadata: header.to_metadata()? };
         let mcap = FileWriter::new(writer, concat!("r4-log/", env!("CARGO_PKG_VERSION")), metadata)?;
@@ -87,27 +86,29 @@ impl<W: Write> Recorder<W> {
         Ok(Self { mcap, channels, offset_ns, shift_us: 0, topics: BTreeMap::new(), state: None, live: None })
     }
 
-    /// Tells all that is recorded from now on to `live`, too.
+    /// Also sends everything that is recorded from now on to `live`.
     #[must_use]
     pub fn with_live(mut self, live: Option<Box<dyn Live>>) -> Self {
         self.live = live;
         self
     }
 
-    /// Records every sample of a frame, and the safety state where it changed.
+    /// Records every sample of a frame, and the safety state if it has changed.
     ///
     /// # Errors
-    /// See [`RecordError`]; the samples before the one at fault are recorded.
+    /// Any [`RecordError`]; the samples before the faulty one are recorded.
     pub fn telemetry(&mut self, telemetry: &Telemetry) -> Result<(), RecordError> {
         let device_us = telemetry.device_us;
+        // The state comes first, so that readers see it before the samples it applies to.
         self.state(device_us, telemetry.state, telemetry.causes)?;
         for sample in &telemetry.samples {
             let channel = sample.channel();
             let info = self.channels.iter().find(|info| info.id == channel);
             let info = info.ok_or(RecordError::UnknownChannel { channel })?;
+            // Copied out, because `write` borrows the recorder mutably.
             let (unit, resolution, linear) = (info.unit, info.resolution, is_linear(info));
             let topic = format!("/{channel}");
-            // In rad or m.
+            // Position in rad or m; `None` for a channel without a resolution.
             let measured = |counts: i32| {
                 let position = f64::from(counts) * f64::from(resolution);
                 (resolution.is_finite() && resolution != 0.0).then_some(position)
@@ -153,19 +154,19 @@ impl<W: Write> Recorder<W> {
         Ok(())
     }
 
-    /// Records a command that was sent to `channel`.
+    /// Records a set point that was sent to `channel`, without the time on the host's clock.
     ///
     /// # Errors
-    /// See [`RecordError`].
+    /// Any [`RecordError`].
     pub fn command(&mut self, device_us: u64, channel: ChannelId, setpoint: Setpoint) -> Result<(), RecordError> {
         self.set(device_us, None, channel, setpoint)
     }
 
-    /// Records a request that the host sent, with when that was on its own clock: µs since it said hello. What only asks
-    /// who the board is and what it remembers is not recorded.
+    /// Records a request that the host sent; `sent_us` is the time on the host's clock since its hello, µs. Requests
+    /// that only read the board's identity, parameters or memory of faults are not recorded.
     ///
     /// # Errors
-    /// See [`RecordError`].
+    /// Any [`RecordError`].
     pub fn request(&mut self, device_us: u64, sent_us: Option<u64>, request: &Request) -> Result<(), RecordError> {
         if let Request::Set { channel, setpoint, .. } = *request {
             return self.set(device_us, sent_us, channel, setpoint);
@@ -175,10 +176,10 @@ impl<W: Write> Recorder<W> {
         self.write(device_us, REQUEST_TOPIC, request::request_schema, &message)
     }
 
-    /// Records that the board refused a request.
+    /// Records that the board refused a request, with the reason.
     ///
     /// # Errors
-    /// See [`RecordError`].
+    /// Any [`RecordError`].
     pub fn refusal(&mut self, device_us: u64, request: &Request, reason: &Refusal) -> Result<(), RecordError> {
         self.write(device_us, REFUSAL_TOPIC, request::refusal_schema, &request::refusal(request, reason))
     }
@@ -197,10 +198,10 @@ impl<W: Write> Recorder<W> {
         self.write(device_us, COMMAND_TOPIC, message::command_schema, &message)
     }
 
-    /// Records where the safety supervisor stands, if that is not what was recorded last.
+    /// Records the state of the safety supervisor if it differs from the last one recorded.
     ///
     /// # Errors
-    /// See [`RecordError`].
+    /// Any [`RecordError`].
     pub fn state(&mut self, device_us: u64, state: SafetyState, causes: Causes) -> Result<(), RecordError> {
         if self.state == Some((state, causes)) {
             return Ok(());
@@ -215,29 +216,29 @@ impl<W: Write> Recorder<W> {
         Ok(())
     }
 
-    /// Records that the link was gone and is back, with the board's clock at `device_us`. From here on times are that clock plus
-    /// `gap.clock_shift_us`; `gap.time_s` is not used.
+    /// Records that the link was lost and is back, with the board's clock at `device_us`. From here on times are that
+    /// clock plus `gap.clock_shift_us`; `gap.time_s` is not used.
     ///
     /// # Errors
-    /// See [`RecordError`].
+    /// Any [`RecordError`].
     pub fn gap(&mut self, device_us: u64, gap: &Gap) -> Result<(), RecordError> {
         self.shift_us = gap.clock_shift_us;
-        // What it was before says nothing of what it is.
+        // The state may have changed without a link, so the next one is recorded even if it is equal.
         self.state = None;
         let Gap { without_link_s, restarted, clock_shift_us, .. } = *gap;
         let message = GapMessage { without_link_s, restarted, clock_shift_us };
         self.write(device_us, GAP_TOPIC, message::gap_schema, &message)
     }
 
-    /// The board's channels, as the header has them.
+    /// Returns the board's channels as the header lists them.
     pub(crate) fn channels(&self) -> &[ChannelInfo] {
         &self.channels
     }
 
-    /// Writes the index at the end of the file and gives the writer back.
+    /// Writes the index at the end of the file and returns the writer.
     ///
     /// # Errors
-    /// [`RecordError::Write`] when the writer fails.
+    /// [`RecordError::Write`] if the writer fails.
     pub fn finish(self) -> Result<W, RecordError> {
         Ok(self.mcap.finish()?)
     }
@@ -250,6 +251,7 @@ impl<W: Write> Recorder<W> {
         message: &impl Serialize,
     ) -> Result<(), RecordError> {
         let out_of_range = RecordError::TimeOutOfRange { device_us };
+        // Publish times continue across a restart of the board's clock.
         let publish_us = device_us.checked_add_signed(self.shift_us);
         let Some(publish_time) = publish_us.and_then(|us| us.checked_mul(1_000)) else { return Err(out_of_range) };
         let Some(log_time) = publish_time.checked_add_signed(self.offset_ns) else { return Err(out_of_range) };

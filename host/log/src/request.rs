@@ -1,4 +1,4 @@
-//! Requests as messages and as text.
+//! Requests as log messages and as text.
 
 use std::fmt::{self, Display};
 
@@ -13,7 +13,7 @@ use crate::{
     message::{REFUSAL, REQUEST, SENT_US, Schema, finite, schema},
 };
 
-/// A request that the host sent, other than a set point.
+/// Request that the host sent, other than a set point.
 #[derive(Default, Serialize, Deserialize)]
 pub(crate) struct RequestMessage {
     request: String,
@@ -48,7 +48,7 @@ pub(crate) struct RequestMessage {
     port: Option<u8>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     address: Option<u8>,
-    /// In hex.
+    /// Bytes written, as hexadecimal text.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     write: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -59,10 +59,10 @@ pub(crate) struct RequestMessage {
     pub(crate) sent_us: Option<u64>,
 }
 
-/// A point of a path.
+/// Point of a path.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 struct PointMessage {
-    /// After the request was sent.
+    /// Time at which the channel is to be there, µs after the request was sent.
     after_us: u64,
     position: Option<f32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -82,20 +82,20 @@ impl PointMessage {
 
     fn point(self) -> PathPoint {
         let Self { after_us, position, speed, feed_forward } = self;
-        // A number that was not finite is left out of its message.
+        // A number that was not finite was left out of the message.
         let number = |value: Option<f32>| value.unwrap_or(f32::NAN);
         PathPoint { at_us: after_us, position: number(position), speed, feed_forward: number(feed_forward) }
     }
 }
 
-/// A request that was refused.
+/// Request that the board refused, with the reason.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct RefusalMessage {
     pub(crate) request: String,
     pub(crate) reason: String,
 }
 
-/// What `request` is called in a log.
+/// Returns the name of `request` in a log.
 #[must_use]
 pub fn request_name(request: &Request) -> &'static str {
     match request {
@@ -130,7 +130,7 @@ pub fn request_name(request: &Request) -> &'static str {
     }
 }
 
-/// Requests that are named only.
+/// Requests without fields, which their name describes completely.
 const PLAIN: [Request; 10] = [
     Request::Bye,
     Request::Arm,
@@ -145,12 +145,12 @@ const PLAIN: [Request; 10] = [
 ];
 
 impl RequestMessage {
-    /// `None` for a set point, which has a topic of its own, and for what asks who the board is and what it remembers or logs:
-    /// every program asks that anew.
+    /// Returns the message of a request. `None` for a set point, which has a topic of its own, and for requests that
+    /// only read the board's identity, parameters, faults or log, which every program repeats anyway.
     pub(crate) fn new(request: &Request) -> Option<Self> {
         let mut message = Self { request: request_name(request).to_owned(), ..Self::default() };
         match request {
-            // The set points of its cycles are recorded as such.
+            // The set points of the bound cycles are recorded one by one.
             Request::Bind { .. }
             | Request::Set { .. }
             | Request::Hello { .. }
@@ -202,13 +202,14 @@ impl RequestMessage {
         Some(message)
     }
 
-    /// The request, if this version knows it and all its fields are there. The points of a path are dated from when it was sent.
+    /// Returns the request, if this version knows it and all its fields are present. Times of a path's points count
+    /// from its sending.
     pub(crate) fn request(&self) -> Option<Request> {
         if let Some(plain) = PLAIN.iter().find(|plain| request_name(plain) == self.request) {
             return Some(plain.clone());
         }
         let channel = || self.channel.as_ref()?.parse().ok();
-        // A number that was not finite is left out of its message.
+        // A number that was not finite was left out of the message.
         let number = |value: Option<f32>| value.unwrap_or(f32::NAN);
         let written = || unhex(self.write.as_ref()?);
         Some(match self.request.as_str() {
@@ -259,7 +260,7 @@ impl RequestMessage {
     }
 }
 
-/// A request for people to read: its name and what it is about, as in `subscribe osmc0 10 ms`.
+/// Text of a request for people: its name and its fields, as in `subscribe osmc0 10 ms`.
 pub(crate) struct Described<'a>(pub(crate) &'a Request);
 
 impl Display for Described<'_> {
@@ -289,7 +290,7 @@ impl Display for Described<'_> {
     }
 }
 
-/// Why a request was refused, for people.
+/// Returns the message of a refused request.
 pub(crate) fn refusal(request: &Request, reason: &Refusal) -> RefusalMessage {
     RefusalMessage { request: Described(request).to_string(), reason: reason.to_string() }
 }
@@ -301,6 +302,7 @@ fn hex(bytes: &[u8]) -> String {
 fn unhex(text: &str) -> Option<Vec<u8>> {
     let digits: Option<Vec<u8>> =
         text.chars().map(|digit| digit.to_digit(16).and_then(|digit| u8::try_from(digit).ok())).collect();
+    // An odd digit at the end means a damaged field.
     let (pairs, rest) = digits.as_ref()?.as_chunks::<2>();
     rest.is_empty().then(|| pairs.iter().map(|[high, low]| high << 4 | low).collect())
 }

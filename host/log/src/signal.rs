@@ -1,4 +1,4 @@
-//! A run as named series of numbers and words.
+//! Signals of a run: named series of numbers and words.
 
 use std::fmt;
 
@@ -10,23 +10,23 @@ use crate::{
     message::{is_linear, quality_name, scalar_field, state_name},
 };
 
-/// A value of a signal.
+/// Value of a signal at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
-    /// In double precision.
+    /// Number in double precision.
     Number(f64),
-    /// As it was on the wire.
+    /// Number in single precision, as it was on the wire.
     Single(f32),
-    /// A count.
+    /// Count or other integer.
     Integer(i64),
-    /// On or off.
+    /// State of a switch, on or off.
     Switch(bool),
-    /// Anything else.
+    /// Text, such as a state or a quality.
     Text(String),
 }
 
 impl Value {
-    /// As a number; a switch is 0 or 1.
+    /// Returns the value as a number, `None` for text; a switch is 0 or 1.
     #[must_use]
     pub fn number(&self) -> Option<f64> {
         match self {
@@ -39,7 +39,7 @@ impl Value {
     }
 }
 
-/// Numbers with as many digits as it takes to read back the very same.
+/// Prints numbers with as many digits as it takes to read back the identical value.
 impl fmt::Display for Value {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -52,31 +52,34 @@ impl fmt::Display for Value {
     }
 }
 
-/// What holds between two samples.
+/// Meaning of a signal between two samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// It goes from one to the next.
+    /// The signal changes continuously from one sample to the next.
     Continuous,
-    /// The earlier one.
+    /// The earlier sample holds until the next one (zero-order hold).
     Held,
-    /// It is told when it changes, and holds until it does again.
+    /// The signal is recorded only when it changes, and holds until the next change.
     Changes,
-    /// Nothing: each is something that happened.
+    /// The samples are single events, with nothing in between.
     Event,
 }
 
 /// One named series of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
-    /// Channel, field and unit, as in `osmc0.position_rad`; `state`, `causes`, `request`, `gap` and `refusal` are the board's.
+    /// Name of channel, field and unit, as in `osmc0.position_rad`. `state`, `causes`, `request`, `gap` and `refusal`
+    /// belong to the board.
     pub name: String,
-    /// What holds between samples.
+    /// Meaning of the signal between its samples.
     pub kind: Kind,
-    /// The board's clock in s and the value, in order of time; at least one. What was not a number is not there.
+    /// Time on the board's clock (s) and value, in order of time; at least one. Numbers that are not finite are left
+    /// out.
     pub samples: Vec<(f64, Value)>,
 }
 
-/// Name of the set point's signal in `mode`, by whether the channel moves in a line.
+/// Returns the name of the field for a set point in `mode`, of a channel that moves linearly or turns; `what` is its
+/// first part.
 fn setpoint_field(what: &str, mode: Mode, linear: bool) -> String {
     let unit = match (mode, linear) {
         (Mode::Position | Mode::Follow, false) => "_rad",
@@ -91,7 +94,8 @@ fn setpoint_field(what: &str, mode: Mode, linear: bool) -> String {
 }
 
 impl Log {
-    /// Everything recorded that has a value: channels in the header's order, then what was sent, then the board's state.
+    /// Returns everything recorded that has a value: channels in the header's order, then the board's state,
+    /// requests, gaps and refusals.
     #[must_use]
     pub fn signals(&self) -> Vec<Signal> {
         let mut all = Vec::new();
@@ -103,6 +107,7 @@ impl Log {
                 let (position, speed) =
                     if linear { ("position_m", "speed_m_s") } else { ("position_rad", "speed_rad_s") };
                 for mode in Mode::ALL {
+                    // One signal per mode, so that each has one unit.
                     let setpoint =
                         |sample: &MotorSample| single(sample.setpoint.value).filter(|_| sample.setpoint.mode == mode);
                     let samples = of(&series.samples, |sample| (sample.time_s, setpoint(sample)));
@@ -126,6 +131,7 @@ impl Log {
                 add("speed_rad_s", Kind::Continuous, field(|sample| single(sample.speed)));
                 add("illegal", Kind::Held, field(|sample| Some(Value::Integer(sample.illegal.into()))));
             }
+            // Between two samples a switch cannot be interpolated.
             let switch = info.unit == Unit::Bool;
             let kind = if switch { Kind::Held } else { Kind::Continuous };
             let scalar = |value: f64| {
@@ -159,6 +165,7 @@ impl Log {
         let mut add = |name: &str, kind, samples| push(&mut all, name.to_owned(), kind, samples);
         add("state", Kind::Changes, of(&self.states, |change| (change.time_s, text(state_name(change.state)))));
         add("causes", Kind::Changes, of(&self.states, |change| (change.time_s, text(change.causes))));
+        // Set points have signals of their own.
         let requests = self.requests.iter().filter(|logged| !matches!(logged.request, Request::Set { .. }));
         add("request", Kind::Event, of(requests, |request| (request.time_s, text(request))));
         let refused = |refusal: &LoggedRefusal| text(format_args!("{}: {}", refusal.request, refusal.reason));
@@ -170,7 +177,7 @@ impl Log {
 
 type Samples = Vec<(f64, Value)>;
 
-/// The samples of `from` that have a value.
+/// Collects the samples of `from` that have a value.
 fn of<T>(from: impl IntoIterator<Item = T>, sample: impl Fn(T) -> (f64, Option<Value>)) -> Samples {
     from.into_iter().map(sample).filter_map(|(time_s, value)| Some((time_s, value?))).collect()
 }
@@ -186,7 +193,7 @@ fn text(text: impl fmt::Display) -> Option<Value> {
     Some(Value::Text(text.to_string()))
 }
 
-/// What was an `f32` on the wire.
+/// Returns a value that was an `f32` on the wire, so that it prints with its short decimal.
 fn single(value: f64) -> Option<Value> {
     finite(value).map(|_| Value::Single(value as f32))
 }

@@ -1,4 +1,4 @@
-//! Recording what goes over a link.
+//! Recording of the bytes that go over a link.
 
 use std::{collections::BTreeMap, io::Write};
 
@@ -9,80 +9,81 @@ use r4_protocol::{
 
 use crate::{Gap, Header, Live, RecordError, Recorded, Recorder};
 
-/// What a link's bytes do not say of a run.
+/// Facts about a run which the bytes of its link do not contain.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct About {
-    /// How the board is reached, such as `sim:osmc-bench`.
+    /// Address of the board, such as `sim:osmc-bench`.
     pub board: String,
     /// Seed of a virtual board's noise.
     pub seed: Option<u64>,
     /// Name and version of the recording program.
     pub program: String,
-    /// Its command line.
+    /// Command line of the recording program.
     pub command: String,
-    /// Wall clock.
+    /// Wall clock of the recording.
     pub wall: Wall,
 }
 
 /// Wall clock of a recording, ns since 1970-01-01T00:00:00Z.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wall {
-    /// At the beginning; the host's clock is a virtual one.
+    /// Wall clock at the beginning only; the host's clock is a virtual one.
     Began {
-        /// Then.
+        /// Wall clock at the beginning, ns since 1970-01-01T00:00:00Z.
         unix_ns: u64,
     },
-    /// The host's clock goes with it.
+    /// Wall clock that runs at the rate of the host's clock.
     Runs {
-        /// When the host's clock was 0.
+        /// Wall clock when the host's clock was 0, ns since 1970-01-01T00:00:00Z.
         unix_ns_at_zero: u64,
     },
 }
 
-/// Listens to both directions of a link and records what board and host say.
+/// Listens to both directions of a link and records the messages of board and host.
 ///
 /// Give it every byte, with the host's clock. The file begins once the board has described its channels, as it does
-/// whenever a session is opened. Recording never disturbs the link: what cannot be recorded ends the recording, and
-/// [`finish`](Self::finish) says why.
+/// whenever a session is opened. Recording never disturbs the link: a failure ends the recording, and
+/// [`finish`](Self::finish) returns it.
 pub struct Tap<W: Write> {
     about: About,
     file: File<W>,
     to_device: FrameDecoder,
     to_host: FrameDecoder,
-    /// When the first request was sent, by the host's clock.
+    /// Time of the first request, on the host's clock, µs; `None` before it.
     begin_us: Option<u64>,
     info: Option<DeviceInfo>,
     channels: Vec<ChannelInfo>,
-    /// Requests without an answer, and when each was sent.
+    /// Requests without an answer so far, each with the time at which it was sent, on the host's clock, µs.
     waiting: BTreeMap<u16, (u64, Request)>,
-    /// What cycles set, and how long that holds, ms.
+    /// Channels that cycles set, with the time to live of those set points, ms.
     bound: (Vec<CycleChannel>, u16),
     clock: Option<Offset>,
-    /// When the board was last heard: the host's clock and the board's.
+    /// Time at which the board was last heard, µs: on the host's clock and on the board's.
     heard_us: Option<(u64, u64)>,
-    /// The same, before the link was lost.
+    /// Value of `heard_us` before the link was lost; `None` while there is a link.
     lost_us: Option<(u64, u64)>,
-    /// Times of the log minus the board's clock.
+    /// Times of the log minus the board's clock, µs.
     shift_us: i64,
     samples: u64,
     bad_frames: u64,
-    /// Until the board has described itself.
+    /// Listener that also gets what is recorded; held here only until the board has described itself.
     live: Option<Box<dyn Live>>,
 }
 
-/// What has become of the file.
+/// State of the file that is being recorded.
 enum File<W: Write> {
-    /// The board has not described itself.
+    /// Not begun: the board has not described itself.
     Before(W),
     Open(Box<Recorder<W>>),
     Failed(RecordError),
 }
 
-/// Requests whose answers are waited for; more than any host has open, so that what is never answered is forgotten.
+/// Most requests whose answers are waited for: more than any host has open, so that only requests which are never
+/// answered are dropped.
 const MOST_WAITING: usize = 1024;
 
 impl<W: Write> Tap<W> {
-    /// Will record to `writer`. Give a [`std::io::BufWriter`] rather than a bare file.
+    /// Creates a tap that records to `writer`. Give a [`std::io::BufWriter`] rather than a bare file.
     pub fn new(writer: W, about: About) -> Self {
         Self {
             about,
@@ -104,27 +105,28 @@ impl<W: Write> Tap<W> {
         }
     }
 
-    /// Tells all that is recorded to `live`, too. To be called before the board has described itself.
+    /// Also sends all that is recorded to `live`. Must be called before the board has described itself.
     pub fn tell(&mut self, live: Box<dyn Live>) {
         self.live = Some(live);
     }
 
-    /// Takes it that all bytes from here on are of a link that was opened anew. Once the board has described itself on it, the time
-    /// without a link is recorded as a [`Gap`].
+    /// Notes that all further bytes come from a link that was opened anew. Once the board has described itself on it,
+    /// the time without a link is recorded as a [`Gap`].
     pub fn reopened(&mut self) {
+        // Half a frame of the lost link must not be joined with the first bytes of the new one.
         (self.to_device, self.to_host) = (FrameDecoder::new(), FrameDecoder::new());
         self.waiting.clear();
         self.bound = (Vec::new(), 0);
         if matches!(self.file, File::Open(_)) {
-            // Of several attempts the first.
+            // Of several failed attempts to reopen, the first loss counts.
             self.lost_us = self.lost_us.or(self.heard_us);
         }
     }
 
-    /// Takes bytes that the host has sent at `now_us` of its clock.
+    /// Records bytes that the host sent at `now_us` of its clock.
     pub fn sent(&mut self, now_us: u64, bytes: &[u8]) {
         for byte in bytes {
-            // The host's own frames are sound.
+            // The host encodes its own frames, so none is damaged; incomplete ones are no message yet.
             if let Some(Ok(message)) = self.to_device.push(*byte) {
                 let recorded = self.host_says(now_us, message);
                 self.check(recorded);
@@ -132,7 +134,7 @@ impl<W: Write> Tap<W> {
         }
     }
 
-    /// Takes bytes that the host has received at `now_us` of its clock.
+    /// Records bytes that the host received at `now_us` of its clock.
     pub fn received(&mut self, now_us: u64, bytes: &[u8]) {
         for byte in bytes {
             match self.to_host.push(*byte) {
@@ -147,25 +149,25 @@ impl<W: Write> Tap<W> {
         }
     }
 
-    /// When the host said hello, by its clock; what a log's `sent_us` counts from.
+    /// Returns the time of the host's hello on its clock, µs; a log's `sent_us` counts from it.
     #[must_use]
     pub fn began_us(&self) -> Option<u64> {
         self.begin_us
     }
 
-    /// Samples recorded so far.
+    /// Returns the number of samples recorded so far.
     #[must_use]
     pub fn samples(&self) -> u64 {
         self.samples
     }
 
-    /// Frames from the board that were damaged: what they said is not recorded.
+    /// Returns the number of damaged frames from the board, which are missing from the recording.
     #[must_use]
     pub fn bad_frames(&self) -> u64 {
         self.bad_frames
     }
 
-    /// Why nothing is recorded any more.
+    /// Returns the error that ended the recording; `None` while it goes on.
     #[must_use]
     pub fn failure(&self) -> Option<&RecordError> {
         match &self.file {
@@ -174,10 +176,10 @@ impl<W: Write> Tap<W> {
         }
     }
 
-    /// Writes the end of the file. `None` if the board never described itself: nothing was written.
+    /// Writes the end of the file. Returns `None` if the board never described itself: nothing was written.
     ///
     /// # Errors
-    /// What went wrong first.
+    /// The first error of the recording.
     pub fn finish(self) -> Result<Option<W>, RecordError> {
         match self.file {
             File::Before(_) => Ok(None),
@@ -209,7 +211,7 @@ impl<W: Write> Tap<W> {
             ToDevice::Cycle(cycle) => return self.cycle(now_us, cycle),
             ToDevice::Heartbeat { .. } => return Ok(()),
         };
-        // Sent again because the answer did not come.
+        // The driver repeats a request whose answer is late; the log holds it once.
         if self.waiting.get(&seq).is_some_and(|(_, waiting)| *waiting == request) {
             return Ok(());
         }
@@ -218,9 +220,9 @@ impl<W: Write> Tap<W> {
         }
         let begin_us = *self.begin_us.get_or_insert(now_us);
         let device_us = match request {
-            // The date of a point of a path is when the channel is to be there.
+            // A point of a path carries the time at which the channel is to be there, not the time of sending.
             Request::Set { setpoint: Setpoint { mode: Mode::Follow, .. }, .. } => self.device_us(now_us),
-            // What the board compares with its clock.
+            // The board compares these times with its clock to reject late set points.
             Request::Set { sent_us, .. } | Request::Follow { sent_us, .. } => sent_us,
             _ => self.device_us(now_us),
         };
@@ -241,7 +243,7 @@ impl<W: Write> Tap<W> {
         recorded
     }
 
-    /// Set points like any others.
+    /// Records the set points of a cycle as one request per channel.
     fn cycle(&mut self, now_us: u64, cycle: Cycle) -> Result<(), RecordError> {
         let sent_us = self.device_us(now_us);
         let (Some(begin_us), Ok(mode)) = (self.begin_us, cycle.mode()) else { return Ok(()) };
@@ -266,7 +268,8 @@ impl<W: Write> Tap<W> {
                 match result {
                     Ok(Reply::Hello(info)) => {
                         if self.lost_us.is_some() {
-                            // It may be another clock.
+                            // The board may have restarted or be another one, so an offset from before the loss is
+                            // invalid.
                             self.clock = None;
                         }
                         self.clock_seen(sent_us, info.device_us, now_us);
@@ -289,7 +292,7 @@ impl<W: Write> Tap<W> {
                 self.clock_seen(host_us, device_us, now_us);
                 self.recorder().map_or(Ok(()), |recorder| recorder.state(device_us, state, causes))
             }
-            // What it measures is in telemetry, too.
+            // The measurements of a cycle's answer are in telemetry too.
             ToHost::Cycle(_) | ToHost::Log(_) => Ok(()),
             ToHost::Telemetry(telemetry) => {
                 let Some(recorder) = self.recorder() else { return Ok(()) };
@@ -300,12 +303,12 @@ impl<W: Write> Tap<W> {
         }
     }
 
-    /// Begins the file when the last channel is known.
+    /// Begins the file once the last channel is described, or continues it after a lost link.
     fn begin(&mut self) -> Result<(), RecordError> {
         let Some(info) = self.info.as_ref().filter(|info| self.channels.len() == usize::from(info.channels)) else {
             return Ok(());
         };
-        // Any other way on leads through `check`.
+        // A placeholder while the file is replaced; every error below is stored by `check`.
         let file = match std::mem::replace(&mut self.file, File::Failed(RecordError::Ended)) {
             File::Before(writer) => {
                 let offset_us = self.clock.map_or(0, |offset| offset.us);
@@ -336,7 +339,7 @@ impl<W: Write> Tap<W> {
                 File::Open(Box::new(recorder))
             }
             File::Open(recorder) if recorder.channels() != self.channels => {
-                // Its file is finished.
+                // The file of the first board ends here, complete.
                 drop(recorder);
                 File::Failed(RecordError::OtherBoard)
             }
@@ -355,24 +358,30 @@ impl<W: Write> Tap<W> {
         Ok(())
     }
 
-    /// Takes the board's clock as read between `sent_us` and `now_us` of the host's.
+    /// Updates the offset of the board's clock, which read `device_us` between `sent_us` and `now_us` of the host's
+    /// clock.
     fn clock_seen(&mut self, sent_us: u64, device_us: u64, now_us: u64) {
         let round_trip_us = now_us.saturating_sub(sent_us);
+        // Both directions are taken to last equally long.
         let middle_us = sent_us.saturating_add(round_trip_us / 2);
         let new = Offset { us: device_us.wrapping_sub(middle_us).cast_signed(), round_trip_us, seen_us: now_us };
+        // Half the round trip bounds the error of the middle: a slow answer must not replace a better, recent offset.
         if self.clock.is_none_or(|old| new.uncertainty_us(now_us) <= old.uncertainty_us(now_us)) {
             self.clock = Some(new);
         }
     }
 }
 
-/// A board's clock that is this far behind where it should be began anew, us: more than frames wait for each other.
+/// Lag of a board's clock behind its expected value beyond which the board has restarted, µs: more than frames wait
+/// in queues.
 const BEGAN_ANEW_US: u64 = 100_000;
 
-/// What became of a board that was last heard at `heard_us` of the host's clock, `board_us` of its own, by the first round trip since.
+/// Returns the gap of a board that was last heard at `heard_us` of the host's clock (`board_us` of its own) and
+/// answers again with the offset `now`. `shift_us` is the shift of the log's times before the gap.
 fn gap(heard_us: u64, board_us: u64, now: Offset, shift_us: i64) -> Gap {
     let without_link_us = now.seen_us.saturating_sub(heard_us);
     let (expected_us, is_us) = (board_us + without_link_us, now.seen_us.saturating_add_signed(now.us));
+    // The clocks may have drifted apart in the meantime.
     let wrong_us = BEGAN_ANEW_US + (without_link_us as f64 * DRIFT) as u64;
     let restarted = is_us + wrong_us < expected_us;
     let anew_us = if restarted { (expected_us - is_us).cast_signed() } else { 0 };
@@ -384,7 +393,7 @@ fn gap(heard_us: u64, board_us: u64, now: Offset, shift_us: i64) -> Gap {
     }
 }
 
-/// Board clock minus host clock, as one round trip showed it.
+/// Offset of the board's clock from the host's, as measured by one round trip.
 #[derive(Clone, Copy)]
 struct Offset {
     us: i64,
@@ -392,16 +401,16 @@ struct Offset {
     seen_us: u64,
 }
 
-/// Two crystals drift apart by no more than this share, of which an old offset is worth less.
+/// Bound of the relative drift of two crystals (200 ppm), by which an old offset becomes less certain.
 const DRIFT: f64 = 200e-6;
 
 impl Offset {
-    /// How wrong it may be by now, us.
+    /// Returns the bound of the offset's error at `now_us`, µs.
     fn uncertainty_us(&self, now_us: u64) -> f64 {
         self.round_trip_us as f64 / 2.0 + now_us.saturating_sub(self.seen_us) as f64 * DRIFT
     }
 }
-/// A single point of a path, sent at `device_us`, as the path that it is.
+/// Returns a set point that is a single point of a path, sent at `device_us`, as a path; `None` for other requests.
 fn as_path(request: &Request, device_us: u64) -> Option<Request> {
     let Request::Set { channel, setpoint: Setpoint { mode: Mode::Follow, value }, sent_us, .. } = *request else {
         return None;

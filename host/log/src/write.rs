@@ -1,7 +1,7 @@
-//! An MCAP file with compressed chunks (<https://mcap.dev/spec>), written.
+//! Writer of MCAP files with compressed chunks (<https://mcap.dev/spec>).
 //!
-//! The writer of the `mcap` crate compresses with C libraries only, and takes no other compressor. This one writes the same
-//! records, and compresses chunks as LZ4 frames in Rust.
+//! The writer of the `mcap` crate compresses only with C libraries, and takes no other compressor. This one writes
+//! the same records, and compresses chunks as LZ4 frames in Rust.
 
 use std::{
     collections::BTreeMap,
@@ -20,14 +20,14 @@ use mcap::{
 
 use crate::{container::LZ4, message::Schema};
 
-/// A chunk is closed at this size, of which 256 KiB are about 0.4 s of four motors at 1 kHz. The demo's log compresses 4 % worse
-/// in chunks of 64 KiB, and 0.5 % better in chunks of 1 MiB.
+/// Size at which a chunk is closed: 256 KiB are about 0.4 s of four motors at 1 kHz. The demo's log compresses 4 %
+/// worse in chunks of 64 KiB, and 0.5 % better in chunks of 1 MiB.
 const CHUNK_BYTES: usize = 256 * 1024;
-/// A chunk is closed when it is as long as this, ns: the most that is lost when the recording program is killed. Without a limit
-/// the demo's log compresses 2 % better.
+/// Duration at which a chunk is closed, ns: the most that is lost when the recording program is killed. Without a
+/// limit the demo's log compresses 2 % better.
 const CHUNK_NS: u64 = 1_000_000_000;
 
-/// Appends a record: `body`, then `tail`.
+/// Appends a record with the content `body`, then `tail`.
 fn push(bytes: &mut Vec<u8>, opcode: u8, body: &impl for<'a> BinWrite<Args<'a> = ()>, tail: &[u8]) -> io::Result<()> {
     bytes.push(opcode);
     let length_at = bytes.len();
@@ -41,28 +41,28 @@ fn push(bytes: &mut Vec<u8>, opcode: u8, body: &impl for<'a> BinWrite<Args<'a> =
     Ok(())
 }
 
-/// The chunk that is being filled.
+/// Chunk that is being filled.
 #[derive(Default)]
 struct Chunk {
     records: Vec<u8>,
-    /// Of the first and the last of its messages.
+    /// Log times of its earliest and latest message, ns; `None` before the first.
     times: Option<(u64, u64)>,
-    /// Where the messages of each channel are.
+    /// Time and offset of each message in the chunk, by channel.
     indexes: BTreeMap<u16, Vec<MessageIndexEntry>>,
 }
 
-/// Writes a file from its beginning to its end; nothing written is touched again.
+/// Writes a file from its beginning to its end without going back, so `out` need not be seekable.
 pub(crate) struct FileWriter<W: Write> {
-    /// `None` once it is given back.
+    /// Destination; `None` once it is returned.
     out: Option<W>,
-    /// Bytes written.
+    /// Number of bytes written.
     position: u64,
-    /// Checksum of these.
+    /// Checksum of the bytes written.
     crc: crc32fast::Hasher,
-    /// The first error: nothing after it is written.
+    /// Kind of the first write error: nothing is written after it.
     failed: Option<io::ErrorKind>,
     schema_ids: BTreeMap<String, u16>,
-    /// The records, which the summary repeats.
+    /// Schema records, which the summary repeats.
     schemas: Vec<u8>,
     channels: Vec<u8>,
     chunk: Chunk,
@@ -72,7 +72,7 @@ pub(crate) struct FileWriter<W: Write> {
 }
 
 impl<W: Write> FileWriter<W> {
-    /// Starts a file.
+    /// Starts a file with the metadata record.
     pub(crate) fn new(out: W, library: &str, metadata: Metadata) -> io::Result<Self> {
         let mut writer = Self {
             out: Some(out),
@@ -104,12 +104,13 @@ impl<W: Write> FileWriter<W> {
         let schema_id = match self.schema_ids.get(&schema.name) {
             Some(id) => *id,
             None => {
-                // 0 says that there is none.
+                // Schema number 0 means "no schema" in MCAP.
                 let id = u16::try_from(self.schema_ids.len() + 1).map_err(|_| full())?;
                 let header = SchemaHeader { id, name: schema.name.clone(), encoding: "jsonschema".to_owned() };
                 let data = [&(schema.json.len() as u32).to_le_bytes(), schema.json.as_bytes()].concat();
                 let begin = self.schemas.len();
                 push(&mut self.schemas, op::SCHEMA, &header, &data)?;
+                // A reader needs the schema before the first message that refers to it.
                 self.chunk.records.extend(&self.schemas[begin..]);
                 self.schema_ids.insert(schema.name.clone(), id);
                 self.statistics.schema_count += 1;
@@ -121,6 +122,7 @@ impl<W: Write> FileWriter<W> {
         let channel = Channel { id, schema_id, topic, message_encoding, metadata: BTreeMap::new() };
         let begin = self.channels.len();
         push(&mut self.channels, op::CHANNEL, &channel, &[])?;
+        // Likewise the topic.
         self.chunk.records.extend(&self.channels[begin..]);
         self.statistics.channel_count += 1;
         Ok(id)
@@ -147,12 +149,13 @@ impl<W: Write> FileWriter<W> {
         if chunk.records.len() >= CHUNK_BYTES { self.end_chunk() } else { Ok(()) }
     }
 
-    /// Writes the chunk with its indexes.
+    /// Compresses and writes the chunk with its indexes.
     fn end_chunk(&mut self) -> io::Result<()> {
         let Chunk { records, times, indexes } = std::mem::take(&mut self.chunk);
         if records.is_empty() {
             return Ok(());
         }
+        // Compressed in memory, because the header needs the compressed size.
         let mut encoder = FrameEncoder::new(Vec::with_capacity(records.len() / 4));
         encoder.write_all(&records)?;
         let compressed = encoder.finish().map_err(io::Error::other)?;
@@ -171,7 +174,7 @@ impl<W: Write> FileWriter<W> {
         let chunk_length = bytes.len() as u64;
         let mut message_index_offsets = BTreeMap::new();
         for (channel_id, mut records) in indexes {
-            // The specification wants them in order of time.
+            // The specification requires the entries of an index in order of time.
             records.sort_by_key(|entry| entry.log_time);
             message_index_offsets.insert(channel_id, chunk_start_offset + bytes.len() as u64);
             push(&mut bytes, op::MESSAGE_INDEX, &MessageIndex { channel_id, records }, &[])?;
@@ -192,7 +195,7 @@ impl<W: Write> FileWriter<W> {
         self.flush()
     }
 
-    /// Writes what is left and the summary, and gives the writer back.
+    /// Writes the last chunk and the summary, and returns the writer.
     pub(crate) fn finish(mut self) -> io::Result<W> {
         self.end()?;
         self.out.take().ok_or_else(|| io::ErrorKind::BrokenPipe.into())
@@ -231,7 +234,7 @@ impl<W: Write> FileWriter<W> {
         for offset in &groups {
             push(&mut summary, op::SUMMARY_OFFSET, offset, &[])?;
         }
-        // The footer's checksum is of the summary and of the footer before it, so the record is made by hand.
+        // The footer's checksum covers the summary and the footer up to itself, so the record is assembled by hand.
         summary.push(op::FOOTER);
         summary.extend(20_u64.to_le_bytes());
         summary.extend(begin.to_le_bytes());
@@ -253,17 +256,18 @@ impl<W: Write> FileWriter<W> {
         self.attempt(W::flush)
     }
 
-    /// What follows an error would not be where the indexes say.
+    /// Runs a write unless an earlier one failed: further bytes would not be where the indexes say.
     fn attempt(&mut self, write: impl FnOnce(&mut W) -> io::Result<()>) -> io::Result<()> {
         if let Some(kind) = self.failed {
             return Err(kind.into());
         }
+        // The writer was returned already.
         let Some(out) = &mut self.out else { return Err(io::ErrorKind::BrokenPipe.into()) };
         write(out).inspect_err(|error| self.failed = Some(error.kind()))
     }
 }
 
-/// A recording that is dropped is finished as far as that goes.
+/// Finishes a recording that is dropped, as far as possible.
 impl<W: Write> Drop for FileWriter<W> {
     fn drop(&mut self) {
         if self.out.is_some() {

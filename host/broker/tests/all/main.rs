@@ -1,4 +1,4 @@
-//! A simulated bench behind a broker, with drivers as its clients. All time is virtual.
+//! Tests of the broker with a simulated board and drivers as its clients. All time is virtual.
 
 #[path = "../../../driver/tests/all/simulated/mod.rs"]
 mod simulated;
@@ -29,14 +29,14 @@ use simulated::{VirtualClock, simulated_link};
 
 const ROTARY: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
 const LINEAR: ChannelId = ChannelId::new(ChannelKind::Actuator, 1);
-/// Of the bench's board.
+/// Link time-out of the simulated board, µs.
 const LINK_TIMEOUT_US: u64 = 200_000;
-/// How often a client looks at the board, ms.
+/// Sampling period at which a client watches the board, ms.
 const LOOK_MS: u16 = 5;
-/// Of a link between a client and the broker: about that of USB at full speed.
+/// Baud rate of a link between a client and the broker: about that of USB at full speed.
 const BAUD: u32 = 12_000_000;
 
-/// The broker's end of a link, which can be closed.
+/// The broker's end of a link, which a test can close.
 struct End {
     rx: Receiver,
     is_closed: Rc<Cell<bool>>,
@@ -67,7 +67,7 @@ struct Door {
 }
 
 impl Door {
-    /// A client's end of a link to the broker, and what closes the broker's end with the next byte that comes.
+    /// Returns a client's end of a link to the broker, and the switch that closes the broker's end at its next byte.
     fn connect(&self) -> (Port, Rc<Cell<bool>>) {
         let (here, there) = serial(&self.clock.0, BAUD);
         let is_closed = Rc::<Cell<bool>>::default();
@@ -75,14 +75,14 @@ impl Door {
         (here, is_closed)
     }
 
-    /// Runs `work` as a client.
+    /// Runs `work` as a client with a session.
     async fn client<T>(&self, work: impl AsyncFnOnce(&Board<VirtualClock>) -> T) -> T {
         let (port, _) = self.connect();
         with_board(port.rx, port.tx, self.clock.clone(), work).await.expect("a session with the broker")
     }
 }
 
-/// Runs `work` beside a broker of a bench; `board` is the broker's own session.
+/// Runs `work` beside a broker of a simulated board; `board` is the broker's own session.
 fn shared(work: impl AsyncFnOnce(&Door, &Board<VirtualClock>) -> Result<(), Error>) {
     let result = simulated_link(async |rx, tx, clock| {
         with_board(rx, tx, clock.clone(), async |board| serve(board, clock, work).await).await?
@@ -109,7 +109,7 @@ async fn serve(
     }
 }
 
-/// Waits until a client hears that the board is in a state. Returns the causes it has latched.
+/// Waits until a client sees the board in a state. Returns the latched causes.
 async fn until(board: &Board<VirtualClock>, state: SafetyState) -> r4_protocol::Causes {
     for _ in 0..400 {
         if board.safety().0 == state {
@@ -128,7 +128,7 @@ fn one_commands_while_others_watch() {
             let mut dates = Vec::new();
             while seen.next().await.map(|sample| dates.push(sample.device_us)).is_ok() && dates.len() < 100 {
                 if dates.len() == 50 {
-                    // What it may not do changes nothing for who may.
+                    // A refused command of a watcher does not take the command from its holder.
                     let refused = watcher.set(ROTARY, Setpoint { mode: Mode::Position, value: -1.0 }).await;
                     assert_eq!(refused, Err(Error::Refused(Refusal::InUse)));
                     assert_eq!(watcher.disarm().await, Err(Error::Refused(Refusal::InUse)));
@@ -147,7 +147,7 @@ fn one_commands_while_others_watch() {
         });
         let (dates, commanded) = join(watching, commanding).await;
         commanded?;
-        // The other client subscribed to the same channel every 10 ms, and ended that.
+        // The commander subscribed to the same channel every 10 ms and ended that: the common period changed twice.
         let dates = dates?;
         let apart: Vec<u64> = dates.windows(2).map(|pair| pair[1] - pair[0]).collect();
         assert!(apart.len() >= 99 && apart.iter().all(|us| us.abs_diff(15_000) <= 5_000), "{apart:?}");
@@ -177,8 +177,8 @@ fn a_stop_is_taken_from_any_client() {
     });
 }
 
-/// A client that fails while a motor moves, at twenty moments between its heartbeats: the board trips by itself, in the time of its link
-/// time-out, while another client watches; and afterwards another client may command.
+/// A client that fails while a motor moves, at twenty moments between its heartbeats: the board trips by itself
+/// within its link time-out while another client watches, and another client may command afterwards.
 #[test]
 fn a_client_that_fails_trips_the_board_as_on_a_link_of_its_own() {
     for moment in 0..20 {
@@ -193,7 +193,7 @@ fn a_client_that_fails_trips_the_board_as_on_a_link_of_its_own() {
                     }
                 };
                 assert!(tripped.causes.contains(Cause::LinkLost), "{}", tripped.causes);
-                // The one that failed is let go.
+                // The broker gives up the failed client after two link time-outs.
                 watcher.sleep_s(0.5).await;
                 watcher.clear().await?;
                 watcher.arm().await?;
@@ -213,7 +213,8 @@ fn a_client_that_fails_trips_the_board_as_on_a_link_of_its_own() {
                 dies_us
             };
             let (tripped_us, failed_us) = join(watching, failing).await;
-            // Its last heartbeat was at most a quarter of the time-out before. The looks, the links and the supervisor's own take some ms.
+            // The last heartbeat was at most a quarter of the time-out earlier. The watcher's samples, the links and
+            // the board's supervisor add some ms.
             let after_us = tripped_us?.saturating_sub(failed_us);
             let expected = LINK_TIMEOUT_US * 3 / 4..=LINK_TIMEOUT_US + 5_000 + 1_000 * u64::from(LOOK_MS);
             assert!(expected.contains(&after_us), "{after_us} us");
@@ -235,7 +236,7 @@ fn a_goodbye_leaves_the_board_disarmed_and_free() {
     });
 }
 
-/// A client whose link is closed without a goodbye while nothing can move.
+/// A client whose link closes without the end of its session while nothing can move.
 #[test]
 fn who_is_gone_from_a_disarmed_board_trips_nothing() {
     shared(async |door, board| {
@@ -275,7 +276,7 @@ fn cycles_go_through() {
     });
 }
 
-/// A client by its bytes.
+/// A client that sends and receives single messages, without a driver.
 struct Raw {
     port: Port,
     decoder: FrameDecoder,
@@ -328,7 +329,7 @@ fn sessions_are_each_clients_own() {
         assert_eq!(one.request(Request::Hello { version: VERSION + 1, schema: 1 }).await, Err(mismatch));
         let (first, second) = (one.hello().await, other.hello().await);
         assert_ne!(first, second);
-        // A heartbeat of another session is none.
+        // A heartbeat with the number of another session is ignored.
         one.send(&ToDevice::Heartbeat { session: second, host_us: 1 }).await;
         one.send(&ToDevice::Heartbeat { session: first, host_us: 2 }).await;
         assert!(matches!(one.next().await, ToHost::Heartbeat { host_us: 2, .. }));
@@ -339,7 +340,7 @@ fn sessions_are_each_clients_own() {
     });
 }
 
-/// In a session of version 12 a number says nothing: the same request with it is another.
+/// Sessions of version 12 have no repeats: the same request with the same number is a new one.
 #[test]
 fn a_session_of_an_older_version_has_no_repeats() {
     let old = SPOKEN[1];
@@ -356,7 +357,7 @@ fn a_session_of_an_older_version_has_no_repeats() {
     });
 }
 
-/// What a client sends again because it missed the answer.
+/// A request that the client repeats because it missed the answer.
 #[test]
 fn a_repeat_is_answered_and_not_passed_on() {
     shared(async |door, _| {
@@ -384,7 +385,7 @@ fn a_repeat_is_answered_and_not_passed_on() {
     });
 }
 
-/// More than the board answers in time: the rest is refused, and a stop is not.
+/// More requests than the board answers in time: the rest is refused, but not a stop.
 #[test]
 fn a_flood_of_requests_keeps_no_stop_out() {
     shared(async |door, board| {
@@ -396,7 +397,7 @@ fn a_flood_of_requests_keeps_no_stop_out() {
             let message = ToDevice::Request { seq, request };
             frames.extend_from_slice(encode_frame(&message, &mut [0; MAX_FRAME]).expect("fits"));
         }
-        // In one go, as a client writes that waits for nothing.
+        // Written at once, as a client does that waits for no answer.
         let writing = client.port.tx.write_all(&frames);
         writing.await.expect("never fails");
         let (mut answered, mut busy) = (0, 0);
@@ -418,7 +419,7 @@ fn a_flood_of_requests_keeps_no_stop_out() {
     });
 }
 
-/// A client that commands, and sends something of a later version.
+/// A commanding client that sends a request of a later protocol version.
 #[test]
 fn what_is_not_known_leaves_nothing_in_force() {
     shared(async |door, board| {
@@ -427,7 +428,7 @@ fn what_is_not_known_leaves_nothing_in_force() {
         assert_eq!(client.request(Request::Arm).await, Ok(Reply::Done));
         client.send(&ToDevice::Heartbeat { session, host_us: 1 }).await;
         while !matches!(client.next().await, ToHost::Heartbeat { state: SafetyState::Armed, .. }) {}
-        // Variant 250 of the requests, with number 9.
+        // Variant 250 of the requests, which does not exist, with sequence number 9.
         let mut buffer = [0; MAX_FRAME];
         let frame = encode_with(&(0_u8, 9_u16, 250_u8, 1_u8), Check::Long, &mut buffer).expect("fits");
         client.port.tx.write_all(frame).await.expect("never fails");

@@ -1,31 +1,31 @@
-//! Whether runs hold what identifying a model takes.
+//! Check that runs hold the data which a model requires.
 
 use super::{DataError, Quantity, Run, unit::unit};
 
-/// What a model needs of one role.
+/// Requirement of a model on one role.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Need {
-    /// Such as `input`.
+    /// Name of the role, such as `input`.
     pub role: String,
-    /// What it is, for messages.
+    /// Meaning of the role, for messages.
     pub what: String,
-    /// What it may measure; anything if empty.
+    /// Allowed quantities; any if empty.
     pub quantities: Vec<Quantity>,
-    /// The model cannot do without.
+    /// True if the model cannot do without it.
     pub required: bool,
-    /// It drives the model; otherwise it is compared with it.
+    /// True for an input of the model, false for an output that is compared with it.
     pub driving: bool,
-    /// Nothing can be told where it is the same all the time.
+    /// True if a constant signal cannot be used.
     pub varies: bool,
-    /// Over all runs.
+    /// Smallest number of finite samples over all runs.
     pub samples: usize,
 }
 
-/// Checks `runs` against `needs`, in their order.
+/// Checks `runs` against `needs`, in the order of `needs`.
 ///
 /// # Errors
 /// [`DataError::NoRole`], [`DataError::Unit`], [`DataError::TooShort`], [`DataError::ConstantInput`] and
-/// [`DataError::ConstantOutput`]; each says what recording would do.
+/// [`DataError::ConstantOutput`]; each says what to record.
 pub fn check(runs: &[Run], needs: &[Need]) -> Result<(), DataError> {
     for need in needs {
         let signals: Vec<_> = runs.iter().filter_map(|run| run.signals.get(&need.role)).collect();
@@ -39,6 +39,7 @@ pub fn check(runs: &[Run], needs: &[Need]) -> Result<(), DataError> {
         if !need.quantities.is_empty() && !need.quantities.contains(&first.quantity) {
             return Err(wrong_unit(need, &column, first.quantity));
         }
+        // Missing values neither count as samples nor as a change.
         let values = || signals.iter().flat_map(|signal| &signal.values).copied().filter(|value| value.is_finite());
         let samples = values().count();
         if samples < need.samples {

@@ -1,4 +1,4 @@
-//! What is wrong with the samples of runs: told, and where nothing is lost by it, mended.
+//! Cleaning of runs: reports faults of their samples, and repairs those whose repair loses nothing.
 
 use std::f64::consts::{PI, TAU};
 
@@ -6,19 +6,19 @@ use r4_maths::statistics::{self, QuantileRule};
 
 use super::{Mapping, Note, Quantity, read::Raw, runs::Piece};
 
-/// Samples on each side that an outlier is compared with.
+/// Number of samples on each side that an outlier is compared with.
 const AROUND: usize = 5;
 
-/// An outlier is this many times farther from its neighbours than these vary among themselves …
+/// Smallest distance of an outlier from its neighbours, as a multiple of the largest step around it …
 const SPIKE: f64 = 10.0;
 
-/// … and than 95 % of the steps of the whole run are long.
+/// … and as a multiple of the 95 % quantile of all steps of the run.
 const STEP: f64 = 4.0;
 
-/// More than this share of outliers is how the signal is.
+/// Share of outliers above which they belong to the signal.
 const RARE: f64 = 0.02;
 
-/// The one of `values`, none of which is NaN, below which this share of them lies; `None` where there are none.
+/// Returns the quantile of `values`, none of which is NaN, at `share`; `None` if there are none.
 pub(super) fn quantile(values: &[f64], share: f64) -> Option<f64> {
     statistics::quantile(values, share, QuantileRule::NearestPosition).ok()
 }
@@ -28,6 +28,7 @@ pub(super) fn clean(file: &str, raw: &Raw, roles: &[Mapping], pieces: &mut Vec<P
     let missing = |pieces: &[Piece], at: usize| -> usize {
         pieces.iter().map(|piece| piece.values[at].iter().filter(|value| value.is_nan()).count()).sum()
     };
+    // Missing cells are counted before [`bridge`] fills those of inputs.
     for (at, (mapping, (column, ..))) in roles.iter().zip(&raw.columns).enumerate() {
         let cells = missing(pieces, at);
         if cells > 0 {
@@ -42,6 +43,7 @@ pub(super) fn clean(file: &str, raw: &Raw, roles: &[Mapping], pieces: &mut Vec<P
     for piece in &mut *pieces {
         bridge(piece, roles);
     }
+    // Time is checked on the bridged rows, so that rows before the first input count as no gap.
     pieces.retain(|piece| !piece.time_s.is_empty());
     time(file, raw, pieces, notes);
     for (at, (mapping, (column, quantity, _))) in roles.iter().zip(&raw.columns).enumerate() {
@@ -57,7 +59,7 @@ pub(super) fn clean(file: &str, raw: &Raw, roles: &[Mapping], pieces: &mut Vec<P
     }
 }
 
-/// The value before holds where a driving signal has none; rows before its first go.
+/// Fills missing values of inputs with the value before (zero-order hold), and removes rows before the first value.
 fn bridge(piece: &mut Piece, roles: &[Mapping]) {
     let driving = || roles.iter().enumerate().filter(|(_, mapping)| mapping.driving).map(|(at, _)| at);
     let known = |at: usize| piece.values[at].iter().position(|value| !value.is_nan());
@@ -80,12 +82,13 @@ fn bridge(piece: &mut Piece, roles: &[Mapping]) {
     }
 }
 
-/// Tells of sampling that is not regular, and of gaps.
+/// Notes irregular sampling and gaps in time.
 fn time(file: &str, raw: &Raw, pieces: &[Piece], notes: &mut Vec<Note>) {
     let Some((column, stated)) = &raw.time else { return };
     let steps = || pieces.iter().flat_map(|piece| piece.time_s.windows(2).map(|pair| pair[1] - pair[0]));
     let Some(median_s) = quantile(&steps().collect::<Vec<_>>(), 0.5) else { return };
     let off: Vec<f64> = steps().map(|step| (step - median_s).abs()).collect();
+    // The quantile ignores gaps, which are noted below.
     let jitter_s = quantile(&off, 0.95).unwrap_or(0.0);
     if !stated {
         notes.push(Note::TimeUnit { file: file.to_owned(), column: column.clone(), step_s: median_s });
@@ -93,7 +96,7 @@ fn time(file: &str, raw: &Raw, pieces: &[Piece], notes: &mut Vec<Note>) {
     if jitter_s > 0.05 * median_s {
         notes.push(Note::Irregular { file: file.to_owned(), median_s, jitter_s });
     }
-    // A regular clock that skips one sample makes a step of two; an irregular one may do so by itself.
+    // A regular clock that skips one sample makes a step of two periods; an irregular clock may do so by itself.
     let longest = if jitter_s < 0.2 * median_s { 1.8 * median_s } else { 5.0 * median_s.max(jitter_s) };
     let gaps: Vec<f64> = steps().filter(|step| *step > longest).collect();
     if let Some(longest_s) = gaps.iter().copied().reduce(f64::max) {
@@ -102,22 +105,23 @@ fn time(file: &str, raw: &Raw, pieces: &[Piece], notes: &mut Vec<Note>) {
     }
 }
 
-/// Tells of runs in which a driving signal does not change.
+/// Notes runs in which an input is constant.
 fn constant(file: &str, column: &str, at: usize, pieces: &[Piece], notes: &mut Vec<Note>) {
     let still = |piece: &&Piece| piece.time_s.len() > 1 && piece.values[at].windows(2).all(|pair| pair[0] == pair[1]);
     let runs = pieces.iter().filter(still).count();
     let Some(value) = pieces.iter().find(still).and_then(|piece| piece.values[at].first().copied()) else { return };
-    // A whole file of one value is a condition, such as a gain: the check tells where it must not be.
+    // A constant in the whole file is a condition, such as a gain; [`super::check`] refuses it where it must vary.
     if runs < pieces.len() {
         let (file, column) = (file.to_owned(), column.to_owned());
         notes.push(Note::Constant { file, column, value, runs, of: pieces.len() });
     }
 }
 
-/// Adds up the turns of an angle that is kept within one.
+/// Unwraps an angle that is kept within one turn.
 fn unwrap(file: &str, column: &str, at: usize, pieces: &mut [Piece], notes: &mut Vec<Note>) {
     let all = || pieces.iter().flat_map(|piece| piece.values[at].iter().copied()).filter(|value| !value.is_nan());
     let (least, most) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
+    // Rounding of printed values may exceed the range by a little.
     let margin = 0.01 * TAU;
     let centred = least >= -PI - margin && most <= PI + margin;
     let positive = least >= -margin && most <= TAU + margin;
@@ -128,6 +132,7 @@ fn unwrap(file: &str, column: &str, at: usize, pieces: &mut [Piece], notes: &mut
     for piece in pieces {
         let (mut turns, mut last) = (0.0, f64::NAN);
         for value in piece.values[at].iter_mut().filter(|value| !value.is_nan()) {
+            // More than three quarters of a turn between two samples is taken as a wrap, not as motion.
             let step = *value - last;
             if step.abs() > 0.75 * TAU {
                 turns -= step.signum();
@@ -142,11 +147,12 @@ fn unwrap(file: &str, column: &str, at: usize, pieces: &mut [Piece], notes: &mut
     }
 }
 
-/// Sets lone spikes aside.
+/// Replaces lone spikes by NaN and notes them.
 fn outliers(file: &str, column: &str, at: usize, pieces: &mut [Piece], notes: &mut Vec<Note>) {
     let (mut samples, mut first_s) = (0, None);
     for piece in pieces {
         let found = spikes(&piece.values[at]);
+        // Frequent spikes belong to the signal.
         if found.len() as f64 > RARE * piece.time_s.len() as f64 {
             continue;
         }
@@ -161,7 +167,7 @@ fn outliers(file: &str, column: &str, at: usize, pieces: &mut [Piece], notes: &m
     }
 }
 
-/// Places of values far from both neighbours, on one side of them, where all around is smooth.
+/// Returns the indexes of spikes: values far from both neighbours, on one side of them, where the signal is smooth.
 fn spikes(values: &[f64]) -> Vec<usize> {
     let known: Vec<usize> = (0..values.len()).filter(|&at| !values[at].is_nan()).collect();
     let value = |place: usize| values[known[place]];
@@ -177,7 +183,7 @@ fn spikes(values: &[f64]) -> Vec<usize> {
         if before * after <= 0.0 || leg <= STEP * usual || leg <= SPIKE * grain {
             return false;
         }
-        // Back where it came from, and no neighbour does the like.
+        // The signal returns to where it was before the spike, and no step around is nearly as large.
         let around = (place - AROUND..place - 1).chain(place + 1..place + AROUND);
         let mut near: Vec<f64> = around.map(|at| (value(at + 1) - value(at)).abs()).collect();
         near.push((value(place + 1) - value(place - 1)).abs());
@@ -186,7 +192,7 @@ fn spikes(values: &[f64]) -> Vec<usize> {
     (AROUND..known.len().saturating_sub(AROUND)).filter(lone).map(|place| known[place]).collect()
 }
 
-/// Tells of values that repeat although what they measure moves.
+/// Notes values that repeat although the measured quantity moves: a sample-and-hold slower than the file.
 fn held(file: &str, column: &str, at: usize, pieces: &[Piece], notes: &mut Vec<Note>) {
     let steps = |piece: &Piece| -> Vec<f64> {
         piece.values[at]
@@ -201,8 +207,8 @@ fn held(file: &str, column: &str, at: usize, pieces: &[Piece], notes: &mut Vec<N
     for piece in pieces {
         let mut since: Option<usize> = None;
         for (step, size) in steps(piece).into_iter().enumerate().filter(|(_, size)| *size > 0.0) {
-            // A stretch between two changes of several grains: what is measured moves, its resolution is not why
-            // values repeat. Longer than ten is rest.
+            // A stretch between two changes of several quantisation steps: the quantity moves, so resolution does not
+            // explain the repeated values. Stretches longer than ten samples are rest.
             let moves = size >= 4.0 * grain;
             if let Some(from) = since.filter(|from| moves && step - from <= 10) {
                 lengths.push((step - from) as f64);
@@ -215,7 +221,7 @@ fn held(file: &str, column: &str, at: usize, pieces: &[Piece], notes: &mut Vec<N
     let length = samples / stretches;
     let spread = (lengths.iter().map(|other| (other - length).powi(2)).sum::<f64>() / stretches).sqrt();
     let rows: usize = pieces.iter().map(|piece| piece.time_s.len()).sum();
-    // A slower clock makes stretches of nearly one length, a mechanism that comes to rest now and then does not.
+    // A slower clock makes stretches of nearly one length; a mechanism that stops now and then does not.
     let clock = spread < f64::max(0.6, 0.35 * length) && samples > 0.2 * rows as f64;
     if stretches >= 20.0 && length > 1.3 && clock {
         notes.push(Note::Held {

@@ -1,14 +1,14 @@
-//! Why data cannot be used, and what to do about it.
+//! Errors of reading data, with advice on what to do.
 
 use std::{fmt, io, path::PathBuf};
 
 use r4_log::LogError;
 
-/// The columns of a file, for messages.
+/// Names of a file's columns, for messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Columns(pub Vec<String>);
 
-/// How many names a message lists.
+/// Largest number of names that a message lists.
 const LISTED: usize = 40;
 
 impl fmt::Display for Columns {
@@ -22,54 +22,54 @@ impl fmt::Display for Columns {
     }
 }
 
-/// Why data cannot be used.
+/// Reason why data cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum DataError {
     /// The file could not be opened or read.
     #[error("cannot read {}: {why}", path.display())]
     Io {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What the operating system says.
+        /// Error of the operating system.
         why: io::Error,
     },
     /// No file was given.
     #[error("no file was given: name at least one recording, as CSV with a header or as a log of `r4`")]
     NoFile,
-    /// There is nothing in the file.
+    /// The file has no content.
     #[error("{file} is empty: record again, or copy it again")]
     Empty {
-        /// Which.
+        /// Name of the file.
         file: String,
     },
-    /// Not a table.
+    /// The file is not a table.
     #[error(
         "{file} is neither a table nor a log of `r4`: give CSV, with a header that has units, as in `time_s,duty,theta_rad`"
     )]
     NotText {
-        /// Which.
+        /// Name of the file.
         file: String,
     },
-    /// The first line has numbers.
+    /// The first line has numbers instead of names.
     #[error(
         "{file} has no header: its first line has numbers only; begin it with the columns' names and units, as in `time_s,duty,theta_rad`"
     )]
     NoHeader {
-        /// Which.
+        /// Name of the file.
         file: String,
     },
-    /// Nothing below the header.
+    /// The file has a header and no rows.
     #[error("{file} has a header and no rows: the recording never began; record again")]
     HeaderOnly {
-        /// Which.
+        /// Name of the file.
         file: String,
     },
-    /// A log has no sample of what was asked for.
+    /// A log has no sample of the requested signal.
     #[error("{file} has no samples of {signal}: subscribe to the channel while recording, as `r4 log record` does")]
     NoSamples {
-        /// Which.
+        /// Name of the file.
         file: String,
-        /// Which signal.
+        /// Name of the signal.
         signal: String,
     },
     /// A row has too few or too many cells.
@@ -77,111 +77,111 @@ pub enum DataError {
         "{file}, line {line}: {found} cells where the header has {expected} columns; mend the line, or take it out"
     )]
     RowLength {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// From 1.
+        /// Number of the line, from 1.
         line: u64,
-        /// Cells.
+        /// Number of cells in the line.
         found: usize,
-        /// Columns.
+        /// Number of columns in the header.
         expected: usize,
     },
-    /// A cell has text.
+    /// A cell has text instead of a number.
     #[error(
         "{file}, line {line}, column {column}: `{text}` is not a number; leave the cell empty if nothing was measured, and write decimals with a point"
     )]
     Text {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// From 1.
+        /// Number of the line, from 1.
         line: u64,
-        /// Which.
+        /// Name of the column.
         column: String,
-        /// What is there, cut to a readable length.
+        /// Text in the cell, cut to a readable length.
         text: String,
     },
-    /// No such column.
+    /// The file has no column of this name.
     #[error("{file} has no column `{column}`{}; it has: {columns}", nearest.as_ref().map_or(String::new(), |name| format!(" (did you mean `{name}`?)")))]
     NoColumn {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// What was asked for.
+        /// Name of the requested column.
         column: String,
-        /// The most similar name.
+        /// Most similar name in the file, if any is similar.
         nearest: Option<String>,
-        /// What there is.
+        /// Columns in the file.
         columns: Columns,
     },
-    /// Two columns of this name.
+    /// Several columns have this name.
     #[error("{file} has more than one column `{column}`: give each a name of its own{}", one_of.as_ref().map_or(String::new(), |names| format!(", or name one of: {names}")))]
     Ambiguous {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// The name.
+        /// Name that is not unique.
         column: String,
-        /// The full names, where the short one of a log's signal was given.
+        /// Full names, if the short name of a log's signal was given.
         one_of: Option<Columns>,
     },
-    /// Nothing looks like time.
+    /// No column looks like time.
     #[error(
         "{file} has no time column: name it with `--time COLUMN`, one of: {columns}; a recording without times shows no motion, record it again with them"
     )]
     NoTime {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// What there is.
+        /// Columns in the file.
         columns: Columns,
     },
-    /// Time runs backwards.
+    /// Time decreases from one row to the next.
     #[error(
         "{file}, line {line}: time goes back from {before_s} s to {time_s} s; sort the rows by time, or name the columns that tell the runs apart with `--run COLUMN`"
     )]
     Backwards {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// From 1.
+        /// Number of the line, from 1.
         line: u64,
-        /// Of the row before.
+        /// Time in the row before, s.
         before_s: f64,
-        /// Of this row.
+        /// Time in this row, s.
         time_s: f64,
     },
-    /// A column without any number.
+    /// A column has no number at all.
     #[error("{file}: {column} has no number at all; was the sensor connected? Name another column, or record again")]
     AllMissing {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// Which.
+        /// Name of the column.
         column: String,
     },
-    /// A role was given twice.
+    /// Two columns were given for one role.
     #[error("two columns were given for `{role}`: name one")]
     RoleTwice {
-        /// Which.
+        /// Name of the role.
         role: String,
     },
-    /// A column was given for two roles.
+    /// One column was given for two roles.
     #[error(
         "column `{column}` was given for both `{first}` and `{second}`: a model cannot be compared with itself; name two columns"
     )]
     ColumnTwice {
-        /// Which.
+        /// Name of the column.
         column: String,
-        /// One role.
+        /// First of the two roles.
         first: String,
-        /// The other.
+        /// Second of the two roles.
         second: String,
     },
     /// A log has no columns to be split by.
     #[error("{file} is a log, which is one run: leave `--run` out, and give several logs")]
     SplitLog {
-        /// Which file.
+        /// Name of the file.
         file: String,
     },
-    /// The hold-out is not understood.
+    /// The argument for held-out runs is not understood.
     #[error("`{text}` is no way to hold out runs: give files, or `every:2` for every second run (`every:N`, N from 2)")]
     Holdout {
-        /// What was given.
+        /// Argument as it was given.
         text: String,
     },
     /// There are too few runs to hold any out.
@@ -189,75 +189,75 @@ pub enum DataError {
         "{found} run cannot be shared between fitting and testing as every:{every}: record it a second time and give that file to `--holdout`, or name the columns that tell its runs apart with `--run COLUMN`"
     )]
     OneRun {
-        /// How many there are.
+        /// Number of runs found.
         found: usize,
-        /// What was asked for.
+        /// Number `N` in `every:N`.
         every: usize,
     },
-    /// Not a recording.
+    /// The file is no readable log.
     #[error("{file}: {why}")]
     Log {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// Why.
+        /// Error of the log's reader.
         why: LogError,
     },
-    /// Nothing is mapped to a role the model needs.
+    /// No column is mapped to a role that the model requires.
     #[error("nothing was given for `{role}` ({what}): name its column with `--map {role}=COLUMN`")]
     NoRole {
-        /// Which.
+        /// Name of the role.
         role: String,
-        /// What it is.
+        /// Meaning of the role.
         what: String,
     },
     /// A column has no unit, or the wrong one.
     #[error("`{column}` cannot be `{role}`: {problem}; {cure}")]
     Unit {
-        /// Which column.
+        /// Name of the column.
         column: String,
-        /// What for.
+        /// Name of the role.
         role: String,
-        /// What its name says of it.
+        /// Problem with the unit.
         problem: String,
-        /// How to mend it.
+        /// Advice on how to correct it.
         cure: String,
     },
-    /// Too little data.
+    /// A column has too few samples.
     #[error(
         "{samples} samples of `{column}` ({role}) are too few, {needed} are needed: record at least {needed}, of starts, stops and both directions, and more if what moves is slow"
     )]
     TooShort {
-        /// What for.
+        /// Name of the role.
         role: String,
-        /// Which column.
+        /// Name of the column.
         column: String,
-        /// How many there are.
+        /// Number of finite samples.
         samples: usize,
-        /// How many it takes.
+        /// Number of samples that the model requires.
         needed: usize,
     },
-    /// The input is the same all the time.
+    /// The input is constant.
     #[error(
         "`{column}` ({role}) is {value} all the time, so its effect cannot be identified: record steps to several values in both directions, with rests between"
     )]
     ConstantInput {
-        /// What for.
+        /// Name of the role.
         role: String,
-        /// Which column.
+        /// Name of the column.
         column: String,
-        /// Its only value.
+        /// Constant value of the column, SI units.
         value: f64,
     },
-    /// The output is the same all the time.
+    /// The output is constant.
     #[error(
         "`{column}` ({role}) is {value} all the time: either nothing moved (armed, and driven by more than friction holds?) or this is not its column; record again with a larger input"
     )]
     ConstantOutput {
-        /// What for.
+        /// Name of the role.
         role: String,
-        /// Which column.
+        /// Name of the column.
         column: String,
-        /// Its only value.
+        /// Constant value of the column, SI units.
         value: f64,
     },
 }

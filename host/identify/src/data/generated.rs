@@ -8,7 +8,7 @@ use rand_pcg::{
 
 use super::{Quantity, Run, Signal};
 
-/// A motor of first order: 200 Hz, 12 s.
+/// Recording of a first-order motor: 12 s at 200 Hz.
 pub(super) struct Motor {
     pub(super) duty: Vec<f64>,
     pub(super) speed: Vec<f64>,
@@ -22,12 +22,12 @@ pub(super) fn dice(seed: u64) -> Pcg64Mcg {
     Pcg64Mcg::seed_from_u64(seed)
 }
 
-/// A number from 0 (included) to 1 (excluded).
+/// Returns a number from 0 (included) to 1 (excluded).
 pub(super) fn uniform(dice: &mut Pcg64Mcg) -> f64 {
     (dice.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// Steps, ramps, sines and rests of half a second to two.
+/// Returns steps, ramps, sines and rests of half a second to two seconds.
 pub(super) fn duties(dice: &mut Pcg64Mcg) -> Vec<f64> {
     let mut duty: Vec<f64> = Vec::new();
     while duty.len() < SAMPLES {
@@ -45,7 +45,7 @@ pub(super) fn duties(dice: &mut Pcg64Mcg) -> Vec<f64> {
     duty
 }
 
-/// Between stops at these angles where there are any.
+/// Simulates a motor with random parameters, between end stops at `stops` (rad) if there are any.
 pub(super) fn motor(seed: u64, stops: Option<[f64; 2]>) -> Motor {
     let mut dice = dice(seed);
     let duty = duties(&mut dice);
@@ -79,14 +79,14 @@ fn deviation(values: &[f64]) -> f64 {
     (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// With noise `decibels` below the signal.
+/// Returns the values with white noise `decibels` below the signal.
 pub(super) fn noisy(values: &[f64], decibels: f64, dice: &mut Pcg64Mcg) -> Vec<f64> {
     let size = deviation(values) * 10_f64.powf(-decibels / 20.0);
     let noise = Normal::new(0.0, size.max(1e-12)).expect("a deviation");
     values.iter().map(|value| value + noise.sample(dice)).collect()
 }
 
-/// In whole counts.
+/// Returns the values rounded to multiples of `count`.
 pub(super) fn counted(values: &[f64], count: f64) -> Vec<f64> {
     values.iter().map(|value| (value / count).round() * count).collect()
 }

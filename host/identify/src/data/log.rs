@@ -1,4 +1,4 @@
-//! A log of `r4` as columns of numbers.
+//! Columns of numbers from a log of `r4`.
 
 use std::path::Path;
 
@@ -32,6 +32,7 @@ pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<
     let mut columns = Vec::new();
     for mapping in &options.roles {
         let signal = &signals[find(file, &names, &mapping.column)?];
+        // Text such as a state is no signal for a model.
         let numbers = signal.samples.iter().filter_map(|(time_s, value)| Some((*time_s, value.number()?)));
         let samples: Vec<_> = numbers.filter(|(time_s, _)| time_s.is_finite()).collect();
         if samples.is_empty() {
@@ -39,7 +40,7 @@ pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<
         }
         columns.push((mapping, Series { name: signal.name.clone(), kind: signal.kind, samples }));
     }
-    // What is compared sets the moments; of several, what has most of them.
+    // The output sets the sampling times; without one, the most frequently sampled measured signal does.
     let rank = |(mapping, series): &&(_, Series)| {
         let mapping: &&super::Mapping = mapping;
         (mapping.role == "output", !mapping.driving, series.kind == Kind::Continuous, series.samples.len())
@@ -60,6 +61,7 @@ pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<
             notes.push(Note::Aligned { file: file.to_owned(), column: series.name.clone(), base: base.name.clone() });
         }
         let unit = unit::unit(&series.name, options.counts_per_turn);
+        // Zero-order hold: at each sampling time the latest value of the signal applies.
         let latest = |time_s: &f64| {
             let after = series.samples.partition_point(|(at, _)| at <= time_s);
             after.checked_sub(1).map_or(f64::NAN, |at| series.samples[at].1 * unit.factor)
@@ -69,7 +71,7 @@ pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<
     Ok(raw)
 }
 
-/// A signal by its name, or by the part after the channel where only one channel has it.
+/// Returns the index of a signal by its name, or by the part after the channel if that is unique.
 fn find(file: &str, names: &[String], column: &str) -> Result<usize, DataError> {
     if let Some(place) = names.iter().position(|name| name == column) {
         return Ok(place);

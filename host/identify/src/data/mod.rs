@@ -1,16 +1,16 @@
-//! Recorded runs, read from files without inventing anything.
+//! Recorded runs, read from files without interpolation or guessing.
 //!
-//! [`read`] takes CSV tables with a header, and the MCAP logs of `r4`, and makes [`Run`]s of them in SI units. What it set
-//! aside, repaired or took to be so is in [`Recorded::notes`]. [`Recorded::alternate`] holds runs out; [`check()`] tells what
-//! a model would miss.
+//! [`read`] takes CSV tables with a header, and the MCAP logs of `r4`, and makes [`Run`]s of them in SI units.
+//! [`Recorded::notes`] says what was set aside, repaired or assumed. [`Recorded::alternate`] holds runs out;
+//! [`check()`] finds what a model would miss.
 //!
 //! | module | subject |
 //! | --- | --- |
 //! | [`mod@unit`] | units, from the names of columns |
 //! | `table`, `log` | one file as columns of numbers |
-//! | `runs` | rows into runs: split columns, clocks that start again, rows out of order |
-//! | `clean` | what is wrong with the samples of a run |
-//! | [`mod@check`] | whether there is enough to identify something |
+//! | `runs` | rows into runs: split columns, clocks that restart, rows out of order |
+//! | `clean` | faults of the samples of a run, and their repair |
+//! | [`mod@check`] | sufficiency of the data for a model |
 //! | [`redundant`] | two sensors of one quantity: sign, scale, offset, lag |
 //! | [`fault`] | faults that a series shows without a model: saturation, missing rows, wrong order |
 //!
@@ -50,33 +50,33 @@ pub use error::{Columns, DataError};
 pub use note::Note;
 pub use read::{Holdout, Mapping, Options, Recorded, read, read_bytes};
 
-/// What a column measures, as far as its unit tells.
+/// Quantity that a column measures, as far as its unit shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
-    /// rad.
+    /// Angle; its SI unit is rad.
     Angle,
-    /// rad/s.
+    /// Angular speed; its SI unit is rad/s.
     AngularSpeed,
-    /// m.
+    /// Length; its SI unit is m.
     Length,
-    /// m/s.
+    /// Speed; its SI unit is m/s.
     Speed,
-    /// V.
+    /// Voltage; its SI unit is V.
     Voltage,
-    /// N.
+    /// Force; its SI unit is N.
     Force,
-    /// N m.
+    /// Torque; its SI unit is N m.
     Torque,
-    /// A.
+    /// Current; its SI unit is A.
     Current,
-    /// °C.
+    /// Temperature, which stays in °C.
     Temperature,
-    /// A share, a count, a flag, or a column whose name has no unit.
+    /// Dimensionless number: a ratio, a count, a flag, or a column whose name has no unit.
     Number,
 }
 
 impl Quantity {
-    /// Its SI unit; `1` for a plain number.
+    /// Returns the SI unit; `1` for a dimensionless number.
     #[must_use]
     pub const fn si(self) -> &'static str {
         match self {
@@ -97,31 +97,32 @@ impl Quantity {
 /// One column of a run in SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
-    /// As the file calls it.
+    /// Name of the column in the file.
     pub column: String,
-    /// What it measures.
+    /// Quantity that the column measures.
     pub quantity: Quantity,
-    /// One per sample; NaN where the file has none or an outlier was set aside.
+    /// Values, one per sample; NaN where the file has none or an outlier was set aside.
     pub values: Vec<f64>,
 }
 
 /// One run: samples in the order of time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
-    /// File, and the values of the columns that split it into runs.
+    /// Name of the file, and the values of the columns that split it into runs.
     pub name: String,
-    /// Seconds, strictly increasing, the first is 0.
+    /// Times in s, strictly increasing, the first is 0.
     pub time_s: Vec<f64>,
-    /// What the board's clock showed at the first sample, s, which runs since it was switched on; `None` where the recording is no log of
-    /// a board. A log has its input sampled like its output, and a line from sample to sample is as near as one comes to what it was in
-    /// between. Other recordings have what was commanded from each sample on.
+    /// Reading of the board's clock at the first sample, s since its power-up; `None` if the recording is not a
+    /// board's log. The input of a log is sampled like its output, and linear interpolation between its samples is
+    /// the best approximation. In other recordings the input is the command, which holds from its sample on
+    /// (zero-order hold).
     pub origin_s: Option<f64>,
-    /// By role, such as `input`.
+    /// Signals by role, such as `input`.
     pub signals: BTreeMap<String, Signal>,
 }
 
 impl Run {
-    /// The values of a role; `None` if nothing was mapped to it.
+    /// Returns the values of a role; `None` if no column was mapped to it.
     #[must_use]
     pub fn values(&self, role: &str) -> Option<&[f64]> {
         self.signals.get(role).map(|signal| &signal.values[..])

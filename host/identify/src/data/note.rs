@@ -1,170 +1,170 @@
-//! What reading a file set aside, repaired, or took to be so.
+//! Notes on what the reader of a file set aside, repaired or assumed.
 
-/// Something a reader of the results should know about the data.
+/// Note on the data that a user of the results should know.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Note {
-    /// The steps of time differ.
+    /// The sampling periods differ.
     #[error("{file}: irregular sampling, every {:.3} ms, one step in twenty more than {:.3} ms off", median_s * 1e3, jitter_s * 1e3)]
     Irregular {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// Median step.
+        /// Median sampling period, s.
         median_s: f64,
-        /// 95 % of the steps are within this of it.
+        /// 95 % quantile of the deviation from the median period, s.
         jitter_s: f64,
     },
-    /// Time goes on, rows do not.
+    /// Rows are missing while time goes on.
     #[error(
         "{file}: {gaps} gaps, about {samples} samples missing, the longest {longest_s:.3} s; nothing was put there"
     )]
     Gaps {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// How many.
+        /// Number of gaps in time.
         gaps: usize,
-        /// Samples that would fill them.
+        /// Number of samples that would fill them.
         samples: usize,
-        /// The longest step.
+        /// Longest time between two rows, s.
         longest_s: f64,
     },
-    /// Values repeat while what is measured moves: the source is slower than the file.
+    /// Values repeat while the quantity moves: a sample-and-hold whose source is slower than the file.
     #[error("{file}: {column} repeats its last value in {:.0} % of the samples, its own rate is about {rate_hz:.3} Hz", share * 100.0)]
     Held {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// Which column.
+        /// Name of the column.
         column: String,
-        /// Share of samples that repeat, while it moves.
+        /// Share of samples that repeat while the quantity moves.
         share: f64,
-        /// Of the source.
+        /// Sampling rate of the source, Hz.
         rate_hz: f64,
     },
-    /// Several rows have the same time: the first is used.
+    /// Several rows have the same time; the first is used.
     #[error("{file}: {rows} rows repeat the time of the row before and were left out")]
     Repeated {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// How many.
+        /// Number of repeated rows.
         rows: usize,
     },
-    /// Time began anew: another run.
+    /// Time starts again, which begins another run.
     #[error("{file}: time starts again {times} times; each start is a run of its own")]
     Restarts {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// How often.
+        /// Number of restarts of the clock.
         times: usize,
     },
-    /// Rows without a time.
+    /// Rows have no time.
     #[error("{file}: {rows} rows have no time and were left out")]
     NoStamp {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// How many.
+        /// Number of such rows.
         rows: usize,
     },
-    /// Cells of a measured column that are empty, or no finite number.
+    /// Cells of a measured column are empty or not finite.
     #[error("{file}: {column} has no number in {cells} of {of} rows; they are not compared")]
     Missing {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// Which column.
+        /// Name of the column.
         column: String,
-        /// How many.
+        /// Number of such cells.
         cells: usize,
-        /// Rows.
+        /// Number of rows in the file.
         of: usize,
     },
-    /// Such cells of a column that drives the model.
+    /// Cells of an input are empty or not finite; the value before holds.
     #[error(
         "{file}: {column} has no number in {cells} of {of} rows; the value before holds there, and rows before its first are left out"
     )]
     Bridged {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// Which column.
+        /// Name of the column.
         column: String,
-        /// How many.
+        /// Number of such cells.
         cells: usize,
-        /// Rows.
+        /// Number of rows in the file.
         of: usize,
     },
-    /// Lone values far from both neighbours.
+    /// Lone values lie far from both neighbours.
     #[error(
         "{file}: {samples} lone values of {column} far from both neighbours were set aside, the first at {first_s:.3} s"
     )]
     Outliers {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// Which column.
+        /// Name of the column.
         column: String,
-        /// How many.
+        /// Number of such values.
         samples: usize,
-        /// Time of the first in its run.
+        /// Time of the first of them in its run, s.
         first_s: f64,
     },
-    /// An angle that jumped by a turn.
+    /// An angle jumped by a turn and was unwrapped.
     #[error("{file}: {column} jumps by a turn {times} times; the turns were added up")]
     Unwrapped {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// Which column.
+        /// Name of the column.
         column: String,
-        /// How often.
+        /// Number of jumps by a turn.
         times: usize,
     },
-    /// A column that drives the model does not change.
+    /// An input does not change within some runs.
     #[error("{file}: {column} is {value} throughout {runs} of {of} runs; these tell nothing of what it does")]
     Constant {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// Which column.
+        /// Name of the column.
         column: String,
-        /// Its value in the first of them.
+        /// Value in the first of these runs.
         value: f64,
-        /// How many.
+        /// Number of these runs.
         runs: usize,
-        /// Runs of the file.
+        /// Number of runs in the file.
         of: usize,
     },
     /// The name of the time column has no unit.
     #[error("{file}: {column} has no unit in its name and is taken as seconds: a step is {step_s} s")]
     TimeUnit {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// Which column.
+        /// Name of the column.
         column: String,
-        /// Median step.
+        /// Median step, s, if the unit is the second.
         step_s: f64,
     },
-    /// No time column, and none is needed.
+    /// The file has no time column, and the model needs none.
     #[error("{file}: no time column; rows are numbered from 0")]
     Numbered {
-        /// Which file.
+        /// Name of the file.
         file: String,
     },
     /// The last line ends in the middle.
     #[error("{file}: the last line ends early and was left out")]
     CutLine {
-        /// Which file.
+        /// Name of the file.
         file: String,
     },
-    /// A signal of a recording with moments of its own.
+    /// A signal of a log has other sampling times than the output.
     #[error("{file}: {column} has moments of its own; at each sample of {base} its latest value is used")]
     Aligned {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// Which signal.
+        /// Name of the signal.
         column: String,
-        /// The one whose moments are used.
+        /// Name of the signal whose sampling times are used.
         base: String,
     },
-    /// Something in a recording could not be read.
+    /// Part of a log could not be read.
     #[error("{file}: {warning}")]
     Log {
-        /// Which file.
+        /// Name of the file.
         file: String,
-        /// What.
+        /// Warning of the log's reader.
         warning: r4_log::Warning,
     },
 }

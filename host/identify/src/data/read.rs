@@ -1,4 +1,4 @@
-//! Files into runs.
+//! Reading of files into runs.
 
 use std::{
     collections::BTreeMap,
@@ -10,72 +10,73 @@ use std::{
 
 use super::{DataError, Note, Quantity, Run, Signal, clean, log, runs, table};
 
-/// Which column plays which part in a model.
+/// Assignment of a column to a role of a model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mapping {
-    /// Such as `input`.
+    /// Name of the role, such as `input`.
     pub role: String,
-    /// As the file calls it.
+    /// Name of the column in the file.
     pub column: String,
-    /// It drives the model, which needs its value at every moment; otherwise it is compared with what the model says.
+    /// True for an input, which the model needs at every time; false for an output that is compared with the
+    /// prediction.
     pub driving: bool,
 }
 
 impl Mapping {
-    /// A column that drives the model.
+    /// Returns the mapping of a column that is an input.
     #[must_use]
     pub fn driving(role: &str, column: &str) -> Self {
         Self { role: role.to_owned(), column: column.to_owned(), driving: true }
     }
 
-    /// A column the model is compared with.
+    /// Returns the mapping of a column that is compared with the prediction.
     #[must_use]
     pub fn measured(role: &str, column: &str) -> Self {
         Self { role: role.to_owned(), column: column.to_owned(), driving: false }
     }
 }
 
-/// What to read of files.
+/// Options of reading files.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Options {
-    /// The time column; `None` looks for one (`t_s`, `time`, `timestamp_ms` …). A log has its own time.
+    /// Name of the time column; `None` to search for one (`t_s`, `time`, `timestamp_ms` …). A log has its own time.
     pub time: Option<String>,
-    /// The order of rows will do where there is no time column.
+    /// True if the order of rows may replace a missing time column.
     pub untimed: bool,
-    /// At least one; no role and no column twice.
+    /// Roles and columns: at least one; no role and no column twice.
     pub roles: Vec<Mapping>,
-    /// Columns whose values tell runs apart within one file; text will do.
+    /// Columns whose values separate the runs within a file; text is allowed.
     pub split: Vec<String>,
-    /// Makes angles of columns in encoder counts.
+    /// Counts per turn, to convert columns in encoder counts to angles.
     pub counts_per_turn: Option<f64>,
 }
 
-/// What files hold.
+/// Runs read from files.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recorded {
-    /// In the order of the files and rows.
+    /// Runs in the order of the files and rows.
     pub runs: Vec<Run>,
-    /// For each run, from 0: runs with the same number belong together (equal values in [`Options::split`]) and are
-    /// held out together.
+    /// Group of each run, from 0. Runs with the same number belong together (equal values in [`Options::split`]) and
+    /// are held out together.
     pub groups: Vec<usize>,
-    /// What was set aside, repaired, or taken to be so.
+    /// Notes on what was set aside, repaired or assumed.
     pub notes: Vec<Note>,
 }
 
-/// Which runs are held out.
+/// Choice of the held-out runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Holdout {
-    /// Those in these files.
+    /// All runs of these files.
     Files(Vec<PathBuf>),
-    /// The last of every so many.
+    /// The last of every N groups of runs.
     Every(usize),
 }
 
 impl Holdout {
-    /// Files, or one `every:N`.
+    /// Parses a list of files, or the single entry `every:N`.
     ///
     /// # Errors
-    /// [`DataError::Holdout`] for an `every:` without a number from 2 on, or beside files.
+    /// [`DataError::Holdout`] for an `every:` without a number of at least 2, or beside files.
     pub fn parse(given: &[PathBuf]) -> Result<Self, DataError> {
         let every = |path: &PathBuf| path.to_str().is_some_and(|text| text.starts_with("every:"));
         match given {
@@ -101,14 +102,15 @@ impl FromStr for Holdout {
 }
 
 impl Recorded {
-    /// Shares the runs: the last of every `every` groups is held out. The notes stay with the first part.
+    /// Divides the runs: the last of every `every` groups is held out. The notes stay with the first part.
     ///
     /// # Errors
-    /// [`DataError::OneRun`] if that leaves one of both parts empty, [`DataError::Holdout`] if `every` is below 2.
+    /// [`DataError::OneRun`] if one of the parts would be empty, [`DataError::Holdout`] if `every` is below 2.
     pub fn alternate(self, every: usize) -> Result<(Self, Self), DataError> {
         if every < 2 {
             return Err(DataError::Holdout { text: format!("every:{every}") });
         }
+        // Groups, not runs, are held out: runs of one group may be too similar for a test.
         let found = self.groups.iter().max().map_or(0, |last| last + 1);
         if found < every {
             return Err(DataError::OneRun { found, every });
@@ -126,24 +128,24 @@ impl Recorded {
 /// One file as columns of numbers, one row per sample.
 #[derive(Debug, Default)]
 pub(super) struct Raw {
-    /// Name of the time column, and whether the unit was in it; `None` where rows are numbered.
+    /// Name of the time column, and whether the name has a unit; `None` if rows are numbered.
     pub(super) time: Option<(String, bool)>,
-    /// NaN where none is stated.
+    /// Time of each row, s; NaN if the file has none.
     pub(super) time_s: Vec<f64>,
-    /// Time is that of a board's clock.
+    /// True if the times are those of a board's clock.
     pub(super) by_board: bool,
-    /// In the order of the roles: name, quantity, and one SI value per row.
+    /// Columns in the order of the roles: name, quantity, and one SI value per row.
     pub(super) columns: Vec<(String, Quantity, Vec<f64>)>,
-    /// What the columns to split by hold; empty without such columns.
+    /// Values of the split columns in each row; empty without such columns.
     pub(super) keys: Vec<String>,
-    /// Where each row is in the file, from 1.
+    /// Line of each row in the file, from 1.
     pub(super) lines: Vec<u64>,
 }
 
 /// Reads `files`, in this order.
 ///
 /// # Errors
-/// A [`DataError`] that names the file, and the line and column where there is one.
+/// A [`DataError`] that names the file, and the line and column if there is one.
 pub fn read(files: &[PathBuf], options: &Options) -> Result<Recorded, DataError> {
     if files.is_empty() {
         return Err(DataError::NoFile);
@@ -152,6 +154,7 @@ pub fn read(files: &[PathBuf], options: &Options) -> Result<Recorded, DataError>
     let mut all = Recorded::default();
     for path in files {
         let bytes = fs::read(path).map_err(|why| DataError::Io { path: path.clone(), why })?;
+        // Messages show only the file's name, unless several files have the same.
         let alone = files.iter().filter(|other| name(other) == name(path)).count() == 1;
         let label = match name(path) {
             Some(name) if alone => name.to_string_lossy().into_owned(),
@@ -166,10 +169,10 @@ pub fn read(files: &[PathBuf], options: &Options) -> Result<Recorded, DataError>
     Ok(all)
 }
 
-/// Reads a file that is in memory; `file` is what messages call it.
+/// Reads a file from memory; `file` is its name in messages.
 ///
 /// # Errors
-/// Those of [`read`], except [`DataError::Io`].
+/// Errors of [`read`], except [`DataError::Io`].
 pub fn read_bytes(file: &str, bytes: &[u8], options: &Options) -> Result<Recorded, DataError> {
     for (index, mapping) in options.roles.iter().enumerate() {
         for before in &options.roles[..index] {

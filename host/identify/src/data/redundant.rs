@@ -1,9 +1,9 @@
-//! Two sensors of one quantity: sign, scale, offset and lag of one against the other.
+//! Comparison of two sensors of one quantity: sign, scale, offset and lag of one against the other.
 //!
-//! Neither signal is differentiated sample by sample. Both are averaged over the same smooth windows (modulating functions): the average of a
-//! derivative over a window is a weighted sum of the differences of its integral, exactly, and noise falls with the window's length. The
-//! averages of the second signal are then regressed on those of the first, with the lag as a shift of the windows, so that it need not be a
-//! whole number of samples.
+//! Neither signal is differentiated sample by sample. Both are averaged over the same smooth windows (modulating
+//! functions): the average of a derivative over a window is exactly a weighted sum of the differences of its
+//! integral, and noise falls with the window's length. The averages of the second signal are then regressed on those
+//! of the first, with the lag as a shift of the windows, so that it need not be a whole number of samples.
 
 use std::{
     f64::consts::{PI, TAU},
@@ -14,17 +14,17 @@ use nalgebra::{DMatrix, DVector};
 
 use super::{Quantity, Run, clean::quantile};
 
-/// How a second signal follows from a first.
+/// Relation of a second signal to a first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Relation {
-    /// Both measure the same.
+    /// Both measure the same quantity.
     Same,
-    /// The second is the rate of the first.
+    /// The second signal is the rate of the first.
     Derivative,
 }
 
 impl Relation {
-    /// By what two columns measure; `None` where neither is the other's derivative.
+    /// Returns the relation of two quantities; `None` if they are not comparable.
     #[must_use]
     pub const fn of(first: Quantity, second: Quantity) -> Option<Self> {
         match (first, second) {
@@ -40,62 +40,67 @@ impl Relation {
     }
 }
 
-/// A number with its standard error.
+/// Estimated number with its standard error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
-    /// Best value.
+    /// Value at the best fit.
     pub value: f64,
-    /// Standard error.
+    /// Standard error of the value.
     pub std: f64,
 }
 
-/// How a second signal compares with a first: `second = scale * first(t - lag) + offset`, or with the rate of the first.
+/// Result of a comparison: `second = scale * first(t - lag) + offset`, or with the rate of the first signal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Comparison {
     /// Column of the first signal.
     pub first: String,
     /// Column of the second signal.
     pub second: String,
-    /// How they belong together.
+    /// Relation of the second signal to the first.
     pub relation: Relation,
     /// SI unit of the second signal.
     pub unit: &'static str,
-    /// 1 where both are right. Its standard error includes that noise on the first signal lowers a regression.
+    /// Scale, 1 if both are right. Its standard error includes the attenuation of the regression by noise on the
+    /// first signal.
     pub scale: Measured,
-    /// In `unit`.
+    /// Offset of the second signal, in `unit`.
     pub offset: Measured,
-    /// s; positive where the second signal is late.
+    /// Lag of the second signal, s; positive if it is late.
     pub lag_s: Measured,
     /// Correlation at the best lag, -1..=1.
     pub correlation: f64,
-    /// Share of the variance that both have in common at least if they are one quantity.
+    /// Product of the two signals' own motion (see `MOTION`): the least variance that they share if they are one
+    /// quantity.
     pub motion: f64,
-    /// Median of the time between samples.
+    /// Median sampling period, s.
     pub period_s: f64,
 }
 
-/// Largest lag that is looked for, s.
+/// Largest lag that is searched, s.
 const LONGEST_LAG_S: f64 = 0.5;
-/// Length of the shortest window, in samples and in s, whichever is longer. Six samples resolve a window's shape; 50 ms keep what moves at up to 20 Hz.
+/// Length of the shortest window, in samples and in s, whichever is longer. Six samples resolve a window's shape; 50
+/// ms keep motion up to 20 Hz.
 const SHORTEST_SAMPLES: f64 = 6.0;
 const SHORTEST_S: f64 = 0.05;
-/// Windows are doubled so often; the length with the smallest standard error of the scale is used.
+/// Number of window lengths, each twice the one before; that with the smallest standard error of the scale is used.
 const DOUBLED: i32 = 5;
-/// Fewer windows say nothing: four numbers are fitted to them.
+/// Smallest number of windows: four numbers are fitted to them.
 const FEWEST: usize = 12;
-/// Scales within this of 1 are no finding: gears, wheels and resistors have tolerances of this magnitude.
+/// Deviation of the scale from 1 that is not reported: gears, wheels and resistors have tolerances of this magnitude.
 const TRIFLE: f64 = 0.02;
-/// Standard errors between a number and what it should be before it is a finding. With two, one good recording in twenty would be flagged.
+/// Standard errors between a number and its expected value that make a finding. With two, one good recording in
+/// twenty would be flagged.
 const SURE: f64 = 4.0;
-/// A sensor's own low-pass filter lowers fast motion. Its second moment may be of this magnitude, s²: that of two 35 ms first-order filters.
+/// Prior standard deviation of the second moment of a sensor's low-pass filter, which attenuates fast motion, s²:
+/// that of two 35 ms first-order filters.
 const FILTER_S2: f64 = 2.5e-3;
-/// Correlation of a signal's windows that do not overlap, from which it moves: what they have in common is no noise.
+/// Autocorrelation of a signal's non-overlapping windows above which it moves, so that what they share is not noise.
 const MOTION: f64 = 0.3;
-/// Two signals of one quantity have at least the product of these correlations of their variance in common. Below this share of it they are not
-/// one quantity. Speeds of two motors have up to 0.53.
+/// Smallest ratio of the squared correlation of two signals to the product of their own autocorrelations at which
+/// they are one quantity. Speeds of two different motors reach 0.53.
 const UNRELATED: f64 = 0.5;
 
-/// Wrong units that occur, by the factor between second and first signal.
+/// Wrong units that occur, with the factor between the second and the first signal.
 const UNITS: [(f64, &str); 6] = [
     (PI / 180.0, "degrees for radians"),
     (180.0 / PI, "degrees for radians"),
@@ -104,7 +109,7 @@ const UNITS: [(f64, &str); 6] = [
     (1e3, "millimetres for metres"),
     (1e2, "centimetres for metres"),
 ];
-/// A scale within this of a wrong unit is said to be one.
+/// Relative distance of a scale from a wrong unit's factor within which that unit is named.
 const NEAR_UNIT: f64 = 0.05;
 
 impl Comparison {
@@ -114,25 +119,25 @@ impl Comparison {
         UNITS.iter().find(|(factor, _)| near(*factor) || near(1.0 / factor)).map(|(_, what)| *what)
     }
 
-    /// Whether the signals have enough motion in common for the numbers to mean anything.
+    /// Returns whether the signals have enough common motion for the numbers to be meaningful.
     #[must_use]
     pub fn is_known(&self) -> bool {
         self.scale.std < 0.2 * self.scale.value.abs()
     }
 
-    /// Whether both signals move, but not together.
+    /// Returns whether both signals move, but not together.
     #[must_use]
     pub fn is_unrelated(&self) -> bool {
         self.correlation.powi(2) < UNRELATED * self.motion
     }
 
-    /// Whether the second signal is late or early by more than half a sample period.
+    /// Returns whether the second signal is late or early by more than half a sampling period.
     #[must_use]
     pub fn has_lag(&self) -> bool {
         self.is_known() && self.lag_s.value.abs() > 0.5 * self.period_s + SURE * self.lag_s.std
     }
 
-    /// What is wrong with sign, scale or unit, and what to do next; `None` where nothing is.
+    /// Describes an error of sign, scale or unit, and what to do next; `None` without one.
     #[must_use]
     pub fn finding(&self) -> Option<String> {
         let (first, second) = (self.against(), &self.second);
@@ -163,7 +168,7 @@ impl Comparison {
     }
 }
 
-/// Two digits, without an exponent where that is short.
+/// Number printed with two digits, without an exponent where that is short.
 struct Digits(f64);
 
 impl fmt::Display for Digits {
@@ -209,10 +214,10 @@ impl fmt::Display for Comparison {
     }
 }
 
-/// Two signals of one run, as their means from each sample to the next.
+/// Two signals of one run, as means from each sample to the next.
 struct Pair {
     time_s: Vec<f64>,
-    /// Of the first signal, or of its rate; NaN across gaps, missing values and turns that an angle skips.
+    /// Means of the first signal, or of its rate; NaN across gaps, missing values and jumps of a wrapped angle.
     first: Vec<f64>,
     second: Vec<f64>,
 }
@@ -225,8 +230,9 @@ impl Pair {
             return None;
         }
         let steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        // Longer steps are gaps, over which a mean says nothing.
         let longest_s = 5.0 * finite_quantile(&steps, 0.5)?;
-        // An angle that is kept within a turn, whatever its unit, jumps by most of its range; nothing that moves does.
+        // A wrapped angle, whatever its unit, jumps by most of its range between two samples; no motion does.
         let all = || first.iter().copied().filter(|value| value.is_finite());
         let reach = all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min);
         let is_sound = |at: usize, jump: f64| steps[at] > 0.0 && steps[at] <= longest_s && jump.abs() <= 0.6 * reach;
@@ -238,7 +244,7 @@ impl Pair {
             };
             values.windows(2).enumerate().map(one).collect()
         };
-        // Only an angle wraps; of a speed, a large step is a step.
+        // Only an angle wraps; a large step of a speed is real.
         let first = match relation {
             Relation::Derivative => between(first, relation, &is_sound),
             Relation::Same => between(first, relation, &|at, jump| is_sound(at, 0.0) && jump.is_finite()),
@@ -247,13 +253,14 @@ impl Pair {
         Some(Self { time_s, first, second })
     }
 
-    /// Mean of `values` under a window of cosine shape; `None` where it reaches beyond the run or over something missing.
+    /// Returns the mean of `values` under a cosine window; `None` if it reaches beyond the run or over missing
+    /// values.
     fn mean(&self, values: &[f64], centre_s: f64, width_s: f64) -> Option<f64> {
         let (from_s, to_s) = (centre_s - 0.5 * width_s, centre_s + 0.5 * width_s);
         if from_s < *self.time_s.first()? || to_s > *self.time_s.last()? {
             return None;
         }
-        // Area under the window up to a moment, of all of it.
+        // Area of the window's weight up to a time, of 1 in all.
         let area = |time_s: f64| {
             let x = ((time_s - centre_s) / width_s).clamp(-0.5, 0.5);
             x + (TAU * x).sin() / TAU
@@ -275,6 +282,7 @@ impl Pair {
     fn centres(&self, width_s: f64) -> impl Iterator<Item = f64> + use<> {
         let (start_s, end_s) = (self.time_s[0], self.time_s[self.time_s.len() - 1]);
         let count = ((end_s - start_s) / (0.5 * width_s)).clamp(0.0, 1e6) as usize;
+        // Windows overlap by half, so that every sample has the same weight.
         (1..count).map(move |at| start_s + 0.5 * width_s * at as f64)
     }
 }
@@ -284,7 +292,7 @@ fn finite_quantile(values: &[f64], share: f64) -> Option<f64> {
     quantile(&finite, share)
 }
 
-/// Compares two roles over `runs`; `None` where fewer than twelve windows have both, or one of them does not move.
+/// Compares two roles over `runs`; `None` if fewer than twelve windows have both, or one signal does not move.
 #[must_use]
 pub fn compare(runs: &[&Run], first: &str, second: &str, relation: Relation) -> Option<Comparison> {
     let pairs: Vec<Pair> = runs.iter().filter_map(|run| Pair::of(run, first, second, relation)).collect();
@@ -296,19 +304,21 @@ pub fn compare(runs: &[&Run], first: &str, second: &str, relation: Relation) -> 
         .map(|times| shortest_s * 2_f64.powi(times))
         .filter(|width_s| *width_s <= 0.25 * longest_s)
         .collect();
-    // The shortest windows in which motion stands out from noise have the sharpest peak.
+    // The shortest windows in which motion exceeds noise have the sharpest peak of the correlation.
     let most_s = LONGEST_LAG_S.min(0.25 * longest_s);
     let (lag_s, correlation, motion) =
         widths.iter().skip(1).chain(widths.first()).find_map(|&width_s| best_lag(&pairs, width_s, most_s))?;
     let names = |role: &str| runs.iter().find_map(|run| run.signals.get(role)).map(|signal| signal.column.clone());
     let unit = runs.iter().find_map(|run| run.signals.get(second)).map_or("", |signal| signal.quantity.si());
     let mut fits: Vec<Fit> = widths.iter().filter_map(|&width_s| Fit::of(&pairs, width_s, lag_s)).collect();
-    // Where windows of two lengths disagree, noise or a filter is not what the regression takes it to be.
+    // If windows of two lengths disagree, noise or filter violate the regression's assumptions: the standard error
+    // grows.
     for at in (1..fits.len()).rev() {
         let apart = 0.5 * (fits[at].scale.value - fits[at - 1].scale.value);
         let std = fits[at].scale.std;
         fits[at - 1].scale.std = fits[at - 1].scale.std.hypot(apart.abs().min(2.0 * fits[at - 1].scale.std.max(std)));
     }
+    // Short windows have more noise, long ones less motion: the relative error decides.
     let error = |fit: &Fit| (fit.scale.std / fit.scale.value).abs();
     let fit = fits.into_iter().min_by(|a, b| error(a).total_cmp(&error(b)))?;
     Some(Comparison {
@@ -325,8 +335,10 @@ pub fn compare(runs: &[&Run], first: &str, second: &str, relation: Relation) -> 
     })
 }
 
-/// The lag at which the windows' means correlate, and how much; `None` where either signal is noise or does not change.
+/// Searches the lag with the best correlation of the windows' means. Returns lag (s), correlation and common motion;
+/// `None` if either signal is noise or constant.
 fn best_lag(pairs: &[Pair], width_s: f64, longest_s: f64) -> Option<(f64, f64, f64)> {
+    // Fine enough for the peak of a correlation that is as wide as a window.
     let step_s = width_s / 8.0;
     let reach = (longest_s / step_s).floor() as i32;
     let second = |pair: &Pair| -> Vec<(f64, f64)> {
@@ -347,7 +359,7 @@ fn best_lag(pairs: &[Pair], width_s: f64, longest_s: f64) -> Option<(f64, f64, f
     let motion = |series: Vec<f64>| {
         let mean = series.iter().sum::<f64>() / series.len() as f64;
         let square: f64 = series.iter().map(|value| (value - mean).powi(2)).sum();
-        // Windows two hops apart do not overlap.
+        // Windows two places apart do not overlap.
         let product: f64 = series.windows(3).map(|three| (three[0] - mean) * (three[2] - mean)).sum();
         if square > 0.0 { product / square } else { 0.0 }
     };
@@ -360,11 +372,12 @@ fn best_lag(pairs: &[Pair], width_s: f64, longest_s: f64) -> Option<(f64, f64, f
         .filter_map(|place| {
             let lag_s = f64::from(place) * step_s;
             let both = at(lag_s);
+            // A lag with few common windows may correlate by chance.
             (2 * both.len() >= now.len()).then(|| (lag_s, correlation(&both)))
         })
         .collect();
     let most = lags.iter().map(|(_, correlation)| correlation.powi(2)).fold(0.0, f64::max);
-    // Of a periodic motion several lags are as good: the shortest is likely.
+    // Several lags of a periodic motion fit equally well: the shortest is the most likely.
     let enough = 1.0 - 1.5 * (1.0 - most) - 0.01;
     let mut good: Vec<(f64, f64)> = lags.into_iter().filter(|(_, correlation)| correlation.powi(2) >= enough).collect();
     good.sort_by(|a, b| a.0.abs().total_cmp(&b.0.abs()));
@@ -382,7 +395,7 @@ fn correlation(both: &[(f64, f64)]) -> f64 {
     if size > 0.0 { sums.2 / size } else { 0.0 }
 }
 
-/// A regression of the second signal's windows on the first's.
+/// Regression of the second signal's windows on those of the first.
 struct Fit {
     scale: Measured,
     offset: Measured,
@@ -390,9 +403,9 @@ struct Fit {
     correlation: f64,
 }
 
-/// Steps of the lag's refinement.
+/// Number of steps that refine the lag.
 const ROUNDS: usize = 6;
-/// Windows apart that the error may be correlated.
+/// Number of windows over which the error may be correlated.
 const APART: usize = 4;
 
 impl Fit {
@@ -408,10 +421,11 @@ impl Fit {
         found
     }
 
-    /// A fit with the windows of the first signal shifted by `lag_s`, and by how much further they should be.
+    /// Fits with the windows of the first signal shifted by `lag_s`. Returns the fit and the remaining lag, s.
     ///
-    /// Regressors are the windows' means, their first and their second derivative over the lag: delay and filter of a sensor are the first terms
-    /// of its transfer function's series, so the scale is that of slow motion, whatever the sensor filters.
+    /// Regressors are the windows' means and their first and second derivative with respect to the lag. Delay and
+    /// filter of a sensor are the first terms of the series of its transfer function, so the scale is that of slow
+    /// motion, whatever filter the sensor has.
     fn at(pairs: &[Pair], width_s: f64, lag_s: f64) -> Option<(Self, f64)> {
         let shift_s = width_s / 8.0;
         let mut rows: Vec<[f64; 4]> = Vec::new();
@@ -440,7 +454,7 @@ impl Fit {
         if !plain.is_finite() || plain == 0.0 || total <= 0.0 {
             return None;
         }
-        // What the filter's moment is before anything is measured counts as one more observation, at the error of a fit without it.
+        // The prior of the filter's moment counts as one more observation, with the noise of a fit without it.
         let noise = (total * (1.0 - correlation.powi(2)).max(1e-9) / count).max(f64::MIN_POSITIVE);
         let mut normal = x.transpose() * &x;
         normal[(2, 2)] += noise / (plain * FILTER_S2).powi(2);
@@ -454,8 +468,9 @@ impl Fit {
         if scale == 0.0 || !scale.is_finite() {
             return None;
         }
-        // Noise on the first signal lowers a regression's scale, noise on the second does not: the truth lies between the regression and its
-        // inverse. The middle is reported, and half of the way between counts as two standard errors.
+        // Noise on the first signal lowers the scale of a regression (attenuation), noise on the second does not: the
+        // truth lies between the regression and the inverse regression. Their geometric mean is reported, and half
+        // their distance counts as two standard errors.
         let t_square = scale.powi(2) / (variance * inverse[(0, 0)]).max(f64::MIN_POSITIVE);
         let share = t_square / (t_square + count - 4.0);
         let lopsided = 0.25 * scale.abs() * (1.0 / share - 1.0);
@@ -470,7 +485,8 @@ impl Fit {
     }
 }
 
-/// By how much a mean of correlated residuals varies more than one of independent ones.
+/// Returns the factor by which correlation of the residuals raises the variance of a mean (Bartlett weights, as of
+/// Newey and West).
 fn inflation(residual: &[f64]) -> f64 {
     let square: f64 = residual.iter().map(|value| value * value).sum();
     let product = |lag: usize| residual.iter().zip(residual.iter().skip(lag)).map(|(a, b)| a * b).sum::<f64>();

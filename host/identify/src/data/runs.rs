@@ -1,29 +1,29 @@
-//! Rows into runs: by the columns that tell them apart, and where the clock starts again.
+//! Division of rows into runs, by split columns and by restarts of the clock.
 
 use std::collections::HashMap;
 
 use super::{DataError, Note, read::Raw};
 
-/// A run that is not cleaned yet.
+/// A run before cleaning.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Piece {
     pub(super) name: String,
     pub(super) group: usize,
-    /// From 0, strictly increasing.
+    /// Times in s from 0, strictly increasing.
     pub(super) time_s: Vec<f64>,
-    /// As [`super::Run`] has it.
+    /// Reading of the board's clock at the first sample, as in [`super::Run`].
     pub(super) origin_s: Option<f64>,
-    /// In the order of the roles, as long as the time.
+    /// Values in the order of the roles, each as long as the times.
     pub(super) values: Vec<Vec<f64>>,
 }
 
-/// A clock that starts again begins within this share of the run before from that run's first time.
+/// Largest time of a row, as a share of the run before, at which it counts as a restart of the clock.
 const RESTART: f64 = 0.05;
 
-/// Rows before time may start again: with fewer, any two rows out of order would be two runs.
+/// Rows before time may restart: with fewer, any two rows out of order would be two runs.
 const RUN: usize = 3;
 
-/// A key that comes again after other keys is the same run if time goes on within so many steps.
+/// A key that returns after other keys continues its run if time goes on within this number of steps.
 const APART: f64 = 5.0;
 
 pub(super) fn split(file: &str, raw: &Raw, notes: &mut Vec<Note>) -> Result<Vec<Piece>, DataError> {
@@ -67,7 +67,7 @@ pub(super) fn split(file: &str, raw: &Raw, notes: &mut Vec<Note>) -> Result<Vec<
                 restarts += 1;
                 parts.push(vec![row]);
             } else {
-                // As the file has it: what changing the unit added to the digits is cut off.
+                // Multiplying by the unit's factor adds digits that are not in the file.
                 let shown = |seconds: f64| (seconds * 1e9).round() / 1e9;
                 return Err(DataError::Backwards {
                     file: file.to_owned(),
@@ -90,11 +90,12 @@ pub(super) fn split(file: &str, raw: &Raw, notes: &mut Vec<Note>) -> Result<Vec<
             let time_s = part.iter().map(|&row| raw.time_s[row] - raw.time_s[first]).collect();
             let origin_s = raw.by_board.then_some(raw.time_s[first]);
             let values = raw.columns.iter().map(|(_, _, values)| of(values)).collect();
-            // Without columns to tell runs apart, each start of the clock is a run to be held out by itself.
+            // Without split columns, each restart of the clock is a run that can be held out by itself.
             let group = if raw.keys.is_empty() { number } else { group };
             found.push((first, Piece { name, group, time_s, origin_s, values }));
         }
     }
+    // Runs in the order in which they begin in the file, across keys.
     found.sort_by_key(|(first, _)| *first);
     let file = || file.to_owned();
     if stampless > 0 {
@@ -109,7 +110,7 @@ pub(super) fn split(file: &str, raw: &Raw, notes: &mut Vec<Note>) -> Result<Vec<
     Ok(found.into_iter().map(|(_, piece)| piece).collect())
 }
 
-/// Of the steps forward between consecutive `rows`; infinite where there is none.
+/// Returns the median of the forward steps between consecutive `rows`, s; infinite if there is none.
 fn median_step(time_s: &[f64], rows: &[usize]) -> f64 {
     let steps = rows.windows(2).map(|pair| time_s[pair[1]] - time_s[pair[0]]).filter(|step| *step > 0.0);
     super::clean::quantile(&steps.collect::<Vec<_>>(), 0.5).unwrap_or(f64::INFINITY)

@@ -1,4 +1,4 @@
-//! A CSV file as columns of numbers.
+//! Columns of numbers from a CSV file.
 
 use std::borrow::Cow;
 
@@ -6,10 +6,11 @@ use csv::{ByteRecord, ReaderBuilder, Trim};
 
 use super::{Columns, DataError, Note, Options, read::Raw, unit};
 
-/// A word that stands for "nothing was measured".
+/// Words for a missing value.
 const NOTHING: [&str; 6] = ["", "nan", "na", "n/a", "null", "none"];
 
 pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<Note>) -> Result<Raw, DataError> {
+    // Some spreadsheets begin a file with a byte order mark, which would become part of the first name.
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     if bytes.contains(&0) {
         return Err(DataError::NotText { file: file.to_owned() });
@@ -42,6 +43,7 @@ pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<
     if time.is_none() && !options.untimed {
         return Err(DataError::NoTime { file: file.to_owned(), columns: Columns(header) });
     }
+    // Without a unit in its name, the time is taken as seconds and noted.
     let factor = time.map(|time| unit::seconds(&header[time]));
 
     let units: Vec<_> = roles.iter().map(|&place| unit::unit(&header[place], options.counts_per_turn)).collect();
@@ -57,6 +59,7 @@ pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<
         let line = record.position().map_or(0, csv::Position::line);
         if record.len() != header.len() {
             let (found, expected) = (record.len(), header.len());
+            // A recording that was interrupted ends within its last line; any other short line is an error.
             let cut = found < expected && !bytes.ends_with(b"\n") && !raw.lines.is_empty();
             if cut && !next(&mut reader, &mut record)? {
                 notes.push(Note::CutLine { file: file.to_owned() });
@@ -74,7 +77,7 @@ pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<
             })
         };
         raw.time_s.push(match time {
-            // Beyond the age of the universe, differences are no longer numbers.
+            // Larger than any time; beyond it the differences of times lose all precision.
             Some(time) => finite(value(time)? * factor.flatten().unwrap_or(1.0), 1e18),
             None => raw.lines.len() as f64,
         });
@@ -93,13 +96,13 @@ pub(super) fn read(file: &str, bytes: &[u8], options: &Options, notes: &mut Vec<
     Ok(raw)
 }
 
-/// What separates the cells of the first line.
+/// Returns the delimiter of the first line.
 fn delimiter(bytes: &[u8]) -> u8 {
     let line = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
     *b",;\t".iter().find(|delimiter| line.contains(delimiter)).unwrap_or(&b',')
 }
 
-/// A cell's number, NaN where it has none; `None` for text.
+/// Returns the number in a cell, NaN for a missing value; `None` for text.
 fn number(cell: &str) -> Option<f64> {
     match cell.parse::<f64>() {
         Ok(value) if value.is_finite() => Some(value),
@@ -112,7 +115,7 @@ fn number(cell: &str) -> Option<f64> {
     }
 }
 
-/// A cell's text, without the quotes that stay where blanks stand before them.
+/// Returns the text of a cell, without the quotes that the parser leaves if blanks precede them.
 fn text(cell: &[u8]) -> Cow<'_, str> {
     match String::from_utf8_lossy(cell) {
         Cow::Borrowed(text) => Cow::Borrowed(text.trim_matches('"').trim()),
@@ -120,12 +123,12 @@ fn text(cell: &[u8]) -> Cow<'_, str> {
     }
 }
 
-/// `value`, or NaN where it is larger.
+/// Returns `value`, or NaN if its magnitude exceeds `largest`.
 fn finite(value: f64, largest: f64) -> f64 {
     if value.abs() <= largest { value } else { f64::NAN }
 }
 
-/// The place of a column.
+/// Returns the index of a column.
 fn find(file: &str, header: &[String], column: &str) -> Result<usize, DataError> {
     let mut places = header.iter().enumerate().filter(|(_, name)| *name == column).map(|(place, _)| place);
     match (places.next(), places.next()) {
@@ -137,15 +140,16 @@ fn find(file: &str, header: &[String], column: &str) -> Result<usize, DataError>
     }
 }
 
-/// Which error a wrong name is.
+/// Returns the error for an unknown name, with the most similar one.
 pub(super) fn no_column(file: &str, column: &str, names: &[String]) -> DataError {
     let wanted = column.to_lowercase();
+    // Part of a name counts as similar, because users abbreviate.
     let likeness = |name: &String| {
         let name = name.to_lowercase();
         let within = !wanted.is_empty() && !name.is_empty() && (name.contains(&wanted) || wanted.contains(&name));
         strsim::normalized_damerau_levenshtein(&name, &wanted) + if within { 0.5 } else { 0.0 }
     };
-    // Less than that is no likeness: half the letters are others.
+    // At less than 0.5, half the letters differ: no similarity.
     let nearest = names.iter().map(|name| (likeness(name), name)).filter(|(likeness, _)| *likeness > 0.5);
     DataError::NoColumn {
         file: file.to_owned(),

@@ -23,7 +23,7 @@ fn read_text(text: &str, options: &Options) -> Result<Recorded, DataError> {
     read_bytes("a.csv", text.as_bytes(), options)
 }
 
-/// Rows of time, duty and angle.
+/// Writes rows of time, duty and angle.
 fn table(rows: impl IntoIterator<Item = (f64, f64, f64)>) -> String {
     let mut text = String::from("t_s,duty,theta_rad\n");
     for (time_s, duty, angle) in rows {
@@ -32,7 +32,7 @@ fn table(rows: impl IntoIterator<Item = (f64, f64, f64)>) -> String {
     text
 }
 
-/// A motor that swings, every 10 ms.
+/// Rows of a swinging motor, every 10 ms.
 fn swing(rows: usize) -> Vec<(f64, f64, f64)> {
     let at = |row: usize| (row as f64 * 0.01, if row % 100 < 50 { 0.5 } else { -0.5 }, 2.0 * (row as f64 * 0.03).sin());
     (0..rows).map(at).collect()
@@ -113,7 +113,7 @@ fn two_columns_for_one_role_or_two_roles_for_one_column_are_refused() {
 fn text_and_ragged_rows_are_told_with_their_line() {
     let said = message("t_s,duty,theta_rad\n0,1,2\n1,oops,3\n", &motor());
     assert!(said.starts_with("a.csv, line 3, column duty: `oops` is not a number"), "{said}");
-    // Text elsewhere does not matter.
+    // Text in a column that is not used does not matter.
     assert!(read_text("t_s,what,duty,theta_rad\n0,start,1,2\n1,,1,2\n", &motor()).is_ok());
     let said = message("t_s,duty,theta_rad\n0,1,2\n1,1\n2,1,3\n", &motor());
     assert!(said.starts_with("a.csv, line 3: 2 cells where the header has 3 columns"), "{said}");
@@ -131,7 +131,7 @@ fn time_is_looked_for_named_or_counted() {
     let named = Options { time: Some("clock_ms".into()), ..motor() };
     let text = "clock_ms,duty,theta_rad\n500,1,2\n510,1,3\n";
     let step_s = read_text(text, &named).unwrap().runs[0].time_s[1];
-    // Half a second has a rounding of 1e-16.
+    // A difference of times near half a second is rounded by 1e-16.
     assert!((step_s - 0.01).abs() < 1e-15, "{step_s}");
     let said = message(text, &motor());
     assert!(said.contains("no time column") && said.contains("--time"), "{said}");
@@ -195,7 +195,7 @@ fn missing_cells_stay_missing_where_measured_and_hold_where_driving() {
 
 #[test]
 fn columns_split_a_file_into_runs_and_their_values_are_held_out_together() {
-    // Trials one after the other, each with two windows in which the clock starts again.
+    // Five trials, each with two windows in which the clock restarts.
     let mut text = String::from("trial,t_s,duty,theta_rad\n");
     for trial in 0..5 {
         for row in (0..4).chain(0..4) {
@@ -273,7 +273,7 @@ fn values_held_between_samples_are_told_and_coarse_ones_are_not() {
     let recorded = read_text(&table(held), &motor()).unwrap();
     let [Note::Held { column, share, rate_hz, .. }] = &recorded.notes[..] else { panic!("{:?}", recorded.notes) };
     assert_eq!(column, "theta_rad");
-    // Every second of 100 Hz; near the turning points two may be alike by chance.
+    // Every second sample at 100 Hz; near the turning points two values may be equal by chance.
     assert!((share - 0.5).abs() < 0.02 && (rate_hz - 50.0).abs() < 1.0, "{share} {rate_hz}");
     let coarse = swing(600).into_iter().map(|(t, u, angle)| (t, u, (angle / 0.05).round() * 0.05));
     assert_eq!(read_text(&table(coarse), &motor()).unwrap().notes, []);
@@ -296,7 +296,7 @@ fn lone_spikes_are_set_aside_and_sharp_motion_is_not() {
         ["a.csv: 2 lone values of theta_rad far from both neighbours were set aside, the first at 1.230 s"]
     );
 
-    // Steps, a saw tooth, an impulse of two samples, a spike that is everywhere.
+    // Steps, a saw tooth, an impulse of two samples, and spikes everywhere.
     let shapes: [fn(usize) -> f64; 4] = [
         |row| f64::from(row as u32 / 50 % 2),
         |row| (row % 20) as f64,
@@ -320,11 +320,11 @@ fn an_angle_kept_within_a_turn_is_added_up() {
             .map(|(row, angle)| (row as f64 * 0.01, 0.5, (angle - low).rem_euclid(2.0 * PI) + low));
         let recorded = read_text(&table(rows), &motor()).unwrap();
         let output = recorded.runs[0].values("output").unwrap();
-        // Text and back is exact; the sums of turns round.
+        // Printing and parsing are exact; adding turns is rounded.
         assert!(output.iter().zip(&turning).all(|(found, angle)| (found - angle).abs() < 1e-12), "{low}");
         assert_eq!(recorded.notes, [Note::Unwrapped { file: "a.csv".into(), column: "theta_rad".into(), times: 6 }]);
     }
-    // Beyond a turn it is counted already, and a jump is a jump.
+    // An angle beyond a turn is unwrapped already, so its jump stays.
     let jumps = swing(200).into_iter().map(|(t, u, angle)| (t, u, if t > 1.0 { angle + 9.0 } else { angle }));
     assert_eq!(read_text(&table(jumps), &motor()).unwrap().notes, []);
 }
@@ -345,7 +345,7 @@ fn files_of_one_name_are_told_apart_by_their_paths() {
     assert_eq!(recorded.groups, [0, 1, 2]);
 }
 
-/// What a motor model would ask for.
+/// Requirements of a model of a motor.
 fn needs() -> [Need; 2] {
     let need = |role: &str, driving, quantities: &[Quantity]| Need {
         role: role.into(),
@@ -384,7 +384,7 @@ fn what_cannot_be_identified_is_told_with_the_experiment_that_would_do() {
     assert!(said.contains("--map output=COLUMN"), "{said}");
 }
 
-/// Rows of each file, and what is told of it. By the provenance pages in `data/`.
+/// Numbers of rows and the notes of each measured data set, as on the provenance pages in `data/`.
 #[test]
 fn the_measured_sets_are_read() {
     let data = concat!(env!("CARGO_MANIFEST_DIR"), "/../../data");
@@ -485,7 +485,7 @@ fn a_log_gives_channels_at_the_moments_of_what_is_compared() {
     assert_eq!(run.values("input").unwrap()[..3], [0.0, 0.125, 0.25]);
     assert_eq!(run.values("supply").unwrap(), [20.0, 20.0, 20.0, 23.0, 23.0, 23.0, 26.0, 26.0]);
     assert_eq!(run.signals["supply"].quantity, Quantity::Voltage);
-    // The board's clock is in whole microseconds.
+    // The board's clock counts whole microseconds.
     assert!(run.time_s.iter().enumerate().all(|(row, time_s)| (time_s - row as f64 * 0.01).abs() < 1e-9));
     assert_eq!(
         notes(&recorded),
@@ -494,7 +494,7 @@ fn a_log_gives_channels_at_the_moments_of_what_is_compared() {
         ]
     );
 
-    // A command holds from when it was sent; before, nothing is known.
+    // A command holds from its sending on; before it, the input is unknown.
     let mut roles = options(&[("output", "osmc0.position_rad")]);
     roles.roles.push(Mapping::driving("input", "osmc0.command_duty"));
     let run = read_bytes("a.mcap", &log(), &roles).unwrap().runs.remove(0);
@@ -519,7 +519,7 @@ proptest! {
         let _ = read_bytes(file, &bytes, &motor());
     }
 
-    /// Tables of cells that files have: numbers, words, nothing, in every order.
+    /// Tables of cells that occur in files: numbers, words and empty cells in any order.
     #[test]
     fn any_cells_give_runs_that_keep_their_promises(
         rows in prop::collection::vec(prop::collection::vec(

@@ -1,25 +1,25 @@
-//! Units, from the names of columns.
+//! Units from the names of columns.
 
 use std::f64::consts::TAU;
 
 use super::Quantity;
 
-/// What a column's name says about its numbers.
+/// Unit of a column's numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unit {
-    /// What is measured.
+    /// Quantity that is measured.
     pub quantity: Quantity,
     /// SI value of one unit.
     pub factor: f64,
-    /// Whether the name has a unit; otherwise the two above are those of a plain number.
+    /// True if the name states a unit; otherwise the column is a dimensionless number.
     pub stated: bool,
-    /// Encoder counts, or counts per second, whose angle nobody has told.
+    /// True for encoder counts, or counts per second, whose number per turn is unknown.
     pub counts: bool,
 }
 
 const NUMBER: Unit = Unit { quantity: Quantity::Number, factor: 1.0, stated: false, counts: false };
 
-/// Endings of names, in lower case, and the SI value of one of it. `nm` is N m everywhere in this project.
+/// Endings of names in lower case, each with the quantity and its SI value. `nm` is N m everywhere in this project.
 const UNITS: &[(&str, Quantity, f64)] = &[
     ("rad", Quantity::Angle, 1.0),
     ("mrad", Quantity::Angle, 1e-3),
@@ -65,12 +65,12 @@ const UNITS: &[(&str, Quantity, f64)] = &[
     ("ns", Quantity::Number, 1e-9),
 ];
 
-/// Endings that stand for encoder counts.
+/// Endings of names in encoder counts.
 const COUNTS: [&str; 5] = ["cnt", "count", "counts", "tick", "ticks"];
 
-/// The unit of a column: the end of its name, as in `speed_rad_s`, or what stands in brackets, as in `speed [rad/s]`.
+/// Returns the unit of a column, from the end of its name (`speed_rad_s`) or from brackets (`speed [rad/s]`).
 ///
-/// Counts become angles where `counts_per_turn` is known. `duty256` is a duty in parts of 256.
+/// Counts become angles if `counts_per_turn` is known. `duty256` is a duty in parts of 256.
 #[must_use]
 pub fn unit(column: &str, counts_per_turn: Option<f64>) -> Unit {
     let column = column.trim();
@@ -81,10 +81,11 @@ pub fn unit(column: &str, counts_per_turn: Option<f64>) -> Unit {
         column.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).map(str::to_lowercase).collect();
     let ending =
         |from: usize| words[from..].iter().filter(|word| *word != "per").cloned().collect::<Vec<_>>().join("_");
+    // The longest ending first: `rad_s` also ends in `s`.
     for length in [3, 2, 1] {
         let Some(from) = words.len().checked_sub(length) else { continue };
         let ending = ending(from);
-        // A name that is nothing but a letter is a name: `v` is as often a speed as a voltage.
+        // A name of a single letter is no unit: `v` is as often a speed as a voltage.
         if from == 0 && ending.len() < 2 {
             continue;
         }
@@ -95,7 +96,7 @@ pub fn unit(column: &str, counts_per_turn: Option<f64>) -> Unit {
     NUMBER
 }
 
-/// What stands in brackets at the end.
+/// Returns the text in brackets at the end of a name.
 fn bracketed(column: &str) -> Option<&str> {
     let (open, inside) = match column.chars().last()? {
         ']' => ('[', column.strip_suffix(']')?),
@@ -106,7 +107,7 @@ fn bracketed(column: &str) -> Option<&str> {
     (at > 0).then(|| inside[at + open.len_utf8()..].trim())
 }
 
-/// `rad/s` as `rad_s`, `N m` as `nm`, `°/s` as `deg_s`.
+/// Returns a unit as an ending of names: `rad/s` as `rad_s`, `N m` as `nm`, `°/s` as `deg_s`.
 fn plain(unit: &str) -> String {
     let mut plain = String::new();
     for c in unit.chars() {
@@ -144,7 +145,7 @@ fn of_ending(ending: &str, counts_per_turn: Option<f64>) -> Option<Unit> {
     })
 }
 
-/// How many seconds one unit of a time column is; `None` where its name has no unit of time.
+/// Returns the seconds in one unit of a time column; `None` if its name has no unit of time.
 pub(super) fn seconds(column: &str) -> Option<f64> {
     let column = column.trim().to_lowercase();
     let ending = match bracketed(&column) {
@@ -163,7 +164,7 @@ pub(super) fn seconds(column: &str) -> Option<f64> {
     }
 }
 
-/// Whether a column is the time by its name, without its unit.
+/// Returns whether the name of a column, without its unit, means time.
 pub(super) fn is_time(column: &str) -> bool {
     let column = column.trim().to_lowercase();
     let bare = match column.find(['[', '(']) {
@@ -210,7 +211,7 @@ mod tests {
             let found = unit(column, None);
             assert!(found.stated, "{column}");
             assert_eq!(found.quantity, quantity, "{column}");
-            // Two roundings of one product.
+            // The product is rounded twice.
             assert!((found.factor / factor - 1.0).abs() < 1e-15, "{column}: {}", found.factor);
         }
     }

@@ -1,4 +1,5 @@
-//! Intervals by the profile of the cost: one parameter is held beside its best value, all others are fitted again.
+//! Confidence intervals by profile likelihood: one parameter is held beside its best value, all others are fitted
+//! again.
 
 use rayon::prelude::*;
 
@@ -6,17 +7,20 @@ use crate::family::{Model, Range, Term};
 
 use super::{Effort, Fit, Problem, Spread, flat, set_flat};
 
-/// 95 % of chi-square with one degree of freedom (NIST/SEMATECH e-Handbook of Statistical Methods, 1.3.6.7.4).
+/// 95 % quantile of chi-square with one degree of freedom (NIST/SEMATECH e-Handbook of Statistical Methods,
+/// 1.3.6.7.4).
 pub(crate) const RISE: f64 = 3.841;
-/// An end is found when the root of the cost's rise, which is nearly straight, is so near to what it has to be.
+/// Tolerance of the square root of the cost's rise over its limit at an end; this root is nearly linear in the
+/// parameter.
 const NEAR: f64 = 0.02;
-/// Fits for each end of an interval, at most.
+/// Largest number of fits for each end of an interval.
 const FITS: usize = 8;
-/// A share of the best value that counts as nothing where nothing itself is out of range.
+/// Share of the best value that stands for 0 if 0 itself is out of range.
 const NOTHING: f64 = 1e-3;
 
 impl Range {
-    /// Where the range ends, and the last value before that can be simulated; `None` where it goes on without end.
+    /// Returns the end of the range, and the last value before it that can be simulated; `None` for an unbounded
+    /// side.
     fn end(self, value: f64, upwards: bool) -> Option<(f64, f64)> {
         match (self, upwards) {
             (Self::Positive | Self::Coarse { .. }, false) => Some((0.0, NOTHING * value)),
@@ -27,7 +31,7 @@ impl Range {
         }
     }
 
-    /// A value changed by `by`, or by less where that would leave the range.
+    /// Returns a value changed by `by`, or by less if that would leave the range.
     fn moved(self, value: f64, by: f64) -> f64 {
         match self {
             Self::Positive | Self::Coarse { .. } => value * (by / value).clamp(-3.0, 3.0).exp(),
@@ -41,12 +45,13 @@ impl Range {
 }
 
 impl Fit {
-    /// 95 % intervals of the structure's parameters, in the order of [`super::parameters()`]: how far each can go until the
-    /// cost, with all else and the initial states fitted again, has risen by 3.84 times the variance that belongs to
-    /// its deviation. Where the cost is a parabola this is 1.96 deviations either way.
+    /// Returns the 95 % confidence intervals of the structure's parameters by profile likelihood, in the order of
+    /// [`super::parameters()`]. An end is the value at which the cost, with everything else refitted, has risen by
+    /// 3.84 times the variance of the parameter's standard error. For a parabolic cost that is 1.96 standard errors
+    /// to either side.
     ///
-    /// An end beyond the parameter's range is the end of the range. `None` where the data do not fix a parameter, where
-    /// nothing within reach is bad enough on a side without end, and for the corners of curves.
+    /// An end beyond the parameter's range is the end of the range. `None` if the data do not determine a parameter,
+    /// if the cost does not rise enough on an unbounded side, and for the knots of curves.
     #[must_use]
     pub fn intervals<F: Model>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<[f64; 2]>> {
         let spreads = self.spreads(family, runs);
@@ -54,6 +59,7 @@ impl Fit {
         let is_corner: Vec<bool> = std::iter::repeat_n(false, self.structure.base.len())
             .chain(corners.flat_map(|(term, values)| values.iter().map(move |_| matches!(term, Term::Curve(_)))))
             .collect();
+        // Both ends of all intervals are independent, so they run in parallel.
         let sides: Vec<Option<f64>> = (0..2 * spreads.len())
             .into_par_iter()
             .map(|side| {
@@ -66,7 +72,7 @@ impl Fit {
     }
 }
 
-/// Of one parameter.
+/// Profile of the cost over one parameter.
 struct Profile<'p, F: Model> {
     fit: &'p Fit,
     family: &'p F,
@@ -76,7 +82,7 @@ struct Profile<'p, F: Model> {
 }
 
 impl<F: Model> Profile<'_, F> {
-    /// The end of the interval on one side.
+    /// Returns the end of the interval on one side.
     fn end(&self, upwards: bool) -> Option<f64> {
         let best = flat(&self.fit.structure).nth(self.parameter)?;
         let parameters = super::parameters(self.family, &self.fit.structure.terms);
@@ -92,7 +98,7 @@ impl<F: Model> Profile<'_, F> {
         if farthest <= 1e-3 * deviation {
             return end.map(|(end, _)| end);
         }
-        // Rise of the cost over what it may be, as roots: a straight line where the cost is a parabola.
+        // Square roots of the cost's rise over its limit are linear in the distance for a parabolic cost.
         let (mut inside, mut outside) = ((0.0, 0.0), None);
         let mut distance = (RISE.sqrt() * deviation).min(0.5 * farthest);
         let mut from = self.fit.clone();
@@ -109,7 +115,7 @@ impl<F: Model> Profile<'_, F> {
                 outside = Some((distance, root));
             }
             if (root - 1.0).abs() < NEAR {
-                // What is left by the slope from the best value.
+                // The remaining distance follows from the slope from the best value.
                 return Some(best + sign * (distance / root).min(farthest));
             }
             distance = match outside {
@@ -117,16 +123,16 @@ impl<F: Model> Profile<'_, F> {
                 Some((outer, _)) if outer - inside.0 < NEAR * outer => return Some(best + sign * inside.0),
                 Some(outside) => {
                     let share = (1.0 - inside.1) / (outside.1 - inside.1);
-                    // A cost that jumps must not keep one end where it is.
+                    // The clamp bounds each step, so that a cost with jumps does not keep one end in place.
                     inside.0 + (outside.0 - inside.0) * share.clamp(0.1, 0.9)
                 }
             };
         }
-        // A cost that jumps, or one that never rises.
+        // The cost has a jump at the end, or it never rises enough.
         outside.map(|_| best + sign * distance)
     }
 
-    /// The fit with the parameter held at a value, beginning where a parabola would have it.
+    /// Returns the fit with the parameter held at a value, starting where a parabolic cost would have its minimum.
     fn held(&self, from: &Fit, value: f64, limit: f64) -> Fit {
         let parameters = super::parameters(self.family, &from.structure.terms);
         let mut values: Vec<f64> = flat(&from.structure).collect();
@@ -146,7 +152,7 @@ impl<F: Model> Profile<'_, F> {
         }
         let mut problem = Problem::new(self.family, self.runs, structure, initial, from.weights.clone());
         problem.held = Some(self.parameter);
-        // What the solver leaves must be small beside the rise that is looked for.
+        // The solver's remaining error must be small compared with the rise.
         let tolerance = (0.01 * limit / self.fit.cost).clamp(1e-9, Effort::SCREEN.tolerance);
         problem.solved(Effort { tolerance, ..Effort::SCREEN }).into_fit()
     }

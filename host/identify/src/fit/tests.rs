@@ -1,4 +1,4 @@
-//! Intervals against closed forms and against chance.
+//! Tests of confidence intervals against closed forms and their coverage.
 
 use r4_plants::Dependence;
 use rand_distr::{Distribution, Normal};
@@ -6,7 +6,7 @@ use rand_distr::{Distribution, Normal};
 use super::{Effort, Fit, Problem, fit};
 use crate::family::{Candidate, Curve, Driver, Family, Loadable, Model, Parameter, Range, Structure};
 
-/// A function of time with numbers.
+/// Model that is a function of time with parameters.
 struct Formula {
     base: Vec<Parameter>,
     of: fn(&[f64], f64) -> f64,
@@ -84,7 +84,7 @@ impl Formula {
         Self { base: ranges.iter().map(parameter).collect(), of }
     }
 
-    /// Measured at `count` moments up to `end_s`, with normal noise.
+    /// Returns measurements at `count` times up to `end_s`, s, with normal noise.
     fn points(&self, truth: &[f64], count: u32, end_s: f64, noise: f64, seed: u64) -> Points {
         let mut random = rand_pcg::Pcg64::new(u128::from(seed), 1);
         let noise = Normal::new(0.0, noise).expect("a deviation");
@@ -109,7 +109,7 @@ fn rise(base: &[f64], t: f64) -> f64 {
     base[0] * -(-t / base[1]).exp_m1()
 }
 
-/// The cost is a parabola, in which both numbers lean on each other (the middle of the moments is not zero).
+/// The cost is a parabola in which both parameters are correlated (the mean time is not zero).
 #[test]
 fn of_a_straight_line_an_interval_is_two_deviations_either_way() {
     let model = Formula::new(&[ANY, ANY], line);
@@ -121,14 +121,15 @@ fn of_a_straight_line_an_interval_is_two_deviations_either_way() {
     {
         let (deviation, [low, high]) = (deviation.expect("known"), interval.expect("bounded"));
         for reach in [value - low, high - value] {
-            // Differences of the free run are good to 1e-4, and the solver leaves a hundredth of the rise: half of that.
+            // Numerical differences are accurate to 1e-4, and the solver's error is a hundredth of the rise, half of
+            // it in the root.
             assert!((reach / deviation - 1.96).abs() < 0.02, "{value} ± {deviation}: {low} to {high}");
         }
     }
 }
 
-/// The gain and a time constant of a rise that is recorded only as far as one time constant: a longer one with more gain
-/// looks almost alike, a shorter one does not.
+/// Gain and time constant of a rise that is recorded for one time constant only: a longer one with more gain looks
+/// nearly the same, a shorter one does not.
 #[test]
 fn of_a_time_constant_an_interval_is_lopsided_and_covers_the_truth() {
     let model = Formula::new(&[Range::Positive, Range::Positive], rise);
@@ -144,7 +145,7 @@ fn of_a_time_constant_an_interval_is_lopsided_and_covers_the_truth() {
         lopsided += u32::from(high - value > 1.2 * (value - low));
     }
     assert!(bounded >= 95, "{bounded}");
-    // 95 of 100 are meant, with a spread of 2.2; three of these below.
+    // 95 of 100 are expected, with a standard deviation of 2.2; the limit is three of these below.
     assert!(covered >= bounded - 12, "{covered} of {bounded}");
     assert_eq!(lopsided, bounded);
 }
@@ -156,18 +157,20 @@ fn an_interval_ends_with_the_range() {
     let fit = model.fitted(&points, &[0.0, 0.5]);
     let [low, high] = fit.intervals(&model, &[&points])[1].expect("bounded");
     assert!(low == 0.0 && high > 0.0, "{low} to {high}");
-    // All that is seen of this rise is where it ends: it is over before the first sample at 20 ms, to 1 % in 5 ms or less.
+    // Only the final value of this rise is visible: it ends before the first sample at 20 ms, to 1 % if the time
+    // constant is 5 ms or less.
     let model = Formula::new(&[Range::Positive, Range::Positive], rise);
     let points = model.points(&[1.0, 1e-3], 50, 1.0, 0.01, 3);
     let [low, high] = model.fitted(&points, &[1.0, 1e-3]).intervals(&model, &[&points])[1].expect("bounded");
     assert!(low == 0.0 && (3e-3..1e-2).contains(&high), "{low} to {high}");
 }
 
-/// All that is seen of this rise is its slope at first: any slower one with more gain is as good.
+/// Only the initial slope of this rise is visible: any slower one with more gain fits equally well.
 #[test]
 fn what_the_data_do_not_bound_has_no_interval() {
     let model = Formula::new(&[Range::Positive, Range::Positive], rise);
-    // The curve is up to 0.005 off the best line, a tenth of the noise, at 50 moments: half a deviation in all.
+    // The curve deviates from the best line by up to 0.005, a tenth of the noise, at 50 samples: half a standard
+    // deviation in all.
     let points = model.points(&[1.0, 0.5], 50, 0.1, 0.05, 3);
     let intervals = model.fitted(&points, &[1.0, 0.5]).intervals(&model, &[&points]);
     assert_eq!(intervals, [None, None]);
@@ -184,7 +187,7 @@ fn what_is_held_stays_while_the_rest_is_fitted() {
     let (at_first, held) = (problem.cost, problem.structure.base[1]);
     let solved = problem.solved(Effort::FULL);
     assert_eq!(solved.structure.base[1].to_bits(), held.to_bits());
-    // With the time constant given, the gain is a linear regression.
+    // With a given time constant, the gain is a linear regression.
     let shape: Vec<f64> = points.time_s.iter().map(|t| rise(&[1.0, held], *t)).collect();
     let gain =
         shape.iter().zip(&points.measured).map(|(s, m)| s * m).sum::<f64>() / shape.iter().map(|s| s * s).sum::<f64>();
@@ -205,7 +208,7 @@ fn a_step_beyond_a_reflecting_end_comes_back() {
 #[test]
 fn what_mostly_stands_still_has_the_noise_of_its_rounding() {
     let step = 0.01;
-    // A second of each five it turns at 0.5 a second.
+    // It turns for one second of every five, at 0.5 per second.
     let way = |t: f64| 0.5 * ((t / 5.0).floor() + (t % 5.0).min(1.0));
     let rounded: Vec<f64> = (0..2000).map(|n| (way(0.005 * f64::from(n)) / step).round() * step).collect();
     let noise = super::white_noise(&rounded);

@@ -1,24 +1,25 @@
-//! What was commanded between samples.
+//! The command between its samples.
 
-/// A command over time.
+/// Command as a function of time.
 #[derive(Clone, Debug)]
 pub(super) struct Command {
     time_s: Vec<f64>,
     value: Vec<f64>,
-    /// From the first moment on.
+    /// Integral of the command since the first sample.
     integral: Vec<f64>,
-    /// It goes straight from one moment to the next; otherwise it stays.
+    /// True for linear interpolation between samples, false for a zero-order hold.
     is_straight: bool,
 }
 
 impl Command {
-    /// One that stays from each sample to the next.
+    /// Creates a command that holds from each sample to the next (zero-order hold).
     pub(super) fn held(time_s: &[f64], value: &[f64]) -> Self {
         Self::new(time_s.to_vec(), value.to_vec(), false)
     }
 
-    /// One that was sampled: straight from sample to sample. Where between samples a board's ramp of the duty begins and ends follows
-    /// from its slope; tried on the blind boards 2, 60600004, 60600007 and 60600011, that changed no name and no error by more than 6 %.
+    /// Creates a command that was sampled, with linear interpolation. The begin and end of a board's ramp of the duty
+    /// between samples could be derived from its slope; tried on the blind boards 2, 60600004, 60600007 and 60600011,
+    /// that changed no name and no error by more than 6 %.
     pub(super) fn sampled(time_s: &[f64], value: &[f64]) -> Self {
         Self::new(time_s.to_vec(), value.to_vec(), true)
     }
@@ -36,7 +37,7 @@ impl Command {
         self.is_straight
     }
 
-    /// At a moment. `cursor` is where the last call looked; moments may go either way.
+    /// Returns the value at a time. `cursor` is the index that the last call found; times may come in any order.
     pub(super) fn at(&self, time_s: f64, cursor: &mut usize) -> f64 {
         if time_s < self.time_s[0] {
             return self.value[0];
@@ -45,11 +46,11 @@ impl Command {
         self.value[*cursor] + (time_s - self.time_s[*cursor]) * self.slope(*cursor)
     }
 
-    /// Its mean from a moment on.
+    /// Returns the mean over `duration_s` from a time on.
     pub(super) fn mean(&self, from_s: f64, duration_s: f64, cursor: &mut usize) -> f64 {
         let mut until = |time_s: f64| {
             if time_s < self.time_s[0] {
-                // What was before the recording is not known: the first command is taken to have been there.
+                // The command before the recording is unknown; the first value is assumed.
                 return self.value[0] * (time_s - self.time_s[0]);
             }
             self.seek(time_s, cursor);
@@ -71,7 +72,7 @@ impl Command {
         }
     }
 
-    /// From a moment on to the next; the last value stays.
+    /// Returns the slope between a sample and the next; 0 for a held command and behind the last sample.
     fn slope(&self, from: usize) -> f64 {
         let next = from + 1;
         if !self.is_straight || next >= self.value.len() {

@@ -1,4 +1,4 @@
-//! Curves over what an axis does: what a model may lack that has no name.
+//! Curves over the motion of an axis: missing effects without a name.
 
 use std::f64::consts::TAU;
 
@@ -12,18 +12,19 @@ use crate::{
 
 use super::{Motion, MotionRun, simulate::Moved};
 
-/// Corners that are tried; the more of them, the more they have to explain.
+/// Numbers of knots that are tried; each additional knot has to pay the complexity penalty.
 const CORNERS: [usize; 3] = [9, 17, 33];
-/// The same of a curve over an angle, or over a position that repeats itself. Eight leave 1.0 times the noise of two tuning plants with a
-/// worn track (900000, 900015), twelve 1.3 times and more: where recordings do not go, fewer are nearer. Of two waves a turn (900006)
-/// eight leave 1.9 times the noise, twelve 1.1 times.
+/// The same for a curve over an angle, or over a position that repeats. Eight knots have a residual of 1.0 times the
+/// noise on two tuning plants with a worn track (900000, 900015), twelve of 1.3 times and more: where recordings have
+/// no data, fewer knots extrapolate better. With two waves per turn (900006) eight have 1.9 times the noise, twelve
+/// 1.1 times.
 pub(super) const ROUND: [usize; 5] = [8, 12, 16, 24, 32];
-/// Ratio of the last to the second corner over a time since something happened. Our choice: each of nine corners is then twice as late as
-/// the one before.
+/// Ratio of the last to the second knot over a time since an event. Our choice: each of nine knots is then twice as
+/// late as the one before.
 const SOONEST: f64 = 128.0;
 
 impl Motion {
-    /// Curves of nothing over a driver, one for each way in which it can act.
+    /// Returns curves with values 0 over a driver, one for each way in which it can act.
     pub(super) fn empty_curves(
         &self,
         current: &Fit,
@@ -52,10 +53,10 @@ impl Motion {
             self.fitting(current, curves.map(|at| self.curve(over, None, acts, at)), runs)
         };
         if period.is_some() {
-            // Offered with the same position without a period.
+            // Offered together with the same position without a period.
             return vec![];
         }
-        // A joint repeats each turn what it does at an angle, unless the data clearly say otherwise.
+        // A joint repeats its effects each turn, unless the data clearly contradict that.
         let is_angle = over == Dependence::Position && self.is_round();
         let repeats = if over == Dependence::Position { self.repeats(current, acts, runs) } else { vec![] };
         let curve = |(place, &acts): (usize, &Acts)| {
@@ -72,13 +73,13 @@ impl Motion {
         acts.iter().enumerate().filter_map(curve).collect()
     }
 
-    /// A curve over the position that repeats itself.
+    /// Returns a curve over the position with a period.
     pub(super) fn round(&self, acts: Acts, period: f64, count: usize) -> Curve {
         let at = (0..count).map(|corner| corner as f64 * period / count as f64).collect();
         self.curve(Dependence::Position, Some(period), acts, at)
     }
 
-    /// A curve of these corners; its values are per unit of inertia.
+    /// Returns a curve with these knots; its values are per unit of inertia.
     pub(super) fn curve(&self, over: Dependence, period: Option<f64>, acts: Acts, at: Vec<f64>) -> Curve {
         let (units, gain) = (&self.scales.units, acts == Acts::Gain);
         let at_unit = match over {
@@ -100,8 +101,8 @@ impl Motion {
         }
     }
 
-    /// The curve with the lowest price over windows, and that price: infinite where a model is not seen in windows, of which the first
-    /// curve is returned.
+    /// Returns the curve with the lowest information criterion in the weak form, and that criterion. It is infinite
+    /// if the model cannot be evaluated in windows; then the first curve is returned.
     fn fitting(
         &self,
         current: &Fit,
@@ -117,7 +118,7 @@ impl Motion {
         curves.into_iter().map(priced).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// What a curve is over: as it was measured, or where that is not seen, as the model makes it.
+    /// Returns the values of a curve's axis: as measured, or simulated if the motion was not measured directly.
     fn values_of(&self, (over, acts): (Dependence, Acts), current: &Fit, runs: &[&MotionRun]) -> Vec<f64> {
         let moved = self.moved(current, runs);
         let measured = |of: &dyn Fn(&Moved, f64) -> f64| {
@@ -125,7 +126,7 @@ impl Motion {
             values.filter(|value| value.is_finite()).collect()
         };
         match (over, acts) {
-            // Friction is alike both ways.
+            // Friction is the same in both directions.
             (Dependence::Speed, Acts::Friction) if moved.is_some() => measured(&|moved, _| moved.speed.abs()),
             (Dependence::Speed, _) if moved.is_some() => measured(&|moved, _| moved.speed),
             (Dependence::Position, _) if moved.is_some() => measured(&|moved, _| moved.position),
@@ -151,7 +152,7 @@ impl Motion {
     }
 }
 
-/// A structure with a curve of nothing.
+/// Returns a structure with an additional curve of values 0.
 pub(super) fn with(structure: &Structure, curve: &Curve) -> Structure {
     let mut with = structure.clone();
     with.terms.push(Term::Curve(curve.clone()));
@@ -159,8 +160,8 @@ pub(super) fn with(structure: &Structure, curve: &Curve) -> Structure {
     with
 }
 
-/// Corners over sorted times since something happened, s: 0, then in a geometric series up to the longest finite one, because a decay of
-/// unknown time constant is steepest at its beginning. `None` where no time is finite and above 0.
+/// Returns knots over sorted times since an event, s: 0, then a geometric series up to the longest finite time,
+/// because a decay of unknown time constant is steepest at its beginning. `None` if no time is finite and above 0.
 fn since(values: &[f64], count: usize) -> Option<Vec<f64>> {
     let &longest = values.iter().rev().find(|value| value.is_finite())?;
     let farther = |index: usize| (index as f64 / (count - 2) as f64 - 1.0) * SOONEST.ln();
@@ -168,17 +169,19 @@ fn since(values: &[f64], count: usize) -> Option<Vec<f64>> {
     (longest > 0.0).then(|| std::iter::once(0.0).chain(at).collect())
 }
 
-/// Corners over sorted values: none without data, and no long stretch without one.
+/// Returns knots over sorted values, so that none lacks data and no long interval lacks a knot; `None` for a
+/// constant.
 fn corners(values: &[f64], count: usize) -> Option<Vec<f64>> {
     let (&low, &high) = (values.first()?, values.last()?);
     if high - low <= f64::EPSILON * high.abs() {
         return None;
     }
-    // Half by range, half by how often.
+    // Mean of equidistant knots and of quantiles of the data.
     let share = |index: usize| index as f64 / (count - 1) as f64;
     let quantile = |share: f64| values[((values.len() - 1) as f64 * share) as usize];
     let mut at: Vec<f64> =
         (0..count).map(|index| 0.5 * (quantile(share(index)) + low + (high - low) * share(index))).collect();
+    // Knots that nearly coincide would make the spline's slopes huge.
     at.dedup_by(|a, b| *a - *b < 1e-3 * (high - low));
     (at.len() >= 2).then_some(at)
 }

@@ -1,4 +1,4 @@
-//! The effects that a moving axis may show, as the estimator knows them.
+//! Effects that a moving axis may show, as the estimator models them.
 
 use r4_plants::Dependence::{self, Direction, History, Input, Position, Speed, Supply, Time};
 
@@ -6,17 +6,17 @@ use crate::family::{Candidate, Parameter, Range};
 
 use super::Scales;
 
-/// Share of a motor's damping that is friction, not back-EMF.
+/// Parameter name: share of a motor's damping that is friction, not back-EMF.
 pub(super) const VISCOUS_SHARE: &str = "viscous_share_of_damping";
-/// By how much what was sampled of an input is stamped late, which shows only where it is held.
+/// Parameter name: delay of the stamps of a sampled input, s, which shows only if the command is held.
 pub(super) const INPUT_LATE: &str = "input_stamps_late_s";
-/// Largest relative error of a clock that is fitted. Our choice: without a limit, 4.6e-3 explained a part of a recording whose rows run
-/// backwards; other values have not been compared.
+/// Largest relative error of a clock that is fitted. Our choice: without a limit, 4.6e-3 explained part of a
+/// recording whose rows run backwards; other values have not been compared.
 const WORST_CLOCK: f64 = 2e-3;
-/// Of which fits begin.
+/// Share of friction in the damping from which fits begin.
 const LITTLE_VISCOUS: f64 = 0.1;
 
-/// Every effect, in the order of the catalogue.
+/// Effects of a moving axis, in the order of the catalogue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Effect {
     ClockDrift,
@@ -85,7 +85,7 @@ impl Effect {
         Self::EncoderOffset,
     ];
 
-    /// Name in reports and plant files.
+    /// Returns the name in reports and plant files.
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::ClockDrift => "clock-drift",
@@ -144,7 +144,7 @@ impl Effect {
         }
     }
 
-    /// The recording that shows it apart from what looks alike.
+    /// Returns the advice for a recording that separates the effect from similar ones.
     const fn experiment(self) -> &'static str {
         match self {
             Self::ClockDrift => "input and output stamped by one clock",
@@ -197,19 +197,19 @@ impl Effect {
         }
     }
 
-    /// Page of the catalogue, with numbers to begin from by the size of things in the data.
+    /// Returns the catalogue entry, with initial guesses scaled by the magnitudes in the data.
     pub(super) fn candidate(self, scales: &Scales, of_speed: bool) -> Candidate {
         let s = scales;
         let (distance, speed, force) = (s.units.distance, s.units.speed, s.units.force);
-        // What a push of a tenth of the command's size gives.
+        // Acceleration by a tenth of the largest command.
         let push = 0.1 * s.acceleration;
-        // There is nothing of it beyond all that is recorded.
+        // For a limit: absent if it is beyond everything that is recorded.
         let below = |most: f64, name, unit, range| Parameter { name, unit, range, absent: Some(most) };
         let shaped = |name, unit, range| Parameter { name, unit, range, absent: None };
         let sized = |name, unit, range| Parameter { name, unit, range, absent: Some(0.0) };
         let whole = |name, unit, range| Parameter { name, unit, range, absent: Some(1.0) };
         let level = |scale| Range::NotNegative { scale };
-        // A motor's damping is in part its back-EMF, in part friction: what acts on the current tells them apart.
+        // A motor's damping is partly back-EMF and partly friction; only effects on the current distinguish them.
         let damping = s.damps_by_emf.then(|| shaped(VISCOUS_SHARE, "1", Range::Between(0.0, 1.0)));
         let with_viscous = |mut parameters: Vec<Parameter>| {
             parameters.extend(damping.clone());
@@ -239,7 +239,7 @@ impl Effect {
                 let period = sized("period_s", "s", Range::Coarse { step: 2e-4 });
                 (
                     late_s.into_iter().chain([period]).collect(),
-                    // All of them are only tried where no period is found without free runs.
+                    // The full list is only used if no period is found in the weak form.
                     (0..)
                         .map(|n| 2.0 * s.period_s * 1.015_f64.powi(n))
                         .take_while(|&hold_s| hold_s < 0.6)
@@ -296,7 +296,7 @@ impl Effect {
                 vec![vec![1.5 * push, 0.5 * push], vec![0.5 * push, 1.5 * push]],
             ),
             Self::DirectionViscous => {
-                // Of the sign of the direction that has more.
+                // Positive if the backward direction has more damping.
                 let size = push / s.speed;
                 (
                     vec![sized(s.units.viscous_name, s.units.viscous, Range::Any { scale: 0.3 * size })],
@@ -341,15 +341,15 @@ impl Effect {
                 ],
                 s.cogging.iter().flat_map(|&n| [0.0, 1.6, 3.1, 4.7].map(|phase| vec![push, phase, n])).collect(),
             ),
-            // A speed is there or not, from one sample to the next.
+            // A gap changes the speed from one sample to the next, so the cost is not smooth in it.
             Self::Backlash if of_speed => (
                 vec![sized(s.units.gap_name, distance, Range::Coarse { step: 0.06 })],
                 [0.0003, 0.001, 0.003, 0.01, 0.03, 0.1].iter().map(|share| vec![share * s.distance]).collect(),
             ),
             Self::Backlash => (
                 vec![sized(s.units.gap_name, distance, level(0.02 * s.distance))],
-                // With 0.02 instead of the two in the middle, a play of 0.33 rad was missed where the recordings had long holds (tuning
-                // board 60660042, noise of seed 660000).
+                // With 0.02 instead of the two in the middle, a backlash of 0.33 rad was missed if the recordings had
+                // long holds (tuning board 60660042, noise of seed 660000).
                 [0.003, 0.01, 0.03, 0.1].iter().map(|share| vec![share * s.distance]).collect(),
             ),
             Self::Compliance => (
@@ -361,7 +361,7 @@ impl Effect {
             ),
             Self::Eccentricity => (
                 vec![sized("amplitude_rad", "rad", level(0.01)), shaped("phase_rad", "rad", Range::Any { scale: 0.5 })],
-                // Seven phases, so that none is more than 0.45 rad away.
+                // With seven phases, none is more than 0.45 rad from the next start.
                 [0.05, 0.15, 0.3, 0.5]
                     .iter()
                     .flat_map(|&amplitude_rad| {

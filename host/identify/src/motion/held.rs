@@ -1,4 +1,4 @@
-//! A command that is held at a period nobody told: which one, by what a model fitted to windows leaves of them.
+//! Search for the unknown period of a held command (zero-order hold), by the residual of the weak form.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -13,21 +13,21 @@ use super::{
     weak::{Rest, Seen},
 };
 
-/// So many periods are fitted.
+/// Number of periods from which a fit of all parameters starts.
 const OFFERED: usize = 4;
-/// Steps of the command are late by 0.3 periods, more or less: less than that, in periods, is not noticed.
+/// Smallest noticeable change, in periods: a hold delays the command's steps by 0.3 periods, more or less.
 const NOTICED: f64 = 0.2;
 
-/// A model that lacks a term whose last number is a period.
+/// Model without a term whose last parameter is a period.
 struct Lacking<'r, 'm> {
     motion: &'m Motion,
     rest: &'r Rest<'m>,
     term: Term,
-    /// Its numbers before the period.
+    /// Parameters of the term before the period.
     others: &'r [f64],
-    /// What moves with each of the model's numbers, in the windows of each recording.
+    /// Sensitivities of the windows of each recording to the model's parameters.
     slopes: Vec<DMatrix<f64>>,
-    /// What accelerates each recording without the term.
+    /// Accelerations of each recording without the term.
     without: Vec<Vec<f64>>,
 }
 
@@ -39,8 +39,8 @@ impl Lacking<'_, '_> {
         structure
     }
 
-    /// How much of what is left the term explains over a first stretch of the recordings: only what the rest of the model
-    /// cannot do as well.
+    /// Returns how much of the residual the term explains beyond the rest of the model, over the first `stretch_s` of
+    /// the recordings: the share times the number of windows.
     fn stands_out(&self, period_s: f64, stretch_s: f64) -> f64 {
         let Rest { weak, fit, seen, left } = self.rest;
         let numbers = parameters(weak, &fit.structure.terms).len();
@@ -63,10 +63,11 @@ impl Lacking<'_, '_> {
     }
 }
 
-/// The share of the last series that the one before it explains beyond the others, by the (lower) products of all; nothing
-/// where it would have to be turned round.
+/// Returns the share of the last series that the one before it explains beyond the others (partial correlation,
+/// squared), from the lower triangle of their products; 0 if its coefficient would be negative.
 fn explained(products: DMatrix<f64>) -> f64 {
     let others = products.nrows() - 2;
+    // A small multiple of the largest product regularises collinear series.
     let smallest = 1e-9 * products.diagonal().rows(0, others).max();
     let mut gram = products.view((0, 0), (others, others)).into_owned();
     gram.fill_upper_triangle_with_lower_triangle();
@@ -79,8 +80,9 @@ fn explained(products: DMatrix<f64>) -> f64 {
 }
 
 impl Motion {
-    /// Of structures that add a term with a period, between those of the first and the last of them: the best when all the
-    /// rest is fitted, of some whose term is most like what is left without; and what it leaves.
+    /// Returns the best of some structures that add a term with a period, between the periods of the first and the
+    /// last: those whose term is most like the residual are fitted with all other parameters. The second value is the
+    /// cost of the best.
     pub(super) fn by_periods(&self, starts: &[Structure], rest: &Rest<'_>) -> Option<(Structure, f64)> {
         let (first, last) = (starts.first()?, starts.last()?);
         let [shortest_s, longest_s] = [first, last].map(|start| start.added.last()?.last().copied());
@@ -97,6 +99,7 @@ impl Motion {
             slopes: fit.slopes(weak, &all),
             without: without.collect(),
         };
+        // Slots begin at the board's power-up, before the first sample.
         let from_s = seen.iter().map(|seen| seen.run.all.slots_s).fold(0.0, f64::max);
         let until_s = seen.iter().filter_map(|seen| Some(seen.run.all.slots_s + seen.run.all.time_s.last()?));
         let search = Search {
@@ -133,7 +136,8 @@ mod tests {
             other in prop::collection::vec(-1.0..1.0, 8),
             [left, share] in [0.1..1.0_f64, -3.0..3.0_f64],
         ) {
-            // Of eight places, the first two are one's own alone, the next two nobody's, the rest the other's.
+            // Of eight places the first two differ in the searched term alone, the next two are noise, the rest is
+            // the other's.
             let part = |of: &[f64], range: std::ops::Range<usize>| -> Vec<f64> {
                 (0..8).map(|place| if range.contains(&place) { of[place] } else { 0.0 }).collect()
             };
@@ -146,9 +150,10 @@ mod tests {
                 (0..8).map(|place| sign * left * own[place] + nobody[place] + 7.0 * others[place]).collect()
             };
             let found = |sign| explained(products(&[others.clone(), mixed.clone(), sum(sign)]));
-            // Of what is left beyond the others, 2 left² is own.
+            // Beyond the others, 2 left² of the residual is explained.
             let expected = 2.0 * left * left / (2.0 * left * left + noise);
-            // 1e-9 of the others' product (4 at most) is added to it and counts 7² times, beside 2 left² (0.02 at least).
+            // The regularisation of 1e-9 times the others' product (at most 4) counts 7² times, beside 2 left² (at
+            // least 0.02).
             prop_assert!((found(1.0) - expected).abs() < 3e-5, "{} {expected}", found(1.0));
             prop_assert_eq!(found(-1.0), 0.0);
         }

@@ -1,4 +1,4 @@
-//! What the models of an axis are called, and what may be known of them.
+//! Names, roles and known parameters of the models of an axis.
 
 use std::collections::BTreeMap;
 
@@ -28,7 +28,7 @@ const RESISTANCE: ParameterInfo = parameter(
 );
 
 impl Motion {
-    /// A kind of model.
+    /// Returns the description of a kind of model.
     #[must_use]
     pub fn info(kind: Kind) -> ModelInfo {
         let input = role("input", true, true, "duty -1..1, V, or N");
@@ -81,10 +81,11 @@ impl Motion {
 }
 
 impl Known {
-    /// Known numbers by name.
+    /// Reads known parameters by name.
     ///
     /// # Errors
-    /// [`IdentifyError::UnknownParameter`] and [`IdentifyError::OutOfRange`].
+    /// [`IdentifyError::UnknownParameter`] for an unknown name, [`IdentifyError::OutOfRange`] for a value not above
+    /// 0.
     pub fn from_parameters(
         kind: Kind,
         parameters: &BTreeMap<String, f64>,

@@ -1,7 +1,7 @@
-//! Models of one axis that moves: `dc-motor`, `axis`, `linear-actuator` and `servo`.
+//! Models of one moving axis: `dc-motor`, `axis`, `linear-actuator` and `servo`.
 //!
-//! All four are the same mechanics (`simulate.rs`) under different names for their two numbers, and with or without a
-//! position loop around them. Everything inside is per unit of inertia; `physical.rs` gives it back its units.
+//! All four have the same mechanics (`simulate.rs`), with different names for their two parameters, and with or
+//! without a position loop. Internally everything is per unit of inertia; `physical.rs` converts to units.
 
 mod command;
 mod curve;
@@ -40,24 +40,24 @@ use crate::{
 use effect::Effect;
 use simulate::{Observed, is_placed, simulate, simulate_each};
 
-/// Which of the models.
+/// Kind of a model of one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Duty or volts to angle or angular speed.
+    /// Duty or voltage to angle or angular speed.
     DcMotor,
-    /// Force, or volts of a drive of known gain, to position.
+    /// Force, or voltage of a drive of known gain, to position.
     Axis,
-    /// Duty or volts to a rod's position.
+    /// Duty or voltage to the position of a rod.
     LinearActuator,
     /// Goal to position under a proportional loop.
     Servo,
 }
 
 impl Kind {
-    /// All, in the order of the list of models.
+    /// All kinds, in the order of the list of models.
     pub const ALL: [Self; 4] = [Self::DcMotor, Self::Axis, Self::LinearActuator, Self::Servo];
 
-    /// Name on the command line and in reports.
+    /// Returns the name on the command line and in reports.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -69,7 +69,7 @@ impl Kind {
     }
 }
 
-/// Names of units at the output, in reports.
+/// Units and names of parameters at the output, for reports.
 #[derive(Clone, Copy, Debug)]
 struct Units {
     distance: &'static str,
@@ -142,43 +142,44 @@ impl Units {
     }
 }
 
-/// How large things are in the data, to begin fits from.
+/// Magnitudes in the data, from which fits begin.
 #[derive(Clone, Debug)]
 struct Scales {
     units: Units,
-    /// Largest command.
+    /// Largest magnitude of the command.
     input: f64,
-    /// Reach of the output, or of its integral.
+    /// Range of the output, or of its integral if that is a speed.
     distance: f64,
     speed: f64,
-    /// What the largest command gives.
+    /// Acceleration by the largest command.
     acceleration: f64,
-    /// Median time between samples.
+    /// Median sampling period, s.
     period_s: f64,
     duration_s: f64,
-    /// How often per turn (or per m) something slow over position may repeat.
+    /// Numbers of waves per turn (or per m) from which a friction over position starts.
     periods: Vec<f64>,
-    /// Fewest and most of these that may be.
+    /// Smallest and largest number of waves per turn (or per m).
     periods_within: [f64; 2],
-    /// The same for teeth and slots.
+    /// Numbers of waves per turn (or per m) from which cogging starts.
     cogging: Vec<f64>,
-    /// A motor whose back-EMF damps it.
+    /// True for a motor whose back-EMF damps it.
     damps_by_emf: bool,
-    /// At which the output looks most like stairs, s.
+    /// Periods at which the output looks most like sample-and-hold, s.
     stairs_s: Vec<f64>,
-    /// The input was sampled, not commanded from each sample on.
+    /// True if the input was sampled, false if it was commanded from each sample on.
     input_is_sampled: bool,
 }
 
 impl Scales {
-    /// How often a wave over position may repeat: from a half over all of the way, which is hardly more than a slope.
+    /// Returns the range of the number of waves over position, from half a wave over the whole travel, which is
+    /// hardly more than a slope.
     fn waves(&self) -> Range {
         let [fewest, most] = self.periods_within;
         Range::Reflected(fewest, most)
     }
 }
 
-/// What the base parameters mean for the mechanics.
+/// Constants of the mechanics, computed from the base parameters.
 #[derive(Clone, Copy, Debug)]
 struct Dynamics {
     k: f64,
@@ -188,41 +189,41 @@ struct Dynamics {
     pendulum: f64,
 }
 
-/// Known numbers of an axis.
+/// Known parameters of an axis; `None` for unknown ones.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Known {
-    /// V, where the input is a duty and the supply was not recorded.
+    /// Supply, V, if the input is a duty and the supply was not recorded.
     pub supply_v: Option<f64>,
-    /// N or N m per unit of the input, of an axis.
+    /// Force per unit of the input, N or N m, of an axis.
     pub gain: Option<f64>,
-    /// Duty for each rad of error and unit of the servo's gain.
+    /// Duty per rad of error and unit of the servo's gain, 1/rad.
     pub loop_gain: Option<f64>,
-    /// Length of a pendulum with its mass at the end, on a servo.
+    /// Length of a pendulum on a servo, with its mass at the end, m.
     pub arm_m: Option<f64>,
-    /// Where a linear actuator ends.
+    /// Position of the upper end stop of a linear actuator, m; the lower one is at 0.
     pub stroke_m: Option<f64>,
     /// Largest duty of a servo.
     pub duty_limit: Option<f64>,
-    /// Of the motor's winding: without it torques are known only but for a factor.
+    /// Resistance of the motor's winding, Ω; without it torques are known only up to a factor.
     pub resistance_ohm: Option<f64>,
-    /// What is known of the rest of the plant.
+    /// Declared plant with the rest of the parameters.
     pub plant: Option<PlantSpec>,
 }
 
 impl Known {
-    /// What is known of the bridge: the first effects of the plant, as far as they are there at once.
+    /// Returns the known effects of the bridge: the first effects of the plant, as long as they act instantaneously.
     pub(crate) fn bridge(&self) -> impl Iterator<Item = r4_plants::Effect> + '_ {
         let effects = self.plant.iter().flat_map(PlantSpec::effects).copied();
         effects.take_while(|effect| effect.at_once(0.0).is_some())
     }
 }
 
-/// What effects of a bridge make of a duty.
+/// Returns a duty after the effects of a bridge.
 fn through(bridge: &[r4_plants::Effect], duty: f64) -> f64 {
     bridge.iter().fold(duty, |duty, effect| effect.at_once(duty).unwrap_or(duty))
 }
 
-/// A model of one moving axis, made for given data.
+/// Model of one moving axis, created for given data.
 #[derive(Clone, Debug)]
 pub struct Motion {
     kind: Kind,
@@ -235,15 +236,15 @@ pub struct Motion {
     duty_limit: f64,
     is_duty: bool,
     stops: Option<(f64, f64)>,
-    /// What is known of the bridge, in order, behind all that is sought of it.
+    /// Known effects of the bridge, in order; identified effects act before them.
     bridge: Arc<[r4_plants::Effect]>,
-    /// Nothing tells the voltage behind the duty.
+    /// True if the voltage behind the duty is unknown.
     supply_assumed: bool,
     scales: Scales,
     places: Places,
 }
 
-/// Where base parameters stand.
+/// Indexes of optional base parameters.
 #[derive(Clone, Copy, Debug, Default)]
 struct Places {
     b_open: Option<usize>,
@@ -253,32 +254,32 @@ struct Places {
     stamps: Option<usize>,
 }
 
-/// A position that is not recorded is first sought at so many places of a turn.
+/// Number of positions in a turn at which an unrecorded position is first searched for.
 const PLACES: u8 = 16;
-/// A supply whose voltage nobody told, V.
+/// Supply voltage that is assumed if it is unknown, V.
 const ASSUMED_V: f64 = 1.0;
 /// Standard gravity, m/s² (ISO 80000-3).
 const GRAVITY_M_S2: f64 = 9.806_65;
-/// Periods of sampling by which the output's stamps may be early or late, as part of every base model: what a logger does that
-/// stamps before or after it samples, and with the value of the period before. More than that late is an effect, a delay.
+/// Sampling periods by which the output's stamps may be early or late, as part of every base model: as of a logger
+/// that stamps before or after it samples, and with the value of the period before. A longer delay is an effect.
 const EARLY: f64 = 3.0;
 const LATE: f64 = 1.5;
-/// Share of the earliest stamps beyond which they are at the end of their range.
+/// Share of the largest earliness beyond which the stamps are at the end of their range.
 const ACAUSAL: f64 = 0.98;
-/// Share of the latest stamps beyond which an effect that delays is looked for.
+/// Share of the largest lateness beyond which an effect that delays is searched for.
 const INSIDE: f64 = 0.8;
-/// A pendulum with its mass at the end cannot fall faster than that mass.
+/// Largest share of a pendulum's mass in the inertia: it cannot fall faster than without an armature.
 const NO_ARMATURE: f64 = 1.0;
 
 impl Motion {
-    /// Where an axis may have begun whose position is not recorded.
+    /// Returns possible initial positions of an axis whose position is not recorded.
     fn places(&self) -> impl Iterator<Item = f64> {
         let round = if self.rotary { TAU } else { self.scales.distance };
         (0..PLACES).map(move |place| f64::from(place) / f64::from(PLACES) * round)
     }
 
-    /// Whether a position is an angle of which the recordings show enough for a curve of one turn. Half a turn in one recording is taken
-    /// as enough: others, which begin elsewhere, show the rest.
+    /// Returns whether the position is an angle of which the recordings show enough for a curve over one turn. Half a
+    /// turn in one recording is taken as enough: others, which begin elsewhere, show the rest.
     fn is_round(&self) -> bool {
         self.rotary && self.scales.distance > 0.5 * TAU
     }
@@ -287,14 +288,14 @@ impl Motion {
         self.effects.iter().position(|&other| other == effect)
     }
 
-    /// Of a wave over position, for each period per turn or per m.
+    /// Returns the phase of a wave over position, rad, per wave and unit of position (turn in rad, or m).
     fn radians_per_period(&self) -> f64 {
         if self.rotary { 1.0 } else { TAU }
     }
 
     fn dynamics(&self, base: &[f64]) -> Dynamics {
         let (k, b) = match self.kind {
-            // Steady speed per volt, and how fast it is reached.
+            // The first parameter is the steady speed per volt, the second the time constant.
             Kind::DcMotor | Kind::LinearActuator | Kind::Servo => (base[0] / base[1], 1.0 / base[1]),
             Kind::Axis => (self.known.gain.unwrap_or(1.0) / base[0], base[1] / base[0]),
         };
@@ -310,7 +311,7 @@ impl Motion {
         }
     }
 
-    /// A structure with a push per volt and a damping; nothing else of [`Self::dynamics`] changes.
+    /// Returns a structure with this push per volt and damping; nothing else of [`Self::dynamics`] changes.
     fn with_dynamics(&self, mut structure: Structure, k: f64, b: f64) -> Structure {
         let base = &mut structure.base;
         (base[0], base[1]) = match self.kind {
@@ -323,7 +324,7 @@ impl Motion {
         structure
     }
 
-    /// The same model of an output whose stamps are right.
+    /// Returns the structure with correct stamps of the output.
     fn with_true_stamps(&self, mut structure: Structure) -> Structure {
         if let Some(late_s) = self.places.stamps.and_then(|place| structure.base.get_mut(place)) {
             *late_s = 0.0;
@@ -331,7 +332,7 @@ impl Motion {
         structure
     }
 
-    /// By how much the output's stamps are late; below 0, early.
+    /// Returns the delay of the output's stamps, s; negative if they are early.
     fn stamps_late_s(&self, base: &[f64]) -> f64 {
         self.places.stamps.and_then(|place| base.get(place)).copied().unwrap_or(0.0)
     }
@@ -340,8 +341,8 @@ impl Motion {
         self.places.offset.map_or(0.0, |place| base[place])
     }
 
-    /// Beyond which a drive does not amplify its input: a full duty. Of forces and voltages, and of duties that count otherwise than up
-    /// to 1, nothing tells what a drive can give: it is taken to be the largest that was recorded.
+    /// Returns the full duty, beyond which a drive does not amplify its input. For forces, voltages, and duties in
+    /// other units, the limit of the drive is unknown and taken to be the largest recorded input.
     fn full_duty(&self) -> f64 {
         if self.is_duty && self.scales.input <= 1.0 { self.duty_limit } else { self.scales.input }
     }
@@ -350,7 +351,7 @@ impl Motion {
         self.kind == Kind::Servo
     }
 
-    /// The base parameters of a kind of model, before anything is known of the data.
+    /// Returns the base parameters of a kind of model, with the indexes of the optional ones.
     fn base_of(kind: Kind, rotary: bool, known: &Known, coasts: bool, period_s: f64) -> (Vec<Parameter>, Places) {
         let plain = |name, unit, range| Parameter { name, unit, range, absent: None };
         let mut base = match (kind, rotary) {
@@ -453,7 +454,7 @@ impl Family for Motion {
         self.stamps_late_s(&structure.base) < -ACAUSAL * EARLY * self.scales.period_s
     }
 
-    /// Two lags one after the other do the same in either order.
+    /// Returns the exchange of two successive lags, whose order the data cannot show.
     fn exchanged(&self, structure: &Structure) -> Vec<(String, Structure)> {
         let of_lag = |effect: Effect| {
             let index = self.index(effect)?;
@@ -462,7 +463,7 @@ impl Family for Motion {
             if self.places.b_open.is_some() || !(lag_s > 0.0 && b > 0.0) {
                 return None;
             }
-            // The same speed for the same push in the end.
+            // The steady speed for the same push must not change.
             let mut other = self.with_dynamics(structure.clone(), k / (b * lag_s), 1.0 / lag_s);
             other.added[place][0] = 1.0 / b;
             Some((format!("the time constants of {} and of what moves", effect.name()), other))
@@ -490,13 +491,15 @@ impl Family for Motion {
         let simpler = match self.effects[index] {
             Effect::DirectionFriction => term(Effect::Coulomb, vec![0.5 * (values[0] + values[1])]),
             Effect::Static | Effect::WarmUp => term(Effect::Coulomb, vec![values[0]]),
+            // Gravity has the opposite sign in the equation of motion.
             Effect::Cogging if self.rotary => term(Effect::Gravity, vec![values[0], values[1] + PI]),
             _ => None,
         };
         simpler.into_iter().collect()
     }
 
-    /// A load and a friction alike both ways are a friction by direction while the axis moves.
+    /// Returns friction by direction in place of a load and a direction-independent friction: they are equal while
+    /// the axis moves.
     fn merged(&self, structure: &Structure) -> Option<([usize; 2], Term, Vec<f64>)> {
         let [coulomb, load, by_direction] =
             [Effect::Coulomb, Effect::ConstantLoad, Effect::DirectionFriction].map(|effect| self.index(effect));

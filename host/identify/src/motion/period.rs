@@ -1,14 +1,15 @@
-//! Search for a period, in time, of which one that is a little off is of no use at the end of a long recording.
+//! Search for a period in time. A small relative error of it is large at the end of a long recording.
 
-/// So many periods of a recording are looked at first.
+/// Number of periods of a recording that the first search uses.
 const COUNT: f64 = 100.0;
-/// Neighbours are apart by what shifts the last period by this share of what is noticed; closer by, at last.
+/// Distance of neighbouring periods, as the shift of the last period used over the noticeable shift; in the first
+/// search and in the last refinement.
 const APART: f64 = 0.5;
 const CLOSER: f64 = 0.1;
-/// Parts of a period that are tried in its place.
+/// Largest divisor of a peak's period that is tried in its place.
 const PARTS: u32 = 8;
 
-/// What is sought.
+/// Parameters of the search.
 pub(super) struct Search<N> {
     /// Shortest and longest period, s.
     pub(super) between_s: [f64; 2],
@@ -16,15 +17,15 @@ pub(super) struct Search<N> {
     pub(super) from_s: f64,
     /// Latest last sample of the recordings, s since the first period began.
     pub(super) until_s: f64,
-    /// The shift that would be noticed at a period, s.
+    /// Smallest shift that is noticeable for a period, s.
     pub(super) noticed_s: N,
-    /// So many are offered.
+    /// Largest number of periods that are returned.
     pub(super) offered: usize,
 }
 
 impl<N: Fn(f64) -> f64> Search<N> {
-    /// The periods that stand out most, s; best first. `stands_out` is given a period and when to end, s; what it returns does not
-    /// grow by chance with the stretch until then.
+    /// Returns the periods that stand out most, s; best first. `stands_out` receives a period and the end of the
+    /// evaluated stretch, s; its value must not grow by chance with the length of the stretch.
     pub(super) fn best(&self, stands_out: impl Fn(f64, f64) -> f64) -> Vec<f64> {
         let [shortest_s, longest_s] = self.between_s;
         let noticed_s = &self.noticed_s;
@@ -52,6 +53,7 @@ impl<N: Fn(f64) -> f64> Search<N> {
                 .map(|(period_s, stretch_s)| (stands_out(period_s, stretch_s), period_s))
                 .max_by(|a, b| a.0.total_cmp(&b.0))
         };
+        // The stretch is doubled as the distance is halved, so that each refinement resolves the last period it uses.
         for peak in &mut peaks {
             let mut count = few(peak.1);
             let mut apart_s = APART * noticed_s(peak.1) / count;
@@ -61,7 +63,7 @@ impl<N: Fn(f64) -> f64> Search<N> {
                 let around = [peak.1 - apart_s, peak.1, peak.1 + apart_s];
                 *peak = best(&mut around.into_iter().map(|period_s| (period_s, count * period_s))).unwrap_or(*peak);
             }
-            // A multiple of a short period was looked at over a longer stretch.
+            // The first search uses a longer stretch for a multiple of a short period, which may therefore win.
             let parts = (1..=PARTS).map(|part| peak.1 / f64::from(part)).filter(|&part_s| part_s >= shortest_s);
             *peak = best(&mut parts.map(|part_s| (part_s, self.until_s))).unwrap_or(*peak);
         }

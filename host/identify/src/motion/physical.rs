@@ -1,4 +1,5 @@
-//! From numbers per unit of inertia to those of plant files and reports, and to the push that a residual lacks.
+//! Conversion from parameters per unit of inertia to those of plant files and reports, and from a residual to the
+//! missing push.
 
 use std::{collections::BTreeMap, f64::consts::TAU, fmt::Write};
 
@@ -20,31 +21,31 @@ use super::{
     through,
 };
 
-/// A winding whose resistance nobody told, ohm.
+/// Winding resistance that is assumed if it is unknown, Ω.
 const ASSUMED_OHM: f64 = 1.0;
-/// The drive of an axis is a source of force: a winding whose back-EMF damps by this share of what the axis is damped by, which is taken
-/// off its viscous friction.
+/// Share of an axis' damping that its drive contributes in a plant file. The drive is a force source, modelled as a
+/// winding with this little back-EMF damping, which is subtracted from the viscous friction.
 const BACK_EMF_SHARE: f64 = 1e-3;
-/// Of that winding, least and most, ohm: well within what plant files may have.
+/// Smallest and largest resistance of that winding, Ω: well within the limits of plant files.
 const FORCE_SOURCE_OHM: [f64; 2] = [1e-3, 1e2];
 
-/// Smallest inertia and mass of a plant file. A recording in which the output follows the voltage at once fits any smaller one as well;
-/// forces do not change with it.
+/// Smallest inertia and mass in a plant file. A recording in which the output follows the voltage at once fits any
+/// smaller one equally well; forces do not change with it.
 const LIGHTEST_KG_M2: f64 = 1e-9;
 const LIGHTEST_KG: f64 = 1e-6;
 
-/// What plant files speak of.
+/// Parameters of a plant file.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Physical {
-    /// kg m² or kg, at the output.
+    /// Inertia at the output, kg m² or kg.
     pub(super) inertia: f64,
-    /// N m/A or N/A at the output, and V s/rad or V s/m.
+    /// Force constant at the output, N m/A or N/A, equal to the back-EMF constant, V s/rad or V s/m.
     constant: f64,
     resistance_ohm: f64,
     viscous: f64,
 }
 
-/// Plant files have straight pieces: so many for each of a curve, which then is off by a 64th of what that bends.
+/// Number of straight pieces in a plant file for each piece of a curve: the error is 1/64 of the piece's bend.
 const STRAIGHT: u32 = 8;
 
 impl Motion {
@@ -65,22 +66,23 @@ impl Motion {
             Some(Model::LinearActuator(actuator)) => (actuator.resistance_ohm, actuator.viscous_n_s_per_m),
             None => (self.known.resistance_ohm.unwrap_or(ASSUMED_OHM), 0.0),
         };
-        // Steady speed per volt: c / (c² + B R). The viscous part is what an effect that tells it came to; else that of the file,
-        // where it leaves a motor.
+        // The steady speed per volt is c / (c² + B R). The viscous friction B comes from an effect that determines
+        // it, else from the plant file, if that leaves a real solution for c.
         let gain = dynamics.k / dynamics.b;
         if let Some(share) = self.viscous_share(structure) {
             let constant = (1.0 - share) / gain;
             let inertia = constant / (resistance_ohm * dynamics.k);
             return Physical { inertia, constant, resistance_ohm, viscous: share * dynamics.b * inertia };
         }
+        // A negative radicand means that no motor with the declared friction reaches the fitted speed.
         let root = 1.0 - 4.0 * gain * gain * viscous * resistance_ohm;
         let (constant, viscous) =
             if root >= 0.0 { ((1.0 + root.sqrt()) / (2.0 * gain), viscous) } else { (1.0 / gain, 0.0) };
         Physical { inertia: constant / (resistance_ohm * dynamics.k), constant, resistance_ohm, viscous }
     }
 
-    /// Base values of a motor as its plant file declares it: the inverse of [`Self::physical`]. `None` without such a file, and of an
-    /// axis and a servo, which have numbers that no plant file tells.
+    /// Returns the base parameters of a motor as its plant file declares it: the inverse of [`Self::physical`].
+    /// `None` without such a file, and for an axis or a servo, which have parameters that no plant file has.
     pub(super) fn declared_base(&self) -> Option<Vec<f64>> {
         let plant = self.known.plant.as_ref().filter(|_| matches!(self.kind, Kind::DcMotor | Kind::LinearActuator))?;
         let (constant, inertia, resistance_ohm, viscous) = match plant.model() {
@@ -100,7 +102,7 @@ impl Motion {
                 )
             }
         };
-        // Of the damping times the resistance: what the winding gives, and all.
+        // Damping times resistance: by back-EMF, and by friction.
         let (winding, friction) = (constant * constant, viscous * resistance_ohm);
         let damping = winding + friction;
         let mut base = vec![0.0; self.base.len()];
@@ -111,15 +113,15 @@ impl Motion {
         Some(base)
     }
 
-    /// Share of the damping that is not back-EMF, of an effect that tells it.
+    /// Returns the share of friction in the damping, from an effect that determines it.
     fn viscous_share(&self, structure: &Structure) -> Option<f64> {
         const TELLING: [Effect; 3] = [Effect::LoadFriction, Effect::SupplySag, Effect::WindingHeating];
         let values = TELLING.iter().find_map(|&effect| structure.of(self.index(effect)?))?;
-        // A motor that is all friction would have no constant.
+        // A motor with friction only would have no torque constant.
         values.last().map(|share| share.min(0.99))
     }
 
-    /// What the size of torques and forces hangs on without anybody having told it.
+    /// Returns the assumptions that the scale of torques and forces depends on; `None` if it is known.
     fn scale_is_assumed(&self) -> Option<String> {
         let known = self.kind == Kind::Axis && self.known.gain.is_some()
             || self.known.plant.is_some()
@@ -139,8 +141,8 @@ impl Motion {
         self.supply_assumed.then(|| format!("supply_v = {ASSUMED_V}"))
     }
 
-    /// Whether the mechanics has such a number divided by its inertia; what is compared with the command, which may be a force
-    /// too, is as it is commanded.
+    /// Returns whether the mechanics uses a parameter divided by the inertia. A parameter that is compared with the
+    /// command, which may be a force too, is as commanded.
     fn is_per_inertia(&self, name: &str, unit: &str) -> bool {
         let units = &self.scales.units;
         name != units.input_name && [units.force, units.drag, units.viscous].contains(&unit)
@@ -166,7 +168,7 @@ impl Motion {
                 unit: unit.to_owned(),
                 interval: intervals.next().flatten().map(|ends| ends.map(|end| end * scale)),
                 assumed: match unit {
-                    // An inertia is what a known force says it is.
+                    // An inertia scales with the assumed force.
                     _ if is_force || unit.starts_with("kg") => assumed.clone(),
                     _ if unit.ends_with("/V") => self.supply_is_assumed(),
                     _ => None,
@@ -174,7 +176,7 @@ impl Motion {
             };
             (name.to_owned(), estimate)
         };
-        // The base model of an axis is in its units already.
+        // The base parameters of an axis are already in its units.
         let of_base = if self.kind == Kind::Axis { 1.0 } else { physical.inertia };
         let base = self.base.iter().zip(&structure.base);
         let base = base.map(|(parameter, &value)| told(parameter.name, parameter.unit, value, of_base)).collect();
@@ -198,7 +200,7 @@ impl Motion {
         (base, terms)
     }
 
-    /// The model as a plant file; what such a file cannot hold is told in a comment.
+    /// Returns the model as a plant file; a comment in it lists what such a file cannot hold.
     pub(super) fn plant_file(&self, structure: &Structure, source: &str) -> String {
         let physical = self.physical(structure);
         let kind = if self.rotary { PlantKind::Rotary } else { PlantKind::Linear };
@@ -233,7 +235,8 @@ impl Motion {
                     let mut corners: Vec<(f64, f64)> =
                         at.into_iter().zip(values.into_iter().map(|value| value * scale)).collect();
                     if curve.over == Dependence::Speed && curve.acts == Acts::Friction {
-                        // It is over the speed without its sign.
+                        // In the estimator the curve is over the magnitude of the speed, in the plant file over the
+                        // signed speed.
                         let backward: Vec<_> = corners.iter().rev().map(|&(at, value)| (-at, value)).collect();
                         corners.splice(0..0, backward);
                     }
@@ -258,7 +261,7 @@ impl Motion {
                 physical.inertia
             );
         }
-        // A plant's effects on the duty come after each other: what was found is before what was known.
+        // A plant's effects on the duty act in their order: the identified ones come before the known bridge.
         let is_of_input = |effect: &Listed| effect.info().insertion == InsertionPoint::Input;
         let (first, last): (Vec<_>, Vec<_>) = effects.into_iter().partition(is_of_input);
         let effects = first.into_iter().chain(self.bridge.iter().copied()).chain(last).collect();
@@ -310,7 +313,7 @@ impl Motion {
         Model::LinearActuator(actuator)
     }
 
-    /// An effect as plant files have it.
+    /// Returns an effect as plant files have it; `None` if they cannot hold it.
     fn listed(&self, effect: Effect, values: &[f64], physical: &Physical, kind: PlantKind) -> Option<Listed> {
         let info = EffectInfo::named(effect.name())?;
         let mut listed = info.typical;
@@ -319,7 +322,7 @@ impl Motion {
         if effect == Effect::SupplySag {
             set("source_ohm", values[0] * physical.resistance_ohm)?;
         } else if effect == Effect::WindingHeating {
-            // Full duty at rest is what a share of one stands for.
+            // A rise of one refers to full duty at rest.
             let supply_v = self.known.supply_v.unwrap_or(ASSUMED_V);
             let power_w = (through(&self.bridge, self.scales.input) * supply_v).powi(2) / physical.resistance_ohm;
             set("rise_per_w", values[0] / power_w)?;
@@ -355,10 +358,11 @@ impl Motion {
         Some(listed)
     }
 
-    /// The push (per unit of inertia, times the inertia) that would have made the residual: its derivatives, smoothed by
-    /// a parabola over a window that noise asks for, put into the equation of motion.
+    /// Returns the push (per unit of inertia, times the inertia) that would cause the residual: its derivatives,
+    /// smoothed by a parabola over a window that is long enough for the noise, inserted in the equation of motion.
     pub(super) fn missing_push(&self, structure: &Structure, run: &MotionRun, residual: &[f64]) -> Vec<f64> {
         let times = self.time_s(run);
+        // A second derivative needs a window of several samples against noise.
         let half_s = (6.0 * self.scales.period_s).max(0.05);
         let inertia = self.physical(structure).inertia;
         let b = self.dynamics(&structure.base).b;

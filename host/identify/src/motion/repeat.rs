@@ -1,4 +1,4 @@
-//! How often along its way what a model of an axis lacks repeats itself: a gear, a screw, a belt whose pitch nobody told.
+//! Search for the travel after which a missing effect repeats: of a gear, a screw, or a belt with unknown pitch.
 
 use std::f64::consts::TAU;
 
@@ -14,31 +14,31 @@ use super::{
     weak::{Rest, SHORTEST_S, Seen},
 };
 
-/// Times that it has to repeat itself over the longest way, at least and at most.
+/// Smallest and largest number of repetitions over the longest travel.
 const LEAST: f64 = 2.0;
 const MOST: f64 = 300.0;
-/// Neighbours among the numbers of times that are tried: between two, a wave is a quarter off at the end.
+/// Distance of the numbers of repetitions that are tried: between two, a wave is off by a quarter at the end.
 const APART: f64 = 0.5;
-/// A search closer by has so many steps on each side, twice.
+/// Number of steps on each side in a finer search, which is done twice.
 const CLOSER: u32 = 10;
-/// A wave that explains less than this share of what is left is not looked at closer.
+/// Smallest share of the residual that a wave must explain to be refined.
 const SHARE: f64 = 0.2;
-/// The share of one time by which periods differ that are tried in the end, and how often closer by.
+/// Relative distance of the periods in the last refinement, and the number of its refinements.
 const NEARER: f64 = 0.1;
 const REFINED: i32 = 3;
-/// Periods tried on each side of the best one in each round, and the largest number of rounds.
+/// Number of periods tried on each side of the best one in each round, and the largest number of rounds.
 const BESIDE: i32 = 3;
 const ROUNDS: usize = 8;
 
-/// A recording, where a wave over its way would show.
+/// Recording in which a wave over the travel is searched for.
 struct Carrier {
     seen: Seen,
-    /// What a curve of ones would do from each sample to the next, for each way in which it acts.
+    /// Acceleration by a curve of ones from each sample to the next, for each way in which it acts.
     ones: Vec<Vec<f64>>,
     left: Vec<f64>,
 }
 
-/// Numbers of times that something may repeat itself: the first, how far they are apart, how many they are.
+/// Numbers of repetitions: the first, their distance, and their count.
 type Times = (f64, f64, u32);
 
 impl Carrier {
@@ -52,12 +52,12 @@ impl Carrier {
         high - low
     }
 
-    /// A wave over the position at each sample.
+    /// Returns a complex wave over the position at each sample.
     fn waves(&self, rate: f64) -> Vec<Complex<f64>> {
         self.positions().map(|at| Complex::cis(rate * at)).collect()
     }
 
-    /// How much of what is left a wave explains where it acts on `one`, whatever its phase.
+    /// Returns the reduction of the sum of squares by a wave that acts on `one`, with optimal amplitude and phase.
     fn explained(&self, waves: &[Complex<f64>], one: &[f64]) -> f64 {
         let [sine, cosine] = [|wave: &Complex<f64>| wave.im, |wave: &Complex<f64>| wave.re].map(|of| {
             let series: Vec<f64> = waves.iter().zip(one).map(|(wave, one)| of(wave) * one).collect();
@@ -74,7 +74,8 @@ impl Carrier {
     }
 }
 
-/// Of numbers of times, the one whose wave explains most where it acts in the ways asked for, and how much: one for each way.
+/// Returns, for each of some ways to act, the number of repetitions whose wave explains most, and the reduction of
+/// the sum of squares.
 fn best(carriers: &[Carrier], ways: &[usize], reach: f64, (first, apart, count): Times) -> Vec<(f64, f64)> {
     let mut explained = vec![vec![0.0; ways.len()]; count as usize];
     for carrier in carriers {
@@ -93,15 +94,16 @@ fn best(carriers: &[Carrier], ways: &[usize], reach: f64, (first, apart, count):
 }
 
 impl Motion {
-    /// The way after which a curve over the position would best repeat itself, for each way in which it may act; `None` where
-    /// nothing is seen of that.
+    /// Returns the travel after which a curve over the position best repeats, for each way in which it may act;
+    /// `None` if no repetition is visible.
     pub(super) fn repeats(&self, current: &Fit, acts: &[Acts], runs: &[&MotionRun]) -> Vec<Option<f64>> {
         let nothing = vec![None; acts.len()];
         let Some(carriers) = self.carriers(current, acts, runs) else { return nothing };
         let reach = carriers.iter().map(Carrier::reach).fold(0.0, f64::max);
-        // A wave that passes within a window is not seen in it.
+        // A wave that passes within a window averages out in it.
         let moved = || carriers.iter().flat_map(|carrier| &carrier.seen.windows.moved);
         let speed = moved().map(|Moved { speed, .. }| speed.abs()).sum::<f64>() / moved().count() as f64;
+        // A wave must take at least as long as the shortest window.
         let most = (reach / (2.0 * SHORTEST_S * speed)).min(MOST);
         if !most.is_finite() || most < LEAST {
             return nothing;
@@ -138,8 +140,8 @@ impl Motion {
         Some(seen.into_iter().zip(left).zip(&fit.initial).map(carrier).collect())
     }
 
-    /// A period, of those around it the one at which most is explained. The rest of the model was not fitted with the wave
-    /// before: now both are.
+    /// Refines a period: the best of those around it when the rest of the model is fitted with the wave, which the
+    /// first search does not do.
     fn nearer(&self, current: &Fit, acts: Acts, mut period: f64, mut apart: f64, runs: &[&MotionRun]) -> f64 {
         let finest = apart / 4.0_f64.powi(REFINED);
         for _ in 0..ROUNDS {
@@ -152,7 +154,7 @@ impl Motion {
                 break;
             };
             period = best;
-            // Beyond the outermost may be a better one.
+            // If the outermost is the best, a better one may lie beyond it.
             if step.abs() < BESIDE {
                 apart /= 4.0;
             }
@@ -177,8 +179,8 @@ mod tests {
         motion::{Kind, Known},
     };
 
-    /// A mass of 2 kg with 3 N s/m on a way that is given, under the force that it takes where the drive is stronger and
-    /// weaker over the way.
+    /// Mass of 2 kg with 3 N s/m on a given trajectory, under the force it needs if the gain of the drive varies with
+    /// the position.
     fn rippled(seed: u64, rate: f64) -> Run {
         let mut dice = Pcg64Mcg::new(seed.into());
         let noise = Normal::new(0.0, 1e-3).expect("a deviation");

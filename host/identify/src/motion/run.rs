@@ -1,4 +1,4 @@
-//! A recorded run as the simulation wants it.
+//! A recorded run, prepared for the simulation.
 
 use std::sync::{Arc, OnceLock};
 
@@ -9,46 +9,46 @@ use crate::{
 
 use super::{command::Command, weak::Windows};
 
-/// Steps of the simulation are no longer where friction or load change within a step's motion, and twice as long where
-/// they do not, s.
+/// Longest step of the simulation where friction or load change within a step's motion, s; elsewhere steps may be
+/// twice as long.
 const LONGEST_STEP_S: f64 = 2.5e-3;
-/// So many steps at most between two samples.
+/// Largest number of steps between two samples.
 const MOST_STEPS: f64 = 60.0;
-/// Steps whose lengths differ by less than this share are as long as each other: the difference is rounding.
+/// Relative difference of step lengths below which they are equal: the difference is rounding.
 const SAME_STEP: f64 = 1e-10;
 
-/// Deviation of a position that nothing tells, rad or m: far more than any effect asks for.
+/// Standard deviation of an initial position that is not recorded, rad or m: far more than any effect needs.
 const ANYWHERE: f64 = 10.0;
 
-/// All of a recording.
+/// A whole recording, prepared for simulation.
 #[derive(Clone, Debug)]
 pub(super) struct Recording {
     pub(super) name: String,
     pub(super) time_s: Vec<f64>,
-    /// From each sample to the next.
+    /// Input from each sample to the next.
     pub(super) input: Vec<f64>,
-    /// The input at moments between samples, in its own unit.
+    /// Input at times between samples, in its own unit.
     pub(super) command: Command,
     supply: Vec<f64>,
     pub(super) supply_recorded: bool,
     enabled: Vec<bool>,
     gain: Vec<f64>,
     pub(super) measured: Vec<f64>,
-    /// Deviation of the noise on `measured`.
+    /// Standard deviation of the noise on `measured`.
     pub(super) noise: f64,
-    /// Deviation of what the resolution of the sensor leaves of it.
+    /// Standard deviation of the rounding error by the sensor's resolution.
     pub(super) rounding: f64,
-    /// From each sample to the next in steps: how many, and how long each is. Long ones, and short ones.
+    /// Number and length of the simulation's steps from each sample to the next: long and short ones.
     pub(super) steps: [Vec<(u32, f64)>; 2],
-    /// Time at the first sample since the axis was switched on, if known.
+    /// Time from the axis' power-up to the first sample, s, if known.
     pub(super) origin_s: f64,
-    /// The same since slots of a held value began.
+    /// Time from the begin of a held value's slots to the first sample, s.
     pub(super) slots_s: f64,
-    /// Made when they are first asked for.
+    /// Windows of the weak form, computed on first use.
     pub(super) windows: OnceLock<Option<Arc<Windows>>>,
 }
 
-/// A recording, or a part of it; what was commanded before the part is known.
+/// Recording, or part of it; the command before the part is known.
 #[derive(Clone, Debug)]
 pub struct MotionRun {
     pub(super) all: Arc<Recording>,
@@ -57,8 +57,8 @@ pub struct MotionRun {
 }
 
 impl MotionRun {
-    /// Of roles `input`, `output`, and where there are: `supply`, `enabled`, `gain`. A missing command is what was
-    /// commanded before.
+    /// Takes the roles `input`, `output` and optionally `supply`, `enabled`, `gain`. A missing command holds the one
+    /// before.
     pub(super) fn new(run: &Run, supply_v: f64) -> Option<Self> {
         let time_s = run.time_s.clone();
         let held = |values: &[f64]| {
@@ -77,7 +77,8 @@ impl MotionRun {
         let measured = run.values("output")?.to_vec();
         let command = if run.origin_s.is_some() { Command::sampled } else { Command::held };
         let recorded = run.values("supply");
-        // With the board. After longer than a recording, the period would have to be known too well to tell.
+        // Slots begin with the board's power-up. If that is longer ago than a recording lasts, their phase would need
+        // too exact a period.
         let recording_s = time_s.last().copied().unwrap_or(0.0);
         let slots_s = run.origin_s.filter(|&origin_s| origin_s <= recording_s).unwrap_or(0.0);
         let count = input.len();
@@ -107,7 +108,7 @@ impl MotionRun {
         })
     }
 
-    /// The same run with other values of the output.
+    /// Returns the same run with other values of the output.
     pub(super) fn measuring(&self, measured: Vec<f64>) -> Self {
         let all = Recording { measured, windows: OnceLock::new(), ..(*self.all).clone() };
         Self { all: Arc::new(all), ..*self }
@@ -129,7 +130,8 @@ impl MotionRun {
         self.all.gain.get(sample).copied().unwrap_or(1.0)
     }
 
-    /// How many steps to take from a sample to the next one of this run, and how long each is; none from the last.
+    /// Returns number and length of the simulation's steps from a sample to the next one of this run; 0 from the
+    /// last.
     #[inline]
     pub(super) fn steps(&self, sample: usize, fine: bool) -> (u32, f64) {
         if sample + 1 < self.to { self.all.steps[usize::from(fine)][sample] } else { (0, 0.0) }
@@ -139,7 +141,8 @@ impl MotionRun {
         self.all.enabled.contains(&false)
     }
 
-    /// Guess and deviation of position and speed at the first sample. Where speeds were recorded, the position is anywhere.
+    /// Returns an initial guess and its standard deviation for position and speed at the first sample. If speeds were
+    /// recorded, the position is arbitrary.
     pub(super) fn initial(&self, of_speed: bool) -> (Vec<f64>, Vec<f64>) {
         let all = &*self.all;
         let samples: Vec<(f64, f64)> = (self.from..self.to)
@@ -167,13 +170,14 @@ impl MotionRun {
     }
 }
 
-/// From each sample to the next.
+/// Returns number and length of the steps from each sample to the next.
 fn steps(time_s: &[f64], longest_s: f64) -> Vec<(u32, f64)> {
     let mut last_s = f64::NAN;
     time_s
         .windows(2)
         .map(|pair| {
             let dt_s = pair[1] - pair[0];
+            // The tolerance keeps rounding of a stamp from adding a step.
             let count = (dt_s / longest_s - 1e-6).ceil().clamp(1.0, MOST_STEPS);
             let step_s = dt_s / count;
             if step_s.is_nan() || step_s <= 0.0 {

@@ -1,15 +1,15 @@
-//! The free run of an axis: exact where it is linear, with events where friction holds or lets go.
+//! Free-run simulation of an axis: exact while it is linear, with events where friction stops or releases it.
 //!
 //! ```text
 //! dv/dt = k · volts − b · v − friction + load        in rad/s² or m/s²: everything is per unit of inertia
 //! ```
 //!
-//! Within a step, the command, the friction's level and the load are constant and the rest is solved exactly, up to the
-//! moment at which the speed passes zero; there the axis holds unless it is pushed harder than friction.
+//! Within a step, the command, the level of friction and the load are constant, and the rest is solved exactly up to
+//! the time at which the speed passes zero; there the axis sticks unless the push exceeds friction.
 //!
-//! Three stages follow one another: what drives the motor ([`Input`]), what moves ([`Mechanics`]) and what is told of it
-//! ([`Sensor`]). Nothing flows back, except round a servo's loop and into a sagging supply; so each stage is done for the
-//! whole run at once, and what free runs have in common is done once ([`simulate_each`]).
+//! Three stages follow one another: the drive of the motor ([`Input`]), the motion ([`Mechanics`]) and its
+//! measurement ([`Sensor`]). Nothing feeds back, except in a servo's loop and a sagging supply; so each stage is
+//! computed for the whole run at once, and what several simulations have in common only once ([`simulate_each`]).
 
 use std::{f64::consts::TAU, sync::Arc};
 
@@ -19,7 +19,7 @@ use r4_plants::Dependence;
 
 use super::{Kind, Motion, MotionRun, effect::Effect, smooth::Swinging, through};
 
-/// What a free run tells beside the output, sample by sample.
+/// Signals of a free-run simulation besides the output, one value per sample.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Observed {
     pub(super) input: Vec<f64>,
@@ -29,16 +29,16 @@ pub(super) struct Observed {
     pub(super) direction: Vec<f64>,
     pub(super) time_s: Vec<f64>,
     pub(super) supply: Vec<f64>,
-    /// Distance since the last reversal.
+    /// Distance from the last reversal, in the position's unit.
     pub(super) history: Vec<f64>,
 }
 
-/// A sine over position.
+/// Sine wave over the position.
 #[derive(Clone, Copy, PartialEq)]
 struct Wave {
     amplitude: f64,
     phase: f64,
-    /// Radians per unit of position.
+    /// Spatial frequency, rad per unit of position.
     rate: f64,
 }
 
@@ -48,7 +48,7 @@ impl Wave {
     }
 }
 
-/// A number that depends on a step's length and is not worked out again while that stays the same.
+/// Value that depends on a step's length, cached while that stays the same.
 #[derive(Clone, Copy)]
 struct PerStep {
     step_s: f64,
@@ -66,27 +66,28 @@ impl PerStep {
     }
 }
 
-/// A product of damping and time below which the closed form of a way loses digits, and its series is better.
+/// Product of damping and time below which the closed form of a displacement loses digits, and its series is more
+/// accurate.
 const STIFF: f64 = 1e-4;
 
-/// Share of the way to its end that a first-order response makes in a time.
-// Not inlined, as all that is seldom asked for within a step: what it divides by may be nothing there, and the division
-// would be taken out of the loop and done anyway.
+/// Share of the way to its final value that a first-order response covers in a time.
+// Not inlined, like everything that is rarely needed within a step: its divisor may be 0 there, and the compiler
+// would hoist the division out of the loop and execute it anyway.
 #[inline(never)]
 fn first_order(time_s: f64, time_constant_s: f64) -> f64 {
     -(-time_s / time_constant_s).exp_m1()
 }
 
-/// Between the command and the motor.
+/// Stage between the command and the motor.
 #[derive(Clone, PartialEq)]
 struct Input {
     sign: f64,
-    /// Of the command; below 0 where the output's stamps are early.
+    /// Delay of the command, s; negative if the output's stamps are early.
     delay_s: f64,
-    /// By which it grows each second.
+    /// Growth of the delay, s/s.
     clock_drift: f64,
     hold_s: f64,
-    /// By how much the stamps of what it is held from are late.
+    /// Delay of the stamps from which a held command is sampled, s.
     sampled_late_s: f64,
     dead_zone: f64,
     exponent: Option<f64>,
@@ -95,26 +96,26 @@ struct Input {
     rate: Option<f64>,
     lag_s: f64,
     sag: f64,
-    /// Share of the damping that is back-EMF, for a supply that sags.
+    /// Share of back-EMF in the damping, for a supply that sags.
     emf_share: f64,
     heating: Option<(f64, f64)>,
-    /// Largest command, which heats fully.
+    /// Largest command, which heats the winding fully.
     largest: f64,
-    /// Duty per rad of error and unit of gain; a servo's.
+    /// Duty of a servo per rad of error and unit of gain, 1/rad.
     loop_gain: f64,
     duty_limit: f64,
-    /// What is known of the bridge.
+    /// Known effects of the bridge.
     bridge: Arc<[r4_plants::Effect]>,
-    /// Friction or load change within a step's motion: short steps.
+    /// True if friction or load change within a step's motion, which needs short steps.
     fine: bool,
 }
 
-/// What is commanded over a step.
+/// Command over a step.
 #[derive(Clone, Copy)]
 struct Commanded {
     mean: f64,
-    /// Values, and weights that add up to 1, where it changes: the mean of what a bridge makes of them is not what it makes of
-    /// their mean.
+    /// Values with weights that add up to 1, if the command changes within the step: a nonlinear bridge acts on the
+    /// values, not on their mean.
     parts: Option<[(f64, f64); 3]>,
 }
 
@@ -124,12 +125,12 @@ impl From<f64> for Commanded {
     }
 }
 
-/// What arrives at the motor over a step.
+/// Drive of the motor over a step.
 #[derive(Clone, Copy)]
 struct Driven {
     command: f64,
     volts: f64,
-    /// By which a warm winding's share of push and damping is multiplied.
+    /// Factor on the push and on the winding's share of damping, below 1 for a warm winding.
     colder: f64,
     enabled: bool,
 }
@@ -139,18 +140,18 @@ struct InputState {
     slewed: f64,
     lagged: f64,
     heat: f64,
-    /// Where the command was last looked up.
+    /// Index in the command of the last lookup.
     cursor: usize,
-    /// The last command, and how it was shaped.
+    /// Last command, and its value after the nonlinearities.
     shaped: (f64, f64),
-    /// The same of what came to the bridge.
+    /// Last input of the bridge, and its output.
     bridged: (f64, f64),
     lag: PerStep,
     heating: PerStep,
 }
 
 impl Input {
-    /// The command as it arrives at the motor, before lag and supply.
+    /// Returns the command after its nonlinearities, before lag and supply.
     fn shaped(&self, command: f64) -> f64 {
         let command = self.sign * command;
         let mut size = (command.abs() - self.dead_zone).max(0.0);
@@ -161,11 +162,12 @@ impl Input {
         if command < 0.0 { -size * self.backward_gain } else { size }
     }
 
-    /// As what was commanded before the run left it.
+    /// Returns the state at the begin of a run, as the commands before it left it.
     fn begin(&self, run: &MotionRun) -> InputState {
+        // Only these stages depend on earlier commands; without them a part begins with its own.
         let remembers = self.rate.is_some() || self.lag_s > 0.0 || self.heating.is_some();
         let from = if remembers { 0 } else { run.from };
-        // What a servo was told of itself then is what was recorded.
+        // The recorded position stands for the one that a servo's loop used before the run.
         let mut told = run.all.measured.iter().skip(from).copied().find(|told| told.is_finite()).unwrap_or(0.0);
         let command = self.looped(run, from, run.input_at(from).into(), told).mean;
         let shaped = self.shaped(command);
@@ -194,7 +196,7 @@ impl Input {
         state
     }
 
-    /// What drives the motor under a command: a servo's loop makes a duty of it, by what it is told of its position.
+    /// Returns the duty of a servo's loop for a goal and the measured position; the command itself without a loop.
     #[inline(always)]
     fn looped(&self, run: &MotionRun, sample: usize, command: Commanded, told: f64) -> Commanded {
         if self.loop_gain == 0.0 {
@@ -204,7 +206,7 @@ impl Input {
         duty.clamp(-self.duty_limit, self.duty_limit).into()
     }
 
-    /// The command over a step, as it was a delay ago.
+    /// Returns the command over a step, with its delay.
     #[inline(always)]
     fn command(&self, run: &MotionRun, sample: usize, from_s: f64, step_s: f64, cursor: &mut usize) -> Commanded {
         if self.hold_s > 0.0 || self.delay_s != 0.0 || self.clock_drift != 0.0 || run.all.command.is_straight() {
@@ -220,14 +222,14 @@ impl Input {
         if self.hold_s <= 0.0 {
             let mean = run.all.command.mean(begin_s, step_s, cursor);
             let parts = run.all.command.is_straight().then(|| {
-                // Simpson's rule.
+                // Simpson's rule, exact for a linear command through a smooth bridge.
                 let weights = [1.0, 4.0, 1.0].map(|weight| weight / 6.0);
                 let mut at = |share: f64| run.all.command.at(begin_s + share * step_s, cursor);
                 [(at(0.0), weights[0]), (at(0.5), weights[1]), (at(1.0), weights[2])]
             });
             return Commanded { mean, parts: parts.filter(|parts| parts[0].0 != parts[2].0) };
         }
-        // The mean over the step, so that a little longer period makes a little difference.
+        // The mean over the step makes the output continuous in the period.
         let begin_s = run.all.slots_s + begin_s;
         let stamp_s = self.sampled_late_s - run.all.slots_s;
         let end_s = begin_s + step_s;
@@ -242,7 +244,8 @@ impl Input {
         Commanded { mean: held + share * (next - held), parts }
     }
 
-    /// `back_emf` is what the motor makes itself, as volts at its terminals: only a sagging supply feels it.
+    /// Computes the drive over one step. `back_emf` is the motor's own voltage, V, which only matters with a sagging
+    /// supply.
     #[inline(always)]
     fn drive(
         &self,
@@ -258,7 +261,7 @@ impl Input {
         let mut acting = state.shaped.1;
         if let Some(rate) = self.rate {
             let (from, gap, reach) = (state.slewed, acting - state.slewed, rate * step_s);
-            // Its mean: half-way up a ramp, or all of it but the triangle before the corner.
+            // Mean over the step: half of the ramp, or the final value less the triangle before its corner.
             (state.slewed, acting) = if gap.abs() > reach {
                 (from + reach.copysign(gap), from + 0.5 * reach.copysign(gap))
             } else {
@@ -283,7 +286,7 @@ impl Input {
         let colder = self.heating.map_or(1.0, |(rise, _)| 1.0 / (1.0 + rise * state.heat));
         let mut volts = acting * supply_v;
         if self.sag > 0.0 {
-            // Of what the current through the source takes, by the share of its resistance in the motor's.
+            // The current through the source lowers the voltage, by the ratio of its resistance to the motor's.
             volts = back_emf + (volts - back_emf) / (1.0 + self.sag * acting * acting);
         }
         if let Some((_, time_constant_s)) = self.heating {
@@ -293,7 +296,7 @@ impl Input {
         Driven { command, volts: if enabled { volts } else { 0.0 }, colder, enabled }
     }
 
-    /// All of a run, where nothing flows back.
+    /// Computes the drive over a whole run, without feedback.
     fn over(&self, run: &MotionRun) -> Vec<Driven> {
         let mut state = self.begin(run);
         let mut driven = Vec::with_capacity(if self.fine { 2 } else { 1 } * (run.to - run.from));
@@ -310,44 +313,44 @@ impl Input {
     }
 }
 
-/// What moves.
+/// Stage of the moving mass.
 #[derive(Clone, PartialEq)]
 struct Mechanics<'s> {
-    /// Per volt.
+    /// Acceleration per volt at rest.
     k: f64,
     b: f64,
-    /// With open terminals.
+    /// Damping with open terminals, 1/s.
     b_open: f64,
-    /// Of a pendulum that is known to be there.
+    /// Gravity of a known pendulum, per unit of inertia.
     pendulum: f64,
-    /// Its angle at position 0.
+    /// Angle of the pendulum at position 0, rad.
     pendulum_offset: f64,
     coulomb: (f64, f64),
     stribeck: Option<(f64, f64)>,
     load_share: f64,
-    /// Share of the damping that is back-EMF: what loads a friction, and what a warm winding lessens.
+    /// Share of back-EMF in the damping, which loads a friction, and which a warm winding reduces.
     load_emf: f64,
     heat_emf: f64,
     position_friction: Option<Wave>,
     warm_up: Option<(f64, f64)>,
     drag: f64,
-    /// More damping forwards, and backwards.
+    /// Additional damping forwards, and backwards.
     viscous: (f64, f64),
     load: f64,
     gravity: Option<Wave>,
     cogging: Option<Wave>,
     curves: Vec<(&'s Curve, Spline)>,
     stops: Option<(f64, f64)>,
-    /// Beyond which no gain amplifies the input.
+    /// Duty beyond which no gain amplifies the input.
     full_duty: f64,
     position: f64,
     speed: f64,
     before: Before,
-    /// Travel below which a first motion is not one that it can turn from: its initial speed is fitted to noise. In the position's unit.
+    /// Travel below which a first motion has no reversal, in the position's unit: its initial speed may be noise.
     least_travel: f64,
 }
 
-/// Where a curve is looked up; `ahead` is the position.
+/// Returns the value of a curve's axis; `ahead` is the position at mid-step.
 #[inline(always)]
 fn place(curve: &Curve, body: &Body, driven: &Driven, (on_s, supply_v): (f64, f64), ahead: f64) -> f64 {
     match curve.over {
@@ -363,8 +366,8 @@ fn place(curve: &Curve, body: &Body, driven: &Driven, (on_s, supply_v): (f64, f6
     }
 }
 
-/// What it did before a run: which way it went last, how far and since when, and what hysteresis pulled back with where it
-/// turned to go there.
+/// Motion before a run: last direction, its travel and begin, and the hysteresis force at the reversal where it
+/// began.
 #[derive(Clone, Copy, PartialEq)]
 struct Before {
     direction: f64,
@@ -378,15 +381,15 @@ struct Body {
     position: f64,
     speed: f64,
     reversal: f64,
-    /// Since it was switched on, like `on_s`.
+    /// Time of the last reversal since power-up, s, like `on_s`.
     turned_s: f64,
     direction: f64,
-    /// What hysteresis pulled back with at the last reversal.
+    /// Hysteresis force at the last reversal.
     wound: f64,
     decay: Decay,
 }
 
-/// `exp(-b step_s)` and `1 / b`, not worked out again while both stay the same.
+/// Values `exp(-b step_s)` and `1 / b`, cached while both stay the same.
 #[derive(Clone, Copy)]
 struct Decay {
     b: f64,
@@ -408,7 +411,7 @@ impl Mechanics<'_> {
         }
     }
 
-    /// What was recorded before a part of a recording is how it moved.
+    /// Sets the motion before a run that is a part, from the recording before it.
     fn remember(&mut self, motion: &Motion, run: &MotionRun) {
         if !self.curves.iter().any(|(curve, _)| curve.over == Dependence::History) {
             return;
@@ -430,7 +433,7 @@ impl Mechanics<'_> {
         };
     }
 
-    /// A body goes where it was seen to go, from an offset on.
+    /// Sets position and reversal of a body as they were measured, with an offset.
     fn follow(&self, body: &mut Body, moved: &Moved, offset: f64) {
         (body.position, body.turned_s) = (moved.position + offset, moved.turned_s);
         if (body.direction, body.reversal) != (moved.direction, moved.reversal + offset) {
@@ -438,7 +441,7 @@ impl Mechanics<'_> {
         }
     }
 
-    /// Friction depends on the direction only, and the load on nothing.
+    /// Returns whether friction depends on the direction only, and the load is constant.
     fn is_plain(&self) -> bool {
         self.pendulum == 0.0
             && self.gravity.is_none()
@@ -452,7 +455,7 @@ impl Mechanics<'_> {
             && self.warm_up.is_none()
     }
 
-    /// It would move alike from elsewhere.
+    /// Returns whether the motion is the same from any initial position.
     fn is_alike_everywhere(&self) -> bool {
         self.pendulum == 0.0
             && self.gravity.is_none()
@@ -472,8 +475,8 @@ impl Mechanics<'_> {
             })
     }
 
-    /// What hysteresis pulls back with at a place. Its curves tell it after a long way to the other side; what it was at the
-    /// turn instead is left in the same measure as they have not come to their end.
+    /// Returns the hysteresis force at a position. The curves give it after a long travel in the other direction; a
+    /// difference at the reversal fades as the curves approach their ends.
     fn hysteresis(&self, body: &Body, position: f64) -> f64 {
         let mut curves = self.curves.iter().filter(|(curve, _)| curve.acts == Acts::Hysteresis).peekable();
         if body.direction == 0.0 || curves.peek().is_none() {
@@ -487,14 +490,14 @@ impl Mechanics<'_> {
         body.direction * (now + (body.direction * body.wound - fresh) * left)
     }
 
-    /// It goes another way from a place on.
+    /// Reverses the direction at a position.
     fn turn(&self, body: &mut Body, direction: f64, reversal: f64) {
         body.wound = self.hysteresis(body, reversal);
         (body.direction, body.reversal) = (direction, reversal);
     }
 
-    /// Push, level of friction and damping over a step; `on_s` is how long the axis has been on when it begins. `PLAIN`
-    /// leaves out what [`Self::is_plain`] says is not there.
+    /// Returns push, level of friction and damping over a step; `on_s` is the time since power-up at its begin.
+    /// `PLAIN` omits what [`Self::is_plain`] excludes.
     #[inline(always)]
     fn forces<const PLAIN: bool>(
         &self,
@@ -509,7 +512,7 @@ impl Mechanics<'_> {
         let mut level = 0.0;
         if !PLAIN {
             let mut gain = 1.0;
-            // Half a step on, by the speed so far: what depends on position is taken there.
+            // What depends on position is evaluated half a step ahead, at the current speed.
             let ahead = body.position + 0.5 * step_s * body.speed;
             if self.pendulum != 0.0 {
                 push -= self.pendulum * (ahead + self.pendulum_offset).sin();
@@ -526,12 +529,12 @@ impl Mechanics<'_> {
                     Acts::Push => push += value,
                     Acts::Friction | Acts::Settling => level += value,
                     Acts::Gain => gain += value,
-                    // All of them together, below.
+                    // All hysteresis curves act together, below.
                     Acts::Hysteresis => {}
                 }
             }
             if gain != 1.0 {
-                // A drive gives no more than it can.
+                // A drive cannot exceed its limit.
                 let most = (self.full_duty * supply_v).abs().max(driven.volts.abs());
                 push += self.k * driven.colder * (gain * driven.volts).clamp(-most, most) - driving;
             }
@@ -550,7 +553,7 @@ impl Mechanics<'_> {
                     let stribeck = self.stribeck.map_or(0.0, |(force, width)| force * (-(speed / width).powi(2)).exp());
                     (stribeck, b + self.drag * speed.abs())
                 };
-                // What depends on speed as well: a step of Euler's that goes half as far, no farther than to rest.
+                // What depends on speed is evaluated at mid-step, by an Euler step that ends at rest at the latest.
                 let coulomb = if body.speed < 0.0 { self.coulomb.1 } else { self.coulomb.0 };
                 let (mut stribeck, mut damping) = at(body.speed);
                 if step_s > 0.0 && body.speed != 0.0 {
@@ -570,7 +573,7 @@ impl Mechanics<'_> {
     }
 }
 
-/// One step of axes side by side: none waits for another's arithmetic.
+/// Advances several axes by one step in parallel, so that no arithmetic operation waits for another's result.
 #[inline(always)]
 fn step<const LANES: usize, const PLAIN: bool>(
     mechanics: &[&Mechanics<'_>; LANES],
@@ -588,7 +591,7 @@ fn step<const LANES: usize, const PLAIN: bool>(
         }
     }
     let before: [f64; LANES] = std::array::from_fn(|lane| bodies[lane].position);
-    // As `advance` does where no speed passes zero, and without a branch.
+    // Equals `advance` where no speed passes zero, but without a branch.
     let (mut position, mut speed, mut usual) = (before, [0.0; LANES], true);
     for lane in 0..LANES {
         let (body, push, level) = (&bodies[lane], push[lane], level[lane]);
@@ -610,9 +613,11 @@ fn step<const LANES: usize, const PLAIN: bool>(
         } else {
             let (forward, backward) = mechanics[lane].coulomb;
             let goes_back = if body.speed == 0.0 { push[lane] < 0.0 } else { body.speed < 0.0 };
+            // Level of friction after a reversal within the step.
             let other_way = level[lane] + if goes_back { forward - backward } else { backward - forward };
             advance(body, push[lane], [level[lane], other_way.max(0.0)]);
         }
+        // End stops are inelastic: the speed is lost.
         if let Some(stops) = mechanics[lane].stops {
             let inside = body.position.clamp(stops.0, stops.1);
             if inside != body.position {
@@ -632,11 +637,12 @@ fn step<const LANES: usize, const PLAIN: bool>(
     }
 }
 
-/// Position and speed after every step.
+/// Position and speed after each step.
 type Way = Vec<(f64, f64)>;
 
-/// The ways of axes under what drives each of them.
+/// Simulates the motion of axes, each under its own drive.
 fn ways(run: &MotionRun, fine: bool, axes: &[(&Mechanics<'_>, &[Driven])]) -> Vec<Way> {
+    // The axes of a group run the same code, so one with rarer forces slows them all.
     let plain = axes.iter().all(|(mechanics, _)| mechanics.is_plain());
     let side_by_side = |axes: &[(&Mechanics<'_>, &[Driven])]| match (axes, plain) {
         (&[a, b, c, d], true) => Vec::from(lanes::<4, true>(run, fine, [a, b, c, d])),
@@ -681,13 +687,13 @@ fn lanes<const LANES: usize, const PLAIN: bool>(
     ways
 }
 
-/// Between what moves and what is recorded.
+/// Stage between the motion and the recording.
 #[derive(Clone, Copy)]
 struct Sensor {
     of_speed: bool,
     gap: f64,
     compliance: Option<(f64, f64)>,
-    /// Way and speed by which what hangs on the spring is behind the output at first.
+    /// Displacement and speed by which the mass behind the spring lags the output initially.
     stretched: (f64, f64),
     lag_s: f64,
     hold_s: f64,
@@ -696,7 +702,7 @@ struct Sensor {
     offset: f64,
 }
 
-/// How a spring and a damper go on over a step: what of the way and of the speed to what they hang on is left, by both.
+/// Transition matrix of a spring with a damper over a step: displacement and speed relative to the output.
 #[derive(Clone, Copy)]
 struct Swing {
     step_s: f64,
@@ -707,12 +713,12 @@ struct Swing {
 impl Swing {
     const NONE: Self = Self { step_s: f64::NAN, way: [0.0; 2], speed: [0.0; 2] };
 
-    /// The exponential of the step, exact for all frequencies and dampings.
+    /// Computes the matrix exponential, exact for all frequencies and damping ratios.
     fn new((natural_hz, damping): (f64, f64), step_s: f64) -> Self {
         let omega = TAU * natural_hz;
         let rate = damping * omega;
         let square = (1.0 - damping * damping) * omega * omega * step_s * step_s;
-        // cos and sin(x)/x of the root of `square`, or cosh and sinh(x)/x where it is negative.
+        // cos x and sin(x)/x with x the root of `square`, or cosh x and sinh(x)/x if that is negative.
         let root = square.abs().sqrt();
         let decay = (-rate * step_s).exp();
         let (even, odd) = if square.abs() < 1e-6 {
@@ -720,7 +726,7 @@ impl Swing {
         } else if square > 0.0 {
             (decay * root.cos(), decay * root.sin() / root)
         } else {
-            // Each with the decay within, which may be much.
+            // The decay is included in each exponential, which could overflow alone.
             let [grows, falls] = [root, -root].map(|root| 0.5 * (root - rate * step_s).exp());
             (grows + falls, (grows - falls) / root)
         };
@@ -731,14 +737,14 @@ impl Swing {
 
 #[derive(Clone, Copy)]
 struct SensorState {
-    /// Behind the gap, with its speed.
+    /// Position and speed behind the gap.
     output: (f64, f64),
-    /// Behind the spring, with its speed.
+    /// Position and speed behind the spring.
     sprung: (f64, f64),
     sensed: f64,
-    /// What a sensor that lags was told last.
+    /// Last input of a sensor that lags.
     truth: f64,
-    /// What a sensor that holds last told, and when.
+    /// Last value of a sensor that holds, and the slot in which it was sampled.
     held: f64,
     slot: f64,
     lag: PerStep,
@@ -763,7 +769,7 @@ impl Sensor {
         if self.compliance.is_some() { state.sprung } else { state.output }
     }
 
-    /// What the sensor tells at a sample, `now_s` after slots of a held value began.
+    /// Returns the sensor's value at a sample, `now_s` after the slots of a held value began.
     #[inline(always)]
     fn tell(&self, state: &mut SensorState, now_s: f64) -> f64 {
         if self.lag_s <= 0.0 {
@@ -786,7 +792,7 @@ impl Sensor {
         if self.of_speed { state.held * self.scale } else { state.held * self.scale + self.offset }
     }
 
-    /// Nothing happens between samples.
+    /// Returns whether the sensor has no state between samples.
     fn is_at_once(&self) -> bool {
         self.gap <= 0.0 && self.compliance.is_none() && self.lag_s <= 0.0
     }
@@ -794,7 +800,7 @@ impl Sensor {
     #[inline(always)]
     fn step(&self, state: &mut SensorState, (position, speed): (f64, f64), step_s: f64) {
         let gap = 0.5 * self.gap;
-        // No clamp, which panics where a run has come to no number.
+        // `clamp` would panic if the simulation produced NaN.
         let before = state.output;
         let output = before.0.max(position - gap).min(position + gap);
         state.output = (output, if self.gap > 0.0 && output == before.0 { 0.0 } else { speed });
@@ -804,7 +810,7 @@ impl Sensor {
         if self.lag_s > 0.0 {
             let (position, speed) = self.behind(state);
             let truth = if self.of_speed { speed } else { position };
-            // Exact for a truth that goes straight over the step.
+            // Exact for an input that is linear over the step.
             let share = state.lag.get(step_s, || first_order(step_s, self.lag_s));
             let way = truth - state.truth;
             state.sensed += (state.truth - state.sensed) * share + way * (1.0 - share * self.lag_s / step_s);
@@ -812,7 +818,7 @@ impl Sensor {
         }
     }
 
-    /// What is told of a way.
+    /// Computes the sensor's values for a motion.
     fn over(&self, run: &MotionRun, first: (f64, f64), way: &[(f64, f64)], fine: bool, predicted: &mut [f64]) {
         let mut state = self.begin(first.0, first.1);
         let at_once = self.is_at_once();
@@ -835,7 +841,7 @@ impl Sensor {
     }
 }
 
-/// One step of what hangs on the output by a spring and a damper, exact for an output of constant acceleration.
+/// Advances the mass behind a spring and a damper by one step, exact for an output with constant acceleration.
 #[inline(never)]
 fn swing(compliance: (f64, f64), state: &mut SensorState, before: (f64, f64), step_s: f64) {
     if state.swing.step_s != step_s {
@@ -843,9 +849,9 @@ fn swing(compliance: (f64, f64), state: &mut SensorState, before: (f64, f64), st
     }
     let omega = TAU * compliance.0;
     let (position, speed) = state.output;
-    // As fast as it went, which is not its speed at the end where it jumped.
+    // Acceleration from the speeds: at a jump, the difference of positions would differ from it.
     let acceleration = if step_s > 0.0 { (speed - before.1) / step_s } else { 0.0 };
-    // Behind by so much it would follow.
+    // Steady displacement behind an output with this acceleration.
     let behind = -acceleration / (omega * omega);
     let (way, rate) = (state.sprung.0 - before.0 - behind, state.sprung.1 - before.1);
     let Swing { way: [way_by_way, way_by_rate], speed: [rate_by_way, rate_by_rate], .. } = state.swing;
@@ -853,12 +859,13 @@ fn swing(compliance: (f64, f64), state: &mut SensorState, before: (f64, f64), st
         (position + behind + way_by_way * way + way_by_rate * rate, speed + rate_by_way * way + rate_by_rate * rate);
 }
 
-/// Way and speed by which what hangs on a spring is behind the output where a part of a recording begins, by how it was seen to
-/// accelerate. A part may begin in the middle of a swing; a whole recording begins at rest.
+/// Returns displacement and speed by which the mass behind a spring lags the output at the begin of a part, from the
+/// measured acceleration. A part may begin within an oscillation; a whole recording begins at rest.
 fn stretched((natural_hz, damping): (f64, f64), motion: &Motion, run: &MotionRun) -> Option<(f64, f64)> {
-    /// Standard deviation of the weights, in periods of the swing: within three on each side, what drives it hardly changes.
+    /// Standard deviation of the weights, in periods of the oscillation: within three on each side, its drive hardly
+    /// changes.
     const SHARE: f64 = 0.1;
-    /// The same, in samples at least, and how many deviations away a weight is none.
+    /// Smallest standard deviation in samples, and the number of standard deviations at which the weights end.
     const LEAST_SAMPLES: f64 = 1.5;
     const ENDS: f64 = 3.0;
     if run.from == 0 {
@@ -873,14 +880,14 @@ fn stretched((natural_hz, damping): (f64, f64), motion: &Motion, run: &MotionRun
     let swinging = Swinging::through(&time_s[first..last], &measured[first..last], now_s, (omega, width_s))?;
     let [slope, bend, third] = swinging.derivatives;
     let (acceleration, jerk) = if motion.of_speed { (slope, bend) } else { (bend, third) };
-    // Exact for an oscillation at the natural frequency: the only transient that lasts into a part.
+    // Exact for an oscillation at the natural frequency, the only transient that lasts into a part.
     let stiffness = omega * omega * (1.0 + 4.0 * damping * damping);
     let way = (acceleration - 2.0 * damping / omega * jerk) / stiffness;
     let speed = (jerk + 2.0 * damping * omega * acceleration) / stiffness;
     Some((way, speed)).filter(|(way, speed)| way.is_finite() && speed.is_finite())
 }
 
-/// A structure with every number where the simulation wants it.
+/// Structure with its parameters in the form that the simulation uses.
 struct Plan<'s> {
     input: Input,
     mechanics: Mechanics<'s>,
@@ -900,7 +907,7 @@ impl<'s> Plan<'s> {
             })
         };
         let base = motion.dynamics(&structure.base);
-        // An axis is pushed by what is recorded: all of its damping is viscous.
+        // An axis is driven by the recorded force: all of its damping is viscous.
         let emf_share = |effect| match (motion.kind, of(effect)) {
             (Kind::Axis, _) => 0.0,
             (_, Some([.., viscous_share])) => 1.0 - viscous_share,
@@ -951,7 +958,7 @@ impl<'s> Plan<'s> {
         };
         let input = Input {
             sign: if of(Effect::InputSign).is_some() { -1.0 } else { 1.0 },
-            // A delay that is looked for takes up what the stamps are late.
+            // A delay that is fitted includes the delay of the stamps.
             delay_s: of(Effect::InputDelay).map_or_else(|| motion.stamps_late_s(&structure.base), |values| values[0]),
             clock_drift: one(Effect::ClockDrift, 0.0),
             hold_s: of(Effect::InputHold).and_then(|values| values.last()).copied().unwrap_or(0.0),
@@ -986,11 +993,11 @@ impl<'s> Plan<'s> {
         Self { input, mechanics, sensor }
     }
 
-    /// The same for a run, with what was before it.
+    /// Creates the plan for a run, with the motion before it.
     fn of(motion: &Motion, structure: &'s Structure, initial: &[f64], run: &MotionRun) -> Self {
         let mut plan = Self::new(motion, structure, initial);
         if let Some(stretched) = plan.sensor.compliance.and_then(|compliance| stretched(compliance, motion, run)) {
-            // What was seen at first is what hangs on the spring.
+            // The measured initial state is that of the mass behind the spring.
             plan.sensor.stretched = stretched;
             plan.mechanics.position += stretched.0;
             plan.mechanics.speed += stretched.1;
@@ -999,12 +1006,12 @@ impl<'s> Plan<'s> {
         plan
     }
 
-    /// What moves, or is told, changes what drives.
+    /// Returns whether motion or measurement affects the drive.
     fn flows_back(&self) -> bool {
         self.input.loop_gain != 0.0 || self.input.sag > 0.0
     }
 
-    /// By how much everything told is shifted, where another initial state does nothing else than that.
+    /// Returns the offset of the prediction for another initial state, if that has no other effect.
     fn shift(&self, known: &Simulated<'_>, structure: &Structure, initial: &[f64]) -> Option<f64> {
         let ([from, speed], [to, same]) = (known.initial, initial) else { return None };
         let alike = speed == same
@@ -1015,13 +1022,13 @@ impl<'s> Plan<'s> {
         alike.then_some(if self.sensor.of_speed { 0.0 } else { to - from })
     }
 
-    /// What is told of a way.
+    /// Computes the sensor's values for a motion.
     fn tell(&self, run: &MotionRun, way: &[(f64, f64)], predicted: &mut [f64]) {
         let first = (self.mechanics.position, self.mechanics.speed);
         self.sensor.over(run, first, way, self.input.fine, predicted);
     }
 
-    /// Step by step through all three stages.
+    /// Simulates all three stages step by step, as feedback requires.
     fn simulate(&self, run: &MotionRun, predicted: &mut [f64], mut observed: Option<&mut Observed>) {
         let Self { input, mechanics, sensor } = self;
         let mut driving = input.begin(run);
@@ -1042,6 +1049,7 @@ impl<'s> Plan<'s> {
                 let at = (run.all.origin_s + from_s, supply_v, step_s);
                 step::<1, false>(&[mechanics], std::array::from_mut(&mut body), [&driven], at);
                 sensor.step(&mut sensing, (body.position, body.speed), step_s);
+                // A servo's loop reads its sensor at each step, not only at the recorded samples.
                 if input.loop_gain != 0.0 && sensor.hold_s <= 0.0 {
                     sensing.held = if sensor.lag_s > 0.0 { sensing.sensed } else { sensing.output.0 };
                 }
@@ -1061,28 +1069,28 @@ impl<'s> Plan<'s> {
     }
 }
 
-/// How an axis moved from a sample to the next.
+/// Motion of an axis from a sample to the next.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moved {
     pub(super) position: f64,
     pub(super) speed: f64,
-    /// Its speed cannot be told from none.
+    /// True if the speed does not differ significantly from zero.
     pub(super) rests: bool,
     pub(super) direction: f64,
-    /// Where it last turned.
+    /// Position of the last reversal.
     pub(super) reversal: f64,
-    /// When it last turned, s of the recording.
+    /// Time of the last reversal, s of the recording.
     pub(super) turned_s: f64,
 }
 
-/// Whether an axis would move otherwise from elsewhere.
+/// Returns whether the motion depends on the initial position.
 pub(super) fn is_placed(motion: &Motion, structure: &Structure) -> bool {
     let plan = Plan::new(motion, structure, &[]);
     plan.sensor.eccentricity.is_some() || !plan.mechanics.is_alike_everywhere()
 }
 
-/// What accelerates the axis from each sample to the next by a model, where the motion is known: from sample to sample, by `offset`
-/// elsewhere than it says.
+/// Returns a model's accelerations from each sample to the next, for a measured motion whose position is off by
+/// `offset`.
 pub(super) fn accelerations(
     motion: &Motion,
     structure: &Structure,
@@ -1093,8 +1101,9 @@ pub(super) fn accelerations(
     plan.accelerated(&plan.driven(run, steps), run, moved)
 }
 
-/// The same of models that differ little from one that is known, each with its offset, given to `told` with their index: what drives them is
-/// worked out once for all that have it in common, and where one value of a curve differs, only what is looked up near it.
+/// Computes the accelerations of models that differ little from a known one, each with its offset, and passes them to
+/// `told` with their index. The common drive is computed once, and where one value of a curve differs, only the
+/// accelerations near it.
 pub(super) fn accelerations_each(
     motion: &Motion,
     (known, known_offset): (&Structure, f64),
@@ -1118,8 +1127,8 @@ pub(super) fn accelerations_each(
     }
 }
 
-/// The curve, counted among curves, in whose values alone a structure differs from another of the same terms, and of which each value acts
-/// near its knot only: not hysteresis, which takes from all of its curve.
+/// Returns the index of the curve, among curves, whose values are the only difference between two structures of the
+/// same terms, and whose values each act only near their knot. Hysteresis uses all of its curve.
 fn local_change(known: &Structure, other: &Structure) -> Option<usize> {
     let mut changed = (0..known.added.len()).filter(|&term| known.added[term] != other.added[term]);
     let term = changed.next()?;
@@ -1128,15 +1137,15 @@ fn local_change(known: &Structure, other: &Structure) -> Option<usize> {
     alone.then(|| known.terms[..term].iter().filter(|term| matches!(term, Term::Curve(_))).count())
 }
 
-/// Where a model's curves are looked up over a recording, and what accelerates it, from each sample to the next.
+/// Pieces of a model's curves that a recording passes, and its accelerations from each sample to the next.
 struct Lookups {
-    /// Pieces of each curve.
+    /// Index of the piece of each curve, from each sample to the next.
     pieces: Vec<Vec<usize>>,
     accelerations: Vec<f64>,
 }
 
 impl Plan<'_> {
-    /// What arrives at the motor from each sample to the next, where the motion is known.
+    /// Computes the drive from each sample to the next, for a measured motion.
     fn driven(&self, run: &MotionRun, steps: &[Moved]) -> Vec<Driven> {
         let Self { input, mechanics, .. } = self;
         let mut state = input.begin(run);
@@ -1145,6 +1154,7 @@ impl Plan<'_> {
             let (now_s, supply_v) = (run.all.time_s[sample], run.supply_at(sample));
             let step_s = run.all.time_s[sample + 1] - now_s;
             if step_s <= 0.0 {
+                // Keeps the indexes aligned with the samples.
                 driven.push(Driven { command: 0.0, volts: 0.0, colder: 1.0, enabled: true });
                 continue;
             }
@@ -1156,8 +1166,8 @@ impl Plan<'_> {
         driven
     }
 
-    /// Follows the motion from sample to sample; `visit` is given the sample, how it moves there, the body that does, and when, s, with which
-    /// supply, V.
+    /// Follows the motion from sample to sample. `visit` receives the sample, its motion, the body, and time (s) and
+    /// supply (V).
     #[inline(always)]
     fn follow(
         &self,
@@ -1192,7 +1202,7 @@ impl Plan<'_> {
         push - friction - b * moved.speed
     }
 
-    /// What accelerates the axis from each sample to the next under what drives it.
+    /// Computes the accelerations from each sample to the next under a drive.
     fn accelerated(&self, driven: &[Driven], run: &MotionRun, moved: (&[Moved], f64)) -> Vec<f64> {
         let mut accelerations = vec![0.0; moved.0.len()];
         if self.mechanics.is_plain() {
@@ -1217,7 +1227,7 @@ impl Plan<'_> {
         Lookups { pieces, accelerations: self.accelerated(driven, run, moved) }
     }
 
-    /// As [`Self::accelerated`], for a model that differs from a known one in values of one curve.
+    /// Like [`Self::accelerated`], for a model that differs from a known one in values of one curve.
     fn accelerated_near(
         &self,
         known: &Self,
@@ -1239,7 +1249,7 @@ impl Plan<'_> {
     }
 }
 
-/// Simulates a run from an initial position and speed, one output for each sample.
+/// Simulates a run from an initial position and speed, one output per sample.
 pub(super) fn simulate(
     motion: &Motion,
     structure: &Structure,
@@ -1283,7 +1293,7 @@ pub(super) fn simulate_each(
             left.push((index, other));
         }
     }
-    // By the stage from which on they differ.
+    // Grouped by the first stage that differs, so that the stages before it are computed once.
     let (driven_alike, driven_apart): (Vec<_>, Vec<_>) =
         left.into_iter().partition(|(_, other)| other.input == plan.input);
     let (moving_alike, moving_apart): (Vec<_>, Vec<_>) =
@@ -1305,6 +1315,7 @@ pub(super) fn simulate_each(
         }
     }
     for fine in [false, true] {
+        // Axes that run side by side need steps of the same length.
         let apart: Vec<_> = driven_apart.iter().filter(|(_, other)| other.input.fine == fine).collect();
         for apart in apart.chunks(4) {
             let driven: Vec<_> = apart.iter().map(|(_, other)| other.input.over(run)).collect();
@@ -1318,12 +1329,12 @@ pub(super) fn simulate_each(
     }
 }
 
-/// Advances a body by the step of its decay under a constant push and Coulomb friction: of the first level, and once it has turned of the
-/// second, which is that of the other direction.
+/// Advances a body by the step of its decay, under a constant push and Coulomb friction of the first level; after a
+/// reversal, of the second, for the other direction.
 #[inline(always)]
 fn advance(body: &mut Body, push: f64, [mut level, other_way]: [f64; 2]) {
     let Decay { b, step_s: mut left_s, mut decayed, per_b } = body.decay;
-    // Twice at most: towards zero, and away from it.
+    // At most twice: towards zero speed, and away from it.
     for _ in 0..2 {
         let direction = if body.speed == 0.0 {
             if push.abs() <= level {
@@ -1345,7 +1356,7 @@ fn advance(body: &mut Body, push: f64, [mut level, other_way]: [f64; 2]) {
             body.speed = speed;
             return;
         }
-        // It comes to rest on the way.
+        // It comes to rest within the step.
         let stop_s = if b * left_s > 1e-6 { (1.0 - b * body.speed / net).ln() * per_b } else { -body.speed / net };
         let stop_s = if stop_s.is_finite() { stop_s.clamp(0.0, left_s) } else { left_s };
         body.position += distance(body.speed, 0.0, net, (b, per_b), stop_s);
@@ -1361,7 +1372,8 @@ fn advance(body: &mut Body, push: f64, [mut level, other_way]: [f64; 2]) {
     }
 }
 
-/// Way made while the speed goes from `from` to `to` under a constant net push; `per_b` is `1 / b`.
+/// Returns the displacement while the speed changes from `from` to `to` under a constant net push; `per_b` is `1 /
+/// b`.
 #[inline(always)]
 fn distance(from: f64, to: f64, net: f64, (b, per_b): (f64, f64), time_s: f64) -> f64 {
     if b * time_s > STIFF { (net * time_s - (to - from)) * per_b } else { 0.5 * (from + to) * time_s }
@@ -1373,7 +1385,8 @@ mod tests {
 
     use super::*;
 
-    /// 1/11 s to rest under 10 and 1 of friction; then 10 and 3 of it, the other way.
+    /// It comes to rest after 1/11 s under 10 and a friction of 1; then a push of 10 and a friction of 3 act, the
+    /// other way.
     #[test]
     fn what_turns_within_a_step_has_the_friction_of_the_other_way() {
         let step_s = 0.1;
@@ -1389,7 +1402,8 @@ mod tests {
     }
 
     proptest! {
-        /// Against the equation of motion in a thousand short steps, for an output that accelerates evenly.
+        /// Comparison with a thousand short steps of the equation of motion, for an output with constant
+        /// acceleration.
         #[test]
         fn a_spring_and_a_damper_are_exact(
             natural_hz in 0.1..60.0_f64,
@@ -1414,7 +1428,7 @@ mod tests {
                 let end_s = f64::from(step) * STEP_S;
                 sensor.step(&mut state, (end_s * (speed + 0.5 * acceleration * end_s), speed + acceleration * end_s), STEP_S);
                 for part in 0..1000 {
-                    // Midpoint rule.
+                    // Midpoint rule in a thousand steps.
                     let short_s = STEP_S / 1000.0;
                     let from_s = end_s - STEP_S + f64::from(part) * short_s;
                     let slope = |(way, rate): (f64, f64), at_s: f64| {
@@ -1427,7 +1441,7 @@ mod tests {
                     now = (now.0 + short_s * middle.0, now.1 + short_s * middle.1);
                 }
             }
-            // The rule's own error: (2 zeta omega h)²/6 of what changes, at most 1e-6 of the way of 0.3.
+            // The rule's own error is (2 zeta omega h)²/6 of the change, at most 1e-6 of the displacement of 0.3.
             prop_assert!((state.sprung.0 - now.0).abs() < 1e-6, "{} {}", state.sprung.0, now.0);
         }
 

@@ -1,21 +1,21 @@
-//! Series that are smooth but for noise.
+//! Smoothing of series with noise.
 
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 
-/// The parabola through points, at a moment.
+/// Least-squares parabola through points, evaluated at one time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Parabola {
     pub(super) value: f64,
-    /// First derivative.
+    /// First derivative at that time.
     pub(super) slope: f64,
-    /// Second derivative.
+    /// Second derivative at that time.
     pub(super) bend: f64,
-    /// Variances of value and slope, in those of a point.
+    /// Variances of value and slope, relative to that of a point.
     pub(super) variance: [f64; 2],
 }
 
 impl Parabola {
-    /// By least squares; `None` for fewer than four points that are there.
+    /// Fits the parabola by least squares; `None` for fewer than four finite points.
     pub(super) fn through(times: &[f64], values: &[f64], at_s: f64) -> Option<Self> {
         let mut normal = Matrix3::<f64>::zeros();
         let mut right = Vector3::<f64>::zeros();
@@ -38,15 +38,16 @@ impl Parabola {
     }
 }
 
-/// A uniform motion and a swing through points, by least squares with normal weights around a moment.
+/// Least-squares fit of a uniform motion plus an oscillation, with Gaussian weights around one time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Swinging {
-    /// First three derivatives of both at that moment.
+    /// First three derivatives of the sum at that time.
     pub(super) derivatives: [f64; 3],
 }
 
 impl Swinging {
-    /// Of a swing of `omega` rad/s, with weights of standard deviation `width_s`; `None` where there are too few points.
+    /// Fits with an oscillation at `omega` rad/s and weights of standard deviation `width_s`; `None` for fewer than
+    /// four points.
     pub(super) fn through(times: &[f64], values: &[f64], at_s: f64, (omega, width_s): (f64, f64)) -> Option<Self> {
         let mut normal = Matrix4::<f64>::zeros();
         let mut right = Vector4::<f64>::zeros();
@@ -68,21 +69,21 @@ impl Swinging {
     }
 }
 
-/// A series without its noise.
+/// Smoothed series with its derivative.
 #[derive(Clone, Debug)]
 pub(super) struct Smooth {
     pub(super) value: Vec<f64>,
     pub(super) slope: Vec<f64>,
-    /// Standard deviations of both.
+    /// Standard errors of value and slope.
     pub(super) noise: [f64; 2],
 }
 
-/// Points on each side of a window's middle that are tried.
+/// Numbers of points on each side of a window's middle that are tried.
 const HALF_WINDOWS: [usize; 8] = [2, 3, 5, 8, 12, 18, 27, 40];
 
 impl Smooth {
-    /// Parabolas over the window that tells best what a point is that was left out of it; `None` where no window tells
-    /// anything.
+    /// Smooths with parabolas over the window length that predicts left-out points best (leave-one-out
+    /// cross-validation); `None` if no window has enough points.
     pub(super) fn of(time_s: &[f64], measured: &[f64]) -> Option<Self> {
         let of = |half: usize| {
             let through = |place: usize| {
@@ -93,6 +94,7 @@ impl Smooth {
             let (mut square, mut count) = (0.0, 0.0);
             for (parabola, value) in all.iter().zip(measured) {
                 let Some(parabola) = parabola.filter(|_| value.is_finite()) else { continue };
+                // The residual of a left-out point is that of the fit divided by one minus its leverage.
                 let share = (1.0 - parabola.variance[0]).max(1e-3);
                 square += ((value - parabola.value) / share).powi(2);
                 count += 1.0;
@@ -104,7 +106,7 @@ impl Smooth {
         let known: Vec<&Parabola> = all.iter().flatten().collect();
         let middle = known.get(known.len() / 2)?;
         let noise = middle.variance.map(|variance| (square * variance).sqrt());
-        // What could not be told stays as it was.
+        // Values without enough points around keep the last one.
         let filled = |of: fn(&Parabola) -> f64, first: f64| -> Vec<f64> {
             let mut last = first;
             all.iter()
@@ -159,8 +161,8 @@ mod tests {
         let rms = |of: &dyn Fn(usize) -> f64| ((100..1900).map(|n| of(n).powi(2)).sum::<f64>() / 1800.0).sqrt();
         let (value, slope) =
             (rms(&|n| smooth.value[n] - truth[n]), rms(&|n| smooth.slope[n] - 3.0 * (3.0 * times[n]).cos()));
-        // Told deviations are those of noise alone. The slope of a parabola over 0.2 s on each side, the longest window, is off
-        // by up to a tenth of 0.2² times the third derivative, which is 27.
+        // The standard errors are those of noise alone. The slope of a parabola over 0.2 s on each side, the longest
+        // window, is off by up to a tenth of 0.2² times the third derivative, which is 27.
         assert!(value < 2.0 * smooth.noise[0] && smooth.noise[0] < 0.01, "{value} {:?}", smooth.noise);
         assert!(slope < 0.1 * 0.2 * 0.2 * 27.0 && smooth.noise[1] < 0.3, "{slope} {:?}", smooth.noise);
     }

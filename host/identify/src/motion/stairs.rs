@@ -1,21 +1,21 @@
-//! A sensor that holds what it told: the recording then is stairs, whose steps are a period apart.
+//! Search for the period of a sensor that holds its value (sample-and-hold): the recording has steps a period apart.
 
 use super::{MotionRun, period::Search};
 
-/// So many periods are offered.
+/// Number of periods that are offered.
 const OFFERED: usize = 3;
-/// A step comes at the sample that is so close to it.
+/// Tolerance within which a step belongs to a sample, s.
 const ALMOST_S: f64 = 1e-9;
-/// Shortest and longest period, in samples, and s.
+/// Shortest and longest period, in samples, and the longest in s.
 const SHORTEST: f64 = 2.0;
 const LONGEST: f64 = 600.0;
 const LONGEST_S: f64 = 0.6;
 
-/// By how much a recording changes from each sample to the next.
+/// Changes of a recording from each sample to the next.
 struct Changes {
-    /// Of the samples that end them, since slots began.
+    /// Times of the samples that end the changes, s since slots began.
     time_s: Vec<f64>,
-    /// Magnitudes, over their mean.
+    /// Magnitudes of the changes, relative to their mean.
     size: Vec<f64>,
 }
 
@@ -30,13 +30,14 @@ impl Changes {
         Self { time_s: time_s.into_iter().skip(1).collect(), size }
     }
 
-    /// Sum of those within which a slot of this length ends, and how many, until a moment; the first slot begins at time 0.
+    /// Returns the sum of the changes at which a slot of this length ends, and their number, up to a time; slots
+    /// begin at 0.
     fn at_steps(&self, period_s: f64, until_s: f64) -> (f64, f64) {
         let (mut place, mut stride, mut sum, mut count) = (0, 0, 0.0, 0.0);
         let first_s = self.time_s.first().copied().unwrap_or(0.0);
         let mut next_s = period_s * (1.0 + ((first_s - ALMOST_S) / period_s).floor().max(0.0));
         while next_s < until_s {
-            // About as many samples later as the last time.
+            // The next step is about as many samples later as the last one.
             let from = place;
             place = (from + stride).min(self.time_s.len());
             while place > from && self.time_s[place - 1] + ALMOST_S >= next_s {
@@ -51,7 +52,7 @@ impl Changes {
             count += 1.0;
             next_s = (((time_s + ALMOST_S) / period_s).floor() + 1.0) * period_s;
             if next_s <= *time_s {
-                // So late that a period more is the same number.
+                // So late that adding a period does not change the number.
                 break;
             }
         }
@@ -59,16 +60,17 @@ impl Changes {
     }
 }
 
-/// The periods at which recordings look most like stairs, s; best first.
+/// Returns the periods at which recordings look most like sampled and held, s; best first.
 ///
-/// Stairs change where a slot ends and are level within, but for noise. Twice the period misses half of the steps, half of it
-/// is at a step only every other time: both stand out less from chance.
+/// A held value changes where a slot ends and is level within it, but for noise. Twice the period misses half of the
+/// steps, half the period hits one only every other time: both stand out less from chance.
 pub(super) fn periods(runs: &[MotionRun], sample_s: f64) -> Vec<f64> {
     let changes: Vec<Changes> = runs.iter().map(Changes::of).collect();
     let stands_out = |period_s: f64, stretch_s: f64| {
         let add = |(sum, count): (f64, f64), (one, ones): (f64, f64)| (sum + one, count + ones);
         let all = changes.iter().map(|changes| changes.at_steps(period_s, stretch_s));
         let (sum, count) = all.fold((0.0, 0.0), add);
+        // Without the square root, a sum of random changes would grow with their number.
         sum / count.max(1.0).sqrt()
     };
     let from_s = runs.iter().map(|run| run.all.slots_s).fold(0.0, f64::max);
@@ -77,7 +79,7 @@ pub(super) fn periods(runs: &[MotionRun], sample_s: f64) -> Vec<f64> {
         between_s: [SHORTEST * sample_s, LONGEST_S.min(LONGEST * sample_s)],
         from_s,
         until_s,
-        // A step that is a sample late is none.
+        // A step that is a sample late is not counted.
         noticed_s: |period_s: f64| period_s.min(sample_s),
         offered: OFFERED,
     }
@@ -112,7 +114,7 @@ mod tests {
                     .expect("a run")
             });
             let found = periods(&runs, 0.005)[0];
-            // The last step is where it is by less than a sample.
+            // The last step is off by less than a sample.
             assert!((found / period_s - 1.0).abs() < 0.005 / 12.0, "{period_s}: {found}");
         }
     }

@@ -1,4 +1,4 @@
-//! A model for given data: what can be seen in them, and where a fit begins.
+//! Creation of a model for given data: the effects that can show in them, and initial guesses.
 
 use nalgebra::{DMatrix, DVector};
 use std::{f64::consts::TAU, sync::Arc};
@@ -11,16 +11,16 @@ use crate::{
 
 use super::{ASSUMED_V, Effect, Kind, Known, Motion, MotionRun, Scales, Units, stairs, through, waves};
 
-/// Fewer tell nothing.
+/// Smallest number of samples.
 const LEAST_SAMPLES: usize = 50;
-/// Time constants that a fit begins from, s, beside the one found by regression.
+/// Time constants from which a fit begins, s, besides the one found by regression.
 const TIME_CONSTANTS_S: [f64; 4] = [0.03, 0.1, 0.3, 1.0];
 
 impl Motion {
-    /// A model of this kind for these runs, and the runs as it wants them.
+    /// Creates a model of this kind for some runs, and prepares these.
     ///
     /// # Errors
-    /// [`IdentifyError`] names what is missing.
+    /// An [`IdentifyError`] that names what is missing.
     pub fn new(
         kind: Kind,
         known: &Known,
@@ -82,12 +82,13 @@ impl Motion {
         Ok((model, train, holdout))
     }
 
-    /// `supply_may_sag`: the supply is behind the duty, and its voltage was not recorded.
+    /// Returns whether an effect can show in the data. `supply_may_sag`: a supply of unknown voltage is behind the
+    /// duty.
     fn can_be_seen(&self, effect: Effect, supply_may_sag: bool) -> bool {
         let servo = self.is_servo();
         let turns = self.scales.distance / TAU;
         match effect {
-            // With the gain free, a scale of the sensor is a gain, and an offset is another zero.
+            // With a free gain, a scale error of the sensor is part of the gain, and an offset is another zero.
             Effect::EncoderScale => servo,
             Effect::EncoderOffset => servo && self.places.offset.is_none(),
             Effect::SupplySag => supply_may_sag && !servo,
@@ -99,11 +100,12 @@ impl Motion {
         }
     }
 
-    /// The two numbers of the mechanics by linear regression on integrals, which average noise away:
+    /// Returns initial guesses of the two base parameters, by linear regression on integrals, which average noise:
     /// `v(t) = v0 + k ∫u − b (q − q0)`, for a position integrated once more.
     pub(super) fn starting_values(&self, runs: &[&MotionRun]) -> Vec<Vec<f64>> {
         let regression = self.regression(runs);
         let mut found: Vec<(f64, f64)> = regression.into_iter().collect();
+        // The regression gives one guess at most, so some fixed time constants are tried as well.
         for time_constant_s in TIME_CONSTANTS_S {
             if let Some(gain) = self.gain_for(runs, time_constant_s) {
                 found.push((gain / time_constant_s, 1.0 / time_constant_s));
@@ -134,7 +136,7 @@ impl Motion {
                 }
                 let mut all = vec![values.clone()];
                 if self.is_servo() {
-                    // The loop hides the motor: several sizes of both.
+                    // The loop hides the motor's gain and time constant: several magnitudes of both are tried.
                     for (gain, time) in [(0.3, 1.0), (3.0, 1.0), (1.0, 0.3), (1.0, 3.0)] {
                         let mut other = values.clone();
                         other[0] *= gain;
@@ -147,7 +149,7 @@ impl Motion {
             .collect()
     }
 
-    /// `k` and `b`, if both come out positive.
+    /// Returns `k` and `b` by regression; `None` if either is not positive.
     fn regression(&self, runs: &[&MotionRun]) -> Option<(f64, f64)> {
         if self.is_servo() {
             return None;
@@ -156,6 +158,7 @@ impl Motion {
         let mut right = DVector::<f64>::zeros(2);
         for run in runs {
             let rows = self.integrals(run, |_, _| None);
+            // Removes the unknown initial state from the regression.
             let detrended = without_line(&rows, self.of_speed);
             for [response, drive, damping] in detrended {
                 let features = [drive, -damping];
@@ -172,7 +175,7 @@ impl Motion {
         (k.is_finite() && k > 0.0 && b > 1e-3 * k.min(1.0) && b < 1e4).then_some((k, b))
     }
 
-    /// Steady gain of a first-order response of this time constant, by least squares.
+    /// Returns the steady gain of a first-order response with this time constant, by least squares.
     fn gain_for(&self, runs: &[&MotionRun], time_constant_s: f64) -> Option<f64> {
         if self.is_servo() {
             return Some(self.scales.speed.max(1.0) / runs[0].supply_at(0).max(1e-3));
@@ -194,7 +197,7 @@ impl Motion {
         (gain.is_finite() && gain > 0.0).then_some(gain)
     }
 
-    /// Time, response, what drives it and what damps it, integrated as often as the response is.
+    /// Returns time, response, drive and damping, the latter two integrated as often as the response is.
     fn integrals(
         &self,
         run: &MotionRun,
@@ -231,7 +234,7 @@ impl Motion {
     }
 }
 
-/// Rows without their mean, and for positions without a line over time: an initial position and speed.
+/// Returns the rows without their mean and, for positions, without a line over time: initial position and speed.
 fn without_line(rows: &[(f64, [f64; 3])], of_speed: bool) -> Vec<[f64; 3]> {
     let count = rows.len().max(1) as f64;
     let mean_s = rows.iter().map(|row| row.0).sum::<f64>() / count;
@@ -278,7 +281,7 @@ fn scales(runs: &[MotionRun], rotary: bool, of_speed: bool, quantity: Quantity) 
             distance = distance.max(way.abs()).max(0.1 * speed * (last.0 - first.0));
         } else {
             distance = distance.max(high - low);
-            // Over a sixtieth of the run: noise says nothing there.
+            // Over a sixtieth of the run, noise hardly affects the speed.
             let stride = (known.len() / 60).max(1);
             for pair in known.iter().step_by(stride).collect::<Vec<_>>().windows(2) {
                 speed = speed.max((pair[1].1 - pair[0].1).abs() / (pair[1].0 - pair[0].0));
@@ -288,9 +291,10 @@ fn scales(runs: &[MotionRun], rotary: bool, of_speed: bool, quantity: Quantity) 
     periods.sort_by(f64::total_cmp);
     let period_s = periods.get(periods.len() / 2).copied().ok_or(IdentifyError::TooShort { samples: runs.len() })?;
     if speed > 0.0 {
-        // A tenth of a second to the highest speed, for want of better.
+        // Assumed: the highest speed is reached within a tenth of a second.
         acceleration = speed / 0.1;
     }
+    // These scales divide later.
     if input <= 0.0 || distance <= 0.0 || acceleration <= 0.0 {
         return Err(IdentifyError::NothingMoves);
     }

@@ -1,4 +1,4 @@
-//! Closed forms, and what must be found in recordings of plants that are simulated elsewhere.
+//! Tests against closed forms, and of effects found in recordings of plants that are simulated elsewhere.
 
 use std::collections::BTreeMap;
 
@@ -31,7 +31,7 @@ fn run(input: (Quantity, Vec<f64>), output: (Quantity, Vec<f64>), period_s: f64)
     Run { name: "made for the test".into(), time_s, origin_s: None, signals }
 }
 
-/// A motor of speed, and a run of it that is a step at the first sample.
+/// Returns a model of a motor's speed, and a run with a step at the first sample.
 fn stepped(duty: f64, samples: usize) -> (Motion, MotionRun) {
     let mut input = vec![duty; samples];
     input[samples - 1] = 0.0;
@@ -45,7 +45,7 @@ fn stepped(duty: f64, samples: usize) -> (Motion, MotionRun) {
 fn free_run(model: &Motion, run: &MotionRun, added: &[(&str, &[f64])]) -> Vec<f64> {
     let index = |name: &str| model.catalogue().iter().position(|candidate| candidate.name == name).expect("an effect");
     let structure = Structure {
-        // 2 rad/s per volt, reached with 50 ms.
+        // Gain of 2 rad/s per volt with a time constant of 50 ms.
         base: vec![2.0, 0.05, 0.0],
         terms: added.iter().map(|(name, _)| Term::Known(index(name))).collect(),
         added: added.iter().map(|(_, values)| values.to_vec()).collect(),
@@ -55,7 +55,7 @@ fn free_run(model: &Motion, run: &MotionRun, added: &[(&str, &[f64])]) -> Vec<f6
     predicted
 }
 
-/// The steps are solved exactly: what is left is rounding.
+/// The steps are solved exactly: the error is rounding.
 const EXACT: f64 = 1e-9;
 
 #[test]
@@ -70,17 +70,17 @@ fn a_step_of_duty_is_the_exponential() {
 #[test]
 fn coulomb_friction_takes_its_share_of_the_steady_speed_or_holds() {
     let (model, run) = stepped(0.5, 401);
-    // 12 rad/s without; the push is 240 rad/s², and 100 of them are lost.
+    // The steady speed is 12 rad/s without friction; of a push of 240 rad/s², 100 are lost.
     let settled = free_run(&model, &run, &[("coulomb-friction", &[100.0])])[399];
     assert!((settled - 7.0).abs() < EXACT, "{settled}");
     assert!(free_run(&model, &run, &[("coulomb-friction", &[240.1])]).iter().all(|speed| *speed == 0.0));
 }
 
-/// A part of a recording that begins in the middle of a swing is predicted by what was seen of it: to 3 % of the swing, which is what its
-/// damping does within the window that sees it, and not to all of it.
+/// A part that begins in the middle of an oscillation is predicted from the recording before it: to 3 % of the
+/// oscillation, which is its damping within the window.
 #[test]
 fn a_part_goes_on_swinging() {
-    // 1.3 s with an input, and then none: not a whole number of swings, which would end them.
+    // 1.3 s with an input, and then none: not a whole number of periods, which would end the oscillation.
     let input: Vec<f64> = (0..801).map(|sample| if sample < 260 { 0.5 } else { 0.0 }).collect();
     for compliance in [[1.0, 0.03], [3.0, 0.2]] {
         let made = |measured: Vec<f64>| {
@@ -148,7 +148,7 @@ fn backlash_keeps_the_output_until_the_gap_is_crossed() {
     assert!((tight[199] - loose[199] - 0.2).abs() < EXACT && (loose[399] - tight[399] - 0.2).abs() < EXACT);
 }
 
-/// A block of a recording in which nothing was measured, of a speed and of a position.
+/// Block of a recording without measurements, of a speed and of a position.
 #[test]
 fn a_stretch_without_measurements_has_an_initial_state_too() {
     for quantity in [Quantity::AngularSpeed, Quantity::Angle] {
@@ -162,7 +162,7 @@ fn a_stretch_without_measurements_has_an_initial_state_too() {
     }
 }
 
-/// A ramp of 10/s to a duty of 1 under 12 V: `K r (t - τ (1 - exp(-t/τ)))` on its way.
+/// Ramp of 10/s to a duty of 1 under 12 V: `K r (t - τ (1 - exp(-t/τ)))` during the ramp.
 #[test]
 fn a_slew_limit_is_the_mean_of_its_ramp() {
     const PERIOD_S: f64 = 5e-3;
@@ -176,12 +176,14 @@ fn a_slew_limit_is_the_mean_of_its_ramp() {
     for (sample, predicted) in predicted[REST..].iter().enumerate().take(21) {
         let time_s = sample as f64 * PERIOD_S;
         let expected = 24.0 * 10.0 * (time_s + 0.05 * (-time_s / 0.05).exp_m1());
-        // A step's mean instead of its ramp moves the speed by less than K r dt²/(8 τ) = 15 mrad/s; its end, by 0.5 rad/s.
+        // The mean of a step instead of its ramp changes the speed by less than K r dt²/(8 τ) = 15 mrad/s; its end,
+        // by 0.5 rad/s.
         assert!((predicted - expected).abs() < 0.015, "{time_s}: {predicted} {expected}");
     }
 }
 
-/// Of every effect, with each number a little off in turn: done once what free runs have in common, or not.
+/// Every effect with each parameter slightly off in turn: sharing the common part of free-run simulations changes
+/// nothing.
 #[test]
 fn free_runs_together_are_as_alone() {
     for setup in [Setup::MotorPosition, Setup::MotorSpeed, Setup::AxisPosition] {
@@ -227,7 +229,8 @@ fn free_runs_together_are_as_alone() {
     }
 }
 
-/// Of every way in which a curve acts, with each value a little off in turn: only what is looked up near it is worked out again.
+/// Every way in which a curve acts, with each value slightly off in turn: only the accelerations near it are
+/// recomputed.
 #[test]
 fn curves_over_windows_together_are_as_alone() {
     let length = Length { train: 1, holdout: 1, seconds: 4.0 };
@@ -270,7 +273,7 @@ fn curves_over_windows_together_are_as_alone() {
     }
 }
 
-/// Counts of 2 mrad, which have a deviation of 0.577 mrad.
+/// Counts of 2 mrad have a rounding error with a standard deviation of 0.577 mrad.
 #[test]
 fn what_counts_leave_is_not_looked_into() {
     let angles = |counted: fn(f64) -> f64| (0..200).map(|sample| counted(f64::from(sample) * 7e-4)).collect();
@@ -286,23 +289,24 @@ fn what_counts_leave_is_not_looked_into() {
     let variance = 2e-3_f64.powi(2) / 12.0;
     assert!(!is_resolved(&model, &[&runs[0]], [9.0 * variance, 8.6 * variance]));
     assert!(is_resolved(&model, &[&runs[0]], [9.0 * variance, 8.4 * variance]));
-    // one that tells every angle
+    // A sensor that resolves every angle.
     let (model, runs, _) = of(angles(|angle| angle + 1e-4 * angle.sin()));
     assert!(!is_rounding(&model, &left(1.2), &[&runs[0]]));
 }
 
-/// A sag was fitted first, with a motor as slow as the sensor that lags: with the base model as it had become then, the sensor is fast.
+/// A sag is found first, with a motor as slow as the sensor that lags: from that base, the fit makes the sensor fast.
 #[test]
 fn what_was_bent_by_what_came_first_is_fitted_from_elsewhere() {
     let (mut names, mut hidden, left) = found_in(Length::STANDARD, Setup::MotorPosition, Draw::Pair, 10_550_000);
     names.sort();
     hidden.sort();
     assert_eq!(names, hidden);
-    // 1.29 times the noise from there, 1.002 otherwise.
+    // From there the residual is 1.29 times the noise, otherwise 1.002 times.
     assert!(left < 1.05, "{left}");
 }
 
-/// An axis with friction by direction, from a base model that ran away without it: far too heavy, and without damping.
+/// Axis with friction by direction, from a base model whose fit diverged without it: far too heavy, and without
+/// damping.
 #[test]
 fn a_guess_finds_back_from_a_model_that_ran_away() {
     let made = experiment(Setup::AxisPosition, Draw::Listed, Length::STANDARD, 57);
@@ -322,7 +326,7 @@ fn a_guess_finds_back_from_a_model_that_ran_away() {
     let base = Structure { base: start(&vec![]).base, ..Structure::default() };
     let current = Fit::at(&model, &runs, base, guessed(&model, &runs));
     let (guess, _) = model.guess(starts, &current, &runs, Effort::SCREEN).expect("a guess");
-    // Noise on the motion makes it a place to begin from.
+    // Noise on the motion makes it an initial guess only.
     let near =
         |found: f64, truth: f64, share: f64| assert!((found / truth - 1.0).abs() < share, "{found}, not {truth}");
     near(guess.base[0], axis.moving_mass_kg, 0.05);
@@ -355,7 +359,7 @@ fn the_period_of_a_held_command_is_guessed() {
     assert!(share.abs() < 0.015 / 12.0, "{share}");
 }
 
-/// Of half a radian: far more than a fit finds that begins with a small one.
+/// An eccentricity of half a radian: far more than a fit finds that begins with a small one.
 #[test]
 fn a_large_eccentricity_is_guessed() {
     let made = experiment(Setup::MotorPosition, Draw::Listed, Length::STANDARD, 92);
@@ -376,14 +380,15 @@ fn a_large_eccentricity_is_guessed() {
     let (_, without) = model.guess(vec![base], &current, &runs, Effort::GLANCE).expect("a guess");
     let truth: Vec<f64> = made.hidden.truth()[0].parameters.iter().map(|parameter| parameter.value).collect();
     let [amplitude_rad, phase_rad] = guess.added[0][..] else { panic!("two numbers") };
-    // By the last steps, and by what noise does to curves over windows.
+    // Tolerance of the last steps of the search, and of noise in the windows.
     assert!((amplitude_rad - truth[0]).abs() < 0.1, "{amplitude_rad}, not {}", truth[0]);
     let off_rad = (phase_rad - truth[1]).rem_euclid(std::f64::consts::TAU);
     assert!(off_rad.min(std::f64::consts::TAU - off_rad) < 0.2, "{phase_rad}, not {}", truth[1]);
     assert!(left < 0.5 * without, "{left} of {without}");
 }
 
-/// A motor that winds up what it drives before that slips, like a spring: a fit without that has it follow its input at once.
+/// Motor that winds up its load like a spring before that slips: without this effect, a fit has it follow the input
+/// at once.
 #[test]
 fn a_guess_finds_back_from_a_model_without_inertia() {
     let length = Length { train: 2, holdout: 1, seconds: 12.0 };
@@ -398,11 +403,13 @@ fn a_guess_finds_back_from_a_model_without_inertia() {
         model.left_in_windows(&current, &runs).expect("windows").fit.cost
     };
     let (sound, collapsed) = (left(0.1), left(1e-9));
-    // By no more than what a fit leaves that ends at a gain of 1e-4; without the way back it is by 8 powers of ten.
+    // The costs differ by no more than that of a fit that ends at a gain of 1e-4; without [`Family::movable`] by 8
+    // powers of ten.
     assert!(collapsed < 1.01 * sound, "{collapsed}, not {sound}");
 }
 
-/// As on a board: the slots of the hold begin when it is switched on, and its log samples a duty that takes some 10 ms to each command.
+/// As on a board: the slots of the hold begin at power-up, and the log samples a duty that takes some 10 ms to each
+/// command.
 #[test]
 fn a_hold_in_the_log_of_a_board_is_found_to_its_clock() {
     const HOLD_S: f64 = 0.0731;
@@ -452,13 +459,13 @@ fn a_hold_in_the_log_of_a_board_is_found_to_its_clock() {
     let found = fit(&model, &runs, guess, guessed(&model, &runs), Effort::FULL);
     let Parameter { name, .. } = &model.catalogue()[index].parameters[1];
     assert_eq!(*name, "period_s");
-    // A look at the wrong tick is wrong by what the duty changes in it; at the end of 12 s it is one by 1 ms.
+    // A sample at the wrong tick is off by the change of the duty in it; at the end of 12 s the error is 1 ms.
     let share = found.structure.added[0][1] / HOLD_S - 1.0;
     assert!(share.abs() < TICK_S / 12.0, "{share}");
     assert!(found.cost < 1e-3 * current.cost, "{} of {}", found.cost, current.cost);
 }
 
-/// Of a lag of the drive before that of the motor the data do not tell which is which.
+/// The data do not distinguish a lag of the drive from that of the motor.
 #[test]
 fn lags_that_can_be_exchanged_are_in_each_others_intervals() {
     let made = experiment(Setup::MotorSpeed, Draw::Listed, Length::STANDARD, 900_013);
@@ -484,7 +491,7 @@ fn lags_that_can_be_exchanged_are_in_each_others_intervals() {
     assert!(report.notes.iter().any(|note| note.contains("the time constants of drive-lag and of what moves")));
 }
 
-/// A ramp before a dead-zone is not one behind it.
+/// A ramp before a dead zone differs from one behind it.
 #[test]
 fn what_is_found_of_the_duty_comes_before_what_the_plant_file_has_of_the_bridge() {
     const RATE_PER_S: f64 = 2.0;
@@ -519,7 +526,7 @@ fn what_is_found_of_the_duty_comes_before_what_the_plant_file_has_of_the_bridge(
     let (guess, _) = model.guess(starts, &current, &runs, Effort::SCREEN).expect("a guess");
     let found = fit(&model, &runs, guess, guessed(&model, &runs), Effort::FULL);
     let share = found.structure.added[0][0] / RATE_PER_S - 1.0;
-    // There is no noise; a ramp of 0.01 a sample is followed in steps of that.
+    // There is no noise; a ramp of 0.01 per sample is resolved to that.
     assert!(share.abs() < 0.01, "{share}");
     let loadable = model.loadable(&found.structure, "a test");
     let written = PlantSpec::from_toml("found.toml", loadable.plant().expect("a plant")).expect("a plant file");
@@ -539,7 +546,7 @@ fn a_dead_zone_of_a_force_is_told_as_it_is_commanded() {
     assert_eq!(terms[0]["input_force_n"].value, 0.25);
 }
 
-/// A guess at two terms that the current model has neither of keeps both, whichever comes last.
+/// A guess with two terms that the current model lacks keeps both, in any order.
 #[test]
 fn a_guess_keeps_every_term() {
     let made = experiment(Setup::MotorPosition, Draw::Nothing, Length { train: 1, holdout: 1, seconds: 8.0 }, 3);
@@ -561,7 +568,7 @@ fn a_guess_keeps_every_term() {
     }
 }
 
-/// A push of so many rad/s² is a torque by the inertia, and so is its interval.
+/// A push in rad/s² is a torque by the inertia, and so is its interval.
 #[test]
 fn numbers_are_told_in_their_units_with_what_is_assumed() {
     let (told, (mut model, _)) = (Known { supply_v: Some(12.0), ..Known::default() }, stepped(0.5, 101));
@@ -572,7 +579,7 @@ fn numbers_are_told_in_their_units_with_what_is_assumed() {
     let (base, terms) = model.estimates(&structure, &[Some(0.1), None, None, Some(8.0)], &known);
     let (speed, torque) = (&base["speed_per_volt_rad_s_per_v"], &terms[0]["torque_nm"]);
     assert_eq!((speed.interval, base["time_constant_s"].interval), (Some([1.9, 2.2]), None));
-    // 0.5 V s/rad and 1 ohm: 12.5e-3 kg m² for 40 rad/s² per V.
+    // 0.5 V s/rad and 1 Ω make 12.5e-3 kg m² with 40 rad/s² per V.
     let [low, high] = torque.interval.expect("an interval");
     assert!((low - 1.125).abs() < EXACT && (high - 1.5).abs() < EXACT && (torque.value - 1.25).abs() < EXACT);
     assert_eq!((speed.assumed.as_deref(), torque.assumed.as_deref()), (None, Some("resistance_ohm = 1")));
@@ -582,7 +589,7 @@ fn numbers_are_told_in_their_units_with_what_is_assumed() {
     assert_eq!(terms[0]["torque_nm"].assumed.as_deref(), Some("resistance_ohm = 1, supply_v = 1"));
 }
 
-/// A duty says nothing of volts: the supply is a column, a number that is told, or assumed.
+/// A duty contains no voltage: the supply is a column, a parameter, or assumed.
 #[test]
 fn a_supply_that_nothing_tells_is_assumed() {
     let assumed = |quantity, column: bool, supply_v| {
@@ -602,7 +609,7 @@ fn a_supply_that_nothing_tells_is_assumed() {
 }
 
 proptest! {
-    /// Any values in range, of any effect: no panic, and numbers.
+    /// Any values in range of any effect: no panic, and finite numbers.
     #[test]
     fn every_effect_can_be_simulated(
         choice in any::<prop::sample::Index>(),
@@ -644,7 +651,7 @@ fn recorded(setup: Setup, recordings: &[Recording]) -> Vec<Run> {
         .collect()
 }
 
-/// What identifies an experiment's plant.
+/// Returns the task that identifies an experiment's plant.
 fn task(made: &Experiment) -> Task {
     if made.setup == Setup::AxisPosition {
         return Task { model: "axis".into(), ..Task::default() };
@@ -653,7 +660,7 @@ fn task(made: &Experiment) -> Task {
     Task { model: "dc-motor".into(), parameters: known, ..Task::default() }
 }
 
-/// Names of what is found, and the error on held-out data in deviations of the noise.
+/// Returns the names of the effects found and hidden, and the held-out RMSE in standard deviations of the noise.
 fn found(setup: Setup, draw: Draw, seed: u64) -> (Vec<String>, Vec<String>, f64) {
     found_in(Length { train: 2, holdout: 1, seconds: 8.0 }, setup, draw, seed)
 }
@@ -667,7 +674,8 @@ fn found_in(length: Length, setup: Setup, draw: Draw, seed: u64) -> (Vec<String>
         identified.report.parameters.iter().chain(identified.report.effects.iter().flat_map(|e| &e.parameters))
     {
         let ([low, high], std) = (estimate.interval.expect("bounded"), estimate.std.expect("known"));
-        // A parabola has 3.92; sticking and gaps bend it, and the end of a range cuts it off.
+        // A parabola has a width of 3.92; static friction and gaps bend the profile, and the end of a range cuts it
+        // off.
         let width = (high - low) / std;
         assert!(low <= estimate.value && estimate.value <= high, "{name}: {estimate:?}");
         assert!((width > 2.0 || low == 0.0) && width < 8.0, "{name}: {estimate:?}");
@@ -681,11 +689,11 @@ fn found_in(length: Length, setup: Setup, draw: Draw, seed: u64) -> (Vec<String>
 fn nothing_is_found_where_nothing_is_hidden() {
     let (names, truth, error) = found(Setup::MotorPosition, Draw::Nothing, 3);
     assert!(names.is_empty() && truth.is_empty(), "{names:?}");
-    // One is the noise itself; the initial state is fitted to a tenth of the run.
+    // The error is 1 with noise alone; the initial state is fitted to a tenth of the run.
     assert!(error < 1.15, "{error}");
 }
 
-/// A gap in an axis, drag on a position, and a curved gain on a speed.
+/// Backlash in an axis, drag on a position, and a curved gain on a speed.
 #[test]
 fn what_is_hidden_is_named_and_leaves_noise() {
     for (setup, seed) in [(Setup::AxisPosition, 50), (Setup::MotorPosition, 6), (Setup::MotorSpeed, 5)] {
@@ -695,7 +703,7 @@ fn what_is_hidden_is_named_and_leaves_noise() {
     }
 }
 
-/// What has a sign or a phase is the same in the estimator and in the plants: the plant of a fit goes the way of the recording.
+/// Signs and phases agree between estimator and plants: the plant of a fit moves as recorded.
 #[test]
 fn the_plant_of_a_fit_moves_as_recorded() {
     for (setup, seed, name) in [
@@ -707,7 +715,7 @@ fn the_plant_of_a_fit_moves_as_recorded() {
     ] {
         let made = experiment(setup, Draw::Listed, Length::STANDARD, seed);
         assert_eq!(made.hidden.truth()[0].name, name);
-        // The plant of an axis makes 1 N of 1 V.
+        // The plant of an axis makes 1 N from 1 V.
         let (kind, supply_v) = if setup == Setup::AxisPosition {
             (Kind::Axis, made.input_per_duty)
         } else {
@@ -739,14 +747,14 @@ fn the_plant_of_a_fit_moves_as_recorded() {
             square += (plant.position() - offset - clean).powi(2);
             plant.advance(Drive::with_brake(input / made.input_per_duty), supply_v, 5e-3);
         }
-        // The fit is to data with noise, which adds up over 12 s. Without the effect 3 times the noise are left (`r4_blind`), with the
-        // other sign more.
+        // The fit is to data with noise, which accumulates over 12 s. Without the effect the error is 3 times the
+        // noise (`r4_blind`), with the other sign more.
         let error = (square / made.train[0].clean.len() as f64).sqrt() / made.noise;
         assert!(error < 1.0, "{name}: {error}");
     }
 }
 
-/// A curve of friction that is below 0 takes from Coulomb friction and not from a drag, in the estimator and in the plant that it writes.
+/// A friction curve below 0 reduces Coulomb friction but not drag, in the estimator and in the plant that it writes.
 #[test]
 fn negative_friction_of_a_fit_is_that_of_its_plant() {
     let made = experiment(Setup::MotorPosition, Draw::Nothing, Length { train: 1, holdout: 1, seconds: 4.0 }, 3);
@@ -754,7 +762,7 @@ fn negative_friction_of_a_fit_is_that_of_its_plant() {
     let (model, runs, _) =
         Motion::new(Kind::DcMotor, &known, &recorded(made.setup, &made.train), &[]).expect("a model");
     let index = |name: &str| model.catalogue().iter().position(|candidate| candidate.name == name).expect("an effect");
-    // Per unit of inertia, with 4 rad/s² per V.
+    // Values per unit of inertia, with 4 rad/s² per V.
     let curve = model.curve(r4_plants::Dependence::Speed, None, crate::family::Acts::Friction, vec![0.0, 1.0, 2.0]);
     let structure = |added: [Vec<f64>; 3]| Structure {
         base: vec![0.4, 0.1, 0.0],
@@ -782,7 +790,7 @@ fn negative_friction_of_a_fit_is_that_of_its_plant() {
     });
     let rms = |squares: &mut dyn Iterator<Item = f64>| (squares.sum::<f64>() / predicted.len() as f64).sqrt();
     let off = rms(&mut { squares });
-    // Without the curve it goes elsewhere: what is compared is there.
+    // Without the curve it moves differently, so that the comparison is sensitive to it.
     let without = predict(&structure([vec![4.0], vec![1.0], vec![0.0; 3]]));
     let changed = rms(&mut predicted.iter().zip(&without).map(|(with, without)| (with - without).powi(2)));
     assert!(off < 0.02 * changed, "{off} of {changed}");
@@ -795,7 +803,7 @@ fn no_gain_amplifies_beyond_full_duty() {
     let mut recordings = recorded(made.setup, &made.train);
     let last = |duty: f64, gain: Option<f64>, recordings: &mut Vec<Run>| {
         let input = recordings[0].signals.get_mut("input").expect("an input");
-        // One sample elsewhere: an input that never changes is refused.
+        // One sample differs: an input that never changes is refused.
         input.values.iter_mut().enumerate().for_each(|(at, value)| *value = if at == 0 { 0.0 } else { duty });
         let (model, runs, _) = Motion::new(Kind::DcMotor, &Known::default(), recordings, &[]).expect("a model");
         let mut structure = Structure { base: model.base().iter().map(|_| 0.0).collect(), ..Structure::default() };
@@ -815,7 +823,7 @@ fn no_gain_amplifies_beyond_full_duty() {
     }
 }
 
-/// An initial speed fitted to noise does not start the time since a turn when the axis first moves.
+/// An initial speed within the noise does not start the time since a reversal when the axis first moves.
 #[test]
 fn a_first_way_within_the_noise_is_no_turn() {
     let samples = 400;
@@ -824,13 +832,13 @@ fn a_first_way_within_the_noise_is_no_turn() {
         0.02 * f64::from(u8::from(sample.is_multiple_of(3))) - 0.01 * f64::from(u8::from(sample.is_multiple_of(2)))
     };
     let input: Vec<f64> = (0..samples).map(duty).collect();
-    // 2 rad/s per volt, reached with 50 ms.
+    // Gain of 2 rad/s per volt with a time constant of 50 ms.
     let speed = |sample: usize| 7.2 * -(-5e-3 * (sample as f64 - 50.0).max(0.0) / 0.05).exp_m1();
     let output: Vec<f64> = (0..samples).map(|sample| speed(sample) + noise(sample)).collect();
     let recorded = [run((Quantity::Number, input), (Quantity::AngularSpeed, output), 5e-3)];
     let known = Known { supply_v: Some(12.0), ..Known::default() };
     let (model, runs, _) = Motion::new(Kind::DcMotor, &known, &recorded, &[]).expect("a model");
-    // Twice what the motor can, and gone after a second.
+    // Twice the motor's torque, which vanishes within a second.
     let curve = model.curve(r4_plants::Dependence::History, None, crate::family::Acts::Settling, vec![0.0, 1.0]);
     let (terms, added) = (vec![Term::Curve(curve)], vec![vec![300.0, 0.0]]);
     let structure = Structure { base: vec![2.0, 0.05, 0.0], terms, added };
@@ -841,12 +849,12 @@ fn a_first_way_within_the_noise_is_no_turn() {
         predicted[100]
     };
     assert!((went(-1e-3) - speed(100)).abs() < 0.01, "{} {}", went(-1e-3), speed(100));
-    // It went 50 ms times that far, and turned.
+    // It moved 50 ms times that speed, and reversed.
     assert!(went(-2.0) < 0.5 * speed(100), "{}", went(-2.0));
 }
 
-/// Plants of the tuning seeds, of 3 x 12 s: a ripple of the drive over a motor's angle that recordings show in parts, and a narrow band of
-/// weak duty in an axis, which needs more corners than are seen to without free runs.
+/// Plants of the tuning seeds, of 3 x 12 s: a ripple of the drive over a motor's angle of which recordings show
+/// parts, and a narrow band of weak duty in an axis, which needs more knots than the weak form finds.
 #[test]
 fn what_has_no_name_is_learned_over_what_it_depends_on() {
     for (setup, seed, over) in [(Setup::MotorPosition, 900_006, "position"), (Setup::AxisPosition, 910_008, "input")] {
@@ -856,12 +864,12 @@ fn what_has_no_name_is_learned_over_what_it_depends_on() {
         let learned: Vec<&str> = report.effects.iter().filter_map(|e| Some(e.table.as_ref()?.over.as_str())).collect();
         assert_eq!((&learned[..], report.effects.len()), (&[over][..], 1), "seed {seed}: {:?}", report.effects);
         let error = report.last.holdout.rmse / made.noise;
-        // 1.92 (eight corners for two waves) and 1.11; it was 24.9 and 6.6.
+        // 1.92 (eight knots for two waves) and 1.11 are reached; without curves it was 24.9 and 6.6.
         assert!(error < 2.0, "seed {seed}: {error}");
     }
 }
 
-/// A lag of the sensor hides the motion from windows: curves are offered all the same, of the fewest corners.
+/// A lag of the sensor hides the motion from windows: curves are offered all the same, with the fewest knots.
 #[test]
 fn curves_are_offered_without_windows() {
     let made = experiment(Setup::MotorPosition, Draw::Nothing, Length { train: 1, holdout: 1, seconds: 4.0 }, 3);
@@ -878,7 +886,7 @@ fn curves_are_offered_without_windows() {
     }
 }
 
-/// Stamps one sample period early: told as such, and no effect.
+/// Stamps that are one sampling period early are reported as such, and not as an effect.
 #[test]
 fn early_stamps_are_no_effect() {
     for (setup, seed) in [(Setup::MotorPosition, 3), (Setup::MotorSpeed, 4)] {
@@ -888,9 +896,9 @@ fn early_stamps_are_no_effect() {
         let report = identify(&task(&made), &train, &holdout, vec![], &|_| {}).expect("identified").report;
         assert!(report.effects.is_empty(), "{:?}", report.effects);
         let late = &report.timing[STAMPS_LATE];
-        // The period is 5 ms; four standard deviations are what a report calls sure.
+        // The period is 5 ms; a report needs four standard errors.
         assert!(!late.is_off(-5e-3, 4.0), "{late:?}");
-        // Noise on a position hides it: a deviation is then more than a quarter of a period.
+        // Noise on a position hides it: the standard error is then more than a quarter of a period.
         if setup == Setup::MotorSpeed {
             let fault = report.timing_fault().expect("sure of it");
             assert!(fault.ends_with("ms early") && report.verdict.contains(&fault), "{fault}: {}", report.verdict);
@@ -928,7 +936,7 @@ fn declared_base_values_are_those_that_give_the_plant_file() {
         let back =
             model(&PlantSpec::from_toml("plant.toml", &file).expect("a plant")).declared_base().expect("declared");
         assert!(base.iter().zip(&back).all(|(a, b)| (a - b).abs() <= 1e-9 * a.abs()), "{base:?} {back:?}: {file}");
-        // How a mass is divided between rod and rotor makes no difference to it.
+        // The division of a mass between rod and rotor makes no difference.
         let line = |text: &str, name: &str| -> f64 {
             let of = |line: &str| line.strip_prefix(name)?.strip_prefix(" = ")?.parse().ok();
             text.lines().find_map(of).expect("a number")

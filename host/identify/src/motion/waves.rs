@@ -1,4 +1,5 @@
-//! How often a push or a friction repeats over position: by what waves of each number explain of what a model leaves of windows.
+//! Search for the number of waves of a push or a friction over position, by the residual of the weak form that each
+//! explains.
 
 use std::f64::consts::TAU;
 
@@ -12,19 +13,19 @@ use super::{
     weak::{Rest, Seen},
 };
 
-/// Number of waves from which a fit begins, no two nearer than the motion can tell apart.
+/// Number of waves from which fits begin, no two nearer than the motion can resolve.
 const OFFERED: usize = 2;
 /// Largest number of waves that are tried, evenly spaced.
 const MOST: f64 = 256.0;
-/// Waves tried within what the motion can tell apart, which is one period more over all of the way.
+/// Number of waves tried within the resolution of the motion, which is one period more over the whole travel.
 const STEPS: f64 = 4.0;
-/// Most periods of a turn, and of the way of a linear axis, that are looked for.
+/// Largest number of periods in a turn, and over the travel of a linear axis.
 const MOST_PER_TURN: f64 = 16.0;
 const MOST_PER_WAY: f64 = 16.0;
-/// Fewest over the way: less than that is a slope.
+/// Smallest number of periods over the travel: fewer are a slope.
 const FEWEST: f64 = 0.5;
 
-/// Fewest and most periods that are looked for, of a turn or of a metre.
+/// Returns the smallest and largest number of periods per turn or metre.
 pub(super) fn within(rotary: bool, distance: f64) -> [f64; 2] {
     if rotary {
         let fewest = FEWEST * TAU / distance;
@@ -34,7 +35,7 @@ pub(super) fn within(rotary: bool, distance: f64) -> [f64; 2] {
     }
 }
 
-/// What a wave explains, and its size and phase.
+/// Reduction of the sum of squares by a wave, with its amplitude and phase.
 #[derive(Clone, Copy, Debug)]
 struct Told {
     periods: f64,
@@ -44,14 +45,14 @@ struct Told {
 }
 
 impl Motion {
-    /// Whether a term repeats over position, as often as its last number says.
+    /// Returns the effect of a term whose last parameter is its number of waves over position; `None` for others.
     pub(super) fn waving(&self, term: &Term) -> Option<Effect> {
         let Term::Known(index) = term else { return None };
         let effect = self.effects[*index];
         matches!(effect, Effect::Cogging | Effect::PositionFriction).then_some(effect)
     }
 
-    /// The model with one wave added: those waves that explain most of its residual.
+    /// Returns the model with one wave added: those waves that explain most of its residual.
     pub(super) fn by_waves(&self, term: &Term, effect: Effect, rest: &Rest<'_>) -> Vec<Structure> {
         let [fewest, most] = self.scales.periods_within;
         let per_unit = self.radians_per_period();
@@ -61,6 +62,7 @@ impl Motion {
         let count = ((most - fewest) / step).max(0.0) as u32;
         let mut told: Vec<Told> =
             (0..=count).map(|number| lacking.told(fewest + f64::from(number) * step, per_unit)).collect();
+        // Best first: a later one that the motion cannot distinguish from it is dropped.
         told.sort_by(|a, b| b.explained.total_cmp(&a.explained));
         let mut best: Vec<Told> = Vec::new();
         for one in told {
@@ -78,16 +80,16 @@ impl Motion {
     }
 }
 
-/// One recording's windows, with what the rest of the model cannot explain.
+/// Windows of one recording, with the part of their residual that the rest of the model cannot explain.
 struct Beyond<'r> {
     seen: &'r Seen,
-    /// An orthonormal basis of what moves with the model's numbers.
+    /// Orthonormal basis of the sensitivities to the model's parameters.
     basis: DMatrix<f64>,
     left: DVector<f64>,
 }
 
 impl Beyond<'_> {
-    /// Without what the rest of the model can do as well.
+    /// Returns the windows' integrals of a series without the part that the rest of the model can reproduce.
     fn alone(&self, series: &[f64]) -> DVector<f64> {
         let sums = DVector::from_iterator(self.left.len(), self.seen.windows.sums(series));
         &sums - &self.basis * (self.basis.transpose() * &sums)
@@ -96,9 +98,9 @@ impl Beyond<'_> {
 
 struct Lacking<'r> {
     recordings: Vec<Beyond<'r>>,
-    /// A friction, which is against the motion; half of its size is always there.
+    /// True for a friction, which opposes the motion; half of its amplitude is its mean.
     friction: bool,
-    /// Recordings begin nobody knows where: each has a phase of its own.
+    /// True if recordings begin at unknown positions, so that each has a phase of its own.
     apart: bool,
 }
 
@@ -112,6 +114,7 @@ impl<'r> Lacking<'r> {
             let basis = if moving.is_empty() {
                 DMatrix::zeros(slopes.nrows(), 0)
             } else {
+                // Singular values below 1e-6 of the normalised sensitivities belong to collinear parameters.
                 let svd = DMatrix::from_columns(&moving).svd(true, false);
                 let kept = svd.singular_values.iter().filter(|&&value| value > 1e-6).count();
                 svd.u.map_or_else(|| DMatrix::zeros(slopes.nrows(), 0), |u| u.columns(0, kept).into_owned())
@@ -160,7 +163,8 @@ impl<'r> Lacking<'r> {
         all
     }
 
-    /// What least squares explain; size and phase are those of the first.
+    /// Adds the reduction of the sum of squares by least squares; amplitude and phase are those of the first
+    /// recording.
     fn add(&self, all: &mut Told, (mut normal, right): (DMatrix<f64>, DVector<f64>)) {
         let smallest = 1e-9 * normal.diagonal().max();
         normal.set_diagonal(&normal.diagonal().add_scalar(smallest));

@@ -1,15 +1,17 @@
-//! An axis without free runs: what a model says pushes it, against what its motion says pushed it.
+//! Weak form of an axis' equation of motion: the model's accelerations against the measured motion, without free-run
+//! simulation.
 //!
-//! A free run adds up whatever its model lacks, until a fit that begins far off follows the wrong things. Here the motion is
-//! taken as it was measured, and the equation of motion `q'' = a(q, q', t)` is compared over windows. Each window has a weight
-//! `w` that vanishes with its slope at both ends, so that no measurement is differentiated:
+//! The error of a free-run simulation grows with whatever the model lacks, until a fit that begins far off follows
+//! the wrong things. Here the motion is taken as measured, and the equation of motion `q'' = a(q, q', t)` is compared
+//! over windows. Each window has a weight `w` that vanishes with its slope at both ends, so that no measurement is
+//! differentiated:
 //!
 //! ```text
 //! ∫ w'' q dt = ∫ w a dt        for a position
 //! -∫ w' v dt = ∫ w a dt        for a speed
 //! ```
 //!
-//! Noise on the motion makes such numbers a little wrong: they are places to begin from, no results.
+//! Noise on the motion biases such estimates a little: they are initial guesses, not results.
 //!
 //! # Source
 //! M. Shinbrot, *On the analysis of linear and nonlinear systems*, Trans. ASME 79 (1957), 547-552 (modulating functions).
@@ -32,43 +34,43 @@ use super::{
     smooth::Smooth,
 };
 
-/// Half the lengths of windows, in the shortest.
+/// Half lengths of the windows, as multiples of the shortest.
 const LENGTHS: [f64; 3] = [1.0, 2.5, 6.0];
-/// Half the shortest window: so long, s, and so many samples.
+/// Half length of the shortest window: the longer of this time, s, and this number of samples.
 pub(super) const SHORTEST_S: f64 = 0.06;
 const SHORTEST_SAMPLES: f64 = 8.0;
-/// Deviations of the noise beyond which a way back is one, and a speed is not rest.
+/// Standard errors beyond which a way back is a reversal, and a speed is not rest.
 const CERTAIN: f64 = 4.0;
-/// Windows overlap by half, and the longer ones say again what the shortest say.
+/// Number of windows per independent one: they overlap by half, and the longer ones repeat the shortest.
 const OVERLAP: f64 = 3.0;
-/// Times that a line is followed to the base: friction at rest bends it.
+/// Iterations of the linear solution for the base parameters, which friction at rest makes nonlinear.
 const LINES: usize = 2;
-/// So many of several starts are fitted further.
+/// Number of the best starts that are fitted further.
 const FURTHER: usize = 2;
 
-/// A recording as its windows see it.
+/// A recording in the weak form.
 #[derive(Clone, Debug)]
 pub(super) struct Windows {
-    /// From each sample to the next.
+    /// Motion from each sample to the next.
     pub(super) moved: Vec<Moved>,
     /// Least travel distinguishable from noise, in the position's unit.
     least_travel: f64,
     pub(super) windows: Vec<Window>,
-    /// Of each window, in deviations that white noise on the measurements gives it.
+    /// Integral of the measurements in each window, in standard deviations that white noise on them gives it.
     measured: Vec<f64>,
 }
 
 #[derive(Clone, Debug)]
 pub(super) struct Window {
     from: usize,
-    /// From each sample to the next, in the inverse of that deviation.
+    /// Weights from each sample to the next, divided by that standard deviation.
     weights: Vec<f64>,
 }
 
 impl Window {
     pub(super) fn sum(&self, series: &[f64]) -> f64 {
         let (weights, values) = (&self.weights[..], &series[self.from..][..self.weights.len()]);
-        // Four sums side by side: one waits for each addition before the next.
+        // Four independent sums: a single one would wait for each addition.
         let mut sums = [0.0; 4];
         let whole = weights.len() - weights.len() % 4;
         for place in (0..whole).step_by(4) {
@@ -87,7 +89,7 @@ impl Window {
     }
 }
 
-/// `(1 - x²)³`, its first and second derivative.
+/// Returns `(1 - x²)³` with its first and second derivative.
 fn weight(x: f64) -> [f64; 3] {
     let inside = 1.0 - x * x;
     [inside.powi(3), -6.0 * x * inside.powi(2), inside * (30.0 * x * x - 6.0)]
@@ -118,7 +120,7 @@ impl Windows {
         (!all.windows.is_empty()).then_some(all)
     }
 
-    /// What a series from each sample to the next comes to in each window.
+    /// Returns the integral of a series (from each sample to the next) in each window.
     pub(super) fn sums<'w>(&'w self, series: &'w [f64]) -> impl Iterator<Item = f64> + 'w {
         self.windows.iter().map(|window| window.sum(series))
     }
@@ -132,12 +134,13 @@ impl Windows {
         (at_s, half_s): (f64, f64),
         Range { start: from, end: to }: Range<usize>,
     ) {
-        // Of a line, the integrals are nothing; the sums over uneven samples are not.
+        // The integrals of a line vanish, but its sums over uneven samples do not, so the line is subtracted.
         let slope = (smooth.value[to - 1] - smooth.value[from]) / (time_s[to - 1] - time_s[from]);
         let (mut sum, mut square) = (0.0, 0.0);
         for sample in from..to {
             let before_s = time_s[sample.saturating_sub(1).max(from)];
             let after_s = time_s[(sample + 1).min(to - 1)];
+            // Trapezoidal rule for uneven samples.
             let share_s = 0.5 * (after_s - before_s);
             let [_, first, second] = weight((time_s[sample] - at_s) / half_s);
             let factor = share_s * if of_speed { -first / half_s } else { second / (half_s * half_s) };
@@ -155,9 +158,9 @@ impl Windows {
     }
 }
 
-/// A recording as a centred sensor would have made it; `None` where the sensor went backwards.
+/// Returns a recording as a centred sensor would have made it; `None` if the eccentric sensor went backwards.
 fn centred(run: &MotionRun, amplitude_rad: f64, phase_rad: f64) -> Option<MotionRun> {
-    /// An amplitude of 1 stands still once a turn, and beyond it the sensor goes backwards.
+    /// At an amplitude of 1 the reading stands still once a turn, and beyond it goes backwards.
     const LARGEST_RAD: f64 = 0.9;
     if amplitude_rad.is_nan() || amplitude_rad.abs() > LARGEST_RAD {
         return None;
@@ -166,7 +169,8 @@ fn centred(run: &MotionRun, amplitude_rad: f64, phase_rad: f64) -> Option<Motion
     Some(run.measuring(run.all.measured.iter().map(angle_rad).collect()))
 }
 
-/// The angle, rad, at which a sensor with this eccentricity shows `measured_rad`: by Newton's method, to rounding for amplitudes up to 0.9.
+/// Returns the angle, rad, at which a sensor with this eccentricity reads `measured_rad`: by Newton's method, to
+/// rounding for amplitudes up to 0.9.
 fn centred_rad(measured_rad: f64, amplitude_rad: f64, phase_rad: f64) -> f64 {
     let mut angle_rad = measured_rad;
     for _ in 0..8 {
@@ -176,19 +180,19 @@ fn centred_rad(measured_rad: f64, amplitude_rad: f64, phase_rad: f64) -> f64 {
     angle_rad
 }
 
-/// The samples between two moments.
+/// Returns the samples between two times.
 fn inside(time_s: &[f64], (from_s, to_s): (f64, f64)) -> Range<usize> {
     time_s.partition_point(|&time_s| time_s < from_s)..time_s.partition_point(|&time_s| time_s <= to_s)
 }
 
-/// The sample that ends the last step longer than `longest_s` of those that a window reaches into.
+/// Returns the sample behind the last gap longer than `longest_s` that a window reaches into.
 fn last_gap(time_s: &[f64], begin_s: f64, samples: &Range<usize>, longest_s: f64) -> Option<usize> {
     let begins_there = time_s.get(samples.start) == Some(&begin_s);
     let first = if begins_there { samples.start + 1 } else { samples.start.max(1) };
     (first..(samples.end + 1).min(time_s.len())).rfind(|&sample| time_s[sample] - time_s[sample - 1] > longest_s)
 }
 
-/// The motion between samples, with its turns, and [`Windows::least_travel`].
+/// Returns the motion between samples with its reversals, and [`Windows::least_travel`].
 fn moved(time_s: &[f64], smooth: &Smooth, of_speed: bool) -> (Vec<Moved>, f64) {
     let (position, speed, [position_noise, rest]) = if of_speed {
         let mut position = vec![0.0; time_s.len()];
@@ -221,18 +225,18 @@ fn moved(time_s: &[f64], smooth: &Smooth, of_speed: bool) -> (Vec<Moved>, f64) {
     (moved, least_travel)
 }
 
-/// How an axis last turned.
+/// Last reversal of an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Turn {
-    /// In which it goes since; 0 before it first moved.
+    /// Direction of motion since the reversal; 0 before the first motion.
     direction: f64,
-    /// Where.
+    /// Position of the reversal.
     reversal: f64,
-    /// When; not known of the first motion.
+    /// Sample of the reversal; `None` for the begin of the first motion.
     sample: Option<usize>,
 }
 
-/// How the motion last turned, at each sample; a way back that is shorter than `certain` is none.
+/// Returns the last reversal at each sample; a way back shorter than `certain` does not count.
 fn turns(position: &[f64], certain: f64) -> Vec<Turn> {
     let first = position.first().copied().unwrap_or(0.0);
     let mut turned = Vec::with_capacity(position.len());
@@ -243,7 +247,7 @@ fn turns(position: &[f64], certain: f64) -> Vec<Turn> {
         if ahead * direction > 0.0 {
             extreme = sample;
         } else if ahead.abs() > certain {
-            // It turned at the extreme, which is known only now; if it held there, when it came there.
+            // The axis reversed at the extreme, which is known only now; if it rested there, at its arrival.
             let held = (0..extreme).rev().take_while(|&at| (position[at] - position[extreme]).abs() < 0.5 * certain);
             let came = held.last().unwrap_or(extreme);
             let sample_turned = (direction != 0.0).then_some(came);
@@ -262,33 +266,33 @@ fn turns(position: &[f64], certain: f64) -> Vec<Turn> {
 pub(super) struct Seen {
     pub(super) run: MotionRun,
     pub(super) windows: Arc<Windows>,
-    /// By how much it began elsewhere than it says, by the model that it is looked at with.
+    /// Offset of its initial position from the recorded one, under the current model.
     began: f64,
 }
 
-/// A model of an axis, windows for its output.
+/// Model of an axis whose output is the integrals over windows.
 pub(super) struct Weak<'m> {
     motion: &'m Motion,
     began: Began,
 }
 
-/// A model as it was fitted to windows.
+/// Model that was fitted in the weak form.
 pub(super) struct Rest<'m> {
     pub(super) weak: Weak<'m>,
     pub(super) fit: Fit,
     pub(super) seen: Vec<Seen>,
-    /// What it leaves of each window of each recording.
+    /// Residual of each window of each recording.
     pub(super) left: Vec<Vec<f64>>,
 }
 
-/// Where recordings began whose position is not recorded.
+/// Initial position of recordings in which it is not recorded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Began {
-    /// It does not matter, or is recorded.
+    /// The initial position is recorded or irrelevant.
     Anywhere,
-    /// Where the model has it that is added to.
+    /// The initial position is known from the model to which terms are added.
     There,
-    /// That model knows nothing of it: it is sought.
+    /// That model does not depend on the position, so it is searched for.
     Somewhere,
 }
 
@@ -385,17 +389,18 @@ impl Motion {
         windows.as_ref()
     }
 
-    /// Least travel in a recording distinguishable from noise, in the position's unit; 0 if it is too short for windows.
+    /// Returns the least travel in a recording distinguishable from noise, in the position's unit; 0 if it is too
+    /// short for windows.
     pub(super) fn least_travel(&self, run: &MotionRun) -> f64 {
         self.windows(run).map_or(0.0, |windows| windows.least_travel)
     }
 
-    /// How a recording moved before a run that is a part of it, as far as that is seen.
+    /// Returns the motion of a recording before a run that is a part of it; `None` if it has no windows.
     pub(super) fn moved_before<'r>(&self, run: &'r MotionRun) -> Option<&'r [Moved]> {
         self.windows(run)?.moved.get(..=run.from)
     }
 
-    /// The motion of recordings, as it was measured, and when.
+    /// Returns the measured motion of recordings with its times; `None` if a model hides it.
     pub(super) fn moved(&self, current: &Fit, runs: &[&MotionRun]) -> Option<Vec<(Moved, f64)>> {
         let seen =
             self.is_seen(&current.structure).then(|| self.seen(&current.structure, &current.initial, runs))??;
@@ -417,8 +422,9 @@ impl Motion {
         Some((all as f64 / OVERLAP).max(2.0))
     }
 
-    /// Where a fit with one more term can begin. A damping that a fit ran away from is one again that shows: from next to nothing, no
-    /// slope leads back, nor from more than a sample shows. Stamps that stood in for what was missing are right again.
+    /// Returns a structure from which a fit with one more term can start. A damping that a fit drove to a limit is
+    /// set to a visible value: from nearly 0, or from more than a sample shows, the gradient vanishes. Errors of the
+    /// stamps that absorbed what was missing are set to 0.
     pub(super) fn movable(&self, structure: Structure) -> Structure {
         let mut structure = self.with_true_stamps(structure);
         let (base, longest_s) = (&mut structure.base, self.scales.duration_s);
@@ -433,8 +439,8 @@ impl Motion {
         structure
     }
 
-    /// The recordings as windows see them, and a model for structures of the same terms, which add to `current`; `None` where
-    /// it cannot be.
+    /// Returns the weak form for structures of the same terms that extend `current`, and the recordings; `None` if
+    /// the motion is not visible.
     fn weak(&self, structure: &Structure, current: &Fit, runs: &[&MotionRun]) -> Option<(Weak<'_>, Vec<Seen>)> {
         let seen = self.is_seen(structure).then(|| self.seen(structure, &current.initial, runs))??;
         let began = if !self.of_speed || !is_placed(self, structure) {
@@ -447,13 +453,13 @@ impl Motion {
         Some((Weak { motion: self, began }, seen))
     }
 
-    /// What a structure that adds to `current` leaves of the windows, about.
+    /// Returns the approximate cost in windows of a structure that extends `current`.
     pub(super) fn left_over_windows(&self, structure: Structure, current: &Fit, runs: &[&MotionRun]) -> Option<f64> {
         let (weak, seen) = self.weak(&structure, current, runs)?;
         Some(weak.best(vec![self.movable(structure)], &seen, Effort::SCREEN, 1).pop()?.cost)
     }
 
-    /// A model fitted to windows, and what it leaves of them.
+    /// Fits a model in windows, and returns it with the residual of each.
     pub(super) fn left_in_windows(&self, current: &Fit, runs: &[&MotionRun]) -> Option<Rest<'_>> {
         let (weak, seen) = self.weak(&current.structure, current, runs)?;
         let structure = self.movable(current.structure.clone());
@@ -462,10 +468,10 @@ impl Motion {
         Some(Rest { weak, fit, seen, left })
     }
 
-    /// The best of some structures whose last term is an eccentricity, and of those between them, and what it leaves. Each has windows of
-    /// its own, in which the eccentricity's numbers are no parameters.
+    /// Returns the best structure whose last term is an eccentricity, from the given ones and a pattern search around
+    /// them, with its cost. Each has windows of its own, in which amplitude and phase are fixed.
     fn by_eccentricity(&self, starts: Vec<Structure>, current: &Fit, runs: &[&MotionRun]) -> Option<(Structure, f64)> {
-        /// Steps of amplitude and phase to the first neighbours, rad; halved where none of these is better.
+        /// First steps of amplitude and phase, rad; halved when no neighbour is better.
         const FIRST_STEPS_RAD: [f64; 2] = [0.08, 0.4];
         const ROUNDS: usize = 10;
         let guess = |mut start: Structure| {
@@ -495,7 +501,7 @@ impl Motion {
         Some(found)
     }
 
-    /// The best of some structures of the same terms fitted to windows, and what it leaves.
+    /// Returns the best of some structures of the same terms, fitted in windows, and its cost.
     pub(super) fn weakly(
         &self,
         starts: Vec<Structure>,
@@ -512,7 +518,7 @@ impl Motion {
             let last = parameters(&weak, &start.terms).pop();
             last.is_some_and(|parameter| matches!(parameter.range, family::Range::Coarse { .. }))
         };
-        // Few starts are guesses already, to which terms may have been added that `current` lacks.
+        // A small number of starts are guesses already, to which terms may have been added that `current` lacks.
         let is_new = starts.len() > FURTHER;
         if is_new && starts.first().is_some_and(is_coarse) {
             return self.by_periods(&starts, &self.left_in_windows(current, runs)?);
@@ -536,7 +542,7 @@ impl Motion {
 }
 
 impl Weak<'_> {
-    /// The best of some structures when each is fitted.
+    /// Fits some structures and returns the best `count`, best first.
     fn best(&self, starts: Vec<Structure>, seen: &[Seen], effort: Effort, count: usize) -> Vec<Fit> {
         let seen: Vec<&Seen> = seen.iter().collect();
         let fitted = |structure| {
@@ -549,8 +555,8 @@ impl Weak<'_> {
         fits
     }
 
-    /// A structure whose push per volt and damping are those that leave least of the windows, which depend on both by a line: a
-    /// fit that begins with a base that was bent to stand in for an effect may not come back from there.
+    /// Returns the structure with the push per volt and the damping that fit the windows best, which depend on both
+    /// linearly: a fit may not return from a base that was biased to compensate for a missing effect.
     fn with_base(&self, mut structure: Structure, seen: &[&Seen]) -> Structure {
         if self.motion.is_servo() || self.began != Began::Anywhere {
             return structure;
@@ -585,7 +591,8 @@ impl Weak<'_> {
         structure
     }
 
-    /// Where each recording began; where that is sought, the first one at 0, and by a model of that the others.
+    /// Returns initial positions of the recordings; if they are searched for, the first is 0, and the fit to it gives
+    /// the others.
     fn begun(&self, structure: Structure, seen: &[&Seen], effort: Effort) -> (Structure, Vec<Vec<f64>>) {
         let [first, others @ ..] = seen else { return (structure, vec![]) };
         match self.began {
@@ -605,12 +612,12 @@ impl Weak<'_> {
 }
 
 impl Seen {
-    /// What a model says accelerates it, from each sample to the next; `initial` is empty, or where it began.
+    /// Returns the model's accelerations from each sample to the next; `initial` is empty, or the initial position.
     pub(super) fn accelerations(&self, motion: &Motion, structure: &Structure, initial: &[f64]) -> Vec<f64> {
         self.accelerations_until(f64::INFINITY, motion, structure, initial)
     }
 
-    /// The same until a moment, s since slots of a held value began.
+    /// Returns the accelerations up to a time, s since the slots of a held value began.
     pub(super) fn accelerations_until(
         &self,
         until_s: f64,
@@ -618,7 +625,7 @@ impl Seen {
         structure: &Structure,
         initial: &[f64],
     ) -> Vec<f64> {
-        // Of the stamps, windows say next to nothing: noise on the motion would drive them to the end of their range.
+        // Windows hardly depend on the stamps: noise on the motion would drive their error to the end of its range.
         let structure = &motion.with_true_stamps(structure.clone());
         let offset = initial.first().copied().unwrap_or(0.0);
         let all = &self.run.all;
@@ -641,7 +648,7 @@ mod tests {
                 let (phase_rad, angle_rad) = (f64::from(place / 60) * TAU / 200.0, f64::from(place % 60) * TAU / 60.0);
                 let measured_rad = angle_rad + amplitude_rad * (angle_rad + phase_rad).sin();
                 let off_rad = centred_rad(measured_rad, amplitude_rad, phase_rad) - angle_rad;
-                // Rounding of the angle, over the least slope of 0.1.
+                // Rounding of the angle, over the smallest slope of 0.1.
                 assert!(off_rad.abs() < 1e-13, "{amplitude_rad} rad, {phase_rad} rad at {angle_rad} rad: {off_rad}");
             }
         }
@@ -649,7 +656,7 @@ mod tests {
 
     #[test]
     fn a_turn_is_where_and_when_the_way_back_began() {
-        // There, a rest at 3, back to -1, with steps of noise that are no turns.
+        // Forward, a rest at 3, back to -1, with steps of noise that are no reversals.
         let position = [0.0, 1.0, 2.0, 1.9, 3.0, 3.02, 2.98, 3.0, 2.0, 1.0, 1.05, 0.0, -1.0];
         let turned = turns(&position, 0.2);
         assert_eq!(turned[0], Turn { direction: 1.0, reversal: 0.0, sample: None });
@@ -660,7 +667,7 @@ mod tests {
 
     #[test]
     fn no_window_reaches_over_a_gap() {
-        // 200 Hz but for two pauses, which may be very long ones; one is right behind the first sample.
+        // 200 Hz with two pauses, which may be very long; one is right behind the first sample.
         for gap_s in [0.2, 5.0, 1e9] {
             let paused_s = |n: u32| gap_s * f64::from(u8::from(n >= 1) + u8::from(n >= 401));
             let time_s: Vec<f64> = (0..801).map(|n| 0.005 * f64::from(n) + paused_s(n)).collect();

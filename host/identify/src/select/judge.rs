@@ -1,4 +1,4 @@
-//! Whether what was added is worth having: errors on blocks that were left out of the fit, chance, and size.
+//! Acceptance of added terms: block cross-validation, significance and size.
 
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
@@ -12,36 +12,37 @@ use crate::{
     residual::is_resolved,
 };
 
-/// An effect has to make the error on left-out blocks smaller by this share: less is of no use to anybody, and within
-/// what two correct programs differ by.
+/// Smallest relative reduction of the cross-validated RMSE by an effect: less is of no use, and within the difference
+/// of two correct programs.
 pub(super) const WORTH: f64 = 0.015;
-/// The same for a curve, which has many more numbers and no name.
+/// The same for a curve, which has many more parameters and no name.
 pub(super) const CURVE_WORTH: f64 = 0.03;
-/// Chance, after multiplying by the number of effects tried.
+/// Largest p-value, after multiplying by the number of effects tried.
 const CHANCE: f64 = 0.05;
-/// An effect's size in its own standard deviations.
+/// Smallest size of an effect in its own standard errors.
 pub(super) const LEAST_Z: f64 = 3.0;
-/// The same by what it explains, beyond which nothing else is asked.
+/// Smallest equivalent z from the gain in fit, at which a term needs no z of its own.
 const PLAIN_Z: f64 = 12.0;
-/// Effects whose errors differ by less than this share are rivals.
+/// Relative difference of errors below which effects are rivals.
 const ALIKE: f64 = 0.01;
-/// Number of effects per round that are compared by cross-validation over blocks. For half of it see `FOLLOWED` in [`super::propose`].
+/// Number of effects per round that are compared by block cross-validation. For half of it see `FOLLOWED` in
+/// [`super::propose`].
 const PROMISING: usize = 6;
 /// Largest cost of these, as a multiple of the lowest one. Our choice; other values were not compared.
 const IN_REACH: f64 = 2.0;
 /// Number of trials that are kept because the family ranks them best. Our choice; other values were not compared.
 const GUESSES: usize = 2;
 
-/// Errors of models that were each fitted to one half of the blocks.
+/// Cross-validation errors of models that were each fitted to one half of the blocks.
 #[derive(Clone, Debug)]
 pub(super) struct Blocked {
-    /// The mean square error of each block that was left out, and the samples behind it.
+    /// Mean square error of each held-out block, and its number of samples.
     pub(super) blocks: Vec<(f64, usize)>,
-    /// Mean square error of the same models over whole runs: what adds up from block to block shows here only.
+    /// Mean square error of the same models over whole runs, where errors that accumulate from block to block show.
     pub(super) whole: f64,
 }
 
-/// A trial with its cross-validation.
+/// Trial with its cross-validation and standard errors.
 pub(super) struct Judged {
     pub(super) trial: Trial,
     pub(super) blocked: Blocked,
@@ -76,7 +77,7 @@ impl<F: Family> Search<'_, F> {
         judged
     }
 
-    /// Errors of a structure on each block, fitted to the other half of the blocks.
+    /// Computes the error of a structure on each block, fitted to the other half of the blocks.
     pub(super) fn blocked(&self, from: &Fit) -> Blocked {
         let halves: Vec<_> = [(0, 1), (1, 0)]
             .par_iter()
@@ -105,7 +106,7 @@ impl<F: Family> Search<'_, F> {
         }
     }
 
-    /// The best effect that passes every test, and of the others the test that each failed.
+    /// Returns the best effect that passes every test, and for each of the others the test that it failed.
     pub(super) fn choose(
         &self,
         current: &Fit,
@@ -117,7 +118,7 @@ impl<F: Family> Search<'_, F> {
         let rmse_before = rmse(before);
         let mut others = Vec::new();
         let mut passed: Vec<(Judged, Step)> = Vec::new();
-        // Of the one that leaves the whitest: the noise is the same for all.
+        // The whitest residual has the largest number of independent samples; the noise is the same for all.
         let independent = if with_curves {
             judged.iter().map(|one| independent(self.family, &self.runs, &one.trial.fit)).fold(0.0, f64::max)
         } else {
@@ -176,9 +177,10 @@ impl<F: Family> Search<'_, F> {
         if passed.is_empty() {
             return (None, others);
         }
-        // Among those that do as well as the best, the one whose price is least. So does one with fewer numbers that
-        // explains more of what it was fitted to, and left-out blocks do not tell from the best: one block on which a model
-        // sticks where the axis did not outweighs all others.
+        // Of those as good as the best, the one with the lowest information criterion wins. A term with fewer
+        // parameters counts as as good if it explains more of the fitted data and the held-out blocks do not
+        // distinguish it from the best: a single block in which a model sticks and the axis did not would outweigh
+        // all others.
         let (best, its) = &passed[0];
         let corners = |judged: &Judged| corners(&judged.trial.fit);
         let is_alike = |(judged, step): &(Judged, Step)| {
@@ -214,7 +216,7 @@ impl<F: Family> Search<'_, F> {
         (Some((step, winner.trial.fit)), others)
     }
 
-    /// Whether a gain in RMSE is more than a trifle beside what the sensor resolves.
+    /// Returns whether a gain in RMSE is noticeable beside the sensor's resolution.
     pub(super) fn is_resolved(&self, before: f64, after: f64) -> bool {
         is_resolved(self.family, &self.whole, [before, after].map(|rmse| rmse * rmse))
     }
@@ -227,8 +229,9 @@ impl<F: Family> Search<'_, F> {
         price(samples, with.cost, numbers(&with)) + TOLD_APART < price(samples, without.cost, numbers(&without))
     }
 
-    /// Chance of such a gain without the effect: by the blocks, paired, or by the variance explained (F), whichever is
-    /// clearer. The former takes any noise, the latter an effect that shows in few blocks.
+    /// Returns the p-value of a gain without the effect: by paired blocks (t-test), or by the explained variance
+    /// (F-test), whichever is smaller. The former allows any noise, the latter detects an effect that shows in few
+    /// blocks.
     fn chance(&self, current: &Fit, before: &Blocked, candidate: &Judged) -> f64 {
         let fit = &candidate.trial.fit;
         let independent = independent(self.family, &self.runs, fit);
@@ -239,8 +242,9 @@ impl<F: Family> Search<'_, F> {
         by_variance.min(paired(before, &candidate.blocked))
     }
 
-    /// Distance of the effect from its absence, in standard errors (z). An effect collinear with another number, such as one of two similar
-    /// lags, has a large standard error of its own: it is then accepted by its gain in fit instead, as the equivalent z.
+    /// Returns the distance of the effect from its absence, in standard errors (z). An effect collinear with another
+    /// number, such as one of two similar lags, has a large standard error of its own: it is then accepted by its
+    /// gain in fit instead, as the equivalent z.
     pub(super) fn size(&self, without: &Fit, fit: &Fit, deviations: &[Option<f64>], place: usize) -> f64 {
         let Some(z) = self.own_size(&fit.structure, deviations, place) else { return f64::INFINITY };
         if z >= LEAST_Z {
@@ -250,8 +254,8 @@ impl<F: Family> Search<'_, F> {
         if explained.sqrt() >= PLAIN_Z { explained.sqrt() } else { z }
     }
 
-    /// z by the standard errors alone; `None` of a term without a size, such as a curve, whose corners are collinear with the slope and mean
-    /// of the base model.
+    /// Returns z by the standard errors alone; `None` for a term without a size, such as a curve, whose knots are
+    /// collinear with the slope and mean of the base model.
     pub(super) fn own_size(&self, structure: &Structure, deviations: &[Option<f64>], place: usize) -> Option<f64> {
         if matches!(structure.terms[place], Term::Curve(_)) {
             return None;
@@ -260,13 +264,13 @@ impl<F: Family> Search<'_, F> {
         let values = &structure.added[place];
         let from = structure.base.len() + structure.added[..place].iter().map(Vec::len).sum::<usize>();
         let sizes = parameters[from..].iter().zip(values).zip(&deviations[from..]);
-        // Of several sizes (both directions, for one) one must be there.
+        // Of several sizes (such as both directions) one must be significant.
         let z = sizes.filter_map(|((parameter, &value), &deviation)| parameter.deviations_off(value, deviation));
         z.reduce(f64::max)
     }
 }
 
-/// Cross-validated RMSE over all left-out blocks, in the output's unit.
+/// Returns the cross-validated RMSE over all held-out blocks, in the output's unit.
 pub(super) fn rmse(blocked: &Blocked) -> f64 {
     let samples: usize = blocked.blocks.iter().map(|block| block.1).sum();
     (blocked.blocks.iter().map(|block| block.0 * block.1 as f64).sum::<f64>() / samples.max(1) as f64).sqrt()
@@ -282,12 +286,13 @@ fn promising(trials: &mut Vec<Trial>, count: usize) {
     trials.append(&mut rest);
 }
 
-/// Numbers of the term that was added last.
+/// Returns the number of parameters of the term that was added last.
 pub(super) fn corners(fit: &Fit) -> usize {
     fit.structure.added.last().map_or(0, Vec::len)
 }
 
-/// Chance that the first's blocks are not worse than the second's, by the logarithms of their errors (Student, one side).
+/// Returns the p-value that the first's blocks are not worse than the second's, by a one-sided t-test of the
+/// logarithms of their errors.
 pub(super) fn paired(worse: &Blocked, better: &Blocked) -> f64 {
     let gains: Vec<f64> = worse
         .blocks

@@ -1,9 +1,10 @@
-//! Which effects the data ask for: forward selection with removal, judged on blocks that were left out of the fit.
+//! Selection of effects that the data support: forward selection with removal, by block cross-validation.
 //!
-//! Each round fits every effect that is not yet in (`propose`), keeps the most promising, and fits these again on one half of the
-//! blocks to predict the other, and the other way round (`judge`). An effect is taken if it makes the blocks' error smaller by more
-//! than a trifle and by more than chance. Where one is not enough, two are tried at once (`pair`), and what was taken is looked at
-//! again beside what came later (`trim`). Effects with names come first; what these leave is offered to curves.
+//! Each round fits every effect that is not yet included (`propose`), keeps the most promising, and fits these to one
+//! half of the blocks to predict the other, and vice versa (`judge`). An effect is accepted if it reduces the blocks'
+//! error by more than a noticeable share and by more than chance. Where one is not enough, two are tried at once
+//! (`pair`), and accepted terms are revised beside later ones (`trim`). Effects with names come first; curves may
+//! explain the remaining residual.
 
 mod judge;
 mod pair;
@@ -28,12 +29,13 @@ use crate::{
     residual::{is_rounding, is_white, largest_correlation, left},
 };
 
-/// Largest cross-validated RMSE of named effects alone, as a multiple of that with curves, at which the names are kept: our choice of what a
-/// name is worth.
+/// Largest ratio of the cross-validated RMSE of named effects alone to that with curves at which the names are kept.
+/// Our choice.
 const AS_GOOD: f64 = 1.15;
-/// Where named effects leave at most this share of the output's standard deviation on left-out blocks, curves are not looked for. A curve
-/// is free wherever the recordings do not go: on EMPS, of which names leave 0.29 %, curves over speed and input explain the recording
-/// that they are fitted to 40 times better and another one 14 times worse. Half of it lets them in there.
+/// Largest share of the output's standard deviation that named effects leave on held-out blocks, at which curves are
+/// not tried. A curve is undetermined wherever the recordings have no data: on EMPS, of which names leave 0.29 %,
+/// curves over speed and input explain the recording that they are fitted to 40 times better and another one 14 times
+/// worse. Half of this limit admits them there.
 const ENOUGH: f64 = 0.004;
 /// Largest autocorrelation of a residual at which the search ends: about the share of its variance that is not noise.
 const SMALL: f64 = 0.1;
@@ -44,69 +46,70 @@ const MOST_CURVES: usize = 2;
 const BLOCKS: usize = 12;
 const LEAST_SAMPLES: usize = 40;
 
-/// What became of the data.
+/// Result of the search: base model plus accepted terms.
 #[derive(Clone, Debug)]
 pub struct Found<R> {
-    /// The base model alone.
+    /// Fit of the base model alone.
     pub base: Fit,
-    /// What was added, in order; structures after each.
+    /// Accepted terms, in order.
     pub steps: Vec<Step>,
-    /// Base model and all terms.
+    /// Fit of the base model with all accepted terms.
     pub last: Fit,
-    /// The last model as it was fitted, and to what: the recordings, or blocks of them.
+    /// Last model as it was fitted, with the runs it was fitted to: the recordings, or blocks of them.
     pub fitted: (Fit, Vec<R>),
-    /// Of the last model's parameters.
+    /// Standard errors of the last model's parameters; `None` where the data do not determine one.
     pub deviations: Vec<Option<f64>>,
-    /// Terms that were tried and not accepted, or removed later, in order of their error on left-out blocks.
+    /// Terms that were tried and not accepted, or removed later, in order of their error on held-out blocks.
     pub rejected: Vec<Rejected>,
-    /// The time was over before every effect had been looked for.
+    /// True if time ran out before every effect was tried.
     pub is_cut_short: bool,
 }
 
-/// A term that was taken.
+/// Term that was accepted, with its evidence.
 #[derive(Clone, Debug)]
 pub struct Step {
-    /// The effect of the catalogue, or the curve.
+    /// Effect of the catalogue, or curve.
     pub term: Term,
-    /// The model with it and those terms before it that stayed, over whole runs.
+    /// Model with this term and the remaining ones before it, over whole runs.
     pub fit: Fit,
-    /// The same as it was fitted.
+    /// The same model, over the runs that it was fitted to.
     pub own: Fit,
-    /// Errors on left-out blocks without and with it.
+    /// Cross-validated RMSE without and with the term.
     pub blocked_rmse: [f64; 2],
-    /// Chance of such a gain, times the number of effects tried.
+    /// P-value of the gain, times the number of effects tried.
     pub p_value: f64,
-    /// Blocks that got better, of all.
+    /// Number of blocks whose error fell, and number of all blocks.
     pub blocks_better: [usize; 2],
-    /// Size of the effect in its standard deviations; infinite where the effect has no size.
+    /// Size of the effect in standard errors; infinite for a term without a size.
     pub z: f64,
-    /// Effects that do as well: their index, and error on blocks.
+    /// Effects that do equally well: their index, and cross-validated RMSE.
     pub rivals: Vec<(usize, f64)>,
 }
 
 struct Search<'s, F: Family> {
     family: &'s F,
-    /// The recordings that are fitted to, each as a whole.
+    /// Whole recordings that are fitted to.
     whole: Vec<&'s F::Run>,
-    /// What effects are looked for on: whole runs, or the blocks of both halves.
+    /// Runs that effects are searched on: whole recordings, or the blocks of both halves.
     runs: Vec<&'s F::Run>,
     halves: &'s [Vec<F::Run>; 2],
     progress: &'s (dyn Fn(&str) + Sync),
-    /// When to stop looking for effects.
+    /// Time at which the search ends; `None` for no limit.
     until: Option<Instant>,
 }
 
-/// What a search leaves out.
+/// Limits of a search.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Limits {
-    /// A moment after which no further effect is looked for. What is found then depends on how fast the machine is.
+    /// Time after which no further effect is tried; the result then depends on the speed of the machine.
     pub(crate) until: Option<Instant>,
-    /// No curves: of a faulty recording, they would learn its fault.
+    /// True to try no curves, which would learn the fault of a faulty recording.
     pub(crate) names_only: bool,
 }
 
 impl<R> Found<R> {
-    /// Result of a search: base model plus accepted terms; `runs` are those that the last model was fitted to.
+    /// Assembles the result of a search: base model plus accepted terms; `runs` are those that the last model was
+    /// fitted to.
     fn of<F: Family<Run = R>>(
         family: &F,
         base: Fit,
@@ -126,13 +129,13 @@ impl<R> Found<R> {
     }
 }
 
-/// How far a search has come.
+/// State of a search.
 #[derive(Clone)]
 struct Path {
     current: Fit,
     steps: Vec<Step>,
     rejected: Vec<Rejected>,
-    /// What named effects alone came to, if there are curves.
+    /// State with named effects alone, if there are curves.
     named: Option<Box<Path>>,
 }
 
@@ -144,14 +147,15 @@ impl Path {
 
 /// Searches for effects missing from the base model.
 ///
-/// On whole runs, names first, then curves for what they leave. Where that does not explain everything, the same on blocks:
-/// what is missing adds up over a long free run until nothing else can be seen. Where that does not either, or it takes names
-/// and curves, on blocks with a curve first: an effect without a name is otherwise partly explained by unrelated named ones.
+/// First on whole runs, with named effects, then curves for their residual. If that does not explain everything, the
+/// search is repeated on blocks: a missing effect accumulates over a long free-run simulation until nothing else is
+/// visible. If that does not help either, or if it accepts both names and curves, on blocks with a curve first: an
+/// effect without a name is otherwise partly explained by unrelated named ones.
 pub fn search<F: Family>(family: &F, train: &[F::Run], progress: &(dyn Fn(&str) + Sync)) -> Found<F::Run> {
     search_within(family, train, progress, Limits::default())
 }
 
-/// As [`search`], within limits.
+/// Searches as [`search`] does, within limits.
 pub(crate) fn search_within<F: Family>(
     family: &F,
     train: &[F::Run],
@@ -172,7 +176,7 @@ pub(crate) fn search_within<F: Family>(
     };
     let base_on_blocks = std::cell::LazyCell::new(|| on_blocks.on(&blocks, &base, Effort::COMPARE));
     for order in orders {
-        // A name beside a curve may only mend what was learned after it.
+        // A named effect beside a curve may only correct what the curve absorbed.
         let is_mixed = path.has_curves() && path.current.structure.curves().count() < path.steps.len();
         if search.is_over() || (is_explained(&path) || order[0] && search.is_enough(&path)) && !(order[0] && is_mixed) {
             continue;
@@ -201,14 +205,14 @@ pub(crate) fn search_within<F: Family>(
     Found { is_cut_short: search.is_over(), ..search.told(path, &base, train, &blocks) }
 }
 
-/// The base model alone, fitted to whole recordings.
+/// Fits the base model alone to whole recordings.
 pub(crate) fn base<F: Family>(family: &F, train: &[F::Run]) -> Fit {
     let whole: Vec<&F::Run> = train.iter().collect();
     let halves = &[Vec::new(), Vec::new()];
     Search { family, whole: whole.clone(), runs: whole, halves, progress: &|_| (), until: None }.base()
 }
 
-/// Blocks of all runs, alternately in one half and the other. Whole runs where there are many.
+/// Returns blocks of all runs, alternately in one half and the other; whole runs if there are many.
 fn halves<F: Family>(family: &F, runs: &[F::Run]) -> [Vec<F::Run>; 2] {
     let mut halves = [Vec::new(), Vec::new()];
     let each = if runs.len() >= BLOCKS { 1 } else { BLOCKS.div_ceil(runs.len().max(1)) };
@@ -221,30 +225,30 @@ fn halves<F: Family>(family: &F, runs: &[F::Run]) -> [Vec<F::Run>; 2] {
             halves[next % 2].push(part);
             next += 1;
         }
-        // So that the same part of every run is not always in the same half.
+        // The same part of every run must not always be in the same half.
         next += usize::from(blocks % 2 == 0);
     }
     halves
 }
 
-/// Numbers of all that was added to the base model.
+/// Returns the number of all parameters that were added to the base model.
 fn numbers(fit: &Fit) -> usize {
     fit.structure.added.iter().map(Vec::len).sum()
 }
 
-/// Whether free runs of a model begin with a state.
+/// Returns whether the model has an initial state, that is memory.
 fn has_memory(fit: &Fit) -> bool {
     fit.initial.iter().any(|initial| !initial.is_empty())
 }
 
-/// What a term depends on, for reports.
+/// Returns the quantities that a term depends on, for reports.
 #[must_use]
 pub fn depends_on<F: Family>(family: &F, term: &Term) -> Vec<Dependence> {
     match term {
         Term::Known(index) => family.catalogue()[*index].depends_on.to_vec(),
         Term::Curve(curve) => match curve.acts {
             Acts::Push => vec![curve.over],
-            // A speed has a direction.
+            // A speed has a direction already.
             Acts::Friction if curve.over == Dependence::Speed => vec![curve.over],
             Acts::Friction | Acts::Settling | Acts::Hysteresis => vec![curve.over, Dependence::Direction],
             Acts::Gain => vec![curve.over, Dependence::Input],
@@ -253,7 +257,8 @@ pub fn depends_on<F: Family>(family: &F, term: &Term) -> Vec<Dependence> {
 }
 
 impl<F: Family> Search<'_, F> {
-    /// Result of the search, with the parameters that are reported: fitted with full effort, to blocks where the residual drifts.
+    /// Returns the result of the search, with the reported parameters fitted with full effort, to blocks if the
+    /// residual drifts.
     fn told(&self, mut path: Path, base: &Fit, train: &[F::Run], blocks: &[&F::Run]) -> Found<F::Run> {
         let drifts = self.drifts(&path.current);
         let runs = if drifts { blocks } else { &self.whole };
@@ -263,7 +268,7 @@ impl<F: Family> Search<'_, F> {
         self.prune(runs, &mut path);
         let Path { current, mut steps, rejected, .. } = path;
         for (place, step) in steps.iter_mut().enumerate() {
-            // Terms that came before may have been taken out since.
+            // Earlier terms may have been removed since, so each structure is cut from the last one.
             let mut first = current.structure.clone();
             first.terms.truncate(place + 1);
             first.added.truncate(place + 1);
@@ -275,8 +280,8 @@ impl<F: Family> Search<'_, F> {
         Found::of(self.family, base.clone(), steps, rejected, (train, runs))
     }
 
-    /// Takes all it can of named effects (`false`) and of curves, in turn; of curves that come first, one. Where the first
-    /// turn gives no curve, it ends.
+    /// Accepts as many named effects (`false`) and curves (`true`) as possible, in turns; of curves in the first
+    /// turn, one. Ends if the first turn accepts no curve.
     fn path(&self, base: Fit, order: &[bool]) -> Path {
         let mut path = Path { current: base, steps: vec![], rejected: vec![], named: None };
         for (place, &with_curves) in order.iter().enumerate() {
@@ -296,9 +301,10 @@ impl<F: Family> Search<'_, F> {
         self.until.is_some_and(|until| Instant::now() >= until)
     }
 
-    /// Whether the residual is noise: at the sensor's resolution, or white and independent of all drivers of the family.
+    /// Returns whether the residual is noise: at the sensor's resolution, or white and independent of all drivers of
+    /// the family.
     fn is_noise(&self, current: &Fit) -> bool {
-        // Only of what goes on from sample to sample does a residual say anything.
+        // Whiteness is only meaningful for samples that follow each other in time.
         if !has_memory(current) {
             return false;
         }
@@ -307,7 +313,7 @@ impl<F: Family> Search<'_, F> {
             || is_white(&residuals) && left(self.family, current, &self.runs).report(0).unexplained.is_empty()
     }
 
-    /// Takes the best of all named effects, or of all curves, if one passes and there is time.
+    /// Accepts the best of all named effects, or of all curves, if one passes the tests and there is time.
     fn extend(&self, path: &mut Path, with_curves: bool) -> bool {
         let curves = path.current.structure.curves().count();
         if self.is_over() || path.steps.len() >= MOST_TERMS || (with_curves && curves >= MOST_CURVES) {
@@ -327,13 +333,13 @@ impl<F: Family> Search<'_, F> {
         let firsts = best_guesses(&begun);
         let judged = self.judge(self.tried(begun));
         if self.is_over() {
-            // Not every effect was tried: the best of those that were is not the best.
+            // Not every effect was tried, so the best of them may not be the best of all.
             return false;
         }
         let (taken, rejected) = self.choose(&path.current, &blocked, judged, tried, with_curves);
         let is_explained = taken.as_ref().is_some_and(|(_, fit)| self.is_noise(fit));
-        // Where something was taken already, 1 of 19 rounds took a pair (tuning pairs 10560000 to 10560011, plants 930000 to 930005): two names
-        // for an effect that has none.
+        // Of 19 rounds after the first accepted term, 1 accepted a pair (tuning pairs 10560000 to 10560011, plants
+        // 930000 to 930005): two names for an effect that has none.
         if !with_curves && !is_explained && path.steps.is_empty() {
             let alone = taken.as_ref().map_or(&path.current, |(_, fit)| fit);
             let pair = self.pair(&path.current, alone, &blocked, firsts);
@@ -367,8 +373,9 @@ impl<F: Family> Search<'_, F> {
         true
     }
 
-    /// Whether a path that began with a curve explains the data better, or as well with less. Numbers that it has more than
-    /// the other have to pay over whole runs: a recording that repeats itself looks alike on all blocks.
+    /// Returns whether a path that began with a curve explains the data better, or equally well with less. Additional
+    /// parameters must pay their complexity penalty over whole runs: the blocks of a periodic recording all look
+    /// alike.
     fn prefers(&self, named: &Path, other: &Path) -> bool {
         let (first, second) = (self.blocked(&named.current), self.blocked(&other.current));
         let better = rmse(&second) < rmse(&first) * (1.0 - CURVE_WORTH);
@@ -382,7 +389,7 @@ impl<F: Family> Search<'_, F> {
         more == 0 || price(independent, whole.cost, more) < price(independent, named.current.cost, 0)
     }
 
-    /// Whether named effects leave so little of left-out blocks that a curve is not worth having.
+    /// Returns whether named effects leave so little error on held-out blocks that a curve is not needed.
     fn is_enough(&self, path: &Path) -> bool {
         let measured = self.whole.iter().flat_map(|run| self.family.measured(run)).copied();
         let measured: Vec<f64> = measured.filter(|value| value.is_finite()).collect();
@@ -390,19 +397,19 @@ impl<F: Family> Search<'_, F> {
         !path.steps.is_empty() && !path.has_curves() && rmse(&self.blocked(&path.current)) <= ENOUGH * deviation
     }
 
-    /// Whether named effects alone explain left-out blocks as well as a model with curves.
+    /// Returns whether named effects alone explain held-out blocks as well as a model with curves.
     fn is_as_good(&self, named: &Path, with_curves: &Path) -> bool {
         let left = |path: &Path| rmse(&self.blocked(&path.current));
         !named.steps.is_empty() && left(named) <= AS_GOOD * left(with_curves)
     }
 
-    /// The same model fitted to other runs.
+    /// Fits the same model to other runs.
     fn on(&self, runs: &[&F::Run], from: &Fit, effort: Effort) -> Fit {
         fit(self.family, runs, from.structure.clone(), self.settled(&from.structure, runs), effort)
     }
 
-    /// Whether an unmodelled effect accumulates over a free-run simulation: parameters are then fitted to blocks, each with an initial state of
-    /// its own.
+    /// Returns whether an unmodelled effect accumulates over a free-run simulation: parameters are then fitted to
+    /// blocks, each with an initial state of its own.
     fn drifts(&self, fit: &Fit) -> bool {
         let residuals = fit.residuals(self.family, &self.whole);
         has_memory(fit) && !is_white(&residuals) && !is_rounding(self.family, &residuals, &self.whole)

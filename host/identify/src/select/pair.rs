@@ -1,4 +1,4 @@
-//! Joint search for two effects, where together they look like neither.
+//! Joint search for two effects whose combination resembles neither.
 
 use rayon::prelude::*;
 
@@ -14,7 +14,8 @@ use crate::{
     fit::{Effort, Fit, fit},
 };
 
-/// Number of first effects to which a second one is added. Our choice, made for speed; other values were not compared.
+/// Number of first effects to which a second one is added. Our choice, made for speed; other values were not
+/// compared.
 const FIRSTS: usize = 3;
 /// Number of pairs that are fitted by free-run simulation. Our choice as well.
 const PAIRS: usize = 4;

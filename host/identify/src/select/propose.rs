@@ -1,4 +1,4 @@
-//! What may be added to a model, and where fits of it begin.
+//! Proposal of terms that may be added to a model, with their initial guesses.
 
 use rayon::prelude::*;
 
@@ -8,44 +8,45 @@ use crate::{
     fit::{self, Effort, Fit, fit},
 };
 
-/// Candidates whose initial guess has a cost above this multiple of the lowest are dropped.
+/// Largest cost of a candidate's initial guess, as a multiple of the lowest; others are dropped.
 const HOPELESS: f64 = 5.0;
-/// Number of the best guesses that are fitted by free-run simulation. With half of it and half of `PROMISING` ([`super::judge`]), wrong
-/// names came first for one more of 12 plants with an effect in no catalogue (tuning seeds 900000 to 900011), and the time was the same. The
-/// other constants here are our choices, made for speed; other values were not compared.
+/// Number of the best guesses that are fitted by free-run simulation. With half of it and half of `PROMISING`
+/// ([`super::judge`]), wrong names came first for one more of 12 plants with an effect in no catalogue (tuning seeds
+/// 900000 to 900011), and the time was the same. The other constants here are our choices, made for speed; other
+/// values were not compared.
 const FOLLOWED: usize = 8;
-/// Guesses that leave at most this multiple of what the best one leaves are fitted more closely first.
+/// Largest cost of a guess, as a multiple of the lowest, at which it is refined first.
 const CLOSE: f64 = 2.5;
-/// Number of these at most: half as many again as are followed. With all, the times of 3 tuning pairs (10560003 to 10560005) are a tenth more
-/// and their results the same.
+/// Largest number of these: half as many again as are followed. With all, the times of 3 tuning pairs (10560003 to
+/// 10560005) are a tenth more and their results the same.
 const REFINED: usize = 12;
 /// Largest ratio of the costs with and without an effect at which candidates that it leads to are tried.
 const LEADING: f64 = 0.97;
-/// An effect with more starts than this is first tried as it is at each, and fitted from the nearest.
+/// Number of starts above which an effect is first evaluated at each without a fit, and fitted from the best only.
 const MOST_STARTS: usize = 24;
 const NEAREST: usize = 3;
 
-/// A term with its fit.
+/// Term with its fit.
 pub(super) struct Trial {
     pub(super) term: Term,
     pub(super) fit: Fit,
-    /// What the family's guess leaves; infinite without one.
+    /// Cost of the family's guess; infinite without one.
     pub(super) guess: f64,
 }
 
-/// Where a fit begins: its structure, and the initial states.
+/// Initial guess of a fit: its structure, and the initial states.
 type Start = (Structure, Vec<Vec<f64>>);
 
-/// A term that may be added, with where its fit may begin.
+/// Term that may be added, with its initial guesses.
 pub(super) struct Begun {
     pub(super) term: Term,
     pub(super) starts: Vec<Start>,
-    /// What the family's guess leaves; infinite without one.
+    /// Cost of the family's guess; infinite without one.
     pub(super) guess: f64,
 }
 
 impl<F: Family> Search<'_, F> {
-    /// A model's structure with one more term.
+    /// Returns a model's structure with one more term.
     fn with(&self, current: &Fit, term: Term, values: &[f64]) -> Structure {
         let mut structure = self.family.movable(current.structure.clone());
         structure.terms.push(term);
@@ -53,7 +54,7 @@ impl<F: Family> Search<'_, F> {
         structure
     }
 
-    /// Every effect that may be added, with where its fit begins.
+    /// Returns every effect that may be added, with its initial guesses.
     pub(super) fn effects(&self, current: &Fit) -> Vec<Begun> {
         let without = self.guess(vec![current.structure.clone()], current, Effort::GLANCE).map(|(_, left)| left);
         let is_led = |(_, candidate): &(usize, &Candidate)| candidate.led_by.is_some();
@@ -64,7 +65,7 @@ impl<F: Family> Search<'_, F> {
         let mut all = begun(others);
         let leads = |led: &Candidate| {
             let leader = all.iter().find(|one| led.led_by.is_some_and(|name| self.term_name(&one.term) == name));
-            // Where nothing guesses, nothing is ruled out.
+            // A family that makes no guesses rules nothing out.
             self.family.is_late(&current.structure)
                 || leader.zip(without).is_none_or(|(leader, without)| leader.guess < LEADING * without)
         };
@@ -73,7 +74,7 @@ impl<F: Family> Search<'_, F> {
         all
     }
 
-    /// Every effect that may be added.
+    /// Returns the effects that are neither included nor excluded by included ones.
     fn open(&self, current: &Fit) -> Vec<(usize, &Candidate)> {
         let catalogue = self.family.catalogue();
         let names: Vec<&str> = current
@@ -88,7 +89,7 @@ impl<F: Family> Search<'_, F> {
         catalogue.iter().enumerate().filter(|(_, candidate)| open(candidate)).collect()
     }
 
-    /// Looks closer at the best guesses.
+    /// Refines the best guesses with more effort.
     pub(super) fn refine(&self, all: &mut [Begun], current: &Fit) {
         all.sort_by(|a, b| a.guess.total_cmp(&b.guess));
         let least = all.first().map_or(f64::INFINITY, |one| one.guess);
@@ -100,8 +101,8 @@ impl<F: Family> Search<'_, F> {
         });
     }
 
-    /// Where an effect's fit begins: where the family guesses, with the rest of the model as it guesses and as it is; else of
-    /// many places, those from which it has least to go.
+    /// Returns the initial guesses of an effect: the family's, with the rest of the model as guessed and unchanged;
+    /// without a guess those of the catalogue's starts that have the lowest cost.
     fn begin(&self, current: &Fit, index: usize, candidate: &Candidate) -> Begun {
         let term = Term::Known(index);
         let with = |values: &Vec<f64>| self.with(current, term.clone(), values);
@@ -109,6 +110,7 @@ impl<F: Family> Search<'_, F> {
         let mut starts: Vec<Structure> = candidate.starts.iter().map(with).collect();
         let by_declared = self.by_declared(&starts);
         if let Some((guessed, guess)) = self.guess(starts.clone(), current, Effort::GLANCE) {
+            // A second start keeps the base as fitted and takes only the effect's values from the guess.
             let same_base = with(guessed.0.added.last().unwrap_or(&vec![]));
             return Begun {
                 starts: [guessed, as_it_is(same_base)].into_iter().chain(by_declared).collect(),
@@ -125,7 +127,7 @@ impl<F: Family> Search<'_, F> {
         Begun { starts: starts.into_iter().map(as_it_is).chain(by_declared).collect(), guess: f64::INFINITY, term }
     }
 
-    /// The best of an effect's starts on the declared base, and the initial states that go with it.
+    /// Returns the best of an effect's starts on the declared base, with matching initial states.
     fn by_declared(&self, starts: &[Structure]) -> Option<Start> {
         let base = self.family.declared()?;
         let cost = |start: &Structure| {
@@ -137,14 +139,14 @@ impl<F: Family> Search<'_, F> {
         all.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, start)| start)
     }
 
-    /// What the family guesses, with initial states by how each run begins, and what the guess leaves.
+    /// Returns the family's guess with initial states from the begin of each run, and its cost.
     fn guess(&self, starts: Vec<Structure>, current: &Fit, effort: Effort) -> Option<(Start, f64)> {
         let (structure, guess) = self.family.guess(starts, current, &self.runs, effort)?;
         let initial = self.settled_early(&structure);
         Some(((structure, initial), guess))
     }
 
-    /// Initial states by how each run begins.
+    /// Returns initial states from the begin of each run.
     fn settled_early(&self, structure: &Structure) -> Vec<Vec<f64>> {
         let settled = |run: &&F::Run| {
             let samples = self.family.measured(run).len();
@@ -153,7 +155,8 @@ impl<F: Family> Search<'_, F> {
         self.runs.iter().map(settled).collect()
     }
 
-    /// Every curve that may be added, with where its fit begins; none over what a curve of the model acts on already.
+    /// Returns every curve that may be added, with its initial guesses; none over an axis that a curve of the model
+    /// acts on in the same way.
     pub(super) fn curves(&self, current: &Fit) -> Vec<Begun> {
         let Some(drivers) =
             self.runs.first().map(|run| self.family.drivers(&current.structure, &current.initial[0], run))
@@ -176,7 +179,7 @@ impl<F: Family> Search<'_, F> {
             .collect()
     }
 
-    /// Those that no guess rules out, fitted from each of their starts; the best fit of each.
+    /// Fits the terms that no guess rules out from each of their starts, and returns the best fit of each.
     pub(super) fn tried(&self, mut begun: Vec<Begun>) -> Vec<Trial> {
         let least = begun.iter().map(|one| one.guess).fold(f64::INFINITY, f64::min);
         begun.retain(|one| one.guess.is_infinite() || one.guess <= HOPELESS * least);

@@ -1,4 +1,5 @@
-//! Revision of accepted terms beside later ones: fits from elsewhere, more corners, simpler terms, one term for two, removal.
+//! Revision of accepted terms beside later ones: fits from elsewhere, more knots, simpler terms, one term for two,
+//! removal.
 
 use rayon::prelude::*;
 
@@ -16,19 +17,19 @@ use crate::{
 
 /// Largest relative increase of the cross-validated RMSE at which a term is removed.
 const SUPERFLUOUS: f64 = 0.004;
-/// An effect with more starts than this stays where it is when others begin again.
+/// Number of starts above which an effect keeps its values when others start again.
 const MOST_STARTS: usize = 8;
-/// Number of places to begin again that are fitted from: those that leave least as they are. A tuning pair of two lags and a sag (10550000)
-/// is found from one of 24. Other values, of these three, were not compared.
+/// Number of the best restarts that are fitted. A tuning pair of two lags and a sag (10550000) is found from one of
+/// 24. Other values, of these three, were not compared.
 const NEAREST: usize = 24;
 /// Number of these that are fitted further.
 const FOLLOWED: usize = 4;
-/// Largest number of corners that a curve is given after it was accepted; as many as windows offer at most.
+/// Largest number of knots that a curve is given after it was accepted; the largest that the weak form offers.
 const MOST_CORNERS: usize = 33;
 
 impl<F: Family> Search<'_, F> {
-    /// Adds corners midway between those of the curve that was added last, as long as that pays: windows resolve less than free-run
-    /// simulation does.
+    /// Adds knots midway between those of the curve that was added last, as long as that pays: the weak form resolves
+    /// less than free-run simulation does.
     pub(super) fn sharpen(&self, path: &mut Path) {
         while !self.is_noise(&path.current) {
             let mut finer = path.current.structure.clone();
@@ -53,8 +54,8 @@ impl<F: Family> Search<'_, F> {
         }
     }
 
-    /// Fits the effects that were taken again, from where the catalogue has the last one and each of the others begin and where base models do:
-    /// what came first was bent to stand in for what came later, and no slope may lead back.
+    /// Fits the accepted effects again, from the catalogue's starts of the last one and of each of the others, and
+    /// those of the base model: earlier values are biased by what came later, and no descent may lead back.
     pub(super) fn restart(&self, path: &mut Path) {
         if path.steps.len() < 2 || self.is_noise(&path.current) {
             return;
@@ -64,7 +65,7 @@ impl<F: Family> Search<'_, F> {
         }
     }
 
-    /// The model fitted from elsewhere, if the data tell that from what it is.
+    /// Returns the model fitted from elsewhere, if the data clearly prefer it.
     fn restarted(&self, current: &Fit) -> Option<Fit> {
         let begun = |start| Fit::at(self.family, &self.runs, start, current.initial.clone());
         let begun: Vec<Fit> = self.elsewhere(&current.structure).into_par_iter().map(begun).collect();
@@ -81,7 +82,7 @@ impl<F: Family> Search<'_, F> {
         (price(samples, best.cost, 0) + TOLD_APART < price(samples, current.cost, 0)).then_some(best)
     }
 
-    /// A structure with its last effect, each of the others beside it, and the base model where fits of them begin.
+    /// Returns structures with the last effect, each of the others beside it, and the base model at their starts.
     fn elsewhere(&self, structure: &Structure) -> Vec<Structure> {
         let starts = |place: usize| -> Vec<Vec<f64>> {
             let here = std::iter::once(structure.added[place].clone());
@@ -127,16 +128,17 @@ impl<F: Family> Search<'_, F> {
         }
     }
 
-    /// A structure fitted to what a path's model is fitted to, if its price is less than that model's plus `tolerated`.
+    /// Fits a structure to the same runs, and returns it if its information criterion is below that of the path's
+    /// model plus `tolerated`.
     fn preferred(&self, path: &Path, structure: Structure, tolerated: f64) -> Option<Fit> {
         let other = fit(self.family, &self.runs, structure, path.current.initial.clone(), Effort::COMPARE);
-        // By the whiter residual: the noise is the same for both.
+        // The whiter residual gives the number of independent samples: the noise is the same for both.
         let samples = [&path.current, &other].map(|fit| independent(self.family, &self.runs, fit));
         let price_of = |fit: &Fit| price(samples[0].max(samples[1]), fit.cost, numbers(fit));
         (price_of(&other) < price_of(&path.current) + tolerated).then_some(other)
     }
 
-    /// Puts a fitted term in the place of another, which stays neither its own rival nor among those that were rejected.
+    /// Replaces a term by a fitted one, which stays neither its own rival nor among the rejected ones.
     fn exchange(&self, path: &mut Path, place: usize, term: Term, fit: Fit) {
         let name = self.term_name(&term);
         path.rejected.retain(|one| one.name != name);
@@ -146,8 +148,8 @@ impl<F: Family> Search<'_, F> {
         path.current = fit;
     }
 
-    /// Removes from a path's model, which is fitted to `runs`, each term whose z is too small beside the others and whose numbers do not
-    /// lower the price.
+    /// Removes from a path's model, which is fitted to `runs`, each term whose z is too small beside the others and
+    /// whose parameters do not lower the information criterion.
     pub(super) fn prune(&self, runs: &[&F::Run], path: &mut Path) {
         while path.steps.len() > 1 {
             let with = &path.current;
@@ -178,7 +180,7 @@ impl<F: Family> Search<'_, F> {
         }
     }
 
-    /// Takes out again what later terms made superfluous.
+    /// Removes terms that later ones made superfluous.
     pub(super) fn remove(&self, path: &mut Path) {
         while path.steps.len() > 1 {
             let with = rmse(&self.blocked(&path.current));
@@ -204,7 +206,7 @@ impl<F: Family> Search<'_, F> {
     }
 }
 
-/// The `count` fits of lowest cost, lowest first; none without a number.
+/// Returns the `count` fits of lowest cost, lowest first, without those whose cost is not finite.
 fn lowest(mut fits: Vec<Fit>, count: usize) -> Vec<Fit> {
     fits.retain(|fit| fit.cost.is_finite());
     fits.sort_by(|a, b| a.cost.total_cmp(&b.cost));

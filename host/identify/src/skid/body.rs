@@ -1,15 +1,16 @@
-//! From a fitted skid-steered robot to a body that a simulated board loads.
+//! Body for a simulated board from a fitted skid-steered robot.
 //!
-//! | found | in the body |
+//! | identified effect | place in the body |
 //! | --- | --- |
-//! | `slip-longitudinal`, `encoder-scale` | the wheels' radii |
-//! | `slip-lateral` | where the wheels stand along the body |
+//! | `slip-longitudinal`, `encoder-scale` | radii of the wheels |
+//! | `slip-lateral` | positions of the wheels along the body |
 //! | all slip of the yaw rate | `compliance_lat_per_n`: the body turns as the fitted model does, at the speeds of the recordings |
-//! | lags, delays, limits of the drives; sensors | nothing: they belong to the motors' plants and to what recorded them |
+//! | lags, delays, limits of the drives; sensors | none: they belong to the motors' plants and to the recording |
 //!
-//! The yaw rate of wheels that slip depends on the ratio of the tyres' compliances, and hardly on the compliances themselves: the
-//! longitudinal one stays as it was known; where it is another, the body turns right in the end and gets there otherwise than the robot.
-//! The ratio is found by turning the body (`r4_world`) with several lateral ones.
+//! The yaw rate of wheels that slip depends on the ratio of the tyres' compliances, and hardly on the compliances
+//! themselves. The longitudinal one therefore keeps its known value; if that is wrong, the body's steady turning is
+//! right, but its transients differ from the robot's. The ratio is found by simulating the body (`r4_world`) with
+//! several lateral compliances.
 
 use r4_world::{Body as _, Chassis, ChassisError, MAX_STEP_S, Scene, ShaftMotion, Tyre, Wheel, Wheeled};
 
@@ -20,21 +21,23 @@ use super::{
 };
 use crate::family::{FittedBody, Structure, Term};
 
-/// Share of the usual turning below which a sample says little of slip.
+/// Share of the usual turning rate below which a sample contains little information on slip.
 const TURNS: f64 = 0.2;
-/// Speeds at which body and model are compared.
+/// Largest number of speeds at which body and model are compared.
 const COMPARED: usize = 9;
-/// Lateral over longitudinal compliance, as powers of ten, from the stiffest tyre tried to the softest. Measured tyres have 0.1 to 10.
+/// Range of the ratio of lateral to longitudinal compliance, as powers of ten, from the stiffest to the softest tyre
+/// tried. Measured tyres have 0.1 to 10.
 const RATIOS: [f64; 2] = [-2.0, 3.0];
-/// Intervals that the range of ratios is divided into, and halvings of the best: to 1e-4 of a power of ten.
+/// Number of intervals that the range of ratios is divided into, and of golden section steps in the best: to 1e-4 of
+/// a power of ten.
 const INTERVALS: u32 = 10;
 const HALVINGS: u32 = 24;
-/// Longest time a body takes to turn steadily, s: ten times the time in which a wheel of 0.1 m/s rolls 30 mm.
+/// Longest time that a body takes to turn steadily, s: ten times the time in which a wheel at 0.1 m/s rolls 30 mm.
 const SETTLES_S: f64 = 3.0;
-/// Mass of a robot of which nothing but its wheels is known, kg.
+/// Assumed mass of a robot of which only the wheels are known, kg.
 const ASSUMED_MASS_KG: f64 = 10.0;
 
-/// Speeds of the sides at which a robot turned, spread from its fastest right turn to its fastest left one.
+/// Returns speeds of the sides at which a robot turned, from its fastest right turn to its fastest left one, rad/s.
 pub(super) fn turns(geometry: &Geometry, scales: &Scales, runs: &[SkidRun]) -> Vec<(f64, f64)> {
     let sides = runs.iter().flat_map(|run| run.sides.left.iter().copied().zip(run.sides.right.iter().copied()));
     let mut turns: Vec<(f64, f64)> =
@@ -43,11 +46,11 @@ pub(super) fn turns(geometry: &Geometry, scales: &Scales, runs: &[SkidRun]) -> V
     if turns.len() <= COMPARED {
         return turns;
     }
-    // In the middle of equal parts: the ends are outliers.
+    // One speed from the middle of each of equal parts: the ends of the range are outliers.
     (0..COMPARED).map(|part| turns[(2 * part + 1) * turns.len() / (2 * COMPARED)]).collect()
 }
 
-/// Where an effect belongs that no body has; `None` for those that are in the body.
+/// Returns the place of an effect that no body has; `None` for an effect that is in the body.
 fn elsewhere(effect: Effect) -> Option<&'static str> {
     const DRIVES: &str = "of the drives: fit the motors' plants";
     const SENSORS: &str = "of what recorded the motion, not of the robot";
@@ -69,7 +72,7 @@ fn elsewhere(effect: Effect) -> Option<&'static str> {
     }
 }
 
-/// A robot on four wheels of which the wheels' radius and track are known.
+/// Returns a robot on four wheels from the wheels' radius and the track.
 pub(super) fn assumed(geometry: &Geometry) -> Result<Wheeled, ChassisError> {
     let Geometry { wheel_radius_m, track_m } = *geometry;
     let half_m = 0.5 * track_m;
@@ -83,13 +86,13 @@ pub(super) fn assumed(geometry: &Geometry) -> Result<Wheeled, ChassisError> {
         tyre: Some(tyre),
     };
     let places = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
-    // A square plate on the wheels.
+    // Inertia of a square plate, which has its corners on the wheels.
     let inertia_kg_m2 = ASSUMED_MASS_KG * track_m * track_m / 6.0;
     let chassis = Chassis { mass_kg: ASSUMED_MASS_KG, inertia_kg_m2, centre_m: [0.0; 2], height_m: 0.0 };
     Wheeled::new(chassis, places.into_iter().enumerate().map(wheel).collect(), None, 4)
 }
 
-/// Yaw rate that a body settles at, rad/s, while its sides' wheels turn so fast, rad/s.
+/// Returns the steady yaw rate of a body, rad/s, for constant speeds of its sides' wheels, rad/s.
 fn turns_at(body: &Wheeled, (left, right): (f64, f64)) -> f64 {
     let mut shafts = vec![ShaftMotion::default(); body.shafts()];
     for wheel in body.wheels() {
@@ -104,7 +107,7 @@ fn turns_at(body: &Wheeled, (left, right): (f64, f64)) -> f64 {
     let mut before = f64::NAN;
     for step in 1..=(SETTLES_S / MAX_STEP_S) as usize {
         body.step(&mut scene, 0.0, &shafts, &mut loads, MAX_STEP_S);
-        // Every 50 ms: what has changed by less than 1e-6 meanwhile has settled.
+        // A yaw rate that changes by less than 1e-6 in 50 ms has settled.
         if step.is_multiple_of(200) {
             let now = body.twist().yaw_rad_s;
             if (now - before).abs() <= 1e-6 * now.abs() {
@@ -116,7 +119,7 @@ fn turns_at(body: &Wheeled, (left, right): (f64, f64)) -> f64 {
     body.twist().yaw_rad_s
 }
 
-/// Gives every tyre this ratio of the compliance across to that along.
+/// Returns the body with this ratio of lateral to longitudinal compliance in every tyre.
 fn with_ratio(body: &Wheeled, ratio: f64) -> Result<Wheeled, ChassisError> {
     body.changed(|_, wheels| {
         for tyre in wheels.iter_mut().filter_map(|wheel| wheel.tyre.as_mut()) {
@@ -126,7 +129,7 @@ fn with_ratio(body: &Wheeled, ratio: f64) -> Result<Wheeled, ChassisError> {
 }
 
 impl SkidSteer {
-    /// The robot's body with what was found.
+    /// Returns the robot's body with the identified effects.
     pub(super) fn fitted_body(&self, structure: &Structure, source: &str) -> FittedBody {
         let Geometry { wheel_radius_m, track_m } = self.geometry;
         let mut provenance = vec![source.to_owned()];
@@ -136,6 +139,7 @@ impl SkidSteer {
             let index = self.effects.iter().position(|known| *known == effect)?;
             structure.of(index).and_then(|values| values.first().copied())
         };
+        // Effects that no body has are listed, so that a user knows where they belong.
         for term in &structure.terms {
             match term {
                 Term::Known(index) => {
@@ -168,6 +172,7 @@ impl SkidSteer {
         if shift_m != 0.0 {
             provenance.push(format!("place_m: moved along by {shift_m:?} m (slip-lateral)"));
         }
+        // Centre of mass and wheels move together relative to the pose's point.
         let moved = self.body.changed(|chassis, wheels| {
             chassis.centre_m[0] += shift_m;
             for wheel in wheels {
@@ -185,7 +190,7 @@ impl SkidSteer {
         FittedBody { wheeled, provenance, left_out }
     }
 
-    /// The body with tyres by which it turns as the model does.
+    /// Returns the body with tyres by which it turns as the model does.
     fn turning(&self, body: Wheeled, structure: &Structure, provenance: &mut Vec<String>) -> Wheeled {
         let wanted: Vec<f64> =
             self.turns.iter().map(|&(left, right)| settles_at(self, structure, left, right)).collect();
@@ -200,7 +205,7 @@ impl SkidSteer {
         let Some((best, _)) = powers.map(|power| (power, of(power))).min_by(|a, b| a.1.total_cmp(&b.1)) else {
             return body;
         };
-        // Golden sections of the two intervals around it.
+        // Golden section search in the two intervals around the best ratio.
         let golden = 0.5 * (5f64.sqrt() - 1.0);
         let (mut low, mut high) = ((best - width).max(RATIOS[0]), (best + width).min(RATIOS[1]));
         let (mut a, mut b) = (high - golden * (high - low), low + golden * (high - low));

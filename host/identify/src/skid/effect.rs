@@ -1,61 +1,62 @@
-//! The effects that a skid-steer robot may show, as the estimator knows them.
+//! Effects that a skid-steered robot may show, as the estimator models them.
 
 use r4_plants::Dependence::{self, Direction, History, Input, Speed, Time};
 
 use super::{Geometry, Output};
 use crate::family::{Candidate, Parameter, Range};
 
-/// Every effect, in the order of the catalogue.
+/// Effects of a skid-steered robot, in the order of the catalogue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Effect {
-    /// Turns by an effective track.
+    /// Effective track: turning is less by a constant factor.
     Track,
-    /// Turns less the faster it turns.
+    /// Slip that grows with the turning rate.
     Turning,
-    /// Turns less the faster it drives.
+    /// Slip in turning that grows with the forward speed.
     Driving,
-    /// Turns less the more the speeds of the sides differ in size: a tyre that rolls slowly resists more per slide.
+    /// Slip in turning that grows with the difference of the sides' speeds: a tyre that rolls slowly resists sliding
+    /// more.
     StandingSide,
-    /// Turns less one way than the other.
+    /// Different turning to the left and to the right.
     TurnDirection,
-    /// Turns less forwards than backwards.
+    /// Different motion forwards and backwards.
     TravelDirection,
-    /// Slip that changes during a run.
+    /// Slip that changes exponentially during a run.
     Drift,
-    /// Drives less far than its wheels.
+    /// Forward speed less than that of the wheels by a constant factor.
     Longitudinal,
-    /// Drives less far while it turns.
+    /// Forward speed that falls while the robot turns.
     LongitudinalTurning,
-    /// Turns about another point than the pose's.
+    /// Turning centre ahead of or behind the pose's point.
     Lateral,
-    /// Wheels of different size.
+    /// Wheels of different radius on both sides.
     EncoderScale,
     DeadZone,
-    /// Turns no faster than the ground lets it, and less while it drives.
+    /// Largest yaw rate that ground friction allows, less with forward speed.
     FrictionLimit,
     RateLimit,
-    /// The drives slow down both sides alike, as far as the faster needs.
+    /// Saturation of the drives, which slow down both sides by the same factor.
     WheelSaturation,
     SlewLimit,
     DriveLag,
     DriveLagSides,
     InputDelay,
-    /// What is recorded of the sides is late: filtered, or held from sample to sample.
+    /// Recorded speeds of the sides are late: filtered, or held from sample to sample.
     EncoderDelay,
     SensorLag,
     SensorOffset,
 }
 
-/// Sizes of things in the data.
+/// Typical magnitudes of quantities in the data.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Scales {
-    /// Wheel, rad/s.
+    /// Speed of a wheel, rad/s.
     pub(super) wheel: f64,
-    /// Forward, m/s.
+    /// Speed along the body, m/s.
     pub(super) speed: f64,
-    /// Turning by the wheels, rad/s.
+    /// Yaw rate without slip, rad/s.
     pub(super) turn: f64,
-    /// Of the output, in its unit.
+    /// Magnitude of the output, in its unit.
     pub(super) output: f64,
     pub(super) period_s: f64,
     pub(super) duration_s: f64,
@@ -89,7 +90,7 @@ impl Effect {
         Self::SensorOffset,
     ];
 
-    /// Those that could show in an output; `averaged` as means over spans.
+    /// Returns the effects that could show in an output; `averaged` if means over spans are compared.
     pub(super) fn of(output: Output, averaged: bool) -> Vec<Self> {
         let shows = |effect: &Self| match effect {
             Self::Track
@@ -104,14 +105,14 @@ impl Effect {
             Self::TravelDirection | Self::Drift => output != Output::LateralSpeed,
             Self::Longitudinal | Self::LongitudinalTurning => output == Output::ForwardSpeed,
             Self::Lateral => output == Output::LateralSpeed,
-            // Means of long spans do not tell one short memory from another: a lag stands for all.
+            // Means of long spans cannot distinguish short memories: a single lag represents them all.
             Self::DriveLagSides | Self::InputDelay | Self::EncoderDelay | Self::SensorLag => !averaged,
             Self::DeadZone | Self::SlewLimit | Self::DriveLag | Self::SensorOffset => true,
         };
         Self::ALL.into_iter().filter(shows).collect()
     }
 
-    /// Name in reports.
+    /// Returns the name of the effect in reports.
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Track => "slip-track",
@@ -205,7 +206,7 @@ impl Effect {
         }
     }
 
-    /// Page of the catalogue, with numbers to begin from by the size of things in the data.
+    /// Returns the catalogue entry, with initial guesses scaled by the magnitudes in the data.
     pub(super) fn candidate(self, geometry: &Geometry, output: Output, scales: &Scales) -> Candidate {
         let s = scales;
         let any = |scale| Range::Any { scale };
@@ -213,7 +214,7 @@ impl Effect {
         let parameter = |name, unit, range, absent| Parameter { name, unit, range, absent };
         let (zero, whole) = (Some(0.0), Some(1.0));
         let sized = |sizes: &[f64], by: f64| sizes.iter().map(|size| vec![size * by]).collect();
-        // What is shorter than a sample is not told from how the input goes between samples.
+        // A time shorter than a sample is collinear with the input's course between samples.
         let memory = Range::Between(s.period_s, (60.0 * s.period_s).max(3.0));
         let short = [2.0, 5.0, 20.0].map(|periods| vec![periods * s.period_s]).to_vec();
         let longer = [0.1, 0.4].into_iter().filter(|&time_s| time_s > 1.5 * s.period_s).map(|time_s| vec![time_s]);
@@ -275,7 +276,7 @@ impl Effect {
                 ],
                 [0.9, 0.6].map(|share| vec![share * s.output, 0.3 * s.output / s.speed]).to_vec(),
             ),
-            // A drive that is told to turn and to go forwards does both by gains not too far from one.
+            // A controller that commands turning and driving does both with gains not far from one.
             Self::WheelSaturation => (
                 vec![
                     parameter("wheel_rad_s", "rad/s", Range::Positive, None),
@@ -300,7 +301,7 @@ impl Effect {
             ),
             Self::InputDelay => (
                 vec![parameter("delay_s", "s", memory, zero)],
-                // Not whole samples: there the slope over the delay jumps.
+                // Delays are not whole samples, at which the gradient with respect to the delay jumps.
                 sized(&[1.5, 4.5, 9.5], s.period_s),
             ),
             Self::EncoderDelay => (vec![parameter("late_s", "s", memory, zero)], sized(&[1.5, 4.5], s.period_s)),

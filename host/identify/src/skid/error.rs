@@ -1,109 +1,109 @@
-//! Why recordings are no use for a skid-steer model, and what to do about it.
+//! Errors of recordings and parameters of a skid-steer model, with advice.
 
 use r4_world::ChassisError;
 
 use super::Geometry;
 
-/// Why a skid-steer model cannot be made.
+/// Reason why a skid-steer model cannot be created.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SkidError {
-    /// Geometry is declared, never guessed: a wrong one looks like slip.
+    /// A length is missing: geometry is declared, never guessed, because a wrong one looks like slip.
     #[error("`{name}` is missing: measure it and give it, as in `--param {name}={example}`")]
     NoParameter {
-        /// Which.
+        /// Name of the parameter.
         name: &'static str,
-        /// What it may look like.
+        /// Example of a value.
         example: &'static str,
     },
-    /// A length that is none.
+    /// A length is not above zero or not finite.
     #[error("`{name}` is {value}: it has to be above zero and finite")]
     BadParameter {
-        /// Which.
+        /// Name of the parameter.
         name: &'static str,
-        /// What was given.
+        /// Value as it was given.
         value: f64,
     },
-    /// No chassis of this geometry can be computed.
+    /// No chassis can have this geometry.
     #[error("no robot has wheels of {} m, {} m apart: {source}; measure them again", geometry.wheel_radius_m, geometry.track_m)]
     NoBody {
-        /// As declared.
+        /// Geometry as it was declared.
         geometry: Geometry,
-        /// What is wrong.
+        /// Error of the chassis.
         source: ChassisError,
     },
-    /// A parameter that the model does not have.
+    /// A parameter is unknown to the model.
     #[error("skid-steer has no parameter `{name}`: it takes wheel_radius_m, track_m and average_s")]
     UnknownParameter {
-        /// Which.
+        /// Name of the parameter.
         name: String,
     },
-    /// A role without a column.
+    /// A role has no column.
     #[error("{run}: no column is mapped to `{role}`: {advice}")]
     NoRole {
         /// Name of the run.
         run: String,
-        /// Which.
+        /// Name of the role.
         role: &'static str,
-        /// What to map.
+        /// Advice on what to map.
         advice: &'static str,
     },
-    /// A column of another kind.
+    /// A column has another unit than its role requires.
     #[error("{run}: `{column}` as `{role}` is not in {units}: name the column with its unit")]
     Unit {
         /// Name of the run.
         run: String,
-        /// The column.
+        /// Name of the column.
         column: String,
-        /// What it was mapped to.
+        /// Role that it was mapped to.
         role: &'static str,
-        /// Endings that would do.
+        /// Units that are allowed.
         units: &'static str,
     },
-    /// Columns of different length, or time that does not run.
+    /// A column and the time have different lengths.
     #[error("{run}: `{role}` has {found} samples and time has {expected}: read the file again, each row one sample")]
     Length {
         /// Name of the run.
         run: String,
-        /// Which.
+        /// Name of the role.
         role: &'static str,
-        /// Samples of time.
+        /// Number of samples of time.
         expected: usize,
-        /// Samples of the role.
+        /// Number of values of the role.
         found: usize,
     },
-    /// Nothing to simulate.
+    /// The run has too few samples to be simulated.
     #[error("{run}: {found} samples are too few: record a second or more, at 10 Hz or more")]
     TooShort {
         /// Name of the run.
         run: String,
-        /// How many.
+        /// Number of samples in the run.
         found: usize,
     },
-    /// No span to take a mean over.
+    /// The run is shorter than a span to average over.
     #[error("{run}: {duration_s:.2} s are less than average_s={average_s}: record longer, or give a shorter average_s")]
     TooShortToAverage {
         /// Name of the run.
         run: String,
-        /// Of the run.
+        /// Duration of the run, s.
         duration_s: f64,
-        /// As given.
+        /// Length of a span as declared, s.
         average_s: f64,
     },
-    /// No moment at which both wheels and the motion are known.
+    /// At no time are both wheels and the motion known.
     #[error("{run}: there is no moment at which both sides and the motion of the body are known: record them together")]
     NothingMeasured {
         /// Name of the run.
         run: String,
     },
-    /// No run at all.
+    /// No run was given.
     #[error("there is no run: name at least one recording")]
     NoRun,
-    /// Both sides always alike.
+    /// Both sides always have the same speed.
     #[error(
         "the sides never run at different speeds: slip in turning cannot be seen; record arcs and turns on the spot, both ways"
     )]
     NeverTurns,
-    /// Standing still.
+    /// The wheels never turn.
     #[error("the wheels never turn: record driving forwards, backwards and turning")]
     NeverDrives,
 }

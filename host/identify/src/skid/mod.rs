@@ -1,24 +1,25 @@
-//! `skid-steer`: what both sides of a skid-steered robot do, and what its body does.
+//! The model `skid-steer`: motion of a skid-steered robot's body from the speeds of its sides.
 //!
 //! | role | unit | |
 //! | --- | --- | --- |
 //! | `left`, `right` | rad/s or m/s | speed of the wheels of each side, or their commands |
 //! | `gyro` | rad/s | yaw rate, positive to the left |
-//! | `yaw` | rad | yaw angle; jumps of a turn are taken out |
+//! | `yaw` | rad | yaw angle; jumps by a turn are removed |
 //! | `x`, `y` | m | position, for the speeds along and across the body |
-//! | `wheel_left`, `wheel_right` | rad/s or m/s | speed of the wheels, as output, where `left` and `right` are commands |
+//! | `wheel_left`, `wheel_right` | rad/s or m/s | speed of the wheels as an output, if `left` and `right` are commands |
 //!
-//! The base model is the ideal differential drive of the declared geometry. Nothing of it is fitted: its error is that of
-//! a prediction without slip. The output is one of [`Output`]; RMSE is of that.
+//! The base model is the ideal differential drive with the declared geometry. None of it is fitted: its error is that
+//! of a prediction without slip. The output is one of [`Output`], which the RMSE refers to.
 //!
-//! What is measured is compared sample by sample, or with `average_s` as means over successive spans of so many seconds,
-//! with the mean of the free run over the same samples.
+//! The comparison is sample by sample, or with `average_s` by means over successive spans of this length, with the
+//! mean of the free-run simulation over the same samples.
 //!
 //! ```text
 //! sides → delay of the drives or the encoders → lag per side → scale, dead zone → ideal motion → slip → limits → slew → lag → sensor
 //! ```
 //!
-//! Between samples the sides' speeds are straight lines: a command that steps is late by half a sample on average.
+//! The sides' speeds are interpolated linearly between samples: a command that steps is late by half a sample on
+//! average.
 
 mod body;
 mod effect;
@@ -45,43 +46,43 @@ use crate::{
 use effect::{Effect, Scales};
 use simulate::{CIRCLE, Ideal, directions, mean_over_spans, simulate};
 
-/// Corners of a curve over a line and over the circle of directions.
+/// Number of knots of a curve over a line, and over the circle of directions.
 const CORNERS: usize = 9;
 const CORNERS_ROUND: usize = 16;
 
-/// What is known of the robot, m.
+/// Geometry of the robot, which is declared.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Geometry {
-    /// Of the wheels.
+    /// Radius of the wheels, m.
     pub wheel_radius_m: f64,
-    /// Between the middles of the left and right wheels.
+    /// Track: distance between the middles of the left and right wheels, m.
     pub track_m: f64,
 }
 
 impl Geometry {
-    /// Yaw rate without slip, rad/s, of the sides' speeds, rad/s.
+    /// Returns the yaw rate without slip, rad/s, from the sides' speeds, rad/s; positive to the left.
     #[must_use]
     pub fn turn(&self, left: f64, right: f64) -> f64 {
         self.wheel_radius_m * (right - left) / self.track_m
     }
 }
 
-/// Which motion of the body is modelled.
+/// Motion of the body that is modelled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Output {
-    /// rad/s, from the gyro, the yaw angle or the wheels.
+    /// Yaw rate, rad/s, from the gyro, the yaw angle or the wheels; positive to the left.
     YawRate,
-    /// m/s along the body, from the pose.
+    /// Speed along the body, m/s, from the pose.
     ForwardSpeed,
-    /// m/s across the body, positive to the left, from the pose.
+    /// Speed across the body, m/s, positive to the left, from the pose.
     LateralSpeed,
 }
 
 impl Output {
-    /// All, in the order of the list of models.
+    /// All outputs, in the order of the list of models.
     pub const ALL: [Self; 3] = [Self::YawRate, Self::ForwardSpeed, Self::LateralSpeed];
 
-    /// Name of the model with this output.
+    /// Returns the name of the model with this output.
     #[must_use]
     pub const fn model(self) -> &'static str {
         match self {
@@ -91,7 +92,7 @@ impl Output {
         }
     }
 
-    /// What the RMSE is of.
+    /// Returns the name of the quantity that the RMSE refers to.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -102,20 +103,20 @@ impl Output {
     }
 }
 
-/// What is declared.
+/// Declared parameters of the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Declared {
-    /// Of the robot.
+    /// Geometry of the robot.
     pub geometry: Geometry,
-    /// Compare means over spans of so many seconds instead of samples.
+    /// Length of the spans whose means are compared, s; `None` to compare samples.
     pub average_s: Option<f64>,
 }
 
 impl Declared {
-    /// From `--param name=value`.
+    /// Reads the parameters given as `--param name=value`.
     ///
     /// # Errors
-    /// A length that is missing or is none, or a name that the model does not have.
+    /// An error for a missing or invalid length, or a name that the model does not have.
     pub fn from_parameters(given: &BTreeMap<String, f64>) -> Result<Self, SkidError> {
         const NAMES: [&str; 3] = ["wheel_radius_m", "track_m", "average_s"];
         if let Some(name) = given.keys().find(|name| !NAMES.contains(&name.as_str())) {
@@ -137,27 +138,27 @@ impl Declared {
     }
 }
 
-/// The model.
+/// Model of a skid-steered robot for one output.
 #[derive(Clone, Debug)]
 pub struct SkidSteer {
     geometry: Geometry,
     output: Output,
     scales: Scales,
-    /// Of the catalogue, by its index.
+    /// Effects in the order of the catalogue.
     effects: Vec<Effect>,
     catalogue: Vec<Candidate>,
-    /// Speeds of the sides at which the robot turned, rad/s: where a body has to turn as the model does.
+    /// Speeds of the sides at which the robot turned, rad/s: there the body has to turn as the model does.
     turns: Vec<(f64, f64)>,
-    /// As it was known, or on four wheels of that geometry.
+    /// Body of the robot: the known one, or one on four wheels of the declared geometry.
     body: Wheeled,
     is_body_known: bool,
 }
 
 impl SkidSteer {
-    /// The model for some runs, and these as it wants them.
+    /// Creates the model for some runs, and prepares these.
     ///
     /// # Errors
-    /// Roles without a column, columns in other units, and runs from which no slip could be seen.
+    /// An error for a role without a column, a column in another unit, or runs in which no slip could be seen.
     pub fn new(declared: Declared, output: Output, runs: &[data::Run]) -> Result<(Self, Vec<SkidRun>), SkidError> {
         let Declared { geometry, average_s } = declared;
         let read = |run| SkidRun::new(&geometry, output, average_s, run);
@@ -173,7 +174,7 @@ impl SkidSteer {
         Ok((Self { geometry, output, scales, effects, catalogue, turns, body, is_body_known: false }, runs))
     }
 
-    /// With what is known of the robot's body; what is fitted takes its place in it.
+    /// Returns the model with the known body of the robot; fitted values replace those in it.
     #[must_use]
     pub fn with_body(self, known: Option<Wheeled>) -> Self {
         match known {
@@ -182,7 +183,7 @@ impl SkidSteer {
         }
     }
 
-    /// For the list of models.
+    /// Returns the description for the list of models.
     #[must_use]
     pub fn info(output: Output) -> ModelInfo {
         let role = |name, driving, required, what| RoleInfo { name, required, driving, what };
@@ -219,10 +220,10 @@ impl SkidSteer {
         }
     }
 
-    /// A run that is to be predicted by a model made for others.
+    /// Prepares a run for a model that was created from other runs.
     ///
     /// # Errors
-    /// As [`SkidSteer::new`].
+    /// Errors of [`SkidSteer::new`].
     pub fn run(&self, declared: Declared, run: &data::Run) -> Result<SkidRun, SkidError> {
         SkidRun::new(&self.geometry, self.output, declared.average_s, run)
     }
@@ -248,7 +249,7 @@ impl Scales {
         let tiny = f64::MIN_POSITIVE;
         Ok(Self {
             wheel,
-            // A robot that only turns still has a size of speed.
+            // A robot that only turns on the spot must still have a scale of speed.
             speed: size(&|left, right| geometry.ideal(left, right).forward).max(1e-3 * wheel * geometry.wheel_radius_m),
             turn: size(&|left, right| geometry.turn(left, right)),
             output: if output > 0.0 { output } else { wheel * geometry.wheel_radius_m },
@@ -258,7 +259,7 @@ impl Scales {
     }
 }
 
-/// What 95 % of those that are not zero do not exceed: standing still has no size.
+/// Returns the 95 % quantile of the values above zero, 0 without any: standing still does not count.
 fn high(mut values: Vec<f64>) -> f64 {
     values.retain(|&value| value > 0.0);
     values.sort_by(f64::total_cmp);
@@ -269,7 +270,7 @@ impl Model for SkidSteer {
     type Run = SkidRun;
 
     fn base(&self) -> &[Parameter] {
-        // Declared, not fitted: a fitted gain would hide slip.
+        // The geometry is declared: a fitted gain would hide slip.
         &[]
     }
 
@@ -278,7 +279,7 @@ impl Model for SkidSteer {
     }
 
     fn initial(&self, _run: &SkidRun) -> (Vec<f64>, Vec<f64>) {
-        // A run begins with the first value measured.
+        // A run begins with the first measured value, so there is nothing to fit.
         (vec![], vec![])
     }
 
@@ -352,6 +353,7 @@ impl Family for SkidSteer {
 
     fn curves(&self, current: &Fit, driver: (Dependence, Option<f64>), runs: &[&SkidRun]) -> Vec<Curve> {
         let (over, period) = driver;
+        // A second curve over the same quantity would be nearly collinear with the first.
         if current.structure.curves().any(|(curve, _)| curve.over == over) {
             return vec![];
         }
@@ -374,7 +376,7 @@ impl Family for SkidSteer {
         let push = (Acts::Push, self.unit(), 0.1 * self.scales.output);
         let gain = (Acts::Gain, "1", 0.1);
         let ways = match (over, self.output) {
-            // The direction of standing still means nothing, and across the body nothing is driven.
+            // At rest the direction is undefined, and the drives cause no lateral speed.
             (Dependence::Direction, Output::LateralSpeed) => vec![],
             (Dependence::Direction, _) => vec![gain],
             (_, Output::LateralSpeed) => vec![push],

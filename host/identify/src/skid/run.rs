@@ -1,4 +1,4 @@
-//! A run as the skid-steer model wants it: what both sides did, and what the body did meanwhile.
+//! Run prepared for the skid-steer model: the speeds of both sides, and the motion of the body.
 
 use std::{f64::consts::TAU, ops::Range, sync::Arc};
 
@@ -7,30 +7,31 @@ use r4_maths::statistics::{QuantileRule, quantile};
 use super::{Geometry, Output, SkidError};
 use crate::data::{Quantity, Run, Signal};
 
-/// Samples of the two sides.
+/// Samples of the speeds of both sides.
 #[derive(Debug)]
 pub(super) struct Sides {
     pub(super) time_s: Vec<f64>,
-    /// rad/s; gaps bridged straight, nothing that touches one is compared.
+    /// Speeds of the left side, rad/s; gaps are interpolated, and no value that touches one is compared.
     pub(super) left: Vec<f64>,
     pub(super) right: Vec<f64>,
-    /// Median of the time between samples.
+    /// Median sampling period, s.
     pub(super) period_s: f64,
 }
 
-/// One run. What was measured is a mean over a span of samples; a gyro's spans are single samples.
+/// One run. Each measured value is a mean over a span of samples; spans of a gyro are single samples.
 #[derive(Clone, Debug)]
 pub struct SkidRun {
     pub(super) name: String,
     pub(super) sides: Arc<Sides>,
-    /// Samples that each measured value is the mean of, in order, apart.
+    /// Samples over which each measured value is the mean, in order and disjoint, except that the spans of a pose
+    /// share their end samples.
     pub(super) spans: Vec<Range<usize>>,
     pub(super) time_s: Vec<f64>,
     pub(super) measured: Vec<f64>,
-    /// Samples from here on are simulated.
+    /// Index of the first simulated sample.
     pub(super) from: usize,
-    /// What a model with memory begins with: the first value measured. None where means of long spans are compared: of
-    /// these, the first would give the answer away, so the run begins at rest under its first input.
+    /// Initial output of a model with memory: the first measured value. `None` if means of long spans are compared,
+    /// of which the first would reveal the answer; the run then begins in the steady state of its first input.
     pub(super) start: Option<f64>,
 }
 
@@ -48,6 +49,7 @@ impl SkidRun {
         }
         let mut left = read.side("left")?;
         let mut right = read.side("right")?;
+        // Noted before the gaps are bridged: no value in them is compared.
         let unknown: Vec<bool> = left.iter().zip(&right).map(|(l, r)| !l.is_finite() || !r.is_finite()).collect();
         let known = bridge(&run.time_s, &mut left) && bridge(&run.time_s, &mut right);
         let nothing = || SkidError::NothingMeasured { run: run.name.clone() };
@@ -96,13 +98,13 @@ impl SkidRun {
     }
 }
 
-/// Median of the time between samples.
+/// Returns the median sampling period, s.
 fn period(time_s: &[f64]) -> f64 {
     let steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     quantile(&steps, 0.5, QuantileRule::NearestPosition).unwrap_or(1.0)
 }
 
-/// Draws straight lines over what is missing; false if all is.
+/// Interpolates missing values linearly; returns false if all are missing.
 fn bridge(time_s: &[f64], values: &mut [f64]) -> bool {
     let Some(first) = values.iter().position(|value| value.is_finite()) else { return false };
     let start = values[first];
@@ -143,7 +145,7 @@ impl Reader<'_> {
         SkidError::Unit { run: self.run.name.clone(), column: signal.column.clone(), role, units }
     }
 
-    /// rad/s of a side's wheels.
+    /// Returns the speeds of a side's wheels, rad/s; `None` if the role has no column.
     fn wheels(&self, role: &'static str) -> Result<Option<Vec<f64>>, SkidError> {
         let Some(signal) = self.signal(role)? else { return Ok(None) };
         match signal.quantity {
@@ -177,7 +179,7 @@ impl Reader<'_> {
         Ok(self.in_unit("yaw", Quantity::Angle, "rad or degrees (`_rad`, `_deg`)")?.map(unwrapped))
     }
 
-    /// What the body did: spans of samples, and the mean of the output over each.
+    /// Returns the motion of the body: spans of samples, and the mean of the output over each.
     fn body(&self, output: Output, average_s: Option<f64>) -> Result<Spans, SkidError> {
         match output {
             Output::YawRate => self.yaw_rate(average_s),
@@ -185,8 +187,8 @@ impl Reader<'_> {
         }
     }
 
-    /// From the gyro, or from the yaw angle, or from the wheels if these are not the input. Means of long spans are
-    /// taken from the yaw angle first: its ends tell the mean without drift.
+    /// Returns the yaw rate from the gyro, the yaw angle, or the wheels if these are not the input. Means of long
+    /// spans come from the yaw angle if there is one: its ends give the mean without drift.
     fn yaw_rate(&self, average_s: Option<f64>) -> Result<Spans, SkidError> {
         let gyro = self.in_unit("gyro", Quantity::AngularSpeed, "rad/s (`_rad_s`, `_deg_s`)")?;
         let time_s = &self.run.time_s;
@@ -211,7 +213,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Speed along or across the body, by the steps of the pose.
+    /// Returns the speed along or across the body, from the steps of the pose.
     fn along(&self, output: Output, average_s: Option<f64>) -> Result<Spans, SkidError> {
         let advice = "speed along and across the body needs `x`, `y` and `yaw`";
         let missing = |role| SkidError::NoRole { run: self.run.name.clone(), role, advice };
@@ -221,6 +223,7 @@ impl Reader<'_> {
         let time_s = &self.run.time_s;
         let moved = |span: &Range<usize>| {
             let steps = span.clone().zip(span.start + 1..span.end).map(|(a, b)| {
+                // The chord of a step has the direction at its middle.
                 let (sin, cos) = (0.5 * (yaw[a] + yaw[b])).sin_cos();
                 let (dx, dy) = (x[b] - x[a], y[b] - y[a]);
                 if output == Output::ForwardSpeed { cos * dx + sin * dy } else { cos * dy - sin * dx }
@@ -232,7 +235,7 @@ impl Reader<'_> {
         Ok((spans, speeds))
     }
 
-    /// Spans as long as wanted, or as a pose is held.
+    /// Returns spans of the requested length, or as long as a pose is held.
     fn pose_spans(&self, pose: &[f64], average_s: Option<f64>) -> Vec<Range<usize>> {
         match average_s {
             Some(average_s) => spans(&self.run.time_s, average_s),
@@ -251,10 +254,10 @@ fn means(time_s: &[f64], average_s: f64, values: &[f64]) -> Spans {
     (spans, means)
 }
 
-/// Successive spans of a length; one that the samples cover by less than three quarters is left out.
+/// Returns successive spans of a length; one that samples cover by less than three quarters is left out.
 fn spans(time_s: &[f64], average_s: f64) -> Vec<Range<usize>> {
     let period_s = period(time_s);
-    // Half a period's tolerance: stamps are not exact.
+    // Stamps are not exact: half a period of tolerance.
     let of = |at: usize| ((time_s[at] - time_s[0] + 0.5 * period_s) / average_s).floor();
     let mut spans = Vec::new();
     let mut start = 0;
@@ -269,21 +272,22 @@ fn spans(time_s: &[f64], average_s: f64) -> Vec<Range<usize>> {
     spans
 }
 
-/// Spans from fresh value to fresh value of a pose that is held in between; each includes the sample it ends with.
+/// Returns spans from new value to new value of a pose that is held between (zero-order hold); both end samples
+/// belong to each.
 fn held_spans(pose: &[f64]) -> Vec<Range<usize>> {
     let changes = pose.windows(2).filter(|pair| pair[0] != pair[1]).count();
-    // More than four is standing still rather than holding.
+    // Longer repetitions than four samples mean that the robot stands still.
     let hold = (pose.len() - 1).checked_div(changes).map_or(1, |hold| hold.clamp(1, 4));
     (0..(pose.len() - 1) / hold).map(|at| at * hold..(at + 1) * hold + 1).collect()
 }
 
-/// Rise over time; NaN where an end is missing.
+/// Returns the rise over time of a span; NaN if an end is missing.
 fn rise(time_s: &[f64], values: &[f64], span: &Range<usize>) -> f64 {
     let (first, last) = (span.start, span.end - 1);
     (values[last] - values[first]) / (time_s[last] - time_s[first])
 }
 
-/// An angle without its jumps by a turn.
+/// Returns the angle without its jumps by a turn.
 fn unwrapped(yaw: &[f64]) -> Vec<f64> {
     let mut before = f64::NAN;
     let mut turns = 0.0;

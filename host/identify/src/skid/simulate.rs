@@ -1,4 +1,4 @@
-//! From what the sides do to what the body does: slip without memory, then limits, lags and the sensor.
+//! Simulation of a skid-steered robot: slip without memory, then limits, lags and the sensor.
 
 use std::f64::consts::TAU;
 
@@ -8,38 +8,39 @@ use r4_plants::Dependence;
 use super::{Geometry, Output, SkidSteer, effect::Effect, run::SkidRun};
 use crate::family::{Acts, Curve, Structure, Term};
 
-/// Below this share of the usual speed a body hardly counts as driving forwards or backwards.
+/// Share of the usual speed at which the transition between driving forwards and backwards is smoothed.
 const TRAVEL_KNEE: f64 = 0.01;
 
-/// Motion of the body that the wheels would give without slip.
+/// Motion of the body without slip.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ideal {
-    /// m/s.
+    /// Speed along the body, m/s.
     pub(super) forward: f64,
-    /// rad/s.
+    /// Yaw rate, rad/s, positive to the left.
     pub(super) turn: f64,
 }
 
 impl Ideal {
-    /// Direction in the plane of the sides' speeds, rad: 0 straight on, a quarter turn to the left on the spot.
+    /// Returns the direction in the plane of the sides' speeds, rad: 0 straight ahead, a quarter turn for turning
+    /// left on the spot.
     pub(super) fn direction(&self, geometry: &Geometry) -> f64 {
         (0.5 * geometry.track_m * self.turn).atan2(self.forward)
     }
 }
 
 impl Geometry {
-    /// Speed of a side's rims, m/s; `side` is -1 left and 1 right.
+    /// Returns the rim speed of a side's wheels, m/s; `side` is -1 on the left and 1 on the right.
     fn rim(&self, ideal: &Ideal, side: f64) -> f64 {
         ideal.forward + side * 0.5 * self.track_m * ideal.turn
     }
 
-    /// What both sides, rad/s, would do to the body without slip.
+    /// Returns the motion without slip for the speeds of both sides, rad/s.
     pub(super) fn ideal(&self, left: f64, right: f64) -> Ideal {
         Ideal { forward: 0.5 * self.wheel_radius_m * (left + right), turn: self.turn(left, right) }
     }
 }
 
-/// A structure's values by what they do. What was not added is `None`.
+/// Values of a structure by effect; `None` for an effect that was not added.
 #[derive(Clone, Copy, Default)]
 struct Values<'v> {
     effects: [Option<&'v [f64]>; Effect::COUNT],
@@ -58,19 +59,19 @@ impl Values<'_> {
     }
 }
 
-/// A first-order lag over one step in which its input goes straight from `before` to `now`.
+/// Advances a first-order lag by one step in which its input changes linearly from `before` to `now`.
 fn lagged(state: f64, before: f64, now: f64, step_s: f64, time_constant_s: f64) -> f64 {
     let decay = (-step_s / time_constant_s).exp();
     if time_constant_s <= 0.0 || decay == 0.0 && time_constant_s < 1e-6 * step_s {
         return now;
     }
-    // A ramp is followed at a distance of its slope times the time constant.
+    // A ramp is followed with a lag of its slope times the time constant.
     let behind = (now - before) / step_s * time_constant_s;
     now - behind + (state - before + behind) * decay
 }
 
-/// What follows its input at no more than `limit` a second, over one step in which the input goes straight from `before` to
-/// `now`; it may meet the input on the way.
+/// Advances a slew limiter (`limit` per second) by one step in which its input changes linearly from `before` to
+/// `now`. The output may meet the input within the step.
 fn slewed(state: f64, before: f64, now: f64, step_s: f64, limit: f64) -> f64 {
     let slope = (now - before) / step_s;
     let towards = (before - state).signum();
@@ -83,18 +84,19 @@ fn slewed(state: f64, before: f64, now: f64, step_s: f64, limit: f64) -> f64 {
     before + slope * met_s + slope.clamp(-limit, limit) * (step_s - met_s)
 }
 
-/// What both sides do at a moment, by the samples around it.
+/// Speeds of both sides at a delayed time, interpolated between samples.
 struct Sampled<'r> {
     run: &'r SkidRun,
-    /// Subtracted from the moment that is asked for.
+    /// Delay that is subtracted from the requested time, s.
     delay_s: f64,
-    /// The last sample not after the delayed moment, or the first.
+    /// Index of the last sample not after the delayed time, or of the first sample.
     below: usize,
 }
 
 impl Sampled<'_> {
     fn at(&mut self, sample: usize) -> (f64, f64) {
         let sides = &*self.run.sides;
+        // Without a delay the samples are used as they are, without rounding.
         if self.delay_s == 0.0 {
             return (sides.left[sample], sides.right[sample]);
         }
@@ -114,18 +116,18 @@ struct Body<'f> {
     family: &'f SkidSteer,
     values: Values<'f>,
     curves: Vec<(&'f Curve, Spline)>,
-    /// s from the run's beginning to its end.
+    /// Time of the run's first sample, s.
     begin_s: f64,
 }
 
 impl Body<'_> {
-    /// The output without memory, from the speeds of the sides, rad/s.
+    /// Returns the output without memory for the speeds of the sides, rad/s.
     fn output(&self, left: f64, right: f64, time_s: f64) -> f64 {
         let v = &self.values;
         let geometry = &self.family.geometry;
         let (mut left, mut right) = (left, right);
         if let Some(ratio) = v.one(Effect::EncoderScale) {
-            // Both share the difference: the mean stays.
+            // Each side takes half of the ratio, so that the mean speed stays.
             left /= ratio.sqrt();
             right *= ratio.sqrt();
         }
@@ -148,8 +150,9 @@ impl Body<'_> {
         let geometry = &self.family.geometry;
         let mut wide = v.one(Effect::Track).map_or(1.0, |track_m| track_m / geometry.track_m);
         if let Some((resistance, creep)) = v.two(Effect::StandingSide) {
-            // Tyres of stiffness over speed: along, both sides share the force; across, they resist by their sum. The
-            // balance of moments has the square of the sum of the speeds over four times their product.
+            // The stiffness of a tyre is inversely proportional to its speed. Along, both sides carry the same force;
+            // across, they resist with the sum. The balance of moments contains the squared sum of the speeds over
+            // four times their product.
             let (left, right) = (geometry.rim(ideal, -1.0).hypot(creep), geometry.rim(ideal, 1.0).hypot(creep));
             wide += resistance * ((left + right).powi(2) / (4.0 * left * right) - 1.0);
         }
@@ -212,7 +215,7 @@ impl Body<'_> {
     }
 }
 
-/// Writes the mean output over each span of a run.
+/// Writes the mean output over each span of a run to `predicted`.
 pub(super) fn simulate(family: &SkidSteer, structure: &Structure, run: &SkidRun, predicted: &mut [f64]) {
     predicted.fill(f64::NAN);
     let values = values(family, structure);
@@ -232,7 +235,7 @@ pub(super) fn simulate(family: &SkidSteer, structure: &Structure, run: &SkidRun,
     let Some(to) = run.spans.last().map(|span| span.end) else { return };
     let (mut row, mut sum) = (0, 0.0);
     let (mut before, mut lagging) = ((0.0, 0.0), (0.0, 0.0));
-    // Of the chain static, slew, lag, sensor: each stage's input before and value.
+    // Values of the stages static, slew, lag and sensor; each feeds the next.
     let (mut still, mut ramped, mut driven, mut sensed) = (0.0, 0.0, 0.0, 0.0);
     for sample in run.from..to {
         let time_s = sides.time_s[sample];
@@ -241,7 +244,7 @@ pub(super) fn simulate(family: &SkidSteer, structure: &Structure, run: &SkidRun,
             lagging = now;
             still = body.output(now.0, now.1, time_s);
             let start = run.start.map_or(still, |start| start - offset);
-            // A stage that is not there has no state of its own: it passes on its input.
+            // A missing stage has no state: it passes on its input.
             ramped = if slew.is_some() { start } else { still };
             driven = if lag.is_some() { start } else { ramped };
             sensed = if sensor_lag.is_some() { start } else { driven };
@@ -262,7 +265,7 @@ pub(super) fn simulate(family: &SkidSteer, structure: &Structure, run: &SkidRun,
             sensed = sensor_lag.map_or(driven, |lag_s| lagged(sensed, driven_before, driven, step_s, lag_s));
         }
         before = now;
-        // Spans may share a sample, the last of one being the first of the next.
+        // Spans may share a sample: the last of one is the first of the next.
         while let Some(span) = run.spans.get(row).filter(|span| span.start <= sample) {
             sum += sensed + offset;
             if sample + 1 < span.end {
@@ -274,9 +277,10 @@ pub(super) fn simulate(family: &SkidSteer, structure: &Structure, run: &SkidRun,
     }
 }
 
-/// What the model settles at under constant speeds of the sides, rad/s, by slip alone: drives and sensors are left out.
+/// Returns the steady output for constant speeds of the sides, rad/s, by slip alone, without drives and sensors.
 pub(super) fn settles_at(family: &SkidSteer, structure: &Structure, left: f64, right: f64) -> f64 {
     let mut values = values(family, structure);
+    // These belong to the drives, which the body does not include.
     for elsewhere in [Effect::DeadZone, Effect::WheelSaturation] {
         values.effects[elsewhere as usize] = None;
     }
@@ -284,7 +288,7 @@ pub(super) fn settles_at(family: &SkidSteer, structure: &Structure, left: f64, r
     Body { family, values, curves, begin_s: 0.0 }.output(left, right, 0.0)
 }
 
-/// The numbers of a structure, by their effects.
+/// Returns the values of a structure by effect.
 fn values<'s>(family: &SkidSteer, structure: &'s Structure) -> Values<'s> {
     let mut values = Values::default();
     for (term, numbers) in structure.terms.iter().zip(&structure.added) {
@@ -297,14 +301,14 @@ fn values<'s>(family: &SkidSteer, structure: &'s Structure) -> Values<'s> {
     values
 }
 
-/// Mean over a span of a series beside the output, by the ideal motion of each sample.
+/// Returns the mean over each span of a series beside the output, computed from the ideal motion of each sample.
 pub(super) fn mean_over_spans(geometry: &Geometry, run: &SkidRun, of: impl Fn(&Ideal, usize) -> f64) -> Vec<f64> {
     let sides = &*run.sides;
     let value = |at: usize| of(&geometry.ideal(sides.left[at], sides.right[at]), at);
     run.spans.iter().map(|span| span.clone().map(value).sum::<f64>() / span.len() as f64).collect()
 }
 
-/// Direction of the mean motion of each span.
+/// Returns the direction of the mean motion in each span, rad.
 pub(super) fn directions(geometry: &Geometry, run: &SkidRun) -> Vec<f64> {
     let forward = mean_over_spans(geometry, run, |ideal, _| ideal.forward);
     let turn = mean_over_spans(geometry, run, |ideal, _| ideal.turn);
@@ -312,5 +316,5 @@ pub(super) fn directions(geometry: &Geometry, run: &SkidRun) -> Vec<f64> {
     forward.iter().zip(&turn).map(mean).collect()
 }
 
-/// Length of the circle of [`directions`].
+/// Period of the angles of [`directions`], rad.
 pub(super) const CIRCLE: f64 = TAU;

@@ -1,4 +1,4 @@
-//! What these models reach on the measured data and the printed tables of `data/`, beside what they have to.
+//! Benchmark of the static models on the measured data and the printed tables of `data/`, with pass limits.
 
 use std::path::Path;
 
@@ -17,32 +17,32 @@ use crate::{
     fit, select,
 };
 
-/// One line of the table.
+/// One line of the benchmark's table.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// Which data.
+    /// Name of the data.
     pub data: String,
-    /// What is compared.
+    /// Quantity that is compared.
     pub metric: String,
-    /// Of the numbers; `1` for counts.
+    /// Unit of the numbers; `1` for counts.
     pub unit: &'static str,
-    /// Without what was found.
+    /// Error without the identified effects.
     pub baseline: f64,
-    /// With it.
+    /// Error with the identified effects.
     pub after: f64,
-    /// What is asked for.
+    /// Pass limit: the largest error allowed, or for counts the required number.
     pub at_least: f64,
-    /// Whether it is reached, and what has to be named is.
+    /// True if the limit is met and the expected effects were found.
     pub met: bool,
 }
 
-/// rad/s in an rpm.
+/// Angular speed of 1 rpm, rad/s.
 const RPM: f64 = std::f64::consts::TAU / 60.0;
 
-/// All lines; `data` is the folder of that name.
+/// Computes all lines; `data` is the folder of that name.
 ///
 /// # Errors
-/// Files that are missing or not as published.
+/// An error for files that are missing or not as published.
 pub fn rows(data: &Path, effort: gains::GainsEffort) -> Result<Vec<Row>, IdentifyError> {
     let mut rows = Vec::new();
     for (wheel, at_least) in [("left", 17.0), ("right", 7.0)] {
@@ -59,7 +59,7 @@ fn first(file: &Path, options: &Options) -> Result<Run, IdentifyError> {
     read(&[file.to_owned()], options)?.runs.into_iter().next().ok_or(IdentifyError::NoRuns)
 }
 
-/// RMS error of a structure on the rows of a run that were measured.
+/// Returns the RMSE of a structure on the measured rows of a run.
 fn rmse(map: &StaticMap, fit: &fit::Fit, run: &MapRun) -> f64 {
     let residuals = fit::residuals(map, &fit.structure, &[], run);
     let known = residuals.into_iter().filter(|residual| residual.is_finite());
@@ -140,7 +140,7 @@ fn table_rows(effort: gains::GainsEffort) -> Result<Vec<Row>, IdentifyError> {
     let printed = osmc::Printed::new()?;
     let mut ladders = vec![osmc::rotary(&printed, 1)?, osmc::linear(&printed, 1)?];
     ladders.extend(osmc::closed_forms(&printed, 1)?);
-    // The reference ladder's error of the law it chose, and a hundredth for its rounding.
+    // The limit is the reference ladder's error with its chosen law, plus a hundredth for rounding.
     let references = [
         ("scale", 0.31),
         ("released formula, stops beyond", 0.64),
@@ -152,7 +152,8 @@ fn table_rows(effort: gains::GainsEffort) -> Result<Vec<Row>, IdentifyError> {
     let mut rows = Vec::new();
     for (ladder, (law, at_least)) in ladders.iter().zip(references) {
         let Some((first, step)) = ladder.steps.first().zip(ladder.step(law)) else { continue };
-        // For Table 4 a law with a duty of its own fits its three rows better; the one with the duty of Table 3 has to stand.
+        // Rejection is tolerated for the overshoot: a law with a stopping duty of its own fits the three rows of
+        // Table 4 better.
         let rejected = ladder.rejected.iter().any(|refused| refused.law == law);
         rows.push(Row {
             data: ladder.data.clone(),
@@ -184,7 +185,7 @@ fn table_rows(effort: gains::GainsEffort) -> Result<Vec<Row>, IdentifyError> {
             unit: "1",
             baseline: cost("linear motor"),
             after: cost(ladder.chosen),
-            // A printed number within its own deviation costs 0.9: three of these each.
+            // A printed number that is off by its own tolerance costs 0.9; this allows for three such numbers each.
             at_least: 80.0,
             met: refused && cost(ladder.chosen) <= 80.0,
         });

@@ -1,10 +1,11 @@
-//! The play of a held shaft that is pulled from both sides in turn: backlash, and what only looks like it.
+//! Play of a held shaft that is pulled from both sides in turn: backlash, elasticity, and the droop of its
+//! controller.
 //!
-//! Each pull and each rest after it is a phase, and a phase is represented by its last sample: the most settled one. How far
-//! the ends of pulls from both sides are apart is the gap under load; the ends of the rests after them give the gap without.
-//! A spring returns to the middle when it is let go, a shaft with play stays where it was left: the gap without load tells
-//! them apart. What the shaft moves back by when the pull ends is elasticity and the droop of a proportional controller,
-//! which need the pull's force to be told from each other.
+//! Each pull and each rest after it is a phase, represented by its last sample, the most settled one. The distance
+//! between the ends of pulls from both sides is the gap under load; the distance between the ends of the rests is the
+//! gap without load. A spring returns to the middle when it is released, a shaft with backlash stays where it was
+//! left: the gap without load distinguishes them. The distance by which the shaft returns when the pull ends is
+//! elasticity plus the droop of a proportional controller, which only a known pulling force can separate.
 
 use r4_maths::statistics::RootMeanSquare;
 use r4_plants::Dependence;
@@ -18,94 +19,94 @@ use crate::family::{Acts, Candidate, Curve, Driver, Family, Loadable, Model, Par
 use crate::fit::Fit;
 use crate::task::{FileKind, ModelInfo, RoleInfo};
 
-/// Why a recording shows no play.
+/// Reason why a recording shows no play.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum HysteresisError {
-    /// No column for a role.
+    /// A role has no column.
     #[error("{run}: no column is mapped to `{role}`: name one with --map {role}=COLUMN")]
     NoRole {
-        /// Of the recording.
+        /// Name of the recording.
         run: String,
-        /// `output`, `pull_a` or `pull_b`.
+        /// Name of the role: `output`, `pull_a` or `pull_b`.
         role: &'static str,
     },
-    /// A side never pulled, or too seldom.
+    /// One side pulled too seldom or never.
     #[error(
         "{run}: {pulls} pulls by `{role}`, {needed} are needed: pull from both sides in turn, each at least {needed} times, \
          and let go in between"
     )]
     TooFewPulls {
-        /// Of the recording.
+        /// Name of the recording.
         run: String,
-        /// `pull_a` or `pull_b`.
+        /// Name of the role: `pull_a` or `pull_b`.
         role: &'static str,
-        /// Found.
+        /// Number of pulls found.
         pulls: usize,
-        /// Least number.
+        /// Smallest number of pulls.
         needed: usize,
     },
-    /// It was never let go.
+    /// The shaft was never released.
     #[error("{run}: no sample between the pulls: let go for a second after each pull")]
     NoRest {
-        /// Of the recording.
+        /// Name of the recording.
         run: String,
     },
 }
 
-/// Which side pulled last.
+/// Side that pulled last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum Side {
-    /// `pull_a`.
+    /// Side of the role `pull_a`.
     A,
-    /// `pull_b`.
+    /// Side of the role `pull_b`.
     B,
 }
 
-/// The end of a pull, or of the rest after it.
+/// End of a pull, or of the rest after it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PhaseEnd {
-    /// That pulled.
+    /// Side that pulled in this phase.
     pub side: Side,
-    /// Still pulling.
+    /// True while the side still pulls, false for the rest after it.
     pub loaded: bool,
-    /// How often this side pulled before.
+    /// Number of earlier pulls by this side.
     pub cycle: usize,
-    /// When the phase began, s.
+    /// Begin of the phase, s.
     pub from_s: f64,
-    /// Of its last sample, s.
+    /// Time of the last sample of the phase, s.
     pub at_s: f64,
-    /// Of the output, from the goal if there is one.
+    /// Output at the end of the phase, relative to the goal if there is one.
     pub position: f64,
-    /// Duty or current that holds the shaft; NaN where it was not recorded.
+    /// Duty or current that holds the shaft; NaN if it was not recorded.
     pub load: f64,
 }
 
-/// Pulls of each side, at least: one to see a gap, one to see whether it comes again.
+/// Smallest number of pulls of each side: one to see a gap, one to see whether it repeats.
 const LEAST_PULLS: usize = 2;
 
-/// Where a puller is away from its rest: above nine tenths of its largest stroke, so that a position counts from when it has
-/// arrived to when it leaves; a command counts as a whole.
+/// Returns the samples at which a puller is more than nine tenths of its largest stroke away from its rest. A
+/// position thus counts from its arrival to its departure; a command counts as a whole.
 fn pulling(signal: &[f64]) -> Vec<bool> {
     let known: Vec<f64> = signal.iter().copied().filter(|value| value.is_finite()).collect();
-    // Each side rests more than half of the time.
+    // The median is the rest, because each side rests more than half of the time.
     let rest = median(&known);
     let stroke = known.iter().map(|value| (value - rest).abs()).fold(0.0, f64::max);
     signal.iter().map(|value| stroke > 0.0 && (value - rest).abs() >= 0.9 * stroke).collect()
 }
 
-/// Finds the phases of a recording with the roles `output`, `pull_a`, `pull_b` (commands or positions of what pulls) and,
-/// where there are any, `goal` (of the shaft) and `load`, in the order of time.
+/// Finds the phases of a recording in the order of time. Its roles are `output`, `pull_a` and `pull_b` (commands or
+/// positions of the pullers) and optionally `goal` (of the shaft) and `load`.
 ///
-/// Without a goal a rest counts as long as the shortest one between two pulls, because the shaft may be sent elsewhere later.
+/// Without a goal each rest is as long as the shortest one between two pulls, because the shaft may be moved later.
 ///
 /// # Errors
-/// A role that is missing, fewer than two pulls of a side, or none that was let go.
+/// An error for a missing role, fewer than two pulls of a side, or no release.
 pub fn phase_ends(run: &Run) -> Result<Vec<PhaseEnd>, HysteresisError> {
     let role = |role| run.values(role).ok_or_else(|| HysteresisError::NoRole { run: run.name.clone(), role });
     let (output, a, b) = (role("output")?, pulling(role("pull_a")?), pulling(role("pull_b")?));
     let (goal, load) = (run.values("goal"), run.values("load"));
     let samples = output.len();
-    // Starts and ends of pulls.
+    // Side, first sample and end of each pull.
     let mut pulls: Vec<(Side, usize, usize)> = Vec::new();
     for (side, on) in [(Side::A, &a), (Side::B, &b)] {
         let mut sample = 0;
@@ -132,6 +133,7 @@ pub fn phase_ends(run: &Run) -> Result<Vec<PhaseEnd>, HysteresisError> {
             });
         }
     }
+    // Rests are cut to the shortest one if no goal shows when the shaft was sent elsewhere.
     let shortest = pulls.windows(2).map(|pair| pair[1].1.saturating_sub(pair[0].2)).min().unwrap_or(0);
     let known = |sample: usize| output[sample].is_finite() && goal.is_none_or(|goal| goal[sample].is_finite());
     let end_of = |side, loaded, cycle, from: usize, to: usize| {
@@ -151,7 +153,7 @@ pub fn phase_ends(run: &Run) -> Result<Vec<PhaseEnd>, HysteresisError> {
     for (place, &(side, start, end)) in pulls.iter().enumerate() {
         let cycle = cycles[side as usize];
         cycles[side as usize] += 1;
-        // A shaft that was sent elsewhere during the pull says nothing.
+        // If the goal changes during the pull, its end is not comparable.
         let stays = |sample: usize| goal.is_none_or(|goal| goal[sample] == goal[start]);
         if !(start..end).all(stays) {
             continue;
@@ -162,7 +164,7 @@ pub fn phase_ends(run: &Run) -> Result<Vec<PhaseEnd>, HysteresisError> {
             Some(_) => (end..next).find(|&sample| !stays(sample)).unwrap_or(next),
             None => next.min(end + shortest),
         };
-        // One sample is still the pull's.
+        // The first sample of the rest still belongs to the pull.
         if until > end + 1 {
             ends.extend(end_of(side, false, cycle, end + 1, until));
         }
@@ -173,66 +175,68 @@ pub fn phase_ends(run: &Run) -> Result<Vec<PhaseEnd>, HysteresisError> {
     Ok(ends)
 }
 
-/// A number and its standard deviation, in the output's unit.
+/// Gap with its standard error, in the output's unit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Gap {
-    /// Between the means of both sides; its sign is of A above B.
+    /// Difference between the means of both sides; positive if A ends above B.
     pub value: f64,
-    /// By how the ends of each side scatter, and by the output's steps.
+    /// Standard error, from the scatter of the ends of each side and the output's resolution.
     pub std: f64,
-    /// Ends of A and B.
+    /// Number of ends of A and of B.
     pub ends: [usize; 2],
 }
 
-/// One explanation of where the shaft ends.
+/// One explanation of the positions at which the shaft ends.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Explanation {
-    /// `rigid`, `elasticity`, `backlash`, `backlash and elasticity`.
+    /// Name of the explanation: `rigid`, `elasticity`, `backlash`, `backlash and elasticity`.
     pub name: &'static str,
-    /// On the cycles it was fitted to.
+    /// RMSE on the pulls that it was fitted to, in the output's unit.
     pub rmse: f64,
-    /// On the later ones.
+    /// RMSE on the later pulls, in the output's unit.
     pub holdout_rmse: f64,
 }
 
-/// How a controller holds the shaft, by a line through the sizes of its load over those of the distance to the goal.
+/// Stiffness of the controller that holds the shaft: regression of the load's magnitude on the distance to the goal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Droop {
-    /// Load for each unit of distance.
+    /// Load per unit of distance.
     pub load_per_distance: f64,
-    /// Distance below which it does nothing, in the output's unit; this alone makes a gap of twice as much.
+    /// Distance below which the controller does nothing, in the output's unit; it alone makes a gap of twice this
+    /// width.
     pub dead_band: f64,
 }
 
-/// What a recording says of the play of a shaft.
+/// Analysis of the play of a shaft in one recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Play {
-    /// Between the ends of pulls.
+    /// Gap between the ends of the pulls.
     pub loaded: Gap,
-    /// Between the ends of the rests after them.
+    /// Gap between the ends of the rests after them.
     pub unloaded: Gap,
-    /// By which the shaft returns when a pull ends, half of what the gaps differ by: elasticity and droop together.
+    /// Distance by which the shaft returns when a pull ends, half the difference of the gaps: elasticity and droop
+    /// together.
     pub returns_by: f64,
-    /// Fitted to the first two pulls of each side, with errors on the later ones, least first.
+    /// Explanations, fitted to the first two pulls of each side, in the order of their error on the later ones.
     pub explanations: Vec<Explanation>,
-    /// Where the load was recorded, with a goal.
+    /// Stiffness of the controller; `None` without a goal or a load in the recording.
     pub droop: Option<Droop>,
-    /// Smallest step of the output.
+    /// Resolution of the output: the smallest step in it.
     pub step: f64,
-    /// What would tell elasticity from droop, and play from friction.
+    /// Advice for a recording that separates elasticity from droop, and play from friction.
     pub experiment: &'static str,
 }
 
-/// Pulls of each side that explanations are fitted to.
+/// Number of pulls of each side that explanations are fitted to.
 const FITTED: usize = 2;
 
 const EXPERIMENT: &str = "the same pulls with a force that is known, at two forces and at two gains: droop goes with one over the gain, \
                           elasticity with the force alone, play with neither";
 
-/// Play of a shaft, in the unit of the output.
+/// Returns the play of a shaft, in the unit of the output.
 ///
 /// # Errors
-/// As [`phase_ends`], and [`HysteresisError::NoRest`] if one side was never let go.
+/// Errors of [`phase_ends`], and [`HysteresisError::NoRest`] if one side was never released.
 pub fn play(run: &Run) -> Result<Play, HysteresisError> {
     let ends = phase_ends(run)?;
     let step = run.values("output").map_or(0.0, smallest_step);
@@ -251,7 +255,7 @@ pub fn play(run: &Run) -> Result<Play, HysteresisError> {
     })
 }
 
-/// Between different values that follow each other; 0 if there are none.
+/// Returns the smallest difference between successive values that differ; 0 if none do.
 fn smallest_step(output: &[f64]) -> f64 {
     let largest =
         output.iter().filter(|value| value.is_finite()).fold(0.0f64, |largest, value| largest.max(value.abs()));
@@ -271,17 +275,17 @@ fn gap(ends: &[PhaseEnd], loaded: bool, step: f64) -> Option<Gap> {
         let mean = positions.iter().sum::<f64>() / count as f64;
         let spread =
             positions.iter().map(|position| (position - mean).powi(2)).sum::<f64>() / (count as f64 - 1.0).max(1.0);
-        // Ends that all read the same are still only known to a step.
+        // Ends with equal readings are still known only to the resolution (variance of rounding: step² / 12).
         Some((mean, spread.max(step * step / 12.0) / count as f64, count))
     };
     let ((a, variance_a, count_a), (b, variance_b, count_b)) = (of(Side::A)?, of(Side::B)?);
     Some(Gap { value: a - b, std: (variance_a + variance_b).sqrt(), ends: [count_a, count_b] })
 }
 
-/// A column of a linear model: what a phase contributes of each unit of its size.
+/// Column of a linear model: the contribution to a phase's end per unit of a parameter.
 type Column<'c> = &'c dyn Fn(&PhaseEnd) -> f64;
 
-/// Fits where shafts of each kind would end to the first pulls, and predicts the later ones.
+/// Fits each explanation to the first pulls, and predicts the later ones.
 fn explanations(ends: &[PhaseEnd]) -> Vec<Explanation> {
     let way = |end: &PhaseEnd| if end.side == Side::A { 1.0 } else { -1.0 };
     let stays = |end: &PhaseEnd| way(end);
@@ -295,9 +299,11 @@ fn explanations(ends: &[PhaseEnd]) -> Vec<Explanation> {
     let (fitted, later): (Vec<&PhaseEnd>, Vec<&PhaseEnd>) = ends.iter().partition(|end| end.cycle < FITTED);
     let explain = |(name, columns): (&'static str, &[Column<'_>])| {
         let entry = |end: &PhaseEnd, column: usize| if column == 0 { 1.0 } else { columns[column - 1](end) };
+        // Column 0 is the middle, which every explanation has.
         let design =
             nalgebra::DMatrix::from_fn(fitted.len(), columns.len() + 1, |row, column| entry(fitted[row], column));
         let positions = nalgebra::DVector::from_fn(fitted.len(), |row, _| fitted[row].position);
+        // An SVD also solves a design in which a column is zero.
         let values = design.svd(true, true).solve(&positions, 1e-9).ok()?;
         let rmse = |ends: &[&PhaseEnd]| {
             let error = |end: &&PhaseEnd| {
@@ -324,8 +330,8 @@ fn droop(ends: &[PhaseEnd]) -> Option<Droop> {
     })
 }
 
-/// One recording as two: the output of every `every`th pull of each side and the rest after it in the second, of the others in
-/// the first. `None` below 2, and where one of them has too few pulls.
+/// Divides one recording into two: the second has the output of every `every`th pull of each side and of the rest
+/// after it, the first has the others. `None` if `every` is below 2, or if one part has too few pulls.
 #[must_use]
 pub fn alternate_cycles(run: &Run, every: usize) -> Option<(Run, Run)> {
     let ends = phase_ends(run).ok().filter(|_| every > 1)?;
@@ -344,25 +350,26 @@ pub fn alternate_cycles(run: &Run, every: usize) -> Option<(Run, Run)> {
     only(false).zip(only(true))
 }
 
-/// Phases of one recording as rows of a model.
+/// Phases of one recording as rows of a regression.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeldRun {
     name: String,
     time_s: Vec<f64>,
     measured: Vec<f64>,
-    /// +1 and -1 of the side that pulled last, with the sign that makes the gap positive.
+    /// Side that pulled last, +1 or -1, with the sign that makes the gap positive.
     last_pull: Vec<f64>,
-    /// The same while it pulls, else 0.
+    /// The same while the side pulls, 0 during rests.
     pull: Vec<f64>,
 }
 
 impl HeldRun {
-    /// Takes the phases of a recording.
+    /// Finds the phases of a recording and makes them rows.
     ///
     /// # Errors
-    /// As [`phase_ends`].
+    /// Errors of [`phase_ends`].
     pub fn new(run: &Run) -> Result<Self, HysteresisError> {
         let ends = phase_ends(run)?;
+        // The side that ends higher counts as positive, because the model's gap cannot be negative.
         let sign = gap(&ends, true, 0.0).map_or(1.0, |gap| if gap.value < 0.0 { -1.0 } else { 1.0 });
         let way = |end: &PhaseEnd| if end.side == Side::A { sign } else { -sign };
         Ok(Self {
@@ -386,10 +393,10 @@ impl HeldRun {
     }
 }
 
-/// The model `held-shaft`: where a held shaft ends after each pull and each rest.
+/// The model `held-shaft`: positions at which a held shaft ends after each pull and each rest.
 ///
-/// Without effects it gives way to a pull and returns to the middle, as everything does that a spring or a proportional
-/// controller holds.
+/// Without effects the shaft yields to a pull and returns to the middle, like anything that a spring or a
+/// proportional controller holds.
 #[derive(Clone, Debug)]
 pub struct HeldShaft {
     base: [Parameter; 2],
@@ -398,10 +405,10 @@ pub struct HeldShaft {
 }
 
 impl HeldShaft {
-    /// For `--model`.
+    /// Name of the model, for `--model`.
     pub const NAME: &str = "held-shaft";
 
-    /// What it is, for the list of models.
+    /// Returns the description for the list of models.
     #[must_use]
     pub fn info() -> ModelInfo {
         let role = |name, required, driving, what| RoleInfo { name, required, driving, what };
@@ -421,10 +428,10 @@ impl HeldShaft {
         }
     }
 
-    /// A model for recordings, and these as it wants them: those to fit to and those held out.
+    /// Returns the model for some recordings, and the prepared recordings: those to fit to and those held out.
     ///
     /// # Errors
-    /// As [`phase_ends`].
+    /// Errors of [`phase_ends`].
     pub fn prepare(train: &[Run], holdout: &[Run]) -> Result<(Self, Vec<HeldRun>, Vec<HeldRun>), HysteresisError> {
         let make = |runs: &[Run]| runs.iter().map(HeldRun::new).collect::<Result<Vec<_>, _>>();
         let (fitted, held_out) = (make(train)?, make(holdout)?);
@@ -432,7 +439,7 @@ impl HeldShaft {
         Ok((Self::new(&fitted.iter().collect::<Vec<_>>(), unit), fitted, held_out))
     }
 
-    /// A model whose sizes are noticed from the scatter of these runs on.
+    /// Creates a model whose parameter scales follow from the range of these runs' positions.
     #[must_use]
     pub fn new(runs: &[&HeldRun], unit: &'static str) -> Self {
         let positions = runs.iter().flat_map(|run| run.measured.iter().copied());
@@ -535,7 +542,7 @@ impl Family for HeldShaft {
         run.rows(from, to)
     }
 
-    /// A pull from each side and the rests after them: one side alone tells no gap.
+    /// Cuts blocks of one pull from each side with their rests: a single side shows no gap.
     fn blocks(&self, run: &HeldRun) -> Option<usize> {
         Some(run.measured.len() / 4)
     }
@@ -566,7 +573,7 @@ impl Family for HeldShaft {
         Loadable::Plant(with_play(self.unit, gap, source, &left_out))
     }
 
-    /// Pulls and sides have two values each, which the effects exhaust; time may have any shape.
+    /// Offers curves over time only: pulls and sides have two values each, which the effects use up.
     fn curves(&self, _: &Fit, (over, _): (Dependence, Option<f64>), runs: &[&HeldRun]) -> Vec<Curve> {
         let mut at: Vec<f64> = runs.iter().flat_map(|run| run.time_s.iter().copied()).collect();
         at.sort_unstable_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! A level held until the output is steady: the map from one to the other, and what bends it.
+//! Static maps: the steady output for a constant input level, and the nonlinearities of that relation.
 
 use std::sync::Arc;
 
@@ -12,67 +12,67 @@ use crate::family::{Acts, Candidate, Curve, Driver, Family, Loadable, Model, Par
 use crate::fit::Fit;
 use crate::task::{FileKind, ModelInfo, RoleInfo};
 
-/// Why a recording is no map.
+/// Reason why a recording is no map.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum MapError {
-    /// No column for a role.
+    /// A role has no column.
     #[error("{run}: no column is mapped to `{role}`: name one with --{role} COLUMN or --map {role}=COLUMN")]
     NoRole {
-        /// Of the recording.
+        /// Name of the recording.
         run: String,
-        /// `input` or `output`.
+        /// Name of the role, `input` or `output`.
         role: &'static str,
     },
-    /// Too few rows have both.
+    /// Too few rows have both an input and an output.
     #[error("{run}: {rows} rows have an input and an output, {needed} are needed: record more levels")]
     TooFew {
-        /// Of the recording.
+        /// Name of the recording.
         run: String,
-        /// That can be used.
+        /// Number of rows with both.
         rows: usize,
-        /// Least number.
+        /// Smallest number of rows.
         needed: usize,
     },
-    /// One level only.
+    /// The input has one level only.
     #[error("the input never changes from {level}: record the output at several levels, both ways, zero among them")]
     ConstantInput {
-        /// The level.
+        /// Level of the input.
         level: f64,
     },
-    /// The output tells nothing.
+    /// The output is constant.
     #[error("the output never changes from {value}: is it the right column, and were levels high enough to move it?")]
     ConstantOutput {
-        /// The value.
+        /// Value of the output.
         value: f64,
     },
 }
 
-/// Rows that can be fitted, at least.
+/// Smallest number of rows that can be fitted.
 const LEAST_ROWS: usize = 8;
 
-/// Levels in the order they were held, with what came out.
+/// Levels in the order in which they were held, with the outputs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapRun {
     name: String,
-    /// Of the output.
+    /// Unit of the output.
     unit: &'static str,
     time_s: Arc<[f64]>,
     input: Arc<[f64]>,
-    /// Empty where it was not recorded.
+    /// Supply of each row; empty if it was not recorded.
     supply: Arc<[f64]>,
-    /// How far the input went since it turned last.
+    /// Signed travel of the input since its last reversal.
     since_turn: Arc<[f64]>,
-    /// Index in `input` of the first of `measured`.
+    /// Index in `input` of the first row of `measured`.
     first: usize,
     measured: Vec<f64>,
 }
 
 impl MapRun {
-    /// Takes the roles `input`, `output` and, where there is one, `supply` of a recording. A row without an input keeps the
+    /// Takes the roles `input`, `output` and optionally `supply` of a recording. A row without an input keeps the
     /// level before it, and its output is not used.
     ///
     /// # Errors
-    /// A role that is missing, or fewer than eight rows with both.
+    /// An error for a missing role, or fewer than eight rows with both.
     pub fn new(run: &Run) -> Result<Self, MapError> {
         let role = |role| run.values(role).ok_or_else(|| MapError::NoRole { run: run.name.clone(), role });
         let (input, output) = (role("input")?, role("output")?);
@@ -83,6 +83,7 @@ impl MapRun {
             return Err(MapError::TooFew { run: run.name.clone(), rows, needed: LEAST_ROWS });
         }
         let supply = run.values("supply").filter(|supply| supply.iter().any(|v| *v > 0.0));
+        // Before the first known level the input is taken as 0.
         let input = held(input, 0.0, |u| u.is_finite());
         Ok(Self {
             name: run.name.clone(),
@@ -102,10 +103,10 @@ impl MapRun {
         })
     }
 
-    /// Rows of a level that is taken up from rest.
+    /// Number of rows of a run that takes up a level from rest.
     const HELD: usize = 2;
 
-    /// A level that is taken up from rest, and held.
+    /// Returns a run in which a level is taken up from rest and held.
     fn at_rest(unit: &'static str, level: f64, supply: f64) -> Self {
         Self {
             name: String::new(),
@@ -119,13 +120,13 @@ impl MapRun {
         }
     }
 
-    /// Levels of the rows of [`Model::measured`].
+    /// Returns the levels of the rows of [`Model::measured`].
     #[must_use]
     pub fn input(&self) -> &[f64] {
         &self.input[self.first..self.first + self.measured.len()]
     }
 
-    /// Whether the input follows the order of rows, by a correlation above 0.9.
+    /// Returns whether the input follows the order of rows, with a correlation above 0.9.
     fn goes_one_way(&self) -> bool {
         let rows = self.input.len() as f64;
         let (mean, middle) = (self.input.iter().sum::<f64>() / rows, (rows - 1.0) / 2.0);
@@ -139,14 +140,15 @@ impl MapRun {
         ut * ut > 0.81 * uu * tt
     }
 
-    /// Input and output of the rows that were measured.
+    /// Iterates over input and output of the measured rows.
     fn rows(&self) -> impl Iterator<Item = (f64, f64)> {
         self.input().iter().copied().zip(self.measured.iter().copied()).filter(|(_, y)| y.is_finite())
     }
 }
 
-/// One sweep as two: the output of every `every`th row, counted from row `every - 1`, in the second, of the others in the first.
-/// Halves of a sweep would not cover the same levels. Both know all inputs; `None` below 2, or for less than eight rows in one.
+/// Divides one sweep into two: the second has the output of every `every`th row, counted from row `every - 1`, the
+/// first has the others. Halves of a sweep would not cover the same levels. Both parts know all inputs. `None` if
+/// `every` is below 2, or if a part has fewer than eight rows.
 pub fn alternate_rows(run: &Run, every: usize) -> Option<(Run, Run)> {
     let only = |second: bool| {
         let mut part = run.clone();
@@ -161,7 +163,7 @@ pub fn alternate_rows(run: &Run, every: usize) -> Option<(Run, Run)> {
     if every < 2 { None } else { only(false).zip(only(true)) }
 }
 
-/// SI unit of the output of a recording.
+/// Returns the SI unit of the output of a recording.
 pub(super) fn unit(run: &Run) -> &'static str {
     match run.signals.get("output").map(|signal| signal.quantity) {
         Some(Quantity::Angle) => "rad",
@@ -177,7 +179,7 @@ pub(super) fn unit(run: &Run) -> &'static str {
     }
 }
 
-/// Values with those that are none replaced by the one before.
+/// Replaces values that are not good by the one before, and those before the first good one by `first`.
 fn held(values: &[f64], first: f64, good: impl Fn(f64) -> bool) -> Arc<[f64]> {
     let hold = |last: &mut f64, &value: &f64| {
         if good(value) {
@@ -188,7 +190,7 @@ fn held(values: &[f64], first: f64, good: impl Fn(f64) -> bool) -> Arc<[f64]> {
     values.iter().scan(first, hold).collect()
 }
 
-/// How far the input went, with sign, since its direction last changed.
+/// Returns the signed travel of the input since its last reversal.
 fn since_turn(input: &[f64]) -> Arc<[f64]> {
     let (mut turn, mut way) = (input.first().copied().unwrap_or(0.0), 0.0);
     let step = |pair: &[f64]| {
@@ -205,7 +207,7 @@ fn since_turn(input: &[f64]) -> Arc<[f64]> {
     first.into_iter().chain(input.windows(2).map(step)).collect()
 }
 
-/// What may bend the map.
+/// Nonlinearity that may be part of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Bend {
     DeadZone,
@@ -241,7 +243,7 @@ impl Bend {
     }
 }
 
-/// Values of every bend, those that are absent at what has no effect; `[forward, backward]` where directions differ.
+/// Values of all nonlinearities, absent ones at the value without effect; `[forward, backward]` if directions differ.
 #[derive(Clone, Copy, Debug)]
 struct Shape {
     gain: f64,
@@ -260,43 +262,43 @@ struct Shape {
     drift_per_s: f64,
 }
 
-/// The model `static-map`: output = gain · input, and what bends it.
+/// The model `static-map`: output = gain · input, with nonlinearities.
 ///
-/// | role | is |
+/// | role | meaning |
 /// | --- | --- |
 /// | `input` | duty or command, any unit |
 /// | `output` | speed or whatever else settles |
 /// | `supply` | may be missing; its unit cancels |
 ///
-/// With x what the dead-zone leaves of |input| and d its direction, and other values for each direction:
-/// `output = d · gain · x / (1 + (c x)^n)^(1/n)` when it saturates, x replaced by `X (x / X)^p` under a gain curve. A sharpness
-/// n of 1 bends softly, one of 8 and above is a clip.
+/// Let x be the part of |input| above the dead zone, and d its direction; parameters may differ between directions.
+/// With saturation, `output = d · gain · x / (1 + (c x)^n)^(1/n)`; a gain curve replaces x by `X (x / X)^p`. A
+/// sharpness n of 1 bends softly, one of 8 and above is nearly a clip.
 #[derive(Clone, Debug)]
 pub struct StaticMap {
     base: Vec<Parameter>,
     catalogue: Vec<Candidate>,
-    /// Of each of the catalogue, and the directions its numbers are of.
+    /// Nonlinearity of each entry of the catalogue, with the directions that its parameters belong to.
     bends: Vec<(Bend, Vec<usize>)>,
     unit: &'static str,
-    /// Largest of |input|.
+    /// Largest magnitude of the input.
     span: f64,
     /// Lowest and highest level.
     seen: [f64; 2],
-    /// Over how much of the input a start from rest is smeared, so that its level has a gradient.
+    /// Range of the input over which a start from rest is smoothed, so that its level has a gradient.
     smear: f64,
-    /// Largest of |output|.
+    /// Largest magnitude of the output.
     height: f64,
     /// Supply at which `gain` holds.
     supply_ref: f64,
-    /// The level only ever went one way: what passes with time or with the way cannot be told from what the level does.
+    /// True if the level only changed in one direction: then time and history are collinear with the level.
     one_way: bool,
 }
 
 impl StaticMap {
-    /// A model for these runs; ranges, starting guesses and what can be looked for at all come from them.
+    /// Creates a model for some runs, which set ranges, initial guesses and the effects that can be tried.
     ///
     /// # Errors
-    /// An input or an output that never changes.
+    /// An error for a constant input or output.
     pub fn new(runs: &[&MapRun], unit: &'static str) -> Result<Self, MapError> {
         let rows = || runs.iter().flat_map(|run| run.rows());
         let (low, high) = extent(rows().map(|(u, _)| u));
@@ -314,6 +316,7 @@ impl StaticMap {
             steps.extend(levels.windows(2).map(|pair| (pair[1] - pair[0]).abs()).filter(|step| *step > 0.0));
         }
         let supplies: Vec<f64> = runs.iter().flat_map(|run| run.supply.iter().copied()).collect();
+        // Referred to the median supply, the gain hardly correlates with the exponent of the supply.
         let supply_ref = if supplies.is_empty() { 1.0 } else { median(&supplies) };
         let mut map = Self {
             base: vec![Parameter {
@@ -327,7 +330,8 @@ impl StaticMap {
             unit,
             span,
             seen: [low, high],
-            // An eighth: at a level in the middle of two rows the nearest is off by 2 % of the jump.
+            // With an eighth of the median step, the rows next to a start in the middle between them are off by 2 %
+            // of the jump.
             smear: (median(&steps) / 8.0).max(1e-4 * span),
             height,
             supply_ref,
@@ -343,10 +347,10 @@ impl StaticMap {
         Ok(map)
     }
 
-    /// For `--model`.
+    /// Name of the model, for `--model`.
     pub const NAME: &str = "static-map";
 
-    /// What it is, for the list of models.
+    /// Returns the description for the list of models.
     #[must_use]
     pub fn info() -> ModelInfo {
         let role = |name, required, driving, what| RoleInfo { name, required, driving, what };
@@ -364,17 +368,18 @@ impl StaticMap {
         }
     }
 
-    /// A model for recordings, and these as it wants them: those to fit to and those held out.
+    /// Returns the model for some recordings, and the prepared recordings: those to fit to and those held out.
     ///
     /// # Errors
-    /// What [`MapRun::new`] and [`StaticMap::new`] say.
+    /// Errors of [`MapRun::new`] and [`StaticMap::new`].
     pub fn prepare(train: &[Run], holdout: &[Run]) -> Result<(Self, Vec<MapRun>, Vec<MapRun>), MapError> {
         let make = |runs: &[Run]| runs.iter().map(MapRun::new).collect::<Result<Vec<_>, _>>();
         let (train, holdout) = (make(train)?, make(holdout)?);
         Ok((Self::new(&train.iter().collect::<Vec<_>>(), train.first().map_or("1", |run| run.unit))?, train, holdout))
     }
 
-    /// Supply at which the gain and all levels hold, in the unit of the recording; 1 where none was recorded.
+    /// Returns the supply at which the gain and all levels hold, in the unit of the recording; 1 if none was
+    /// recorded.
     #[must_use]
     pub fn supply_ref(&self) -> f64 {
         self.supply_ref
@@ -384,7 +389,7 @@ impl StaticMap {
         use Dependence::{Direction, History, Input, Speed, Supply, Time};
         let (span, height) = (self.span, self.height);
         let one = |name, unit, range, absent| vec![Parameter { name, unit, range, absent: Some(absent) }];
-        // One number for each direction that was recorded; of one only, it holds for both.
+        // One parameter for each recorded direction; that of a single direction holds for both.
         let sides = if bend == Bend::StaticFriction { found.started() } else { found.moved() };
         let each = |names: [&'static str; 2], unit, range, absent| -> Vec<Parameter> {
             sides.iter().flat_map(|&side| one(names[side], unit, range, absent)).collect()
@@ -402,7 +407,8 @@ impl StaticMap {
             Bend::StaticFriction => (
                 &[Input, Direction, History],
                 each(["start_forward", "start_backward"], "input", Range::NotNegative { scale: 0.05 * span }, 0.0),
-                // The start has no slope to follow from afar: from each end of what was seen, and from the middle.
+                // The start level has no gradient from afar, so the fit begins at both ends and in the middle of the
+                // observed range.
                 found.starts.map(levels).to_vec(),
                 "from rest, raise the level until it moves, then lower it until it stops; both directions, several times",
             ),
@@ -492,7 +498,7 @@ impl StaticMap {
             Bend::Drift => found.length_s > 0.0 && !self.one_way,
             _ => true,
         };
-        // Saturation has a shape of its own that does what these do.
+        // Saturation has a shape of its own that can reproduce these.
         let excludes: &[&str] =
             if matches!(bend, Bend::GainCurve | Bend::QuadraticDrag) { &["saturation"] } else { &[] };
         offered.then_some((
@@ -525,7 +531,7 @@ impl StaticMap {
             match bend {
                 Bend::DeadZone => shape.dead = each,
                 Bend::StaticFriction => {
-                    // Where no start was seen there is nothing to say of one.
+                    // The other direction has no observed start, so it has none in the model.
                     sides.iter().for_each(|&side| shape.start[side] = each[side]);
                 }
                 Bend::Saturation => {
@@ -549,7 +555,7 @@ impl StaticMap {
     }
 }
 
-/// One value for each direction; where only one is there it holds for both.
+/// Returns one value for each direction; a single one holds for both.
 fn of_sides(sides: &[usize], values: &[f64]) -> [f64; 2] {
     let mut each = [values[0]; 2];
     for (&side, &value) in sides.iter().zip(values) {
@@ -573,24 +579,24 @@ const BENDS: [Bend; 12] = [
     Bend::Drift,
 ];
 
-/// What the recordings show before anything is fitted; `[forward, backward]`.
+/// Properties of the recordings that guide the fit; `[forward, backward]`.
 struct Found {
     /// Largest level without an output.
     dead: [f64; 2],
-    /// Least, middle and largest level at which it started from rest; 0 if it never did.
+    /// Smallest, median and largest level at which it started from rest; 0 if it never did.
     starts: [[f64; 2]; 3],
     moving: [bool; 2],
     up_and_down: bool,
     supply_changes: bool,
-    /// Median time between rows.
+    /// Median time between rows, s.
     row_s: f64,
-    /// Longest run.
+    /// Duration of the longest run, s.
     length_s: f64,
 }
 
 impl Found {
     fn of(runs: &[&MapRun], height: f64, span: f64) -> Self {
-        // 2 % of the largest output counts as none: above what a speed from counted edges shows at rest.
+        // Outputs below 2 % of the largest are rest: more than a speed from counted edges shows at rest.
         let still = |y: f64| y.abs() < 0.02 * height;
         let mut dead = [0.0f64; 2];
         let mut moving = [false; 2];
@@ -613,6 +619,7 @@ impl Found {
                 up += usize::from(u1 > u0);
                 down += usize::from(u1 < u0);
                 if still(y0) && !still(y1) && u1.abs() > u0.abs() && u0 * u1 >= 0.0 {
+                    // The start lies somewhere between the two levels.
                     starts[usize::from(u1 < 0.0)].push(f64::midpoint(u0.abs(), u1.abs()));
                 }
             }
@@ -632,40 +639,41 @@ impl Found {
                 [forward.last(), backward.last()].map(|level| level.copied().unwrap_or(0.0)),
             ],
             moving,
+            // At least one step in ten must go the other way.
             up_and_down: up.min(down) * 10 >= up.max(down) && up.min(down) > 1,
-            // Less than 2 % of change shows an exponent only through its noise.
+            // A change of less than 2 % shows an exponent only through its noise.
             supply_changes: high > 1.02 * low,
             row_s: median(&rows_s),
             length_s,
         }
     }
 
-    /// Directions in which it moved.
+    /// Returns the directions in which it moved.
     fn moved(&self) -> Vec<usize> {
         (0..2).filter(|&side| self.moving[side]).collect()
     }
 
-    /// Directions in which it started from rest.
+    /// Returns the directions in which it started from rest.
     fn started(&self) -> Vec<usize> {
         (0..2).filter(|&side| self.starts[0][side] > 0.0).collect()
     }
 }
 
-/// Least and largest; (∞, -∞) of nothing.
+/// Returns the smallest and the largest value; (∞, -∞) if there are none.
 fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)))
 }
 
-/// Median of what is known; 0 of nothing.
+/// Returns the median of the values that are not NaN; 0 if there are none.
 pub(crate) fn median(values: &[f64]) -> f64 {
     let known: Vec<f64> = values.iter().copied().filter(|value| !value.is_nan()).collect();
     statistics::median(&known).unwrap_or(0.0)
 }
 
-/// Softest and hardest bend; the hardest leaves 4 % of a clip's corner.
+/// Range of the sharpness; at its upper end the corner differs from that of a clip by 4 %.
 const SHARPNESS: [f64; 2] = [0.5, 16.0];
 
-/// `x / (1 + (c x)^n)^(1/n)`: x while it is small, 1/c when it is large, and a corner there for a large n.
+/// Returns `x / (1 + (c x)^n)^(1/n)`: x if it is small, 1/c if it is large, with a corner between for a large n.
 fn saturated(x: f64, c: f64, n: f64) -> f64 {
     let share = c * x;
     if share <= 0.0 {
@@ -677,13 +685,13 @@ fn saturated(x: f64, c: f64, n: f64) -> f64 {
     }
 }
 
-/// The y with `y + drag y² = x`.
+/// Returns the solution y of `y + drag y² = x`.
 fn dragged(x: f64, drag: f64) -> f64 {
     2.0 * x / (1.0 + (1.0 + 4.0 * drag * x).sqrt())
 }
 
 impl Shape {
-    /// The row from which on nothing before matters to row `first`.
+    /// Returns the row from which the prediction of row `first` depends on nothing earlier.
     fn begin(&self, first: usize, level: impl Fn(usize) -> f64) -> usize {
         if self.play > 0.0 || self.settling_s > 0.0 {
             return 0;
@@ -691,7 +699,7 @@ impl Shape {
         if self.start == [0.0; 2] {
             return first;
         }
-        // At rest, or moving for sure.
+        // The state is known where the level forces rest or motion.
         let known = |row: usize| {
             let level = level(row);
             let side = usize::from(level < 0.0);
@@ -700,7 +708,7 @@ impl Shape {
         (0..first).rev().find(|&row| known(row)).unwrap_or(0)
     }
 
-    /// Output of a level `x` above the dead-zone of its direction.
+    /// Returns the output for the part `x` of a level above the dead zone of its direction.
     fn output(&self, x: f64, backward: usize, scale: f64) -> f64 {
         let exponent = self.exponent[backward];
         let way = if backward == 0 { 1.0 } else { -1.0 };
@@ -727,12 +735,13 @@ impl Model for StaticMap {
         (Vec::new(), Vec::new())
     }
 
-    /// Before its first row the machine was at rest with the level at zero.
+    /// Predicts the outputs of a machine that was at rest at level zero before the first row.
     fn predict(&self, structure: &Structure, _: &[f64], run: &MapRun, predicted: &mut [f64]) {
         let shape = self.shape(structure);
+        // Half of the range as the fixed point of a gain curve, so that its exponent hardly changes the gain.
         let scale = 0.5 * self.span;
         let (mut level, mut settled) = (0.0f64, 0.0);
-        // The direction it moves in.
+        // Direction of the current motion, `None` at rest.
         let mut moving = None;
         let end = run.first + run.measured.len();
         let supply = |row: usize| run.supply.get(row).map_or(1.0, |supply| supply / self.supply_ref);
@@ -741,6 +750,7 @@ impl Model for StaticMap {
         };
         for row in shape.begin(run.first, driven)..end {
             let (supply, input) = (supply(row), driven(row));
+            // Play: the level follows the input at a distance of at most its half width.
             level = level.clamp(input - shape.play, input + shape.play);
             let backward = usize::from(level < 0.0);
             let dead = shape.dead[backward];
@@ -750,6 +760,7 @@ impl Model for StaticMap {
                 target = shape.output(above, backward, scale);
                 let start = shape.start[backward];
                 if start > 0.0 && moving != Some(backward) {
+                    // A logistic function instead of a step gives the start level a gradient.
                     let over = (level.abs() - start.max(dead)) / self.smear;
                     let started = 1.0 / (1.0 + (-over).exp());
                     moving = (started > 0.5).then_some(backward);
@@ -762,6 +773,7 @@ impl Model for StaticMap {
                 target *= supply.powf(shape.supply);
             }
             target *= 1.0 + shape.drift_per_s * run.time_s[row];
+            // The first row has no predecessor and counts as settled.
             let passed_s = row.checked_sub(1).map_or(f64::INFINITY, |before| run.time_s[row] - run.time_s[before]);
             settled = if shape.settling_s > 0.0 {
                 target + (settled - target) * (-passed_s / shape.settling_s).exp()
@@ -790,7 +802,7 @@ impl Family for StaticMap {
         self.unit
     }
 
-    /// The slope of the straight line through zero, and steeper ones for maps that bend.
+    /// Returns the slope of the regression through zero, and a steeper one for maps that saturate.
     fn starts(&self, runs: &[&MapRun]) -> Vec<Vec<f64>> {
         let (mut uy, mut uu) = (0.0, 0.0);
         for (u, y) in runs.iter().flat_map(|run| run.rows()) {
@@ -815,7 +827,8 @@ impl Family for StaticMap {
         MapRun { first: run.first + from, measured: run.measured[from..to].to_vec(), ..run.clone() }
     }
 
-    /// Rows hardly depend on each other, and a model of a map is not asked beyond the levels it was fitted to: blocks of four.
+    /// Cuts blocks of four rows: rows are nearly independent, and a map is not used beyond the levels it was fitted
+    /// to.
     fn blocks(&self, run: &MapRun) -> Option<usize> {
         Some(run.rows().count() / 4)
     }
@@ -837,7 +850,7 @@ impl Family for StaticMap {
         ("input".to_owned(), run.input().to_vec())
     }
 
-    /// A plant that settles where the map says when a level is taken up from rest.
+    /// Returns a plant that settles at the map's value when a level is taken up from rest.
     fn loadable(&self, structure: &Structure, source: &str) -> Loadable {
         let (structure, left_out) = super::of_the_level(self, structure);
         let settles_at = |level: f64| {
@@ -874,8 +887,9 @@ impl Family for StaticMap {
         }
         seen.sort_unstable_by(f64::total_cmp);
         let Some((&low, &high)) = seen.first().zip(seen.last()) else { return vec![] };
+        // Equal levels must not become two knots.
         let gap = 1e-3 * (high - low);
-        // Where the rows are dense, corners are: at least six rows to a piece, and not more than twelve pieces.
+        // Knots are dense where rows are: at least six rows to a piece, and at most twelve pieces.
         let pieces = (seen.len() / 6).min(12);
         let mut at: Vec<f64> = Vec::new();
         for piece in 0..=pieces {
@@ -892,7 +906,8 @@ impl Family for StaticMap {
 }
 
 impl MapRun {
-    /// What the output of a row may depend on. History is how far the input went since it turned last, with sign.
+    /// Returns the value that the output of a row may depend on. History is the signed travel of the input since its
+    /// last reversal.
     fn driver(&self, over: Dependence, row: usize, supply_ref: f64) -> f64 {
         match over {
             Dependence::Input => self.input[row],

@@ -1,5 +1,5 @@
-//! What does not move in time: maps from a level to a steady output, laws against printed rows, and the play of a shaft
-//! that is pulled from both sides.
+//! Models without motion in time: maps from a level to a steady output, laws of printed tables, and the play of a
+//! shaft that is pulled from both sides.
 //!
 //! | module | model |
 //! | --- | --- |
@@ -18,9 +18,9 @@ pub mod map;
 mod plant;
 pub mod table;
 
-/// Parts of one recording for models of which one recording is enough: what to fit to, and what to hold out. Of a map every
-/// `every`th row is held out, of a held shaft every `every`th pull of each side. `None` for other models, and where the
-/// recording does not have these parts.
+/// Divides one recording into a part to fit to and a held-out part, for models of which one recording is enough. Of a
+/// map every `every`th row is held out, of a held shaft every `every`th pull of each side. `None` for other models,
+/// and if the recording does not have these parts.
 #[must_use]
 pub fn hold_out(model: &str, run: &Run, every: usize) -> Option<(Run, Run)> {
     match model {
@@ -30,7 +30,8 @@ pub fn hold_out(model: &str, run: &Run, every: usize) -> Option<(Run, Run)> {
     }
 }
 
-/// What of a structure depends on the level alone, and the names of the other terms: no map over the level holds them.
+/// Returns the terms of a structure that depend on the level alone, and the names of the other terms, which a map
+/// over the level cannot hold.
 fn of_the_level<F: Family>(family: &F, structure: &Structure) -> (Structure, Vec<String>) {
     use Dependence::{Direction, Input, Speed};
     let mut kept = Structure { terms: vec![], base: structure.base.clone(), added: vec![] };
@@ -39,7 +40,7 @@ fn of_the_level<F: Family>(family: &F, structure: &Structure) -> (Structure, Vec
         let (is_kept, name) = match term {
             Term::Known(index) => {
                 let candidate = &family.catalogue()[*index];
-                // A start from rest is in the map of a level that is taken up from rest.
+                // The map is evaluated from rest, so it includes static friction.
                 let of_level = |over: &Dependence| matches!(over, Input | Direction | Speed);
                 let starts = candidate.name == "static-friction";
                 (starts || candidate.depends_on.iter().all(of_level), candidate.name.to_owned())
@@ -66,7 +67,7 @@ mod tests {
     use crate::data::{Mapping, Options, read};
     use crate::task::{Task, identify};
 
-    /// One recording of `data/`, through the task.
+    /// Runs the task on one recording of `data/`.
     fn reported(model: &str, file: &str, roles: Vec<Mapping>) -> crate::task::Identified {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data").join(file);
         let options = Options { roles, counts_per_turn: Some(4096.0), ..Options::default() };
@@ -88,7 +89,7 @@ mod tests {
         assert!(map.report.last.holdout.rmse < 0.1 * map.report.baseline.holdout.rmse, "{}", map.report.verdict);
         let plant = PlantSpec::from_toml("plant.toml", map.loadable.plant().unwrap()).unwrap();
         let [table] = plant.tables() else { panic!("{plant:?}") };
-        // The dead zone that is found: what is left of a duty within it is nothing.
+        // The plant's table cancels a duty within the identified dead zone.
         let dead = map.report.effects.iter().find(|effect| effect.name == "dead-zone").unwrap();
         let level = 0.5 * dead.parameters["forward"].value;
         assert!((level + table.value(level)).abs() < 1e-3, "{} of {level}", table.value(level));
@@ -103,7 +104,7 @@ mod tests {
         let backlash = shaft.report.effects.iter().find(|effect| effect.name == "backlash").unwrap();
         let plant = PlantSpec::from_toml("plant.toml", shaft.loadable.plant().unwrap()).unwrap();
         assert!(matches!(plant.effects(), [Effect::Backlash(found)] if found.gap == backlash.parameters["gap"].value));
-        // 0.62 degrees are published without load.
+        // The published gap without load is 0.62 degrees.
         assert!((backlash.parameters["gap"].value.to_degrees() - 0.62).abs() < 0.1, "{backlash:?}");
         assert!(shaft.report.last.holdout.rmse < 0.6 * shaft.report.baseline.holdout.rmse, "{}", shaft.report.verdict);
     }

@@ -1,7 +1,8 @@
-//! Plants that settle where a map says: what a simulated board loads of a model of something at rest.
+//! Plant files of static models: plants that settle at the values of a map, for a simulated board.
 //!
-//! A motor whose full duty gives the largest output of the map, with a table on its input that bends the straight line between
-//! into the map. An output that is a place settles against a spring. How fast it settles is in no map: [`SETTLES_S`].
+//! The plant is a motor whose full duty gives the largest output of the map, with a table on its input that bends the
+//! straight line into the map. An output that is a position settles against a spring. A map does not contain the
+//! settling time, which is assumed to be [`SETTLES_S`].
 
 use std::fmt::Write;
 
@@ -13,43 +14,44 @@ use r4_plants::{
     },
 };
 
-/// Time constant of a plant of which only the end is known, s.
+/// Assumed time constant of a plant of which only the steady state is known, s.
 const SETTLES_S: f64 = 0.05;
-/// Supply where none was recorded, V.
+/// Assumed supply if none was recorded, V.
 const ASSUMED_V: f64 = 12.0;
-/// Winding of a motor of which only the output is known, ohm.
+/// Assumed winding resistance of a motor of which only the output is known, Ω.
 const ASSUMED_OHM: f64 = 1.0;
-/// Pieces of the table on each side of zero: what bends over the whole level is off by a 2000th of it.
+/// Number of pieces of the table on each side of zero: a parabola over the whole range is off by 1/2000 of it.
 const PIECES: u32 = 32;
-/// Screw of a rod of which only the output is known, m.
+/// Assumed screw lead of a rod of which only the output is known, m per revolution.
 const ASSUMED_LEAD_M: f64 = 0.01;
 
-/// A map from a level to what the output settles at.
+/// Map from an input level to the steady output.
 pub(super) struct SettlingMap<'m> {
-    /// Of the output.
+    /// Unit of the output.
     pub(super) unit: &'m str,
-    /// Where the numbers are from.
+    /// Origin of the numbers.
     pub(super) source: &'m str,
     /// Level that full duty stands for; above 0.
     pub(super) full: f64,
-    /// Lowest and highest level that was recorded.
+    /// Lowest and highest level in the recording.
     pub(super) seen: [f64; 2],
     /// Supply at which the map holds, V; `None` if it was not recorded.
     pub(super) supply_v: Option<f64>,
-    /// The map.
+    /// Steady output at a level.
     pub(super) settles_at: &'m dyn Fn(f64) -> f64,
-    /// What was found and is not in the map.
+    /// Findings that the map does not contain.
     pub(super) left_out: Vec<String>,
 }
 
-/// What settles.
+/// Kind of quantity that settles.
 #[derive(Clone, Copy, PartialEq)]
 enum Settles {
     Speed,
     Place,
 }
 
-/// Whether what has this unit turns or slides, and whether it is a speed or a place; `None` for what does not move.
+/// Returns whether an output in this unit turns or slides, and whether it is a speed or a position; `None` for
+/// others.
 fn motion(unit: &str) -> Option<(PlantKind, Settles)> {
     Some(match unit {
         "rad/s" => (PlantKind::Rotary, Settles::Speed),
@@ -60,11 +62,11 @@ fn motion(unit: &str) -> Option<(PlantKind, Settles)> {
     })
 }
 
-/// A motor of this force constant at the output (N m/A or N/A) and this inertia or mass there.
+/// Returns a motor with this force constant (N m/A or N/A) and this inertia or mass, both at the output.
 fn motor(kind: PlantKind, constant: f64, inertia: f64) -> Model {
     match kind {
         PlantKind::Rotary => {
-            // The ratio takes what a torque constant may not be.
+            // The torque constant stays in its allowed range; the gear ratio takes the rest.
             let gear_ratio = (constant / DcGearMotor::TYPICAL.torque_constant_nm_per_a).clamp(1e-3, 1e5);
             Model::DcGearMotor(DcGearMotor {
                 resistance_ohm: ASSUMED_OHM,
@@ -90,8 +92,8 @@ fn motor(kind: PlantKind, constant: f64, inertia: f64) -> Model {
 }
 
 impl SettlingMap<'_> {
-    /// The map within the recorded levels, straight down to zero below them and constant above; one that was recorded on one side
-    /// only holds for both. Nothing is driven at level zero, whatever the map says: a board that is safe must not move.
+    /// Returns the map's value at a level. Below the recorded levels it is linear to zero, above them constant. A map
+    /// of one direction is mirrored. The value at level zero is 0, whatever the map says: a safe board must not move.
     fn within(&self, level: f64) -> f64 {
         let [low, high] = self.seen;
         if level == 0.0 {
@@ -109,14 +111,15 @@ impl SettlingMap<'_> {
         (self.settles_at)(size.min(farthest).copysign(level).clamp(low, high))
     }
 
-    /// The text of a plant file; where none can hold the map, a comment that says why.
+    /// Returns the text of a plant file; if no plant can hold the map, a comment that says why.
     pub(super) fn plant_file(&self) -> String {
         let duties = (-i32::try_from(PIECES).unwrap_or(0)..=i32::try_from(PIECES).unwrap_or(0))
             .map(|piece| f64::from(piece) / f64::from(PIECES));
         let corners: Vec<(f64, f64)> = duties.map(|duty| (duty, self.within(duty * self.full))).collect();
+        // Full duty reaches the largest output without the table.
         let top = corners.iter().map(|(_, settled)| settled.abs()).fold(0.0, f64::max);
         let mut text = String::new();
-        // Writing to a String cannot fail, here and below.
+        // Writing to a `String` cannot fail, here and below.
         let mut say = |line: String| {
             let _ = writeln!(text, "# {line}");
         };
@@ -148,7 +151,7 @@ impl SettlingMap<'_> {
         (kind, settles): (PlantKind, Settles),
         supply_v: f64,
     ) -> Result<PlantSpec, InvalidField> {
-        // A map of nothing but zeros is a motor that the table keeps from turning.
+        // A map of zeros becomes a motor that its table keeps at rest.
         let top = if top > 0.0 { top } else { 1.0 };
         let (constant, inertia, spring) = match settles {
             Settles::Speed => {
@@ -156,8 +159,8 @@ impl SettlingMap<'_> {
                 (constant, SETTLES_S * constant * constant / ASSUMED_OHM, None)
             }
             Settles::Place => {
-                // Back-EMF damps, b = K² / R; the spring k = K V / R top makes b / k the time constant, and half of the inertia at
-                // which it would swing leaves that alone.
+                // Back-EMF damps with b = K² / R, and a spring k = K V / (R top) makes b / k the time constant. An
+                // inertia of half the critical one leaves that time constant unchanged.
                 let constant = SETTLES_S * supply_v / top;
                 let (damping, spring) = (constant * constant / ASSUMED_OHM, constant * supply_v / (ASSUMED_OHM * top));
                 (constant, damping * damping / (8.0 * spring), Some(spring))
@@ -175,12 +178,12 @@ impl SettlingMap<'_> {
     }
 }
 
-/// Sizes of the levels of one side: the nearest to zero and the farthest.
+/// Returns the smallest and the largest magnitude of the levels of one side.
 fn ends(low: f64, high: f64) -> (f64, f64) {
     (low.abs().min(high.abs()), low.abs().max(high.abs()))
 }
 
-/// A motor with the play that was found, in the unit of the output; everything else of it is typical.
+/// Returns a typical motor with a backlash of `gap` in the unit of the output.
 pub(super) fn with_play(unit: &str, gap: Option<f64>, source: &str, left_out: &[String]) -> String {
     let mut text = String::new();
     let (kind, _) = motion(unit).unwrap_or_else(|| {
@@ -214,19 +217,19 @@ mod tests {
 
     use super::*;
 
-    /// Where a plant is, or how fast, after a long time at a duty.
+    /// Returns the position or speed of a plant after a long time at a duty.
     fn settled(spec: &PlantSpec, duty: f64, supply_v: f64, of_speed: bool) -> f64 {
         let mut plant = Plant::new(spec, 1);
         if of_speed {
-            // Far from the stops of a rod.
+            // A rod starts far from its end stops.
             plant.set_position(50.0);
         }
-        // 20 time constants: e^-20 is left.
+        // After 20 time constants the error is e^-20.
         plant.advance(Drive::with_brake(duty), supply_v, 20.0 * SETTLES_S);
         if of_speed { plant.speed() } else { plant.position() }
     }
 
-    /// A dead zone and a saturation, which are corners of no table.
+    /// Map with a dead zone and a saturation, whose corners lie between those of the table.
     fn bent(level: f64) -> f64 {
         ((level.abs() - 20.0).max(0.0) / 10.0).min(15.0).copysign(level)
     }
@@ -247,12 +250,13 @@ mod tests {
             let text = map.plant_file();
             let spec = PlantSpec::from_toml("map.toml", &text).unwrap_or_else(|error| panic!("{error}\n{text}"));
             let supply_v = map.supply_v.unwrap_or(ASSUMED_V);
-            // A rod begins at its one stop, so it is pushed forwards only.
+            // A rod at one end stop can only be driven forwards.
             let lowest = if unit == "m" { 0 } else { -20 };
             for duty in (lowest..=20).map(|part| f64::from(part) / 20.0) {
                 let of_speed = !matches!(unit, "rad" | "m");
                 let (got, expected) = (settled(&spec, duty, supply_v, of_speed), settles_at(duty * 255.0));
-                // Within a piece of the table the map bends by less than its slope, 0.1 of a level, over half a piece of 8 levels.
+                // Within a piece of the table the map bends by less than its slope, 0.1 per level, times half a piece
+                // of 8 levels.
                 let off = 0.4 * scale;
                 assert!((got - expected).abs() <= off, "{unit} at {duty}: {got}, {expected}\n{text}");
             }
@@ -278,7 +282,7 @@ mod tests {
         let spec = PlantSpec::from_toml("map.toml", &text).unwrap();
         for (duty, expected) in [(1.0, 2.0), (0.5, 4.0), (-0.5, -4.0), (0.1, 5.0), (0.0, 0.0)] {
             let got = settled(&spec, duty, ASSUMED_V, true);
-            // Corners every 1.5625 levels of a curve that bends by 2 * 100 / 20³: 0.008; less at the others.
+            // Points are 1.5625 levels apart; the largest curvature, 2 * 100 / 20³, makes an error of 0.008.
             assert!((got - expected).abs() < 0.02, "{duty}: {got}");
         }
     }

@@ -1,4 +1,4 @@
-//! Every model writes something that a simulated board loads.
+//! Tests that every model writes a file that a simulated board loads, and that mistakes in recordings are reported.
 
 use r4_plants::{DcGearMotor, Drive, LinearActuator, Model as PlantModel, Plant};
 use r4_world::{Body as _, MAX_STEP_S, Scene, ShaftMotion};
@@ -9,7 +9,7 @@ use crate::data::{Quantity, Signal};
 const PERIOD_S: f64 = 0.02;
 const SAMPLES: usize = 150;
 
-/// Columns by role.
+/// Columns of a recording: role, quantity and values.
 type Columns = Vec<(&'static str, Quantity, Vec<f64>)>;
 
 fn run(columns: Columns) -> Run {
@@ -25,18 +25,18 @@ fn run(columns: Columns) -> Run {
     }
 }
 
-/// Steps of several sizes, both ways, that `seed` shifts.
+/// Steps of several sizes in both directions; `seed` shifts their order.
 fn steps(seed: usize) -> Vec<f64> {
     const SIZES: [f64; 8] = [0.0, 0.6, -0.3, 0.9, -0.8, 0.4, -0.6, 0.2];
     (0..SAMPLES).map(|at| SIZES[(at / 25 + seed) % SIZES.len()]).collect()
 }
 
-/// Small and without a pattern: no fit is exact.
+/// Returns a small error without a pattern, so that no fit is exact.
 fn noise(at: usize) -> f64 {
     1e-4 * ((at * at) as f64 * 0.7).sin()
 }
 
-/// What a plant's position does under these duties.
+/// Returns the position of a simulated plant under these duties.
 fn driven(model: PlantModel, duties: &[f64], start: f64) -> Vec<f64> {
     let mut plant = Plant::new(&PlantSpec::new(model, "a test", vec![]).unwrap(), 1);
     plant.set_position(start);
@@ -48,7 +48,7 @@ fn driven(model: PlantModel, duties: &[f64], start: f64) -> Vec<f64> {
     duties.iter().enumerate().map(step).collect()
 }
 
-/// Places of a robot that turns by three quarters of what its wheels say.
+/// Returns the positions and yaw angles of a robot that turns at three quarters of the rate of its wheels.
 fn driven_about(sides: &[(f64, f64)]) -> [Vec<f64>; 3] {
     let (mut x, mut y, mut yaw) = (0.0, 0.0, 0.0);
     let mut all = [const { Vec::new() }; 3];
@@ -63,7 +63,7 @@ fn driven_about(sides: &[(f64, f64)]) -> [Vec<f64>; 3] {
     all
 }
 
-/// A recording of what the model is of.
+/// Returns a recording that suits the model.
 fn recorded(model: &str, seed: usize) -> Run {
     let duties = steps(seed);
     run(match model {
@@ -161,7 +161,7 @@ fn every_model_writes_what_a_simulated_board_loads() {
                 let mut body = fitted.wheeled.clone();
                 let shafts = vec![ShaftMotion { position: 0.0, speed: 3.0 }; body.shafts()];
                 let mut loads = vec![0.0; body.shafts()];
-                // 1 s: slowly rolling wheels have taken it along.
+                // After 1 s the slowly rolling wheels have taken the body along.
                 for _ in 0..4000 {
                     body.step(&mut Scene::default(), 0.0, &shafts, &mut loads, MAX_STEP_S);
                 }
@@ -172,7 +172,7 @@ fn every_model_writes_what_a_simulated_board_loads() {
     }
 }
 
-/// The recordings of a motor, each made wrong in one way.
+/// Recordings of a motor, each with one mistake.
 #[test]
 fn mistakes_in_recordings_are_told() {
     fn reversed(run: &mut Run) {
@@ -200,7 +200,7 @@ fn mistakes_in_recordings_are_told() {
     }
 }
 
-/// A second sensor in the wrong unit changes no fit, and is told.
+/// A second sensor in the wrong unit changes no fit, and is reported.
 #[test]
 fn a_second_sensor_is_compared_and_not_fitted_to() {
     let task = Task { model: "dc-motor".into(), ..Task::default() };
@@ -227,13 +227,13 @@ fn a_second_sensor_is_compared_and_not_fitted_to() {
     assert!(compared.verdict.contains("; check the recordings: `speed_rad_s` is 57."), "{}", compared.verdict);
 }
 
-/// Rows out of order are told whatever else is.
+/// Rows out of order are reported before any other finding.
 #[test]
 fn rows_out_of_order_are_told_first() {
     let task = Task { model: "dc-motor".into(), ..Task::default() };
     let [train, holdout] = [1, 3].map(|seed| {
         let mut run = recorded("dc-motor", seed);
-        // 67 and 150 have no common divisor: each row once.
+        // 67 and 150 have no common divisor, so each row occurs once.
         let shuffle = |values: &[f64]| (0..SAMPLES).map(|at| values[at * 67 % SAMPLES]).collect();
         run.signals.values_mut().for_each(|signal| signal.values = shuffle(&signal.values));
         run

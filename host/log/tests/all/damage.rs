@@ -1,4 +1,4 @@
-//! Files that are cut, damaged or of another program.
+//! Tests of files that are cut, damaged or of another program.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
 use std::{cell::RefCell, collections::BTreeMap, io::Cursor};
@@ -11,7 +11,7 @@ use r4_protocol::{Causes, SafetyState};
 
 #[test]
 fn a_file_cut_anywhere_gives_an_error_or_what_was_before() {
-    // Three chunks of a second.
+    // Frames are 120 ms apart: three chunks of a second.
     let file = run_every(120_000);
     let whole = Log::from_bytes(&file).unwrap();
     let (mut samples, mut steps) = (0, 0);
@@ -33,7 +33,7 @@ fn a_file_cut_anywhere_gives_an_error_or_what_was_before() {
     assert_eq!((samples, steps), (20, 3));
 }
 
-/// What is on disk when the recording program is killed: all but the last second.
+/// A recording program that is killed leaves everything on disk but the last second.
 #[test]
 fn an_unfinished_recording_is_read() {
     struct Disk<'a>(&'a RefCell<Vec<u8>>);
@@ -50,10 +50,10 @@ fn an_unfinished_recording_is_read() {
         }
     }
     let disk = RefCell::new(Vec::new());
-    // A buffer is not on disk.
+    // Buffered bytes are lost, as when a process is killed.
     let mut recorder = Recorder::new(std::io::BufWriter::new(Disk(&disk)), &header()).unwrap();
     let mut states = 0;
-    // Ten a second, and causes that are no pattern to compress.
+    // Ten states per second, with causes in no pattern that would compress.
     while recorder
         .state(states * 100_000, SafetyState::Armed, Causes::from_bits((states * 40_503) as u32 & 0xffff))
         .is_ok()
@@ -74,7 +74,7 @@ fn a_flipped_bit_is_found_and_its_chunk_left_out() {
     let (file, mut found) = (run_every(120_000), 0);
     let (whole, data) = (Log::from_bytes(&file).unwrap(), data_of_chunks(&file));
     for at in data.iter().cloned().flatten() {
-        // Another bit of each byte.
+        // Each byte gets another bit flipped.
         let mut damaged = file.clone();
         damaged[at] ^= 1 << (at % 8);
         let log = Log::from_bytes(&damaged).unwrap();
@@ -84,14 +84,14 @@ fn a_flipped_bit_is_found_and_its_chunk_left_out() {
             assert!((1..20).contains(&samples.len()), "the other chunks are read");
             found += 1;
         }
-        // A bit of a frame's head may say nothing; no number is another one.
+        // A flipped bit of the LZ4 frame's header may have no effect, but no number may change.
         assert!(samples.iter().all(|sample| whole.motor(OSMC).unwrap().samples.contains(sample)), "{at}");
     }
     let bits: usize = data.iter().map(|chunk| chunk.len()).sum();
     assert!(found > bits * 98 / 100, "{found} of {bits}");
 }
 
-/// Where the compressed data of each chunk are.
+/// Returns the range of the compressed data of each chunk in the file.
 fn data_of_chunks(file: &[u8]) -> Vec<std::ops::Range<usize>> {
     let summary = mcap::Summary::read(file).unwrap().unwrap();
     let data = summary.chunk_indexes.iter().map(|index| {
@@ -101,12 +101,13 @@ fn data_of_chunks(file: &[u8]) -> Vec<std::ops::Range<usize>> {
     data.collect()
 }
 
-/// A chunk that says it is larger or smaller than it is, or whose compression is unknown.
+/// Chunks whose header declares a wrong size, or an unknown compression.
 #[test]
 fn a_chunk_with_a_wrong_head_is_left_out() {
     let file = run();
     let data = data_of_chunks(&file)[0].start;
-    // Before the data: size, name of the compression and its length, checksum, uncompressed size.
+    // Fields before the data, backwards: compressed size (8), name (3) and its length (4), checksum (4), uncompressed
+    // size (8).
     let (name, uncompressed) = (data - 11, data - 27);
     assert_eq!(&file[name..data - 8], b"lz4");
     let with = |at: usize, bytes: &[u8]| {
@@ -151,7 +152,7 @@ fn what_is_not_a_log_is_named() {
     assert!(matches!(partial, Err(LogError::BadHeader { key: "protocol_version" })));
 }
 
-/// Messages of a known topic with the wrong fields, beside good ones: counted, and the good ones kept.
+/// Messages of a known topic with wrong fields between good ones: they are counted, and the good ones are kept.
 #[test]
 fn a_message_with_wrong_fields_is_counted() {
     let file = run();

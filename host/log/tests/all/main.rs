@@ -1,4 +1,4 @@
-//! Tests of recordings: written, read, damaged.
+//! Tests of recordings: written, read and damaged ones.
 
 mod common;
 mod damage;

@@ -1,4 +1,4 @@
-//! What is recorded is what is read.
+//! Tests that a log reads back as it was recorded.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
 use std::{fs, io::Cursor};
@@ -23,7 +23,7 @@ fn every_kind_of_message_comes_back() {
     assert_eq!((last.position_counts, last.setpoint.mode), (140, Mode::Position));
     assert!(last.settled && last.homed && !log.motor(OSMC).unwrap().samples[0].homed);
     assert_eq!((last.time_s, last.setpoint.value, last.speed), (20e-6, 1.5, 0.25));
-    // a count is an `f32` on the wire, hence not exactly 0.001
+    // The resolution is an `f32` on the wire, hence not exactly 0.001.
     assert_eq!(last.position, 140.0 * f64::from(0.001_f32));
     assert!(log.motor(ACTUATOR).unwrap().is_linear());
     assert_eq!(log.motor(ACTUATOR).unwrap().samples[0].position, 7.0 * f64::from(0.000_1_f32));
@@ -49,7 +49,7 @@ fn every_kind_of_message_comes_back() {
     assert_eq!(log.time_span_s(), Some((1e-6, 950e-6)));
 }
 
-/// The bytes of the fields are a contract with the layouts people keep in their viewers.
+/// The field names are a contract with the layouts that people keep in their viewers.
 #[test]
 fn messages_have_units_in_their_names_and_follow_their_schema() {
     let file = run();
@@ -126,10 +126,10 @@ fn a_channel_that_the_header_does_not_describe_is_refused() {
     ));
 }
 
-/// Chunks are closed when they are full or a second long; every chunk must be found again.
+/// Chunks are closed when they are full or a second long; every chunk must be found by its index.
 #[test]
 fn a_long_run_has_several_chunks() {
-    // Each sample is about 50 bytes: by size 5243 in a chunk; by time 1000.
+    // Each sample is about 50 bytes: 5243 per chunk by size, 1000 by time.
     for (period_us, chunks) in [(1, 4), (1_000, 20)] {
         let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header()).unwrap();
         for sample in 0..20_000 {
@@ -141,7 +141,7 @@ fn a_long_run_has_several_chunks() {
         let summary = mcap::Summary::read(&file).unwrap().unwrap();
         assert_eq!(summary.chunk_indexes.len(), chunks);
         assert_eq!((summary.stats.unwrap().message_count, messages(&file).len()), (20_001, 20_001));
-        // What an index points to is the record that it says.
+        // Each index must point to a record of the declared kind.
         for index in &summary.chunk_indexes {
             assert_eq!(file[index.chunk_start_offset as usize], op::CHUNK);
             for (channel, offset) in &index.message_index_offsets {
@@ -182,7 +182,7 @@ fn qualities() -> impl Strategy<Value = Quality> {
     ]
 }
 
-/// Any bits, so also NaN and the infinities.
+/// Floats of any bit pattern, NaN and the infinities included.
 fn floats() -> impl Strategy<Value = f32> {
     any::<u32>().prop_map(f32::from_bits)
 }
@@ -226,7 +226,7 @@ fn samples() -> impl Strategy<Value = Sample> {
     ]
 }
 
-/// The number as it is in a log: what JSON cannot hold is NaN.
+/// Returns the number as a log holds it: NaN for what JSON cannot hold.
 fn logged(value: f32) -> f64 {
     if value.is_finite() { f64::from(value) } else { f64::NAN }
 }

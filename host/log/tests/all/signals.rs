@@ -1,4 +1,4 @@
-//! Runs as tables and as differences, and logs of earlier versions.
+//! Tests of tables and differences of runs, and of logs of earlier versions.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
 use std::io::Cursor;
@@ -41,10 +41,10 @@ fn a_table_has_what_was_recorded_and_nothing_else() {
     ] {
         assert_eq!(cell(1, name), value, "{name}");
     }
-    // Every digit that it takes: the number read back is the number recorded.
+    // All digits are written: the number read back is identical to the number recorded.
     let position = log.motor(OSMC).unwrap().samples[0].position;
     assert_eq!(cell(1, "osmc0.position_rad").parse::<f64>().unwrap().to_bits(), position.to_bits());
-    // At a state change or a command nothing was measured, and a state is told when it changes.
+    // State changes and commands have rows without measurements, and a state is only in the row of its change.
     assert_eq!((cell(21, "state"), cell(21, "osmc0.position_rad"), cell(2, "state")), ("disarmed", "", ""));
     assert_eq!((cell(22, "osmc0.command_position_rad"), cell(22, "osmc0.duty")), ("1.5", ""));
     assert!(!rows[0].iter().any(|head| head == "dhb2.position_rad"), "nothing measures it");
@@ -60,7 +60,7 @@ fn two_things_of_one_moment_get_two_rows() {
     assert_eq!(table(&log), [["time_s", "request"], ["0.001000", "arm"], ["0.001000", "stop"]]);
 }
 
-/// A run with a switch and a range reading each 10 ms from `start_us` on, of which those in `without` are lost.
+/// Builds a run with a switch and a range reading every 10 ms from `start_us` on. Ticks in `without` are lost.
 fn readings(start_us: u64, without: std::ops::Range<u64>, value: impl Fn(f64) -> f32) -> Log {
     let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header()).unwrap();
     for tick in (0..100).filter(|tick| !without.contains(tick)) {
@@ -86,13 +86,13 @@ fn differences_are_seen_from_both_sides() {
     let (a, distance) = (readings(0, 0..0, ramp), "range5.distance_m");
     assert!(compare(&a, &a, 0.0).iter().all(|difference| difference.is_identical() && difference.compared > 0));
 
-    // Sampled at other moments, a straight line is the same line; a step is at most a sample away.
+    // A straight line sampled at other times is the same line; a step is at most a sample away.
     let between = readings(4_000, 0..0, ramp);
     let difference = of(&a, &between, 0.0, distance);
     assert!(difference.max.unwrap() < 1e-6 && difference.compared == 198, "{difference:?}");
     assert_eq!(difference.one_sided, [1, 1], "the first of one and the last of the other");
     assert_eq!(of(&a, &between, 0.0, "switch3.on").max, Some(0.0));
-    // The same samples by another clock.
+    // The same samples on another clock, which the shift cancels.
     assert!(of(&a, &readings(5_000_000, 0..0, |time_s| ramp(time_s - 5.0)), -5.0, distance).max.unwrap() < 1e-6);
 
     let half = readings(0, 0..0, |time_s| if time_s < 0.5 { 0.25 } else { 0.0 });
@@ -100,7 +100,7 @@ fn differences_are_seen_from_both_sides() {
     assert_eq!((off.max, off.unequal, off.one_sided), (Some(0.25), 100, [0, 0]));
     assert!((off.rms.unwrap() - 0.25 / 2_f64.sqrt()).abs() < 1e-9, "{off:?}");
 
-    // What one has not recorded is not made up.
+    // Values are not interpolated over a gap.
     let gap = of(&a, &readings(0, 20..40, ramp), 0.0, distance);
     assert_eq!((gap.samples, gap.one_sided, gap.compared), ([100, 80], [20, 0], 160));
     let swapped = of(&readings(0, 20..40, ramp), &a, 0.0, distance);
@@ -139,8 +139,8 @@ fn what_was_subscribed_and_never_came_is_missing() {
     assert!(without.iter().all(|coverage| coverage.missing.is_none()), "this log does not say what was asked for");
 }
 
-/// `tests/data/protocol-3.mcap` was recorded by a program of protocol 3: the first set point of `r4 demo` on a bench whose
-/// limit of the following error is so narrow that it trips.
+/// `tests/data/protocol-3.mcap` was recorded by a program of protocol 3: the first set point of `r4 demo` on a bench
+/// whose limit of the following error is so narrow that it trips.
 #[test]
 fn a_log_of_protocol_3_is_read() {
     let log = Log::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/protocol-3.mcap")).unwrap();

@@ -1,4 +1,4 @@
-//! What is recorded of the bytes on a link.
+//! Tests of recordings made from the bytes on a link.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
 use std::io::Cursor;
@@ -30,7 +30,7 @@ fn tap(wall: Wall) -> Tap<Cursor<Vec<u8>>> {
     )
 }
 
-/// A tap and both ends of its link. The board's clock is 5 s ahead.
+/// Tap with both ends of its link. The board's clock is 5 s ahead of the host's.
 struct Link {
     tap: Tap<Cursor<Vec<u8>>>,
     seq: u16,
@@ -48,7 +48,7 @@ impl Link {
         self.tap.received(now_us, &frame(&ToHost::Response { seq: self.seq, result }));
     }
 
-    /// Says hello at 100 us and describes every channel until 1 ms.
+    /// Sends hello at 100 µs and describes every channel until 1 ms.
     fn open() -> Self {
         Self::open_at(Wall::Began { unix_ns: 0 })
     }
@@ -59,7 +59,7 @@ impl Link {
         link
     }
 
-    /// Says hello at `now_us` to a board whose clock is `device_us` 50 us later.
+    /// Sends hello at `now_us` to a board whose clock reads `device_us` 50 µs later.
     fn greet(&mut self, now_us: u64, device_us: u64, channels: Vec<ChannelInfo>) {
         self.ask(now_us, Request::Hello { version: VERSION, schema: SCHEMA_HASH });
         let info = DeviceInfo {
@@ -79,7 +79,8 @@ impl Link {
         }
     }
 
-    /// Samples of the first channel, each 10 ms from then to then of the board's clock, when the host's is `behind_us` behind it.
+    /// Sends samples of the first channel every 10 ms over a range of the board's clock; the host's is `behind_us`
+    /// behind it.
     fn samples(&mut self, device_us: std::ops::Range<u64>, behind_us: u64) {
         for device_us in device_us.step_by(10_000) {
             let samples = [Sample::Scalar { channel: SUPPLY, value: 12.0 }].into_iter().collect();
@@ -107,20 +108,20 @@ fn log_times_of_a_board_in_real_time_are_those_of_the_wall() {
     let file = link.tap.finish().unwrap().unwrap().into_inner();
     let log = Log::from_bytes(&file).unwrap();
     let recorded = log.header.recorded.unwrap();
-    // The hello was said at 100 us. By `date -u -d @1700000000`.
+    // The hello was sent at 100 µs. The date is from `date -u -d @1700000000`.
     assert_eq!((recorded.unix_ns, recorded.at()), (ZERO_NS + 100_000, "2023-11-14T22:13:20Z".to_owned()));
     let arm = messages(&file).into_iter().rfind(|message| message.topic == "/request").unwrap();
     assert_eq!((arm.header.log_time, arm.header.publish_time), (ZERO_NS + 2_000_000, (AHEAD_US + 2_000) * 1_000));
     assert_eq!(log.requests[0].time_s, (AHEAD_US + 2_000) as f64 / 1e6);
 }
 
-/// From 0.01 s to 0.99 s of the host's clock, then 2 s without a link.
+/// Link with samples from 0.01 s to 0.99 s of the host's clock, then lost for 2 s.
 fn lost() -> Link {
     let mut link = Link::open();
     link.subscribe(2_000);
     link.samples(AHEAD_US + 10_000..AHEAD_US + 1_000_000, AHEAD_US);
     link.tap.reopened();
-    // Another attempt: it did not answer.
+    // A second attempt, which the board does not answer.
     link.ask(2_000_000, Request::Hello { version: VERSION, schema: SCHEMA_HASH });
     link.tap.reopened();
     link
@@ -135,7 +136,7 @@ fn a_lost_link_leaves_a_gap() {
     let log = link.log();
     let gap = log.gaps[0];
     assert_eq!((log.gaps.len(), gap.restarted, gap.clock_shift_us), (1, false, 0));
-    // Heard last at 0.99 s, then 100 us after the hello.
+    // Last heard at 0.99 s, then 100 µs after the hello.
     assert_eq!((gap.time_s, gap.without_link_s), ((AHEAD_US + 2_990_050) as f64 / 1e6, 2.0001));
     let supply = log.coverage().into_iter().find(|coverage| coverage.channel == SUPPLY).unwrap();
     assert_eq!((supply.samples, supply.missing), (199, Some(0)), "nothing was asked for without a link");
@@ -146,7 +147,7 @@ fn a_lost_link_leaves_a_gap() {
 #[test]
 fn times_go_on_when_the_board_has_restarted() {
     let mut link = lost();
-    // 0.3 s after its start.
+    // The board answers 0.3 s after its restart.
     link.greet(2_990_000, 300_050, header().channels);
     link.subscribe(2_991_000);
     for tick in 1..=100_u64 {
@@ -158,7 +159,7 @@ fn times_go_on_when_the_board_has_restarted() {
     let log = link.log();
     let gap = log.gaps[0];
     assert!(gap.restarted);
-    // The first clock would have been 5 s ahead of the host's still.
+    // Without the restart, the clock would still be 5 s ahead of the host's.
     assert_eq!(gap.clock_shift_us, (AHEAD_US + 2_990_000 - 300_000) as i64);
     let times: Vec<_> = log.scalar(SUPPLY).unwrap().samples.iter().map(|sample| sample.0).collect();
     assert_eq!((times.len(), times[99]), (199, (AHEAD_US + 3_000_000) as f64 / 1e6));
@@ -211,7 +212,7 @@ fn a_session_is_recorded_with_everything_that_was_asked_for() {
         6_100,
         &frame(&ToHost::Heartbeat { host_us: 5_900, device_us, state, causes, hot: Default::default() }),
     );
-    // A question that every program asks anew.
+    // Not recorded: every program asks this anew.
     link.ask(6_200, Request::Fault { index: 0 });
     link.ask(7_000, Request::Bye);
     assert_eq!((link.tap.samples(), link.tap.bad_frames(), link.tap.began_us()), (1, 0, Some(100)));

@@ -1,39 +1,41 @@
-//! Rows that are missing.
+//! Detection of missing rows.
 
 use super::{super::clean::quantile, Column, Fault, Run};
 
-/// Steps on each side that a step is compared with.
+/// Number of steps on each side that a step is compared with.
 const AROUND: usize = 3;
-/// All but one of them agree with their median within this share.
+/// Relative deviation from their median within which all but one of them must lie.
 const ALIKE: f64 = 0.2;
-/// Of an input, each is this close to a straight line through them. With 0.2, the noisy voltage of a position loop (EMPS) has jumps by chance.
+/// Relative deviation from a straight line within which each step of an input must lie. With 0.2, the noisy voltage
+/// of a position loop (EMPS) has jumps by chance.
 const ALIKE_INPUT: f64 = 0.03;
 /// Smallest jump, as a multiple of the median step: one missing row makes it 2.
 const JUMP: f64 = 1.7;
-/// Smallest jump, as a multiple of the largest step around it, where all go in one direction but differ by noise or rounding. A speed
-/// that follows a step of the input within two thirds of a sample has such steps, too: not counted where the input changes.
+/// Smallest jump, as a multiple of the largest step around it, if all go in one direction but differ by noise or
+/// rounding. A speed that follows a step of the input within two thirds of a sample has such steps too: jumps near a
+/// change of the input do not count.
 const BLOCK: f64 = 4.0;
-/// Of an input's range, a change.
+/// Share of an input's range that is a change.
 const CHANGE: f64 = 0.1;
 /// Largest jump, in steps. A longer one may be a step of the set point on top of a ramp.
 const LARGEST: f64 = 60.0;
-/// Steps of fewer counts differ by rounding alone.
+/// Smallest step that is judged, in counts: smaller ones differ by rounding alone.
 const COUNTS: f64 = 4.0;
-/// Fewer jumps may be what they seem.
+/// Smallest number of jumps that is a fault: fewer may be real steps.
 const LEAST: usize = 4;
-/// Fewer jumps among steps that differ may be chance: of 3000 good recordings one has four.
+/// Smallest number of jumps among differing steps: fewer may be chance. Of 3000 good recordings one has four.
 const LEAST_BLOCKS: usize = 6;
-/// Of the places that can be judged, at least this share.
+/// Smallest share of jumps among the places that can be judged.
 const LEAST_SHARE: f64 = 0.002;
-/// Intervals between jumps that vary less than this, over their mean, are a beat of two clocks: a source slower or faster than the file.
-/// Missing rows at random have 1.
+/// Relative spread (standard deviation over mean) of the intervals between jumps below which they are a beat of two
+/// clocks: a source slower or faster than the file. Rows missing at random have 1.
 const BEAT: f64 = 0.5;
-/// Of fewer intervals, chance makes some alike.
+/// Smallest number of intervals for that test: of fewer, some are alike by chance.
 const FEWEST_APART: usize = 12;
-/// Share of missing samples that makes gaps a fault.
+/// Share of missing samples above which gaps are a fault.
 const GAPS: f64 = 0.01;
 
-/// Steps that are a multiple of those around them, in one direction; of an input, whole multiples only.
+/// Looks for steps that are a multiple of those around them, in one direction; of an input, whole multiples only.
 pub(super) fn dropped(column: &Column<'_>, column_input: Option<&Column<'_>>) -> Option<Fault> {
     let is_input = column_input.is_none();
     let least = COUNTS * column.grain();
@@ -57,7 +59,7 @@ pub(super) fn dropped(column: &Column<'_>, column_input: Option<&Column<'_>>) ->
                 last = Some(at);
                 continue;
             }
-            // A command has no noise: its steps are on a straight line.
+            // A command has no noise, so its steps lie on a straight line.
             let mean = near.iter().sum::<f64>() / near.len() as f64;
             let places = [-3.0, -2.0, -1.0, 1.0, 2.0, 3.0];
             let bend =
@@ -65,7 +67,7 @@ pub(super) fn dropped(column: &Column<'_>, column_input: Option<&Column<'_>>) ->
             let (middle, share) = if is_input { (mean, ALIKE_INPUT) } else { (usual, ALIKE) };
             let off = |(slope, at): (&f64, f64)| (slope - middle - bend * at).abs();
             let alike = near.iter().zip(places).filter(|one| off(*one) <= share * usual.abs()).count();
-            // About a turning point steps are small, and any step is a multiple of another.
+            // Around a turning point steps are small, and any step is a multiple of another.
             let is_turning = is_input && (!is_one_way || (6.0 * bend).abs() > mean.abs());
             if usual == 0.0
                 || is_turning
@@ -85,6 +87,7 @@ pub(super) fn dropped(column: &Column<'_>, column_input: Option<&Column<'_>>) ->
             }
         }
     }
+    // Weighted sum of both kinds, each relative to its own smallest number.
     let is_enough = jumps * LEAST_BLOCKS + blocks * LEAST >= LEAST * LEAST_BLOCKS;
     let jumps = jumps + blocks;
     let is_fault = is_enough && jumps as f64 >= LEAST_SHARE * judged as f64 && !is_beat(&apart);
@@ -92,14 +95,14 @@ pub(super) fn dropped(column: &Column<'_>, column_input: Option<&Column<'_>>) ->
     Some(Fault::Dropped { column: column.name.to_owned(), jumps, first_s })
 }
 
-/// Whether intervals are nearly all alike.
+/// Returns whether the intervals between jumps are nearly equal.
 fn is_beat(apart: &[f64]) -> bool {
     let mean = apart.iter().sum::<f64>() / apart.len().max(1) as f64;
     let spread = (apart.iter().map(|one| (one - mean).powi(2)).sum::<f64>() / apart.len().max(1) as f64).sqrt();
     apart.len() >= FEWEST_APART && spread <= BEAT * mean
 }
 
-/// Whether the input has a step about a sample.
+/// Returns whether the input has a step within two samples of `at`.
 fn changes(input: Option<&Column<'_>>, series: usize, at: usize) -> bool {
     let Some(input) = input else { return false };
     let [low, high] = input.ends();
@@ -110,7 +113,7 @@ fn changes(input: Option<&Column<'_>>, series: usize, at: usize) -> bool {
         .is_some_and(|values| values.windows(2).any(|pair| (pair[1] - pair[0]).abs() > CHANGE * (high - low)))
 }
 
-/// Gaps in the time stamps of regular recordings.
+/// Looks for gaps in the time stamps of regular recordings.
 pub(super) fn gaps(runs: &[&Run]) -> Option<Fault> {
     let steps = || runs.iter().flat_map(|run| run.time_s.windows(2).map(|pair| pair[1] - pair[0]));
     let finite: Vec<f64> = steps().filter(|step| step.is_finite()).collect();
@@ -121,7 +124,7 @@ pub(super) fn gaps(runs: &[&Run]) -> Option<Fault> {
         return None;
     }
     let gaps: Vec<f64> = finite.iter().copied().filter(|step| *step > 1.8 * median_s).collect();
-    // A logger that writes in bursts pauses at even intervals.
+    // A logger that writes in bursts pauses at regular intervals, which is no fault.
     let places: Vec<usize> = (0..finite.len()).filter(|&at| finite[at] > 1.8 * median_s).collect();
     if is_beat(&places.windows(2).map(|pair| (pair[1] - pair[0]) as f64).collect::<Vec<_>>()) {
         return None;

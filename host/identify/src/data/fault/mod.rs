@@ -2,10 +2,10 @@
 //!
 //! | module | fault | evidence |
 //! | --- | --- | --- |
-//! | `saturated` | a sensor at the end of its range | it stands exactly at an extreme, entered and left at speed, or without its noise |
+//! | `saturated` | a sensor at the end of its range | it stays exactly at an extreme, entered and left at speed, or without its noise |
 //! | `dropped` | rows that are missing | lone steps of a multiple of those around them; gaps in the time stamps |
-//! | `order` | rows out of order | successive samples have nothing in common |
-//! | `reaction` | a wrong column | the input's history explains nothing of the output's motion |
+//! | `order` | rows out of order | successive samples are uncorrelated |
+//! | `reaction` | a wrong column | the input's history explains none of the output's motion |
 
 mod dropped;
 mod order;
@@ -16,7 +16,7 @@ mod tests;
 
 use super::{Quantity, Run};
 
-/// A fault, with what shows it and what to do next.
+/// Fault of a recording, with its evidence and what to do next.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Fault {
     /// A sensor at the end of its range.
@@ -27,18 +27,18 @@ pub enum Fault {
     Saturated {
         /// Name of the sensor's column.
         column: String,
-        /// Its largest or smallest value.
+        /// Limit at which the sensor stays: its largest or smallest value, in `unit`.
         limit: f64,
         /// SI unit of `limit`.
         unit: &'static str,
-        /// At the limit, in stretches of at least three.
+        /// Number of samples at the limit, in stretches of at least three.
         samples: usize,
-        /// How often it reaches the limit.
+        /// Number of stretches at the limit.
         stretches: usize,
-        /// Why this is no rest.
+        /// Evidence that this is no rest.
         evidence: Evidence,
     },
-    /// Steps of a multiple of those around them.
+    /// Steps are a multiple of those around them, because rows are missing.
     #[error(
         "`{column}` jumps by a multiple of its steps around in {jumps} places, the first at {first_s:.3} s: rows are missing although the time \
          stamps go on evenly; record the time of each row, or record again"
@@ -48,25 +48,25 @@ pub enum Fault {
         column: String,
         /// Number of jumps in all recordings.
         jumps: usize,
-        /// Time of the first in its run.
+        /// Time of the first jump in its run, s.
         first_s: f64,
     },
-    /// Gaps in the time stamps.
+    /// The time stamps have gaps.
     #[error(
         "{missing} of {samples} samples are missing, in {gaps} gaps of the time stamps, the longest {longest_s:.3} s; look for what \
          loses rows between sensor and file"
     )]
     Gaps {
-        /// Samples that would fill the gaps.
+        /// Number of samples that would fill the gaps.
         missing: usize,
-        /// Samples that there are, and those that are missing.
+        /// Number of present and missing samples.
         samples: usize,
         /// Number of gaps, in all recordings together.
         gaps: usize,
         /// Longest time between two samples, s.
         longest_s: f64,
     },
-    /// Successive samples have nothing in common.
+    /// Successive samples are uncorrelated: the rows are out of order.
     #[error(
         "successive samples of `{column}` have a correlation of {correlation:.2}: the rows are out of order, or the column is noise; sort \
          the rows by time, or map another column"
@@ -77,7 +77,7 @@ pub enum Fault {
         /// Correlation of each sample with the next, -1..=1.
         correlation: f64,
     },
-    /// The output does not react.
+    /// The output does not react to the input.
     #[error(
         "`{output}` does not react to `{input}`: its history explains {:.0} % of the motion, no more than the history of another moment \
          ({:.0} %); check which columns are mapped, and that the drive was on", share * 100.0, chance * 100.0
@@ -89,17 +89,17 @@ pub enum Fault {
         input: String,
         /// Share of the variance that a regression on the input's history explains.
         share: f64,
-        /// The same with the input shifted in time.
+        /// The same share with the input shifted in time: what chance explains.
         chance: f64,
     },
 }
 
-/// What shows that a sensor which stands at an extreme is saturated.
+/// Evidence that a sensor which stays at an extreme is saturated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Evidence {
-    /// Noise elsewhere, none there.
+    /// The sensor has noise elsewhere, but none at the limit.
     NoNoise,
-    /// It stops within a sample and goes on as fast.
+    /// The signal stops within one sample and later continues as fast.
     AtSpeed,
 }
 
@@ -119,11 +119,11 @@ struct Series<'r> {
     values: &'r [f64],
 }
 
-/// A column in all runs that have it.
+/// One column in all runs that have it.
 struct Column<'r> {
     name: &'r str,
     unit: &'static str,
-    /// It is a speed: what a drive acts on is the value, not its rate.
+    /// True for a speed: a drive acts on the value itself, not on its rate.
     is_speed: bool,
     series: Vec<Series<'r>>,
 }
@@ -149,12 +149,13 @@ impl<'r> Column<'r> {
         self.series.iter().flat_map(|series| series.values.iter().copied()).filter(|value| value.is_finite())
     }
 
-    /// Smallest and largest value.
+    /// Returns the smallest and the largest value.
     fn ends(&self) -> [f64; 2] {
         [self.finite().fold(f64::INFINITY, f64::min), self.finite().fold(f64::NEG_INFINITY, f64::max)]
     }
 
-    /// Of a converter or an encoder, the unit that all values are whole numbers of, but for an offset; 0 for others.
+    /// Returns the quantisation step of a converter or an encoder, of which all values are whole multiples but for an
+    /// offset; 0 for other columns.
     fn grain(&self) -> f64 {
         let mut values: Vec<f64> = self.finite().collect();
         values.sort_by(f64::total_cmp);
@@ -170,16 +171,16 @@ impl<'r> Column<'r> {
     }
 }
 
-/// Faults of the `outputs` of `runs`, and of the rows.
+/// Returns the faults of the outputs of `runs`, and of their rows.
 ///
-/// `inputs` are roles that drive, `outputs` roles that are measured; those that a run does not have are passed over.
+/// `inputs` and `outputs` are roles; those that a run lacks are skipped.
 #[must_use]
 pub fn faults(runs: &[&Run], inputs: &[&str], outputs: &[&str]) -> Vec<Fault> {
     let columns = |roles: &[&str]| roles.iter().filter_map(|role| Column::of(runs, role)).collect::<Vec<_>>();
     let (inputs, outputs) = (columns(inputs), columns(outputs));
     let shuffled: Vec<Fault> = outputs.iter().filter_map(|output| order::shuffled(output, &inputs)).collect();
     if !shuffled.is_empty() {
-        // Nothing else means anything then.
+        // Rows out of order make all other tests meaningless.
         return shuffled;
     }
     let mut found: Vec<Fault> =
@@ -189,7 +190,8 @@ pub fn faults(runs: &[&Run], inputs: &[&str], outputs: &[&str]) -> Vec<Fault> {
     let judged = outputs.iter().filter(|output| !output.is_speed || inputs.len() == 1);
     let of_outputs = judged.filter_map(|output| dropped::dropped(output, inputs.first()));
     found.extend(of_outputs.chain(inputs.iter().filter_map(|input| dropped::dropped(input, None))).next());
-    // Two inputs held constant through most of a run, such as a robot's sides, make a regression that says nothing.
+    // Two inputs that are constant through most of a run, such as the sides of a robot, make an uninformative
+    // regression.
     if inputs.len() == 1 {
         found.extend(outputs.iter().filter_map(|output| reaction::none(output, &inputs)));
     }

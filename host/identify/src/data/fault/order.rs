@@ -1,16 +1,18 @@
-//! Rows out of order.
+//! Detection of rows out of order.
 
 use super::{Column, Fault};
 
-/// Correlation of each sample with the next below which a series has no order. Positions have above 0.99; a speed that is sampled
-/// once in its time constant has 0.37, and is explained by the input before it.
+/// Autocorrelation at one sample below which a series has no order. Positions have above 0.99; a speed that is
+/// sampled once in its time constant has 0.37, and is explained by the input before it.
 const ORDER: f64 = 0.5;
-/// Samples at least: of fewer, chance makes correlations of this magnitude.
+/// Smallest number of samples: with fewer, chance makes correlations of this magnitude.
 const LEAST: usize = 100;
-/// Share of the variance that the inputs of the sample before explain where the output is quick, not shuffled.
+/// Share of the variance, explained by the input of the sample before, above which the output is quick rather than
+/// shuffled.
 const QUICK: f64 = 0.3;
 
-/// Whether successive samples have nothing in common, and nothing with the input before.
+/// Detects an output whose successive samples are uncorrelated, and which the input of the sample before does not
+/// explain either.
 pub(super) fn shuffled(output: &Column<'_>, inputs: &[Column<'_>]) -> Option<Fault> {
     let values: Vec<f64> = output.finite().collect();
     let mean = values.iter().sum::<f64>() / values.len() as f64;
@@ -25,11 +27,12 @@ pub(super) fn shuffled(output: &Column<'_>, inputs: &[Column<'_>]) -> Option<Fau
         return None;
     }
     let correlation = pairs.iter().map(|(now, next)| now * next).sum::<f64>() / pairs.len() as f64 / square;
+    // A quick system forgets within a sample, but its input explains it.
     let is_quick = inputs.iter().any(|input| explained_by_last(output, input) > QUICK);
     (correlation < ORDER && !is_quick).then(|| Fault::Shuffled { column: output.name.to_owned(), correlation })
 }
 
-/// Share of the output's variance that a straight line over the last sample's input explains.
+/// Returns the share of the output's variance that a linear regression on the last sample's input explains.
 fn explained_by_last(output: &Column<'_>, input: &Column<'_>) -> f64 {
     let both: Vec<(f64, f64)> = output
         .series

@@ -1,37 +1,41 @@
-//! An output that does not react to the input.
+//! Detection of an output that does not react to the input.
 //!
-//! The output's rate, or the output if it is a speed, is regressed on the input, low-passed with time constants from nothing to infinity, as
-//! means over short blocks. Blocks in which nothing moves are left out: at an end stop no input matters. Slow signals agree by
-//! chance, so the same is done with the input shifted by parts of the recording: what explains no more than the best of such shifts is no
-//! reaction.
+//! The output's rate, or the output itself if it is a speed, is regressed on the input, low-passed with time
+//! constants from zero to infinity, as means over short blocks. Blocks without motion are left out: at an end stop no
+//! input matters. Slow signals correlate by chance, so the regression is repeated with the input shifted by parts of
+//! the recording: an output does not react if the input explains no more than the best of these shifts.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::{Column, Fault};
 
-/// Length of a block, s: noise 30 dB below an angle is a third of the rate over 0.03 s, and a twentieth over 0.1 s. Not below four samples.
+/// Length of a block, s, and at least four samples: noise 30 dB below an angle is a third of the rate over 0.03 s,
+/// and a twentieth over 0.1 s.
 const BLOCK_S: f64 = 0.1;
 const BLOCK_SAMPLES: usize = 4;
-/// Fewest blocks in motion: five regressors for each input need several times as many.
+/// Smallest number of blocks in motion: five regressors for each input need several times as many.
 const LEAST: usize = 40;
-/// Time constants, s; the last is an integral.
+/// Time constants of the low-pass filters, s; the last one is an integral.
 const FILTERS_S: [f64; 5] = [0.0, 0.1, 0.4, 1.6, f64::INFINITY];
-/// Rates below this share of the largest are rest.
+/// Share of the largest rate below which a block is at rest.
 const REST: f64 = 0.05;
-/// Shifts, as shares of each run.
+/// Number of shifts, evenly distributed over each run.
 const SHIFTS: usize = 24;
-/// Share of the square of the motion that is a reaction whatever shifts explain. A motor with a resonant load has had 0.3.
+/// Explained share of the motion that is a reaction whatever the shifts explain. A motor with a resonant load has had
+/// 0.3.
 const REACTS: f64 = 0.25;
 
 pub(super) fn none(output: &Column<'_>, inputs: &[Column<'_>]) -> Option<Fault> {
     let blocks = Blocks::of(output, inputs)?;
     let share = blocks.explained(0.0)?;
+    // Saves the regressions of all shifts.
     if share >= REACTS {
         return None;
     }
     let shifts = (1..SHIFTS).filter_map(|shift| blocks.explained(shift as f64 / SHIFTS as f64));
     let chance = shifts.fold(0.0, f64::max);
     let input = inputs.iter().map(|input| input.name).collect::<Vec<_>>().join("`, `");
+    // A reaction has a residual variance at least 5 % below that of the best shift.
     (1.0 - share >= 0.95 * (1.0 - chance)).then(|| Fault::NoReaction {
         output: output.name.to_owned(),
         input,
@@ -44,7 +48,7 @@ pub(super) fn none(output: &Column<'_>, inputs: &[Column<'_>]) -> Option<Fault> 
 struct Part {
     period_s: f64,
     inputs: Vec<Vec<f64>>,
-    /// What should react; NaN at rest.
+    /// Rate or speed that should react; NaN in blocks at rest.
     target: Vec<f64>,
 }
 
@@ -85,7 +89,8 @@ impl Blocks {
         (moving >= LEAST.max(10 * inputs.len() * FILTERS_S.len())).then_some(Self(parts))
     }
 
-    /// Share of the square of the motion that is explained.
+    /// Returns the share of the squared motion that the regression explains, with the input shifted by a share of
+    /// each run.
     fn explained(&self, shift: f64) -> Option<f64> {
         let (mut rows, mut target) = (Vec::new(), Vec::new());
         for part in &self.0 {
@@ -112,6 +117,7 @@ impl Blocks {
             }
         }
         let mut normal = x.transpose() * &x;
+        // The filtered inputs are nearly collinear; this keeps the normal matrix invertible.
         (0..width).for_each(|at| normal[(at, at)] += 1e-6);
         let y = DVector::from_vec(target);
         let solution = normal.try_inverse()? * x.transpose() * &y;

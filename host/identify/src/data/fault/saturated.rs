@@ -1,34 +1,37 @@
-//! A sensor at the end of its range.
+//! Detection of a sensor at the end of its range.
 //!
-//! Good recordings stand at an extreme as well: a motor at rest whose encoder counts coarsely, an actuator at its end stop. Two things tell a
-//! saturated sensor from these. (1) Noise: where all samples have noise, also the slow ones, none can repeat exactly but at a limit. (2)
-//! Motion: what stood begins to move from rest, so that its displacement grows with the square of time, while a sensor comes back from its
-//! limit at speed. A drive so quick that it leaves a stop at full speed within a sample does so when the input changes; the
-//! sensor comes back later.
+//! Good recordings stay at an extreme as well: a motor at rest with a coarse encoder, an actuator at its end stop.
+//! Two properties distinguish a saturated sensor. (1) Noise: if all samples have noise, also the slow ones, none can
+//! repeat exactly except at a limit. (2) Motion: a mechanism at rest begins to move with a displacement that grows
+//! with the square of time, while a sensor comes back from its limit at speed. A drive so quick that it leaves a stop
+//! at full speed within a sample does so when the input changes; the sensor comes back later.
 
 use r4_maths::statistics::robust_deviation;
 
 use super::{Column, Evidence, Fault, Series};
 
-/// Samples that stand exactly at an extreme, in a row, before they count.
+/// Smallest number of consecutive samples exactly at an extreme.
 const LEAST: usize = 3;
-/// A stretch that is judged by speed is at least as long: a sensor on a bus may repeat a value in the middle of a quick reversal.
+/// Smallest length of a stretch that is judged by speed: a sensor on a bus may repeat a value in the middle of a
+/// quick reversal.
 const LEAST_AT_SPEED: usize = 6;
-/// Samples after which displacements from the limit are compared with those after twice as many. At constant speed the latter are
-/// (2n - 1) / (n - 1) times as large at most, where the first sample is only just off the limit; from rest under constant acceleration 4 times.
+/// Samples after which displacements from the limit are compared with those after twice as many. At constant speed
+/// the latter are at most (2n - 1) / (n - 1) times as large, if the first sample is only just off the limit; from
+/// rest under constant acceleration 4 times.
 const SPANS: [usize; 2] = [2, 4];
-/// On that bound, for curvature and rounding.
+/// Margin on that bound, for curvature and rounding.
 const MARGIN: f64 = 1.1;
-/// Of the largest steps, a displacement must have at least this share to be motion at speed.
+/// Smallest displacement that is motion at speed, as a share of the largest steps.
 const AT_SPEED: f64 = 0.1;
-/// Counts of a displacement at speed, at least: with fewer, rounding decides the ratio above.
+/// Smallest displacement at speed, in counts: with fewer, rounding decides the ratio above.
 const COUNTS: f64 = 6.0;
-/// A step of the input by this share of its range is a change that the output may follow at once.
+/// Share of its range by which the input must step to count as a change that the output may follow at once.
 const CHANGE: f64 = 0.1;
-/// Samples before the output leaves in which the input may have changed. Static friction holds an actuator at its stop for some of them after a sine reverses.
+/// Number of samples before the output leaves in which the input may have changed. Static friction holds an actuator
+/// at its stop for some of them after a sine reverses.
 const JUST_BEFORE: usize = 8;
 
-/// Samples `from..to` at the limit.
+/// Consecutive samples `from..to` of a run at the limit.
 struct Stretch {
     series: usize,
     from: usize,
@@ -41,10 +44,11 @@ pub(super) fn saturated(column: &Column<'_>, input: Option<&Column<'_>>) -> Vec<
         return Vec::new();
     }
     let grain = column.grain();
+    // Both ends of the range are tested alike.
     let find = |(limit, other): (f64, f64)| {
         let stretches = stretches(column, limit);
         let samples = stretches.iter().map(|stretch| stretch.to - stretch.from).sum();
-        // Towards the inside.
+        // Direction from the limit into the range.
         let inwards = (other - limit).signum();
         let evidence = if has_no_noise(column, &stretches, grain) {
             Evidence::NoNoise
@@ -59,7 +63,8 @@ pub(super) fn saturated(column: &Column<'_>, input: Option<&Column<'_>>) -> Vec<
     [(high, low), (low, high)].into_iter().filter_map(find).collect()
 }
 
-/// Those that do not begin with a run: a sensor may repeat its first value until it has another.
+/// Returns the stretches at a limit, but for one that begins a run: a sensor may repeat its first value until it has
+/// another.
 fn stretches(column: &Column<'_>, limit: f64) -> Vec<Stretch> {
     let mut found = Vec::new();
     for (series, Series { values, .. }) in column.series.iter().enumerate() {
@@ -75,7 +80,7 @@ fn stretches(column: &Column<'_>, limit: f64) -> Vec<Stretch> {
     found
 }
 
-/// Whether slow samples elsewhere have noise, so that a stretch at the limit is no chance.
+/// Returns whether slow samples elsewhere have noise, so that a stretch at the limit is not chance.
 fn has_no_noise(column: &Column<'_>, stretches: &[Stretch], grain: f64) -> bool {
     let Some(longest) = stretches.iter().map(|stretch| stretch.to - stretch.from).max() else { return false };
     let [low, high] = column.ends();
@@ -87,10 +92,11 @@ fn has_no_noise(column: &Column<'_>, stretches: &[Stretch], grain: f64) -> bool 
     let bend = |five: &[f64], at: usize| five[at - 1] - 2.0 * five[at] + five[at + 1];
     let bends: Vec<f64> = fives().map(|five| bend(&five, 2)).collect();
     let Ok(noise) = robust_deviation(&bends).map(|deviation| deviation / 6.0_f64.sqrt()) else { return false };
-    // Of such noise a displacement over four samples has sqrt(2) deviations: within three, it is as good as at rest.
+    // Over four samples, noise alone makes a displacement with sqrt(2) standard deviations: within three of these,
+    // the signal is as good as at rest.
     let slow: Vec<Vec<f64>> =
         fives().filter(|five| (five[4] - five[0]).abs() <= 3.0 * 2.0_f64.sqrt() * noise).collect();
-    // 1e-5 of the range is what arithmetic and printed digits leave.
+    // 1e-5 of the range is the error of arithmetic and of printed digits.
     if noise < grain || noise < 1e-5 * (high - low) || slow.len() < 30 {
         return false;
     }
@@ -101,15 +107,17 @@ fn has_no_noise(column: &Column<'_>, stretches: &[Stretch], grain: f64) -> bool 
         product += before * after;
         repeats += usize::from(five[2] == five[3]);
     }
-    // White noise has -2/3 between second differences; what bends smoothly has a positive correlation.
+    // Second differences of white noise have a correlation of -2/3; those of a smooth curve have a positive one.
     let is_white = product < -0.4 * square;
     let is_small = (square / slow.len() as f64 / 6.0).sqrt() < 0.3 * noise;
     let chance = (repeats.max(1) as f64 / slow.len() as f64).min(1.0);
+    // Probability of the longest stretch if values repeat independently, times the number of places where it may
+    // begin.
     let at_random = chance.powi(i32::try_from(longest - 1).unwrap_or(i32::MAX)) * column.finite().count() as f64;
     is_white && !is_small && at_random < 1e-3
 }
 
-/// Whether a third of the stretches, and at least one, is entered and left at speed.
+/// Returns whether a third of the stretches, and at least one, is entered and left at speed.
 fn is_left_at_speed(
     column: &Column<'_>,
     input: Option<&Column<'_>>,
@@ -144,7 +152,7 @@ fn is_left_at_speed(
     at_speed > 0 && 3 * at_speed >= stretches.len()
 }
 
-/// Whether the input changes or reverses just before the output leaves the limit.
+/// Returns whether the input changes or reverses just before the output leaves the limit.
 fn follows(input: Option<&Column<'_>>, stretch: &Stretch) -> bool {
     let Some(input) = input else { return false };
     let [low, high] = input.ends();

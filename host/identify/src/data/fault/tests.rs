@@ -15,7 +15,8 @@ use crate::data::{
 
 const COUNT: f64 = 0.5 * std::f64::consts::PI / 180.0;
 
-/// A motor's recording, by what a seed picks: angle or speed; noise 30 dB below, counts of half a degree, or neither; between stops or not.
+/// Returns a motor's recording with properties that `seed` selects: angle or speed; noise 30 dB below, counts of half
+/// a degree, or neither; end stops or none.
 fn clean(seed: u64) -> Run {
     let mut dice = dice(seed ^ 0x5eed);
     let stops = (seed.is_multiple_of(3)).then(|| [-0.5 - uniform(&mut dice), 1.0 + uniform(&mut dice)]);
@@ -39,7 +40,7 @@ fn output(run: &mut Run) -> &mut Vec<f64> {
     &mut run.signals.get_mut("output").expect("an output").values
 }
 
-/// What `spoil` makes of clean recordings, and of how many `is_found` fails: their seeds.
+/// Applies `spoil` to clean recordings, and returns the seeds of those in which `is_found` finds nothing.
 fn missed(seeds: std::ops::Range<u64>, spoil: impl Fn(&mut Run, u64), is_found: fn(&Fault) -> bool) -> Vec<String> {
     seeds
         .filter_map(|seed| {
@@ -69,7 +70,7 @@ fn simulated_plants_with_hidden_effects_have_no_fault() {
         let drawn = experiment(setup, Draw::of(seed), Length { train: 1, holdout: 1, seconds: 12.0 }, seed);
         for one in drawn.train.iter().chain(&drawn.holdout) {
             let quantity = if setup == Setup::MotorSpeed { Quantity::AngularSpeed } else { Quantity::Angle };
-            // As recorded; without noise; in counts.
+            // Signals as recorded, without noise, and in counts.
             let count = 2e-3 * one.clean.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
             for values in [one.output.clone(), one.clean.clone(), counted(&one.clean, count.max(1e-9))] {
                 let run = run(vec![("input", Quantity::Number, one.input.clone()), ("output", quantity, values)]);
@@ -98,12 +99,12 @@ fn clip(run: &mut Run, seed: u64) {
 #[test]
 fn saturated_sensors_are_found() {
     let missed = missed(0..100, clip, |fault| matches!(fault, Fault::Saturated { .. }));
-    // Noise is evidence in each; without it, some recordings pass the limit slowly, or in pace with the duty.
+    // Noise is evidence in each. Without it, some recordings pass the limit slowly, or in step with the duty.
     let noisy: Vec<_> = missed.iter().filter(|told| told.contains("(0 ") || told.contains("(1 ")).collect();
     assert!(noisy.is_empty() && missed.len() <= 15, "{} {}: {}", noisy.len(), missed.len(), missed.join("\n"));
 }
 
-/// Leaves rows out and stamps the rest evenly, or with their true times.
+/// Removes rows, and gives the rest even time stamps or their true ones.
 fn drop_rows(run: &mut Run, seed: u64, blocks: [f64; 2], share: f64, restamp: bool) {
     let mut dice = dice(seed ^ 0xd00b);
     let mut keep = vec![true; run.time_s.len()];
@@ -128,7 +129,7 @@ fn drop_rows(run: &mut Run, seed: u64, blocks: [f64; 2], share: f64, restamp: bo
     }
 }
 
-/// A body on two wheels: its rate steps where the friction of tyres lets go, while the speeds of the wheels ramp.
+/// A body on two wheels: its rate steps when the tyres begin to slip, while the speeds of the wheels ramp.
 #[test]
 fn a_rate_may_step_where_no_input_does() {
     let ramp = |at: usize| (at % 200) as f64 / 200.0;
@@ -151,8 +152,9 @@ fn missing_rows_are_found() {
     let is_jump = |fault: &Fault| matches!(fault, Fault::Dropped { .. });
     let even = missed(0..100, |run, seed| drop_rows(run, seed, [1.0, 1.0], 0.1, true), is_jump);
     let blocks = missed(0..100, |run, seed| drop_rows(run, seed, [5.0, 20.0], 0.1, true), is_jump);
-    // Of blocks a twelve-second run has about 17. At rest they lose nothing; under noise of several steps, and in coarse counts, they do not show.
-    // A test of two lines against a cubic over 20 samples each found no more, and took a sensor that holds its value for one that jumps.
+    // A run of twelve seconds loses about 17 blocks. They do not show at rest, in noise of several steps, or in
+    // coarse counts. A test of two lines against a cubic over 20 samples each found no more, and took a sensor that
+    // holds its value for one that jumps.
     assert!(
         even.len() <= 2 && blocks.len() <= 45,
         "{} {}: {}\n{}",
@@ -184,7 +186,7 @@ fn rows_out_of_order_are_found() {
 
 #[test]
 fn another_machines_output_does_not_react() {
-    // As many runs as are usually recorded: with one, motions of 12 s are alike too often.
+    // As many runs as are usually recorded: in a single one, motions of 12 s resemble each other too often.
     let is_found = |seed: u64| {
         let other = |run: u64| {
             let mut one = clean(seed + 100 * run);
@@ -196,7 +198,7 @@ fn another_machines_output_does_not_react() {
         found.iter().any(|fault| matches!(fault, Fault::NoReaction { .. }))
     };
     let found = (0..100).filter(|seed| is_found(*seed)).count();
-    // Slow motions are alike by chance; a share above a quarter is not called none.
+    // Slow motions resemble each other by chance, and an explained share above a quarter always counts as a reaction.
     assert!(found >= 55, "{found}");
 }
 

@@ -9,14 +9,14 @@ use crate::data::{
     read,
 };
 
-/// Of an angle and its rate: the rate by these numbers.
+/// True relation of a rate sensor to the rate of an angle.
 struct Truth {
     scale: f64,
     offset: f64,
     lag_s: f64,
 }
 
-/// A motor's angle, and a gyro that is late, scaled and off zero.
+/// Returns a recording of a motor's angle, and of a gyro with a lag, a scale error and an offset.
 fn recording(seed: u64, truth: &Truth, decibels: f64) -> Run {
     let motor = motor(seed, None);
     let mut dice = dice(seed ^ 0xabc);
@@ -58,7 +58,8 @@ fn sign_scale_offset_and_lag_are_estimated() {
         }
     }
     assert!(missed.is_empty(), "{far} of {all}; {}", missed.join("\n"));
-    // Three standard errors: 0.3 % of normal errors; these are estimated, and their distribution has longer tails.
+    // Three standard errors would be exceeded by 0.3 % of normal errors; these standard errors are estimates
+    // themselves, with longer tails.
     assert!(far * 20 <= all, "{far} of {all}");
 }
 
@@ -95,7 +96,7 @@ fn a_filtered_speed_of_coarse_counts_is_late_but_not_smaller() {
     let mut missed = Vec::new();
     for seed in 0..50 {
         let motor = motor(seed, None);
-        // First order, 25 ms: five samples late.
+        // First-order filter of 25 ms: a lag of five samples.
         let mut slow = 0.0;
         let filter = |speed: &f64| {
             slow += PERIOD_S / 0.025 * (speed - slow);
@@ -137,7 +138,7 @@ fn another_motors_speed_is_unrelated() {
             missed.push(format!("{seed}: {found:?}"));
         }
     }
-    // Two motors' speeds may be alike by chance.
+    // Speeds of two motors may correlate by chance.
     assert!(missed.len() <= 2, "{}", missed.join("\n"));
 }
 

@@ -1,4 +1,4 @@
-//! The recording of a Husky: `data/husky_skidsteer`.
+//! Tests with the recording of a Husky robot: `data/husky_skidsteer`.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -10,16 +10,16 @@ use crate::{
     select::search,
 };
 
-/// Of the recording's README.
+/// Geometry from the recording's README.
 pub(super) const GEOMETRY: Geometry = Geometry { wheel_radius_m: 0.165, track_m: 0.55 };
 const PERIOD_S: f64 = 0.05;
-/// Samples of a window of 2 s.
+/// Number of samples in a window of 2 s.
 const WINDOW: usize = 40;
 
-/// Windows of one step of the command, which follow each other. The file counts some transient windows to the step before.
+/// Consecutive windows of one step of the command. The file counts some transient windows to the step before.
 struct Step {
     even: bool,
-    /// Of each window.
+    /// True for each window in steady state.
     steady: Vec<bool>,
     columns: BTreeMap<String, Vec<f64>>,
 }
@@ -39,7 +39,7 @@ fn steps() -> Vec<Step> {
             steps.last_mut().unwrap().steady.push(steady);
         }
         let step = steps.last_mut().unwrap();
-        // The last window's number is the step's own.
+        // The number of the last window is that of its step.
         step.even = row[0].parse::<u32>().unwrap() % 2 == 0;
         for (name, value) in names.iter().zip(&row) {
             step.columns.entry(name.clone()).or_default().push(value.parse().unwrap());
@@ -48,7 +48,7 @@ fn steps() -> Vec<Step> {
     steps
 }
 
-/// Runs of even and odd steps.
+/// Returns the runs of even and of odd steps.
 fn even_and_odd(roles: &[(&'static str, &str)], steady_only: bool) -> [Vec<Run>; 2] {
     let mut runs = [Vec::new(), Vec::new()];
     for (number, step) in steps().into_iter().enumerate() {
@@ -80,7 +80,7 @@ fn split(roles: &[(&'static str, &str)], average_s: Option<f64>, output: Output,
     Split { family, fitted, held_out }
 }
 
-/// Of a free run, and of how many values.
+/// Returns the RMSE of a free-run simulation, and the number of values in it.
 fn rmse(family: &SkidSteer, runs: &[SkidRun], structure: &Structure) -> (f64, usize) {
     let residuals = runs.iter().flat_map(|run| residuals(family, structure, &[], run));
     let known: Vec<f64> = residuals.filter(|residual| residual.is_finite()).collect();
@@ -98,7 +98,7 @@ const COMMANDS: [(&str, &str); 4] = [
 const POSE: [(&str, &str); 5] =
     [("left", "wheel_left_rad_s"), ("right", "wheel_right_rad_s"), ("x", "x_m"), ("y", "y_m"), ("yaw", "yaw_rad")];
 
-/// What a search finds: each effect's name and values, and the held-out error before and after, which it prints.
+/// Result of a search: name and values of each effect, and the held-out RMSE before and after, which it prints.
 struct Outcome {
     effects: Vec<(&'static str, Vec<f64>)>,
     before: f64,
@@ -137,7 +137,7 @@ impl Outcome {
         Self { effects: terms.iter().map(name).zip(added.iter().cloned()).collect(), before, after }
     }
 
-    /// The first value of an effect.
+    /// Returns the first value of an effect.
     #[track_caller]
     fn value(&self, name: &str) -> f64 {
         self.effects.iter().find(|effect| effect.0 == name).unwrap_or_else(|| panic!("{:?}", self.effects)).1[0]
@@ -152,7 +152,7 @@ fn the_published_errors_are_reproduced() {
     let track = family.catalogue().iter().position(|candidate| candidate.name == "slip-track").unwrap();
     let slip =
         Structure { terms: vec![Term::Known(track)], base: vec![], added: vec![vec![GEOMETRY.track_m / 0.3974]] };
-    // README of the recording, three digits: ideal, and one slip factor of 0.397.
+    // README of the recording, three digits: ideal motion, and a single slip factor of 0.397.
     for (structure, expected) in [(ideal, 0.880), (slip, 0.162)] {
         let found = rmse(&family, &held_out, &structure).0;
         assert!((found - expected).abs() < 0.5e-3, "{found} instead of {expected}");
@@ -165,14 +165,14 @@ fn slip_of_a_husky_is_named() {
     assert_eq!(outcome.effects[0].0, "slip-track");
     assert!(outcome.effects[1..].iter().all(|(name, _)| matches!(*name, "slip-limit" | "rate-limit")));
     assert!((outcome.before - 0.880).abs() < 0.5e-3, "{}", outcome.before);
-    // README: a regression with quadratic and v·omega terms leaves 0.160.
+    // README: a regression with quadratic and v·omega terms has an error of 0.160.
     assert!(outcome.after < 0.160, "{}", outcome.after);
 }
 
 #[test]
 fn what_a_husky_makes_of_commands_is_named() {
     let outcome = Outcome::of("commands", &split(&COMMANDS, None, Output::YawRate, false));
-    // README: a hard limit near 1.8 rad/s; after a step 63 % at about 0.67 s, part of which is a delay and a ramp.
+    // README: a hard limit near 1.8 rad/s; 63 % of a step after about 0.67 s, part of which is a delay and a ramp.
     let limit = outcome.value("rate-limit");
     assert!((1.8..1.9).contains(&limit), "{limit}");
     let lag_s = outcome.value("drive-lag");
@@ -183,12 +183,12 @@ fn what_a_husky_makes_of_commands_is_named() {
 #[test]
 fn a_husky_drives_less_far_than_its_wheels_and_not_about_its_middle() {
     let outcome = Outcome::of("wheels", &split(&POSE, Some(2.0), Output::ForwardSpeed, true));
-    // README: 0.168 m/s, one scale of 0.801 leaves 0.129 m/s, and the scale depends on turning.
+    // README: 0.168 m/s; a single scale of 0.801 has an error of 0.129 m/s, and the scale depends on turning.
     assert!((outcome.before - 0.168).abs() < 2e-3, "{}", outcome.before);
     assert_eq!(outcome.effects[0].0, "slip-longitudinal-turning");
     assert!(outcome.after < 0.100, "{}", outcome.after);
     let outcome = Outcome::of("wheels", &split(&POSE, Some(2.0), Output::LateralSpeed, false));
-    // README: goes with the body's yaw rate by 0.098 m; the wheels' is 2.5 times that.
+    // README: 0.098 m times the body's yaw rate; that of the wheels is 2.5 times as large.
     let centre_m = outcome.value("slip-lateral");
     assert!((centre_m + 0.098 / 2.5).abs() < 0.01, "{centre_m}");
     assert!(outcome.after < 0.95 * outcome.before, "{} to {}", outcome.before, outcome.after);

@@ -1,4 +1,4 @@
-//! What the model predicts against closed forms, what it refuses, and what it finds in tyres and in a recording.
+//! Tests of predictions against closed forms, of errors, and of effects found in simulated tyres and in a recording.
 
 mod husky;
 mod tyres;
@@ -15,7 +15,7 @@ use crate::{
     fit::Fit,
 };
 
-/// 50 Hz.
+/// Sampling period of 50 Hz, s.
 const PERIOD_S: f64 = 0.02;
 const GEOMETRY: Geometry = Geometry { wheel_radius_m: 0.1, track_m: 0.5 };
 const DECLARED: Declared = Declared { geometry: GEOMETRY, average_s: None };
@@ -28,7 +28,7 @@ fn quantity(role: &str) -> Quantity {
     }
 }
 
-/// A run of roles at an even rate.
+/// Makes a run of roles at a constant rate.
 fn run(name: &str, period_s: f64, roles: &[(&str, Vec<f64>)]) -> Run {
     let len = roles[0].1.len();
     let signal = |(role, values): &(&str, Vec<f64>)| {
@@ -43,7 +43,7 @@ fn run(name: &str, period_s: f64, roles: &[(&str, Vec<f64>)]) -> Run {
     }
 }
 
-/// The sides step from rest to `left` and `right` at the third sample; the gyro stays at zero.
+/// Makes a run whose sides step from rest to `left` and `right` at the third sample; the gyro stays at zero.
 fn step(left: f64, right: f64, len: usize) -> Run {
     let side = |speed: f64| (0..len).map(|at| if at < 2 { 0.0 } else { speed }).collect::<Vec<f64>>();
     run("step", PERIOD_S, &[("left", side(left)), ("right", side(right)), ("gyro", vec![0.0; len])])
@@ -62,7 +62,7 @@ fn index(family: &SkidSteer, name: &str) -> usize {
     family.catalogue().iter().position(|candidate| candidate.name == name).unwrap()
 }
 
-/// The free run with effects at given values.
+/// Returns the free-run simulation with effects at given values.
 fn predicted(family: &SkidSteer, run: &SkidRun, effects: &[(&str, &[f64])]) -> Vec<f64> {
     let structure = Structure {
         terms: effects.iter().map(|(name, _)| Term::Known(index(family, name))).collect(),
@@ -78,7 +78,7 @@ fn free_run(family: &SkidSteer, structure: &Structure, run: &SkidRun) -> Vec<f64
     predicted
 }
 
-/// The rounding of some tens of operations on numbers of order one.
+/// Checks equality to the rounding of some tens of operations on numbers near one.
 #[track_caller]
 fn close(found: f64, expected: f64) {
     assert!((found - expected).abs() < 1e-12 * expected.abs().max(1.0), "{found} instead of {expected}");
@@ -86,7 +86,7 @@ fn close(found: f64, expected: f64) {
 
 #[test]
 fn without_slip_the_body_follows_the_arc_of_its_wheels() {
-    // 0.1 m · (7 - 3) rad/s / 0.5 m.
+    // Yaw rate 0.1 m · (7 - 3) rad/s / 0.5 m.
     let (family, run) = model(&step(3.0, 7.0, 10));
     let rates = predicted(&family, &run, &[]);
     close(rates[0], 0.0);
@@ -95,8 +95,8 @@ fn without_slip_the_body_follows_the_arc_of_its_wheels() {
 
 #[test]
 fn speeds_along_and_across_are_taken_from_the_pose() {
-    // Half a turn of a circle of 2 m in 3.14 s, the pose's point 0.3 m ahead of the turning centre: along the body it
-    // moves at 2 m · 1 rad/s, across at 0.3 m · 1 rad/s.
+    // Half a turn on a circle of 2 m in 3.14 s, with the pose's point 0.3 m ahead of the turning centre: it moves at
+    // 2 m · 1 rad/s along the body, and at 0.3 m · 1 rad/s across it.
     let len = 158;
     let at = |sample: usize| sample as f64 * PERIOD_S;
     let series = |of: &dyn Fn(f64) -> f64| (0..len).map(|sample| of(at(sample))).collect::<Vec<f64>>();
@@ -126,13 +126,13 @@ fn speeds_along_and_across_are_taken_from_the_pose() {
 
 #[test]
 fn each_slip_has_the_size_that_it_says() {
-    // Without slip 0.8 rad/s at 0.5 m/s; the slower side at 3/7 of the faster.
+    // 0.8 rad/s at 0.5 m/s without slip; the slower side has 3/7 of the faster side's speed.
     let (family, run) = model(&step(3.0, 7.0, 10));
     for (effect, values, expected) in [
         ("slip-track", &[1.0][..], 0.4),
         ("slip-turning", &[0.5], 0.8 / 1.4),
         ("slip-driving", &[0.6], 0.8 * (-0.3_f64).exp()),
-        // 0.3 and 0.7 m/s: 1 / (4 · 0.3 · 0.7), without creep; with much of it, all speeds are alike.
+        // At 0.3 and 0.7 m/s the factor is 1 / (4 · 0.3 · 0.7) without creep; with much creep, all speeds are alike.
         ("slip-standing-side", &[0.5, 1e-9], 0.8 / (1.0 + 0.5 * (1.0 / 0.84 - 1.0))),
         ("slip-standing-side", &[0.5, 1e9], 0.8),
         ("direction-asymmetry", &[0.1], 0.88),
@@ -141,7 +141,7 @@ fn each_slip_has_the_size_that_it_says() {
         ("dead-zone", &[1.0], 0.8),
         ("rate-limit", &[0.7], 0.7),
         ("slip-limit", &[0.7, 0.2], 0.6),
-        // The faster side at 0.7 m/s is brought down to 0.35 m/s, both sides by the same factor.
+        // Both sides slow down by the factor that brings the faster one from 0.7 m/s to 0.35 m/s.
         ("saturation", &[3.5, 1.0], 0.4),
         ("sensor-offset", &[0.05], 0.85),
     ] {
@@ -161,7 +161,7 @@ fn a_dead_zone_holds_a_side_that_hardly_turns() {
 fn a_lag_answers_a_step_by_its_exponential() {
     let (family, run) = model(&step(-5.0, 5.0, 100));
     let rates = predicted(&family, &run, &[("drive-lag", &[0.1])]);
-    // The step is a straight rise between the second and the third sample, which averages the exponential over it.
+    // The step is a linear rise from the second to the third sample, which averages the exponential over it.
     let rise = |t: f64| {
         let (tau, width) = (0.1_f64, PERIOD_S);
         2.0 * (1.0 - tau / width * ((width / tau).exp() - 1.0) * (-(t + width) / tau).exp())
@@ -169,7 +169,7 @@ fn a_lag_answers_a_step_by_its_exponential() {
     for (after, &rate) in rates[2..].iter().enumerate() {
         close(rate, rise(after as f64 * PERIOD_S));
     }
-    // The sensor's lag is the same filter at another place, and sides alike lag as the body does.
+    // The sensor's lag is the same filter at another place, and equal lags of the sides act like one of the body.
     for (effect, values) in [("sensor-lag", &[0.1][..]), ("drive-lag-sides", &[0.1, 0.1])] {
         let other = predicted(&family, &run, &[(effect, values)]);
         rates.iter().zip(&other).for_each(|(&a, &b)| close(a, b));
@@ -182,7 +182,7 @@ fn a_lag_of_no_length_is_none() {
     let without = predicted(&family, &run, &[]);
     for tiny in [0.0, 1e-300, 1e-9] {
         let with = predicted(&family, &run, &[("drive-lag", &[tiny])]);
-        // Behind a ramp of 100 rad/s² by its slope times 1 ns.
+        // The lag behind a ramp of 100 rad/s² is its slope times 1 ns.
         without.iter().zip(&with).for_each(|(a, b)| assert!((a - b).abs() < 2e-7, "{tiny}: {b} instead of {a}"));
     }
 }
@@ -191,7 +191,7 @@ fn a_lag_of_no_length_is_none() {
 fn a_slew_limit_makes_a_ramp() {
     let (family, run) = model(&step(-5.0, 5.0, 100));
     let rates = predicted(&family, &run, &[("slew-limit", &[4.0])]);
-    // The step is a straight rise from the second sample on.
+    // The step is a linear rise from the second sample on.
     for (sample, &rate) in rates.iter().enumerate() {
         close(rate, (4.0 * PERIOD_S * (sample as f64 - 1.0)).clamp(0.0, 2.0));
     }
@@ -199,7 +199,7 @@ fn a_slew_limit_makes_a_ramp() {
 
 #[test]
 fn a_slew_limit_turns_round_where_it_meets_its_input() {
-    // Input at 1 rad/s, then straight to -3 rad/s over one sample; the ramp is at 0.96 rad/s as it begins to fall, meets
+    // The input is 1 rad/s, then falls linearly to -3 rad/s over one sample. The ramp is at 0.96 rad/s then, meets
     // the input 0.04 / (200 + 4) s later, and falls from there.
     let turn = |at: usize| {
         if at == 0 {
@@ -228,7 +228,7 @@ fn a_delay_of_whole_and_half_samples_shifts_the_input() {
             assert!((rate - expected).abs() < 1e-9, "{delay_s}: {rates:?}");
         }
     }
-    // What is recorded late is ahead of its record.
+    // The true speeds are ahead of a late recording.
     let rates = predicted(&family, &run, &[("encoder-delay", &[PERIOD_S])]);
     close(rates[0], 0.0);
     close(rates[1], 2.0);
@@ -238,7 +238,7 @@ fn a_delay_of_whole_and_half_samples_shifts_the_input() {
 fn memory_begins_at_the_first_value_measured() {
     let mut coast = step(0.0, 0.0, 60);
     coast.signals.get_mut("gyro").unwrap().values = vec![0.5; 60];
-    // A last sample that turns, so that turning can be seen at all.
+    // The last sample turns, because a run without turning is refused.
     for (role, speed) in [("left", -1.0), ("right", 1.0)] {
         coast.signals.get_mut(role).unwrap().values[59] = speed;
     }
@@ -263,7 +263,7 @@ fn a_part_knows_the_input_before_it() {
 
 #[test]
 fn means_are_taken_over_the_same_samples() {
-    // 0.4 s of 50 Hz in means over 0.1 s; the rate rises by 1 rad/s each second.
+    // 0.4 s at 50 Hz in means over 0.1 s; the rate rises by 1 rad/s per second.
     let len = 20;
     let side = |sign: f64| (0..len).map(|at| sign * 2.5 * at as f64 * PERIOD_S).collect::<Vec<f64>>();
     let gyro: Vec<f64> = (0..len).map(|at| at as f64 * PERIOD_S).collect();
@@ -283,7 +283,7 @@ fn means_are_taken_over_the_same_samples() {
 
 #[test]
 fn a_held_yaw_is_compared_from_fresh_value_to_fresh_value() {
-    // 1 rad/s, each second value held, through the jump at half a turn.
+    // 1 rad/s with every second value held, through the jump at half a turn.
     let len = 41;
     let yaw = (0..len).map(|at| {
         let yaw = 3.0 + (at / 2 * 2) as f64 * PERIOD_S;
@@ -319,7 +319,7 @@ fn a_curve_adds_over_a_line_and_scales_over_the_directions() {
         assert_eq!(driver.values.len(), 20);
         let over = (driver.over, driver.period);
         for curve in family.curves(&without, over, &[&run]) {
-            // On the spot at 2 rad/s.
+            // Turning on the spot at 2 rad/s.
             let expected = if curve.acts == Acts::Gain { 2.2 } else { 2.1 };
             assert_eq!(curve.period.is_some(), curve.over == Dependence::Direction);
             let values = vec![0.1; curve.at.len()];
@@ -329,11 +329,11 @@ fn a_curve_adds_over_a_line_and_scales_over_the_directions() {
             tried += 1;
         }
     }
-    // Added and as a gain over turn, speed and time; a gain over the direction.
+    // Push and gain over turning, speed and time; a gain over the direction.
     assert_eq!(tried, 7);
 }
 
-/// A fitted structure of named effects.
+/// Returns a structure of named effects with their values.
 fn found(family: &SkidSteer, effects: &[(&str, &[f64])]) -> Structure {
     Structure {
         terms: effects.iter().map(|(name, _)| Term::Known(index(family, name))).collect(),
@@ -342,8 +342,8 @@ fn found(family: &SkidSteer, effects: &[(&str, &[f64])]) -> Structure {
     }
 }
 
-/// With the linear law wheels that turn on the spot slip by `l²/(r b²)`, `r` being the ratio of the compliances (Trimble, Fox 2023),
-/// so that the track is wider by that share: [`DECLARED`] on a square of wheels by `1/r`.
+/// With the linear law, wheels that turn on the spot slip by `l²/(r b²)`, `r` being the ratio of the compliances
+/// (Trimble, Fox 2023): the effective track is wider by that share, for [`DECLARED`] on a square of wheels by `1/r`.
 #[test]
 fn a_body_turns_by_the_track_that_was_found() {
     let (family, _) = model(&step(-5.0, 5.0, 20));
@@ -357,7 +357,7 @@ fn a_body_turns_by_the_track_that_was_found() {
     for wider in [1.25, 2.0, 5.0] {
         let body = family.fitted_body(&found(&family, &[("slip-track", &[wider * 0.5])]), "a test");
         let [long, lat] = body.wheeled.wheels()[0].tyre.unwrap().compliance_per_n;
-        // What is compared has settled to 1e-6, and the ratio is looked for to 1e-4 of a power of ten.
+        // The simulated yaw rate has settled to 1e-6, and the ratio is found to 1e-4 of a power of ten.
         assert!((lat / long * (wider - 1.0) - 1.0).abs() < 1e-3, "{wider}: {}", lat / long);
         assert!(body.provenance.iter().any(|line| line.starts_with("compliance_lat_per_n")), "{:?}", body.provenance);
     }
@@ -404,7 +404,7 @@ fn each_effect_begins_in_range_and_changes_something() {
             for start in &candidate.starts {
                 assert_eq!(start.len(), candidate.parameters.len(), "{}", candidate.name);
             }
-            // Without a turning centre nothing goes across.
+            // Without an offset of the turning centre there is no lateral speed.
             let base: &[(&str, &[f64])] = match output {
                 Output::LateralSpeed if candidate.name != "slip-lateral" => &[("slip-lateral", &[0.1])],
                 _ => &[],

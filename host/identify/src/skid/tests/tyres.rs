@@ -1,4 +1,4 @@
-//! Four tyres under a body, integrated: a robot that knows nothing of the model's formulas.
+//! Tests with a simulated robot on four tyres, whose equations are independent of the model's.
 
 use rand_distr::{Distribution, Normal, Uniform};
 use rand_pcg::Pcg64Mcg;
@@ -10,21 +10,21 @@ use crate::{
     select::{Found, search},
 };
 
-/// 50 Hz.
+/// Sampling period of 50 Hz, s.
 const PERIOD_S: f64 = 0.02;
-/// Steps of the integration in a sample.
+/// Number of integration steps per sample.
 const FINE: usize = 20;
 const STEP_S: f64 = PERIOD_S / FINE as f64;
-/// Of a gyro, rad/s.
+/// Standard deviation of the gyro's noise, rad/s.
 const NOISE: f64 = 0.005;
 const SAMPLES: usize = 600;
 
-/// Brush tyres (Pacejka, *Tire and Vehicle Dynamics*, 3.2: a cubic of the slip until all bristles slide), with combined
-/// slip, under a rigid body on flat ground.
+/// Brush tyres with combined slip (Pacejka, *Tire and Vehicle Dynamics*, 3.2: a cubic of the slip until all bristles
+/// slide) under a rigid body on flat ground.
 struct Tyres {
     mass_kg: f64,
     inertia_kg_m2: f64,
-    /// Between front and rear axle.
+    /// Distance between front and rear axle, m.
     wheelbase_m: f64,
     friction: f64,
     /// Slope of the force over slip, as a multiple of the load.
@@ -48,7 +48,7 @@ impl Tyres {
         }
     }
 
-    /// Moves on by [`STEP_S`] with wheels at given rim speeds, m/s.
+    /// Advances by [`STEP_S`] with wheels at given rim speeds, m/s.
     fn advance(&mut self, rim_left: f64, rim_right: f64) {
         let load = self.mass_kg * 9.81 / 4.0;
         let (mut along, mut across, mut moment) = (0.0, 0.0, 0.0);
@@ -56,7 +56,7 @@ impl Tyres {
             for x in [0.5 * self.wheelbase_m, -0.5 * self.wheelbase_m] {
                 let (slide_x, slide_y) = (self.forward - self.turn * y - rim, self.lateral + self.turn * x);
                 let slide = slide_x.hypot(slide_y);
-                // Bristles of a wheel that hardly rolls stick for long: a floor keeps the slip finite.
+                // Bristles of a wheel that hardly rolls stick for long: a floor of the speed keeps the slip finite.
                 let slip = slide / rim.abs().max(0.1);
                 let share = (self.stiffness * slip / (3.0 * self.friction)).min(1.0);
                 let force = self.friction * load * (3.0 * share - 3.0 * share.powi(2) + share.powi(3));
@@ -75,7 +75,7 @@ impl Tyres {
     }
 }
 
-/// Sides, rad/s, that go to new speeds each second, in a ramp of 0.2 s; `FINE` values a sample.
+/// Returns speeds of both sides, rad/s, that ramp to new values each second within 0.2 s; `FINE` values per sample.
 fn drive(random: &mut Pcg64Mcg) -> Vec<[f64; 2]> {
     let speeds = Uniform::new_inclusive(-10.0, 10.0).unwrap();
     let mut now = [0.0_f64; 2];
@@ -94,7 +94,7 @@ fn drive(random: &mut Pcg64Mcg) -> Vec<[f64; 2]> {
         .collect()
 }
 
-/// Runs of what `body` makes of the sides, with a gyro's noise.
+/// Returns runs of a `body` under random speeds of the sides, with a gyro's noise.
 fn runs(seed: u64, count: usize, body: &dyn Fn(&[[f64; 2]]) -> Vec<f64>) -> Vec<Run> {
     let mut random = Pcg64Mcg::new(u128::from(seed));
     let noise = Normal::new(0.0, NOISE).unwrap();
@@ -116,7 +116,7 @@ struct Outcome {
 }
 
 impl Outcome {
-    /// The first value of an effect that was found.
+    /// Returns the first value of an effect that was found.
     #[track_caller]
     fn value(&self, name: &str) -> f64 {
         let place = self.names.iter().position(|found| *found == name).unwrap_or_else(|| panic!("{:?}", self.names));
@@ -124,7 +124,7 @@ impl Outcome {
     }
 }
 
-/// Searches three runs, and scores on a fourth.
+/// Searches on three runs, and scores on a fourth.
 fn outcome(seed: u64, body: &dyn Fn(&[[f64; 2]]) -> Vec<f64>) -> Outcome {
     let declared = Declared { geometry: GEOMETRY, average_s: None };
     let (family, mut runs) = SkidSteer::new(declared, Output::YawRate, &runs(seed, 4, body)).unwrap();
@@ -161,8 +161,8 @@ fn tyres_that_slip_are_named_and_their_track_is_wide() {
     };
     let outcome = outcome(1, &body);
     assert_eq!(outcome.names[0], "slip-track");
-    // Of tyres that slide, by the balance of moments with equal friction along and across: 1 + (wheelbase / track)².
-    // Not all do, and not all the time.
+    // For tyres that all slide, with equal friction along and across, the balance of moments gives 1 + (wheelbase /
+    // track)². Here not all tyres slide all the time.
     let wide = outcome.value("slip-track") / GEOMETRY.track_m;
     assert!((wide - 2.0).abs() < 0.15, "{wide}");
     assert!(outcome.after < 0.3 * outcome.before, "{} to {}", outcome.before, outcome.after);
@@ -173,13 +173,13 @@ fn without_slip_nothing_is_named() {
     let body = |sides: &[[f64; 2]]| sides.iter().map(|side| 0.2 * (side[1] - side[0])).collect();
     let outcome = outcome(2, &body);
     assert!(outcome.names.is_empty(), "{:?}", outcome.names);
-    // The noise of 600 samples: its size is known to 1 / sqrt(1200).
+    // The standard deviation of 600 noise samples is known to 1 / sqrt(1200).
     assert!((outcome.after / NOISE - 1.0).abs() < 4.0 / 1200.0_f64.sqrt(), "{}", outcome.after);
 }
 
 #[test]
 fn a_limited_body_behind_a_slow_drive_is_named() {
-    // A controller that turns at most by 1.4 rad/s, 70 ms late, and drives that take 0.25 s.
+    // A controller that turns at up to 1.4 rad/s, 70 ms late, with drives that take 0.25 s.
     let body = |sides: &[[f64; 2]]| {
         let late = (0.07 / STEP_S).round() as usize;
         let mut turn = 0.0;
@@ -198,13 +198,13 @@ fn a_limited_body_behind_a_slow_drive_is_named() {
     assert_eq!(names, ["drive-lag", "input-delay", "rate-limit"]);
     for (name, expected, tolerance) in [
         ("rate-limit", 1.4, 0.01),
-        // The integration by 1 ms is late by as much.
+        // Integration in steps of 1 ms adds as much delay.
         ("drive-lag", 0.25, 0.005),
         ("input-delay", 0.07, 0.003),
     ] {
         let value = outcome.value(name);
         assert!((value - expected).abs() < tolerance, "{name}: {value} instead of {expected}");
     }
-    // Nothing but noise is left, and what straight lines between samples miss of the ramps.
+    // The residual is noise, and the error of linear interpolation between samples of the ramps.
     assert!(outcome.after < 1.05 * NOISE, "{}", outcome.after);
 }

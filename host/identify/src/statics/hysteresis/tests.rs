@@ -4,8 +4,8 @@ use super::*;
 use crate::data::{Mapping, Options, Quantity, Signal, read};
 use crate::family::Term;
 
-/// Pulls of A and B in turn, 5 samples each and 8 of rest after it, on a shaft with play and a spring; `settles` is the share
-/// of the way it goes in a sample.
+/// Pulls of A and B in turn, 5 samples each with 8 of rest after it, on a shaft with backlash and a spring. `settles`
+/// is the share of the remaining distance that it covers per sample.
 fn pulled(gap: f64, spring: f64, settles: f64, cycles: usize) -> Run {
     let (mut a, mut b, mut output) = (Vec::new(), Vec::new(), Vec::new());
     let mut position = 0.0;
@@ -42,14 +42,15 @@ fn play_is_what_stays_and_a_spring_what_returns() {
         assert!(best.holdout_rmse < 1e-12, "{play:?}");
         let wrong = if gap == 0.0 { "backlash" } else { "elasticity" };
         let wrong = play.explanations.iter().find(|explanation| explanation.name == wrong).unwrap();
-        // What either leaves of the other: half the gap where it rests, or the spring where it is pulled, on half of the rows.
+        // Error of either explanation: half the gap at rest, or the spring's deflection under load, on half of the
+        // rows.
         assert!(wrong.holdout_rmse > 0.5, "{play:?}");
     }
 }
 
 #[test]
 fn the_end_of_a_phase_is_its_most_settled_sample() {
-    // 5 samples of which each goes 70 % of the way leave 0.3^5 of it.
+    // 5 samples, each of which covers 70 % of the remaining distance, leave 0.3^5 of it.
     let play = play(&pulled(6.0, 4.0, 0.7, 4)).unwrap();
     assert!((play.loaded.value - 14.0).abs() < 14.0 * 2.0 * 0.3f64.powi(5));
     assert!((play.unloaded.value - 6.0).abs() < 14.0 * 0.3f64.powi(8));
@@ -80,7 +81,7 @@ fn the_search_names_play_and_does_not_without() {
         names.sort_unstable();
         names
     };
-    // Readings of an encoder: a scatter of a tenth, the same each time.
+    // Encoder readings with a scatter of a tenth, the same each time.
     let shaken = |gap, spring| {
         use rand_distr::{Distribution, Normal};
         let mut random = rand_pcg::Pcg64::new(3, 1);
@@ -99,7 +100,8 @@ fn the_search_names_play_and_does_not_without() {
 #[test]
 fn servos_play_as_published() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/sts_servo_backlash");
-    // Kotov, "A Low-Cost Platform for Measuring Backlash in Popular UART Servos", 2025: degrees under load and without.
+    // Kotov, "A Low-Cost Platform for Measuring Backlash in Popular UART Servos", 2025: degrees with and without
+    // load.
     for (file, loaded, unloaded) in [("sts3215_single.csv", 1.30, 0.62), ("sts3250_single.csv", 0.33, 0.13)] {
         let roles = vec![
             Mapping::measured("output", "dut_pos_cnt"),
@@ -111,10 +113,10 @@ fn servos_play_as_published() {
         let recorded = read(&[folder.join(file)], &options).unwrap();
         let play = play(&recorded.runs[0]).unwrap();
         let off = |gap: &Gap, published: f64| gap.value.abs().to_degrees() - published;
-        // The aim; half an encoder step is 0.044 degrees.
+        // Tolerance of 0.05 degrees; half an encoder step is 0.044 degrees.
         assert!(off(&play.loaded, loaded).abs() < 0.05, "{file}: {play:?}");
         assert!(off(&play.unloaded, unloaded).abs() < 0.05, "{file}: {play:?}");
-        // Both play and elasticity are needed to predict the later pulls.
+        // Both backlash and elasticity are needed to predict the later pulls.
         assert_eq!(play.explanations[0].name, "backlash and elasticity", "{file}: {play:?}");
     }
 }

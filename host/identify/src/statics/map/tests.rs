@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 use super::*;
 use crate::data::{Quantity, Signal};
 
-/// A recording of these columns, one row a second.
+/// Makes a recording of these columns, one row per second.
 fn recording(input: &[f64], output: &[f64], supply: Option<&[f64]>) -> Run {
     let signal = |values: &[f64]| Signal { column: "c".into(), quantity: Quantity::Number, values: values.to_vec() };
     let mut signals = BTreeMap::from([("input".to_owned(), signal(input)), ("output".to_owned(), signal(output))]);
@@ -14,7 +14,7 @@ fn recording(input: &[f64], output: &[f64], supply: Option<&[f64]>) -> Run {
     Run { name: "sweep".into(), time_s, origin_s: None, signals }
 }
 
-/// Up and down over -100..=100 in steps of 5, with an output that only shows what was moved.
+/// Levels up and down over -100..=100 in steps of 5, with a plain output that has a dead zone.
 fn sweep() -> (MapRun, StaticMap) {
     let up: Vec<f64> = (-20..=20).map(|level| 5.0 * f64::from(level)).collect();
     let input: Vec<f64> = up.iter().copied().chain(up.iter().rev().copied()).collect();
@@ -40,7 +40,7 @@ fn predicted(map: &StaticMap, structure: &Structure, run: &MapRun) -> Vec<f64> {
     out
 }
 
-/// Output of the first row (on the way up) with this input.
+/// Returns the output of the first row (on the way up) with this input.
 fn at(map: &StaticMap, run: &MapRun, effects: &[(&str, &[f64])], input: f64) -> f64 {
     let row = run.input().iter().position(|&u| u == input).unwrap();
     predicted(map, &with(map, 2.0, effects), run)[row]
@@ -48,7 +48,7 @@ fn at(map: &StaticMap, run: &MapRun, effects: &[(&str, &[f64])], input: f64) -> 
 
 #[track_caller]
 fn same(left: f64, right: f64) {
-    // Closed forms of a few operations each: a few bits of f64.
+    // Closed forms of a few operations each are exact to a few bits of an `f64`.
     assert!((left - right).abs() < 1e-9 * (1.0 + right.abs()), "{left} {right}");
 }
 
@@ -70,14 +70,14 @@ fn each_bend_follows_its_closed_form() {
     let curved = [("gain-curve", &[2.0, 3.0][..])];
     same(at(&curved, 25.0), 25.0);
     same(at(&curved, -25.0), -2.0 * 50.0 * 0.125);
-    // 60 = y + 0.05 y²
+    // The drag solves 60 = y + 0.05 y².
     same(at(&[("quadratic-drag", &[0.05])], 30.0), 10.0 * 13f64.sqrt() - 10.0);
     same(at(&[("direction-asymmetry", &[0.1])], -10.0), -18.0);
     same(at(&[("offset", &[3.0])], -10.0), -17.0);
-    // The middle of 8 V and 7 V is where the gain holds; the way up has 8 V.
+    // The gain holds at the median of 8 V and 7 V; the way up has 8 V.
     same(at(&[("supply", &[2.0])], 30.0), 60.0 * (8.0f64 / 7.5).powi(2));
     same(at(&[("supply-drive", &[1.0]), ("dead-zone", &[20.0, 20.0])], 30.0), 2.0 * (30.0 * 8.0 / 7.5 - 20.0));
-    // Upwards the output belongs to the level below.
+    // On the way up the output belongs to a lower level.
     same(at(&[("hysteresis", &[10.0])], 30.0), 40.0);
     same(at(&[("drift", &[0.01])], -90.0), -180.0 * 1.02);
 }
@@ -88,11 +88,11 @@ fn play_and_rest_remember_the_way() {
     let down = run.input().len() - 1 - run.input().iter().position(|&u| u == 30.0).unwrap();
     let out = |effects: &[(&str, &[f64])]| predicted(&map, &with(&map, 2.0, effects), &run)[down];
     same(out(&[("hysteresis", &[10.0])]), 80.0);
-    // 50 is needed to start, 20 to go on: at 30 it rests on the way up and moves on the way down.
+    // A level of 50 starts the motion, 20 keeps it up: at 30 it rests on the way up and moves on the way down.
     let sticks: [(&str, &[f64]); 2] = [("dead-zone", &[20.0, 20.0]), ("static-friction", &[50.0, 50.0])];
     assert!(at(&map, &run, &sticks, 30.0).abs() < 1e-9);
     same(out(&sticks), 20.0);
-    // Smeared over an eighth of a row: e⁻⁸ of the output is left one row away.
+    // The start is smoothed over an eighth of a row's step: one row away, e⁻⁸ of the output is left.
     assert!(at(&map, &run, &sticks, 45.0) < 60.0 * (-8.0f64).exp());
     assert!((at(&map, &run, &sticks, 55.0) - 70.0).abs() < 80.0 * (-8.0f64).exp());
 }
@@ -170,7 +170,7 @@ fn alternate_rows_keep_every_input() {
 #[test]
 fn guesses_come_from_the_recording() {
     let (run, map) = sweep();
-    // Σuy/Σu² of 3u above 22: 3 · (1 - 2·(5²+10²+15²+20²)/(2·25·2870))
+    // Slope Σuy/Σu² of 3u above 22: 3 · (1 - 2·(5²+10²+15²+20²)/(2·25·2870)).
     same(map.starts(&[&run])[0][0], 3.0 * (1.0 - 750.0 / 71750.0));
     let dead = &map.catalogue()[0];
     assert_eq!((dead.name, &dead.starts[0]), ("dead-zone", &vec![20.0, 20.0]));
@@ -188,7 +188,7 @@ fn what_cannot_be_seen_is_not_looked_for() {
     for name in ["direction-asymmetry", "drift", "supply", "supply-drive", "hysteresis", "static-friction"] {
         assert!(!names.contains(&name), "{name}");
     }
-    // Of one direction, one number.
+    // A recording of one direction gives one parameter.
     assert_eq!((map.catalogue()[0].name, map.catalogue()[0].parameters.len()), ("dead-zone", 1));
 }
 
@@ -223,7 +223,7 @@ fn useless_recordings_say_what_is_needed() {
     assert!(new(&without).unwrap_err().to_string().contains("--output"));
 }
 
-/// Names of what a search finds, and the RMS error of the last structure on `held_out`.
+/// Returns the names of what a search finds, and the RMSE of the last structure on `held_out`.
 fn search(fitted: &[MapRun], held_out: &[&MapRun]) -> (Vec<&'static str>, Vec<f64>) {
     let map = StaticMap::new(&fitted.iter().collect::<Vec<_>>(), "rad/s").unwrap();
     let found = crate::select::search(&map, fitted, &|_| ());
@@ -239,8 +239,8 @@ fn search(fitted: &[MapRun], held_out: &[&MapRun]) -> (Vec<&'static str>, Vec<f6
     (found.steps.iter().map(name).collect(), held_out.iter().map(rmse).collect())
 }
 
-/// A motor that loses some of its drive and saturates exponentially, which is not the model's form; the drive goes with the
-/// supply.
+/// A motor that loses some of its drive and saturates exponentially, unlike the model's form. The drive is
+/// proportional to the supply.
 fn machine(level: f64, supply: f64, lost: f64) -> f64 {
     let drive = (level.abs() * supply / 8.0 - lost).max(0.0);
     level.signum() * 60.0 * (1.0 - (-drive / 40.0).exp())
@@ -251,7 +251,7 @@ fn finds_what_was_put_in_and_nothing_where_nothing_was() {
     use rand_distr::{Distribution, Normal};
     let mut random = rand_pcg::Pcg64::new(6, 1);
     let noise = Normal::new(0.0, 0.3).unwrap();
-    // Levels in no order, so that time says nothing.
+    // Levels in no order, so that nothing depends on time.
     let input: Vec<f64> = (0..160).map(|row| f64::from((row * 67) % 161 - 80)).collect();
     let mut record = |output: &dyn Fn(f64) -> f64, supply: f64| {
         let output: Vec<f64> = input.iter().map(|&u| output(u) + noise.sample(&mut random)).collect();
@@ -266,7 +266,7 @@ fn finds_what_was_put_in_and_nothing_where_nothing_was() {
     for name in ["dead-zone", "saturation", "supply-drive"] {
         assert!(names.contains(&name), "{names:?}");
     }
-    // 0.3 of noise; the two forms of saturation differ by as much at most.
+    // The noise is 0.3; the two forms of saturation differ by at most as much.
     assert!(rmse[0] < 0.45, "{rmse:?}");
 }
 
@@ -275,7 +275,8 @@ fn two_motors_on_a_bridge() {
     use crate::data::{Mapping, Options, read};
     const RPM: f64 = std::f64::consts::TAU / 60.0;
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/micromouse_drv8833");
-    // RMS error on the odd rows of static_3: what the issue asks for, and half of what was reached as the other bound.
+    // RMSE on the odd rows of static_3: the requirement as the upper bound, and half of what was reached as the lower
+    // one.
     for (wheel, most, least) in [("left", 10.0, 4.0), ("right", 7.0, 2.6)] {
         let load = |name: &str| {
             let roles = vec![
@@ -292,7 +293,7 @@ fn two_motors_on_a_bridge() {
         assert!(names.contains(&"dead-zone") && names.contains(&"saturation"), "{names:?}");
         assert!((least..=most).contains(&(rmse[0] / RPM)), "{wheel}: {rmse:?} rad/s");
 
-        // 92.9 and 97.4 rpm with a proportional map, 55.3 and 74.7 with one of 7.93 V only.
+        // With a proportional map 92.9 and 97.4 rpm remain; with a map of 7.93 V only, 55.3 and 74.7.
         let (at_7v4, held_out_at_7v4) = load("static_4.csv");
         let (names, rmse) = search(&[fitted, at_7v4], &[&held_out, &held_out_at_7v4]);
         assert!(names.iter().any(|name| name.starts_with("supply")), "{names:?}");

@@ -1,7 +1,7 @@
-//! Closed-form laws against printed rows: the model `table`.
+//! Closed-form laws against the rows of a table: the model `table`.
 //!
-//! A table has few rows, so each law is judged by the rows it was not fitted to, one left out at a time. What is found holds for
-//! the printed numbers.
+//! A table has few rows, so each law is judged by leave-one-out cross-validation: each row is predicted by a fit to
+//! the others. Results hold for the printed numbers.
 
 pub mod gains;
 pub mod osmc;
@@ -16,53 +16,53 @@ use thiserror::Error;
 
 use crate::report::Unexplained;
 
-/// Why a table cannot be used.
+/// Reason why a table cannot be used.
 #[derive(Debug, Error)]
 pub enum TableError {
-    /// The file is no CSV.
+    /// The file is not valid CSV.
     #[error("the table cannot be read: {0}; one header line, then the same number of cells in each row")]
     Csv(#[from] csv::Error),
     /// A cell is neither a number nor empty nor a dash.
     #[error("row {row}, column `{column}`: `{cell}` is no number; leave the cell empty where nothing is printed")]
     Cell {
-        /// From 1, without the header.
+        /// Number of the row, from 1, without the header.
         row: usize,
-        /// Of the header.
+        /// Name of the column.
         column: String,
-        /// As it is in the file.
+        /// Text of the cell.
         cell: String,
     },
-    /// No such column.
+    /// The table has no column of this name.
     #[error("there is no column `{column}`; the table has: {columns}")]
     NoColumn {
-        /// That was asked for.
+        /// Name of the requested column.
         column: String,
-        /// That there are.
+        /// Names of all columns.
         columns: String,
     },
-    /// Nothing can be left out.
+    /// There are too few rows for cross-validation.
     #[error("{rows} rows have all of the columns {columns}; three are needed to leave one out")]
     TooFew {
-        /// That can be used.
+        /// Number of rows with all columns.
         rows: usize,
-        /// That were asked for.
+        /// Names of the requested columns.
         columns: String,
     },
 }
 
-/// A table as printed.
+/// Table of numbers, as printed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rows {
     columns: Vec<String>,
-    /// One entry per row and column; `None` where nothing is printed.
+    /// Cells of each row; `None` where nothing is printed.
     cells: Vec<Vec<Option<f64>>>,
 }
 
 impl Rows {
-    /// Reads CSV with a header. A cell that is empty or a dash holds nothing.
+    /// Reads CSV with a header. An empty cell or a dash holds no number.
     ///
     /// # Errors
-    /// Rows of different lengths; cells that are no numbers, except in columns without any number.
+    /// An error for rows of different lengths, or cells that are no numbers, except in columns without any number.
     pub fn read(csv: impl Read) -> Result<Self, TableError> {
         let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(csv);
         let columns: Vec<String> = reader.headers()?.iter().map(str::to_owned).collect();
@@ -83,16 +83,16 @@ impl Rows {
         Ok(Self { columns, cells })
     }
 
-    /// Names of the columns that hold numbers.
+    /// Iterates over the names of the columns that hold numbers.
     pub fn columns(&self) -> impl Iterator<Item = &str> {
         let holds = |at: usize| self.cells.iter().any(|row| row[at].is_some());
         self.columns.iter().enumerate().filter(move |(at, _)| holds(*at)).map(|(_, column)| column.as_str())
     }
 
-    /// The rows in which all of these columns hold a number, in this order of columns.
+    /// Returns the rows in which all of these columns hold a number, with the cells in the order of `columns`.
     ///
     /// # Errors
-    /// A column that there is not.
+    /// [`TableError::NoColumn`] for an unknown column.
     pub fn select(&self, columns: &[&str]) -> Result<Vec<Vec<f64>>, TableError> {
         let place = |column: &&str| {
             let place = self.columns.iter().position(|name| name == column);
@@ -103,45 +103,45 @@ impl Rows {
     }
 }
 
-/// A number of a law.
+/// Parameter of a law.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Number {
-    /// In reports.
+    /// Name of the parameter in reports.
     pub name: &'static str,
-    /// `1` for a plain number.
+    /// Unit of the parameter; `1` for a dimensionless number.
     pub unit: &'static str,
-    /// Where it is looked for.
+    /// Range in which the fit searches.
     pub bounds: (f64, f64),
-    /// At which the law's effect is not there.
+    /// Value without the law's effect, if there is one.
     pub absent: Option<f64>,
 }
 
-/// Something that would make a law true.
+/// Physical cause that would make a law true.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Cause {
-    /// What it is.
+    /// Name of the cause.
     pub name: &'static str,
-    /// What to record so that it shows apart from the law's other causes.
+    /// Advice for a recording that separates it from the law's other causes.
     pub experiment: &'static str,
 }
 
-/// `(values of the law's numbers, a row's columns) → what the row's last column should hold`.
+/// Prediction of a row's last column from the values of the law's parameters and the row's columns.
 pub type Predict = Box<dyn Fn(&[f64], &[f64]) -> f64 + Send + Sync>;
 
-/// A closed form.
+/// Closed-form law with its parameters.
 pub struct Law {
-    /// In reports.
+    /// Name of the law in reports.
     pub name: String,
-    /// What is fitted.
+    /// Parameters that are fitted.
     pub numbers: Vec<Number>,
-    /// The law.
+    /// Function that predicts a row.
     pub predict: Predict,
-    /// What could be behind it.
+    /// Possible causes of the law.
     pub causes: &'static [Cause],
 }
 
 impl Law {
-    /// A law of these numbers.
+    /// Creates a law with these parameters and no causes.
     pub fn new(
         name: impl Into<String>,
         numbers: Vec<Number>,
@@ -150,7 +150,7 @@ impl Law {
         Self { name: name.into(), numbers, predict: Box::new(predict), causes: &[] }
     }
 
-    /// With what could be behind it.
+    /// Returns the law with possible causes.
     #[must_use]
     pub fn because(self, causes: &'static [Cause]) -> Self {
         Self { causes, ..self }
@@ -158,112 +158,112 @@ impl Law {
 }
 
 impl Number {
-    /// A plain number within bounds.
+    /// Creates a parameter within bounds, without a value for absence.
     #[must_use]
     pub const fn new(name: &'static str, unit: &'static str, low: f64, high: f64) -> Self {
         Self { name, unit, bounds: (low, high), absent: None }
     }
 }
 
-/// A fitted number.
+/// Fitted parameter of a law.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Value {
-    /// Of the law.
+    /// Name of the parameter.
     pub name: &'static str,
-    /// Best value.
+    /// Value at the best fit.
     pub value: f64,
-    /// `1` for a plain number.
+    /// Unit of the value; `1` for a dimensionless number.
     pub unit: &'static str,
-    /// By leaving out each row (jackknife).
+    /// Standard error by the jackknife: the fit is repeated without each row.
     pub std: f64,
-    /// 95 % by the profile of the error; only for laws of one number.
+    /// 95 % confidence interval by the profile of the squared error; only for laws with one parameter.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub interval: Option<[f64; 2]>,
-    /// All values in it are exactly as good; only for laws of one number that round.
+    /// Range of values that fit equally well; only for laws with one parameter that round.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub as_good: Option<[f64; 2]>,
 }
 
-/// A law and how it did.
+/// Fitted law with its errors.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Step {
-    /// Its name.
+    /// Name of the law.
     pub law: String,
-    /// Its numbers.
+    /// Fitted parameters of the law.
     pub parameters: Vec<Value>,
-    /// On the rows it was fitted to.
+    /// RMSE on the rows that it was fitted to.
     pub rmse: f64,
-    /// On each row after a fit to the others.
+    /// RMSE of leave-one-out cross-validation.
     pub left_out_rmse: f64,
-    /// Square of that error, by row.
+    /// Squared leave-one-out error of each row.
     pub left_out_squares: Vec<f64>,
 }
 
-/// A law that does not win.
+/// Law that was rejected.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Refused {
-    /// Its name.
+    /// Name of the law.
     pub law: String,
-    /// Why.
+    /// Reason of the rejection.
     pub reason: String,
 }
 
-/// Laws against one quantity of a table.
+/// Comparison of laws for one quantity of a table.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Ladder {
-    /// Which table.
+    /// Name of the table.
     pub data: String,
-    /// Which column.
+    /// Name of the column that is predicted.
     pub quantity: String,
-    /// Of every RMSE.
+    /// Unit of every RMSE.
     pub unit: String,
-    /// How many.
+    /// Number of rows of the table.
     pub rows: usize,
-    /// In the order the laws were given.
+    /// Fitted laws in the order in which they were given.
     pub steps: Vec<Step>,
-    /// Name of the law that explains rows it has not seen, with the fewest numbers.
+    /// Name of the chosen law: the one with the fewest parameters that predicts left-out rows well.
     pub chosen: String,
-    /// Laws, and causes of the chosen one, that these rows cannot tell from it, with the experiment that would.
+    /// Laws, and causes of the chosen one, that these rows do not separate from it, with an experiment that would.
     pub rivals: Vec<Rivalry>,
-    /// The others.
+    /// Laws that were rejected, with the reasons.
     pub rejected: Vec<Refused>,
-    /// What the chosen law's residual still follows.
+    /// Columns that the chosen law's residual still depends on.
     pub unexplained: Vec<Unexplained>,
-    /// One plain sentence.
+    /// Result in one plain sentence.
     pub verdict: String,
 }
 
-/// Something as good as what was chosen.
+/// Alternative that explains the rows as well as what was chosen.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Rivalry {
-    /// A law or a cause.
+    /// Name of the law or cause.
     pub name: String,
-    /// What would separate it.
+    /// Experiment that would separate it.
     pub experiment: String,
 }
 
 impl Ladder {
-    /// A step by the name of its law.
+    /// Returns the fitted law with a name; `None` if there is none.
     #[must_use]
     pub fn step(&self, law: &str) -> Option<&Step> {
         self.steps.iter().find(|step| step.law == law)
     }
 
-    /// The chosen step.
+    /// Returns the chosen law.
     #[must_use]
     pub fn best(&self) -> Option<&Step> {
         self.step(&self.chosen)
     }
 }
 
-/// What a ladder is about.
+/// Subject of a ladder.
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
-    /// Which table.
+    /// Name of the table.
     pub data: &'a str,
-    /// What the last column of each row is.
+    /// Name of the last column of each row.
     pub quantity: &'a str,
-    /// Its unit.
+    /// Unit of the last column.
     pub unit: &'a str,
     /// Names of all columns but the last.
     pub columns: &'a [&'a str],
@@ -284,7 +284,7 @@ fn fit(law: &Law, rows: &[Vec<f64>], seed: u64) -> Vec<f64> {
     global(&bounds, EFFORT, seed, |values| squares(law, values, rows)).at
 }
 
-/// Square error of each row after a fit to the others, and that fit.
+/// Returns the squared error of each row after a fit to the others, with the parameters of that fit.
 fn left_out(law: &Law, rows: &[Vec<f64>], seed: u64) -> Vec<(f64, Vec<f64>)> {
     let leave = |out: usize| {
         let others: Vec<Vec<f64>> =
@@ -295,13 +295,13 @@ fn left_out(law: &Law, rows: &[Vec<f64>], seed: u64) -> Vec<(f64, Vec<f64>)> {
     (0..rows.len()).map(leave).collect()
 }
 
-/// Fits and judges each law on rows whose last column is what it predicts; deterministic for a seed.
+/// Fits and judges each law on rows whose last column it predicts; deterministic for a seed.
 ///
-/// The law with the fewest numbers wins among those whose square error on left-out rows is within one standard error, by rows,
-/// of the least.
+/// The law with the fewest parameters wins among those whose squared leave-one-out error is within one standard
+/// error, over the rows, of the smallest (one-standard-error rule).
 ///
 /// # Errors
-/// Fewer than three rows.
+/// [`TableError::TooFew`] for fewer than three rows.
 pub fn climb(about: &About<'_>, rows: &[Vec<f64>], laws: &[Law], seed: u64) -> Result<Ladder, TableError> {
     if rows.len() < 3 || laws.is_empty() {
         return Err(TableError::TooFew { rows: rows.len(), columns: about.columns.join(", ") });
@@ -313,6 +313,7 @@ pub fn climb(about: &About<'_>, rows: &[Vec<f64>], laws: &[Law], seed: u64) -> R
         let values = fit(law, rows, seed);
         let without = left_out(law, rows, seed);
         let fitted = squares(law, &values, rows);
+        // A parameter whose absence fits as well only makes the prediction worse: its effect has the wrong sign.
         let gains_nothing = |(at, number): (usize, &Number)| {
             let Some(absent) = number.absent else { return false };
             let mut values = values.clone();
@@ -338,6 +339,7 @@ pub fn climb(about: &About<'_>, rows: &[Vec<f64>], laws: &[Law], seed: u64) -> R
     let chosen = close.iter().min_by(simpler).copied().unwrap_or(best);
     let mut rivals: Vec<Rivalry> =
         laws[chosen].causes.iter().map(|cause| rivalry(cause.name, cause.experiment)).collect();
+    // A single cause has no rival.
     if rivals.len() == 1 {
         rivals.clear();
     }
@@ -397,7 +399,7 @@ fn rivalry(name: &str, experiment: &str) -> Rivalry {
     Rivalry { name: name.to_owned(), experiment: experiment.to_owned() }
 }
 
-/// Whether errors are larger than others by more than one standard error of their differences, row by row.
+/// Returns whether errors are larger than others by more than one standard error of their differences, row by row.
 pub(crate) fn worse(errors: &[f64], others: &[f64]) -> bool {
     let rows = errors.len() as f64;
     let differences: Vec<f64> = errors.iter().zip(others).map(|(a, b)| a - b).collect();
@@ -407,7 +409,7 @@ pub(crate) fn worse(errors: &[f64], others: &[f64]) -> bool {
     mean > (variance / rows).sqrt()
 }
 
-/// Columns that a residual follows in a straight line, by the t-test of its correlation with 5 % shared among all columns.
+/// Returns the columns that a residual depends on linearly, by the t-test of its correlation at 5 % over all columns.
 fn follows(residual: &[f64], columns: &[(&str, Vec<f64>)]) -> Vec<Unexplained> {
     let mut found = Vec::new();
     for (column, values) in columns {
@@ -422,7 +424,7 @@ fn follows(residual: &[f64], columns: &[(&str, Vec<f64>)]) -> Vec<Unexplained> {
     found
 }
 
-/// Share of the variance that a straight line explains, and the chance of as much; `None` where one does not vary.
+/// Returns the share of the variance that a straight line explains, and its p-value; `None` if either does not vary.
 pub(crate) fn correlation(x: &[f64], y: &[f64]) -> Option<(f64, f64)> {
     let rows = x.len() as f64;
     if rows < 3.0 {
@@ -431,7 +433,7 @@ pub(crate) fn correlation(x: &[f64], y: &[f64]) -> Option<(f64, f64)> {
     let (mx, my) = (x.iter().sum::<f64>() / rows, y.iter().sum::<f64>() / rows);
     let sum = |f: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(x, y)| f(x - mx, y - my)).sum::<f64>();
     let (xx, yy, xy) = (sum(&|x, _| x * x), sum(&|_, y| y * y), sum(&|x, y| x * y));
-    // Rounding leaves some of a residual that is none.
+    // Rounding errors make a residual that is exactly zero look like one.
     let size: f64 = y.iter().map(|y| y.abs()).fold(0.0, f64::max).max(1e-9);
     if xx <= 0.0 || yy <= 1e-12 * size * size || yy < 1e-18 {
         return None;
@@ -463,7 +465,7 @@ fn estimates(law: &Law, values: &[f64], without: &[(f64, Vec<f64>)], rows: &[Vec
     law.numbers.iter().enumerate().map(estimate).collect()
 }
 
-/// Walks along the only number of a law.
+/// Computes the intervals of a law's only parameter by stepping away from its best value.
 fn profile(law: &Law, number: &Number, value: &mut Value, rows: &[Vec<f64>]) {
     const STEPS: u32 = 4000;
     let free = rows.len() as f64 - 1.0;
@@ -471,7 +473,7 @@ fn profile(law: &Law, number: &Number, value: &mut Value, rows: &[Vec<f64>]) {
     let least = squares(law, &[value.value], rows);
     let limit = least * (1.0 + students.inverse_cdf(0.975).powi(2) / free);
     let (low, high) = number.bounds;
-    // Outwards from the best value, so that a second hollow elsewhere does not widen the interval.
+    // Stepping outwards from the best value, a second minimum elsewhere does not widen the interval.
     let walk = |end: f64, limit: f64| {
         let step = (high - low) / f64::from(STEPS) * (end - value.value).signum();
         let places = (0..=STEPS).map(|at| value.value + step * f64::from(at));
@@ -486,7 +488,7 @@ fn profile(law: &Law, number: &Number, value: &mut Value, rows: &[Vec<f64>]) {
     }
 }
 
-/// Laws for a table of which nothing is known: its last column against each of the others.
+/// Returns laws for a table without declared ones: its last column against each of the others.
 #[must_use]
 pub fn general(columns: &[&str], rows: &[Vec<f64>]) -> Vec<Law> {
     let largest = |at: usize| rows.iter().map(|row| row[at].abs()).fold(0.0, f64::max);
@@ -570,16 +572,16 @@ mod tests {
 
     #[test]
     fn leaving_a_row_out_has_a_closed_form_for_the_mean() {
-        // The mean of the others misses row i by n/(n-1) of its distance from the mean of all.
+        // The mean of the others misses row i by n/(n-1) times its distance from the mean of all.
         let rows = rows(|x| x * x);
         let law = || Law::new("constant", vec![Number::new("value", "mm", -100.0, 100.0)], |p, _| p[0]);
         let ladder = climb(&ABOUT, &rows, &[law()], 1).unwrap();
         let step = ladder.best().unwrap();
         assert!((step.left_out_rmse / step.rmse - 8.0 / 7.0).abs() < 1e-6);
-        // And its jackknife is the standard error of the mean.
+        // The jackknife of a mean is its standard error.
         let variance = step.rmse.powi(2) * 8.0 / 7.0;
         assert!((step.parameters[0].std / (variance / 8.0).sqrt() - 1.0).abs() < 1e-6);
-        // As is its profile, times t of 97.5 % with 7 degrees of freedom (2.3646 in tables); walked in steps of 0.05.
+        // So is its profile, times t of 97.5 % with 7 degrees of freedom (2.3646 in tables); the steps are 0.05.
         let [low, high] = step.parameters[0].interval.unwrap();
         assert!(((high - low) / 2.0 - 2.3646 * (variance / 8.0).sqrt()).abs() < 0.06, "{low} {high}");
     }

@@ -1,24 +1,24 @@
-//! The laws declared for the printed tables of the OSMC evaluation (`data/osmc_tables` of this crate).
+//! Laws declared for the printed tables of the OSMC evaluation (`data/osmc_tables` of this crate).
 
 use r4_maths::statistics::RootMeanSquare;
 
 use super::{About, Cause, Ladder, Law, Number, Rows, TableError, climb};
 
-/// The printed tables.
+/// The printed tables of the OSMC evaluation.
 pub struct Printed {
-    /// Table 1: `set_deg`, `observed_deg`.
+    /// Table 1 with the columns `set_deg`, `observed_deg`.
     pub rotary: Rows,
-    /// Table 2: `set_mm`, `observed_mm`.
+    /// Table 2 with the columns `set_mm`, `observed_mm`.
     pub linear: Rows,
-    /// Tables 3 to 5: `kp`, `ki`, `kd`, `rise`, `overshoot`, `steady_state_error`.
+    /// Tables 3 to 5 with the columns `kp`, `ki`, `kd`, `rise`, `overshoot`, `steady_state_error`.
     pub gains: Rows,
 }
 
 impl Printed {
-    /// As they are in `data/osmc_tables` of this crate.
+    /// Reads the tables from `data/osmc_tables` of this crate.
     ///
     /// # Errors
-    /// If these files are damaged.
+    /// An error if these files are damaged.
     pub fn new() -> Result<Self, TableError> {
         let read = |text: &str| Rows::read(text.as_bytes());
         Ok(Self {
@@ -35,10 +35,10 @@ const SCALE: &[Cause] = &[
     Cause { name: "protractor", experiment: "the same angles read with another instrument" },
 ];
 
-/// Table 1: where the shaft was, of where it was sent.
+/// Fits laws to Table 1: angle reached against angle set.
 ///
 /// # Errors
-/// A table without its columns.
+/// An error for a table without its columns.
 pub fn rotary(printed: &Printed, seed: u64) -> Result<Ladder, TableError> {
     let about = About { data: "OSMC Table 1", quantity: "angle", unit: "deg", columns: &["set_deg"] };
     let rows = printed.rotary.select(&["set_deg", "observed_deg"])?;
@@ -53,17 +53,18 @@ pub fn rotary(printed: &Printed, seed: u64) -> Result<Ladder, TableError> {
     climb(&about, &rows, &laws, seed)
 }
 
-/// Counts the released code sends the actuator to, for millimetres: `(960 v + 29) / 100`, the bracket misplaced.
+/// Returns the counts to which the released code sends the actuator for millimetres: `(960 v + 29) / 100`, with the
+/// bracket misplaced.
 fn commanded_counts(set_mm: f64) -> f64 {
     (960.0 * set_mm + 29.0) / 100.0
 }
 
-/// Millimetres it then displays, cut to whole ones.
+/// Returns the millimetres that the code then displays, truncated to whole ones.
 fn displayed_mm(counts: f64) -> f64 {
     (0.104_167 * (counts - 29.0)).trunc()
 }
 
-/// Millimetres per count.
+/// Travel per count, mm.
 const MM: f64 = 1.0 / 9.6;
 
 const OVER_RUN: &[Cause] = &[
@@ -80,10 +81,10 @@ const CONSTANT: &[Cause] = &[Cause {
     experiment: "positions by a caliper beside what the code displays, and counts at both ends",
 }];
 
-/// Table 2: what the actuator's position was read as, of where it was sent.
+/// Fits laws to Table 2: position read against position set.
 ///
 /// # Errors
-/// A table without its columns.
+/// An error for a table without its columns.
 pub fn linear(printed: &Printed, seed: u64) -> Result<Ladder, TableError> {
     let about = About { data: "OSMC Table 2", quantity: "position", unit: "mm", columns: &["set_mm"] };
     let rows = printed.linear.select(&["set_mm", "observed_mm"])?;
@@ -100,7 +101,8 @@ pub fn linear(printed: &Printed, seed: u64) -> Result<Ladder, TableError> {
             displayed_mm(commanded_counts(x[0]) + p[0] / MM)
         })
         .because(OVER_RUN),
-        // What dead-band or friction does: the moves go outwards, and the duty is no longer enough before the goal.
+        // Effect of a dead band or of friction: the actuator moves outwards, and its duty falls below what it needs
+        // before the goal.
         Law::new("released formula, stops short", vec![beyond("short", 0.0, 6.0)], |p, x| {
             displayed_mm(commanded_counts(x[0]) - p[0] / MM)
         }),
@@ -108,11 +110,11 @@ pub fn linear(printed: &Printed, seed: u64) -> Result<Ladder, TableError> {
     climb(&about, &rows, &laws, seed)
 }
 
-/// RMS error of Table 2 by the released formula if the actuator stopped where its duty fell to `duty` of 255, at the released
-/// proportional gain of 2 a count.
+/// Returns the RMSE of Table 2, mm, with the released formula if the actuator stopped where its duty fell to `duty`
+/// (of 255), at the released proportional gain of 2 per count.
 ///
 /// # Errors
-/// A table without its columns.
+/// An error for a table without its columns.
 pub fn linear_with_dead_band(printed: &Printed, duty: f64) -> Result<f64, TableError> {
     const KP: f64 = 2.0;
     let rows = printed.linear.select(&["set_mm", "observed_mm"])?;
@@ -120,8 +122,8 @@ pub fn linear_with_dead_band(printed: &Printed, duty: f64) -> Result<f64, TableE
     Ok(rows.iter().map(error_mm).collect::<RootMeanSquare>().value().unwrap_or(0.0))
 }
 
-/// Rows of the gains' table that `keep` keeps by `[kp, ki, kd]`, as `[kp, ki, kd, quantity]`; where a dash is printed for an
-/// overshoot, there was none.
+/// Returns the rows of the gains' table that `keep` accepts by `[kp, ki, kd]`, as `[kp, ki, kd, quantity]`. A dash
+/// printed for an overshoot means none.
 fn gain_rows(printed: &Printed, quantity: &str, keep: impl Fn(&[f64]) -> bool) -> Result<Vec<Vec<f64>>, TableError> {
     let mut rows = printed.gains.select(&["kp", "ki", "kd", quantity])?;
     if quantity == "overshoot" {
@@ -137,10 +139,10 @@ fn gain_rows(printed: &Printed, quantity: &str, keep: impl Fn(&[f64]) -> bool) -
     Ok(rows)
 }
 
-/// How much the duty of 255 at which the motor stopped decides: Tables 3 to 5 by closed forms, one after another.
+/// Fits closed forms to Tables 3 to 5 one after another, to see how far the stopping duty (of 255) explains them.
 ///
 /// # Errors
-/// A table without its columns.
+/// An error for a table without its columns.
 pub fn closed_forms(printed: &Printed, seed: u64) -> Result<Vec<Ladder>, TableError> {
     let columns: &[&str] = &["kp", "ki", "kd"];
     let about = |data, quantity, unit| About { data, quantity, unit, columns };
@@ -152,6 +154,7 @@ pub fn closed_forms(printed: &Printed, seed: u64) -> Result<Vec<Ladder>, TableEr
     let rows = gain_rows(printed, "steady_state_error", |g| g[1] == 0.0 && g[2] == 0.0)?;
     let laws = [none(), constant(), Law::new("stopping duty over Kp", vec![stopping()], |p, x| p[0] / x[0])];
     let error = climb(&about("OSMC Table 3", "steady-state error", "deg"), &rows, &laws, seed)?;
+    // Table 4 is predicted with the stopping duty of Table 3.
     let duty = error.step("stopping duty over Kp").map_or(0.0, |step| step.parameters[0].value);
 
     let sum = || Number::new("integral_sum", "deg s", 0.0, 300.0);
@@ -190,7 +193,7 @@ pub fn closed_forms(printed: &Printed, seed: u64) -> Result<Vec<Ladder>, TableEr
 mod tests {
     use super::*;
 
-    /// Both numbers of a law, within half of the last digit the reference values were written with.
+    /// Checks both errors of a law to half of the last digit of the reference values.
     #[track_caller]
     fn scores(ladder: &Ladder, law: &str, rmse: f64, left_out: Option<f64>, last_digit: f64) {
         let step = ladder.step(law).unwrap();
@@ -201,7 +204,7 @@ mod tests {
         }
     }
 
-    // The reference values were computed by others with numpy and scipy.
+    // The reference values were computed independently with numpy and scipy.
 
     #[test]
     fn table_1_is_a_scale_and_cannot_say_whose() {

@@ -1,4 +1,4 @@
-//! The model `table` as a task: recorded columns against laws of which nothing is declared.
+//! The model `table` as a task: recorded columns against laws that need no declaration.
 
 use std::collections::BTreeMap;
 
@@ -14,12 +14,12 @@ use crate::report::{
 };
 use crate::task::{FileKind, Identified, ModelInfo, RoleInfo};
 
-/// For `--model`.
+/// Name of the model, for `--model`.
 pub const NAME: &str = "table";
 
 const INPUTS: [&str; 3] = ["input", "input_2", "input_3"];
 
-/// What it is, for the list of models.
+/// Returns the description for the list of models.
 #[must_use]
 pub fn info() -> ModelInfo {
     let role = |name, required, driving, what| RoleInfo { name, required, driving, what };
@@ -47,7 +47,7 @@ pub fn info() -> ModelInfo {
     }
 }
 
-/// Rows of recordings, inputs first and the output last; rows without one of them are left out.
+/// Returns the rows of recordings, inputs first and the output last, without incomplete ones.
 fn rows(runs: &[Run], roles: &[&str]) -> Vec<Vec<f64>> {
     let row = |run: &Run, at: usize| -> Option<Vec<f64>> {
         let cell =
@@ -57,10 +57,10 @@ fn rows(runs: &[Run], roles: &[&str]) -> Vec<Vec<f64>> {
     runs.iter().flat_map(|run| (0..run.time_s.len()).filter_map(|at| row(run, at)).collect::<Vec<_>>()).collect()
 }
 
-/// Looks for the law of a table. Without held-out rows each row is held out once.
+/// Searches for the law of a table. Without held-out rows, leave-one-out cross-validation replaces them.
 ///
 /// # Errors
-/// A role that is missing, or fewer than three rows.
+/// An error for a missing role, or fewer than three rows.
 pub fn identify(train: &[Run], holdout: &[Run], notes: Vec<String>, seed: u64) -> Result<Identified, TableError> {
     let first = train.first();
     let has = |role: &&str| first.is_some_and(|run| run.signals.contains_key(*role));
@@ -95,7 +95,7 @@ fn report(
     held_out: &[Vec<f64>],
     notes: Vec<String>,
 ) -> Identified {
-    // The base is the best law without a number: nothing, or an input as it is.
+    // The base model is the best law without a parameter: zero, or an input as it is.
     let plain = ladder.steps.iter().filter(|step| step.parameters.is_empty());
     let base = plain.min_by(|a, b| a.rmse.total_cmp(&b.rmse)).unwrap_or(&ladder.steps[0]);
     let chosen = ladder.best().unwrap_or(base);
@@ -196,6 +196,7 @@ fn report(
     };
     let column = |at: usize| fitted.iter().map(move |row| row[at]);
     let mean = |at: usize| column(at).sum::<f64>() / fitted.len() as f64;
+    // A plant has one input; the other columns are held at their means.
     let others: Vec<f64> = (1..inputs.len()).map(mean).collect();
     let settles_at = |level: f64| {
         let row: Vec<f64> = [level].into_iter().chain(others.iter().copied()).collect();
@@ -219,7 +220,7 @@ fn report(
     let last = scores(chosen);
     let report = Report {
         model: NAME.to_owned(),
-        // Laws are all that there is: one that is enough has no effects.
+        // A law counts as an effect with a size: one that fits well needs no further effects.
         explained: Explained::of(last.holdout.nrmse, true, ladder.unexplained.is_empty()),
         suspicions: Vec::new(),
         unit: ladder.unit.clone(),
@@ -236,7 +237,7 @@ fn report(
     Identified { report, figures, loadable }
 }
 
-/// Chance that errors of rows are not smaller, by their differences (Student, one side).
+/// Returns the probability that errors of rows did not fall, by a one-sided t-test of their differences.
 fn chance(before: &[f64], after: &[f64]) -> f64 {
     let rows = before.len() as f64;
     let differences: Vec<f64> = before.iter().zip(after).map(|(before, after)| before - after).collect();
@@ -281,7 +282,7 @@ mod tests {
         let text = loadable.plant().unwrap();
         assert!(text.contains("law `inverse of input`"), "{text}");
         let plant = r4_plants::PlantSpec::from_toml("plant.toml", text).unwrap();
-        // The rod settles where the law says: 24 over the level, at the highest of 8 a quarter of full duty's place.
+        // The rod settles where the law says: 24 over the level, and full duty is the highest level of 8.
         let mut rod = r4_plants::Plant::new(&plant, 1);
         rod.advance(r4_plants::Drive::with_brake(1.0), 12.0, 2.0);
         assert!((rod.position() - report.parameters["factor"].value / 8.0).abs() < 1e-6, "{}", rod.position());

@@ -1,4 +1,4 @@
-//! A small run to test with.
+//! A small run for the tests.
 #![allow(clippy::unwrap_used, reason = "test code")]
 #![allow(dead_code, reason = "not every test needs everything")]
 
@@ -75,12 +75,12 @@ pub(crate) fn header() -> Header {
     }
 }
 
-/// Twenty frames of every channel, an arming, a trip, two commands.
+/// Records twenty frames of every channel, an arming, a trip and two commands.
 pub(crate) fn run() -> Vec<u8> {
     run_every(1)
 }
 
-/// The same with so much between the frames, us.
+/// Records the same run with `period_us` between the frames, µs.
 pub(crate) fn run_every(period_us: u64) -> Vec<u8> {
     let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header()).unwrap();
     recorder.state(500, SafetyState::Disarmed, Causes::NONE).unwrap();
@@ -121,17 +121,17 @@ pub(crate) fn run_every(period_us: u64) -> Vec<u8> {
     recorder.finish().unwrap().into_inner()
 }
 
-/// A message as the reader of the `mcap` crate gives it.
+/// Message as read by the reader of the `mcap` crate.
 pub(crate) struct Message {
     pub(crate) topic: String,
     pub(crate) encoding: String,
-    /// Encoding and content.
+    /// Encoding and content of the schema.
     pub(crate) schema: (String, Vec<u8>),
     pub(crate) header: MessageHeader,
     pub(crate) data: Vec<u8>,
 }
 
-/// The messages of `file` by the reader of the `mcap` crate, which checks every length and checksum.
+/// Reads the messages of `file` with the reader of the `mcap` crate, which checks every length and checksum.
 pub(crate) fn messages(file: &[u8]) -> Vec<Message> {
     let options = LinearReaderOptions::default()
         .with_validate_chunk_crcs(true)
@@ -174,7 +174,7 @@ pub(crate) fn messages(file: &[u8]) -> Vec<Message> {
     messages
 }
 
-/// LZ4 frames for that reader, which has none without a C library.
+/// LZ4 decompressor for that reader, which has none without a C library.
 #[derive(Default)]
 struct Lz4 {
     compressed: Vec<u8>,
@@ -191,7 +191,7 @@ impl Decompressor for Lz4 {
         if !src.is_empty() {
             self.compressed.extend(src);
             self.plain.clear();
-            // Without the end there is what comes before it.
+            // Input without the end of the frame yields what is there so far.
             let _ = lz4_flex::frame::FrameDecoder::new(&self.compressed[..]).read_to_end(&mut self.plain);
         }
         let new = &self.plain[self.given..];
