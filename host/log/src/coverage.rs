@@ -59,6 +59,7 @@ impl Log {
         let mut times = Vec::new();
         times.extend(self.motor(channel).iter().flat_map(|series| &series.samples).map(|sample| sample.time_s));
         times.extend(self.encoder(channel).iter().flat_map(|series| &series.samples).map(|sample| sample.time_s));
+        times.extend(self.sensor(channel).iter().flat_map(|series| &series.samples).map(|sample| sample.time_s));
         times.extend(self.reading(channel).iter().flat_map(|series| &series.samples).map(|sample| sample.time_s));
         times.extend(self.scalar(channel).iter().flat_map(|series| &series.samples).map(|sample| sample.0));
         times

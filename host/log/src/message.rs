@@ -366,13 +366,18 @@ pub(crate) struct Schema {
     pub(crate) json: String,
 }
 
-/// Builds the schema of an object. `fields` are name, JSON type and meaning of each.
+/// Builds the schema of an object. `fields` are name, JSON type and meaning of each. An `array` has strings, `objects` is an
+/// array of objects.
 pub(crate) fn schema(name: &str, fields: &[(&str, &str, &str)]) -> Schema {
     let properties: Vec<String> = fields
         .iter()
         .map(|(field, kind, meaning)| {
             // A viewer needs the type of an array's items.
-            let items = if *kind == "array" { r#","items":{"type":"string"}"# } else { "" };
+            let (kind, items) = match *kind {
+                "array" => ("array", r#","items":{"type":"string"}"#),
+                "objects" => ("array", r#","items":{"type":"object"}"#),
+                kind => (kind, ""),
+            };
             format!(r#""{field}":{{"type":"{kind}"{items},"description":"{meaning}"}}"#)
         })
         .collect();
@@ -393,7 +398,8 @@ pub(crate) const SENSOR: &str = "Sensor";
 pub(crate) const SENT_US: (&str, &str, &str) =
     ("sent_us", "integer", "When it was sent: since the host said hello, by its clock, us");
 
-const SETPOINT_MODE: &str = "What the set point is: position, speed, duty, switch, voltage, brake or home";
+const SETPOINT_MODE: &str =
+    "Mode of the set point: position, speed, duty, switch, voltage, brake, home, follow or force";
 
 const ROTARY_SETPOINTS: [(&str, &str, &str); 3] = [
     ("setpoint_position_rad", "number", "Set point in mode position, rad"),

@@ -318,6 +318,10 @@ pub(crate) fn request_schema() -> Schema {
             ("kp", "number", "Gain, duty by the unit of the mode"),
             ("ki", "number", "Gain, duty by the unit of the mode and s"),
             ("kd", "number", "Gain, duty s by the unit of the mode"),
+            ("static_duty", "number", "Feed-forward against friction, duty"),
+            ("duty_per_speed", "number", "Feed-forward of speed, duty by rad/s or m/s"),
+            ("duty_per_acceleration", "number", "Feed-forward of acceleration, duty by rad/s2 or m/s2"),
+            ("cascade_per_s", "number", "Gain from position error to speed, 1/s; 0 without a cascade"),
             ("parameter", "string", "Parameter set"),
             ("value", "number", "What it is set to, in its unit"),
             ("name", "string", "Name given to the robot"),
@@ -325,7 +329,7 @@ pub(crate) fn request_schema() -> Schema {
             ("address", "integer", "7-bit address on the I2C bus"),
             ("write", "string", "Bytes written, in hex"),
             ("read", "integer", "Bytes asked for"),
-            ("points", "array", "Points of a path: after_us of sending, position, speed, feed_forward as a duty"),
+            ("points", "objects", "Points of a path: after_us of sending, position, speed, feed_forward as a duty"),
             SENT_US,
         ],
     )
@@ -371,11 +375,30 @@ mod tests {
                     .collect(),
             },
         ]);
+        let schema: serde_json::Value = serde_json::from_str(&request_schema().json).expect("JSON");
         for request in all {
             let message = RequestMessage::new(&request).expect("recorded");
+            let fields = serde_json::to_value(&message).expect("JSON");
+            for (field, value) in fields.as_object().expect("an object") {
+                assert!(is_declared(&schema["properties"][field], value), "{field} of {request:?}");
+            }
             let json = serde_json::to_string(&message).expect("JSON");
             let read: RequestMessage = serde_json::from_str(&json).expect("its own JSON");
             assert_eq!(read.request(), Some(request), "{json}");
+        }
+    }
+
+    /// Returns whether a value has the declared type; an array's items, too.
+    fn is_declared(declared: &serde_json::Value, value: &serde_json::Value) -> bool {
+        match declared["type"].as_str() {
+            Some("string") => value.is_string(),
+            Some("integer") => value.is_u64(),
+            Some("number") => value.is_number(),
+            Some("object") => value.is_object(),
+            Some("array") => {
+                value.as_array().is_some_and(|items| items.iter().all(|item| is_declared(&declared["items"], item)))
+            }
+            _ => false,
         }
     }
 

@@ -173,8 +173,8 @@ fn the_vial_is_lifted_while_friction_carries_its_weight() {
     }
 }
 
-/// A knock of 8 m/s² on a vial held with 1.2 times its weight lets it slide with `g + 8 - 0.85 · 1.2 g`, until the
-/// knock ends.
+/// A knock of 8 m/s² on a vial held with 1.6 times its weight lets it slide with `g + 8 - 0.85 · 1.6 g` until the
+/// knock ends, then decelerate with `0.85 · 1.6 g - g`. The tolerance is that of steps of the simulation.
 #[test]
 fn a_knock_lets_the_vial_slide_as_mechanics_says() {
     let mut body = lowered(with(|body| {
@@ -182,19 +182,16 @@ fn a_knock_lets_the_vial_slide_as_mechanics_says() {
         body.jerk = Some(Jerk { after_s: 4.0, lasts_s: 0.05, acceleration_m_s2: 8.0 });
     }));
     drive(&mut body, [DOWN_RAD, 0.0], [DOWN_RAD, -0.7], 0.5);
-    body.vial.mass_kg = 2.0 * 0.5 * body.squeeze_n() / GRAVITY_M_S2 / 1.2;
+    body.vial.mass_kg = 2.0 * 0.5 * body.squeeze_n() / GRAVITY_M_S2 / 1.6;
     drive(&mut body, [DOWN_RAD, -0.7], [4.0, -0.7], 4.0);
     drive(&mut body, [4.0, -0.7], [4.0, -0.7], 4.0);
-    let [up, down] = [GRAVITY_M_S2 + 8.0, GRAVITY_M_S2].map(|pull| pull - 0.85 * 1.2 * GRAVITY_M_S2);
+    let [up, down] = [GRAVITY_M_S2 + 8.0, GRAVITY_M_S2].map(|pull| pull - 0.85 * 1.6 * GRAVITY_M_S2);
     let speed_m_s = up * 0.05;
     let expected_m = 0.5 * up * 0.05 * 0.05 + speed_m_s * speed_m_s / (2.0 * -down);
     let slid_m = body.slip_m()[0];
-    // Slips 9.8 mm during the knock, then decelerates at only 0.2 m/s2: beyond 20 mm, the vial's top, it is lost.
-    if expected_m < 0.020 {
-        assert!((slid_m - expected_m).abs() < 0.02 * expected_m, "{slid_m} {expected_m}");
-    } else {
-        assert_eq!(body.hold(), Hold::Dropped);
-    }
+    // 12.7 mm: short of the vial's top, 20 mm above the loop.
+    assert!((slid_m - expected_m).abs() < 0.02 * expected_m, "{slid_m} {expected_m}");
+    assert_ne!(body.hold(), Hold::Dropped);
 }
 
 /// Clearance of 1.1 mm to each side fits a loop that is 2 mm wider and 0.8 mm thick between a vial and neighbours at 3

@@ -3,9 +3,9 @@
 
 use std::io::Cursor;
 
-use crate::common::{OSMC, RANGE, SWITCH, header, run};
+use crate::common::{IMU, OSMC, RANGE, SWITCH, header, run};
 use r4_log::{Log, Recorder, compare};
-use r4_protocol::{Cause, Causes, Mode, Request, SafetyState, Sample, Telemetry};
+use r4_protocol::{Cause, Causes, Mode, Quality, Request, SafetyState, Sample, Telemetry};
 
 fn table(log: &Log) -> Vec<Vec<String>> {
     let mut csv = Vec::new();
@@ -122,16 +122,21 @@ fn what_was_subscribed_and_never_came_is_missing() {
     let mut recorder = Recorder::new(Cursor::new(Vec::new()), &header()).unwrap();
     recorder.request(0, Some(0), &Request::Subscribe { channel: SWITCH, period_ms: 10 }).unwrap();
     recorder.request(0, Some(1), &Request::Subscribe { channel: RANGE, period_ms: 10 }).unwrap();
+    recorder.request(0, Some(2), &Request::Subscribe { channel: IMU, period_ms: 10 }).unwrap();
     for tick in (1..=100).filter(|tick| *tick != 7 && !(50..60).contains(tick)) {
-        let samples = [Sample::Scalar { channel: SWITCH, value: 0.0 }].into_iter().collect();
+        let values = [0.5; 6];
+        let inertial = Sample::Sensor { channel: IMU, values, age_ms: 0, quality: Quality::Good };
+        let samples = [Sample::Scalar { channel: SWITCH, value: 0.0 }, inertial].into_iter().collect();
         let (state, causes) = (SafetyState::Armed, Causes::NONE);
         recorder.telemetry(&Telemetry { device_us: tick * 10_000 + tick % 3 * 1_000, state, causes, samples }).unwrap();
     }
-    recorder.request(1_005_000, Some(2), &Request::Bye).unwrap();
+    recorder.request(1_005_000, Some(3), &Request::Bye).unwrap();
     let log = Log::from_bytes(recorder.finish().unwrap().get_ref()).unwrap();
     let coverage = log.coverage();
     let of = |channel| coverage.iter().find(|coverage| coverage.channel == channel).unwrap();
-    assert_eq!((of(SWITCH).samples, of(SWITCH).missing), (89, Some(11)));
+    for channel in [SWITCH, IMU] {
+        assert_eq!((of(channel).samples, of(channel).missing), (89, Some(11)), "{channel}");
+    }
     assert_eq!((of(RANGE).samples, of(RANGE).missing, of(RANGE).longest_gap_s), (0, Some(99), None));
     let gap_s = of(SWITCH).longest_gap_s.unwrap();
     assert!((gap_s - 0.11).abs() < 0.003, "{gap_s}");
