@@ -1,4 +1,4 @@
-//! `r4 debug`: the image on an emulated board, under gdb or with a trace.
+//! `r4 debug`: runs the firmware's image on an emulated board, under gdb or with a trace.
 
 use anyhow::bail;
 use r4_sim::Pace;

@@ -1,4 +1,4 @@
-//! `r4 evaluate`: a paper's whole evaluation, with the paper beside.
+//! `r4 evaluate`: the whole evaluation of a paper, beside the paper's results.
 
 use std::{fs, path::PathBuf};
 
@@ -24,19 +24,20 @@ use crate::{
 
 #[derive(Clone, Debug, clap::Subcommand)]
 pub(crate) enum Evaluations {
-    /// Set points and steps of the OSMC evaluation on blind plants: the paper, its plain PID, and the board's loops
+    /// Run set points and steps of the OSMC evaluation on blind plants: the paper's results, its plain PID, and the
+    /// board's loops
     Osmc(OsmcArgs),
 }
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct OsmcArgs {
-    /// How many seeds: each hides something, or nothing, in each of the three motors
+    /// Number of seeds: each hides an effect, or none, in each of the three motors
     #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     seeds: u64,
-    /// The first seed
+    /// First seed
     #[arg(long, default_value_t = system::REPORTED_FROM, value_name = "SEED")]
     first_seed: u64,
-    /// In how many of these seeds to name what is hidden, which takes half a minute for each
+    /// Number of these seeds whose hidden effect is identified and named, half a minute each
     #[arg(long, default_value_t = 30, value_name = "SEEDS")]
     naming: u64,
     /// Write a page with every response to this file
@@ -50,14 +51,14 @@ impl Default for OsmcArgs {
     }
 }
 
-/// A motor of a seed in which a target is missed.
+/// Motor of a seed that misses a target.
 #[derive(Clone, Debug, Serialize)]
 struct Failing {
     seed: u64,
     motor: &'static str,
-    /// Name of what is hidden; `nothing` for nothing.
+    /// Name of the hidden effect; `nothing` for none.
     hidden: &'static str,
-    /// Size of what is hidden, in the unit of its first parameter.
+    /// Magnitude of the hidden effect, in the unit of its first parameter.
     size: Option<f64>,
     /// Metrics that miss their targets, with their values.
     missed: Vec<(String, f64)>,
@@ -79,7 +80,7 @@ pub(crate) fn run(args: &Args, what: &Evaluations) -> anyhow::Result<bool> {
     }
 }
 
-/// The evaluation of the OSMC paper; false where a target is missed or a trial could not be run.
+/// Runs the evaluation of the OSMC paper; false where a target is missed or a trial failed to run.
 pub(crate) fn run_osmc(args: &Args, asked: &OsmcArgs) -> anyhow::Result<bool> {
     let study = |arms: &[&str], seeds| Study {
         arms: arms.iter().map(|arm| (*arm).to_owned()).collect(),
@@ -223,7 +224,7 @@ fn cells(row: &Comparison) -> [String; 12] {
     ]
 }
 
-/// The page: the comparison, what missed its targets, the laws, and every response.
+/// Report page: comparison, missed targets, fitted laws, and every response.
 fn page(report: &Report, study: &Study) -> anyhow::Result<String> {
     let column = |title: &str, align| Column { title: title.into(), unit: None, align };
     let titles =

@@ -1,4 +1,4 @@
-//! `r4 faults`
+//! `r4 faults`: the trips stored on a board.
 
 use anyhow::{Context, anyhow};
 use r4_protocol::{Causes, ChannelInfo, ChannelKind, FaultInfo, FaultSnapshot};
@@ -19,7 +19,7 @@ struct History {
     faults: Vec<Fault>,
 }
 
-/// A trip, in SI.
+/// One trip, in SI units.
 #[derive(Serialize)]
 struct Fault {
     index: usize,
@@ -38,7 +38,7 @@ struct Before {
     before: Vec<Moment>,
 }
 
-/// What the board looked like, in SI.
+/// Snapshot of the board before a trip, in SI units.
 #[derive(Serialize)]
 struct Moment {
     before_ms: u16,
@@ -50,7 +50,7 @@ struct Moment {
 struct Motor {
     channel: String,
     unit: String,
-    /// Null where nothing measures it.
+    /// Position in rad or m; null without a sensor.
     position: Option<f64>,
     speed: f32,
     duty: f32,
@@ -75,7 +75,7 @@ impl Fault {
     }
 }
 
-/// The channels that snapshots are of.
+/// Channels that the snapshots contain.
 struct Watched {
     motors: Vec<ChannelInfo>,
     supplies: Vec<ChannelInfo>,
@@ -178,7 +178,7 @@ impl Watched {
         let mut header = vec!["ms before".to_owned()];
         for info in &self.motors {
             let measured = info.resolution > 0.0;
-            // Named above its first column.
+            // The channel's name stands above its first column only.
             let mut name = info.id.to_string();
             let units = [(human(info.unit).1, measured), (human(speed_unit(info.unit)).1, measured), ("duty", true)];
             let shown = units.iter().filter(|(_, shown)| *shown);
@@ -203,7 +203,7 @@ impl Watched {
     }
 }
 
-/// In rad or m, where something measures it.
+/// Position in rad or m; `None` without a sensor.
 fn position(info: &ChannelInfo, counts: i32) -> Option<f64> {
     (info.resolution > 0.0).then(|| f64::from(counts) * f64::from(info.resolution))
 }

@@ -1,4 +1,4 @@
-//! `r4 config`: the parameters that a board keeps.
+//! `r4 config`: the parameters stored on a board.
 
 mod file;
 mod unit;
@@ -22,55 +22,55 @@ use crate::{
 
 #[derive(Clone, Debug, clap::Subcommand)]
 pub(crate) enum Config {
-    /// Every parameter, or those of a channel
+    /// List all parameters, or those of one channel
     Show {
-        /// A channel, or `board` for what belongs to none
+        /// Channel, or `board` for parameters of no channel [default: all]
         scope: Option<Scope>,
     },
-    /// Change a parameter; it holds from the next start on, once saved
+    /// Change a parameter; effective after the next restart, once saved
     Set {
-        /// Which, as in osmc0.position_kp
+        /// Key of the parameter; example: osmc0.position_kp
         #[arg(value_name = "KEY")]
         key: String,
-        /// In the unit of the parameter
+        /// New value, in the unit that `config show` prints
         #[arg(allow_negative_numbers = true)]
         value: f32,
-        /// Save at once
+        /// Save to the board's flash at once
         #[arg(long)]
         save: bool,
     },
-    /// Change the robot's name; it holds from the next start on, once saved
+    /// Change the robot's name; effective after the next restart, once saved
     Name {
-        /// The new name
+        /// New name of the robot
         name: Name,
-        /// Save at once
+        /// Save to the board's flash at once
         #[arg(long)]
         save: bool,
     },
-    /// Keep all changes over a restart
+    /// Save all changes to the board's flash
     Save,
-    /// Go back to what the firmware was built with; holds from the next start on, once saved
+    /// Restore the values built into the firmware; effective after the next restart, once saved
     Reset {
-        /// Save at once
+        /// Save to the board's flash at once
         #[arg(long)]
         save: bool,
     },
     /// Write all parameters to a TOML file
     Export {
-        /// The file; `-` is stdout
+        /// File to write; `-` for stdout
         file: PathBuf,
     },
-    /// Set the parameters in a TOML file and save them: all of them, or none
+    /// Set all parameters of a TOML file and save them; on an error, set none
     Import {
-        /// The file
+        /// File to read
         file: PathBuf,
     },
 }
 
-/// What stands for the channel of the parameters that belong to none.
+/// Scope of the parameters that belong to no channel.
 const BOARD: &str = "board";
 
-/// Whose parameters: of a channel, or of the board.
+/// Owner of parameters: a channel, or `None` for the board.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Scope(Option<ChannelId>);
 
@@ -86,7 +86,7 @@ impl FromStr for Scope {
     }
 }
 
-/// A robot's name that a board can keep.
+/// Name of a robot, short enough to be stored on a board.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Name(String);
 
@@ -188,7 +188,7 @@ pub(crate) fn run(args: &Args, config: &Config) -> anyhow::Result<bool> {
     }
 }
 
-/// A simulated board has a flash of its own only while it runs.
+/// Refuses to save on a simulated board without a flash file, whose flash ends with the command.
 pub(super) fn check_keeps(args: &Args) -> anyhow::Result<()> {
     ensure!(
         args.flash.is_some() || matches!(args.board, Target::Link(_)),
@@ -198,7 +198,7 @@ pub(super) fn check_keeps(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Does `work`, and saves what came of it.
+/// Runs `work`, then saves the parameters if `save` is set.
 async fn and_save<T>(
     session: &Session<'_>,
     save: bool,
@@ -215,12 +215,12 @@ fn change<T>(args: &Args, save: bool, work: impl AsyncFnOnce(&Session<'_>) -> an
     Ok(session::run(args, Pace::Free, async |session| and_save(session, save, work).await)?.0)
 }
 
-/// When a change holds.
+/// Note on when a change becomes effective.
 fn outlook(saved: bool) -> &'static str {
     if saved { "saved: holds from the next start on" } else { "not saved: add --save" }
 }
 
-/// On a simulated board a change that is not saved ends with the command.
+/// Warns that a simulated board loses an unsaved change when the command ends.
 pub(super) fn warn_unsaved(args: &Args, saved: bool) {
     if !saved && matches!(args.board, Target::Sim(_) | Target::Emu(_)) {
         eprintln!("r4: a simulated board forgets what is not saved when the command ends: add --save and --flash FILE");
@@ -277,7 +277,7 @@ fn show(args: &Args, scope: Option<Scope>) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// The shortest text that means this number.
+/// Formats a value with the fewest digits that identify it.
 fn shown(value: f32) -> String {
     let magnitude = value.abs();
     if magnitude == 0.0 || (1e-4..1e7).contains(&magnitude) { value.to_string() } else { format!("{value:e}") }
@@ -318,7 +318,7 @@ fn find<'p>(parameters: &'p [ParameterInfo], key: &str) -> Option<&'p ParameterI
     parameters.iter().find(|info| info.key.to_string() == key)
 }
 
-/// What to say of a key that no parameter has.
+/// Error text for an unknown key, with the nearest known one.
 fn unknown(parameters: &[ParameterInfo], key: &str) -> String {
     let keys = parameters.iter().map(|info| info.key.to_string());
     let nearest = keys.min_by_key(|known| strsim::damerau_levenshtein(known, key));
@@ -389,8 +389,8 @@ fn import(args: &Args, path: &std::path::Path) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// Sets all of `values`, whatever order they need: a range that moves must have its upper end moved first, or its lower.
-/// Gives the first that the board refuses in every order, and why.
+/// Sets all of `values`, retrying refused ones after the others: moving a range may need its upper end changed first,
+/// or its lower. Returns the first value that the board refuses in every order, and the refusal.
 async fn set_all<C: Clock>(board: &Board<C>, values: &[(ParameterKey, f32)]) -> Result<Option<(usize, Error)>, Error> {
     let mut left: Vec<usize> = (0..values.len()).collect();
     loop {

@@ -1,4 +1,4 @@
-//! Gamepads, in programs that are built with them.
+//! Gamepads, with the feature `gamepad`.
 
 use super::hands::Hand;
 
@@ -14,10 +14,10 @@ mod with {
 
     use super::Hand;
 
-    /// A gamepad: its left stick, and the right shoulder button as dead-man key.
+    /// Gamepad: its left stick drives, its right shoulder button is the dead-man switch.
     pub(in super::super) struct Gamepad {
         gilrs: Gilrs,
-        /// Whose button was held last.
+        /// Gamepad whose button was held last.
         id: Option<GamepadId>,
     }
 
@@ -30,7 +30,7 @@ mod with {
             Ok(Self { gilrs, id: None })
         }
 
-        /// What it shows now. One that is gone shows nothing, and its button is released.
+        /// Present input. A disconnected gamepad counts as released.
         pub(in super::super) fn hand(&mut self) -> Hand {
             while self.gilrs.next_event().is_some() {}
             let mut held =
@@ -40,7 +40,7 @@ mod with {
             let Some(pad) = self.id.and_then(|id| self.gilrs.connected_gamepad(id)) else { return Hand::default() };
             Hand {
                 forwards: f64::from(pad.value(Axis::LeftStickY)),
-                // Its right is positive.
+                // gilrs counts right as positive; a positive turn is to the left.
                 turn: -f64::from(pad.value(Axis::LeftStickX)),
                 is_held: held.is_some(),
             }
@@ -54,7 +54,7 @@ mod without {
 
     use super::Hand;
 
-    /// There is none.
+    /// Type without values, for programs built without gamepads.
     pub(in super::super) enum Gamepad {}
 
     impl Gamepad {

@@ -1,4 +1,4 @@
-//! `r4 identify models`
+//! `r4 identify models`: lists the base models.
 
 use r4_identify::{ModelInfo, task::FileKind};
 use serde::Serialize;
@@ -17,9 +17,9 @@ struct Model {
     roles: Vec<Role>,
     parameters: Vec<Parameter>,
     effects: Vec<String>,
-    /// Of the file that is written for a simulated board.
+    /// Name of the file written for a simulated board.
     writes: &'static str,
-    /// How a board loads it.
+    /// Option by which a simulated board loads that file.
     loads: &'static str,
 }
 

@@ -1,4 +1,4 @@
-//! The report on a terminal.
+//! Report of an identification on a terminal.
 
 use std::path::PathBuf;
 
