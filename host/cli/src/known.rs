@@ -1,14 +1,14 @@
-//! Channels of boards at the other end of links, as they were last seen: for shells that complete what is typed, and for nothing else.
+//! Cache of the channels of boards at the other end of links, as last seen, for shell completion only.
 //!
-//! A line for each board in `r4/channels` below the user's folder for caches: its address and its channels, by tabs. What cannot be
-//! read or written is as if it were not there.
+//! The file `r4/channels` in the user's cache folder has a line per board: address and channels, separated by tabs. An
+//! unreadable or unwritable cache counts as empty.
 
 use std::{env, fs, path::PathBuf, process};
 
 use r4_links::Address;
 use r4_protocol::{ChannelId, ChannelInfo};
 
-/// The file holds no more boards than this; the ones seen longest ago are forgotten.
+/// Most boards in the file; those seen longest ago are dropped.
 const MOST: usize = 16;
 
 fn path() -> Option<PathBuf> {
@@ -22,7 +22,7 @@ fn lines() -> Vec<String> {
     text.lines().map(str::to_owned).collect()
 }
 
-/// Keeps what the board at `address` has.
+/// Stores the channels of the board at `address`.
 pub(crate) fn remember(address: &Address, channels: &[ChannelInfo]) {
     let Some(path) = path() else { return };
     let address = address.to_string();
@@ -44,7 +44,7 @@ pub(crate) fn remember(address: &Address, channels: &[ChannelInfo]) {
     }
 }
 
-/// What the board at `address` had when it was last seen.
+/// Channels of the board at `address` when it was last seen; empty if unknown.
 pub(crate) fn channels(address: &Address) -> Vec<ChannelId> {
     let address = address.to_string();
     let lines = lines();
@@ -52,7 +52,7 @@ pub(crate) fn channels(address: &Address) -> Vec<ChannelId> {
     of.map_or_else(Vec::new, |(_, ids)| ids.split('\t').filter_map(|id| id.parse().ok()).collect())
 }
 
-/// Every board in the file.
+/// Addresses of all boards in the file.
 pub(crate) fn boards() -> Vec<String> {
     lines().iter().filter_map(|line| line.split('\t').next().map(str::to_owned)).collect()
 }

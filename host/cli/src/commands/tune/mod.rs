@@ -1,4 +1,4 @@
-//! `r4 tune`: gains for a loop of a motor, from an experiment on the board.
+//! `r4 tune`: gains for a motor's loop, from an experiment on the board.
 
 mod page;
 
@@ -26,27 +26,27 @@ use crate::{args::Args, output, session, table};
 pub(crate) struct Tune {
     /// The motor, as in osmc0; it must be free to move
     channel: ChannelId,
-    /// Drive it by changing duties and fit a model, or swing it with a relay
+    /// Experiment: fit a model to runs under changing duties, or oscillate the motor with a relay
     #[arg(long, value_enum, default_value_t = Method::Step)]
     method: Method,
-    /// Which of its loops [default: the one that holds its positions]
+    /// Loop to tune [default: the one that holds the motor's positions]
     #[arg(long, value_enum)]
     mode: Option<Which>,
-    /// Keep gains and feed-forward, if they are better; holds over restarts
+    /// Save gains and feed-forward to the board's flash if they are better
     #[arg(long)]
     save: bool,
-    /// Write a page with the plots
+    /// Write a page with the plots to this file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
-    /// How far it may go from where it begins, as in 60deg or 10mm [default: 1 rad, or 200 counts of its sensor if that is
-    /// more, or a tenth of the range; for a speed what the run takes]
+    /// Largest distance from the starting position; examples: 60deg, 10mm [default: 1 rad, or 200 counts of the sensor
+    /// if that is more, or a tenth of the range; for a speed loop as far as the run takes]
     #[arg(long)]
     travel: Option<Quantity>,
-    /// Where it begins [default: where it is, or the nearest place with room]
+    /// Starting position [default: the present one, or the nearest place with room]
     #[arg(long, allow_hyphen_values = true)]
     at: Option<Quantity>,
-    /// How hard it is driven at most, as a share of the supply [default: as hard as its path needs; by a relay a position short
-    /// of a stall, a speed a third of what holds it]
+    /// Largest duty, as a share of the supply, 0 to 1 [default: what the path needs; with a relay, for a position just
+    /// below a stall, for a speed a third of the holding duty]
     #[arg(long)]
     amplitude: Option<f64>,
     /// Least phase margin, degrees
@@ -55,33 +55,33 @@ pub(crate) struct Tune {
     /// Time constant of the closed loop, s [default: the shortest with that margin that the sensor allows]
     #[arg(long, value_name = "SECONDS")]
     time_constant: Option<f64>,
-    /// Give up when it has been armed for so long, s
+    /// Longest time armed, s; then give up
     #[arg(long, default_value_t = 120.0, value_name = "SECONDS")]
     time: f64,
 }
 
-/// How the motor is asked.
+/// Experiment on the motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Method {
-    /// By a relay.
+    /// Oscillate the motor with a relay
     Relay,
-    /// By runs under changing duties.
+    /// Fit a model to runs under changing duties
     Step,
 }
 
-/// Which loop.
+/// Control loop of a motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Which {
-    /// Of the position.
+    /// Position loop
     Position,
-    /// Of the speed.
+    /// Speed loop
     Speed,
-    /// Of the speed, which holds positions too.
+    /// Speed loop that also holds positions
     Cascade,
 }
 
 impl Tune {
-    /// What is asked of the board.
+    /// Request to `r4-rig` with these options.
     fn request(&self) -> TuneRequest {
         TuneRequest {
             channel: self.channel,
@@ -117,7 +117,7 @@ struct Report {
     present: Shown,
     proposed: Shown,
     better: bool,
-    /// Why the proposed gains are not better.
+    /// Reason why the proposed gains are not better.
     worse: Option<String>,
     saved: bool,
 }
@@ -249,7 +249,7 @@ fn report(args: &Args, request: &TuneRequest, outcome: &Outcome) -> Report {
     }
 }
 
-/// What the experiment told, in one or two sentences.
+/// Result of the experiment, in one or two sentences.
 fn finding(outcome: &Outcome) -> String {
     let unit = outcome.plan.unit();
     match &outcome.finding {
@@ -285,12 +285,12 @@ fn finding(outcome: &Outcome) -> String {
     }
 }
 
-/// The rule and its margin.
+/// Tuning rule and its phase margin.
 fn rule(outcome: &Outcome) -> String {
     format!("{}, phase margin {:.0} deg", outcome.rule, outcome.margin_deg)
 }
 
-/// What to think of it.
+/// Conclusion: whether the proposed gains are better, and whether they were saved.
 fn verdict(outcome: &Outcome, channel: ChannelId) -> String {
     let settled = |of: Option<&Answer>| match of.and_then(|answer| answer.response.settling_s) {
         Some(settling_s) => format!("after {settling_s:.3} s"),
@@ -306,7 +306,7 @@ fn verdict(outcome: &Outcome, channel: ChannelId) -> String {
     }
 }
 
-/// Rows of present and proposed: what, in which unit, and both numbers as text.
+/// Rows of the table: name, unit, present and proposed value as text.
 fn rows(outcome: &Outcome) -> Vec<[String; 4]> {
     let plan = &outcome.plan;
     let (per_si, unit, decimals) = human(plan.unit());

@@ -1,4 +1,4 @@
-//! What was found of a model and recordings, as a page of the same kind as that of a log.
+//! Page of an identification's report, in the style of a log's page.
 
 use std::{collections::BTreeMap, fmt::Write as _};
 
@@ -11,21 +11,21 @@ use super::{
     write_facts, write_figure, write_table,
 };
 
-/// Quarters of a pixel: what was measured is the widest, what models say lies on top of it.
+/// Line widths, quarters of a pixel: the measured line is the widest, models lie on it.
 const MEASURED: u32 = 14;
 const MODEL: u32 = 6;
 
-/// Runs drawn; the page says how many there are.
+/// Most runs drawn; the page states how many there are.
 const RUNS: usize = 8;
 
-/// Notes on the data shown before the others are asked for.
+/// Notes on the data that are visible at once; the others are folded.
 const NOTES: usize = 8;
 
-/// The page of `report`, with plots of `figures`, for what was read from `files`.
+/// Page of `report` with plots of `figures`; `files` are facts about the recordings, for the head.
 #[must_use]
 pub(crate) fn identify(report: &Report, figures: &Figures, files: &[(&str, String)]) -> String {
     let mut body = String::new();
-    // writing to a string does not fail
+    // Writing to a `String` cannot fail.
     let _ = write_body(&mut body, report, figures, files);
     document(&format!("{}: what the data show", report.model), &body)
 }
@@ -113,7 +113,7 @@ fn write_head(body: &mut String, report: &Report, scale: &Scale, files: &[(&str,
     Ok(())
 }
 
-/// Model by data, both kinds of error.
+/// Table of model by data, with both kinds of error.
 fn scores(report: &Report, scale: &Scale) -> Table {
     let cells = |score: Score| {
         [Cell::Text(scale.text(score.rmse)), Cell::Text(format!("{} %", significant(100.0 * score.nrmse)))]
@@ -214,7 +214,7 @@ fn write_model(body: &mut String, report: &Report) -> std::fmt::Result {
     Ok(())
 }
 
-/// Parameters with how well they are known.
+/// Table of parameters with standard errors and intervals.
 fn estimates(caption: String, parameters: &BTreeMap<String, Estimate>) -> Table {
     let intervals = parameters.values().any(|estimate| estimate.interval.is_some());
     let mut assumed = Vec::new();
@@ -288,7 +288,7 @@ fn run_figure(run: &Traces) -> Figure {
         line("before", color::ORANGE, MODEL, points(&scaled(&run.before))),
         line("after", color::BLUE, MODEL, points(&scaled(&run.after))),
     ];
-    // A model that runs away would leave nothing to see of what was measured.
+    // Limit the range: a diverging model would flatten the measured curve.
     let range = extent(lines[0].points.iter().map(|point| point.1)).unwrap_or((0.0, 1.0));
     let widened = framed((range.0, range.1), f64::MIN_POSITIVE);
     let room = (widened.1 - widened.0) / 2.0;
@@ -438,7 +438,7 @@ fn column(title: &str, unit: Option<&str>, align: Align) -> Column {
     Column { title: title.to_owned(), unit: unit.filter(|unit| *unit != "1").map(str::to_owned), align }
 }
 
-/// From the least to the most; never of no width.
+/// Least and greatest value, widened if equal.
 fn spread(values: impl Iterator<Item = f64>) -> (f64, f64) {
     match extent(values) {
         Some((low, high)) if low < high => (low, high),
@@ -447,14 +447,14 @@ fn spread(values: impl Iterator<Item = f64>) -> (f64, f64) {
     }
 }
 
-/// A unit in which a number is neither long nor full of zeros.
+/// Unit prefix for numbers that are neither long nor full of zeros.
 pub(crate) struct Scale {
     factor: f64,
     unit: String,
 }
 
 impl Scale {
-    /// For numbers about as large as `size`, in `unit`.
+    /// Scale for numbers of magnitude `size` in `unit`.
     pub(crate) fn of(unit: &str, size: f64) -> Self {
         let divisible = matches!(unit, "m" | "rad" | "m/s" | "rad/s" | "V" | "A" | "N m");
         if divisible && size > 0.0 && size < 0.1 {
@@ -464,12 +464,12 @@ impl Scale {
         }
     }
 
-    /// What it is called.
+    /// Name of the scaled unit.
     pub(crate) fn unit(&self) -> &str {
         &self.unit
     }
 
-    /// A value in this unit, without it.
+    /// Value in the scaled unit, without the unit.
     pub(crate) fn text(&self, value: f64) -> String {
         significant(self.factor * value)
     }
@@ -479,7 +479,7 @@ impl Scale {
     }
 }
 
-/// The change from `before` to `after` in brackets, where it can be told.
+/// Relative change from `before` to `after`, in brackets; empty where undefined.
 fn change(before: f64, after: f64) -> String {
     let share = 100.0 * (after / before - 1.0);
     if share.is_finite() && before > 0.0 {
@@ -489,12 +489,12 @@ fn change(before: f64, after: f64) -> String {
     }
 }
 
-/// Digits behind the point for so many significant ones.
+/// Decimals that give `value` a number of significant `digits`.
 fn decimals(value: f64, digits: i32) -> i32 {
     if value == 0.0 || !value.is_finite() { 0 } else { digits - 1 - value.abs().log10().floor() as i32 }
 }
 
-/// With so many digits behind the point; by a power of ten where that is unreadable.
+/// Formats with `decimals` digits after the point, or in scientific notation where that is unreadable.
 fn fixed(value: f64, decimals: i32) -> String {
     if decimals > 8 || value.abs() >= 1e8 {
         let exponent = value.abs().log10().floor();
@@ -506,7 +506,7 @@ fn fixed(value: f64, decimals: i32) -> String {
     number(value, decimals.clamp(0, 8) as usize)
 }
 
-/// With three significant digits.
+/// Formats with three significant digits.
 pub(crate) fn significant(value: f64) -> String {
     fixed(value, decimals(value, 3))
 }
