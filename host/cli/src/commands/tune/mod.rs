@@ -24,7 +24,7 @@ use crate::{args::Args, output, session, table};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Tune {
-    /// The motor, as in osmc0; it must be free to move
+    /// Motor to tune; must be free to move; example: osmc0
     channel: ChannelId,
     /// Experiment: fit a model to runs under changing duties, or oscillate the motor with a relay
     #[arg(long, value_enum, default_value_t = Method::Step)]
