@@ -1,5 +1,5 @@
-//! `r4 identify close` on simulated boards that hide something in the physics of their motor: how much nearer the twin comes, and
-//! what is claimed where nothing is hidden.
+//! `r4 identify close` on simulated boards with a hidden effect in their motor: how much nearer the simulated board
+//! comes, and which effects are claimed where none is hidden.
 
 use anyhow::Context;
 use r4_rig::{InRobot, excite::ExciteError};
@@ -18,26 +18,26 @@ use crate::{
 const ROBOT: &str = "osmc-bench";
 const CHANNEL: &str = "osmc0";
 const BOARDS: &str = "`identify close` on blind boards";
-/// Length of each of the three recordings: what `close` takes if not told otherwise.
+/// Length of each of the three recordings, s: the default of `close`.
 const SECONDS: f64 = 12.0;
-/// Smallest ratio of the twin's error before to that after.
+/// Least ratio of the simulated board's error before to that after.
 const NEARER: f64 = 5.0;
 
-/// What came of one board.
+/// Result of one board.
 struct Board {
-    /// Effects that were hidden in the motor.
+    /// Names of the effects hidden in the motor.
     hidden: Vec<&'static str>,
     closed: anyhow::Result<Closed>,
 }
 
 impl Board {
-    /// The twin's error on the recording that was not fitted to, before over after; 0 without a result.
+    /// Ratio of the error on the held-out recording, before over after; 0 without a result.
     fn nearer(&self) -> f64 {
         let first = self.closed.as_ref().ok().and_then(|closed| closed.twin.differences.first());
         first.map_or(0.0, |first| first.rmse_before / first.rmse_after)
     }
 
-    /// Whether no duty that the board allows moves the motor, which `close` says.
+    /// True if no allowed duty moves the motor; `close` reports that as an error.
     fn is_immovable(&self) -> bool {
         let why = self.closed.as_ref().err().and_then(|why| why.downcast_ref());
         matches!(why, Some(r4_rig::Error::Excite(why)) if matches!(**why, ExciteError::Immovable { .. }))
