@@ -34,7 +34,7 @@ pub(crate) struct OsmcArgs {
     /// Number of seeds: each hides an effect, or none, in each of the three motors
     #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     seeds: u64,
-    /// First seed
+    /// First of the consecutive seeds
     #[arg(long, default_value_t = system::REPORTED_FROM, value_name = "SEED")]
     first_seed: u64,
     /// Number of these seeds whose hidden effect is identified and named, half a minute each

@@ -12,7 +12,7 @@ struct Ports {
 
 #[derive(Serialize)]
 struct Row {
-    /// Value for `--board`.
+    /// Address, as a value for `--board`.
     board: String,
     is_board: bool,
     product: Option<String>,

@@ -10,9 +10,9 @@ use crate::{args::Args, output, report};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Report {
-    /// Log to read
+    /// Log to plot, an MCAP file
     pub(crate) file: PathBuf,
-    /// Page to write
+    /// HTML page to write
     #[arg(long, default_value = "report.html", value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// Heading of the page [default: the robot's name]

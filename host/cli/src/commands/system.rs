@@ -69,10 +69,10 @@ pub(crate) enum Systems {
 pub(crate) struct StudyArgs {
     /// Name of the system, from `list`
     name: String,
-    /// Number of seeds
+    /// Number of consecutive seeds
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(2..=1_000_000))]
     seeds: u64,
-    /// First seed
+    /// First of the consecutive seeds
     #[arg(long, default_value_t = REPORTED_FROM, value_name = "SEED")]
     from: u64,
     /// Run only these arms; example: paper,ours

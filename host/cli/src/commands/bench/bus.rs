@@ -184,8 +184,8 @@ struct Turns {
 impl Turns {
     /// True where outputs of `group` reversed, or were still near a reversal, between the two times.
     fn between(&self, group: Group, from_ns: u64, to_ns: u64) -> bool {
-        // A reversal lasts until all commands have arrived, plus the time in which the output mirrors what it did
-        // before.
+        // After a reversal, an output returns to its last written value only after as long as that write lay before
+        // the reversal. Until then it needs no write; `last_ns` includes the arrival of the commands.
         let (turns_ns, last_ns) =
             if group == Group::Servo { (&self.servos_ns, 50 * MS) } else { (&self.others_ns, 15 * MS) };
         turns_ns.iter().any(|turn_ns| *turn_ns < to_ns && from_ns < turn_ns + last_ns)

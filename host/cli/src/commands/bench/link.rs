@@ -65,7 +65,7 @@ struct Report {
     rtt_us_p99: f64,
     rtt_us_p999: f64,
     rtt_us_max: f64,
-    /// Sequential round trips.
+    /// Number of sequential round trips.
     round_trips: usize,
     cycles_per_s: f64,
     /// Cycles answered with `window` in flight.
@@ -290,7 +290,7 @@ struct Stamp {
 #[derive(Default)]
 struct Measured {
     cycle_bytes: usize,
-    /// Round-trip times, µs.
+    /// Times of the round trips, µs.
     round_trips: Vec<f64>,
     stamps: Vec<Stamp>,
     cycles: u64,

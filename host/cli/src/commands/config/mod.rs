@@ -57,12 +57,12 @@ pub(crate) enum Config {
     },
     /// Write all parameters to a TOML file
     Export {
-        /// File to write; `-` for stdout
+        /// TOML file to write; `-` for stdout
         file: PathBuf,
     },
     /// Set all parameters of a TOML file and save them; on an error, set none
     Import {
-        /// File to read
+        /// TOML file to read, as `export` writes it
         file: PathBuf,
     },
 }

@@ -35,8 +35,7 @@ impl DeadMan {
         self.last_s = Some(now_s);
     }
 
-    /// Registers another key: it extends a hold, as it interrupts the repeats of the dead-man key, but does not begin
-    /// one.
+    /// Registers another key: it extends a hold but does not begin one.
     pub(super) fn other(&mut self, now_s: f64) {
         if self.is_held(now_s) {
             self.last_s = Some(now_s);

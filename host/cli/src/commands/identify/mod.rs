@@ -117,7 +117,7 @@ impl From<Protocol> for task::Protocol {
     }
 }
 
-/// Parses `name=value`.
+/// Parses a role and its column from `name=value`.
 fn pair(text: &str) -> Result<(String, String), String> {
     match text.split_once('=') {
         Some((name, value)) if !name.is_empty() && !value.is_empty() => Ok((name.to_owned(), value.to_owned())),

@@ -27,12 +27,12 @@ pub(crate) enum Log {
     Record(record::Record),
     /// Print the content of a log, and what is missing
     Info {
-        /// Log to read
+        /// Log to read, an MCAP file
         file: PathBuf,
     },
     /// Write a log as a CSV table: one row per time, one column per signal, an empty cell where nothing was recorded
     Export {
-        /// Log to read
+        /// Log to read, an MCAP file
         file: PathBuf,
         /// Table to write; `-` for stdout
         #[arg(long, value_name = "FILE")]

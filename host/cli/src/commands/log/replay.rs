@@ -17,7 +17,7 @@ use crate::{args::Args, output, session, table};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Replay {
-    /// Log to replay
+    /// Log to replay, an MCAP file
     pub(crate) file: PathBuf,
     /// Largest difference of a signal; examples: osmc0.position_rad=0.02, osmc0.position=1deg, or duty=0.1 for every
     /// channel; may be given several times [default: no limit]

@@ -72,11 +72,11 @@ enum Method {
 /// Control loop of a motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Which {
-    /// Position loop
+    /// Loop of the position
     Position,
-    /// Speed loop
+    /// Loop of the speed
     Speed,
-    /// Speed loop that also holds positions
+    /// Loop of the speed that also holds positions
     Cascade,
 }
 

@@ -38,7 +38,7 @@ const ADDRESS: u8 = 0x42;
 pub(super) struct Requests {
     /// Requests with an answer, refusals included.
     pub(super) answered: u64,
-    /// Refused requests.
+    /// Requests with a refusal.
     pub(super) refused: u64,
     /// Requests without an answer in time.
     pub(super) timed_out: u64,

@@ -194,7 +194,7 @@ fn tuning_rows(of: Loop, tuned: &[Tuned]) -> Vec<Row> {
     ]
 }
 
-/// Quantile by nearest rank; NaN of none, which meets no limit.
+/// Quantile of unsorted numbers; NaN of none, which meets no limit.
 fn quantile(of: &[f64], share: f64) -> f64 {
     let mut sorted = of.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -723,7 +723,7 @@ impl Injections<'_> {
 /// Choice of the moving channels.
 #[derive(Clone, Copy)]
 enum Moving {
-    /// Every channel.
+    /// All channels of every kind.
     All,
     /// First and last channel of each kind: an emulated processor is too slow for all at once (docs/performance.md).
     #[cfg_attr(not(feature = "emu"), allow(dead_code))]

@@ -69,8 +69,7 @@ const BOOT_WATCHDOG_MS: f64 = 256.0;
 /// Time from a reset until the sweep has written the safe state to all chips, ms (docs/safety.md): clearing 100 KB of
 /// memory, and 1.5 ms of transfers at 400 kHz.
 const SWEPT_MS: f64 = 5.0;
-/// Time from an undefined instruction, executed in the next period of the control task, to the handler's stop lines and
-/// its reset, ms.
+/// Time from a fault that the control task executes in its next period to the handler's stop lines and its reset, ms.
 const FAULT_MS: f64 = 2.0;
 /// Time from detection by the chip's clock and supply detectors to the stop lines, ms: an interrupt of a few
 /// microseconds, with a margin for other compilers.

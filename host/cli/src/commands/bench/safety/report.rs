@@ -80,7 +80,7 @@ impl Row {
     }
 }
 
-/// Outputs that no channel can reach after a cause.
+/// Outputs that cannot be commanded any more after a cause.
 #[derive(Serialize)]
 pub(super) struct OutOfReach {
     pub(super) cause: String,
