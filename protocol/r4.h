@@ -19,182 +19,182 @@
 #define R4_CRC32_FINAL_XOR 0xffffffffUL
 #define R4_CRC32_CHECK 0xcbf43926UL
 
-/* Most analog inputs. */
+/* Maximum number of analog inputs. */
 #define R4_ANALOG_INPUTS 6
-/* Bits in a second where nothing else is said. As fast as classic CAN goes: at most 25 m of bus (CiA 301). */
+/* Default bit rate, bit/s: the highest of classic CAN, for at most 25 m of bus (CiA 301). */
 #define R4_BITRATE 1000000
-/* The share of the processor that a control period is promised to take at most, in 99.9 % of them. */
+/* Limit of the processor time of a control period, a share of the period: 99.9 % of the periods stay within it. */
 #define R4_CONTROL_SHARE 4e-2f
-/* Most channels of a cycle. */
+/* Maximum number of channels in a cycle. */
 #define R4_CYCLE_CHANNELS 4
-/* Bytes of the frame of a `Cycle`, delimiter included. */
+/* Length of the frame of a `Cycle`, bytes, delimiter included. */
 #define R4_CYCLE_FRAME 21
-/* Bytes of the frame of a `CycleState`, delimiter included. */
+/* Length of the frame of a `CycleState`, bytes, delimiter included. */
 #define R4_CYCLE_STATE_FRAME 45
-/* Most outputs of the processor's own DAC. */
+/* Maximum number of outputs of the processor's own DAC. */
 #define R4_DAC_OUTPUTS 2
-/* One step of a duty, share of the supply. */
+/* Scale of a duty: one step as a share of the supply. */
 #define R4_DUTY_SCALE 3.051851e-5f
-/* Most quadrature counters. */
+/* Maximum number of quadrature counters. */
 #define R4_ENCODERS 4
-/* Bytes of an image that `fingerprint` is of, from its beginning: the vector table of an STM32H747 (RM0399, NVIC: 150 interrupts, behind 16 words of the processor). */
+/* Length of the part of an image that `fingerprint` covers, bytes: the vector table of an STM32H747 (RM0399, NVIC: 150 interrupts behind 16 words of the processor). */
 #define R4_IMAGE_BYTES 664
-/* Time-outs that a link may have, ms. */
+/* Range of link time-outs, ms. */
 #define R4_LINK_TIMEOUT_MS_FIRST 20
 #define R4_LINK_TIMEOUT_MS_LAST 1000
-/* Most brushless drives. */
+/* Maximum number of brushless drives. */
 #define R4_MAX_BLDCS 4
-/* Most data bytes of a classic frame. */
+/* Maximum number of data bytes in a classic frame. */
 #define R4_MAX_DATA 8
-/* Highest number of counts or steps in a turn: the highest up to which every whole number is an `f32`. */
+/* Highest number of counts or steps in a turn: up to it every whole number is an `f32`. */
 #define R4_MAX_EXACT 16777216
-/* Most data bytes of a frame of CAN FD. */
+/* Maximum number of data bytes in a frame of CAN FD. */
 #define R4_MAX_FD_DATA 64
-/* Most bytes of the firmware's version. */
+/* Maximum length of the firmware's version, bytes. */
 #define R4_MAX_FIRMWARE 16
-/* Longest frame: message, CRC, COBS overhead, delimiter. */
+/* Maximum length of a frame, bytes: message, CRC, COBS overhead, delimiter. */
 #define R4_MAX_FRAME 256
-/* Most bytes in one `LogChunk`. */
+/* Maximum number of bytes in one `LogChunk`. */
 #define R4_MAX_LOG 64
-/* Longest message in a frame, before CRC and COBS. Chosen so that COBS adds exactly one byte. */
+/* Maximum length of a message, bytes, before CRC and COBS. Chosen so that COBS adds exactly one byte. */
 #define R4_MAX_MESSAGE 250
-/* Most ways to command one channel. */
+/* Maximum number of modes of one channel. */
 #define R4_MAX_MODES 6
-/* Most motors on bridges: four OSMC and four on DHB. */
+/* Maximum number of motors on bridges: four OSMC and four on DHB. */
 #define R4_MAX_MOTORS 8
-/* Most bytes of a robot's name. */
+/* Maximum length of a robot's name, bytes. */
 #define R4_MAX_NAME 32
-/* Most points in one `Request::Follow`. */
+/* Maximum number of points in one `Request::Follow`. */
 #define R4_MAX_POINTS 4
-/* Most numbers that a channel measures together. */
+/* Maximum number of quantities that a channel measures together. */
 #define R4_MAX_QUANTITIES 6
-/* Most bytes in one raw transfer. */
+/* Maximum number of bytes in one raw transfer. */
 #define R4_MAX_RAW 64
-/* Most relays. */
+/* Maximum number of relays. */
 #define R4_MAX_RELAYS 8
-/* Most samples in one `Telemetry` frame. */
+/* Maximum number of samples in one `Telemetry` frame. */
 #define R4_MAX_SAMPLES 8
-/* Most servos. */
+/* Maximum number of servos. */
 #define R4_MAX_SERVOS 16
-/* Most supply rails measured. */
+/* Maximum number of measured supply rails. */
 #define R4_MAX_SUPPLIES 4
-/* No set point, or no such quantity, where a number would be. */
+/* Value of a number that is absent: no set point, or no such quantity. */
 #define R4_NOTHING (-32768)
-/* As many boards can be on one bus. */
+/* Number of boards that one bus can have: the identifier has 7 bits for the node. */
 #define R4_NODE_COUNT 128
-/* Points that a board keeps for each channel, the ones it has passed not counted. */
+/* Number of points that a board keeps for each channel, not counting those it has passed. */
 #define R4_PATH_POINTS 32
-/* Most range sensors. */
+/* Maximum number of range sensors. */
 #define R4_RANGE_SENSORS 4
-/* Data bytes of a frame with set points. */
+/* Number of data bytes in a frame with set points. */
 #define R4_SETPOINTS 8
-/* Most step/direction drivers. */
+/* Maximum number of step/direction drivers. */
 #define R4_STEPPERS 4
-/* Longest time that a controlled stop may brake, ms: a vehicle that needs more has a hill under it. */
+/* Longest time that a controlled stop may brake, ms. A vehicle that needs more is on a slope. */
 #define R4_STOP_BRAKE_MAX_MS 5000
-/* Most switches. */
+/* Maximum number of switches. */
 #define R4_SWITCHES 4
-/* Newest version of the messages in this crate. */
+/* Version of the messages in this crate, the newest that it speaks. */
 #define R4_VERSION 13
 
-/* Host to board. */
+/* Message from a host to a board. */
 enum r4_to_device {
-    R4_TO_DEVICE_REQUEST = 0, /* Something that is answered by exactly one `ToHost::Response` with the same `seq`.
- *     u16 seq: Chosen by the host, echoed by the board.
- *     Request request: What is asked. */
-    R4_TO_DEVICE_HEARTBEAT = 1, /* "I am alive". Answered by `ToHost::Heartbeat`; without one for the link timeout the board trips.
- *     u16 session: From `DeviceInfo`; a heartbeat of another session does not count.
- *     u64 host_us: The host's clock, echoed back. */
-    R4_TO_DEVICE_CYCLE = 2, /* Set points for the channels of `Request::Bind`. Answered by exactly one `ToHost::Cycle` with the same `seq`.
+    R4_TO_DEVICE_REQUEST = 0, /* Request, which the board answers by exactly one `ToHost::Response` with the same `seq`.
+ *     u16 seq: Sequence number, chosen by the host and echoed by the board.
+ *     Request request: Request that the board is to carry out. */
+    R4_TO_DEVICE_HEARTBEAT = 1, /* Sign of life. The board answers it by `ToHost::Heartbeat`, and trips when none comes for the link time-out.
+ *     u16 session: Session number from `DeviceInfo`; a heartbeat of another session does not count.
+ *     u64 host_us: Host's clock, echoed by the board. */
+    R4_TO_DEVICE_CYCLE = 2, /* Set points for the channels of `Request::Bind`. The board answers by exactly one `ToHost::Cycle` with the same `seq`.
  *     Cycle */
 };
 
-/* What a host can ask. */
+/* Request of a host. */
 enum r4_request {
-    R4_REQUEST_HELLO = 0, /* Opens a session. Must come first; its encoding never changes, so that any two versions can agree or refuse each other: see `version`.
- *     u16 version: `VERSION` in which the host wants to talk.
- *     u64 schema: `SCHEMA_HASH` of that version. */
-    R4_REQUEST_BYE = 1, /* Closes the session: disarms, ends subscriptions, and the missing heartbeat no longer trips. */
+    R4_REQUEST_HELLO = 0, /* Opens a session, and must come first. Its encoding never changes, so that any two versions can agree or refuse each other: see `version`.
+ *     u16 version: Protocol version (`VERSION`) that the host wants to talk.
+ *     u64 schema: Schema hash (`SCHEMA_HASH`) of that version. */
+    R4_REQUEST_BYE = 1, /* Closes the session: disarms the board and ends subscriptions; missing heartbeats no longer trip it. */
     R4_REQUEST_DESCRIBE = 2, /* Describes channel number `index` in the board's list.
- *     u8 index: 0 to `DeviceInfo::channels` - 1. */
-    R4_REQUEST_ARM = 3, /* Lets outputs move. */
-    R4_REQUEST_DISARM = 4, /* Makes outputs safe in an orderly way. */
-    R4_REQUEST_CLEAR = 5, /* Leaves a trip, once no cause is present. */
-    R4_REQUEST_STOP = 6, /* Trips the board: outputs safe, latched. */
-    R4_REQUEST_SET = 7, /* Commands one channel. One that is refused stops the channel, unless the channel follows a set point that was decided later.
- *     ChannelId channel: Which.
- *     Setpoint setpoint: To what.
- *     u64 sent_us: When the host decided this, on the board's clock.
- *     u16 ttl_ms: How long after `sent_us` it may still be carried out. */
-    R4_REQUEST_SUBSCRIBE = 8, /* Samples of `channel` every `period_ms`; 0 ends them.
- *     ChannelId channel: Which.
- *     u16 period_ms: How often. */
-    R4_REQUEST_SET_GAINS = 9, /* Changes the gains of one loop, without a jump of its output.
- *     ChannelId channel: Which.
- *     Mode mode: Which of its loops, `Mode::Position` or `Mode::Speed`.
- *     PidGains gains: The new gains. */
-    R4_REQUEST_STATS = 10, /* Counters since power-up. */
+ *     u8 index: Place in the list, 0 to `DeviceInfo::channels` - 1. */
+    R4_REQUEST_ARM = 3, /* Arms the board, so that outputs follow set points. */
+    R4_REQUEST_DISARM = 4, /* Disarms the board: it makes its outputs safe in an orderly way. */
+    R4_REQUEST_CLEAR = 5, /* Leaves a trip; refused while a cause is present. */
+    R4_REQUEST_STOP = 6, /* Trips the board: it makes its outputs safe and latches that state. */
+    R4_REQUEST_SET = 7, /* Gives one channel a set point. A refused one stops the channel, unless the channel follows a set point that was decided later.
+ *     ChannelId channel: Channel of the set point.
+ *     Setpoint setpoint: Mode and value of the set point.
+ *     u64 sent_us: Board's clock when the host decided the set point.
+ *     u16 ttl_ms: Time to live: the set point may be carried out until this long after `sent_us`. */
+    R4_REQUEST_SUBSCRIBE = 8, /* Subscribes to samples of `channel`; a period of 0 ends them.
+ *     ChannelId channel: Channel to be sampled.
+ *     u16 period_ms: Period of the samples; 0 ends them. */
+    R4_REQUEST_SET_GAINS = 9, /* Changes the gains of one loop, without a step of its output.
+ *     ChannelId channel: Channel of the motor.
+ *     Mode mode: Loop to be changed: `Mode::Position` or `Mode::Speed`.
+ *     PidGains gains: New gains of the loop. */
+    R4_REQUEST_STATS = 10, /* Asks for the counters since power-up. */
     R4_REQUEST_DESCRIBE_PARAMETER = 11, /* Describes parameter number `index` of the board's configuration.
- *     u16 index: From 0; `Refusal::NoSuchIndex` ends the list. */
-    R4_REQUEST_SET_PARAMETER = 12, /* Changes a parameter; it holds from the next start on, if `Request::SaveParameters` follows.
- *     ParameterKey key: Which.
- *     f32 value: In the unit of its field. */
-    R4_REQUEST_SET_NAME = 13, /* Changes the robot's name, as `Request::SetParameter` does a number.
- *     string, at most 32 robot: The new name. */
-    R4_REQUEST_SAVE_PARAMETERS = 14, /* Keeps all changes over a restart: all of them, or none if it fails. */
-    R4_REQUEST_RESET_PARAMETERS = 15, /* Goes back to what the firmware was built with; saved by `Request::SaveParameters` too. */
+ *     u16 index: Place in the list, from 0; `Refusal::NoSuchIndex` marks its end. */
+    R4_REQUEST_SET_PARAMETER = 12, /* Changes a parameter. The new value holds from the next start on, if `Request::SaveParameters` follows.
+ *     ParameterKey key: Parameter to be changed.
+ *     f32 value: New value, in the parameter's unit. */
+    R4_REQUEST_SET_NAME = 13, /* Changes the robot's name, in the same way as `Request::SetParameter` changes a number.
+ *     string, at most 32 robot: New name of the robot. */
+    R4_REQUEST_SAVE_PARAMETERS = 14, /* Saves all changes, so that they hold after a restart: all of them, or none on failure. */
+    R4_REQUEST_RESET_PARAMETERS = 15, /* Resets all parameters to their built-in values; `Request::SaveParameters` saves that, too. */
     R4_REQUEST_RESTART = 16, /* Restarts the board. Refused while it is armed. */
-    R4_REQUEST_FAULT = 17, /* A trip out of the history.
- *     u8 index: 0 is the newest. */
-    R4_REQUEST_FAULT_SNAPSHOT = 18, /* What the board looked like before a trip.
- *     u8 index: Which trip; 0 is the newest.
- *     u8 snapshot: Which of its snapshots; 0 is the oldest. */
-    R4_REQUEST_I2C_TRANSFER = 19, /* A transfer on one of the external I2C connectors: a write, then a read, either of which may be empty.
- *     u8 bus: 0 or 1.
- *     u8 address: 7-bit address.
- *     list of u8, at most 64 write: Bytes to write.
- *     u8 read: How many bytes to read, up to `MAX_RAW`. */
+    R4_REQUEST_FAULT = 17, /* Asks for one trip of the fault history.
+ *     u8 index: Place in the history; 0 is the newest trip. */
+    R4_REQUEST_FAULT_SNAPSHOT = 18, /* Asks for the state of the board at one moment before a trip.
+ *     u8 index: Place of the trip in the history; 0 is the newest.
+ *     u8 snapshot: Number of the snapshot; 0 is the oldest. */
+    R4_REQUEST_I2C_TRANSFER = 19, /* Transfers data on one of the external I2C connectors: a write, then a read, either of which may be empty.
+ *     u8 bus: Number of the I2C connector, 0 or 1.
+ *     u8 address: I2C address of 7 bits.
+ *     list of u8, at most 64 write: Bytes to write; empty to read only.
+ *     u8 read: Number of bytes to read, up to `MAX_RAW`. */
     R4_REQUEST_UART_WRITE = 20, /* Sends bytes out of a UART connector.
- *     u8 port: 0 or 1.
+ *     u8 port: Number of the UART connector, 0 or 1.
  *     list of u8, at most 64 bytes: What to send. */
-    R4_REQUEST_UART_READ = 21, /* Takes bytes that a UART connector has received, as many as fit the answer.
- *     u8 port: 0 or 1. */
-    R4_REQUEST_BIND = 22, /* Says what `ToDevice::Cycle` over this link means from now on, until the session ends. No channels end it.
- *     list of CycleChannel, at most 4 channels: In the order of the cycle's numbers.
- *     u16 ttl_ms: How long after it was decided a set point may be carried out, and is followed if no other comes. */
-    R4_REQUEST_LOG = 23, /* Sends what the firmware logs, from the oldest that the board still has on, until the session ends or this ends it. Everything else goes before it.
- *     bool on: Whether to send it. */
-    R4_REQUEST_IMAGE = 24, /* Which image the board runs. */
+    R4_REQUEST_UART_READ = 21, /* Takes the bytes that a UART connector has received, as many as fit the answer.
+ *     u8 port: Number of the UART connector, 0 or 1. */
+    R4_REQUEST_BIND = 22, /* Binds channels: says what `ToDevice::Cycle` over this link means from now on, until the session ends. An empty list ends it.
+ *     list of CycleChannel, at most 4 channels: Channels, modes and scales, in the order of the numbers in a cycle.
+ *     u16 ttl_ms: Time to live: a set point may be carried out until this long after it was decided, and is followed no longer than that if no other comes. */
+    R4_REQUEST_LOG = 23, /* Switches the firmware's log on or off. The board sends it from the oldest bytes that it still has, until the session ends or a request switches it off. All other messages go first.
+ *     bool on: True to send the log, false to end it. */
+    R4_REQUEST_IMAGE = 24, /* Asks which image the board runs. */
     R4_REQUEST_BOOTLOADER = 25, /* Restarts the board into the bootloader that started it, which takes another image over USB. Refused while the board is armed, and by an image without a bootloader. */
-    R4_REQUEST_FOLLOW = 26, /* Gives a channel points of a path, in place of those it has from the first of these on. All are taken or none; refused ones stop the channel as in `Request::Set`. A path that ends at a speed is left along the channel's profile, to rest.
- *     ChannelId channel: Which.
- *     u64 sent_us: When the host decided this, on the board's clock.
- *     list of PathPoint, at most 4 points: In the order of their dates. */
-    R4_REQUEST_SET_TUNING = 27, /* Changes a motor's feed-forward, and which loop holds its positions, until the next start.
- *     ChannelId channel: Which.
- *     Tuning tuning: The new numbers. */
+    R4_REQUEST_FOLLOW = 26, /* Gives a channel points of a path. They replace its points from the first of these on. The board takes all or none; refused points stop the channel as in `Request::Set`. At the end of a path with a speed, the channel's profile takes it to rest.
+ *     ChannelId channel: Channel of the path.
+ *     u64 sent_us: Board's clock when the host decided the points.
+ *     list of PathPoint, at most 4 points: Points of the path, in the order of their dates. */
+    R4_REQUEST_SET_TUNING = 27, /* Changes a motor's feed-forward and the loop that holds its positions, until the next start.
+ *     ChannelId channel: Channel of the motor.
+ *     Tuning tuning: New feed-forward and cascade gain. */
 };
 
-/* ChannelId: One channel of a board, written `osmc0`, `actuator1`, `supply0` … The number is the connector's: `osmc1` and `actuator1` are two uses of the same bridge connector.
- *     ChannelKind kind: What it is.
- *     u8 index: Which of its kind, from 0. */
+/* ChannelId: Name of one channel of a board, written `osmc0`, `actuator1`, `supply0` … The number is the connector's: `osmc1` and `actuator1` are two uses of the same bridge connector.
+ *     ChannelKind kind: Kind of the channel.
+ *     u8 index: Number of the channel among those of its kind, from 0. */
 
-/* What a channel is. postcard sends the variant's position: append, never reorder or remove. */
+/* Kind of a channel. postcard sends the variant's position: append, never reorder or remove. */
 enum r4_channel_kind {
     R4_CHANNEL_KIND_OSMC = 0, /* Rotary motor on an OSMC bridge, closed loop by encoder. */
     R4_CHANNEL_KIND_ACTUATOR = 1, /* Linear actuator on an OSMC bridge, closed loop by potentiometer. */
     R4_CHANNEL_KIND_DHB = 2, /* Motor on a dual H-bridge (DHB-12). */
-    R4_CHANNEL_KIND_BLDC = 3, /* Brushless drive: speed voltage, direction, brake. */
-    R4_CHANNEL_KIND_SERVO = 4, /* RC servo. */
-    R4_CHANNEL_KIND_STEPPER = 5, /* Step/direction driver. */
-    R4_CHANNEL_KIND_RELAY = 6, /* Relay. */
-    R4_CHANNEL_KIND_ENCODER = 7, /* Quadrature encoder. */
-    R4_CHANNEL_KIND_SWITCH = 8, /* The switch beside an encoder. */
-    R4_CHANNEL_KIND_RANGE = 9, /* Ultrasonic range sensor. */
-    R4_CHANNEL_KIND_ANALOG = 10, /* Divided analog input. */
-    R4_CHANNEL_KIND_SUPPLY = 11, /* Supply rail. */
-    R4_CHANNEL_KIND_DAC = 12, /* Digital-to-analog output. */
-    R4_CHANNEL_KIND_DEAD_MAN = 13, /* Dead-man's handle. */
+    R4_CHANNEL_KIND_BLDC = 3, /* Brushless drive: a voltage sets the speed, lines set direction and brake. */
+    R4_CHANNEL_KIND_SERVO = 4, /* RC servo, set by pulse width. */
+    R4_CHANNEL_KIND_STEPPER = 5, /* Stepper with a step/direction driver. */
+    R4_CHANNEL_KIND_RELAY = 6, /* Relay, open or closed. */
+    R4_CHANNEL_KIND_ENCODER = 7, /* Quadrature encoder as a channel of its own. */
+    R4_CHANNEL_KIND_SWITCH = 8, /* Switch input beside an encoder connector. */
+    R4_CHANNEL_KIND_RANGE = 9, /* Ultrasonic range sensor (trigger and echo). */
+    R4_CHANNEL_KIND_ANALOG = 10, /* Analog input behind a voltage divider. */
+    R4_CHANNEL_KIND_SUPPLY = 11, /* Supply rail, measured by an analog input. */
+    R4_CHANNEL_KIND_DAC = 12, /* Output of the processor's digital-to-analog converter. */
+    R4_CHANNEL_KIND_DEAD_MAN = 13, /* Dead-man's handle (number 0) or auxiliary stop (number 1). */
     R4_CHANNEL_KIND_IMU = 14, /* Inertial measurement unit on the I2C bus. */
     R4_CHANNEL_KIND_CURRENT = 15, /* Current monitor on the I2C bus. */
     R4_CHANNEL_KIND_ANGLE = 16, /* Absolute angle sensor on the I2C bus. */
@@ -202,438 +202,438 @@ enum r4_channel_kind {
     R4_CHANNEL_KIND_DISTANCE = 18, /* Optical distance sensor on the I2C bus. */
 };
 
-/* Setpoint: A command to a channel.
- *     Mode mode: How the number is meant.
- *     f32 value: rad or m; rad/s or m/s; share of the supply; V; 0 or 1. */
+/* Setpoint: Set point of a channel.
+ *     Mode mode: Mode, which says what quantity `value` is.
+ *     f32 value: Value in the unit of the mode: rad or m; rad/s or m/s; share of the supply; V; 0 or 1; N. */
 
-/* How a channel is commanded. */
+/* Mode of a set point: the quantity that it sets. */
 enum r4_mode {
-    R4_MODE_POSITION = 0, /* Closed loop on position. */
-    R4_MODE_SPEED = 1, /* Closed loop on speed. */
-    R4_MODE_DUTY = 2, /* Open loop: a share of the supply. */
-    R4_MODE_SWITCH = 3, /* On (1) or off (0). */
-    R4_MODE_VOLTAGE = 4, /* A voltage. */
-    R4_MODE_BRAKE = 5, /* Brake applied (1) or released (0). */
-    R4_MODE_HOME = 6, /* Seek the home switch at this speed; the sign is the direction. */
-    R4_MODE_FOLLOW = 7, /* Be at this position at the moment that the set point is dated with, on a smooth path through the points given before and after it: see `PathPoint`. */
-    R4_MODE_FORCE = 8, /* Press with this force. */
+    R4_MODE_POSITION = 0, /* Position, rad or m, in closed loop. */
+    R4_MODE_SPEED = 1, /* Speed, rad/s or m/s, in closed loop. */
+    R4_MODE_DUTY = 2, /* Duty in open loop, a share of the supply; for a brushless drive a share of full speed. */
+    R4_MODE_SWITCH = 3, /* Switch state: 1 on, 0 off. */
+    R4_MODE_VOLTAGE = 4, /* Voltage of an analog output, V. */
+    R4_MODE_BRAKE = 5, /* Brake: 1 applied, 0 released. */
+    R4_MODE_HOME = 6, /* Homing: seeks the home switch at this speed; the sign is the direction. */
+    R4_MODE_FOLLOW = 7, /* Position at the moment that the set point is dated with, on a smooth path through the points given before and after it: see `PathPoint`. */
+    R4_MODE_FORCE = 8, /* Force, N, that the motor presses with. */
 };
 
 /* PidGains: Gains of a PID loop whose output is a duty. E is the unit of the error (rad, m, rad/s or m/s).
- *     f32 kp: duty / E
- *     f32 ki: duty / (E s)
- *     f32 kd: duty s / E, on the measurement */
+ *     f32 kp: Proportional gain on the error, duty/E.
+ *     f32 ki: Integral gain, duty/(E s).
+ *     f32 kd: Derivative gain on the measured value, duty s/E. */
 
-/* ParameterKey: Which parameter of which channel, written `osmc0.position_kp`, `board.link_timeout_ms` …
- *     option of ChannelId channel: `None` for the board.
- *     Parameter parameter: Which of its numbers. */
+/* ParameterKey: Name of one parameter of one channel or of the board, written `osmc0.position_kp`, `board.link_timeout_ms` …
+ *     option of ChannelId channel: Channel of the parameter; `None` for the board.
+ *     Parameter parameter: Parameter of this channel. */
 
-/* One number of the configuration. postcard sends the variant's position: append, never reorder or remove. Units are those of the field it stands for in `config`. */
+/* Number of a board's configuration. postcard sends the variant's position: append, never reorder or remove. The unit is that of its field in `config`. */
 enum r4_parameter {
-    R4_PARAMETER_LINK_TIMEOUT_MS = 0, /* Of the board, ms: `BoardConfig::link_timeout_ms`. */
-    R4_PARAMETER_AIR_TEMPERATURE_C = 1, /* Of the board, °C: `BoardConfig::air_temperature_c`. */
-    R4_PARAMETER_SERVO_OSCILLATOR_HZ = 2, /* Of the board, Hz: `ServoChipConfig::oscillator_hz`. */
-    R4_PARAMETER_DUTY_MAX = 3, /* Of a motor, share of the supply. */
-    R4_PARAMETER_DUTY_SLEW = 4, /* Of a motor, 1/s. */
-    R4_PARAMETER_POSITION_MIN = 5, /* Of a motor with feedback or a stepper, rad or m. */
-    R4_PARAMETER_POSITION_MAX = 6, /* Of a motor with feedback or a stepper, rad or m. */
-    R4_PARAMETER_SPEED_MAX = 7, /* Of a motor with feedback, a servo or a stepper, rad/s or m/s. */
-    R4_PARAMETER_POSITION_KP = 8, /* Of a motor's position loop, duty/rad or duty/m. */
-    R4_PARAMETER_POSITION_KI = 9, /* Of a motor's position loop, duty/(rad s) or duty/(m s). */
-    R4_PARAMETER_POSITION_KD = 10, /* Of a motor's position loop, duty s/rad or duty s/m. */
-    R4_PARAMETER_SPEED_KP = 11, /* Of a motor's speed loop, duty s/rad or duty s/m. */
-    R4_PARAMETER_SPEED_KI = 12, /* Of a motor's speed loop, duty/rad or duty/m. */
-    R4_PARAMETER_SPEED_KD = 13, /* Of a motor's speed loop, duty s²/rad or duty s²/m. */
-    R4_PARAMETER_SPEED_FILTER = 14, /* Of a motor with feedback, s. */
-    R4_PARAMETER_PROFILE_SPEED = 15, /* Of a motor's path, rad/s or m/s. */
-    R4_PARAMETER_PROFILE_ACCELERATION = 16, /* Of a motor's path, rad/s² or m/s². */
-    R4_PARAMETER_STATIC_DUTY = 17, /* Of a motor's feed-forward, share of the supply. */
-    R4_PARAMETER_DUTY_PER_SPEED = 18, /* Of a motor's feed-forward, duty s/rad or duty s/m. */
-    R4_PARAMETER_SETTLE_ERROR = 19, /* Of a motor with feedback, rad or m. */
-    R4_PARAMETER_SETTLE_SPEED = 20, /* Of a motor with feedback, rad/s or m/s. */
-    R4_PARAMETER_SETTLE_TIME_MS = 21, /* Of a motor with feedback, ms. */
-    R4_PARAMETER_STALL_DUTY = 22, /* Of a motor with feedback, share of the supply. */
-    R4_PARAMETER_STALL_TRAVEL = 23, /* Of a motor with feedback, rad or m. */
-    R4_PARAMETER_STALL_TIME_MS = 24, /* Of a motor with feedback, ms. */
-    R4_PARAMETER_FOLLOW_ERROR = 25, /* Of a motor with feedback, rad or m. */
-    R4_PARAMETER_FOLLOW_TIME_MS = 26, /* Of a motor with feedback, ms. */
-    R4_PARAMETER_COUNTS_PER_TURN = 27, /* Of a motor with an encoder, or of an encoder, counts in a turn. */
-    R4_PARAMETER_POT_LOW_CODE = 28, /* Of a motor with a potentiometer: 16-bit code of the first calibration point. */
-    R4_PARAMETER_POT_LOW_POSITION = 29, /* Of a motor with a potentiometer, m. */
-    R4_PARAMETER_POT_HIGH_CODE = 30, /* Of a motor with a potentiometer: 16-bit code of the second calibration point. */
-    R4_PARAMETER_POT_HIGH_POSITION = 31, /* Of a motor with a potentiometer, m. */
-    R4_PARAMETER_HOME_POSITION = 32, /* Of a motor or stepper with a homing switch, rad. */
-    R4_PARAMETER_HOME_SPEED_MAX = 33, /* Of a motor or stepper with a homing switch, rad/s. */
-    R4_PARAMETER_PULSE_LOW = 34, /* Of a servo, s. */
-    R4_PARAMETER_ANGLE_LOW = 35, /* Of a servo, rad. */
-    R4_PARAMETER_PULSE_HIGH = 36, /* Of a servo, s. */
-    R4_PARAMETER_ANGLE_HIGH = 37, /* Of a servo, rad. */
-    R4_PARAMETER_NEUTRAL_V = 38, /* Of a brushless drive, V. */
-    R4_PARAMETER_FORWARD_V = 39, /* Of a brushless drive, V. */
-    R4_PARAMETER_REVERSE_V = 40, /* Of a brushless drive that is sent backwards by a voltage, V. */
-    R4_PARAMETER_SPEED_SLEW = 41, /* Of a brushless drive, share of full speed per second. */
-    R4_PARAMETER_STEPS_PER_TURN = 42, /* Of a stepper, steps in a turn. */
-    R4_PARAMETER_ACCELERATION = 43, /* Of a stepper, rad/s². */
-    R4_PARAMETER_JERK = 44, /* Of a motor's path or of a stepper, rad/s³ or m/s³. */
-    R4_PARAMETER_START_SPEED = 45, /* Of a stepper, rad/s. */
-    R4_PARAMETER_SAFE_V = 46, /* Of an analog output, V. */
-    R4_PARAMETER_STOP_BELOW = 47, /* Of a range sensor that has a limit, m. */
-    R4_PARAMETER_VOLTS_PER_CODE = 48, /* Of an analog input or a supply, V in a step of its 16-bit code. */
-    R4_PARAMETER_OFFSET_V = 49, /* Of an analog input, V. */
+    R4_PARAMETER_LINK_TIMEOUT_MS = 0, /* Link time-out of the board, ms: `BoardConfig::link_timeout_ms`. */
+    R4_PARAMETER_AIR_TEMPERATURE_C = 1, /* Temperature of the air in front of the range sensors, °C: `BoardConfig::air_temperature_c`. */
+    R4_PARAMETER_SERVO_OSCILLATOR_HZ = 2, /* Measured oscillator frequency of the servos' PWM chip, Hz: `ServoChipConfig::oscillator_hz`. */
+    R4_PARAMETER_DUTY_MAX = 3, /* Highest duty of a motor, share of the supply. */
+    R4_PARAMETER_DUTY_SLEW = 4, /* Fastest change of a motor's duty, 1/s. */
+    R4_PARAMETER_POSITION_MIN = 5, /* Lowest position of a motor with feedback or of a stepper, rad or m. */
+    R4_PARAMETER_POSITION_MAX = 6, /* Highest position of a motor with feedback or of a stepper, rad or m. */
+    R4_PARAMETER_SPEED_MAX = 7, /* Highest speed of a motor with feedback, a servo or a stepper, rad/s or m/s. */
+    R4_PARAMETER_POSITION_KP = 8, /* Proportional gain of a motor's position loop, duty/rad or duty/m. */
+    R4_PARAMETER_POSITION_KI = 9, /* Integral gain of a motor's position loop, duty/(rad s) or duty/(m s). */
+    R4_PARAMETER_POSITION_KD = 10, /* Derivative gain of a motor's position loop, duty s/rad or duty s/m. */
+    R4_PARAMETER_SPEED_KP = 11, /* Proportional gain of a motor's speed loop, duty s/rad or duty s/m. */
+    R4_PARAMETER_SPEED_KI = 12, /* Integral gain of a motor's speed loop, duty/rad or duty/m. */
+    R4_PARAMETER_SPEED_KD = 13, /* Derivative gain of a motor's speed loop, duty s²/rad or duty s²/m. */
+    R4_PARAMETER_SPEED_FILTER = 14, /* Time constant of the low-pass on a motor's measured speed, s. */
+    R4_PARAMETER_PROFILE_SPEED = 15, /* Speed limit of a motor's profile, rad/s or m/s. */
+    R4_PARAMETER_PROFILE_ACCELERATION = 16, /* Acceleration limit of a motor's profile, rad/s² or m/s². */
+    R4_PARAMETER_STATIC_DUTY = 17, /* Feed-forward of a motor against static friction, share of the supply. */
+    R4_PARAMETER_DUTY_PER_SPEED = 18, /* Feed-forward of a motor for its speed, duty s/rad or duty s/m. */
+    R4_PARAMETER_SETTLE_ERROR = 19, /* Settling: largest position error of a motor that rests at its position, rad or m. */
+    R4_PARAMETER_SETTLE_SPEED = 20, /* Settling: largest speed of a motor that rests at its position, rad/s or m/s. */
+    R4_PARAMETER_SETTLE_TIME_MS = 21, /* Settling: time for which a motor must stay within both, ms. */
+    R4_PARAMETER_STALL_DUTY = 22, /* Stall detection of a motor: lowest duty at which it counts, share of the supply. */
+    R4_PARAMETER_STALL_TRAVEL = 23, /* Stall detection of a motor: travel below which it counts as stalled, rad or m. */
+    R4_PARAMETER_STALL_TIME_MS = 24, /* Stall detection of a motor: time in which it must make that travel, ms. */
+    R4_PARAMETER_FOLLOW_ERROR = 25, /* Following of a motor: largest distance from its path, rad or m. */
+    R4_PARAMETER_FOLLOW_TIME_MS = 26, /* Following of a motor: time for which it may be further away, ms. */
+    R4_PARAMETER_COUNTS_PER_TURN = 27, /* Encoder counts in one turn of the output shaft, of a motor's encoder or of an encoder channel. */
+    R4_PARAMETER_POT_LOW_CODE = 28, /* Potentiometer of a motor: 16-bit code of the first calibration point. */
+    R4_PARAMETER_POT_LOW_POSITION = 29, /* Potentiometer of a motor: position of the first calibration point, m. */
+    R4_PARAMETER_POT_HIGH_CODE = 30, /* Potentiometer of a motor: 16-bit code of the second calibration point. */
+    R4_PARAMETER_POT_HIGH_POSITION = 31, /* Potentiometer of a motor: position of the second calibration point, m. */
+    R4_PARAMETER_HOME_POSITION = 32, /* Homing of a motor or stepper: position at which the switch opens again, rad. */
+    R4_PARAMETER_HOME_SPEED_MAX = 33, /* Homing of a motor or stepper: highest speed at which it seeks the switch, rad/s. */
+    R4_PARAMETER_PULSE_LOW = 34, /* Pulse width of a servo at the first end of its travel, s. */
+    R4_PARAMETER_ANGLE_LOW = 35, /* Angle of a servo at the first end of its travel, rad. */
+    R4_PARAMETER_PULSE_HIGH = 36, /* Pulse width of a servo at the second end of its travel, s. */
+    R4_PARAMETER_ANGLE_HIGH = 37, /* Angle of a servo at the second end of its travel, rad. */
+    R4_PARAMETER_NEUTRAL_V = 38, /* Voltage at which a brushless drive stands still, V. */
+    R4_PARAMETER_FORWARD_V = 39, /* Voltage of a brushless drive at full speed forwards, V. */
+    R4_PARAMETER_REVERSE_V = 40, /* Voltage of a brushless drive at full speed backwards, V; only where a voltage reverses it. */
+    R4_PARAMETER_SPEED_SLEW = 41, /* Fastest change of a brushless drive's speed, share of full speed per second. */
+    R4_PARAMETER_STEPS_PER_TURN = 42, /* Pulses of a stepper for one turn of the output shaft. */
+    R4_PARAMETER_ACCELERATION = 43, /* Acceleration of a stepper, rad/s². */
+    R4_PARAMETER_JERK = 44, /* Jerk limit of a motor's profile or of a stepper, rad/s³ or m/s³; 0 for none. */
+    R4_PARAMETER_START_SPEED = 45, /* Highest speed at which a stepper can start and stop, rad/s. */
+    R4_PARAMETER_SAFE_V = 46, /* Voltage of an analog output while the board is not armed, V. */
+    R4_PARAMETER_STOP_BELOW = 47, /* Distance of a range sensor below which the board trips, m; only where one is configured. */
+    R4_PARAMETER_VOLTS_PER_CODE = 48, /* Volts for one step of the 16-bit code, of an analog input or a supply. */
+    R4_PARAMETER_OFFSET_V = 49, /* Voltage of an analog input at code 0, V. */
     R4_PARAMETER_VOLTS_MIN = 50, /* Lowest voltage of an analog output, of what is plausible at an analog input, or of a supply in range, V. */
     R4_PARAMETER_VOLTS_MAX = 51, /* Highest voltage of an analog output, of what is plausible at an analog input, or of a supply in range, V. */
-    R4_PARAMETER_NOMINAL_V = 52, /* Of a motor with a winding: supply voltage that its gains were tuned at, V. */
-    R4_PARAMETER_DEAD_DUTY = 53, /* Of a motor with a winding: duty below which no current flows. */
-    R4_PARAMETER_RESISTANCE_OHM = 54, /* Of a motor with a winding, ohm. */
-    R4_PARAMETER_BACK_EMF = 55, /* Of a motor with a winding: back-EMF constant at the output, V s/rad or V s/m. */
-    R4_PARAMETER_RATED_A = 56, /* Of a motor with a winding: current it withstands continuously, A. */
-    R4_PARAMETER_THERMAL_S = 57, /* Of a motor with a winding: thermal time constant, s. */
-    R4_PARAMETER_CURRENT_ZERO_V = 58, /* Of a motor with a current sensor: its voltage at 0 A, V. */
-    R4_PARAMETER_CURRENT_VOLTS_PER_A = 59, /* Of a motor with a current sensor, V/A. */
-    R4_PARAMETER_REGENERATION_V = 60, /* Of a supply that limits regeneration: above this motors feed less back, V. */
-    R4_PARAMETER_STOP_BRAKE_MS = 61, /* Of a motor, a brushless drive or a stepper, ms: how long a controlled stop brakes it. */
-    R4_PARAMETER_CAN_RATE = 62, /* Of the board, kbit/s: `CanConfig::kbit_per_s`. */
-    R4_PARAMETER_CAN_NODE = 63, /* Of the board: `CanConfig::node`. */
-    R4_PARAMETER_CAN_DATA_RATE = 64, /* Of the board, kbit/s: `CanConfig::data_kbit_per_s`. */
-    R4_PARAMETER_DUTY_PER_ACCELERATION = 65, /* Of a motor's feed-forward, duty s²/rad or duty s²/m. */
-    R4_PARAMETER_CASCADE = 66, /* Of a motor with feedback, 1/s: `ControlConfig::cascade_per_s`. */
-    R4_PARAMETER_ZERO_ANGLE = 67, /* Of a motor with an angle sensor, rad: the angle that is position 0. */
-    R4_PARAMETER_MOTOR_SIDE_COUNTS = 68, /* Of a motor with an encoder on the motor's side: `MotorSideConfig::counts_per_turn`. */
-    R4_PARAMETER_GAP_MAX = 69, /* Of a motor with an encoder on the motor's side, rad: `MotorSideConfig::gap_max`. */
-    R4_PARAMETER_FORCE_GAIN = 70, /* Of a motor with force control, rad/(s N) or m/(s N): `ForceConfig::speed_per_n`. */
-    R4_PARAMETER_FORCE_LIMIT = 71, /* Of a motor with force control, N: `ForceConfig::limit_n`. */
-    R4_PARAMETER_APPROACH_SPEED = 72, /* Of a motor with force control, rad/s or m/s: `ForceConfig::approach_speed`. */
-    R4_PARAMETER_CONTACT_FORCE = 73, /* Of a motor with force control, N: `ForceConfig::contact_n`. */
-    R4_PARAMETER_FORCE_ERROR = 74, /* Of a motor with force control, N: `ForceConfig::error_n`. */
+    R4_PARAMETER_NOMINAL_V = 52, /* Winding of a motor: supply voltage at which its gains were tuned, V. */
+    R4_PARAMETER_DEAD_DUTY = 53, /* Winding of a motor: duty below which no current flows. */
+    R4_PARAMETER_RESISTANCE_OHM = 54, /* Winding of a motor: resistance including the bridge, ohm. */
+    R4_PARAMETER_BACK_EMF = 55, /* Winding of a motor: back-EMF constant at the output, V s/rad or V s/m. */
+    R4_PARAMETER_RATED_A = 56, /* Winding of a motor: current that it withstands continuously, A. */
+    R4_PARAMETER_THERMAL_S = 57, /* Winding of a motor: thermal time constant, s. */
+    R4_PARAMETER_CURRENT_ZERO_V = 58, /* Current sensor of a motor: voltage at 0 A, V. */
+    R4_PARAMETER_CURRENT_VOLTS_PER_A = 59, /* Current sensor of a motor: sensitivity, V/A. */
+    R4_PARAMETER_REGENERATION_V = 60, /* Supply voltage above which its motors feed less energy back, V; only where one is configured. */
+    R4_PARAMETER_STOP_BRAKE_MS = 61, /* Time for which a controlled stop brakes a motor, a brushless drive or a stepper, ms. */
+    R4_PARAMETER_CAN_RATE = 62, /* Bit rate of the board's CAN bus, kbit/s: `CanConfig::kbit_per_s`. */
+    R4_PARAMETER_CAN_NODE = 63, /* Node number of the board on its CAN bus: `CanConfig::node`. */
+    R4_PARAMETER_CAN_DATA_RATE = 64, /* Bit rate of the data phase on the board's CAN bus, kbit/s: `CanConfig::data_kbit_per_s`. */
+    R4_PARAMETER_DUTY_PER_ACCELERATION = 65, /* Feed-forward of a motor for its acceleration, duty s²/rad or duty s²/m. */
+    R4_PARAMETER_CASCADE = 66, /* Cascade gain of a motor with feedback: speed for the distance from its path, 1/s: `ControlConfig::cascade_per_s`. */
+    R4_PARAMETER_ZERO_ANGLE = 67, /* Angle sensor of a motor: angle that is position 0, rad. */
+    R4_PARAMETER_MOTOR_SIDE_COUNTS = 68, /* Encoder on the motor's side: counts in one turn of the output shaft: `MotorSideConfig::counts_per_turn`. */
+    R4_PARAMETER_GAP_MAX = 69, /* Encoder on the motor's side: largest difference from the sensor of the output shaft, rad: `MotorSideConfig::gap_max`. */
+    R4_PARAMETER_FORCE_GAIN = 70, /* Force control of a motor: speed per newton of error, rad/(s N) or m/(s N): `ForceConfig::speed_per_n`. */
+    R4_PARAMETER_FORCE_LIMIT = 71, /* Force control of a motor: force at which the board trips, N: `ForceConfig::limit_n`. */
+    R4_PARAMETER_APPROACH_SPEED = 72, /* Force control of a motor: highest speed, rad/s or m/s: `ForceConfig::approach_speed`. */
+    R4_PARAMETER_CONTACT_FORCE = 73, /* Force control of a motor: force that counts as contact, N: `ForceConfig::contact_n`. */
+    R4_PARAMETER_FORCE_ERROR = 74, /* Force control of a motor: error within which a force counts as reached, N: `ForceConfig::error_n`. */
 };
 
-/* CycleChannel: A channel of a cycle, and what its numbers mean.
- *     ChannelId channel: Which: a motor, a stepper or a brushless drive.
- *     Mode mode: What its set points are, in a cycle that says nothing else: position, follow, speed or duty.
- *     f32 position_scale: One step of a position that is set, rad or m; finite and above 0.
- *     f32 speed_scale: One step of a speed, set or answered, rad/s or m/s; finite and above 0. */
+/* CycleChannel: Channel of a cycle, and what its numbers mean.
+ *     ChannelId channel: Name of the channel: a motor, a stepper or a brushless drive.
+ *     Mode mode: Mode of its set points in a cycle that names no mode: position, follow, speed or duty.
+ *     f32 position_scale: Scale of a position set point: one step, rad or m; finite and above 0.
+ *     f32 speed_scale: Scale of a speed, set or measured: one step, rad/s or m/s; finite and above 0. */
 
-/* PathPoint: Where a channel is to be at one moment. Between two points it follows the cubic with their positions and speeds (Hermite).
- *     u64 at_us: When, on the board's clock.
- *     f32 position: rad or m
- *     option of f32 speed: rad/s or m/s; `None` for the slope at this point of the parabola through it and its neighbours.
- *     f32 feed_forward: Duty that is added to the loops' own from the point before to this one, as a share of the supply; 0 for none. */
+/* PathPoint: Dated point of a channel's path. Between two points the channel follows the cubic with their positions and speeds (Hermite).
+ *     u64 at_us: Board's clock when the channel is to be at the point.
+ *     f32 position: Position at the point, rad or m.
+ *     option of f32 speed: Speed at the point, rad/s or m/s; `None` takes the slope of the parabola through this point and its neighbours.
+ *     f32 feed_forward: Duty that is added to the loops' output from the point before to this one, a share of the supply; 0 adds nothing. */
 
-/* Tuning: What a host may change of a motor's loops besides their gains, without a restart.
- *     FeedForward feed_forward: Feed-forward from the path.
- *     f32 cascade_per_s: As `ControlConfig::cascade_per_s`. */
+/* Tuning: Numbers of a motor's loops, other than gains, that a host may change without a restart.
+ *     FeedForward feed_forward: Feed-forward from the path, added to the output of both loops.
+ *     f32 cascade_per_s: Gain of the cascade: see `ControlConfig::cascade_per_s`. */
 
 /* FeedForward: Feed-forward duty `static_duty sign(v) + duty_per_speed v + duty_per_acceleration a`.
- *     f32 static_duty: Duty that just does not move the motor.
- *     f32 duty_per_speed: duty s / rad, or duty s / m
- *     f32 duty_per_acceleration: duty s² / rad, or duty s² / m */
+ *     f32 static_duty: Duty against static friction: just too little to move the motor.
+ *     f32 duty_per_speed: Duty for the speed, duty s/rad or duty s/m.
+ *     f32 duty_per_acceleration: Duty for the acceleration, duty s²/rad or duty s²/m. */
 
-/* Cycle: Set points, all for one moment. They are followed until another comes, or the time-to-live of the binding has passed since they were decided: then the channels they were for are stopped.
- *     u8 seq: Chosen by the host, echoed by the board.
- *     u8 how: Mode in bits 0 to 3, its position among `Mode`'s variants or 15 for what was bound; bit 4 for one without a date; bits 5 to 7 are 0.
- *     4 x u8 sent_us: When the host decided this, on the board's clock: the low 32 bits. For a point of a path (`Mode::Follow`), when the channel is to be there.
- *     8 x u8 set: `i16` for each channel, in the order in which they were bound. */
+/* Cycle: Set points of several channels for one moment. The channels follow them until another cycle comes. When the time to live of the binding has passed since they were decided, the board stops these channels.
+ *     u8 seq: Sequence number, chosen by the host and echoed by the board.
+ *     u8 how: Mode in bits 0 to 3, as its number among `Mode`'s variants, or 15 for the bound modes; bit 4 set for a cycle without a date; bits 5 to 7 are 0.
+ *     4 x u8 sent_us: Board's clock when the host decided the set points, low 32 bits. For points of a path (`Mode::Follow`), the moment at which the channels are to be there.
+ *     8 x u8 set: Set points, an `i16` for each channel in the order of the binding. */
 
-/* Board to host. */
+/* Message from a board to a host. */
 enum r4_to_host {
-    R4_TO_HOST_RESPONSE = 0, /* The answer to one request.
- *     u16 seq: Of the request.
- *     result of Reply or Refusal result: What came of it. */
-    R4_TO_HOST_HEARTBEAT = 1, /* The answer to a heartbeat.
- *     u64 host_us: From the heartbeat that is answered.
- *     u64 device_us: The board's clock when it answered.
- *     SafetyState state: Where the supervisor stands.
+    R4_TO_HOST_RESPONSE = 0, /* Answer to one request.
+ *     u16 seq: Sequence number of the answered request.
+ *     result of Reply or Refusal result: Reply to a request that was carried out, or the reason why it was refused. */
+    R4_TO_HOST_HEARTBEAT = 1, /* Answer to a heartbeat.
+ *     u64 host_us: Host's clock from the answered heartbeat.
+ *     u64 device_us: Board's clock when it answered.
+ *     SafetyState state: State of the safety supervisor.
  *     Causes causes: Causes latched by a trip.
- *     list of HotWinding, at most 8 hot: Motors whose windings are close to what they withstand: see `Winding::hot`. */
+ *     list of HotWinding, at most 8 hot: Motors whose windings are close to their thermal limit: see `Winding::hot`. */
     R4_TO_HOST_TELEMETRY = 2, /* Samples of subscribed channels.
  *     Telemetry */
-    R4_TO_HOST_CYCLE = 3, /* The answer to a cycle.
+    R4_TO_HOST_CYCLE = 3, /* Answer to a cycle.
  *     CycleState */
-    R4_TO_HOST_LOG = 4, /* What the firmware has logged, after `Request::Log`.
+    R4_TO_HOST_LOG = 4, /* Piece of the firmware's log, after `Request::Log`.
  *     LogChunk */
 };
 
-/* What a board answers when it does as asked. */
+/* Answer to a request that was carried out. */
 enum r4_reply {
-    R4_REPLY_HELLO = 0, /* To `Request::Hello`.
+    R4_REPLY_HELLO = 0, /* Answer to `Request::Hello`: the board and the session.
  *     DeviceInfo */
-    R4_REPLY_CHANNEL = 1, /* To `Request::Describe`.
+    R4_REPLY_CHANNEL = 1, /* Answer to `Request::Describe`: one channel.
  *     ChannelInfo */
-    R4_REPLY_STATS = 2, /* To `Request::Stats`.
+    R4_REPLY_STATS = 2, /* Answer to `Request::Stats`: the counters.
  *     DeviceStats */
-    R4_REPLY_DONE = 3, /* To everything else: it was done. */
-    R4_REPLY_PARAMETER = 4, /* To `Request::DescribeParameter`.
+    R4_REPLY_DONE = 3, /* Answer to requests without data of their own: it was done. */
+    R4_REPLY_PARAMETER = 4, /* Answer to `Request::DescribeParameter`: one parameter.
  *     ParameterInfo */
-    R4_REPLY_FAULT = 5, /* To `Request::Fault`.
+    R4_REPLY_FAULT = 5, /* Answer to `Request::Fault`: one trip.
  *     FaultInfo */
-    R4_REPLY_FAULT_SNAPSHOT = 6, /* To `Request::FaultSnapshot`.
+    R4_REPLY_FAULT_SNAPSHOT = 6, /* Answer to `Request::FaultSnapshot`: the state at one moment.
  *     FaultSnapshot */
-    R4_REPLY_BYTES = 7, /* To `Request::I2cTransfer` and `Request::UartRead`.
+    R4_REPLY_BYTES = 7, /* Answer to `Request::I2cTransfer` and `Request::UartRead`: the bytes that were read.
  *     list of u8, at most 64 */
-    R4_REPLY_LOG = 8, /* To `Request::Log`.
+    R4_REPLY_LOG = 8, /* Answer to `Request::Log`: the image that the log belongs to.
  *     LogInfo */
-    R4_REPLY_IMAGE = 9, /* To `Request::Image`.
+    R4_REPLY_IMAGE = 9, /* Answer to `Request::Image`: the image that runs.
  *     ImageInfo */
 };
 
-/* DeviceInfo: Who answers, and the session it opened.
- *     string, at most 32 robot: The robot's name.
+/* DeviceInfo: Board that answers a Hello, and the session that this opened.
+ *     string, at most 32 robot: Name of the robot.
  *     string, at most 16 firmware: Version of the firmware.
- *     u16 session: For heartbeats.
- *     u8 channels: How many channels `Request::Describe` knows.
- *     u16 link_timeout_ms: The host must send heartbeats more often than this.
- *     u64 device_us: The board's clock.
- *     SafetyState state: Where the supervisor stands.
+ *     u16 session: Session number, which heartbeats carry.
+ *     u8 channels: Number of channels that `Request::Describe` knows.
+ *     u16 link_timeout_ms: Link time-out: the host must send heartbeats more often than this.
+ *     u64 device_us: Board's clock when it answered.
+ *     SafetyState state: State of the safety supervisor.
  *     Causes causes: Causes latched by a trip. */
 
-/* Where the board's safety supervisor stands. Outputs move only in `SafetyState::Armed`. */
+/* State of the board's safety supervisor. Outputs move only in `SafetyState::Armed`. */
 enum r4_safety_state {
-    R4_SAFETY_STATE_DISARMED = 0, /* Outputs safe; arming is possible while no cause is present. */
-    R4_SAFETY_STATE_ARMED = 1, /* Outputs follow commands. */
-    R4_SAFETY_STATE_TRIPPED = 2, /* Outputs safe; latched until cleared while no cause is present. */
+    R4_SAFETY_STATE_DISARMED = 0, /* Outputs are safe; the board can be armed while no cause is present. */
+    R4_SAFETY_STATE_ARMED = 1, /* Outputs follow set points. */
+    R4_SAFETY_STATE_TRIPPED = 2, /* Outputs are safe; this holds until a host clears it while no cause is present. */
 };
 
-/* Causes: A set of `Cause`s.
+/* Causes: Set of causes, a bit for each `Cause`.
  *     u32 */
 
-/* ChannelInfo: What a channel is and can take, as the board itself describes it.
- *     ChannelId id: Its name.
- *     Unit unit: Unit of what it measures or, for a pure output, of what it takes.
- *     Range range: Range of that value.
- *     f32 rate_hz: How often the value is updated.
- *     f32 resolution: One count of `Sample`'s `position`, in `unit`; 0 where the channel has no position.
- *     list of ModeInfo, at most 6 modes: How it may be commanded; empty for an input. */
+/* ChannelInfo: Description of a channel, as the board itself gives it.
+ *     ChannelId id: Name of the channel.
+ *     Unit unit: Unit of the measured value or, for a pure output, of the set point.
+ *     Range range: Range of that value, in `unit`.
+ *     f32 rate_hz: Rate at which the value is updated.
+ *     f32 resolution: Value of one count of `position` in a `Sample`, in `unit`; 0 for a channel without position.
+ *     list of ModeInfo, at most 6 modes: Modes in which the channel takes set points; empty for an input. */
 
 /* Physical unit of a value on the wire. */
 enum r4_unit {
-    R4_UNIT_RAD = 0, /* Radians at the output shaft. */
-    R4_UNIT_RAD_PER_S = 1, /* Radians per second at the output shaft. */
-    R4_UNIT_M = 2, /* Metres. */
-    R4_UNIT_MPER_S = 3, /* Metres per second. */
-    R4_UNIT_DUTY = 4, /* Share of the supply, -1..=1. */
-    R4_UNIT_V = 5, /* Volts. */
-    R4_UNIT_BOOL = 6, /* On or off. */
-    R4_UNIT_MPER_S2 = 7, /* Metres per second squared. */
-    R4_UNIT_A = 8, /* Amperes. */
-    R4_UNIT_N = 9, /* Newtons. */
+    R4_UNIT_RAD = 0, /* Angle at the output shaft, radians. */
+    R4_UNIT_RAD_PER_S = 1, /* Angular speed at the output shaft, radians per second. */
+    R4_UNIT_M = 2, /* Position of a rod or distance, metres. */
+    R4_UNIT_MPER_S = 3, /* Speed of a rod, metres per second. */
+    R4_UNIT_DUTY = 4, /* Duty as a share of the supply, -1..=1. */
+    R4_UNIT_V = 5, /* Voltage in volts. */
+    R4_UNIT_BOOL = 6, /* Boolean: 1 for on, 0 for off. */
+    R4_UNIT_MPER_S2 = 7, /* Acceleration, metres per second squared. */
+    R4_UNIT_A = 8, /* Current in amperes. */
+    R4_UNIT_N = 9, /* Force in newtons. */
 };
 
-/* Range: A closed interval of `f32`.
- *     f32 min: Lowest value taken.
- *     f32 max: Highest value taken. */
+/* Range: Closed interval of `f32`.
+ *     f32 min: Lowest value of the interval.
+ *     f32 max: Highest value of the interval. */
 
-/* ModeInfo: One way to command a channel.
- *     Mode mode: The mode.
- *     Unit unit: Unit of the set point.
- *     Range range: Set points the channel takes. */
+/* ModeInfo: Mode that a channel takes set points in.
+ *     Mode mode: Mode of the set points.
+ *     Unit unit: Unit of the set points.
+ *     Range range: Range of set points that the channel takes. */
 
-/* DeviceStats: What the board counted since power-up.
- *     u32 ticks: Control ticks run.
+/* DeviceStats: Counters of a board since power-up.
+ *     u32 ticks: Control ticks that ran.
  *     u32 late_ticks: Control ticks that ended after the next one was due.
- *     u32 worst_tick_us: Longest time from the start of a tick to its last output written.
+ *     u32 worst_tick_us: Longest time from the start of a tick to the end of its last write to an output.
  *     u32 bus_retries: I2C transfers that failed and were repeated.
- *     u32 frames: Frames taken.
- *     u32 bad_frames: Frames dropped: bad encoding or checksum, too long, or no message of this version.
- *     u32 refused: Requests refused.
+ *     u32 frames: Frames that were taken.
+ *     u32 bad_frames: Frames that were dropped: bad encoding or checksum, too long, or no message of this version.
+ *     u32 refused: Requests that were refused.
  *     u32 telemetry_dropped: Telemetry frames dropped because the link was full.
- *     u32 cycles_refused: Cycles that were not taken.
- *     u32 setpoints_expired: Set points of cycles that grew too old while they were followed: their channels were stopped.
- *     u32 can_bus_off: How often the board went off the CAN bus by its own errors (bus-off). It is back on it after 50 ms and 128 times 11 recessive bits.
- *     u32 can_warnings: How often one of its error counters on the CAN bus reached the warning limit of 96.
- *     u32 worst_tick_cycles: Most cycles of the processor that the control task took in one period, with those of the interrupts that came meanwhile; 0 where nobody counts them, as on simulated boards.
- *     u32 ticks_over_share: Control periods in which these were more than `CONTROL_SHARE` of the period. */
+ *     u32 cycles_refused: Cycles that were refused.
+ *     u32 setpoints_expired: Set points of cycles whose time to live ended while they were followed; their channels were stopped.
+ *     u32 can_bus_off: Times that the board went off the CAN bus because of its own errors (bus-off). It comes back after 50 ms and 128 times 11 recessive bits.
+ *     u32 can_warnings: Times that one of the board's error counters on the CAN bus reached the warning limit of 96.
+ *     u32 worst_tick_cycles: Most processor cycles that the control task took in one period, including interrupts in that time; 0 where they are not counted, as on simulated boards.
+ *     u32 ticks_over_share: Control periods in which the control task took more than `CONTROL_SHARE` of the period. */
 
-/* ParameterInfo: A parameter and its values.
- *     ParameterKey key: Which.
- *     f32 active: What the board works with.
- *     f32 set: What it will work with after a restart, if that is saved.
- *     f32 built_in: What the firmware was built with. */
+/* ParameterInfo: Parameter with its values.
+ *     ParameterKey key: Name of the parameter.
+ *     f32 active: Value that the board works with.
+ *     f32 set: Value after the next restart, if it is saved.
+ *     f32 built_in: Value that the firmware was built with. */
 
-/* FaultInfo: A trip out of the history.
- *     u32 number: Counts trips over the board's life; the newest has the highest.
- *     u32 start: Counts starts of the board, as the history knows them.
- *     u64 device_us: Since that start.
- *     Causes causes: Every cause, up to when it was recorded.
- *     u8 snapshots: How many `Request::FaultSnapshot`s there are. */
+/* FaultInfo: Trip of the fault history.
+ *     u32 number: Number of the trip over the board's life; the newest has the highest.
+ *     u32 start: Number of the start in which the board tripped; the history counts starts with a trip.
+ *     u64 device_us: Board's clock at the trip: time since that start.
+ *     Causes causes: Causes that were present by the time the trip was recorded.
+ *     u8 snapshots: Number of snapshots for `Request::FaultSnapshot`. */
 
-/* FaultSnapshot: What the board looked like at one moment before a trip.
- *     u16 before_ms: Before the trip.
- *     list of MotorSnapshot, at most 8 motors: In the order of the board's motor channels.
- *     list of f32, at most 4 supplies_v: In the order of the board's supply channels, V. */
+/* FaultSnapshot: State of the board at one moment before a trip.
+ *     u16 before_ms: Time from the snapshot to the trip.
+ *     list of MotorSnapshot, at most 8 motors: Motors in the order of the board's motor channels.
+ *     list of f32, at most 4 supplies_v: Supply voltages in the order of the board's supply channels. */
 
-/* MotorSnapshot: What a motor did at one moment.
- *     i32 position: In counts of `ChannelInfo::resolution`.
- *     f32 speed: rad/s or m/s.
- *     f32 duty: Share of the supply at the bridge. */
+/* MotorSnapshot: State of a motor at one moment.
+ *     i32 position: Position in counts of `ChannelInfo::resolution`.
+ *     f32 speed: Speed, rad/s or m/s.
+ *     f32 duty: Duty at the bridge, a share of the supply. */
 
-/* LogInfo: The log of a board.
- *     u32 image: `fingerprint` of the image that runs. */
+/* LogInfo: Identity of a board's log.
+ *     u32 image: Fingerprint of the image that runs: 32-bit FNV-1a over its vector table. */
 
-/* ImageInfo: The image that a board runs, as its record says.
- *     bool hosted: Whether it is behind the Arduino bootloader.
- *     u32 bytes: Its length, bytes.
- *     u32 crc: Its CRC-32. */
+/* ImageInfo: Identity of the image that a board runs, from its record.
+ *     bool hosted: True for an image that the Arduino bootloader starts.
+ *     u32 bytes: Length of the image, bytes.
+ *     u32 crc: CRC-32 of the image. */
 
-/* Why a request was not carried out. Nothing was changed. */
+/* Reason why a request was not carried out. Nothing was changed. */
 enum r4_refusal {
     R4_REFUSAL_PROTOCOL_MISMATCH = 0, /* The board does not speak that version of the protocol.
- *     u16 version: The newest that it speaks: its `VERSION`.
- *     u64 schema: `SCHEMA_HASH` of the board. */
-    R4_REFUSAL_NO_SESSION = 1, /* No session: `Request::Hello` must come first. */
-    R4_REFUSAL_IN_USE = 2, /* Another host's session is alive. */
+ *     u16 version: Newest version that the board speaks: its `VERSION`.
+ *     u64 schema: Schema hash (`SCHEMA_HASH`) of the board. */
+    R4_REFUSAL_NO_SESSION = 1, /* There is no session: `Request::Hello` must come first. */
+    R4_REFUSAL_IN_USE = 2, /* Another host has a session that is alive. */
     R4_REFUSAL_UNKNOWN_CHANNEL = 3, /* The board has no such channel.
- *     ChannelId channel: As asked. */
+ *     ChannelId channel: Channel of the request. */
     R4_REFUSAL_NO_SUCH_INDEX = 4, /* The board's list of channels or parameters ends before this.
- *     u8 index: As asked, or 255 when it was more. */
-    R4_REFUSAL_WRONG_MODE = 5, /* The channel cannot be commanded in this mode.
- *     ChannelId channel: As asked.
- *     Mode mode: As asked. */
-    R4_REFUSAL_NOT_FINITE = 6, /* NaN or infinite.
- *     ChannelId channel: As asked. */
-    R4_REFUSAL_OUT_OF_RANGE = 7, /* Outside what the channel can take.
- *     ChannelId channel: As asked.
- *     f32 asked: As asked.
- *     Range range: What it can take. */
-    R4_REFUSAL_NOT_ARMED = 8, /* Outputs move only while armed.
- *     SafetyState state: Where the supervisor stands. */
-    R4_REFUSAL_CAUSES_PRESENT = 9, /* Arming or clearing while causes are present.
- *     Causes causes: Those. */
-    R4_REFUSAL_TRIPPED = 10, /* Arming while a trip is latched: clear it first.
- *     Causes causes: What tripped. */
-    R4_REFUSAL_EXPIRED = 11, /* Older than its time-to-live on arrival.
- *     u32 age_ms: How old.
- *     u16 ttl_ms: How old it may be. */
-    R4_REFUSAL_BAD_GAINS = 12, /* Gains must be 0 to `PidGains::MAX`.
- *     ChannelId channel: As asked. */
+ *     u8 index: Index of the request, or 255 when it was higher. */
+    R4_REFUSAL_WRONG_MODE = 5, /* The channel does not take set points in this mode.
+ *     ChannelId channel: Channel of the request.
+ *     Mode mode: Mode of the request. */
+    R4_REFUSAL_NOT_FINITE = 6, /* The value is NaN or infinite.
+ *     ChannelId channel: Channel of the request. */
+    R4_REFUSAL_OUT_OF_RANGE = 7, /* The value is outside the channel's range.
+ *     ChannelId channel: Channel of the request.
+ *     f32 asked: Value of the request.
+ *     Range range: Range of values that the channel takes. */
+    R4_REFUSAL_NOT_ARMED = 8, /* The board is not armed: outputs move only while it is.
+ *     SafetyState state: State of the safety supervisor. */
+    R4_REFUSAL_CAUSES_PRESENT = 9, /* Causes are present, so the board cannot be armed or cleared.
+ *     Causes causes: Causes that are present. */
+    R4_REFUSAL_TRIPPED = 10, /* A trip is latched, so the board cannot be armed: clear it first.
+ *     Causes causes: Causes latched by the trip. */
+    R4_REFUSAL_EXPIRED = 11, /* The set point was older than its time to live on arrival.
+ *     u32 age_ms: Age of the set point on arrival.
+ *     u16 ttl_ms: Time to live of the set point. */
+    R4_REFUSAL_BAD_GAINS = 12, /* A gain is not within 0 to `PidGains::MAX`.
+ *     ChannelId channel: Channel of the request. */
     R4_REFUSAL_TOO_MANY_SUBSCRIPTIONS = 13, /* The board has no room for another subscription. */
-    R4_REFUSAL_CLOCK_AHEAD = 14, /* Decided further in the future than its time-to-live: the host has the board's clock wrong.
- *     u32 ahead_ms: How far. */
-    R4_REFUSAL_NOT_WHILE = 15, /* Not while the board is in this state: disarm it first.
- *     SafetyState state: Where the supervisor stands. */
-    R4_REFUSAL_UNKNOWN_PARAMETER = 16, /* The board's configuration has no such number.
- *     ParameterKey key: As asked. */
-    R4_REFUSAL_BAD_PARAMETER = 17, /* With this value the configuration would not be valid.
- *     ParameterKey key: As asked.
- *     f32 value: As asked. */
+    R4_REFUSAL_CLOCK_AHEAD = 14, /* The set point is dated further in the future than its time to live: the host has the board's clock wrong.
+ *     u32 ahead_ms: Time by which the date is ahead of the board's clock. */
+    R4_REFUSAL_NOT_WHILE = 15, /* The board does not do this in its present state: disarm it first.
+ *     SafetyState state: State of the safety supervisor. */
+    R4_REFUSAL_UNKNOWN_PARAMETER = 16, /* The board's configuration has no such parameter.
+ *     ParameterKey key: Parameter of the request. */
+    R4_REFUSAL_BAD_PARAMETER = 17, /* The configuration would not be valid with this value.
+ *     ParameterKey key: Parameter of the request.
+ *     f32 value: Value of the request. */
     R4_REFUSAL_STORAGE_FAILED = 18, /* The board's flash could not be written or read. */
-    R4_REFUSAL_NO_SUCH_FAULT = 19, /* No trip of this number, or no snapshot of it. */
-    R4_REFUSAL_BAD_TRANSFER = 20, /* No connector of this number, or an address or length it cannot have. */
-    R4_REFUSAL_NO_ACKNOWLEDGE = 21, /* Nothing on the external bus acknowledged.
- *     u8 address: 7-bit address. */
-    R4_REFUSAL_TRANSFER_FAILED = 22, /* The external bus or port did not come to an end in time. */
-    R4_REFUSAL_BUSY = 23, /* Arming while something is done that must not be while outputs move: parameters are being saved, or the board is about to restart. */
-    R4_REFUSAL_BAD_BINDING = 24, /* A channel bound twice, or with a scale that is not finite and above 0.
- *     ChannelId channel: As asked. */
-    R4_REFUSAL_NO_LOG = 25, /* This firmware has no log: it is a simulated board's. */
-    R4_REFUSAL_NO_IMAGE = 26, /* This firmware is no image in flash: it is a simulated board's. */
-    R4_REFUSAL_NO_BOOTLOADER = 27, /* No bootloader has started this firmware: it is a bare image, or a simulated board's. */
-    R4_REFUSAL_LATE = 28, /* The first point of a path was dated no later than it arrived.
- *     u32 late_us: How much earlier. */
-    R4_REFUSAL_PATH_FULL = 29, /* The board has no room for that many points of a path.
- *     u8 room: How many it could take. */
-    R4_REFUSAL_BAD_PATH = 30, /* A path without points, with two at one moment or in the wrong order.
- *     ChannelId channel: As asked. */
-    R4_REFUSAL_TOO_FAST = 31, /* Between two points of a path, or from where the channel is to the first, or at a point, it would be faster than it may.
- *     ChannelId channel: As asked.
- *     f32 asked: rad/s or m/s
- *     f32 limit: rad/s or m/s */
-    R4_REFUSAL_UNKNOWN_MESSAGE = 32, /* An undamaged request that the board does not know: it came with a later version. */
+    R4_REFUSAL_NO_SUCH_FAULT = 19, /* There is no trip of this number, or no such snapshot of it. */
+    R4_REFUSAL_BAD_TRANSFER = 20, /* There is no connector of this number, or the address or length is out of range. */
+    R4_REFUSAL_NO_ACKNOWLEDGE = 21, /* No device on the external bus acknowledged.
+ *     u8 address: I2C address of 7 bits. */
+    R4_REFUSAL_TRANSFER_FAILED = 22, /* The transfer on the external bus or port did not end in time. */
+    R4_REFUSAL_BUSY = 23, /* The board cannot be armed while it saves parameters or is about to restart. */
+    R4_REFUSAL_BAD_BINDING = 24, /* A channel is bound twice, or with a scale that is not finite and above 0.
+ *     ChannelId channel: Channel of the binding. */
+    R4_REFUSAL_NO_LOG = 25, /* This firmware has no log: the board is simulated. */
+    R4_REFUSAL_NO_IMAGE = 26, /* This firmware is no image in flash: the board is simulated. */
+    R4_REFUSAL_NO_BOOTLOADER = 27, /* No bootloader has started this firmware: it is a bare image, or the board is simulated. */
+    R4_REFUSAL_LATE = 28, /* The first point of a path was dated at or before its arrival.
+ *     u32 late_us: Time from the date of the point to its arrival. */
+    R4_REFUSAL_PATH_FULL = 29, /* The board has no room for as many points of a path.
+ *     u8 room: Number of points that the board has room for. */
+    R4_REFUSAL_BAD_PATH = 30, /* A path has no points, or its dates do not increase.
+ *     ChannelId channel: Channel of the path. */
+    R4_REFUSAL_TOO_FAST = 31, /* The path is faster than the channel's speed limit: between two points, from the channel's position to the first point, or at a point.
+ *     ChannelId channel: Channel of the path.
+ *     f32 asked: Speed that the path needs, rad/s or m/s.
+ *     f32 limit: Speed limit of the channel, rad/s or m/s. */
+    R4_REFUSAL_UNKNOWN_MESSAGE = 32, /* The board does not know this request, although it is undamaged: it came with a later version. */
 };
 
-/* HotWinding: A motor with `Winding::hot`.
- *     ChannelId channel: Which.
- *     u8 heat_percent: As `Winding::heat_percent`. */
+/* HotWinding: Motor with a hot winding: see `Winding::hot`.
+ *     ChannelId channel: Channel of the motor.
+ *     u8 heat_percent: Share of the winding's thermal limit: see `Winding::heat_percent`. */
 
 /* Telemetry: Samples taken at one moment.
- *     u64 device_us: The board's clock when the motors' positions in it were measured: at the beginning of the last control period that is over.
- *     SafetyState state: Where the supervisor stands.
+ *     u64 device_us: Board's clock when the motors' positions were measured: at the beginning of the last complete control period.
+ *     SafetyState state: State of the safety supervisor.
  *     Causes causes: Causes latched by a trip.
- *     list of Sample, at most 8 samples: What was subscribed and is due. */
+ *     list of Sample, at most 8 samples: Samples of subscribed channels that are due. */
 
-/* The value of one channel. */
+/* Sample of one channel. */
 enum r4_sample {
-    R4_SAMPLE_MOTOR = 0, /* Of a motor channel.
- *     ChannelId channel: Which.
- *     Setpoint setpoint: What it follows.
- *     i32 position: In counts of `ChannelInfo::resolution`.
- *     f32 speed: rad/s or m/s.
- *     f32 duty: Share of the supply at the bridge.
- *     bool settled: In position mode: at the set point and at rest.
- *     bool homed: Whether the position is known, and not only counted from where power came on.
- *     option of Winding winding: How hot its winding is; `None` for a channel whose winding's heat nothing computes. */
-    R4_SAMPLE_SCALAR = 1, /* Of a channel that has one number and nothing more to tell.
- *     ChannelId channel: Which.
- *     f32 value: In the channel's unit. */
-    R4_SAMPLE_READING = 2, /* Of an input that can fail, or grow old.
- *     ChannelId channel: Which.
- *     f32 value: In the channel's unit; the last good one where `quality` is not `Quality::Good`.
- *     u16 age_ms: Since it was taken.
- *     Quality quality: Whether it can be relied on. */
-    R4_SAMPLE_ENCODER = 3, /* Of an encoder.
- *     ChannelId channel: Which.
- *     i32 position: In counts of `ChannelInfo::resolution`.
- *     f32 speed: rad/s
- *     u32 illegal: Transitions that no shaft makes, since power-up; only where edges are decoded by the processor. */
-    R4_SAMPLE_SENSOR = 4, /* Of a sensor that measures several numbers together.
- *     ChannelId channel: Which.
- *     6 x f32 values: In the order and units of `ChannelKind::quantities`, those behind them 0; the last good ones where `quality` is not `Quality::Good`.
- *     u16 age_ms: Since they were taken.
- *     Quality quality: Whether they can be relied on. */
+    R4_SAMPLE_MOTOR = 0, /* Sample of a motor or stepper.
+ *     ChannelId channel: Channel of the motor.
+ *     Setpoint setpoint: Set point that the motor follows.
+ *     i32 position: Position in counts of `ChannelInfo::resolution`.
+ *     f32 speed: Speed, rad/s or m/s.
+ *     f32 duty: Duty at the bridge, a share of the supply.
+ *     bool settled: True in position mode while the motor rests at its set point.
+ *     bool homed: True where the zero of the position is known; false while positions count from where power came on.
+ *     option of Winding winding: Heat of the motor's winding; `None` for a channel without a thermal model. */
+    R4_SAMPLE_SCALAR = 1, /* Sample of a channel with one value and no quality.
+ *     ChannelId channel: Channel of the value.
+ *     f32 value: Value in the channel's unit. */
+    R4_SAMPLE_READING = 2, /* Sample of an input that can fail, or become old.
+ *     ChannelId channel: Channel of the input.
+ *     f32 value: Value in the channel's unit; the last good one where `quality` is not `Quality::Good`.
+ *     u16 age_ms: Age of the measurement.
+ *     Quality quality: Quality of the measurement. */
+    R4_SAMPLE_ENCODER = 3, /* Sample of an encoder.
+ *     ChannelId channel: Channel of the encoder.
+ *     i32 position: Position in counts of `ChannelInfo::resolution`.
+ *     f32 speed: Speed of the shaft, rad/s.
+ *     u32 illegal: Illegal transitions since power-up, which no shaft can make; counted only where the processor decodes the edges. */
+    R4_SAMPLE_SENSOR = 4, /* Sample of a sensor that measures several quantities together.
+ *     ChannelId channel: Channel of the sensor.
+ *     6 x f32 values: Values in the order and units of `ChannelKind::quantities`, the rest 0; the last good ones where `quality` is not `Quality::Good`.
+ *     u16 age_ms: Age of the measurement.
+ *     Quality quality: Quality of the measurement. */
 };
 
-/* Winding: How hot a motor's winding is, by the board's thermal model.
- *     u8 heat_percent: Share of what the winding withstands, %, rounded down; at 100 the board trips with `Cause::Overload`.
- *     bool hot: The board's warning before that trip: it begins above 90 %, and ends below 85 %. */
+/* Winding: Heat of a motor's winding, by the board's thermal model.
+ *     u8 heat_percent: Share of the winding's thermal limit, %, rounded down; at 100 the board trips with `Cause::Overload`.
+ *     bool hot: Warning before that trip: true from above 90 % until below 85 %. */
 
-/* Whether a reading can be relied on. */
+/* Quality of a measurement. */
 enum r4_quality {
-    R4_QUALITY_GOOD = 0, /* It can. */
+    R4_QUALITY_GOOD = 0, /* The measurement can be relied on. */
     R4_QUALITY_NONE = 1, /* Nothing has been measured yet. */
-    R4_QUALITY_OUT_OF_RANGE = 2, /* Nothing in range reflects: as far as the sensor can tell, or farther. */
+    R4_QUALITY_OUT_OF_RANGE = 2, /* Nothing reflects within the sensor's range. */
     R4_QUALITY_NO_ANSWER = 3, /* The sensor does not answer: its echo never begins. */
     R4_QUALITY_STUCK = 4, /* The echo does not end. */
     R4_QUALITY_LOW = 5, /* Below what a connected source gives. */
     R4_QUALITY_HIGH = 6, /* Above what a connected source gives, or clamped. */
     R4_QUALITY_STALE = 7, /* The sensor answers, and has nothing new to tell. */
     R4_QUALITY_WRONG_CHIP = 8, /* Another chip answers at the sensor's address, or the sensor does not take its settings. */
-    R4_QUALITY_SATURATED = 9, /* One of its numbers is at the end of the sensor's range. */
+    R4_QUALITY_SATURATED = 9, /* One of the quantities is at the end of the sensor's range. */
     R4_QUALITY_NO_MAGNET = 10, /* An angle sensor finds no magnet: its angle means nothing. */
     R4_QUALITY_WEAK_MAGNET = 11, /* The field at an angle sensor is weaker than its gain makes up for: its angle is noisy. */
     R4_QUALITY_STRONG_MAGNET = 12, /* The field at an angle sensor is stronger than its gain makes up for: its angle may be distorted. */
 };
 
-/* CycleState: What the bound channels do, and what became of the `Cycle` with this `seq`.
- *     u8 seq: Of the cycle.
- *     u8 flags: State in bits 0 and 1, settled in bits 2 to 5, outcome in bits 6 and 7.
- *     3 x u8 device_us: The board's clock, its low 24 bits.
- *     3 x u8 causes: Causes latched by a trip, their low 24 bits.
- *     16 x u8 position: `i32` for each channel.
- *     8 x u8 speed: `i16` for each channel.
- *     8 x u8 duty: `i16` for each channel. */
+/* CycleState: State of the bound channels, and the outcome of the `Cycle` with this `seq`.
+ *     u8 seq: Sequence number of the answered cycle.
+ *     u8 flags: Safety state in bits 0 and 1, settled in bits 2 to 5 (one for each channel), outcome in bits 6 and 7.
+ *     3 x u8 device_us: Board's clock, low 24 bits.
+ *     3 x u8 causes: Causes latched by a trip, low 24 bits.
+ *     16 x u8 position: Position of each channel, `i32`.
+ *     8 x u8 speed: Speed of each channel, `i16` times its scale.
+ *     8 x u8 duty: Duty of each channel, `i16` times 1/32767. */
 
-/* LogChunk: What is written into the log, in its order.
- *     u32 position: How many bytes were written before the first of these, since power-up, wrapping. Where it is not the position behind the chunk before, what is between is lost.
- *     list of u8, at most 64 bytes: In the encoding that the firmware's log has. */
+/* LogChunk: Piece of the log, in the order of writing.
+ *     u32 position: Number of bytes written before these, since power-up, wrapping. A gap behind the previous piece is lost bytes.
+ *     list of u8, at most 64 bytes: Bytes in the encoding of the firmware's log (defmt). */
 
 /* Bits of Causes. */
 #define R4_CAUSE_DEAD_MAN (1UL << 0) /* The dead-man's handle is released or its wire is cut. */
-#define R4_CAUSE_PROXIMITY (1UL << 1) /* A range sensor sees something nearer than its limit. */
-#define R4_CAUSE_LINK_LOST (1UL << 2) /* No heartbeat from the host within the configured timeout. */
-#define R4_CAUSE_HOST_STOP (1UL << 3) /* The host asked for a stop. */
-#define R4_CAUSE_WATCHDOG_RESET (1UL << 4) /* The board came out of a watchdog reset. */
+#define R4_CAUSE_PROXIMITY (1UL << 1) /* A range sensor measures less than its limit, or stops measuring. */
+#define R4_CAUSE_LINK_LOST (1UL << 2) /* No heartbeat has come from the host within the configured time-out. */
+#define R4_CAUSE_HOST_STOP (1UL << 3) /* A host has asked for a stop. */
+#define R4_CAUSE_WATCHDOG_RESET (1UL << 4) /* The board has been reset by its watchdog. */
 #define R4_CAUSE_I2C_FAULT (1UL << 5) /* A transfer on the board's I2C bus failed and could not be recovered. */
 #define R4_CAUSE_READ_BACK_MISMATCH (1UL << 6) /* A chip does not hold what was written to it. */
 #define R4_CAUSE_SUPPLY_OUT_OF_RANGE (1UL << 7) /* A supply rail is outside its configured range. */
 #define R4_CAUSE_ENCODER_IMPLAUSIBLE (1UL << 8) /* Position feedback contradicts the drive: wrong way, impossible speed, sensor open or shorted. */
-#define R4_CAUSE_STALLED (1UL << 9) /* The motor is driven hard and does not move. */
-#define R4_CAUSE_CONTROL_OVERRUN (1UL << 10) /* The control loop missed its deadline repeatedly. */
+#define R4_CAUSE_STALLED (1UL << 9) /* A motor is driven hard and does not move. */
+#define R4_CAUSE_CONTROL_OVERRUN (1UL << 10) /* The control loop has missed its deadline repeatedly. */
 #define R4_CAUSE_BAD_CONFIGURATION (1UL << 11) /* The configuration is missing or contradicts itself. */
 #define R4_CAUSE_AUXILIARY_STOP (1UL << 12) /* The button at the auxiliary stop input is pressed or its wire is cut. */
 #define R4_CAUSE_OVERLOAD (1UL << 13) /* A motor's winding is as hot as it may become, by its current and thermal time constant. */
 #define R4_CAUSE_CLOCK_FAULT (1UL << 14) /* The processor's crystal stopped, or its clock disagrees with an independent oscillator. */
-#define R4_CAUSE_REPEATED_BAD_STARTS (1UL << 15) /* The firmware ended badly several times in a row: the board only holds its outputs safe, until it is restarted. */
-#define R4_CAUSE_INTERRUPT_STORM (1UL << 16) /* An input had more edges than its sensor can make: its interrupt is masked, and its edges are lost. */
+#define R4_CAUSE_REPEATED_BAD_STARTS (1UL << 15) /* The firmware has ended badly several times in a row: the board only holds its outputs safe, until it is restarted. */
+#define R4_CAUSE_INTERRUPT_STORM (1UL << 16) /* An input has had more edges than its sensor can make: its interrupt is masked, and its edges are lost. */
 #define R4_CAUSE_DAMAGED_IMAGE (1UL << 17) /* The firmware's image in flash is not what was built: the board only holds its outputs safe, until it is flashed. */
-#define R4_CAUSE_FORCE_LIMIT (1UL << 18) /* A motor's force sensor shows more than its limit. */
+#define R4_CAUSE_FORCE_LIMIT (1UL << 18) /* A motor's force sensor measures more than its limit. */
 
 #endif /* R4_H */

@@ -1,5 +1,5 @@
-//! `r4 bench link` on boards that are served on a pseudo-terminal. How fast a link is depends on the machine and on what else
-//! it does, so no time is asserted here: that is what running the program is for.
+//! Tests of `r4 bench link` on boards that are served on a pseudo-terminal. The speed of a link depends on the machine
+//! and its load, so no time is asserted here: a run of the program shows it.
 
 use crate::program::*;
 
@@ -24,13 +24,13 @@ fn a_served_board_is_measured_over_its_pseudo_terminal() {
         assert!(told[smaller].as_f64() <= told[larger].as_f64(), "{told}");
     }
     assert!(told["round_trips"].as_u64() > Some(0) && told["cycles"].as_u64() > Some(0), "{told}");
-    // It says so, and ends with 0 only when every promise held.
+    // The program prints each limit, and ends with 0 only when all held.
     let limits = told["limits"].as_array().expect("limits");
     let held = limits.iter().all(|limit| limit["held"] == true);
     assert_eq!((limits.len(), &told["held"], seen.code), (5, &held.into(), Some(i32::from(!held))), "{told}");
 }
 
-/// Who only has the link does not know the truth of the clock, and moves nothing unasked.
+/// A program that has only the link cannot know the true clock, and moves nothing without being asked.
 #[test]
 fn a_board_at_the_end_of_a_link_is_measured_without_arming_it() {
     let mut server = start(command(&["sim", "serve", "osmc-bench", "--tcp"]));
@@ -46,7 +46,7 @@ fn a_board_at_the_end_of_a_link_is_measured_without_arming_it() {
         "{seen:?}"
     );
     assert!(told["clock_error_us_p99"].is_null() && told["clock_uncertainty_us"].as_f64() > Some(0.0), "{told}");
-    // Every set point was refused.
+    // The board is disarmed, so it refuses every set point.
     assert!(told["not_followed"].as_u64() >= told["cycles"].as_u64(), "{told}");
     server.out = None;
 }

@@ -1,4 +1,4 @@
-//! Boards with other physics than their files say: told by `--plant`, hidden by `--blind`.
+//! Tests of boards with other physics than their files say: chosen by `--plant`, hidden by `--blind`.
 
 use std::fs;
 
@@ -8,14 +8,15 @@ use tempfile::TempDir;
 const ROTARY: &str = include_str!("../boards/plants/osmc-bench-rotary.toml");
 const ACTUATOR: &str = include_str!("../boards/plants/osmc-bench-actuator.toml");
 
-/// Hides an effect of friction from the motor, which reaches its position all the same.
+/// Seed that hides an effect of friction from the motor, which reaches its position all the same.
 const SEED: &str = "7";
 
 fn folder() -> TempDir {
     TempDir::new().expect("a temporary folder")
 }
 
-/// The log of a move, with these arguments besides: its table and what it says of itself, but for the time.
+/// Records a move with these additional arguments. Returns its table, and the log's information without the time of
+/// recording.
 fn log_of_a_move(folder: &TempDir, name: &str, more: &[&str]) -> (String, String) {
     let file = folder.path().join(name);
     let moved = good_json(&[&["move", "osmc0", "90deg", "--json", "--record", path(&file)], more].concat());
@@ -45,7 +46,7 @@ fn a_blind_board_moves_by_its_seed_and_nothing_it_says_tells_what_it_has() {
         let [told, usual] = [r4(&[question, &["--blind", SEED]].concat()), r4(question)];
         assert_eq!((told.code, told.out, told.err), (usual.code, usual.out, usual.err), "{question:?}");
     }
-    // The log of the blind board is replayed there to the last bit, and on the board of the file it is not.
+    // The log of the blind board is replayed to the last bit on that board, and not on the board of the file.
     let log = folder.path().join("blind.mcap");
     let replayed = good_json(&["log", "replay", path(&log), "--json", "--exact", "--blind", SEED]);
     assert_eq!(replayed["identical"], true);
@@ -67,7 +68,7 @@ fn a_robot_with_a_body_has_something_hidden_in_that_or_in_its_motors() {
     let of_motors = seeds.iter().map(|seed| reveal(seed)).find(|revealed| revealed["body"].is_null());
     assert_eq!(of_motors.map(|revealed| array(&revealed, "channels").len()), Some(4));
 
-    // The robot moves otherwise, and says nothing of it.
+    // The robot moves differently, and prints nothing of it.
     let folder = folder();
     let moved = |name: &str, more: &[&str]| {
         let file = folder.path().join(name);
@@ -77,7 +78,7 @@ fn a_robot_with_a_body_has_something_hidden_in_that_or_in_its_motors() {
     };
     let (plain, blind) = (moved("plain.mcap", &[]), moved("blind.mcap", &["--blind", seed]));
     assert!(plain != blind && blind == moved("again.mcap", &["--blind", seed]));
-    // On a stand the body is gone, and what is hidden in it with it: the motors have nothing.
+    // On a stand the body is gone, and the effect hidden in it as well: the motors have none.
     let stand = ["--world", "stand"];
     let lifted = moved("stand.mcap", &stand);
     assert_eq!(lifted, moved("lifted.mcap", &[&stand[..], &["--blind", seed]].concat()));
@@ -87,7 +88,7 @@ fn a_robot_with_a_body_has_something_hidden_in_that_or_in_its_motors() {
 fn a_run_is_replayed_on_the_plant_that_is_named() {
     let folder = folder();
     let plant = folder.path().join("plant.toml");
-    // A shape that no effect has, 0.3 N m of the motor's 4.9
+    // A shape that no effect has: 0.3 N m of the motor's 4.9.
     let curve =
         "[[effects]]\neffect = \"table\"\nover = \"position\"\nat = [0.0, 0.5, 1.0]\nvalues = [0.0, -0.3, 0.3]\n";
     fs::write(&plant, format!("{ROTARY}\n{curve}")).expect("the folder can be written to");

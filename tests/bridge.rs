@@ -1,18 +1,18 @@
-//! The network protocol of the R4 firmware of before, from the host's side, in the packets of the published nodes.
+//! Tests of the previous R4 firmware's network protocol, from the host's side, with the packets of the published nodes.
 
 use std::{io::ErrorKind, net::UdpSocket};
 
 use crate::program::*;
 use r4_links::legacy::LONGEST;
 
-/// The published nodes: `R4-Websockets-Client.py`, which answers heartbeats, and `R4_Receiver.py`, which sends commands from a
-/// port of its own and numbers them from 2 (Rak-r/OpenPodCar_V2).
+/// The published nodes: `R4-Websockets-Client.py`, which answers heartbeats, and `R4_Receiver.py`, which sends commands
+/// from a port of its own and numbers them from 2 (Rak-r/OpenPodCar_V2).
 struct Host {
     client: UdpSocket,
     receiver: UdpSocket,
     board: String,
     number: u32,
-    /// Whether heartbeats are answered.
+    /// True while heartbeats are answered.
     alive: bool,
     duty: f64,
     steering_v: f64,
@@ -30,7 +30,7 @@ impl Host {
         format!("{fields}^{:#x}^", !crc)
     }
 
-    /// What the receiver makes of a command on its topic.
+    /// Sends a command as the receiver does for one on its topic.
     fn command(&mut self, data: &str) {
         self.number += 1;
         self.numbered(data, self.number);
@@ -41,7 +41,8 @@ impl Host {
         self.receiver.send_to(packet.as_bytes(), &self.board).expect("sent");
     }
 
-    /// The next packet of the board, as the client reads it; they come by themselves, so that they are this test's clock.
+    /// Reads the next packet of the board as the client does. Packets come without being asked for, so they are this
+    /// test's clock.
     fn next(&mut self) {
         let mut buffer = [0; 300];
         let len = loop {
@@ -52,7 +53,7 @@ impl Host {
         };
         assert!(len <= LONGEST, "the client reads so much of it");
         let text = std::str::from_utf8(&buffer[..len]).expect("text");
-        // The data end before the last `;`, and the checksum stands between the two `^`.
+        // The data end before the last `;`, and the checksum is between the two `^`.
         let (data, end) = text.rsplit_once(';').expect("fields");
         assert_eq!(Self::sealed(&format!("{data};")), format!("{data};{end}"));
         let field = |key: &str| data.split(';').find_map(|part| part.strip_prefix(key)?.strip_prefix(':'));
@@ -76,7 +77,7 @@ impl Host {
     }
 }
 
-/// A bridge in front of a simulated vehicle, and its host.
+/// Starts a bridge in front of a simulated vehicle, and its host.
 fn bridge(options: &[&str]) -> (Running, Host) {
     let client = UdpSocket::bind("127.0.0.1:0").expect("a port");
     client.set_read_timeout(Some(PATIENCE)).expect("set");
@@ -96,7 +97,7 @@ fn bridge(options: &[&str]) -> (Running, Host) {
     (bridge, host)
 }
 
-/// The next line on stderr with `what` in it, and all before it.
+/// Returns the lines on stderr up to the next one with `what` in it.
 fn told(bridge: &Running, what: &str) -> Vec<String> {
     let mut lines = Vec::new();
     while let Some(line) = next(&bridge.err, bridge.begin) {
@@ -112,13 +113,13 @@ fn told(bridge: &Running, what: &str) -> Vec<String> {
 #[test]
 fn the_published_nodes_drive_the_vehicle_and_stop_it() {
     let (bridge, mut host) = bridge(&[]);
-    // The first thing of all, and once: it is carried out when the client has answered a heartbeat. 4095 is more than the
-    // actuator may get.
+    // The very first command, and only once: it is carried out when the client has answered a heartbeat. 4095 is more
+    // than the actuator may get.
     host.command("D:4095,0,1");
     host.until(|host| !host.steering_v.is_nan());
     let centre_v = host.steering_v;
     host.until(|host| host.steering_v > centre_v + 0.1);
-    // The other way, and into the dead band of the node.
+    // The other direction, and into the dead band of the node.
     host.command("D:4095,1,1");
     host.until(|host| host.steering_v < centre_v);
     host.command("D:0,1,1");
@@ -129,26 +130,26 @@ fn the_published_nodes_drive_the_vehicle_and_stop_it() {
     host.command("O:2200,1,1");
     host.until(|host| host.duty < -0.49);
     assert!(host.duty > -0.51, "{}", host.duty);
-    // None of this protocol: the vehicle does not go on backwards.
+    // Not of this protocol: the vehicle must not go on backwards.
     for bad in ["O:4096,1,1", "O:2000.5,1,1", "O:1000,2,1", "O:1000"] {
         host.command("O:1000,1,1");
         host.until(|host| host.duty < -0.2);
         host.command(bad);
         host.until(|host| host.duty == 0.0);
     }
-    // Nor after a packet that may be of a host that began to count anew.
+    // Nor after a packet that may come from a host that began to count anew.
     host.command("O:1000,1,1");
     host.until(|host| host.duty < -0.2);
-    // It is late only right after the other one.
+    // A packet with a lower number is late only right after the higher one.
     host.command("O:1100,1,1");
     host.numbered("O:500,0,1", host.number - 1);
     host.until(|host| host.duty == 0.0);
-    // A stray packet far ahead, and the host's next one is taken all the same.
+    // After a stray packet far ahead, the host's next one is taken all the same.
     host.numbered("O:300,1,1", host.number + 1000);
     host.until(|host| host.duty < -0.05);
     host.command("O:800,0,1");
     host.until(|host| host.duty > 0.15);
-    // A stop acts whatever its number.
+    // A stop takes effect whatever its number.
     host.numbered("S:Stop", 1);
     host.until(|host| host.duty == 0.0);
     host.command("O:800,0,1");
@@ -163,19 +164,19 @@ fn the_published_nodes_drive_the_vehicle_and_stop_it() {
 #[test]
 fn a_host_that_is_silent_drives_nothing_and_may_come_back() {
     let (bridge, mut host) = bridge(&["--host", "127.0.0.1", "--for", "8"]);
-    // The client says nothing before the board does.
+    // The client is silent until the board has sent something.
     host.until(|host| !host.steering_v.is_nan());
     told(&bridge, "a host is there: armed");
-    // Damaged, of nobody else's interest, and twice.
+    // Damaged, of no meaning to the board, and sent twice.
     host.receiver.send_to(b"O:4095,0,1;^0x1^", &host.board).expect("sent");
     host.command("O:1000,0,1");
     host.numbered("O:1000,0,1", host.number);
     host.until(|host| host.duty > 0.2);
     host.alive = false;
     host.until(|host| host.duty == 0.0);
-    // What came too long before the heartbeat is not carried out after it.
+    // A command that came too long before the heartbeat is not carried out after it.
     host.command("O:1000,0,1");
-    // 25 packets a second: more than 0.7 s.
+    // At 25 packets a second, 30 take more than 0.7 s.
     for _ in 0..30 {
         host.next();
     }

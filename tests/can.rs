@@ -1,9 +1,10 @@
-//! The program on CAN interfaces, with boards that it serves there. Few kernels that tests run on have any, so a virtual
-//! machine starts one that has: Debian's, with this very test in its file system, which does the rest in there.
+//! Tests of the program on CAN interfaces, with boards that it serves there. Few kernels on which tests run have any. A
+//! virtual machine therefore starts one that has: Debian's, with this very test in its file system, which does the rest
+//! in there.
 //!
-//! What it takes is looked for in the folder `guest` of cargo's target folder, where `.ci/run` puts it: `boot/vmlinuz-*`,
-//! `lib/modules/*` with can, can-raw, can-dev and vcan, and `bin/busybox`; `qemu-system-x86_64` is a program of this machine.
-//! Without them the test says that it did not run.
+//! Its parts are looked for in the folder `guest` of cargo's target folder, where `.ci/run` puts them:
+//! `boot/vmlinuz-*`, `lib/modules/*` with can, can-raw, can-dev and vcan, and `bin/busybox`. `qemu-system-x86_64` is a
+//! program of this machine. Without them the test prints that it did not run.
 
 #![cfg(target_os = "linux")]
 
@@ -29,10 +30,10 @@ use r4_protocol::{
 };
 use socketcan::{CanAnyFrame, CanDataFrame, CanFdSocket, EmbeddedFrame, Id, Socket, StandardId};
 
-/// A machine that takes longer hangs: where nothing else runs it needs one minute.
+/// Time-out of the machine: one that takes longer hangs. On an otherwise idle host it needs one minute.
 const MACHINE: Duration = Duration::from_secs(300);
 
-/// What a user sees on the console of the machine, line by line, when all is well there.
+/// Last line on the console of the machine when all is well.
 const WELL: &str = "guest: 0";
 
 // Outside of the machine.
@@ -42,7 +43,7 @@ fn boards_on_can_interfaces_work() {
     let image = match Parts::find() {
         Ok(parts) => parts.image(),
         Err(missing) => {
-            // Past the harness, which keeps to itself what tests that pass have printed.
+            // Written to stderr directly: the harness keeps the output of tests that pass to itself.
             let _ = writeln!(io::stderr(), "boards_on_can_interfaces_work: not run: {missing}");
             return;
         }
@@ -51,10 +52,11 @@ fn boards_on_can_interfaces_work() {
     let initrd = folder.path().join("initrd");
     fs::write(&initrd, image.files).expect("written");
     let mut qemu = Command::new("qemu-system-x86_64");
-    // Without the help of the processor (KVM): a machine that is virtual itself may offer it and hang with it.
+    // Without hardware virtualisation (KVM): a machine that is virtual itself may offer it and hang with it.
     qemu.args(["-accel", "tcg", "-cpu", "max", "-m", "1024"])
-        // Its clock counts instructions, 2^2 ns each, and skips idle time, so that load on the host does not change what it
-        // does. In real time a board without a processor for 0.1 s refuses set points as ahead of its clock, or trips.
+        // The clock counts instructions, 2^2 ns each, and skips idle time, so that load on the host does not change the
+        // result. In real time a board that gets no processor for 0.1 s refuses set points as ahead of its clock, or
+        // trips.
         .args(["-icount", "shift=2,sleep=off"])
         .args(["-nodefaults", "-display", "none", "-serial", "stdio", "-no-reboot", "-kernel"])
         .arg(&image.kernel)
@@ -80,17 +82,17 @@ fn boards_on_can_interfaces_work() {
     assert!(!counts.contains(" 0 passed"), "{counts}");
 }
 
-/// What the machine is made of.
+/// Parts of the virtual machine.
 struct Parts {
     kernel: PathBuf,
-    /// In the order in which they are loaded.
+    /// Kernel modules, in the order of loading.
     modules: Vec<PathBuf>,
     busybox: PathBuf,
 }
 
 struct Image {
     kernel: PathBuf,
-    /// The first file system, as the kernel unpacks it.
+    /// Initial file system, as the kernel unpacks it.
     files: Vec<u8>,
 }
 
@@ -121,7 +123,7 @@ impl Parts {
         })
     }
 
-    /// The machine's files: this test, the program, their libraries, and what starts the one.
+    /// Makes the machine's files: this test, the program, their libraries, and the script that starts the test.
     fn image(&self) -> Image {
         let (r4, test) = (Path::new(env!("CARGO_BIN_EXE_r4")), env::current_exe().expect("a path"));
         let mut files = Archive::default();
@@ -164,7 +166,7 @@ impl Parts {
     }
 }
 
-/// All modules below a folder, by their names as they name each other.
+/// Finds all modules below a folder, by the names that they use for each other.
 fn modules_in(folder: &Path, all: &mut BTreeMap<String, PathBuf>) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let path = entry.path();
@@ -177,11 +179,11 @@ fn modules_in(folder: &Path, all: &mut BTreeMap<String, PathBuf>) {
     }
 }
 
-/// Adds a module after those that it needs; the name of the first that is missing.
+/// Adds a module after those that it needs; the error is the name of the first missing one.
 fn load(name: &str, all: &BTreeMap<String, PathBuf>, order: &mut Vec<PathBuf>) -> Result<(), String> {
     let path = all.get(name).ok_or(name)?;
     let module = fs::read(path).map_err(|_| name)?;
-    // Strings of its section .modinfo.
+    // Dependencies are strings of the section .modinfo.
     for text in module.split(|byte| *byte == 0) {
         let needed = text.strip_prefix(b"depends=").and_then(|names| std::str::from_utf8(names).ok());
         for needed in needed.unwrap_or_default().split(',').filter(|name| !name.is_empty()) {
@@ -194,14 +196,14 @@ fn load(name: &str, all: &BTreeMap<String, PathBuf>, order: &mut Vec<PathBuf>) -
     Ok(())
 }
 
-/// The libraries that a program is started with, and what starts it.
+/// Returns the libraries that a program is started with, and its dynamic loader.
 fn libraries(program: &Path) -> Vec<PathBuf> {
     let listed = Command::new("ldd").arg(program).output().expect("ldd");
     let listed = String::from_utf8(listed.stdout).expect("text");
     listed.split_whitespace().filter(|word| word.starts_with('/')).map(PathBuf::from).collect()
 }
 
-/// Files as the kernel unpacks them ("newc"; its documentation, driver-api/early-userspace/buffer-format).
+/// Archive of files as the kernel unpacks it ("newc"; its documentation, driver-api/early-userspace/buffer-format).
 #[derive(Default)]
 struct Archive {
     bytes: Vec<u8>,
@@ -230,7 +232,7 @@ impl Archive {
     fn record(&mut self, name: &str, mode: u32, content: &[u8]) {
         let ino = self.added.len();
         let (size, name_size) = (content.len(), name.len() + 1);
-        // Number, mode, user, group, links, time, size, devices, length of the name, checksum.
+        // The fields are: number, mode, user, group, links, time, size, devices, length of the name, checksum.
         self.bytes.extend(format!("070701{ino:08X}{mode:08X}").bytes());
         self.bytes.extend(format!("{:08X}{:08X}{:08X}{:08X}{size:08X}", 0, 0, 1, 0).bytes());
         self.bytes.extend(format!("{:032X}{name_size:08X}{:08X}{name}\0", 0, 0).bytes());
@@ -249,7 +251,7 @@ impl Archive {
     }
 }
 
-/// What is told where there is no CAN, on whatever machine.
+/// The error message on a machine without CAN.
 #[test]
 fn an_interface_that_is_not_there_is_named_with_what_to_do() {
     all_refused([
@@ -261,7 +263,7 @@ fn an_interface_that_is_not_there_is_named_with_what_to_do() {
     ]);
 }
 
-/// As `a_frame_of_set_points_turns_a_motor` does it on an interface.
+/// Does the same as `a_frame_of_set_points_turns_a_motor` does on an interface.
 #[test]
 fn a_frame_of_set_points_turns_a_motor_behind_an_adapter() {
     let served = Served::new(&["openscout", "--slcan", "--node", "5"]);
@@ -280,7 +282,7 @@ fn a_frame_of_set_points_turns_a_motor_behind_an_adapter() {
 
 // On either side.
 
-/// A board that is served until it is dropped.
+/// Board that is served until it is dropped.
 struct Served {
     #[expect(dead_code, reason = "ends the server when it is dropped")]
     server: Running,
@@ -304,7 +306,7 @@ impl Served {
     }
 }
 
-/// Turns a motor by frames of set points alone, until they stop coming.
+/// Turns a motor by frames of set points alone, until they end.
 async fn turns(board: &Board<RealClock>, send: impl Fn([u8; SETPOINTS])) {
     let motor: ChannelId = "dhb0".parse().expect("a channel");
     let mut samples = board.samples(motor, 10).await.expect("subscribed");
@@ -321,7 +323,7 @@ async fn turns(board: &Board<RealClock>, send: impl Fn([u8; SETPOINTS])) {
         turned = sample.position(&channel).expect("an encoder");
         assert!(sent < 1000, "{turned} rad after 10 s");
     }
-    // Only what came in frames of set points drives it: without them it stops, and the session goes on.
+    // Only frames of set points drive the motor: without them it stops, and the session goes on.
     let stopped = async {
         loop {
             let sample = samples.next().await.expect("the link holds");
@@ -340,7 +342,7 @@ async fn turns(board: &Board<RealClock>, send: impl Fn([u8; SETPOINTS])) {
 
 // Inside of the machine.
 
-/// Everything on a bus.
+/// Receiver of all frames on a bus.
 struct Sniffer(CanFdSocket);
 
 impl Sniffer {
@@ -350,7 +352,7 @@ impl Sniffer {
         Self(socket)
     }
 
-    /// What has passed: identifier, and whether it was CAN FD.
+    /// Returns the frames that have passed: identifier, and true for CAN FD.
     fn seen(&self) -> Vec<(u16, bool)> {
         let frames = std::iter::from_fn(|| self.0.read_frame().ok());
         frames
@@ -388,7 +390,7 @@ fn a_board_is_driven_in_frames_of_can_fd() {
     let seen = sniffer.seen();
     let (to_board, to_host): (Vec<(u16, bool)>, Vec<_>) = seen.iter().partition(|(identifier, _)| *identifier == 0x27F);
     assert!(to_host.iter().all(|frame| *frame == (0x2FF, true)), "{seen:?}");
-    // The first are classic, the others are not.
+    // The first frames to the board are classic, the later ones CAN FD.
     assert_eq!(to_board.first(), Some(&(0x27F, false)), "{seen:?}");
     assert_eq!(to_board.last(), Some(&(0x27F, true)), "{seen:?}");
     assert!(to_board.is_sorted_by_key(|(_, fd)| *fd), "{seen:?}");

@@ -1,4 +1,4 @@
-//! What a user does with `r4`, done to the program itself.
+//! Tests of `r4` as a user runs it, on the program itself.
 
 use std::{
     fmt::Write as _,
@@ -14,11 +14,11 @@ use serde_json::Value;
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
-/// What the demo promises, and what a move is held to here.
+/// Largest error that the demo promises, and that a move may have here.
 const WITHIN_DEG: f64 = 1.0;
 const WITHIN_MM: f64 = 0.2;
 
-// A robot of the user's own: the files of osmc-bench in a folder, to be changed.
+// The files of osmc-bench are copied to a folder, where a test changes them: a robot of the user's own.
 
 const ROBOT: &str = include_str!("../boards/osmc-bench.toml");
 const ACTUATOR: &str = include_str!("../boards/plants/osmc-bench-actuator.toml");
@@ -44,9 +44,9 @@ impl Own {
     }
 }
 
-/// `file` with the first line after `section` that sets `key` replaced, and that line's number.
+/// Replaces the first line after `section` that sets `key` in `file`, and returns the number of that line, too.
 ///
-/// By name and not by value, so that no test cares how the bench is tuned.
+/// The line is found by name and not by value, so that no test depends on the tuning of the bench.
 fn edited(file: &str, section: &str, key: &str, line: &str) -> (String, usize) {
     let section = file.lines().position(|line| line.starts_with(section)).expect("the section is there");
     let sets = |line: &&str| line.split_once('=').is_some_and(|(name, _)| name.trim() == key);
@@ -55,7 +55,7 @@ fn edited(file: &str, section: &str, key: &str, line: &str) -> (String, usize) {
     (lines.fold(String::new(), |all, line| all + line + "\n"), index + 1)
 }
 
-/// An actuator whose screw nothing on this bench can move.
+/// Makes an actuator whose screw nothing on this bench can move.
 fn stuck() -> String {
     edited(ACTUATOR, "[[effects]]", "force_n", "force_n = 1e6").0
 }
@@ -116,15 +116,15 @@ fn demo_logs_what_it_reports() {
     assert_eq!(log.commands.len(), PAPER.len());
     for (command, (channel, set, _, unit)) in log.commands.iter().zip(PAPER) {
         assert_eq!(command.channel.to_string(), channel);
-        // Set points travel as 32-bit floats: 24 bits of 360.
+        // Set points travel as 32-bit floats, with 24 bits for 360.
         assert!((command.setpoint.value * per_si(unit) - set).abs() < 360.0 / f64::from(1 << 23), "{command:?}");
     }
     for index in [3, 8] {
         let row = &array(&report, "rows")[index];
         let motor = log.motor(text(row, "channel").parse().unwrap()).unwrap();
         let last = motor.samples.last().unwrap().position * per_si(text(row, "unit"));
-        // What the sensor saw last is where the output rests, but for an encoder count (0.15 deg) or the converter's
-        // noise (5 codes of 1.6 um).
+        // The last reading of the sensor is where the output rests, but for an encoder count (0.15 deg) or the
+        // converter's noise (5 codes of 1.6 um).
         assert!((last - number(row, "ours")).abs() < 0.2, "{last}: {row}");
     }
 }
@@ -139,7 +139,7 @@ fn demo_report_is_self_contained() {
             && page.contains("<svg")
             && page.trim_end().ends_with("</html>")
     );
-    // The namespace of SVG is a name that looks like an address; nothing loads it.
+    // The namespace of SVG only looks like an address; nothing loads it.
     let page = page.replace("http://www.w3.org/2000/svg", "");
     for outside in ["http:", "https:", "<link", "<img", "<iframe", "src=", "@import", "url(h", "url(/", "fetch("] {
         assert!(!page.contains(outside), "{outside}");
@@ -155,11 +155,11 @@ fn demo_is_the_same_for_a_seed_and_another_for_another() {
     let run = |name: &str, seed: &str| {
         let out = folder.path().join(name);
         let mut report = good_json(&["demo", "--seed", seed, "--out", path(&out), "--json"]);
-        // What may differ: the speed of the machine and where the files were asked for.
+        // The speed of the machine and the paths of the files may differ.
         for field in ["real_time_factor", "log", "report"] {
             report.as_object_mut().unwrap().remove(field);
         }
-        // The log also holds when and how it was recorded.
+        // The rest of the log has the date and the command line of the recording.
         let table = good(&["log", "export", path(&out.join("log.mcap")), "--csv", "-"]);
         let page = fs::read_to_string(out.join("report.html")).unwrap();
         let is_about_the_run =
@@ -254,7 +254,8 @@ fn motors_follow_a_table_together() {
     let followed = good_json(&["follow", path(&table), "--json"]);
     assert_eq!((followed["held"].as_bool(), followed["duration_s"].as_f64()), (Some(true), Some(4.0)));
     let rows = followed["rows"].as_array().expect("rows");
-    // Of the table's last line, within what the bench settles to; the gains of osmc0 leave it up to 5 degrees behind on the way.
+    // End of the table, and the tolerance of the bench for it. The gains of osmc0 leave it up to 5 degrees behind while
+    // it moves.
     for (row, (channel, end, settle, worst)) in
         rows.iter().zip([("osmc0", 0.0, 0.004, 0.09), ("actuator1", 0.012, 0.000_1, 0.000_5)])
     {
@@ -308,7 +309,7 @@ fn a_motor_goes_where_it_is_sent() {
 fn speed_and_duty_are_held_for_a_time() {
     let end = good_json(&["speed", "osmc0", "1rad/s", "--for", "3", "--json"]);
     assert_eq!((text(&end, "mode"), text(&end, "unit")), ("speed", "rad/s"));
-    // How well a speed is held is a matter of the firmware's own tests: here, that it is this speed and this time.
+    // The accuracy of a speed is tested with the firmware. Here it must be this speed for this time.
     assert!((number(&end, "speed") - 1.0).abs() < 0.2, "{end}");
     assert!((number(&end, "seconds") - 3.0).abs() < 0.1, "{end}");
 
@@ -356,7 +357,7 @@ fn a_motor_that_cannot_move_is_an_error_in_bounded_time() {
 
 #[test]
 fn a_motor_that_does_not_arrive_is_an_error_after_the_time_allowed() {
-    // Stuck, and neither a stall nor an overload is looked for within the 30 s a move is given.
+    // Stuck: the limits are raised so that neither a stall nor an overload is detected within the 30 s of a move.
     let robot = edited(ROBOT, "[actuator.stall]", "time_ms", "time_ms = 60000").0;
     let robot = edited(&robot, "[actuator.winding]", "rated_a", "rated_a = 1000.0").0;
     let own = Own::new(&edited(&robot, "[actuator.follow]", "error_m", "error_m = 1.0").0, &stuck());
@@ -366,7 +367,7 @@ fn a_motor_that_does_not_arrive_is_an_error_after_the_time_allowed() {
     ]);
 }
 
-/// A motor that is held at 1.5 A with a rated current of 1.2 A: it is hot after 8.4 s, and would trip after 18.
+/// Holds a motor at 1.5 A with a rated current of 1.2 A: its winding is hot after 8.4 s, and would trip after 18.
 #[test]
 fn a_hot_winding_is_told_once() {
     let robot = edited(ROBOT, "[actuator.stall]", "time_ms", "time_ms = 60000").0;
@@ -382,7 +383,7 @@ fn a_hot_winding_is_told_once() {
 #[test]
 fn what_was_not_held_is_not_success() {
     for (args, says) in [
-        // Faster than the motor at its duty cap; at the end of the stroke, where the drive is cut and stays so.
+        // Faster than the motor at its highest duty; at the end of the stroke, where the drive is cut and stays so.
         (&["speed", "osmc0", "200deg/s"][..], "did not hold speed 200.0 deg/s"),
         (&["duty", "actuator1", "60%", "--for", "20"], "it was at 100.0"),
         (&["duty", "actuator1", "60%", "--for", "20.3"], "it was at 100.0"),
@@ -408,7 +409,7 @@ fn a_relay_is_switched_and_told_of() {
         "relay1 was closed for 1 s, on sim:osmc-bench (simulated); now open\n"
     );
     all_refused([
-        // The motors' supply is the board's own.
+        // The board itself switches the motors' supply.
         (&["relay", "relay0", "on"][..], &["relay0", "cannot be switched"][..]),
         (&["relay", "relay7", "on"], &["relay7", "`r4 info`"]),
         (&["relay", "osmc0", "on"], &["osmc0", "cannot be switched"]),
@@ -452,7 +453,7 @@ fn watch_prints_channels_as_they_change() {
     let printed = good(&["watch", "--for", "1", "--pace", "max", "--json"]);
     let lines: Vec<Value> = printed.lines().map(object).collect();
     let times: Vec<f64> = lines.iter().map(|line| number(line, "time_s")).collect();
-    // Five a second, and one more or less at the ends.
+    // Five a second, plus or minus one at the ends.
     assert!((4..=6).contains(&times.len()) && times.is_sorted_by(|a, b| a < b), "{times:?}");
     assert!(times.iter().all(|time_s| (0.0..=1.1).contains(time_s)), "{times:?}");
     for line in &lines {
@@ -465,7 +466,7 @@ fn watch_prints_channels_as_they_change() {
 
     let printed = good(&["watch", "supply0", "--rate", "50", "--for", "1", "--pace", "max"]);
     let (headers, values): (Vec<_>, Vec<_>) = printed.lines().partition(|line| line.contains("supply0 V"));
-    // A header at the top and after each twenty lines; only what was asked for.
+    // A header at the top and after every twenty lines, and only the channels that were asked for.
     assert!((49..=51).contains(&values.len()) && headers.len() == 3 && !printed.contains("osmc0"), "{printed}");
     assert!(values.iter().all(|line| line.contains("disarmed") && line.contains("24.0")), "{printed}");
 }
@@ -497,7 +498,7 @@ fn every_json(args: &[&str]) -> Value {
     good_json(&[&EVERY, args, &["--json"]].concat())
 }
 
-/// As [`all_refused`], on the board with every channel.
+/// Expects refusals as [`all_refused`], on the board with every channel.
 fn every_refused<'a>(cases: impl IntoIterator<Item = (&'a [&'a str], &'a [&'a str])>) {
     let complaints = cases.into_iter().filter_map(|(args, says)| complaint(&[&EVERY, args].concat(), says));
     let complaints: String = complaints.collect();
@@ -551,7 +552,7 @@ fn info_and_watch_know_every_kind_of_channel() {
     assert!(value("servo0")["value"].is_null(), "nothing was asked of it yet");
     let range = value("range0");
     assert!((0.02..=4.0).contains(&number(&range, "value")) && text(&range, "quality") == "good", "{range}");
-    // Four sensors in turn, each 60 ms.
+    // Four sensors take turns of 60 ms each.
     assert!(number(&range, "age_ms") <= 250.0, "{range}");
     assert_eq!((number(&value("encoder0"), "value"), number(&value("encoder0"), "illegal")), (0.0, 0.0));
     assert_eq!(number(&value("dead-man0"), "value"), 1.0);
@@ -587,7 +588,7 @@ fn a_brushless_drive_runs_and_brakes() {
     assert!((number(&end, "value") - 0.4).abs() < 1e-6, "{end}");
     let end = every_json(&["bldc", "bldc0", "--brake", "--for", "0.5"]);
     assert_eq!((text(&end, "mode"), number(&end, "set"), number(&end, "value")), ("brake", 1.0, 0.0));
-    // Full speed takes a second at least.
+    // Full speed takes at least a second.
     let seen = every(&["bldc", "bldc0", "-0.9", "--for", "0.5", "--json"]);
     assert!(seen.code == Some(1) && seen.err.contains("--for"), "{seen:?}");
     assert_eq!(object(&seen.out)["held"], false);
@@ -631,7 +632,7 @@ fn a_stepper_moves_steps_turns_and_finds_its_home() {
     assert!((number(&end, "speed") + 2.0).abs() < 1e-3 && end["held"] == true, "{end}");
     assert!(every(&["speed", "stepper2", "2rad/s"]).out.contains("moving at 2.000 rad/s, after 2.0"));
 
-    // The configured place of each switch; the osmc comes to rest within what counts as settled there.
+    // Each comes to rest at the configured place of its switch, the osmc within its tolerance for settling.
     for (channel, home_rad, within) in [("stepper0", -0.5, 0.01), ("stepper1", -0.5, 0.01), ("osmc0", -1.0, 0.02)] {
         let end = every_json(&["home", channel, "--speed", "-1rad/s"]);
         assert_eq!((text(&end, "mode"), &end["homed"]), ("home", &true.into()), "{end}");
@@ -657,7 +658,7 @@ fn a_motor_without_a_sensor_tells_only_its_duty() {
 
 // r4 config
 
-/// A file for the flash of a simulated board, and `r4` with it.
+/// File for the flash of a simulated board, and `r4` with it.
 struct Kept {
     folder: TempDir,
     robot: String,
@@ -677,20 +678,20 @@ impl Kept {
         r4(&[&["--board", &self.robot, "--flash", path(&flash)], args].concat())
     }
 
-    /// The one JSON object of a run that must succeed and say nothing on stderr.
+    /// Returns the one JSON object of a run that must succeed and print nothing on stderr.
     fn json(&self, args: &[&str]) -> Value {
         let seen = self.r4(&[args, &["--json"]].concat());
         assert!(seen.code == Some(0) && seen.err.is_empty(), "{args:?}: {seen:?}");
         object(&seen.out)
     }
 
-    /// A parameter as `r4 config show` has it.
+    /// Returns a parameter as `r4 config show` prints it.
     fn parameter(&self, key: &str) -> Value {
         let shown = self.json(&["config", "show"]);
         array(&shown, "parameters").iter().find(|info| text(info, "key") == key).expect("it is listed").clone()
     }
 
-    /// A run that must fail with these words.
+    /// Expects a run to fail with these words.
     fn refused(&self, args: &[&str], says: &[&str]) {
         let seen = self.r4(args);
         let told = says.iter().all(|says| seen.err.contains(says)) && !seen.err.contains("panicked");
@@ -800,7 +801,7 @@ fn a_file_of_parameters_comes_back() {
     assert!(before.contains("\n[board]\n") && before.contains("\n[osmc0]\n"), "{before}");
     assert_eq!(kept.json(&["config", "import", path(&all)])["changed"], Value::Array(vec![]), "nothing differs");
 
-    // Beyond where the range is now: its upper end has to be moved first.
+    // The new lower end is beyond the present upper end, which must be moved first.
     fs::write(&some, "[osmc0]\nposition_min = 70\nposition_max = 80.5\nposition_kp = 3.25\n").unwrap();
     let imported = kept.json(&["config", "import", path(&some)]);
     assert_eq!((array(&imported, "changed").len(), &imported["saved"]), (3, &true.into()), "{imported}");
@@ -846,7 +847,7 @@ fn a_file_that_is_no_flash_is_left_alone() {
     ]);
 }
 
-/// What a flash holds that the board does not use is said before anything starts.
+/// Content of a flash that the board does not use is reported before anything starts.
 #[test]
 fn a_flash_that_is_damaged_or_of_another_robot_is_noticed() {
     let kept = Kept::new("sim:osmc-bench");
@@ -900,7 +901,7 @@ fn trips_are_remembered_with_what_came_before() {
     let last = moments.last().unwrap();
     let [osmc, actuator] = array(last, "motors") else { panic!("{last}") };
     assert_eq!((text(osmc, "channel"), text(actuator, "channel")), ("osmc0", "actuator1"));
-    // A stall is hard drive without motion.
+    // A stall is a high duty without motion.
     assert!(number(actuator, "duty") > 0.3 && number(actuator, "position").abs() < 1e-3, "{actuator}");
     assert_eq!(number(osmc, "duty"), 0.0);
     let volts = number(&array(last, "supplies")[0], "voltage_v");
@@ -921,7 +922,7 @@ fn trips_are_remembered_with_what_came_before() {
 
 #[test]
 fn external_connectors_are_reached() {
-    // On each I2C connector of a simulated board is a memory of 256 bytes, erased; each UART hears itself.
+    // Each I2C connector of a simulated board has an erased memory of 256 bytes; each UART receives what it sends.
     for bus in ["0", "1"] {
         let read = good_json(&["i2c", bus, "0x50", "--write", "10", "--read", "3", "--json"]);
         assert_eq!((text(&read, "written"), text(&read, "read")), ("10", "ffffff"));
@@ -957,7 +958,7 @@ fn a_bad_argument_is_refused_with_what_to_type_instead() {
     fs::write(&file, "").unwrap();
     let (below_file, no_file) = (file.join("out"), format!("sim:{}", path(&folder.path().join("none.toml"))));
     all_refused([
-        // Which board.
+        // Unknown boards.
         (&["--board", "sim:nothing", "info"][..], &["nothing", "osmc-bench", ".toml"][..]),
         (&["--board", "sim:nothing", "demo", "--json"], &["nothing", "osmc-bench", ".toml"]),
         (&["--board", "osmc-bench", "info"], &["osmc-bench", "sim:osmc-bench"]),
@@ -966,12 +967,12 @@ fn a_bad_argument_is_refused_with_what_to_type_instead() {
         (&["--board", "usb:1", "info"], &["usb:1", "serial:", "sim:osmc-bench"]),
         (&["--board", "can:slcan", "info"], &["can:slcan", "can:can0", "can:slcan:"]),
         (&["--board", &no_file, "info"], &["none.toml", "cannot be read"]),
-        // Which channel.
+        // Unknown channels.
         (&["move", "osmc9", "90deg"], &["osmc9", "`r4 info`"]),
         (&["move", "motor", "90deg"], &["motor", "osmc0"]),
         (&["move", "supply0", "12deg"], &["supply0", "`r4 info`"]),
         (&["watch", "osmc3", "--for", "1", "--pace", "max"], &["osmc3", "`r4 info`"]),
-        // What is no quantity.
+        // Text that is no quantity.
         (&["move", "osmc0"], &["<VALUE>"]),
         (&["move", "osmc0", "90"], &["osmc0", "deg"]),
         (&["move", "osmc0", "fast"], &["fast", "90deg"]),
@@ -980,7 +981,7 @@ fn a_bad_argument_is_refused_with_what_to_type_instead() {
         (&["move", "osmc0", "1e300rad"], &["osmc0"]),
         (&["duty", "osmc0", "NaN"], &["NaN", "90deg"]),
         (&["speed", "osmc0", "infrad/s"], &["infrad/s", "90deg"]),
-        // What the channel does not take.
+        // Modes and units that the channel does not take.
         (&["move", "osmc0", "25mm"], &["osmc0", "position", "deg"]),
         (&["move", "actuator1", "90deg"], &["actuator1", "position", "mm"]),
         (&["speed", "osmc0", "90deg"], &["osmc0", "speed", "deg/s"]),
@@ -989,7 +990,7 @@ fn a_bad_argument_is_refused_with_what_to_type_instead() {
         (&["move", "actuator1", "150mm"], &["actuator1", " to "]),
         (&["speed", "osmc0", "100rad/s"], &["osmc0", " to "]),
         (&["duty", "osmc0", "1.5"], &["osmc0", "-0.902 to 0.902"]),
-        // What it is not.
+        // Modes that the channel does not have.
         (&["home", "osmc0", "--speed", "-1rad/s"], &["osmc0", "home", "`r4 info`"]),
         (&["home", "osmc0", "--speed", "0rad/s"], &["other than 0"]),
         (&["home", "osmc0"], &["--speed"]),
@@ -1000,7 +1001,7 @@ fn a_bad_argument_is_refused_with_what_to_type_instead() {
         (&["bldc", "bldc0"], &["<VALUE>"]),
         (&["bldc", "bldc0", "40%", "--brake"], &["--brake"]),
         (&["dac", "dac0", "1.2V"], &["dac0", "`r4 info`"]),
-        // Options.
+        // Options out of range.
         (&["arm", "--for=-1", "--pace", "max"], &["--for", "above 0"]),
         (&["arm", "--for", "nan", "--pace", "max"], &["--for", "above 0"]),
         (&["arm", "--pace", "0", "--for", "1"], &["--pace", "0.01", "max"]),
@@ -1008,7 +1009,7 @@ fn a_bad_argument_is_refused_with_what_to_type_instead() {
         (&["watch", "--rate", "0", "--for", "1"], &["--rate", "0.1 to 500"]),
         (&["info", "--seed", "lucky"], &["--seed", "lucky"]),
         (&["demo", "--out", path(&below_file)], &["file/out"]),
-        // No verb, or none that is known.
+        // No verb, and an unknown one.
         (&[], &["Usage", "demo", "info"]),
         (&["fly"], &["fly", "Usage"]),
     ]);
@@ -1089,7 +1090,7 @@ fn what_moves_says_where() {
     ] {
         let named = good(args);
         assert!(named.contains("sim:osmc-bench (simulated)"), "{args:?}: {named}");
-        // This machine of tests has no board connected.
+        // No real board is connected to a machine that runs tests, so the simulated one is the default.
         let seen = without(args);
         assert!(seen.code == Some(0) && seen.out == named, "{args:?}: {seen:?}");
         let said = "r4: no board was named: this is sim:osmc-bench (simulated); --board or R4_BOARD names another";

@@ -1,4 +1,4 @@
-//! `r4 flash`, without a debug probe.
+//! Tests of `r4 flash` without a debug probe.
 
 use std::{fs, path::PathBuf};
 
@@ -7,10 +7,10 @@ use r4_image::{RECORD_AT, seal_elf};
 use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
-/// Bytes of its segment.
+/// Length of the segment, bytes.
 const BYTES: usize = 1100;
 
-/// An ELF file with one segment at `address`, that begins with these words, and its record of a CRC.
+/// Makes an ELF file with one segment at `address` that begins with these words, and with the record of its CRC.
 fn elf(address: u32, stack: u32, entry: u32) -> Vec<u8> {
     let mut elf = vec![0; 52];
     elf[..6].copy_from_slice(b"\x7fELF\x01\x01");
@@ -75,7 +75,7 @@ fn files_that_no_board_would_start_are_refused_before_a_probe_is_looked_for() {
     ]);
 }
 
-/// On a machine without a probe, which this asks for by a number that no probe has.
+/// Flashes on a machine without a probe: the test asks for one by a number that no probe has.
 #[test]
 fn without_a_probe_it_says_which_image_it_would_have_been_and_what_to_do() {
     let folder = TempDir::new().expect("a folder");
@@ -106,7 +106,7 @@ fn dfu_makes_the_file_and_tells_how_it_is_written() {
     for says in ["twice", "--features dfu", &command, &hex_digest(&hosted())] {
         assert!(told.contains(says), "{says}: {told}");
     }
-    // Whole flash words, the last filled up as erased flash is.
+    // The file has whole flash words, the last one padded as erased flash is.
     let written = fs::read(&raw).expect("the file is there");
     assert_eq!(written[..BYTES], hosted()[84..]);
     assert_eq!(written[BYTES..], [0xFF; 20]);
@@ -117,7 +117,7 @@ fn dfu_makes_the_file_and_tells_how_it_is_written() {
     assert_eq!(array(&report, "command").len(), 9);
 }
 
-/// Before it looks for anything on USB.
+/// The board is refused before the program looks for anything on USB.
 #[cfg(feature = "dfu")]
 #[test]
 fn dfu_goes_to_no_board_that_is_not_on_usb() {

@@ -1,13 +1,14 @@
-//! The guide, followed: every command of `docs/guide.md`, in its order, in a folder of its own, on boards that are served.
+//! Test that follows the guide: every command of `docs/guide.md`, in its order, in a folder of its own, on boards that
+//! are served.
 //!
-//! A block that begins with `console` is what a user types and sees. In it
+//! A block that begins with `console` is what a user types and sees. It consists of
 //!
-//! | line | is |
+//! | line | meaning |
 //! | --- | --- |
-//! | `$ r4 …` | a command; it ends with 0, or with what `$ echo $?` after it shows |
-//! | `$ r4 … &` | one that goes on beside; what follows waits for its first line |
+//! | `$ r4 …` | a command; it ends with 0, or with the code that `$ echo $?` after it shows |
+//! | `$ r4 … &` | a command in the background; the next step waits for its first line |
 //! | `$ kill -INT %1` | Ctrl-C for it; it ends with 0 |
-//! | `$ export NAME=VALUE` | holds for what follows |
+//! | `$ export NAME=VALUE` | sets a variable for the rest |
 //! | `…` | lines that are left out |
 //! | another | the next line that the command prints, but for its numbers and the width of its columns |
 
@@ -17,11 +18,11 @@ use crate::program::*;
 use tempfile::TempDir;
 
 const GUIDE: &str = include_str!("../docs/guide.md");
-/// Served boards are in real time, and a machine that builds and tests may stop a host for longer than the 200 ms after which the
-/// guide's board gives up on it.
+/// Command that sets a longer link time-out. Served boards run in real time, and a machine that builds and tests may
+/// stop a host for longer than the 200 ms after which the guide's board trips.
 const PATIENT: &str = "--board sim:osmc-bench --flash board.flash config set board.link_timeout_ms 1000 --save";
 
-/// What is typed, and what is shown after it.
+/// Command, and the output that the guide shows for it.
 struct Step<'g> {
     typed: &'g str,
     shown: Vec<&'g str>,
@@ -42,7 +43,8 @@ fn steps(guide: &str) -> Vec<Step<'_>> {
     steps
 }
 
-/// A line without numbers and without what tables are drawn with; the number of a channel, as in `osmc0`, belongs to its name.
+/// Returns a line's words without numbers and table borders; the number of a channel, as in `osmc0`, belongs to its
+/// name.
 fn words(line: &str) -> Vec<String> {
     let of_numbers = |char: char| char.is_ascii_digit() || "+-.".contains(char);
     line.split(|char: char| char.is_whitespace() || ('\u{2500}'..='\u{257f}').contains(&char))
@@ -54,7 +56,7 @@ fn words(line: &str) -> Vec<String> {
         .collect()
 }
 
-/// The first line that is shown and not printed where it should be; `…` when more is printed than is shown.
+/// Returns the first line that is shown but not printed in its place; `…` when more is printed than is shown.
 fn missing<'g>(shown: &[&'g str], printed: &str) -> Option<&'g str> {
     let mut printed = printed.lines().map(words);
     let mut left_out = false;
@@ -73,7 +75,7 @@ fn missing<'g>(shown: &[&'g str], printed: &str) -> Option<&'g str> {
     (!left_out && !shown.is_empty() && printed.next().is_some()).then_some("…")
 }
 
-/// As much of a shell as the guide needs.
+/// Subset of a shell that the guide needs.
 struct Shell<'f> {
     folder: &'f Path,
     environment: Vec<(&'static str, &'static str)>,

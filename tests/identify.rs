@@ -1,5 +1,5 @@
-//! `r4 identify` as a user runs it: recordings in, a report, a page and a plant file out. What is found in data is tested in
-//! `r4-identify`.
+//! Tests of `r4 identify` as a user runs it: recordings in; a report, a page and a plant file out. The quality of what
+//! it finds is tested in `r4-identify`.
 
 use crate::program;
 use std::{fmt::Write as _, fs, process::Output};
@@ -20,7 +20,8 @@ fn json(bytes: &[u8]) -> Value {
     serde_json::from_slice(bytes).unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(bytes)))
 }
 
-/// Speed of a motor that rubs, every 20 ms for 8 s, driven by steps both ways that differ from one `kind` to the next.
+/// Writes the speed of a motor with friction, every 20 ms for 8 s, driven by steps both ways that differ from one
+/// `kind` to the next.
 fn recording(folder: &TempDir, name: &str, kind: u32) {
     let mut table = String::from("t_s,duty,speed_rad_s\n");
     let (mut speed, step_s) = (0.0_f64, 0.001);
@@ -88,7 +89,7 @@ fn what_cannot_be_answered_is_told_and_nothing_is_written() {
     }
 }
 
-/// The rows of a table from the last to the first, under the times as they were.
+/// Reverses the rows of a table, but not their times.
 fn turn_round(folder: &TempDir, name: &str) {
     let path = folder.path().join(name);
     let table = fs::read_to_string(&path).expect("it was written");
@@ -114,7 +115,7 @@ fn recordings_that_nothing_explains_end_with_a_code_of_their_own() {
     assert!(stderr(&told).contains("the recordings are not explained"), "{}", stderr(&told));
 }
 
-/// A robot that turns by three quarters of what its wheels say, every 20 ms for 8 s.
+/// Writes the motion of a robot that turns by three quarters of what its wheels say, every 20 ms for 8 s.
 fn drive(folder: &TempDir, name: &str, kind: u32) {
     let mut table = String::from("t_s,left_rad_s,right_rad_s,yaw_rate_rad_s\n");
     for row in 0..400_u32 {
@@ -138,14 +139,14 @@ fn a_drive_becomes_a_body_that_a_simulated_board_loads() {
     assert_eq!(told.status.code(), Some(0), "{}", stderr(&told));
     assert!(json(&told.stdout)["files"][2].as_str().is_some_and(|file| file.ends_with("body.toml")));
     let body = fs::read_to_string(folder.path().join("out/body.toml")).expect("it was written");
-    // What was not fitted is the robot's own.
+    // Values that were not fitted are those of the robot.
     assert!(body.contains("mass_kg = 9.0\n") && body.contains("# compliance_lat_per_n: "), "{body}");
     let moved = r4(&folder, "--board sim:openscout --body out/body.toml --json move dhb0 90deg");
     assert_eq!(moved.status.code(), Some(0), "{}", stderr(&moved));
-    // A robot that has none of the motors refuses it.
+    // A robot without these motors refuses the body.
     let refused = r4(&folder, "--board sim:osmc-bench --body out/body.toml info");
     assert!(refused.status.code() != Some(0) && stderr(&refused).contains("body.wheeled.wheel[0].channel"));
-    // Without a robot the body says what it assumes.
+    // Without a robot the body lists its assumptions.
     let told = r4(&folder, &format!("--json {question} --out alone"));
     assert_eq!(told.status.code(), Some(0), "{}", stderr(&told));
     let body = fs::read_to_string(folder.path().join("alone/body.toml")).expect("it was written");

@@ -1,4 +1,4 @@
-//! `r4 identify close` and `check`: from a board to a plant file that makes the simulated board more like it.
+//! Tests of `r4 identify close` and `check`: from a board to a plant file that makes the simulated board more like it.
 
 use std::fs;
 
@@ -7,7 +7,7 @@ use tempfile::TempDir;
 
 const ROTARY: &str = include_str!("../boards/plants/osmc-bench-rotary.toml");
 
-/// What is hidden from the motor is of the catalogue and shows in a short run.
+/// Seed that hides effects of the catalogue from the motor which show in a short run.
 const SEED: &str = "2";
 
 fn folder() -> TempDir {
@@ -26,13 +26,13 @@ fn a_simulated_board_is_as_far_from_a_recording_as_its_plant_is() {
     let check =
         |more: &[&str]| good_json(&[&["identify", "check", path(&log), "--channel", "osmc0", "--json"], more].concat());
     let told = check(&["--plant-after", path(&rubs)]);
-    // The same plant, controller and noise: the same run to the last bit.
+    // The same plant, controller and noise give the same run to the last bit.
     let errors = |told: &serde_json::Value, when: &str| {
         let of = |difference: &serde_json::Value| number(difference, when);
         array(told, "differences").iter().map(of).collect::<Vec<_>>()
     };
     assert_eq!(errors(&told, "rmse_after"), [0.0, 0.0]);
-    // rad, rad/s
+    // Position in rad, speed in rad/s.
     let before = errors(&told, "rmse_before");
     assert!(before[0] > 0.01 && before[1] > 0.05, "{told}");
     let turned = file("own.toml");
@@ -80,7 +80,7 @@ fn a_body_found_from_a_gyroscope_makes_the_simulated_board_turn_like_a_blind_one
     let legs = |run| format!("{}/../../docs/identify/legs-{run}.toml", env!("CARGO_MANIFEST_DIR"));
     let logs = [1, 2].map(|run| {
         let log = file(&format!("legs-{run}.mcap"));
-        // It hides tyres that are 0.316 times as compliant across, which is 1.264 times that along.
+        // Seed 21 hides tyres that are 0.316 times as compliant across, which is 1.264 times that along.
         good(&["scenario", &legs(run), "--blind", "21", "--record", &log]);
         log
     });
@@ -89,13 +89,13 @@ fn a_body_found_from_a_gyroscope_makes_the_simulated_board_turn_like_a_blind_one
     let columns = ["--map", "left=dhb0.speed_rad_s", "right=dhb1.speed_rad_s", "gyro=imu0.rate_z_rad_s"];
     let known = ["--param", "wheel_radius_m=0.056", "track_m=0.302", "--model", "skid-steer", "--out", &out];
     let found = r4(&[&["identify", &logs[0], "--holdout", &logs[1]], &columns[..], &known, &board].concat());
-    // Effects of drives and sensors belong in no body.
+    // Effects of drives and sensors belong in no body file.
     assert!(found.code == Some(0) && found.err.contains("sensor-offset was found and is not in the body"), "{found:?}");
     let body = file("legs/body.toml");
     let check = ["identify", "check", &logs[1], "--body-after", &body];
     let told = good_json(&[&check[..], &["--signal", "imu0.rate_z_rad_s"], &board].concat());
     let turning = &array(&told, "differences")[0];
-    // 0.200 and 0.0005 rad/s were measured. The seed is the same, and with it the noise of the chip.
+    // Measured: 0.200 and 0.0005 rad/s. The seed is the same, and with it the noise of the chip.
     let errors = ["rmse_before", "rmse_after"].map(|when| number(turning, when));
     assert!(errors[0] > 0.1 && errors[1] < 0.002, "{told}");
     all_refused([
@@ -130,7 +130,7 @@ fn the_simulated_board_becomes_like_a_blind_one() {
         rivals.chain([text(effect, "name").to_owned()]).collect::<Vec<_>>()
     };
     assert!(found.iter().any(|effect| names(effect).iter().any(|name| name == hidden)), "{hidden}: {found:?}");
-    // The plant file is one that a board can have.
+    // A board can load the plant file.
     let plant = format!("osmc0={}", path(&out.join("plant.toml")));
     good(&["info", "--plant", &plant]);
 }

@@ -1,4 +1,4 @@
-//! The program on boards at the other end of links: served by `r4 sim serve`, in real time.
+//! Tests of the program on boards at the other end of links: served by `r4 sim serve`, in real time.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -25,11 +25,11 @@ use rand_pcg::{
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// A board that is served until it is dropped.
+/// Board that is served until it is dropped.
 struct Served {
     #[expect(dead_code, reason = "ends the server when it is dropped")]
     server: Running,
-    /// As `--board` takes it.
+    /// Name of the board as `--board` takes it.
     board: String,
     path: PathBuf,
 }
@@ -52,7 +52,7 @@ impl Served {
             "tcp" => format!("tcp:{at}"),
             other => panic!("served on {other}"),
         };
-        // What it says later is for people.
+        // Later output is for people and is not read.
         server.out = None;
         Self { server, board, path: at.into() }
     }
@@ -61,7 +61,7 @@ impl Served {
         r4(&[&["--board", &self.board], arguments].concat())
     }
 
-    /// A run that must succeed; what it printed.
+    /// Returns the output of a run that must succeed.
     fn good(&self, arguments: &[&str]) -> String {
         let seen = self.r4(arguments);
         assert!(seen.code == Some(0), "{} {arguments:?}: {seen:?}", self.board);
@@ -69,7 +69,7 @@ impl Served {
     }
 }
 
-/// What a user does with a board, in short: each verb that a link carries.
+/// Every verb that a link carries, as a user runs it.
 const VERBS: [&[&str]; 18] = [
     &["info", "--json"],
     &["arm", "--for", "0.05"],
@@ -157,7 +157,7 @@ fn a_lost_link_comes_back_and_says_why_it_was_lost() {
     let out = watching.out.as_ref().expect("stdout");
     next(out, watching.begin).expect("a line");
     let watched = Instant::now();
-    // As unplugging and plugging in again a board that USB gives its power.
+    // The same as unplugging a board that USB powers, and plugging it in again.
     drop(served);
     let lost = next(&watching.err, watching.begin).expect("a word of it");
     assert!(lost.contains("link failed") || lost.contains("link lost"), "{lost}");
@@ -198,12 +198,12 @@ fn a_name_belongs_to_one_server() {
             assert!(second.code != Some(0) && second.out.is_empty() && told, "{second:?}");
         }
         first.good(&["disarm"]);
-        // Killed, it leaves the name behind, which the next one takes.
+        // A killed server leaves the name behind, and the next one takes it over.
         drop(first);
         assert!(name.is_symlink());
         Served::new("osmc-bench", &how).good(&["disarm"]);
     }
-    // Links of other kinds are somebody's.
+    // The server does not replace a link that it cannot have made.
     fs::remove_file(&name).expect("a name");
     std::os::unix::fs::symlink("/dev/null", &name).expect("a link");
     let refused = r4(&["sim", "serve", "osmc-bench", &format!("--pty={}", path(&name))]);
@@ -211,18 +211,18 @@ fn a_name_belongs_to_one_server() {
     assert_eq!(fs::read_link(&name).expect("still there"), Path::new("/dev/null"));
 }
 
-// Faults on the way.
+// Faults on the link.
 
-/// What happens to bytes on their way.
+/// Fault of a link.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    /// Every write is of one byte.
+    /// Every write has one byte.
     SingleBytes,
-    /// Random bytes now and then.
+    /// Random bytes are added now and then.
     Garbage,
-    /// Some are lost.
+    /// Some bytes are lost.
     Dropped,
-    /// Some come twice.
+    /// Some bytes come twice.
     Repeated,
     /// The end of what was written together is missing now and then.
     Cut,
@@ -230,12 +230,12 @@ enum Fault {
     Stalls,
 }
 
-/// One write in so many is touched: of the three attempts that a request has, all fail once in some 10 000.
+/// One write in this number is damaged. Of the three attempts that a request has, all fail once in some 10 000.
 const RARELY: u32 = 40;
-/// Bytes of a frame, about.
+/// Length of a typical frame, bytes.
 const BYTES: u32 = 30;
 
-/// A line with a fault between a served board and whoever opens `board`.
+/// Line with a fault between a served board and the program that opens `board`.
 struct Proxy {
     board: String,
     ended: Arc<AtomicBool>,
@@ -248,7 +248,7 @@ impl Drop for Proxy {
 }
 
 fn terminal(path: &Path) -> File {
-    // O_NOCTTY
+    // 0o400 is O_NOCTTY: the terminal must not become that of the tests.
     OpenOptions::new().read(true).write(true).custom_flags(0o400).open(path).expect("the terminal opens")
 }
 
@@ -277,7 +277,7 @@ impl Proxy {
         });
         let stop = ended.clone();
         thread::spawn(move || {
-            // All of it: its client end must stay open.
+            // Moves all of it into the thread: its client end must stay open.
             let pty = pty;
             let mut line = Line::new(fault, 2);
             let mut from_board = far;
@@ -316,7 +316,7 @@ impl Line {
         self.random.next_u32().is_multiple_of(many)
     }
 
-    /// What is written for what was read together.
+    /// Returns the pieces that are written for bytes that were read together.
     fn pass(&mut self, bytes: &[u8]) -> Vec<Vec<u8>> {
         let fault = self.fault;
         match fault {
@@ -336,7 +336,7 @@ impl Line {
             }
             Fault::Cut if self.one_in(RARELY) => vec![bytes[..bytes.len() / 2].to_vec()],
             Fault::Stalls if self.stalled.elapsed() > Duration::from_secs(1) => {
-                // The line's own time, not the test's.
+                // A pause of the line, which the test does not wait for.
                 thread::sleep(Duration::from_millis(300));
                 self.stalled = Instant::now();
                 vec![bytes.to_vec()]
@@ -357,10 +357,10 @@ fn a_bad_line_costs_frames_and_nothing_else() {
                 let on = |arguments: &[&str]| r4(&[&["--board", &proxy.board], arguments].concat());
                 let seen = on(&["watch", "osmc0", "--rate", "50", "--for", "3", "--json"]);
                 assert_eq!(seen.code, Some(0), "{fault:?}: {seen:?}");
-                // Of 150: a damaged byte costs a frame, a stall none.
+                // Of 150 lines: a damaged byte costs a frame, a stall none.
                 let lines = seen.out.lines().map(object).filter(|line| line["time_s"].is_number()).count();
                 assert!(lines >= 90, "{fault:?}: {lines} lines");
-                // Whatever is lost, a motor is where the program says it is, or the program says why not.
+                // Whatever is lost, a motor is where the program says, or the program says why not.
                 let seen = on(&["move", "osmc0", "20deg", "--json"]);
                 match seen.code {
                     Some(0) => assert!(seen.out.contains("settled"), "{fault:?}: {seen:?}"),
@@ -374,7 +374,7 @@ fn a_bad_line_costs_frames_and_nothing_else() {
 
 // Another program on the CAN bus.
 
-/// python-can as a gateway between two buses: reads every frame from one adapter and sends it by the other.
+/// Gateway of python-can between two buses: reads every frame from one adapter and sends it by the other.
 const GATEWAY: &str = r#"
 import sys, can
 one, other = [can.Bus(interface="slcan", channel=path, bitrate=1000000, sleep_after_open=0.05) for path in sys.argv[1:3]]
@@ -388,7 +388,7 @@ print("ready", flush=True)
 carry(other, one)
 "#;
 
-/// Two pseudo-terminals, each the far end of the other.
+/// Opens two pseudo-terminals, each the far end of the other.
 fn null_modem() -> (PathBuf, PathBuf) {
     let (one, other) = (Pty::open().expect("a pseudo-terminal"), Pty::open().expect("a pseudo-terminal"));
     let paths = (one.path().to_owned(), other.path().to_owned());
@@ -408,14 +408,14 @@ fn null_modem() -> (PathBuf, PathBuf) {
             });
         });
     }
-    // For the rest of the test's process: their client ends must stay open.
+    // Kept for the rest of the test's process: their client ends must stay open.
     std::mem::forget((one, other));
     paths
 }
 
 #[test]
 fn python_can_understands_what_we_send_and_we_what_it_sends() {
-    // Debian's packages are for Debian's Python, whichever comes first in PATH.
+    // Debian's packages belong to Debian's Python, whichever comes first in PATH.
     let has_can = |python: &&str| {
         let tried = Command::new(python).args(["-c", "import can, serial"]).stderr(Stdio::null()).status();
         tried.is_ok_and(|status| status.success())
@@ -449,7 +449,7 @@ fn without_the_key_nothing_is_told() {
         path(&file).to_owned()
     };
     let (ours, theirs) = (key("ours", "5a"), key("theirs", "5b"));
-    // Every address of this machine, as a robot in a laboratory would have it.
+    // Listens on every address of this machine, as a robot in a laboratory would.
     let served = Served::with(&["sim", "serve", "osmc-bench", "--tcp=0.0.0.0:0", "--public", "--key", &ours]);
     let served = Served { board: served.board.replace("0.0.0.0", "127.0.0.1"), ..served };
     served.good(&["--key", &ours, "move", "osmc0", "5deg"]);
@@ -457,11 +457,11 @@ fn without_the_key_nothing_is_told() {
         let refused = served.r4(arguments);
         assert!(refused.code == Some(4) && refused.out.is_empty(), "{refused:?}");
     }
-    // Not a byte, whatever is said: as many as a client's part of the handshake.
+    // The server must not answer a single byte to any input, here as many bytes as a client's part of the handshake.
     let mut stranger = TcpStream::connect(served.board.trim_start_matches("tcp:")).expect("connects");
     stranger.write_all(&[0; 48]).expect("written");
     let mut heard = Vec::new();
-    // A reset is as good as an end.
+    // A reset is as good as an end of the connection.
     let _ = stranger.read_to_end(&mut heard);
     assert!(heard.is_empty(), "{heard:?}");
     fs::set_permissions(&ours, fs::Permissions::from_mode(0o644)).expect("for everybody");
@@ -469,7 +469,8 @@ fn without_the_key_nothing_is_told() {
     assert!(refused.err.contains("chmod 600"), "{refused:?}");
 }
 
-/// With a key and without, strangers who say nothing hold nobody up: served one after the other they would for 40 s.
+/// Connects silent strangers to servers with and without a key: they must not delay others. Served one after the other
+/// they would, for 40 s.
 #[test]
 fn idle_strangers_hold_nobody_up() {
     let folder = TempDir::new().expect("a folder");
@@ -483,7 +484,7 @@ fn idle_strangers_hold_nobody_up() {
         let begin = Instant::now();
         served.good(&[key, &["info"]].concat());
         assert!(begin.elapsed() < Duration::from_secs(15), "{:?}", begin.elapsed());
-        // They are dropped, without a byte.
+        // The server drops them without a byte.
         for stranger in &mut idle {
             let mut heard = Vec::new();
             let _ = stranger.read_to_end(&mut heard);
@@ -492,7 +493,8 @@ fn idle_strangers_hold_nobody_up() {
     }
 }
 
-/// Half a frame and noise of a client that is gone are nobody else's; while one has the board, another hears that it is in use.
+/// Half a frame and noise of a client that is gone do not reach the next client. While one client has the board,
+/// another is refused because it is in use.
 #[test]
 fn clients_of_a_socket_do_not_disturb_each_other() {
     let served = Served::new("osmc-bench", "--tcp");
@@ -508,14 +510,14 @@ fn clients_of_a_socket_do_not_disturb_each_other() {
     noisy.write_all(&noise).expect("written");
     let refused = served.r4(&["info"]);
     assert!(refused.code == Some(4) && refused.err.contains("another host"), "{refused:?}");
-    // It goes on all the same.
+    // The first client goes on undisturbed.
     next(watching.out.as_ref().expect("stdout"), watching.begin).expect("a line");
     watching.out = None;
     drop(watching);
     served.good(&["info"]);
 }
 
-/// A board behind a pseudo-terminal, which is for one program, shared among three.
+/// A board behind a pseudo-terminal, which only one program can open, is shared among three.
 #[test]
 fn a_shared_board_is_recorded_whoever_commands_it() {
     let folder = TempDir::new().expect("a folder");
@@ -526,7 +528,7 @@ fn a_shared_board_is_recorded_whoever_commands_it() {
     shared.good(&["move", "osmc0", "20deg"]);
     let mut watching = start(command(&["--board", &shared.board, "watch", "osmc0", "--json"]));
     next(watching.out.as_ref().expect("stdout"), watching.begin).expect("a line");
-    // The one that commands is killed while the motor turns.
+    // The commanding client is killed while the motor turns.
     let driving = start(command(&["--board", &shared.board, "speed", "osmc0", "1rad/s", "--for", "30"]));
     let turning = |line: &String| object(line)["channels"][0]["duty"].as_f64() > Some(0.05);
     let turns = std::iter::from_fn(|| next(watching.out.as_ref().expect("stdout"), watching.begin)).find(turning);
@@ -549,7 +551,7 @@ fn a_shared_board_is_recorded_whoever_commands_it() {
     assert_eq!(array(&info, "gaps").len(), 0, "{info}");
 }
 
-/// A key that comes through a pipe may take its time, but no longer than the user wants to wait.
+/// A key that comes through a pipe may take its time, and the user can interrupt the wait.
 #[test]
 fn waiting_for_a_key_can_be_interrupted() {
     let folder = TempDir::new().expect("a folder");
@@ -558,7 +560,7 @@ fn waiting_for_a_key_can_be_interrupted() {
     assert!(made.success());
     let arguments = ["--board", "tcp:127.0.0.1:9", "--key", path(&pipe), "info"];
     let mut waiting = start(command(&arguments));
-    // Once it reads the pipe, a writer can open it without waiting (O_NONBLOCK).
+    // 0o4000 is O_NONBLOCK: opening for writing succeeds only once the program reads the pipe.
     let opened = || OpenOptions::new().write(true).custom_flags(0o4000).open(&pipe).ok();
     let _writer = loop {
         assert!(waiting.child.try_wait().expect("asked").is_none(), "it waits");
@@ -583,7 +585,7 @@ fn a_program_that_waits_drives_a_board() {
     let mut samples = board.samples(&[motor], 10).expect("subscribes");
     assert!(position(&samples.next().expect("a sample").expect("the link lasts").1));
     board.arm().expect("arms");
-    // Another thread is not held up by one that waits for a motor.
+    // A thread that waits for a motor does not block another.
     let moved = thread::scope(|scope| {
         let moving = scope.spawn(|| board.move_to(motor, 3.0, 10.0));
         samples.by_ref().take(20).for_each(|sample| assert!(sample.is_ok()));
@@ -594,6 +596,6 @@ fn a_program_that_waits_drives_a_board() {
     assert_eq!(board.call(|board| Box::pin(board.faults())).map(|faults| faults.len()), Ok(1));
     drop(board);
     assert!(samples.find(Result::is_err).is_none(), "they end with the session");
-    // The session was closed: another one is there at once.
+    // The session was closed properly: another one opens at once.
     assert_eq!(served.r4(&["disarm"]).code, Some(0));
 }

@@ -1,4 +1,4 @@
-//! Recordings, as a user makes and uses them.
+//! Tests of recordings as a user makes and uses them.
 
 use crate::program;
 use std::{
@@ -11,7 +11,7 @@ use std::{
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// A log of an earlier version of the program.
+/// Log of an earlier version of the program.
 const PROTOCOL_3: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/protocol-3.mcap");
 
 fn command(folder: &TempDir, args: &[&str]) -> Command {
@@ -73,7 +73,7 @@ fn every_verb_is_recorded_and_played_again_to_the_last_bit() {
         (interfaces, &["i2c", "0", "0x50", "--read", "4"]),
         (interfaces, &["log", "record", "--for", "1", "--pace", "max", "--rate", "20", "--out", "a.mcap"]),
     ] {
-        // Whether it worked on this board or was refused: it is recorded.
+        // Verbs that this board refuses are recorded as well.
         let run = r4(&folder, &[verb, &["--board", board, "--seed", "5", "--record", "a.mcap"]].concat());
         let told = stderr(&run);
         // The demo writes the same recording to its own folder.
@@ -93,7 +93,7 @@ fn another_run_is_told_apart_and_held_to_limits() {
     let folder = folder();
     let log = recorded(&folder);
     let replay = |args: &[&str]| r4(&folder, &[&["log", "replay", log], args].concat());
-    // A motor that is not the recorded one.
+    // The replay must notice a motor that is not the recorded one.
     let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../boards");
     let bench = fs::read_to_string(robots.join("osmc-bench.toml")).expect("a robot");
     let slower = bench.replacen("speed_rad_s = 2.5", "speed_rad_s = 2.0", 1);
@@ -146,7 +146,7 @@ fn info_tells_what_was_done_and_what_is_missing() {
     let again = r4(&folder, &["log", "record", "osmc0", "--for", "0.1", "--pace", "max", "--json"]);
     assert_eq!(json(&again)["log"], "r4-2.mcap");
 
-    // More than the link carries.
+    // More channels and samples than the link carries.
     let much = ["log", "record", "--board", "sim:every-interface", "--rate", "1000"];
     let much = r4(&folder, &[&much[..], &["--for", "0.5", "--pace", "max", "--json"]].concat());
     let missing = json(&much)["missing"].as_u64().expect("a number");
@@ -170,7 +170,7 @@ fn info_tells_what_was_done_and_what_is_missing() {
     let (command, program) = (info["command"].as_str(), info["program"].as_str());
     assert_eq!(command, Some("r4 move osmc0 90deg --seed 5 --record move.mcap"), "{info}");
     assert!(program.is_some_and(|program| program.starts_with("r4 ")), "{info}");
-    // Not before this was written, nor in the far future: the machine's clock.
+    // The date is that of the machine's clock: not before this test was written, nor in the far future.
     let at = info["recorded_at"].as_str().expect("a date");
     assert!(("2025-01-01T00:00:00Z".."2200").contains(&at), "{at}");
     let told = stdout(&r4(&folder, &["log", "info", "move.mcap"]));
@@ -226,7 +226,7 @@ fn a_log_of_protocol_3_is_read_reported_and_replayed() {
     assert!(page.contains("osmc0") && page.contains("tripped"));
     assert_eq!(code(&r4(&folder, &["log", "export", PROTOCOL_3, "--csv", "t.csv"])), Some(0));
 
-    // The bench it was recorded on tripped at once; this one does not.
+    // The bench of the recording tripped at once; this one does not.
     let replay = r4(&folder, &["log", "replay", PROTOCOL_3, "--json", "--record", "again.mcap"]);
     assert_eq!(code(&replay), Some(0), "{}", stderr(&replay));
     let told = json(&replay);
@@ -272,10 +272,10 @@ fn files_that_are_no_logs_are_told_with_what_to_do() {
     }
     assert!(!folder.path().join("t").exists(), "nothing is written for them");
 
-    // Cut where a killed program leaves it, and damaged: what there is is shown, and that it is not all.
+    // Cut as a killed program leaves it, and damaged: the rest is shown, with a message that it is not all.
     write("cut", &whole[..whole.len() * 2 / 3]);
     let mut damaged = whole.clone();
-    // In the compressed data of its first chunk.
+    // The damage is in the compressed data of the first chunk.
     let at = damaged.windows(3).position(|bytes| bytes == b"lz4").expect("a compression") + 100;
     damaged[at] ^= 1;
     write("damaged", &damaged);
@@ -283,7 +283,7 @@ fn files_that_are_no_logs_are_told_with_what_to_do() {
         let info = r4(&folder, &["log", "info", file]);
         assert_eq!(code(&info), Some(1), "{file}: not the whole log: {}", stderr(&info));
         assert!(stderr(&info).contains(said), "{}", stderr(&info));
-        // Where a chunk is damaged, nothing in it is believed; the next one is.
+        // A damaged chunk is skipped as a whole; the next one is read.
         assert!(stdout(&info).contains("│ osmc0"), "what there is is shown: {info:?}");
         let table = r4(&folder, &["log", "export", file, "--csv", "-"]);
         assert_eq!(code(&table), Some(1), "{file}: not the whole table");
@@ -306,7 +306,7 @@ fn what_cannot_be_recorded_is_told() {
     assert!(stderr(&unknown).contains("no channel osmc9"), "{}", stderr(&unknown));
 }
 
-/// A board at the other end of a link, in real time, until Ctrl-C.
+/// Records a served board, in real time, until Ctrl-C.
 #[test]
 fn a_served_board_is_recorded_until_ctrl_c() {
     let folder = folder();
@@ -319,7 +319,7 @@ fn a_served_board_is_recorded_until_ctrl_c() {
     let record = ["log", "record", "--board", &board, "--out", "served.mcap", "--json"];
     let mut recording =
         command(&folder, &record).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("r4 starts");
-    // It is under way once there is something in its file, which the first chunk's head is.
+    // The recording has begun once its file has something in it: the head of the first chunk.
     let file = folder.path().join("served.mcap");
     while fs::metadata(&file).map_or(0, |file| file.len()) == 0 {
         assert!(matches!(recording.try_wait(), Ok(None)), "it ended by itself");

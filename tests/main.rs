@@ -1,4 +1,4 @@
-//! The program as a user runs it: `cargo test -p r4 --test all`, and `--test all cli::` for one file of these.
+//! Tests of the program as a user runs it: `cargo test -p r4 --test all`, and `--test all cli::` for one file of these.
 
 mod bench_link;
 mod blind;

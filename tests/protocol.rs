@@ -1,5 +1,5 @@
-//! A client that knows the protocol by `docs/protocol.md` and `protocol/schema.json` alone, on served boards: it was written without a look at
-//! the sources.
+//! Tests of a client on served boards. It was written from `docs/protocol.md` and `protocol/schema.json` alone, without
+//! a look at the sources.
 
 use std::{
     fmt::Write as _,
@@ -15,7 +15,7 @@ const CLIENT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/prot
 const DISSECTOR: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../protocol/r4.lua");
 const SCHEMA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../protocol/schema.json");
 
-/// What the client prints; `None` on a machine without Python, where nothing is tested.
+/// Runs the client and returns its output; `None` on a machine without Python, where nothing is tested.
 fn client(arguments: &[&str]) -> Option<Value> {
     let started = Command::new("python3").args([CLIENT, SCHEMA]).args(arguments).stdin(Stdio::null()).output();
     let Ok(output) = started else {
@@ -37,7 +37,7 @@ fn a_codec_by_the_page_reads_and_writes_every_golden_frame() {
     assert_eq!(seen["vectors"], vectors.iter().sum::<usize>());
 }
 
-/// Over each kind of link, and through a broker; from a version that is still to come on, too.
+/// Runs over each kind of link, and through a broker; also with a version that does not exist yet.
 #[test]
 fn a_client_by_the_page_moves_a_motor() {
     let first = VERSION + 1;
@@ -63,15 +63,15 @@ fn a_client_by_the_page_moves_a_motor() {
             "{link}"
         );
         assert!(number(&seen, "channels") > 1.0 && number(&seen, "telemetry") > 1.0, "{seen}");
-        // The motor goes 0.3 rad at less than 2.5 rad/s: that takes several of the heartbeats, 50 ms apart.
+        // The motor goes 0.3 rad at less than 2.5 rad/s: that takes several heartbeats at 50 ms.
         assert!(number(&seen, "heartbeats") > 2.0, "{seen}");
-        // It counts as settled within 2.7 mrad of its target, and a count of its encoder is 2.6 mrad.
+        // The motor settles within 2.7 mrad of its target, and a count of its encoder is 2.6 mrad.
         let (target, end) = (number(&seen, "target_rad"), number(&seen, "to_rad"));
         assert!(target - number(&seen, "from_rad") > 0.29 && (target - end).abs() < 0.006, "{seen}");
     }
 }
 
-/// What the dissector calls a message: its variant, and that of the request or answer in it.
+/// Returns the dissector's name of a message: its variant, and that of the request or answer in it.
 fn called(value: &Value) -> String {
     let variant = |value: &Value| match value {
         Value::String(name) => name.clone(),

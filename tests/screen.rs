@@ -1,4 +1,5 @@
-//! What a user sees of `r4` on a whole terminal, and how the terminal is left; and what shells and `man` get.
+//! Tests of `r4` on a whole terminal: the screens, the state of the terminal afterwards, and the texts for shells and
+//! `man`.
 #![cfg(unix)]
 
 use crate::program;
@@ -21,21 +22,21 @@ use rustix::{
 };
 use tempfile::TempDir;
 
-/// Who has waited so long waits for ever.
+/// Time-out: a screen that has not come after this long never comes.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// A key that is held repeats so often.
+/// Repeat time of a key that is held.
 const REPEAT: Duration = Duration::from_millis(33);
 
 // A terminal.
 
-/// What a terminal shows of the bytes it got: as much of one as the program uses.
+/// Screen of a terminal that got these bytes: the subset of terminal functions that the program uses.
 struct Grid {
     cells: Vec<Vec<char>>,
     row: usize,
     column: usize,
     is_alternate: bool,
     is_cursor_hidden: bool,
-    /// What has come of a sequence that is not over.
+    /// Beginning of a sequence that is not complete.
     begun: Vec<u8>,
 }
 
@@ -80,7 +81,7 @@ impl Grid {
                 self.cells.clear();
             }
             ("?25", b'h' | b'l') => self.is_cursor_hidden = last == b'l',
-            // Colours, and other modes.
+            // Colours, and modes without an effect here.
             (_, b'm' | b'h' | b'l') => {}
             other => panic!("a sequence that this terminal does not know: {other:?}"),
         }
@@ -109,7 +110,7 @@ impl Grid {
 struct OnTerminal {
     child: Child,
     keys: File,
-    /// The program's end, kept open to look at how it was left.
+    /// The program's end, kept open to read its settings afterwards.
     end: OwnedFd,
     bytes: Receiver<Vec<u8>>,
     grid: Grid,
@@ -127,7 +128,8 @@ impl OnTerminal {
             .expect("a terminal does this");
         tcsetwinsize(&keys, Winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 })
             .expect("a terminal does this");
-        // With the terminal as its own: otherwise it would look for the size at that of whoever runs the tests.
+        // Made the controlling terminal: otherwise the program would read the size of the terminal that the tests run
+        // in.
         let mut command = Command::new("setsid");
         command.args(["--ctty", "--wait", env!("CARGO_BIN_EXE_r4")]).args(args).env("TERM", "xterm-256color");
         command.env_remove("R4_BOARD").env_remove("R4_FLASH").env_remove("NO_COLOR");
@@ -148,7 +150,7 @@ impl OnTerminal {
         Self { child, keys, end, bytes, grid: Grid::new(), begin: Instant::now() }
     }
 
-    /// Takes what is printed within `patience`; false when nothing is.
+    /// Reads output until there is some or `patience` has passed; false when there is none.
     fn look(&mut self, patience: Duration) -> bool {
         assert!(self.begin.elapsed() < PATIENCE, "waited too long; the screen is\n{}", self.grid.text());
         match self.bytes.recv_timeout(patience) {
@@ -159,7 +161,7 @@ impl OnTerminal {
         true
     }
 
-    /// Until the screen is as it should be.
+    /// Waits until the screen is as it should be, and returns its text.
     fn until(&mut self, is_so: impl Fn(&str) -> bool) -> String {
         loop {
             let text = self.grid.text();
@@ -199,7 +201,7 @@ impl OnTerminal {
             .expect("a terminal does this");
     }
 
-    /// How it ends, and whether the terminal is as it was before.
+    /// Returns how the program ends, and whether the terminal has its former settings.
     fn ends(&mut self) -> (ExitStatus, bool) {
         let status = loop {
             if let Some(status) = self.child.try_wait().expect("a child can be asked") {
@@ -213,7 +215,7 @@ impl OnTerminal {
         (status, is_cooked && !self.grid.is_alternate && !self.grid.is_cursor_hidden)
     }
 
-    /// Fails unless it ends with this code and leaves the terminal as it was.
+    /// Checks that the program ends with this code and restores the terminal.
     fn ends_well(&mut self, code: i32) {
         let (status, is_restored) = self.ends();
         assert_eq!(status.code(), Some(code), "{}", self.grid.text());
@@ -228,7 +230,7 @@ impl Drop for OnTerminal {
     }
 }
 
-/// The badge of the state, alone: `ARMED` is a part of `DISARMED`.
+/// Returns the badge of the state as a whole word: `ARMED` is a part of `DISARMED`.
 fn state(text: &str) -> &str {
     text.lines().nth(1).and_then(|line| line.split_whitespace().next()).unwrap_or_default()
 }
@@ -271,7 +273,7 @@ fn monitor_uses_a_larger_screen() {
     assert!(!text.contains("-30 s"), "no room for a graph on\n{text}");
     screen.resize(120, 40);
     screen.until(|text| text.contains("-30 s") && text.lines().count() >= 39 && text.contains("last 15 s"));
-    // And back.
+    // The screen shrinks again.
     screen.resize(80, 24);
     screen.until(|text| !text.contains("-30 s") && text.lines().count() <= 24 && text.contains("last 5 s"));
     screen.press("q");
@@ -280,7 +282,7 @@ fn monitor_uses_a_larger_screen() {
 
 #[test]
 fn ctrl_c_and_signals_give_the_terminal_back() {
-    // Ctrl-C is a key here.
+    // In raw mode Ctrl-C is a key and no signal.
     let mut screen = OnTerminal::start(&["--board", "sim:openscout", "monitor"]);
     screen.until_shows("dhb0");
     screen.press("\x03");
@@ -297,7 +299,7 @@ fn ctrl_c_and_signals_give_the_terminal_back() {
     screen.until_shows("interrupted; the board is disarmed");
 }
 
-/// A board that is served, on `--pty` or `--slcan` at this path.
+/// Serves a board on `--pty` or `--slcan` at this path.
 fn serve(how: &str, link: &Path) -> Child {
     let mut server = program::command(&["sim", "serve", "openscout", &format!("{how}={}", link.display())])
         .stdout(Stdio::piped())
@@ -333,7 +335,7 @@ fn loses_and_finds(how: &str, link_kind: &str) {
     assert!(text.contains("last heard of armed"), "{text}");
     let mut server = serve(how, &link);
     screen.until(|text| state(text) == "DISARMED" && text.contains("the link is back"));
-    // Keys are heard without a board too.
+    // Keys work without a board, too.
     server.kill().expect("it runs");
     server.wait().expect("it ran");
     screen.until(|text| state(text) == "NO" && text.contains("LOST"));
@@ -343,7 +345,7 @@ fn loses_and_finds(how: &str, link_kind: &str) {
 
 // drive
 
-/// Set point and speed of a wheel, deg/s.
+/// Reads set point and speed of a wheel, deg/s.
 fn wheel(text: &str, channel: &str) -> Option<(f64, f64)> {
     let line = text.lines().find(|line| line.contains(channel))?;
     let words: Vec<&str> = line.split_whitespace().collect();
@@ -370,7 +372,7 @@ fn drives(board: &str) {
     screen.until(|text| state(text) == "DISARMED" && wheel(text, "dhb3").is_some());
     screen.press("\r");
     screen.until(|text| state(text) == "ARMED");
-    // Two steps forwards, one to the left; and the dead-man key only once.
+    // Two steps forwards, one to the left, and the dead-man key only once.
     screen.press("wwa ");
     let text = screen.until(|text| text.contains("40 % forwards") && text.contains("20 % left"));
     assert!(text.contains("released"), "{text}");
@@ -379,7 +381,7 @@ fn drives(board: &str) {
         told(text).is_some_and(|(left, right)| right.1 > 100.0 && left.1 > 50.0 && right.0 > left.0 && left.0 > 0.0)
     });
     assert!(text.contains("HELD"), "{text}");
-    // Let go.
+    // The key is released.
     let text = screen.until(|text| text.contains("released"));
     assert_eq!(told(&text).map(|(left, right)| (left.0, right.0)), Some((0.0, 0.0)));
     let still = |speed: f64| speed.abs() < 5.0;
@@ -393,11 +395,11 @@ fn drives(board: &str) {
     screen.ends_well(0);
 }
 
-/// A steered front axle, and a drive whose speed nothing measures.
+/// A steered front axle, and a drive without a speed sensor.
 #[test]
 fn drive_steers_front_wheels_while_space_is_held() {
     let mut screen = OnTerminal::start(&["--board", "sim:openpodcar", "drive"]);
-    // Degrees; to the right is negative.
+    // Angle in degrees; to the right is negative.
     let front = |text: &str| {
         let line = text.lines().find(|line| line.contains("front wheels"))?;
         let words: Vec<&str> = line.split_whitespace().collect();
@@ -413,7 +415,7 @@ fn drive_steers_front_wheels_while_space_is_held() {
     let duty = |text: &str| {
         text.lines().find(|line| line.starts_with("drive"))?.split_whitespace().last()?.parse::<f64>().ok()
     };
-    // 60 % of 25 degrees are 15; 40 % of 0.2 m/s are a duty of 0.039 of the 2.04 m/s at the full one.
+    // 60 % of 25 degrees are 15; 40 % of 0.2 m/s are a duty of 0.039 of the 2.04 m/s at full duty.
     let text = screen.hold(" ", |text| {
         front(text).is_some_and(|angle| (angle + 15.0).abs() < 1.0)
             && duty(text).is_some_and(|duty| (duty - 0.039).abs() < 0.002)
@@ -430,7 +432,7 @@ fn drive_ends_with_the_link() {
     let folder = TempDir::new().unwrap();
     let link = folder.path().join("board");
     let mut server = serve("--pty", &link);
-    // Found by the robot's name, which the board tells.
+    // The robot's file is found by the name that the board reports.
     let mut screen = OnTerminal::start(&["--board", &format!("serial:{}", link.display()), "drive"]);
     screen.until(|text| state(text) == "DISARMED" && wheel(text, "dhb3").is_some());
     server.kill().unwrap();
@@ -439,7 +441,7 @@ fn drive_ends_with_the_link() {
     screen.until_shows("r4: ");
 }
 
-/// Exit code, stdout and stderr of a run without a terminal.
+/// Returns exit code, stdout and stderr of a run without a terminal.
 fn seen(args: &[&str]) -> (Option<i32>, String, String) {
     let output = program::command(args).output().expect("r4 starts");
     let text = |bytes| String::from_utf8(bytes).expect("text");
@@ -480,16 +482,16 @@ fn without_a_terminal_there_is_a_message() {
 
 // completions, man
 
-/// The verbs, as the help lists them.
+/// Returns the verbs that the help lists.
 fn verbs() -> BTreeSet<String> {
     let (_, help, _) = seen(&["help"]);
     let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
-    // Continued descriptions are further in.
+    // Continued lines of descriptions are indented further.
     let verbs = listed.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
     verbs.filter_map(|line| line.split_whitespace().next()).filter(|verb| *verb != "help").map(str::to_owned).collect()
 }
 
-/// What the program answers a shell that completes the last of `words`.
+/// Returns the program's answer to a shell that completes the last of `words`.
 fn completed(shell: &str, words: &[&str]) -> Vec<String> {
     let mut command = program::command(&["--"]);
     command.args(words).env("R4_COMPLETE", shell).env("_CLAP_IFS", "\n");
@@ -509,7 +511,7 @@ fn every_shell_can_complete_every_verb() {
         assert!(script.contains("R4_COMPLETE"), "{script}");
         let offered = completed(shell, &["r4", ""]);
         for verb in &verbs {
-            // Some shells get what it is for, too.
+            // Some shells also get a description.
             assert!(offered.iter().any(|line| line.starts_with(verb.as_str())), "{shell} does not know {verb}");
         }
     }
@@ -517,7 +519,7 @@ fn every_shell_can_complete_every_verb() {
     assert!(code == Some(2) && err.contains("zsh"), "{err}");
 }
 
-/// In a real bash: what it offers after a few letters, and that it breaks words at colons.
+/// Completes words in a real bash, which also breaks them at colons.
 #[test]
 fn bash_completes() {
     let (_, script, _) = seen(&["completions", "bash"]);
@@ -545,7 +547,7 @@ fn bash_completes() {
         ("r4 relay rel", "relay0 relay1"),
         ("r4 --board sim:openscout speed ", "dhb0 dhb1 dhb2 dhb3"),
         ("r4 speed --board=sim:openscout ", "dhb0 dhb1 dhb2 dhb3"),
-        // Without what stands before the last colon, which bash leaves there.
+        // Without the text before the last colon, which bash keeps.
         ("r4 --board sim:osmc", "osmc-bench osmc-evaluation"),
         ("r4 --board=sim:osmc-b", "osmc-bench"),
         ("r4 watch --board sim:min", "mine.toml"),
@@ -556,7 +558,8 @@ fn bash_completes() {
     }
 }
 
-/// Of a board at the other end of a link, which is not asked again: what it had when it was last seen.
+/// Completes channels of a board at the other end of a link, which is not asked again: those that it had when it was
+/// last seen.
 #[test]
 fn channels_of_a_board_are_those_last_seen() {
     let cache = TempDir::new().unwrap();

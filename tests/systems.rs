@@ -1,4 +1,4 @@
-//! Robot systems: studies, their shards, and what each row says.
+//! Tests of robot systems: studies, their shards, and the rows of their reports.
 
 use std::fs;
 
@@ -6,7 +6,7 @@ use tempfile::TempDir;
 
 use crate::program::{all_refused, good, good_json, object, r4};
 
-/// Arms that take a fraction of a second.
+/// Arms of a study that take a fraction of a second.
 const QUICK: [&str; 8] =
     ["system", "study", "skidcal", "--arms", "paper,baseline:repaired", "--board", "sim:openscout", "--json"];
 
@@ -66,7 +66,7 @@ fn the_osmc_evaluation_has_the_paper_beside_ours() {
     let arguments = ["evaluate", "osmc", "--seeds", "2", "--first-seed", "1", "--naming", "0", "--json"];
     let board = ["--board", "sim:osmc-evaluation"];
     let told = r4(&[&arguments[..], &board, &["--report", page.to_str().expect("text")]].concat());
-    // Whether all targets are met is for the board's loops to say.
+    // The exit code says whether all targets are met, which depends on the board's loops and is not tested here.
     assert!(matches!(told.code, Some(0 | 1)), "{told:?}");
     let told = object(&told.out);
     let rows = told["rows"].as_array().expect("rows");

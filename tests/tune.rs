@@ -1,4 +1,4 @@
-//! `r4 tune` and `r4 calibrate`, as the program runs them.
+//! Tests of `r4 tune` and `r4 calibrate`, as the program runs them.
 
 use crate::program;
 use std::{fs, path::Path, process::Output};
@@ -14,14 +14,14 @@ fn text(bytes: &[u8]) -> &str {
     std::str::from_utf8(bytes).expect("UTF-8")
 }
 
-/// The one JSON object of a run that must succeed.
+/// Returns the one JSON object of a run that must succeed.
 fn json(args: &[&str]) -> Value {
     let output = r4(&[args, &["--json"]].concat());
     assert!(output.status.success(), "{args:?}: {}", text(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap_or_else(|why| panic!("{args:?}: {why}"))
 }
 
-/// What a run that must fail says.
+/// Returns the message of a run that must fail.
 fn complaint(args: &[&str]) -> String {
     let output = r4(args);
     assert!(matches!(output.status.code(), Some(1 | 3)), "{args:?}: {}", text(&output.stdout));
@@ -29,7 +29,7 @@ fn complaint(args: &[&str]) -> String {
     text(&output.stderr).to_owned()
 }
 
-/// A folder with a flash, which remembers parameters and trips.
+/// Folder with a flash, which keeps parameters and trips.
 struct Kept {
     folder: TempDir,
 }
@@ -43,13 +43,13 @@ impl Kept {
         self.folder.path().join(name).to_str().expect("UTF-8").to_owned()
     }
 
-    /// How often the board has tripped.
+    /// Returns the number of trips of the board.
     fn trips(&self, board: &str) -> usize {
         let faults = json(&["--board", board, "--flash", &self.file("flash"), "faults"]);
         faults["faults"].as_array().expect("a list").len()
     }
 
-    /// What a parameter is after a restart.
+    /// Returns the value of a parameter after a restart.
     fn parameter(&self, board: &str, key: &str) -> f64 {
         let shown = json(&["--board", board, "--flash", &self.file("flash"), "config", "show"]);
         let parameters = shown["parameters"].as_array().expect("a list").clone();
@@ -61,12 +61,13 @@ impl Kept {
 const MOTORS: [(&str, &str); 3] =
     [("sim:osmc-bench", "osmc0"), ("sim:osmc-bench", "actuator1"), ("sim:openscout", "dhb0")];
 
-/// A wheel of a robot that drives is tuned in the air.
+/// Returns the options that put a robot with wheels on a stand, where it is tuned.
 fn on_stand(board: &str) -> &'static [&'static str] {
     if board == "sim:openscout" { &["--world", "stand"] } else { &[] }
 }
 
-/// Whether what is called better settles at least as fast, and what is not says why; and whether the board tripped.
+/// Checks a report of tuning: a result called better settles at least as fast, any other has a reason, and the board
+/// did not trip.
 fn check(board: &str, channel: &str, seed: &str, more: &[&str]) -> Value {
     let kept = Kept::new();
     let flash = kept.file("flash");
@@ -77,7 +78,7 @@ fn check(board: &str, channel: &str, seed: &str, more: &[&str]) -> Value {
     if report["better"] == true {
         assert!(report["worse"].is_null(), "{told}");
         let after = settling("proposed").unwrap_or_else(|| panic!("{told}"));
-        // A look, 2 ms, apart is the same.
+        // A difference of one sample, 2 ms, does not count.
         assert!(settling("present").is_none_or(|before| after <= before + 0.002), "{told}");
     } else {
         assert!(report["worse"].as_str().is_some_and(|why| !why.is_empty()), "{told}");
@@ -116,7 +117,7 @@ fn speed_loops_and_cascades_too() {
 fn the_speed_loop_of_the_bench_is_tuned() {
     let report = check("sim:osmc-bench", "osmc0", "1", &["--mode", "speed"]);
     let present = &report["present"];
-    // Seen: 41 % and 0.48 s; a quarter more is for other noise.
+    // Measured: 41 % and 0.48 s; the limit has a quarter more for other noise.
     assert!(present["overshoot"].as_f64().is_some_and(|overshoot| overshoot <= 0.52), "{present}");
     assert!(present["settling_s"].as_f64().is_some_and(|settling_s| settling_s <= 0.6), "{present}");
 }
@@ -139,13 +140,13 @@ fn badly_tuned_gains_become_better_and_are_kept_only_on_request() {
         assert_eq!(saved["proposed"][gain].as_f64(), Some(kept.parameter(BOARD, &format!("dhb0.position_{gain}"))));
     }
     assert_eq!(kept.trips(BOARD), 0);
-    // What has been tuned once does not get much better, and is not saved for being as good.
+    // A tuned motor does not get much better, and the result is not saved for being as good.
     let again = json(&[&with[..], &["tune", "dhb0"]].concat());
     let settling = |report: &Value, which: &str| report[which]["settling_s"].as_f64().expect("it settles");
     assert!(settling(&again, "present") <= settling(&saved, "proposed") + 0.05, "{again:#}");
 }
 
-/// Motors that nobody has tuned by hand, in every mode; the numbers are those of `r4 bench motion`.
+/// Tunes motors that have no hand-made gains, in every mode; the numbers are those of `r4 bench motion`.
 #[test]
 fn sampled_motors_are_tuned() {
     let report = json(&["bench", "motion", "--motors", "4", "--from", "1", "--no-ticks"]);
@@ -173,7 +174,7 @@ fn a_run_that_leaves_its_travel_or_time_ends_disarmed() {
     let kept = Kept::new();
     let flash = kept.file("flash");
     let with = ["--board", "sim:openscout", "--world", "stand", "--flash", &flash, "tune", "dhb0"];
-    // The swing of this motor is wider than that.
+    // This motor swings further than the permitted travel.
     let said = complaint(&[&with[..], &["--method", "relay", "--travel", "6deg"]].concat());
     assert!(said.contains("left the travel"), "{said}");
     assert_eq!(kept.trips("sim:openscout"), 0, "an orderly end is no trip");
@@ -213,7 +214,7 @@ fn calibration_is_kept_and_asked_for() {
     let kept = Kept::new();
     let flash = kept.file("flash");
     let with = ["--flash", &flash, "calibrate", "encoder", "osmc0", "--drive", "2turns"];
-    // As the board believes two turns, and as somebody says half of it.
+    // Once with two turns as the board measures them, once as if half of it were seen.
     let found = json(&[&with[..], &["--answers", ",360deg", "--save"]].concat());
     assert_eq!(found["saved"], true, "{found}");
     let counts = kept.parameter("sim:osmc-bench", "osmc0.counts_per_turn");

@@ -1,4 +1,4 @@
-//! Robots with a body: the demo that drives round a room, and worlds named on the command line.
+//! Tests of robots with a body: the demo that drives round a room, and worlds named on the command line.
 
 use std::fs;
 
@@ -28,7 +28,7 @@ fn openscout_drives_round_a_room_and_stops_for_people() {
     for there in ["class=\"map\"", "path by odometry", "tripped: proximity", "Slip:", "by the range sensors"] {
         assert!(page.contains(there), "{there}");
     }
-    // The log has what the host asked for, in whole microseconds; in the same world the wheels come within some counts of it.
+    // The log has the host's set points in whole microseconds; in the same world the wheels repeat within some counts.
     let log = folder.path().join("log.mcap");
     let again =
         ["log", "replay", path(&log), "--board", "sim:openscout", "--world", "square", "--within", "position=1deg"];
@@ -43,7 +43,7 @@ fn worlds_are_files_with_a_world_and_nothing_else() {
     let near =
         good_json(&["--board", "sim:openscout", "--world", path(&file), "watch", "range0", "--for", "0.2", "--json"]);
     let range_m = near["channels"][0]["value"].as_f64().expect("a range");
-    // From the sensor at 0.2 m; the echo is measured in whole microseconds, 0.17 mm.
+    // Distance from the sensor at 0.2 m; the echo is measured in whole microseconds, 0.17 mm.
     assert!((range_m - 0.3).abs() < 1e-3, "{near}");
 
     for (text, says) in [

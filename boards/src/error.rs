@@ -1,17 +1,17 @@
-//! What can be wrong with a file, and where.
+//! Errors of a robot or carrier file, with their place in it.
 
 use std::{fmt, io};
 
 use r4_protocol::channel::ChannelId;
 
-/// A place in a file.
+/// Place in a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Location {
-    /// The file, as it was named.
+    /// Name of the file, as the caller or another file gave it.
     pub file: String,
-    /// The line, from 1.
+    /// Number of the line, from 1.
     pub line: usize,
-    /// The field's path, as in `osmc[0].encoder.input`; empty for the file itself.
+    /// Path of the field, as in `osmc[0].encoder.input`; empty for the file itself.
     pub field: String,
 }
 
@@ -22,81 +22,81 @@ impl fmt::Display for Location {
     }
 }
 
-/// Why a robot or a carrier was not loaded. The text names file, line and field, and what is asked for.
+/// Reason why a robot or a carrier was not loaded. The text names file, line and field, and what is expected.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BoardError {
     /// No built-in file has that name.
     #[error("there is no {what} `{name}`: write {}, or the path of a .toml file", known.join(", "))]
     UnknownName {
-        /// Robot or carrier.
+        /// Kind of file: robot or carrier.
         what: &'static str,
-        /// The name asked for.
+        /// Name that was asked for.
         name: String,
-        /// The names there are.
+        /// Names of the built-in files.
         known: Vec<&'static str>,
     },
-    /// The file named by the caller cannot be read.
+    /// The file that the caller names cannot be read.
     #[error("{path}: cannot be read")]
     NotReadable {
-        /// The path, as it was given.
+        /// Path as the caller gave it.
         path: String,
-        /// What the system says.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// A file that this file names cannot be read, and is not built in either.
     #[error("{at}: `{path}` cannot be read")]
     MissingFile {
-        /// Where it is named.
+        /// Place at which the file is named.
         at: Location,
-        /// The path, as it is looked for.
+        /// Path at which it is looked for.
         path: String,
-        /// What the system says.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// Not TOML, a field that is unknown, missing or of the wrong type, or a number out of its range.
+    /// The text is not TOML, a field is unknown, missing or of the wrong type, or a number is out of its range.
     #[error("{at}: {problem}")]
     Malformed {
-        /// Where.
+        /// Place of the problem.
         at: Location,
-        /// What is wrong, and what is expected.
+        /// Description of the problem, and of what is expected.
         problem: String,
     },
-    /// A reference to something that is not there.
+    /// A reference names something that does not exist.
     #[error("{at}: there is no {what} `{asked}`, write {known}")]
     NoSuch {
-        /// Where.
+        /// Place of the reference.
         at: Location,
-        /// The kind of thing.
+        /// Kind of thing that it refers to.
         what: &'static str,
-        /// The one asked for.
+        /// Name in the reference.
         asked: String,
-        /// The ones there are.
+        /// Names that exist, as a list.
         known: String,
     },
-    /// Something that can be used once is used again.
+    /// Something that can be used only once is used again.
     #[error("{at}: {what} `{name}` is already used in line {first_line}, each can be used once")]
     UsedTwice {
-        /// The second use.
+        /// Place of the second use.
         at: Location,
-        /// The kind of thing.
+        /// Kind of thing that is used.
         what: &'static str,
-        /// Which one.
+        /// Name of the thing.
         name: String,
-        /// The first use.
+        /// Line of the first use, from 1.
         first_line: usize,
     },
     /// A sensor of the robot names a field that its world does not have.
     #[error(transparent)]
     NoField(crate::NoSuchField),
-    /// A rule between fields, or of the firmware ([`r4_protocol::config::BoardConfig::validate`]), does not hold.
+    /// A rule between fields, or one of the firmware ([`r4_protocol::config::BoardConfig::validate`]), does not hold.
     #[error("{at}: {}{rule}", channel.map(|id| format!("{id}: ")).unwrap_or_default())]
     Rule {
-        /// Where; the channel's table if the rule is about several of its fields.
+        /// Place of the rule; the channel's table if the rule is about several of its fields.
         at: Location,
-        /// The channel it is about, if any.
+        /// Channel of the rule, if any.
         channel: Option<ChannelId>,
-        /// What must hold.
+        /// Rule that does not hold.
         rule: &'static str,
     },
 }

@@ -1,8 +1,8 @@
 //! Carriers and robots as data.
 //!
-//! A *carrier* file says what is on the board: pins, addresses, connectors, electrical limits. A *robot* file says what
-//! is plugged in, how it is calibrated and controlled, and, for the simulator alone, what is true about it. [`load`]
-//! reads and checks both and makes the firmware's [`BoardConfig`](r4_protocol::config::BoardConfig).
+//! A *carrier* file describes the board: pins, addresses, connectors, electrical limits. A *robot* file describes what
+//! is plugged in, how it is calibrated and controlled and, for the simulator only, the true values of all that.
+//! [`load`] reads and checks both and makes the firmware's [`BoardConfig`](r4_protocol::config::BoardConfig).
 //!
 //! ```
 //! let robot = r4_boards::load("osmc-bench")?;
@@ -50,27 +50,27 @@ const ROBOTS: [&str; 14] = [
 const WORLDS: [&str; 5] = ["square", "stand", "factory", "open-field", "gate"];
 const CARRIERS: [&str; 1] = ["r4-carrier"];
 
-/// The names of the robots that are part of the program.
+/// Iterates over the names of the built-in robots.
 pub fn names() -> impl ExactSizeIterator<Item = &'static str> {
     ROBOTS.into_iter()
 }
 
-/// The names of the worlds that are part of the program.
+/// Iterates over the names of the built-in worlds.
 pub fn world_names() -> impl ExactSizeIterator<Item = &'static str> {
     WORLDS.into_iter()
 }
 
-/// The names of the carriers that are part of the program.
+/// Iterates over the names of the built-in carriers.
 pub fn carrier_names() -> impl ExactSizeIterator<Item = &'static str> {
     CARRIERS.into_iter()
 }
 
 /// Reads and checks a robot: a name out of [`names`], or the path of a `.toml` file.
 ///
-/// The files that a robot file names (carrier, plants) are looked for beside it, then among the built-in ones.
+/// Files that a robot file names (carrier, plants) are looked for in its folder, then among the built-in ones.
 ///
 /// # Errors
-/// The first thing that is wrong, with file, line and field.
+/// [`BoardError`] with the first problem: file, line and field.
 pub fn load(name_or_path: &str) -> Result<Robot, BoardError> {
     let (source, folder) = find(name_or_path, "robot", &ROBOTS)?;
     robot::read(&source, &folder)
@@ -79,34 +79,35 @@ pub fn load(name_or_path: &str) -> Result<Robot, BoardError> {
 /// Reads and checks a carrier: a name out of [`carrier_names`], or the path of a `.toml` file.
 ///
 /// # Errors
-/// The first thing that is wrong, with file, line and field.
+/// [`BoardError`] with the first problem: file, line and field.
 pub fn load_carrier(name_or_path: &str) -> Result<Carrier, BoardError> {
     carrier::read(&find(name_or_path, "carrier", &CARRIERS)?.0)
 }
 
-/// Reads and checks a world: a name out of [`world_names`], or the path of a `.toml` file with a `[world]` and nothing else.
+/// Reads and checks a world: a name out of [`world_names`], or the path of a `.toml` file with a `[world]` and nothing
+/// else.
 ///
 /// # Errors
-/// The first thing that is wrong, with file, line and field.
+/// [`BoardError`] with the first problem: file, line and field.
 pub fn load_world(name_or_path: &str) -> Result<World, BoardError> {
     robot::read_world(&find(name_or_path, "world", &WORLDS)?.0)
 }
 
-/// Reads and checks a body for a robot: a `.toml` file with a `[body]` and nothing else, whose channels are motors of the robot.
-/// [`SimulatedBody::wheeled_toml`] writes one, [`Simulation::set_body`] gives it to the robot.
+/// Reads and checks a body for a robot: a `.toml` file with a `[body]` and nothing else, whose channels are motors of
+/// the robot. [`SimulatedBody::wheeled_toml`] writes one, [`Simulation::set_body`] gives it to the robot.
 ///
 /// # Errors
-/// The first thing that is wrong, with file, line and field.
+/// [`BoardError`] with the first problem: file, line and field.
 pub fn load_body(path: &Path, robot: &Robot) -> Result<SimulatedBody, BoardError> {
     let source = Source::read(path).map_err(|(path, source)| BoardError::NotReadable { path, source })?;
     robot::read_body(&source, robot)
 }
 
-/// Gives a robot the `[body]` and the `[world]` of a `.toml` file, each if it is there. Other tables of the file are not read: a
-/// scenario has its steps beside these two.
+/// Gives a robot the `[body]` and the `[world]` of a `.toml` file, each if it is there. Other tables of the file are
+/// not read: a scenario has its steps beside these two.
 ///
 /// # Errors
-/// The first thing that is wrong with one of the two, with file, line and field.
+/// [`BoardError`] with the first problem of either: file, line and field.
 pub fn load_environment(path: &Path, robot: &mut Robot) -> Result<(), BoardError> {
     let source = Source::read(path).map_err(|(path, source)| BoardError::NotReadable { path, source })?;
     robot::read_environment(&source, robot)

@@ -33,12 +33,12 @@ where
     checked(deserializer, |value| value >= 0.0, "0 or above")
 }
 
-/// A duty above 0, at most what no configuration may exceed.
+/// Reads a duty above 0, up to the highest that a configuration may have.
 pub(crate) fn duty<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
     checked(deserializer, |value| value > 0.0 && value <= f64::from(DUTY_HARD_MAX), "above 0 and at most 0.98")
 }
 
-/// For each check, the same of a field that may be left out.
+/// Makes for each check the same of a field that may be left out.
 macro_rules! optional {
     ($($name:ident = $check:ident),*) => {
         $(pub(crate) fn $name<'de, D, T>(deserializer: D) -> Result<Option<T>, D::Error>
@@ -58,27 +58,28 @@ pub(crate) fn optional_duty<'de, D: Deserializer<'de>>(deserializer: D) -> Resul
     duty(deserializer).map(Some)
 }
 
-/// The firmware's limits ([`r4_protocol::config::BoardConfig::validate`]), checked here to have the line.
+/// Reads the control period, µs, within the firmware's limits ([`r4_protocol::config::BoardConfig::validate`]). Checked
+/// here so that the error has the line; the same holds for the functions below.
 pub(crate) fn control_period_us<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     checked(deserializer, |value| (500.0..=20_000.0).contains(&value), "500 to 20000")
 }
 
-/// The longest silence of the host before the board stops, ms.
+/// Reads the longest silence of the host before the board trips, ms.
 pub(crate) fn link_timeout_ms<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
     checked(deserializer, |value| (20.0..=1000.0).contains(&value), "20 to 1000")
 }
 
-/// Time for which a stop brakes before it switches off, ms.
+/// Reads the time for which a stop brakes before it switches off, ms.
 pub(crate) fn stop_brake_ms<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
     checked(deserializer, |value| (0.0..=f64::from(STOP_BRAKE_MAX_MS)).contains(&value), "0 to 5000")
 }
 
-/// PCA9685 datasheet 7.3.5: prescaler 255 to 3.
+/// Reads a PWM frequency, Hz: that of prescalers 255 to 3 (PCA9685 datasheet, 7.3.5).
 pub(crate) fn pwm_frequency_hz<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
     checked(deserializer, |value| (24.0..=1526.0).contains(&value), "24 to 1526, which is what the PCA9685 has")
 }
 
-/// What the firmware takes; the part's spread is some percent.
+/// Reads the measured frequency of an oscillator, Hz, within the firmware's limits; the part's spread is some percent.
 pub(crate) fn oscillator_hz<'de, D, T>(deserializer: D) -> Result<T, D::Error>
 where
     D: Deserializer<'de>,
@@ -87,17 +88,17 @@ where
     checked(deserializer, |value| (20e6..=30e6).contains(&value), "20e6 to 30e6: the PCA9685 has 25 MHz")
 }
 
-/// The firmware's limits.
+/// Reads an air temperature, °C, within the firmware's limits.
 pub(crate) fn air_temperature_c<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
     checked(deserializer, |value| (-40.0..=60.0).contains(&value), "-40 to 60")
 }
 
-/// The bit rate of the CAN bus, kbit/s.
+/// Reads the bit rate of the CAN bus, kbit/s.
 pub(crate) fn can_kbit_per_s<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
     checked(deserializer, |value| BITRATES_KBIT.iter().any(|rate| f64::from(*rate) == value), "125, 250, 500 or 1000")
 }
 
-/// The bit rate of the data of CAN FD frames, kbit/s.
+/// Reads the bit rate of the data phase of CAN FD frames, kbit/s.
 pub(crate) fn can_data_kbit_per_s<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
     checked(
         deserializer,
@@ -106,17 +107,17 @@ pub(crate) fn can_data_kbit_per_s<'de, D: Deserializer<'de>>(deserializer: D) ->
     )
 }
 
-/// The number of the board on its CAN bus.
+/// Reads the node number of the board on its CAN bus.
 pub(crate) fn can_node<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
     checked(deserializer, |value| (0.0..f64::from(Node::COUNT)).contains(&value), "0 to 127")
 }
 
-/// A reading of an ideal 10-bit converter.
+/// Reads a code of an ideal 10-bit converter, 0 to 1023.
 pub(crate) fn code_10bit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     checked(deserializer, |value| (0.0..=1023.0).contains(&value), "0 to 1023")
 }
 
-/// A number of the files.
+/// Number type of the files.
 pub(crate) trait Number<'de>: Deserialize<'de> + Copy + Display + Into<f64> {}
 
 impl<'de, T: Deserialize<'de> + Copy + Display + Into<f64>> Number<'de> for T {}
@@ -135,13 +136,13 @@ where
     }
 }
 
-/// A closed interval, `{ min = ..., max = ... }`.
+/// Closed interval, written `{ min = ..., max = ... }`.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(try_from = "RawInterval")]
 pub struct Interval {
-    /// Lowest value.
+    /// Lowest value of the interval.
     pub min: f64,
-    /// Highest value.
+    /// Highest value of the interval.
     pub max: f64,
 }
 
@@ -176,7 +177,7 @@ impl TryFrom<RawInterval> for Interval {
     }
 }
 
-/// A channel's name, as in `osmc0`.
+/// Reads a channel's name, as in `osmc0`.
 pub(crate) fn channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<ChannelId, D::Error> {
     let text = String::deserialize(deserializer)?;
     ChannelId::from_str(&text).map_err(|why| D::Error::custom(format!("`{text}` is {why}")))
@@ -192,7 +193,7 @@ pub(crate) fn optional_channel<'de, D: Deserializer<'de>>(deserializer: D) -> Re
     channel(deserializer).map(Some)
 }
 
-/// The number in the name of a channel of `kind`.
+/// Reads the number in the name of a channel of `kind`.
 fn number_of<'de, D: Deserializer<'de>>(deserializer: D, kind: ChannelKind) -> Result<u8, D::Error> {
     let id = channel(deserializer)?;
     if id.kind == kind {

@@ -1,4 +1,4 @@
-//! A TOML file as text, and the way from a field to its line and back.
+//! Text of a TOML file, with the line of each field and the field at each line.
 
 use std::{
     borrow::Cow,
@@ -17,7 +17,7 @@ use toml::{
 
 use crate::error::{BoardError, Location};
 
-/// The files that are part of the program: path below `boards/`, text.
+/// Files that are part of the program: path below `boards/`, text.
 const BUILT_IN: [(&str, &str); 28] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
@@ -49,11 +49,11 @@ const BUILT_IN: [(&str, &str); 28] = [
     ("worlds/gate.toml", include_str!("../worlds/gate.toml")),
 ];
 
-/// Where the files that a file names are looked up.
+/// Folder in which the files that a file names are looked up.
 pub(crate) enum Folder {
-    /// Among the built-in files.
+    /// Only the built-in files.
     BuiltIn,
-    /// In a folder, and where it does not have the file, among the built-in files.
+    /// A folder of the file system, and the built-in files for those that it does not have.
     At(PathBuf),
 }
 
@@ -61,7 +61,7 @@ impl Folder {
     /// Reads `path`, relative to this folder.
     ///
     /// # Errors
-    /// The path looked for, and why it cannot be read.
+    /// The path looked for, and the error of reading it.
     pub(crate) fn read(&self, path: &str) -> Result<Source, (String, io::Error)> {
         let outside = match self {
             Self::BuiltIn => Err((path.to_owned(), io::ErrorKind::NotFound.into())),
@@ -80,12 +80,12 @@ impl Folder {
     }
 }
 
-/// The tables of an array, not looked into yet.
+/// Tables of an array, not deserialised yet.
 pub(crate) type Tables<'s> = Vec<Spanned<DeValue<'s>>>;
 
-/// One file.
+/// One TOML file with its text.
 pub(crate) struct Source {
-    /// As it is shown to a person.
+    /// Name of the file as a person sees it.
     pub(crate) name: String,
     pub(crate) text: Cow<'static, str>,
 }
@@ -104,17 +104,18 @@ impl Source {
         }
     }
 
-    /// The file as a `T`. The error names the line and the field.
+    /// Deserialises the file as a `T`. The error names the line and the field.
     pub(crate) fn parse<T: DeserializeOwned>(&self) -> Result<T, BoardError> {
         self.parse_without([]).map(|(parsed, [])| parsed)
     }
 
-    /// The file as a `T` without some arrays of tables, and those.
+    /// Deserialises the file as a `T` without some arrays of tables, which are returned beside it.
     pub(crate) fn parse_without<T: DeserializeOwned, const N: usize>(
         &self,
         arrays: [&'static str; N],
     ) -> Result<(T, [Tables<'_>; N]), BoardError> {
         let mut root = DeTable::parse(&self.text).map_err(|error| self.malformed(&error))?;
+        // Removed before deserialising, or `deny_unknown_fields` of `T` would refuse them.
         let taken = arrays.map(|array| root.get_mut().remove(array));
         let parsed = T::deserialize(root.into_deserializer()).map_err(|error| self.malformed(&error))?;
         let mut tables = [const { Vec::new() }; N];
@@ -132,17 +133,19 @@ impl Source {
     pub(crate) fn malformed(&self, error: &toml::de::Error) -> BoardError {
         let at = match error.span() {
             Some(span) => self.location(span.start),
+            // Errors without a span are about the file as a whole.
             None => Location { file: self.name.clone(), line: 1, field: String::new() },
         };
         BoardError::Malformed { at, problem: error.message().replace('\n', ", ") }
     }
 
-    /// The error of a field `path` that breaks a rule.
+    /// Makes the error of a field `path` that breaks a rule.
     pub(crate) fn rule(&self, path: impl Display, problem: impl Display) -> BoardError {
         BoardError::Malformed { at: self.at(path), problem: problem.to_string() }
     }
 
-    /// Where the field `path` stands, as in `osmc[0].encoder.input`; the nearest table around it if it is left out.
+    /// Returns the place of the field `path`, written as in `osmc[0].encoder.input`; that of the nearest table around
+    /// it if it is left out.
     pub(crate) fn at(&self, path: impl Display) -> Location {
         let field = path.to_string();
         let (root, _) = DeTable::parse_recoverable(&self.text);
@@ -156,6 +159,7 @@ impl Source {
                     .and_then(|array| index.parse::<usize>().ok().and_then(|index| array.get(index))),
                 None => table.and_then(|table| table.iter().find(|(key, _)| key.get_ref() == step)).map(|(_, v)| v),
             };
+            // A field that is left out has no line: the nearest table around it was the step before.
             let Some(next) = next else { break };
             found = next.span().start;
             table = next.get_ref().as_table();
@@ -164,7 +168,7 @@ impl Source {
         Location { file: self.name.clone(), line: self.line(found), field }
     }
 
-    /// The line and the field at a byte offset.
+    /// Returns the line and the field at a byte offset.
     fn location(&self, offset: usize) -> Location {
         let (root, _) = DeTable::parse_recoverable(&self.text);
         let field = field_in_table(root.get_ref(), offset).unwrap_or_else(|| self.key_in_line(offset));
@@ -172,11 +176,12 @@ impl Source {
     }
 
     fn line(&self, offset: usize) -> usize {
+        // Bytes and not characters, because spans are byte offsets.
         let before = self.text.as_bytes().iter().take(offset);
         1 + before.filter(|byte| **byte == b'\n').count()
     }
 
-    /// What stands left of the `=`, for a line that is no TOML.
+    /// Returns the text left of the `=`, for a line that is no TOML.
     fn key_in_line(&self, offset: usize) -> String {
         let line = self.text.lines().nth(self.line(offset) - 1).unwrap_or_default();
         line.split_once('=').map(|(key, _)| key.trim().to_owned()).unwrap_or_default()
@@ -198,9 +203,9 @@ fn field_in_table(table: &DeTable<'_>, offset: usize) -> Option<String> {
     })
 }
 
-/// The path inside `value`; empty for the value itself.
+/// Returns the path inside `value` to the offset; empty for the value itself.
 ///
-/// A table with a header spans only the header, so what is inside comes first.
+/// The span of a table with a header covers only the header, so the fields inside are searched first.
 fn field_in_value(value: &Spanned<DeValue<'_>>, offset: usize) -> Option<String> {
     let inside = match value.get_ref() {
         DeValue::Table(table) => field_in_table(table, offset),
@@ -211,10 +216,11 @@ fn field_in_value(value: &Spanned<DeValue<'_>>, offset: usize) -> Option<String>
         }),
         _ => None,
     };
+    // The innermost field that covers the offset wins.
     inside.or_else(|| covers(&value.span(), offset).then(String::new))
 }
 
-/// Things of which each may be used once in a file.
+/// Record of things of which each may be used once in a file.
 pub(crate) struct Claims<'s> {
     source: &'s Source,
     taken: HashMap<(&'static str, String), String>,
@@ -237,6 +243,7 @@ impl<'s> Claims<'s> {
     ) -> Result<(), BoardError> {
         let name = name.to_string();
         let path = path.to_string();
+        // The later use is reported, with the line of the first.
         match self.taken.insert((what, name.clone()), path.clone()) {
             None => Ok(()),
             Some(first) => {

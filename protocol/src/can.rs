@@ -1,8 +1,9 @@
-//! A byte link on a CAN bus: which frames carry it, how the bytes are cut, and a short way for set points.
+//! Byte link on a CAN bus: identifiers of its frames, how the bytes are cut into frames, and a short frame for set
+//! points.
 //!
-//! Frames with standard identifiers; all data bytes belong to the byte stream, which carries the frames of
-//! [`frame`](crate::frame). Each board has a node number on its bus. Frames towards it and from it differ in one bit of the
-//! identifier:
+//! The link uses frames with standard identifiers. All their data bytes belong to one byte stream, which carries the
+//! frames of [`frame`](crate::frame). Each board has a node number on its bus. Frames to a board and from it differ in
+//! one bit of the identifier:
 //!
 //! ```text
 //!  bit  10 9 8   7           6 5 4 3 2 1 0
@@ -10,25 +11,26 @@
 //!        0 0 1   0           node             set points
 //! ```
 //!
-//! so 0x200 to 0x27F go to boards, 0x280 to 0x2FF to hosts, and 0x100 to 0x17F carry set points. A lower identifier wins the
-//! bus: set points go before all else, what hosts command goes before what boards tell, and everything before CANopen-like
-//! services at 0x580 and above. One host at a time talks to a board.
+//! so 0x200 to 0x27F go to boards, 0x280 to 0x2FF to hosts, and 0x100 to 0x17F carry set points. A lower identifier
+//! wins the arbitration: set points go before all else, messages of hosts before those of boards, and everything before
+//! CANopen-like services at 0x580 and above. One host at a time talks to a board.
 //!
-//! CAN delivers in order what is sent under one identifier, once or, after an error in the last bit of a frame, twice; a
-//! receiver that is not served in time loses frames whole. Both damage the byte stream, and the checksum of its frames finds
-//! it as on any other link. There is no number in the frames for that reason, and all bytes are for data.
+//! CAN delivers the frames of one identifier in order, each once or, after an error in its last bit, twice. A receiver
+//! that is not served in time loses whole frames. Either damages the byte stream, and the checksum of its frames
+//! detects it as on any other link. The CAN frames therefore carry no sequence number; all bytes are data.
 //!
-//! At 1 Mbit/s a full classic frame takes 111 to 135 us with its stuff bits and the pause behind it: 59 to 72 bytes in a
-//! millisecond. With CAN FD the pieces have up to 64 bytes ([`cut_fd`]), filled up with 0x00, which between frames means
-//! nothing.
+//! At 1 Mbit/s a full classic frame takes 111 to 135 us including stuff bits and interframe space: 59 to 72 bytes per
+//! millisecond. Frames of CAN FD carry up to 64 bytes ([`cut_fd`]), padded with 0x00, which has no meaning between
+//! frames.
 //!
 //! # Set points
 //!
-//! A frame of 8 bytes is four `i16`, little-endian, for the channels and scales of [`Request::Bind`](crate::Request::Bind),
-//! which goes over the byte stream before. To the board it is a [`Cycle`] without a date, so that its age counts from its
-//! arrival; the answer comes over the byte stream, numbered by the board: 6 classic frames, or one of CAN FD. A host sends
-//! set points this way or in the byte stream, not both: their numbers would be mixed up. Where they come faster than the
-//! board reads them, the newest is taken.
+//! A frame of 8 bytes holds four `i16`, little-endian, for the channels and scales of an earlier
+//! [`Request::Bind`](crate::Request::Bind), which goes over the byte stream. To the board it is a [`Cycle`] without a
+//! date, so that its age counts from its arrival. The answer comes over the byte stream, numbered by the board: 6
+//! classic frames, or one of CAN FD. A host sends set points either this way or in the byte stream, not both, because
+//! the board numbers the former and the host the latter. When they arrive faster than the board reads them, it takes
+//! the newest.
 
 use heapless::Vec;
 
@@ -37,63 +39,64 @@ use crate::{
     frame::{Check, MAX_FRAME, encode_with},
 };
 
-/// Most data bytes of a classic frame.
+/// Maximum number of data bytes in a classic frame.
 pub const MAX_DATA: usize = 8;
 
-/// Most data bytes of a frame of CAN FD.
+/// Maximum number of data bytes in a frame of CAN FD.
 pub const MAX_FD_DATA: usize = 64;
 
-/// Data bytes of a frame with set points.
+/// Number of data bytes in a frame with set points.
 pub const SETPOINTS: usize = 2 * CYCLE_CHANNELS;
 
-/// Bits in a second where nothing else is said. As fast as classic CAN goes: at most 25 m of bus (CiA 301).
+/// Default bit rate, bit/s: the highest of classic CAN, for at most 25 m of bus (CiA 301).
 pub const BITRATE: u32 = 1_000_000;
 
-/// Bit rates of boards, kbit/s: the usual ones (CiA 301) that are fast enough for a session, for buses of 500, 250, 100 and 25 m.
+/// Bit rates a board can be set to, kbit/s: those of CiA 301 that are fast enough for a session, for buses of 500, 250,
+/// 100 and 25 m.
 pub const BITRATES_KBIT: [u16; 4] = [125, 250, 500, 1000];
 
-/// Bit rates of the data phase of CAN FD, kbit/s; 0 is none, and classic frames only. None is faster than the transceiver of the
-/// board's carrier and its delay allow: an SN65HVD230, made for 1 Mbit/s, whose loop of at most 135 ns (its data sheet) is seen
-/// before the sample of a bit at 2 Mbit/s.
+/// Bit rates of the data phase of CAN FD, kbit/s; 0 stands for classic frames only. The carrier's transceiver sets the
+/// upper limit: an SN65HVD230, made for 1 Mbit/s, whose loop delay of at most 135 ns (its data sheet) ends before the
+/// sample point of a bit at 2 Mbit/s.
 pub const DATA_RATES_KBIT: [u16; 4] = [0, 500, 1000, 2000];
 
-/// Position of `ToDevice::Cycle` among its variants.
+/// Position of `ToDevice::Cycle` among its variants, which is its encoding.
 const CYCLE_VARIANT: u8 = 2;
 
 const SETPOINT_BASE: u16 = 0x100;
 const BASE: u16 = 0x200;
 const TO_HOST: u16 = 0x80;
 
-/// The number of a board on its bus, 0 to 127.
+/// Node number of a board on its bus, 0 to 127.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Node(u8);
 
-/// Which way a frame goes.
+/// Direction of a frame between host and board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
-    /// From a host.
+    /// From a host to a board.
     ToDevice,
-    /// From a board.
+    /// From a board to a host.
     ToHost,
 }
 
 impl Node {
-    /// As many boards can be on one bus.
+    /// Number of boards that one bus can have: the identifier has 7 bits for the node.
     pub const COUNT: u8 = 128;
 
-    /// `None` for a number that does not fit the identifier.
+    /// Makes a node of its number; `None` from [`Node::COUNT`] on.
     #[must_use]
     pub const fn new(number: u8) -> Option<Self> {
         if number < Self::COUNT { Some(Self(number)) } else { None }
     }
 
-    /// Its number.
+    /// Returns the node number, 0 to 127.
     #[must_use]
     pub const fn number(self) -> u8 {
         self.0
     }
 
-    /// The identifier, of 11 bits, of the frames to or from it.
+    /// Returns the 11-bit identifier of byte stream frames to or from this board.
     #[must_use]
     pub const fn identifier(self, direction: Direction) -> u16 {
         let to_host = match direction {
@@ -103,13 +106,14 @@ impl Node {
         BASE | to_host | self.0 as u16
     }
 
-    /// The identifier, of 11 bits, of the frames with set points for it.
+    /// Returns the 11-bit identifier of frames with set points for this board.
     #[must_use]
     pub const fn setpoint_identifier(self) -> u16 {
         SETPOINT_BASE | self.0 as u16
     }
 
-    /// Whose frame of a byte stream it is, and which way it goes; `None` for identifiers that are not ours.
+    /// Returns the board and the direction of a byte stream frame by its identifier; `None` for any other identifier,
+    /// including that of set points.
     #[must_use]
     pub const fn of(identifier: u16) -> Option<(Self, Direction)> {
         let node = Self((identifier & 0x7F) as u8);
@@ -121,16 +125,17 @@ impl Node {
     }
 }
 
-/// The data of the frames that carry `bytes`, in their order. Nothing is sent for no bytes.
+/// Cuts `bytes` into the data of classic frames, in order; no frames for no bytes.
 pub fn cut(bytes: &[u8]) -> impl ExactSizeIterator<Item = &[u8]> {
     bytes.chunks(MAX_DATA)
 }
 
-/// The data of the frames of CAN FD that carry `bytes`, in their order. Bytes that end with a delimiter are filled up with
-/// 0x00 to a length that frames can have; others are not, and may take a few frames more.
+/// Cuts `bytes` into the data of CAN FD frames, in order. Bytes that end with a delimiter are padded with 0x00 to a
+/// length that a frame can have. Others are not padded, and may take a few frames more.
 pub fn cut_fd(bytes: &[u8]) -> impl Iterator<Item = Vec<u8, MAX_FD_DATA>> {
     let mut rest = bytes;
     core::iter::from_fn(move || {
+        // Padding with 0x00 behind a delimiter is idle; inside a frame it would cut that frame.
         let may_fill = rest.ends_with(&[0]);
         let (piece, after) = match FD_LENGTHS.iter().find(|length| **length >= rest.len()) {
             Some(_) if rest.is_empty() => return None,
@@ -139,52 +144,53 @@ pub fn cut_fd(bytes: &[u8]) -> impl Iterator<Item = Vec<u8, MAX_FD_DATA>> {
         };
         rest = after;
         let mut data = Vec::new();
-        // No piece is longer than the longest frame.
+        // Cannot fail: no piece is longer than the longest frame.
         data.extend_from_slice(piece).ok()?;
         data.resize(*FD_LENGTHS.iter().find(|length| **length >= piece.len())?, 0).ok()?;
         Some(data)
     })
 }
 
-/// Lengths that a frame of CAN FD can have (ISO 11898-1:2015, table of DLC codes).
+/// Data lengths that a frame of CAN FD can have (ISO 11898-1:2015, table of DLC codes).
 const FD_LENGTHS: [usize; 15] = [1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, MAX_FD_DATA];
 
-/// Makes the byte stream of a board's link of the frames that come from hosts: [`Inbound::take`] takes a frame,
-/// [`Inbound::read`] gives bytes.
+/// Assembles the byte stream of a board's link from the frames of hosts: [`Inbound::take`] takes a CAN frame,
+/// [`Inbound::read`] returns bytes.
 ///
-/// Frames of the byte stream are given when they are whole, so that set points can go between them, and never wait for the
-/// rest of one.
+/// Frames of the byte stream are returned only once they are complete. Set points can therefore go between them, and
+/// never wait for the rest of one.
 pub struct Inbound {
     node: Node,
-    /// A frame of the byte stream as far as it has come; one byte more than any has, so that what is too long is seen as such.
+    /// Bytes received of a byte stream frame; one byte longer than the longest frame, so that an overlong one is
+    /// recognised.
     frame: [u8; MAX_FRAME + 1],
     len: usize,
     whole: bool,
-    /// How much of it has been given.
+    /// Number of bytes of `frame` that have been read.
     given: usize,
-    /// What came in the same CAN frame as its end.
+    /// Bytes behind the delimiter that ended `frame`, from the same CAN frame.
     rest: Vec<u8, MAX_FD_DATA>,
     setpoints: Option<[u8; SETPOINTS]>,
-    /// A frame with set points that is being given, and how much of it has been.
+    /// Encoded set points that are being read, and how many of their bytes have been.
     cycle: [u8; CYCLE_FRAME],
     cycle_given: usize,
     seq: u8,
     replaced: u32,
 }
 
-/// Why a frame was not taken.
+/// Reason why a CAN frame was not taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NotTaken {
-    /// Not for this board, or not from a host.
+    /// The frame is for another board, or is not from a host.
     NotOurs,
-    /// Set points are 8 bytes, and no frame has more than 64.
+    /// The data have a wrong length: set points have 8 bytes, and no frame has more than 64.
     Length,
-    /// Bytes of the frame before have not been read yet: read, then try again.
+    /// Bytes of an earlier frame have not been read yet: read, then try again.
     Full,
 }
 
 impl Inbound {
-    /// Nothing has come.
+    /// Makes the assembler of board `node`, without any bytes.
     #[must_use]
     pub const fn new(node: Node) -> Self {
         Self {
@@ -202,13 +208,14 @@ impl Inbound {
         }
     }
 
-    /// Takes the frame `identifier` with `data`.
+    /// Takes the CAN frame `identifier` with `data`.
     ///
     /// # Errors
-    /// [`NotTaken`]; nothing has changed then.
+    /// [`NotTaken`], without any change.
     pub fn take(&mut self, identifier: u16, data: &[u8]) -> Result<(), NotTaken> {
         if identifier == self.node.setpoint_identifier() {
             let setpoints = data.try_into().map_err(|_| NotTaken::Length)?;
+            // Set points are not queued: an older one must not move a motor after a newer one.
             if self.setpoints.replace(setpoints).is_some() {
                 self.replaced = self.replaced.wrapping_add(1);
             }
@@ -225,11 +232,11 @@ impl Inbound {
         Ok(())
     }
 
-    /// Gives as many bytes as there are, up to the length of `buffer`; 0 when another frame must come first.
+    /// Copies available bytes into `buffer` and returns their number; 0 when another frame must come first.
     pub fn read(&mut self, buffer: &mut [u8]) -> usize {
         let mut read = 0;
         while read < buffer.len() {
-            // Not in the middle of a frame of the byte stream.
+            // Set points go between frames of the byte stream, never into one.
             if self.given == 0
                 && self.cycle_given == CYCLE_FRAME
                 && let Some(setpoints) = self.setpoints.take()
@@ -244,6 +251,7 @@ impl Inbound {
             let len = (from.len() - *given).min(buffer.len() - read);
             buffer[read..read + len].copy_from_slice(&from[*given..*given + len]);
             (read, *given) = (read + len, *given + len);
+            // The bytes behind this frame's end came in the same CAN frame and may complete the next one.
             if self.whole && self.given == self.len {
                 (self.len, self.given, self.whole) = (0, 0, false);
                 self.assemble();
@@ -252,19 +260,20 @@ impl Inbound {
         read
     }
 
-    /// Set points that never became bytes, because newer ones came before they were read.
+    /// Returns how often set points were replaced by newer ones before they were read; wraps.
     #[must_use]
     pub fn replaced(&self) -> u32 {
         self.replaced
     }
 
-    /// Moves bytes from the rest to the frame, up to its end.
+    /// Moves bytes from `rest` to `frame`, up to the end of a frame.
     fn assemble(&mut self) {
         let mut moved = 0;
         for byte in &self.rest {
             moved += 1;
             if *byte != 0 {
-                // What is longer than a frame can be is not needed to see that it is. The last place is the delimiter's.
+                // Bytes beyond the longest frame are dropped: the length already shows that it is too long. The last
+                // place is the delimiter's.
                 if self.len < MAX_FRAME {
                     self.frame[self.len] = *byte;
                     self.len += 1;
@@ -282,11 +291,11 @@ impl Inbound {
     }
 
     fn begin_cycle(&mut self, setpoints: [u8; SETPOINTS]) {
-        // As `ToDevice::Cycle` is encoded; by its number, because boards have no other use for the encoder of all requests.
+        // The encoding of `ToDevice::Cycle`, by its number: boards have no other use for the encoder of all requests.
         let cycle = (CYCLE_VARIANT, Cycle::new(self.seq, None, None, whole(setpoints)));
         self.seq = self.seq.wrapping_add(1);
         let mut buffer = [0; MAX_FRAME];
-        // Every cycle has this length.
+        // Cannot fail: every cycle has this length.
         if let Ok(frame) = encode_with(&cycle, Check::Long, &mut buffer)
             && let Ok(frame) = frame.try_into()
         {
@@ -331,7 +340,7 @@ mod tests {
         core::array::from_fn(|byte| set[byte / 2].to_le_bytes()[byte % 2])
     }
 
-    /// Everything there is, in reads of `step` bytes.
+    /// Reads everything there is, in reads of `step` bytes.
     fn drain(inbound: &mut Inbound, step: usize) -> List<u8> {
         let (mut all, mut buffer) = (List::new(), [0; 64]);
         loop {
@@ -354,7 +363,7 @@ mod tests {
         let mut pieces = cut(&stream);
         inbound.take(STREAM, pieces.next().unwrap()).unwrap();
         assert_eq!(decode(&drain(&mut inbound, 64)), [Ok(bye(1))], "the second has not come whole");
-        // In the middle of the second: not after it, and not in it.
+        // The second frame has begun: set points wait neither for its end nor go into it.
         inbound.take(SHORT, &setpoints([1, -1, 0, NOTHING])).unwrap();
         assert_eq!(decode(&drain(&mut inbound, 3)), [Ok(cycle(0, [1, -1, 0, NOTHING]))]);
         inbound.take(SHORT, &setpoints([2; 4])).unwrap();
@@ -372,7 +381,7 @@ mod tests {
         }
         let mut first = [0; 5];
         assert_eq!(inbound.read(&mut first), 5);
-        // A cycle that is being given is not torn.
+        // A cycle that is being read stays whole.
         inbound.take(SHORT, &setpoints([4; 4])).unwrap();
         let bytes = [&first[..], &drain(&mut inbound, 64)].concat();
         assert_eq!(decode(&bytes), [Ok(cycle(0, [3; 4])), Ok(cycle(1, [4; 4]))]);
@@ -434,7 +443,7 @@ mod tests {
         assert_eq!(cut(&answer).len(), 6);
     }
 
-    /// Bytes of every length that two frames have and more, with a delimiter at their end and without.
+    /// Tries bytes of every length up to more than two frames have, with a delimiter at their end and without.
     #[test]
     fn only_behind_a_delimiter_a_frame_of_can_fd_is_filled_up() {
         for len in 0..=200 {
@@ -449,7 +458,7 @@ mod tests {
             let pieces: List<_> = cut_fd(part).collect();
             assert!(pieces.iter().all(|piece| FD_LENGTHS.contains(&piece.len())), "{len}");
             assert_eq!(pieces.concat(), part);
-            // The rest below 64 is at most 48 + 12 + 3, in one of three frames each.
+            // The rest below 64 bytes is at most 48 + 12 + 3, in one of three frames each.
             assert!(pieces.len() <= len / MAX_FD_DATA + 3, "{len}");
         }
     }
@@ -457,8 +466,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-        /// Cut for either kind of CAN, with set points anywhere between, read in any steps: the same messages in their order,
-        /// and the newest set points.
+        /// Cuts frames for either kind of CAN, puts set points anywhere between and reads in any steps: the same
+        /// messages come out in order, and the newest set points.
         #[test]
         fn nothing_is_lost_on_the_way(
             seqs in vec(any::<u16>(), 0..20),

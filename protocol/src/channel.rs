@@ -1,4 +1,4 @@
-//! Channels: the numbered, typed inputs and outputs by which a host knows a board.
+//! Channels: the numbered, typed inputs and outputs of a board, as a host sees them.
 
 use core::{fmt, str::FromStr};
 
@@ -6,7 +6,7 @@ use heapless::Vec;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// What a channel is. postcard sends the variant's position: append, never reorder or remove.
+/// Kind of a channel. postcard sends the variant's position: append, never reorder or remove.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ChannelKind {
@@ -16,27 +16,27 @@ pub enum ChannelKind {
     Actuator,
     /// Motor on a dual H-bridge (DHB-12).
     Dhb,
-    /// Brushless drive: speed voltage, direction, brake.
+    /// Brushless drive: a voltage sets the speed, lines set direction and brake.
     Bldc,
-    /// RC servo.
+    /// RC servo, set by pulse width.
     Servo,
-    /// Step/direction driver.
+    /// Stepper with a step/direction driver.
     Stepper,
-    /// Relay.
+    /// Relay, open or closed.
     Relay,
-    /// Quadrature encoder.
+    /// Quadrature encoder as a channel of its own.
     Encoder,
-    /// The switch beside an encoder.
+    /// Switch input beside an encoder connector.
     Switch,
-    /// Ultrasonic range sensor.
+    /// Ultrasonic range sensor (trigger and echo).
     Range,
-    /// Divided analog input.
+    /// Analog input behind a voltage divider.
     Analog,
-    /// Supply rail.
+    /// Supply rail, measured by an analog input.
     Supply,
-    /// Digital-to-analog output.
+    /// Output of the processor's digital-to-analog converter.
     Dac,
-    /// Dead-man's handle.
+    /// Dead-man's handle (number 0) or auxiliary stop (number 1).
     DeadMan,
     /// Inertial measurement unit on the I2C bus.
     Imu,
@@ -50,16 +50,16 @@ pub enum ChannelKind {
     Distance,
 }
 
-/// One of the numbers that a channel measures together.
+/// One of the quantities that a channel measures together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Quantity {
-    /// Its name with its unit, as logs and programs have it.
+    /// Name with the unit, as in logs and programs.
     pub field: &'static str,
-    /// Its unit.
+    /// Unit of the quantity on the wire.
     pub unit: Unit,
 }
 
-/// Most numbers that a channel measures together.
+/// Maximum number of quantities that a channel measures together.
 pub const MAX_QUANTITIES: usize = 6;
 
 impl ChannelKind {
@@ -85,8 +85,8 @@ impl ChannelKind {
         (Self::Distance, "distance"),
     ];
 
-    /// What a channel of this kind measures together, in the order of [`Sample::Sensor`](crate::Sample::Sensor)'s values; nothing for a
-    /// channel with one number.
+    /// Returns the quantities that a channel of this kind measures together, in the order of
+    /// [`Sample::Sensor`](crate::Sample::Sensor)'s values; empty for a channel with one value.
     #[must_use]
     pub const fn quantities(self) -> &'static [Quantity] {
         const fn quantity(field: &'static str, unit: Unit) -> Quantity {
@@ -113,26 +113,26 @@ impl ChannelKind {
         }
     }
 
-    /// The name used on command lines and in files.
+    /// Returns the name used on command lines and in files.
     #[must_use]
     pub fn name(self) -> &'static str {
         Self::NAMES[self as usize].1
     }
 }
 
-/// One channel of a board, written `osmc0`, `actuator1`, `supply0` …
+/// Name of one channel of a board, written `osmc0`, `actuator1`, `supply0` …
 ///
 /// The number is the connector's: `osmc1` and `actuator1` are two uses of the same bridge connector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Schema)]
 pub struct ChannelId {
-    /// What it is.
+    /// Kind of the channel.
     pub kind: ChannelKind,
-    /// Which of its kind, from 0.
+    /// Number of the channel among those of its kind, from 0.
     pub index: u8,
 }
 
 impl ChannelId {
-    /// The channel `kind` number `index`.
+    /// Makes the name of channel number `index` of `kind`.
     #[must_use]
     pub const fn new(kind: ChannelKind, index: u8) -> Self {
         Self { kind, index }
@@ -145,7 +145,7 @@ impl fmt::Display for ChannelId {
     }
 }
 
-/// The text is no channel name.
+/// Error of text that is no channel name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotAChannel;
 
@@ -170,30 +170,30 @@ impl FromStr for ChannelId {
 /// Physical unit of a value on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Unit {
-    /// Radians at the output shaft.
+    /// Angle at the output shaft, radians.
     Rad,
-    /// Radians per second at the output shaft.
+    /// Angular speed at the output shaft, radians per second.
     RadPerS,
-    /// Metres.
+    /// Position of a rod or distance, metres.
     M,
-    /// Metres per second.
+    /// Speed of a rod, metres per second.
     MPerS,
-    /// Share of the supply, -1..=1.
+    /// Duty as a share of the supply, -1..=1.
     Duty,
-    /// Volts.
+    /// Voltage in volts.
     V,
-    /// On or off.
+    /// Boolean: 1 for on, 0 for off.
     Bool,
-    /// Metres per second squared.
+    /// Acceleration, metres per second squared.
     MPerS2,
-    /// Amperes.
+    /// Current in amperes.
     A,
-    /// Newtons.
+    /// Force in newtons.
     N,
 }
 
 impl Unit {
-    /// Every unit, in the order of the variants.
+    /// All units, in the order of the variants.
     pub const ALL: [Self; 10] = [
         Self::Rad,
         Self::RadPerS,
@@ -225,32 +225,32 @@ impl fmt::Display for Unit {
     }
 }
 
-/// How a channel is commanded.
+/// Mode of a set point: the quantity that it sets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Mode {
-    /// Closed loop on position.
+    /// Position, rad or m, in closed loop.
     Position,
-    /// Closed loop on speed.
+    /// Speed, rad/s or m/s, in closed loop.
     Speed,
-    /// Open loop: a share of the supply.
+    /// Duty in open loop, a share of the supply; for a brushless drive a share of full speed.
     Duty,
-    /// On (1) or off (0).
+    /// Switch state: 1 on, 0 off.
     Switch,
-    /// A voltage.
+    /// Voltage of an analog output, V.
     Voltage,
-    /// Brake applied (1) or released (0).
+    /// Brake: 1 applied, 0 released.
     Brake,
-    /// Seek the home switch at this speed; the sign is the direction.
+    /// Homing: seeks the home switch at this speed; the sign is the direction.
     Home,
-    /// Be at this position at the moment that the set point is dated with, on a smooth path through the points given before and
+    /// Position at the moment that the set point is dated with, on a smooth path through the points given before and
     /// after it: see [`PathPoint`](crate::PathPoint).
     Follow,
-    /// Press with this force.
+    /// Force, N, that the motor presses with.
     Force,
 }
 
 impl Mode {
-    /// Every mode, in the order of the variants.
+    /// All modes, in the order of the variants.
     pub const ALL: [Self; 9] = [
         Self::Position,
         Self::Speed,
@@ -280,68 +280,68 @@ impl fmt::Display for Mode {
     }
 }
 
-/// A closed interval of `f32`.
+/// Closed interval of `f32`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Range {
-    /// Lowest value taken.
+    /// Lowest value of the interval.
     pub min: f32,
-    /// Highest value taken.
+    /// Highest value of the interval.
     pub max: f32,
 }
 
 impl Range {
-    /// The interval from `min` to `max`.
+    /// Makes the interval from `min` to `max`.
     #[must_use]
     pub const fn new(min: f32, max: f32) -> Self {
         Self { min, max }
     }
 
-    /// The interval from `-limit` to `limit`.
+    /// Makes the interval from `-limit` to `limit`.
     #[must_use]
     pub const fn symmetric(limit: f32) -> Self {
         Self { min: -limit, max: limit }
     }
 
-    /// Whether `value` lies inside; false for NaN.
+    /// Returns whether `value` lies in the interval, ends included; false for NaN.
     #[must_use]
     pub fn contains(self, value: f32) -> bool {
         value >= self.min && value <= self.max
     }
 }
 
-/// One way to command a channel.
+/// Mode that a channel takes set points in.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ModeInfo {
-    /// The mode.
+    /// Mode of the set points.
     pub mode: Mode,
-    /// Unit of the set point.
+    /// Unit of the set points.
     pub unit: Unit,
-    /// Set points the channel takes.
+    /// Range of set points that the channel takes.
     pub range: Range,
 }
 
-/// What a channel is and can take, as the board itself describes it.
+/// Description of a channel, as the board itself gives it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ChannelInfo {
-    /// Its name.
+    /// Name of the channel.
     pub id: ChannelId,
-    /// Unit of what it measures or, for a pure output, of what it takes.
+    /// Unit of the measured value or, for a pure output, of the set point.
     pub unit: Unit,
-    /// Range of that value.
+    /// Range of that value, in `unit`.
     pub range: Range,
-    /// How often the value is updated.
+    /// Rate at which the value is updated.
     pub rate_hz: f32,
-    /// One count of [`crate::Sample`]'s `position`, in `unit`; 0 where the channel has no position.
+    /// Value of one count of `position` in a [`crate::Sample`], in `unit`; 0 for a channel without position.
     pub resolution: f32,
-    /// How it may be commanded; empty for an input.
+    /// Modes in which the channel takes set points; empty for an input.
     pub modes: Vec<ModeInfo, MAX_MODES>,
 }
 
-/// Most ways to command one channel.
+/// Maximum number of modes of one channel.
 pub const MAX_MODES: usize = 6;
 
 impl ChannelInfo {
-    /// The range of set points in `mode`, or `None` when the channel does not have that mode.
+    /// Returns unit and range of set points in `mode`, or `None` when the channel does not have that mode.
     #[must_use]
     pub fn mode(&self, mode: Mode) -> Option<&ModeInfo> {
         self.modes.iter().find(|info| info.mode == mode)

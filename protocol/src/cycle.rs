@@ -1,14 +1,14 @@
-//! Set points for up to four channels and what these do, in two short messages of fixed length.
+//! Set points for up to four channels, and the state of these channels, in two short messages of fixed length.
 //!
-//! [`Request::Bind`](crate::Request::Bind) says once which channels are meant, in which mode and by which scales. Then each
-//! [`Cycle`] down is answered by one [`CycleState`] up, at once. With checksum, COBS and delimiter they take [`CYCLE_FRAME`]
-//! and [`CYCLE_STATE_FRAME`] bytes, 66 together, whatever is in them: numbers are little-endian byte arrays, because
-//! postcard writes other integers with as many bytes as their value needs.
+//! [`Request::Bind`](crate::Request::Bind) says once which channels, modes and scales are meant. From then on the board
+//! answers each [`Cycle`] at once by one [`CycleState`]. With checksum, COBS and delimiter they take [`CYCLE_FRAME`]
+//! and [`CYCLE_STATE_FRAME`] bytes, 66 together, whatever their content: numbers are little-endian byte arrays, because
+//! postcard encodes integers in as many bytes as their value needs.
 //!
 //! # Units
 //!
-//! A set point is an `i16` times the scale of its mode. [`NOTHING`] (-32768) says that a channel gets no set point. Nothing
-//! is clipped: what lies outside the channel's range is refused, and the whole cycle with it.
+//! A set point is an `i16` times the scale of its mode. [`NOTHING`] (-32768) leaves a channel without a set point.
+//! Nothing is clipped: a value outside the channel's range is refused, and the whole cycle with it.
 //!
 //! | mode | scale of a set point |
 //! | --- | --- |
@@ -16,16 +16,16 @@
 //! | speed | [`CycleChannel::speed_scale`], rad/s or m/s |
 //! | duty | [`DUTY_SCALE`], share of the supply |
 //!
-//! What each kind of channel answers; [`NOTHING`] stands for a speed or duty that it does not have, or that is beyond
-//! ±32767 times the scale:
+//! State of each kind of channel in the answer; [`NOTHING`] replaces a speed or duty that it does not have, or that is
+//! beyond ±32767 times the scale:
 //!
 //! | channel | position, counts of [`ChannelInfo::resolution`](crate::ChannelInfo::resolution) | speed, times its scale | duty, times [`DUTY_SCALE`] | settled |
 //! | --- | --- | --- | --- | --- |
 //! | `osmc`, `dhb` with an encoder | output shaft, from its zero | rad/s, filtered | at the bridge | rests at its position |
 //! | `actuator` | rod, µm | m/s, filtered | at the bridge | rests at its position |
-//! | `osmc`, `dhb` with nothing that measures | 0 | 0 | at the bridge | never |
-//! | `stepper` | steps told | rad/s told | 0 | rests at its position |
-//! | `bldc` | 0 | [`NOTHING`] | share that was commanded | never |
+//! | `osmc`, `dhb` without feedback | 0 | 0 | at the bridge | never |
+//! | `stepper` | steps commanded | rad/s commanded | 0 | rests at its position |
+//! | `bldc` | 0 | [`NOTHING`] | share of full speed commanded | never |
 //! | none bound | 0 | [`NOTHING`] | [`NOTHING`] | never |
 
 use postcard_schema::Schema;
@@ -37,32 +37,32 @@ use crate::{
     state::{Cause, Causes, SafetyState},
 };
 
-/// Most channels of a cycle.
+/// Maximum number of channels in a cycle.
 pub const CYCLE_CHANNELS: usize = 4;
-/// Bytes of the frame of a [`Cycle`], delimiter included.
+/// Length of the frame of a [`Cycle`], bytes, delimiter included.
 pub const CYCLE_FRAME: usize = 21;
-/// Bytes of the frame of a [`CycleState`], delimiter included.
+/// Length of the frame of a [`CycleState`], bytes, delimiter included.
 pub const CYCLE_STATE_FRAME: usize = 45;
-/// One step of a duty, share of the supply.
+/// Scale of a duty: one step as a share of the supply.
 pub const DUTY_SCALE: f32 = 1.0 / 32_767.0;
-/// No set point, or no such quantity, where a number would be.
+/// Value of a number that is absent: no set point, or no such quantity.
 pub const NOTHING: i16 = i16::MIN;
 
-/// A channel of a cycle, and what its numbers mean.
+/// Channel of a cycle, and what its numbers mean.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct CycleChannel {
-    /// Which: a motor, a stepper or a brushless drive.
+    /// Name of the channel: a motor, a stepper or a brushless drive.
     pub channel: ChannelId,
-    /// What its set points are, in a cycle that says nothing else: position, follow, speed or duty.
+    /// Mode of its set points in a cycle that names no mode: position, follow, speed or duty.
     pub mode: Mode,
-    /// One step of a position that is set, rad or m; finite and above 0.
+    /// Scale of a position set point: one step, rad or m; finite and above 0.
     pub position_scale: f32,
-    /// One step of a speed, set or answered, rad/s or m/s; finite and above 0.
+    /// Scale of a speed, set or measured: one step, rad/s or m/s; finite and above 0.
     pub speed_scale: f32,
 }
 
 impl CycleChannel {
-    /// One step of a set point in `mode`, or `None` when no cycle carries such.
+    /// Returns one step of a set point in `mode`, or `None` for a mode that no cycle carries.
     #[must_use]
     pub fn scale(&self, mode: Mode) -> Option<f32> {
         match mode {
@@ -73,7 +73,8 @@ impl CycleChannel {
         }
     }
 
-    /// What `steps` of a cycle mean for it: in the cycle's `mode`, or in its own. `None` for [`NOTHING`].
+    /// Converts `steps` of a cycle into a set point, in `mode`, or in the bound mode where the cycle has none. `None`
+    /// for [`NOTHING`].
     ///
     /// # Errors
     /// [`Unscaled`] in a mode that no cycle carries.
@@ -86,39 +87,39 @@ impl CycleChannel {
         Ok(Some(Setpoint { mode, value: f32::from(steps) * scale }))
     }
 
-    /// Whether both scales are finite and above 0.
+    /// Returns whether both scales are finite and above 0.
     #[must_use]
     pub fn is_scaled(&self) -> bool {
         [self.position_scale, self.speed_scale].into_iter().all(|scale| scale.is_finite() && scale > 0.0)
     }
 }
 
-/// No cycle carries set points of this mode.
+/// Error of a mode whose set points no cycle carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Unscaled;
 
-/// The number of steps nearest to `value`, or `None` when that is not within ±32767.
+/// Converts `value` to the nearest number of steps; `None` when that is not within ±32767, and for NaN.
 #[must_use]
 pub fn steps(value: f32, scale: f32) -> Option<i16> {
     let steps = value / scale;
-    // Not for NaN either.
+    // Comparisons that are false for NaN, too.
     let fits = steps > -32_767.5 && steps < 32_767.5;
     fits.then_some((if steps < 0.0 { steps - 0.5 } else { steps + 0.5 }) as i16)
 }
 
-/// Set points, all for one moment. They are followed until another comes, or the time-to-live of the binding has passed since
-/// they were decided: then the channels they were for are stopped.
+/// Set points of several channels for one moment. The channels follow them until another cycle comes. When the
+/// time to live of the binding has passed since they were decided, the board stops these channels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Cycle {
-    /// Chosen by the host, echoed by the board.
+    /// Sequence number, chosen by the host and echoed by the board.
     pub seq: u8,
-    /// Mode in bits 0 to 3, its position among [`Mode`]'s variants or 15 for what was bound; bit 4 for one without a date;
-    /// bits 5 to 7 are 0.
+    /// Mode in bits 0 to 3, as its number among [`Mode`]'s variants, or 15 for the bound modes; bit 4 set for a cycle
+    /// without a date; bits 5 to 7 are 0.
     how: u8,
-    /// When the host decided this, on the board's clock: the low 32 bits. For a point of a path ([`Mode::Follow`]), when the channel
-    /// is to be there.
+    /// Board's clock when the host decided the set points, low 32 bits. For points of a path ([`Mode::Follow`]), the
+    /// moment at which the channels are to be there.
     sent_us: [u8; 4],
-    /// `i16` for each channel, in the order in which they were bound.
+    /// Set points, an `i16` for each channel in the order of the binding.
     set: [u8; 2 * CYCLE_CHANNELS],
 }
 
@@ -126,8 +127,9 @@ const AS_BOUND: u8 = 15;
 const UNDATED: u8 = 1 << 4;
 
 impl Cycle {
-    /// Set points decided at `sent_us` on the board's clock; without that, age counts from when the board decodes them.
-    /// Without `mode`, each is meant as its channel was bound. [`NOTHING`] leaves a channel out.
+    /// Makes a cycle with set points decided at `sent_us` on the board's clock. Without `sent_us` its age counts from
+    /// when the board decodes it. Without `mode`, each set point has the mode that its channel was bound with.
+    /// [`NOTHING`] leaves a channel out.
     #[must_use]
     pub fn new(seq: u8, mode: Option<Mode>, sent_us: Option<u64>, set: [i16; CYCLE_CHANNELS]) -> Self {
         let undated = if sent_us.is_none() { UNDATED } else { 0 };
@@ -139,11 +141,12 @@ impl Cycle {
         }
     }
 
-    /// Its mode, `None` for what was bound.
+    /// Returns the mode, `None` for the bound modes.
     ///
     /// # Errors
-    /// [`NotThisVersion`] when bits are set that mean nothing.
+    /// [`NotThisVersion`] for a mode or bits that this version does not know.
     pub fn mode(&self) -> Result<Option<Mode>, NotThisVersion> {
+        // Bits 5 to 7 belong to a later version: ignoring them could move a motor in a way that was not meant.
         if self.how & !(AS_BOUND | UNDATED) != 0 {
             return Err(NotThisVersion);
         }
@@ -153,80 +156,82 @@ impl Cycle {
         }
     }
 
-    /// How long ago the host decided this, µs, when the board's clock is `now_us`; negative for one that is dated ahead, and
-    /// 0 for one without a date. Right for up to half an hour either way: the date wraps after 71 minutes.
+    /// Returns the age of the set points, µs, when the board's clock is `now_us`: negative for a date ahead of it, 0
+    /// without a date. Valid up to half an hour either way: the date wraps after 71 minutes.
     #[must_use]
     pub fn age_us(&self, now_us: u64) -> i32 {
         if self.how & UNDATED != 0 {
             return 0;
         }
+        // The wrapping difference of 32 bits is right over their wrap, up to half of it either way.
         (now_us as u32).wrapping_sub(u32::from_le_bytes(self.sent_us)).cast_signed()
     }
 
-    /// The set points, in steps.
+    /// Returns the set points, in steps.
     #[must_use]
     pub fn set(&self) -> [i16; CYCLE_CHANNELS] {
         whole(self.set)
     }
 }
 
-/// A message of this length, but of another version.
+/// Error of a message with the right length but with values of another version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotThisVersion;
 
-/// What became of a [`Cycle`]. Where it was not taken, none of its set points was.
+/// Outcome of a [`Cycle`]. Unless it was taken, none of its set points was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CycleOutcome {
-    /// Its set points are followed.
+    /// The channels follow the set points.
     Taken = 0,
-    /// A set point the channel does not take, or the board is not armed. The channels it has set points for are stopped, unless
-    /// they follow later ones.
+    /// A channel does not take its set point, or the board is not armed. The board stops the channels that the cycle
+    /// has set points for, unless they follow later ones.
     Refused = 1,
-    /// Older than its time-to-live, or dated as far ahead. Stops channels as [`CycleOutcome::Refused`] does.
+    /// The cycle is older than its time to live, or dated as far ahead. Stops channels as [`CycleOutcome::Refused`]
+    /// does.
     Stale = 2,
-    /// No session over this link, or no channels bound.
+    /// There is no session over this link, or no channel is bound.
     Unbound = 3,
 }
 
-/// What the bound channels do, and what became of the [`Cycle`] with this `seq`.
+/// State of the bound channels, and the outcome of the [`Cycle`] with this `seq`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct CycleState {
-    /// Of the cycle.
+    /// Sequence number of the answered cycle.
     pub seq: u8,
-    /// State in bits 0 and 1, settled in bits 2 to 5, outcome in bits 6 and 7.
+    /// Safety state in bits 0 and 1, settled in bits 2 to 5 (one for each channel), outcome in bits 6 and 7.
     flags: u8,
-    /// The board's clock, its low 24 bits.
+    /// Board's clock, low 24 bits.
     device_us: [u8; 3],
-    /// Causes latched by a trip, their low 24 bits.
+    /// Causes latched by a trip, low 24 bits.
     causes: [u8; 3],
-    /// `i32` for each channel.
+    /// Position of each channel, `i32`.
     position: [u8; 4 * CYCLE_CHANNELS],
-    /// `i16` for each channel.
+    /// Speed of each channel, `i16` times its scale.
     speed: [u8; 2 * CYCLE_CHANNELS],
-    /// `i16` for each channel.
+    /// Duty of each channel, `i16` times 1/32767.
     duty: [u8; 2 * CYCLE_CHANNELS],
 }
 
-/// What one channel does, in the units of the table above.
+/// State of one channel, in the units of the table above.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CycleMotor {
-    /// Counts.
+    /// Position, counts of the channel's resolution.
     pub position: i32,
-    /// Steps of its scale, or [`NOTHING`].
+    /// Speed in steps of the channel's scale, or [`NOTHING`].
     pub speed: i16,
-    /// Steps of [`DUTY_SCALE`], or [`NOTHING`].
+    /// Duty in steps of [`DUTY_SCALE`], or [`NOTHING`].
     pub duty: i16,
-    /// Whether it rests at its position.
+    /// True while the channel rests at its position.
     pub settled: bool,
 }
 
 impl CycleMotor {
-    /// What stands where no channel is bound.
+    /// State in the place of a channel that is not bound.
     pub const NONE: Self = Self { position: 0, speed: NOTHING, duty: NOTHING, settled: false };
 }
 
 impl CycleState {
-    /// An answer.
+    /// Makes the answer to the cycle `seq`.
     #[must_use]
     pub fn new(
         seq: u8,
@@ -252,7 +257,7 @@ impl CycleState {
         }
     }
 
-    /// What became of the cycle.
+    /// Returns the outcome of the cycle.
     #[must_use]
     pub const fn outcome(&self) -> CycleOutcome {
         match self.flags >> 6 {
@@ -263,10 +268,10 @@ impl CycleState {
         }
     }
 
-    /// Where the supervisor stands.
+    /// Returns the state of the board's safety supervisor.
     ///
     /// # Errors
-    /// [`NotThisVersion`] for a state that there is not.
+    /// [`NotThisVersion`] for a number that is no state of this version.
     pub const fn state(&self) -> Result<SafetyState, NotThisVersion> {
         match self.flags & 3 {
             0 => Ok(SafetyState::Disarmed),
@@ -276,22 +281,22 @@ impl CycleState {
         }
     }
 
-    /// Causes latched by a trip.
+    /// Returns the causes latched by a trip.
     #[must_use]
     pub const fn causes(&self) -> Causes {
         Causes::from_bits(of_24(self.causes))
     }
 
-    /// The board's clock when it answered: the time nearest to `near_us` that has these low 24 bits. `near_us` must be right to
-    /// 8 s.
+    /// Returns the board's clock when it answered: the time nearest to `near_us` that has these low 24 bits. `near_us`
+    /// must be within 8 s of it.
     #[must_use]
     pub const fn device_us(&self, near_us: u64) -> u64 {
-        // The difference modulo 2^24, with its sign.
+        // Difference modulo 2^24: shifting by 8 up and down again extends its sign.
         let ahead = (of_24(self.device_us).wrapping_sub(near_us as u32) << 8).cast_signed() >> 8;
         near_us.wrapping_add_signed(ahead as i64)
     }
 
-    /// What the channels do, in the order in which they were bound.
+    /// Returns the state of the channels, in the order of the binding.
     #[must_use]
     pub fn motors(&self) -> [CycleMotor; CYCLE_CHANNELS] {
         let (speed, duty) = (whole(self.speed), whole(self.duty));
@@ -304,7 +309,7 @@ impl CycleState {
     }
 }
 
-/// The low 24 bits.
+/// Returns the low 24 bits, little-endian.
 const fn low_24(number: u32) -> [u8; 3] {
     let [low, middle, high, _] = number.to_le_bytes();
     [low, middle, high]
@@ -314,10 +319,10 @@ const fn of_24([low, middle, high]: [u8; 3]) -> u32 {
     u32::from_le_bytes([low, middle, high, 0])
 }
 
-/// Every cause travels in a [`CycleState`].
+/// All causes must fit the 24 bits that a [`CycleState`] has for them.
 const _: () = assert!(Cause::ALL.len() <= 24);
 
-/// The low 32 bits.
+/// Returns the low 32 bits, little-endian.
 const fn low(us: u64) -> [u8; 4] {
     (us as u32).to_le_bytes()
 }
@@ -419,7 +424,7 @@ mod tests {
         for whole in [-32_767_i16, -1, 0, 1, 32_767] {
             assert_eq!(steps(f32::from(whole) * 0.001, 0.001), Some(whole));
         }
-        // Where rounding would make it -32768, which is `NOTHING`, or 32768.
+        // The ends, which rounding would make -32768, which is `NOTHING`, or 32768.
         for (end, whole) in [(32_767.5_f32, 32_767), (-32_767.5, -32_767)] {
             assert_eq!(steps(end, 1.0), None);
             assert_eq!(steps(end - end.signum() * 0.01, 1.0), Some(whole));

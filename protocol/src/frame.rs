@@ -1,19 +1,20 @@
 //! Frames on a byte link: `COBS(postcard message | checksum, little-endian) 0x00`.
 //!
-//! A frame never contains 0x00, so a receiver that joins in the middle, or lost bytes, is in step again after one
-//! delimiter. The checksum is over the message before COBS, and there are two of them ([`Check`]):
+//! A frame contains no 0x00 but its delimiter. A receiver that joins in the middle, or has lost bytes, is therefore in
+//! step again after one delimiter. The checksum covers the message before COBS, and there are two of them ([`Check`]):
 //!
 //! | messages | checksum | bytes |
 //! | --- | --- | --- |
 //! | commands: cycles, and all requests but `Hello`, `Bye` and `Stop` | CRC-32/ISO-HDLC, that of zlib: polynomial 0x04C11DB7 reflected | 4 |
-//! | `Hello`, `Bye`, `Stop`, heartbeats, and all that a board says | CRC-16/IBM-SDLC: polynomial 0x1021 reflected, as a UART sends bits | 2 |
+//! | `Hello`, `Bye`, `Stop`, heartbeats, and all messages of a board | CRC-16/IBM-SDLC: polynomial 0x1021 reflected, as a UART sends bits | 2 |
 //!
-//! A command with the shorter one is not taken. The others are taken with the longer one, too.
+//! A command with the shorter checksum is not taken. The other messages are taken with the longer one, too.
 //!
-//! The shorter one finds every error of up to three bits, or within 16 bits in a row, that leaves COBS codes and zeros where they are. A
-//! damaged code becomes many wrong bits: measured with the same polynomial unreflected, of frames with one wrong bit 5 in
-//! 187 million passed for another message, of frames with three 1 in a million. That is too much for what arms a board or moves a motor;
-//! `Stop` has it because a stop is taken from hosts of every version, and what it stops may be started again.
+//! The shorter one detects every error of up to three bits, or within 16 bits in a row, that leaves COBS codes and
+//! zeros in place. A damaged code turns into many wrong bits: measured with the same polynomial unreflected, of frames
+//! with one wrong bit 5 in 187 million passed for another message, and of frames with three 1 in a million. That is too
+//! many for messages that arm a board or move a motor. `Stop` has the shorter one because a board takes a stop from
+//! hosts of every version, and what it stops may be started again.
 
 use crc::{CRC_16_IBM_SDLC, CRC_32_ISO_HDLC, Crc};
 use serde::{Serialize, de::DeserializeOwned};
@@ -23,9 +24,9 @@ use crate::{
     message::{Request, ToDevice, ToHost},
 };
 
-/// Longest message in a frame, before CRC and COBS. Chosen so that COBS adds exactly one byte.
+/// Maximum length of a message, bytes, before CRC and COBS. Chosen so that COBS adds exactly one byte.
 pub const MAX_MESSAGE: usize = 250;
-/// Longest frame: message, CRC, COBS overhead, delimiter.
+/// Maximum length of a frame, bytes: message, CRC, COBS overhead, delimiter.
 pub const MAX_FRAME: usize = MAX_MESSAGE + LONG_LEN + 2;
 
 const SHORT_LEN: usize = 2;
@@ -33,18 +34,18 @@ const SHORT: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_SDLC);
 const LONG_LEN: usize = 4;
 const LONG: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Checksum of a frame.
+/// Checksum of a frame: the length of its CRC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Check {
-    /// CRC-16/IBM-SDLC.
+    /// CRC-16/IBM-SDLC, 2 bytes, for all other messages.
     Short,
-    /// CRC-32/ISO-HDLC, of commands.
+    /// CRC-32/ISO-HDLC, 4 bytes, for commands.
     Long,
 }
 
-/// What travels in frames.
+/// Message that travels in frames.
 pub trait Message: Serialize + DeserializeOwned {
-    /// The checksum that its frames have.
+    /// Returns the checksum that frames of this message have.
     fn check(&self) -> Check;
 }
 
@@ -58,7 +59,7 @@ impl Message for ToDevice {
     }
 }
 
-/// On a link that carries nothing but cycles.
+/// Frames on a link that carries nothing but cycles.
 impl Message for Cycle {
     fn check(&self) -> Check {
         Check::Long
@@ -77,7 +78,7 @@ impl Message for ToHost {
     }
 }
 
-/// The message does not fit a frame, so it was not sent.
+/// Error of a message that does not fit a frame; it is not sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MessageTooLong;
 
@@ -89,7 +90,7 @@ pub fn encode_frame<'b, T: Message>(message: &T, buffer: &'b mut [u8; MAX_FRAME]
     encode_with(message, message.check(), buffer)
 }
 
-/// As [`encode_frame`], of anything that postcard takes, with a checksum that is asked for.
+/// Encodes any serializable value as one frame with the given checksum; otherwise as [`encode_frame`].
 ///
 /// # Errors
 /// [`MessageTooLong`] when it needs more than [`MAX_MESSAGE`] bytes.
@@ -98,6 +99,7 @@ pub fn encode_with<'b, T: Serialize>(
     check: Check,
     buffer: &'b mut [u8; MAX_FRAME],
 ) -> Result<&'b [u8], MessageTooLong> {
+    // The message is limited to its own room, so that any checksum fits behind it.
     let mut plain = [0; MAX_MESSAGE + LONG_LEN];
     let len = postcard::to_slice(message, &mut plain[..MAX_MESSAGE]).map_err(|_| MessageTooLong)?.len();
     let (message, after) = plain.split_at_mut(len);
@@ -111,38 +113,39 @@ pub fn encode_with<'b, T: Serialize>(
             len + LONG_LEN
         }
     };
+    // At most 254 bytes: COBS adds one, and the delimiter is the last that `buffer` has room for.
     let end = cobs::encode(&plain[..end], buffer);
     buffer[end] = 0;
     Ok(&buffer[..=end])
 }
 
-/// Why a frame was dropped.
+/// Reason why a frame was dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameError {
-    /// Longer than any frame of this protocol.
+    /// The frame is longer than any frame of this protocol.
     TooLong,
-    /// Not COBS, or too short to hold a CRC.
+    /// The frame is not COBS, or too short to hold a CRC.
     Malformed,
-    /// The checksum does not fit.
+    /// The checksum does not match the message.
     Checksum {
-        /// In the frame.
+        /// Checksum in the frame.
         received: u16,
-        /// Over what was received.
+        /// Checksum of the message as received.
         calculated: u16,
     },
-    /// Undamaged, but no message of this version, or a command with the shorter checksum.
+    /// The frame is undamaged, but holds no message of this version, or a command with the shorter checksum.
     NotAMessage {
-        /// Number of the request or of the response that it is, which both kinds of message begin with in all versions; `None` of other
-        /// messages. A request is refused by it, and who waits for a response is told by it that there was one.
+        /// Sequence number of a request or response, with which both begin in all versions; `None` for other messages.
+        /// With it a board refuses an unknown request, and a host ends the request that an unknown response answers.
         seq: Option<u16>,
     },
 }
 
-/// Takes bytes as they come and gives messages.
+/// Decoder that takes bytes as they come and returns messages.
 ///
-/// Survives any byte sequence: a bad frame is one [`FrameError`], and the next good one is taken.
+/// It accepts any byte sequence: a bad frame gives one [`FrameError`], and the next good one is decoded.
 pub struct FrameDecoder {
-    /// A frame without its delimiter.
+    /// Bytes of a frame without its delimiter.
     buffer: [u8; MAX_FRAME - 1],
     len: usize,
     overflow: bool,
@@ -155,13 +158,13 @@ impl Default for FrameDecoder {
 }
 
 impl FrameDecoder {
-    /// A decoder that has seen nothing.
+    /// Makes a decoder that has received nothing.
     #[must_use]
     pub const fn new() -> Self {
         Self { buffer: [0; MAX_FRAME - 1], len: 0, overflow: false }
     }
 
-    /// Takes one byte. `Some` when it ended a frame.
+    /// Takes one byte. Returns `Some` when it ended a frame.
     pub fn push<T: Message>(&mut self, byte: u8) -> Option<Result<T, FrameError>> {
         if byte != 0 {
             match self.buffer.get_mut(self.len) {
@@ -169,6 +172,7 @@ impl FrameDecoder {
                     *slot = byte;
                     self.len += 1;
                 }
+                // The rest of an overlong frame is skipped up to its delimiter.
                 None => self.overflow = true,
             }
             return None;
@@ -177,7 +181,7 @@ impl FrameDecoder {
         self.len = 0;
         self.overflow = false;
         match len {
-            // Delimiters alone are idle filling, not frames.
+            // Repeated delimiters fill idle time and are no frames.
             0 => None,
             _ if overflow => Some(Err(FrameError::TooLong)),
             _ => Some(Self::decode(&mut self.buffer[..len])),
@@ -187,17 +191,18 @@ impl FrameDecoder {
     fn decode<T: Message>(frame: &mut [u8]) -> Result<T, FrameError> {
         let len = cobs::decode_in_place(frame).map_err(|_| FrameError::Malformed)?;
         let (message, check) = checked(&frame[..len])?;
-        // `take` and not `from_bytes`: bytes left over are a longer message of another version, not of this one.
+        // `take_from_bytes` and not `from_bytes`: excess bytes mark a longer message of another version, which must be
+        // an error.
         match postcard::take_from_bytes::<T>(message) {
-            // The longer one finds more errors: with it anything is taken, a stop above all.
+            // The longer checksum detects more errors: any message may have it, a stop above all.
             Ok((message, [])) if check == Check::Long || message.check() == check => Ok(message),
             _ => Err(FrameError::NotAMessage { seq: seq(message) }),
         }
     }
 }
 
-/// The message of a frame, without COBS, and the checksum that fits. The longer one first: of a command, the shorter one fits by chance once
-/// in 65 536 times, and then two bytes would be left over.
+/// Returns the message of a frame without COBS, and the checksum that matches. Tries the longer one first: for a
+/// command the shorter one matches by chance once in 65 536 times, and two bytes would then be left over.
 fn checked(frame: &[u8]) -> Result<(&[u8], Check), FrameError> {
     if let Some((message, received)) = frame.split_last_chunk::<LONG_LEN>()
         && u32::from_le_bytes(*received) == LONG.checksum(message)
@@ -213,7 +218,8 @@ fn checked(frame: &[u8]) -> Result<(&[u8], Check), FrameError> {
     }
 }
 
-/// Number of a request or response of any version: the first variant of both directions, and then it.
+/// Reads the sequence number of a request or response of any version: both are variant 0 of their direction and begin
+/// with it.
 fn seq(message: &[u8]) -> Option<u16> {
     let (&first, rest) = message.split_first()?;
     (first == 0).then(|| postcard::take_from_bytes(rest).ok())?.map(|(seq, _)| seq)

@@ -1,4 +1,4 @@
-//! What travels between an R4 board and its hosts: message types, frames and their version.
+//! Messages between an R4 board and its hosts: types, frames and versions.
 //!
 //! | module | subject |
 //! | --- | --- |
@@ -6,11 +6,11 @@
 //! | [`message`] | requests, replies, refusals, telemetry, heartbeats |
 //! | [`cycle`] | set points for four channels and what these do, in 66 bytes |
 //! | [`state`] | safety states and trip causes |
-//! | [`config`] | what a board is told about itself: wiring, limits, gains, calibration |
+//! | [`config`] | configuration of a board: wiring, limits, gains, calibration |
 //! | [`parameter`] | the numbers of the configuration that hosts may change |
 //! | [`log`] | the log of a board's firmware |
 //! | [`image`] | the image of a board's firmware, and how it is known to be whole |
-//! | [`frame`] | frames on a byte link: COBS and a checksum of 16 bits, of commands 32 |
+//! | [`frame`] | frames on a byte link: COBS, and a checksum of 16 bits or, for commands, 32 |
 //! | [`can`] | a byte link on a CAN bus |
 //! | [`version`] | versions of all this, and how a board and a host agree on one |
 //!

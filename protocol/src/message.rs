@@ -1,4 +1,4 @@
-//! The messages, in both directions.
+//! Messages between host and board, in both directions.
 //!
 //! postcard sends the position of an enum's variant: append variants and fields, never reorder or remove.
 
@@ -18,215 +18,220 @@ use crate::{
     state::{Causes, SafetyState},
 };
 
-/// Most samples in one [`Telemetry`] frame.
+/// Maximum number of samples in one [`Telemetry`] frame.
 pub const MAX_SAMPLES: usize = 8;
 
-/// Host to board.
+/// Message from a host to a board.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum ToDevice {
-    /// Something that is answered by exactly one [`ToHost::Response`] with the same `seq`.
+    /// Request, which the board answers by exactly one [`ToHost::Response`] with the same `seq`.
     Request {
-        /// Chosen by the host, echoed by the board.
+        /// Sequence number, chosen by the host and echoed by the board.
         seq: u16,
-        /// What is asked.
+        /// Request that the board is to carry out.
         request: Request,
     },
-    /// "I am alive". Answered by [`ToHost::Heartbeat`]; without one for the link timeout the board trips.
+    /// Sign of life. The board answers it by [`ToHost::Heartbeat`], and trips when none comes for the link time-out.
     Heartbeat {
-        /// From [`DeviceInfo`]; a heartbeat of another session does not count.
+        /// Session number from [`DeviceInfo`]; a heartbeat of another session does not count.
         session: u16,
-        /// The host's clock, echoed back.
+        /// Host's clock, echoed by the board.
         host_us: u64,
     },
-    /// Set points for the channels of [`Request::Bind`]. Answered by exactly one [`ToHost::Cycle`] with the same `seq`.
+    /// Set points for the channels of [`Request::Bind`]. The board answers by exactly one [`ToHost::Cycle`] with the
+    /// same `seq`.
     Cycle(Cycle),
 }
 
-/// Board to host.
+/// Message from a board to a host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum ToHost {
-    /// The answer to one request.
+    /// Answer to one request.
     Response {
-        /// Of the request.
+        /// Sequence number of the answered request.
         seq: u16,
-        /// What came of it.
+        /// Reply to a request that was carried out, or the reason why it was refused.
         result: Result<Reply, Refusal>,
     },
-    /// The answer to a heartbeat.
+    /// Answer to a heartbeat.
     Heartbeat {
-        /// From the heartbeat that is answered.
+        /// Host's clock from the answered heartbeat.
         host_us: u64,
-        /// The board's clock when it answered.
+        /// Board's clock when it answered.
         device_us: u64,
-        /// Where the supervisor stands.
+        /// State of the safety supervisor.
         state: SafetyState,
         /// Causes latched by a trip.
         causes: Causes,
-        /// Motors whose windings are close to what they withstand: see [`Winding::hot`].
+        /// Motors whose windings are close to their thermal limit: see [`Winding::hot`].
         hot: Vec<HotWinding, MAX_MOTORS>,
     },
     /// Samples of subscribed channels.
     Telemetry(Telemetry),
-    /// The answer to a cycle.
+    /// Answer to a cycle.
     Cycle(CycleState),
-    /// What the firmware has logged, after [`Request::Log`].
+    /// Piece of the firmware's log, after [`Request::Log`].
     Log(LogChunk),
 }
 
-/// What a host can ask.
+/// Request of a host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum Request {
-    /// Opens a session. Must come first; its encoding never changes, so that any two versions can agree or refuse each other: see
-    /// [`crate::version`].
+    /// Opens a session, and must come first. Its encoding never changes, so that any two versions can agree or refuse
+    /// each other: see [`crate::version`].
     Hello {
-        /// [`crate::VERSION`] in which the host wants to talk.
+        /// Protocol version ([`crate::VERSION`]) that the host wants to talk.
         version: u16,
-        /// [`crate::SCHEMA_HASH`] of that version.
+        /// Schema hash ([`crate::SCHEMA_HASH`]) of that version.
         schema: u64,
     },
-    /// Closes the session: disarms, ends subscriptions, and the missing heartbeat no longer trips.
+    /// Closes the session: disarms the board and ends subscriptions; missing heartbeats no longer trip it.
     Bye,
     /// Describes channel number `index` in the board's list.
     Describe {
-        /// 0 to [`DeviceInfo::channels`] - 1.
+        /// Place in the list, 0 to [`DeviceInfo::channels`] - 1.
         index: u8,
     },
-    /// Lets outputs move.
+    /// Arms the board, so that outputs follow set points.
     Arm,
-    /// Makes outputs safe in an orderly way.
+    /// Disarms the board: it makes its outputs safe in an orderly way.
     Disarm,
-    /// Leaves a trip, once no cause is present.
+    /// Leaves a trip; refused while a cause is present.
     Clear,
-    /// Trips the board: outputs safe, latched.
+    /// Trips the board: it makes its outputs safe and latches that state.
     Stop,
-    /// Commands one channel. One that is refused stops the channel, unless the channel follows a set point that was decided later.
+    /// Gives one channel a set point. A refused one stops the channel, unless the channel follows a set point that was
+    /// decided later.
     Set {
-        /// Which.
+        /// Channel of the set point.
         channel: ChannelId,
-        /// To what.
+        /// Mode and value of the set point.
         setpoint: Setpoint,
-        /// When the host decided this, on the board's clock.
+        /// Board's clock when the host decided the set point.
         sent_us: u64,
-        /// How long after `sent_us` it may still be carried out.
+        /// Time to live: the set point may be carried out until this long after `sent_us`.
         ttl_ms: u16,
     },
-    /// Samples of `channel` every `period_ms`; 0 ends them.
+    /// Subscribes to samples of `channel`; a period of 0 ends them.
     Subscribe {
-        /// Which.
+        /// Channel to be sampled.
         channel: ChannelId,
-        /// How often.
+        /// Period of the samples; 0 ends them.
         period_ms: u16,
     },
-    /// Changes the gains of one loop, without a jump of its output.
+    /// Changes the gains of one loop, without a step of its output.
     SetGains {
-        /// Which.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// Which of its loops, [`Mode::Position`] or [`Mode::Speed`].
+        /// Loop to be changed: [`Mode::Position`] or [`Mode::Speed`].
         mode: Mode,
-        /// The new gains.
+        /// New gains of the loop.
         gains: PidGains,
     },
-    /// Counters since power-up.
+    /// Asks for the counters since power-up.
     Stats,
     /// Describes parameter number `index` of the board's configuration.
     DescribeParameter {
-        /// From 0; [`Refusal::NoSuchIndex`] ends the list.
+        /// Place in the list, from 0; [`Refusal::NoSuchIndex`] marks its end.
         index: u16,
     },
-    /// Changes a parameter; it holds from the next start on, if [`Request::SaveParameters`] follows.
+    /// Changes a parameter. The new value holds from the next start on, if [`Request::SaveParameters`] follows.
     SetParameter {
-        /// Which.
+        /// Parameter to be changed.
         key: ParameterKey,
-        /// In the unit of its field.
+        /// New value, in the parameter's unit.
         value: f32,
     },
-    /// Changes the robot's name, as [`Request::SetParameter`] does a number.
+    /// Changes the robot's name, in the same way as [`Request::SetParameter`] changes a number.
     SetName {
-        /// The new name.
+        /// New name of the robot.
         robot: String<MAX_NAME>,
     },
-    /// Keeps all changes over a restart: all of them, or none if it fails.
+    /// Saves all changes, so that they hold after a restart: all of them, or none on failure.
     SaveParameters,
-    /// Goes back to what the firmware was built with; saved by [`Request::SaveParameters`] too.
+    /// Resets all parameters to their built-in values; [`Request::SaveParameters`] saves that, too.
     ResetParameters,
     /// Restarts the board. Refused while it is armed.
     Restart,
-    /// A trip out of the history.
+    /// Asks for one trip of the fault history.
     Fault {
-        /// 0 is the newest.
+        /// Place in the history; 0 is the newest trip.
         index: u8,
     },
-    /// What the board looked like before a trip.
+    /// Asks for the state of the board at one moment before a trip.
     FaultSnapshot {
-        /// Which trip; 0 is the newest.
+        /// Place of the trip in the history; 0 is the newest.
         index: u8,
-        /// Which of its snapshots; 0 is the oldest.
+        /// Number of the snapshot; 0 is the oldest.
         snapshot: u8,
     },
-    /// A transfer on one of the external I2C connectors: a write, then a read, either of which may be empty.
+    /// Transfers data on one of the external I2C connectors: a write, then a read, either of which may be empty.
     I2cTransfer {
-        /// 0 or 1.
+        /// Number of the I2C connector, 0 or 1.
         bus: u8,
-        /// 7-bit address.
+        /// I2C address of 7 bits.
         address: u8,
-        /// Bytes to write.
+        /// Bytes to write; empty to read only.
         write: Vec<u8, MAX_RAW>,
-        /// How many bytes to read, up to [`MAX_RAW`].
+        /// Number of bytes to read, up to [`MAX_RAW`].
         read: u8,
     },
     /// Sends bytes out of a UART connector.
     UartWrite {
-        /// 0 or 1.
+        /// Number of the UART connector, 0 or 1.
         port: u8,
         /// What to send.
         bytes: Vec<u8, MAX_RAW>,
     },
-    /// Takes bytes that a UART connector has received, as many as fit the answer.
+    /// Takes the bytes that a UART connector has received, as many as fit the answer.
     UartRead {
-        /// 0 or 1.
+        /// Number of the UART connector, 0 or 1.
         port: u8,
     },
-    /// Says what [`ToDevice::Cycle`] over this link means from now on, until the session ends. No channels end it.
+    /// Binds channels: says what [`ToDevice::Cycle`] over this link means from now on, until the session ends. An empty
+    /// list ends it.
     Bind {
-        /// In the order of the cycle's numbers.
+        /// Channels, modes and scales, in the order of the numbers in a cycle.
         channels: Vec<CycleChannel, CYCLE_CHANNELS>,
-        /// How long after it was decided a set point may be carried out, and is followed if no other comes.
+        /// Time to live: a set point may be carried out until this long after it was decided, and is followed no longer
+        /// than that if no other comes.
         ttl_ms: u16,
     },
-    /// Sends what the firmware logs, from the oldest that the board still has on, until the session ends or this ends it.
-    /// Everything else goes before it.
+    /// Switches the firmware's log on or off. The board sends it from the oldest bytes that it still has, until the
+    /// session ends or a request switches it off. All other messages go first.
     Log {
-        /// Whether to send it.
+        /// True to send the log, false to end it.
         on: bool,
     },
-    /// Which image the board runs.
+    /// Asks which image the board runs.
     Image,
     /// Restarts the board into the bootloader that started it, which takes another image over USB. Refused while the board is
     /// armed, and by an image without a bootloader.
     Bootloader,
-    /// Gives a channel points of a path, in place of those it has from the first of these on. All are taken or none; refused ones
-    /// stop the channel as in [`Request::Set`]. A path that ends at a speed is left along the channel's profile, to rest.
+    /// Gives a channel points of a path. They replace its points from the first of these on. The board takes all or
+    /// none; refused points stop the channel as in [`Request::Set`]. At the end of a path with a speed, the channel's
+    /// profile takes it to rest.
     Follow {
-        /// Which.
+        /// Channel of the path.
         channel: ChannelId,
-        /// When the host decided this, on the board's clock.
+        /// Board's clock when the host decided the points.
         sent_us: u64,
-        /// In the order of their dates.
+        /// Points of the path, in the order of their dates.
         points: Vec<PathPoint, MAX_POINTS>,
     },
-    /// Changes a motor's feed-forward, and which loop holds its positions, until the next start.
+    /// Changes a motor's feed-forward and the loop that holds its positions, until the next start.
     SetTuning {
-        /// Which.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// The new numbers.
+        /// New feed-forward and cascade gain.
         tuning: Tuning,
     },
 }
 
 impl Request {
-    /// Whether a board does it once where it is sent again with the same `seq`, in sessions of version
-    /// [`REPEATS.since`](crate::version::REPEATS) and later: doing it again would be something else by then, as arming after a disarm, or a set point after
-    /// a newer one.
+    /// Returns whether a board carries this request out only once when it is sent again with the same `seq`, in
+    /// sessions of version [`REPEATS.since`](crate::version::REPEATS) and later. For these requests a second time would
+    /// mean something else by then: arming after a disarm, or a set point after a newer one.
     #[must_use]
     pub const fn is_done_once(&self) -> bool {
         matches!(
@@ -244,325 +249,327 @@ impl Request {
     }
 }
 
-/// Most points in one [`Request::Follow`].
+/// Maximum number of points in one [`Request::Follow`].
 pub const MAX_POINTS: usize = 4;
-/// Points that a board keeps for each channel, the ones it has passed not counted.
+/// Number of points that a board keeps for each channel, not counting those it has passed.
 pub const PATH_POINTS: usize = 32;
 
-/// Where a channel is to be at one moment. Between two points it follows the cubic with their positions and speeds (Hermite).
+/// Dated point of a channel's path. Between two points the channel follows the cubic with their positions and speeds
+/// (Hermite).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct PathPoint {
-    /// When, on the board's clock.
+    /// Board's clock when the channel is to be at the point.
     pub at_us: u64,
-    /// rad or m
+    /// Position at the point, rad or m.
     pub position: f32,
-    /// rad/s or m/s; `None` for the slope at this point of the parabola through it and its neighbours.
+    /// Speed at the point, rad/s or m/s; `None` takes the slope of the parabola through this point and its neighbours.
     pub speed: Option<f32>,
-    /// Duty that is added to the loops' own from the point before to this one, as a share of the supply; 0 for none.
+    /// Duty that is added to the loops' output from the point before to this one, a share of the supply; 0 adds
+    /// nothing.
     pub feed_forward: f32,
 }
 
-/// Most bytes in one raw transfer.
+/// Maximum number of bytes in one raw transfer.
 pub const MAX_RAW: usize = 64;
-/// Most bytes of the firmware's version.
+/// Maximum length of the firmware's version, bytes.
 pub const MAX_FIRMWARE: usize = 16;
 
-/// A command to a channel.
+/// Set point of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Setpoint {
-    /// How the number is meant.
+    /// Mode, which says what quantity `value` is.
     pub mode: Mode,
-    /// rad or m; rad/s or m/s; share of the supply; V; 0 or 1.
+    /// Value in the unit of the mode: rad or m; rad/s or m/s; share of the supply; V; 0 or 1; N.
     pub value: f32,
 }
 
 impl Setpoint {
-    /// What a channel follows that has not been told anything.
+    /// Set point of a channel that has not been given any: no duty.
     pub const NONE: Self = Self { mode: Mode::Duty, value: 0.0 };
 }
 
-/// What a board answers when it does as asked.
+/// Answer to a request that was carried out.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum Reply {
-    /// To [`Request::Hello`].
+    /// Answer to [`Request::Hello`]: the board and the session.
     Hello(DeviceInfo),
-    /// To [`Request::Describe`].
+    /// Answer to [`Request::Describe`]: one channel.
     Channel(ChannelInfo),
-    /// To [`Request::Stats`].
+    /// Answer to [`Request::Stats`]: the counters.
     Stats(DeviceStats),
-    /// To everything else: it was done.
+    /// Answer to requests without data of their own: it was done.
     Done,
-    /// To [`Request::DescribeParameter`].
+    /// Answer to [`Request::DescribeParameter`]: one parameter.
     Parameter(ParameterInfo),
-    /// To [`Request::Fault`].
+    /// Answer to [`Request::Fault`]: one trip.
     Fault(FaultInfo),
-    /// To [`Request::FaultSnapshot`].
+    /// Answer to [`Request::FaultSnapshot`]: the state at one moment.
     FaultSnapshot(FaultSnapshot),
-    /// To [`Request::I2cTransfer`] and [`Request::UartRead`].
+    /// Answer to [`Request::I2cTransfer`] and [`Request::UartRead`]: the bytes that were read.
     Bytes(Vec<u8, MAX_RAW>),
-    /// To [`Request::Log`].
+    /// Answer to [`Request::Log`]: the image that the log belongs to.
     Log(LogInfo),
-    /// To [`Request::Image`].
+    /// Answer to [`Request::Image`]: the image that runs.
     Image(ImageInfo),
 }
 
-/// A parameter and its values.
+/// Parameter with its values.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ParameterInfo {
-    /// Which.
+    /// Name of the parameter.
     pub key: ParameterKey,
-    /// What the board works with.
+    /// Value that the board works with.
     pub active: f32,
-    /// What it will work with after a restart, if that is saved.
+    /// Value after the next restart, if it is saved.
     pub set: f32,
-    /// What the firmware was built with.
+    /// Value that the firmware was built with.
     pub built_in: f32,
 }
 
-/// A trip out of the history.
+/// Trip of the fault history.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct FaultInfo {
-    /// Counts trips over the board's life; the newest has the highest.
+    /// Number of the trip over the board's life; the newest has the highest.
     pub number: u32,
-    /// Counts starts of the board, as the history knows them.
+    /// Number of the start in which the board tripped; the history counts starts with a trip.
     pub start: u32,
-    /// Since that start.
+    /// Board's clock at the trip: time since that start.
     pub device_us: u64,
-    /// Every cause, up to when it was recorded.
+    /// Causes that were present by the time the trip was recorded.
     pub causes: Causes,
-    /// How many [`Request::FaultSnapshot`]s there are.
+    /// Number of snapshots for [`Request::FaultSnapshot`].
     pub snapshots: u8,
 }
 
-/// What the board looked like at one moment before a trip.
+/// State of the board at one moment before a trip.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct FaultSnapshot {
-    /// Before the trip.
+    /// Time from the snapshot to the trip.
     pub before_ms: u16,
-    /// In the order of the board's motor channels.
+    /// Motors in the order of the board's motor channels.
     pub motors: Vec<MotorSnapshot, MAX_MOTORS>,
-    /// In the order of the board's supply channels, V.
+    /// Supply voltages in the order of the board's supply channels.
     pub supplies_v: Vec<f32, MAX_SUPPLIES>,
 }
 
-/// What a motor did at one moment.
+/// State of a motor at one moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct MotorSnapshot {
-    /// In counts of [`ChannelInfo::resolution`].
+    /// Position in counts of [`ChannelInfo::resolution`].
     pub position: i32,
-    /// rad/s or m/s.
+    /// Speed, rad/s or m/s.
     pub speed: f32,
-    /// Share of the supply at the bridge.
+    /// Duty at the bridge, a share of the supply.
     pub duty: f32,
 }
 
-/// Who answers, and the session it opened.
+/// Board that answers a Hello, and the session that this opened.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct DeviceInfo {
-    /// The robot's name.
+    /// Name of the robot.
     pub robot: String<MAX_NAME>,
     /// Version of the firmware.
     pub firmware: String<MAX_FIRMWARE>,
-    /// For heartbeats.
+    /// Session number, which heartbeats carry.
     pub session: u16,
-    /// How many channels [`Request::Describe`] knows.
+    /// Number of channels that [`Request::Describe`] knows.
     pub channels: u8,
-    /// The host must send heartbeats more often than this.
+    /// Link time-out: the host must send heartbeats more often than this.
     pub link_timeout_ms: u16,
-    /// The board's clock.
+    /// Board's clock when it answered.
     pub device_us: u64,
-    /// Where the supervisor stands.
+    /// State of the safety supervisor.
     pub state: SafetyState,
     /// Causes latched by a trip.
     pub causes: Causes,
 }
 
-/// The share of the processor that a control period is promised to take at most, in 99.9 % of them.
+/// Limit of the processor time of a control period, a share of the period: 99.9 % of the periods stay within it.
 pub const CONTROL_SHARE: f32 = 0.04;
 
-/// What the board counted since power-up.
+/// Counters of a board since power-up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct DeviceStats {
-    /// Control ticks run.
+    /// Control ticks that ran.
     pub ticks: u32,
     /// Control ticks that ended after the next one was due.
     pub late_ticks: u32,
-    /// Longest time from the start of a tick to its last output written.
+    /// Longest time from the start of a tick to the end of its last write to an output.
     pub worst_tick_us: u32,
     /// I2C transfers that failed and were repeated.
     pub bus_retries: u32,
-    /// Frames taken.
+    /// Frames that were taken.
     pub frames: u32,
-    /// Frames dropped: bad encoding or checksum, too long, or no message of this version.
+    /// Frames that were dropped: bad encoding or checksum, too long, or no message of this version.
     pub bad_frames: u32,
-    /// Requests refused.
+    /// Requests that were refused.
     pub refused: u32,
     /// Telemetry frames dropped because the link was full.
     pub telemetry_dropped: u32,
-    /// Cycles that were not taken.
+    /// Cycles that were refused.
     pub cycles_refused: u32,
-    /// Set points of cycles that grew too old while they were followed: their channels were stopped.
+    /// Set points of cycles whose time to live ended while they were followed; their channels were stopped.
     pub setpoints_expired: u32,
-    /// How often the board went off the CAN bus by its own errors (bus-off). It is back on it after 50 ms and 128 times 11
-    /// recessive bits.
+    /// Times that the board went off the CAN bus because of its own errors (bus-off). It comes back after 50 ms and 128
+    /// times 11 recessive bits.
     pub can_bus_off: u32,
-    /// How often one of its error counters on the CAN bus reached the warning limit of 96.
+    /// Times that one of the board's error counters on the CAN bus reached the warning limit of 96.
     pub can_warnings: u32,
-    /// Most cycles of the processor that the control task took in one period, with those of the interrupts that came meanwhile;
-    /// 0 where nobody counts them, as on simulated boards.
+    /// Most processor cycles that the control task took in one period, including interrupts in that time; 0 where they
+    /// are not counted, as on simulated boards.
     pub worst_tick_cycles: u32,
-    /// Control periods in which these were more than [`CONTROL_SHARE`] of the period.
+    /// Control periods in which the control task took more than [`CONTROL_SHARE`] of the period.
     pub ticks_over_share: u32,
 }
 
-/// Why a request was not carried out. Nothing was changed.
+/// Reason why a request was not carried out. Nothing was changed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum Refusal {
     /// The board does not speak that version of the protocol.
     ProtocolMismatch {
-        /// The newest that it speaks: its [`crate::VERSION`].
+        /// Newest version that the board speaks: its [`crate::VERSION`].
         version: u16,
-        /// [`crate::SCHEMA_HASH`] of the board.
+        /// Schema hash ([`crate::SCHEMA_HASH`]) of the board.
         schema: u64,
     },
-    /// No session: [`Request::Hello`] must come first.
+    /// There is no session: [`Request::Hello`] must come first.
     NoSession,
-    /// Another host's session is alive.
+    /// Another host has a session that is alive.
     InUse,
     /// The board has no such channel.
     UnknownChannel {
-        /// As asked.
+        /// Channel of the request.
         channel: ChannelId,
     },
     /// The board's list of channels or parameters ends before this.
     NoSuchIndex {
-        /// As asked, or 255 when it was more.
+        /// Index of the request, or 255 when it was higher.
         index: u8,
     },
-    /// The channel cannot be commanded in this mode.
+    /// The channel does not take set points in this mode.
     WrongMode {
-        /// As asked.
+        /// Channel of the request.
         channel: ChannelId,
-        /// As asked.
+        /// Mode of the request.
         mode: Mode,
     },
-    /// NaN or infinite.
+    /// The value is NaN or infinite.
     NotFinite {
-        /// As asked.
+        /// Channel of the request.
         channel: ChannelId,
     },
-    /// Outside what the channel can take.
+    /// The value is outside the channel's range.
     OutOfRange {
-        /// As asked.
+        /// Channel of the request.
         channel: ChannelId,
-        /// As asked.
+        /// Value of the request.
         asked: f32,
-        /// What it can take.
+        /// Range of values that the channel takes.
         range: Range,
     },
-    /// Outputs move only while armed.
+    /// The board is not armed: outputs move only while it is.
     NotArmed {
-        /// Where the supervisor stands.
+        /// State of the safety supervisor.
         state: SafetyState,
     },
-    /// Arming or clearing while causes are present.
+    /// Causes are present, so the board cannot be armed or cleared.
     CausesPresent {
-        /// Those.
+        /// Causes that are present.
         causes: Causes,
     },
-    /// Arming while a trip is latched: clear it first.
+    /// A trip is latched, so the board cannot be armed: clear it first.
     Tripped {
-        /// What tripped.
+        /// Causes latched by the trip.
         causes: Causes,
     },
-    /// Older than its time-to-live on arrival.
+    /// The set point was older than its time to live on arrival.
     Expired {
-        /// How old.
+        /// Age of the set point on arrival.
         age_ms: u32,
-        /// How old it may be.
+        /// Time to live of the set point.
         ttl_ms: u16,
     },
-    /// Gains must be 0 to [`PidGains::MAX`].
+    /// A gain is not within 0 to [`PidGains::MAX`].
     BadGains {
-        /// As asked.
+        /// Channel of the request.
         channel: ChannelId,
     },
     /// The board has no room for another subscription.
     TooManySubscriptions,
-    /// Decided further in the future than its time-to-live: the host has the board's clock wrong.
+    /// The set point is dated further in the future than its time to live: the host has the board's clock wrong.
     ClockAhead {
-        /// How far.
+        /// Time by which the date is ahead of the board's clock.
         ahead_ms: u32,
     },
-    /// Not while the board is in this state: disarm it first.
+    /// The board does not do this in its present state: disarm it first.
     NotWhile {
-        /// Where the supervisor stands.
+        /// State of the safety supervisor.
         state: SafetyState,
     },
-    /// The board's configuration has no such number.
+    /// The board's configuration has no such parameter.
     UnknownParameter {
-        /// As asked.
+        /// Parameter of the request.
         key: ParameterKey,
     },
-    /// With this value the configuration would not be valid.
+    /// The configuration would not be valid with this value.
     BadParameter {
-        /// As asked.
+        /// Parameter of the request.
         key: ParameterKey,
-        /// As asked.
+        /// Value of the request.
         value: f32,
     },
     /// The board's flash could not be written or read.
     StorageFailed,
-    /// No trip of this number, or no snapshot of it.
+    /// There is no trip of this number, or no such snapshot of it.
     NoSuchFault,
-    /// No connector of this number, or an address or length it cannot have.
+    /// There is no connector of this number, or the address or length is out of range.
     BadTransfer,
-    /// Nothing on the external bus acknowledged.
+    /// No device on the external bus acknowledged.
     NoAcknowledge {
-        /// 7-bit address.
+        /// I2C address of 7 bits.
         address: u8,
     },
-    /// The external bus or port did not come to an end in time.
+    /// The transfer on the external bus or port did not end in time.
     TransferFailed,
-    /// Arming while something is done that must not be while outputs move: parameters are being saved, or the board is
-    /// about to restart.
+    /// The board cannot be armed while it saves parameters or is about to restart.
     Busy,
-    /// A channel bound twice, or with a scale that is not finite and above 0.
+    /// A channel is bound twice, or with a scale that is not finite and above 0.
     BadBinding {
-        /// As asked.
+        /// Channel of the binding.
         channel: ChannelId,
     },
-    /// This firmware has no log: it is a simulated board's.
+    /// This firmware has no log: the board is simulated.
     NoLog,
-    /// This firmware is no image in flash: it is a simulated board's.
+    /// This firmware is no image in flash: the board is simulated.
     NoImage,
-    /// No bootloader has started this firmware: it is a bare image, or a simulated board's.
+    /// No bootloader has started this firmware: it is a bare image, or the board is simulated.
     NoBootloader,
-    /// The first point of a path was dated no later than it arrived.
+    /// The first point of a path was dated at or before its arrival.
     Late {
-        /// How much earlier.
+        /// Time from the date of the point to its arrival.
         late_us: u32,
     },
-    /// The board has no room for that many points of a path.
+    /// The board has no room for as many points of a path.
     PathFull {
-        /// How many it could take.
+        /// Number of points that the board has room for.
         room: u8,
     },
-    /// A path without points, with two at one moment or in the wrong order.
+    /// A path has no points, or its dates do not increase.
     BadPath {
-        /// As asked.
+        /// Channel of the path.
         channel: ChannelId,
     },
-    /// Between two points of a path, or from where the channel is to the first, or at a point, it would be faster than it may.
+    /// The path is faster than the channel's speed limit: between two points, from the channel's position to the first
+    /// point, or at a point.
     TooFast {
-        /// As asked.
+        /// Channel of the path.
         channel: ChannelId,
-        /// rad/s or m/s
+        /// Speed that the path needs, rad/s or m/s.
         asked: f32,
-        /// rad/s or m/s
+        /// Speed limit of the channel, rad/s or m/s.
         limit: f32,
     },
-    /// An undamaged request that the board does not know: it came with a later version.
+    /// The board does not know this request, although it is undamaged: it came with a later version.
     UnknownMessage,
 }
 
@@ -665,109 +672,110 @@ impl core::error::Error for Refusal {}
 /// Samples taken at one moment.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Telemetry {
-    /// The board's clock when the motors' positions in it were measured: at the beginning of the last control period that is over.
+    /// Board's clock when the motors' positions were measured: at the beginning of the last complete control period.
     pub device_us: u64,
-    /// Where the supervisor stands.
+    /// State of the safety supervisor.
     pub state: SafetyState,
     /// Causes latched by a trip.
     pub causes: Causes,
-    /// What was subscribed and is due.
+    /// Samples of subscribed channels that are due.
     pub samples: Vec<Sample, MAX_SAMPLES>,
 }
 
-/// The value of one channel.
+/// Sample of one channel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum Sample {
-    /// Of a motor channel.
+    /// Sample of a motor or stepper.
     Motor {
-        /// Which.
+        /// Channel of the motor.
         channel: ChannelId,
-        /// What it follows.
+        /// Set point that the motor follows.
         setpoint: Setpoint,
-        /// In counts of [`ChannelInfo::resolution`].
+        /// Position in counts of [`ChannelInfo::resolution`].
         position: i32,
-        /// rad/s or m/s.
+        /// Speed, rad/s or m/s.
         speed: f32,
-        /// Share of the supply at the bridge.
+        /// Duty at the bridge, a share of the supply.
         duty: f32,
-        /// In position mode: at the set point and at rest.
+        /// True in position mode while the motor rests at its set point.
         settled: bool,
-        /// Whether the position is known, and not only counted from where power came on.
+        /// True where the zero of the position is known; false while positions count from where power came on.
         homed: bool,
-        /// How hot its winding is; `None` for a channel whose winding's heat nothing computes.
+        /// Heat of the motor's winding; `None` for a channel without a thermal model.
         winding: Option<Winding>,
     },
-    /// Of a channel that has one number and nothing more to tell.
+    /// Sample of a channel with one value and no quality.
     Scalar {
-        /// Which.
+        /// Channel of the value.
         channel: ChannelId,
-        /// In the channel's unit.
+        /// Value in the channel's unit.
         value: f32,
     },
-    /// Of an input that can fail, or grow old.
+    /// Sample of an input that can fail, or become old.
     Reading {
-        /// Which.
+        /// Channel of the input.
         channel: ChannelId,
-        /// In the channel's unit; the last good one where `quality` is not [`Quality::Good`].
+        /// Value in the channel's unit; the last good one where `quality` is not [`Quality::Good`].
         value: f32,
-        /// Since it was taken.
+        /// Age of the measurement.
         age_ms: u16,
-        /// Whether it can be relied on.
+        /// Quality of the measurement.
         quality: Quality,
     },
-    /// Of an encoder.
+    /// Sample of an encoder.
     Encoder {
-        /// Which.
+        /// Channel of the encoder.
         channel: ChannelId,
-        /// In counts of [`ChannelInfo::resolution`].
+        /// Position in counts of [`ChannelInfo::resolution`].
         position: i32,
-        /// rad/s
+        /// Speed of the shaft, rad/s.
         speed: f32,
-        /// Transitions that no shaft makes, since power-up; only where edges are decoded by the processor.
+        /// Illegal transitions since power-up, which no shaft can make; counted only where the processor decodes the
+        /// edges.
         illegal: u32,
     },
-    /// Of a sensor that measures several numbers together.
+    /// Sample of a sensor that measures several quantities together.
     Sensor {
-        /// Which.
+        /// Channel of the sensor.
         channel: ChannelId,
-        /// In the order and units of [`ChannelKind::quantities`](crate::ChannelKind::quantities), those behind them 0; the last good ones
-        /// where `quality` is not [`Quality::Good`].
+        /// Values in the order and units of [`ChannelKind::quantities`](crate::ChannelKind::quantities), the rest 0;
+        /// the last good ones where `quality` is not [`Quality::Good`].
         values: [f32; MAX_QUANTITIES],
-        /// Since they were taken.
+        /// Age of the measurement.
         age_ms: u16,
-        /// Whether they can be relied on.
+        /// Quality of the measurement.
         quality: Quality,
     },
 }
 
-/// How hot a motor's winding is, by the board's thermal model.
+/// Heat of a motor's winding, by the board's thermal model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Winding {
-    /// Share of what the winding withstands, %, rounded down; at 100 the board trips with [`Cause::Overload`].
+    /// Share of the winding's thermal limit, %, rounded down; at 100 the board trips with [`Cause::Overload`].
     ///
     /// [`Cause::Overload`]: crate::Cause::Overload
     pub heat_percent: u8,
-    /// The board's warning before that trip: it begins above 90 %, and ends below 85 %.
+    /// Warning before that trip: true from above 90 % until below 85 %.
     pub hot: bool,
 }
 
-/// A motor with [`Winding::hot`].
+/// Motor with a hot winding: see [`Winding::hot`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct HotWinding {
-    /// Which.
+    /// Channel of the motor.
     pub channel: ChannelId,
-    /// As [`Winding::heat_percent`].
+    /// Share of the winding's thermal limit: see [`Winding::heat_percent`].
     pub heat_percent: u8,
 }
 
-/// Whether a reading can be relied on.
+/// Quality of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Quality {
-    /// It can.
+    /// The measurement can be relied on.
     Good,
     /// Nothing has been measured yet.
     None,
-    /// Nothing in range reflects: as far as the sensor can tell, or farther.
+    /// Nothing reflects within the sensor's range.
     OutOfRange,
     /// The sensor does not answer: its echo never begins.
     NoAnswer,
@@ -781,7 +789,7 @@ pub enum Quality {
     Stale,
     /// Another chip answers at the sensor's address, or the sensor does not take its settings.
     WrongChip,
-    /// One of its numbers is at the end of the sensor's range.
+    /// One of the quantities is at the end of the sensor's range.
     Saturated,
     /// An angle sensor finds no magnet: its angle means nothing.
     NoMagnet,
@@ -812,7 +820,7 @@ impl fmt::Display for Quality {
 }
 
 impl Sample {
-    /// The channel it belongs to.
+    /// Returns the channel that the sample belongs to.
     #[must_use]
     pub const fn channel(&self) -> ChannelId {
         match self {

@@ -1,4 +1,4 @@
-//! Parameters: the numbers of a board's configuration that a host may change and have kept.
+//! Parameters: the numbers of a board's configuration that a host may change and save.
 //!
 //! [`crate::config::BoardConfig::parameter`] reads one, [`crate::config::BoardConfig::set_parameter`] changes it.
 
@@ -9,160 +9,160 @@ use serde::{Deserialize, Serialize};
 
 use crate::{channel::ChannelId, config::ConfigError};
 
-/// One number of the configuration. postcard sends the variant's position: append, never reorder or remove.
+/// Number of a board's configuration. postcard sends the variant's position: append, never reorder or remove.
 ///
-/// Units are those of the field it stands for in [`crate::config`].
+/// The unit is that of its field in [`crate::config`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Schema)]
 pub enum Parameter {
-    /// Of the board, ms: [`crate::config::BoardConfig::link_timeout_ms`].
+    /// Link time-out of the board, ms: [`crate::config::BoardConfig::link_timeout_ms`].
     LinkTimeoutMs,
-    /// Of the board, °C: [`crate::config::BoardConfig::air_temperature_c`].
+    /// Temperature of the air in front of the range sensors, °C: [`crate::config::BoardConfig::air_temperature_c`].
     AirTemperatureC,
-    /// Of the board, Hz: [`crate::config::ServoChipConfig::oscillator_hz`].
+    /// Measured oscillator frequency of the servos' PWM chip, Hz: [`crate::config::ServoChipConfig::oscillator_hz`].
     ServoOscillatorHz,
-    /// Of a motor, share of the supply.
+    /// Highest duty of a motor, share of the supply.
     DutyMax,
-    /// Of a motor, 1/s.
+    /// Fastest change of a motor's duty, 1/s.
     DutySlew,
-    /// Of a motor with feedback or a stepper, rad or m.
+    /// Lowest position of a motor with feedback or of a stepper, rad or m.
     PositionMin,
-    /// Of a motor with feedback or a stepper, rad or m.
+    /// Highest position of a motor with feedback or of a stepper, rad or m.
     PositionMax,
-    /// Of a motor with feedback, a servo or a stepper, rad/s or m/s.
+    /// Highest speed of a motor with feedback, a servo or a stepper, rad/s or m/s.
     SpeedMax,
-    /// Of a motor's position loop, duty/rad or duty/m.
+    /// Proportional gain of a motor's position loop, duty/rad or duty/m.
     PositionKp,
-    /// Of a motor's position loop, duty/(rad s) or duty/(m s).
+    /// Integral gain of a motor's position loop, duty/(rad s) or duty/(m s).
     PositionKi,
-    /// Of a motor's position loop, duty s/rad or duty s/m.
+    /// Derivative gain of a motor's position loop, duty s/rad or duty s/m.
     PositionKd,
-    /// Of a motor's speed loop, duty s/rad or duty s/m.
+    /// Proportional gain of a motor's speed loop, duty s/rad or duty s/m.
     SpeedKp,
-    /// Of a motor's speed loop, duty/rad or duty/m.
+    /// Integral gain of a motor's speed loop, duty/rad or duty/m.
     SpeedKi,
-    /// Of a motor's speed loop, duty s²/rad or duty s²/m.
+    /// Derivative gain of a motor's speed loop, duty s²/rad or duty s²/m.
     SpeedKd,
-    /// Of a motor with feedback, s.
+    /// Time constant of the low-pass on a motor's measured speed, s.
     SpeedFilter,
-    /// Of a motor's path, rad/s or m/s.
+    /// Speed limit of a motor's profile, rad/s or m/s.
     ProfileSpeed,
-    /// Of a motor's path, rad/s² or m/s².
+    /// Acceleration limit of a motor's profile, rad/s² or m/s².
     ProfileAcceleration,
-    /// Of a motor's feed-forward, share of the supply.
+    /// Feed-forward of a motor against static friction, share of the supply.
     StaticDuty,
-    /// Of a motor's feed-forward, duty s/rad or duty s/m.
+    /// Feed-forward of a motor for its speed, duty s/rad or duty s/m.
     DutyPerSpeed,
-    /// Of a motor with feedback, rad or m.
+    /// Settling: largest position error of a motor that rests at its position, rad or m.
     SettleError,
-    /// Of a motor with feedback, rad/s or m/s.
+    /// Settling: largest speed of a motor that rests at its position, rad/s or m/s.
     SettleSpeed,
-    /// Of a motor with feedback, ms.
+    /// Settling: time for which a motor must stay within both, ms.
     SettleTimeMs,
-    /// Of a motor with feedback, share of the supply.
+    /// Stall detection of a motor: lowest duty at which it counts, share of the supply.
     StallDuty,
-    /// Of a motor with feedback, rad or m.
+    /// Stall detection of a motor: travel below which it counts as stalled, rad or m.
     StallTravel,
-    /// Of a motor with feedback, ms.
+    /// Stall detection of a motor: time in which it must make that travel, ms.
     StallTimeMs,
-    /// Of a motor with feedback, rad or m.
+    /// Following of a motor: largest distance from its path, rad or m.
     FollowError,
-    /// Of a motor with feedback, ms.
+    /// Following of a motor: time for which it may be further away, ms.
     FollowTimeMs,
-    /// Of a motor with an encoder, or of an encoder, counts in a turn.
+    /// Encoder counts in one turn of the output shaft, of a motor's encoder or of an encoder channel.
     CountsPerTurn,
-    /// Of a motor with a potentiometer: 16-bit code of the first calibration point.
+    /// Potentiometer of a motor: 16-bit code of the first calibration point.
     PotLowCode,
-    /// Of a motor with a potentiometer, m.
+    /// Potentiometer of a motor: position of the first calibration point, m.
     PotLowPosition,
-    /// Of a motor with a potentiometer: 16-bit code of the second calibration point.
+    /// Potentiometer of a motor: 16-bit code of the second calibration point.
     PotHighCode,
-    /// Of a motor with a potentiometer, m.
+    /// Potentiometer of a motor: position of the second calibration point, m.
     PotHighPosition,
-    /// Of a motor or stepper with a homing switch, rad.
+    /// Homing of a motor or stepper: position at which the switch opens again, rad.
     HomePosition,
-    /// Of a motor or stepper with a homing switch, rad/s.
+    /// Homing of a motor or stepper: highest speed at which it seeks the switch, rad/s.
     HomeSpeedMax,
-    /// Of a servo, s.
+    /// Pulse width of a servo at the first end of its travel, s.
     PulseLow,
-    /// Of a servo, rad.
+    /// Angle of a servo at the first end of its travel, rad.
     AngleLow,
-    /// Of a servo, s.
+    /// Pulse width of a servo at the second end of its travel, s.
     PulseHigh,
-    /// Of a servo, rad.
+    /// Angle of a servo at the second end of its travel, rad.
     AngleHigh,
-    /// Of a brushless drive, V.
+    /// Voltage at which a brushless drive stands still, V.
     NeutralV,
-    /// Of a brushless drive, V.
+    /// Voltage of a brushless drive at full speed forwards, V.
     ForwardV,
-    /// Of a brushless drive that is sent backwards by a voltage, V.
+    /// Voltage of a brushless drive at full speed backwards, V; only where a voltage reverses it.
     ReverseV,
-    /// Of a brushless drive, share of full speed per second.
+    /// Fastest change of a brushless drive's speed, share of full speed per second.
     SpeedSlew,
-    /// Of a stepper, steps in a turn.
+    /// Pulses of a stepper for one turn of the output shaft.
     StepsPerTurn,
-    /// Of a stepper, rad/s².
+    /// Acceleration of a stepper, rad/s².
     Acceleration,
-    /// Of a motor's path or of a stepper, rad/s³ or m/s³.
+    /// Jerk limit of a motor's profile or of a stepper, rad/s³ or m/s³; 0 for none.
     Jerk,
-    /// Of a stepper, rad/s.
+    /// Highest speed at which a stepper can start and stop, rad/s.
     StartSpeed,
-    /// Of an analog output, V.
+    /// Voltage of an analog output while the board is not armed, V.
     SafeV,
-    /// Of a range sensor that has a limit, m.
+    /// Distance of a range sensor below which the board trips, m; only where one is configured.
     StopBelow,
-    /// Of an analog input or a supply, V in a step of its 16-bit code.
+    /// Volts for one step of the 16-bit code, of an analog input or a supply.
     VoltsPerCode,
-    /// Of an analog input, V.
+    /// Voltage of an analog input at code 0, V.
     OffsetV,
     /// Lowest voltage of an analog output, of what is plausible at an analog input, or of a supply in range, V.
     VoltsMin,
     /// Highest voltage of an analog output, of what is plausible at an analog input, or of a supply in range, V.
     VoltsMax,
-    /// Of a motor with a winding: supply voltage that its gains were tuned at, V.
+    /// Winding of a motor: supply voltage at which its gains were tuned, V.
     NominalV,
-    /// Of a motor with a winding: duty below which no current flows.
+    /// Winding of a motor: duty below which no current flows.
     DeadDuty,
-    /// Of a motor with a winding, ohm.
+    /// Winding of a motor: resistance including the bridge, ohm.
     ResistanceOhm,
-    /// Of a motor with a winding: back-EMF constant at the output, V s/rad or V s/m.
+    /// Winding of a motor: back-EMF constant at the output, V s/rad or V s/m.
     BackEmf,
-    /// Of a motor with a winding: current it withstands continuously, A.
+    /// Winding of a motor: current that it withstands continuously, A.
     RatedA,
-    /// Of a motor with a winding: thermal time constant, s.
+    /// Winding of a motor: thermal time constant, s.
     ThermalS,
-    /// Of a motor with a current sensor: its voltage at 0 A, V.
+    /// Current sensor of a motor: voltage at 0 A, V.
     CurrentZeroV,
-    /// Of a motor with a current sensor, V/A.
+    /// Current sensor of a motor: sensitivity, V/A.
     CurrentVoltsPerA,
-    /// Of a supply that limits regeneration: above this motors feed less back, V.
+    /// Supply voltage above which its motors feed less energy back, V; only where one is configured.
     RegenerationV,
-    /// Of a motor, a brushless drive or a stepper, ms: how long a controlled stop brakes it.
+    /// Time for which a controlled stop brakes a motor, a brushless drive or a stepper, ms.
     StopBrakeMs,
-    /// Of the board, kbit/s: [`crate::config::CanConfig::kbit_per_s`].
+    /// Bit rate of the board's CAN bus, kbit/s: [`crate::config::CanConfig::kbit_per_s`].
     CanRate,
-    /// Of the board: [`crate::config::CanConfig::node`].
+    /// Node number of the board on its CAN bus: [`crate::config::CanConfig::node`].
     CanNode,
-    /// Of the board, kbit/s: [`crate::config::CanConfig::data_kbit_per_s`].
+    /// Bit rate of the data phase on the board's CAN bus, kbit/s: [`crate::config::CanConfig::data_kbit_per_s`].
     CanDataRate,
-    /// Of a motor's feed-forward, duty s²/rad or duty s²/m.
+    /// Feed-forward of a motor for its acceleration, duty s²/rad or duty s²/m.
     DutyPerAcceleration,
-    /// Of a motor with feedback, 1/s: [`crate::config::ControlConfig::cascade_per_s`].
+    /// Cascade gain of a motor with feedback: speed for the distance from its path, 1/s: [`crate::config::ControlConfig::cascade_per_s`].
     Cascade,
-    /// Of a motor with an angle sensor, rad: the angle that is position 0.
+    /// Angle sensor of a motor: angle that is position 0, rad.
     ZeroAngle,
-    /// Of a motor with an encoder on the motor's side: [`crate::config::MotorSideConfig::counts_per_turn`].
+    /// Encoder on the motor's side: counts in one turn of the output shaft: [`crate::config::MotorSideConfig::counts_per_turn`].
     MotorSideCounts,
-    /// Of a motor with an encoder on the motor's side, rad: [`crate::config::MotorSideConfig::gap_max`].
+    /// Encoder on the motor's side: largest difference from the sensor of the output shaft, rad: [`crate::config::MotorSideConfig::gap_max`].
     GapMax,
-    /// Of a motor with force control, rad/(s N) or m/(s N): [`crate::config::ForceConfig::speed_per_n`].
+    /// Force control of a motor: speed per newton of error, rad/(s N) or m/(s N): [`crate::config::ForceConfig::speed_per_n`].
     ForceGain,
-    /// Of a motor with force control, N: [`crate::config::ForceConfig::limit_n`].
+    /// Force control of a motor: force at which the board trips, N: [`crate::config::ForceConfig::limit_n`].
     ForceLimit,
-    /// Of a motor with force control, rad/s or m/s: [`crate::config::ForceConfig::approach_speed`].
+    /// Force control of a motor: highest speed, rad/s or m/s: [`crate::config::ForceConfig::approach_speed`].
     ApproachSpeed,
-    /// Of a motor with force control, N: [`crate::config::ForceConfig::contact_n`].
+    /// Force control of a motor: force that counts as contact, N: [`crate::config::ForceConfig::contact_n`].
     ContactForce,
-    /// Of a motor with force control, N: [`crate::config::ForceConfig::error_n`].
+    /// Force control of a motor: error within which a force counts as reached, N: [`crate::config::ForceConfig::error_n`].
     ForceError,
 }
 
@@ -245,14 +245,15 @@ impl Parameter {
         (Self::ForceError, "force_error"),
     ];
 
-    /// Every parameter, in the order of the variants.
+    /// Iterates over all parameters, in the order of the variants.
     pub fn all() -> impl Iterator<Item = Self> {
         Self::NAMES.into_iter().map(|(parameter, _)| parameter)
     }
 
-    /// The name used on command lines and in files.
+    /// Returns the name used on command lines and in files.
     #[must_use]
     pub fn name(self) -> &'static str {
+        // The table is in the order of the variants, which a test checks.
         Self::NAMES[self as usize].1
     }
 }
@@ -263,7 +264,7 @@ impl fmt::Display for Parameter {
     }
 }
 
-/// The text names no parameter.
+/// Error of text that names no parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotAParameter;
 
@@ -283,16 +284,16 @@ impl FromStr for Parameter {
     }
 }
 
-/// Which parameter of which channel, written `osmc0.position_kp`, `board.link_timeout_ms` …
+/// Name of one parameter of one channel or of the board, written `osmc0.position_kp`, `board.link_timeout_ms` …
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Schema)]
 pub struct ParameterKey {
-    /// `None` for the board.
+    /// Channel of the parameter; `None` for the board.
     pub channel: Option<ChannelId>,
-    /// Which of its numbers.
+    /// Parameter of this channel.
     pub parameter: Parameter,
 }
 
-/// What stands for the channel in the parameters that belong to none.
+/// Name in the place of the channel in parameters of the board.
 const BOARD: &str = "board";
 
 impl fmt::Display for ParameterKey {
@@ -314,10 +315,10 @@ impl FromStr for ParameterKey {
     }
 }
 
-/// Why a parameter was not set. Nothing was changed.
+/// Reason why a parameter was not set. Nothing was changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SetError {
-    /// The configuration has no such number.
+    /// The configuration has no such parameter.
     Unknown(ParameterKey),
     /// The field cannot hold the value, or the configuration would break a rule.
     Invalid(ConfigError),

@@ -1,18 +1,18 @@
-//! Safety states and the causes that trip a board.
+//! Safety states of a board, and the causes that trip it.
 
 use core::fmt;
 
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Where the board's safety supervisor stands. Outputs move only in [`SafetyState::Armed`].
+/// State of the board's safety supervisor. Outputs move only in [`SafetyState::Armed`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum SafetyState {
-    /// Outputs safe; arming is possible while no cause is present.
+    /// Outputs are safe; the board can be armed while no cause is present.
     Disarmed,
-    /// Outputs follow commands.
+    /// Outputs follow set points.
     Armed,
-    /// Outputs safe; latched until cleared while no cause is present.
+    /// Outputs are safe; this holds until a host clears it while no cause is present.
     Tripped,
 }
 
@@ -26,19 +26,19 @@ impl fmt::Display for SafetyState {
     }
 }
 
-/// Why a board trips. The number is the bit in [`Causes`]: append, never reorder.
+/// Cause of a trip. The number is the bit in [`Causes`]: append, never reorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Cause {
     /// The dead-man's handle is released or its wire is cut.
     DeadMan = 0,
-    /// A range sensor sees something nearer than its limit.
+    /// A range sensor measures less than its limit, or stops measuring.
     Proximity = 1,
-    /// No heartbeat from the host within the configured timeout.
+    /// No heartbeat has come from the host within the configured time-out.
     LinkLost = 2,
-    /// The host asked for a stop.
+    /// A host has asked for a stop.
     HostStop = 3,
-    /// The board came out of a watchdog reset.
+    /// The board has been reset by its watchdog.
     WatchdogReset = 4,
     /// A transfer on the board's I2C bus failed and could not be recovered.
     I2cFault = 5,
@@ -48,9 +48,9 @@ pub enum Cause {
     SupplyOutOfRange = 7,
     /// Position feedback contradicts the drive: wrong way, impossible speed, sensor open or shorted.
     EncoderImplausible = 8,
-    /// The motor is driven hard and does not move.
+    /// A motor is driven hard and does not move.
     Stalled = 9,
-    /// The control loop missed its deadline repeatedly.
+    /// The control loop has missed its deadline repeatedly.
     ControlOverrun = 10,
     /// The configuration is missing or contradicts itself.
     BadConfiguration = 11,
@@ -60,18 +60,19 @@ pub enum Cause {
     Overload = 13,
     /// The processor's crystal stopped, or its clock disagrees with an independent oscillator.
     ClockFault = 14,
-    /// The firmware ended badly several times in a row: the board only holds its outputs safe, until it is restarted.
+    /// The firmware has ended badly several times in a row: the board only holds its outputs safe, until it is
+    /// restarted.
     RepeatedBadStarts = 15,
-    /// An input had more edges than its sensor can make: its interrupt is masked, and its edges are lost.
+    /// An input has had more edges than its sensor can make: its interrupt is masked, and its edges are lost.
     InterruptStorm = 16,
     /// The firmware's image in flash is not what was built: the board only holds its outputs safe, until it is flashed.
     DamagedImage = 17,
-    /// A motor's force sensor shows more than its limit.
+    /// A motor's force sensor measures more than its limit.
     ForceLimit = 18,
 }
 
 impl Cause {
-    /// Every cause, in bit order.
+    /// All causes, in bit order.
     pub const ALL: [Self; 19] = [
         Self::DeadMan,
         Self::Proximity,
@@ -94,7 +95,7 @@ impl Cause {
         Self::ForceLimit,
     ];
 
-    /// What a person does about it.
+    /// Returns what a person can do about the cause.
     #[must_use]
     pub const fn advice(self) -> &'static str {
         match self {
@@ -149,39 +150,39 @@ impl fmt::Display for Cause {
     }
 }
 
-/// A set of [`Cause`]s.
+/// Set of causes, a bit for each [`Cause`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Causes(u32);
 
 impl Causes {
-    /// No cause.
+    /// Set without a cause.
     pub const NONE: Self = Self(0);
 
-    /// The set of one cause.
+    /// Makes the set of one cause.
     #[must_use]
     pub const fn only(cause: Cause) -> Self {
         Self(1 << cause as u8)
     }
 
-    /// Whether no cause is in the set.
+    /// Returns whether the set is empty; a bit without a known cause counts.
     #[must_use]
     pub const fn is_empty(self) -> bool {
         self.0 == 0
     }
 
-    /// Whether `cause` is in the set.
+    /// Returns whether the set contains `cause`.
     #[must_use]
     pub const fn contains(self, cause: Cause) -> bool {
         self.0 & (1 << cause as u8) != 0
     }
 
-    /// Both sets together.
+    /// Returns the causes of both sets.
     #[must_use]
     pub const fn union(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 
-    /// Puts `cause` in or takes it out.
+    /// Adds `cause` to the set, or removes it.
     pub const fn set(&mut self, cause: Cause, present: bool) {
         let bit = 1 << cause as u8;
         if present {
@@ -191,13 +192,13 @@ impl Causes {
         }
     }
 
-    /// The set as its bits, bit n being [`Cause::ALL`]`[n]`.
+    /// Returns the bits of the set, bit n being [`Cause::ALL`]`[n]`.
     #[must_use]
     pub const fn bits(self) -> u32 {
         self.0
     }
 
-    /// The set with these bits; bits without a cause are kept, so that a newer board's cause is not lost.
+    /// Makes a set of bits. Bits without a cause are kept, so that a newer board's cause is not lost.
     #[must_use]
     pub const fn from_bits(bits: u32) -> Self {
         Self(bits)
@@ -211,20 +212,21 @@ impl Causes {
         .union(Self::only(Cause::EncoderImplausible))
         .union(Self::only(Cause::Stalled));
 
-    /// Whether a stop for these causes may brake before it switches off (IEC 60204-1, category 1). One cause that takes
-    /// the power away at once is enough against it, and so is one that this version does not know. No cause, as when a
-    /// host disarms, allows it.
+    /// Returns whether a stop for these causes may brake before it switches off (IEC 60204-1, category 1). A single
+    /// cause that takes the power away at once forbids it, and so does one that this version does not know. The empty
+    /// set, as when a host disarms, allows it.
     #[must_use]
     pub const fn allow_braking(self) -> bool {
         self.0 & !Self::BRAKED.0 == 0
     }
 
-    /// The causes this version knows, in bit order.
+    /// Iterates over the causes that this version knows, in bit order.
     pub fn iter(self) -> impl Iterator<Item = Cause> {
         let mut left = self.0;
         core::iter::from_fn(move || {
             while left != 0 {
                 let bit = left.trailing_zeros();
+                // Clears the lowest bit that is set.
                 left &= left - 1;
                 if let Some(cause) = Cause::ALL.get(bit as usize) {
                     return Some(*cause);
@@ -263,7 +265,7 @@ mod tests {
         }
     }
 
-    /// Every set of two causes, beside a bit that this version does not know.
+    /// Tries every set of two causes, together with a bit that this version does not know.
     #[test]
     fn a_set_holds_what_was_put_in_and_not_taken_out() {
         let newer = Causes::from_bits(1 << 31);
@@ -290,7 +292,7 @@ mod tests {
         assert!(!newer.is_empty(), "a cause of a newer board is one");
     }
 
-    /// Every set there can be.
+    /// Tries every possible set.
     #[test]
     fn a_stop_brakes_only_where_every_cause_leaves_supply_bus_and_loop_working() {
         const LEAVES_THEM: [Cause; 5] =

@@ -1,32 +1,34 @@
 //! Versions of the protocol, and how a board and a host agree on one.
 //!
-//! From version 12 on the protocol is only ever added to: variants at the end of enums. A board and a host therefore talk whenever there
-//! is a version that both speak, in the newest such one:
+//! From version 12 on the protocol only grows, by variants at the end of enums. A board and a host can therefore talk
+//! whenever there is a version that both speak, and use the newest such one:
 //!
-//! 1. The host says hello in its newest version ([`Request::Hello`](crate::Request::Hello)).
-//! 2. A board that speaks it opens a session of that version.
-//! 3. Another refuses, and tells its own newest one ([`Refusal::ProtocolMismatch`]). A host that speaks that one says hello again, in it.
+//! 1. The host sends a hello in its newest version ([`Request::Hello`](crate::Request::Hello)).
+//! 2. A board that speaks this version opens a session of it.
+//! 3. Any other board refuses, and names its own newest version ([`Refusal::ProtocolMismatch`]). A host that speaks that one sends
+//!    a second hello in it.
 //!
-//! The bytes of hello and of its refusal are the same in all versions. What the other side does not know all the same, a request or an answer
-//! that came with a later version, is refused by name ([`Refusal::UnknownMessage`]); it is not carried out, and a board ends the set points in
-//! force, because it may have been a newer one.
+//! The bytes of hello and of its refusal are the same in all versions. A request of a later version that reaches the
+//! board all the same is refused by name ([`Refusal::UnknownMessage`]) and not carried out. The board then ends the set
+//! points in force, because the request may have been a newer one. A host ends a request whose answer it does not know
+//! with an error.
 
 use postcard_schema::key::hash::fnv1a64::hash_ty_path;
 
 use crate::{Cause, Refusal, ToDevice, ToHost, channel, config, cycle, log, message};
 
-/// Newest version of the messages in this crate.
+/// Version of the messages in this crate, the newest that it speaks.
 pub const VERSION: u16 = 13;
 
-/// Hash over the shape of every message type; two builds of the same [`VERSION`] that still differ are caught by it.
+/// Hash over the shape of every message type. It detects two builds of the same [`VERSION`] that differ all the same.
 ///
-/// It sees names, types and variants, how much each list and text holds, and how many causes there are; not units and
-/// meanings.
+/// The hash covers names, types and variants, the capacity of each list and text, and the number of causes; not units
+/// and meanings.
 pub const SCHEMA_HASH: u64 = {
-    // `from_le_bytes` of two FNV-1a hashes; the paths keep the two directions apart.
+    // Two FNV-1a hashes; the paths of the two directions differ, so that exchanging their types changes the result.
     let mut hash = u64::from_le_bytes(hash_ty_path::<ToDevice>("r4/to-device"))
         ^ u64::from_le_bytes(hash_ty_path::<ToHost>("r4/to-host")).rotate_left(1);
-    // What a schema does not tell of a type, hashed on by FNV-1a's step.
+    // Capacities are not part of a schema; FNV-1a's step adds them to the hash.
     let capacities = [
         message::MAX_SAMPLES,
         message::MAX_RAW,
@@ -48,33 +50,33 @@ pub const SCHEMA_HASH: u64 = {
     hash
 };
 
-/// A version of the protocol, as hello and its refusal name it.
+/// Version of the protocol as hello and its refusal name it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Spoken {
-    /// Its [`VERSION`].
+    /// Number of the version: its [`VERSION`].
     pub version: u16,
-    /// Its [`SCHEMA_HASH`]: that of a build between two releases is no other's.
+    /// Hash of the version: its [`SCHEMA_HASH`]. A build between two releases has a hash of its own.
     pub schema: u64,
 }
 
-/// Every version that this crate speaks, newest first. A new one goes in front, with the hash of the one before written out: see
-/// `CHANGELOG.md`.
+/// Versions that this crate speaks, newest first. A new one goes in front, with the hash of the one before written out:
+/// see `CHANGELOG.md`.
 pub const SPOKEN: [Spoken; 2] =
     [Spoken { version: VERSION, schema: SCHEMA_HASH }, Spoken { version: 12, schema: 0x2FCC_40F3_2856_D804 }];
 
-/// From which version on a request may be sent again with the same `seq`, to be done once.
+/// Rule for requests that are sent again with the same `seq`: from this version on a board carries them out once.
 pub const REPEATS: Repeats = Repeats { since: 13, remembered: 8 };
 
-/// What a board remembers of requests that it has answered, so that a host may ask again where no answer came.
+/// Memory of a board for requests that it has answered, so that a host may ask again when no answer came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Repeats {
-    /// Version of the session from which on it does.
+    /// Lowest version of a session in which the board remembers requests.
     pub since: u16,
-    /// How many requests.
+    /// Number of requests that it remembers.
     pub remembered: usize,
 }
 
-/// The board's answer to a hello in `asked`: the version of the session.
+/// Returns the version of the session that a hello in `asked` opens on a board that speaks `spoken`.
 ///
 /// # Errors
 /// [`Refusal::ProtocolMismatch`] with the newest of `spoken`, where `asked` is none of these.
@@ -84,10 +86,11 @@ pub fn accept(spoken: &[Spoken], asked: Spoken) -> Result<u16, Refusal> {
     spoken.iter().find(|one| **one == asked).map(|one| one.version).ok_or(mismatch)
 }
 
-/// In which version a host that speaks `spoken` says hello again, after one in `said` was refused by a board whose newest is `board`.
-/// `None` where there is no such version.
+/// Returns the version in which a host that speaks `spoken` sends another hello, after a board whose newest version is
+/// `board` refused one in `said`; `None` unless it speaks the board's newest version, and that is older than `said`.
 #[must_use]
 pub fn again(spoken: &[Spoken], said: Spoken, board: Spoken) -> Option<Spoken> {
+    // Only downwards, or two that refuse each other would say hello indefinitely.
     spoken.iter().copied().find(|one| *one == board && board.version < said.version)
 }
 
@@ -99,12 +102,12 @@ mod tests {
 
     use super::*;
 
-    /// Versions `newest` down to `oldest`, as a build of `newest` speaks them.
+    /// Returns versions `newest` down to `oldest`, as a build of `newest` speaks them.
     fn spoken(newest: u16, oldest: u16) -> Vec<Spoken> {
         (oldest..=newest).rev().map(|version| Spoken { version, schema: u64::from(version) << 8 }).collect()
     }
 
-    /// The version of the session, or the refusal that the host is left with, and how many hellos it took.
+    /// Returns the version of the session, or the refusal that remains, and the number of hellos.
     fn session(host: &[Spoken], board: &[Spoken]) -> (Result<u16, Refusal>, u32) {
         let (mut says, mut hellos) = (host[0], 1);
         loop {
@@ -115,7 +118,7 @@ mod tests {
         }
     }
 
-    /// All hosts and boards of six versions, whichever oldest version each still speaks.
+    /// Tries all hosts and boards of six versions, whichever oldest version each still speaks.
     #[test]
     fn any_two_talk_in_the_newest_version_that_both_speak() {
         let all = || (1..=6).flat_map(|newest| (1..=newest).map(move |oldest| (newest, oldest)));

@@ -1,4 +1,4 @@
-//! Ranges and descriptions of channels, at their edges.
+//! Tests of ranges and descriptions of channels, at their edges.
 
 use r4_protocol::{ChannelId, ChannelInfo, ChannelKind, Mode, ModeInfo, Range, Unit};
 

@@ -1,4 +1,4 @@
-//! The program under test, as a user runs it.
+//! Program under test, as a user runs it.
 
 #![allow(dead_code, reason = "every file of tests uses a part of it")]
 
@@ -13,10 +13,10 @@ use std::{
 
 use serde_json::Value;
 
-/// A run that is not over by then hangs. The longest are those on emulated boards: 34 s by itself on a slow machine.
+/// Time-out of a run. The longest are on emulated boards: 34 s by itself on a slow machine.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(180);
 
-/// A started `r4`; stopped when dropped.
+/// Started `r4`, which is stopped when dropped.
 pub(crate) struct Running {
     pub(crate) child: Child,
     pub(crate) begin: Instant,
@@ -24,22 +24,22 @@ pub(crate) struct Running {
     pub(crate) err: Receiver<String>,
 }
 
-/// What a user sees of a run.
+/// Result of a run, as a user sees it.
 #[derive(Debug)]
 pub(crate) struct Seen {
-    /// `None` when a signal ended it.
+    /// Exit code; `None` when a signal ended the program.
     pub(crate) code: Option<i32>,
     pub(crate) out: String,
     pub(crate) err: String,
 }
 
-/// `r4` with these arguments, away from the sources and from the user's settings.
+/// Makes a command of `r4` with these arguments, away from the sources and from the user's settings.
 pub(crate) fn command(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_r4"));
     command
         .args(args)
         .current_dir(env!("CARGO_TARGET_TMPDIR"))
-        // Named, as most users do; what is said where no board is named has its own test.
+        // A board is named, as most users do; the case without one has its own test.
         .env("R4_BOARD", "sim:osmc-bench")
         .env("XDG_CACHE_HOME", env!("CARGO_TARGET_TMPDIR"))
         .env_remove("R4_FLASH")
@@ -55,7 +55,7 @@ pub(crate) fn start(mut command: Command) -> Running {
     Running { child, begin: Instant::now(), out, err }
 }
 
-/// Lines as they come, read in a thread: the pipe is closed when the receiver is dropped.
+/// Reads lines in a thread as they come: the pipe is closed when the receiver is dropped.
 pub(crate) fn lines(pipe: impl Read + Send + 'static) -> Receiver<String> {
     let (sender, receiver) = channel();
     thread::spawn(move || {
@@ -68,7 +68,7 @@ pub(crate) fn lines(pipe: impl Read + Send + 'static) -> Receiver<String> {
     receiver
 }
 
-/// The next line, or `None` at the end.
+/// Returns the next line, or `None` at the end.
 pub(crate) fn next(from: &Receiver<String>, begin: Instant) -> Option<String> {
     match from.recv_timeout(PATIENCE.saturating_sub(begin.elapsed())) {
         Ok(line) => Some(line),
@@ -92,7 +92,7 @@ impl Running {
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // After `finish` there is nothing left to kill.
+        // After `finish` no process is left, and these fail harmlessly.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -102,14 +102,14 @@ pub(crate) fn r4(args: &[&str]) -> Seen {
     start(command(args)).finish()
 }
 
-/// A run that must succeed and say nothing on stderr.
+/// Returns the output of a run that must succeed and print nothing on stderr.
 pub(crate) fn good(args: &[&str]) -> String {
     let seen = r4(args);
     assert!(seen.code == Some(0) && seen.err.is_empty(), "{args:?}: {seen:?}");
     seen.out
 }
 
-/// The one JSON object on stdout of a run that must succeed.
+/// Returns the one JSON object on stdout of a run that must succeed.
 pub(crate) fn good_json(args: &[&str]) -> Value {
     object(&good(args))
 }
@@ -120,12 +120,12 @@ pub(crate) fn object(text: &str) -> Value {
     value
 }
 
-/// What is wrong with how bad input was received, if anything.
+/// Returns what is wrong with the answer to bad input, if anything.
 pub(crate) fn complaint(args: &[&str], says: &[&str]) -> Option<String> {
     let seen = r4(args);
     let told = says.iter().all(|says| seen.err.contains(says)) && !seen.err.contains("panicked");
     let refused = matches!(seen.code, Some(1..=5));
-    // With `--json` there is an object, which says the same.
+    // With `--json` there is an object with the same message.
     let out = match args.contains(&"--json") {
         true => object(&seen.out)["error"]["message"].as_str().is_some_and(|said| seen.err.contains(said)),
         false => seen.out.is_empty(),
@@ -134,7 +134,8 @@ pub(crate) fn complaint(args: &[&str], says: &[&str]) -> Option<String> {
     (!told || !refused).then(|| format!("{args:?} should say {says:?}: {seen:#?}\n"))
 }
 
-/// Each is refused: an exit code of a failure, a message on stderr with all of these words, nothing but that on stdout.
+/// Expects each run to be refused: with the exit code of a failure, a message on stderr with all of these words, and
+/// nothing but that on stdout.
 pub(crate) fn all_refused<'a>(cases: impl IntoIterator<Item = (&'a [&'a str], &'a [&'a str])>) {
     let complaints: String = cases.into_iter().filter_map(|(args, says)| complaint(args, says)).collect();
     assert!(complaints.is_empty(), "{complaints}");

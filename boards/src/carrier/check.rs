@@ -1,4 +1,4 @@
-//! What must hold between the fields of a carrier file.
+//! Rules between the fields of a carrier file.
 
 use std::fmt::Display;
 
@@ -38,6 +38,7 @@ impl Check<'_> {
             self.claims.take("header pin", &pin.header, path("header"))?;
             self.claims.take("pin", pin.stm32, path("stm32"))?;
             if pin.kind == PinKind::Exti {
+                // An STM32 has one EXTI line for each pin number, whatever the port (RM0399, EXTI).
                 self.claims.take("EXTI line", pin.stm32.number, path("stm32"))?;
                 let line = format!("EXTI{}", pin.stm32.number);
                 let holds = pin.signal.as_deref() == Some(line.as_str());
@@ -45,6 +46,7 @@ impl Check<'_> {
             }
             if let Some(signal) = &pin.signal {
                 self.claims.take("signal", signal, path("signal"))?;
+                // A pin's signal would change the settings of the timer that keeps the firmware's time.
                 let keeps_time = signal.split('_').next() == Some(self.carrier.time.timer.as_str());
                 self.rule(!keeps_time, path("signal"), "the timer that keeps the time has no pins")?;
             }
@@ -76,6 +78,7 @@ impl Check<'_> {
             self.claims.take("I2C address", format!("{address:#04x}"), path)?;
         }
         for (index, device) in i2c.devices.iter().enumerate() {
+            // The address pins of a PCA9685 set the lower six bits of 1xxxxxx (NXP datasheet, "Device address").
             let holds = device.chip != Chip::Pca9685 || device.address >= 0x40;
             let path = format!("i2c.devices[{index}].address");
             self.rule(holds, path, "a PCA9685 has an address from 0x40 to 0x77")?;
@@ -118,6 +121,7 @@ impl Check<'_> {
         for (index, bit) in relay.outputs.iter().enumerate() {
             self.output("expander bit", &relay.expander, 16, *bit, &format!("relay.outputs[{index}]"))?;
         }
+        // Claimed, so that the motors' supply and the ignition are not one relay.
         for (relay_number, path) in [(relay.motor_power, "relay.motor_power"), (relay.ignition, "relay.ignition")] {
             let holds = usize::from(relay_number) < relay.outputs.len();
             self.rule(holds, path, "must be the number of a relay in relay.outputs, from 0")?;
@@ -178,6 +182,7 @@ impl Check<'_> {
         match self.carrier.pin(id) {
             Some(pin) => {
                 self.rule(kinds.contains(&pin.kind), &path, "the pin has a kind that cannot do this")?;
+                // A pin may be listed once and connected once.
                 self.claims.take("connection of the pin", id, path)
             }
             None => Err(BoardError::NoSuch {
@@ -201,7 +206,7 @@ impl Check<'_> {
         }
     }
 
-    /// Takes several outputs of a chip that has `count`.
+    /// Takes several outputs of a chip that has `count` of them.
     fn outputs(
         &mut self,
         what: &'static str,

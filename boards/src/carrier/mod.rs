@@ -1,4 +1,4 @@
-//! What is on a carrier board, as in its file; sources and reasons are in the comments there.
+//! Carrier board, as described in its file; sources and reasons are in the comments there.
 
 mod check;
 mod pin;
@@ -11,74 +11,74 @@ pub use pin::{NotAPin, Pin, PinKind, Stm32Pin};
 
 use crate::number::{Interval, duty, positive, pwm_frequency_hz};
 
-/// A carrier board.
+/// Carrier board with its chips and connectors.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Carrier {
-    /// Its name.
+    /// Name of the carrier.
     pub name: String,
-    /// The microcontroller.
+    /// Type of the microcontroller.
     pub mcu: String,
-    /// Every pin with a function, each once.
+    /// Pins with a function, each once.
     pub pins: Vec<Pin>,
-    /// The clock of the firmware.
+    /// Clock of the firmware.
     pub time: Time,
-    /// The bus with the board's own chips.
+    /// Bus with the board's own chips.
     pub i2c: I2c,
-    /// OSMC bridges.
+    /// OSMC bridges and their PWM chip.
     pub osmc: Osmc,
-    /// Dual H-bridges.
+    /// Dual H-bridges and their PWM chip.
     pub dhb: Dhb,
-    /// RC servos.
+    /// RC servos and their PWM chip.
     pub servo: Servo,
-    /// Brushless drives.
+    /// Brushless drives, their DAC and their port expander.
     pub bldc: Bldc,
-    /// Relays.
+    /// Relays on the port expander.
     pub relay: Relay,
-    /// Step/direction drivers.
+    /// Step/direction drivers and their timing.
     pub stepper: Stepper,
-    /// Quadrature encoders.
+    /// Connectors of quadrature encoders.
     pub encoder: Encoder,
-    /// Ultrasonic range sensors.
+    /// Ultrasonic range sensor connectors.
     pub range: RangeSensors,
-    /// Divided analog inputs.
+    /// Analog inputs behind voltage dividers.
     pub analog: Analog,
-    /// Digital-to-analog outputs.
+    /// Analog outputs of the microcontroller.
     pub dac: Dac,
     /// Lines of the safety functions.
     pub safety: Safety,
-    /// Power into the board.
+    /// Power supply of the board.
     pub supply: Supply,
 }
 
 impl Carrier {
-    /// The pin with the function `id`.
+    /// Returns the pin with the function `id`.
     #[must_use]
     pub fn pin(&self, id: &str) -> Option<&Pin> {
         self.pins.iter().find(|pin| pin.id == id)
     }
 
-    /// The I2C chip named `id`.
+    /// Returns the I2C chip named `id`.
     #[must_use]
     pub fn device(&self, id: &str) -> Option<&Device> {
         self.i2c.devices.iter().find(|device| device.id == id)
     }
 
-    /// The address of a chip that other fields name, so that it is there.
+    /// Returns the address of a chip that another field names; that it exists has been checked.
     pub(crate) fn address(&self, id: &str) -> u8 {
         self.device(id).map_or(0, |device| device.address)
     }
 }
 
-/// The clock of the firmware.
+/// Clock of the firmware.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Time {
-    /// The timer that keeps it; no pin may need it.
+    /// Name of the timer that keeps the time; no pin may need it.
     pub timer: String,
 }
 
-/// The I2C bus of the board's own chips.
+/// I2C bus of the board's own chips.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct I2c {
@@ -86,47 +86,47 @@ pub struct I2c {
     pub sda: String,
     /// Pin of the clock line.
     pub scl: String,
-    /// Clock.
+    /// Frequency of the clock, Hz.
     pub rate_hz: u32,
     /// Chips on the bus.
     pub devices: Vec<Device>,
-    /// Addresses that nothing else may have.
+    /// Addresses that no other chip may have.
     pub reserved: Vec<ReservedAddress>,
 }
 
-/// A chip on the I2C bus.
+/// Chip on the I2C bus.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Device {
     /// Name by which the rest of the file refers to it.
     pub id: String,
-    /// Which chip.
+    /// Type of the chip.
     pub chip: Chip,
-    /// 7-bit address.
+    /// I2C address, 7 bits.
     pub address: u8,
-    /// What it does, for people.
+    /// Purpose of the chip, for people.
     pub role: String,
 }
 
-/// The kinds of chip.
+/// Type of a chip on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Chip {
-    /// 16-channel PWM.
+    /// PWM chip with 16 outputs.
     Pca9685,
-    /// 16-bit port expander.
+    /// Port expander with 16 lines.
     Mcp23017,
-    /// Quad 12-bit DAC.
+    /// DAC with four outputs of 12 bits.
     Mcp4728,
 }
 
-/// An address that is not a chip's own.
+/// Address that is not a chip's own.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReservedAddress {
-    /// 7-bit address.
+    /// I2C address, 7 bits.
     pub address: u8,
-    /// What answers to it.
+    /// Reason why it is reserved: the chips that answer to it.
     pub why: String,
 }
 
@@ -134,27 +134,28 @@ pub struct ReservedAddress {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Osmc {
-    /// The PWM chip.
+    /// Name of the PWM chip.
     pub pwm: String,
-    /// PWM frequency.
+    /// Frequency of the PWM, Hz.
     #[serde(deserialize_with = "pwm_frequency_hz")]
     pub frequency_hz: f32,
-    /// Highest duty of a robot whose file names none.
+    /// Highest duty of a robot whose file gives none.
     #[serde(deserialize_with = "duty")]
     pub duty_max_default: f32,
-    /// Highest duty that a robot's file may name.
+    /// Highest duty that a robot's file may give.
     #[serde(deserialize_with = "duty")]
     pub duty_max_hard: f32,
-    /// PWM periods with all low sides off between two directions.
+    /// Number of PWM periods with all low sides off between two directions.
     pub reversal_wait_periods: u8,
-    /// Pin of the bridges' DISABLE.
+    /// Pin of the DISABLE input of the bridges.
     pub disable: String,
     /// PWM outputs of each connector.
     #[serde(deserialize_with = "bridges")]
     pub connectors: Vec<BridgeLines>,
 }
 
-/// [`BridgeLines`] is the wire's type and lets unknown fields pass; the file's type does not.
+/// Reads bridge lines strictly: [`BridgeLines`] is the wire's type and accepts unknown fields, which the file must not
+/// have.
 fn bridges<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<BridgeLines>, D::Error> {
     #[derive(Deserialize)]
     #[serde(deny_unknown_fields)]
@@ -172,15 +173,15 @@ fn bridges<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<Brid
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dhb {
-    /// The PWM chip.
+    /// Name of the PWM chip.
     pub pwm: String,
-    /// PWM frequency.
+    /// Frequency of the PWM, Hz.
     #[serde(deserialize_with = "pwm_frequency_hz")]
     pub frequency_hz: f32,
-    /// Highest duty of a robot whose file names none.
+    /// Highest duty of a robot whose file gives none.
     #[serde(deserialize_with = "duty")]
     pub duty_max_default: f32,
-    /// Highest duty that a robot's file may name.
+    /// Highest duty that a robot's file may give.
     #[serde(deserialize_with = "duty")]
     pub duty_max_hard: f32,
     /// PWM outputs of each motor.
@@ -188,7 +189,7 @@ pub struct Dhb {
     pub connectors: Vec<DhbLines>,
 }
 
-/// As [`bridges`].
+/// Reads the lines of dual bridges strictly, as [`bridges`] does.
 fn dual_bridges<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<DhbLines>, D::Error> {
     #[derive(Deserialize)]
     #[serde(deny_unknown_fields)]
@@ -205,14 +206,14 @@ fn dual_bridges<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Servo {
-    /// The PWM chip.
+    /// Name of the PWM chip.
     pub pwm: String,
-    /// Repetition of the pulses.
+    /// Repetition rate of the pulses, Hz.
     #[serde(deserialize_with = "pwm_frequency_hz")]
     pub frequency_hz: f32,
-    /// Pulse widths of a robot whose file names none.
+    /// Range of pulse widths of a robot whose file gives none, s.
     pub pulse_default_s: Interval,
-    /// Pulse widths that a robot's file may name.
+    /// Range of pulse widths that a robot's file may give, s.
     pub pulse_hard_s: Interval,
     /// PWM output of each servo.
     pub outputs: Vec<u8>,
@@ -222,14 +223,14 @@ pub struct Servo {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Bldc {
-    /// The DAC.
+    /// Name of the DAC.
     pub dac: String,
-    /// Its full scale.
+    /// Full scale of the DAC, V.
     #[serde(deserialize_with = "positive")]
     pub dac_full_scale_v: f32,
-    /// Pin of the DAC's LDAC.
+    /// Pin of the DAC's LDAC input.
     pub load_dac: String,
-    /// The port expander.
+    /// Name of the port expander.
     pub expander: String,
     /// Lines of each drive.
     pub connectors: Vec<BldcLines>,
@@ -239,11 +240,11 @@ pub struct Bldc {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BldcLines {
-    /// DAC output, 0 to 3.
+    /// Output of the DAC for the speed, 0 to 3.
     pub speed: u8,
-    /// Expander bit, 0 to 15.
+    /// Bit of the expander for the direction, 0 to 15.
     pub direction: u8,
-    /// Expander bit, 0 to 15.
+    /// Bit of the expander for the brake, 0 to 15.
     pub brake: u8,
 }
 
@@ -251,32 +252,32 @@ pub struct BldcLines {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Relay {
-    /// The port expander.
+    /// Name of the port expander.
     pub expander: String,
     /// Expander bit of each relay, 0 to 15.
     pub outputs: Vec<u8>,
-    /// The relay in the motors' supply.
+    /// Number of the relay in the motors' supply.
     pub motor_power: u8,
-    /// The relay in the vehicle's ignition.
+    /// Number of the relay in the vehicle's ignition.
     pub ignition: u8,
 }
 
-/// Step/direction drivers.
+/// Step/direction drivers and their timing.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stepper {
-    /// Pin of the enable that all share.
+    /// Pin of the enable line that all drivers share.
     pub enable: String,
-    /// Shortest high and shortest low of a step pulse.
+    /// Shortest high and shortest low time of a step pulse, s.
     #[serde(deserialize_with = "positive")]
     pub pulse_min_s: f32,
-    /// Direction stable before and after a step.
+    /// Time for which the direction is stable before and after a step, s.
     #[serde(deserialize_with = "positive")]
     pub direction_setup_s: f32,
-    /// Enable before the first step.
+    /// Time from enabling to the first step, s.
     #[serde(deserialize_with = "positive")]
     pub enable_setup_s: f32,
-    /// Most steps per second.
+    /// Highest step rate, Hz.
     #[serde(deserialize_with = "positive")]
     pub rate_max_hz: f32,
     /// Pins of each driver.
@@ -287,13 +288,13 @@ pub struct Stepper {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StepperPins {
-    /// Step.
+    /// Pin of the step output.
     pub step: String,
-    /// Direction.
+    /// Pin of the direction output.
     pub direction: String,
 }
 
-/// Quadrature encoders.
+/// Connectors of quadrature encoders.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Encoder {
@@ -305,25 +306,25 @@ pub struct Encoder {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EncoderPins {
-    /// Track A.
+    /// Pin of track A.
     pub a: String,
-    /// Track B.
+    /// Pin of track B.
     pub b: String,
-    /// The switch beside it.
+    /// Pin of the switch beside the encoder.
     pub switch: String,
 }
 
-/// Ultrasonic range sensors.
+/// Connectors of ultrasonic range sensors, and their timing.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RangeSensors {
-    /// Length of the trigger pulse.
+    /// Length of the trigger pulse, s.
     #[serde(deserialize_with = "positive")]
     pub trigger_s: f32,
-    /// Shortest time between two triggers.
+    /// Shortest time between two triggers, s.
     #[serde(deserialize_with = "positive")]
     pub cycle_s: f32,
-    /// What they can measure.
+    /// Range of distances that the sensors can measure, m.
     pub range_m: Interval,
     /// Pins of each sensor.
     pub connectors: Vec<RangePins>,
@@ -333,20 +334,20 @@ pub struct RangeSensors {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RangePins {
-    /// Trigger.
+    /// Pin of the trigger output.
     pub trigger: String,
-    /// Echo.
+    /// Pin of the echo input.
     pub echo: String,
 }
 
-/// Divided analog inputs.
+/// Analog inputs behind voltage dividers.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Analog {
-    /// Reference of the converter.
+    /// Reference of the converter, V.
     #[serde(deserialize_with = "positive")]
     pub reference_v: f64,
-    /// Voltage before the divider at the highest code: nominal, until an input is calibrated.
+    /// Voltage before the divider at the highest code, V: nominal, until an input is calibrated.
     #[serde(deserialize_with = "positive")]
     pub full_scale_v: f64,
     /// Highest code of the converter.
@@ -357,24 +358,24 @@ pub struct Analog {
 }
 
 impl Analog {
-    /// Volts before the divider for one count of the converter.
+    /// Returns the volts before the divider for one code of the converter.
     #[must_use]
     pub fn volts_per_code(&self) -> f64 {
         self.full_scale_v / f64::from(self.code_max)
     }
 
-    /// How much the divider divides by.
+    /// Returns the ratio of the voltage before the divider to that behind it.
     #[must_use]
     pub fn divider_ratio(&self) -> f64 {
         self.full_scale_v / self.reference_v
     }
 }
 
-/// Digital-to-analog outputs of the microcontroller.
+/// Analog outputs of the microcontroller.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dac {
-    /// Voltage at the highest code.
+    /// Voltage at the highest code, V.
     #[serde(deserialize_with = "positive")]
     pub full_scale_v: f32,
     /// Pin of each output.
@@ -385,24 +386,24 @@ pub struct Dac {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Safety {
-    /// Sense of the dead-man's handle; low is released.
+    /// Pin that senses the dead-man's handle; low is released.
     pub dead_man: String,
-    /// Auxiliary stop input.
+    /// Pin of the auxiliary stop input.
     pub stop: String,
-    /// Output that moves while the firmware is alive.
+    /// Pin of the output that toggles while the firmware is alive.
     pub heartbeat: String,
-    /// Output enable of the motors' PWM chips; high is off.
+    /// Pin of the output enable of the motors' PWM chips; high is off.
     pub motor_output_enable_n: String,
 }
 
-/// Power into the board.
+/// Power supply of the board.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Supply {
-    /// Nominal voltage.
+    /// Nominal input voltage, V.
     #[serde(deserialize_with = "positive")]
     pub input_v: f32,
-    /// What the printed circuit board is rated for.
+    /// Rated current of the printed circuit board, A.
     #[serde(deserialize_with = "positive")]
     pub current_max_a: f32,
 }

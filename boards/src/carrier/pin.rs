@@ -4,50 +4,50 @@ use std::{fmt, str::FromStr};
 
 use serde::{Deserialize, Deserializer, de::Error};
 
-/// A pin and its function.
+/// Pin of the microcontroller with its function.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pin {
-    /// Function, by which the rest of the file refers to it.
+    /// Function of the pin, by which the rest of the file refers to it.
     pub id: String,
     /// Name on the Arduino header.
     pub header: String,
-    /// Pin of the microcontroller.
+    /// Port and number at the microcontroller.
     pub stm32: Stm32Pin,
-    /// Peripheral and its signal, as in `TIM8_CH1`; none for a plain pin.
+    /// Peripheral and its signal, as in `TIM8_CH1`; `None` for a plain pin.
     pub signal: Option<String>,
-    /// Alternate function that connects the signal.
+    /// Number of the alternate function that connects the signal.
     pub af: Option<u8>,
-    /// How it is used.
+    /// Use of the pin.
     pub kind: PinKind,
-    /// What a user should know.
+    /// Note for the user.
     pub note: Option<String>,
 }
 
-/// How a pin is used.
+/// Use of a pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PinKind {
     /// Timer channel: capture, encoder or pulses.
     Cap,
-    /// Interrupt on an edge.
+    /// Input with an interrupt on an edge.
     Exti,
     /// Plain input or output.
     Gpio,
-    /// Analog input.
+    /// Input of the analog-to-digital converter.
     Adc,
-    /// Analog output.
+    /// Output of the digital-to-analog converter.
     Dac,
     /// Line of a bus.
     Bus,
 }
 
-/// A pin by port and number, written `PJ8`.
+/// Pin by port and number, written `PJ8`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Stm32Pin {
-    /// `A` to `K`.
+    /// Letter of the port, `A` to `K`.
     pub port: char,
-    /// 0 to 15; also the pin's EXTI line.
+    /// Number in the port, 0 to 15; also the pin's EXTI line.
     pub number: u8,
 }
 
@@ -57,7 +57,7 @@ impl fmt::Display for Stm32Pin {
     }
 }
 
-/// The text is no pin name.
+/// Error of text that is no pin name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("not a pin: write P, a port from A to K and a number from 0 to 15, as in PJ8")]
 pub struct NotAPin;

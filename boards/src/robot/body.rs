@@ -1,4 +1,5 @@
-//! `[body]` and `[world]`: what couples a robot's shafts, and what it moves among. Simulated only.
+//! Tables `[body]` and `[world]`: the body that couples a robot's shafts, and the world it moves in. Only for
+//! simulation.
 
 mod berry_picker;
 mod cable_loop;
@@ -31,23 +32,23 @@ use crate::{
     source::Source,
 };
 
-/// `[body]`: one kind of it.
+/// Table `[body]`: one kind of body.
 #[derive(Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Body {
-    /// A chassis on wheels.
+    /// Chassis on wheels, with an outline.
     Wheeled(Box<WheeledTable>),
-    /// A robot on wheels in a shell that narrows.
+    /// Robot on wheels in a shell that narrows.
     Deformable(Box<deformable::DeformableTable>),
-    /// A person with a tail of two links.
+    /// Person with a tail of two links.
     BalanceTail(Box<TailTable>),
     /// Two fingers with an object between them.
     TwoFingers(Box<two_fingers::GripTable>),
-    /// A gripper with a loop that closes round a vial.
+    /// Gripper with a loop that closes round a vial.
     CableLoop(Box<cable_loop::CableLoopTable>),
-    /// A pneumatic gripper before a bush.
+    /// Pneumatic gripper before a bush.
     BerryPicker(Box<berry_picker::PickerTable>),
-    /// A strip with suction cups and inflatable membranes.
+    /// Strip with suction cups and inflatable membranes.
     SuctionPad(Box<suction_pad::SuctionTable>),
 }
 
@@ -173,7 +174,7 @@ enum Law {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct WheelTable {
-    /// What drives it; left out for one that rolls freely.
+    /// Channel that drives the wheel; left out for one that rolls freely.
     #[serde(default, deserialize_with = "optional_channel")]
     channel: Option<ChannelId>,
     place_m: Point,
@@ -183,7 +184,7 @@ struct WheelTable {
     inverted: bool,
     #[serde(default)]
     steered: bool,
-    /// A caster or ball: carries, and gives way in every direction.
+    /// True for a caster or ball: it carries weight, and gives way in every direction.
     #[serde(default)]
     caster: bool,
     tyre: Option<TyreTable>,
@@ -222,7 +223,7 @@ impl From<TyreTable> for Tyre {
 }
 
 impl Body {
-    /// The body at the origin, and the channels whose shafts it couples.
+    /// Checks the table and returns the body at the origin, with the channels whose shafts it couples.
     pub(super) fn check(&self, reader: &Reader<'_>, config: &BoardConfig) -> Result<SimulatedBody, BoardError> {
         let shafts = Shafts { reader, config, channels: Vec::new() };
         match self {
@@ -260,6 +261,7 @@ impl TailTable {
         };
         let links = [link(0)?, link(1)?];
         let source = shafts.reader.source;
+        // `turning` takes a channel only once, so that a shared motor leaves the list shorter.
         if shafts.channels.len() < 2 {
             return Err(source.rule("body.balance-tail.link[1].channel", "each link needs a motor of its own"));
         }
@@ -301,7 +303,7 @@ impl WheeledTable {
         Ok(SimulatedBody { kind: AnyBody::Wheeled(Box::new(wheeled)), channels: shafts.channels })
     }
 
-    /// Wheels and what they carry, without an outline; `table` is where they are described.
+    /// Makes wheels and what they carry, without an outline; `table` is where they are described.
     fn chassis(&self, shafts: &mut Shafts<'_>, table: &str) -> Result<Wheeled, BoardError> {
         let reader = shafts.reader;
         let mut wheels = Vec::new();
@@ -310,6 +312,7 @@ impl WheeledTable {
             if wheel.caster && (wheel.channel.is_some() || wheel.steered || wheel.tyre.is_some()) {
                 return Err(reader.rule(path, "a caster has no channel, no tyre and is not steered"));
             }
+            // A wheel without a channel rolls freely.
             let driven = wheel.channel.map(|id| shafts.turning(id, format!("{path}.channel")));
             wheels.push(Wheel {
                 place_m: wheel.place_m,
@@ -339,7 +342,7 @@ impl WheeledTable {
     }
 }
 
-/// The channels whose shafts a body couples, each once.
+/// Channels whose shafts a body couples, each once.
 struct Shafts<'r> {
     reader: &'r Reader<'r>,
     config: &'r BoardConfig,
@@ -353,7 +356,7 @@ impl Shafts<'_> {
         Ok(self.number(id))
     }
 
-    /// A relay, which stands at 1 while its contact is closed.
+    /// Takes a relay as a shaft, which is at 1 while its contact is closed.
     fn relay(&mut self, id: ChannelId, path: String) -> Result<usize, BoardError> {
         let known: Vec<_> = self.config.relays.iter().map(|relay| relay.id).collect();
         self.reader.one_of("relay", id, known.iter(), path)?;
@@ -366,9 +369,11 @@ impl Shafts<'_> {
 
     fn axle(&mut self, steering: &SteeringTable, path: &str) -> Result<Axle, BoardError> {
         let motors = &self.config.motors;
+        // The steering channel may slide (an actuator) or turn (a motor).
         let (known, rad_per_unit) = match (steering.rad_per_m, steering.rad_per_rad) {
             (Some(rad_per_m), None) => (may_slide(motors), rad_per_m),
             (None, Some(rad_per_rad)) => (self.may_turn(), rad_per_rad),
+            // The unit of the factor says whether the steering channel slides or turns, so exactly one is needed.
             _ => return Err(self.reader.rule(path, "needs rad_per_m for an actuator, or rad_per_rad for a motor")),
         };
         self.reader.one_of("channel of that kind", steering.channel, known.iter(), format!("{path}.channel"))?;
@@ -382,6 +387,7 @@ impl Shafts<'_> {
     }
 
     fn number(&mut self, id: ChannelId) -> usize {
+        // Wheels of one motor share a shaft.
         self.channels.iter().position(|known| *known == id).unwrap_or_else(|| {
             self.channels.push(id);
             self.channels.len() - 1
@@ -389,7 +395,7 @@ impl Shafts<'_> {
     }
 }
 
-/// A file of a body alone.
+/// File of a body alone.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct BodyFile {
@@ -402,7 +408,7 @@ pub(crate) fn read_body(source: &Source, robot: &Robot) -> Result<SimulatedBody,
     file.body.check(&Reader { source, carrier: &robot.carrier }, &robot.config)
 }
 
-/// The tables of a file that describe a robot's body and world, whatever else the file has.
+/// Tables of a file that describe a robot's body and world; other tables are ignored.
 #[derive(Deserialize)]
 struct EnvironmentFile {
     body: Option<Body>,
@@ -418,6 +424,7 @@ pub(crate) fn read_environment(source: &Source, robot: &mut Robot) -> Result<(),
     }
     if let Some(world) = file.world {
         let world = world.check(source)?;
+        // A world is entered by a body: without one its walls would act on nothing.
         if robot.simulation.body.is_none() {
             let rule = "needs a [body] that stands in it, in this file or in the robot's";
             return Err(BoardError::Rule { at: source.at("world"), channel: None, rule });
@@ -429,14 +436,14 @@ pub(crate) fn read_environment(source: &Source, robot: &mut Robot) -> Result<(),
 }
 
 impl SimulatedBody {
-    /// The body, if it is a chassis on wheels.
+    /// Returns the body if it is a chassis on wheels.
     #[must_use]
     pub fn wheeled(&self) -> Option<&Wheeled> {
         if let AnyBody::Wheeled(body) = &self.kind { Some(body) } else { None }
     }
 
-    /// A body on wheels as the text of a file, which [`load_body`](crate::load_body) reads back to the bit. `channels` are those of its
-    /// shafts; each of `comments` becomes a line at its top: where the numbers are from.
+    /// Writes a body on wheels as the text of a file, which [`load_body`](crate::load_body) reads back to the bit.
+    /// `channels` are those of its shafts; each of `comments`, on the origin of the numbers, becomes a line at its top.
     #[must_use]
     pub fn wheeled_toml(wheeled: &Wheeled, channels: &[ChannelId], comments: &[String]) -> String {
         let mut text = String::new();
@@ -451,7 +458,7 @@ impl SimulatedBody {
             let _ = writeln!(text, "outline_m = {:?}", outline.corners_m());
         }
         let tyres = || wheeled.wheels().iter().filter_map(|wheel| wheel.tyre);
-        // A file needs one, also where nothing but casters carries the body.
+        // A file needs one tyre, even if only casters carry the body.
         let usual = tyres().next().unwrap_or(Tyre::TYPICAL);
         let _ = writeln!(text, "\n[body.wheeled.tyre]\n{}", tyre_fields(&usual).join("\n"));
         for wheel in wheeled.wheels() {
@@ -483,7 +490,7 @@ impl SimulatedBody {
     }
 }
 
-/// A tyre's fields with their values, as in a table.
+/// Returns a tyre's fields with their values, as in a table.
 fn tyre_fields(tyre: &Tyre) -> [String; 5] {
     let [long, lat] = tyre.compliance_per_n;
     let law = match tyre.law {
@@ -499,7 +506,7 @@ fn tyre_fields(tyre: &Tyre) -> [String; 5] {
     ]
 }
 
-/// A file of a world alone.
+/// File of a world alone.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct WorldFile {
@@ -511,7 +518,7 @@ pub(crate) fn read_world(source: &Source) -> Result<World, BoardError> {
     source.parse::<WorldFile>()?.world.check(source)
 }
 
-/// `[world]`: what is around the robot.
+/// Table `[world]`: the environment of the robot.
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct WorldTable {
@@ -563,17 +570,17 @@ struct Post {
 struct Carton {
     size_m: [f64; 2],
     mass_kg: f64,
-    /// Coefficient of static friction on the floor, 1.
+    /// Coefficient of static friction on the floor, dimensionless.
     friction: f64,
     #[serde(default = "alike")]
     kinetic_share: f64,
-    /// Place of its centre in the world, m.
+    /// Place of the centre in the world, m.
     place_m: Point,
     #[serde(default, deserialize_with = "finite")]
     yaw_rad: f64,
 }
 
-/// Kinetic friction that is the static one.
+/// Default of kinetic friction: as the static friction.
 const fn alike() -> f64 {
     1.0
 }
@@ -582,7 +589,7 @@ const fn alike() -> f64 {
 #[serde(deny_unknown_fields)]
 struct Walker {
     radius_m: f64,
-    /// Time, s, and place, m.
+    /// Time, s, and place, m, of each point.
     path: Vec<[f64; 3]>,
 }
 
@@ -621,12 +628,13 @@ impl WorldTable {
             at("surface", index, scene.add_surface(surface))?;
         }
         let start = self.start.map_or(Pose::default(), |Start { x_m, y_m, yaw_rad }| Pose { x_m, y_m, yaw_rad });
+        // After the scene, because a gas spreads around its walls.
         let fields = field::check(&self.fields, &scene, source)?;
         Ok(World { start, on_stand: self.on_stand, scene, fields })
     }
 }
 
-/// Where a sensor sits on the body.
+/// Table of the place and direction of a sensor on the body.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct MountTable {

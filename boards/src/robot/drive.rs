@@ -1,4 +1,4 @@
-//! `[drive]`: how a robot moves over the ground.
+//! Table `[drive]`: motion of a robot over the ground.
 
 use std::fmt::Display;
 
@@ -15,13 +15,13 @@ use crate::{
     source::Claims,
 };
 
-/// How a robot moves over the ground. Forwards, left and counter-clockwise are positive.
+/// Motion of a robot over the ground. Forwards, left and counter-clockwise are positive.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Drive {
-    /// Wheels that do not steer.
+    /// Wheels that do not steer, on two sides.
     SkidSteer(SkidSteer),
-    /// Steered front wheels.
+    /// Steered front wheels, as of a car.
     Ackermann(Ackermann),
 }
 
@@ -29,11 +29,11 @@ pub enum Drive {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SkidSteer {
-    /// Of every wheel.
+    /// Radius of every wheel, m.
     #[serde(deserialize_with = "positive")]
     pub wheel_radius_m: f64,
-    /// Difference of the sides' speeds over the robot's turn rate: the distance between the middles of left and right wheels, and more
-    /// where tyres slip in a turn.
+    /// Difference of the sides' speeds divided by the robot's turn rate, m: the distance between the middles of left
+    /// and right wheels, and more where tyres slip in a turn.
     #[serde(deserialize_with = "positive")]
     pub track_m: f64,
     /// Motors of the left wheels; a positive position is forwards.
@@ -42,65 +42,65 @@ pub struct SkidSteer {
     /// Motors of the right wheels; a positive position is forwards.
     #[serde(deserialize_with = "channels")]
     pub right: Vec<ChannelId>,
-    /// Highest speed it should be asked for, m/s.
+    /// Highest speed that it should be given, m/s.
     #[serde(deserialize_with = "positive")]
     pub speed_max_m_s: f64,
-    /// Highest turn rate it should be asked for, rad/s.
+    /// Highest turn rate that it should be given, rad/s.
     #[serde(deserialize_with = "positive")]
     pub turn_rate_max_rad_s: f64,
 }
 
-/// A car.
+/// Car with a steered front axle.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ackermann {
-    /// Between the axles.
+    /// Distance between the axles, m.
     #[serde(deserialize_with = "positive")]
     pub wheelbase_m: f64,
-    /// Between the middles of left and right wheels.
+    /// Distance between the middles of left and right wheels, m.
     #[serde(deserialize_with = "positive")]
     pub track_m: f64,
-    /// Of the driven wheels.
+    /// Radius of the driven wheels, m.
     #[serde(deserialize_with = "positive")]
     pub wheel_radius_m: f64,
-    /// The linear motor that steers.
+    /// Channel of the linear motor that steers.
     #[serde(deserialize_with = "channel")]
     pub steering: ChannelId,
-    /// What its position means.
+    /// Steering angle for the position of that motor.
     pub steering_law: SteeringLaw,
-    /// Steering angles it should be asked for, at a single wheel in the middle (bicycle model), rad.
+    /// Range of steering angles that it should be given, at a single wheel in the middle (bicycle model), rad.
     pub steering_rad: Interval,
-    /// The motor or brushless drive that drives.
+    /// Channel of the motor or brushless drive that drives.
     #[serde(deserialize_with = "channel")]
     pub drive: ChannelId,
-    /// Ground speed at full duty or full throttle, for a drive without an encoder.
+    /// Ground speed at full duty or full throttle, m/s, for a drive without an encoder.
     #[serde(default, deserialize_with = "optional_positive")]
     pub full_speed_m_s: Option<f64>,
-    /// Highest speed it should be asked for, m/s.
+    /// Highest speed that it should be given, m/s.
     #[serde(deserialize_with = "positive")]
     pub speed_max_m_s: f64,
 }
 
-/// Steering angle by the position of the linear motor, a straight line.
+/// Steering angle as a linear function of the position of the linear motor.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SteeringLaw {
-    /// rad at 0 m
+    /// Steering angle at position 0, rad.
     #[serde(deserialize_with = "finite")]
     pub rad_at_zero: f64,
-    /// rad/m; negative where a longer rod steers to the right.
+    /// Change of the steering angle with the position, rad/m; negative where a longer rod steers to the right.
     #[serde(deserialize_with = "finite")]
     pub rad_per_m: f64,
 }
 
 impl SteeringLaw {
-    /// Steering angle with the rod at `position_m`, rad.
+    /// Returns the steering angle with the rod at `position_m`, rad; positive to the left.
     #[must_use]
     pub fn angle_rad(self, position_m: f64) -> f64 {
         self.rad_at_zero + self.rad_per_m * position_m
     }
 
-    /// Where the rod is at a steering angle, m.
+    /// Returns the position of the rod at a steering angle, m.
     #[must_use]
     pub fn position_m(self, angle_rad: f64) -> f64 {
         (angle_rad - self.rad_at_zero) / self.rad_per_m
@@ -141,6 +141,7 @@ impl SkidSteer {
             for (index, wheel) in wheels.iter().enumerate() {
                 let path = format!("{path}[{index}]");
                 reader.one_of("motor with an encoder", *wheel, motors(config, turns), path.clone())?;
+                // A motor on both sides would turn the robot against itself.
                 claims.take("wheel", wheel, path)?;
             }
         }
@@ -156,6 +157,7 @@ impl Ackermann {
         let may_drive = motors(config, |feedback| !slides(feedback)).chain(config.bldcs.iter().map(|bldc| &bldc.id));
         reader.one_of("motor that turns", self.drive, may_drive, path(&"drive"))?;
         let is_measured = motors(config, turns).any(|id| *id == self.drive);
+        // With an encoder the speed is measured; a second source could contradict it.
         if is_measured == self.full_speed_m_s.is_some() {
             let rule = "full_speed_m_s is for a drive without an encoder, which needs it";
             return Err(reader.rule(path(&"full_speed_m_s"), rule));
@@ -163,7 +165,7 @@ impl Ackermann {
         let steering = config.motors.iter().find(|motor| motor.id == self.steering);
         let travel = steering.and_then(|motor| motor.control).map(|control| control.position);
         let Interval { min, max } = self.steering_rad;
-        // Not with a slope of 0 either: then one is infinite.
+        // This also refuses a slope of 0, with which one of the two is infinite.
         let reached = [min, max].map(|angle_rad| self.steering_law.position_m(angle_rad) as f32);
         if !reached.iter().all(|position| travel.is_some_and(|travel| travel.contains(*position))) {
             let rule = "by the steering_law these angles are outside the position_m of the steering motor";

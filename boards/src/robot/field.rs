@@ -1,4 +1,5 @@
-//! `[[world.field]]`, what a world has at every place, and the sensors on a body that read it.
+//! Table `[[world.field]]`: fields, which have a value at every place of a world, and the sensors on a body that read
+//! them.
 
 use r4_world::{
     Charge, Cloud, Electric, ElectricSpec, Field, FieldError, FieldKind, FlowSpec, Plume, PlumeSpec, Point, Scene,
@@ -12,42 +13,45 @@ use crate::{
     source::Source,
 };
 
-/// A sensor on the body that gives a voltage for a field where it is: `zero_v + volts_per_unit * enhancement * (field + charge)`.
+/// Sensor on the body that gives a voltage for a field at its place: `zero_v + volts_per_unit * enhancement * (field +
+/// charge)`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FieldReading {
-    /// Which of the world's fields; where the world has none at all, the sensor reads 0 of it.
+    /// Name of a field of the world. In a world without any field the sensor reads 0.
     pub name: String,
-    /// Where the sensor is on the body, m.
+    /// Place of the sensor on the body, m.
     pub at_m: Point,
-    /// Output where there is nothing, V: that of the offset stage, for a field of both signs.
+    /// Output without a field, V: that of the offset stage, for a field of both signs.
     pub zero_v: f64,
-    /// V for one unit of the field.
+    /// Output for one unit of the field, V.
     pub volts_per_unit: f64,
-    /// Field at the sensor over the undisturbed one: the form enhancement of the body that carries a field mill.
+    /// Field at the sensor divided by the undisturbed field: the form enhancement of the body that carries a field
+    /// mill.
     pub enhancement: f64,
     /// Time constant of the sensor, s; 0 follows at once.
     pub lag_s: f64,
-    /// What the body's own charge adds.
+    /// Field of the body's own charge.
     pub charge: SelfCharge,
 }
 
-/// Field of the body's own charge at the sensor, in the field's unit: `d/dt = per_rad * |turn rate of wheels| - (charge - rest) / leak`.
+/// Field of the body's own charge at the sensor, in the field's unit: `d/dt = per_rad * |turn rate of wheels| - (charge
+/// - rest) / leak`.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SelfCharge {
-    /// At rest, in the end and at time 0.
+    /// Field at rest: at time 0, and the final value.
     #[serde(default, deserialize_with = "finite")]
     pub rest: f64,
-    /// What a radian of the wheels, in their mean, adds.
+    /// Field that one radian of the wheels, in their mean, adds.
     #[serde(default, deserialize_with = "finite")]
     pub per_rad: f64,
-    /// Time constant with which it leaks away, s.
+    /// Time constant of the leakage, s.
     #[serde(default = "leak_s", deserialize_with = "positive")]
     pub leak_s: f64,
 }
 
 impl SelfCharge {
-    /// A body without charge.
+    /// Charge of a body without any.
     pub const NONE: Self = Self { rest: 0.0, per_rad: 0.0, leak_s: LEAK_S };
 }
 
@@ -57,7 +61,7 @@ impl Default for SelfCharge {
     }
 }
 
-/// Time in which a body's charge leaks away through its tyres, s: our choice.
+/// Time constant of the leakage through a body's tyres, s: our choice.
 const LEAK_S: f64 = 30.0;
 
 fn leak_s() -> f64 {
@@ -68,7 +72,7 @@ fn one() -> f64 {
     1.0
 }
 
-/// `field` of a `[[simulation.analog]]`.
+/// Table `field` of a `[[simulation.analog]]`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ReadingTable {
@@ -87,7 +91,7 @@ pub(super) struct ReadingTable {
 }
 
 impl ReadingTable {
-    /// Whether its place is one.
+    /// Returns whether the sensor's place is finite.
     pub(super) fn is_finite(&self) -> bool {
         self.at_m.into_iter().all(f64::is_finite)
     }
@@ -108,7 +112,7 @@ impl From<&ReadingTable> for FieldReading {
     }
 }
 
-/// `[[world.field]]`: a name and one kind.
+/// Table `[[world.field]]`: a name and one kind of field.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FieldTable {
@@ -144,7 +148,7 @@ struct GasTable {
     flow: FlowTable,
 }
 
-/// Our choice: at 0.5 m/s one every 0.1 m.
+/// Default rate of filaments, 1/s. Our choice: at 0.5 m/s one every 0.1 m.
 fn filaments_per_s() -> f64 {
     5.0
 }
@@ -221,7 +225,7 @@ impl From<CloudTable> for Cloud {
     }
 }
 
-/// The fields of a world, in its scene.
+/// Checks the tables and returns the fields of a world, in its scene.
 pub(super) fn check(tables: &[FieldTable], scene: &Scene, source: &Source) -> Result<Vec<Field>, BoardError> {
     let mut fields: Vec<Field> = Vec::new();
     for (index, table) in tables.iter().enumerate() {
@@ -234,6 +238,7 @@ pub(super) fn check(tables: &[FieldTable], scene: &Scene, source: &Source) -> Re
             (None, Some(electric)) => (electric.kind(), "electric"),
             _ => return Err(source.rule(path, "needs a table gas or electric, and only one")),
         };
+        // Names the field of the table that the error is about, to find its line.
         let kind = kind.map_err(|why| {
             let field = match &why {
                 FieldError::Number { what, .. } => format!(".{what}"),

@@ -1,4 +1,4 @@
-//! `[[encoder]]`, `[[switch]]`, `[[range]]`, `[[analog]]`, `[[supply]]`: inputs.
+//! Tables `[[encoder]]`, `[[switch]]`, `[[range]]`, `[[analog]]`, `[[supply]]`: inputs.
 
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},

@@ -1,4 +1,4 @@
-//! One robot: what is plugged into a carrier, how it is controlled, and what the simulator takes for true.
+//! Robot file: what is plugged into a carrier, how it is controlled, and the true values that the simulator uses.
 
 mod body;
 mod drive;
@@ -23,263 +23,264 @@ pub use uart::{GnssOrigin, SimulatedGnss, SimulatedUart, UartDevice};
 
 use crate::carrier::Carrier;
 
-/// A robot that has been read and checked.
+/// Robot whose file has been read and checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Robot {
-    /// The file it comes from.
+    /// File that the robot comes from.
     pub file: String,
-    /// What the firmware is told.
+    /// Configuration of the firmware.
     pub config: BoardConfig,
-    /// How it moves over the ground; `None` for one that does not.
+    /// Motion of the robot over the ground; `None` for one that does not move.
     pub drive: Option<Drive>,
-    /// What the simulator takes for true; empty when the file has no `[simulation]`.
+    /// True values for the simulator; empty when the file has no `[simulation]`.
     pub simulation: Simulation,
-    /// The carrier it is built on.
+    /// Carrier that the robot is built on.
     pub carrier: Carrier,
 }
 
-/// The true world, of which the firmware knows only what it measures.
+/// True values of a simulated robot and its world, of which the firmware knows only what it measures.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Simulation {
-    /// One for each motor of the robot, in the order of [`BoardConfig::motors`].
+    /// Motors of the robot, in the order of [`BoardConfig::motors`].
     pub motors: Vec<SimulatedMotor>,
-    /// One for each supply of the robot, in the order of [`BoardConfig::supplies`].
+    /// Supplies of the robot, in the order of [`BoardConfig::supplies`].
     pub rails: Vec<SimulatedRail>,
     /// True frequency of the servo chip's oscillator, Hz.
     pub servo_oscillator_hz: f64,
-    /// One for each servo, in the order of [`BoardConfig::servos`].
+    /// Servos, in the order of [`BoardConfig::servos`].
     pub servos: Vec<SimulatedServo>,
-    /// One for each brushless drive, in the order of [`BoardConfig::bldcs`].
+    /// Brushless drives, in the order of [`BoardConfig::bldcs`].
     pub bldcs: Vec<SimulatedBldc>,
-    /// One for each stepper, in the order of [`BoardConfig::steppers`].
+    /// Steppers, in the order of [`BoardConfig::steppers`].
     pub steppers: Vec<SimulatedStepper>,
-    /// One for each range sensor, in the order of [`BoardConfig::ranges`].
+    /// Range sensors, in the order of [`BoardConfig::ranges`].
     pub ranges: Vec<SimulatedRange>,
-    /// One for each analog input, in the order of [`BoardConfig::analogs`].
+    /// Analog inputs, in the order of [`BoardConfig::analogs`].
     pub analogs: Vec<SimulatedAnalog>,
-    /// One for each switch, in the order of [`BoardConfig::switches`].
+    /// Switches, in the order of [`BoardConfig::switches`].
     pub switches: Vec<SimulatedSwitch>,
-    /// One for each IMU.
+    /// Inertial sensors on the bus.
     pub imus: Vec<SimulatedImu>,
-    /// One for each current monitor.
+    /// Current monitors on the bus.
     pub currents: Vec<SimulatedCurrent>,
-    /// One for each angle sensor.
+    /// Angle sensors on the bus.
     pub angles: Vec<SimulatedAngle>,
-    /// One for each load cell.
+    /// Load cells on the bus.
     pub forces: Vec<SimulatedForce>,
-    /// One for each optical distance sensor.
+    /// Optical distance sensors on the bus.
     pub distances: Vec<SimulatedDistance>,
     /// Angle sensors that send pulses to range connectors.
     pub pulses: Vec<SimulatedPulses>,
     /// Sensors at the UART connectors.
     pub uarts: Vec<SimulatedUart>,
-    /// What couples motors; `None` lets each turn alone.
+    /// Body that couples motors; `None` lets each turn alone.
     pub body: Option<SimulatedBody>,
-    /// What is around the body.
+    /// Scene around the body.
     pub scene: Scene,
-    /// What sensors on the body read by place, at time 0.
+    /// Fields that sensors on the body read by place, at time 0.
     pub fields: Vec<Field>,
 }
 
-/// A sensor names a field that its world does not have.
+/// Error of a sensor that names a field which its world does not have.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{channel} reads the field `{asked}`, and the world has {}: name one of these, or use another world", known.join(", "))]
 pub struct NoSuchField {
     /// Channel of the sensor.
     pub channel: ChannelId,
-    /// The field that it names.
+    /// Field that the sensor names.
     pub asked: String,
-    /// The fields that there are.
+    /// Fields of the world.
     pub known: Vec<String>,
 }
 
-/// What a robot is put into.
+/// World that a robot is put into.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct World {
-    /// Where the body stands at time 0.
+    /// Pose of the body at time 0.
     pub start: Pose,
-    /// Whether it stands on a stand instead, its wheels in the air.
+    /// True when the body is on a stand instead, its wheels in the air.
     pub on_stand: bool,
-    /// What is around it.
+    /// Scene around the body.
     pub scene: Scene,
-    /// What it has at every place.
+    /// Fields of the world, which have a value at every place.
     pub fields: Vec<Field>,
 }
 
-/// A body, at rest where it starts.
+/// Body at rest in its initial pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedBody {
-    /// The physics.
+    /// Type and parameters of the body.
     pub kind: AnyBody,
-    /// The channels whose shafts it couples, in the order of its shafts.
+    /// Channels whose shafts the body couples, in the order of its shafts.
     pub channels: Vec<ChannelId>,
 }
 
-/// Where a sensor sits on a body, in the body's frame.
+/// Place and direction of a sensor on a body, in the body's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mount {
-    /// m
+    /// Place in the body's frame, x forwards and y to the left, m.
     pub place_m: [f64; 2],
-    /// Where it looks, counterclockwise from forwards, rad.
+    /// Direction of view, counter-clockwise from forwards, rad.
     pub yaw_rad: f64,
 }
 
-/// An RC servo.
+/// RC servo with its true travel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedServo {
-    /// Channel of the simulated part.
+    /// Channel of the servo.
     pub channel: ChannelId,
-    /// Pulse at one end of its travel, s.
+    /// Pulse at one end of the travel, s.
     pub pulse_min_s: f64,
-    /// Pulse at the other end, s.
+    /// Pulse at the other end, s; longer than `pulse_min_s`.
     pub pulse_max_s: f64,
     /// Angle at the shorter pulse, rad.
     pub angle_min_rad: f64,
     /// Angle at the longer pulse, rad.
     pub angle_max_rad: f64,
-    /// How fast it turns, rad/s.
+    /// Speed of the servo, rad/s.
     pub rate_rad_s: f64,
 }
 
-/// A brushless drive with its motor.
+/// Brushless drive with its motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedBldc {
-    /// Channel of the simulated part.
+    /// Channel of the drive.
     pub channel: ChannelId,
-    /// Where it stands still, V: both ends.
+    /// Voltages between which the drive stands still, V: both ends.
     pub dead_zone_v: [f64; 2],
-    /// Full speed forwards, V.
+    /// Voltage of full speed forwards, V.
     pub forward_v: f64,
-    /// Full speed backwards, V, where a voltage reverses it.
+    /// Voltage of full speed backwards, V; `None` where no voltage reverses the drive.
     pub reverse_v: Option<f64>,
-    /// rad/s
+    /// Full speed of the shaft, rad/s.
     pub top_speed_rad_s: f64,
-    /// s
+    /// Time constant of the speed, s.
     pub time_constant_s: f64,
-    /// Whether it brakes and holds by its motor, in place of coasting in the dead zone and before it turns round.
+    /// True when the drive brakes and holds by its motor; otherwise it coasts in the dead zone and before it turns
+    /// round.
     pub four_quadrant: bool,
-    /// What makes its motor take loads; `None` for one that turns as its drive wants.
+    /// Inertia that makes the motor take loads; `None` for a motor that turns as its drive commands.
     pub rotor: Option<SimulatedRotor>,
-    /// What measures its shaft, if anything does.
+    /// Encoder on the shaft, if there is one.
     pub encoder: Option<SimulatedEncoder>,
 }
 
-/// Inertia of a brushless motor and what its drive can do to it.
+/// Inertia of a brushless motor, and the limits of its drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedRotor {
-    /// Of the motor and of what turns with it, kg m².
+    /// Inertia of the motor and of what turns with it, kg m².
     pub inertia_kg_m2: f64,
     /// Highest torque of the drive, in both directions, N m.
     pub torque_max_nm: f64,
-    /// Highest mechanical power that the drive gives, W; infinite for none.
+    /// Highest mechanical power of the drive, W; infinite for no limit.
     pub power_max_w: f64,
     /// Torque of the brake, N m.
     pub brake_nm: f64,
 }
 
-/// A quadrature encoder on a shaft.
+/// Quadrature encoder on a shaft.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SimulatedEncoder {
     /// Number of its encoder connector on the carrier, from 0.
     pub input: u8,
-    /// Lines in one turn; four counts each.
+    /// Lines in one turn, with four counts each.
     pub lines_per_turn: u32,
 }
 
-/// A stepper motor with its driver.
+/// Stepper motor with its driver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedStepper {
-    /// Channel of the simulated part.
+    /// Channel of the stepper.
     pub channel: ChannelId,
     /// Highest rate at which it starts and stops without losing steps, Hz.
     pub start_rate_hz: f64,
 }
 
-/// What is in front of a range sensor.
+/// Range sensor with what is in front of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedRange {
-    /// Channel of the simulated part.
+    /// Channel of the range sensor.
     pub channel: ChannelId,
-    /// What it sees.
+    /// Object or world in front of the sensor.
     pub sees: RangeView,
 }
 
-/// What a range sensor sees.
+/// Object or world in front of a range sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RangeView {
-    /// Something at a distance that stays, m.
+    /// Object at a constant distance.
     Constant {
-        /// m
+        /// Distance of the object, m.
         distance_m: f64,
     },
-    /// The world, from a place on the body.
+    /// World, as seen from a place on the body.
     World(Mount),
 }
 
-/// What is at an analog input.
+/// Analog input with its source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedAnalog {
-    /// Channel of the simulated part.
+    /// Channel of the analog input.
     pub channel: ChannelId,
-    /// V
+    /// Voltage of a constant source, V.
     pub volts: f64,
     /// True volts for one code of the 16-bit converter.
     pub volts_per_code: f64,
     /// Noise, standard deviation in codes of the 16-bit converter.
     pub noise_rms_codes: f64,
-    /// What of the body is measured here, in volts; `None` for a constant voltage.
+    /// Quantity of the body that is measured here, in volts; `None` for a constant voltage.
     pub reads: Option<BodyReading>,
-    /// The field that is measured here, in place of both; `None` for none.
+    /// Field that is measured here, in place of both; `None` for none.
     pub field: Option<FieldReading>,
 }
 
-/// A sensor that measures something of the body: `zero + per_unit * reading`.
+/// Sensor that measures a quantity of the body: `zero + per_unit * reading`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyReading {
     /// Number of the quantity among `r4_world::Body::readings`.
     pub number: usize,
-    /// What the sensor gives where the quantity is 0, in the unit that it gives.
+    /// Output of the sensor where the quantity is 0, in the sensor's unit.
     pub zero: f64,
-    /// What it gives for one unit of the quantity.
+    /// Output of the sensor for one unit of the quantity.
     pub per_unit: f64,
 }
 
-/// What closes a switch.
+/// Switch with the axis or the quantity that closes it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedSwitch {
-    /// Channel of the simulated part.
+    /// Channel of the switch.
     pub channel: ChannelId,
-    /// The axis or the quantity of the body that closes it.
+    /// Axis or quantity of the body that closes the switch.
     pub closed_by: SwitchedBy,
 }
 
-/// What closes a switch.
+/// Axis or quantity of the body that closes a switch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SwitchedBy {
     /// An input that is always open: no axis or body reaches the switch.
     Nothing,
-    /// A motor or stepper.
+    /// A motor or stepper, below a position.
     Axis {
         /// Channel of the motor or stepper.
         channel: ChannelId,
-        /// Closed below this position, rad. A stepper's is counted from where it stands at time 0.
+        /// Position below which the switch is closed, rad. A stepper's is counted from where it is at time 0.
         below: f64,
     },
-    /// A quantity of the body: closed where this is positive.
+    /// A quantity of the body: the switch is closed where the result is positive.
     Body(BodyReading),
 }
 
 impl Simulation {
-    /// Whether the robot's file says nothing about the true world, so that it can only be used as hardware.
+    /// Returns whether the robot's file has no true values, so that it can only be used as hardware.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Checks that the world has the fields that sensors name. A world without any field is right for all: there is nothing in it.
+    /// Checks that the world has the fields that sensors name. A world without any field passes: it is empty.
     ///
     /// # Errors
-    /// [`NoSuchField`], the first that is not there.
+    /// [`NoSuchField`] for the first field that does not exist.
     pub fn check_fields(&self) -> Result<(), NoSuchField> {
         let has = |reading: &&FieldReading| !self.fields.iter().any(|field| field.name == reading.name);
         let sensors = self.analogs.iter().filter_map(|analog| Some((analog.channel, analog.field.as_ref()?)));
@@ -293,7 +294,7 @@ impl Simulation {
         }
     }
 
-    /// Gives the robot another body, at rest where the one before it stood.
+    /// Gives the robot another body, at rest in the pose of the previous one.
     pub fn set_body(&mut self, mut body: SimulatedBody) {
         if let Some(before) = &self.body {
             body.kind.set_pose(before.kind.pose());
@@ -301,10 +302,11 @@ impl Simulation {
         self.body = Some(body);
     }
 
-    /// Puts the robot into a world, in place of the one it was in.
+    /// Puts the robot into a world, in place of the previous one.
     pub fn enter(&mut self, world: World) {
         self.scene = world.scene;
         self.fields = world.fields;
+        // On a stand the wheels touch nothing, so that each motor turns alone.
         if world.on_stand {
             self.body = None;
         }
@@ -314,89 +316,89 @@ impl Simulation {
     }
 }
 
-/// A motor with what it drives.
+/// Motor with the plant that it drives.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedMotor {
-    /// The channel whose bridge drives it; the carrier has the bridge's lines.
+    /// Channel whose bridge drives the motor; the carrier has the bridge's lines.
     pub channel: ChannelId,
-    /// Its physics.
+    /// Plant file of the motor.
     pub plant: PlantFile,
-    /// The rail that feeds its bridge, one of [`Simulation::rails`].
+    /// Rail that feeds the bridge, one of [`Simulation::rails`].
     pub rail: ChannelId,
-    /// Where it stands at time 0, rad or m.
+    /// Position at time 0, rad or m.
     pub start: f64,
-    /// What measures it, if anything does; an angle sensor is in [`Simulation::angles`].
+    /// Sensor of the position, if there is one; angle sensors are in [`Simulation::angles`].
     pub sensor: Option<SimulatedSensor>,
-    /// A second encoder, on the motor's side of its plant's backlash and compliance.
+    /// Second encoder, on the motor's side of its plant's backlash and compliance.
     pub motor_side: Option<SimulatedEncoder>,
 }
 
-/// A plant file, not looked into here.
+/// Plant file, not parsed here.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PlantFile {
-    /// Where it was found.
+    /// Name of the file, as it was found.
     pub name: String,
-    /// Its text.
+    /// Text of the file.
     pub text: String,
 }
 
-/// What measures a simulated motor, and where it is plugged in.
+/// Sensor of a simulated motor, and its connector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SimulatedSensor {
     /// Quadrature encoder on the output shaft.
     Encoder {
         /// Number of its encoder connector on the carrier, from 0.
         input: u8,
-        /// Lines in one turn; four counts each.
+        /// Lines in one turn, with four counts each.
         lines_per_turn: u32,
     },
     /// Potentiometer between the converter's reference and ground.
     Potentiometer {
-        /// Which analog input.
+        /// Number of the analog input.
         input: u8,
-        /// One end of the stroke.
+        /// Point at one end of the stroke.
         low: TruePoint,
-        /// The other end of the stroke.
+        /// Point at the other end of the stroke.
         high: TruePoint,
         /// Noise, standard deviation in codes of the 16-bit converter.
         noise_rms_codes: f64,
     },
 }
 
-/// What a potentiometer really gives at a position.
+/// True reading of a potentiometer at a position.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruePoint {
     /// Reading of an ideal 10-bit converter, 0 to 1023.
     #[serde(deserialize_with = "crate::number::code_10bit")]
     pub code_10bit: f64,
-    /// Position there, m.
+    /// Position of the reading, m.
     #[serde(deserialize_with = "crate::number::finite")]
     pub position_m: f64,
 }
 
 impl TruePoint {
-    /// Share of the reference voltage, 0 to 1.
+    /// Returns the share of the reference voltage, 0 to 1.
     #[must_use]
     pub fn share(self) -> f64 {
         self.code_10bit / 1023.0
     }
 }
 
-/// A supply rail.
+/// Supply rail with its source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedRail {
-    /// The channel that measures it.
+    /// Channel that measures the rail.
     pub channel: ChannelId,
-    /// Which analog input it is wired to.
+    /// Number of the analog input that it is wired to.
     pub analog: u8,
     /// True volts for one code of the 16-bit converter.
     pub volts_per_code: f64,
-    /// Voltage without load.
+    /// Voltage without load, V.
     pub emf_v: f64,
-    /// Resistance of the source.
+    /// Resistance of the source, ohm.
     pub resistance_ohm: f64,
-    /// Of a source that takes nothing back, F; `None` for a battery.
+    /// Capacitance of a source that takes no current back, F; `None` for a battery.
     pub capacitance_f: Option<f64>,
     /// Noise, standard deviation in codes of the 16-bit converter.
     pub noise_rms_codes: f64,

@@ -1,7 +1,7 @@
-//! `[[osmc]]`, `[[actuator]]`, `[[dhb]]`: motors on bridges.
+//! Tables `[[osmc]]`, `[[actuator]]`, `[[dhb]]`: motors on bridges.
 //!
-//! A motor whose table has tables inside is under control: with an encoder or an angle sensor it is written in radians ([`rotary`]), with a
-//! potentiometer in metres ([`linear`]). One without is [`Open`].
+//! A motor whose table has tables inside is controlled in closed loop: with an encoder or an angle sensor its fields
+//! are in radians ([`rotary`]), with a potentiometer in metres ([`linear`]). A motor without them is [`Open`].
 
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
@@ -22,14 +22,14 @@ use crate::number::{
     optional_force_number, optional_supply_number, positive, stop_brake_ms,
 };
 
-/// A motor as it is in the file.
+/// Motor as it is in the file.
 pub(super) enum Motor {
     Open(Open),
     Rotary(Box<rotary::Motor>),
     Linear(Box<linear::Motor>),
 }
 
-/// A motor that takes an open duty only.
+/// Motor that takes a duty in open loop only.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Open {
@@ -46,7 +46,7 @@ pub(super) struct Open {
     stop_brake_ms: u16,
 }
 
-/// A current sensor.
+/// Current sensor on an analog input.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Sense {
@@ -64,7 +64,7 @@ impl From<Sense> for CurrentSense {
     }
 }
 
-/// The table of a motor's winding; only one whose speed is known has a back-EMF.
+/// Makes the table of a motor's winding; only a motor whose speed is known has a back-EMF.
 macro_rules! winding {
     ($Winding:ident $(, $back_emf:ident)?) => {
         #[derive(Clone, Copy, Deserialize)]
@@ -119,7 +119,7 @@ pub(super) struct Encoder {
     counts_per_index: u32,
 }
 
-/// An absolute angle sensor on the output shaft.
+/// Absolute angle sensor on the output shaft.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Angle {
@@ -131,7 +131,7 @@ pub(super) struct Angle {
     inverted: bool,
 }
 
-/// The PWM output of an absolute angle sensor on the output shaft.
+/// PWM output of an absolute angle sensor on the output shaft.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PulsedAngle {
@@ -143,7 +143,7 @@ pub(super) struct PulsedAngle {
     inverted: bool,
 }
 
-/// A second encoder, on the motor's side of play.
+/// Second encoder, on the motor's side of play.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct MotorSide {
@@ -172,7 +172,7 @@ struct Point {
     position_m: f32,
 }
 
-/// What measures a motor's force: an analog input, or a load cell on the bus.
+/// Force sensor of a motor: an analog input, or a load cell on the bus.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ForceSensorFields {
@@ -206,7 +206,7 @@ impl TryFrom<ForceSensorFields> for ForceSensorTable {
     }
 }
 
-/// How an axis with a switch finds its zero.
+/// Homing of an axis by a switch.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Homing {
@@ -241,7 +241,7 @@ impl From<Homing> for HomingConfig {
     }
 }
 
-/// A linear motor knows its position without.
+/// Homing of a linear motor: none, because its position is absolute.
 pub(super) enum NoHoming {}
 
 impl<'de> Deserialize<'de> for NoHoming {
@@ -256,7 +256,7 @@ impl From<NoHoming> for HomingConfig {
     }
 }
 
-/// What measures a motor that turns; `None` where nothing is said, which the reader of the file refuses.
+/// Returns the feedback of a motor that turns; `None` where the file gives none, which its reader refuses.
 fn turning(motor: &rotary::Motor) -> Option<Feedback> {
     let angle = motor.angle.map(|Angle { sensor, zero_rad, inverted }| Feedback::Angle {
         angle: sensor,
@@ -290,7 +290,7 @@ fn no_motor_side(_: &linear::Motor) -> Option<MotorSideConfig> {
     None
 }
 
-/// The table of a motor under control. The fields are named after the unit of its position.
+/// Makes the table of a motor in closed loop. The fields are named after the unit of its position.
 macro_rules! controlled {
     (
         $unit:ident, sensors: { $($sensor:ident: $Sensor:ty,)+ }, feedback: $feedback:path, motor_side: $motor_side:path,
@@ -490,6 +490,8 @@ macro_rules! controlled {
                                 drift_s: force.drift_s,
                             }),
                         }),
+                        // A motor in closed loop needs a winding, for its overload protection; one in open loop may
+                        // lack it.
                         winding: Some(self.winding.into()),
                         stop_brake_ms: self.stop_brake_ms,
                     }
@@ -534,7 +536,7 @@ controlled! {
 }
 
 impl Motor {
-    /// The motor of one table in the array named after `kind`.
+    /// Reads the motor of one table in the array named after `kind`.
     pub(super) fn parse(kind: ChannelKind, value: Spanned<DeValue<'_>>) -> Result<Self, toml::de::Error> {
         let table = value.get_ref().as_table();
         let of_loop = |(name, value): (_, &Spanned<DeValue<'_>>)| name != "winding" && value.get_ref().is_table();

@@ -1,4 +1,4 @@
-//! `[[bldc]]`, `[[servo]]`, `[[stepper]]`, `[[relay]]`, `[[dac]]`: outputs other than bridges.
+//! Tables `[[bldc]]`, `[[servo]]`, `[[stepper]]`, `[[relay]]`, `[[dac]]`: outputs other than bridges.
 
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
@@ -19,10 +19,11 @@ use crate::{
     number::{Interval, channel, finite, not_negative, oscillator_hz, positive, stop_brake_ms},
 };
 
-/// Nominal oscillator of a PCA9685 (datasheet 7.3.5).
+/// Nominal oscillator frequency of a PCA9685, Hz (datasheet 7.3.5).
 pub(super) const NOMINAL_OSCILLATOR_HZ: f32 = 25e6;
 
-/// A brushless drive: with a `reverse_v` it reverses by voltage, with a `direction` by a line, else not at all.
+/// Brushless drive: a `reverse_v` reverses it by voltage, a `direction` by a line; without either it cannot be
+/// reversed.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Bldc {
@@ -71,6 +72,7 @@ impl Table for Bldc {
                 Reverse::Line { line: DriveLine { bit: lines.direction, active_low }, rest_ms }
             }
             (Some(_), Some(_)) => {
+                // With both it would be ambiguous which of them means backwards.
                 return Err(place.rule("reverse_v", "a drive reverses by voltage or by direction: leave one out"));
             }
         };
@@ -134,6 +136,7 @@ impl ServoEnd {
     fn config(&self, field: &str, default_s: f64, place: &Place<'_, '_>) -> Result<ServoPoint, BoardError> {
         let Interval { min, max } = place.carrier.servo.pulse_hard_s;
         let pulse_s = self.pulse_s.unwrap_or(default_s);
+        // 0.5 to 2.5 ms, our choice (r4-carrier.toml); 1 to 2 ms are the customary signal.
         if !(min..=max).contains(&pulse_s) {
             let field = format!("{field}.pulse_s");
             return Err(place.rule(&field, "must be inside servo.pulse_hard_s of the carrier"));
@@ -182,8 +185,9 @@ impl StepperBank {
     }
 }
 
-/// At least `time_s`; what a 32-bit float adds to a whole number of µs does not count.
+/// Rounds up to whole µs, without the error that a 32-bit float adds to a whole number.
 fn whole_us(time_s: f32) -> u32 {
+    // 1 ms as an f32 is 1000.00005 µs, which `ceil` alone would make 1001.
     (f64::from(time_s) * 1e6 * (1.0 - f64::from(f32::EPSILON))).ceil() as u32
 }
 

@@ -1,4 +1,4 @@
-//! From a robot file to a [`Robot`].
+//! Reader of a robot file, which makes a [`Robot`] of it.
 
 use std::{fmt::Display, io::ErrorKind};
 
@@ -19,10 +19,10 @@ use crate::{
     source::{Claims, Folder, Source, Tables},
 };
 
-/// The arrays of motors; how one is read depends on what it has.
+/// Arrays of motors; the way in which a table is read depends on the tables inside it.
 const MOTORS: [ChannelKind; 3] = [ChannelKind::Osmc, ChannelKind::Actuator, ChannelKind::Dhb];
 
-/// All of the file but its motors.
+/// Fields of the file, but for its motors.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RobotFile {
@@ -78,7 +78,7 @@ struct RobotFile {
     simulation: Option<simulation::Tables>,
 }
 
-/// The CAN bus to hosts.
+/// CAN bus to hosts.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Can {
@@ -106,6 +106,7 @@ pub(crate) fn read(source: &Source, folder: &Folder) -> Result<Robot, BoardError
     let (file, motors): (RobotFile, _) = source.parse_without(MOTORS.map(ChannelKind::name))?;
     let carrier_source = folder.read(&format!("{}.toml", file.carrier)).map_err(|(path, why)| {
         let at = source.at("carrier");
+        // A file that exists but cannot be read is another problem than a wrong name.
         if why.kind() != ErrorKind::NotFound {
             return BoardError::MissingFile { at, path, source: why };
         }
@@ -130,6 +131,7 @@ pub(crate) fn read(source: &Source, folder: &Folder) -> Result<Robot, BoardError
         None => {
             let alone = [("body", file.body.is_some()), ("world", file.world.is_some())];
             if let Some((table, _)) = alone.into_iter().find(|(_, is_there)| *is_there) {
+                // A body or a world without simulated motors would be ignored silently.
                 return Err(reader.rule(table, "needs a [simulation]: without one no motor is simulated"));
             }
             Simulation::default()
@@ -138,11 +140,11 @@ pub(crate) fn read(source: &Source, folder: &Folder) -> Result<Robot, BoardError
     Ok(Robot { file: source.name.clone(), config, drive: file.drive, simulation, carrier })
 }
 
-/// A table of the file that becomes a channel of the firmware. Its array is named as the kind of channel.
+/// Table of the file that becomes a channel of the firmware. Its array is named as the kind of channel.
 pub(super) trait Table {
-    /// What the firmware is told.
+    /// Configuration of the channel for the firmware.
     type Config;
-    /// What the channel is.
+    /// Kind of the channel.
     const KIND: ChannelKind;
 
     fn channel(&self) -> ChannelId;
@@ -150,7 +152,7 @@ pub(super) trait Table {
     fn config(&self, place: &mut Place<'_, '_>) -> Result<Self::Config, BoardError>;
 }
 
-/// A table's place in the file, with what the tables before it have taken.
+/// Place of a table in the file, with the claims of the tables before it.
 pub(super) struct Place<'p, 's> {
     reader: &'p Reader<'p>,
     pub(super) carrier: &'p Carrier,
@@ -159,7 +161,7 @@ pub(super) struct Place<'p, 's> {
 }
 
 impl<'p> Place<'p, '_> {
-    /// What the carrier has for a channel; it has been checked that it is there.
+    /// Returns the carrier's connector of a channel; that it exists has been checked.
     pub(super) fn connector<T>(&self, connectors: &'p [T], id: ChannelId) -> Result<&'p T, BoardError> {
         connectors.get(usize::from(id.index)).ok_or_else(|| self.rule("channel", "the carrier has no such connector"))
     }
@@ -174,10 +176,11 @@ impl<'p> Place<'p, '_> {
         self.claims.take("analog input", input, path)
     }
 
-    /// Takes an address on the bus with the carrier's chips, none of which may have it, used or not.
+    /// Takes an address on the bus with the carrier's chips. No chip of the carrier may have it, used or not.
     pub(super) fn take_address(&mut self, address: u8) -> Result<(), BoardError> {
         let i2c = &self.carrier.i2c;
         let chips = i2c.devices.iter().map(|device| device.address);
+        // Chips of the carrier answer on the bus even if the robot does not use them.
         let mut taken = chips.chain(i2c.reserved.iter().map(|reserved| reserved.address));
         if taken.any(|taken| taken == address) {
             return Err(self.rule("address", "must be free on the carrier's I2C bus: see [i2c] of its file"));
@@ -200,6 +203,7 @@ impl<'p> Place<'p, '_> {
             let lines = *self.connector(&osmc.connectors, motor.channel())?;
             (BridgeConfig::Osmc(lines), osmc.duty_max_default, osmc.duty_max_hard)
         };
+        // The carrier's hard limit is that of its bridge; a robot may only lower it.
         let duty_max = motor.duty_max().unwrap_or(default);
         if duty_max > hard {
             return Err(self.rule("duty_max", "must be at most duty_max_hard of the bridge in the carrier"));
@@ -237,13 +241,13 @@ impl<'p> Place<'p, '_> {
     }
 }
 
-/// A robot file and the carrier it is checked against.
+/// Robot file with the carrier that it is checked against.
 pub(super) struct Reader<'r> {
     pub(super) source: &'r Source,
     pub(super) carrier: &'r Carrier,
 }
 
-/// Where in the file each channel is, to find its line when a rule of the firmware does not hold.
+/// Path of each channel in the file, for the line of a firmware's rule that does not hold.
 type Paths = Vec<(ChannelId, String)>;
 
 impl Reader<'_> {
@@ -292,7 +296,7 @@ impl Reader<'_> {
             auxiliary_stop: file.auxiliary_stop,
             screen: file.screen,
             air_temperature_c: file.air_temperature_c,
-            // A board may lack the chips that its robot does not use.
+            // A carrier may lack the chips that its robot does not use.
             osmc_pwm: pwm(on_bridge(false), &carrier.osmc.pwm, carrier.osmc.frequency_hz),
             dhb_pwm: pwm(on_bridge(true), &carrier.dhb.pwm, carrier.dhb.frequency_hz),
             servo_pwm: file.servo_chip.as_ref().filter(|_| !servos.is_empty()).map(|chip| chip.config(carrier)),
@@ -320,6 +324,7 @@ impl Reader<'_> {
             },
             sensors,
         };
+        // These two come before the firmware's rules, because they know the field and not only the channel.
         self.home_switches(&config, &paths)?;
         self.angle_sensors(&config, &paths)?;
         config.validate().map_err(|ConfigError { channel, rule }| {
@@ -345,6 +350,8 @@ impl Reader<'_> {
                 paths.push((id, place.path));
             }
         }
+        // Channels are described in this order whatever the order of the tables: OSMC bridges, then DHB, each by
+        // number.
         motors.sort_by_key(|motor| (matches!(motor.bridge, BridgeConfig::Dhb(_)), motor.id.index));
         heapless::Vec::from_slice(&motors).map_err(|_| self.rule("osmc", "the firmware has at most 8 motors"))
     }
@@ -366,7 +373,7 @@ impl Reader<'_> {
         Ok(configs)
     }
 
-    /// Checks the channel's name against the table it is in and the carrier, and takes its connector.
+    /// Checks the channel's name against its table and the carrier, and takes its connector.
     fn place<'p, 's>(
         &'p self,
         claims: &'p mut Claims<'s>,
@@ -391,7 +398,8 @@ impl Reader<'_> {
         Ok(Place { reader: self, carrier: self.carrier, claims, path })
     }
 
-    /// What the number in a channel's name is on the carrier, and how many there are; `None` for any number.
+    /// Returns the connector that the number in a channel's name stands for, and how many of these the carrier has;
+    /// `None` where any number is allowed.
     fn connectors(&self, kind: ChannelKind) -> Option<(&'static str, usize)> {
         let Carrier { osmc, dhb, servo, bldc, relay, stepper, encoder, range, analog, dac, .. } = self.carrier;
         Some(match kind {
@@ -416,7 +424,7 @@ impl Reader<'_> {
         })
     }
 
-    /// A switch that an axis is homed by needs a table that says which level is closed.
+    /// Checks that a switch used for homing has a table, which says which level is closed.
     fn home_switches(&self, config: &BoardConfig, paths: &Paths) -> Result<(), BoardError> {
         let motors = config.motors.iter().map(|motor| (motor.id, motor.control.and_then(|control| control.homing)));
         let steppers = config.steppers.iter().map(|stepper| (stepper.id, stepper.homing));
@@ -429,7 +437,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// An angle sensor that a motor is controlled by needs a table of its own.
+    /// Checks that the angle sensor of a motor has a table of its own.
     fn angle_sensors(&self, config: &BoardConfig, paths: &Paths) -> Result<(), BoardError> {
         for motor in &config.motors {
             let Some(Feedback::Angle { angle, .. }) = motor.control.map(|control| control.feedback) else { continue };

@@ -1,5 +1,5 @@
-//! `[[imu]]`, `[[current]]`, `[[angle]]`, `[[force]]`, `[[distance]]`, and `[[simulation.imu]]` and so on: sensors on the bus with the output chips, and what they
-//! measure in simulation.
+//! Tables `[[imu]]`, `[[current]]`, `[[angle]]`, `[[force]]`, `[[distance]]` of sensors on the bus with the output
+//! chips, and their tables `[[simulation.imu]]` and so on.
 
 use r4_protocol::{
     channel::{ChannelId, ChannelKind},
@@ -16,7 +16,7 @@ use crate::{
     number::{channel, finite, optional_channel, optional_positive, positive},
 };
 
-/// An inertial sensor, ICM-20948.
+/// Inertial sensor, an ICM-20948.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Imu {
@@ -44,7 +44,7 @@ impl Table for Imu {
     }
 }
 
-/// A current monitor, INA226.
+/// Current monitor, an INA226.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Current {
@@ -71,7 +71,7 @@ impl Table for Current {
     }
 }
 
-/// An absolute angle sensor, AS5600.
+/// Absolute angle sensor, an AS5600.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Angle {
@@ -84,12 +84,12 @@ pub(super) struct Angle {
     averages: u8,
 }
 
-/// The only one that it has.
+/// Returns the only address of an AS5600.
 fn as5600_address() -> u8 {
     0x36
 }
 
-/// What lags least.
+/// Returns the setting of the slow filter with the least lag.
 fn fewest_averages() -> u8 {
     2
 }
@@ -109,7 +109,7 @@ impl Table for Angle {
     }
 }
 
-/// A load cell, on an NAU7802.
+/// Load cell on an NAU7802.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Force {
@@ -126,12 +126,12 @@ pub(super) struct Force {
     zero_mv_v: f32,
 }
 
-/// The only one that it has.
+/// Returns the only address of an NAU7802.
 fn nau7802_address() -> u8 {
     0x2A
 }
 
-/// What load cells need: 3.9 mV/V, where most put out 1 to 3.
+/// Returns the gain that load cells need: its range is 3.9 mV/V, and most cells put out 1 to 3.
 fn greatest_gain() -> u8 {
     128
 }
@@ -152,7 +152,7 @@ impl Table for Force {
     }
 }
 
-/// An optical distance sensor, VL6180X.
+/// Optical distance sensor, a VL6180X.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Distance {
@@ -163,7 +163,7 @@ pub(super) struct Distance {
     rate_hz: u16,
 }
 
-/// The one that it has after power-up.
+/// Returns the address of a VL6180X after power-up.
 fn vl6180x_address() -> u8 {
     0x29
 }
@@ -183,78 +183,78 @@ impl Table for Distance {
     }
 }
 
-/// What is in front of an optical distance sensor.
+/// Optical distance sensor with what is in front of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedDistance {
     /// Channel of the sensor.
     pub channel: ChannelId,
-    /// How far away it is, in place of the body's, m; `None` where there is nothing.
+    /// Distance of an object, in place of the body's, m; `None` for no object.
     pub distance_m: Option<f64>,
-    /// The quantity of the body that is the distance, as m.
+    /// Quantity of the body that is the distance, m.
     pub reads: Option<BodyReading>,
-    /// Share of the light that it gives back.
+    /// Reflectance of the object, a share of the light.
     pub reflectance: f64,
-    /// How much too far the sensor ranges, m.
+    /// Error of the sensor, m: positive ranges too far.
     pub offset_m: f64,
 }
 
-/// What is on a load cell, and what the cell truly is.
+/// Load cell with its load and its true properties.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedForce {
     /// Channel of the sensor.
     pub channel: ChannelId,
-    /// What presses on it in place of the body, N.
+    /// Load in place of the body's, N.
     pub force_n: f64,
-    /// The quantity of the body that presses on it, as N.
+    /// Quantity of the body that is the load, N.
     pub reads: Option<BodyReading>,
-    /// True force for each mV/V, N.
+    /// True force per mV/V, N.
     pub newtons_per_mv_v: f64,
-    /// What its bridge truly puts out without a force, mV/V.
+    /// True output of the bridge without a force, mV/V.
     pub zero_mv_v: f64,
-    /// Noise of a conversion from outside the chip, such as shaking, N rms.
+    /// Noise of a conversion from outside the chip, such as vibration, N rms.
     pub noise_n: f64,
 }
 
-/// Where an angle sensor is.
+/// Angle sensor with its place.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedAngle {
     /// Channel of the sensor.
     #[serde(deserialize_with = "channel")]
     pub channel: ChannelId,
-    /// The motor whose output shaft it is on; `None` for a magnet that stands still.
+    /// Motor whose output shaft it is on; `None` for a magnet that stands still.
     #[serde(default, deserialize_with = "optional_channel")]
     pub of: Option<ChannelId>,
-    /// The angle that it shows at position 0, rad.
+    /// Angle that the sensor shows at position 0, rad.
     #[serde(default, deserialize_with = "finite")]
     pub zero_rad: f64,
 }
 
-/// An angle sensor that sends pulses to a range connector.
+/// Angle sensor that sends pulses to a range connector.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedPulses {
     /// Number of the range connector.
     pub connector: u8,
-    /// The motor whose output shaft it is on; `None` for a magnet that stands still.
+    /// Motor whose output shaft it is on; `None` for a magnet that stands still.
     #[serde(default, deserialize_with = "optional_channel")]
     pub of: Option<ChannelId>,
-    /// The angle that it shows at position 0, rad.
+    /// Angle that the sensor shows at position 0, rad.
     #[serde(default, deserialize_with = "finite")]
     pub zero_rad: f64,
-    /// True frames a second.
+    /// True PWM frames per second, Hz.
     #[serde(deserialize_with = "positive")]
     pub frames_hz: f64,
 }
 
-/// Where a current monitor is.
+/// Current monitor with its place.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedCurrent {
     /// Channel of the sensor.
     #[serde(deserialize_with = "channel")]
     pub channel: ChannelId,
-    /// The supply, or the motor on a bridge, whose current it sees: what is drawn counts as positive.
+    /// Supply, or motor on a bridge, whose current it measures; positive is drawn from the supply.
     #[serde(deserialize_with = "channel")]
     pub of: ChannelId,
     /// True resistance of the shunt, Ω; `None` for that of the configuration.
@@ -262,23 +262,24 @@ pub struct SimulatedCurrent {
     pub shunt_ohm: Option<f64>,
 }
 
-/// How an inertial sensor sits on the body, and how far it is off. Its axes are the body's: x forwards, y to the left, z upwards.
+/// Inertial sensor with its place on the body and its errors. Its axes are the body's: x forwards, y to the left, z
+/// upwards.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedImu {
     /// Channel of the sensor.
     #[serde(deserialize_with = "channel")]
     pub channel: ChannelId,
-    /// Where it sits, from the origin of the body, m.
+    /// Place from the origin of the body, m.
     #[serde(default)]
     pub place_m: [f64; 3],
-    /// What it shows of each acceleration when there is none, m/s².
+    /// Reading of each acceleration when there is none, m/s².
     #[serde(default)]
     pub acceleration_bias_m_s2: [f64; 3],
-    /// What it shows of each rate at rest, rad/s.
+    /// Reading of each rate at rest, rad/s.
     #[serde(default)]
     pub rate_bias_rad_s: [f64; 3],
-    /// What it shows of a rate of 1 rad/s about each axis, without bias, rad/s.
+    /// Reading for a rate of 1 rad/s about each axis, without bias, rad/s.
     #[serde(default = "exact")]
     pub rate_scale: [f64; 3],
 }
@@ -288,13 +289,13 @@ fn exact() -> [f64; 3] {
 }
 
 impl SimulatedImu {
-    /// What is true where a file says nothing: at the origin of the body, without bias, of exact scale.
+    /// Makes the sensor for a file that says nothing: at the origin of the body, without bias, of exact scale.
     pub(super) fn new(channel: ChannelId) -> Self {
         let [place_m, acceleration_bias_m_s2, rate_bias_rad_s] = [[0.0; 3]; 3];
         Self { channel, place_m, acceleration_bias_m_s2, rate_bias_rad_s, rate_scale: exact() }
     }
 
-    /// Whether all its numbers are finite.
+    /// Returns whether all numbers are finite.
     pub(super) fn is_finite(&self) -> bool {
         let Self { channel: _, place_m, acceleration_bias_m_s2, rate_bias_rad_s, rate_scale } = self;
         [place_m, acceleration_bias_m_s2, rate_bias_rad_s, rate_scale]

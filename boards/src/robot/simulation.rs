@@ -1,4 +1,4 @@
-//! `[simulation]`: what the simulator takes for true. What a table does not say is as the robot is configured.
+//! Table `[simulation]`: the true values that the simulator uses. The robot's configuration is the default of each.
 
 use std::fmt::Display;
 
@@ -32,20 +32,20 @@ use crate::{
     source::{Claims, Folder},
 };
 
-/// 13 effective bits of the 16-bit converter: 2^3 / sqrt(12). Our choice.
+/// Noise of the 16-bit converter with 13 effective bits: 2^3 / sqrt(12). Our choice.
 const NOISE_RMS_CODES: f64 = 2.3;
-/// Of a supply: our choice.
+/// Resistance of a supply, ohm: our choice.
 const RAIL_OHM: f64 = 0.1;
 /// Half the width of a brushless drive's dead zone, V: our choice.
 const DEAD_ZONE_V: f64 = 0.05;
-/// Of a brushless drive, rad/s: our choice.
+/// Full speed of a brushless drive, rad/s: our choice.
 const BLDC_TOP_SPEED_RAD_S: f64 = 100.0;
-/// Of a brushless drive, s: our choice.
+/// Time constant of a brushless drive, s: our choice.
 const BLDC_TIME_CONSTANT_S: f64 = 0.2;
-/// A stepper starts at this many times the speed it is configured to start at: our choice.
+/// Highest start speed of a stepper, as a multiple of the configured one: our choice.
 const START_MARGIN: f64 = 2.0;
 const WHOLE_LINES: &str = "counts_per_turn of the robot is no multiple of 4: say the encoder's lines_per_turn";
-/// Every stepper starts at this rate, Hz: our choice.
+/// Lowest start rate of a stepper, Hz: our choice.
 const START_RATE_MIN_HZ: f64 = 100.0;
 
 #[derive(Default, Deserialize)]
@@ -239,9 +239,9 @@ struct Analog {
     volts_per_code: Option<f64>,
     #[serde(default, deserialize_with = "optional_not_negative")]
     noise_rms_codes: Option<f64>,
-    /// What of the body is measured there, in place of `volts`.
+    /// Quantity of the body that is measured there, in place of `volts`.
     body: Option<AnalogReading>,
-    /// The field that is measured there, in place of both.
+    /// Field that is measured there, in place of both.
     field: Option<ReadingTable>,
 }
 
@@ -262,7 +262,7 @@ struct Force {
     channel: ChannelId,
     #[serde(default, deserialize_with = "optional_finite")]
     force_n: Option<f64>,
-    /// What of the body presses on it, in place of `force_n`.
+    /// Quantity of the body that presses on it, in place of `force_n`.
     body: Option<SensorReading>,
     #[serde(default, deserialize_with = "optional_finite")]
     newtons_per_mv_v: Option<f64>,
@@ -279,7 +279,7 @@ struct Distance {
     channel: ChannelId,
     #[serde(default, deserialize_with = "optional_not_negative")]
     distance_m: Option<f64>,
-    /// What of the body it sees, in place of `distance_m`.
+    /// Quantity of the body that is the distance, in place of `distance_m`.
     body: Option<SensorReading>,
     #[serde(default = "grey", deserialize_with = "crate::number::positive")]
     reflectance: f64,
@@ -287,12 +287,12 @@ struct Distance {
     offset_m: f64,
 }
 
-/// The grey target of the VL6180X's tables.
+/// Returns the reflectance of the grey target in the VL6180X's tables.
 fn grey() -> f64 {
     0.17
 }
 
-/// A quantity of the body, in the sensor's unit: `zero + per_unit * reading`.
+/// Quantity of the body in the sensor's unit: `zero + per_unit * reading`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SensorReading {
@@ -307,7 +307,7 @@ fn as_it_is() -> f64 {
     1.0
 }
 
-/// Closed by an axis, or by a quantity of the body.
+/// Switch that is closed by an axis, or by a quantity of the body.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Switch {
@@ -322,30 +322,30 @@ struct Switch {
     closed_above: Option<f64>,
 }
 
-/// Motors that may turn: without feedback nothing says that they slide.
+/// Returns the motors that may turn: without feedback nothing says that they slide.
 pub(super) fn may_turn(motors: &[MotorConfig]) -> Vec<ChannelId> {
     let slides = |feedback: Feedback| !feedback.turns();
     let motors = motors.iter().filter(|motor| !motor.control.is_some_and(|control| slides(control.feedback)));
     motors.map(|motor| motor.id).collect()
 }
 
-/// Channels whose outputs may turn a body's shaft, besides motors.
+/// Returns the channels, besides motors, whose outputs may turn a body's shaft.
 pub(super) fn others_that_turn(config: &BoardConfig) -> impl Iterator<Item = ChannelId> + '_ {
     let bldcs = config.bldcs.iter().map(|bldc| bldc.id);
     let servos = config.servos.iter().map(|servo| servo.id);
     bldcs.chain(servos).chain(config.steppers.iter().map(|stepper| stepper.id))
 }
 
-/// Motors that may slide: without feedback nothing says that they turn.
+/// Returns the motors that may slide: without feedback nothing says that they turn.
 pub(super) fn may_slide(motors: &[MotorConfig]) -> Vec<ChannelId> {
     let turns = |motor: &MotorConfig| motor.control.is_some_and(|control| control.feedback.turns());
     let motors = motors.iter().filter(|motor| !turns(motor));
     motors.map(|motor| motor.id).collect()
 }
 
-/// A table about one channel.
+/// Table about one channel.
 trait About {
-    /// The array it is in.
+    /// Name of the array that the table is in.
     const NAME: &str;
     fn channel(&self) -> ChannelId;
 }
@@ -380,6 +380,7 @@ impl Tables {
         let readings = body.as_ref().map_or(&[][..], |body| body.kind.readings());
         if let Some(body) = &body {
             let turns = |bldc: &&Bldc| bldc.rotor.is_some();
+            // Only a brushless drive with a rotor takes the load of a body.
             let known: Vec<_> = self.bldc.iter().filter(turns).map(|bldc| bldc.channel).collect();
             let drives = body.channels.iter().filter(|channel| channel.kind == ChannelKind::Bldc);
             for id in drives {
@@ -390,6 +391,7 @@ impl Tables {
         let on_bus = |kind| -> Vec<SensorConfig> {
             config.sensors.iter().filter(|sensor| sensor.id.kind == kind).copied().collect()
         };
+        // By default the chip is as it was calibrated.
         let calibrated_hz = config.servo_pwm.map_or(NOMINAL_OSCILLATOR_HZ, |chip| chip.oscillator_hz);
         Ok(Simulation {
             motors: check.motors(self)?,
@@ -414,6 +416,7 @@ impl Tables {
             switches: check.each(&self.switch, &config.switches, |switch| switch.id, Check::switch)?,
             uarts: uart::check(reader, &mut check.claims, has_body, (&self.lidar, &self.gnss))?,
             body,
+            // The world is added by `Simulation::enter`, which also moves the body.
             scene: Scene::default(),
             fields: Vec::new(),
         })
@@ -426,12 +429,13 @@ struct Check<'c> {
     config: &'c BoardConfig,
     claims: Claims<'c>,
     has_body: bool,
-    /// What sensors may measure of the body.
+    /// Names of the quantities of the body that sensors may measure.
     readings: &'static [&'static str],
 }
 
 impl Check<'_> {
-    /// What is true of each of the robot's `configs`. `truth` is given the table about it, if there is one, and its path.
+    /// Makes the true values of each of the robot's `configs`. `truth` is given the table about it, if there is one,
+    /// and its path.
     fn each<T: About, C, S>(
         &mut self,
         tables: &[T],
@@ -446,13 +450,14 @@ impl Check<'_> {
         let mut truths = Vec::new();
         for config in configs {
             let found = tables.iter().position(|table| table.channel() == id(config));
+            // Without a table an error can only point at `[simulation]` itself.
             let path = found.map_or_else(|| "simulation".to_owned(), |index| format!("{}[{index}]", T::NAME));
             truths.push(truth(self, config, found.map(|index| &tables[index]), &path)?);
         }
         Ok(truths)
     }
 
-    /// What is simulated exists, and once.
+    /// Checks that a simulated channel exists, and is simulated only once.
     fn channel(&mut self, id: ChannelId, known: &[ChannelId], path: String) -> Result<(), BoardError> {
         self.reader.one_of("channel of that kind", id, known.iter(), path.clone())?;
         self.claims.take("channel", id, path)
@@ -472,7 +477,7 @@ impl Check<'_> {
             self.channel(linear.channel, &may_slide, format!("{path}.channel"))?;
             simulated.push(self.linear(linear, &path)?);
         }
-        // What exists is simulated.
+        // The simulation has the order of the configuration, whatever the order of the tables.
         simulated.sort_by_key(|found| motors.iter().position(|motor| motor.id == found.channel));
         if simulated.len() < motors.len() {
             let rule = "needs one rotary or linear table for each motor of the robot";
@@ -490,6 +495,7 @@ impl Check<'_> {
         let input_path = format!("{path}.encoder.input");
         let sensor = match (rotary.encoder, self.feedback(rotary.channel)) {
             (Some(Encoder { input, lines_per_turn }), _) => Some((input, lines_per_turn)),
+            // An encoder has whole lines with four counts each.
             (None, Some(Feedback::Encoder { index, counts_per_turn, .. })) if counts_per_turn % 4 == 0 => {
                 Some((index, counts_per_turn / 4))
             }
@@ -511,7 +517,7 @@ impl Check<'_> {
         })
     }
 
-    /// The encoder on the motor's side of the plant's play: as configured, where nothing is said.
+    /// Returns the encoder on the motor's side of the plant's play: the configured one, where the file says nothing.
     fn motor_side(&mut self, rotary: &Rotary, path: &str) -> Result<Option<SimulatedEncoder>, BoardError> {
         let motor = self.config.motors.iter().find(|motor| motor.id == rotary.channel);
         let configured = motor.and_then(|motor| motor.control?.motor_side);
@@ -538,6 +544,7 @@ impl Check<'_> {
                 Some((input, [low, high], noise_rms_codes))
             }
             (None, Some(Feedback::Potentiometer { analog, low, high })) => {
+                // The configuration has 16-bit codes, the simulation those of an ideal 10-bit converter.
                 let points = [low, high].map(|point| TruePoint {
                     code_10bit: f64::from(point.code) / 65_535.0 * 1023.0,
                     position_m: point.position_m.into(),
@@ -565,7 +572,7 @@ impl Check<'_> {
         })
     }
 
-    /// The rail that a motor's table names, or the robot's only one.
+    /// Returns the rail that a motor's table names, or the robot's only one.
     fn rail_of(&self, asked: Option<ChannelId>, path: &str) -> Result<ChannelId, BoardError> {
         let supplies = &self.config.supplies;
         match (asked, supplies.as_slice()) {
@@ -594,6 +601,7 @@ impl Check<'_> {
         let analog = rail.and_then(|rail| rail.analog).unwrap_or(config.analog);
         self.reader.analog(analog, &path)?;
         self.claims.take("analog input", analog, path)?;
+        // By default the supply is in the middle of its range, so that it trips nothing.
         let half_way_v = f64::midpoint(config.range_v.min.into(), config.range_v.max.into());
         Ok(SimulatedRail {
             channel: config.id,
@@ -655,6 +663,7 @@ impl Check<'_> {
                 inertia_kg_m2,
                 torque_max_nm,
                 power_max_w: power_max_w.unwrap_or(f64::INFINITY),
+                // Our choice: without a value of its own the brake is as strong as the motor.
                 brake_nm: brake_nm.unwrap_or(torque_max_nm),
             }),
             encoder: encoder.map(|Encoder { input, lines_per_turn }| SimulatedEncoder { input, lines_per_turn }),
@@ -680,6 +689,7 @@ impl Check<'_> {
 
     fn range(&mut self, config: &RangeConfig, range: Option<&Range>, path: &str) -> Result<SimulatedRange, BoardError> {
         let nearest_m = config.stop_below_m.unwrap_or(config.range_m.min);
+        // By default an object is in range and beyond the limit, so that it trips nothing.
         let half_way_m = f64::midpoint(nearest_m.into(), config.range_m.max.into());
         let sees = match range.map(|range| (range.distance_m, range.mount)) {
             None => RangeView::Constant { distance_m: half_way_m },
@@ -700,6 +710,7 @@ impl Check<'_> {
         path: &str,
     ) -> Result<SimulatedAnalog, BoardError> {
         self.claims.take("analog input", config.id.index, path)?;
+        // By default the voltage is plausible.
         let half_way_v = f64::midpoint(config.plausible_v.min.into(), config.plausible_v.max.into());
         let field = analog.and_then(|analog| analog.field.as_ref());
         if let (Some(table), Some(reading)) = (analog, field) {
@@ -736,7 +747,7 @@ impl Check<'_> {
         if imu.is_finite() { Ok(imu) } else { Err(self.reader.rule(path, "numbers must be finite")) }
     }
 
-    /// A current monitor that no table is about is in the only supply.
+    /// Makes a current monitor; without a table it is in the only supply.
     fn current(
         &mut self,
         config: &SensorConfig,
@@ -744,6 +755,7 @@ impl Check<'_> {
         path: &str,
     ) -> Result<SimulatedCurrent, BoardError> {
         let Some(current) = current else {
+            // With several supplies a default would be a guess.
             let [supply] = &self.config.supplies[..] else {
                 return Err(self
                     .reader
@@ -757,7 +769,8 @@ impl Check<'_> {
         Ok(*current)
     }
 
-    /// An angle sensor that no table is about is on the shaft of the motor that it controls, as that takes it to be.
+    /// Makes an angle sensor; without a table it is on the shaft of the motor that it controls, with the configured
+    /// zero.
     fn angle(
         &mut self,
         config: &SensorConfig,
@@ -780,7 +793,7 @@ impl Check<'_> {
         Ok(*angle)
     }
 
-    /// A load cell that no table is about has nothing on it, and is as configured.
+    /// Makes a load cell; without a table it has no load, and the configured properties.
     fn force(
         &mut self,
         config: &SensorConfig,
@@ -816,7 +829,7 @@ impl Check<'_> {
         })
     }
 
-    /// An optical distance sensor that no table is about has nothing in front of it.
+    /// Makes an optical distance sensor; without a table it has nothing in front of it.
     fn distance(
         &mut self,
         config: &SensorConfig,
@@ -836,8 +849,8 @@ impl Check<'_> {
         Ok(SimulatedDistance { distance_m, reads, reflectance, offset_m, ..nothing })
     }
 
-    /// What sends pulses to range connectors: what tables say, and for each other motor that is controlled by pulses, what it takes
-    /// them to be.
+    /// Makes the angle sensors that send pulses to range connectors: those of tables and, for every other motor that is
+    /// controlled by pulses, one as configured.
     fn pulses(&mut self, tables: &[SimulatedPulses]) -> Result<Vec<SimulatedPulses>, BoardError> {
         let connectors = self.reader.carrier.range.connectors.len();
         let mut sources = tables.to_vec();
@@ -866,7 +879,7 @@ impl Check<'_> {
         Ok(sources)
     }
 
-    /// A switch that no table is about is closed by the axis that is homed by it, where that takes it to be.
+    /// Makes a switch; without a table the axis that is homed by it closes it, at the configured position.
     fn switch(
         &mut self,
         config: &SwitchConfig,
@@ -885,6 +898,7 @@ impl Check<'_> {
                 }
                 (None, None, Some(reading), Some(above)) => {
                     let number = self.reading(reading, format!("{path}.reading"))?;
+                    // Closed where `reading - above` is positive.
                     SwitchedBy::Body(BodyReading { number, zero: -above, per_unit: 1.0 })
                 }
                 _ => {
@@ -901,7 +915,7 @@ impl Check<'_> {
         Ok(SimulatedSwitch { channel: config.id, closed_by: homed.unwrap_or(SwitchedBy::Nothing) })
     }
 
-    /// Number of what a sensor measures of the body.
+    /// Returns the number of a quantity of the body by its name.
     fn reading(&self, name: &str, path: String) -> Result<usize, BoardError> {
         let number = self.readings.iter().position(|known| *known == name);
         number.ok_or_else(|| {

@@ -1,5 +1,5 @@
-//! `[[simulation.lidar]]` and `[[simulation.gnss]]`: sensors at the UART connectors. The board passes their bytes on and knows nothing of
-//! them, so that a robot's file has nothing else about them.
+//! Tables `[[simulation.lidar]]` and `[[simulation.gnss]]`: sensors at the UART connectors. The board passes their
+//! bytes on without decoding them, so that a robot's file has nothing else about them.
 
 use serde::Deserialize;
 
@@ -10,47 +10,47 @@ use crate::{
     source::Claims,
 };
 
-/// UART connectors of the board.
+/// Number of UART connectors of the board.
 const CONNECTORS: u8 = 2;
-/// Positions in a second: ten of 150 bytes take an eighth of a line of 115 200 baud.
+/// Range of position rates, Hz: ten messages of 150 bytes take an eighth of a line of 115 200 baud.
 const RATES_HZ: std::ops::RangeInclusive<u16> = 1..=10;
-/// Largest latitude of a world, which is flat.
+/// Largest latitude of a world, degrees; the world is flat.
 const LATITUDE_MAX_DEG: f64 = 85.0;
 /// Standard deviation of a receiver without corrections, m: our choice.
 const DEVIATION_M: f64 = 1.5;
 /// Time in which the correlation of its error falls to 1/e, s: our choice.
 const CORRELATION_S: f64 = 60.0;
 
-/// What is wired to a UART connector.
+/// Device at a UART connector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedUart {
-    /// The UART connector that it is wired to, 0 or 1.
+    /// Number of the UART connector, 0 or 1.
     pub port: u8,
-    /// What sends there.
+    /// Device that sends there.
     pub device: UartDevice,
 }
 
-/// A sensor that sends by itself.
+/// Sensor that sends by itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum UartDevice {
-    /// A TFmini-S, which measures the distance in one direction 100 times a second.
+    /// TFmini-S, which measures the distance in one direction 100 times a second.
     Lidar(Mount),
-    /// A receiver that sends NMEA 0183.
+    /// Receiver that sends NMEA 0183.
     Gnss(SimulatedGnss),
 }
 
-/// A GNSS receiver, and where the world is.
+/// GNSS receiver, and the place of the world on Earth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedGnss {
-    /// Place of the world's origin; its x axis points east, its y axis north.
+    /// Place of the world's origin; the x axis points east, the y axis north.
     pub origin: GnssOrigin,
-    /// Positions in a second.
+    /// Positions per second, Hz.
     pub rate_hz: u16,
-    /// Standard deviation of its error, east and north, m.
+    /// Standard deviation of the error, east and north, m.
     pub deviation_m: f64,
     /// Time in which the error's correlation falls to 1/e, s.
     pub correlation_s: f64,
-    /// Place of its aerial on the body, m.
+    /// Place of the aerial on the body, m.
     pub place_m: [f64; 2],
 }
 
@@ -76,17 +76,17 @@ impl From<&GnssTable> for SimulatedGnss {
     }
 }
 
-/// A place on the ellipsoid WGS 84.
+/// Place on the ellipsoid WGS 84.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GnssOrigin {
-    /// Positive to the north, degrees.
+    /// Latitude, positive to the north, degrees.
     #[serde(deserialize_with = "finite")]
     pub latitude_deg: f64,
-    /// Positive to the east, degrees.
+    /// Longitude, positive to the east, degrees.
     #[serde(deserialize_with = "finite")]
     pub longitude_deg: f64,
-    /// Above mean sea level, m.
+    /// Height above mean sea level, m.
     #[serde(default, deserialize_with = "finite")]
     pub height_m: f64,
 }
@@ -125,6 +125,7 @@ pub(super) fn check(
         if port >= CONNECTORS {
             return Err(reader.rule(format!("{path}.uart"), "must be 0 or 1: the board has two UART connectors"));
         }
+        // Both kinds of sensors measure from a place on a body.
         if !has_body {
             return Err(reader.rule(path, "the robot has no [body] to mount it on"));
         }

@@ -1,4 +1,4 @@
-//! What is said about a file with a mistake: file, line, field, and what is expected.
+//! Tests of the error about a file with a mistake: file, line, field, and what is expected.
 
 use std::{fs, path::Path};
 
@@ -21,8 +21,7 @@ const SUCTION: &str = include_str!("../../suction-pad.toml");
 const PICKER: &str = include_str!("../../berry-picker.toml");
 const CARRIER: &str = include_str!("../../r4-carrier.toml");
 
-/// One mistake: `from` is replaced once by `to`, and the error is reported in the line that then has `line`, or where
-/// `to` is.
+/// One mistake: `from` is replaced once by `to`. The error must name the line that then has `line`, or that of `to`.
 struct Mistake {
     from: &'static str,
     to: &'static str,
@@ -42,13 +41,13 @@ const fn mistake(
     Mistake { from, to, line: Some(line), lines_below: 0, field, says }
 }
 
-/// The mistake made in the line where it is reported.
+/// Makes a mistake that is reported in its own line.
 const fn there(from: &'static str, to: &'static str, field: &'static str, says: &'static str) -> Mistake {
     Mistake { from, to, line: None, lines_below: 0, field, says }
 }
 
 impl Mistake {
-    /// Reported one line after `line`, or after the first of `to`.
+    /// Expects the error one line after `line`, or after the first of `to`.
     const fn on_the_next_line(mut self) -> Self {
         self.lines_below = 1;
         self
@@ -56,7 +55,7 @@ impl Mistake {
 }
 
 const ROBOT_MISTAKES: &[Mistake] = &[
-    // Not TOML.
+    // Text that is not TOML.
     there("speed_max_rad_s = 5.0", "speed_max_rad_s = ", "osmc[0].speed_max_rad_s", "string values must be quoted"),
     there("kp_duty_per_rad = 4.0", "kp_duty_per_rad = 4.0.0", "osmc[0].position_pid.kp_duty_per_rad", "invalid float"),
     there("[osmc.profile]", "[osmc.profile", "", "expected"),
@@ -311,7 +310,7 @@ const ALL_MISTAKES: &[Mistake] = &[
     mistake("analog = 4", "analog = 3", "analog = 3", "supply[0].analog", "analog input `3` is already used"),
     there("air_temperature_c = 20.0", "air_temperature_c = 293.0", "air_temperature_c", "-40 to 60"),
     there("auxiliary_stop = true", "auxiliary_stop = 1", "auxiliary_stop", "expected a boolean"),
-    // The truth.
+    // True values of the simulation.
     there("volts = 5.0", "volts = inf", "simulation.analog[0].volts", "must be finite"),
     mistake(
         "[[simulation.analog]]\nchannel = \"analog3\"",
@@ -821,7 +820,7 @@ const CARRIER_MISTAKES: &[Mistake] = &[
     ),
 ];
 
-/// A robot file in a folder of its own, and what loading it says.
+/// Loads the text of a robot file from a folder of its own.
 fn load_text(folder: &Path, text: &str) -> Result<Robot, BoardError> {
     let path = folder.join("robot.toml");
     fs::write(&path, text).expect("a writable folder");
@@ -839,7 +838,7 @@ fn line_of(text: &str, part: &str) -> usize {
     1 + text[..offset].matches('\n').count()
 }
 
-/// What is not as expected.
+/// Returns how the error differs from the expected one.
 fn check(
     mistake: &Mistake,
     original: &str,
@@ -964,7 +963,7 @@ proptest! {
             let start = start % bytes.len();
             let end = (start + length).min(bytes.len());
             bytes.splice(start..end, inserted.bytes());
-            // what is left of a character that was cut is replaced: a file that is no UTF-8 is not readable at all
+            // The rest of a character that was cut is replaced: a file that is no UTF-8 is not readable at all.
             for damaged in [String::from_utf8_lossy(&bytes).into_owned(), without_line(text, line)] {
                 if let Err(error) = load(&damaged) {
                     prop_assert!(places(&error), "{error}");
@@ -974,7 +973,8 @@ proptest! {
     }
 }
 
-/// The bench's motor by an angle sensor, on the bus or by pulses, and with a second encoder: read, and simulated as it is configured.
+/// Reads the bench's motor with an angle sensor, on the bus or by pulses, and with a second encoder: it is simulated as
+/// configured.
 #[test]
 fn angle_sensors_and_second_encoders_are_read_and_simulated() {
     let folder = TempDir::new().unwrap();
@@ -1010,7 +1010,7 @@ fn angle_sensors_and_second_encoders_are_read_and_simulated() {
     assert_eq!(robot.simulation.pulses, [expected]);
 }
 
-/// Load cells and optical distance sensors: read, simulated as they are configured, and what cannot be.
+/// Reads load cells and optical distance sensors: they are simulated as configured, and impossible ones are refused.
 #[test]
 fn load_cells_and_distance_sensors_are_read_and_simulated() {
     const TABLES: &str = "[[force]]\nchannel = \"force0\"\nrate_hz = 80\nnewtons_per_mv_v = 49.0\nzero_mv_v = 0.25\n\

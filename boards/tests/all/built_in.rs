@@ -1,4 +1,4 @@
-//! The files that are part of the program, against what they are made from.
+//! Tests of the built-in files against their sources.
 
 use std::{collections::HashSet, fs};
 
@@ -34,7 +34,8 @@ fn every_built_in_name_loads() {
     }
 }
 
-/// Of every robot with a body, and of one whose wheels differ in everything a file can say of them.
+/// Writes and reads the body of every robot that has one, and one whose wheels differ in everything that a file can
+/// have.
 #[test]
 fn a_body_is_written_as_it_is_read() {
     let folder = tempfile::tempdir().unwrap();
@@ -62,7 +63,7 @@ fn a_body_is_written_as_it_is_read() {
         fs::write(&file, SimulatedBody::wheeled_toml(&changed, &body.channels, &[])).unwrap();
         let changed = SimulatedBody { kind: AnyBody::Wheeled(Box::new(changed)), channels: body.channels.clone() };
         assert_eq!(load_body(&file, &robot).unwrap(), changed);
-        // It takes the place of the other where that stood.
+        // The new body takes the pose of the old one.
         let start = Pose { x_m: 1.0, y_m: 2.0, yaw_rad: 0.5 };
         robot.simulation.enter(World { start, ..World::default() });
         robot.simulation.set_body(changed);
@@ -155,7 +156,7 @@ fn a_copy_elsewhere_uses_what_is_beside_it_and_else_what_is_built_in() {
     assert_eq!(changed.simulation.motors[1], built_in.simulation.motors[1]);
 }
 
-/// Left out it is 0, a trapezoid.
+/// A jerk that is left out is 0, for a trapezoid.
 #[test]
 fn a_profile_may_limit_its_jerk() {
     let folder = tempfile::TempDir::new().unwrap();
@@ -321,8 +322,8 @@ fn openpodcar_steers_by_the_published_calibration() {
     assert!((drive.wheelbase_m / drive.steering_rad.max.tan() - 2.25).abs() < 0.01);
 }
 
-/// Printed: 0.625 N m and 573 W, 4 N m and 262 W, links of 0.70 and 0.40 m, at most 7 kg, ratios of 20 to 30, centre of mass at most
-/// 0.23 m behind the back while it hangs.
+/// Published: 0.625 N m and 573 W, 4 N m and 262 W, links of 0.70 and 0.40 m, at most 7 kg, ratios of 20 to 30, centre
+/// of mass at most 0.23 m behind the back while it hangs.
 #[test]
 fn the_tail_has_the_published_numbers() {
     let robot = load("balance-tail").unwrap();
@@ -346,7 +347,8 @@ fn the_tail_has_the_published_numbers() {
     assert!((49.0..51.0).contains(&weight_nm), "{weight_nm}");
 }
 
-/// Printed: vials of 10 to 50 mm and at most 150 g, 3 mm of clearance, a bend radius of 5 mm, which is half the smallest vial.
+/// Published: vials of 10 to 50 mm and at most 150 g, 3 mm of clearance, a bend radius of 5 mm, which is half the
+/// smallest vial.
 #[test]
 fn the_cable_loop_has_the_published_numbers() {
     let body = load("cable-loop").unwrap().simulation.body.unwrap();
@@ -357,7 +359,8 @@ fn the_cable_loop_has_the_published_numbers() {
     assert_eq!(channels, ["dhb0", "stepper0", "stepper1", "stepper2"]);
 }
 
-/// Printed: narrow 24 cm, 66 % of the width at rest; boxes of 22 x 16.5 cm, 24 cm apart, 20 cm before the robot, 10 kg in each; 200 ms.
+/// Published: narrow 24 cm, 66 % of the width at rest; boxes of 22 x 16.5 cm, 24 cm apart, 20 cm before the robot, 10
+/// kg in each; 200 ms.
 #[test]
 fn deformobot_and_its_gate_have_the_published_numbers() {
     let robot = load("deformobot").unwrap();

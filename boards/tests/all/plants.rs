@@ -1,4 +1,5 @@
-//! The built-in plant files do what their comments say, by the closed forms of a motor and by letting them run.
+//! Tests of the built-in plant files: they do what their comments say, by the closed forms of a motor and by
+//! simulation.
 
 use r4_boards::{Robot, SimulatedMotor, SimulatedSensor, load, names};
 use r4_plants::{Drive, Plant, PlantKind, PlantSpec};

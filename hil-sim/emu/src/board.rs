@@ -1,4 +1,4 @@
-//! The emulated board: a machine that runs as one task of a simulation.
+//! Emulated board: a machine that runs as one task of a simulation.
 
 use std::{
     cell::{RefCell, RefMut},
@@ -20,32 +20,32 @@ use crate::{
     wiring::{UartEnd, Wiring},
 };
 
-/// Sectors of flash for parameters and trips.
+/// Number of flash sectors for parameters and trips.
 const KEPT_SECTORS: usize = 4;
-/// Longest stretch in which nobody else is asked, ns: whoever presses a key is noticed after it.
+/// Longest run of the machine before other tasks get their turn, ns; a key press is noticed within it.
 const SLICE_NS: u64 = 10_000_000;
 
-/// A byte at the host's rate, ns: the chip's receiver is told of it when it begins.
+/// Duration of one byte at the host's baud rate, ns: the chip's receiver gets a byte at its start bit.
 const FRAME_NS: u64 = 10_000;
 
-/// The chip with everything around it.
+/// The chip with its wiring and kept flash cells.
 pub type BoardSoc = Soc<Wiring, Cells>;
 
-/// Why a board cannot be emulated.
+/// Reason why a board cannot be emulated.
 #[derive(Debug, thiserror::Error)]
 pub enum EmuError {
-    /// The world around it.
+    /// The environment cannot be simulated.
     #[error(transparent)]
     Surroundings(#[from] SimError),
-    /// The processor or its program.
+    /// The processor cannot run, or not go on.
     #[error(transparent)]
     Machine(#[from] MachineError),
-    /// The program's file.
+    /// The program's file cannot be loaded.
     #[error(transparent)]
     Load(#[from] LoadError),
 }
 
-/// A board whose processor is emulated.
+/// Board with an emulated processor.
 pub struct EmuBoard<C> {
     surroundings: Surroundings,
     machine: Rc<RefCell<Machine<C, BoardSoc>>>,
@@ -56,10 +56,10 @@ pub struct EmuBoard<C> {
 }
 
 impl<C: Core + 'static> EmuBoard<C> {
-    /// Powers up a board for `robot` with `image` in its flash and nothing kept, or with what another had kept.
+    /// Powers up a board for `robot` with `image` in its flash, and with empty kept sectors or those of another board.
     ///
     /// # Errors
-    /// When there is no world to simulate, or the image is not one for this processor.
+    /// When the world cannot be simulated, or the image is not one for this processor.
     pub fn start(
         simulation: &mut Simulation,
         robot: &Robot,
@@ -80,6 +80,7 @@ impl<C: Core + 'static> EmuBoard<C> {
         }
         let mut machine = Machine::new(core, soc, settings)?;
         machine.load_elf(image.elf())?;
+        // After loading, because the reset reads the vector table.
         machine.reset(ResetCause::PowerOn)?;
         let board = Self {
             surroundings,
@@ -99,31 +100,32 @@ impl<C: Core + 'static> EmuBoard<C> {
         Ok(board)
     }
 
-    /// The machine, to look into and to break. Must not be kept over an `await`.
+    /// Borrows the machine, to inspect or break it. The borrow must end before an `await`.
     pub fn machine(&self) -> RefMut<'_, Machine<C, BoardSoc>> {
         self.machine.borrow_mut()
     }
 
-    /// The processor's main crystal stops at `at_ns` of virtual time, or at once if that is past. It does not start again.
+    /// Stops the processor's main crystal at `at_ns` of virtual time, or at once if that is past. It does not start
+    /// again.
     pub fn stop_crystal_at(&self, at_ns: u64) {
         self.machine().chip.stop_crystal_at(at_ns);
     }
 
-    /// The processor's 3.3 V fall to `volts` at `at_ns` of virtual time, and are back `for_ns` later. What the chip makes of it
-    /// follows from its detectors and option bytes; the other chips of the board do not notice.
+    /// Lowers the processor's 3.3 V supply to `volts` at `at_ns` of virtual time, and restores it `for_ns` later. The
+    /// effect follows from the chip's detectors and option bytes; the other chips of the board do not notice.
     pub fn dip_supply(&self, at_ns: u64, volts: f64, for_ns: u64) {
         let mut machine = self.machine();
         machine.chip.supply_at(at_ns, (volts * 1e3).round().max(0.0) as u32);
         machine.chip.supply_at(at_ns.saturating_add(for_ns), r4_mcu::peripherals::pwr::NOMINAL_MV);
     }
 
-    /// The same, for those who keep it.
+    /// Returns the machine for users that keep it.
     #[must_use]
     pub fn shared_machine(&self) -> SharedMachine<C> {
         self.machine.clone()
     }
 
-    /// Lets somebody look at the machine between its runs, from the next one on.
+    /// Adds a watcher, called before and after each run of the machine from the next one on.
     pub fn watch(&self, watcher: impl Watcher<C> + 'static) {
         self.watchers.borrow_mut().add(Box::new(watcher));
     }
@@ -137,7 +139,7 @@ impl<C> Deref for EmuBoard<C> {
     }
 }
 
-/// The machine as a task.
+/// Task that runs the machine.
 struct Run<C> {
     machine: Rc<RefCell<Machine<C, BoardSoc>>>,
     from_host: Rc<RefCell<Receiver>>,
@@ -146,10 +148,10 @@ struct Run<C> {
 }
 
 impl<C: Core> Run<C> {
-    /// Runs until it cannot go on.
+    /// Runs until the machine fails; returns that error.
     async fn forever(self) -> MachineError {
         loop {
-            // Whoever is ready at this moment runs before the processor's next instruction.
+            // Tasks that are ready at this moment run before the processor's next instruction.
             self.clock.give_way().await;
             let limit_ns = self.deliver();
             let stopped = match self.watchers.borrow_mut().run(&self.machine, limit_ns) {
@@ -159,13 +161,13 @@ impl<C: Core> Run<C> {
             if let Reason::Reset(_) = stopped.reason {
                 self.machine.borrow_mut().chip.outside().processor_reset();
             }
-            // Edges of step lines up to now have been told.
+            // All edges of step lines up to now have reached the world.
             let now_ns = self.clock.run_ahead(stopped.at_ns);
             self.machine.borrow_mut().chip.outside().settle(now_ns);
         }
     }
 
-    /// Hands over what arrived from outside, and says until when nothing more comes.
+    /// Delivers the bytes that have arrived from outside; returns the time up to which no more arrive, ns.
     fn deliver(&self) -> u64 {
         let now_ns = self.clock.now_ns();
         let mut machine = self.machine.borrow_mut();
@@ -203,12 +205,13 @@ impl<C: Core + 'static> VirtualBoard for EmuBoard<C> {
 
     fn restart(&self, _simulation: &mut Simulation, cause: r4_firmware::ResetCause) {
         let link = self.surroundings.new_link();
+        // The old cable's bytes end with the session that the restart ends.
         self.from_host.replace(link.rx);
         let mut machine = self.machine.borrow_mut();
         machine.chip.outside().set_host(link.tx);
         let reset = machine.reset(match cause {
             r4_firmware::ResetCause::Normal => ResetCause::Software,
-            // What a processor can be told from outside; the image makes the others of what it has noted.
+            // Only these two causes can be set from outside; the image derives the others from its own record.
             _ => ResetCause::Watchdog,
         });
         if let Err(error) = reset {

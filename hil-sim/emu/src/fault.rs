@@ -1,7 +1,7 @@
-//! Faults of a running processor, injected as a debugger would: code is overwritten in the middle of a run.
+//! Faults of the running processor, injected as a debugger would: code is overwritten in the middle of a run.
 //!
-//! Tests and `r4 bench safety` break the same things in the same way. The image keeps no hooks for this: what is broken is
-//! found by its symbols, and stays broken or is whole again after the reset that it leads to.
+//! Tests and `r4 bench safety` inject the same faults in the same way. The image has no hooks for this: the place is
+//! found by its symbol, and the fault persists or is repaired after the reset that it causes.
 
 use r4_image::{Binary, RECORD_AT, RECORD_BYTES};
 use r4_mcu::{Chip, Machine, Reason, Stopped, cpu::Core};
@@ -11,94 +11,94 @@ use crate::{
     watch::{SharedMachine, Watcher},
 };
 
-/// The supervisor's executor runs in this interrupt.
+/// Interrupt that runs the supervisor's executor.
 const SUPERVISOR: &str = "SAI1";
-/// The executor of the links, and in hold mode of what answers there.
+/// Interrupt that runs the executor of the links, and in hold mode the code that answers there.
 const LINKS: &str = "SAI3";
-/// The timer behind the firmware's clock: without it no task is woken by time.
+/// Interrupt of the timer behind the firmware's clock: without it no task wakes by time.
 const TIME_DRIVER: &str = "TIM5";
-/// Where the control task goes on in each of its periods.
+/// Function with which the control task continues in each of its periods.
 const CONTROL: &str = "r4_firmware::control::task::Control<B,P>::tick::{{closure}}";
-/// What makes outputs safe at the beginning of a start.
+/// Function that makes outputs safe at the beginning of a start.
 const SWEEP: &str = "r4_giga::sweep::Sweeper::sweep";
-/// A panic of the core library, which takes the location alone.
+/// Panic of the core library that takes only a location as argument.
 const PANIC: &str = "core::panicking::panic_const::panic_const_div_by_zero";
 
-/// `b .` (DDI0403E, A7.7.12, encoding T2, offset -4).
+/// Machine code of `b .` (DDI0403E, A7.7.12, encoding T2, offset -4).
 const LOOP_FOREVER: [u8; 2] = [0xFE, 0xE7];
-/// `cpsid i; b .` (B5.2.1).
+/// Machine code of `cpsid i; b .` (B5.2.1).
 const MASK_AND_LOOP: [u8; 4] = [0x72, 0xB6, 0xFE, 0xE7];
-/// `udf #0` (A7.7.194, encoding T1).
+/// Machine code of `udf #0` (A7.7.194, encoding T1).
 const UNDEFINED: [u8; 2] = [0x00, 0xDE];
-/// `movs r0, #0; ldr r0, [r0, #64]` (A7.7.76, A7.7.43): a field of a structure that is not there.
+/// Machine code of `movs r0, #0; ldr r0, [r0, #64]` (A7.7.76, A7.7.43): reads a field through a null pointer.
 const READ_NULL: [u8; 4] = [0x00, 0x20, 0x00, 0x6C];
-/// `movs r0, #0; bx lr` (A7.7.76, A7.7.20).
+/// Machine code of `movs r0, #0; bx lr` (A7.7.76, A7.7.20).
 const RETURN_ZERO: [u8; 4] = [0x00, 0x20, 0x70, 0x47];
-/// `push {r0-r7}; b` to it (A7.7.101, A7.7.12).
+/// Machine code of `push {r0-r7}` and a branch back to it (A7.7.101, A7.7.12).
 const PUSH_FOREVER: [u8; 4] = [0xFF, 0xB4, 0xFD, 0xE7];
 
-/// Where the location of an injected panic is, in a part of flash that no image uses.
+/// Address of the location of an injected panic, in a part of flash that no image uses.
 pub const PANIC_LOCATION: u32 = 0x080F_0000;
-/// The line that an injected panic names.
+/// Line number that an injected panic reports.
 pub const PANIC_LINE: u32 = 4711;
 const PANIC_FILE: &[u8] = b"injected.rs";
 
-/// What breaks.
+/// Fault to inject into the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// The supervisor never returns from its interrupt.
     SupervisorHangs,
-    /// The same with all interrupts masked.
+    /// The supervisor never returns, with all interrupts masked.
     SupervisorHangsMasked,
     /// The executor of the links never returns from its interrupt.
     LinksHang,
-    /// No time comes to any task any more.
+    /// The time driver hangs: no task wakes by time any more.
     TimeDriverHangs,
     /// The control task never returns; the supervisor runs on.
     ControlHangs,
-    /// The control task meets an instruction that there is not: a UsageFault, escalated to a HardFault where not enabled.
+    /// The control task executes an undefined instruction: a UsageFault, escalated to a HardFault where not enabled.
     UndefinedInstruction,
-    /// The control task follows a null pointer.
+    /// The control task reads through a null pointer.
     NullPointer,
     /// The control task panics.
     Panic,
-    /// The control task pushes until the stack ends.
+    /// The control task pushes registers until the stack ends.
     StackOverflow,
-    /// A start does not make outputs safe before its tasks run: what tests of the sweep must notice.
+    /// A start does not make outputs safe before its tasks run; tests of the sweep must detect this.
     SweepLeftOut,
 }
 
-/// How long a fault stays.
+/// Duration of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lasting {
-    /// The program is whole again after the next reset of the processor.
+    /// The program is restored at the next reset of the processor.
     UntilReset,
-    /// Every start meets it again.
+    /// The fault is in flash too, so that every start has it.
     Always,
 }
 
-/// Why a fault cannot be injected.
+/// Reason why a fault cannot be injected.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FaultError {
-    /// The image is of before it had this, or was stripped.
+    /// The image is older than the symbol, or was stripped.
     #[error("the firmware has no symbol `{0}`: build it anew with `cargo xtask firmware`")]
     NoSymbol(&'static str),
-    /// The address is not one of the memory map.
+    /// The address is not in the memory map.
     #[error("nothing can be written to {0:#010x}")]
     NoMemory(u32),
 }
 
-/// Bytes of the program that were replaced.
+/// Overwritten bytes of the program.
 #[derive(Clone, Debug)]
 pub struct Patch {
-    /// Where the program meets it.
+    /// Address at which the program executes the fault.
     pub address: u32,
-    /// What was there, and where each start takes it from.
+    /// Original bytes with their addresses, also those in flash from which each start copies.
     before: Vec<(u32, Vec<u8>)>,
 }
 
 impl Patch {
-    /// Writes code over the program.
+    /// Writes `code` at all `places` and keeps the original bytes.
     fn write<C: Core>(machine: &mut Machine<C, BoardSoc>, places: &[u32], code: &[u8]) -> Result<Self, FaultError> {
         let memory = machine.chip.memory();
         let mut patch = Self { address: places[0], before: Vec::new() };
@@ -111,10 +111,10 @@ impl Patch {
         Ok(patch)
     }
 
-    /// Puts back what was there.
+    /// Restores the original bytes.
     ///
     /// # Errors
-    /// [`FaultError::NoMemory`].
+    /// [`FaultError::NoMemory`] for an address outside the memory map.
     pub fn undo<C: Core>(&self, machine: &mut Machine<C, BoardSoc>) -> Result<(), FaultError> {
         self.before.iter().try_for_each(|(address, before)| {
             machine.chip.memory().write_slice(*address, before).ok_or(FaultError::NoMemory(*address))
@@ -146,7 +146,7 @@ impl Fault {
             Self::SweepLeftOut => RETURN_ZERO.to_vec(),
             Self::StackOverflow => PUSH_FOREVER.to_vec(),
             Self::Panic => {
-                // A location as rustc makes it: the file's name (pointer, length), line, column.
+                // Layout of `core::panic::Location` as rustc emits it: file name (pointer, length), line, column.
                 let words = [PANIC_LOCATION + 16, PANIC_FILE.len() as u32, PANIC_LINE, 1];
                 let location: Vec<u8> =
                     words.into_iter().flat_map(u32::to_le_bytes).chain(PANIC_FILE.iter().copied()).collect();
@@ -157,9 +157,9 @@ impl Fault {
     }
 }
 
-/// `r0 = PANIC_LOCATION; goto function`.
+/// Assembles `r0 = PANIC_LOCATION; goto function`.
 fn call_with_location(function: u32) -> Vec<u8> {
-    // movw rN, #low; movt rN, #high (A7.7.76, A7.7.79).
+    // Encodings of movw rN, #low and movt rN, #high (A7.7.76, A7.7.79).
     let mov = |register: u32, value: u32, top: bool| {
         let first = if top { 0xF2C0 } else { 0xF240 } | value >> 12 & 0xF | (value >> 11 & 1) << 10;
         let second = (value >> 8 & 7) << 12 | register << 8 | value & 0xFF;
@@ -170,7 +170,7 @@ fn call_with_location(function: u32) -> Vec<u8> {
         code.extend(mov(register, value & 0xFFFF, false));
         code.extend(mov(register, value >> 16, true));
     }
-    // bx r3 (A7.7.20).
+    // Encoding of bx r3 (A7.7.20).
     code.extend(0x4718_u16.to_le_bytes());
     code
 }
@@ -179,7 +179,7 @@ fn address_of<C: Core>(machine: &Machine<C, BoardSoc>, name: &'static str) -> Re
     machine.symbols().address(name).ok_or(FaultError::NoSymbol(name))
 }
 
-/// Takes the main crystal away when the processor is reset.
+/// Watcher that removes the main crystal when the processor is reset.
 struct LoseCrystal;
 
 impl<C: Core> Watcher<C> for LoseCrystal {
@@ -190,7 +190,7 @@ impl<C: Core> Watcher<C> for LoseCrystal {
     }
 }
 
-/// Undoes a patch when the processor is reset.
+/// Watcher that undoes a patch when the processor is reset.
 struct Repair(Option<Patch>);
 
 impl<C: Core> Watcher<C> for Repair {
@@ -204,13 +204,13 @@ impl<C: Core> Watcher<C> for Repair {
 }
 
 impl<C: Core + 'static> EmuBoard<C> {
-    /// The main crystal is gone from the processor's next reset on.
+    /// Removes the main crystal at the processor's next reset.
     pub fn lose_crystal_at_reset(&self) {
         self.watch(LoseCrystal);
     }
 
-    /// Makes the image whole by its record again: what is wrong with it now, it was built with. The record as it was before, and
-    /// its address; `None` for a program that has none.
+    /// Recomputes the image's seal over the patched code, so that the image counts as built with the fault. Returns the
+    /// address and the original bytes of the record; `None` for a program without one.
     fn seal(&self, machine: &Machine<C, BoardSoc>) -> Option<(u32, Vec<u8>)> {
         let start = self.segments.iter().map(|segment| segment.stored_at()).min()?;
         let end = self.segments.iter().map(|segment| segment.stored_end()).max()?;
@@ -224,17 +224,17 @@ impl<C: Core + 'static> EmuBoard<C> {
         Some((address, before))
     }
 
-    /// Breaks the running program; it acts when the program next comes to the place.
+    /// Injects a fault into the running program; it acts when the program next executes the place.
     ///
     /// # Errors
-    /// [`FaultError`]; nothing is broken then.
+    /// [`FaultError`]; the program is unchanged then.
     pub fn inject(&self, fault: Fault, lasting: Lasting) -> Result<Patch, FaultError> {
         let mut machine = self.machine();
         let address = address_of(&machine, fault.place())?;
         let code = fault.code(&mut machine)?;
         let mut places = vec![address];
         if lasting == Lasting::Always {
-            // What runs in ITCM is filled from flash at each start.
+            // Code in ITCM is copied from flash at each start, so the copy in flash is patched too.
             let stored = self.segments.iter().find_map(|segment| segment.stored(address));
             places.extend(stored.filter(|stored| *stored != address));
         }

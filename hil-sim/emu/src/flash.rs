@@ -1,4 +1,4 @@
-//! The chip's flash cells that outlive it: the sectors that keep parameters and trips are those of the simulated board's flash.
+//! Flash cells that outlive the chip: the sectors for parameters and trips are those of the simulated board's flash.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -7,10 +7,10 @@ use embedded_storage_async::nor_flash::{NorFlash, ReadNorFlash};
 use r4_mcu::peripherals::flash::{BANK_WORDS, FlashCells, PowerLost, SECTOR_WORDS, WORD_BYTES, Word};
 use r4_sim::flash::{Flash, FlashError};
 
-/// Bank 2's sectors 4 to 7.
+/// First flash word of bank 2's sectors 4 to 7.
 const FIRST: u32 = BANK_WORDS + 4 * SECTOR_WORDS;
 
-/// The cells that the board keeps; [`r4_mcu::soc::Soc`] has the others, and asks for none before these.
+/// Kept flash cells of the board; [`r4_mcu::soc::Soc`] has the others, and asks for none before these.
 pub struct Cells(Rc<RefCell<Flash>>);
 
 impl Cells {
@@ -19,7 +19,7 @@ impl Cells {
     }
 }
 
-/// Address in the kept sectors.
+/// Converts a flash word's index to an address in the kept sectors, bytes.
 fn address(word: u32) -> u32 {
     word.saturating_sub(FIRST) * WORD_BYTES as u32
 }
@@ -27,7 +27,7 @@ fn address(word: u32) -> u32 {
 impl FlashCells for Cells {
     fn word(&mut self, index: u32) -> Word {
         let mut bytes = [0; WORD_BYTES];
-        // Its steps take no time of their own here: the chip's model of the registers lets it pass.
+        // The future is ready at once: the model of the flash registers accounts for the time of each step.
         match block_on(self.0.borrow_mut().read(address(index), &mut bytes)) {
             Ok(()) => Word::Good(bytes),
             Err(_) => Word::Unreadable,
@@ -48,7 +48,7 @@ impl FlashCells for Cells {
     }
 }
 
-/// Of the errors of the simulated flash, the registers' model lets only one happen.
+/// Converts an error of the simulated flash: the registers' model prevents all but the loss of power.
 fn lost(result: Result<(), FlashError>) -> Result<(), PowerLost> {
     result.map_err(|_| PowerLost)
 }

@@ -1,4 +1,5 @@
-//! An emulated R4 board: the firmware's ELF on an emulated STM32H747, in the same simulated surroundings as `r4-sim`'s board.
+//! Emulated R4 board: the firmware's ELF file on an emulated STM32H747, in the same simulated environment as `r4-sim`'s
+//! board.
 
 mod board;
 pub mod fault;

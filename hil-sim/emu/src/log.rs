@@ -1,9 +1,10 @@
-//! The firmware's log: decoded from the ELF ([`Decoder`]), and read from an emulated board's RAM as a debugger reads it ([`Log`]).
+//! Firmware log: decoding with the ELF file ([`Decoder`]), and reading from an emulated board's RAM as a debugger does
+//! ([`Log`]).
 //!
-//! RTT keeps a control block in RAM, at the symbol `_SEGGER_RTT`: 16 bytes of identification, the numbers of channels to and
-//! from the host, then for each channel its name, buffer, size, and the positions of writer and reader. The reader moves its
-//! own position. The firmware never waits for the reader: between two slices more can be written than the buffer
-//! holds, and what is lost then is reported as not decodable.
+//! RTT keeps a control block in RAM, at the symbol `_SEGGER_RTT`: 16 bytes of identification, the numbers of channels
+//! to and from the host, then for each channel its name, buffer, size, and the positions of writer and reader. The
+//! reader advances its own position. The firmware never waits for it: between two slices more may be written than the
+//! buffer holds; the loss is reported as a record that cannot be decoded.
 
 use defmt_decoder::{DecodeError, Encoding, Table};
 use r4_image::Image;
@@ -11,28 +12,28 @@ use r4_mcu::{Chip as _, MachineError, Memory, Size, Stopped, cpu::Core};
 
 use crate::watch::{SharedMachine, Watcher};
 
-/// Before a program has written its control block, something else is there.
+/// Identification of the control block, absent until the program has written the block.
 const IDENTIFICATION: &[u8; 16] = b"SEGGER RTT\0\0\0\0\0\0";
-/// The first channel to the host, in the control block: behind the identification and two counts.
+/// Offset of the first channel to the host in the control block, behind the identification and two counts.
 const UP_CHANNEL: u32 = 24;
 
-/// How much a record matters; in order.
+/// Severity of a record, in ascending order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Level {
-    /// The least.
+    /// Finest detail, for tracing.
     Trace,
-    /// For whoever develops it.
+    /// Detail for the firmware's developers.
     Debug,
-    /// What goes as it should.
+    /// Normal operation of the firmware.
     Info,
-    /// What should not be.
+    /// Unexpected condition that the firmware handles.
     Warn,
-    /// What fails.
+    /// Failure of an operation.
     Error,
 }
 
 impl Level {
-    /// As it is printed: five characters.
+    /// Returns the level as printed, padded to five characters.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -45,68 +46,68 @@ impl Level {
     }
 }
 
-/// One record.
+/// Record of the log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
-    /// Virtual time at which it was read: at the end of the slice of time, of at most 10 ms, in which it was written.
+    /// Virtual time of reading, ns: the end of the slice of at most 10 ms in which it was written.
     pub read_ns: u64,
-    /// The firmware's own time stamp, as its format says.
+    /// Firmware's own time stamp, in the format of its log.
     pub stamp: String,
-    /// `None` of what is printed without a level.
+    /// Severity; `None` for text printed without a level.
     pub level: Option<Level>,
-    /// The text.
+    /// Formatted text of the record.
     pub message: String,
 }
 
 impl Record {
-    /// What the firmware did not write: something about the log itself.
+    /// Makes a warning about the log itself, which the firmware did not write.
     #[must_use]
     pub fn note(read_ns: u64, message: impl Into<String>) -> Self {
         Self { read_ns, stamp: String::new(), level: Some(Level::Warn), message: message.into() }
     }
 }
 
-/// Why a log cannot be read.
+/// Reason why a log cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
-    /// The image has no log.
+    /// The image has no log section or no control block.
     #[error("the image has no defmt log: no section .defmt, or no symbol _SEGGER_RTT")]
     None,
-    /// The image's log is of another defmt.
+    /// The image's log has an unknown defmt format.
     #[error("the image's log cannot be decoded: {0}")]
     Format(String),
 }
 
-/// Makes records of what defmt wrote, wherever that was read.
+/// Decoder of defmt's bytes into records, from RAM or from a link.
 pub struct Decoder {
     table: Table,
-    /// The beginning of a frame that is not complete.
+    /// Beginning of an incomplete frame.
     rest: Vec<u8>,
-    /// What comes before the next end of a frame belongs to one whose beginning is lost.
+    /// The bytes up to the next end of a frame belong to a frame whose beginning was lost.
     skips: bool,
 }
 
 impl Decoder {
-    /// For the image whose ELF file this is.
+    /// Makes a decoder for the image with this ELF file.
     ///
     /// # Errors
-    /// [`LogError`].
+    /// [`LogError`] names the reason.
     pub fn new(elf: &[u8]) -> Result<Self, LogError> {
         let table = Table::parse(elf).map_err(|error| LogError::Format(error.to_string()))?.ok_or(LogError::None)?;
-        // Only frames of this encoding have an end that can be found again after a loss; it is defmt's default.
+        // Only rzCOBS, defmt's default encoding, has an end of frame that can be found again after a loss.
         if !matches!(table.encoding(), Encoding::Rzcobs) {
             return Err(LogError::Format("its encoding is raw, not rzCOBS".into()));
         }
         Ok(Self { table, rest: Vec::new(), skips: false })
     }
 
-    /// Says that what follows does not join what was given so far: something was lost in between.
+    /// Notes a gap: the following bytes do not continue the previous ones.
     pub fn lost(&mut self) {
         self.rest.clear();
         self.skips = true;
     }
 
-    /// Takes what was written next, and gives `sink` the records that are complete now.
+    /// Takes the next bytes and passes the completed records to `sink`.
     pub fn push(&mut self, mut bytes: &[u8], read_ns: u64, mut sink: impl FnMut(Record)) {
         if self.skips {
             let Some(end) = bytes.iter().position(|byte| *byte == 0) else { return };
@@ -135,7 +136,7 @@ impl Decoder {
     }
 }
 
-/// Reads and decodes the log of a machine.
+/// Reader and decoder of a machine's log.
 pub struct Log<F> {
     decoder: Decoder,
     control_block: u32,
@@ -143,16 +144,16 @@ pub struct Log<F> {
 }
 
 impl<F: FnMut(Record)> Log<F> {
-    /// For an image; `sink` is given every record.
+    /// Makes a reader for an image; `sink` gets every record.
     ///
     /// # Errors
-    /// [`LogError`].
+    /// [`LogError`] names the reason.
     pub fn new(image: &Image, control_block: Option<u32>, sink: F) -> Result<Self, LogError> {
         let control_block = control_block.ok_or(LogError::None)?;
         Ok(Self { decoder: Decoder::new(image.elf())?, control_block, sink })
     }
 
-    /// Takes what was written since the last call.
+    /// Reads and decodes the bytes written since the last call.
     pub fn poll(&mut self, memory: &Memory, now_ns: u64) {
         let Some(bytes) = take(memory, self.control_block) else { return };
         self.decoder.push(&bytes, now_ns, &mut self.sink);
@@ -169,7 +170,8 @@ fn level(name: &str) -> Level {
     }
 }
 
-/// What a program has written to its first channel since the last call; `None` while there is no channel.
+/// Takes the bytes that the program has written to its first channel since the last call; `None` while the channel does
+/// not exist.
 fn take(memory: &Memory, control_block: u32) -> Option<Vec<u8>> {
     let mut identification = [0; 16];
     memory.read_slice(control_block, &mut identification)?;

@@ -1,8 +1,8 @@
-//! What the firmware costs the processor: stack, instructions, the moments of control periods.
+//! Processor load of the firmware: stack, instructions, and the moments of control periods.
 //!
-//! All executors run on the one main stack, as interrupts that nest. What each takes of it is told apart at exceptions
-//! ([`r4_mcu::Profile`]); interrupts of one level cannot nest in each other, so that the most that can ever be taken
-//! at once is the sum of the deepest of each level.
+//! All executors run as nested interrupts on the one main stack. The profile separates their stack use at exceptions
+//! ([`r4_mcu::Profile`]). Interrupts of one level cannot nest, so an upper bound of the stack is the sum of the deepest
+//! use of each level.
 
 use std::collections::BTreeMap;
 
@@ -10,67 +10,67 @@ use r4_mcu::{CanFrame, CanOutcome, Chip, Moment, Size, StackArea, cpu::Core};
 
 use crate::board::EmuBoard;
 
-/// Where the control task notes that a period begins.
+/// Function that the control task calls at the beginning of a period.
 const PERIOD_BEGINS: &str = "r4_firmware::control::task::period_begins";
-/// Interrupts that executors use as their own, by the handlers' names.
+/// Interrupts that run the executors, by handler name.
 const EXECUTORS: [(&str, &str); 4] = [("SAI1", "supervisor"), ("SAI2", "control"), ("SAI3", "links"), ("SAI4", "usb")];
-/// Every byte of the stack that the firmware's start-up code paints.
+/// Byte with which the firmware's start-up code fills the stack.
 const PAINT: u8 = 0xCC;
-/// The first exception that is an interrupt.
+/// Exception number of interrupt 0.
 const INTERRUPT_0: u16 = 16;
-/// The chip has 150 (RM0399, table 150).
+/// Exception numbers of the chip's 150 interrupts (RM0399, table 150).
 const INTERRUPTS: std::ops::Range<u16> = INTERRUPT_0..166;
 
-/// The controller of the CAN connector.
+/// Number of the FDCAN controller at the CAN connector.
 const FDCAN: u8 = 2;
 
-/// Why nothing can be measured.
+/// Reason why a measurement is impossible.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MeasureError {
-    /// The image is of before it had this, or was stripped.
+    /// The image is older than the symbol, or was stripped.
     #[error("the firmware has no symbol `{0}`: build it anew with `cargo xtask firmware`")]
     NoSymbol(&'static str),
-    /// The core cannot observe.
+    /// The core cannot observe addresses.
     #[error("cannot observe the firmware: {0}")]
     Observe(String),
-    /// Nobody began.
+    /// [`EmuBoard::start_measuring`] was not called.
     #[error("no measurement was begun")]
     NotBegun,
 }
 
-/// What one executor, or the interrupts of one level, took.
+/// Stack and instructions of one executor, or of the interrupts of one level.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Share {
-    /// Executor's name, or `interrupts` and their level.
+    /// Name of the executor, or `interrupts` and their level.
     pub who: String,
-    /// Of 16 levels, 0 the most urgent; `None` for the thread.
+    /// Priority level 0 to 15, 0 being the most urgent; `None` for the thread.
     pub level: Option<u8>,
-    /// The deepest of its handlers, with the frame of what it interrupts, bytes.
+    /// Deepest stack use of its handlers, with the exception frame of the interrupted code, bytes.
     pub stack: u32,
-    /// Executed by them, without those of what interrupted them.
+    /// Instructions executed, without those of nested interrupts.
     pub instructions: u64,
-    /// Times they were entered.
+    /// Number of entries into its handlers.
     pub entries: u64,
 }
 
-/// The stack that all share.
+/// Use of the common main stack.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Stack {
-    /// Bytes that the linker keeps for it.
+    /// Size reserved by the linker, bytes.
     pub reserved: u32,
-    /// Bytes that were written, at most, at one time.
+    /// Deepest use since the start, bytes.
     pub used: u32,
-    /// Bytes if ever each level interrupted the one below at its deepest.
+    /// Upper bound, bytes: each level interrupts the one below at its deepest.
     pub bound: u32,
-    /// By executor, the most urgent first.
+    /// Shares of the executors, the most urgent first.
     pub shares: Vec<Share>,
 }
 
 impl<C: Core + 'static> EmuBoard<C> {
-    /// Begins to measure: when the board has just been powered and has executed nothing.
+    /// Starts the measurement; call it right after power-up, before the first instruction.
     ///
     /// # Errors
-    /// When the image does not have what this needs.
+    /// [`MeasureError::NoSymbol`] or [`MeasureError::Observe`].
     pub fn start_measuring(&self) -> Result<(), MeasureError> {
         let mut machine = self.machine();
         let symbol = |name| machine.symbols().address(name).ok_or(MeasureError::NoSymbol(name));
@@ -81,77 +81,79 @@ impl<C: Core + 'static> EmuBoard<C> {
         Ok(())
     }
 
-    /// A classic frame on the CAN connector, with a standard identifier, that ends at `at_ns`.
+    /// Puts a classic frame with a standard identifier on the CAN connector; it ends at `at_ns`.
     pub fn can_receive(&self, at_ns: u64, identifier: u16, data: Vec<u8>) {
         let id = identifier.into();
         let frame = CanFrame { id, extended: false, remote: false, fd: false, bit_rate_switch: false, data };
         self.machine().chip.can_receive(FDCAN, at_ns, frame);
     }
 
-    /// The same as a frame of CAN FD, its data at the rate of the data phase where `bit_rate_switch`.
+    /// Puts a CAN FD frame on the CAN connector, its data at the rate of the data phase if `bit_rate_switch`.
     pub fn can_receive_fd(&self, at_ns: u64, identifier: u16, bit_rate_switch: bool, data: Vec<u8>) {
         let id = identifier.into();
         let frame = CanFrame { id, extended: false, remote: false, fd: true, bit_rate_switch, data };
         self.machine().chip.can_receive(FDCAN, at_ns, frame);
     }
 
-    /// The frames that the board has sent on the CAN connector since this was last asked; the newest 1024.
+    /// Takes the frames that the board has sent on the CAN connector since the last call; only the newest 1024 are
+    /// kept.
     #[must_use]
     pub fn take_can_frames(&self) -> Vec<CanFrame> {
         self.machine().chip.outside().take_can_frames()
     }
 
-    /// What becomes of frames that the board sends on the CAN connector from now on; at first somebody acknowledges them.
+    /// Sets the outcome of frames that the board sends on the CAN connector from now on; initially they are
+    /// acknowledged.
     pub fn set_can_outcome(&self, outcome: CanOutcome) {
         self.machine().chip.outside().set_can_outcome(outcome);
     }
 
-    /// The CAN bus is held dominant from now on, or no longer.
+    /// Starts or ends a short that holds the CAN bus dominant.
     pub fn hold_can_dominant(&self, held: bool) {
         self.machine().chip.hold_can_dominant(FDCAN, held);
     }
 
-    /// The end of the frame that the board is sending on the CAN connector.
+    /// Returns the end of the frame that the board is sending on the CAN connector, ns; `None` if it sends none.
     #[must_use]
     pub fn can_sends_until_ns(&self) -> Option<u64> {
         self.machine().chip.can_sends_until_ns(FDCAN)
     }
 
-    /// Frames that the board has sent on the CAN connector with a standard identifier.
+    /// Returns the number of frames that the board has sent on the CAN connector with a standard identifier.
     #[must_use]
     pub fn can_sent(&self, identifier: u16) -> u64 {
         self.machine().chip.outside().can_sent(identifier)
     }
 
-    /// Bit rate of the CAN connector's controller, bit/s, from its registers and clock.
+    /// Returns the bit rate of the CAN connector's controller, bit/s, from its registers and clock.
     #[must_use]
     pub fn can_bit_rate(&self) -> f64 {
         self.machine().chip.can_bit_rates(FDCAN).0
     }
 
-    /// That of the data phase of CAN FD.
+    /// Returns the bit rate of the CAN FD data phase, bit/s.
     #[must_use]
     pub fn can_data_bit_rate(&self) -> f64 {
         self.machine().chip.can_bit_rates(FDCAN).1
     }
 
-    /// The board goes off the bus now, as after 32 frames that somebody destroyed.
+    /// Sends the board off the bus now, as 32 failed frames would.
     pub fn inject_can_bus_off(&self) {
         self.machine().chip.inject_can_bus_off(FDCAN);
     }
 
-    /// Control periods that began since this was last asked.
+    /// Takes the beginnings of control periods since the last call.
     ///
     /// # Errors
-    /// [`MeasureError::NotBegun`].
+    /// [`MeasureError::NotBegun`] before [`EmuBoard::start_measuring`].
     pub fn take_periods(&self) -> Result<Vec<Moment>, MeasureError> {
         Ok(self.machine().profile().ok_or(MeasureError::NotBegun)?.take_moments())
     }
 
-    /// What was taken of the stack, and executed, since the beginning.
+    /// Returns stack use and instructions since the start of the measurement.
     ///
     /// # Errors
-    /// When that cannot be told.
+    /// [`MeasureError::NotBegun`] or [`MeasureError::NoSymbol`].
     pub fn stack(&self) -> Result<Stack, MeasureError> {
         let mut machine = self.machine();
         let profile = machine.profile().ok_or(MeasureError::NotBegun)?.clone();
@@ -167,7 +169,7 @@ impl<C: Core + 'static> EmuBoard<C> {
             let owner = EXECUTORS.iter().find(|(handler, _)| symbols.address(handler) == Some(vector & !1));
             owners.extend(owner.map(|(_, who)| (exception, *who)));
         }
-        // The thread is interrupted by all.
+        // The thread gets the last key, because every exception interrupts it.
         let mut shares: BTreeMap<(u8, String), Share> = BTreeMap::new();
         for exception in profile.active() {
             let level = machine.processor().exceptions.priority_field(exception) >> 4;
@@ -193,36 +195,36 @@ impl<C: Core + 'static> EmuBoard<C> {
     }
 }
 
-/// A distribution.
+/// Quantiles of a distribution.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spread {
-    /// Half are not above.
+    /// Median: half of the values are at most this.
     pub median: f64,
-    /// 99.9 % are not above.
+    /// Quantile 0.999 of the values.
     pub p999: f64,
-    /// None is above.
+    /// Largest of the values.
     pub max: f64,
 }
 
 impl Spread {
-    /// Of these values; of none, zeros.
+    /// Computes the quantiles of `values`; zeros without values.
     #[must_use]
     pub fn of(mut values: Vec<f64>) -> Self {
         values.sort_by(f64::total_cmp);
         let Some(last) = values.len().checked_sub(1) else { return Self::default() };
-        // The nearest rank: the first that at least this share is not above.
+        // Nearest-rank quantile: the smallest value that at least this share does not exceed.
         let rank = |share: f64| values[((share * values.len() as f64).ceil() as usize).clamp(1, last + 1) - 1];
         Self { median: rank(0.5), p999: rank(0.999), max: values[last] }
     }
 }
 
-/// Instructions of the control executor from one period's beginning to the next.
+/// Distribution of the instructions of the control executor per period.
 #[must_use]
 pub fn instructions(periods: &[Moment]) -> Spread {
     Spread::of(periods.windows(2).map(|two| (two[1].instructions - two[0].instructions) as f64).collect())
 }
 
-/// How much longer or shorter than `period_us` it was from one period's beginning to the next, µs.
+/// Distribution of the absolute deviation of the control periods from `period_us`, µs.
 #[must_use]
 pub fn jitter_us(periods: &[Moment], period_us: u32) -> Spread {
     let deviation = |two: &[Moment]| ((two[1].at_ns - two[0].at_ns) as f64 * 1e-3 - f64::from(period_us)).abs();

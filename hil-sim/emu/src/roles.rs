@@ -1,16 +1,16 @@
-//! Which of the chip's pins is wired to what, from the carrier's file.
+//! Roles of the chip's pins, from the carrier's file.
 
 use r4_boards::Carrier;
 use r4_mcu::Pin;
 
-/// What a pin of the chip is wired to. Numbers are those of the carrier's connectors.
+/// Role of a pin: what the carrier wires it to. Numbers are those of the carrier's connectors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Role {
-    /// A track of an encoder.
+    /// Track A or B of an encoder.
     Track { encoder: u8, b: bool },
-    /// The switch beside an encoder.
+    /// Switch input beside an encoder.
     Switch(u8),
-    /// Pulses to a stepper driver.
+    /// Step pulses to a stepper driver.
     Step(u8),
     /// Direction of a stepper driver.
     Direction(u8),
@@ -20,9 +20,9 @@ pub(crate) enum Role {
     Trigger(u8),
     /// Echo of a range sensor.
     Echo(u8),
-    /// A divided analog input.
+    /// Analog input with a voltage divider.
     Analog(u8),
-    /// An analog output.
+    /// Analog output of the DAC.
     Dac(u8),
     /// DISABLE of the OSMC bridges.
     OsmcDisable,
@@ -30,34 +30,34 @@ pub(crate) enum Role {
     PwmDisable,
     /// LDAC of the brushless drives' DAC.
     LoadDac,
-    /// The dead-man's handle.
+    /// Line of the dead-man's handle.
     DeadMan,
-    /// The auxiliary stop.
+    /// Line of the auxiliary stop.
     AuxiliaryStop,
-    /// To an external watchdog.
+    /// Heartbeat to an external watchdog.
     Heartbeat,
-    /// A light of the processor's board: 0 red, 1 green, 2 blue; on while low.
+    /// Light on the processor's board: 0 red, 1 green, 2 blue; on while low.
     Light(u8),
-    /// Clock of an I2C bus, by the chip's controller.
+    /// Clock line of an I2C bus, by the number of the chip's controller.
     Scl(u8),
-    /// Data of an I2C bus.
+    /// Data line of an I2C bus, by the number of the chip's controller.
     Sda(u8),
-    /// The button of the processor's board.
+    /// Button on the processor's board.
     Button,
 }
 
-/// The roles of all pins that have one.
+/// Roles of all pins that have one.
 pub(crate) struct Roles {
-    /// By port and number.
+    /// Role by port and pin number.
     by_pin: [[Option<Role>; 16]; PORTS],
     by_role: Vec<(Role, Pin)>,
 }
 
-/// Ports A to K.
+/// Number of GPIO ports, A to K.
 const PORTS: usize = 11;
 
 impl Roles {
-    /// Reads them from a carrier. The carrier's reader has checked that each name it uses is a pin of it.
+    /// Reads the roles from a carrier. Its reader has checked that each name it uses is one of its pins.
     pub(crate) fn new(carrier: &Carrier) -> Self {
         let mut roles = Self { by_pin: [[None; 16]; PORTS], by_role: Vec::new() };
         let mut is = |id: &str, role: Role| {
@@ -89,10 +89,10 @@ impl Roles {
         is(&carrier.safety.dead_man, Role::DeadMan);
         is(&carrier.safety.stop, Role::AuxiliaryStop);
         is(&carrier.safety.heartbeat, Role::Heartbeat);
-        // Of the processor's board, which every carrier has by these names.
+        // Lights and button belong to the processor's board; every carrier has them under these names.
         ["led_r", "led_g", "led_b"].iter().zip(0..).for_each(|(id, index)| is(id, Role::Light(index)));
         is("btn", Role::Button);
-        // Buses are told by the signal, as in I2C2_SCL.
+        // I2C pins are found by their signal, such as I2C2_SCL.
         for pin in &carrier.pins {
             let Some((controller, line)) = pin.signal.as_deref().and_then(i2c_signal) else { continue };
             is(&pin.id, if line == "SCL" { Role::Scl(controller) } else { Role::Sda(controller) });
@@ -100,18 +100,18 @@ impl Roles {
         roles
     }
 
-    /// What a pin is wired to.
+    /// Returns the role of a pin.
     pub(crate) fn of(&self, pin: Pin) -> Option<Role> {
         *self.by_pin.get(usize::from(pin.port))?.get(usize::from(pin.number))?
     }
 
-    /// The pin that has a role.
+    /// Returns the pin with a role; the last one of several.
     pub(crate) fn pin(&self, role: Role) -> Option<Pin> {
         self.by_role.iter().rev().find(|(known, _)| *known == role).map(|(_, pin)| *pin)
     }
 }
 
-/// Controller and line of a signal such as `I2C2_SCL`.
+/// Parses controller number and line of a signal such as `I2C2_SCL`.
 fn i2c_signal(signal: &str) -> Option<(u8, &str)> {
     let (controller, line) = signal.strip_prefix("I2C")?.split_once('_')?;
     Some((controller.parse().ok()?, line))

@@ -1,4 +1,5 @@
-//! A trace by symbol: exceptions, calls, misuses and transfers of the board's own I2C bus, one event a line, in order of time.
+//! Symbolic trace: exceptions, calls, misuse and transfers of the board's own I2C bus, one event per line in order of
+//! time.
 
 use std::io::Write;
 
@@ -14,29 +15,29 @@ use crate::{
     watch::{SharedMachine, Watcher, observed_at},
 };
 
-/// Transfers that fit between two looks, which are 10 ms apart at most: at 400 kHz one of an address alone takes 25 us.
+/// Number of transfers kept between two polls, which are at most 10 ms apart: at 400 kHz an address alone takes 25 µs.
 const TRANSFERS_KEPT: usize = 1000;
 
-/// A function that a trace was asked for, and is not in the image.
+/// Error of a function name for the trace.
 #[derive(Debug, thiserror::Error)]
 pub enum SymbolError {
-    /// None has this name.
+    /// No function has this name.
     #[error("the image has no function `{0}`")]
     None(String),
-    /// Several have it.
+    /// Several functions have this name.
     #[error("`{name}` can be {}", .candidates.join(", "))]
     Several {
-        /// What was asked for.
+        /// Name in the request.
         name: String,
-        /// Whole paths.
+        /// Full paths of the candidates.
         candidates: Vec<String>,
     },
 }
 
-/// The function of this name: its whole path, or the end of one at a `::`, where only one ends so.
+/// Finds a function by its full path, or by the end of a path at a `::` if only one function ends so.
 ///
 /// # Errors
-/// [`SymbolError`].
+/// [`SymbolError`] for no function, or several.
 pub fn resolve(symbols: &Symbols, name: &str) -> Result<(String, u32), SymbolError> {
     if let Some(address) = symbols.address(name).filter(|address| symbols.function(*address).is_some()) {
         return Ok((name.to_owned(), address));
@@ -58,29 +59,29 @@ pub fn resolve(symbols: &Symbols, name: &str) -> Result<(String, u32), SymbolErr
     }
 }
 
-/// What a trace holds.
+/// Selection of events for a trace.
 #[derive(Clone, Debug, Default)]
 pub struct Wanted {
-    /// Names and addresses of functions whose calls are told.
+    /// Names and addresses of functions whose calls are traced.
     pub calls: Vec<(String, u32)>,
-    /// Nothing but these calls.
+    /// Trace only these calls.
     pub only_calls: bool,
 }
 
-/// Writes a trace.
+/// Writer of a trace.
 pub struct Tracer<W: Write> {
     out: W,
     wanted: Wanted,
-    /// Misuses told: of the chip.
+    /// Number of the chip's misuse records already written.
     misuses: usize,
-    /// The start of the last transfer told.
+    /// Transfers that ended up to this time are written, ns.
     transfers_ns: Option<u64>,
     lines: Vec<(u64, String)>,
     error: Option<std::io::Error>,
 }
 
 impl<W: Write> Tracer<W> {
-    /// Begins with what happens from now on.
+    /// Starts a trace with the events from now on.
     pub fn new<C: Core>(machine: &SharedMachine<C>, out: W, wanted: Wanted) -> Self {
         let mut machine = machine.borrow_mut();
         let misuses = machine.chip.misuse().len();
@@ -94,12 +95,12 @@ impl<W: Write> Tracer<W> {
         Self { out, wanted, misuses, transfers_ns, lines: Vec::new(), error: None }
     }
 
-    /// Why lines are missing, if they are.
+    /// Takes the first error of writing, after which lines are missing.
     pub fn error(&mut self) -> Option<std::io::Error> {
         self.error.take()
     }
 
-    /// Writes what happened since the last call.
+    /// Writes the events since the last call.
     pub fn collect<C: Core>(&mut self, machine: &SharedMachine<C>, called: Option<u32>) {
         let mut machine = machine.borrow_mut();
         if let Some((name, _)) = called.and_then(|at| self.wanted.calls.iter().find(|(_, known)| *known == at)) {
@@ -119,7 +120,7 @@ impl<W: Write> Tracer<W> {
             self.misuses = machine.chip.misuse().len();
             self.transfers(&machine.chip.outside().world());
         }
-        // A transfer is told when it has ended, and began before exceptions that were told already.
+        // Sorting is needed because the three sources are collected one after another.
         self.lines.sort_by_key(|(at_ns, _)| *at_ns);
         for (at_ns, line) in self.lines.drain(..) {
             if let Err(error) = writeln!(self.out, "{at_ns:>13} ns  {line}") {

@@ -1,9 +1,9 @@
-//! Names of exceptions: those of the architecture, and the interrupts of RM0399's vector table (NVIC chapter) that the models
-//! can raise, for the Cortex-M7.
+//! Names of exceptions for the Cortex-M7: those of the architecture, and the interrupts of RM0399's vector table (NVIC
+//! chapter) that the models can raise.
 
 use r4_mcu::cpu::number::IRQ0;
 
-/// Position in the vector table, the first after the system exceptions being 0, and name.
+/// Position in the vector table, counted from the first interrupt after the system exceptions, and name.
 const INTERRUPTS: [(u16, &str); 95] = [
     (4, "FLASH"),
     (5, "RCC"),
@@ -102,7 +102,7 @@ const INTERRUPTS: [(u16, &str); 95] = [
     (144, "CRS"),
 ];
 
-/// Number and name of an exception, as in `66 TIM5`.
+/// Formats number and name of an exception, as in `66 TIM5`.
 pub(crate) fn name(exception: u16) -> String {
     let name = match exception {
         0 => "thread",

@@ -1,4 +1,4 @@
-//! Who looks at the machine between its runs: a log, a trace, a debugger.
+//! Watchers of the machine between its runs: a log, a trace, a debugger.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -6,40 +6,40 @@ use r4_mcu::{Machine, MachineError, Reason, Stopped, cpu::Core};
 
 use crate::board::BoardSoc;
 
-/// The machine, shared with those who watch it.
+/// Machine shared with its watchers.
 pub type SharedMachine<C> = Rc<RefCell<Machine<C, BoardSoc>>>;
 
-/// How a watcher wants the machine to go on.
+/// Limit that a watcher sets to the next run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Go {
-    /// To this moment at the latest, in virtual nanoseconds.
+    /// Run to this virtual time at the latest, ns.
     Until(u64),
-    /// By one instruction.
+    /// Run a single instruction.
     Step,
 }
 
-/// Looks at the machine between its runs. Virtual time stands still meanwhile, and nothing a watcher only looks at changes
-/// what the program does: neither where the machine is stopped, nor how often.
+/// Watcher of the machine between its runs. Virtual time stands still meanwhile. Passive watchers do not change what
+/// the program does, wherever and however often the machine is stopped.
 pub trait Watcher<C> {
-    /// Appends the addresses of instructions before which it wants the machine to be stopped.
+    /// Appends the addresses of instructions before which the machine must stop.
     fn observed(&self, _addresses: &mut Vec<u32>) {}
 
-    /// Before each run. The machine is not borrowed.
+    /// Called before each run. The machine is not borrowed.
     fn before(&mut self, _machine: &SharedMachine<C>) -> Go {
         Go::Until(u64::MAX)
     }
 
-    /// After each run.
+    /// Called after each run.
     fn after(&mut self, machine: &SharedMachine<C>, stopped: Stopped);
 
-    /// The machine cannot go on; nothing follows.
+    /// Called when the machine cannot go on; no further call follows.
     fn failed(&mut self, _machine: &SharedMachine<C>, _error: &MachineError) {}
 }
 
-/// All watchers of a machine.
+/// All watchers of one machine.
 pub(crate) struct Watchers<C> {
     all: Vec<Box<dyn Watcher<C>>>,
-    /// What the machine was told to observe.
+    /// Addresses that the machine observes at present.
     observed: Vec<u32>,
 }
 
@@ -54,7 +54,7 @@ impl<C: Core> Watchers<C> {
         self.all.push(watcher);
     }
 
-    /// Runs the machine to a moment, or as the watchers want it.
+    /// Runs the machine to `limit_ns`, or less far as the watchers request.
     pub(crate) fn run(&mut self, machine: &SharedMachine<C>, limit_ns: u64) -> Result<Stopped, MachineError> {
         if self.all.is_empty() {
             return machine.borrow_mut().run_until(limit_ns);
@@ -93,7 +93,7 @@ impl<C: Core> Watchers<C> {
     }
 }
 
-/// The address, where a run ended at an observed instruction.
+/// Returns the address if the run ended at an observed instruction.
 pub(crate) fn observed_at(stopped: Stopped) -> Option<u32> {
     match stopped.reason {
         Reason::Observed { address } => Some(address),

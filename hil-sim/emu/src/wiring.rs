@@ -1,4 +1,4 @@
-//! What the chip's pins are wired to: the simulated world, the lines around the board, the host's cable.
+//! Wiring of the chip's pins: to the simulated world, the lines around the board, and the host's cable.
 
 use std::{
     cell::{RefCell, RefMut},
@@ -19,13 +19,13 @@ use r4_sim::{
 
 use crate::roles::{Role, Roles};
 
-/// The converter's reference, which the chip's pins must not exceed, V.
+/// Reference voltage of the converter, which limits the chip's pins, V.
 const REFERENCE_V: f64 = 3.3;
 
-/// Frames of the CAN bus that are kept until they are taken.
+/// Number of CAN frames kept until they are taken.
 const CAN_FRAMES: usize = 1024;
 
-/// A line that someone outside drives, and the level the chip was told last.
+/// Line driven from outside, with the level last passed to the chip.
 struct Watched {
     line: Rc<Line>,
     told: bool,
@@ -38,39 +38,40 @@ impl Watched {
     }
 }
 
-/// What a UART of the chip is connected to.
+/// Other end of one of the chip's UARTs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum UartEnd {
-    /// The host.
+    /// Cable to the host.
     Host,
-    /// A connector, 0 or 1.
+    /// UART connector, 0 or 1.
     Connector(usize),
 }
 
-/// Everything outside the chip.
+/// Everything outside the chip that its pins are connected to.
 pub struct Wiring {
     world: Rc<RefCell<World>>,
     clock: Clock,
     roles: Roles,
-    /// Pins of each encoder's tracks, and of the switch beside it.
+    /// Pins of each encoder's tracks A and B, and of the switch beside it.
     encoders: Vec<[Option<Pin>; 3]>,
     /// Echo pins of the range sensors.
     rangers: Vec<Option<Pin>>,
     dead_man: Watched,
     auxiliary_stop: Watched,
-    /// Red, green, blue.
+    /// Lights in the order red, green, blue.
     lights: [Box<dyn FnMut(bool)>; 3],
     to_host: Sender,
     uarts: Vec<(u8, UartEnd)>,
-    /// The controller of the board's own chips; the others are external connectors, in order.
+    /// Numbers of the I2C controllers: the one for the board's own chips, and those of the external connectors in
+    /// order.
     controllers: Vec<(u8, Controller)>,
-    /// SCL of each controller while a program drives it as a plain pin.
+    /// SCL level of each controller while a program drives it as a GPIO.
     scl_low: Vec<(u8, bool)>,
-    /// Frames on the CAN bus, by their identifiers.
+    /// Number of acknowledged frames on the CAN bus, by identifier.
     can_sent: BTreeMap<u32, u64>,
-    /// The newest of them, until they are taken.
+    /// Newest frames, until they are taken.
     can_frames: VecDeque<CanFrame>,
-    /// What becomes of them.
+    /// Outcome of frames that the chip sends.
     can_outcome: CanOutcome,
 }
 
@@ -104,53 +105,54 @@ impl Wiring {
         }
     }
 
-    /// The world.
+    /// Borrows the simulated world.
     pub(crate) fn world(&self) -> RefMut<'_, World> {
         self.world.borrow_mut()
     }
 
-    /// The UARTs of the chip that have something at their other end.
+    /// Returns the chip's UARTs that are connected, with their other ends.
     pub(crate) fn uarts(&self) -> &[(u8, UartEnd)] {
         &self.uarts
     }
 
-    /// The frames that the board has sent on the CAN connector since this was last asked, as far as they are kept.
+    /// Takes the frames that the board has sent on the CAN connector since the last call, at most the newest
+    /// [`CAN_FRAMES`].
     pub(crate) fn take_can_frames(&mut self) -> Vec<CanFrame> {
         self.can_frames.drain(..).collect()
     }
 
-    /// What becomes of the frames that the board sends on the CAN connector from now on.
+    /// Sets the outcome of frames that the board sends on the CAN connector from now on.
     pub(crate) fn set_can_outcome(&mut self, outcome: CanOutcome) {
         self.can_outcome = outcome;
     }
 
-    /// Frames that the chip has sent with a standard identifier.
+    /// Returns the number of frames that the chip has sent with a standard identifier.
     pub(crate) fn can_sent(&self, identifier: u16) -> u64 {
         self.can_sent.get(&identifier.into()).copied().unwrap_or(0)
     }
 
-    /// Another cable to the host.
+    /// Replaces the cable to the host.
     pub(crate) fn set_host(&mut self, to_host: Sender) {
         self.to_host = to_host;
     }
 
-    /// The chip was reset: its pins float.
+    /// Handles a reset of the chip: its pins float.
     pub(crate) fn processor_reset(&mut self) {
         self.scl_low.clear();
         self.world.borrow_mut().reset_processor();
     }
 
-    /// Every edge of step and direction lines up to `now_ns` has been told.
+    /// Notes that all edges of step and direction lines up to `now_ns` have been reported.
     pub(crate) fn settle(&mut self, now_ns: u64) {
         self.world.borrow_mut().settle_steppers(now_ns);
     }
 
-    /// The next byte that has come from a UART connector.
+    /// Takes the next byte that has arrived at a UART connector.
     pub(crate) fn take_uart_arrived(&mut self, connector: usize) -> Option<r4_sim::uart::UartByte> {
         self.world.borrow_mut().take_uart_arrived(connector)
     }
 
-    /// When the next one comes.
+    /// Returns the arrival time of the next byte, ns; `u64::MAX` if none is on its way.
     pub(crate) fn next_uart_arrival_ns(&mut self, connector: usize) -> u64 {
         self.world.borrow_mut().next_uart_arrival_ns(connector)
     }
@@ -159,12 +161,12 @@ impl Wiring {
         self.controllers.iter().find(|(known, _)| *known == number).map(|(_, controller)| *controller)
     }
 
-    /// Lets the world's clock follow the chip's.
+    /// Advances the world's clock to the chip's.
     fn follow(&self, now_ns: u64) {
         self.clock.run_ahead(now_ns);
     }
 
-    /// A program moves SCL by hand: each rising edge is a clock.
+    /// Handles SCL driven by the program as a GPIO: each rising edge is a clock.
     fn scl(&mut self, at_ns: u64, number: u8, low: bool) {
         let was_low = match self.scl_low.iter_mut().find(|(known, _)| *known == number) {
             Some((_, was)) => std::mem::replace(was, low),
@@ -183,7 +185,7 @@ impl Outside for Wiring {
     fn drive(&mut self, at_ns: u64, pin: Pin, level: Level) {
         let Some(role) = self.roles.of(pin) else { return };
         self.follow(at_ns);
-        // What the carrier's pull resistors make of a pin that is not driven is said where it matters.
+        // The level of a floating pin follows from the carrier's pull resistors; each role below states its own.
         let or = |floating| match level {
             Level::Low => false,
             Level::High => true,
@@ -192,7 +194,8 @@ impl Outside for Wiring {
         match role {
             Role::Step(index) => self.world.borrow_mut().step_line(index.into(), at_ns, or(false)),
             Role::Direction(index) => self.world.borrow_mut().direction_line(index.into(), at_ns, or(false)),
-            // Pulled to where the drivers are off; which that is the world knows, and has set it at the reset.
+            // A floating enable is pulled to the level at which the drivers are off. The world knows that level and has
+            // set it at the reset.
             Role::StepperEnable if matches!(level, Level::Floating(_)) => {}
             Role::StepperEnable => self.world.borrow_mut().set_stepper_enable(or(false)),
             Role::Trigger(index) => self.world.borrow_mut().trigger(index.into(), or(false)),
@@ -206,7 +209,7 @@ impl Outside for Wiring {
                 }
             }
             Role::Scl(controller) => self.scl(at_ns, controller, level == Level::Low),
-            // A STOP by hand is seen by the world with the clocks before it; the rest are inputs.
+            // A STOP driven by GPIO is handled by the world with the clocks before it; the other roles are inputs.
             Role::Sda(_)
             | Role::Track { .. }
             | Role::Switch(_)
@@ -224,7 +227,7 @@ impl Outside for Wiring {
         let first = edges.len();
         let mut world = self.world.borrow_mut();
         for (encoder, [a, b, switch]) in self.encoders.iter().enumerate() {
-            // Edges that are left out are those of a shaft too fast to be counted at all.
+            // Omitted edges are those of a shaft too fast to be counted at all.
             world.take_encoder_edges(encoder, |edge| {
                 let pin = match edge.line {
                     EncoderLine::Track(Channel::A) => a,
@@ -251,10 +254,10 @@ impl Outside for Wiring {
     fn next_poll_ns(&mut self, _now_ns: u64, watched: &[Pin]) -> u64 {
         let mut world = self.world.borrow_mut();
         let next = watched.iter().map(|pin| match self.roles.of(*pin) {
-            // A switch line is watched for the index track of the encoder.
+            // The switch line may carry the encoder's index track.
             Some(Role::Track { encoder, .. } | Role::Switch(encoder)) => world.next_encoder_change_ns(encoder.into()),
             Some(Role::Echo(sensor)) => world.next_echo_edge_ns(sensor.into()),
-            // Who drives the other lines lets the board look at them afterwards.
+            // The other lines change only between runs; the board is polled after each.
             _ => u64::MAX,
         });
         next.min().unwrap_or(u64::MAX)
@@ -334,7 +337,7 @@ impl Outside for Wiring {
     fn i2c_lines(&mut self, controller: u8, now_ns: u64) -> (bool, bool) {
         self.follow(now_ns);
         let Some(controller) = self.controller(controller) else { return (true, true) };
-        // Which of the two is held the world does not tell, and no controller asks.
+        // The world does not distinguish the two lines, and no controller needs it.
         let free = self.world.borrow_mut().i2c_lines_are_free(controller);
         (free, free)
     }
@@ -351,7 +354,7 @@ impl Outside for Wiring {
     }
 
     fn can_sent(&mut self, _bus: u8, _at_ns: u64, frame: &CanFrame) -> CanOutcome {
-        // A host's CAN adapter is on the bus and acknowledges; what it hears is counted.
+        // A host's CAN adapter is on the bus and acknowledges; frames that reach it are counted.
         if self.can_outcome == CanOutcome::Acknowledged {
             *self.can_sent.entry(frame.id).or_default() += 1;
             if self.can_frames.len() == CAN_FRAMES {
@@ -375,7 +378,7 @@ fn answer(response: Response) -> I2cResponse {
     }
 }
 
-/// The number in a signal such as `UART4_TX` or `USART1_TX`.
+/// Parses the number in a signal such as `UART4_TX` or `USART1_TX`.
 fn uart_number(carrier: &Carrier, id: &str) -> Option<u8> {
     let signal = carrier.pin(id)?.signal.as_deref()?;
     signal.strip_suffix("_TX")?.trim_start_matches(|letter: char| !letter.is_ascii_digit()).parse().ok()

@@ -1,27 +1,27 @@
-//! What peripherals share: time, clocks, and the wires between them.
+//! Environment that all peripherals share: time, clocks, and the wires between them.
 
 use std::fmt;
 
 use crate::outside::Outside;
 
-/// Frequencies that the clock tree gives, Hz; 0 is stopped. Made by the RCC model from its registers.
+/// Frequencies of the clock tree, Hz; 0 means stopped. The RCC model derives them from its registers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Clocks {
-    /// The processor core.
+    /// Clock of the processor core.
     pub core_hz: u64,
-    /// AXI and AHB (HCLK3 and the others).
+    /// Clock of AXI and AHB (HCLK3 and the others).
     pub ahb_hz: u64,
-    /// APB1 peripherals.
+    /// Bus clock of APB1 peripherals.
     pub apb1_hz: u64,
-    /// APB2 peripherals.
+    /// Bus clock of APB2 peripherals.
     pub apb2_hz: u64,
-    /// APB3 peripherals.
+    /// Bus clock of APB3 peripherals.
     pub apb3_hz: u64,
-    /// APB4 peripherals.
+    /// Bus clock of APB4 peripherals.
     pub apb4_hz: u64,
-    /// Timers of APB1 (TIM2 to 7, 12 to 14).
+    /// Kernel clock of APB1's timers (TIM2 to 7, 12 to 14).
     pub tim_apb1_hz: u64,
-    /// Timers of APB2 (TIM1, 8, 15 to 17).
+    /// Kernel clock of APB2's timers (TIM1, 8, 15 to 17).
     pub tim_apb2_hz: u64,
     /// Kernel clock of USART1 and 6.
     pub usart16_hz: u64,
@@ -37,36 +37,37 @@ pub struct Clocks {
     pub fdcan_hz: u64,
     /// Kernel clock of the ADCs.
     pub adc_hz: u64,
-    /// The watchdogs' oscillator.
+    /// LSI, the watchdogs' oscillator.
     pub lsi_hz: u64,
-    /// 48 MHz oscillator.
+    /// HSI48, the 48 MHz oscillator.
     pub hsi48_hz: u64,
-    /// Low-speed crystal.
+    /// LSE, the low-speed crystal.
     pub lse_hz: u64,
-    /// The watchdogs' oscillator where the program has turned it on itself (RCC_CSR): what timers can capture.
+    /// LSI if the program has turned it on itself (RCC_CSR), so that timers can capture it.
     pub lsi_ready_hz: u64,
-    /// The main crystal divided by RTCPRE.
+    /// HSE divided by RTCPRE.
     pub hse_rtc_hz: u64,
 }
 
 const SECOND: u64 = 1_000_000_000;
 
-/// A count of clock ticks against virtual time, exact: no rounding adds up.
+/// Exact count of clock ticks over virtual time: rounding errors do not accumulate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ticks {
-    /// The moment of tick 0.
+    /// Time of tick 0, ns.
     pub start_ns: u64,
-    /// Ticks in `per_ns` / 1e9 seconds: a frequency and its divider. Below 18 GHz.
+    /// Ticks in `divider` seconds: a clock frequency whose divider is separate, below 18 GHz.
     pub frequency_hz: u64,
     /// Divider of the frequency, at least 1.
     pub divider: u64,
 }
 
 impl Ticks {
-    /// Whole ticks from the start to `now_ns`.
+    /// Returns the whole ticks from the start to `now_ns`.
     #[must_use]
     pub fn at(&self, now_ns: u64) -> u64 {
-        // In 64 bits: whole seconds and the rest apart, and the divider last, which rounds no differently.
+        // The arithmetic fits 64 bits: whole seconds and the rest are separate, and the divider comes last, which does
+        // not change the rounding.
         let elapsed = now_ns.saturating_sub(self.start_ns);
         let (seconds, rest) = (elapsed / SECOND, elapsed % SECOND);
         let whole = seconds.wrapping_mul(self.frequency_hz);
@@ -74,7 +75,7 @@ impl Ticks {
         if self.divider <= 1 { clocks } else { clocks / self.divider }
     }
 
-    /// The first nanosecond at which [`Ticks::at`] gives `ticks`; `u64::MAX` when the clock is stopped.
+    /// Returns the first nanosecond at which [`Ticks::at`] gives `ticks`; `u64::MAX` for a stopped clock.
     #[must_use]
     pub fn when_ns(&self, ticks: u64) -> u64 {
         if self.frequency_hz == 0 {
@@ -87,16 +88,16 @@ impl Ticks {
     }
 }
 
-/// Why the chip was reset; as the flags of RCC_RSR tell.
+/// Cause of a reset of the chip, as in the flags of RCC_RSR.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResetCause {
-    /// Power came on.
+    /// Power-on, or a supply below the power-down level.
     PowerOn,
-    /// The NRST pin.
+    /// Low level at the NRST pin.
     Pin,
-    /// SYSRESETREQ.
+    /// Request by the program (SYSRESETREQ).
     Software,
-    /// The independent watchdog.
+    /// Time-out of the independent watchdog.
     Watchdog,
     /// The supply fell below the brown-out level.
     BrownOut,
@@ -114,101 +115,101 @@ impl fmt::Display for ResetCause {
     }
 }
 
-/// A wire from one peripheral to another, or to the core.
+/// Signal on a wire from one peripheral to another, or to the core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Signal {
-    /// An interrupt line of the NVIC.
+    /// Interrupt line of the NVIC.
     Irq {
         /// Position in RM0399's vector table for the Cortex-M7, the first after the system exceptions being 0.
         number: u16,
-        /// Asserted.
+        /// True while the line is asserted.
         level: bool,
     },
-    /// A request to DMAMUX1 (DMA1, DMA2).
+    /// Request line to DMAMUX1 (DMA1, DMA2).
     Dma {
         /// Input of DMAMUX1, as in RM0399's table.
         request: u8,
-        /// Asserted.
+        /// True while the request is asserted.
         level: bool,
     },
-    /// A request to DMAMUX2 (BDMA).
+    /// Request line to DMAMUX2 (BDMA).
     Bdma {
-        /// Input of DMAMUX2.
+        /// Input number of DMAMUX2.
         request: u8,
-        /// Asserted.
+        /// True while the request is asserted.
         level: bool,
     },
-    /// The trigger output of a timer.
+    /// Pulse at a timer's trigger output.
     Trigger {
-        /// 12 is TIM12.
+        /// Number of the timer; 12 is TIM12.
         timer: u8,
     },
-    /// A timer's channel changes its output (OCx; `complementary` is OCxN).
+    /// Change of a timer channel's output (OCx; `complementary` is OCxN).
     TimerOutput {
-        /// 12 is TIM12.
+        /// Number of the timer; 12 is TIM12.
         timer: u8,
-        /// 1 to 4.
+        /// Number of the channel, 1 to 4.
         channel: u8,
-        /// When: may lie before the present moment, by what was not looked at since.
+        /// Time of the change, ns; may lie before the present time, because peripherals compute lazily.
         at_ns: u64,
-        /// The level.
+        /// Level of the output after the change.
         high: bool,
     },
-    /// The non-maskable interrupt's input (RM0399, 9.5.3: the clock security system).
+    /// Input of the non-maskable interrupt (RM0399, 9.5.3: the clock security system).
     Nmi {
-        /// Asserted.
+        /// True while the input is asserted.
         level: bool,
     },
-    /// An input of EXTI that is no pin (RM0399, 21.4, table of the lines).
+    /// Input of EXTI that is not a pin (RM0399, 21.4, table of the lines).
     Exti {
-        /// From 16 on.
+        /// Number of the line, from 16 on.
         line: u8,
-        /// The level from now on.
+        /// Level of the input from now on.
         high: bool,
     },
-    /// The clock tree has changed.
+    /// Change of the clock tree.
     Clocks,
-    /// The chip is reset.
+    /// Reset of the chip.
     Reset(ResetCause),
 }
 
-/// Something that the manual forbids, and that the chip does not answer with an error.
+/// Violation of the manual that the chip does not answer with an error.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Misuse {
-    /// When.
+    /// Virtual time of the violation, ns.
     pub at_ns: u64,
-    /// Which peripheral, as in `RCC`.
+    /// Name of the peripheral, as in `RCC`.
     pub peripheral: &'static str,
-    /// What, with the manual's section.
+    /// Description of the violation, with the manual's section.
     pub what: String,
 }
 
-/// What a peripheral can see and do while it is accessed or advanced.
+/// Environment of a peripheral while it is accessed or advanced.
 pub struct Context<'a> {
-    /// Virtual time.
+    /// Present virtual time, ns.
     pub now_ns: u64,
-    /// The clock tree.
+    /// Frequencies of the clock tree.
     pub clocks: &'a Clocks,
-    /// What the pins are wired to.
+    /// Outside world at the chip's pins.
     pub outside: &'a mut dyn Outside,
-    /// Where signals go; carried out, in order, when the peripheral returns.
+    /// Signals given off by the peripheral; they are carried out in order when it returns.
     pub signals: &'a mut Vec<Signal>,
-    /// Where misuse goes.
+    /// Record of misuse, to append to.
     pub misuse: &'a mut Vec<Misuse>,
 }
 
 impl Context<'_> {
-    /// Sets an interrupt line.
+    /// Sets the level of an interrupt line.
     pub fn irq(&mut self, number: u16, level: bool) {
         self.signals.push(Signal::Irq { number, level });
     }
 
-    /// Sets a request line of DMAMUX1.
+    /// Sets the level of a request line of DMAMUX1.
     pub fn dma(&mut self, request: u8, level: bool) {
         self.signals.push(Signal::Dma { request, level });
     }
 
-    /// Reports what the manual forbids.
+    /// Reports a violation of the manual.
     pub fn misuse(&mut self, peripheral: &'static str, what: impl Into<String>) {
         self.misuse.push(Misuse { at_ns: self.now_ns, peripheral, what: what.into() });
     }

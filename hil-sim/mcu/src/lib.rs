@@ -1,9 +1,9 @@
-//! An STM32H747 as a program sees it: peripherals at the level of registers, exceptions, exact virtual time.
+//! Model of an STM32H747 as a program sees it: peripherals at the level of registers, exceptions, exact virtual time.
 //!
-//! The instruction set is behind [`cpu::Core`]; what the pins are wired to is behind [`Outside`]. Models are written from
-//! RM0399 (rev. 4), the datasheet DS12930 and the ARMv7-M architecture manual (DDI0403E), and share no constant with the
-//! firmware or its libraries. What the manual forbids is reported ([`Misuse`]); what is not modelled fails loudly
-//! ([`Unmodelled`]), with the address and where the program was.
+//! The instruction set is behind [`cpu::Core`]; the world at the pins is behind [`Outside`]. The models follow RM0399
+//! (rev. 4), the datasheet DS12930 and the ARMv7-M architecture manual (DDI0403E), and share no constant with the
+//! firmware or its libraries. Violations of the manual are reported ([`Misuse`]); uses that are not modelled end the
+//! run ([`Unmodelled`]), with their address and the place in the program.
 
 pub mod chip;
 pub mod context;

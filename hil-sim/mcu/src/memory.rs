@@ -1,12 +1,12 @@
-//! The memories of the chip: RAM and flash, with host memory that a [`Core`](crate::cpu::Core) accesses by pointer.
+//! Memories of the chip: RAM and flash, in host memory that a [`Core`](crate::cpu::Core) accesses by pointer.
 //!
-//! Contents are cells behind a shared reference: the core, DMA models, the flash model and debuggers all reach them, one
-//! at a time (the emulator has one thread). Values are little-endian, as the processor's.
+//! Contents are cells behind a shared reference: the core, DMA models, the flash model and debuggers all access them,
+//! one at a time (the emulator has one thread). Values are little-endian, as the processor's.
 //!
-//! What the core may do by itself is said by a [`Region`]: everything else — a store to flash, any access to the part of
-//! flash that is modelled access by access or to words whose error correction has something to say, any access to a memory
-//! without clock or to a bank that programs or erases — goes to [`Chip::read`](crate::Chip::read) and
-//! [`Chip::write`](crate::Chip::write).
+//! A [`Region`] states which accesses the core may make by itself. All others go to [`Chip::read`](crate::Chip::read)
+//! and [`Chip::write`](crate::Chip::write): stores to flash, any access to the part of flash that is modelled access by
+//! access or to words with an error of their ECC, and any access to a memory without clock or to a bank that programs
+//! or erases.
 
 use std::cell::{Cell, RefCell};
 use std::fmt;
@@ -15,31 +15,31 @@ use std::rc::Rc;
 
 use crate::peripheral::Size;
 
-/// The memories, RM0399 2.3 (memory map) and 2.4 (embedded SRAM).
+/// Memory bank, after RM0399 2.3 (memory map) and 2.4 (embedded SRAM).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Bank {
-    /// Instruction TCM, only the core and MDMA reach it.
+    /// Instruction TCM, which only the core and MDMA reach.
     Itcm,
     /// Flash, the lower megabyte: bank 1, sectors 0 to 7, unless banks are swapped.
     Flash1,
     /// Flash, the lower half of the upper megabyte: bank 2, sectors 0 to 3.
     Flash2,
     /// Flash, the upper half of the upper megabyte: bank 2, sectors 4 to 7, where every access goes to the chip
-    /// ([`Memory::kept`]). With swapped banks these are bank 1's, like all its others.
+    /// ([`Memory::kept`]). With swapped banks these are bank 1's, as all its others.
     Storage,
-    /// Data TCM, only the core and MDMA reach it.
+    /// Data TCM, which only the core and MDMA reach.
     Dtcm,
-    /// AXI SRAM, domain 1.
+    /// AXI SRAM in domain 1.
     Axi,
-    /// SRAM1, domain 2.
+    /// SRAM1 in domain 2.
     Sram1,
-    /// SRAM2, domain 2.
+    /// SRAM2 in domain 2.
     Sram2,
-    /// SRAM3, domain 2.
+    /// SRAM3 in domain 2.
     Sram3,
-    /// SRAM4, domain 3.
+    /// SRAM4 in domain 3.
     Sram4,
-    /// Backup SRAM.
+    /// Backup SRAM in domain 3.
     Backup,
 }
 
@@ -61,7 +61,7 @@ impl fmt::Display for Bank {
 }
 
 impl Bank {
-    /// Every memory, in order of address.
+    /// All banks in order of address.
     pub const ALL: [Self; 11] = [
         Self::Itcm,
         Self::Flash1,
@@ -76,7 +76,7 @@ impl Bank {
         Self::Backup,
     ];
 
-    /// First address, and bytes.
+    /// Returns the first address and the length, bytes.
     #[must_use]
     pub const fn span(self) -> (u32, u32) {
         const K: u32 = 1024;
@@ -95,64 +95,65 @@ impl Bank {
         }
     }
 
-    /// Flash, erased to ones; the others are filled with [`Memory::POWER_ON`].
+    /// Returns true for flash, which is erased to ones; the other banks start with [`Memory::POWER_ON`].
     #[must_use]
     pub const fn is_flash(self) -> bool {
         matches!(self, Self::Flash1 | Self::Flash2 | Self::Storage)
     }
 
-    /// DMA1, DMA2 and BDMA reach it (RM0399 2.1, the bus matrix): not the TCMs. BDMA reaches domain 3 only.
+    /// Returns true for a bank that DMA1, DMA2 and BDMA reach (RM0399 2.1, the bus matrix): all but the TCMs. BDMA
+    /// reaches domain 3 only.
     #[must_use]
     pub const fn on_bus(self) -> bool {
         !matches!(self, Self::Itcm | Self::Dtcm)
     }
 }
 
-/// The address after the last memory: peripherals follow.
+/// Address after the last memory; peripherals follow.
 const END: u32 = {
     let (base, len) = Bank::Backup.span();
     base + len
 };
 
-/// What the core does with a memory by itself.
+/// Accesses that the core may make to a memory by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Direct {
-    /// Loads.
+    /// Loads of data, without the chip.
     pub read: bool,
-    /// Stores.
+    /// Stores of data, without the chip.
     pub write: bool,
-    /// Fetches of instructions.
+    /// Fetches of instructions, without the chip.
     pub execute: bool,
 }
 
-/// What is kept together about code, as a power of 2 of bytes.
+/// Size of the blocks in which decoded code is tracked, as a power of 2, bytes.
 const CODE_BITS: u32 = 10;
 
-/// A memory.
+/// Memory bank with its contents and present restrictions.
 #[derive(Clone, Debug)]
 pub struct Region {
-    /// Which.
+    /// Bank of the region.
     pub bank: Bank,
-    /// First address.
+    /// First address of the region.
     pub base: u32,
     bytes: Rc<[Cell<u8>]>,
     enabled: Cell<bool>,
-    /// The cells are elsewhere: every access goes to the chip.
+    /// The contents are outside this type: every access goes to the chip.
     kept: Cell<bool>,
-    /// Addresses that are never accessed directly, in order.
+    /// Addresses that are never accessed directly, in ascending order.
     holes: RefCell<Vec<Range<u32>>>,
-    /// Blocks of 1 KiB from which a core has decoded instructions.
+    /// Marks of 1 KiB blocks from which a core has decoded instructions.
     code: Rc<[Cell<bool>]>,
 }
 
 impl Region {
-    /// Bytes.
+    /// Returns the length, bytes.
     #[must_use]
     pub fn len(&self) -> u32 {
         self.bytes.len() as u32
     }
 
-    /// Never: no memory has no bytes.
+    /// Returns false for every bank, because none is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.bytes.is_empty()
@@ -164,29 +165,29 @@ impl Region {
         &self.bytes
     }
 
-    /// What the core does with it by itself at present: nothing while its clock is off.
+    /// Returns the accesses that the core may make by itself at present: none while the memory's clock is off.
     #[must_use]
     pub fn direct(&self) -> Direct {
         let on = self.enabled.get() && !self.kept.get();
         Direct { read: on, write: on && !self.bank.is_flash(), execute: on }
     }
 
-    /// Some of these bytes are not accessed directly whatever [`Region::direct`] says: flash words that are not what was
-    /// programmed.
+    /// Returns true if some of these bytes must not be accessed directly, whatever [`Region::direct`] allows: flash
+    /// words that do not hold what was programmed.
     #[must_use]
     pub fn has_hole(&self, address: u32, bytes: u32) -> bool {
         let end = address.saturating_add(bytes);
         self.holes.borrow().iter().any(|hole| hole.start < end && address < hole.end)
     }
 
-    /// A core has decoded what is at an address: changes of it are told from now on ([`Memory::code_version`]).
+    /// Marks that a core has decoded code at an address: later changes there increment [`Memory::code_version`].
     pub fn mark_code(&self, address: u32) {
         if let Some(mark) = self.code.get((address.wrapping_sub(self.base) >> CODE_BITS) as usize) {
             mark.set(true);
         }
     }
 
-    /// A core knows no decoded instructions any more.
+    /// Clears the marks, after a core has dropped its decoded instructions.
     pub fn forget_code(&self) {
         self.code.iter().for_each(|mark| mark.set(false));
     }
@@ -212,11 +213,11 @@ impl Default for Memory {
 }
 
 impl Memory {
-    /// What RAM holds at power-on: not zero, so that a program that forgets to initialise is seen; and an address that
-    /// faults, when it is used as one.
+    /// Content of RAM at power-on: not zero, so that missing initialisation is noticed, and an address that faults when
+    /// it is used as a pointer.
     pub const POWER_ON: u32 = 0xDEAD_0BAD;
 
-    /// Erased flash, RAM with [`Memory::POWER_ON`]; every memory enabled.
+    /// Makes erased flash and RAM filled with [`Memory::POWER_ON`]; every memory is enabled.
     #[must_use]
     pub fn new() -> Self {
         let region = |bank: Bank| {
@@ -230,22 +231,24 @@ impl Memory {
         Self { regions: Bank::ALL.into_iter().map(region).collect(), mapping: Cell::new(0), code: Cell::new(0) }
     }
 
-    /// Every memory, in order of address.
+    /// Returns all memories in order of address.
     #[must_use]
     pub fn regions(&self) -> &[Region] {
         &self.regions
     }
 
-    /// One memory.
+    /// Returns the memory of a bank.
     #[must_use]
     pub fn region(&self, bank: Bank) -> &Region {
-        // The discriminants are the positions in `Bank::ALL`, in which order the regions were made.
+        // The index is valid, because discriminants are positions in `Bank::ALL`, the order in which the regions were
+        // made.
         &self.regions[bank as usize]
     }
 
-    /// Which memory holds an address, and the offset there.
+    /// Returns the memory that holds an address, and the offset in it.
     #[must_use]
     pub fn locate(&self, address: u32) -> Option<(&Region, u32)> {
+        // Peripheral addresses need no search.
         if address >= END {
             return None;
         }
@@ -255,15 +258,15 @@ impl Memory {
         (offset < region.len()).then_some((region, offset))
     }
 
-    /// Turns a memory on or off, as its clock does (RM0399: SRAM1 to 3 of domain 2 and the backup SRAM have enable bits).
-    /// The contents stay.
+    /// Enables or disables a memory, as its clock does (RM0399: SRAM1 to 3 of domain 2 and the backup SRAM have enable
+    /// bits). Its contents stay.
     pub fn set_enabled(&self, bank: Bank, on: bool) {
         if self.region(bank).enabled.replace(on) != on {
             self.mapping.set(self.mapping.get().wrapping_add(1));
         }
     }
 
-    /// Says which bytes of a memory are never accessed directly, in order of address.
+    /// Sets the bytes of a memory that are never accessed directly, in order of address.
     pub fn set_holes(&self, bank: Bank, holes: Vec<Range<u32>>) {
         let before = self.region(bank).holes.replace(holes);
         if before != *self.region(bank).holes.borrow() {
@@ -271,9 +274,9 @@ impl Memory {
         }
     }
 
-    /// Addresses of bank 2's sectors 4 to 7: their cells are elsewhere, every access to them goes to the chip, where errors of
-    /// their code (ECC) are modelled, and nothing is executed there. With swapped banks they are in the lower megabyte, and
-    /// whoever swaps makes a hole of them.
+    /// Returns the addresses of bank 2's sectors 4 to 7. Their cells are elsewhere: every access goes to the chip,
+    /// which models errors of their ECC, and nothing is executed there. With swapped banks they are in the lower
+    /// megabyte, and the code that swaps them makes them a hole.
     #[must_use]
     pub fn kept(&self) -> Range<u32> {
         let (base, len) = Bank::Storage.span();
@@ -281,9 +284,11 @@ impl Memory {
         base - moved..base - moved + len
     }
 
-    /// Exchanges the contents of the flash's two megabytes: the banks have swapped their addresses (RM0399, 4.3.13).
+    /// Exchanges the contents of the flash's two megabytes, after the banks have swapped their addresses (RM0399,
+    /// 4.3.13).
     pub fn swap_flash(&self) {
         let [lower, middle, upper] = [Bank::Flash1, Bank::Flash2, Bank::Storage].map(|bank| self.region(bank));
+        // The cores have mapped the regions by address, so the contents move and the regions stay.
         for (low, high) in lower.bytes.iter().zip(middle.bytes.iter().chain(upper.bytes.iter())) {
             low.swap(high);
         }
@@ -292,30 +297,30 @@ impl Memory {
         self.code_changed();
     }
 
-    /// Code was changed otherwise than by this type's functions.
+    /// Notes a change of code made without this type's functions.
     pub fn code_changed(&self) {
         self.code.set(self.code.get().wrapping_add(1));
     }
 
-    /// The clock of a memory is on.
+    /// Returns true while the memory's clock is on.
     #[must_use]
     pub fn is_enabled(&self, bank: Bank) -> bool {
         self.region(bank).enabled.get()
     }
 
-    /// Changes whenever [`Region::direct`] of some region does.
+    /// Returns a version number that changes with [`Region::direct`] of any region.
     #[must_use]
     pub fn mapping_version(&self) -> u32 {
         self.mapping.get()
     }
 
-    /// Changes whenever instructions that a core has decoded are written by this type's functions.
+    /// Returns a version number that changes when this type's functions write instructions that a core has decoded.
     #[must_use]
     pub fn code_version(&self) -> u32 {
         self.code.get()
     }
 
-    /// RAM has been without power, the backup SRAM too.
+    /// Fills RAM and backup SRAM as after a loss of power.
     pub fn lose_power(&self) {
         for region in self.regions.iter().filter(|region| !region.bank.is_flash()) {
             for (cell, byte) in region.bytes.iter().zip(Self::POWER_ON.to_le_bytes().into_iter().cycle()) {
@@ -325,7 +330,7 @@ impl Memory {
         self.code_changed();
     }
 
-    /// Reads a value; `None` where no memory is, or not all of it. Clocks do not matter here.
+    /// Reads a value, whatever the clocks; `None` where no memory holds all of it.
     #[must_use]
     pub fn read(&self, address: u32, size: Size) -> Option<u32> {
         let mut value = [0; 4];
@@ -333,20 +338,20 @@ impl Memory {
         Some(u32::from_le_bytes(value))
     }
 
-    /// Writes a value, as [`Memory::read`] reads it.
+    /// Writes a value; `None` where no memory holds all of it.
     pub fn write(&self, address: u32, size: Size, value: u32) -> Option<()> {
         self.write_slice(address, &value.to_le_bytes()[..size.bytes() as usize])
     }
 
-    /// Reads bytes of one memory; `None`, and nothing read, where it does not hold all of them.
+    /// Reads bytes of one memory; `None`, with nothing read, where it does not hold all of them.
     pub fn read_slice(&self, address: u32, into: &mut [u8]) -> Option<()> {
         let cells = self.cells(address, into.len())?.1;
         into.iter_mut().zip(cells).for_each(|(byte, cell)| *byte = cell.get());
         Some(())
     }
 
-    /// Writes bytes of one memory, flash too (the flash model and loaders do); `None`, and nothing written, where it does
-    /// not hold all of them.
+    /// Writes bytes of one memory, including flash (for the flash model and loaders); `None`, with nothing written,
+    /// where it does not hold all of them.
     pub fn write_slice(&self, address: u32, bytes: &[u8]) -> Option<()> {
         let (region, cells) = self.cells(address, bytes.len())?;
         cells.iter().zip(bytes).for_each(|(cell, byte)| cell.set(*byte));
@@ -388,7 +393,7 @@ mod tests {
         assert_eq!(memory.read(0x2001_FFFF, Size::Byte), Some(Memory::POWER_ON >> 24));
         assert_eq!(memory.read(0x2001_FFFE, Size::Word), None);
         assert_eq!(memory.read(0x2002_0000, Size::Byte), None);
-        // SRAM1 and SRAM2 touch, and are two memories nevertheless: each has its own clock.
+        // SRAM1 and SRAM2 are adjacent, but separate memories: each has its own clock.
         assert_eq!(memory.read(0x3001_FFFE, Size::Word), None);
         assert_eq!(memory.write(0x4000_0000, Size::Word, 0), None);
         assert_eq!(memory.locate(0xFFFF_FFFF).map(|(region, _)| region.bank), None);

@@ -1,5 +1,5 @@
-//! A bench for tests of peripherals: time, clocks, a world outside the pins that records what the chip does and plays what
-//! a test has put there.
+//! Test bench for peripherals: time, clocks, and a world at the pins that records the chip's actions and plays back
+//! what a test has prepared.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -8,7 +8,7 @@ use crate::{
     Unmodelled,
 };
 
-/// Something that the chip did to the world outside.
+/// Action of the chip on the world outside.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Event {
     Drive { at_ns: u64, pin: Pin, level: Level },
@@ -21,24 +21,24 @@ pub(crate) enum Event {
     Can { bus: u8, at_ns: u64, frame: CanFrame },
 }
 
-/// Records what the chip does, in order. What it answers with is set by the test.
+/// Outside world that records the chip's actions in order; the test sets its answers.
 #[derive(Default)]
 pub(crate) struct Recorder {
-    /// Everything the chip did.
+    /// All actions of the chip.
     pub(crate) events: Vec<Event>,
-    /// Changes of input pins still to come, in order of time.
+    /// Future changes of input pins, in order of time.
     pub(crate) edges: VecDeque<Edge>,
-    /// Levels put on pins from outside; a pin without one follows its pull resistor, or is low.
+    /// Levels driven at pins from outside; other pins follow their pull resistor, or are low.
     pub(crate) levels: HashMap<Pin, bool>,
-    /// Voltages at analog inputs; 0 without one.
+    /// Voltages at analog inputs, V; 0 without an entry.
     pub(crate) volts: HashMap<Pin, f64>,
-    /// Answers to the next I2C addresses and written bytes, in order; then `Ack`.
+    /// Responses to the next I2C addresses and written bytes, in order; then `Ack`.
     pub(crate) i2c_responses: VecDeque<I2cResponse>,
-    /// Bytes that I2C targets give next; then `None`, a stuck bus.
+    /// Next bytes from I2C targets; then `None`, a stuck bus.
     pub(crate) i2c_bytes: VecDeque<u8>,
-    /// SCL and SDA are held low by someone else.
+    /// SCL and SDA are held low by another device.
     pub(crate) i2c_held: (bool, bool),
-    /// What becomes of the next CAN frames; then `Acknowledged`.
+    /// Outcomes of the next CAN frames; then `Acknowledged`.
     pub(crate) can_outcomes: VecDeque<CanOutcome>,
 }
 
@@ -103,7 +103,7 @@ impl Outside for Recorder {
     }
 }
 
-/// Where a peripheral is tried: whatever it signals stays here until a test takes it.
+/// Bench for one peripheral, which keeps its signals until a test takes them.
 pub(crate) struct Bench {
     pub(crate) now_ns: u64,
     pub(crate) clocks: Clocks,
@@ -113,7 +113,7 @@ pub(crate) struct Bench {
 }
 
 impl Default for Bench {
-    /// Time 0 and the clocks of the R4 firmware: 480 MHz, with the timers at 240 MHz.
+    /// Starts at time 0 with the clocks of the R4 firmware: 480 MHz, and timers at 240 MHz.
     fn default() -> Self {
         let clocks = Clocks {
             core_hz: 480_000_000,
@@ -142,7 +142,7 @@ impl Default for Bench {
 }
 
 impl Bench {
-    /// For what is not in the methods below.
+    /// Returns the context for calls without a method below.
     pub(crate) fn context(&mut self) -> Context<'_> {
         Context {
             now_ns: self.now_ns,
@@ -153,17 +153,17 @@ impl Bench {
         }
     }
 
-    /// Reads a word.
+    /// Reads a word from a register.
     pub(crate) fn read(&mut self, peripheral: &mut impl Peripheral, offset: u32) -> u32 {
         self.try_read(peripheral, offset, Size::Word).unwrap()
     }
 
-    /// Writes a word.
+    /// Writes a word to a register.
     pub(crate) fn write(&mut self, peripheral: &mut impl Peripheral, offset: u32, value: u32) {
         self.try_write(peripheral, offset, Size::Word, value).unwrap();
     }
 
-    /// Reads a word, changes bits, writes it: first clears those of `clear`, then sets those of `set`.
+    /// Modifies a word: clears the bits of `clear`, then sets those of `set`.
     pub(crate) fn modify(&mut self, peripheral: &mut impl Peripheral, offset: u32, clear: u32, set: u32) {
         let value = self.read(peripheral, offset);
         self.write(peripheral, offset, value & !clear | set);
@@ -188,7 +188,7 @@ impl Bench {
         peripheral.write(offset, size, value, &mut self.context())
     }
 
-    /// Lets time pass up to `to_ns`, stopping at each event of the peripheral on the way.
+    /// Advances time to `to_ns`, with a stop at each event of the peripheral on the way.
     pub(crate) fn run(&mut self, peripheral: &mut impl Peripheral, to_ns: u64) {
         loop {
             let next_ns = peripheral.next_event_ns();
@@ -208,22 +208,22 @@ impl Bench {
         peripheral.advance(&mut self.context());
     }
 
-    /// The signals since the last time.
+    /// Takes the signals since the last call.
     pub(crate) fn take_signals(&mut self) -> Vec<Signal> {
         std::mem::take(&mut self.signals)
     }
 
-    /// What the chip did to the world outside since the last time.
+    /// Takes the chip's actions on the world since the last call.
     pub(crate) fn take_events(&mut self) -> Vec<Event> {
         std::mem::take(&mut self.outside.events)
     }
 
-    /// The misuse since the last time, without its time.
+    /// Takes the misuse since the last call, without its times.
     pub(crate) fn take_misuse(&mut self) -> Vec<String> {
         std::mem::take(&mut self.misuse).into_iter().map(|misuse| misuse.what).collect()
     }
 
-    /// Ends a test that forbids misuse.
+    /// Asserts that no misuse was recorded.
     pub(crate) fn assert_no_misuse(&self) {
         assert!(self.misuse.is_empty(), "{:?}", self.misuse);
     }

@@ -1,4 +1,4 @@
-//! Blocks that were decoded, by address.
+//! Cache of decoded blocks, by address.
 
 use std::cell::Cell;
 use std::collections::HashMap;
@@ -7,23 +7,23 @@ use crate::decode::{self, Position, What};
 use crate::float::Float;
 use crate::operation::Op;
 
-/// A stretch of blocks: where it is, and where its operations are.
+/// Head of a stretch (superblock): its address, and the place of its operations in the store.
 #[derive(Clone, Debug)]
 pub(crate) struct Block {
     pub(crate) address: u32,
-    /// After its last instruction.
+    /// Address after its last instruction.
     pub(crate) end: u32,
     first: u32,
     len: u16,
-    /// Of the first block.
+    /// Number of instructions in the first block.
     pub(crate) instructions: u16,
-    /// ITSTATE after it.
+    /// ITSTATE after the stretch.
     pub(crate) it: u8,
-    /// Some of its instructions are observed.
+    /// Some of its instructions are observed, so that runs stop before them.
     pub(crate) observed: bool,
-    /// The number of the block that begins at `end`, once that was met.
+    /// Number of the block that begins at `end`, once it was executed.
     after: Cell<u32>,
-    /// Addresses that were branched to last, and the numbers of the blocks there, each in the place that its address chooses.
+    /// Last branch targets with the numbers of their blocks; a target's address selects its slot.
     branched: [Cell<(u32, u32)>; Self::BRANCHES],
 }
 
@@ -35,22 +35,22 @@ impl Block {
         &self.branched[address as usize / 2 % Self::BRANCHES]
     }
 
-    /// What is before an instruction outside of IT blocks.
+    /// Returns the front part of the block, up to the instruction at `end`, which is not in an IT block.
     pub(crate) fn beginning(&self, end: u32, len: u16, instructions: u16) -> Self {
         let (after, branched) = unlinked();
         Self { end, len, instructions, it: 0, after, branched, ..*self }
     }
 }
 
-/// No block.
+/// Block number that means no block.
 const NONE: u32 = u32::MAX;
 
-/// Nothing has followed it yet.
+/// Links of a block without known successors.
 fn unlinked() -> (Cell<u32>, [Cell<(u32, u32)>; Block::BRANCHES]) {
     (Cell::new(NONE), std::array::from_fn(|_| Cell::new((NONE, NONE))))
 }
 
-/// Operations of many blocks, one after the other.
+/// Operations of all blocks, one after the other.
 #[derive(Default)]
 struct Store {
     ops: Vec<Op>,
@@ -58,21 +58,22 @@ struct Store {
     floats: Vec<Float>,
 }
 
-/// All blocks. A table has those used last by address: nothing in them is observed, and they do not end within an IT block.
-/// Whatever else is known is behind it. A block knows which others followed it.
+/// All decoded blocks. `table` is a direct-mapped cache by address; its blocks contain no observed instruction and do
+/// not end within an IT block. `known` has all others too. A block remembers its successors.
 pub(crate) struct Blocks {
     blocks: Vec<Block>,
     table: Box<[u32; Self::LEN]>,
     known: HashMap<u32, u32>,
-    /// Operations before which observed instructions are, and those instructions, of blocks that have some: by
-    /// address and ITSTATE at it.
+    /// Stop points in blocks with observed instructions: the number of operations before each, and its address. The key
+    /// is the block's address and the ITSTATE there.
     observed: HashMap<(u32, u8), Vec<(u16, u32)>>,
     store: Store,
 }
 
 impl Blocks {
     const LEN: usize = 1 << 16;
-    /// Operations that are kept at most, before all are forgotten: code that changes is decoded again and again.
+    /// Largest number of stored operations; beyond it the cache is cleared, because changing code is decoded again and
+    /// again.
     const MANY: usize = 1 << 22;
 
     pub(crate) fn new() -> Self {
@@ -98,7 +99,7 @@ impl Blocks {
         self.store.floats.clear();
     }
 
-    /// The number of the block at an address, if it was used lately.
+    /// Returns the number of the block at an address, if it is in the direct-mapped table.
     #[inline(always)]
     pub(crate) fn number(&self, address: u32) -> Option<u32> {
         let number = self.table[address as usize / 2 % Self::LEN];
@@ -106,7 +107,7 @@ impl Blocks {
         (block.address == address).then_some(number)
     }
 
-    /// The block at `address`, which follows `before`, if both are known.
+    /// Returns the block at `address` that follows `before`, if both are known.
     #[inline(always)]
     pub(crate) fn follow(&self, before: &Block, address: u32) -> Option<&Block> {
         let number = if address == before.end {
@@ -132,7 +133,8 @@ impl Blocks {
         self.by_number(number)
     }
 
-    /// The block at an address, decoded if need be; `None` where nothing can be fetched.
+    /// Returns the number of the block at an address and decodes it if necessary; `None` where no instruction can be
+    /// fetched.
     #[cold]
     pub(crate) fn find(&mut self, address: u32, what: &What<'_>) -> Option<u32> {
         let number = match self.known.get(&address) {
@@ -145,21 +147,21 @@ impl Blocks {
             }
         };
         let block = self.blocks.get(number as usize)?;
-        // What needs a look before or after it is not found at once.
+        // Blocks that need checks before or after them stay out of the fast table.
         if !block.observed && block.it == 0 {
             self.table[address as usize / 2 % Self::LEN] = number;
         }
         Some(number)
     }
 
-    /// Forgets everything, if it is much.
+    /// Clears the cache if it has grown too large.
     pub(crate) fn make_room(&mut self) {
         if self.store.ops.len() > Self::MANY {
             self.clear();
         }
     }
 
-    /// Decodes a block, which is not found again but by its number.
+    /// Decodes a block without entering it in `known`: only its number finds it again.
     pub(crate) fn add(&mut self, address: u32, what: &What<'_>) -> Option<u32> {
         let decoded = decode::stretch(address, what, &mut self.store.floats)?;
         let first = self.store.ops.len() as u32;
@@ -177,14 +179,14 @@ impl Blocks {
         Some(number)
     }
 
-    /// Operations before the first observed instruction of a block, and its address; not that at the beginning, if that
-    /// is to be executed.
+    /// Returns the number of operations before the first observed instruction of a block, and its address; skips the
+    /// first instruction if `executes_first`.
     pub(crate) fn observed(&self, block: &Block, it: u8, executes_first: bool) -> Option<(u16, u32)> {
         let stops = self.observed.get(&(block.address, it))?;
         stops.iter().find(|(_, address)| !(executes_first && *address == block.address)).copied()
     }
 
-    /// A block by its number.
+    /// Returns a block by its number.
     pub(crate) fn by_number(&self, number: u32) -> Option<&Block> {
         self.blocks.get(number as usize)
     }

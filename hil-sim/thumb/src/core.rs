@@ -1,4 +1,4 @@
-//! [`ThumbCore`].
+//! Core that connects interpreter, cache and machine: [`ThumbCore`].
 
 use r4_mcu::Region;
 use r4_mcu::cpu::{Core, CoreBus, CoreError, CoreStop, Fault, Protection, Register, Why};
@@ -9,7 +9,7 @@ use crate::execute::execute;
 use crate::operation::Op;
 use crate::state::State;
 
-/// A Cortex-M7 by an interpreter.
+/// Interpreter for the instruction set of a Cortex-M7.
 pub struct ThumbCore {
     state: State,
     blocks: Blocks,
@@ -25,7 +25,7 @@ impl Default for ThumbCore {
 }
 
 impl ThumbCore {
-    /// A processor without memory: [`Core::map`] comes next.
+    /// Makes a processor without memory: call [`Core::map`] next.
     #[must_use]
     pub fn new() -> Self {
         Self { state: State::new(), blocks: Blocks::new(), observed: Vec::new(), within: false }
@@ -37,7 +37,7 @@ impl ThumbCore {
         self.state.memory.forget_code();
     }
 
-    /// What is not looked at before every block: `Some` ends the run.
+    /// Handles the rare conditions before a block; `Some` ends the run.
     #[cold]
     fn attention(&mut self, bus: &mut dyn CoreBus) -> Option<Why> {
         if self.state.stale {
@@ -48,6 +48,7 @@ impl ThumbCore {
             return Some(Why::MaskChanged);
         }
         if self.state.executed >= self.state.limits.instructions {
+            // The bus does the work that is due and may set a later limit; otherwise the run ends.
             bus.reached(self.state.executed);
             self.state.refresh_limits(bus);
             if self.state.executed >= self.state.limits.instructions {
@@ -57,15 +58,16 @@ impl ThumbCore {
         None
     }
 
-    /// Decodes what is at PC, if need be: the block's number. `None` where nothing can be fetched.
+    /// Returns the number of the block at PC and decodes it if necessary; `None` where no instruction can be fetched.
     #[cold]
     fn find(&mut self) -> Option<u32> {
         let State { memory, it, pc, .. } = &mut self.state;
         let what = What { memory, observed: &self.observed, it: *it, one: false };
+        // Within an IT block the decoding depends on ITSTATE, so such blocks are not found by their address.
         if *it == 0 { self.blocks.find(*pc, &what) } else { self.blocks.add(*pc, &what) }
     }
 
-    /// A block with observed instructions.
+    /// Executes a block with observed instructions up to the first of them.
     #[cold]
     fn execute_observed(&mut self, block: &Block, is_first: bool, bus: &mut dyn CoreBus) -> Option<Why> {
         let Some((ops, address)) = self.blocks.observed(block, self.state.it, is_first) else {
@@ -74,7 +76,7 @@ impl ThumbCore {
         if address == block.address {
             return Some(Why::Observed);
         }
-        // What is before it is not the end of the block, and does not branch.
+        // The part before it is not the end of the block, and does not branch.
         let instructions = self.instructions_before(block, address);
         let before = block.beginning(address, ops, instructions);
         let why = execute(&mut self.state, &self.blocks, &before, false, bus);
@@ -82,9 +84,10 @@ impl ThumbCore {
         Some(why.unwrap_or(Why::Observed))
     }
 
-    /// Instructions of a block before one of them.
+    /// Counts the instructions of a block before `address`.
     fn instructions_before(&self, block: &Block, address: u32) -> u16 {
         let (mut at, mut count) = (block.address, 0);
+        // Merged operations hide instruction borders, so the instructions are counted in memory.
         while at != address {
             let Some(first) = self.state.memory.fetch(at) else { break };
             at = at.wrapping_add(if crate::decode::is_wide(first) { 4 } else { 2 });
@@ -108,10 +111,11 @@ impl ThumbCore {
         }
     }
 
-    /// Up to what ends the run.
+    /// Executes blocks until the run ends; returns the reason.
     fn until_stop(&mut self, bus: &mut dyn CoreBus) -> Why {
         let mut is_first = true;
         loop {
+            // A single comparison covers the limit and the slow checks, which set `attention_at` to 0.
             if self.state.executed >= self.state.attention_at
                 && let Some(why) = self.attention(bus)
             {
@@ -120,12 +124,14 @@ impl ThumbCore {
             if !self.state.thumb {
                 return Why::Fault(Fault::InvalidState);
             }
+            // The table has only blocks that begin outside IT blocks.
             let known = if self.state.it == 0 { self.blocks.number(self.state.pc) } else { None };
             let number = known.or_else(|| self.find());
             let Some(block) = number.and_then(|number| self.blocks.by_number(number)) else {
                 return Why::Fault(Fault::Fetch);
             };
             let why = if block.observed {
+                // The copy ends the borrow of `blocks`, which executing a part needs.
                 let block = block.clone();
                 self.execute_observed(&block, is_first, bus)
             } else {
@@ -139,7 +145,7 @@ impl ThumbCore {
         }
     }
 
-    /// One instruction.
+    /// Executes a single instruction, or nothing if the run ends before it.
     fn one(&mut self, bus: &mut dyn CoreBus) -> Why {
         if let Some(why) = self.attention(bus) {
             return why;
@@ -148,6 +154,7 @@ impl ThumbCore {
             return Why::Fault(Fault::InvalidState);
         }
         let (pc, it) = (self.state.pc, self.state.it);
+        // Two decodings: one instruction alone, and the whole block, to see if a part of it remains.
         let decode =
             |core: &mut Self, one| core.blocks.add(pc, &What { memory: &core.state.memory, observed: &[], it, one });
         let numbers = (decode(self, true), decode(self, false));
@@ -220,7 +227,7 @@ impl Core for ThumbCore {
     fn only_looks(&self) -> bool {
         let number = if self.state.it == 0 { self.blocks.number(self.state.pc) } else { None };
         let block = number.and_then(|number| self.blocks.by_number(number));
-        // What follows in its stretch is another block, before which limits are looked at.
+        // The rest of its stretch is another block, before which limits are checked.
         let own = |op: &&Op| !matches!(op, Op::Onward { .. });
         block.is_some_and(|block| self.blocks.ops(block).iter().take_while(own).all(Op::only_looks))
     }

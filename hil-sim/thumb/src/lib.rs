@@ -1,15 +1,15 @@
-//! The instruction set of the emulated Cortex-M7: [`ThumbCore`] is an interpreter behind [`r4_mcu::cpu::Core`], after
+//! Instruction set of the emulated Cortex-M7: [`ThumbCore`] is an interpreter behind [`r4_mcu::cpu::Core`], after
 //! DDI0403E (ARMv7E-M with FPv5-D16).
 //!
-//! - `decode` makes of each instruction one or a few simpler operations (`operation`): whatever is known of an instruction
-//!   before it is executed — expanded constants, addresses that depend on PC, literals in flash — is computed there, once.
-//! - `blocks` keeps what was decoded, by address, as stretches: a block, and those that follow it where conditional
-//!   branches are not taken and others are. Interrupts and limits see blocks only. A block ends at a branch, at an
-//!   instruction that changes what interrupts may be taken, and where a line of 128 bytes ends: a function of addresses
-//!   alone, so that it does not matter where it is entered.
-//! - `execute` carries the operations of a block out. Memory is accessed directly where it may be (`memory`), and by the bus
-//!   elsewhere; a limit is looked at between blocks.
-//! - `float` is coprocessors 10 and 11.
+//! - `decode` translates each instruction to one or a few simpler operations (`operation`). It computes once what is
+//!   known before execution: expanded constants, addresses that depend on PC, literals in flash.
+//! - `blocks` caches decoded code by address, as stretches (superblocks): a block, and those that follow it if
+//!   conditional branches are not taken and others are. Interrupts and limits see single blocks only. A block ends at a
+//!   branch, at an instruction that changes which interrupts may be taken, and at the end of a line of 128 bytes: a
+//!   function of addresses alone, so that its point of entry does not matter.
+//! - `execute` executes the operations of a block. It accesses memory directly where that is allowed (`memory`), and by
+//!   the bus elsewhere; limits are checked between blocks.
+//! - `float` executes the floating-point unit, coprocessors 10 and 11.
 
 mod blocks;
 mod core;

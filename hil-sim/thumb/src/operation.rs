@@ -1,29 +1,29 @@
-//! What instructions are made of.
+//! Operations, the steps that instructions are decoded into.
 
-/// Registers by number: 0 to 14 are the program's, the others are below.
+/// Register number: 0 to 14 are the program's, the others are internal (below).
 pub(crate) type Index = u8;
 
 pub(crate) const SP: Index = 13;
 pub(crate) const LR: Index = 14;
-/// Not the program counter, which operations do not know: what a load of it gave, before the branch.
+/// Loaded program counter before the branch; operations do not access PC itself.
 pub(crate) const LOADED: Index = 15;
-/// Results that nobody wants: of comparisons.
+/// Destination of unused results, as of comparisons.
 pub(crate) const NONE: Index = 16;
-/// Always zero.
+/// Source that always reads zero.
 pub(crate) const ZERO: Index = 17;
-/// Between the operations of one instruction.
+/// Scratch register between the operations of one instruction.
 pub(crate) const SCRATCH: Index = 18;
-/// As [`SCRATCH`].
+/// Second register like [`SCRATCH`].
 pub(crate) const SCRATCH2: Index = 19;
-/// Registers in all; a power of two, so that an index needs no check.
+/// Number of registers; a power of two, so that an index needs no check.
 pub(crate) const COUNT: usize = 32;
 
-/// A condition (DDI0403E A7.3): 0 to 13, and 14 for always.
+/// Condition code (DDI0403E A7.3): 0 to 13, and 14 for always.
 pub(crate) type Condition = u8;
-/// Always.
+/// Condition that always holds.
 pub(crate) const ALWAYS: Condition = 14;
 
-/// Width and extension of an access.
+/// Width and extension of a memory access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Width {
     Byte,
@@ -31,16 +31,16 @@ pub(crate) enum Width {
     Word,
 }
 
-/// A step of an instruction. `d` is a destination, `n`, `m` and `a` are sources, `t` is transferred; where the name ends in
-/// `s`, N and Z are set, and C and V by arithmetic and C by shifts.
+/// Step of an instruction. `d` is a destination, `n`, `m` and `a` are sources, `t` is transferred. Operations whose
+/// name ends in `s` set N and Z, and arithmetic also C and V, shifts C.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Op {
-    /// Passes over so many operations, unless the condition holds.
+    /// Skips `skip` operations, unless the condition holds.
     Unless {
         condition: Condition,
         skip: u8,
     },
-    /// SP's two lowest bits are zero (B1.4.7).
+    /// Clears SP's two lowest bits, which are always zero (B1.4.7).
     AlignSp,
     SetCarry {
         carry: bool,
@@ -62,7 +62,7 @@ pub(crate) enum Op {
         d: Index,
         m: Index,
     },
-    /// MOVT.
+    /// Writes the upper halfword (MOVT).
     Top {
         d: Index,
         value: u16,
@@ -219,7 +219,7 @@ pub(crate) enum Op {
         m: Index,
     },
 
-    /// Shifts by 1 to 31; `Lsrs` and `Asrs` also by 32.
+    /// Shift by a constant of 1 to 31; `Lsrs` and `Asrs` also by 32.
     Lsl {
         d: Index,
         m: Index,
@@ -268,7 +268,7 @@ pub(crate) enum Op {
         d: Index,
         m: Index,
     },
-    /// By a register's lowest byte; the kind is 0 LSL, 1 LSR, 2 ASR, 3 ROR.
+    /// Shift by a register's lowest byte; the kind is 0 LSL, 1 LSR, 2 ASR, 3 ROR.
     ShiftBy {
         kind: u8,
         d: Index,
@@ -387,7 +387,7 @@ pub(crate) enum Op {
         d: Index,
         m: Index,
     },
-    /// Halves by themselves, without flags.
+    /// Addition of separate halves, without flags.
     AddHalves {
         d: Index,
         n: Index,
@@ -414,13 +414,13 @@ pub(crate) enum Op {
         m: Index,
     },
 
-    /// The bottom of `n`, the top of `m`.
+    /// Packs the bottom half of `n` and the top half of `m`.
     Pkhbt {
         d: Index,
         n: Index,
         m: Index,
     },
-    /// The top of `n`, the bottom of `m`.
+    /// Packs the top half of `n` and the bottom half of `m`.
     Pkhtb {
         d: Index,
         n: Index,
@@ -461,7 +461,7 @@ pub(crate) enum Op {
         n: Index,
         m: Index,
     },
-    /// Parallel addition and subtraction: `kind` as [`crate::execute::parallel`] has it.
+    /// Parallel addition and subtraction; `State::parallel` in `execute/packed.rs` defines `kind`.
     Parallel {
         kind: u8,
         d: Index,
@@ -473,33 +473,34 @@ pub(crate) enum Op {
         n: Index,
         m: Index,
     },
-    /// Halves of `n` (bit 1) and `m` (bit 0): set is the top one.
+    /// Product of halves of `n` (bit 1 of `tops`) and `m` (bit 0); a set bit selects the top half.
     SmulHalves {
         d: Index,
         n: Index,
         m: Index,
         tops: u8,
     },
-    /// A word by a half, the upper 32 bits of 48.
+    /// Product of a word and a half: the upper 32 of 48 bits.
     SmulWide {
         d: Index,
         n: Index,
         m: Index,
         top: bool,
     },
-    /// Adds, and sets Q where that overflows.
+    /// Addition that sets Q on overflow.
     AddSticky {
         d: Index,
         n: Index,
         m: Index,
     },
-    /// Adds a word, with its sign, to a double word.
+    /// Adds a sign-extended word to a double word.
     AddLong {
         low: Index,
         high: Index,
         m: Index,
     },
-    /// Both halves multiplied, added up (bit 1 of `how`: subtracted; bit 0: halves of `m` exchanged) and to `a`.
+    /// Multiplies both halves and adds the products to `a` (bit 1 of `how`: their difference; bit 0: halves of `m`
+    /// exchanged).
     Dual {
         d: Index,
         n: Index,
@@ -514,7 +515,7 @@ pub(crate) enum Op {
         m: Index,
         how: u8,
     },
-    /// The upper word of a product, added to `a` (bit 1 of `how`: subtracted from; bit 0: rounded).
+    /// Upper word of a product, added to `a` (bit 1 of `how`: subtracted from; bit 0: rounded).
     Upper {
         d: Index,
         n: Index,
@@ -623,7 +624,7 @@ pub(crate) enum Op {
         n: Index,
         offset: u32,
     },
-    /// Registers of a list, from the lowest address, which is at an offset from `n`.
+    /// Loads the registers of a list from ascending addresses; the lowest is at an offset from `n`.
     Ldm {
         n: Index,
         list: u16,
@@ -655,17 +656,17 @@ pub(crate) enum Op {
     },
     Clrex,
 
-    /// The block ends, and the next one of its stretch begins: where, and how many instructions it has.
+    /// Ends the block and begins the next one of its stretch: its address and number of instructions.
     Onward {
         instructions: u16,
         address: u32,
     },
 
-    /// The last of their block. Where it is not taken, what follows does.
+    /// Branches, the last operations of their block; if one is not taken, the next operation follows.
     Branch {
         target: u32,
     },
-    /// The usual conditions by themselves: EQ, NE, CS, CC, LT, GE.
+    /// Branches for the most frequent conditions: EQ, NE, CS, CC, LT, GE.
     BranchEqual {
         target: u32,
     },
@@ -684,7 +685,7 @@ pub(crate) enum Op {
     BranchNotLess {
         target: u32,
     },
-    /// A comparison and the branch after it, which are two instructions.
+    /// Comparison and the branch after it in one operation; they count as two instructions.
     CmpValueBranch {
         n: Index,
         value: u8,
@@ -712,18 +713,18 @@ pub(crate) enum Op {
         n: Index,
         target: u32,
     },
-    /// BX, and loads of PC: with a change of state, and EXC_RETURN.
+    /// BX, and loads of PC: may change the state, and accept EXC_RETURN.
     Exchange {
         m: Index,
     },
     CallExchange {
         m: Index,
     },
-    /// MOV and ADD to PC.
+    /// Branch of MOV and ADD to PC.
     BranchTo {
         m: Index,
     },
-    /// TBB and TBH; `next` is the address after the instruction.
+    /// Table branch, TBB and TBH; `next` is the address after the instruction.
     Table {
         half: bool,
         n: Index,
@@ -740,7 +741,7 @@ pub(crate) enum Op {
         special: u8,
         mask: u8,
     },
-    /// CPS: `what` is bit 0 FAULTMASK, bit 1 PRIMASK.
+    /// CPS: bit 0 of `what` is FAULTMASK, bit 1 PRIMASK.
     Cps {
         disable: bool,
         what: u8,
@@ -754,18 +755,18 @@ pub(crate) enum Op {
         operand: u8,
     },
     Undefined,
-    /// Of a coprocessor that is not there.
+    /// Instruction of a coprocessor that does not exist.
     NoCoprocessor,
-    /// A floating-point instruction, by its number among those that were decoded.
+    /// Floating-point instruction, by its index among the decoded ones.
     Float {
         index: u32,
     },
-    /// No instruction of the floating-point unit.
+    /// Undefined instruction of the floating-point unit.
     FloatUndefined,
 }
 
 impl Op {
-    /// Loads, computes or branches, and nothing else.
+    /// Returns true for operations that only load, compute or branch.
     pub(crate) fn only_looks(&self) -> bool {
         !matches!(
             self,
@@ -797,5 +798,5 @@ impl Op {
     }
 }
 
-/// Small, as there are many, and they are read one after the other.
+/// Operations are read in sequence and there are many, so their size matters.
 const _: () = assert!(size_of::<Op>() == 8);

@@ -1,4 +1,4 @@
-//! Registers, and what is known during a run.
+//! Processor state, and bookkeeping during a run.
 
 use r4_mcu::cpu::{CoreBus, CoreError, Limits, Register};
 
@@ -6,26 +6,26 @@ use crate::float::{self, Float};
 use crate::memory::Memory;
 use crate::operation::{COUNT, LR, SP};
 
-/// EPSR.T.
+/// Bit EPSR.T: Thumb state.
 const THUMB: u32 = 1 << 24;
-/// CONTROL.SPSEL.
+/// Bit CONTROL.SPSEL: thread mode uses PSP.
 pub(crate) const PROCESS_STACK: u32 = 1 << 1;
-/// CONTROL.FPCA.
+/// Bit CONTROL.FPCA: a floating-point context is active.
 pub(crate) const FLOAT_ACTIVE: u32 = 1 << 2;
 
-/// Condition flags, as what they were computed from.
+/// Condition flags, stored as the values that they are derived from.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Flags {
-    /// Negative if N.
+    /// Value with the sign of N.
     pub(crate) n: u32,
-    /// Zero if Z.
+    /// Value that is zero if Z is set.
     pub(crate) z: u32,
     pub(crate) c: bool,
-    /// Negative if V.
+    /// Value with the sign of V.
     pub(crate) v: u32,
 }
 
-/// Of each condition, for which values of NZCV it holds (A7.3).
+/// Truth table per condition: bit n is set if the condition holds for NZCV = n (A7.3).
 const HOLDS: [u16; 16] = {
     let mut table = [0; 16];
     let mut flags = 0;
@@ -45,7 +45,7 @@ const HOLDS: [u16; 16] = {
 };
 
 impl Flags {
-    /// N, Z, C, V in bits 3 to 0.
+    /// Returns N, Z, C, V in bits 3 to 0.
     #[inline(always)]
     pub(crate) fn nzcv(&self) -> u32 {
         self.n >> 31 << 3 | u32::from(self.z == 0) << 2 | u32::from(self.c) << 1 | self.v >> 31
@@ -61,42 +61,42 @@ impl Flags {
     }
 }
 
-/// The processor's state.
+/// State of the processor and of the current run.
 pub(crate) struct State {
     pub(crate) r: [u32; COUNT],
     pub(crate) flags: Flags,
     pub(crate) pc: u32,
-    /// APSR.Q.
+    /// APSR.Q, the sticky saturation flag.
     pub(crate) q: bool,
     /// APSR.GE, bits 3 to 0.
     pub(crate) ge: u8,
     /// EPSR.IT, bits 7 to 0.
     pub(crate) it: u8,
     pub(crate) thumb: bool,
-    /// IPSR.
+    /// IPSR, the exception number; 0 in thread mode.
     pub(crate) exception: u16,
-    /// The stack pointer that is not in use.
+    /// Stack pointer that is not in use.
     other_sp: u32,
-    /// PSP is in use.
+    /// PSP is the stack pointer in use.
     process: bool,
     pub(crate) primask: u32,
     pub(crate) basepri: u32,
     pub(crate) faultmask: u32,
     pub(crate) control: u32,
     pub(crate) float: float::Registers,
-    /// Floating point is allowed.
+    /// Floating-point instructions are enabled.
     pub(crate) fpu: bool,
-    /// The address that the exclusive monitor watches.
+    /// Address that the exclusive monitor watches.
     pub(crate) exclusive: Option<u32>,
     pub(crate) memory: Memory,
-    /// What was decoded may not be what is in memory now, or in the memory map.
+    /// Decoded code may be outdated: memory or the memory map has changed.
     pub(crate) stale: bool,
-    /// Instructions of this run before the present block.
+    /// Instructions of this run before the current block.
     pub(crate) executed: u64,
     pub(crate) limits: Limits,
-    /// From so many instructions on each block is begun with care.
+    /// Number of instructions from which on the slow checks run before each block.
     pub(crate) attention_at: u64,
-    /// PRIMASK, BASEPRI, FAULTMASK when `limits` were asked for.
+    /// PRIMASK, BASEPRI, FAULTMASK at the last request of `limits`.
     pub(crate) masks: [u32; 3],
     pub(crate) error: Option<CoreError>,
 }
@@ -131,17 +131,17 @@ impl State {
         }
     }
 
-    /// Instructions can do what needs privilege (B1.3.1).
+    /// Returns true if instructions run privileged (B1.3.1).
     pub(crate) fn is_privileged(&self) -> bool {
         self.exception != 0 || self.control & 1 == 0
     }
 
-    /// PRIMASK, BASEPRI, FAULTMASK.
+    /// Returns PRIMASK, BASEPRI and FAULTMASK.
     pub(crate) fn masks(&self) -> [u32; 3] {
         [self.primask, self.basepri, self.faultmask]
     }
 
-    /// Asks for the limits again.
+    /// Requests the limits from the bus again.
     pub(crate) fn refresh_limits(&mut self, bus: &mut dyn CoreBus) {
         self.limits = bus.limits();
         self.masks = self.masks();
@@ -149,13 +149,13 @@ impl State {
         self.attention_at = if attention { 0 } else { self.limits.instructions };
     }
 
-    /// Decoded blocks are not to be used again.
+    /// Marks decoded blocks as outdated.
     pub(crate) fn set_stale(&mut self) {
         self.stale = true;
         self.attention_at = 0;
     }
 
-    /// Which stack pointer is in use follows from mode and CONTROL.SPSEL.
+    /// Selects the stack pointer in use from mode and CONTROL.SPSEL.
     fn select_stack(&mut self) {
         let process = self.exception == 0 && self.control & PROCESS_STACK != 0;
         if self.process != process {
@@ -164,7 +164,7 @@ impl State {
         }
     }
 
-    /// A stack pointer by its bank.
+    /// Returns MSP, or PSP if `process`.
     pub(crate) fn stack(&self, process: bool) -> u32 {
         if self.process == process { self.r[usize::from(SP)] } else { self.other_sp }
     }
@@ -179,7 +179,7 @@ impl State {
         self.select_stack();
     }
 
-    /// APSR.
+    /// Returns APSR with all its fields.
     pub(crate) fn apsr(&self) -> u32 {
         self.flags.nzcv() << 28 | u32::from(self.q) << 27 | u32::from(self.ge) << 16
     }
@@ -233,7 +233,7 @@ impl State {
     }
 }
 
-/// The core registers, lent to a floating-point instruction.
+/// Core registers lent to a floating-point instruction.
 struct Lent<'a> {
     r: &'a mut [u32; COUNT],
     flags: &'a mut Flags,

@@ -1,4 +1,4 @@
-//! What the tests of both cores (hil-sim/unicorn/tests) do not ask: states in the middle of instructions.
+//! Tests of states in the middle of instructions, which the tests of both cores (hil-sim/unicorn/tests) do not cover.
 
 use r4_mcu::cpu::{Access, Core, CoreBus, CoreStop, Fault, Limits, NoResult, Register, Why};
 use r4_mcu::{Memory, Region};
@@ -6,10 +6,10 @@ use r4_mcu::{Memory, Region};
 use crate::ThumbCore;
 
 const CODE: u32 = 0x0800_0000;
-/// Nothing is there.
+/// Address without memory or peripheral.
 const NOWHERE: u32 = 0x6000_0000;
 
-/// A bus on which nothing answers.
+/// Bus on which nothing answers.
 struct Silent;
 
 impl CoreBus for Silent {
@@ -32,7 +32,7 @@ impl CoreBus for Silent {
     }
 }
 
-/// The same with another limit; keeps where accesses are from.
+/// Silent bus with another limit, which records the origin of accesses.
 struct Limited {
     instructions: u64,
     accesses: Vec<(u32, u64)>,
@@ -85,11 +85,11 @@ fn a_refused_load_in_an_it_block_keeps_its_state_and_the_block_goes_on_with_it()
     let (mut core, _) = core(&[0x4280, 0xBF0B, 0x2101, 0x681A, 0x681C, 0x2501, 0xBF30]);
     core.set(Register::R(3), NOWHERE);
     assert_eq!(run(&mut core), (4, Why::Fault(Fault::Load), 8));
-    // ITSTATE 0x0B advanced twice: condition EQ, two left.
+    // ITSTATE 0x0B was advanced twice: condition EQ, two instructions left.
     let it = core.get(Register::Xpsr) & 0x0600_FC00;
     assert_eq!(it, 0x0C >> 2 << 10);
     core.set(Register::R(3), CODE);
-    // As a handler's return writes it.
+    // Two writes, as a handler's return makes them.
     let xpsr = core.get(Register::Xpsr);
     core.set(Register::Xpsr, 1 << 24);
     core.set(Register::Xpsr, xpsr);
@@ -136,7 +136,7 @@ fn a_store_to_another_address_than_the_claimed_one_fails() {
     core.set(Register::R(0), 0x2000_0000);
     memory.write(0x2000_0000, r4_mcu::Size::Word, 5).unwrap();
     assert_eq!(run(&mut core), (4, Why::Wfi, 14));
-    // The first one has released the claim.
+    // The first store has released the claim.
     assert_eq!((core.get(Register::R(2)), core.get(Register::R(3))), (1, 1));
     assert_eq!(memory.read(0x2000_0004, r4_mcu::Size::Word), Some(Memory::POWER_ON));
 }
@@ -192,7 +192,7 @@ fn blocks_that_follow_each_other_are_each_begun_within_the_limit() {
     // 0: movs r0,#1; 2: beq 6; 4: movs r0,#2; 6: b 10; 8: wfi; 10: ldr r1,[r3]; 12: wfi
     let code = [0x2001, 0xD000, 0x2002, 0xE000, 0xBF30, 0x6819, 0xBF30];
     for (limit, executed, pc) in [(0, 0, 0), (1, 2, 4), (2, 2, 4), (3, 4, 10), (4, 4, 10)] {
-        // What is not decoded yet, and what is.
+        // The first run decodes the code, the second finds it decoded.
         let (mut core, _) = core(&code);
         for _ in 0..2 {
             core.set(Register::Pc, CODE);

@@ -10,52 +10,53 @@ use nusb::{
 
 use crate::{Descriptor, Usb, UsbError};
 
-/// A sector is erased within one request by some bootloaders: 4 s by the data sheet of an STM32H7.
+/// Time-out of a request. Some bootloaders erase a sector within one: 4 s by the data sheet of an STM32H7.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Strings are answered at once.
+/// Time-out of a string request, which is answered at once.
 const STRING: Duration = Duration::from_secs(3);
 /// Class and subclass of a DFU interface (DFU 1.1, table 4.4).
 const DFU: (u8, u8) = (0xFE, 0x01);
 
-/// Why there is no bootloader to talk to.
+/// Reason why no bootloader could be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// The operating system's.
+    /// The operating system cannot list USB devices.
     #[error("cannot list the USB devices: a container or a virtual machine has to be given the board first")]
     List(#[source] nusb::Error),
-    /// More than one board is in its bootloader.
+    /// Several boards are in their bootloaders.
     #[error("{count} boards are in their bootloader: leave one of them plugged in")]
     Several {
-        /// So many.
+        /// Number of bootloaders found.
         count: usize,
     },
-    /// May this user?
+    /// The operating system does not let this user open the device.
     #[error(
         "cannot open the bootloader: does another program use it, and may you? On Linux only root may until the rule from \
          docs/program.md is installed; Windows needs the driver WinUSB for it (zadig.akeo.ie)"
     )]
     Open(#[source] nusb::Error),
-    /// It is another kind of device.
+    /// The device has no DFU interface: it is of another kind.
     #[error("the bootloader's USB device has no DFU interface for flash")]
     NoInterface,
 }
 
-/// The flash of a bootloader on USB.
+/// Flash of a bootloader on USB.
 pub struct Device {
     interface: Interface,
     descriptor: Descriptor,
 }
 
 impl Device {
-    /// The one that is there, of this vendor and product; `None` when there is none.
+    /// Opens the bootloader of this vendor and product; `None` when there is none.
     ///
     /// # Errors
-    /// [`OpenError`]
+    /// [`OpenError`] when it cannot be opened, or there are several.
     pub fn find(vendor: u16, product: u16) -> Result<Option<Self>, OpenError> {
         let devices = nusb::list_devices().wait().map_err(OpenError::List)?;
         let mut found: Vec<_> =
             devices.filter(|info| (info.vendor_id(), info.product_id()) == (vendor, product)).collect();
         let Some(info) = found.pop() else { return Ok(None) };
+        // Writing to the wrong board must not happen by the order of the list.
         if !found.is_empty() {
             return Err(OpenError::Several { count: found.len() + 1 });
         }
@@ -64,16 +65,19 @@ impl Device {
         let dfu = configuration.interface_alt_settings().find(|alt| (alt.class(), alt.subclass()) == DFU);
         let alt = dfu.ok_or(OpenError::NoInterface)?;
         let (number, setting, name) = (alt.interface_number(), alt.alternate_setting(), alt.string_index());
+        // The functional descriptor may follow any alternate setting of the interface.
         let functional = configuration
             .interface_alt_settings()
             .flat_map(|alt| alt.descriptors().collect::<Vec<_>>())
             .find_map(|bytes| FunctionalDescriptor::from_bytes(&bytes))
             .and_then(Result::ok)
             .ok_or(OpenError::NoInterface)?;
+        // A driver of the system may hold the interface; it gives it back when the device is closed.
         let interface = device.detach_and_claim_interface(number).wait().map_err(OpenError::Open)?;
         interface.set_alt_setting(setting).wait().map_err(OpenError::Open)?;
         let languages = device.get_string_descriptor_supported_languages(STRING).wait();
         let language = languages.ok().and_then(|mut all| all.next()).unwrap_or_default();
+        // Without a description the update refuses the memory, with a better message than an error here.
         let memory = name.and_then(|name| device.get_string_descriptor(name, language, STRING).wait().ok());
         Ok(Some(Self { interface, descriptor: Descriptor { functional, memory: memory.unwrap_or_default() } }))
     }

@@ -1,91 +1,91 @@
-//! From a board that runs, or waits in its bootloader, to one that runs another image.
+//! Flashing of a board that runs, or waits in its bootloader, until it runs another image.
 
 use std::{error::Error, time::Duration};
 
 use crate::{Progress, UpdateError, Usb, leave, update};
 
-/// The bootloader waits for half a second, and USB for a second or two, after a restart.
+/// Time-out for a restart into the bootloader, which waits for half a second; USB takes a second or two more.
 const RESTART: Duration = Duration::from_secs(10);
-/// For a person who presses a button.
+/// Time-out for a person who presses a button.
 const PERSON: Duration = Duration::from_secs(60);
-/// From leaving the bootloader to a session.
+/// Time-out from leaving the bootloader to a session.
 const START: Duration = Duration::from_secs(15);
-/// Between two looks.
+/// Time between two searches for a board.
 const LOOK: Duration = Duration::from_millis(250);
 
-/// An image that a board runs, by its record.
+/// Image that a board runs, by its record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Running {
-    /// Length, bytes.
+    /// Length of the image, bytes.
     pub bytes: u32,
-    /// CRC-32.
+    /// CRC-32 of the image.
     pub crc: u32,
 }
 
-/// What became of the request to restart into the bootloader.
+/// Outcome of the request to restart into the bootloader.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Asked {
-    /// The board does.
+    /// The board restarts into its bootloader.
     Restarts,
     /// There is no board to ask.
     NoBoard,
-    /// There is one, which cannot be asked; why.
+    /// There is a board that cannot be asked, for this reason.
     Cannot(String),
 }
 
-/// What a person is to know.
+/// Message for the person who flashes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Note {
-    /// A board in its bootloader is found.
+    /// A board in its bootloader has been found.
     Found,
     /// The running board was asked, and restarts into its bootloader.
     Restarts,
-    /// A person has to press the reset button twice, within this time; why, where there is a board.
+    /// The person has to press the reset button twice.
     PressReset {
-        /// s
+        /// Time in which the button must be pressed, s.
         within_s: u64,
-        /// Why the board cannot do it by itself.
+        /// Reason why the board cannot restart by itself; `None` when there is no board.
         why: Option<String>,
     },
-    /// How far it is.
+    /// Progress of the update.
     Progress(Progress),
-    /// It was written, and starts.
+    /// The image is written, and starts.
     Starts,
 }
 
-/// The machine that boards are plugged into.
+/// Machine that boards are plugged into.
 pub trait Machine {
-    /// A bootloader.
+    /// Bootloader on this machine's USB.
     type Device: Usb;
-    /// Why the machine cannot do something.
+    /// Error of this machine.
     type Error: Error;
 
-    /// The board that waits in its bootloader.
+    /// Returns the board that waits in its bootloader; `None` when there is none.
     ///
     /// # Errors
-    /// What keeps the machine from telling, such as a right that is missing.
+    /// The machine cannot look for it, for example without the right to.
     fn bootloader(&mut self) -> Result<Option<Self::Device>, Self::Error>;
 
-    /// Asks the board that runs to restart into its bootloader.
+    /// Asks the running board to restart into its bootloader.
     ///
     /// # Errors
-    /// What the board refuses, such as while it is armed.
+    /// The board refuses, for example while it is armed.
     fn ask(&mut self) -> Result<Asked, Self::Error>;
 
-    /// Which image the board runs, if one answers.
+    /// Returns the image that the board runs; `None` when no board answers.
     fn running(&mut self) -> Option<Running>;
 
-    /// Since any moment.
+    /// Returns the time since any fixed moment.
     fn now(&self) -> Duration;
 
-    /// Waits.
+    /// Waits for this time.
     fn sleep(&mut self, time: Duration);
 }
 
-/// Why a board does not run the image.
+/// Reason why a board does not run the image.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FlashError<E: Error> {
-    /// The machine's, or the board's.
+    /// The machine or the board failed.
     #[error(transparent)]
     Machine(E),
     /// No board came into its bootloader.
@@ -94,10 +94,10 @@ pub enum FlashError<E: Error> {
          button twice within half a second, so that the green light pulses, and give the same command again"
     )]
     NoBootloader {
-        /// s
+        /// Time that was waited, s.
         waited_s: u64,
     },
-    /// Writing it.
+    /// Writing the image failed.
     #[error(transparent)]
     Update(#[from] UpdateError),
     /// The board came back with another image.
@@ -106,35 +106,35 @@ pub enum FlashError<E: Error> {
          the same command again with that board alone", .running.bytes, .running.crc, .wanted.bytes, .wanted.crc
     )]
     Other {
-        /// What it says.
+        /// Image that the board reports.
         running: Running,
-        /// What was written.
+        /// Image that was written.
         wanted: Running,
     },
-    /// It could not be read back, and no board came back that could tell.
+    /// The image could not be read back, and no board came back to report it.
     #[error(
         "the image was written, but this bootloader does not read back, and no board has answered within {waited_s} s: press reset once \
          and look with `r4 info`; else give the same command again"
     )]
     NotBack {
-        /// s
+        /// Time that was waited, s.
         waited_s: u64,
     },
 }
 
-/// What became of it.
+/// Result of flashing a board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Flashed {
-    /// Flash was read back, and is the same.
+    /// True when flash was read back and is the same.
     pub verified: bool,
-    /// The board came back, and says that it runs the image.
+    /// True when the board came back and reports this image.
     pub confirmed: bool,
 }
 
 /// Writes `image` to `address` of a board, starts it, and asks it whether it runs `wanted`.
 ///
 /// # Errors
-/// [`FlashError`]
+/// [`FlashError`] when the board does not run the image.
 pub fn flash<M: Machine>(
     machine: &mut M,
     image: &[u8],
@@ -150,12 +150,13 @@ pub fn flash<M: Machine>(
     match wait(machine, START, |machine| Ok(machine.running())).map_err(FlashError::Machine)? {
         Some(running) if running == wanted => Ok(Flashed { verified: updated.verified, confirmed: true }),
         Some(running) => Err(FlashError::Other { running, wanted }),
+        // Without an answer of the board the read-back is the proof.
         None if updated.verified => Ok(Flashed { verified: true, confirmed: false }),
         None => Err(FlashError::NotBack { waited_s: START.as_secs() }),
     }
 }
 
-/// A board in its bootloader, however it gets there.
+/// Finds a board in its bootloader, after a restart by request or by hand.
 fn find<M: Machine>(machine: &mut M, tell: &mut dyn FnMut(Note)) -> Result<M::Device, FlashError<M::Error>> {
     if let Some(device) = machine.bootloader().map_err(FlashError::Machine)? {
         tell(Note::Found);
@@ -191,6 +192,7 @@ fn wait<M: Machine, T>(
         if let Some(found) = look(machine)? {
             return Ok(Some(found));
         }
+        // After a search, so that a limit of 0 searches once.
         if machine.now() >= end {
             return Ok(None);
         }

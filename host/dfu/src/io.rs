@@ -7,55 +7,55 @@ use std::{
 
 use dfu_core::{DfuIo, DfuProtocol, Status, functional_descriptor::FunctionalDescriptor, memory_layout::MemoryLayout};
 
-/// Why a transfer failed.
+/// Reason why a transfer failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum UsbError {
     /// The device does not take this request in its state.
     #[error("the bootloader does not take this request now (stall)")]
     Stalled,
-    /// The device is not there any more.
+    /// The device has been unplugged or has reset.
     #[error("the bootloader is gone from USB")]
     Gone,
-    /// No answer in time.
+    /// No answer came in time.
     #[error("the bootloader does not answer")]
     TimedOut,
-    /// What else the operating system tells.
+    /// The operating system reports another error.
     #[error("USB: {0}")]
     System(String),
 }
 
-/// What a bootloader says of itself.
+/// Descriptors of a bootloader.
 #[derive(Clone, Debug)]
 pub struct Descriptor {
-    /// DFU functional descriptor.
+    /// Functional descriptor of DFU: transfer size, version, abilities.
     pub functional: FunctionalDescriptor,
-    /// Name of the interface's alternate setting, which is its memory: `@Internal Flash  2MB   /0x08000000/01*128Ka,15*128Kg`
-    /// (UM0424, 10.3.2).
+    /// Name of the interface's alternate setting, which describes its memory: `@Internal Flash  2MB
+    /// /0x08000000/01*128Ka,15*128Kg` (UM0424, 10.3.2).
     pub memory: String,
 }
 
-/// The DFU interface of a bootloader: class requests to it, and time.
+/// DFU interface of a bootloader: class requests to it, and time.
 pub trait Usb {
-    /// What it says of itself.
+    /// Returns the bootloader's descriptors.
     fn descriptor(&self) -> Descriptor;
 
-    /// A request with data for the device.
+    /// Sends a request with data for the device.
     ///
     /// # Errors
-    /// [`UsbError`]
+    /// [`UsbError`] of the transfer.
     fn control_out(&mut self, request: u8, value: u16, data: &[u8]) -> Result<(), UsbError>;
 
-    /// A request for data of the device; how many came.
+    /// Sends a request for data of the device; returns the number of bytes that came.
     ///
     /// # Errors
-    /// [`UsbError`]
+    /// [`UsbError`] of the transfer.
     fn control_in(&mut self, request: u8, value: u16, buffer: &mut [u8]) -> Result<usize, UsbError>;
 
-    /// Waits.
+    /// Waits for this time.
     fn sleep(&mut self, time: Duration);
 }
 
-/// Why a step failed: as USB or as `dfu-core` tells it.
+/// Error of a step: of USB, or of `dfu-core`.
 #[derive(Debug)]
 pub(crate) enum Fault {
     Usb(UsbError),
@@ -74,15 +74,15 @@ impl From<UsbError> for Fault {
     }
 }
 
-/// DFU_GETSTATUS (DFU 1.1, table 3.2).
+/// Request DFU_GETSTATUS (DFU 1.1, table 3.2).
 pub(crate) const GETSTATUS: u8 = 3;
 
-/// A bootloader as `dfu-core` wants it.
+/// Bootloader as `dfu-core` accesses it.
 pub(crate) struct Io<'u, U> {
     usb: RefCell<&'u mut U>,
     functional: FunctionalDescriptor,
     protocol: DfuProtocol<MemoryLayout>,
-    /// The bootloader's last status, which `dfu-core` does not tell of.
+    /// Last status of the bootloader, which `dfu-core` does not return.
     status: Cell<Status>,
 }
 
@@ -105,6 +105,7 @@ impl<'u, U: Usb> Io<'u, U> {
 
     pub(crate) fn control_in(&self, request: u8, value: u16, buffer: &mut [u8]) -> Result<usize, Fault> {
         let length = self.usb.borrow_mut().control_in(request, value, buffer)?;
+        // Kept, because `dfu-core` does not return it and the errors depend on it.
         if let (GETSTATUS, Some(status), true) = (request, buffer.first(), length > 0) {
             self.status.set((*status).into());
         }
@@ -127,7 +128,7 @@ impl<U: Usb> DfuIo for Io<'_, U> {
         self.control_out(request, value, buffer)
     }
 
-    /// Never asked for: what is asked of `dfu-core` ends before it would leave the bootloader.
+    /// Does nothing, and is never called: downloads stop before `dfu-core` would leave the bootloader.
     fn usb_reset(self) -> Result<(), Fault> {
         Ok(())
     }

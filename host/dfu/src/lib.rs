@@ -1,12 +1,13 @@
-//! An image into a board over USB: DFU 1.1 with ST's extensions (DfuSe 1.1a), as the Arduino bootloader of the Giga speaks it.
+//! Update of a board's image over USB: DFU 1.1 with ST's extensions (DfuSe 1.1a), as the Arduino bootloader of the Giga
+//! implements it.
 //!
-//! The steps of a download (erase, set the address, blocks, their status) are those of the crate `dfu-core`; what goes before and
-//! after it (an interrupted try, reading back, leaving) is here. All of it goes through [`Usb`]: control transfers and waiting,
-//! which is a device of this machine (feature `usb`) or a test's model of a bootloader.
+//! The crate `dfu-core` has the steps of a download (erase, set the address, blocks, their status). This crate has the
+//! steps before and after it (an interrupted try, reading back, leaving). All of it goes through [`Usb`], control
+//! transfers and waiting, which is a device of this machine (feature `usb`) or a test's model of a bootloader.
 //!
 //! | module | subject |
 //! | --- | --- |
-//! | `flash` | from a board that runs to one that runs another image |
+//! | `flash` | flashing, from a board that runs to one that runs another image |
 //! | `update` | from any state of the bootloader to an image that is written, read back and started |
 //! | `io` | control transfers as `dfu-core` wants them |
 //! | `device` | bootloaders on this machine's USB |

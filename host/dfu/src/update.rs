@@ -1,4 +1,4 @@
-//! From any state of the bootloader to an image that is written, read back and started.
+//! Update of an image, from any state of the bootloader: it is written, read back and started.
 
 use std::{fmt, time::Duration};
 
@@ -6,43 +6,43 @@ use dfu_core::{DfuProtocol, DfuSansIo, State, Status, download, get_status, memo
 
 use crate::io::{Fault, GETSTATUS, Io, Usb, UsbError};
 
-/// Requests (DFU 1.1, table 3.2).
+/// Requests of DFU (DFU 1.1, table 3.2).
 const DNLOAD: u8 = 1;
 const UPLOAD: u8 = 2;
 const CLRSTATUS: u8 = 4;
 const ABORT: u8 = 6;
-/// Of a command block, which block number 0 marks (UM0424, 6.2): set address pointer.
+/// Command "set address pointer" of a command block, which block number 0 marks (UM0424, 6.2).
 const SET_ADDRESS: u8 = 0x21;
-/// Block numbers of data begin here: the address is the pointer's plus (number - 2) times the transfer size (AN3156, 5).
+/// First block number of data: the address is the pointer's plus (number - 2) times the transfer size (AN3156, 5).
 const FIRST_BLOCK: u16 = 2;
-/// Status of at least so many bytes (DFU 1.1, 6.1.2).
+/// Minimum length of a status, bytes (DFU 1.1, 6.1.2).
 const STATUS_BYTES: usize = 6;
 /// Tries to bring an interrupted bootloader back to idle: each state needs one request, and an error state one more.
 const TRIES: usize = 6;
-/// Polls of one operation, at most: a bootloader that reports itself busy for longer than that is stuck. The slowest operation is
+/// Maximum number of polls of one operation: a bootloader that is busy for longer is stuck. The slowest operation is
 /// the erase of a sector, 4 s by the data sheet, and bootloaders ask to be polled every 10 ms or less often.
 const POLLS: usize = 2000;
-/// Between polls of a bootloader that names no time.
+/// Time between polls of a bootloader that names none.
 const POLL: Duration = Duration::from_millis(5);
-/// A block that reads otherwise is read again so often, after this time: the Arduino bootloader programs behind its answers
-/// (mcuboot-arduino-stm32h7, app/dfu/usbd_dfu_flash.cpp, `writeQueue`).
+/// Number of times that a block is read again when it differs, and the time between: the Arduino bootloader reports a
+/// block as programmed when it is only queued (mcuboot-arduino-stm32h7, app/dfu/usbd_dfu_flash.cpp, `writeQueue`).
 const READ_AGAIN: usize = 10;
 const READ_AGAIN_AFTER: Duration = Duration::from_millis(200);
-/// How long a bootloader may take to get idle on its own.
+/// Longest time that a bootloader may take to become idle by itself.
 const BUSY_AT_MOST: Duration = Duration::from_secs(10);
 
-/// What is done.
+/// Step of an update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Ending what was interrupted.
+    /// Ends an interrupted operation.
     Begin,
-    /// Erasing sectors.
+    /// Erases the sectors of the image.
     Erase,
-    /// Writing blocks.
+    /// Writes the blocks of the image.
     Write,
-    /// Reading back.
+    /// Reads the image back.
     Verify,
-    /// Starting the program.
+    /// Starts the program at the image's address.
     Leave,
 }
 
@@ -58,98 +58,100 @@ impl fmt::Display for Step {
     }
 }
 
-/// How far a step is.
+/// Progress of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
-    /// What is done.
+    /// Step that is in progress.
     pub step: Step,
-    /// Bytes so far.
+    /// Number of bytes that are done.
     pub done: usize,
-    /// Of so many.
+    /// Number of bytes of the image.
     pub all: usize,
 }
 
-/// What became of an update.
+/// Result of an update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Updated {
-    /// It was read back and is the same; else the bootloader does not read back.
+    /// True when the image was read back and is the same; false when the bootloader does not read back.
     pub verified: bool,
 }
 
-/// Why an update did not come to its end. Whatever it is, the bootloader is not touched by it: the same command may be given again.
+/// Reason why an update did not complete. The bootloader itself is intact in every case, so the same command may be
+/// given again.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum UpdateError {
-    /// It says of its memory what is not understood.
+    /// The description of the memory is not understood.
     #[error(
         "the bootloader describes its memory as `{memory}`, which is not DfuSe: is it the Arduino bootloader of a Giga?"
     )]
     NotDfuSe {
-        /// As it is.
+        /// Description as the bootloader gives it.
         memory: String,
     },
-    /// Its memory does not hold the image.
+    /// The bootloader's memory does not hold the image.
     #[error("the bootloader's memory `{memory}` has no whole sectors for {bytes} bytes at {address:#010x}")]
     NoRoom {
-        /// As it is described.
+        /// Description as the bootloader gives it.
         memory: String,
-        /// Of the first byte.
+        /// Address of the first byte.
         address: u32,
-        /// Of the image.
+        /// Length of the image, bytes.
         bytes: usize,
     },
-    /// The cable, or the bootloader, is not there any more.
+    /// The cable or the bootloader is gone.
     #[error(
         "{error} while {step}, {done} of {all} bytes: the board stays in its bootloader, or finds it again when reset is pressed \
          twice quickly. Check the cable and give the same command again"
     )]
     Interrupted {
-        /// Meanwhile.
+        /// Step that was interrupted.
         step: Step,
-        /// Bytes that it was through with.
+        /// Number of bytes that were done.
         done: usize,
-        /// Of so many.
+        /// Number of bytes of the image.
         all: usize,
-        /// As USB tells it.
+        /// Error of the USB transfer.
         error: UsbError,
     },
-    /// It refuses an operation.
+    /// The bootloader refuses an operation.
     #[error(
         "the bootloader failed while {step} at {address:#010x}: {status}. It waits for another try: give the same command again. If it \
          fails again, press reset twice quickly before"
     )]
     Refused {
-        /// Meanwhile.
+        /// Step that was refused.
         step: Step,
-        /// About where.
+        /// Address of the operation; that of its block or sector.
         address: u32,
-        /// As it tells it.
+        /// Status of the bootloader.
         status: Status,
     },
-    /// It is in a state that does not follow from what it was asked.
+    /// The bootloader is in a state that does not follow from the requests.
     #[error(
         "the bootloader is in the state \"{state}\" while {step}: press reset twice quickly and give the same command again"
     )]
     Lost {
-        /// Meanwhile.
+        /// Step at which it was found.
         step: Step,
-        /// As it tells it.
+        /// Name of the state.
         state: String,
     },
-    /// What was read back is something else.
+    /// Flash differs from what was written.
     #[error(
         "flash holds something else at {address:#010x} than was written: give the same command again; if it differs again, the flash of \
          this board is worn out"
     )]
     Differs {
-        /// Of the first byte that differs.
+        /// Address of the first byte that differs.
         address: u32,
     },
 }
 
-/// Writes `image` to `address`, and reads it back where the bootloader can. It stays in the bootloader: [`leave`] starts it.
+/// Writes `image` to `address`, and reads it back where the bootloader can. The board stays in the bootloader:
+/// [`leave`] starts the image.
 ///
 /// # Errors
-/// [`UpdateError`]
+/// [`UpdateError`] when an operation fails.
 pub fn update<U: Usb>(
     usb: &mut U,
     image: &[u8],
@@ -161,6 +163,7 @@ pub fn update<U: Usb>(
     let functional = descriptor.functional;
     let protocol = DfuProtocol::new(&descriptor.memory, functional.dfu_version).map_err(|_| not_dfuse())?;
     let DfuProtocol::Dfuse { address: first, memory_layout } = protocol else { return Err(not_dfuse()) };
+    // Checked before anything is erased: the image must begin at a sector and fit behind it.
     let no_room = UpdateError::NoRoom { memory: descriptor.memory.clone(), address, bytes: image.len() };
     let pages = pages_from(first, &memory_layout, address).ok_or(no_room.clone())?;
     if pages.iter().map(|page| u64::from(*page)).sum::<u64>() < image.len() as u64 || functional.transfer_size == 0 {
@@ -180,25 +183,25 @@ pub fn update<U: Usb>(
 /// Starts the program at `address`. The bootloader is gone from USB then.
 ///
 /// # Errors
-/// [`UpdateError`]; none where it went before it answered.
+/// [`UpdateError`] when the bootloader refuses; none where it was gone before it answered.
 pub fn leave<U: Usb>(usb: &mut U, address: u32) -> Result<(), UpdateError> {
     let functional = usb.descriptor().functional;
     let protocol = DfuProtocol::Dfuse { address, memory_layout: MemoryLayout::new() };
     let work = Work { io: Io::new(usb, functional, protocol), image: &[], address };
     work.idle(Step::Leave)?;
     work.set_address(Step::Leave)?;
-    // No data: "leave DFU mode", carried out at the next request for the status (AN3156, 5.3).
+    // A block without data is "leave DFU mode", carried out at the next request for the status (AN3156, 5.3).
     let left = work.io.control_out(DNLOAD, FIRST_BLOCK, &[]);
     let status = left.and_then(|()| work.io.control_in(GETSTATUS, 0, &mut [0; STATUS_BYTES]));
     match status {
         Ok(_) if work.io.status() != Status::Ok => Err(work.refused(Step::Leave, address)),
-        // It may go before it has answered.
+        // The bootloader may be gone before it has answered.
         Ok(_) | Err(Fault::Usb(UsbError::Gone | UsbError::TimedOut | UsbError::System(_))) => Ok(()),
         Err(fault) => Err(work.error(Step::Leave, 0, fault)),
     }
 }
 
-/// Sizes of the sectors from `address` on; `None` where none begins there.
+/// Returns the sizes of the sectors from `address` on; `None` where no sector begins there.
 fn pages_from(first: u32, layout: &[u32], address: u32) -> Option<Vec<u32>> {
     let mut begins = u64::from(first);
     for (index, page) in layout.iter().enumerate() {
@@ -217,7 +220,7 @@ struct Work<'u, 'i, U> {
 }
 
 impl<U: Usb> Work<'_, '_, U> {
-    /// Ends whatever the bootloader was interrupted in.
+    /// Brings the bootloader to idle from whatever operation it was interrupted in.
     fn idle(&self, step: Step) -> Result<(), UpdateError> {
         let mut last = State::DfuIdle;
         let mut waited = Duration::ZERO;
@@ -225,7 +228,8 @@ impl<U: Usb> Work<'_, '_, U> {
         while tries < TRIES {
             let (state, poll) = match self.status(step) {
                 Ok(status) => status,
-                // Busy with what another program has begun, and asked before its time (DFU 1.1, A.2.5): an error from now on.
+                // A stall while busy: another program has begun an operation, and was asked before its time (DFU 1.1,
+                // A.2.5). It is an error state from now on, which the next try clears.
                 Err(UpdateError::Interrupted { error: UsbError::Stalled, .. } | UpdateError::Refused { .. })
                     if tries + 1 < TRIES =>
                 {
@@ -237,6 +241,7 @@ impl<U: Usb> Work<'_, '_, U> {
             last = state;
             match state {
                 State::DfuIdle => return Ok(()),
+                // Busy by itself, which is no failed try.
                 State::DfuDnbusy | State::DfuManifest if waited < BUSY_AT_MOST => {
                     let pause = poll.max(POLL);
                     waited += pause;
@@ -251,7 +256,7 @@ impl<U: Usb> Work<'_, '_, U> {
         Err(UpdateError::Lost { step, state: last.to_string() })
     }
 
-    /// A request without data, in whatever state it is; the status tells what came of it.
+    /// Sends a request without data in any state; the next status shows its effect.
     fn request(&self, step: Step, request: u8) -> Result<(), UpdateError> {
         match self.io.control_out(request, 0, &[]) {
             Ok(()) | Err(Fault::Usb(UsbError::Stalled)) => Ok(()),
@@ -269,7 +274,7 @@ impl<U: Usb> Work<'_, '_, U> {
         Ok((state.into(), Duration::from_millis(u32::from_le_bytes([low, middle, high, 0]).into())))
     }
 
-    /// Erases, and writes every block.
+    /// Erases the sectors, and writes every block.
     fn download(&self, progress: &mut dyn FnMut(Progress)) -> Result<(), UpdateError> {
         let all = self.image.len();
         let dfu = DfuSansIo::new(*dfu_core::DfuIo::functional_descriptor(&self.io));
@@ -297,7 +302,7 @@ impl<U: Usb> Work<'_, '_, U> {
                         control.execute(&self.io)?;
                         self.finish(wait)
                     });
-                    // The command tells no size: as many as there are.
+                    // The command has no size: the sector's size is in the memory layout.
                     let at = erased;
                     erased += self.page_at(erased);
                     (Step::Erase, at, came)
@@ -317,7 +322,7 @@ impl<U: Usb> Work<'_, '_, U> {
                     done += block.len();
                     (Step::Write, at, came)
                 }
-                // They come behind an empty block, which is not sent here.
+                // Both come behind an empty block, which is not sent here: the board must stay in its bootloader.
                 download::Step::Break | download::Step::UsbReset => break,
             };
             next = came.map_err(|fault| self.error(step, at, fault))?;
@@ -343,7 +348,7 @@ impl<U: Usb> Work<'_, '_, U> {
         Err(UsbError::TimedOut.into())
     }
 
-    /// Puts the address pointer to the image's beginning.
+    /// Sets the address pointer to the beginning of the image.
     fn set_address(&self, step: Step) -> Result<(), UpdateError> {
         let [a, b, c, d] = self.address.to_le_bytes();
         let command = self.io.control_out(DNLOAD, 0, &[SET_ADDRESS, a, b, c, d]);
@@ -360,14 +365,14 @@ impl<U: Usb> Work<'_, '_, U> {
         Err(self.error(step, 0, UsbError::TimedOut.into()))
     }
 
-    /// Reads all of it, and compares.
+    /// Reads the whole image back, and compares it.
     fn verify(&self, progress: &mut dyn FnMut(Progress)) -> Result<(), UpdateError> {
         let step = Step::Verify;
         let all = self.image.len();
         for again in (0..READ_AGAIN).rev() {
             self.idle(step)?;
             self.set_address(step)?;
-            // Reading begins from idle.
+            // Reading needs the idle state, which setting the address has left.
             self.idle(step)?;
             let Some(differs) = self.first_difference(progress)? else {
                 progress(Progress { step, done: all, all });
@@ -381,7 +386,7 @@ impl<U: Usb> Work<'_, '_, U> {
         Ok(())
     }
 
-    /// Where what is read differs, bytes from the beginning.
+    /// Returns the offset of the first byte that differs; `None` when all are the same.
     fn first_difference(&self, progress: &mut dyn FnMut(Progress)) -> Result<Option<usize>, UpdateError> {
         let mut buffer = vec![0; self.block_bytes()];
         let all = self.image.len();
@@ -391,6 +396,7 @@ impl<U: Usb> Work<'_, '_, U> {
             let value = FIRST_BLOCK.wrapping_add(number as u16);
             let read = &mut buffer[..block.len()];
             let got = self.io.control_in(UPLOAD, value, read).map_err(|fault| self.error(Step::Verify, done, fault))?;
+            // A short answer counts as a difference at its end.
             let same = block.iter().zip(&read[..got]).take_while(|(ours, theirs)| ours == theirs).count();
             if same < block.len() {
                 return Ok(Some(done + same));
@@ -403,7 +409,7 @@ impl<U: Usb> Work<'_, '_, U> {
         dfu_core::DfuIo::functional_descriptor(&self.io).transfer_size.into()
     }
 
-    /// Size of the sector that begins so many bytes from the image's beginning.
+    /// Returns the size of the sector at this offset from the beginning of the image, bytes.
     fn page_at(&self, offset: usize) -> usize {
         let DfuProtocol::Dfuse { memory_layout, .. } = dfu_core::DfuIo::protocol(&self.io) else { return usize::MAX };
         let mut begins = 0;
@@ -424,7 +430,7 @@ impl<U: Usb> Work<'_, '_, U> {
         let all = self.image.len();
         let address = self.address.wrapping_add(done as u32);
         match fault {
-            // It stalls what it does not take, and its status says why.
+            // The bootloader stalls a request that it refuses, and its status has the reason.
             Fault::Usb(UsbError::Stalled) if step != Step::Begin => match self.io.control_in(GETSTATUS, 0, &mut [0; 6])
             {
                 Ok(_) if self.io.status() != Status::Ok => self.refused(step, address),

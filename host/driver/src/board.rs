@@ -1,4 +1,4 @@
-//! A connected board.
+//! Handle of a connected board: its requests, and the sending and repeating behind them.
 
 use std::{
     collections::VecDeque,
@@ -30,78 +30,78 @@ use crate::{
 
 /// A request without an answer after this long has failed.
 const REQUEST_TIMEOUT_MS: u32 = 500;
-/// The same for what waits for the board's flash, of which a sector takes 2 s to erase: the board gives up after 10 s.
+/// Time-out of requests that wait for the board's flash: erasing a sector takes 2 s, and the board gives up after 10 s.
 const FLASH_TIMEOUT_MS: u32 = 11_000;
-/// A request that may be repeated is, when there is no answer after this long; as often as its time allows.
+/// A request that may be repeated is sent again when no answer arrives within this time, until its time-out.
 const REPEAT_AFTER_MS: u32 = 150;
-/// How long a hello waits for its answer, again and again: a board that has just come back is found soon, and one on a slow
-/// link at all. One that answers none of them is not there.
+/// Time-outs of successive hellos, ms. The first ones are short, so that a board that has just started is found soon;
+/// the later ones allow for a slow link. A board that answers none of them counts as absent.
 const HELLO_TIMEOUTS_MS: [u32; 5] = [100, 200, 400, 500, 500];
 /// Set points older than this on arrival are refused by the board.
 const SETPOINT_TTL_MS: u16 = 100;
 
-/// A board with an open session. Made by [`crate::with_board`].
+/// Board with an open session; [`crate::with_board`] makes it.
 pub struct Board<C> {
     pub(crate) wire: Wire<C>,
     info: DeviceInfo,
     channels: Vec<ChannelInfo>,
 }
 
-/// Requests and their answers.
+/// Request side of a connection: numbers requests, sends them, and matches answers to them.
 pub(crate) struct Wire<C> {
     pub(crate) clock: C,
     pub(crate) state: Arc<Mutex<State>>,
     outgoing: mpsc::UnboundedSender<ToDevice>,
     next_seq: AtomicU16,
-    /// The board does what is sent again once: see [`REPEATS`].
+    /// The board remembers answered requests and carries out a repeated one only once: see [`REPEATS`].
     repeats: AtomicBool,
 }
 
-/// How long [`Board::drive`] follows a motor.
+/// End condition of [`Board::drive`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Until {
-    /// Until it rests at its position; after the time-out it is an error.
+    /// Ends when the motor rests at its position; after the time-out with an error.
     Settled {
-        /// s
+        /// Longest wait for rest, s.
         timeout_s: f64,
     },
-    /// For this long.
+    /// Ends after a fixed time, whatever the motor does then.
     Elapsed {
-        /// s
+        /// Duration from the command, s.
         seconds: f64,
     },
-    /// Until it has found its home and rests; after the time-out it is an error. For [`Mode::Home`].
+    /// Ends when the motor has found its home and rests; after the time-out with an error. For [`Mode::Home`].
     Homed {
-        /// s
+        /// Longest search for the home switch, s.
         timeout_s: f64,
     },
 }
 
-/// What a motor did when [`Board::drive`] looked last.
+/// State of a motor in the last sample that [`Board::drive`] received.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
-    /// rad or m; NaN for a motor whose position nothing measures.
+    /// Position, rad or m; NaN for a motor without a position sensor.
     pub position: f64,
-    /// rad/s or m/s; with [`Until::Elapsed`] the mean of the last 0.1 s.
+    /// Speed, rad/s or m/s; with [`Until::Elapsed`] the mean of the last 0.1 s.
     pub speed: f64,
-    /// Share of the supply; 0 for a stepper.
+    /// Duty as a share of the supply voltage; 0 for a stepper.
     pub duty: f64,
-    /// Whether it rested at its position.
+    /// The motor rests at its position.
     pub settled: bool,
-    /// Whether its position was known, and not only counted from where power came on.
+    /// The position is referred to the home switch, not only counted from power-up.
     pub homed: bool,
-    /// From the command to that look, s.
+    /// Time from the command to this sample, s.
     pub after_s: f64,
 }
 
-/// How often a motor is looked at while it is driven, ms.
+/// Telemetry period of a motor while it is driven, ms.
 const LOOK_EVERY_MS: u16 = 10;
-/// The speed at the end of a time is the mean over this time, s. One sample has the ripple of the encoder's counts: ±5 % at
-/// 60 deg/s and 2400 counts a turn. Halved, the mean would be over five samples instead of ten.
+/// Averaging time of the speed that [`Until::Elapsed`] returns, s. One sample has the ripple of the encoder's counts:
+/// ±5 % at 60 deg/s and 2400 counts per revolution. Half this time would average over five samples instead of ten.
 const MEAN_SPEED_S: f64 = 0.1;
 
 impl<C: Clock> Board<C> {
-    /// Says hello and asks for every channel.
+    /// Opens a session with a hello, then reads the description of each channel.
     pub(crate) async fn open(wire: Wire<C>) -> Result<Self, Error> {
         let (info, sent_us, version) = Self::hello(&wire).await?;
         wire.repeats.store(version >= REPEATS.since, Ordering::Relaxed);
@@ -118,8 +118,8 @@ impl<C: Clock> Board<C> {
         Ok(Self { wire, info, channels })
     }
 
-    /// Says hello in the newest version that both speak.
-    /// Returns that, too, and when the hello was sent.
+    /// Sends a hello in the newest version that both ends speak. Returns the board's description, the host's time when
+    /// that hello was sent, µs, and the version.
     async fn hello(wire: &Wire<C>) -> Result<(DeviceInfo, u64, u16), Error> {
         let mut says = SPOKEN[0];
         loop {
@@ -135,15 +135,16 @@ impl<C: Clock> Board<C> {
         }
     }
 
-    /// Says hello until it is answered: the first bytes on a fresh link are often lost or glued to others.
+    /// Repeats the hello until the board answers: the first bytes on a fresh link are often lost or joined to others.
     async fn hello_in(Spoken { version, schema }: Spoken, wire: &Wire<C>) -> Result<(DeviceInfo, u64), Error> {
         let mut waited_ms = 0;
         for after_ms in HELLO_TIMEOUTS_MS {
             let sent_us = wire.clock.now_us();
             let hello = Request::Hello { version, schema };
-            // Not the same one again: each opens a session of its own, and the last one counts.
+            // Each hello has a new number: each opens a session of its own, and the last one counts.
             match wire.send_request("hello", hello, Some(after_ms)).await {
-                // Heartbeats go by it: with another there would be none, or nothing else.
+                // The heartbeat period follows from this time-out: with one out of range there would be no heartbeats,
+                // or nothing else.
                 Ok(Reply::Hello(info)) if LINK_TIMEOUT_MS.contains(&info.link_timeout_ms) => {
                     return Ok((info, sent_us));
                 }
@@ -155,24 +156,24 @@ impl<C: Clock> Board<C> {
         Err(Error::TimedOut { request: "hello", after_ms: waited_ms })
     }
 
-    /// Ends the session. Whether the answer arrives changes nothing: without heartbeats the board ends it too.
+    /// Ends the session. A lost answer changes nothing: without heartbeats the board ends the session by itself.
     pub(crate) async fn close(&self) {
         let _ = self.wire.request("bye", Request::Bye).await;
     }
 
-    /// Who this is, as told when the session was opened.
+    /// Description that the board gave when the session was opened.
     #[must_use]
     pub fn info(&self) -> &DeviceInfo {
         &self.info
     }
 
-    /// The channels, as the board describes them.
+    /// Channels in the board's order, as the board describes them.
     #[must_use]
     pub fn channels(&self) -> &[ChannelInfo] {
         &self.channels
     }
 
-    /// What the board says of `channel`.
+    /// Returns the board's description of `channel`.
     ///
     /// # Errors
     /// [`Refusal::UnknownChannel`] when it has no such channel.
@@ -181,106 +182,108 @@ impl<C: Clock> Board<C> {
         found.ok_or(Error::Refused(Refusal::UnknownChannel { channel }))
     }
 
-    /// Where the supervisor stood when it was last heard of.
+    /// Returns the safety state and causes of the board's last heartbeat or telemetry.
     #[must_use]
     pub fn safety(&self) -> (SafetyState, Causes) {
         lock(&self.wire.state).safety.unwrap_or((SafetyState::Disarmed, Causes::NONE))
     }
 
-    /// Motors whose windings are close to what they withstand, and how hot they are, when the board was last heard of: it is the
-    /// board that warns, before it trips.
+    /// Motors with windings close to their temperature limit, from the board's last heartbeat. The board warns with
+    /// them before it trips.
     #[must_use]
     pub fn hot_windings(&self) -> Vec<HotWinding> {
         lock(&self.wire.state).hot.clone()
     }
 
-    /// Frames from the board that were damaged and dropped.
+    /// Number of frames from the board that were damaged and dropped.
     #[must_use]
     pub fn bad_frames(&self) -> u64 {
         lock(&self.wire.state).bad_frames
     }
 
-    /// The board's clock now, µs, as far as heartbeats tell.
+    /// Estimate of the board's clock now, µs, from the heartbeats.
     #[must_use]
     pub fn device_us(&self) -> u64 {
         lock(&self.wire.state).clock.device_us(self.wire.clock.now_us())
     }
 
-    /// The driver's clock when the board's showed `device_us`, both in µs, as far as heartbeats tell.
+    /// Time of the driver's clock at which the board's clock showed `device_us`, both µs; an estimate from the
+    /// heartbeats.
     #[must_use]
     pub fn host_us(&self, device_us: u64) -> u64 {
         lock(&self.wire.state).clock.host_us(device_us)
     }
 
-    /// How wrong [`Board::device_us`] and [`Board::host_us`] may be now, µs. Half the shortest round trip is in it: that one
-    /// way takes longer than the other cannot be seen.
+    /// Bound of the error of [`Board::device_us`] and [`Board::host_us`] now, µs. It contains half the shortest round
+    /// trip, because a difference between the two directions cannot be observed.
     #[must_use]
     pub fn clock_uncertainty_us(&self) -> f64 {
         // The answer to the hello was the first round trip.
         lock(&self.wire.state).clock.uncertainty_us(self.wire.clock.now_us()).unwrap_or(f64::INFINITY)
     }
 
-    /// Seconds on the driver's clock.
+    /// Returns the time of the driver's clock, s.
     #[must_use]
     pub fn now_s(&self) -> f64 {
         self.wire.clock.now_us() as f64 * 1e-6
     }
 
-    /// Waits.
+    /// Waits for `seconds` of the driver's clock; a negative time counts as 0.
     pub async fn sleep_s(&self, seconds: f64) {
         self.wire.clock.sleep_until(self.wire.clock.now_us() + (seconds.max(0.0) * 1e6) as u64).await;
     }
 
-    /// Lets outputs move.
+    /// Arms the board: its outputs may move from now on.
     ///
     /// # Errors
-    /// [`Refusal::CausesPresent`] or [`Refusal::Tripped`], besides what befalls any request.
+    /// [`Refusal::CausesPresent`] or [`Refusal::Tripped`], besides the errors of any request.
     pub async fn arm(&self) -> Result<(), Error> {
         self.wire.done("arm", Request::Arm).await
     }
 
-    /// Makes outputs safe.
+    /// Disarms the board, which makes its outputs safe.
     ///
     /// # Errors
-    /// What befalls any request.
+    /// Those of any request.
     pub async fn disarm(&self) -> Result<(), Error> {
         self.wire.done("disarm", Request::Disarm).await
     }
 
-    /// Leaves a trip behind.
+    /// Clears a latched trip, which leaves the board disarmed.
     ///
     /// # Errors
-    /// [`Refusal::CausesPresent`], besides what befalls any request.
+    /// [`Refusal::CausesPresent`], besides the errors of any request.
     pub async fn clear(&self) -> Result<(), Error> {
         self.wire.done("clear", Request::Clear).await
     }
 
-    /// Trips the board.
+    /// Trips the board, as a stop button does.
     ///
     /// # Errors
-    /// What befalls any request.
+    /// Those of any request.
     pub async fn stop(&self) -> Result<(), Error> {
         self.wire.done("stop", Request::Stop).await
     }
 
-    /// Commands a channel. The board follows it from its next control period on.
+    /// Sends a set point to a channel. The board follows it from its next control period on.
     ///
     /// # Errors
-    /// A refusal that says what the channel takes, besides the errors of any request. A refused set point stops the channel:
-    /// it does not go on with the one before.
+    /// A refusal with the values that the channel accepts, besides the errors of any request. A refused set point stops
+    /// the channel: it does not continue with the previous one.
     pub async fn set(&self, channel: ChannelId, setpoint: Setpoint) -> Result<(), Error> {
         self.wire.done("set", self.wire.set(channel, setpoint)).await
     }
 
-    /// Gives a motor points of a path, dated on the board's clock, in place of those it has from the first of these on. The board
-    /// keeps [`PATH_POINTS`](r4_protocol::message::PATH_POINTS) of them and goes along the cubic between two; without more it comes to rest along its profile. Paths of
-    /// several channels, and of several boards by [`Board::device_us`], begin together because their dates do.
+    /// Sends a motor points of a path, dated on the board's clock. They replace the points it holds from the date of
+    /// the first one on. The board keeps [`PATH_POINTS`](r4_protocol::message::PATH_POINTS) of them and follows the
+    /// cubic between two; when the points end, it comes to rest along its profile. Paths of several channels, and of
+    /// several boards by [`Board::device_us`], start together because their points have the same dates.
     ///
     /// # Errors
-    /// [`Refusal::Late`], [`Refusal::PathFull`], [`Refusal::BadPath`], [`Refusal::TooFast`] and those of any set point, besides
-    /// the errors of any request. Refused points stop the channel.
+    /// [`Refusal::Late`], [`Refusal::PathFull`], [`Refusal::BadPath`], [`Refusal::TooFast`] and those of any set point,
+    /// besides the errors of any request. Refused points stop the channel.
     pub async fn follow(&self, channel: ChannelId, points: &[PathPoint]) -> Result<(), Error> {
-        // A path without points is refused by the board.
+        // An empty path is sent too: the board refuses it.
         let none: &[PathPoint] = &[];
         for points in points.chunks(MAX_POINTS).chain(points.is_empty().then_some(none)) {
             let sent_us = lock(&self.wire.state).date_us(self.wire.clock.now_us());
@@ -290,26 +293,27 @@ impl<C: Clock> Board<C> {
         Ok(())
     }
 
-    /// Changes the gains of one loop until power-down.
+    /// Changes the gains of one control loop until power-down.
     ///
     /// # Errors
-    /// [`Refusal::BadGains`] or [`Refusal::WrongMode`], besides what befalls any request.
+    /// [`Refusal::BadGains`] or [`Refusal::WrongMode`], besides the errors of any request.
     pub async fn set_gains(&self, channel: ChannelId, mode: Mode, gains: PidGains) -> Result<(), Error> {
         self.wire.done("set gains", Request::SetGains { channel, mode, gains }).await
     }
 
-    /// Changes a motor's feed-forward, and which loop holds its positions, until power-down.
+    /// Changes a motor's feed-forward, and the loop that holds its positions, until power-down.
     ///
     /// # Errors
-    /// [`Refusal::BadGains`] or [`Refusal::WrongMode`], besides what befalls any request.
+    /// [`Refusal::BadGains`] or [`Refusal::WrongMode`], besides the errors of any request.
     pub async fn set_tuning(&self, channel: ChannelId, tuning: Tuning) -> Result<(), Error> {
         self.wire.done("set tuning", Request::SetTuning { channel, tuning }).await
     }
 
-    /// Asks for samples of `channel` every `period_ms`; 0 ends them. Read them from [`Board::telemetry`].
+    /// Subscribes to samples of `channel` every `period_ms`; 0 ends the subscription. [`Board::telemetry`] returns the
+    /// samples.
     ///
     /// # Errors
-    /// [`Refusal::TooManySubscriptions`], besides what befalls any request.
+    /// [`Refusal::TooManySubscriptions`], besides the errors of any request.
     pub async fn subscribe(&self, channel: ChannelId, period_ms: u16) -> Result<(), Error> {
         self.wire.done("subscribe", Request::Subscribe { channel, period_ms }).await?;
         let subscriptions = &mut lock(&self.wire.state).subscriptions;
@@ -320,36 +324,38 @@ impl<C: Clock> Board<C> {
         Ok(())
     }
 
-    /// What is subscribed to, and every how many ms: to be asked for again on a new connection.
+    /// Returns the subscribed channels, each with its period in ms, to subscribe to them again on a new connection.
     #[must_use]
     pub fn subscriptions(&self) -> Vec<(ChannelId, u16)> {
         lock(&self.wire.state).subscriptions.clone()
     }
 
-    /// Subscribes to `channel` every `period_ms`, as [`Board::subscribe`] does, and gives its samples from now on. The period is
-    /// the channel's: the last one asked for holds for all who read it.
+    /// Subscribes to `channel` every `period_ms`, as [`Board::subscribe`] does, and returns a stream of its samples
+    /// from now on. The period belongs to the channel: the last subscription sets it for all streams.
     ///
     /// # Errors
-    /// As [`Board::subscribe`].
+    /// Those of [`Board::subscribe`].
     pub async fn samples(&self, channel: ChannelId, period_ms: u16) -> Result<SampleStream, Error> {
         let samples = lock(&self.wire.state).samples.open(channel);
         self.subscribe(channel, period_ms).await?;
         Ok(samples)
     }
 
-    /// Every message but heartbeats, when it leaves from now on: for a record of what was asked.
+    /// Stream of every message but heartbeats, as it is sent from now on: to record the set points with the
+    /// measurements.
     #[must_use]
     pub fn sent(&self) -> SentStream {
         lock(&self.wire.state).sent.open()
     }
 
-    /// What the firmware logs, from the oldest that the board still has on, and which image writes it: only its ELF decodes it.
-    /// Asked for again in the same session, it goes on where it is.
+    /// Starts the firmware's log. Returns the image that writes it (only its ELF file decodes it) and a stream that
+    /// begins with the oldest text the board still holds. A second call in the same session continues at the present
+    /// place.
     ///
     /// # Errors
-    /// [`Refusal::NoLog`], besides what befalls any request.
+    /// [`Refusal::NoLog`], besides the errors of any request.
     pub async fn log(&self) -> Result<(LogInfo, LogStream), Error> {
-        // Before the board is asked, so that nothing is missed.
+        // The stream is opened before the request, so that it misses nothing.
         let log = lock(&self.wire.state).log.open();
         match self.wire.request("log", Request::Log { on: true }).await? {
             Reply::Log(info) => Ok((info, log)),
@@ -357,16 +363,16 @@ impl<C: Clock> Board<C> {
         }
     }
 
-    /// All telemetry from now on.
+    /// Stream of all telemetry from now on.
     #[must_use]
     pub fn telemetry(&self) -> TelemetryStream {
         lock(&self.wire.state).telemetry.open()
     }
 
-    /// What the board has counted.
+    /// Returns the board's counters.
     ///
     /// # Errors
-    /// What befalls any request.
+    /// Those of any request.
     pub async fn stats(&self) -> Result<DeviceStats, Error> {
         match self.wire.request("stats", Request::Stats).await? {
             Reply::Stats(stats) => Ok(stats),
@@ -374,31 +380,31 @@ impl<C: Clock> Board<C> {
         }
     }
 
-    /// Sends `channel` to `target` (rad or m) and waits until it rests there, at most `timeout_s`.
+    /// Moves `channel` to `target` (rad or m) and waits at most `timeout_s` until it rests there.
     ///
     /// # Errors
-    /// As [`Board::drive`].
+    /// Those of [`Board::drive`].
     pub async fn move_to(&self, channel: ChannelId, target: f64, timeout_s: f64) -> Result<Motion, Error> {
         let setpoint = Setpoint { mode: Mode::Position, value: target as f32 };
         self.drive(channel, setpoint, Until::Settled { timeout_s }).await
     }
 
-    /// Seeks the home switch of `channel` at `speed` (rad/s, its sign being the direction) and waits until the channel rests
-    /// there, at most `timeout_s`.
+    /// Seeks the home switch of `channel` at `speed` (rad/s; its sign is the direction) and waits at most `timeout_s`
+    /// until the channel rests there.
     ///
     /// # Errors
-    /// As [`Board::drive`].
+    /// Those of [`Board::drive`].
     pub async fn home(&self, channel: ChannelId, speed: f64, timeout_s: f64) -> Result<Motion, Error> {
         let setpoint = Setpoint { mode: Mode::Home, value: speed as f32 };
         self.drive(channel, setpoint, Until::Homed { timeout_s }).await
     }
 
-    /// Commands `channel`, a motor or stepper, and follows it by its telemetry. The board keeps following the set point
-    /// afterwards.
+    /// Sends a set point to `channel`, a motor or stepper, and follows its telemetry until `until`. The board continues
+    /// to follow the set point afterwards.
     ///
     /// # Errors
     /// [`Error::Stopped`] when the board trips or is disarmed, [`Error::NotSettled`] or [`Error::NotHomed`] after the
-    /// time-out, besides what befalls any request.
+    /// time-out, besides the errors of any request.
     pub async fn drive(&self, channel: ChannelId, setpoint: Setpoint, until: Until) -> Result<Motion, Error> {
         let info = self.channel(channel)?;
         let (unit, resolution) = (info.unit, f64::from(info.resolution));
@@ -413,7 +419,7 @@ impl<C: Clock> Board<C> {
             };
             match (followed == setpoint, followed_once) {
                 (true, _) => followed_once = true,
-                // Under way when the command was sent, and so still of the last one.
+                // This sample was on its way when the set point was sent, and still shows the previous one.
                 (false, false) => return Ok(None),
                 (false, true) => return Err(Error::NotFollowed { channel }),
             }
@@ -442,11 +448,11 @@ impl<C: Clock> Board<C> {
         .await
     }
 
-    /// Commands `channel`, an output that has one number, and returns that number after `seconds`: what the output is
-    /// then told, in its unit.
+    /// Sends a set point to `channel`, an output with one number, and returns that number after `seconds`: the value
+    /// which the output then has, in its unit.
     ///
     /// # Errors
-    /// [`Error::Stopped`] when the board trips or is disarmed, besides what befalls any request.
+    /// [`Error::Stopped`] when the board trips or is disarmed, besides the errors of any request.
     pub async fn hold(&self, channel: ChannelId, setpoint: Setpoint, seconds: f64) -> Result<f64, Error> {
         self.channel(channel)?;
         self.drive_until(channel, setpoint, seconds, |sample, after_s| match *sample {
@@ -456,7 +462,8 @@ impl<C: Clock> Board<C> {
         .await
     }
 
-    /// Commands `channel` and shows `look` its samples, with the seconds since the command, until that returns something.
+    /// Sends a set point to `channel` and calls `look` with each of its samples and the seconds since the command,
+    /// until it returns a result.
     async fn drive_until<T>(
         &self,
         channel: ChannelId,
@@ -468,7 +475,7 @@ impl<C: Clock> Board<C> {
         self.subscribe(channel, LOOK_EVERY_MS).await?;
         let begin_us = self.device_us();
         self.set(channel, setpoint).await?;
-        // By our clock, should the board's telemetry never show what was asked for.
+        // The deadline is one of the driver's clock, because the telemetry may never show this set point.
         let deadline_us =
             self.wire.clock.now_us() + (limit_s.max(0.0) * 1e6) as u64 + u64::from(REQUEST_TIMEOUT_MS) * 1000;
         loop {
@@ -489,14 +496,14 @@ impl<C: Clock> Board<C> {
         }
     }
 
-    /// Every parameter of the board's configuration, in its order.
+    /// Returns all parameters of the board's configuration, in the board's order.
     ///
     /// # Errors
-    /// What befalls any request.
+    /// Those of any request.
     pub async fn parameters(&self) -> Result<Vec<ParameterInfo>, Error> {
         let mut parameters = Vec::new();
         loop {
-            // A board has some hundreds, at most 52 for each of its channels.
+            // The index fits 16 bits: a board has a few hundred parameters, at most 52 per channel.
             let index = parameters.len() as u16;
             match self.wire.request("describe parameter", Request::DescribeParameter { index }).await {
                 Ok(Reply::Parameter(parameter)) => parameters.push(parameter),
@@ -507,35 +514,36 @@ impl<C: Clock> Board<C> {
         }
     }
 
-    /// Changes a parameter. The board works with it after a restart, if [`Board::save_parameters`] has kept it.
+    /// Changes a parameter. The board works with the new value after a restart, if [`Board::save_parameters`] has
+    /// stored it.
     ///
     /// # Errors
-    /// [`Refusal::UnknownParameter`] or [`Refusal::BadParameter`], besides what befalls any request.
+    /// [`Refusal::UnknownParameter`] or [`Refusal::BadParameter`], besides the errors of any request.
     pub async fn set_parameter(&self, key: ParameterKey, value: f32) -> Result<(), Error> {
         self.wire.done("set parameter", Request::SetParameter { key, value }).await
     }
 
-    /// Changes the robot's name, as [`Board::set_parameter`] does a number.
+    /// Changes the robot's name, under the conditions of [`Board::set_parameter`].
     ///
     /// # Errors
-    /// [`Error::NameTooLong`], besides what befalls any request.
+    /// [`Error::NameTooLong`], besides the errors of any request.
     pub async fn set_name(&self, robot: &str) -> Result<(), Error> {
         let robot = robot.try_into().map_err(|_| Error::NameTooLong { most_bytes: MAX_NAME })?;
         self.wire.done("set name", Request::SetName { robot }).await
     }
 
-    /// Keeps all changes over a restart: all of them, or none if it fails. May take seconds.
+    /// Stores all changes in flash, so that they survive a restart: all of them, or none if it fails. May take seconds.
     ///
     /// # Errors
-    /// [`Refusal::NotWhile`] on an armed board, [`Refusal::StorageFailed`], besides what befalls any request.
+    /// [`Refusal::NotWhile`] on an armed board, [`Refusal::StorageFailed`], besides the errors of any request.
     pub async fn save_parameters(&self) -> Result<(), Error> {
         self.wire.done("save parameters", Request::SaveParameters).await
     }
 
-    /// Takes all changes back to what the firmware was built with; kept by [`Board::save_parameters`] too.
+    /// Resets all parameters to the values built into the firmware; [`Board::save_parameters`] stores this too.
     ///
     /// # Errors
-    /// What befalls any request.
+    /// Those of any request.
     pub async fn reset_parameters(&self) -> Result<(), Error> {
         self.wire.done("reset parameters", Request::ResetParameters).await
     }
@@ -543,12 +551,12 @@ impl<C: Clock> Board<C> {
     /// Restarts the board, which ends this session: connect again afterwards.
     ///
     /// # Errors
-    /// [`Refusal::NotWhile`] on an armed board, besides what befalls any request.
+    /// [`Refusal::NotWhile`] on an armed board, besides the errors of any request.
     pub async fn restart(&self) -> Result<(), Error> {
         self.wire.done("restart", Request::Restart).await
     }
 
-    /// Which image the board runs.
+    /// Returns the identity of the image that the board runs.
     ///
     /// # Errors
     /// [`Refusal::NoImage`], besides the errors of any request.
@@ -567,15 +575,15 @@ impl<C: Clock> Board<C> {
         self.wire.done("bootloader", Request::Bootloader).await
     }
 
-    /// The trips that the board remembers, the newest first.
+    /// Returns the trips that the board remembers, the newest first.
     ///
     /// # Errors
-    /// [`Refusal::StorageFailed`], besides what befalls any request.
+    /// [`Refusal::StorageFailed`], besides the errors of any request.
     pub async fn faults(&self) -> Result<Vec<FaultInfo>, Error> {
         let mut faults: Vec<FaultInfo> = Vec::new();
         for index in 0..=u8::MAX {
             match self.fault(index).await {
-                // A trip meanwhile moves all others one back.
+                // A trip during this loop moves all others one place back, so one may appear twice.
                 Ok(fault) if faults.last().is_some_and(|last| last.number <= fault.number) => {}
                 Ok(fault) => faults.push(fault),
                 Err(Error::Refused(Refusal::NoSuchFault)) => break,
@@ -592,10 +600,10 @@ impl<C: Clock> Board<C> {
         }
     }
 
-    /// What the board looked like before trip `index`, 0 being the newest trip; the oldest look first.
+    /// Returns the snapshots that the board took before trip `index`, the oldest first; 0 is the newest trip.
     ///
     /// # Errors
-    /// [`Refusal::NoSuchFault`] when it remembers no such trip, besides what befalls any request.
+    /// [`Refusal::NoSuchFault`] when the board remembers no such trip, besides the errors of any request.
     pub async fn fault_snapshots(&self, index: u8) -> Result<Vec<FaultSnapshot>, Error> {
         let mut snapshots = Vec::new();
         for snapshot in 0..self.fault(index).await?.snapshots {
@@ -608,21 +616,21 @@ impl<C: Clock> Board<C> {
     }
 
     /// Writes to the device at 7-bit `address` of the external I2C connector `bus`, 0 or 1, then reads `read` bytes;
-    /// either may be nothing.
+    /// either part may be empty.
     ///
     /// # Errors
-    /// [`Refusal::BadTransfer`] for more than [`MAX_RAW`] bytes or what cannot be, [`Refusal::NoAcknowledge`],
-    /// [`Refusal::TransferFailed`], besides what befalls any request.
+    /// [`Refusal::BadTransfer`] for more than [`MAX_RAW`] bytes or an impossible transfer, [`Refusal::NoAcknowledge`],
+    /// [`Refusal::TransferFailed`], besides the errors of any request.
     pub async fn i2c_transfer(&self, bus: u8, address: u8, write: &[u8], read: u8) -> Result<Vec<u8>, Error> {
         let write = write.try_into().map_err(|_| Refusal::BadTransfer)?;
         self.wire.bytes("I2C transfer", Request::I2cTransfer { bus, address, write, read }).await
     }
 
-    /// Sends `bytes` out of UART connector `port`, 0 or 1.
+    /// Sends `bytes` through UART connector `port`, 0 or 1.
     ///
     /// # Errors
-    /// [`Refusal::BadTransfer`] or [`Refusal::TransferFailed`], when part of the bytes may have been sent, besides what
-    /// befalls any request.
+    /// [`Refusal::BadTransfer`] or [`Refusal::TransferFailed`], after which part of the bytes may have been sent,
+    /// besides the errors of any request.
     pub async fn uart_write(&self, port: u8, bytes: &[u8]) -> Result<(), Error> {
         for bytes in bytes.chunks(MAX_RAW) {
             let bytes = bytes.try_into().map_err(|_| Refusal::BadTransfer)?;
@@ -631,16 +639,17 @@ impl<C: Clock> Board<C> {
         Ok(())
     }
 
-    /// Takes what UART connector `port`, 0 or 1, has received, up to [`MAX_RAW`] bytes. Never waits: there may be nothing.
+    /// Returns the bytes that UART connector `port`, 0 or 1, has received, at most [`MAX_RAW`]. Does not wait: the
+    /// result may be empty.
     ///
     /// # Errors
-    /// [`Refusal::BadTransfer`], besides what befalls any request.
+    /// [`Refusal::BadTransfer`], besides the errors of any request.
     pub async fn uart_read(&self, port: u8) -> Result<Vec<u8>, Error> {
         self.wire.bytes("UART read", Request::UartRead { port }).await
     }
 }
 
-/// How long the answer to `request` may take.
+/// Returns the time-out of `request`, ms.
 fn timeout_ms(request: &Request) -> u32 {
     match request {
         Request::SaveParameters | Request::Fault { .. } | Request::FaultSnapshot { .. } => FLASH_TIMEOUT_MS,
@@ -648,8 +657,9 @@ fn timeout_ms(request: &Request) -> u32 {
     }
 }
 
-/// Whether it may be sent again when no answer comes: doing it twice is doing it once, or the board does it once (`remembers`). Not what is
-/// dated or reaches an external device, and not what waits for flash, of which a board does one after another.
+/// Returns true for a request that may be sent again when no answer arrives: it is idempotent, or the board remembers
+/// its answer (`remembers`). Excluded are requests with a date, those that reach an external device, and those that
+/// wait for flash, which the board carries out one after another.
 fn may_be_repeated(request: &Request, remembers: bool) -> bool {
     let is_same_twice = matches!(
         request,
@@ -670,7 +680,8 @@ fn may_be_repeated(request: &Request, remembers: bool) -> bool {
 
 impl<C: Clock> Wire<C> {
     pub(crate) fn new(clock: C, state: Arc<Mutex<State>>, outgoing: mpsc::UnboundedSender<ToDevice>) -> Self {
-        // Not from 0: an answer to a host before us, still under way, must not pass for one to us.
+        // The first number comes from the clock, not 0: a late answer to the previous host must not match a request of
+        // ours.
         let next_seq = AtomicU16::new((clock.now_us() >> 4) as u16);
         Self { clock, state, outgoing, next_seq, repeats: AtomicBool::new(false) }
     }
@@ -689,13 +700,13 @@ impl<C: Clock> Wire<C> {
         }
     }
 
-    /// A set point that is decided now.
+    /// Makes the request for a set point with the present time as its date.
     pub(crate) fn set(&self, channel: ChannelId, setpoint: Setpoint) -> Request {
         let sent_us = lock(&self.state).date_us(self.clock.now_us());
         Request::Set { channel, setpoint, sent_us, ttl_ms: SETPOINT_TTL_MS }
     }
 
-    /// Sends a request whose answer nobody waits for.
+    /// Sends a request without waiting for its answer.
     pub(crate) fn tell(&self, request: Request) {
         let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
         self.send(ToDevice::Request { seq, request });
@@ -705,11 +716,12 @@ impl<C: Clock> Wire<C> {
         self.send_request(name, request, None).await
     }
 
-    /// Sends a request, at once and before everything that is sent later. The future is its answer, and sends the request again where that may
-    /// be done and no answer comes. Without `after_ms` the answer may take as long as the request allows.
+    /// Sends a request, at once and before everything that is sent later. The returned future resolves to its answer,
+    /// and sends the request again where that is allowed and no answer arrives. Without `after_ms` the time-out is that
+    /// of the request.
     ///
     /// # Errors
-    /// Of the future: [`Error::TimedOut`], a refusal, or why the link has ended.
+    /// Those of the future: [`Error::TimedOut`], a refusal, or the error that ended the link.
     pub(crate) fn send_request(
         &self,
         name: &'static str,
@@ -724,7 +736,7 @@ impl<C: Clock> Wire<C> {
         let (clock, outgoing) = (self.clock.clone(), self.outgoing.clone());
         let begin_us = clock.now_us();
         let waiting = self.begin(name);
-        // After the end of the link there is nobody to send it to.
+        // Sending fails only after the end of the link, when no other end exists.
         let send = move |seq| drop(outgoing.unbounded_send(ToDevice::Request { seq, request: request.clone() }));
         if let Ok(waiting) = &waiting {
             send(waiting.seq);
@@ -741,16 +753,16 @@ impl<C: Clock> Wire<C> {
                 if waited_ms >= after_ms {
                     return Err(Error::TimedOut { request: name, after_ms });
                 }
-                // With the same number: whichever answer comes first is taken, and the other is passed over.
+                // The number stays the same: the first answer counts, and a second one matches no request.
                 send(waiting.seq);
             }
         }
     }
 
-    /// Makes a number for a request, whose answer is waited for from now on.
+    /// Assigns a number to a request and registers it for its answer.
     ///
     /// # Errors
-    /// Why the link has ended.
+    /// The error that ended the link.
     fn begin(&self, name: &'static str) -> Result<Waiting, Error> {
         let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
         let (sender, answer) = oneshot::channel();
@@ -762,13 +774,13 @@ impl<C: Clock> Wire<C> {
         Ok(Waiting { state: self.state.clone(), name, seq, answer })
     }
 
-    /// Sends a message after those before. After the end of the link there is nobody to tell.
+    /// Queues a message behind the earlier ones; drops it after the end of the link.
     pub(crate) fn send(&self, message: ToDevice) {
         let _ = self.outgoing.unbounded_send(message);
     }
 }
 
-/// A request that waits for its answer.
+/// Request that waits for its answer.
 struct Waiting {
     state: Arc<Mutex<State>>,
     name: &'static str,
@@ -777,7 +789,7 @@ struct Waiting {
 }
 
 impl Waiting {
-    /// The answer, or why there will be none; `None` when `until` was first.
+    /// Waits for the answer, or the error that replaces it; `None` when `until` resolves first.
     async fn answer(&mut self, until: impl Future<Output = ()>) -> Option<Result<Reply, Error>> {
         match select(&mut self.answer, pin!(until)).await {
             Either::Left((Ok(Answer::Told(result)), _)) => Some(result.map_err(Error::from)),
@@ -792,7 +804,7 @@ impl Waiting {
     }
 }
 
-/// Also when nobody waits any more.
+/// Dropping it removes the request from the table, also when its caller stopped waiting.
 impl Drop for Waiting {
     fn drop(&mut self) {
         lock(&self.state).pending.remove(&self.seq);

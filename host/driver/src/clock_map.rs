@@ -1,30 +1,32 @@
-//! The board's clock in terms of ours, from round trips.
+//! Map between the host's clock and the board's, estimated from round trips.
 //!
-//! A round trip shows the board's clock at some moment between two of ours. The middle of the two is the best guess, wrong by
-//! at most half the round trip, and mostly by far less. A line is fitted to these guesses: board minus host over host, by
-//! least squares, with a weight that falls with what a round trip took longer than the shortest, and with the time since.
+//! The board reads its clock at some moment between the request and the answer. The middle of the two is the best guess
+//! of that moment; its error is at most half the round trip, and usually far less. A line is fitted to these guesses by
+//! weighted least squares: board minus host over host. The weight of a round trip falls with its excess over the
+//! shortest one, and with its age.
 
-/// Round trips lose half their weight in this time, µs.
+/// Age at which a round trip has lost half its weight, µs.
 const MEMORY_US: f64 = 30e6;
-/// A round trip longer than the shortest by this has half its weight, µs.
+/// Excess over the shortest round trip that halves the weight, µs.
 const EXCESS_US: f64 = 50.0;
-/// What a slope is believed before anything is seen, as the sum of squares that it weighs: crystals differ by some 50 ppm, and
-/// guesses by some 50 µs, so as much as round trips a second apart. µs²
+/// Regularisation of the slope towards zero, as a sum of squares, µs². Crystals differ by some 50 ppm and guesses by
+/// some 50 µs, so it weighs as much as round trips one second apart.
 const NO_SLOPE_US2: f64 = 1e12;
-/// The shortest round trip is forgotten by this share of the difference with each longer one.
+/// Share of the difference by which each longer round trip raises the shortest one, so that an old minimum is
+/// forgotten.
 const SHORTEST_FORGETS: f64 = 1.0 / 256.0;
-/// A clock that is farther than this outside what a round trip leaves possible has jumped, µs. Two crystals take five seconds
-/// of silence for it.
+/// A clock reading farther than this outside the interval that the round trip allows means that the clock has jumped,
+/// µs. Drift of two crystals takes five seconds of silence to reach it.
 const JUMP_US: f64 = 1000.0;
-/// By how much two crystals drift apart at worst.
+/// Largest relative drift between the two crystals.
 const DRIFT: f64 = 200e-6;
 
-/// Maps the host's clock to the board's and back.
+/// Map from the host's clock to the board's and back; empty before the first round trip.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ClockMap(Option<Line>);
 
-/// The line, and the sums it is made of. `x` is the host's clock and `y` the board's minus the host's, both from the first
-/// round trip on.
+/// Fitted line with its running sums. `x` is the host's clock and `y` the board's minus the host's, both relative to
+/// the first round trip, µs.
 #[derive(Clone, Copy, Debug)]
 struct Line {
     host_us: u64,
@@ -34,14 +36,14 @@ struct Line {
     mean_y: f64,
     sum_xx: f64,
     sum_xy: f64,
-    /// Of the squares of what the line was wrong by.
+    /// Weighted sum of the squared residuals, µs².
     sum_errors: f64,
     shortest_us: f64,
     last_x: f64,
 }
 
 impl ClockMap {
-    /// Takes the board's clock as read between `sent_us` and `received_us` of ours.
+    /// Adds a round trip: the board's clock read `device_us` between `sent_us` and `received_us` of the host's.
     pub(crate) fn seen(&mut self, sent_us: u64, device_us: u64, received_us: u64) {
         let round_trip_us = received_us.saturating_sub(sent_us);
         let middle_us = sent_us + round_trip_us / 2;
@@ -66,23 +68,24 @@ impl ClockMap {
         });
     }
 
-    /// The board's clock when ours shows `host_us`; ours, as long as nothing is known.
+    /// Returns the board's clock when the host's shows `host_us`; `host_us` itself before the first round trip.
     pub(crate) fn device_us(&self, host_us: u64) -> u64 {
         let Some(line) = self.0 else { return host_us };
         host_us.saturating_add_signed(line.offset_us + line.y(line.x(host_us)).round() as i64)
     }
 
-    /// Our clock when the board's shows `device_us`.
+    /// Returns the host's clock when the board's shows `device_us`; `device_us` itself before the first round trip.
     pub(crate) fn host_us(&self, device_us: u64) -> u64 {
         let Some(line) = self.0 else { return device_us };
         let x = line.x(device_us.saturating_add_signed(-line.offset_us));
-        // The slope is so small that one step of the iteration leaves nothing.
+        // The slope is some 1e-4, so one step of the iteration is exact to rounding.
         let y = line.y(x - line.y(x));
         device_us.saturating_add_signed(-line.offset_us - y.round() as i64)
     }
 
-    /// How wrong the map may be when our clock shows `host_us`, µs: half the shortest round trip, for one way may always take
-    /// longer than the other; the spread of what was seen; the drift since. `None` when nothing is known.
+    /// Bound of the map's error when the host's clock shows `host_us`, µs: half the shortest round trip (one direction
+    /// may always take longer than the other), plus two standard deviations of the residuals, plus the drift since the
+    /// last round trip. `None` before the first one.
     pub(crate) fn uncertainty_us(&self, host_us: u64) -> Option<f64> {
         let line = self.0?;
         let spread = (line.sum_errors / line.weight).sqrt();
@@ -99,7 +102,8 @@ impl Line {
         self.mean_y + self.sum_xy / (self.sum_xx + NO_SLOPE_US2) * (x - self.mean_x)
     }
 
-    /// False when the clock has jumped, so that nothing of before counts.
+    /// Adds a round trip to the sums. Returns false when the clock has jumped, so that the earlier round trips no
+    /// longer count.
     fn take(&mut self, middle_us: u64, offset_us: i64, round_trip_us: f64) -> bool {
         let x = self.x(middle_us);
         let y = offset_us.wrapping_sub(self.offset_us) as f64;
@@ -108,7 +112,8 @@ impl Line {
             return false;
         }
         let forget = MEMORY_US / (MEMORY_US + (x - self.last_x).abs());
-        // All that was taken before was longer than the new shortest by this at least.
+        // With a new shortest round trip, the excess of all earlier ones grows at least by the difference: their weight
+        // falls.
         let keep = forget * weight(self.shortest_us - round_trip_us);
         self.last_x = x;
         let longer_us = round_trip_us - self.shortest_us;
@@ -121,7 +126,7 @@ impl Line {
         self.mean_y += dy * weight / self.weight;
         self.sum_xx = self.sum_xx * keep + weight * dx * (x - self.mean_x);
         self.sum_xy = self.sum_xy * keep + weight * dx * (y - self.mean_y);
-        // Of the new line: that the old one was made of longer round trips is not this one's error.
+        // The residual is that of the new line: the old line's error from longer round trips must not count.
         let error = y - self.y(x);
         self.sum_errors = self.sum_errors * keep + weight * error * error;
         true
@@ -137,7 +142,7 @@ fn weight(excess_us: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Numbers from 0 to 1 that are the same in each run (xorshift64*, Vigna 2016).
+    /// Reproducible random numbers in 0..1 (xorshift64*, Vigna 2016).
     struct Random(u64);
 
     impl Random {
@@ -148,13 +153,13 @@ mod tests {
             (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11) as f64 / (1_u64 << 53) as f64
         }
 
-        /// A wait with this mean, µs, as one behind others has it.
+        /// Exponentially distributed waiting time with this mean, µs, as behind other frames in a queue.
         fn wait_us(&mut self, mean_us: f64) -> f64 {
             -mean_us * (1.0 - self.next()).ln()
         }
     }
 
-    /// A board whose clock runs `ppm` fast, and began long before ours.
+    /// Simulated board clock that runs `ppm` fast and started long before the host's.
     struct Board {
         ppm: f64,
         start_us: f64,
@@ -166,8 +171,9 @@ mod tests {
         }
     }
 
-    /// Heartbeats each 50 ms for `seconds`, each way with a wait of this mean and each twentieth with 5 ms more. What the map
-    /// was wrong by, both ways, between the heartbeats of all but the first second; µs, sorted.
+    /// Exchanges heartbeats every 50 ms for `seconds`. Each direction waits `mean_us` on average, and one in twenty
+    /// some 5 ms more. Returns, for all but the first second, pairs of the map's error over its stated bound, and the
+    /// error, µs.
     fn errors(board: &Board, mean_us: f64, seconds: u64, seed: u64) -> Vec<f64> {
         let (mut map, mut random, mut errors) = (ClockMap::default(), Random(seed), Vec::new());
         for beat in 0..seconds * 20 {
@@ -220,12 +226,12 @@ mod tests {
         assert!(map.host_us(board.clock(host_us as f64)).abs_diff(host_us) <= 2);
     }
 
-    /// A board answers its first host late, when it has started.
+    /// The first answer of a board that has just started may be late.
     #[test]
     fn a_long_round_trip_counts_for_nothing_beside_a_short_one() {
         let mut map = ClockMap::default();
         assert_eq!((map.device_us(5), map.host_us(5), map.uncertainty_us(5)), (5, 5, None));
-        // 80 ms, all of it on the way there: 40 ms wrong.
+        // A round trip of 80 ms, all of it on the way to the board: the map is wrong by 40 ms.
         map.seen(0, 1_000_000 + 80_000, 80_000);
         assert_eq!(map.device_us(80_000), 1_000_000 + 120_000);
         assert!(map.uncertainty_us(80_000).unwrap() >= 40_000.0);
@@ -239,10 +245,10 @@ mod tests {
         for beat in 0..100 {
             map.seen(beat * 50_000, 9_000_000 + beat * 50_000 + 200, beat * 50_000 + 400);
         }
-        // The board has restarted, and its clock with it.
+        // After a restart the board's clock starts from 0.
         map.seen(5_000_000, 300, 5_000_400);
         assert_eq!(map.device_us(5_000_200), 300);
-        // 2 ms of lost time, as of a simulation that fell behind.
+        // The clock loses 2 ms, as in a simulation that fell behind real time.
         map.seen(5_050_000, 48_300, 5_050_400);
         assert_eq!(map.device_us(5_050_200), 48_300);
     }

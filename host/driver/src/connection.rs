@@ -1,4 +1,4 @@
-//! The running side of a connection: bytes in, bytes out, heartbeats.
+//! Running side of a connection: receives bytes, sends messages, keeps the heartbeat.
 
 use std::{
     collections::HashMap,
@@ -26,25 +26,25 @@ use crate::{
     streams::{SampleStreams, Sent, Streams, lock},
 };
 
-/// A heartbeat is sent this many times within the board's link timeout.
+/// Number of heartbeats within the board's link time-out.
 const HEARTBEATS_PER_TIMEOUT: u64 = 4;
-/// The link counts as lost after this many link timeouts without an answer: the board has tripped long before.
+/// Number of link time-outs without an answer after which the link counts as lost; the board has tripped long before.
 const SILENT_TIMEOUTS: u64 = 5;
 
-/// What a request is answered with.
+/// Outcome of a request that the board answered.
 pub(crate) enum Answer {
     Told(Result<Reply, Refusal>),
-    /// Something of a later version.
+    /// The answer has a form from a later version of the protocol.
     Unknown,
 }
 
-/// What a [`Board`] and its connection share.
+/// State that a [`Board`] and its connection share.
 #[derive(Default)]
 pub(crate) struct State {
     pub(crate) pending: HashMap<u16, oneshot::Sender<Answer>>,
     pub(crate) telemetry: Streams<Telemetry>,
     pub(crate) safety: Option<(SafetyState, Causes)>,
-    /// As the last heartbeat told.
+    /// Hot windings in the last heartbeat.
     pub(crate) hot: Vec<HotWinding>,
     pub(crate) end: Option<Error>,
     pub(crate) bad_frames: u64,
@@ -55,11 +55,11 @@ pub(crate) struct State {
     pub(crate) log: Streams<LogChunk>,
     pub(crate) heartbeats: Streams<HeartbeatAnswer>,
     pub(crate) cycle_answers: Streams<CycleState>,
-    /// Heartbeats are sent by [`Board::send_heartbeat`] alone.
+    /// [`Board::send_heartbeat`] alone sends heartbeats, and the connection none.
     pub(crate) relays_heartbeats: bool,
-    /// What the board has been asked for, and every how many ms.
+    /// Subscribed channels, each with its period in ms.
     pub(crate) subscriptions: Vec<(ChannelId, u16)>,
-    /// What the board takes cycles for, as it was last told.
+    /// Channels of the cycles, from the last bind request that was sent.
     bound: heapless::Vec<CycleChannel, CYCLE_CHANNELS>,
     /// Date of the newest set point, on the board's clock, µs.
     dated_us: u64,
@@ -80,14 +80,15 @@ impl Session {
 }
 
 impl State {
-    /// Date of a set point decided now, on the board's clock, µs. Later than all before, also when the estimate of that clock
-    /// was corrected backwards: the board tells by it whether a refused set point is newer than the one in force.
+    /// Returns the date of a set point made now, on the board's clock, µs. Dates always increase, also when the
+    /// estimate of that clock is corrected backwards: the board compares them to see if a refused set point is newer
+    /// than the one in force.
     pub(crate) fn date_us(&mut self, now_us: u64) -> u64 {
         self.dated_us = self.clock.device_us(now_us).max(self.dated_us + 1);
         self.dated_us
     }
 
-    /// Takes the session that the board opened, and returns the heartbeat that keeps it.
+    /// Stores the session that the board opened, and returns its first heartbeat.
     pub(crate) fn open(&mut self, info: &DeviceInfo, sent_us: u64, now_us: u64) -> ToDevice {
         self.clock.seen(sent_us, info.device_us, now_us);
         self.safety = Some((info.state, info.causes));
@@ -97,13 +98,13 @@ impl State {
         session.heartbeat(now_us)
     }
 
-    /// A heartbeat of the session; `None` before there is one.
+    /// Makes a heartbeat of the session; `None` before a session is open.
     pub(crate) fn heartbeat(&self, now_us: u64) -> Option<ToDevice> {
         self.session.map(|session| session.heartbeat(now_us))
     }
 
     fn answered(&mut self, seq: u16, answer: Answer) {
-        // An answer that nobody waits for any more came after its time-out.
+        // An answer without a waiting request came after its time-out.
         if let Some(waiting) = self.pending.remove(&seq) {
             let _ = waiting.send(answer);
         }
@@ -139,7 +140,7 @@ impl State {
         }
     }
 
-    /// Tells those who listen what leaves now.
+    /// Passes a message that leaves now to the streams of sent messages.
     fn sent(&mut self, message: &ToDevice, now_us: u64) {
         if let ToDevice::Request { request: Request::Bind { channels, .. }, .. } = message {
             self.bound.clone_from(channels);
@@ -156,10 +157,10 @@ impl State {
         self.sent.push(&Sent { device_us: self.clock.device_us(now_us), message: message.clone(), setpoints });
     }
 
-    /// Ends everything that waits, with the first reason there was.
+    /// Ends all requests and streams with the first error of the connection, and returns that error.
     fn end(&mut self, error: Error) -> Error {
         let error = self.end.get_or_insert(error).clone();
-        // Dropping the senders wakes the requests, which then look at `end`.
+        // Dropping the senders wakes the requests, which then read `end`.
         self.pending.clear();
         self.telemetry.end(&error);
         self.samples.end(&error);
@@ -178,7 +179,7 @@ impl State {
 /// board makes its outputs safe.
 ///
 /// # Errors
-/// When no session can be opened. What becomes of the link later is told by the operations in `work`.
+/// When no session can be opened. Later errors of the link are returned by the operations in `work`.
 pub async fn with_board<C, R, W, T>(rx: R, tx: W, clock: C, work: impl AsyncFnOnce(&Board<C>) -> T) -> Result<T, Error>
 where
     C: Clock,
@@ -202,7 +203,7 @@ where
             Either::Right((Either::Left((error, _)) | Either::Right((error, _)), _)) => error,
         };
         lock(&state).end(error);
-        // The session ends by itself now: whatever it waits for has failed.
+        // All waiting requests have failed, so the session ends by itself.
         std::future::pending::<T>().await
     };
     match select(pin!(session), pin!(link)).await {
@@ -233,9 +234,10 @@ async fn receive<C: Clock, R: Read>(state: &Mutex<State>, clock: &C, mut rx: R) 
     }
 }
 
-/// Ends when the board has been silent for too long. Its own future: a stuck transmitter must not stop it.
+/// Returns when the board has been silent for too long. A future of its own, because a stuck transmitter must not delay
+/// it.
 async fn listen<C: Clock>(state: &Mutex<State>, clock: &C) -> Error {
-    /// How often a session is looked for before there is one, µs.
+    /// Poll interval before a session is open, µs.
     const LOOK_EVERY_US: u64 = 50_000;
     loop {
         let session = lock(state).session;
@@ -262,13 +264,13 @@ async fn transmit<C: Clock, W: Write>(
     mut messages: mpsc::UnboundedReceiver<ToDevice>,
 ) -> Error {
     let failed = |error: W::Error| Error::LinkFailed { reason: error.to_string() };
-    // Ends whatever half a frame the board may still hold from a host before us.
+    // The zero byte ends a partial frame that the board may still hold from the previous host.
     if let Err(error) = tx.write_all(&[0]).await {
         return failed(error);
     }
     let mut buffer = [0; MAX_FRAME];
     let mut next_heartbeat_us = 0;
-    // In turn, so that neither requests nor cycles can starve the other.
+    // Requests and cycles alternate in priority, so that neither can starve the other.
     let mut cycles_first = false;
     loop {
         let (session, relays) = {
@@ -276,7 +278,7 @@ async fn transmit<C: Clock, W: Write>(
             (state.session, state.relays_heartbeats)
         };
         let message = match session {
-            // Before all else, so that no amount of requests can starve it.
+            // The heartbeat comes before all other messages, so that no number of requests can starve it.
             Some(session) if clock.now_us() >= next_heartbeat_us => {
                 let host_us = clock.now_us();
                 next_heartbeat_us = host_us + session.timeout_us / HEARTBEATS_PER_TIMEOUT;
@@ -309,7 +311,7 @@ async fn transmit<C: Clock, W: Write>(
             None => messages.next().await,
         };
         let Some(message) = message else {
-            // The board's handle is gone, and with it all who could ask for something.
+            // The board's handle was dropped, so no further message can come.
             return std::future::pending().await;
         };
         let Ok(frame) = encode_frame(&message, &mut buffer) else { continue };

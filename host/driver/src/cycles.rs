@@ -1,4 +1,4 @@
-//! Set points at a high rate, and what the motors do with them: one short message each way.
+//! Stream of set points at a high rate and of the motors' answers, with one short message in each direction per cycle.
 
 use std::{
     collections::VecDeque,
@@ -16,70 +16,70 @@ use r4_protocol::{
 
 use crate::{Board, Clock, Error, board::Wire, connection::State, streams::lock};
 
-/// A cycle without an answer after this long is lost, µs.
+/// Time after which a cycle without an answer counts as lost, µs.
 const LOST_AFTER_US: u64 = 500_000;
-/// Cycles under way; then the next waits. The board's `seq` tells 256 apart.
+/// Largest number of cycles on the way; further ones wait. The 8-bit `seq` distinguishes 256.
 const WINDOW: usize = 128;
-/// Answers that nobody has read; then the oldest are dropped.
+/// Capacity for unread answers; the oldest are dropped beyond it.
 const ANSWERS: usize = 4096;
 
-/// What became of a stream's cycles so far.
+/// Counters of a stream's cycles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CycleCounters {
-    /// Sent to the board.
+    /// Cycles sent to the board.
     pub sent: u64,
-    /// Answered.
+    /// Cycles that the board answered.
     pub answered: u64,
-    /// Sent, and not answered although a later one was, or within 0.5 s.
+    /// Cycles sent without an answer, although a later one was answered or 0.5 s have passed.
     pub lost: u64,
-    /// Never sent: newer set points came before they left.
+    /// Cycles that were never sent, because newer set points replaced them.
     pub replaced: u64,
-    /// Answers dropped because nobody read them.
+    /// Answers dropped because the caller did not read them.
     pub dropped: u64,
 }
 
-/// An answer to a cycle.
+/// Answer of the board to a cycle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CycleReport {
-    /// Counts the cycles of the stream from 0, those that were replaced too.
+    /// Number of the cycle in its stream, from 0; replaced cycles count too.
     pub number: u64,
-    /// What became of it. Where it was not taken, none of its set points was.
+    /// Outcome at the board. A cycle that it did not take changes none of the set points.
     pub outcome: CycleOutcome,
-    /// The board's clock when it answered, µs.
+    /// Board's clock at the answer, µs.
     pub device_us: u64,
-    /// From sending to the answer, on our clock, µs.
+    /// Time from sending to the answer on the host's clock, µs.
     pub round_trip_us: u64,
-    /// Where the supervisor stands.
+    /// Safety state of the board.
     pub state: SafetyState,
     /// Causes latched by a trip.
     pub causes: Causes,
-    /// What the channels do, in the order of the stream.
+    /// Motion of each channel, in the order of the stream.
     pub motors: Vec<CycleMotion>,
 }
 
-/// What one channel of a cycle does.
+/// Motion of one channel of a cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CycleMotion {
-    /// Counts of [`ChannelInfo::resolution`].
+    /// Position in counts of [`ChannelInfo::resolution`].
     pub counts: i32,
-    /// The same in rad or m; NaN where nothing measures it.
+    /// Position, rad or m; NaN without a position sensor.
     pub position: f64,
-    /// rad/s or m/s; NaN where nothing measures it, and beyond twice the channel's range.
+    /// Speed, rad/s or m/s; NaN without a sensor and beyond twice the channel's range.
     pub speed: f64,
-    /// Share of the supply.
+    /// Duty as a share of the supply voltage.
     pub duty: f64,
-    /// Whether it rests at its position.
+    /// The motor rests at its position.
     pub settled: bool,
 }
 
-/// Set points for the transmitter, and the answers to them.
+/// Set points for the transmitter, and the answers that arrived for them.
 #[derive(Default)]
 pub(crate) struct CycleQueue {
-    /// Whether a stream is.
+    /// A stream is open; a board has only one.
     open: bool,
     next_seq: u8,
     next_number: u64,
-    /// What is sent next.
+    /// Newest set points, which leave with the next message.
     slot: Option<Planned>,
     under_way: VecDeque<UnderWay>,
     answers: VecDeque<Answer>,
@@ -90,7 +90,7 @@ pub(crate) struct CycleQueue {
 
 struct Planned {
     number: u64,
-    /// When it was decided, on the board's clock.
+    /// Date of the set points, on the board's clock, µs.
     device_us: u64,
     set: [i16; CYCLE_CHANNELS],
 }
@@ -109,7 +109,7 @@ struct Answer {
 }
 
 impl CycleQueue {
-    /// Ready with a message when there is one to send.
+    /// Returns the next message to send; pending while there is none or the window is full.
     pub(crate) fn poll_send(&mut self, context: &mut Context<'_>, now_us: u64) -> Poll<ToDevice> {
         while self.under_way.front().is_some_and(|oldest| now_us.saturating_sub(oldest.sent_us) > LOST_AFTER_US) {
             self.under_way.pop_front();
@@ -128,11 +128,12 @@ impl CycleQueue {
         Poll::Ready(ToDevice::Cycle(Cycle::new(seq, None, Some(device_us), set)))
     }
 
-    /// Takes an answer. `near_us` is what the board's clock should be.
+    /// Stores an answer and counts the cycles before it as lost. `near_us` is an estimate of the board's clock, which
+    /// completes the short time in the answer.
     pub(crate) fn answered(&mut self, told: CycleState, now_us: u64, near_us: u64) {
-        // One of a stream before this, or that came after its time.
+        // The answer belongs to an earlier stream, or came after its cycle was given up.
         let Some(place) = self.under_way.iter().position(|sent| sent.seq == told.seq) else { return };
-        // A link keeps the order.
+        // A link keeps the order, so the cycles before this one will not be answered.
         self.counters.lost += place as u64;
         let Some(UnderWay { number, sent_us, .. }) = self.under_way.drain(..=place).next_back() else { return };
         self.counters.answered += 1;
@@ -158,10 +159,10 @@ impl CycleQueue {
         }
     }
 
-    /// Begins to count.
+    /// Opens a stream with all counters at 0.
     ///
     /// # Errors
-    /// [`Error::StreamOpen`] while another stream is.
+    /// [`Error::StreamOpen`] while another stream is open.
     fn open(&mut self) -> Result<(), Error> {
         if self.open {
             return Err(Error::StreamOpen);
@@ -180,10 +181,11 @@ impl CycleQueue {
     }
 }
 
-/// A stream of set points for up to four motors, steppers or brushless drives. Made by [`Board::stream`]; dropping it ends it.
+/// Stream of set points for up to four motors, steppers or brushless drives, made by [`Board::stream`]; dropping it
+/// ends the stream.
 ///
-/// The newest set points win: those that have not left yet when others come are replaced. The board answers each cycle with
-/// what the motors do. When cycles stop coming, the motors stop after the stream's time-to-live.
+/// The newest set points replace those that have not left yet. The board answers each cycle with the motion of the
+/// motors. Without new cycles, the motors stop after the stream's time to live.
 pub struct Cycles<'b, C: Clock> {
     wire: &'b Wire<C>,
     channels: Vec<Bound>,
@@ -197,7 +199,8 @@ struct Bound {
 }
 
 impl Bound {
-    /// Scales for a mode and a channel: the whole range for set points, twice that for speeds, which may overshoot.
+    /// Makes the scales for a mode and a channel. 32 767 steps cover the range of the set points, and twice the range
+    /// of the speeds, because measured speeds may overshoot.
     fn new(info: &ChannelInfo, mode: Mode) -> Result<Self, Error> {
         const STEPS: f32 = 32_767.0;
         let wrong_mode = Refusal::WrongMode { channel: info.id, mode };
@@ -217,7 +220,7 @@ impl Bound {
         Ok(Self { asked, scale, range, resolution: info.resolution.into() })
     }
 
-    /// The nearest steps whose value the channel takes.
+    /// Rounds `value` to the nearest step that the channel accepts.
     fn steps(&self, value: f64) -> Result<i16, Refusal> {
         let (channel, range, asked) = (self.asked.channel, self.range, value as f32);
         if !value.is_finite() {
@@ -225,7 +228,7 @@ impl Bound {
         }
         let nearest = steps(asked, self.scale).filter(|_| range.contains(asked));
         let takes = |steps: &i16| *steps != NOTHING && range.contains(f32::from(*steps) * self.scale);
-        // Rounding may have gone beyond the end of the range.
+        // Rounding may leave the range by one step at its ends.
         let near = nearest.map(|steps| [steps, steps.saturating_sub(1), steps.saturating_add(1)]);
         near.into_iter().flatten().find(takes).ok_or(Refusal::OutOfRange { channel, asked, range })
     }
@@ -243,7 +246,7 @@ impl Bound {
     }
 }
 
-/// The set points in a cycle, by what it is bound to.
+/// Decodes the set points in a cycle with the channels and scales that it is bound to.
 pub(crate) fn setpoints(cycle: &Cycle, bound: &[CycleChannel]) -> Vec<(ChannelId, Setpoint)> {
     let of_channel = |(channel, steps): (&CycleChannel, i16)| {
         let mode = cycle.mode().ok()?.unwrap_or(channel.mode);
@@ -254,11 +257,11 @@ pub(crate) fn setpoints(cycle: &Cycle, bound: &[CycleChannel]) -> Vec<(ChannelId
 }
 
 impl<C: Clock> Board<C> {
-    /// Opens a stream of set points for one to four `channels`, each in its mode: position, speed or duty. Set points older
-    /// than `ttl_ms` are not followed any more, neither on arrival nor later: the motors stop.
+    /// Opens a stream of set points for one to four `channels`, each with its mode: position, speed or duty. The board
+    /// drops set points older than `ttl_ms`, on arrival and later: the motors stop.
     ///
-    /// A position is sent in 32 767 steps of its range, a speed in 16 384: a motor that may turn 1000 rad is told its position
-    /// to 0.03 rad. [`Board::set`] sends the number itself.
+    /// A position is sent in 32 767 steps of its range, a speed in 16 384: with a range of 1000 rad, a position is
+    /// rounded to 0.03 rad. [`Board::set`] sends the number itself.
     ///
     /// ```
     /// # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/all/simulated/mod.rs")); }
@@ -281,7 +284,8 @@ impl<C: Clock> Board<C> {
     /// ```
     ///
     /// # Errors
-    /// [`Error::StreamOpen`] while another is, [`Error::CycleLength`], [`Refusal::WrongMode`], besides what befalls any request.
+    /// [`Error::StreamOpen`] while another stream is open, [`Error::CycleLength`], [`Refusal::WrongMode`], besides the
+    /// errors of any request.
     pub async fn stream(&self, channels: &[(ChannelId, Mode)], ttl_ms: u16) -> Result<Cycles<'_, C>, Error> {
         if channels.is_empty() || channels.len() > CYCLE_CHANNELS {
             return Err(Error::CycleLength { asked: channels.len(), expected: CYCLE_CHANNELS });
@@ -290,7 +294,7 @@ impl<C: Clock> Board<C> {
         let channels = channels.iter().map(bound).collect::<Result<Vec<_>, _>>()?;
         let asked = channels.iter().map(|channel| channel.asked).collect();
         lock(&self.wire.state).cycles.open()?;
-        // From here on dropping it closes the stream.
+        // `Cycles` exists before the request, so that dropping it closes the stream when the request fails.
         let cycles = Cycles { wire: &self.wire, channels };
         self.wire.done("bind", Request::Bind { channels: asked, ttl_ms }).await?;
         Ok(cycles)
@@ -298,54 +302,56 @@ impl<C: Clock> Board<C> {
 }
 
 impl<C: Clock> Cycles<'_, C> {
-    /// Sends `values`, one for each channel in rad, m, rad/s, m/s or share of the supply, as soon as the link takes them.
-    /// Those before that have not left yet are replaced. Answers are read by [`Cycles::next`].
+    /// Sends `values`, one per channel in rad, m, rad/s, m/s or share of the supply voltage, as soon as the link
+    /// accepts them. They replace earlier ones that have not left yet. [`Cycles::next`] returns the answers.
     ///
     /// # Errors
-    /// [`Refusal::OutOfRange`], [`Refusal::NotFinite`] or [`Error::CycleLength`], when no set point is sent and the channels
-    /// are stopped; why the link ended.
+    /// [`Refusal::OutOfRange`], [`Refusal::NotFinite`] or [`Error::CycleLength`]: no set point is sent, and the
+    /// channels are stopped. The error that ended the link.
     pub fn set(&mut self, values: &[f64]) -> Result<(), Error> {
         let set = self.steps(values)?;
         self.plan(set).map(|_| ())
     }
 
-    /// As [`Cycles::set`], but waits until those before have left: nothing is replaced.
+    /// Sends `values` as [`Cycles::set`] does, but waits until the earlier ones have left, so that it replaces none.
     ///
     /// # Errors
-    /// As [`Cycles::set`].
+    /// Those of [`Cycles::set`].
     pub async fn send(&mut self, values: &[f64]) -> Result<(), Error> {
         let set = self.steps(values)?;
         self.wait(|queue| queue.slot.is_none().then_some(())).await?;
         self.plan(set).map(|_| ())
     }
 
-    /// Sends `values` as [`Cycles::set`] does and waits for the answer to them. Answers to others before are passed over.
+    /// Sends `values` as [`Cycles::set`] does and waits for their answer. Skips answers to earlier cycles.
     ///
     /// # Errors
-    /// As [`Cycles::set`]; [`Error::TimedOut`] when it was lost: nothing of it may have been done, or all.
+    /// Those of [`Cycles::set`]; [`Error::TimedOut`] when cycle or answer was lost: the board may have followed the set
+    /// points or not.
     pub async fn cycle(&mut self, values: &[f64]) -> Result<CycleReport, Error> {
         let set = self.steps(values)?;
         self.turn(set).await
     }
 
-    /// As [`Cycles::cycle`] without set points: only asks what the motors do. They stop as if nothing had been sent.
+    /// Requests the motion of the motors as [`Cycles::cycle`] does, without set points: the motors stop as if no cycle
+    /// had been sent.
     ///
     /// # Errors
-    /// As [`Cycles::cycle`].
+    /// Those of [`Cycles::cycle`].
     pub async fn ask(&mut self) -> Result<CycleReport, Error> {
         self.turn([NOTHING; CYCLE_CHANNELS]).await
     }
 
-    /// The next answer that has not been read.
+    /// Waits for the next unread answer, indefinitely when no cycle is on its way.
     ///
     /// # Errors
-    /// Why the link ended. Waits for ever when nothing is under way.
+    /// The error that ended the link.
     pub async fn next(&mut self) -> Result<CycleReport, Error> {
         let answer = self.wait(|queue| queue.answers.pop_front()).await?;
         self.report(answer)
     }
 
-    /// What became of the cycles so far.
+    /// Returns the counters of the stream's cycles so far.
     #[must_use]
     pub fn counters(&self) -> CycleCounters {
         lock(&self.wire.state).cycles.counters
@@ -364,7 +370,7 @@ impl<C: Clock> Cycles<'_, C> {
         match select(own, pin!(self.wire.clock.sleep_until(begin_us + LOST_AFTER_US))).await {
             Either::Left((answer, _)) => match answer? {
                 answer if answer.number == number => self.report(answer),
-                // A later one has been answered.
+                // A later cycle was answered, so this one is lost.
                 _ => Err(timed_out(self.wire.clock.now_us() - begin_us)),
             },
             Either::Right(((), _)) => Err(timed_out(LOST_AFTER_US)),
@@ -379,8 +385,8 @@ impl<C: Clock> Cycles<'_, C> {
         steps
     }
 
-    /// Stops the channels of the stream: what they were sent before is not wanted any more, and what would come instead cannot
-    /// be sent.
+    /// Stops the channels of the stream after invalid set points: the previous ones no longer hold, and the new ones
+    /// cannot be sent.
     fn withdraw(&self) {
         {
             let queue = &mut lock(&self.wire.state).cycles;
@@ -447,7 +453,7 @@ impl<C: Clock> Cycles<'_, C> {
 impl<C: Clock> Drop for Cycles<'_, C> {
     fn drop(&mut self) {
         lock(&self.wire.state).cycles.close();
-        // Nobody waits for the answer; without it the motors stop all the same.
+        // The answer is not needed: without it the motors stop after their time to live.
         self.wire.tell(Request::Bind { channels: [].into_iter().collect(), ttl_ms: 0 });
     }
 }
@@ -469,7 +475,8 @@ mod tests {
         Bound::new(&info, mode).unwrap()
     }
 
-    /// Every value that the channel takes becomes one that it takes, half a step away at most but at the ends of its range.
+    /// Checks that each value in a channel's range is rounded to a step inside that range, at most half a step away
+    /// except at its ends.
     #[test]
     fn steps_are_in_the_range_of_the_channel() {
         let ranges = [(-62.83186, 62.83186), (0.01, 0.09), (0.0, 1.0), (-0.902, 0.902), (-1e-3, 5e6), (-7.3, -0.1)];
@@ -528,7 +535,7 @@ mod tests {
         let expected = CycleCounters { sent: 5, answered: 1, lost: 2, replaced: 0, dropped: 0 };
         assert_eq!(queue.counters, expected);
         assert_eq!(queue.answers.iter().map(|answer| answer.number).collect::<Vec<_>>(), [2]);
-        // The two others are given up after their time.
+        // The two others count as lost after their time.
         assert_eq!(send(&mut queue, LOST_AFTER_US + 1), None);
         assert_eq!(queue.counters, CycleCounters { lost: 4, ..expected });
     }

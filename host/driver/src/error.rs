@@ -1,106 +1,106 @@
-//! What can go wrong between a host and a board.
+//! Errors of the operations on a board.
 
 use r4_protocol::{Causes, ChannelId, Refusal, Unit};
 
-/// Why an operation on a board did not succeed.
+/// Reason why an operation on a board failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Error {
-    /// The board got the request and said no.
+    /// The board received the request and refused it.
     #[error(transparent)]
     Refused(#[from] Refusal),
-    /// No answer in time, though the link is alive. What was asked may or may not have been done.
+    /// The board did not answer in time, though the link is alive. It may or may not have carried out the request.
     #[error("the board did not answer `{request}` within {after_ms} ms: {}", silence(request))]
     TimedOut {
-        /// What was asked.
+        /// Name of the request.
         request: &'static str,
-        /// How long was waited.
+        /// Time waited for the answer, ms.
         after_ms: u32,
     },
     /// The board stopped answering heartbeats.
     #[error("link lost: no heartbeat from the board for {silent_ms} ms; check cable and power, then connect again")]
     LinkLost {
-        /// How long it has been silent.
+        /// Time since the last answer, ms.
         silent_ms: u32,
     },
     /// The link itself failed.
     #[error("the link failed ({reason}); check cable and power, then connect again")]
     LinkFailed {
-        /// As the link told it.
+        /// Message of the link's own error.
         reason: String,
     },
-    /// The board answered something else than the protocol says.
+    /// The board answered with a kind of reply that does not belong to the request.
     #[error("the board gave the wrong kind of answer to `{request}`: its firmware is faulty, flash it again")]
     WrongReply {
-        /// What was asked.
+        /// Name of the request.
         request: &'static str,
     },
-    /// The board tripped or was disarmed while something was waited for.
+    /// The board tripped or was disarmed during the operation.
     #[error("the board stopped: {causes}{}", advice(*causes))]
     Stopped {
-        /// The latched causes; none when it was disarmed.
+        /// Latched causes; none when it was disarmed.
         causes: Causes,
     },
-    /// The board's answer came with a later version of the protocol than this program speaks.
+    /// The answer has a form from a later version of the protocol than this program speaks.
     #[error(
         "this program does not know the board's answer to `{request}`: use the program of the firmware's release, or a later one"
     )]
     UnknownAnswer {
-        /// What was asked.
+        /// Name of the request.
         request: &'static str,
     },
     /// The motor follows another set point, or its telemetry has stopped.
     #[error("{channel} no longer follows this set point: somebody else commands it too, or ended its telemetry")]
     NotFollowed {
-        /// Which.
+        /// Channel of the set point.
         channel: ChannelId,
     },
-    /// A motor did not find its home in time.
+    /// The motor did not find its home switch in time.
     #[error(
         "{channel} has not found its home switch after {after_s:.1} s: check the switch and the direction of the speed, \
          or allow more time"
     )]
     NotHomed {
-        /// Which.
+        /// Channel that seeks its switch.
         channel: ChannelId,
-        /// How long was waited.
+        /// Duration of the search, s.
         after_s: f64,
     },
-    /// The name of a robot has more bytes than a board keeps.
+    /// The robot's name has more bytes than a board stores.
     #[error("the name is too long: a board keeps {most_bytes} bytes")]
     NameTooLong {
-        /// How many it keeps.
+        /// Largest number of bytes.
         most_bytes: usize,
     },
-    /// A stream of cycles is open, and a board has one.
+    /// A stream of cycles is open already, and a board has only one.
     #[error("another stream of set points is open: drop that first")]
     StreamOpen,
-    /// Set points for another number of channels than the stream has, or channels for more than a stream can have.
+    /// The number of set points differs from that of the stream's channels, or the stream would have too many channels.
     #[error("{asked} channels, where a stream of set points has {expected}")]
     CycleLength {
-        /// As asked.
+        /// Number of channels in the call.
         asked: usize,
-        /// What the stream has, or most that one can have.
+        /// Number of channels of the stream, or the largest possible.
         expected: usize,
     },
-    /// A motor did not reach its set point in time.
+    /// The motor did not reach its set point in time.
     #[error("{channel} was not settled after {after_s:.1} s: at {position:.4} {unit}, asked for {target:.4} {unit}")]
     NotSettled {
-        /// Which.
+        /// Channel of the set point.
         channel: ChannelId,
-        /// rad or m
+        /// Requested position, rad or m.
         target: f64,
-        /// rad or m
+        /// Position in the last sample, rad or m.
         position: f64,
-        /// Of both.
+        /// Unit of both positions.
         unit: Unit,
-        /// How long was waited.
+        /// Time since the command, s.
         after_s: f64,
     },
 }
 
-/// What keeps a board from answering.
+/// Likely reason why the board does not answer, for the message.
 fn silence(request: &str) -> &'static str {
-    // A served board lets the next host wait; the board itself refuses it.
+    // `r4 serve` lets the next host wait for its hello; a board itself refuses it with an answer.
     match request {
         "hello" => "another program may be connected to it, which has to end first, or this is no R4 board",
         _ => "it is busy, or frames are being lost",

@@ -18,7 +18,7 @@
 //! # }).unwrap();
 //! ```
 //!
-//! What a board keeps over a restart, and what it remembers of its trips:
+//! Parameters that survive a restart, and the trips that the board remembers:
 //!
 //! ```
 //! # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/all/simulated/mod.rs")); }
@@ -33,7 +33,7 @@
 //! # }).unwrap();
 //! ```
 //!
-//! Telemetry of one channel, and errors that say who said no:
+//! Telemetry of one channel, and an error that names the refusal:
 //!
 //! ```
 //! # mod bench { include!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/all/simulated/mod.rs")); }
@@ -56,8 +56,8 @@
 //!
 //! Set points at a high rate go through [`Board::stream`].
 //!
-//! Nothing here knows what the link is or whether time is real: bytes come and go through `embedded-io-async`, time
-//! through [`Clock`]. So the same code drives a board and a simulated one.
+//! The crate knows neither the kind of link nor whether time is real: bytes pass through `embedded-io-async`, time
+//! through [`Clock`]. So the same code drives a real and a simulated board.
 
 mod board;
 mod clock_map;
@@ -75,11 +75,11 @@ pub use error::Error;
 pub use relay::HeartbeatAnswer;
 pub use streams::{ChannelSample, LogStream, SampleStream, Sent, SentStream, Stream, TelemetryStream};
 
-/// Where the driver takes its time from.
+/// Time source of the driver.
 pub trait Clock: Clone {
-    /// Microseconds since some fixed moment; never goes back.
+    /// Returns the time since a fixed moment, µs; never decreases.
     fn now_us(&self) -> u64;
 
-    /// Ready once [`Clock::now_us`] is at least `at_us`.
+    /// Waits until [`Clock::now_us`] is at least `at_us`.
     fn sleep_until(&self, at_us: u64) -> impl Future<Output = ()>;
 }

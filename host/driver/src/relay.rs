@@ -1,4 +1,4 @@
-//! A board whose requests, cycles and heartbeats come from elsewhere, as from the clients of a broker: they are passed on as they are.
+//! Requests, cycles and heartbeats from elsewhere, such as a broker's clients, passed on to the board unchanged.
 
 use r4_protocol::{Causes, Cycle, CycleState, HotWinding, Reply, Request, SafetyState, ToDevice};
 
@@ -7,29 +7,30 @@ use crate::{
     streams::{LogStream, Stream, lock},
 };
 
-/// A heartbeat that the board answered.
+/// Board's answer to a heartbeat.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeartbeatAnswer {
-    /// The host's clock when it left, µs: what [`Board::send_heartbeat`] returned, for one of its own.
+    /// Host's clock when the heartbeat left, µs: the value that [`Board::send_heartbeat`] returned for it.
     pub host_us: u64,
-    /// The board's clock when it answered, µs.
+    /// Board's clock at the answer, µs.
     pub device_us: u64,
     /// State of the board's supervisor.
     pub state: SafetyState,
     /// Causes latched by a trip.
     pub causes: Causes,
-    /// Motors whose windings are close to what they withstand.
+    /// Motors with windings close to their temperature limit.
     pub hot: Vec<HotWinding>,
 }
 
 impl<C: Clock> Board<C> {
-    /// Whether this driver sends heartbeats by itself, as it does from the beginning. If not, the board trips after its link time-out unless
-    /// [`Board::send_heartbeat`] is called more often; after five such time-outs the session has ended, as whenever no heartbeat is answered.
+    /// Selects whether the driver sends heartbeats by itself, which it does initially. With `false`, the board trips
+    /// after its link time-out unless [`Board::send_heartbeat`] is called often enough; after five such time-outs
+    /// without an answer the session ends.
     pub fn keep_heartbeat(&self, keeps: bool) {
         lock(&self.wire.state).relays_heartbeats = !keeps;
     }
 
-    /// Sends a heartbeat now. Returns the host's clock that is in it, µs, by which its answer is known.
+    /// Sends a heartbeat now. Returns the host's clock in it, µs, which its answer repeats.
     pub fn send_heartbeat(&self) -> u64 {
         let host_us = self.wire.clock.now_us();
         let message = lock(&self.wire.state).heartbeat(host_us);
@@ -39,38 +40,39 @@ impl<C: Clock> Board<C> {
         host_us
     }
 
-    /// The clock of this host now, µs.
+    /// Returns the host's clock, µs.
     #[must_use]
     pub fn host_now_us(&self) -> u64 {
         self.wire.clock.now_us()
     }
 
-    /// What the firmware logs from now on, for which the board is asked by [`Request::Log`].
+    /// Stream of the firmware's log from now on; [`Request::Log`] makes the board send it.
     #[must_use]
     pub fn log_chunks(&self) -> LogStream {
         lock(&self.wire.state).log.open()
     }
 
-    /// Answers to heartbeats from now on.
+    /// Stream of answers to heartbeats from now on.
     #[must_use]
     pub fn heartbeat_answers(&self) -> Stream<HeartbeatAnswer> {
         lock(&self.wire.state).heartbeats.open()
     }
 
-    /// Passes a request on. It is on its way when this returns, before all that is asked for later; it is sent again as the driver's own are.
+    /// Passes a request on. It is sent before this function returns and before everything sent later; it is repeated
+    /// under the same rules as the driver's own requests.
     ///
     /// # Errors
-    /// Of the future: those of any request.
+    /// Those of any request, from the future.
     pub fn pass_on(&self, request: Request) -> impl Future<Output = Result<Reply, Error>> + use<C> {
         self.wire.send_request("request passed on", request, None)
     }
 
-    /// Passes a cycle on. Its answer comes by [`Board::cycle_answers`]; [`Board::stream`] must not be in use.
+    /// Passes a cycle on. [`Board::cycle_answers`] returns its answer; [`Board::stream`] must not be in use.
     pub fn pass_on_cycle(&self, cycle: Cycle) {
         self.wire.send(ToDevice::Cycle(cycle));
     }
 
-    /// Answers to cycles from now on.
+    /// Stream of answers to cycles from now on.
     #[must_use]
     pub fn cycle_answers(&self) -> Stream<CycleState> {
         lock(&self.wire.state).cycle_answers.open()

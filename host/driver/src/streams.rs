@@ -1,4 +1,4 @@
-//! What comes from the board, or goes to it, as streams that never block the link.
+//! Streams of messages from and to the board, with bounded queues that never block the link.
 
 use std::{
     collections::VecDeque,
@@ -10,7 +10,7 @@ use r4_protocol::{Causes, ChannelId, ChannelInfo, LogChunk, SafetyState, Sample,
 
 use crate::Error;
 
-/// Items a reader may fall behind before the oldest are dropped.
+/// Capacity of a stream's queue; beyond it the oldest items are dropped.
 const CAPACITY: usize = 4096;
 
 struct Queue<T> {
@@ -20,36 +20,38 @@ struct Queue<T> {
     end: Option<Error>,
 }
 
-/// Everything of its kind from the moment the stream was made. A reader that falls behind loses the oldest, counted.
+/// Stream of all items of one kind from the moment it was made. A slow reader loses the oldest items, which are
+/// counted.
 pub struct Stream<T>(Arc<Mutex<Queue<T>>>);
 
-/// Every telemetry frame.
+/// Stream of every telemetry frame.
 pub type TelemetryStream = Stream<Telemetry>;
-/// The samples of one channel.
+/// Stream of one channel's samples.
 pub type SampleStream = Stream<ChannelSample>;
-/// What the driver has sent.
+/// Stream of messages that the driver has sent.
 pub type SentStream = Stream<Sent>;
 
-/// What the board's firmware logs.
+/// Stream of the board firmware's log.
 pub type LogStream = Stream<LogChunk>;
 
-/// A sample of one channel.
+/// Sample of one channel, with the board's state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChannelSample {
-    /// The board's clock when it was taken, µs.
+    /// Board's clock at the measurement, µs.
     pub device_us: u64,
-    /// The host's clock then, as [`Board::host_us`](crate::Board::host_us) tells.
+    /// Host's clock at the measurement, µs, estimated as by [`Board::host_us`](crate::Board::host_us).
     pub host_us: u64,
-    /// Where the supervisor stood.
+    /// Safety state of the board.
     pub state: SafetyState,
     /// Causes latched by a trip.
     pub causes: Causes,
-    /// What was measured.
+    /// Measured values of the channel.
     pub sample: Sample,
 }
 
 impl ChannelSample {
-    /// The position of a motor, stepper or encoder in the unit of its channel, rad or m; `None` where nothing measures one.
+    /// Returns the position of a motor, stepper or encoder in the unit of its channel, rad or m; `None` without a
+    /// position sensor.
     #[must_use]
     pub fn position(&self, channel: &ChannelInfo) -> Option<f64> {
         match self.sample {
@@ -61,22 +63,22 @@ impl ChannelSample {
     }
 }
 
-/// A message as it left for the board.
+/// Message as it left for the board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sent {
-    /// The board's clock then, as far as heartbeats tell, µs.
+    /// Board's clock when it left, µs, estimated from heartbeats.
     pub device_us: u64,
-    /// Any but heartbeats.
+    /// The message itself; heartbeats are left out.
     pub message: ToDevice,
-    /// The set points in it, of one command or of a cycle.
+    /// Set points in the message, of one command or of a cycle.
     pub setpoints: Vec<(ChannelId, Setpoint)>,
 }
 
 impl<T> Stream<T> {
-    /// The next item.
+    /// Waits for the next item.
     ///
     /// # Errors
-    /// Why the link ended, once the items before that are read.
+    /// The error that ended the link, after all items before it have been read.
     pub async fn next(&mut self) -> Result<T, Error> {
         std::future::poll_fn(|context| {
             let mut queue = lock(&self.0);
@@ -92,19 +94,19 @@ impl<T> Stream<T> {
         .await
     }
 
-    /// The next item if one is there.
+    /// Returns the next item without waiting; `None` if there is none yet.
     pub fn try_next(&mut self) -> Option<T> {
         lock(&self.0).items.pop_front()
     }
 
-    /// Items dropped because this reader was too slow.
+    /// Returns the number of items dropped because this reader was too slow.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         lock(&self.0).dropped
     }
 }
 
-/// Where the connection puts items for all streams of a kind.
+/// Sending side: distributes items to all streams of one kind.
 pub(crate) struct Streams<T> {
     queues: Vec<Weak<Mutex<Queue<T>>>>,
     end: Option<Error>,
@@ -118,14 +120,14 @@ impl<T> Default for Streams<T> {
 
 impl<T: Clone> Streams<T> {
     pub(crate) fn open(&mut self) -> Stream<T> {
-        // After the end a stream says so at once.
+        // A stream opened after the end returns the error at once.
         let queue = Queue { items: VecDeque::new(), dropped: 0, reader: None, end: self.end.clone() };
         let queue = Arc::new(Mutex::new(queue));
         self.queues.push(Arc::downgrade(&queue));
         Stream(queue)
     }
 
-    /// Whether anybody may be reading.
+    /// Returns true while a stream may have a reader.
     pub(crate) fn is_open(&self) -> bool {
         !self.queues.is_empty()
     }
@@ -158,7 +160,7 @@ impl<T: Clone> Streams<T> {
     }
 }
 
-/// Where the connection puts samples for those who want one channel.
+/// Sending side for streams of single channels.
 #[derive(Default)]
 pub(crate) struct SampleStreams {
     of_channels: Vec<(ChannelId, Streams<ChannelSample>)>,
@@ -189,7 +191,8 @@ impl SampleStreams {
     }
 }
 
-/// Locks, also after another thread panicked: every change below a lock is a single step.
+/// Locks a mutex, also after a panic of another thread: each change under a lock is a single step, so the data is
+/// consistent.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,74 +1,74 @@
-//! How links are named: `serial:/dev/ttyACM0`, `tcp:localhost:4444`, `can:can0`,
-//! `can:slcan:/dev/ttyACM1#5`.
+//! Names of links: `serial:/dev/ttyACM0`, `tcp:localhost:4444`, `can:can0`, `can:slcan:/dev/ttyACM1#5`.
 
 use std::{fmt, path::PathBuf, str::FromStr};
 
 use r4_protocol::can::{BITRATE, BITRATES_KBIT, Node};
 
-/// Bits per second of a serial port that names no other: of the board's UART. USB does not care.
+/// Baud rate of a serial port without one in its address, bit/s: that of the board's UART. USB ignores it.
 pub const DEFAULT_BAUD: u32 = 1_000_000;
 
-/// Bit rate of a CAN bus where none is named, kbit/s.
+/// Default bit rate of a CAN bus, kbit/s.
 const DEFAULT_KBIT_PER_S: u16 = (BITRATE / 1000) as u16;
 
-/// Where a board is.
+/// Address of a board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Address {
-    /// On a serial port: USB of the board, its UART, or a served pseudo-terminal.
+    /// Serial port: USB of the board, its UART, or a served pseudo-terminal.
     Serial {
-        /// As in `/dev/ttyACM0`; `None` is the only board that is found.
+        /// Device path such as `/dev/ttyACM0`; `None` selects the only board found.
         path: Option<PathBuf>,
-        /// Bits per second.
+        /// Baud rate of the port, bit/s.
         baud: u32,
     },
-    /// Behind a TCP port: a served board, or one at a serial server.
+    /// TCP port of a served board, or of a serial server with a board.
     Tcp {
-        /// Name or address.
+        /// Host name or IP address.
         host: String,
-        /// Number.
+        /// TCP port number, not 0.
         port: u16,
     },
-    /// On a CAN bus.
+    /// Board on a CAN bus.
     Can {
-        /// By what.
+        /// Interface to the bus.
         interface: CanInterface,
-        /// Which board on the bus.
+        /// Node number of the board.
         node: Node,
     },
 }
 
-/// How a CAN bus is reached.
+/// Interface to a CAN bus.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CanInterface {
-    /// By an interface of Linux, as in `can0`.
+    /// Network interface of Linux (SocketCAN), such as `can0`.
     Socket(String),
-    /// By an adapter of the CANable type, which speaks slcan on a serial port.
+    /// Adapter of the CANable type, with the slcan protocol on a serial port.
     Slcan {
-        /// The port.
+        /// Serial port of the adapter.
         path: PathBuf,
-        /// Bit rate of the bus, which the adapter is told, kbit/s. That of an interface of Linux is told to Linux.
+        /// Bit rate of the bus, kbit/s, which the link sets in the adapter. A network interface gets its rate from
+        /// Linux.
         kbit_per_s: u16,
     },
 }
 
-/// A text that is no [`Address`].
+/// Error of a text that is no [`Address`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BadAddress {
-    /// Not one of the kinds.
+    /// The text has none of the known forms.
     #[error(
         "`{0}`: write serial:/dev/ttyACM0, serial:auto, tcp:HOST:PORT, can:can0[#NODE] or can:slcan:/dev/ttyACM0[@KBIT][#NODE]"
     )]
     Kind(String),
-    /// What follows `@` is no rate.
+    /// The text after `@` is no baud rate.
     #[error("`{0}`: after @ comes a rate in bits per second, as in serial:/dev/ttyUSB0@1000000")]
     Baud(String),
-    /// TCP needs both.
+    /// Host or port is missing.
     #[error("`{0}`: tcp: needs a host and a port, as in tcp:localhost:4444 or tcp:[::1]:4444")]
     Port(String),
-    /// What follows `@` is no rate of boards.
+    /// The text after `@` is no bit rate of a board's bus.
     #[error("`{0}`: after @ comes the bus's rate in kbit/s, 125, 250, 500 or 1000, as in can:slcan:/dev/ttyACM0@500#5")]
     CanRate(String),
-    /// A number that no board can have.
+    /// The node number is out of range.
     #[error("`{0}`: a board on a bus has a number from 0 to {last}, as in can:can0#5", last = Node::COUNT - 1)]
     Node(String),
 }
@@ -80,6 +80,7 @@ impl FromStr for Address {
         let whole = || text.to_owned();
         match text.split_once(':') {
             Some(("serial", rest)) if !rest.is_empty() => {
+                // From the right, because a path may contain `@`.
                 let (path, baud) = match rest.rsplit_once('@') {
                     Some((path, baud)) => {
                         (path, baud.parse().ok().filter(|baud| *baud > 0).ok_or(BadAddress::Baud(whole()))?)
@@ -90,6 +91,7 @@ impl FromStr for Address {
             }
             Some(("tcp", rest)) => {
                 let (host, port) = rest.rsplit_once(':').ok_or(BadAddress::Port(whole()))?;
+                // An IPv6 address is in brackets, because it contains colons.
                 let host = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
                 let port = port.parse().ok().filter(|port| *port > 0);
                 match port {
@@ -105,6 +107,7 @@ impl FromStr for Address {
                 let interface = match name.strip_prefix("slcan:") {
                     Some(port) if !port.is_empty() => {
                         let (path, kbit_per_s) = match port.rsplit_once('@') {
+                            // A board's bus has one of these rates only.
                             Some((path, rate)) => {
                                 let known = |rate: &u16| BITRATES_KBIT.contains(rate);
                                 (path, rate.parse().ok().filter(known).ok_or(BadAddress::CanRate(whole()))?)
@@ -124,8 +127,8 @@ impl FromStr for Address {
     }
 }
 
-/// Whether the kernel could have an interface of this name (`dev_valid_name` in its net/core/dev.c). The word for adapters
-/// alone lacks their port.
+/// Returns true for a valid name of a network interface (`dev_valid_name` in the kernel's net/core/dev.c). `slcan`
+/// alone is refused: it is an adapter without its port.
 fn is_interface(name: &str) -> bool {
     let good = |char: char| char != '/' && char != ':' && !char.is_whitespace();
     (1..16).contains(&name.len()) && ![".", "..", "slcan"].contains(&name) && name.chars().all(good)

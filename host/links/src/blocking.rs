@@ -1,5 +1,5 @@
-//! The driver for programs that wait: a thread of its own runs the asynchronous driver, keeps its heartbeat and does what
-//! it is asked. There is no second driver.
+//! Blocking interface to the driver: a thread runs the asynchronous driver, keeps its heartbeat and executes the calls.
+//! The driver itself is the same.
 //!
 //! ```no_run
 //! use r4_links::{Address, blocking::Board};
@@ -36,24 +36,24 @@ use crate::{Address, Key, OpenError, RealClock, block_on, open};
 type Inner = r4_driver::Board<RealClock>;
 type Job = Box<dyn for<'b> FnOnce(&'b Inner) -> LocalBoxFuture<'b, ()> + Send>;
 
-/// Why there is no session.
+/// Reason why no session was opened.
 #[derive(Debug, thiserror::Error)]
 pub enum ConnectError {
-    /// There is no link.
+    /// The link could not be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// The board does not answer as it should.
+    /// The board does not answer, or refuses the session.
     #[error(transparent)]
     Board(#[from] Error),
-    /// The operating system gives no thread.
+    /// The operating system could not start a thread.
     #[error("cannot start the thread that keeps the heartbeat: {0}")]
     Thread(#[from] io::Error),
 }
 
-/// A session with a board. May be used from several threads at once; nothing waits for what another thread asked.
+/// Session with a board. Several threads may use it at once; no call waits for another thread's call.
 ///
-/// The heartbeat goes on whatever the program does, and ends with the program or when this is dropped: then the board makes
-/// its outputs safe.
+/// The heartbeat continues whatever the program does, and ends with the program or when this value is dropped: then the
+/// board makes its outputs safe.
 pub struct Board {
     jobs: Option<UnboundedSender<Job>>,
     thread: Option<JoinHandle<()>>,
@@ -65,7 +65,7 @@ impl Board {
     /// Opens a session with the board at `address`.
     ///
     /// # Errors
-    /// [`ConnectError`]
+    /// [`ConnectError`] names the reason.
     pub fn connect(address: &Address, key: Option<&Key>) -> Result<Self, ConnectError> {
         let (jobs, queue) = unbounded();
         let (told, outcome) = mpsc::channel();
@@ -73,29 +73,29 @@ impl Board {
         let thread = thread::Builder::new()
             .name("r4-board".into())
             .spawn(move || block_on(run(&address, key.as_ref(), queue, told)))?;
-        // Without an answer the thread is gone, which it cannot be without one but by a panic.
+        // The thread always sends an outcome; only a panic can drop the sender before.
         let outcome = outcome.recv().unwrap_or(Err(ConnectError::Board(gone())));
         let (info, channels) = outcome?;
         Ok(Self { jobs: Some(jobs), thread: Some(thread), info, channels })
     }
 
-    /// Who this is.
+    /// Description that the board gave when the session was opened.
     #[must_use]
     pub fn info(&self) -> &DeviceInfo {
         &self.info
     }
 
-    /// The channels, as the board describes them.
+    /// Channels in the board's order, as the board describes them.
     #[must_use]
     pub fn channels(&self) -> &[ChannelInfo] {
         &self.channels
     }
 
-    /// Does anything that the asynchronous driver can do, and waits for it:
-    /// `board.call(|board| Box::pin(board.faults()))`.
+    /// Calls any function of the asynchronous driver and waits for its result: `board.call(|board|
+    /// Box::pin(board.faults()))`.
     ///
     /// # Errors
-    /// Those of what is called.
+    /// Those of the called function.
     pub fn call<T: Send + 'static>(
         &self,
         ask: impl for<'b> FnOnce(&'b Inner) -> LocalBoxFuture<'b, Result<T, Error>> + Send + 'static,
@@ -104,7 +104,7 @@ impl Board {
         self.give(Box::new(move |board| {
             let asked = ask(board);
             async move {
-                // Whoever asked may be gone.
+                // The calling thread may have ended.
                 let _ = told.send(asked.await);
             }
             .boxed_local()
@@ -116,58 +116,58 @@ impl Board {
         self.jobs.as_ref().and_then(|jobs| jobs.unbounded_send(job).ok()).ok_or(gone())
     }
 
-    /// [`r4_driver::Board::arm`]
+    /// Blocking form of [`r4_driver::Board::arm`].
     ///
     /// # Errors
-    /// As there.
+    /// Those of that function.
     pub fn arm(&self) -> Result<(), Error> {
         self.call(|board| Box::pin(board.arm()))
     }
 
-    /// [`r4_driver::Board::disarm`]
+    /// Blocking form of [`r4_driver::Board::disarm`].
     ///
     /// # Errors
-    /// As there.
+    /// Those of that function.
     pub fn disarm(&self) -> Result<(), Error> {
         self.call(|board| Box::pin(board.disarm()))
     }
 
-    /// [`r4_driver::Board::clear`]
+    /// Blocking form of [`r4_driver::Board::clear`].
     ///
     /// # Errors
-    /// As there.
+    /// Those of that function.
     pub fn clear(&self) -> Result<(), Error> {
         self.call(|board| Box::pin(board.clear()))
     }
 
-    /// [`r4_driver::Board::stop`]
+    /// Blocking form of [`r4_driver::Board::stop`].
     ///
     /// # Errors
-    /// As there.
+    /// Those of that function.
     pub fn stop(&self) -> Result<(), Error> {
         self.call(|board| Box::pin(board.stop()))
     }
 
-    /// [`r4_driver::Board::set`]
+    /// Blocking form of [`r4_driver::Board::set`].
     ///
     /// # Errors
-    /// As there.
+    /// Those of that function.
     pub fn set(&self, channel: ChannelId, setpoint: Setpoint) -> Result<(), Error> {
         self.call(move |board| Box::pin(board.set(channel, setpoint)))
     }
 
-    /// [`r4_driver::Board::move_to`]: rad or m, s.
+    /// Blocking form of [`r4_driver::Board::move_to`]: target in rad or m, time-out in s.
     ///
     /// # Errors
-    /// As there.
+    /// Those of that function.
     pub fn move_to(&self, channel: ChannelId, target: f64, timeout_s: f64) -> Result<Motion, Error> {
         self.call(move |board| Box::pin(board.move_to(channel, target, timeout_s)))
     }
 
-    /// Samples of these channels from now on, each so often.
+    /// Subscribes to these channels every `period_ms` and returns an iterator over their samples from now on.
     ///
     /// # Errors
-    /// [`r4_driver::Board::subscribe`]'s.
+    /// Those of [`r4_driver::Board::subscribe`].
     pub fn samples(&self, channels: &[ChannelId], period_ms: u16) -> Result<Samples, Error> {
         let channels = channels.to_vec();
         let (told, frames) = mpsc::channel();
@@ -199,7 +199,7 @@ impl Board {
 
 impl Drop for Board {
     fn drop(&mut self) {
-        // The session ends when nobody can ask for anything any more.
+        // Dropping the sender closes the queue, which ends the session.
         self.jobs = None;
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
@@ -207,16 +207,16 @@ impl Drop for Board {
     }
 }
 
-/// What a board measures, as it comes; see [`Board::samples`]. Ends with the session.
+/// Iterator over a board's samples as they arrive, from [`Board::samples`]. Ends with the session.
 pub struct Samples {
     frames: Receiver<Result<Telemetry, Error>>,
     channels: Vec<ChannelId>,
-    /// Of the last frame, the next one last.
+    /// Remaining samples of the last frame, in reverse order.
     waiting: Vec<(u64, Sample)>,
 }
 
 impl Iterator for Samples {
-    /// When it was measured, by the board's clock, µs.
+    /// Board's clock at the measurement, µs, and the sample.
     type Item = Result<(u64, Sample), Error>;
 
     fn next(&mut self) -> Option<Self::Item> {
@@ -255,11 +255,11 @@ async fn run(address: &Address, key: Option<&Key>, mut queue: UnboundedReceiver<
         loop {
             let job = match select(queue.next(), running.next()).await {
                 Either::Left((job, _)) => job,
-                // None when nothing runs: then only a new job can change that.
+                // `None` means that no job runs: only a new job can change that.
                 Either::Right((None, job)) => job.await,
                 Either::Right((Some(()), _)) => continue,
             };
-            // Whoever could ask is gone: what runs is dropped, and the session closed.
+            // The [`Board`] was dropped: running jobs are dropped too, and the session closes.
             let Some(job) = job else { return };
             running.push(job(board));
         }
@@ -294,7 +294,7 @@ mod tests {
                 device_us == 7 && matches!(sample, Sample::Reading { channel: MOTOR, value, .. } if value == expected)
             );
         }
-        // It is gone when the session is closed, not some time later.
+        // Dropping waits until the session is closed.
         drop(board);
         let asked: Vec<_> = fake.asked.try_iter().collect();
         assert!(samples.all(|sample| sample.is_ok()), "they end with the session");

@@ -1,20 +1,20 @@
-//! What every link over CAN has in common: the identifiers of either end, and the bytes out of the frames.
+//! Common part of all links over CAN: identifiers of both ends, and assembly of the byte stream from frames.
 
 use std::collections::VecDeque;
 
 use r4_protocol::can::{Direction, Inbound, Node, NotTaken};
 
-/// Which end of a link over CAN this is.
+/// End of a link over CAN.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// A host that talks to this board.
+    /// Host that talks to this board.
     Host(Node),
-    /// This board.
+    /// Board with this node number.
     Board(Node),
 }
 
 impl End {
-    /// The identifier that it sends with.
+    /// Returns the identifier of the frames that this end sends.
     #[must_use]
     pub fn sends_with(self) -> u16 {
         match self {
@@ -23,7 +23,7 @@ impl End {
         }
     }
 
-    /// The identifiers that it listens to: a board to those of set points too.
+    /// Returns the identifiers that this end receives; a board receives set points too.
     #[must_use]
     pub fn listens_to(self) -> Vec<u16> {
         match self {
@@ -33,14 +33,14 @@ impl End {
     }
 }
 
-/// Bytes out of frames. At a board, set points go between the frames of the byte stream.
+/// Assembles the byte stream from frames. At a board, set points are inserted between the frames of the stream.
 pub(crate) struct Assembly {
     end: End,
-    /// At a host: everything, as it came.
+    /// Received bytes at a host, in their order.
     bytes: VecDeque<u8>,
-    /// At a board.
+    /// Received bytes and set points at a board.
     inbound: Box<Inbound>,
-    /// What `inbound` has not taken yet.
+    /// Frames that `inbound` had no room for.
     waiting: VecDeque<Vec<u8>>,
 }
 
@@ -50,12 +50,12 @@ impl Assembly {
         Self { end, bytes: VecDeque::new(), inbound: Box::new(Inbound::new(node)), waiting: VecDeque::new() }
     }
 
-    /// Takes a frame of the bus; those of others are nothing.
+    /// Takes a frame from the bus; ignores frames for other ends.
     pub(crate) fn take(&mut self, identifier: u16, data: &[u8]) {
         match self.end {
             End::Host(node) if identifier == node.identifier(Direction::ToHost) => self.bytes.extend(data),
             End::Host(_) => {}
-            // What is behind others stays behind them; set points go before all.
+            // Frames behind waiting ones must wait too, to keep their order; set points overtake all.
             End::Board(node) if identifier == node.identifier(Direction::ToDevice) && !self.waiting.is_empty() => {
                 self.waiting.push_back(data.to_vec());
             }
@@ -66,7 +66,7 @@ impl Assembly {
         }
     }
 
-    /// Gives as many bytes as there are, up to the length of `buffer`; 0 when another frame must come first.
+    /// Copies the available bytes to `buffer` and returns their number; 0 when another frame must arrive first.
     pub(crate) fn read(&mut self, buffer: &mut [u8]) -> usize {
         let End::Board(node) = self.end else {
             let len = buffer.len().min(self.bytes.len());
@@ -81,7 +81,7 @@ impl Assembly {
                 return len;
             }
             let Some(data) = self.waiting.pop_front() else { return 0 };
-            // It has room: it has just been emptied.
+            // The frame fits, because `inbound` has just been emptied.
             let _ = self.inbound.take(node.identifier(Direction::ToDevice), &data);
         }
     }
@@ -117,7 +117,7 @@ mod tests {
         let stream = [stats(1), stats(2), stats(3)].map(|message| frame(&message)).concat();
         for piece in cut(&stream) {
             board.take(0x203, piece);
-            // Another board's, and what boards say.
+            // Frames to another board, and from a board, are ignored.
             board.take(0x204, piece);
             board.take(0x283, piece);
         }
@@ -130,7 +130,8 @@ mod tests {
         assert_eq!(messages, [cycle, stats(1), stats(2), stats(3)].map(Ok));
     }
 
-    /// However many pieces come before the first is read, and however much is read after each of the others.
+    /// The order holds for any number of pieces before the first read, and for any length of the reads after each
+    /// further piece.
     #[test]
     fn a_board_reads_the_byte_stream_in_its_order() {
         let stream = [1, 2, 3, 4, 5, 6].map(|seq| frame(&stats(seq))).concat();

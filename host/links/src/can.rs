@@ -1,9 +1,8 @@
-//! CAN by an interface of Linux (SocketCAN): `can0` of an adapter or a controller, `vcan0` between programs.
+//! CAN through a network interface of Linux (SocketCAN): `can0` of an adapter or controller, `vcan0` between programs.
 //!
-//! The kernel's filter passes what is for this end and nothing else. Frames of either kind are received. CAN FD is sent by a
-//! board whose interface is set up for it, and by a host once its board has: a bus may have nodes that know classic frames
-//! only and would destroy others, so nobody's first frame is one. An interface is set up for CAN FD when its MTU is 72
-//! (`ip link set can0 type can … fd on`).
+//! The kernel's filter passes only frames for this end, classic and CAN FD. A board sends CAN FD if its interface is
+//! set up for it, and a host once its board does: classic-only nodes on the bus would destroy such frames, so a host
+//! never begins with one. An interface is set up for CAN FD when its MTU is 72 (`ip link set can0 type can … fd on`).
 
 use std::{
     fs, io,
@@ -26,47 +25,47 @@ use socketcan::{
 
 use crate::bus::{Assembly, End};
 
-/// Bytes of a frame of CAN FD as the kernel carries it (`CANFD_MTU`).
+/// Size of the kernel's CAN FD frame, bytes (`CANFD_MTU`).
 const FD_MTU: u32 = 72;
-/// What the kernel calls a CAN interface (`ARPHRD_CAN`).
+/// Kernel's type number of CAN interfaces (`ARPHRD_CAN`).
 const CAN_INTERFACE: u32 = 280;
-/// The interface is on (`IFF_UP`).
+/// Flag of an interface that is up (`IFF_UP`).
 const UP: u32 = 1;
-/// Matches one standard identifier, and data frames only: all its bits, not extended, not remote.
+/// Filter mask that matches one standard identifier in data frames only: all its bits, not extended, not remote.
 const EXACTLY: u32 = 0x7FF | 0x8000_0000 | 0x4000_0000;
-/// After a full queue of the interface, which cannot be waited for otherwise. A full frame takes 0.13 ms.
+/// Wait after a full transmit queue, which the kernel does not signal otherwise. A full frame takes 0.13 ms.
 const QUEUE_FULL: Duration = Duration::from_micros(500);
 
-/// Why an interface cannot be used.
+/// Reason why an interface cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum CanError {
-    /// There is none of that name.
+    /// No interface has that name.
     #[error(
         "there is no CAN interface {0}: `ip link show type can` lists what there is; an adapter with slcan is can:slcan:/dev/ttyACM0"
     )]
     NoInterface(String),
-    /// It is there, and it is something else.
+    /// The interface is of another type.
     #[error("{0} is no CAN interface: `ip link show type can` lists those")]
     NotCan(String),
-    /// It is off.
+    /// The interface is down.
     #[error("{0} is down: `sudo ip link set {0} up type can bitrate 1000000` starts it")]
     Down(String),
-    /// The kernel was built without, or the module is not loaded.
+    /// The kernel has no CAN sockets, or their module is not loaded.
     #[error(
         "this kernel has no CAN sockets: `sudo modprobe can_raw` loads them where there are; an adapter with slcan needs none, as in can:slcan:/dev/ttyACM0"
     )]
     NoSockets,
-    /// Anything else that the operating system says.
+    /// Any other error of the operating system.
     #[error("cannot open {interface}: {source}")]
     System {
-        /// Its name.
+        /// Name of the interface.
         interface: String,
-        /// Its words.
+        /// Error of the operating system.
         source: io::Error,
     },
 }
 
-/// A board's bytes, out of frames.
+/// Receiving half: assembles the byte stream from frames.
 #[derive(Debug)]
 pub struct Receiver {
     socket: Arc<Async<CanFdSocket>>,
@@ -75,26 +74,26 @@ pub struct Receiver {
     interface_has_fd: bool,
 }
 
-/// Bytes into frames with one identifier.
+/// Transmitting half: cuts the byte stream into frames with one identifier.
 #[derive(Debug)]
 pub struct Transmitter {
     socket: Arc<Async<CanFdSocket>>,
     identifier: StandardId,
-    /// Whether frames of CAN FD are sent; the receiver sees when they may be.
+    /// CAN FD frames are sent; a host's receiver sets this when its board sends one.
     fd: Arc<AtomicBool>,
 }
 
 /// Opens one end of a link over `interface`.
 ///
 /// # Errors
-/// [`CanError`], which says what can be done.
+/// [`CanError`], which names the remedy.
 pub fn open(interface: &str, end: End) -> Result<(Receiver, Transmitter), CanError> {
     let name = || interface.to_owned();
     let system = |source| CanError::System { interface: name(), source };
     let socket = CanFdSocket::open(interface).map_err(|source| {
         match source.raw_os_error().map(Errno::from_raw_os_error) {
             Some(Errno::AFNOSUPPORT | Errno::PROTONOSUPPORT) => CanError::NoSockets,
-            // Of an interface that is not CAN, the same error.
+            // The kernel returns the same error for an interface of another type.
             Some(Errno::NODEV) if property(interface, "type").is_some_and(|kind| kind != CAN_INTERFACE) => {
                 CanError::NotCan(name())
             }
@@ -116,7 +115,7 @@ pub fn open(interface: &str, end: End) -> Result<(Receiver, Transmitter), CanErr
     Ok((receiver, Transmitter { socket, identifier, fd }))
 }
 
-/// What the kernel says of an interface; `None` where it does not.
+/// Reads a number that the kernel shows for an interface in `/sys/class/net`; `None` if it is absent.
 fn property(interface: &str, name: &str) -> Option<u32> {
     let text = fs::read_to_string(Path::new("/sys/class/net").join(interface).join(name)).ok()?;
     let text = text.trim();
@@ -139,6 +138,7 @@ impl Read for Receiver {
             match &frame {
                 CanAnyFrame::Normal(frame) => self.assembly.take(identifier.as_raw(), frame.data()),
                 CanAnyFrame::Fd(frame) => {
+                    // The board sends CAN FD, so this end may too, if its interface can.
                     if self.interface_has_fd {
                         self.fd.store(true, Ordering::Relaxed);
                     }
@@ -151,14 +151,14 @@ impl Read for Receiver {
 }
 
 impl Transmitter {
-    /// Sends one frame, as soon as the interface has room for it.
+    /// Sends one frame; waits while the interface's queue is full.
     async fn send(&self, data: &[u8]) -> io::Result<()> {
         let frame = if self.fd.load(Ordering::Relaxed) {
             CanFdFrame::with_flags(self.identifier, data, FdFlags::BRS).map(CanAnyFrame::Fd)
         } else {
             CanDataFrame::new(self.identifier, data).map(CanAnyFrame::Normal)
         };
-        // No piece is longer than its kind of frame.
+        // The pieces are cut to the length of their kind of frame, so this cannot fail.
         let frame = frame.ok_or(io::ErrorKind::InvalidInput)?;
         loop {
             match self.socket.write_with(|socket| socket.write_frame(&frame)).await {
@@ -200,10 +200,10 @@ mod tests {
 
     use super::*;
 
-    /// The loopback interface is on every machine.
+    /// The test reads the loopback interface, which every machine has.
     #[test]
     fn properties_are_read_as_the_kernel_writes_them() {
-        // `ARPHRD_LOOPBACK`, and `IFF_LOOPBACK` among the flags, which are in hex.
+        // Expected values: `ARPHRD_LOOPBACK`, and `IFF_LOOPBACK` among the flags, which are in hex.
         assert_eq!(property("lo", "type"), Some(772));
         assert!(property("lo", "flags").is_some_and(|flags| flags & 8 != 0));
         assert_eq!(property("lo", "address"), None, "no number");

@@ -1,4 +1,4 @@
-//! Real time, for the driver.
+//! Real-time clock for the driver.
 
 use std::{
     future::Future,
@@ -10,30 +10,31 @@ use async_io::Timer;
 use futures::FutureExt;
 use r4_driver::Clock;
 
-/// The machine's monotonic clock, from the first time that it is asked in this process.
+/// Monotonic clock of the machine, from its first use in this process.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RealClock;
 
-/// When time began.
+/// Moment at which the clock shows 0.
 fn origin() -> Instant {
     static ORIGIN: OnceLock<Instant> = OnceLock::new();
     *ORIGIN.get_or_init(Instant::now)
 }
 
 impl RealClock {
-    /// The moment at which this clock shows `at_us`.
+    /// Returns the moment at which this clock shows `at_us`.
     #[must_use]
     pub fn instant(self, at_us: u64) -> Instant {
         origin() + Duration::from_micros(at_us)
     }
 }
 
-/// What this machine's shared clock showed at `moment`, ns, good to about a microsecond. It is the same clock in every process,
-/// so that two processes can compare moments: `CLOCK_MONOTONIC` on Unix; elsewhere the system's time, which may be set.
+/// Returns the reading of the machine's shared clock at `moment`, ns, accurate to about a microsecond. All processes
+/// share it, so that they can compare moments: `CLOCK_MONOTONIC` on Unix; elsewhere the system time, which may be set.
 #[must_use]
 pub fn monotonic_ns(moment: Instant) -> u64 {
     let (now, shown_ns) = (Instant::now(), shared_clock_ns());
     let ns = |span: Duration| span.as_nanos() as u64;
+    // One of the two differences is 0, because `moment` lies before or after `now`.
     shown_ns.saturating_add(ns(moment.saturating_duration_since(now))) - ns(now.saturating_duration_since(moment))
 }
 
@@ -50,12 +51,12 @@ fn shared_clock_ns() -> u64 {
 
 impl Clock for RealClock {
     fn now_us(&self) -> u64 {
-        // 2⁶⁴ µs are 584 000 years.
+        // The cast is safe: 2⁶⁴ µs are 584 000 years.
         origin().elapsed().as_micros() as u64
     }
 
     fn sleep_until(&self, at_us: u64) -> impl Future<Output = ()> {
-        // A moment too far away to be told never comes.
+        // A moment beyond the range of `Instant` never comes.
         origin().checked_add(Duration::from_micros(at_us)).map_or_else(Timer::never, Timer::at).map(|_| ())
     }
 }
@@ -70,11 +71,11 @@ mod tests {
     fn a_moment_is_where_the_clock_shows_it() {
         let clock = RealClock;
         let begin_us = clock.now_us();
-        // The clock of the driver is what waits: it is not early, and what never comes is waited for.
+        // The future waits on the driver's clock: it is never early, and pends for an unreachable moment.
         block_on(clock.sleep_until(begin_us + 2000));
         let (before, shown_us, after) = (Instant::now(), clock.now_us(), Instant::now());
         assert!(shown_us >= begin_us + 2000, "{shown_us} {begin_us}");
-        // Cut to whole microseconds.
+        // The clock truncates to whole microseconds.
         assert!((before - Duration::from_micros(1)..=after).contains(&clock.instant(shown_us)));
         assert_eq!(clock.instant(5_000_000).duration_since(clock.instant(2_000_000)), Duration::from_secs(3));
         assert_eq!(clock.sleep_until(u64::MAX).now_or_never(), None);
@@ -104,7 +105,7 @@ mod tests {
             for other_ns in
                 [monotonic_ns(now + span) - span.as_nanos() as u64, monotonic_ns(now - span) + span.as_nanos() as u64]
             {
-                // This thread may have waited between two looks at the clock.
+                // The thread may have been suspended between the two readings.
                 assert!(other_ns.abs_diff(shown_ns) < 500_000_000, "{other_ns} {shown_ns}");
             }
         }

@@ -1,4 +1,5 @@
-//! One waitable handle of the operating system as a byte link: a terminal, a pseudo-terminal's end, a connected socket.
+//! Pollable handle of the operating system as a byte link: a terminal, one end of a pseudo-terminal, or a connected
+//! socket.
 
 #[cfg(unix)]
 use std::{fs::File, os::fd::OwnedFd};
@@ -11,31 +12,31 @@ use std::{
 use async_io::Async;
 use embedded_io_async::{ErrorType, Read, Write};
 
-/// On Unix everything that can be waited for is a file descriptor, and reads and writes like a file.
+/// Unix: every pollable object is a file descriptor, read and written as a file.
 #[cfg(unix)]
 type Handle = File;
-/// Windows waits for sockets only.
+/// Windows: only sockets are pollable.
 #[cfg(not(unix))]
 type Handle = TcpStream;
 
-/// One handle in non-blocking mode. Clones share it: a link's two directions.
+/// Handle in non-blocking mode. Clones share it, one for each direction of a link.
 #[derive(Clone, Debug)]
 pub struct Descriptor(Arc<Async<Handle>>);
 
 impl Descriptor {
-    /// Takes a descriptor that can be waited for, which a plain file cannot.
+    /// Wraps a pollable descriptor; a plain file is not pollable.
     ///
     /// # Errors
-    /// The operating system's.
+    /// Those of the operating system.
     #[cfg(unix)]
     pub fn new(descriptor: OwnedFd) -> io::Result<Self> {
         Ok(Self(Arc::new(Async::new(descriptor.into())?)))
     }
 
-    /// Takes a connected socket.
+    /// Wraps a connected socket.
     ///
     /// # Errors
-    /// The operating system's.
+    /// Those of the operating system.
     pub fn socket(stream: TcpStream) -> io::Result<Self> {
         #[cfg(unix)]
         return Self::new(stream.into());
@@ -43,10 +44,10 @@ impl Descriptor {
         return Ok(Self(Arc::new(Async::new(stream)?)));
     }
 
-    /// Writes what the receiver has room for, and does not wait: 0 bytes when there is none.
+    /// Writes as many bytes as the receiver has room for, without waiting; returns 0 when there is none.
     ///
     /// # Errors
-    /// The operating system's.
+    /// Those of the operating system.
     pub fn try_write(&self, bytes: &[u8]) -> io::Result<usize> {
         loop {
             match (&mut self.0.get_ref()).write(bytes) {

@@ -1,5 +1,5 @@
-//! A board for the tests of this crate, at the other end of a TCP link: it says yes to everything and tells what it was asked.
-//! What boards really do is tested with the simulator, which needs this crate.
+//! Fake board for the tests of this crate, at the other end of a TCP link: it accepts every request and reports them.
+//! The tests of real behaviour use the simulator, which depends on this crate.
 
 use std::{
     io::{Read, Write},
@@ -15,30 +15,30 @@ use r4_protocol::{
 
 use crate::Address;
 
-/// The only channel that it has.
+/// Only channel of the fake board.
 pub(crate) const MOTOR: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
 
-/// What one connection to it meets.
+/// Behaviour of the fake board in one connection.
 #[derive(Clone, Default)]
 pub(crate) struct Session {
-    /// Its answer to every request, if it refuses them all.
+    /// Answer to every request, if it refuses them all.
     pub refusal: Option<Refusal>,
-    /// What its clock shows all the time, µs.
+    /// Constant reading of its clock, µs.
     pub device_us: u64,
-    /// Causes that its heartbeats show.
+    /// Causes in its heartbeats.
     pub causes: Causes,
-    /// The connection ends when the host asks for a stop.
+    /// Closes the connection at a stop request.
     pub ends_at_stop: bool,
 }
 
 pub(crate) struct FakeBoard {
     pub address: Address,
-    /// What it was asked, but for greetings and descriptions.
+    /// Requests it received, except hellos and descriptions.
     pub asked: Receiver<Request>,
 }
 
 impl FakeBoard {
-    /// A board that is connected to as often as there are sessions, and then no more.
+    /// Starts a board that accepts one connection per session, one after another, and then no more.
     pub(crate) fn new(sessions: &[Session]) -> Self {
         let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
         let port = listener.local_addr().expect("bound").port();
@@ -55,7 +55,7 @@ impl FakeBoard {
 }
 
 impl Session {
-    /// Until the host is gone.
+    /// Serves one host until it disconnects.
     fn serve(&self, mut stream: TcpStream, tell: &Sender<Request>) {
         let (mut decoder, mut bytes, mut subscribed) = (FrameDecoder::new(), [0; 512], false);
         while let Ok(len @ 1..) = stream.read(&mut bytes) {
@@ -68,7 +68,7 @@ impl Session {
                         answers.push(ToHost::Response { seq, result });
                         subscribed |= matches!(request, Request::Subscribe { .. });
                         if !matches!(request, Request::Hello { .. } | Request::Describe { .. }) {
-                            // Nobody may listen.
+                            // The test may not read the requests.
                             let _ = tell.send(request);
                         }
                     }
@@ -112,7 +112,7 @@ impl Session {
         }
     }
 
-    /// One sample of its channel, beside those of others.
+    /// Two samples of its channel, between those of another.
     fn telemetry(&self) -> ToHost {
         let sample = |channel, value| Sample::Reading { channel, value, quality: Quality::Good, age_ms: 0 };
         let other = ChannelId::new(ChannelKind::Osmc, 1);

@@ -1,4 +1,4 @@
-//! What reading a key asks of the operating system.
+//! Operating-system part of reading a key file.
 
 pub(crate) use system::{has_data, is_open_to_others, is_pipe, open};
 
@@ -19,14 +19,17 @@ mod system {
         fs::{Mode, OFlags},
     };
 
-    /// Opens a file or a pipe, without waiting for the writer of a pipe, or nothing could interrupt that.
+    /// Opens a file or a pipe. Does not wait for the writer of a pipe, because such a wait could not be interrupted.
     pub(crate) fn open(path: &Path) -> io::Result<File> {
+        // CLOEXEC keeps the key from programs started meanwhile; NOCTTY keeps a terminal from becoming the controlling
+        // one.
         let flags = OFlags::NONBLOCK | OFlags::CLOEXEC | OFlags::NOCTTY;
         Ok(File::from(rustix::fs::open(path, flags, Mode::empty())?))
     }
 
-    /// Whether other users may read it.
+    /// Returns true if group or others have any permission.
     pub(crate) fn is_open_to_others(metadata: &Metadata) -> bool {
+        // Group and others must have no permission at all: who can write the file can exchange the key.
         metadata.permissions().mode() & 0o077 != 0
     }
 
@@ -34,7 +37,7 @@ mod system {
         metadata.file_type().is_fifo()
     }
 
-    /// Whether there is something to read, within 50 ms. The end is something, too.
+    /// Waits at most 50 ms for data; the end of the file counts as data.
     pub(crate) fn has_data(pipe: &File) -> io::Result<bool> {
         let mut waited = [PollFd::from_borrowed_fd(pipe.as_fd(), PollFlags::IN)];
         let timeout = Timespec { tv_sec: 0, tv_nsec: 50_000_000 };
@@ -46,7 +49,7 @@ mod system {
     }
 }
 
-/// Windows: plain files only, and no mode that could be too open: a user's own folder is closed to others there.
+/// Windows: plain files only. There is no mode to check: a user's own folder is closed to others.
 #[cfg(not(unix))]
 mod system {
     use std::{
@@ -125,7 +128,7 @@ mod tests {
         for bad in [&b""[..], b"5a", b"\xff\xfe", &padded(4097), &padded(100_000), "5g".repeat(32).as_bytes()] {
             assert!(matches!(read(bad), Err(KeyError::Form(named)) if named == path), "{} bytes", bad.len());
         }
-        // A folder can be opened, and not read.
+        // A folder can be opened, but reading it fails.
         let (folder, _) = in_folder("key");
         fs::set_permissions(folder.path(), Permissions::from_mode(0o700)).expect("ours");
         assert!(matches!(Key::read(folder.path()), Err(KeyError::Read { path, .. }) if path == folder.path()));
@@ -135,13 +138,14 @@ mod tests {
         );
     }
 
-    /// As in `--key <(command)`.
+    /// The pipe is that of `--key <(command)`.
     #[cfg(target_os = "linux")]
     #[test]
     fn a_key_may_come_through_a_pipe_whose_writer_is_waited_for() {
         let (_folder, path) = in_folder("pipe");
         use rustix::fs::{CWD, FileType, Mode, mknodat};
-        // Not by a command: what a started program inherits for a moment disturbs tests beside this one.
+        // The pipe is not made by a command: handles that a started program inherits for a moment would disturb
+        // parallel tests.
         mknodat(CWD, &path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).expect("made");
         let mut asked = 0;
         let given_up = Key::read_while(&path, || {
@@ -152,7 +156,7 @@ mod tests {
         assert!(matches!(given_up, Err(KeyError::Read { source, .. }) if source.kind() == interrupted));
         assert_eq!(asked, 3);
         let writer = path.clone();
-        // Opening it waits for the reader.
+        // Opening the pipe waits for its reader, so it runs in a thread.
         std::thread::spawn(move || fs::write(writer, digits()));
         let key = Key::read_while(&path, || {
             asked += 1;

@@ -1,10 +1,11 @@
-//! The text protocol of the R4 firmware before this one, over UDP, as the published OpenPodCar ROS 2 nodes speak it.
+//! Text protocol of the previous R4 firmware, over UDP, as the published OpenPodCar ROS 2 nodes use it.
 //!
-//! A packet is `key:value;` fields, then `^0x<crc>^`: the CRC-32 of zlib over everything up to and including the first `^`, in
-//! hex as Python's `hex()` writes it. (Rak-r/OpenPodCar_V2, R4 nodes.) It tells a damaged packet, not a stranger's.
+//! A packet is `key:value;` fields, then `^0x<crc>^`: the CRC-32 of zlib over everything up to and including the first
+//! `^`, in hex as Python's `hex()` writes it. (Rak-r/OpenPodCar_V2, R4 nodes.) It detects damaged packets, not foreign
+//! ones.
 //!
-//! What the published nodes send, and from where (`R4-Websockets-Client.py`, `R4_Receiver.py`, `Podcar_Steer_node.py`,
-//! `Podcar_motor_driver.py`):
+//! Messages of the published nodes and their source ports (`R4-Websockets-Client.py`, `R4_Receiver.py`,
+//! `Podcar_Steer_node.py`, `Podcar_motor_driver.py`):
 //!
 //! | message | sent from port | when |
 //! | --- | --- | --- |
@@ -13,8 +14,8 @@
 //! | `D:<0 or 4095>,<dir>,1;PNum:<n>;T:<ms>;` | 4000 | when it changes, at most ten times a second |
 //! | `S:Stop;PNum:<n>;T:<ms>;` | 4000 | by hand |
 //!
-//! The board sends `H:R4-ROS2;` and telemetry (`AINSTEER:<volts>;`, `OSMC1:<share>;`) to port 2390, both with `PNum` and `T`;
-//! the client takes 200 bytes of a packet.
+//! The board sends `H:R4-ROS2;` and telemetry (`AINSTEER:<volts>;`, `OSMC1:<share>;`) to port 2390, both with `PNum`
+//! and `T`; the client accepts 200 bytes per packet.
 
 use std::fmt;
 
@@ -22,47 +23,47 @@ use crc::{CRC_32_ISO_HDLC, Crc};
 
 const CRC32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Longest packet that the old firmware takes, bytes.
+/// Longest packet that the old firmware accepts, bytes.
 pub const LONGEST: usize = 200;
-/// Where the board listens, from where hosts send, and where hosts listen for telemetry.
+/// UDP port on which the board listens for commands.
 pub const BOARD_PORT: u16 = 2018;
-/// See [`BOARD_PORT`].
+/// UDP port from which hosts send heartbeats, and on which they listen for telemetry; commands go to [`BOARD_PORT`].
 pub const TELEMETRY_PORT: u16 = 2390;
-/// A link without a heartbeat for so long is lost, s.
+/// Time without a heartbeat after which a link counts as lost, s.
 pub const LOST_AFTER_S: f64 = 0.7;
-/// PWM of a command that means the full supply.
+/// PWM value that means full supply voltage.
 const FULL: i32 = 4095;
-/// A number that is at most this far above the newest one is the next; one farther ahead may be a stray packet's.
+/// Largest step of a packet number above the newest that counts as the next; a larger one may be a stray packet's.
 const AHEAD: u32 = 16;
-/// A number that is at most this far below the newest one is late; lower still, and its sender began to count anew.
+/// Largest step below the newest number that counts as late; below that, the sender has restarted its count.
 const LATE: u32 = 100;
 
-/// What a packet says, field by field.
+/// Fields of a packet in their order.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Packet(Vec<(String, String)>);
 
-/// What is wrong with a packet.
+/// Error of a packet that cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BadPacket {
-    /// Longer than [`LONGEST`].
+    /// The packet has more than [`LONGEST`] bytes.
     #[error("more than {LONGEST} bytes")]
     TooLong,
-    /// Bytes that are no text, or no `^0x<crc>^` at the end.
+    /// The packet is not text, or does not end with `^0x<crc>^`.
     #[error("no `^0x<crc>^` at its end")]
     Form,
-    /// The sum is another one.
+    /// The checksum does not match.
     #[error("its checksum is wrong")]
     Checksum,
-    /// A part is not `key:value;`.
+    /// A field is not of the form `key:value;`.
     #[error("a part of it is not `key:value;`")]
     Field,
 }
 
 impl Packet {
-    /// Reads a packet.
+    /// Parses a packet and verifies its checksum.
     ///
     /// # Errors
-    /// [`BadPacket`]
+    /// [`BadPacket`] names the reason.
     pub fn parse(bytes: &[u8]) -> Result<Self, BadPacket> {
         if bytes.len() > LONGEST {
             return Err(BadPacket::TooLong);
@@ -74,6 +75,7 @@ impl Packet {
             return Err(BadPacket::Form);
         }
         let sum = u32::from_str_radix(sum, 16).map_err(|_| BadPacket::Form)?;
+        // The sum includes the first `^`, the byte behind the fields.
         if sum != CRC32.checksum(&bytes[..=fields.len()]) {
             return Err(BadPacket::Checksum);
         }
@@ -85,32 +87,32 @@ impl Packet {
         parts.map(field).collect::<Option<_>>().map(Self).ok_or(BadPacket::Field)
     }
 
-    /// With another field at the end.
+    /// Appends a field and returns the packet.
     #[must_use]
     pub fn with(mut self, key: &str, value: impl fmt::Display) -> Self {
         self.0.push((key.to_owned(), value.to_string()));
         self
     }
 
-    /// The value of the first field with this key.
+    /// Returns the value of the first field with this key.
     #[must_use]
     pub fn get(&self, key: &str) -> Option<&str> {
         self.0.iter().find(|(name, _)| name == key).map(|(_, value)| value.as_str())
     }
 
-    /// Its number, if it has one.
+    /// Returns the packet number, if present.
     #[must_use]
     pub fn number(&self) -> Option<u32> {
         self.get("PNum")?.parse().ok()
     }
 
-    /// It is the host's heartbeat.
+    /// Returns true for the host's heartbeat.
     #[must_use]
     pub fn is_heartbeat(&self) -> bool {
         self.get("H") == Some("ROS2-R4")
     }
 
-    /// Every command in it, in order.
+    /// Returns all commands in the packet, in order.
     pub fn commands(&self) -> impl Iterator<Item = Command> {
         self.0.iter().filter_map(|(key, value)| match key.as_str() {
             "O" => Some(drive(Bridge::Osmc, value)),
@@ -121,7 +123,7 @@ impl Packet {
         })
     }
 
-    /// Whether it stops everything.
+    /// Returns true if the packet contains a stop command.
     #[must_use]
     pub fn stops(&self) -> bool {
         self.commands().any(|command| command == Command::Stop)
@@ -136,41 +138,41 @@ impl fmt::Display for Packet {
     }
 }
 
-/// Kind of bridge that a command is for.
+/// Type of motor bridge that a command addresses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bridge {
-    /// `O`
+    /// OSMC bridge, key `O`.
     Osmc,
-    /// `D`
+    /// Dual H-bridge, key `D`.
     Dhb,
 }
 
-/// A host's command. Channels count from 0, as everywhere else here; in packets they count from 1.
+/// Command of a host. Channels count from 0, as elsewhere in this crate; in packets they count from 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Command {
-    /// Drive a motor.
+    /// Drives a motor with a duty.
     Drive {
-        /// Kind of its bridge.
+        /// Type of its bridge.
         bridge: Bridge,
-        /// Number of its channel.
+        /// Channel number of the bridge, from 0.
         channel: u8,
-        /// Share of the supply, -1 to 1.
+        /// Duty as a share of the supply voltage, -1 to 1.
         duty: f32,
     },
-    /// A command for a motor that is not one of this protocol: its PWM is above 4095, for instance.
+    /// Motor command that violates the protocol, such as a PWM value above 4095.
     Bad {
-        /// Kind of its bridge.
+        /// Type of its bridge.
         bridge: Bridge,
-        /// Number of its channel, if that can be read.
+        /// Channel number of the bridge, if readable.
         channel: Option<u8>,
     },
-    /// Stop everything.
+    /// Stops all motors of the board.
     Stop,
-    /// Neither.
+    /// Unknown value of the `S` key.
     Unknown,
 }
 
-/// `<pwm 0-4095>,<dir 0|1>,<channel>`: direction 0 is forwards.
+/// Parses `<pwm 0-4095>,<dir 0|1>,<channel>`; direction 0 is forwards.
 fn drive(bridge: Bridge, value: &str) -> Command {
     let numbers: Vec<Option<i32>> = value.split(',').map(|number| number.trim().parse().ok()).collect();
     let channel = match numbers[..] {
@@ -186,32 +188,32 @@ fn drive(bridge: Bridge, value: &str) -> Command {
     }
 }
 
-/// Place of a packet among those before it.
+/// Order of a packet relative to the earlier ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// Newer than all before.
+    /// Newer than all earlier packets.
     New,
-    /// The newest one once more.
+    /// Repetition of the newest packet.
     Twice,
-    /// Older than the newest one.
+    /// Older than the newest packet.
     Late,
 }
 
-/// Tells packets that are late or come twice by their numbers, which rise; one for each address that sends.
+/// Detects late and repeated packets by their increasing numbers; one instance per sender address.
 ///
-/// A packet far ahead of the others is new, but does not set the count: the ones after it do, so that a stray packet silences
-/// nobody. After [`LOST_AFTER_S`] without a packet any number is new, because a packet is not on its way for so long, but a
-/// host that began anew may count from anywhere.
+/// A packet far ahead of the others is new but does not move the count; only its successors do, so that one stray
+/// packet does not block a sender. After [`LOST_AFTER_S`] without a packet any number is new: no packet is on its way
+/// for so long, but a restarted host may count from anywhere.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sequence {
-    /// Newest number, and when it came, s.
+    /// Newest number and its arrival time, s.
     newest: Option<(u32, f64)>,
-    /// Number of the last packet that was far away from the newest.
+    /// Number of the last packet far from the newest.
     far: Option<u32>,
 }
 
 impl Sequence {
-    /// Place of the packet with `number` that comes at `now_s`. One without a number is new.
+    /// Returns the order of the packet with `number` that arrives at `now_s`. A packet without a number is new.
     pub fn place(&mut self, number: Option<u32>, now_s: f64) -> Order {
         let Some(number) = number else { return Order::New };
         let after = |earlier: u32| (1..=AHEAD).contains(&number.wrapping_sub(earlier));
@@ -220,6 +222,7 @@ impl Sequence {
             Some(newest) if newest == number => Order::Twice,
             Some(newest) if (1..LATE).contains(&newest.wrapping_sub(number)) => Order::Late,
             Some(newest) if !after(newest) && !self.far.is_some_and(after) => {
+                // Far from the newest: only a successor of this packet will confirm its sender's count.
                 let twice = self.far.replace(number) == Some(number);
                 return if twice { Order::Twice } else { Order::New };
             }
@@ -240,7 +243,7 @@ mod tests {
 
     #[test]
     fn packets_are_as_the_nodes_write_them() {
-        // Sums by Python: hex(zlib.crc32(b"...^")).
+        // Checksums computed with Python: hex(zlib.crc32(b"...^")).
         for (text, sum) in [("H:ROS2-R4;T:1234;", "0xffc9f582"), ("O:2048,0,1;PNum:7;", "0x98cfb6d9")] {
             let whole = format!("{text}^{sum}^");
             let packet = Packet::parse(whole.as_bytes()).unwrap_or_else(|why| panic!("{text}: {why}"));
@@ -258,7 +261,7 @@ mod tests {
     fn what_is_no_packet_is_told_apart() {
         let of_length = |len: usize| {
             let packet = |fill: usize| Packet::default().with("A", "x".repeat(fill)).to_string();
-            // A sum has up to eight digits, so the length is searched.
+            // The checksum has up to eight digits, so the fill is searched for the wanted length.
             (1..LONGEST).map(packet).find(|text| text.len() == len).expect("one of this length")
         };
         for len in [LONGEST - 1, LONGEST] {
@@ -267,7 +270,7 @@ mod tests {
         assert_eq!(Packet::parse(of_length(LONGEST + 1).as_bytes()), Err(BadPacket::TooLong));
         let good = Packet::default().with("S", "Stop").to_string();
         for (bad, why) in [
-            // A number may have a sign, a sum does not.
+            // `from_str_radix` accepts a sign, but a checksum has none.
             (good.replace("0x", "0x+"), BadPacket::Form),
             (good.replace("0x", ""), BadPacket::Form),
             ("S:Stop;^0x^".into(), BadPacket::Form),
@@ -315,7 +318,7 @@ mod tests {
         }
     }
 
-    /// The numbers of packets that come 10 ms after each other, and their places.
+    /// Returns the orders of packets with these numbers that arrive 10 ms apart.
     fn places(numbers: &[u32]) -> String {
         let mut sequence = Sequence::default();
         let place = |(at, number): (u32, &u32)| match sequence.place(Some(*number), f64::from(at) * 0.01) {
@@ -331,13 +334,13 @@ mod tests {
         assert_eq!(places(&[5, 6, 6, 5, 7]), "nntln");
         assert_eq!(places(&[500, 501, 2, 3, 4, 3]), "nnnnnl", "its counter is far below");
         assert_eq!(places(&[u32::MAX, 0, 1, u32::MAX]), "nnnl", "it wraps");
-        // Its counter is not far below, but the network has been quiet.
+        // The number is only a little below, but the network has been quiet long enough for a restart.
         let mut sequence = Sequence::default();
         assert_eq!(sequence.place(Some(50), 0.0), Order::New);
         assert_eq!(sequence.place(Some(2), LOST_AFTER_S - 0.01), Order::Late);
         assert_eq!(sequence.place(Some(2), LOST_AFTER_S), Order::New);
         assert_eq!(sequence.place(None, LOST_AFTER_S), Order::New);
-        // Whatever the clock shows.
+        // The same holds at any time of the clock.
         assert_eq!(sequence.place(Some(50), 100.0), Order::New);
         assert_eq!(sequence.place(Some(49), 100.0 + LOST_AFTER_S - 0.01), Order::Late);
     }
@@ -346,14 +349,14 @@ mod tests {
     fn a_stray_packet_far_ahead_silences_nobody() {
         assert_eq!(places(&[5, 6, 1000, 7, 8, 9]), "nnnnnn");
         assert_eq!(places(&[5, 6, 4_000_000_000, 4_000_000_000, 7, 8]), "nnntnn");
-        // Beyond the next ones, whose sender may have been silent, and before those that are late.
+        // Numbers above those of a sender that was briefly silent and below those of late packets.
         for ahead in (AHEAD + 1..1000).chain(u32::MAX - 1000..=u32::MAX - LATE) {
             assert_eq!(places(&[5, 6, 6_u32.wrapping_add(ahead), 7, 8, 9]), "nnnnnn", "{ahead}");
         }
         for ahead in 1..=AHEAD {
             assert_eq!(places(&[5, 6, 6 + ahead, 7 + ahead, 6]), "nnnnl", "{ahead}");
         }
-        // Two in a row are a host's.
+        // Two packets in sequence belong to a host.
         assert_eq!(places(&[5, 1000, 1001, 1000]), "nnnl");
     }
 
@@ -366,7 +369,7 @@ mod tests {
             let mut damaged = text.clone().into_bytes();
             let at = at.index(damaged.len());
             damaged[at] ^= 1_u8 << bit;
-            // But for the case of a hex digit.
+            // Damage that only changes the case of a hex digit is harmless.
             prop_assert!(Packet::parse(&damaged).is_err() || damaged.eq_ignore_ascii_case(text.as_bytes()));
         }
     }

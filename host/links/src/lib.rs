@@ -1,8 +1,7 @@
 //! Links to boards on this machine: serial ports, TCP and CAN adapters as byte links for [`r4_driver::with_board`], and
 //! real time for it to run on.
 //!
-//! Everything here is asynchronous on the reactor of `async-io`; a program needs no other executor than
-//! [`block_on`]:
+//! All I/O is asynchronous on the reactor of `async-io`; a program needs no other executor than [`block_on`]:
 //!
 //! ```no_run
 //! use r4_links::{Address, RealClock, block_on, open};

@@ -1,4 +1,4 @@
-//! TCP listener for clients of a board, who prove to have the key before they are let in.
+//! TCP listener for clients of a board, which must prove possession of the key before they are accepted.
 
 use std::{
     collections::VecDeque,
@@ -16,12 +16,12 @@ use futures::future::{Either, select};
 
 use crate::{Descriptor, Key, Link, Receiver, Transmitter, secure, tcp};
 
-/// A client proves to have the key within this time.
+/// Time limit for the handshake with a client.
 const GREETING: Duration = Duration::from_secs(2);
-/// Most clients that have not proven it yet. Of more, the oldest is disconnected.
+/// Largest number of unfinished handshakes; beyond it the oldest client is disconnected.
 const GREETED_AT_ONCE: usize = 64;
 
-/// TCP listener, and the key that clients must have.
+/// Listening socket with the key that clients must have.
 pub struct Listener {
     socket: Async<TcpListener>,
     key: Option<Rc<Key>>,
@@ -31,23 +31,24 @@ pub struct Listener {
 /// Result of one connection.
 #[derive(Debug)]
 pub enum Accepted {
-    /// Link to a client that has proven to have the key, where one is asked for.
+    /// Link to a client that has proven possession of the key, where one is required.
     Client(Link),
-    /// The client did not prove it in time, and was disconnected.
+    /// The client did not prove it in time and was disconnected.
     Stranger,
 }
 
 impl Listener {
-    /// Takes a socket that listens. With a key only clients that have it are let in, and what they send is encrypted.
+    /// Wraps a listening socket. With a key, only clients with the same key are accepted, and the links are encrypted.
     #[must_use]
     pub fn new(socket: Async<TcpListener>, key: Option<Key>) -> Self {
         Self { socket, key: key.map(Rc::new), greeted: VecDeque::new() }
     }
 
-    /// Accepts the next client. Poll it until it is pending. Handshakes run side by side: a client that stalls keeps no other out.
+    /// Accepts the next client. Poll it until it is pending. Handshakes run concurrently: a stalling client does not
+    /// keep others out.
     ///
     /// # Errors
-    /// Those of the operating system when it accepts connections; one that was aborted is none.
+    /// Those of the operating system when it accepts connections; an aborted connection is no error.
     pub fn poll_accept(&mut self, context: &mut Context<'_>) -> Poll<io::Result<Accepted>> {
         while let Poll::Ready(socket) = self.poll_socket(context) {
             let descriptor = socket?;
@@ -58,6 +59,7 @@ impl Listener {
         }
         for place in 0..self.greeted.len() {
             if let Poll::Ready(link) = self.greeted[place].as_mut().poll(context) {
+                // Later places have moved, so only one handshake is taken per call; the caller polls again.
                 self.greeted.remove(place);
                 return Poll::Ready(Ok(link.map_or(Accepted::Stranger, Accepted::Client)));
             }
@@ -68,7 +70,7 @@ impl Listener {
     fn poll_socket(&self, context: &mut Context<'_>) -> Poll<io::Result<Descriptor>> {
         loop {
             match self.socket.get_ref().accept() {
-                // One that is closed already concerns no other client.
+                // A failure here means that this client has disconnected already, which does not concern the others.
                 Ok((stream, _)) => {
                     if let Ok(descriptor) = tcp(stream) {
                         return Poll::Ready(Ok(descriptor));

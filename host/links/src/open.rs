@@ -1,4 +1,4 @@
-//! From an [`Address`] to a byte link.
+//! Opens the link that an [`Address`] names.
 
 use std::{
     io,
@@ -17,96 +17,96 @@ use crate::{Address, CanInterface, DEFAULT_BAUD, Descriptor, Key, ports, secure,
 #[cfg(target_os = "linux")]
 use crate::{bus, can};
 
-/// A connection that is not answered within this time is given up.
+/// Time limit for a connection, and for the handshake with a key.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// Both directions of a link, for [`r4_driver::with_board`].
+/// Both halves of a link, for [`r4_driver::with_board`].
 #[derive(Debug)]
 pub struct Link {
-    /// What comes from the board.
+    /// Half that receives from the board.
     pub rx: Receiver,
-    /// What goes to the board.
+    /// Half that sends to the board.
     pub tx: Transmitter,
 }
 
-/// What comes from a board.
+/// Receiving half of a link.
 #[derive(Debug)]
 pub enum Receiver {
-    /// As it is.
+    /// Plain bytes of a serial port or socket.
     Bytes(Descriptor),
-    /// From an adapter, in frames.
+    /// Frames through an slcan adapter.
     Slcan(slcan::Receiver),
-    /// From an interface of Linux, in frames.
+    /// Frames through a network interface of Linux.
     #[cfg(target_os = "linux")]
     Can(can::Receiver),
-    /// In records that only the holder of the key can make.
+    /// Encrypted records that only holders of the key can make.
     Secure(secure::Receiver),
 }
 
-/// What goes to a board.
+/// Transmitting half of a link.
 #[derive(Debug)]
 pub enum Transmitter {
-    /// As it is.
+    /// Plain bytes of a serial port or socket.
     Bytes(Descriptor),
-    /// Through an adapter, in frames.
+    /// Frames through an slcan adapter.
     Slcan(slcan::Transmitter),
-    /// Through an interface of Linux, in frames.
+    /// Frames through a network interface of Linux.
     #[cfg(target_os = "linux")]
     Can(can::Transmitter),
-    /// In records that only the holder of the key can make.
+    /// Encrypted records that only holders of the key can make.
     Secure(secure::Transmitter),
 }
 
-/// Why there is no link.
+/// Reason why a link could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// `serial:auto`, and no port says that it is a board.
+    /// `serial:auto` found no port of a board.
     #[error("no board is connected by USB: `r4 ports` lists what there is; a port is named as in serial:/dev/ttyACM0")]
     NoBoard,
-    /// `serial:auto`, and it is not clear which.
+    /// `serial:auto` found several boards.
     #[error("several boards are connected, at {}: name one, as in serial:{}", names(.0), .0[0].display())]
     SeveralBoards(Vec<PathBuf>),
-    /// There is no such port.
+    /// The serial port does not exist.
     #[error("{} does not exist: `r4 ports` lists what there is", .0.display())]
     NoPort(PathBuf),
-    /// Another program has it.
+    /// Another program has opened the port.
     #[error("{} is used by another program: end that, or connect to the board through it", .0.display())]
     Busy(PathBuf),
-    /// No right to open it.
+    /// The user lacks permission to open it.
     #[error("this user may not open {}: install the rule host/udev/70-r4.rules as docs/program.md says, or join the group that owns it (`ls -l {}`), as in `sudo usermod -aG dialout $USER`, and log in again", .0.display(), .0.display())]
     Denied(PathBuf),
-    /// Serial ports can be waited for on Unix only.
+    /// Serial ports are pollable on Unix only.
     #[cfg(not(unix))]
     #[error("{}: serial ports are not opened on this system yet: use a board over TCP, or run r4 in WSL 2 with the port attached by usbipd", .0.display())]
     NoSerialPorts(PathBuf),
-    /// A name that nobody knows.
+    /// The host name has no address.
     #[error("no address is known for {0}")]
     NoHost(String),
-    /// Nobody answers there.
+    /// The host does not answer or refuses the connection.
     #[error("{0} does not answer: is the board served there, and the port open?")]
     NoAnswer(String),
-    /// The other end does not have the key, or asks for none.
+    /// The other end does not have the key, or does not use one.
     #[error("{what}: {reason}")]
     Distrust {
-        /// Where.
+        /// Address of the other end.
         what: String,
-        /// How that was noticed.
+        /// Reason for the distrust.
         reason: String,
     },
-    /// Linux knows why there is no CAN.
+    /// The CAN interface cannot be used.
     #[cfg(target_os = "linux")]
     #[error(transparent)]
     Can(#[from] can::CanError),
-    /// Interfaces for CAN are Linux's.
+    /// CAN network interfaces exist on Linux only.
     #[cfg(not(target_os = "linux"))]
     #[error("{0}: only Linux has interfaces for CAN; use an adapter with slcan, as in can:slcan:/dev/ttyACM0")]
     NotLinux(Address),
-    /// Anything else that the operating system says.
+    /// Any other error of the operating system.
     #[error("cannot open {what}: {source}")]
     System {
-        /// Port or host.
+        /// Port or host that was opened.
         what: String,
-        /// Its words.
+        /// Error of the operating system.
         source: io::Error,
     },
 }
@@ -115,11 +115,11 @@ fn names(paths: &[PathBuf]) -> String {
     paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(" and ")
 }
 
-/// Opens a link. A board that is served with a key is reached with the same `key`; other links need none, and a TCP port on
-/// which a key is not asked for is none that this one was meant for.
+/// Opens a link. A board that is served with a key needs the same `key`. Serial and CAN links ignore the key; a TCP
+/// server that does not use it is refused.
 ///
 /// # Errors
-/// [`OpenError`], which says what can be done.
+/// [`OpenError`], which names the remedy.
 pub async fn open(address: &Address, key: Option<&Key>) -> Result<Link, OpenError> {
     match address {
         Address::Serial { path, baud } => {
@@ -153,7 +153,7 @@ pub async fn open(address: &Address, key: Option<&Key>) -> Result<Link, OpenErro
     }
 }
 
-/// The only one of these ports that is a board.
+/// Returns the path of the only board among these ports.
 fn only_board(found: Vec<ports::Port>) -> Result<PathBuf, OpenError> {
     let boards = found.into_iter().filter(ports::Port::is_board);
     let mut paths: Vec<PathBuf> = boards.map(|port| port.path).collect();
@@ -174,7 +174,7 @@ fn open_port(path: PathBuf, baud: u32) -> Result<Descriptor, OpenError> {
     serial::open_port(&path, baud).map_err(|source| not_opened(path, source))
 }
 
-/// The error for a port that the operating system did not open.
+/// Converts an error of opening a port.
 #[cfg(unix)]
 fn not_opened(path: PathBuf, source: io::Error) -> OpenError {
     match source.kind() {
@@ -187,9 +187,10 @@ fn not_opened(path: PathBuf, source: io::Error) -> OpenError {
 
 async fn connect(host: &str, port: u16) -> Result<Descriptor, OpenError> {
     let what = format!("{host}:{port}");
-    // Asking for a name may take its time; nothing else runs yet.
+    // Name resolution blocks the thread, which is acceptable because nothing else runs yet.
     let addresses = (host, port).to_socket_addrs().map_err(|_| OpenError::NoHost(host.to_owned()))?;
     let mut last = None;
+    // A name may have several addresses, such as those of IPv6 and IPv4: the first one that answers is taken.
     for address in addresses {
         match select(std::pin::pin!(connect_to(address)), Timer::after(CONNECT_TIMEOUT)).await {
             Either::Left((Ok(socket), _)) => return Ok(socket),
@@ -200,7 +201,7 @@ async fn connect(host: &str, port: u16) -> Result<Descriptor, OpenError> {
     Err(last.map_or_else(|| OpenError::NoHost(host.to_owned()), |source| not_connected(what, source)))
 }
 
-/// The error for a connection to `what` that the operating system did not make.
+/// Converts an error of connecting to `what`.
 fn not_connected(what: String, source: io::Error) -> OpenError {
     match source.kind() {
         io::ErrorKind::ConnectionRefused | io::ErrorKind::TimedOut => OpenError::NoAnswer(what),
@@ -208,7 +209,7 @@ fn not_connected(what: String, source: io::Error) -> OpenError {
     }
 }
 
-/// Both ends prove to have the key, in time.
+/// Runs the client's handshake, within [`CONNECT_TIMEOUT`].
 async fn greet(socket: Descriptor, key: &Key) -> io::Result<Link> {
     match select(std::pin::pin!(secure::client(socket, key)), Timer::after(CONNECT_TIMEOUT)).await {
         Either::Left((greeted, _)) => {
@@ -227,23 +228,25 @@ async fn connect_to(address: SocketAddr) -> io::Result<Descriptor> {
     tcp(stream.into_inner()?)
 }
 
-/// A connected socket that nothing has come from is asked after this time whether the other end is still there.
+/// Time without data after which a keep-alive probe checks the other end.
 const KEEPALIVE_AFTER: Duration = Duration::from_secs(2);
-/// It is asked again after this time,
+/// Interval between further probes.
 const KEEPALIVE_EVERY: Duration = Duration::from_secs(1);
-/// so often, and then counts as gone.
+/// Number of unanswered probes after which the other end counts as gone.
 const KEEPALIVE_TIMES: u32 = 3;
 
-/// A connected socket as a link: what is written goes out at once, and a peer that is gone without a word ends it.
+/// Makes a link of a connected socket: writes leave at once (no Nagle delay), and a peer that vanishes silently ends it
+/// within 5 s.
 ///
 /// # Errors
-/// The operating system's.
+/// Those of the operating system.
 pub fn tcp(stream: TcpStream) -> io::Result<Descriptor> {
+    // Frames are short and often wait for an answer: Nagle's algorithm would delay them.
     stream.set_nodelay(true)?;
     let socket = socket2::SockRef::from(&stream);
     let keepalive = socket2::TcpKeepalive::new().with_time(KEEPALIVE_AFTER).with_interval(KEEPALIVE_EVERY);
     socket.set_tcp_keepalive(&keepalive.with_retries(KEEPALIVE_TIMES))?;
-    // What is under way asks, too, and would do so for a quarter of an hour.
+    // Unacknowledged data suspends keep-alive probes and would be retransmitted for a quarter of an hour.
     #[cfg(target_os = "linux")]
     socket.set_tcp_user_timeout(Some(KEEPALIVE_AFTER + KEEPALIVE_EVERY * KEEPALIVE_TIMES))?;
     Descriptor::socket(stream)
@@ -298,7 +301,7 @@ mod tests {
         ports::{BOARD_USB, Port, Usb},
     };
 
-    /// A listener on this machine, and its address.
+    /// Opens a listener on this machine; returns it with its address.
     fn listen() -> (Async<TcpListener>, Address) {
         let listener = Async::<TcpListener>::bind(([127, 0, 0, 1], 0)).expect("a free port");
         let port = listener.get_ref().local_addr().expect("bound").port();
@@ -310,7 +313,7 @@ mod tests {
         tcp(stream.into_inner().expect("not used otherwise")).expect("a socket")
     }
 
-    /// More than a record of a keyed link has, and nothing of it changed.
+    /// Sends more data than one record of a keyed link holds, and checks that it arrives unchanged.
     async fn goes_through(tx: &mut impl Write, rx: &mut impl Read) {
         let said: Vec<u8> = (0..2000_u32).map(|number| number as u8).collect();
         let mut heard = vec![0; said.len()];
@@ -347,7 +350,7 @@ mod tests {
         });
     }
 
-    /// A peer that is gone ends a link in the same time, whether or not something is under way.
+    /// A vanished peer ends a link in the same time, with and without unacknowledged data.
     #[test]
     fn a_peer_that_is_gone_is_noticed() {
         let (listener, _) = listen();
@@ -413,7 +416,7 @@ mod tests {
             let nowhere = PathBuf::from("/dev/no-such-port");
             let missing = block_on(open(&serial(nowhere.clone()), None));
             assert!(matches!(missing, Err(OpenError::NoPort(path)) if path == nowhere));
-            // As for any user but the superuser; and what nobody has foreseen.
+            // Errors that the test cannot provoke as superuser, and an unexpected one.
             let denied = not_opened(nowhere.clone(), io::ErrorKind::PermissionDenied.into());
             assert!(matches!(denied, OpenError::Denied(path) if path == nowhere));
             let other = not_opened(nowhere, io::ErrorKind::InvalidInput.into());

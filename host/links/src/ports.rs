@@ -1,49 +1,49 @@
-//! Serial ports of this machine, and which of them are boards.
+//! Serial ports of this machine, with those of boards identified.
 
 use std::path::{Path, PathBuf};
 
 use serialport::{SerialPortInfo, SerialPortType};
 
-/// USB vendor and product of a board in service, as the firmware tells them.
+/// USB vendor and product ID of a board in service, as its firmware reports them.
 pub const BOARD_USB: (u16, u16) = (0x1209, 0x0001);
 
-/// A serial port.
+/// Serial port of the machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Port {
-    /// What to open, as in `/dev/ttyACM0`.
+    /// Path to open, such as `/dev/ttyACM0`.
     pub path: PathBuf,
-    /// What is at the other end, where that can be told.
+    /// USB device behind the port; `None` for other ports.
     pub usb: Option<Usb>,
 }
 
-/// A USB device with a serial port.
+/// Identity of a USB device with a serial port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Usb {
-    /// Vendor and product.
+    /// USB vendor ID and product ID.
     pub id: (u16, u16),
-    /// Of the device, which it keeps wherever it is plugged in.
+    /// Serial number of the device, the same at any socket.
     pub serial: Option<String>,
-    /// Its own words.
+    /// Product name from the device.
     pub product: Option<String>,
 }
 
 impl Port {
-    /// It says that it is a board.
+    /// Returns true if the USB IDs are those of a board.
     #[must_use]
     pub fn is_board(&self) -> bool {
         self.usb.as_ref().is_some_and(|usb| usb.id == BOARD_USB)
     }
 }
 
-/// Why ports cannot be listed.
+/// Error of listing the ports.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot list the serial ports: {0}")]
 pub struct ListError(#[from] serialport::Error);
 
-/// Every serial port, boards first, then by name.
+/// Returns all serial ports: boards first, then by name.
 ///
 /// # Errors
-/// The operating system's.
+/// Those of the operating system.
 pub fn list() -> Result<Vec<Port>, ListError> {
     Ok(sorted(serialport::available_ports()?))
 }
@@ -61,17 +61,18 @@ fn sorted(found: Vec<SerialPortInfo>) -> Vec<Port> {
             },
         })
         .collect();
+    // `true` sorts after `false`; the exchanged operands put boards first.
     ports.sort_by(|one, other| other.is_board().cmp(&one.is_board()).then_with(|| one.path.cmp(&other.path)));
     ports
 }
 
-/// Which of these ports belongs to the device with this USB serial number.
+/// Returns the path of the port whose device has this USB serial number.
 pub(crate) fn find_again(found: Vec<Port>, serial: &str) -> Option<PathBuf> {
     let with = |port: &Port| port.usb.as_ref().and_then(|usb| usb.serial.as_deref()) == Some(serial);
     found.into_iter().find(with).map(|port| port.path)
 }
 
-/// The USB serial number of what is at `path`, which is one of these ports.
+/// Returns the USB serial number of the device at `path`, if it is among these ports.
 pub(crate) fn serial_of(found: Vec<Port>, path: &Path) -> Option<String> {
     found.into_iter().find(|port| port.path == path)?.usb?.serial
 }

@@ -1,4 +1,4 @@
-//! Pseudo-terminals: what serves a board on one looks like a serial port to whoever opens its other end.
+//! Pseudo-terminals: a board served on one end looks like a serial port to the program that opens the other.
 
 use std::{
     io,
@@ -14,24 +14,24 @@ use rustix::{
 
 use crate::{DEFAULT_BAUD, Descriptor, serial::make_raw};
 
-/// The serving end of a pseudo-terminal.
+/// Serving end of a pseudo-terminal.
 #[derive(Debug)]
 pub struct Pty {
-    /// Reads what a client writes, and the other way round.
+    /// Descriptor that reads what clients write, and writes what they read.
     pub descriptor: Descriptor,
     path: PathBuf,
-    /// Kept open: without any client the serving end would read errors.
+    /// Client end, kept open: without any client the serving end would read errors.
     _client: OwnedFd,
 }
 
 impl Pty {
-    /// A new one, raw from the start: nothing is echoed or changed.
+    /// Opens a pseudo-terminal in raw mode: no echo, no changes to bytes.
     ///
     /// # Errors
-    /// The operating system's.
+    /// Those of the operating system.
     pub fn open() -> io::Result<Self> {
         let server = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
-        // By itself and not as a flag of the call: macOS has no such flag.
+        // CLOEXEC is set separately, because `openpt` on macOS has no such flag.
         fcntl_setfd(&server, FdFlags::CLOEXEC)?;
         grantpt(&server)?;
         unlockpt(&server)?;
@@ -42,7 +42,7 @@ impl Pty {
         Ok(Self { descriptor: Descriptor::new(server)?, path, _client: client })
     }
 
-    /// What a client opens.
+    /// Path that clients open.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
@@ -57,7 +57,7 @@ mod tests {
     use super::*;
     use crate::{block_on, serial::open_port};
 
-    /// Nothing is echoed, changed or taken for a command on the way, at any rate.
+    /// No byte is echoed, changed or interpreted on the way, at any rate.
     #[test]
     fn a_port_carries_every_byte_both_ways() {
         let all: Vec<u8> = (0..=255).collect();
@@ -86,7 +86,7 @@ mod tests {
         drop(port);
     }
 
-    /// A program that is started later would keep the port open after its end.
+    /// An inherited handle would keep the port open in a program started later.
     #[cfg(target_os = "linux")]
     #[test]
     fn no_other_program_inherits_a_port() {

@@ -1,4 +1,4 @@
-//! A session that comes back by itself when its link does.
+//! Session that reconnects by itself after its link was lost.
 
 use std::time::{Duration, Instant};
 
@@ -9,47 +9,47 @@ use r4_protocol::{Cause, Causes, Refusal};
 
 use crate::{Address, Key, Link, OpenError, open, ports};
 
-/// How often a lost link is tried again.
+/// Interval between attempts to reopen a lost link.
 const RETRY_EVERY: Duration = Duration::from_millis(100);
-/// A board's clock that is this far behind where it should be began anew, µs: more than frames wait, and clocks drift in
-/// minutes.
+/// Lag of the board's clock behind its expected reading that means a restart, µs: more than frames wait and more than
+/// clocks drift apart in minutes.
 const BEGAN_ANEW_US: u64 = 100_000;
 
-/// What became of a link.
+/// Change in the state of a link.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
-    /// It is lost; what the board drove stops by itself. It is tried again until it is back.
+    /// The link was lost; the board stops its outputs by itself. The link is reopened until it is back.
     Lost {
-        /// How that was noticed.
+        /// Error that ended the link.
         why: Error,
     },
-    /// It is back, with a new session: nothing is armed.
+    /// The link is back with a new session, in which nothing is armed.
     Back {
-        /// Since it was lost.
+        /// Time since the link was lost.
         after: Duration,
-        /// What the board did meanwhile.
+        /// Restart of the board meanwhile, if any.
         restart: Option<Restart>,
     },
 }
 
-/// Why a board began anew.
+/// Reason for a board's restart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Restart {
-    /// Its watchdog: the firmware hung.
+    /// The board's watchdog expired: its firmware hung.
     Watchdog,
-    /// Power, the reset button, a new firmware.
+    /// Power failure, the reset button, or a new firmware.
     Power,
 }
 
-/// Opens a session with the board at `address` and runs `work`, and runs it again in a new session each time that it ended
-/// because the link was lost (`is_lost` tells by its error), as soon as the board is there again. A board on USB is looked
-/// for by its serial number if its port has another name then.
+/// Opens a session with the board at `address` and runs `work`. If `work` ends because the link was lost (`is_lost`
+/// decides by its error), opens a new session as soon as the board is back and runs `work` again. A board on USB is
+/// searched by its serial number, in case its port has a new name.
 ///
-/// Nothing is armed and nothing subscribed in a new session. Its bytes go through what `wrap` makes of the halves of each link that
-/// was opened, to listen to them; `|link| (link.rx, link.tx)` leaves them as they are.
+/// A new session is disarmed and has no subscriptions. The bytes pass through the halves that `wrap` makes of each
+/// opened link, for example to record them; `|link| (link.rx, link.tx)` passes them unchanged.
 ///
 /// # Errors
-/// When the board is not there to begin with, and whatever else `work` ends with.
+/// The error of the first connection; later any error of `work` that is no loss of the link.
 pub async fn with_reconnect<C, R, W, T, E>(
     address: &Address,
     key: Option<&Key>,
@@ -65,6 +65,7 @@ where
     W: Write,
     E: From<OpenError> + From<Error>,
 {
+    // Read before the first loss: a port that has vanished has no serial number any more.
     let usb_serial = match address {
         Address::Serial { path: Some(path), .. } => ports::serial_of(ports::list().unwrap_or_default(), path),
         _ => None,
@@ -92,6 +93,7 @@ where
                 tell(Event::Back { after, restart });
             }
             let result = work(board).await;
+            // The board's clock when it was last heard: after the loss it decides whether the board has restarted.
             heard_us = board.device_us();
             result
         });
@@ -101,7 +103,7 @@ where
                 Some(why) => why,
                 None => return Err(error),
             },
-            // There, but not answering yet, or not knowing yet that our last session is over.
+            // The link is open, but the board does not answer yet, or still holds the previous session.
             Err(error) if lost.is_some() && (is_of_link(&error) || error == Error::Refused(Refusal::InUse)) => {
                 Timer::after(RETRY_EVERY).await;
                 continue;
@@ -113,13 +115,14 @@ where
     }
 }
 
-/// The link is the reason, or may be: it may be better once it is opened again.
+/// Returns true for an error that a new link may cure.
 #[must_use]
 pub fn is_of_link(error: &Error) -> bool {
     matches!(error, Error::LinkLost { .. } | Error::LinkFailed { .. } | Error::TimedOut { .. })
 }
 
-/// What a board did whose clock showed `heard_us` when it was heard last, and `device_us` now, `after` that.
+/// Detects a restart of a board whose clock showed `heard_us` when it was last heard and shows `device_us` now, `after`
+/// later.
 fn restart(heard_us: u64, after: Duration, device_us: u64, causes: Causes) -> Option<Restart> {
     let expected_us = heard_us + after.as_micros() as u64;
     match device_us + BEGAN_ANEW_US < expected_us {
@@ -155,7 +158,8 @@ mod tests {
         }
     }
 
-    /// Asks for a stop in each session until one is done; in how many sessions it was asked for.
+    /// Requests a stop in each session until one succeeds; returns the number of sessions with a request, and the
+    /// events.
     fn stop(address: &Address) -> (Result<u32, Ended>, Vec<Event>) {
         let (mut events, mut sessions) = (Vec::new(), 0);
         let work = async |board: &Board<RealClock>| {
@@ -194,7 +198,7 @@ mod tests {
         let refused = |refusal| Session { refusal: Some(refusal), ..Session::default() };
         let in_use = FakeBoard::new(&[refused(Refusal::InUse)]);
         assert_eq!(stop(&in_use.address), (Err(Ended::Board(Error::Refused(Refusal::InUse))), vec![]));
-        // It was there, but says something else now.
+        // The board was connected before, but now refuses for another reason.
         let cut = Session { ends_at_stop: true, ..Session::default() };
         let other = FakeBoard::new(&[cut, refused(Refusal::StorageFailed)]);
         let (ended, events) = stop(&other.address);
@@ -209,7 +213,8 @@ mod tests {
         let after = Duration::from_millis(500);
         let watchdog = Causes::only(Cause::WatchdogReset).union(Causes::only(Cause::LinkLost));
         let others = Causes::only(Cause::LinkLost);
-        // The board was heard at 10 s: its clock shows 10.5 s now if it ran on, some 0.1 s less if frames waited.
+        // The board was last heard at 10 s: without a restart its clock shows 10.5 s now, or some 0.1 s less if frames
+        // waited.
         for (device_us, began_anew) in [
             (10_500_000, false),
             (10_400_000, false),

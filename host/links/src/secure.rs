@@ -1,32 +1,34 @@
-//! A byte link on which both ends know that the other has the same key, and that nobody between them reads or changes a byte.
+//! Encrypted byte link: both ends prove possession of the same key, and a third party can neither read nor change a
+//! byte.
 //!
-//! For boards that are served to other machines. The Noise protocol (<https://noiseprotocol.org/noise.html>, revision 34) with
-//! the pattern `Noise_NNpsk0_25519_ChaChaPoly_BLAKE2s`: an exchange of fresh Curve25519 keys under a key that both know before.
+//! It is meant for boards that are served to other machines. The protocol is Noise
+//! (<https://noiseprotocol.org/noise.html>, revision 34) with the pattern `Noise_NNpsk0_25519_ChaChaPoly_BLAKE2s`: an
+//! exchange of ephemeral Curve25519 keys under a pre-shared key.
 //!
 //! ```text
 //! client: psk, e        48 bytes; a client without the key is noticed here
 //! server: e, ee         48 bytes; a server without it here
 //! ```
 //!
-//! Then each direction is records:
+//! After the handshake each direction is a sequence of records:
 //!
 //! ```text
-//! length of what follows, 2 bytes, least significant first | data, encrypted, and 16 bytes of MAC
+//! length of the rest, 2 bytes, least significant first | data, encrypted, and 16 bytes of MAC
 //! ```
 //!
-//! Records are counted from 0 by both ends and come in order on TCP; the count is the nonce, so that one that is repeated,
-//! reordered or left out fails. Each end takes a new key, one way ([`REKEY_EVERY`]), long before a nonce could come again.
+//! Both ends count records from 0, and TCP keeps their order; the count is the nonce, so that a repeated, reordered or
+//! missing record fails. Each direction changes its key one-way ([`REKEY_EVERY`]) long before a nonce could repeat.
 //!
 //! | against | how |
 //! | --- | --- |
-//! | who has not the key | neither end says anything but its part of the handshake |
-//! | reading, changing, repeating, reordering, leaving out on the way | ChaCha20-Poly1305 under keys of this connection alone |
-//! | a key that is stolen later | what was recorded before stays secret: both ephemeral keys are gone |
-//! | a first message that is repeated | the server answers it, and takes no record: who repeats has not the ephemeral key |
+//! | a peer without the key | neither end sends more than its part of the handshake |
+//! | reading, changing, repeating, reordering, omitting records | ChaCha20-Poly1305 with keys of this connection alone |
+//! | a key stolen later | earlier recordings stay secret: both ephemeral keys are gone |
+//! | a repeated first message | the server answers, but accepts no record: its sender lacks the ephemeral key |
 //!
-//! Not hidden: who talks to whom, when, and how much. Not prevented: cutting the connection, which stops the board as a lost
-//! link does, and delaying it, which heartbeats and the dates of set points bound. Whoever has the key may do all that a host
-//! may, and may pass for the server.
+//! The link does not hide who talks to whom, when, and how much. It cannot prevent cutting the connection, which stops
+//! the board as a lost link does, nor delaying it, which heartbeats and the dates of set points bound. A holder of the
+//! key may do everything a host may, and can pose as the server.
 
 use std::{
     fmt,
@@ -42,23 +44,23 @@ use snow::{Builder, HandshakeState, TransportState};
 
 use crate::{Descriptor, key_file};
 
-/// Name of the protocol in the framework's words.
+/// Name of the protocol in Noise's notation.
 const PATTERN: &str = "Noise_NNpsk0_25519_ChaChaPoly_BLAKE2s";
-/// What both ends must mean by it, besides the pattern: the form of records.
+/// Prologue, which both ends must share: it names the form of the records.
 const PROLOGUE: &[u8] = b"r4 link, records 1";
-/// Bytes of each message of the handshake: an ephemeral key and a MAC.
+/// Length of each handshake message, bytes: an ephemeral key and a MAC.
 pub const HANDSHAKE: usize = 32 + TAG;
-/// Bytes of a record's MAC.
+/// Length of a record's MAC, bytes.
 const TAG: usize = 16;
-/// Most data of a record: two frames of the protocol.
+/// Largest data length of a record, bytes: two frames of the R4 protocol.
 const MOST_DATA: usize = 512;
-/// Each direction takes a new key after so many records, a quarter of an hour of cycles at 1 kHz: what was sent before stays
-/// secret from who takes the memory of one end.
+/// Number of records after which a direction changes its key, a quarter of an hour of cycles at 1 kHz: earlier data
+/// stays secret even if the memory of one end is stolen.
 pub const REKEY_EVERY: u64 = 1 << 20;
-/// Most bytes of a file that may be a key.
+/// Largest size of a key file, bytes.
 const KEY_FILE: u64 = 4096;
 
-/// What both ends must know.
+/// Pre-shared key of both ends.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Key([u8; 32]);
 
@@ -68,54 +70,55 @@ impl fmt::Debug for Key {
     }
 }
 
-/// Why a file gives no key.
+/// Reason why a file gives no key.
 #[derive(Debug, thiserror::Error)]
 pub enum KeyError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("cannot read the key {}: {source}; make one with `openssl rand -hex 32 > {} && chmod 600 {}`", .path.display(), .path.display(), .path.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The operating system's words.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// Others may read it.
+    /// Other users may read the file.
     #[error("other users may read the key {}: `chmod 600 {}`", .0.display(), .0.display())]
     Open(PathBuf),
-    /// It holds something else.
+    /// The file does not hold 64 hex digits.
     #[error("{} holds no key: it must be 64 hex digits, as `openssl rand -hex 32` prints them", .0.display())]
     Form(PathBuf),
 }
 
 impl Key {
-    /// A key of 32 bytes.
+    /// Makes a key of 32 bytes.
     #[must_use]
     pub const fn new(bytes: [u8; 32]) -> Self {
         Self(bytes)
     }
 
-    /// A key that nobody else has.
+    /// Generates a random key.
     ///
     /// # Errors
-    /// Where the operating system gives no random numbers.
+    /// When the operating system provides no random numbers.
     pub fn random() -> io::Result<Self> {
         let pattern = PATTERN.parse().map_err(broken)?;
         let private = snow::Builder::new(pattern).generate_keypair().map_err(broken)?.private;
         private.try_into().map(Self).map_err(|_| io::Error::other("a private key of another length"))
     }
 
-    /// Reads 64 hex digits from a file that only its owner may read.
+    /// Reads 64 hex digits from a file that only its owner may access.
     ///
     /// # Errors
-    /// [`KeyError`]
+    /// [`KeyError`] names the reason.
     pub fn read(path: &Path) -> Result<Self, KeyError> {
         Self::read_while(path, || true)
     }
 
-    /// As [`Key::read`], for a path that may be a pipe: asks `goes_on` every 50 ms whether to wait for its writer.
+    /// Reads a key as [`Key::read`] does, also from a pipe: calls `goes_on` every 50 ms and waits for the pipe's writer
+    /// while it returns true.
     ///
     /// # Errors
-    /// [`KeyError`]; [`KeyError::Read`] with [`io::ErrorKind::Interrupted`] when it did not go on.
+    /// [`KeyError`]; [`KeyError::Read`] with [`io::ErrorKind::Interrupted`] after `goes_on` returned false.
     pub fn read_while(path: &Path, mut goes_on: impl FnMut() -> bool) -> Result<Self, KeyError> {
         let failed = |source| KeyError::Read { path: path.to_owned(), source };
         let mut file = key_file::open(path).map_err(failed)?;
@@ -140,6 +143,7 @@ impl Key {
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
                 Err(error) => return Err(failed(error)),
             }
+            // A pipe or device may never end.
             if bytes.len() as u64 > KEY_FILE {
                 return Err(KeyError::Form(path.to_owned()));
             }
@@ -154,7 +158,7 @@ impl Key {
         (digits.len() == 64).then(|| bytes.try_into().ok()).flatten().map(Self)
     }
 
-    /// Key of the handshake: HMAC-SHA-256 of this one, so that the same file may serve something else too.
+    /// Derives the key of the handshake, HMAC-SHA-256 of this one, so that the same file may serve other purposes too.
     fn of_handshake(&self) -> [u8; 32] {
         #[expect(clippy::expect_used, reason = "HMAC takes keys of any length")]
         let mut mac = <Hmac<Sha256> as KeyInit>::new_from_slice(&self.0).expect("any length");
@@ -164,13 +168,13 @@ impl Key {
     }
 }
 
-/// The other end is not trusted.
+/// Reason why the other end is not trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Distrust {
-    /// It does not have the key.
+    /// The other end does not have the key.
     #[error("the other end does not have this key: both need the same file")]
     Key,
-    /// A record is not the other end's, or not the next one.
+    /// A record was not made by the other end, or is not the next one.
     #[error("a record was changed, repeated or omitted on the way")]
     Record,
 }
@@ -181,14 +185,14 @@ impl From<Distrust> for io::Error {
     }
 }
 
-/// Who speaks first, and who answers.
+/// Role in the handshake: the client sends first, the server answers.
 #[derive(Clone, Copy)]
 enum Role {
     Client,
     Server,
 }
 
-/// An end of the handshake.
+/// Makes one end of the handshake.
 fn end(key: &Key, role: Role) -> io::Result<HandshakeState> {
     let psk = key.of_handshake();
     let pattern = PATTERN.parse().map_err(broken)?;
@@ -200,24 +204,24 @@ fn end(key: &Key, role: Role) -> io::Result<HandshakeState> {
     .map_err(broken)
 }
 
-/// What no other end can cause: no random numbers, or a pattern that is not built in.
+/// Converts errors that the other end cannot cause: no random numbers, or a pattern that is not built in.
 fn broken(error: snow::Error) -> io::Error {
     io::Error::other(error)
 }
 
-/// Sends the next message of the handshake.
+/// Sends the next handshake message.
 async fn say(link: &mut Descriptor, handshake: &mut HandshakeState) -> io::Result<()> {
     let mut message = [0; HANDSHAKE];
     let len = handshake.write_message(&[], &mut message).map_err(broken)?;
     link.write_all(&message[..len]).await
 }
 
-/// Takes the next message of the handshake.
+/// Receives the next handshake message.
 async fn hear(link: &mut Descriptor, handshake: &mut HandshakeState) -> io::Result<()> {
     let mut message = [0; HANDSHAKE];
     match link.read_exact(&mut message).await {
         Ok(()) => {}
-        // Whoever does not trust us says nothing.
+        // A peer that does not trust this end closes the link without an answer.
         Err(embedded_io_async::ReadExactError::UnexpectedEof) => return Err(Distrust::Key.into()),
         Err(embedded_io_async::ReadExactError::Other(error)) => return Err(error),
     }
@@ -225,10 +229,10 @@ async fn hear(link: &mut Descriptor, handshake: &mut HandshakeState) -> io::Resu
     Ok(())
 }
 
-/// The client's part of the greeting.
+/// Runs the client's part of the handshake.
 ///
 /// # Errors
-/// The link's, and [`Distrust::Key`].
+/// Those of the link, and [`Distrust::Key`].
 pub async fn client(mut link: Descriptor, key: &Key) -> io::Result<(Receiver, Transmitter)> {
     let mut handshake = end(key, Role::Client)?;
     say(&mut link, &mut handshake).await?;
@@ -236,11 +240,11 @@ pub async fn client(mut link: Descriptor, key: &Key) -> io::Result<(Receiver, Tr
     ends(link, handshake)
 }
 
-/// The server's part of the greeting. The client has proved to have the key, but perhaps to somebody else and long ago: only
-/// its first record is of this connection.
+/// Runs the server's part of the handshake. The client's message proves possession of the key, but may be a recording:
+/// only its first record belongs to this connection.
 ///
 /// # Errors
-/// The link's, and [`Distrust::Key`]: then nothing was said.
+/// Those of the link, and [`Distrust::Key`]: then the server has sent nothing.
 pub async fn server(mut link: Descriptor, key: &Key) -> io::Result<(Receiver, Transmitter)> {
     let mut handshake = end(key, Role::Server)?;
     hear(&mut link, &mut handshake).await?;
@@ -254,19 +258,20 @@ fn ends(link: Descriptor, handshake: HandshakeState) -> io::Result<(Receiver, Tr
 }
 
 fn directions(handshake: HandshakeState, rekey_every: u64) -> io::Result<(Sealer, Opener)> {
+    // Both halves share the transport state, which holds one key per direction.
     let transport = Arc::new(Mutex::new(handshake.into_transport_mode().map_err(broken)?));
     let sealer = Sealer { transport: transport.clone(), rekey_every };
     Ok((sealer, Opener { transport, rekey_every, part: Vec::new(), failed: false }))
 }
 
-/// Makes records.
+/// Sealer: encrypts data into records.
 struct Sealer {
     transport: Arc<Mutex<TransportState>>,
     rekey_every: u64,
 }
 
 impl Sealer {
-    /// A record of at most [`MOST_DATA`].
+    /// Makes a record of at most [`MOST_DATA`] bytes of data.
     fn seal(&mut self, data: &[u8]) -> io::Result<Vec<u8>> {
         let mut record = vec![0; 2 + data.len() + TAG];
         let transport = &mut *self.transport.lock().unwrap_or_else(PoisonError::into_inner);
@@ -279,18 +284,18 @@ impl Sealer {
     }
 }
 
-/// Takes records apart.
+/// Opener: decrypts and verifies records.
 struct Opener {
     transport: Arc<Mutex<TransportState>>,
     rekey_every: u64,
-    /// Of a record that is not whole yet.
+    /// Bytes of an incomplete record.
     part: Vec<u8>,
-    /// After a record that is not the next one nothing is taken any more.
+    /// A record failed its verification; no further data is accepted.
     failed: bool,
 }
 
 impl Opener {
-    /// The data of the records that are whole now.
+    /// Returns the data of all records that `bytes` completes.
     fn open(&mut self, bytes: &[u8]) -> Result<Vec<u8>, Distrust> {
         if self.failed {
             return Err(Distrust::Record);
@@ -313,6 +318,7 @@ impl Opener {
             let mut opened = [0; MOST_DATA + TAG];
             let len = transport.read_message(record, &mut opened).map_err(|_| Distrust::Record)?;
             data.extend_from_slice(&opened[..len]);
+            // The sender changes its key after the same record.
             if transport.receiving_nonce().is_multiple_of(self.rekey_every) {
                 transport.rekey_incoming();
             }
@@ -322,15 +328,15 @@ impl Opener {
     }
 }
 
-/// What comes from the other end, each byte of it verified.
+/// Receiving half, in which every byte is verified.
 pub struct Receiver {
     link: Descriptor,
     opener: Opener,
-    /// Verified and not read yet.
+    /// Bytes verified but not read yet.
     waiting: Vec<u8>,
 }
 
-/// What goes to the other end.
+/// Transmitting half, which encrypts all data.
 pub struct Transmitter {
     link: Descriptor,
     sealer: Sealer,
@@ -392,7 +398,7 @@ mod tests {
 
     use super::*;
 
-    /// Both directions of both ends: of the client, and of the server.
+    /// Makes both directions of both ends: the client's, then the server's.
     fn both(rekey_every: u64) -> [(Sealer, Opener); 2] {
         let key = Key::new([7; 32]);
         let mut client = end(&key, Role::Client).expect("built in");
@@ -406,7 +412,7 @@ mod tests {
         [client, server].map(|end| directions(end, rekey_every).expect("the handshake is over"))
     }
 
-    /// Sealer and opener of one direction.
+    /// Makes the sealer and the opener of one direction.
     fn direction() -> (Sealer, Opener) {
         let [(sealer, _), (_, opener)] = both(REKEY_EVERY);
         (sealer, opener)
@@ -414,7 +420,7 @@ mod tests {
 
     #[test]
     fn keys_are_taken_as_rfc_4231_has_them() {
-        // Its test case 2 has a key of 4 bytes, which zeros at its end do not change (RFC 2104, section 2).
+        // Test case 2 of RFC 4231 has a key of 4 bytes, which zeros at its end do not change (RFC 2104, section 2).
         let mut key = [0; 32];
         key[..4].copy_from_slice(b"Jefe");
         let mut mac = <Hmac<Sha256> as KeyInit>::new_from_slice(&key).expect("any length");
@@ -433,7 +439,7 @@ mod tests {
         server.read_message(&message, &mut []).expect_err("another key");
     }
 
-    /// The server answers a first message that it has heard before, but who repeats it can make no record.
+    /// The server answers a repeated first message, but its sender cannot make a record.
     #[test]
     fn a_repeated_greeting_opens_nothing() {
         let key = Key::new([7; 32]);
@@ -487,7 +493,7 @@ mod tests {
     }
 
     proptest! {
-        /// Also over many changes of the key.
+        /// The data arrives unchanged, also over many key changes.
         #[test]
         fn records_carry_what_was_sent(
             parts in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..=MOST_DATA), 1..20),
@@ -510,7 +516,7 @@ mod tests {
             let mut record = sealer.seal(&data).expect("sealed");
             let at = at.index(record.len());
             record[at] ^= 1_u8 << bit;
-            // What looks longer is waited for; what is waited for is never taken.
+            // A larger length makes the opener wait for more bytes; it never accepts them.
             let opened = opener.open(&record);
             prop_assert!(opened == Ok(Vec::new()) || opened == Err(Distrust::Record));
             let after = opener.open(&sealer.seal(&data).expect("sealed"));
@@ -537,7 +543,7 @@ mod tests {
             prop_assert_eq!(opener.open(&size.to_le_bytes()), Err(Distrust::Record));
         }
 
-        /// A record that is cut short is nothing, however long one waits.
+        /// A truncated record yields no data, however long the opener waits.
         #[test]
         fn part_of_a_record_is_nothing(data in prop::collection::vec(any::<u8>(), 0..100), at: prop::sample::Index) {
             let (mut sealer, mut opener) = direction();

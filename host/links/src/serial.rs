@@ -1,7 +1,7 @@
-//! Serial ports: real ones, and pseudo-terminals, which are the same to a program.
+//! Serial ports, real ones and pseudo-terminals, which look the same to a program.
 //!
-//! Opened here and not by `serialport`, whose ports are waited for by blocking a thread: the driver waits for several things
-//! at once. That crate lists the ports ([`crate::ports`]).
+//! They are opened here and not by the crate `serialport`, because its ports block a thread while they wait; the driver
+//! waits for several events at once. That crate lists the ports ([`crate::ports`]).
 
 use std::{
     io,
@@ -17,23 +17,24 @@ use rustix::{
 
 use crate::Descriptor;
 
-/// Opens a port raw: eight bits, no parity, one stop bit, no flow control, nothing changed on the way, and for this program
-/// alone. What was received before is thrown away.
+/// Opens a port exclusively in raw mode: eight bits, no parity, one stop bit, no flow control, no translation. Discards
+/// bytes received before.
 pub(crate) fn open_port(path: &Path, baud: u32) -> io::Result<Descriptor> {
     let port = open(path, OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC, Mode::empty())?;
-    // A second program would take bytes away from this one. The lock is for programs that ask, the other is for those that
-    // do not; but the superuser may open what is exclusive.
+    // A second program would take bytes from this one. `flock` stops programs that check it, TIOCEXCL those that do
+    // not; but the superuser can open an exclusive port.
     flock(&port, FlockOperation::NonBlockingLockExclusive).map_err(|error| match error {
         Errno::WOULDBLOCK => io::ErrorKind::ResourceBusy.into(),
         error => io::Error::from(error),
     })?;
     ioctl_tiocexcl(&port)?;
     make_raw(&port, baud)?;
+    // Flushed last, so that no byte received with the old settings remains.
     tcflush(&port, QueueSelector::IFlush)?;
     Descriptor::new(port)
 }
 
-/// Makes a terminal carry bytes as they are.
+/// Sets a terminal to raw mode at `baud` bit/s.
 pub(crate) fn make_raw(port: &OwnedFd, baud: u32) -> io::Result<()> {
     let mut terminal = tcgetattr(port.as_fd())?;
     terminal.make_raw();

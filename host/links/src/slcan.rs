@@ -1,11 +1,12 @@
-//! CAN by an adapter of the CANable type on a serial port: the text protocol of Lawicel's CAN232 ("slcan").
+//! CAN through an adapter of the CANable type on a serial port, with the text protocol of Lawicel's CAN232 ("slcan").
 //!
-//! A line ends with a carriage return. `S8` chooses 1 Mbit/s (others: `rate_command`), `O` opens the bus, `C` closes it; a frame with a standard
-//! identifier is `t`, three hex digits of identifier, one of length, and the data in hex. The adapter answers a frame with `z`
-//! and a command with nothing, both ended by a carriage return, and an error with a bell. (CAN232 manual, version 3, sections
-//! 2 to 4.)
+//! A line ends with a carriage return. `S8` selects 1 Mbit/s (others: `rate_command`), `O` opens the bus, `C` closes
+//! it; a frame with a standard identifier is `t`, three hex digits of identifier, one of length, and the data in hex.
+//! The adapter answers a frame with `z` and a command with an empty line, both ended by a carriage return, and an error
+//! with a bell. (CAN232 manual, version 3, sections 2 to 4.)
 //!
-//! [`Parser`] and [`Frame::line`] are the protocol; [`Receiver`] and [`Transmitter`] carry a board's byte stream in frames.
+//! [`Parser`] and [`Frame::line`] implement the protocol; [`Receiver`] and [`Transmitter`] carry a board's byte stream
+//! in frames.
 
 use std::io;
 
@@ -17,20 +18,20 @@ use crate::{
     bus::{Assembly, End},
 };
 
-/// Longest line that is a frame: `t`, identifier, length, data.
+/// Length of the longest line with a frame: `t`, identifier, length, data.
 const LONGEST: usize = 1 + 3 + 1 + 2 * MAX_DATA;
 
-/// A classic frame with a standard identifier.
+/// Classic CAN frame with a standard identifier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame {
-    /// 11 bits.
+    /// Standard identifier, 11 bits.
     pub identifier: u16,
     len: u8,
     data: [u8; MAX_DATA],
 }
 
 impl Frame {
-    /// `None` for an identifier of more than 11 bits, or more than 8 bytes.
+    /// Makes a frame; `None` for an identifier of more than 11 bits, or more than 8 bytes.
     #[must_use]
     pub fn new(identifier: u16, data: &[u8]) -> Option<Self> {
         let mut frame = Self { identifier, len: data.len() as u8, data: [0; MAX_DATA] };
@@ -38,13 +39,13 @@ impl Frame {
         (identifier < 0x800).then_some(frame)
     }
 
-    /// What it carries.
+    /// Data bytes of the frame.
     #[must_use]
     pub fn data(&self) -> &[u8] {
         &self.data[..usize::from(self.len)]
     }
 
-    /// The line that stands for it, with its end.
+    /// Formats the frame as a line, with its carriage return.
     #[must_use]
     pub fn line(&self) -> String {
         use std::fmt::Write;
@@ -63,26 +64,27 @@ impl Frame {
         };
         let (identifier, rest) = digits.split_at_checked(3)?;
         let (len, rest) = rest.split_first()?;
+        // A character above '9' gives a length that the test of `rest` refuses.
         let len = usize::from(len.checked_sub(b'0')?);
-        // Adapters that stamp their frames append four digits.
+        // Adapters with time stamps append four digits to a frame.
         let data = rest.get(..2 * len).filter(|_| rest.len() == 2 * len || rest.len() == 2 * len + 4)?;
         let data: Vec<u8> = data.chunks(2).map(|pair| Some(number(pair)? as u8)).collect::<Option<_>>()?;
         Self::new(number(identifier)?, &data)
     }
 }
 
-/// A line of the other side.
+/// Line from the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Line {
-    /// A frame.
+    /// Line with a CAN frame.
     Frame(Frame),
-    /// The adapter says that a command failed.
+    /// Bell: the adapter reports that a command failed.
     Bell,
-    /// Anything else: an answer, a command, a frame of a kind that no board sends.
+    /// Any other line: an answer, a command, a frame of a kind that no board sends.
     Other(Vec<u8>),
 }
 
-/// Takes lines apart, byte by byte. Whatever comes, the next line is read right.
+/// Parser of the byte stream into lines. After any garbage, the next line is parsed correctly.
 #[derive(Clone, Debug, Default)]
 pub struct Parser {
     line: Vec<u8>,
@@ -90,7 +92,7 @@ pub struct Parser {
 }
 
 impl Parser {
-    /// Takes the next byte; a line when that ends one.
+    /// Takes the next byte; returns a line when the byte completes one.
     pub fn push(&mut self, byte: u8) -> Option<Line> {
         match byte {
             b'\r' => {
@@ -105,7 +107,7 @@ impl Parser {
                 self.too_long = false;
                 Some(Line::Bell)
             }
-            // With stamps.
+            // Time stamps add four digits to the longest frame.
             _ if self.line.len() >= LONGEST + 4 => {
                 self.too_long = true;
                 None
@@ -118,7 +120,7 @@ impl Parser {
     }
 }
 
-/// Bytes, out of the frames for one end.
+/// Receiving half: assembles the byte stream from frames for one end.
 #[derive(Debug)]
 pub struct Receiver {
     port: Descriptor,
@@ -126,22 +128,22 @@ pub struct Receiver {
     assembly: Assembly,
 }
 
-/// Bytes into frames with one identifier.
+/// Transmitting half: cuts the byte stream into frames with one identifier.
 #[derive(Debug)]
 pub struct Transmitter {
     port: Descriptor,
     identifier: u16,
 }
 
-/// Opens the bus of an adapter, for a host of the board `node`.
+/// Opens the bus of an adapter for a host of the board `node`.
 pub(crate) async fn host(mut port: Descriptor, kbit_per_s: u16, node: Node) -> io::Result<(Receiver, Transmitter)> {
-    // Ends what another program may have left half said, closes the bus, which is no error when it is closed, chooses the
-    // rate and opens.
+    // The carriage returns end a partial line of another program; then the bus is closed (harmless when it is closed
+    // already), the rate is set, and the bus is opened.
     port.write_all(format!("\r\rC\r{}\rO\r", rate_command(kbit_per_s)).as_bytes()).await?;
     Ok(ends(port, End::Host(node)))
 }
 
-/// The command that chooses a bit rate (CAN232 manual, section 2: `S4` is 125 kbit/s, `S5` 250, `S6` 500, `S8` 1000).
+/// Returns the command for a bit rate (CAN232 manual, section 2: `S4` is 125 kbit/s, `S5` 250, `S6` 500, `S8` 1000).
 fn rate_command(kbit_per_s: u16) -> &'static str {
     match kbit_per_s {
         125 => "S4",
@@ -151,7 +153,7 @@ fn rate_command(kbit_per_s: u16) -> &'static str {
     }
 }
 
-/// Both directions on a port that is an adapter, or pretends to be one.
+/// Makes both halves on a port with an adapter, or with a program that acts as one.
 #[must_use]
 pub fn ends(port: Descriptor, end: End) -> (Receiver, Transmitter) {
     let receiver = Receiver { port: port.clone(), parser: Parser::default(), assembly: Assembly::new(end) };
@@ -216,7 +218,7 @@ mod tests {
         let frame = Frame::new(0x100, &[0x11, 0x22, 0x33]).expect("good");
         assert_eq!(frame.line(), "t1003112233\r");
         assert_eq!(lines(b"t1003112233\r"), [Line::Frame(frame)]);
-        // With a stamp, in lower case, without data.
+        // Variants that adapters send: with a time stamp, in lower case, without data.
         assert_eq!(lines(b"t10031122330ABC\r"), [Line::Frame(frame)]);
         let other = Frame::new(0x28a, &[0xab]).expect("good");
         assert_eq!(lines(b"t28a1ab\rt7FF0\r")[..1], [Line::Frame(other)]);
@@ -245,7 +247,7 @@ mod tests {
         }
     }
 
-    /// Both ways, in reads of any length.
+    /// Both directions carry the bytes, in reads of any length.
     #[cfg(unix)]
     #[test]
     fn two_ends_read_what_the_other_wrote() {
@@ -253,7 +255,7 @@ mod tests {
         let [one, other] = pair();
         let (mut of_host, mut to_board) = ends(one, End::Host(node));
         let (mut of_board, mut to_host) = ends(other, End::Board(node));
-        // The byte stream to a board is whole frames, which end with a 0.
+        // The byte stream to a board consists of whole frames, which end with a 0.
         let said: Vec<u8> = (1..=200).chain([0]).collect();
         crate::block_on(async {
             for len in [1, 7, 8, 64, 201] {
@@ -292,7 +294,8 @@ mod tests {
         }
     }
 
-    /// A bell has no end, and ends what was half said. A line longer than any frame with its stamp is dropped, not kept.
+    /// A bell needs no carriage return and discards a partial line. A line longer than any frame with its time stamp is
+    /// dropped.
     #[test]
     fn a_bell_and_a_long_line_end_where_they_should() {
         let frame = Line::Frame(Frame::new(0x281, &[5]).expect("good"));

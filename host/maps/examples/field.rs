@@ -1,7 +1,8 @@
 //! Times and errors of the scalar field on a factory of 75 000 cells: `cargo run --release -p r4-maps --example field`.
 //!
-//! Readings come along the aisles of a hall of 60 m × 50 m, one a second. Prints, for each way to bring the means up to date, the
-//! time a reading takes and the error against a solve to 1e-8; then how far variances of belief propagation are off.
+//! Readings come along the aisles of a hall of 60 m × 50 m, one a second. For each method of updating the means the
+//! example prints the time for a reading and the error against a solve to 1e-8; then the error of the variances of
+//! belief propagation.
 
 use std::time::Instant;
 
@@ -27,7 +28,7 @@ enum Failure {
 fn main() -> Result<(), Failure> {
     let frame = Frame::new(Pose::default(), 0.2, 300, 250)?;
     let hall = Grid::filled(frame, true);
-    // Shelves of 1 m, aisles of 1.6 m, cross aisles each 12 m.
+    // Shelves of 1 m, aisles of 1.6 m, cross aisles every 12 m.
     let shelves = Grid::from_fn(frame, |[column, row]| column % 13 >= 5 || row % 60 < 10);
     for (name, free) in [("empty hall", &hall), ("hall with shelves", &shelves)] {
         for (forgetting_s, prior) in [(1e6, 1e-4), (100.0, 0.01)] {
@@ -44,7 +45,7 @@ fn main() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Along the aisles, 1 cell a second.
+/// Returns the cell of a step along the aisles, 1 cell a second.
 fn route(step: usize) -> Cell {
     let (lane, along) = (step / 75, step % 75);
     [8 + 13 * (2 * lane), 20 + if lane.is_multiple_of(2) { along } else { 75 - along }]

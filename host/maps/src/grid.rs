@@ -1,14 +1,14 @@
-//! A grid of square cells in the plane.
+//! Grid of square cells in the plane.
 
 pub use r4_maths::path::Cell;
 use thiserror::Error;
 
 use crate::pose::{Point, Pose};
 
-/// A grid that cannot be made, or a place that it does not have.
+/// Error of a grid that cannot be made, or of a place that it does not have.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum GridError {
-    /// A cell size that is not greater than 0, or an origin that is not finite.
+    /// The cell size is not greater than 0, or the origin is not finite.
     #[error("cells of {cell_m} m at {origin:?}: give a cell size above 0 and a finite origin")]
     Frame {
         /// Side of a cell, m.
@@ -16,15 +16,15 @@ pub enum GridError {
         /// Pose of the grid's corner.
         origin: Pose,
     },
-    /// No cells, or more than [`Frame::MAX_CELLS`].
+    /// The grid has no cells, or more than [`Frame::MAX_CELLS`].
     #[error("{columns} × {rows} cells: a grid has 1 to {max} of them", max = Frame::MAX_CELLS)]
     Size {
-        /// Cells in x.
+        /// Number of cells in x.
         columns: usize,
-        /// Cells in y.
+        /// Number of cells in y.
         rows: usize,
     },
-    /// A point that is not on the grid, or not finite.
+    /// The point is not on the grid, or not finite.
     #[error("the point {x_m} m, {y_m} m is not on the grid: choose one inside, or make the grid larger")]
     Outside {
         /// x in the world, m.
@@ -32,32 +32,32 @@ pub enum GridError {
         /// y in the world, m.
         y_m: f64,
     },
-    /// A cell beyond the grid.
+    /// The cell is not on the grid.
     #[error("cell {column}, {row} is outside the grid of {columns} × {rows}")]
     NoCell {
-        /// Column asked for, from 0.
+        /// Column of the cell, from 0.
         column: usize,
-        /// Row asked for, from 0.
+        /// Row of the cell, from 0.
         row: usize,
-        /// Cells in x.
+        /// Number of columns of the grid.
         columns: usize,
-        /// Cells in y.
+        /// Number of rows of the grid.
         rows: usize,
     },
-    /// Another number of values than cells.
+    /// The number of values is not that of the cells.
     #[error("{values} values for {cells} cells: give one for each")]
     Values {
-        /// Values given.
+        /// Number of values given.
         values: usize,
-        /// Cells of the grid.
+        /// Number of cells of the grid.
         cells: usize,
     },
-    /// Two grids that have to cover the same cells and do not.
+    /// Two grids that have to cover the same cells do not.
     #[error("the two grids have different frames: make both from one")]
     Unlike,
 }
 
-/// Where a grid lies and how its cells divide it.
+/// Place of a grid in the world, and its division into cells.
 ///
 /// The origin is the outer corner of cell `[0, 0]`. Columns count along the frame's x axis, rows along its y axis (REP 103: x
 /// forward, y left), and the frame's yaw turns both.
@@ -70,10 +70,10 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Most cells of a grid: indices fit 32 bits, and one `f64` a cell is 2 GiB.
+    /// Highest number of cells: indices fit 32 bits, and one `f64` a cell is 2 GiB.
     pub const MAX_CELLS: usize = 1 << 28;
 
-    /// Frame of `columns` × `rows` cells with sides of `cell_m`, its corner at `origin`.
+    /// Makes the frame of `columns` × `rows` cells with sides of `cell_m`, its corner at `origin`.
     ///
     /// # Errors
     /// [`GridError::Frame`] and [`GridError::Size`].
@@ -87,37 +87,38 @@ impl Frame {
         }
     }
 
-    /// Pose of the outer corner of cell `[0, 0]`.
+    /// Returns the pose of the outer corner of cell `[0, 0]`.
     #[must_use]
     pub const fn origin(&self) -> Pose {
         self.origin
     }
 
-    /// Side of a cell, m.
+    /// Returns the side of a cell, m.
     #[must_use]
     pub const fn cell_m(&self) -> f64 {
         self.cell_m
     }
 
-    /// Cells in x.
+    /// Returns the number of cells in x.
     #[must_use]
     pub const fn columns(&self) -> usize {
         self.columns
     }
 
-    /// Cells in y.
+    /// Returns the number of cells in y.
     #[must_use]
     pub const fn rows(&self) -> usize {
         self.rows
     }
 
-    /// Number of cells.
+    /// Returns the number of cells.
     #[must_use]
     pub const fn cells(&self) -> usize {
         self.columns * self.rows
     }
 
-    /// Cell in which a point of the world lies. The lower edges belong to a cell, the upper ones to the next.
+    /// Returns the cell in which a point of the world lies. The lower edges belong to a cell, the upper ones to the
+    /// next.
     ///
     /// # Errors
     /// [`GridError::Outside`].
@@ -138,19 +139,19 @@ impl Frame {
         }
     }
 
-    /// Centre of a cell in the world, m; also for cells beyond the grid, as if it went on.
+    /// Returns the centre of a cell in the world, m; also for cells beyond the grid, as if it went on.
     #[must_use]
     pub fn centre(&self, [column, row]: Cell) -> Point {
         self.origin.outer([(column as f64 + 0.5) * self.cell_m, (row as f64 + 0.5) * self.cell_m])
     }
 
-    /// Coordinates in the grid, in cells: `[0.5, 0.5]` is the centre of cell `[0, 0]`.
+    /// Returns the coordinates of a point in the grid, in cells: `[0.5, 0.5]` is the centre of cell `[0, 0]`.
     #[must_use]
     pub fn continuous(&self, point: Point) -> Point {
         self.origin.inner(point).map(|along_m| along_m / self.cell_m)
     }
 
-    /// Position of a cell in [`Grid::values`]: row by row.
+    /// Returns the index of a cell in [`Grid::values`], which is row by row.
     ///
     /// # Errors
     /// [`GridError::NoCell`].
@@ -163,18 +164,18 @@ impl Frame {
         }
     }
 
-    /// Cell at a position in [`Grid::values`]: the inverse of [`Frame::index`].
+    /// Returns the cell of an index in [`Grid::values`]: the inverse of [`Frame::index`].
     #[must_use]
     pub const fn cell(&self, index: usize) -> Cell {
         [index % self.columns, index / self.columns]
     }
 
-    /// Cells that share an edge with this one: in +x, +y, -x, -y, as far as they are on the grid.
+    /// Iterates over the cells that share an edge with this one, as far as they are on the grid: in +x, +y, -x, -y.
     pub fn neighbours(&self, cell: Cell) -> impl Iterator<Item = Cell> + use<> {
         self.around(cell, &EDGES)
     }
 
-    /// Cells that share an edge or a corner with this one, as far as they are on the grid.
+    /// Iterates over the cells that share an edge or a corner with this one, as far as they are on the grid.
     pub fn neighbours_8(&self, cell: Cell) -> impl Iterator<Item = Cell> + use<> {
         self.around(cell, &AROUND)
     }
@@ -191,7 +192,7 @@ impl Frame {
 const EDGES: [[isize; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
 const AROUND: [[isize; 2]; 8] = [[1, 0], [0, 1], [-1, 0], [0, -1], [1, 1], [-1, 1], [-1, -1], [1, -1]];
 
-/// One value for each cell of a frame.
+/// Values on a frame, one for each cell.
 ///
 /// ```
 /// use r4_maps::{grid::{Frame, Grid}, pose::Pose};
@@ -206,7 +207,7 @@ pub struct Grid<T> {
 }
 
 impl<T> Grid<T> {
-    /// Grid with the same value in each cell.
+    /// Makes a grid with the same value in each cell.
     pub fn filled(frame: Frame, value: T) -> Self
     where
         T: Clone,
@@ -214,7 +215,7 @@ impl<T> Grid<T> {
         Self { values: vec![value; frame.cells()], frame }
     }
 
-    /// Grid of values given row by row.
+    /// Makes a grid of values given row by row.
     ///
     /// # Errors
     /// [`GridError::Values`].
@@ -226,17 +227,17 @@ impl<T> Grid<T> {
         }
     }
 
-    /// Grid of the value that `value` gives for each cell.
+    /// Makes a grid of the value that `value` returns for each cell.
     pub fn from_fn(frame: Frame, mut value: impl FnMut(Cell) -> T) -> Self {
         Self { values: (0..frame.cells()).map(|index| value(frame.cell(index))).collect(), frame }
     }
 
-    /// Where the grid lies.
+    /// Returns the frame of the grid.
     pub const fn frame(&self) -> &Frame {
         &self.frame
     }
 
-    /// Value of a cell.
+    /// Returns the value of a cell.
     ///
     /// # Errors
     /// [`GridError::NoCell`].
@@ -244,7 +245,7 @@ impl<T> Grid<T> {
         self.frame.index(cell).map(|index| &self.values[index])
     }
 
-    /// Value of a cell, to be changed.
+    /// Returns the value of a cell for a change.
     ///
     /// # Errors
     /// [`GridError::NoCell`].
@@ -252,7 +253,7 @@ impl<T> Grid<T> {
         self.frame.index(cell).map(|index| &mut self.values[index])
     }
 
-    /// Value of the cell in which a point of the world lies.
+    /// Returns the value of the cell in which a point of the world lies.
     ///
     /// # Errors
     /// [`GridError::Outside`].
@@ -260,30 +261,30 @@ impl<T> Grid<T> {
         self.frame.cell_at(point).and_then(|cell| self.get(cell))
     }
 
-    /// All values, row by row.
+    /// Returns all values, row by row.
     pub fn values(&self) -> &[T] {
         &self.values
     }
 
-    /// All values, row by row, to be changed.
+    /// Returns all values for a change, row by row.
     pub fn values_mut(&mut self) -> &mut [T] {
         &mut self.values
     }
 
-    /// Cells with their values, row by row.
+    /// Iterates over the cells with their values, row by row.
     pub fn iter(&self) -> impl Iterator<Item = (Cell, &T)> {
         self.values.iter().enumerate().map(|(index, value)| (self.frame.cell(index), value))
     }
 
-    /// Grid of the same frame with another value for each of this one's.
+    /// Makes a grid of the same frame with another value for each of this one's.
     pub fn map<U>(&self, value: impl FnMut(&T) -> U) -> Grid<U> {
         Grid { frame: self.frame, values: self.values.iter().map(value).collect() }
     }
 }
 
 impl Grid<f64> {
-    /// Value at a point of the world, bilinear between the centres of cells; within half a cell of the border that of the
-    /// border's cells.
+    /// Returns the value at a point of the world, bilinear between the centres of cells; within half a cell of the
+    /// border that of the border's cells.
     ///
     /// # Errors
     /// [`GridError::Outside`].
@@ -301,17 +302,17 @@ impl Grid<f64> {
     }
 }
 
-/// A scalar field on a grid, with the unit of its values.
+/// Scalar field on a grid, with the unit of its values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScalarGrid {
-    /// The values.
+    /// Grid of the values.
     pub grid: Grid<f64>,
-    /// Their unit as it is printed, such as `ppm` or `V/m`.
+    /// Unit of the values as it is printed, such as `ppm` or `V/m`.
     pub unit: String,
 }
 
 impl ScalarGrid {
-    /// Least and greatest finite value; `None` if there is none.
+    /// Returns the least and the greatest finite value; `None` if there is none.
     ///
     /// ```
     /// use r4_maps::{grid::{Frame, Grid, ScalarGrid}, pose::Pose};

@@ -3,37 +3,37 @@
 /// Point, m: `[x, y]`.
 pub type Point = [f64; 2];
 
-/// Position and heading in a plane; also the transform from a frame that is there into the outer one.
+/// Position and heading in a plane; also the transform from a frame at this pose into the outer frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pose {
-    /// x, m.
+    /// Position along x, m.
     pub x_m: f64,
-    /// y, m.
+    /// Position along y, m.
     pub y_m: f64,
     /// Heading, rad, from +x towards +y.
     pub yaw_rad: f64,
 }
 
 impl Pose {
-    /// Pose at `x_m`, `y_m` with heading `yaw_rad`.
+    /// Makes the pose at `x_m`, `y_m` with heading `yaw_rad`.
     #[must_use]
     pub const fn new(x_m: f64, y_m: f64, yaw_rad: f64) -> Self {
         Self { x_m, y_m, yaw_rad }
     }
 
-    /// Whether all three numbers are finite.
+    /// Returns whether all three numbers are finite.
     #[must_use]
     pub const fn is_finite(&self) -> bool {
         self.x_m.is_finite() && self.y_m.is_finite() && self.yaw_rad.is_finite()
     }
 
-    /// Position without heading, m.
+    /// Returns the position, m.
     #[must_use]
     pub const fn point(&self) -> Point {
         [self.x_m, self.y_m]
     }
 
-    /// Outer coordinates, m, of a point given in this pose's frame.
+    /// Returns the outer coordinates, m, of a point given in this pose's frame.
     ///
     /// ```
     /// use r4_maps::pose::Pose;
@@ -46,7 +46,7 @@ impl Pose {
         [self.x_m + cos * x_m - sin * y_m, self.y_m + sin * x_m + cos * y_m]
     }
 
-    /// Coordinates in this pose's frame, m, of an outer point: the inverse of [`Pose::outer`].
+    /// Returns the coordinates in this pose's frame, m, of an outer point: the inverse of [`Pose::outer`].
     #[must_use]
     pub fn inner(&self, [x_m, y_m]: Point) -> Point {
         let (sin, cos) = self.yaw_rad.sin_cos();
@@ -54,14 +54,14 @@ impl Pose {
         [cos * dx_m + sin * dy_m, cos * dy_m - sin * dx_m]
     }
 
-    /// Pose in the outer frame of one that is given in this pose's frame; yaw within -π..=π.
+    /// Returns the pose in the outer frame of one that is given in this pose's frame; yaw within -π..=π.
     #[must_use]
     pub fn then(&self, inner: Self) -> Self {
         let [x_m, y_m] = self.outer(inner.point());
         Self { x_m, y_m, yaw_rad: wrapped(self.yaw_rad + inner.yaw_rad) }
     }
 
-    /// Pose in this pose's frame of one that is given in the outer frame: the inverse of [`Pose::then`].
+    /// Returns the pose in this pose's frame of one that is given in the outer frame: the inverse of [`Pose::then`].
     #[must_use]
     pub fn between(&self, outer: Self) -> Self {
         let [x_m, y_m] = self.inner(outer.point());
@@ -69,7 +69,7 @@ impl Pose {
     }
 }
 
-/// The same angle within -π..=π, rad.
+/// Returns the same angle within -π..=π, rad.
 ///
 /// ```
 /// assert!((r4_maps::pose::wrapped(7.0) - (7.0 - std::f64::consts::TAU)).abs() < 1e-12);
@@ -83,7 +83,7 @@ pub fn wrapped(angle_rad: f64) -> f64 {
     (angle_rad + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI
 }
 
-/// Distance between two points, m.
+/// Returns the distance between two points, m.
 #[must_use]
 pub fn distance_m(a: Point, b: Point) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])

@@ -1,4 +1,4 @@
-//! A field as large as a factory beside faer's direct solve: `cargo test -p r4-maps --features direct`.
+//! Comparison of a field as large as a factory with faer's direct solve: `cargo test -p r4-maps --features direct`.
 
 use r4_maps::{
     field::{Field, Reading, Weights},

@@ -3,27 +3,27 @@
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
 
-/// A step that was not taken; the filter is as it was before.
+/// Error of a step that was not carried out; the filter is unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum KalmanError {
     /// A matrix or vector does not fit the state or the measurement.
     #[error("{what} is {rows} × {columns}, and {expected_rows} × {expected_columns} is needed")]
     Shape {
-        /// Which.
+        /// Name of the matrix or vector.
         what: &'static str,
-        /// Its rows.
+        /// Number of its rows.
         rows: usize,
-        /// Its columns.
+        /// Number of its columns.
         columns: usize,
-        /// Rows that fit.
+        /// Number of rows that fit.
         expected_rows: usize,
-        /// Columns that fit.
+        /// Number of columns that fit.
         expected_columns: usize,
     },
     /// A number that is NaN or infinite.
     #[error("{what} has a number that is not finite")]
     NotFinite {
-        /// Which.
+        /// Name of the matrix or vector.
         what: &'static str,
     },
     /// The covariance of the innovation is not positive definite.
@@ -57,12 +57,12 @@ pub struct Kalman {
     covariance: DMatrix<f64>,
 }
 
-/// How a measurement compared with its prediction.
+/// Comparison of a measurement with its prediction.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Innovation {
-    /// Measured minus predicted.
+    /// Residual: measured minus predicted.
     pub residual: DVector<f64>,
-    /// Its covariance.
+    /// Covariance of the residual.
     pub covariance: DMatrix<f64>,
     /// Normalised innovation squared: residualᵀ covariance⁻¹ residual, χ² distributed with as many degrees of freedom as the
     /// measurement has elements while the model is right. Gates outliers.
@@ -72,7 +72,7 @@ pub struct Innovation {
 }
 
 impl Kalman {
-    /// Filter that starts at an estimate with this covariance.
+    /// Makes a filter that starts at an estimate with this covariance.
     ///
     /// # Errors
     /// [`KalmanError::Shape`] and [`KalmanError::NotFinite`].
@@ -90,13 +90,13 @@ impl Kalman {
         Ok(Self { state, covariance })
     }
 
-    /// State estimate.
+    /// Returns the state estimate.
     #[must_use]
     pub const fn state(&self) -> &DVector<f64> {
         &self.state
     }
 
-    /// Covariance of the estimate.
+    /// Returns the covariance of the estimate.
     #[must_use]
     pub const fn covariance(&self) -> &DMatrix<f64> {
         &self.covariance
@@ -104,7 +104,7 @@ impl Kalman {
 
     /// Predicts by a linear model: state ← F state, covariance ← F covariance Fᵀ + `process`.
     ///
-    /// For inputs, add theirs and use [`Self::predict_extended`].
+    /// For a model with inputs, add their effect and use [`Self::predict_extended`].
     ///
     /// # Errors
     /// [`KalmanError::Shape`] and [`KalmanError::NotFinite`].
@@ -123,8 +123,8 @@ impl Kalman {
         self.predict_extended(transition * &self.state, transition, process)
     }
 
-    /// Predicts by any model, as an extended Kalman filter: `next` is what the model makes of the state, `jacobian` its
-    /// derivative there.
+    /// Predicts by any model, as an extended Kalman filter: `next` is the state after the model's step, `jacobian` the
+    /// derivative of the step at the present state.
     ///
     /// # Errors
     /// [`KalmanError::Shape`] and [`KalmanError::NotFinite`].
@@ -211,15 +211,18 @@ impl Kalman {
         matrix("the observation", jacobian, [measured, count])?;
         matrix("the measurement's noise", noise, [measured; 2])?;
         let covariance = symmetric(jacobian * &self.covariance * jacobian.transpose() + noise);
+        // The factor serves the gain, the squared residual and the determinant; no inverse is formed.
         let decomposed = covariance.clone().cholesky().ok_or(KalmanError::Singular)?;
         let gain = decomposed.solve(&(jacobian * &self.covariance)).transpose();
         let normalised_squared = residual.dot(&decomposed.solve(&residual));
         let log_determinant = 2.0 * decomposed.l_dirty().diagonal().iter().map(|root| root.ln()).sum::<f64>();
         let constant = measured as f64 * std::f64::consts::TAU.ln();
+        // Joseph's form: a sum of two products that are symmetric and positive whatever the rounding of the gain.
         let rest = DMatrix::identity(count, count) - &gain * jacobian;
         let after = symmetric(&rest * &self.covariance * rest.transpose() + &gain * noise * gain.transpose());
         let state = &self.state + &gain * &residual;
         vector("the state", &state, count)?;
+        // Both are checked before either is stored, so that an error leaves the filter as it was.
         finite("the covariance", &after)?;
         (self.state, self.covariance) = (state, after);
         let log_likelihood = -0.5 * (normalised_squared + log_determinant + constant);
@@ -227,7 +230,7 @@ impl Kalman {
     }
 }
 
-/// The same, without the difference that rounding makes between both halves.
+/// Returns the mean of the matrix and its transpose, without the difference that rounding makes between both halves.
 fn symmetric(matrix: DMatrix<f64>) -> DMatrix<f64> {
     (&matrix + matrix.transpose()) * 0.5
 }

@@ -1,8 +1,9 @@
-//! The mathematics that identification, tuning, benchmarks and robot systems share.
+//! Mathematics that identification, tuning, benchmarks and robot systems share.
 //!
-//! Numbers in, numbers out: no hardware, no clock, no other crate of this project. Quantities have the caller's units; where a
-//! function ties units together, its documentation says how. Every function names the paper or book it follows. The tests
-//! compare it with SciPy, NumPy or statsmodels (`tests/oracle/`), where these have the same function.
+//! Numbers in, numbers out: no hardware, no clock, no other crate of this project. Quantities have the caller's units;
+//! where a function relates units to each other, its documentation says how. Every function names the paper or book
+//! that it follows. The tests compare it with SciPy, NumPy or statsmodels (`tests/oracle/`), where these have the same
+//! function.
 //!
 //! | module | holds |
 //! | --- | --- |

@@ -1,4 +1,4 @@
-//! Minima of functions of a few numbers that need not be smooth, within bounds.
+//! Minima within bounds of functions of a few numbers, which need not be smooth.
 
 use std::cell::{Cell, RefCell};
 
@@ -8,27 +8,27 @@ use argmin::{
 };
 use argmin_math::{ArgminAdd, ArgminMul, ArgminSub};
 
-/// Point within the bounds, and the function there.
+/// Point within the bounds, with the function's value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Minimum {
-    /// Within the bounds.
+    /// Coordinates of the point, within the bounds.
     pub at: Vec<f64>,
-    /// The function there; infinite if it had no value anywhere.
+    /// Value of the function; infinite if it had no value anywhere.
     pub value: f64,
 }
 
-/// Effort of [`global`].
+/// Limits of the effort of [`global`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Effort {
-    /// Points that evolve; at least 4 are used, and 5 to 10 for each number are usual.
+    /// Number of points that evolve; at least 4 are used, and 5 to 10 for each number are usual.
     pub points: usize,
-    /// Generations of the points.
+    /// Number of generations of the points.
     pub generations: usize,
-    /// Evaluations of the simplex that follows.
+    /// Number of evaluations of the simplex that follows.
     pub simplex: usize,
 }
 
-/// `splitmix64` (Steele, Lea, Flood, "Fast Splittable Pseudorandom Number Generators", OOPSLA 2014).
+/// Generator `splitmix64` (Steele, Lea, Flood, "Fast Splittable Pseudorandom Number Generators", OOPSLA 2014).
 struct Random(u64);
 
 impl Random {
@@ -40,7 +40,7 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// 0..1.
+    /// Returns a random number in 0..1.
     fn share(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
@@ -50,11 +50,11 @@ impl Random {
     }
 }
 
-/// Global minimum between bounds, by differential evolution, then [`nelder_mead`] from its best point, restarted twice. The
-/// same seed gives the same result.
+/// Finds the global minimum within bounds, by differential evolution, then [`nelder_mead`] from its best point,
+/// restarted twice. The same seed gives the same result.
 ///
-/// `bounds` are `(low, high)` of each number, in its unit. NaN as a value of `cost` counts as infinite. Without bounds there is
-/// nothing to vary: `cost` is evaluated once.
+/// `bounds` are `(low, high)` of each number, in its unit. NaN as a value of `cost` counts as infinite. Without bounds
+/// there is nothing to vary: `cost` is evaluated once.
 ///
 /// # Source
 /// Storn, Price, "Differential Evolution: A Simple and Efficient Heuristic for Global Optimization over Continuous Spaces",
@@ -86,7 +86,7 @@ pub fn global(bounds: &[(f64, f64)], effort: Effort, seed: u64, cost: impl Fn(&[
             let (one, other) = (random.below(points), random.below(points));
             let scale = 0.4 + 0.5 * random.share();
             let kept = random.below(bounds.len());
-            // From the best alone the crowd would gather too early.
+            // From the best point alone the population would converge too early.
             let base = if random.share() < 0.3 { best } else { random.below(points) };
             let mut at = crowd[point].at.clone();
             for (number, &(low, high)) in bounds.iter().enumerate() {
@@ -104,18 +104,18 @@ pub fn global(bounds: &[(f64, f64)], effort: Effort, seed: u64, cost: impl Fn(&[
         }
     }
     let mut found = crowd.swap_remove(best_of(&crowd));
-    // A simplex can collapse before it is there; a fresh one from where it stopped goes on.
+    // A simplex can collapse before it reaches the minimum; a fresh one from the same point continues.
     for _ in 0..3 {
         found = nelder_mead(bounds, &found.at, effort.simplex / 3, cost);
     }
     found
 }
 
-/// Local minimum within bounds, followed from a point by a simplex, with at most about `evaluations` of `cost`: a simplex that
-/// shrinks is completed.
+/// Finds a local minimum within bounds from a starting point, by a simplex, with at most about `evaluations` of `cost`:
+/// a shrink of the simplex is completed.
 ///
-/// The first simplex spans 5 % of the bounds. Points outside are put on the bound. NaN as a value of `cost` counts as
-/// infinite. Ends early when the costs of all corners are equal.
+/// The first simplex spans 5 % of the bounds. Points outside are moved to the bound. NaN as a value of `cost` counts as
+/// infinite. Ends early when the costs of all vertices are equal.
 ///
 /// # Source
 /// Nelder, Mead, "A Simplex Method for Function Minimization", The Computer Journal 7, 1965, by the crate `argmin`.
@@ -142,8 +142,8 @@ fn best_of(crowd: &[Minimum]) -> usize {
     (0..crowd.len()).min_by(better).unwrap_or(0)
 }
 
-/// Corner of a simplex. The solver evaluates each before it keeps it, which is when it is put within the bounds: evaluated
-/// elsewhere than where it is, a simplex would go on outside.
+/// Vertex of a simplex. The solver evaluates each one before it keeps it, and that is when it is moved into the bounds.
+/// If only the evaluated point were moved, the simplex would continue outside.
 #[derive(Clone)]
 struct Corner(RefCell<Vec<f64>>);
 
@@ -185,11 +185,11 @@ impl<F: Fn(&[f64]) -> f64> Bounded<'_, F> {
     }
 
     fn clamp(&self, at: &mut [f64]) {
-        // Not `clamp`, which panics where bounds are swapped: such have one point, the higher.
+        // Not `clamp`, which panics when bounds are swapped: such bounds have one point, the higher one.
         at.iter_mut().zip(self.bounds).for_each(|(value, (low, high))| *value = value.min(*high).max(*low));
     }
 
-    /// `None` if the solver gives up, which it does not for costs that are numbers.
+    /// Runs the simplex from `start`; `None` if the solver gives up, which it does not for costs that are numbers.
     fn follow(&self, start: &[f64], evaluations: usize) -> Option<Minimum> {
         let mut corners = vec![Corner(RefCell::new(start.to_vec()))];
         for (number, &(low, high)) in self.bounds.iter().enumerate() {
@@ -202,12 +202,12 @@ impl<F: Fn(&[f64]) -> f64> Bounded<'_, F> {
     }
 }
 
-/// Steps the solver by hand: argmin's own executor would count iterations, not evaluations.
+/// Runs the solver step by step: argmin's own executor would count iterations, not evaluations.
 fn step<O>(function: O, corners: Vec<Corner>, goes_on: impl Fn() -> bool) -> Option<Minimum>
 where
     O: CostFunction<Param = Corner, Output = f64>,
 {
-    // Less than any deviation but 0: whether a difference of costs matters is not known here.
+    // Below any standard deviation but 0: which difference of costs matters is not known here.
     let mut solver = NelderMead::new(corners).with_sd_tolerance(f64::MIN_POSITIVE).ok()?;
     let mut problem = Problem::new(function);
     let (mut state, _) = solver.init(&mut problem, IterState::new()).ok()?;

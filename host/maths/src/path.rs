@@ -8,44 +8,44 @@ use std::{
 
 use thiserror::Error;
 
-/// Why there is no path.
+/// Reason why there is no path.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum PathError {
-    /// No way leads from the start to the goal.
+    /// No path leads from the start to the goal.
     #[error("no way leads there: all {expanded} places that can be reached were searched")]
     Unreachable {
-        /// Places searched.
+        /// Number of nodes that were expanded.
         expanded: usize,
     },
-    /// A cost that is negative or NaN.
+    /// A step has a cost that is negative or NaN.
     #[error("a step costs {0}: costs are 0 or more")]
     Cost(f64),
-    /// A cell beyond the grid.
+    /// The cell is not on the grid.
     #[error("cell {column}, {row} is outside the grid of {columns} × {rows}")]
     Outside {
-        /// Column asked for, from 0.
+        /// Column of the cell, from 0.
         column: usize,
-        /// Row asked for, from 0.
+        /// Row of the cell, from 0.
         row: usize,
-        /// Columns of the grid.
+        /// Number of columns of the grid.
         columns: usize,
-        /// Rows of the grid.
+        /// Number of rows of the grid.
         rows: usize,
     },
-    /// A start or goal that is blocked.
+    /// The start or the goal is blocked.
     #[error("cell {column}, {row} is blocked: choose a free one")]
     Blocked {
-        /// Its column.
+        /// Column of the cell, from 0.
         column: usize,
-        /// Its row.
+        /// Row of the cell, from 0.
         row: usize,
     },
 }
 
-/// A path and what it costs.
+/// Path with its cost.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Path<N> {
-    /// From the start to the goal, both included.
+    /// Nodes from the start to the goal, both included.
     pub nodes: Vec<N>,
     /// Sum of the steps' costs.
     pub cost: f64,
@@ -73,23 +73,23 @@ impl<N> PartialOrd for Open<N> {
 }
 
 impl<N> Ord for Open<N> {
-    /// Least estimate first, then the one farther on its way, then the one that was seen first: the order, and with it the
-    /// path among equally long ones, is always the same.
+    /// Orders by the least estimate, then by the higher cost so far, then by age. The order, and with it the choice
+    /// among equally cheap paths, is always the same.
     fn cmp(&self, other: &Self) -> Ordering {
         let by_cost = other.estimate.total_cmp(&self.estimate).then(self.cost.total_cmp(&other.cost));
         by_cost.then(other.order.cmp(&self.order))
     }
 }
 
-/// Cheapest path from `start` to a node that `is_goal` accepts, by A*.
+/// Finds the cheapest path from `start` to a node that `is_goal` accepts, by A*.
 ///
-/// `neighbours` puts what can be reached from a node, with the cost of the step, into the list it is given. `remaining` is a
-/// lower bound of the cost from a node to the goal, in the same unit; the path is cheapest if it never exceeds the true cost,
-/// and 0 makes this Dijkstra's algorithm. A step of infinite cost is no step. Of equally cheap paths the result is always the
-/// same.
+/// `neighbours` puts the nodes that can be reached from a node, with the cost of the step, into the given list.
+/// `remaining` is a lower bound of the cost from a node to the goal, in the same unit. The path is cheapest if this
+/// bound never exceeds the true cost; 0 makes it Dijkstra's algorithm. A step of infinite cost is no step. Of equally
+/// cheap paths the result is always the same.
 ///
 /// # Errors
-/// [`PathError::Unreachable`] and [`PathError::Cost`]. Endless graphs without a goal are searched endlessly.
+/// [`PathError::Unreachable`] and [`PathError::Cost`]. The search of an infinite graph without a goal does not end.
 ///
 /// # Source
 /// Hart, Nilsson, Raphael, "A Formal Basis for the Heuristic Determination of Minimum Cost Paths", IEEE Transactions on Systems
@@ -107,12 +107,12 @@ pub fn astar<N: Clone + Eq + Hash>(
     remaining: impl Fn(&N) -> f64,
     is_goal: impl Fn(&N) -> bool,
 ) -> Result<Path<N>, PathError> {
-    // Cost from the start, the node before, and whether it was expanded at this cost.
+    // Cost from the start, and the previous node.
     let mut known: HashMap<N, (f64, Option<N>)> = HashMap::from([(start.clone(), (0.0, None))]);
     let mut open = BinaryHeap::from([Open { estimate: bound(remaining(&start))?, cost: 0.0, order: 0, node: start }]);
     let (mut steps, mut order, mut expanded) = (Vec::new(), 0, 0);
     while let Some(Open { cost, node, .. }) = open.pop() {
-        // A cheaper way was found since it was put here.
+        // A cheaper path to the node was found after this entry was made.
         if known.get(&node).is_some_and(|(best, _)| *best < cost) {
             continue;
         }
@@ -148,7 +148,7 @@ fn bound(cost: f64) -> Result<f64, PathError> {
     if cost >= 0.0 { Ok(cost) } else { Err(PathError::Cost(cost)) }
 }
 
-/// Grid of square cells, each with a factor by which crossing it costs more than its length.
+/// Grid of square cells, each with a factor for the cost of crossing it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {
     columns: usize,
@@ -157,11 +157,11 @@ pub struct Grid {
     factors: Vec<f64>,
 }
 
-/// Column and row, from 0.
+/// Cell by its column and row, from 0.
 pub type Cell = [usize; 2];
 
 impl Grid {
-    /// Free grid of cells with sides of `cell_m`, m.
+    /// Makes a free grid of cells with sides of `cell_m`, m.
     ///
     /// ```
     /// use r4_maths::path::Grid;
@@ -188,7 +188,7 @@ impl Grid {
         self.set_factor(cell, f64::INFINITY)
     }
 
-    /// Makes a cell cost `factor` times its length, such as near walls; infinite blocks it.
+    /// Sets the cost of a cell to `factor` times its length, for example near walls; infinity blocks it.
     ///
     /// # Errors
     /// [`PathError::Outside`], and [`PathError::Cost`] for factors below 1: straight lines must stay the lower bound.
@@ -209,7 +209,8 @@ impl Grid {
         Ok(())
     }
 
-    /// Cheapest path between the centres of two cells, in eight directions. The cost is m where all factors are 1.
+    /// Finds the cheapest path between the centres of two cells, in eight directions. The cost is in m where all
+    /// factors are 1.
     ///
     /// A step costs its length times the mean factor of both cells. A diagonal step needs both cells beside it free.
     ///
@@ -231,7 +232,7 @@ impl Grid {
         }
         let octile_m = |cell: &Cell| {
             let [x, y] = [0, 1].map(|axis| cell[axis].abs_diff(to[axis]) as f64);
-            // Less by more than rounding adds on the way: otherwise the bound could exceed the cost by a last bit.
+            // Smaller by more than rounding can add along the path, or the bound could exceed the cost by a last bit.
             self.cell_m * (x.max(y) + (std::f64::consts::SQRT_2 - 1.0) * x.min(y)) * (1.0 - 1e-12)
         };
         astar(from, |cell, steps| self.steps(*cell, steps), octile_m, |cell| *cell == to)
@@ -254,7 +255,7 @@ impl Grid {
         }
     }
 
-    /// Infinite outside.
+    /// Returns the factor of a cell; infinite outside of the grid.
     fn factor(&self, column: usize, row: usize) -> f64 {
         self.index([column, row]).map_or(f64::INFINITY, |index| self.factors[index])
     }

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-/// Why no root was found.
+/// Reason why no root was found.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum RootError {
     /// The function has the same sign at both ends.
@@ -10,28 +10,29 @@ pub enum RootError {
         "the function is {at_low} at one end and {at_high} at the other: choose ends with a change of sign between them"
     )]
     SameSign {
-        /// The function at the lower end.
+        /// Value of the function at the lower end.
         at_low: f64,
-        /// The function at the upper end.
+        /// Value of the function at the upper end.
         at_high: f64,
     },
-    /// An end, or the tolerance, that is not usable.
+    /// One of the ends, or the tolerance, is not usable.
     #[error("{0} is no end of an interval, or no tolerance")]
     Input(f64),
     /// The function is NaN somewhere between the ends.
     #[error("the function has no value at {at}")]
     NotANumber {
-        /// Where.
+        /// Argument at which it is NaN.
         at: f64,
     },
 }
 
-/// More halvings than f64 has between its greatest and its least difference.
+/// Limit of the number of halvings: more than f64 has between its greatest and its least difference.
 const MOST: usize = 2200;
 
-/// Root between `low` and `high` by bisection, to `tolerance` (in their unit) or the last bit that f64 has there.
+/// Finds a root between `low` and `high` by bisection, to `tolerance` (in their unit) or the last bit that f64 has
+/// there.
 ///
-/// Slow and certain: one evaluation for each bit. Where the function jumps over 0, returns the jump.
+/// Slow and reliable: one evaluation for each bit. Where the function jumps over 0, returns the jump.
 ///
 /// # Errors
 /// [`RootError`].
@@ -59,9 +60,9 @@ pub fn bisect(f: impl Fn(f64) -> f64, low: f64, high: f64, tolerance: f64) -> Re
     Ok(if a.1.abs() < b.1.abs() { a.0 } else { b.0 })
 }
 
-/// Root between `low` and `high` by Brent's method, to `tolerance` (in their unit) or a few last bits.
+/// Finds a root between `low` and `high` by Brent's method, to `tolerance` (in their unit) or a few last bits.
 ///
-/// As certain as [`bisect`], and for smooth functions several times faster.
+/// As reliable as [`bisect`], and for smooth functions several times faster.
 ///
 /// # Errors
 /// [`RootError`].
@@ -76,11 +77,12 @@ pub fn bisect(f: impl Fn(f64) -> f64, low: f64, high: f64, tolerance: f64) -> Re
 /// ```
 pub fn brent(f: impl Fn(f64) -> f64, low: f64, high: f64, tolerance: f64) -> Result<f64, RootError> {
     let (mut a, mut b) = ends(&f, low, high, tolerance)?;
-    // b is the best so far, c is on the other side of the root, a is the one before b.
+    // b is the best point, c is on the other side of the root, a is the previous b.
     let mut c = a;
     let mut step = b.0 - a.0;
     let mut before = step;
     for _ in 0..MOST {
+        // The last step did not cross the root: a is on its other side, and the bracket starts again there.
         if b.1.signum() == c.1.signum() {
             c = a;
             step = b.0 - a.0;
@@ -94,10 +96,12 @@ pub fn brent(f: impl Fn(f64) -> f64, low: f64, high: f64, tolerance: f64) -> Res
         if half.abs() <= nearest || b.1 == 0.0 {
             break;
         }
+        // Earlier steps were tiny or did not improve: interpolation fails here, so bisect.
         if before.abs() < nearest || a.1.abs() <= b.1.abs() {
             (step, before) = (half, half);
         } else {
             let s = b.1 / a.1;
+            // With two distinct points a secant, with three inverse quadratic interpolation; the step is p / q.
             let (mut p, mut q) = if a.0 == c.0 {
                 (2.0 * half * s, 1.0 - s)
             } else {
@@ -109,10 +113,13 @@ pub fn brent(f: impl Fn(f64) -> f64, low: f64, high: f64, tolerance: f64) -> Res
             } else {
                 p = -p
             }
+            // Accepted only well inside of the bracket, and below half of the step before the last, so that steps
+            // shrink.
             let is_inside = 2.0 * p < (3.0 * half * q - (nearest * q).abs()).min((before * q).abs());
             (before, step) = if is_inside { (step, p / q) } else { (half, half) };
         }
         a = b;
+        // At least the tolerance, or the points could not close in from both sides.
         let to = b.0 + if step.abs() > nearest { step } else { nearest.copysign(half) };
         b = (to, number(&f, to)?);
     }
@@ -129,6 +136,7 @@ fn ends(f: &impl Fn(f64) -> f64, low: f64, high: f64, tolerance: f64) -> Result<
         return Err(RootError::Input(tolerance));
     }
     let (a, b) = ((low, number(f, low)?), (high, number(f, high)?));
+    // An end that is the root has no other sign to bracket with.
     if a.1 == 0.0 {
         return Ok((a, a));
     }

@@ -2,42 +2,42 @@
 
 use thiserror::Error;
 
-/// Knots that no curve goes through.
+/// Reason why no curve goes through the knots.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum SplineError {
     /// Knots and values differ in number, or there are none.
     #[error("{knots} knots for {values} values: give one value for each of at least one knot")]
     Count {
-        /// Knots given.
+        /// Number of knots given.
         knots: usize,
-        /// Values given.
+        /// Number of values given.
         values: usize,
     },
-    /// A knot is not greater than the one before, or a number is not finite.
+    /// A knot is not greater than the previous one, or a number is not finite.
     #[error(
         "knot {index} is not greater than the one before, or it or its value is not finite: sort and clean the table"
     )]
     Knot {
-        /// Its position, from 0.
+        /// Position of the knot, from 0.
         index: usize,
     },
 }
 
-/// Piecewise cubic through knots: constant beyond both ends, or round a circle as long as the period.
+/// Piecewise cubic through knots: constant beyond both ends, or periodic.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spline {
     knots: Vec<f64>,
-    /// Coefficients from each knot on, in powers of the distance from it.
+    /// Polynomial coefficients per piece, in powers of the distance from its left knot.
     pieces: Vec<[f64; 4]>,
     period: Option<f64>,
 }
 
 impl Spline {
-    /// Cubic Bessel interpolation: at each knot the slope of a parabola through three.
+    /// Makes a cubic Bessel interpolation: at each knot the slope is that of a parabola through three knots.
     ///
-    /// Linear in the values, so that a fit can follow it, and one value moves no more than two pieces on each side. `knots`
-    /// increase, over less than a `period`; nothing is checked: this is for the inside of a fit, where [`Self::bessel`] is for
-    /// tables.
+    /// Linear in the values, so that a fit can differentiate it; one value changes at most two pieces on each side.
+    /// `knots` increase, over less than a `period`. Nothing is checked: this is for use inside of a fit, and
+    /// [`Self::bessel`] is for tables.
     ///
     /// # Source
     /// de Boor, *A Practical Guide to Splines*, Springer 1978, chapter IV (cubic Bessel interpolation).
@@ -51,7 +51,7 @@ impl Spline {
     pub fn through(knots: &[f64], values: &[f64], period: Option<f64>) -> Self {
         let at = knots;
         let count = at.len().min(values.len());
-        // The piece from a knot to the next: its length, and its slope if it were straight.
+        // Straight pieces from each knot to the next: length and slope.
         let straight = |knot: usize| {
             let next = (knot + 1) % count;
             let round = if next == 0 { period.unwrap_or(0.0) } else { 0.0 };
@@ -78,7 +78,7 @@ impl Spline {
         Self::hermite(&at[..count], &values[..count], &slopes, period)
     }
 
-    /// As [`Self::through`], of a table that somebody wrote.
+    /// Makes the same curve as [`Self::through`] from a table that a user wrote, which is checked.
     ///
     /// # Errors
     /// [`SplineError`].
@@ -95,7 +95,7 @@ impl Spline {
         Ok(Self::through(knots, values, None))
     }
 
-    /// Natural cubic spline: two continuous derivatives, no bend at the ends. Overshoots beside steps.
+    /// Makes a natural cubic spline: two continuous derivatives, no curvature at the ends. Overshoots beside steps.
     ///
     /// # Errors
     /// [`SplineError`].
@@ -137,8 +137,8 @@ impl Spline {
         Ok(Self::hermite(knots, values, &slopes, None))
     }
 
-    /// Monotone cubic (PCHIP): nowhere beyond its neighbouring values, one continuous derivative. For tables of what cannot
-    /// overshoot, such as a valve's flow.
+    /// Makes a monotone cubic (PCHIP): nowhere beyond its neighbouring values, one continuous derivative. For tables of
+    /// quantities that cannot overshoot, such as a valve's flow.
     ///
     /// # Errors
     /// [`SplineError`].
@@ -156,6 +156,7 @@ impl Spline {
         let straight = checked(knots, values)?;
         let last = straight.len();
         let end = |(near, slope): (f64, f64), (far, other): (f64, f64)| {
+            // Slope of the parabola through three knots, limited so that the end piece stays monotone (Moler, 3.4).
             let estimate = ((2.0 * near + far) * slope - near * other) / (near + far);
             if estimate * slope <= 0.0 {
                 0.0
@@ -173,6 +174,8 @@ impl Spline {
             _ => {
                 let ((before, a), (after, b)) = (straight[knot - 1], straight[knot]);
                 let (first, second) = (2.0 * after + before, after + 2.0 * before);
+                // Flat at a local extreme; otherwise a weighted harmonic mean, which never exceeds three times the
+                // lower slope.
                 if a * b <= 0.0 { 0.0 } else { (first + second) / (first / a + second / b) }
             }
         };
@@ -180,16 +183,18 @@ impl Spline {
         Ok(Self::hermite(knots, values, &slopes, None))
     }
 
-    /// Cubics with these values and slopes at the knots.
+    /// Makes cubics with these values and slopes at the knots.
     fn hermite(knots: &[f64], values: &[f64], slopes: &[f64], period: Option<f64>) -> Self {
         let count = knots.len();
         let piece = |knot: usize| {
             let is_last = knot + 1 == count;
+            // Constant beyond the last knot.
             if count < 2 || (is_last && period.is_none()) {
                 return [values[knot], 0.0, 0.0, 0.0];
             }
             let next = (knot + 1) % count;
             let length = knots[next] + if next == 0 { period.unwrap_or(0.0) } else { 0.0 } - knots[knot];
+            // Only for unchecked knots: a piece without length is constant.
             if length <= 0.0 {
                 return [values[knot], 0.0, 0.0, 0.0];
             }
@@ -201,7 +206,7 @@ impl Spline {
         Self { knots: knots.to_vec(), pieces: (0..count).map(piece).collect(), period }
     }
 
-    /// Value at `x`; 0 without any knot.
+    /// Returns the value at `x`; 0 without any knot.
     ///
     /// ```
     /// use r4_maths::spline::Spline;
@@ -213,14 +218,14 @@ impl Spline {
     pub fn value(&self, x: f64) -> f64 {
         let Some((knot, distance)) = self.piece(x) else { return self.pieces.first().map_or(0.0, |piece| piece[0]) };
         let [value, slope, square, cube] = self.pieces[knot];
-        // Beyond the last knot the distance may be infinite.
+        // Beyond the last knot the distance may be infinite, which must not be multiplied by 0.
         if slope == 0.0 && square == 0.0 && cube == 0.0 {
             return value;
         }
         value + distance * (slope + distance * (square + distance * cube))
     }
 
-    /// First derivative at `x`; 0 beyond the ends, where the value is constant.
+    /// Returns the first derivative at `x`; 0 beyond the ends, where the value is constant.
     ///
     /// ```
     /// use r4_maths::spline::Spline;
@@ -238,7 +243,7 @@ impl Spline {
         slope + distance * (2.0 * square + distance * 3.0 * cube)
     }
 
-    /// Index of the piece at `x`: that of the knot before it; of the first piece before the first knot.
+    /// Returns the index of the piece at `x`: that of the knot before it, or 0 before the first knot.
     ///
     /// ```
     /// use r4_maths::spline::Spline;
@@ -250,7 +255,7 @@ impl Spline {
         self.piece(x).map_or(0, |(knot, _)| knot)
     }
 
-    /// Of each piece, whether it differs from that of another curve through the same knots.
+    /// Compares each piece with that of another curve through the same knots; true where they differ.
     ///
     /// ```
     /// use r4_maths::spline::Spline;
@@ -262,7 +267,7 @@ impl Spline {
         self.pieces.iter().zip(&other.pieces).map(|(piece, other)| piece != other)
     }
 
-    /// The piece at `x`, and the distance from its knot; `None` before the first.
+    /// Returns the index of the piece at `x`, and the distance from its knot; `None` before the first knot.
     #[inline]
     fn piece(&self, x: f64) -> Option<(usize, f64)> {
         let first = *self.knots.first()?;
@@ -272,7 +277,8 @@ impl Spline {
         Some((knot, x - self.knots[knot]))
     }
 
-    /// Knots and values of a polyline that follows the curve, `each` of its pieces for one of the curve's.
+    /// Returns knots and values of a polyline that follows the curve, with `each` straight pieces for one of the
+    /// curve's.
     ///
     /// ```
     /// use r4_maths::spline::Spline;
@@ -286,6 +292,7 @@ impl Spline {
         let inside = self.knots.iter().zip(ends).flat_map(|(&from, to)| {
             (0..each.max(1)).map(move |part| from + (to - from) * f64::from(part) / f64::from(each.max(1)))
         });
+        // A periodic curve goes on at its first knot, which is listed already.
         let last = if self.period.is_none() { self.knots.last().copied() } else { None };
         let at: Vec<f64> = inside.chain(last).collect();
         let values = at.iter().map(|&at| self.value(at)).collect();
@@ -293,12 +300,13 @@ impl Spline {
     }
 }
 
-/// Length and slope of each straight piece.
+/// Checks the knots and returns the length and slope of each straight piece.
 fn checked(knots: &[f64], values: &[f64]) -> Result<Vec<(f64, f64)>, SplineError> {
     if knots.is_empty() || knots.len() != values.len() {
         return Err(SplineError::Count { knots: knots.len(), values: values.len() });
     }
     let is_bad = |index: &usize| {
+        // Written so that NaN, which compares false, counts as bad.
         let before = index.checked_sub(1).map_or(f64::NEG_INFINITY, |before| knots[before]);
         !(knots[*index] > before && knots[*index].is_finite() && values[*index].is_finite())
     };

@@ -13,7 +13,7 @@ import yaml
 
 EXAMPLES = Path(__file__).parents[3] / "docs" / "studies"
 PROGRAM = os.environ.get("R4_PROGRAM", "")
-PARTS, SEEDS, SYSTEM = 3, 3, "skidcal"
+PARTS, SEEDS, SYSTEM = 3, 2, "tail"
 
 pytestmark = pytest.mark.skipif(not Path(PROGRAM).is_file(), reason="R4_PROGRAM names no built r4")
 

@@ -1,5 +1,5 @@
-//! The two ends of a frame as a board has them: a message for the host encoded, one from the host decoded. `cargo xtask size
-//! --protocol` links what each of the lists below leads to, and nothing else, and weighs it.
+//! Both ends of a frame as a board has them: a message for the host encoded, one from the host decoded. `cargo xtask
+//! size --protocol` links what each of the lists below leads to, and nothing else, and measures its size.
 
 #![no_std]
 
@@ -11,8 +11,8 @@ use r4_protocol::{
 type Encoder<T> = for<'b> fn(&T, &'b mut [u8; MAX_FRAME]) -> Result<&'b [u8], MessageTooLong>;
 type Decoder<T> = fn(&mut FrameDecoder, u8) -> Option<Result<T, FrameError>>;
 
-/// Cycles only.
+/// Encoder and decoder of cycles only.
 pub static CYCLES_ONLY: (Encoder<CycleState>, Decoder<Cycle>) = (encode_frame, FrameDecoder::push);
 
-/// Every message.
+/// Encoder and decoder of every message.
 pub static EVERY_MESSAGE: (Encoder<ToHost>, Decoder<ToDevice>) = (encode_frame, FrameDecoder::push);

@@ -8,62 +8,63 @@ use super::{
 };
 use crate::channel::{ChannelId, ChannelKind, Range};
 
-/// A quadrature encoder that is read by itself, whether or not a motor uses it too.
+/// Quadrature encoder that is a channel of its own, whether or not a motor uses it too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct EncoderConfig {
     /// [`ChannelKind::Encoder`] and its number, which is the counter's.
     pub id: ChannelId,
     /// Counts in one turn, four to a line.
     pub counts_per_turn: u32,
-    /// Whether it counts down forwards.
+    /// True where the encoder counts down forwards.
     pub inverted: bool,
 }
 
-/// A switch, as beside an encoder.
+/// Switch input, as beside an encoder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct SwitchConfig {
     /// [`ChannelKind::Switch`] and its number, which is the connector's.
     pub id: ChannelId,
-    /// Whether a low level is closed.
+    /// True where a low level is a closed switch.
     pub active_low: bool,
 }
 
-/// An ultrasonic range sensor.
+/// Ultrasonic range sensor, with trigger and echo.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct RangeConfig {
     /// [`ChannelKind::Range`] and its number, which is the connector's.
     pub id: ChannelId,
-    /// Distances it can tell, m.
+    /// Range of distances that the sensor can measure, m.
     pub range_m: Range,
-    /// The board trips when something is nearer, or when the sensor says nothing, m.
+    /// Distance below which the board trips, m. It also trips when a sensor with this limit does not measure.
     pub stop_below_m: Option<f32>,
 }
 
-/// A divided analog input.
+/// Analog input behind a voltage divider.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct AnalogConfig {
     /// [`ChannelKind::Analog`] and its number, which is the input's.
     pub id: ChannelId,
     /// Volts at the input for one count of the 16-bit converter.
     pub volts_per_code: f32,
-    /// Volts at code 0.
+    /// Voltage at the input at code 0, V.
     pub offset_v: f32,
-    /// What a connected source can give, V: below is a short, above is open or clamped.
+    /// Range of voltages that a connected source can have, V: below is a short, above is open or clamped.
     pub plausible_v: Range,
 }
 
-/// A supply rail on a divided analog input.
+/// Supply rail on an analog input behind a voltage divider.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct SupplyConfig {
     /// [`ChannelKind::Supply`] and its number.
     pub id: ChannelId,
-    /// Which analog input.
+    /// Number of the analog input.
     pub analog: u8,
     /// Volts at the rail for one count of the 16-bit converter.
     pub volts_per_code: f32,
-    /// The board trips outside this, V.
+    /// Range of voltages outside of which the board trips, V.
     pub range_v: Range,
-    /// Above this the motors on this rail feed less and less back, and nothing at the end of `range_v`, V.
+    /// Voltage above which the motors on this rail feed less and less energy back, V; nothing at the end of `range_v`.
+    /// `None` sets no such limit.
     pub regeneration_v: Option<f32>,
 }
 

@@ -1,6 +1,6 @@
-//! What a board is told about itself: wiring, limits, gains and calibration.
+//! Configuration of a board: wiring, limits, gains and calibration.
 //!
-//! Made from `boards/*.toml`; the firmware takes it as it is and checks it with [`BoardConfig::validate`].
+//! It is made from `boards/*.toml`. The firmware takes it as it is and checks it with [`BoardConfig::validate`].
 
 mod force;
 mod input;
@@ -36,55 +36,55 @@ use crate::{
     channel::{ChannelId, ChannelKind, Range},
 };
 
-/// Most bytes of a robot's name.
+/// Maximum length of a robot's name, bytes.
 pub const MAX_NAME: usize = 32;
-/// Most motors on bridges: four OSMC and four on DHB.
+/// Maximum number of motors on bridges: four OSMC and four on DHB.
 pub const MAX_MOTORS: usize = 8;
-/// Most brushless drives.
+/// Maximum number of brushless drives.
 pub const MAX_BLDCS: usize = 4;
-/// Most servos.
+/// Maximum number of servos.
 pub const MAX_SERVOS: usize = 16;
-/// Most step/direction drivers.
+/// Maximum number of step/direction drivers.
 pub const STEPPERS: usize = 4;
-/// Most relays.
+/// Maximum number of relays.
 pub const MAX_RELAYS: usize = 8;
-/// Most outputs of the processor's own DAC.
+/// Maximum number of outputs of the processor's own DAC.
 pub const DAC_OUTPUTS: usize = 2;
-/// Most quadrature counters.
+/// Maximum number of quadrature counters.
 pub const ENCODERS: usize = 4;
-/// Most switches.
+/// Maximum number of switches.
 pub const SWITCHES: usize = 4;
-/// Most range sensors.
+/// Maximum number of range sensors.
 pub const RANGE_SENSORS: usize = 4;
-/// Most analog inputs.
+/// Maximum number of analog inputs.
 pub const ANALOG_INPUTS: usize = 6;
-/// Most supply rails measured.
+/// Maximum number of measured supply rails.
 pub const MAX_SUPPLIES: usize = 4;
-/// Highest number of counts or steps in a turn: the highest up to which every whole number is an `f32`.
+/// Highest number of counts or steps in a turn: up to it every whole number is an `f32`.
 pub const MAX_EXACT: u32 = 1 << 24;
 
-/// Longest time that a controlled stop may brake, ms: a vehicle that needs more has a hill under it.
+/// Longest time that a controlled stop may brake, ms. A vehicle that needs more is on a slope.
 pub const STOP_BRAKE_MAX_MS: u16 = 5000;
-/// Time-outs that a link may have, ms.
+/// Range of link time-outs, ms.
 pub const LINK_TIMEOUT_MS: RangeInclusive<u16> = 20..=1000;
 const STOP_BRAKE_RULE: &str = "stop_brake_ms must be at most 5000";
 
-/// One R4 board in one robot.
+/// Configuration of one R4 board in one robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct BoardConfig {
-    /// The robot's name.
+    /// Name of the robot.
     pub robot: String<MAX_NAME>,
     /// Period of the control loop, µs.
     pub control_period_us: u32,
-    /// The board trips after this long without a heartbeat, ms; 20 to 1000.
+    /// Link time-out: the board trips after this long without a heartbeat, ms; 20 to 1000.
     pub link_timeout_ms: u16,
     /// Clock of the bus with the output chips, Hz.
     pub i2c_hz: u32,
-    /// Whether a stop button is wired to the auxiliary stop input; it trips when the line is low.
+    /// True where a stop button is wired to the auxiliary stop input; it trips the board while the line is low.
     pub auxiliary_stop: bool,
-    /// Whether a screen is plugged in, for the board's own display.
+    /// True where a screen is plugged in, for the board's own display.
     pub screen: bool,
-    /// Air in front of the range sensors, °C: the speed of sound follows from it.
+    /// Temperature of the air in front of the range sensors, °C; the speed of sound follows from it.
     pub air_temperature_c: f32,
     /// The PWM chip behind the OSMC bridges; needed when there are any.
     pub osmc_pwm: Option<PwmConfig>,
@@ -94,103 +94,104 @@ pub struct BoardConfig {
     pub servo_pwm: Option<ServoChipConfig>,
     /// The DAC behind the brushless drives; needed when there are any.
     pub bldc_dac: Option<DacChipConfig>,
-    /// Where relays and the lines of brushless drives are; needed when there are any.
+    /// The port expander with relays and the lines of brushless drives; needed when there are any.
     pub expander: Option<ExpanderConfig>,
-    /// What the step/direction drivers have in common; needed when there are any.
+    /// Settings that all step/direction drivers share; needed when there are any.
     pub stepper_bank: Option<StepperBankConfig>,
-    /// Motors on bridges.
+    /// Motors on OSMC and DHB bridges.
     pub motors: Vec<MotorConfig, MAX_MOTORS>,
-    /// Brushless drives.
+    /// Brushless drives with voltage and lines.
     pub bldcs: Vec<BldcConfig, MAX_BLDCS>,
-    /// Servos.
+    /// Servos on the PWM chip.
     pub servos: Vec<ServoConfig, MAX_SERVOS>,
-    /// Step/direction drivers.
+    /// Step/direction drivers with their motors.
     pub steppers: Vec<StepperConfig, STEPPERS>,
-    /// Relays.
+    /// Relays on the expander.
     pub relays: Vec<RelayConfig, MAX_RELAYS>,
-    /// Analog outputs.
+    /// Analog outputs of the processor.
     pub dacs: Vec<DacConfig, DAC_OUTPUTS>,
-    /// Encoders.
+    /// Quadrature encoders that are channels of their own.
     pub encoders: Vec<EncoderConfig, ENCODERS>,
-    /// Switches.
+    /// Switch inputs beside the encoders.
     pub switches: Vec<SwitchConfig, SWITCHES>,
-    /// Range sensors.
+    /// Ultrasonic range sensors at the range connectors.
     pub ranges: Vec<RangeConfig, RANGE_SENSORS>,
-    /// Analog inputs.
+    /// Analog inputs that are channels.
     pub analogs: Vec<AnalogConfig, ANALOG_INPUTS>,
-    /// Supply rails.
+    /// Supply rails that are measured.
     pub supplies: Vec<SupplyConfig, MAX_SUPPLIES>,
-    /// The bus hosts may reach the board by.
+    /// CAN bus by which hosts may reach the board.
     pub can: CanConfig,
     /// Sensors on the bus with the output chips.
     pub sensors: Vec<SensorConfig, MAX_SENSORS>,
 }
 
-/// The CAN bus that hosts reach the board by. Read when the board starts.
+/// CAN bus by which hosts reach the board. Settings are read when the board starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct CanConfig {
     /// Bit rate, kbit/s: 125, 250, 500 or 1000.
     pub kbit_per_s: u16,
-    /// The board's number on the bus, 0 to 127.
+    /// Node number of the board on the bus, 0 to 127.
     pub node: u16,
-    /// Bit rate of the data phase, kbit/s: 500, 1000 or 2000, not below `kbit_per_s`. The board then takes and sends frames of
-    /// CAN FD, which every node of the bus must know: one that does not destroys them. 0: classic frames only.
+    /// Bit rate of the data phase, kbit/s: 500, 1000 or 2000, not below `kbit_per_s`. The board then takes and sends
+    /// frames of CAN FD, which every node of the bus must support: one that does not destroys them. 0 stands for
+    /// classic frames only.
     pub data_kbit_per_s: u16,
 }
 
 impl Default for CanConfig {
-    /// Classic frames, 1 Mbit/s and number 0, which hosts take where nothing is said.
+    /// Returns classic frames, 1 Mbit/s and node 0: the defaults of hosts.
     fn default() -> Self {
         Self { kbit_per_s: 1000, node: 0, data_kbit_per_s: 0 }
     }
 }
 
-/// A PCA9685.
+/// PWM chip with 16 outputs, a PCA9685.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct PwmConfig {
-    /// 7-bit I2C address.
+    /// I2C address of the chip, 7 bits.
     pub address: u8,
-    /// PWM frequency asked for, Hz; the chip has 24 to 1526.
+    /// Requested PWM frequency, Hz; the chip has 24 to 1526.
     pub frequency_hz: f32,
 }
 
-/// Where a channel is in a [`BoardConfig`]: the list and the place in it.
+/// Place of a channel in a [`BoardConfig`]: the list and the index in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Place {
-    /// In [`BoardConfig::motors`].
+    /// Motor, by its index in [`BoardConfig::motors`].
     Motor(usize),
-    /// In [`BoardConfig::bldcs`].
+    /// Brushless drive, by its index in [`BoardConfig::bldcs`].
     Bldc(usize),
-    /// In [`BoardConfig::servos`].
+    /// Servo, by its index in [`BoardConfig::servos`].
     Servo(usize),
-    /// In [`BoardConfig::steppers`].
+    /// Stepper, by its index in [`BoardConfig::steppers`].
     Stepper(usize),
-    /// In [`BoardConfig::relays`].
+    /// Relay, by its index in [`BoardConfig::relays`].
     Relay(usize),
-    /// In [`BoardConfig::dacs`].
+    /// Analog output, by its index in [`BoardConfig::dacs`].
     Dac(usize),
-    /// In [`BoardConfig::encoders`].
+    /// Encoder, by its index in [`BoardConfig::encoders`].
     Encoder(usize),
-    /// In [`BoardConfig::switches`].
+    /// Switch, by its index in [`BoardConfig::switches`].
     Switch(usize),
-    /// In [`BoardConfig::ranges`].
+    /// Range sensor, by its index in [`BoardConfig::ranges`].
     Range(usize),
-    /// In [`BoardConfig::analogs`].
+    /// Analog input, by its index in [`BoardConfig::analogs`].
     Analog(usize),
-    /// In [`BoardConfig::supplies`].
+    /// Supply rail, by its index in [`BoardConfig::supplies`].
     Supply(usize),
-    /// Every board has the dead-man's handle (0); the auxiliary stop is 1, if it is wired.
+    /// Stop input: 0 is the dead-man's handle, which every board has, 1 the auxiliary stop, if it is wired.
     DeadMan(usize),
-    /// In [`BoardConfig::sensors`].
+    /// Sensor on the bus, by its index in [`BoardConfig::sensors`].
     Sensor(usize),
 }
 
-/// Why a configuration is not taken.
+/// Reason why a configuration is not valid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ConfigError {
-    /// The channel it is about, or `None` for the board.
+    /// Channel of the error, or `None` for the board.
     pub channel: Option<ChannelId>,
-    /// What must hold.
+    /// Rule that the configuration breaks; empty in builds with the feature `brief`.
     pub rule: &'static str,
 }
 
@@ -212,13 +213,14 @@ impl fmt::Display for ConfigError {
 impl core::error::Error for ConfigError {}
 
 impl BoardConfig {
-    /// Every channel with its place, in the order in which a board describes them.
+    /// Iterates over the channels with their places, in the order in which a board describes them.
     pub fn channels(&self) -> impl Iterator<Item = (ChannelId, Place)> {
         macro_rules! list {
             ($field:ident, $place:ident) => {
                 self.$field.iter().enumerate().map(|(index, config)| (config.id, Place::$place(index)))
             };
         }
+        // The dead-man's handle is always there, the auxiliary stop only if it is wired.
         let stops = (0..1 + usize::from(self.auxiliary_stop))
             .map(|index| (ChannelId::new(ChannelKind::DeadMan, index as u8), Place::DeadMan(index)));
         list!(motors, Motor)
@@ -236,13 +238,13 @@ impl BoardConfig {
             .chain(stops)
     }
 
-    /// The place of `channel`, or `None` when the board does not have it.
+    /// Returns the place of `channel`, or `None` when the board does not have it.
     #[must_use]
     pub fn place(&self, channel: ChannelId) -> Option<Place> {
         self.channels().find(|(id, _)| *id == channel).map(|(_, place)| place)
     }
 
-    /// Whether a motor or a channel counts the edges of encoder `index`.
+    /// Returns whether a motor or an encoder channel uses encoder counter `index`.
     #[must_use]
     pub fn uses_encoder(&self, index: u8) -> bool {
         let of_motor =
@@ -250,7 +252,8 @@ impl BoardConfig {
         self.motors.iter().any(of_motor) || self.encoders.iter().any(|encoder| encoder.id.index == index)
     }
 
-    /// Whether the index pulse of encoder `index` is on while the line of the switch beside it is low; `None` where it has none.
+    /// Returns whether the index pulse of encoder `index` is active while the line of the switch of the same number is
+    /// low; `None` for an encoder without an index pulse.
     #[must_use]
     pub fn index_active_low(&self, index: u8) -> Option<bool> {
         let of_motor = |motor: &MotorConfig| {
@@ -262,14 +265,14 @@ impl BoardConfig {
         self.motors.iter().any(of_motor).then_some(switch.active_low)
     }
 
-    /// Rate of the angle sensor number `angle`, Hz; `None` where there is none.
+    /// Returns the rate of angle sensor number `angle`, Hz; `None` when there is none.
     #[must_use]
     pub fn angle_rate_hz(&self, angle: u8) -> Option<u16> {
         let id = ChannelId::new(ChannelKind::Angle, angle);
         self.sensors.iter().find(|sensor| sensor.id == id).map(|sensor| sensor.rate_hz)
     }
 
-    /// Whether a range sensor, or a motor's angle sensor, is at range connector `index`.
+    /// Returns whether a range sensor, or the angle sensor of a motor, is at range connector `index`.
     #[must_use]
     pub fn uses_range(&self, index: u8) -> bool {
         let feedback = self.motors.iter().filter_map(|motor| Some(motor.control?.feedback));
@@ -277,11 +280,12 @@ impl BoardConfig {
         feedback.map(of_motor).chain(self.ranges.iter().map(|range| range.id.index == index)).any(|uses| uses)
     }
 
-    /// How long a controlled stop of this board takes, ms: the longest of its channels' times; 0 when none brakes.
+    /// Returns how long a controlled stop of this board takes, ms: the longest time of its channels; 0 when none
+    /// brakes.
     ///
     /// Channels stop by the categories of IEC 60204-1. Category 0 takes the power away at once, and the motor coasts.
-    /// Category 1 brakes with the power on for this time, then takes it away. A channel with a time of 0 is switched off at
-    /// once in either case. Category 1 is only for causes that leave bus, control loop and supply working: see
+    /// Category 1 brakes with the power on for this time, then takes it away. A channel with a time of 0 is switched
+    /// off at once in either case. Category 1 is only for causes that leave bus, control loop and supply working: see
     /// [`crate::Causes::allow_braking`].
     #[must_use]
     pub fn stop_brake_ms(&self) -> u16 {
@@ -293,11 +297,11 @@ impl BoardConfig {
 
     /// Checks every number on its own and against the others.
     ///
-    /// What must be positive must be 1e-9 to 1e9, and no number may be larger: products and quotients of four such numbers
-    /// are finite, so that nothing the firmware computes from them is not.
+    /// Numbers that must be positive must be 1e-9 to 1e9, and no number may be larger. Products and quotients of four
+    /// such numbers are finite, and so is everything that the firmware computes from them.
     ///
     /// # Errors
-    /// The first rule that does not hold.
+    /// [`ConfigError`] with the first rule that the configuration breaks.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.validate_board()?;
         self.validate_motors()?;
@@ -327,6 +331,7 @@ impl BoardConfig {
         )?;
         rule(self.can.node < u16::from(Node::COUNT), "can_node must be 0 to 127")?;
         for chip in self.osmc_pwm.into_iter().chain(self.dhb_pwm) {
+            // Prescaler 255 to 3 of the PCA9685 (datasheet 7.3.5).
             rule(Range::new(24.0, 1526.0).contains(chip.frequency_hz), "the PWM chip has 24 to 1526 Hz")?;
             rule(pca9685_address(chip.address), PCA9685_RULE)?;
         }
@@ -348,7 +353,7 @@ impl BoardConfig {
         rule(self.output_addresses().all(|address| addresses.take(address)), "two chips have the same address")
     }
 
-    /// Addresses of the output chips.
+    /// Returns the addresses of the output chips.
     fn output_addresses(&self) -> impl Iterator<Item = u8> {
         let pwm = [self.osmc_pwm, self.dhb_pwm].map(|chip| chip.map(|chip| chip.address));
         let others = [
@@ -359,13 +364,15 @@ impl BoardConfig {
         pwm.into_iter().chain(others).flatten()
     }
 
-    /// Every sensor has an address of its own, and its longest transfer fits beside the writes of all OSMC bridges in a period; all
-    /// together take at most half of what those writes leave. The other half is for DHB bridges, drives, servos and read-back.
+    /// Checks the sensors on the bus. Each has an address of its own, and its longest transfer fits beside the writes
+    /// of all OSMC bridges in a period. All readings together take at most half of what those writes leave; the other
+    /// half is for DHB bridges, drives, servos and read-back.
     fn validate_sensors(&self) -> Result<(), ConfigError> {
         let mut addresses = Used::default();
         for address in self.output_addresses() {
             addresses.take(address);
         }
+        // OSMC bridges may be written in every period; sensors come after the outputs.
         let left = self.period_bits().saturating_sub(self.osmc_bits());
         let periods_per_s = 1_000_000 / u64::from(self.control_period_us.max(1));
         let mut bits_per_s = 0;
@@ -374,6 +381,7 @@ impl BoardConfig {
             sensor.validate()?;
             rule(addresses.take(sensor.address), "the address belongs to another chip on the bus")?;
             let SensorDescription { longest_bits, reading_bits, transfers, .. } = sensor.chip.description();
+            // A transfer is not split: one that does not fit beside these writes would never start.
             rule(u64::from(longest_bits) <= left, "the outputs' writes leave no room on the bus for this sensor")?;
             rule(
                 u64::from(sensor.rate_hz) * u64::from(transfers) <= periods_per_s,
@@ -388,28 +396,30 @@ impl BoardConfig {
         Ok(())
     }
 
-    /// Bits on the bus in a control period: 95 %, the rest is for the processor.
+    /// Returns the bits that the bus carries in a control period: 95 % of it, the rest is for the processor.
     fn period_bits(&self) -> u64 {
         u64::from(self.control_period_us) * u64::from(self.i2c_hz) / 1_000_000 * 95 / 100
     }
 
-    /// Most bits that the OSMC bridges take in a period: six bytes each, whose pulse meets the end of the PWM period.
+    /// Returns the most bits that the OSMC bridges take in a period: six bytes each, whose pulse ends with the PWM
+    /// period.
     fn osmc_bits(&self) -> u64 {
         let is_osmc = |motor: &&MotorConfig| matches!(motor.bridge, BridgeConfig::Osmc(_));
         self.motors.iter().filter(is_osmc).count() as u64 * u64::from(bus_bits(6))
     }
 
-    /// Each control period must have room on the bus for the largest single write, and beside every OSMC bridge for the
-    /// largest of the others, or some output would never be written.
+    /// Checks that each control period has room on the bus for the largest single write, and beside every OSMC bridge
+    /// for the largest of the others. Otherwise some output would never be written.
     fn validate_bus(&self) -> Result<(), ConfigError> {
         let bits = |bytes| u64::from(bus_bits(bytes));
         let is_osmc = |motor: &&MotorConfig| matches!(motor.bridge, BridgeConfig::Osmc(_));
         let osmc = self.motors.iter().filter(is_osmc).count();
         let has_dhb = self.motors.len() > osmc;
-        // All lines of a bridge, a reading back of a PWM chip's mode, all voltages of the DAC.
+        // All lines of a bridge, reading back a PWM chip's mode, all voltages of the DAC.
         let all_lines = if osmc > 0 { bits(18) } else { 0 };
         let others =
             [(has_dhb, bits(14)), (!self.bldcs.is_empty(), bits(9)), (!self.motors.is_empty(), bits(5) + bits(4))];
+        // The others may wait for another period, so only the largest must fit.
         let largest = others.into_iter().filter(|(there, _)| *there).map(|(_, bits)| bits).max();
         let needed = all_lines.max(self.osmc_bits() + largest.unwrap_or(0)).max(bits(6));
         let room = self.period_bits();
@@ -438,6 +448,7 @@ impl BoardConfig {
                 rule(once, "the encoder must exist and be used by one motor")?;
                 self.validate_angle(motor.id, control, &mut angles)?;
             }
+            // `osmc` and `actuator` are two uses of the same connector; `dhb` has connectors of its own.
             let same_connector = |other: &MotorConfig| {
                 other.id.index == motor.id.index
                     && (other.id.kind == ChannelKind::Dhb) == (motor.id.kind == ChannelKind::Dhb)
@@ -448,8 +459,8 @@ impl BoardConfig {
         Ok(())
     }
 
-    /// An angle sensor that a motor is controlled by is there, is its alone, and is read often enough: no turn of the shaft may hide
-    /// between two readings, also where some of them fail.
+    /// Checks the angle sensor of a motor: it exists, belongs to this motor alone, and is read often enough that no
+    /// turn of the shaft can hide between two readings, even when some of them fail.
     fn validate_angle(&self, id: ChannelId, control: &ControlConfig, taken: &mut Used) -> Result<(), ConfigError> {
         let rule = |holds: bool, rule| check(Some(id), holds, rule);
         let rate_hz = match control.feedback {
@@ -465,7 +476,7 @@ impl BoardConfig {
                 rate_hz
             }
             Feedback::Pulses { range, frames_hz, .. } => {
-                // Behind the numbers of sensors.
+                // Connectors are numbered behind the sensors, in the same set.
                 let free = taken.take(64 + range) && self.ranges.iter().all(|sensor| sensor.id.index != range);
                 rule(free, "the range connector of a motor's pulses must belong to it alone")?;
                 frames_hz
@@ -480,6 +491,7 @@ impl BoardConfig {
     }
 
     fn validate_outputs(&self) -> Result<(), ConfigError> {
+        // Drives and relays share the expander, so they share its bits.
         let mut bits = Used::default();
         let bits_rule = "expander bits must be 0 to 15, each used once";
         let mut dac_outputs = Used::default();
@@ -522,6 +534,7 @@ impl BoardConfig {
         self.encoders.iter().try_for_each(EncoderConfig::validate)?;
         self.switches.iter().try_for_each(SwitchConfig::validate)?;
         self.ranges.iter().try_for_each(RangeConfig::validate)?;
+        // Potentiometers, analog channels and supplies share the analog inputs; each input has one use.
         let mut analogs = Used::default();
         let analog_rule = "the analog input must exist and be used once";
         for motor in &self.motors {
@@ -555,7 +568,7 @@ impl BoardConfig {
         Ok(())
     }
 
-    /// What measures a motor's force is read.
+    /// Checks that each motor's force sensor is among the analog inputs or sensors.
     fn validate_forces(&self) -> Result<(), ConfigError> {
         let forces = self.motors.iter().filter_map(|motor| Some((motor.id, motor.control.as_ref()?.force?)));
         for (id, force) in forces {
@@ -569,6 +582,7 @@ impl BoardConfig {
                     let cell = ChannelId::new(ChannelKind::Force, force);
                     let rate_hz = self.sensors.iter().find(|sensor| sensor.id == cell).map(|sensor| sensor.rate_hz);
                     rule(rate_hz.is_some(), "the motor's load cell must be in the list of sensors")?;
+                    // Analog inputs have no rate of their own.
                     let fast = rate_hz.is_some_and(|rate_hz| rate_hz >= FORCE_RATE_MIN_HZ);
                     rule(fast, "the rate_hz of a motor's load cell must be at least 250")?;
                 }
@@ -590,6 +604,7 @@ impl BoardConfig {
             let Some(control) = motor.control else { continue };
             let Feedback::Encoder { index, counts_per_index: 1.., .. } = control.feedback else { continue };
             let known = self.index_active_low(index).is_some();
+            // The index pulse may share its input with the axis' own homing, which seeks the same line.
             let own = control.homing.is_some_and(|homing| homing.switch == index);
             let rule =
                 "an index pulse needs the switch with its encoder's number in the list, which no other axis may seek";
@@ -601,18 +616,20 @@ impl BoardConfig {
 
 const PCA9685_RULE: &str = "a PCA9685 has an address from 0x40 to 0x77, but for 0x70, which all of them answer";
 
-/// Every PCA9685 answers its all-call address, 0x70, from power-up on (NXP datasheet, "LED All Call I2C-bus address").
+/// Returns whether a PCA9685 can have this address. All of them answer the all-call address, 0x70, from power-up on
+/// (NXP datasheet, "LED All Call I2C-bus address").
 fn pca9685_address(address: u8) -> bool {
     (0x40..0x78).contains(&address) && address != 0x70
 }
 
-/// Small numbers that have been taken.
+/// Set of small numbers that are taken.
 #[derive(Default)]
 struct Used(u128);
 
 impl Used {
-    /// Takes `number`, which is below 128; whether it was free.
+    /// Takes `number`, which is below 128; returns whether it was free.
     fn take(&mut self, number: u8) -> bool {
+        // The mask keeps a wrong number from overflowing the shift.
         let bit = 1u128 << (number & 127);
         let free = self.0 & bit == 0;
         self.0 |= bit;
@@ -624,7 +641,7 @@ fn check(channel: Option<ChannelId>, holds: bool, rule: &'static str) -> Result<
     if holds { Ok(()) } else { Err(ConfigError::new(channel, rule)) }
 }
 
-/// No number is larger, and none that must be positive smaller than its inverse.
+/// Largest number in a configuration; its inverse is the smallest that must be positive.
 const LARGEST: f32 = 1e9;
 
 fn finite(value: f32) -> bool {

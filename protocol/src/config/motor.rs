@@ -9,47 +9,47 @@ use super::{
 };
 use crate::channel::{ChannelId, ChannelKind, Range};
 
-/// No configuration may let a bridge exceed this share: an OSMC's high side needs the rest to refresh its bootstrap, and the
-/// makers of the DHB forbid more.
+/// Highest share of the supply that a configuration may allow a bridge. An OSMC's high side needs the rest to refresh
+/// its bootstrap, and the makers of the DHB forbid more.
 pub const DUTY_HARD_MAX: f32 = 0.98;
 
-/// A motor on a bridge.
+/// Motor on a bridge, with its limits, feedback and loops.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct MotorConfig {
     /// [`ChannelKind::Osmc`], [`ChannelKind::Actuator`] or [`ChannelKind::Dhb`], with the bridge connector's number.
     pub id: ChannelId,
-    /// Which bridge, and its wiring.
+    /// Bridge of the motor, and its wiring.
     pub bridge: BridgeConfig,
-    /// Whether positive duty is reverse current.
+    /// True where positive duty is to be reverse current through the motor.
     pub inverted: bool,
-    /// Highest share of the supply, 0..=[`DUTY_HARD_MAX`].
+    /// Highest duty, share of the supply, 0..=[`DUTY_HARD_MAX`].
     pub duty_max: f32,
     /// Fastest change of the duty, 1/s.
     pub duty_slew_per_s: f32,
-    /// Feedback and loops; without them the motor takes an open duty only.
+    /// Feedback and loops; without them the motor takes a duty in open loop only.
     pub control: Option<ControlConfig>,
-    /// Supply, winding and thermal limit. Only a motor without feedback may lack it: neither its speed nor its current is
-    /// known then, and it has no overload protection.
+    /// Supply, winding and thermal limit. Only a motor without feedback may lack it: neither its speed nor its current
+    /// is known then, and it has no overload protection.
     pub winding: Option<WindingConfig>,
-    /// How long a controlled stop brakes this motor, ms: see [`super::BoardConfig::stop_brake_ms`]. Its duty falls to 0 by
-    /// `duty_slew_per_s`; at 0 the bridge shorts the motor. 0 lets it coast.
+    /// Time for which a controlled stop brakes this motor, ms: see [`super::BoardConfig::stop_brake_ms`]. Its duty
+    /// falls to 0 by `duty_slew_per_s`; at 0 the bridge shorts the motor. A time of 0 lets it coast.
     pub stop_brake_ms: u16,
 }
 
-/// Supply and winding of a motor: what its current is computed from, and how much of it the winding withstands.
+/// Supply and winding of a motor: the data of its current and of its thermal limit.
 ///
-/// The mean current is `((|duty| - dead_duty) supply sign(duty) - back_emf speed) / resistance`, with speed 0 where nothing
-/// measures it. The heat, as a share of what the winding withstands, follows `(current / rated)²` by a first-order lag of
+/// The mean current is `((|duty| - dead_duty) supply sign(duty) - back_emf speed) / resistance`, with speed 0 where
+/// nothing measures it. The heat, as a share of the thermal limit, follows `(current / rated)²` by a first-order lag of
 /// `thermal_s`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct WindingConfig {
     /// Number of the supply channel that feeds the bridge; `None` where none is measured.
     pub supply: Option<u8>,
-    /// Supply voltage that the gains were tuned at, V; stands for the measured one where there is none.
+    /// Supply voltage at which the gains were tuned, V; also used where the supply is not measured.
     pub nominal_v: f32,
-    /// Duty below which no current flows: a bridge's dead zone.
+    /// Duty below which no current flows, a share of the supply: the bridge's dead zone.
     pub dead_duty: f32,
-    /// Of the winding and the bridge, ohm.
+    /// Resistance of winding and bridge, ohm.
     pub resistance_ohm: f32,
     /// Back-EMF constant at the output, V s/rad or V s/m.
     pub back_emf: f32,
@@ -57,31 +57,31 @@ pub struct WindingConfig {
     pub rated_a: f32,
     /// Thermal time constant of the winding, s.
     pub thermal_s: f32,
-    /// What measures the motor's current; `None` where it is computed.
+    /// Sensor of the motor's current; `None` where the current is computed.
     pub current_sense: Option<CurrentSense>,
 }
 
-/// A current sensor on an analog input. Only the magnitude of its current is used.
+/// Current sensor on an analog input. Only the magnitude of its current is used.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct CurrentSense {
     /// Number of the analog channel.
     pub analog: u8,
-    /// Its voltage at 0 A, V.
+    /// Voltage of the sensor at 0 A, V.
     pub zero_v: f32,
-    /// V/A
+    /// Sensitivity of the sensor, V/A.
     pub volts_per_a: f32,
 }
 
-/// A bridge and which outputs of its PWM chip drive it.
+/// Bridge, and the outputs of its PWM chip that drive it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum BridgeConfig {
-    /// OSMC, on [`super::BoardConfig::osmc_pwm`].
+    /// OSMC bridge, on [`super::BoardConfig::osmc_pwm`].
     Osmc(BridgeLines),
     /// One motor of a DHB-12, on [`super::BoardConfig::dhb_pwm`].
     Dhb(DhbLines),
 }
 
-/// Which outputs of the PWM chip drive which input of an OSMC.
+/// Outputs of the PWM chip that drive the inputs of an OSMC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct BridgeLines {
     /// High side of leg A.
@@ -95,38 +95,38 @@ pub struct BridgeLines {
 }
 
 impl BridgeLines {
-    /// The four lines, in the order of the fields.
+    /// Returns the four outputs, in the order of the fields.
     #[must_use]
     pub const fn all(self) -> [u8; 4] {
         [self.ahi, self.ali, self.bhi, self.bli]
     }
 
-    /// The lowest of the four.
+    /// Returns the lowest of the four outputs.
     #[must_use]
     pub fn first(self) -> u8 {
         lowest(&self.all())
     }
 }
 
-/// Which outputs of the PWM chip drive which input of one motor of a DHB-12.
+/// Outputs of the PWM chip that drive the inputs of one motor of a DHB-12.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct DhbLines {
-    /// PWM forwards.
+    /// Input 1: PWM forwards.
     pub in1: u8,
-    /// PWM backwards.
+    /// Input 2: PWM backwards.
     pub in2: u8,
-    /// Enable.
+    /// Enable input of the motor.
     pub en: u8,
 }
 
 impl DhbLines {
-    /// The three lines, in the order of the fields.
+    /// Returns the three outputs, in the order of the fields.
     #[must_use]
     pub const fn all(self) -> [u8; 3] {
         [self.in1, self.in2, self.en]
     }
 
-    /// The lowest of the three.
+    /// Returns the lowest of the three outputs.
     #[must_use]
     pub fn first(self) -> u8 {
         lowest(&self.all())
@@ -137,107 +137,109 @@ fn lowest(lines: &[u8]) -> u8 {
     lines.iter().copied().min().unwrap_or(0)
 }
 
-/// What a motor's loops need to know.
+/// Feedback of a motor, and its loops.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ControlConfig {
-    /// What measures the position.
+    /// Sensor of the position.
     pub feedback: Feedback,
-    /// Positions it may be sent to, rad or m.
+    /// Range of positions for set points, rad or m.
     pub position: Range,
-    /// Highest speed it may be asked for, rad/s or m/s.
+    /// Highest speed for set points and paths, rad/s or m/s.
     pub speed_max: f32,
-    /// Position loop; its output is a duty.
+    /// Gains of the position loop, whose output is a duty.
     pub position_pid: PidGains,
-    /// Speed loop; its output is a duty.
+    /// Gains of the speed loop, whose output is a duty.
     pub speed_pid: PidGains,
-    /// Above 0, positions and paths are held by the speed loop: its speed is that of the path and so much for each rad or m of
-    /// distance from it, 1/s. At 0 they are held by the position loop.
+    /// Gain of a cascade, 1/s. Above 0, the speed loop holds positions and paths: its set point is the speed of the
+    /// path plus this gain times the distance from the path. At 0 the position loop holds them.
     pub cascade_per_s: f32,
     /// Time constant of the low-pass on the measured speed, s.
     pub speed_filter_s: f32,
-    /// Path to a new position.
+    /// Limits of the profile to a new position.
     pub profile: ProfileLimits,
-    /// Feed-forward from the path, added to both loops.
+    /// Feed-forward from the path, added to the output of both loops.
     pub feed_forward: FeedForward,
-    /// When a position counts as reached.
+    /// Conditions under which a position counts as reached.
     pub settle: SettleConfig,
-    /// When a motor counts as stalled.
+    /// Conditions under which the motor counts as stalled.
     pub stall: StallConfig,
-    /// When a motor counts as not following its path.
+    /// Conditions under which the motor counts as not following its path.
     pub follow: FollowConfig,
-    /// How it finds its zero; `None` when it is where power came on, or the feedback is absolute.
+    /// Homing switch; `None` where the zero is the position at power-on, or the feedback is absolute.
     pub homing: Option<HomingConfig>,
-    /// A second encoder, on the motor's side of play between the motor and what `feedback` measures.
+    /// Second encoder, on the motor's side of the play between the motor and what `feedback` measures.
     pub motor_side: Option<MotorSideConfig>,
     /// Force control; `None` without a force sensor.
     pub force: Option<ForceConfig>,
 }
 
-/// An encoder on the motor's side of a gear with play: speed and damping follow it, positions follow [`ControlConfig::feedback`].
+/// Encoder on the motor's side of a gear with play: speed and damping use it, positions use
+/// [`ControlConfig::feedback`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct MotorSideConfig {
-    /// Which counter.
+    /// Number of the encoder counter.
     pub index: u8,
-    /// Its counts in one turn of the output shaft, gear included.
+    /// Counts of this encoder in one turn of the output shaft, gear included.
     pub counts_per_turn: u32,
-    /// Whether positive duty counts down.
+    /// True where positive duty counts down.
     pub inverted: bool,
-    /// Most that the two sides may be apart from where they are nearest, rad: the play, what the gear twists, and room. Beyond it
-    /// one of the two sensors is not on the shaft that it is said to be on.
+    /// Largest difference between the two sides, from where they are nearest, rad: the play, the twist of the gear, and
+    /// a margin. Beyond it one of the two sensors is not on the shaft that the configuration says.
     pub gap_max: f32,
 }
 
-/// What measures a motor's position.
+/// Sensor of a motor's position.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum Feedback {
-    /// Quadrature counter, four counts to a line.
+    /// Quadrature encoder, with four counts to a line.
     Encoder {
-        /// Which counter.
+        /// Number of the encoder counter.
         index: u8,
         /// Counts in one turn of the output shaft.
         counts_per_turn: u32,
-        /// Whether positive duty counts down.
+        /// True where positive duty counts down.
         inverted: bool,
-        /// Counts from one index pulse to the next, where it comes in at the switch input of the same number; 0 without.
+        /// Counts from one index pulse to the next, where the pulse comes in at the switch input of the same number; 0
+        /// without one.
         counts_per_index: u32,
     },
     /// Potentiometer on an analog input, calibrated at two points.
     Potentiometer {
-        /// Which analog input.
+        /// Number of the analog input.
         analog: u8,
-        /// First point.
+        /// First calibration point: the lower position.
         low: PotPoint,
-        /// Second point.
+        /// Second calibration point: the higher position.
         high: PotPoint,
     },
     /// Absolute angle sensor on the output shaft, one of [`super::BoardConfig::sensors`].
     ///
-    /// With a range of positions within one turn the position is known from the first reading on; with a larger one, power-on is
-    /// taken to be within half a turn of 0.
+    /// With a range of positions within one turn, the position is known from the first reading on. With a larger range,
+    /// the shaft is assumed to be within half a turn of 0 at power-on.
     Angle {
-        /// Number of its channel.
+        /// Number of the sensor's channel.
         angle: u8,
-        /// Angle that is position 0, rad, 0 to 2π.
+        /// Angle of the sensor at position 0, rad, 0 to 2π.
         zero: f32,
-        /// Whether positive duty lowers the angle.
+        /// True where positive duty lowers the angle.
         inverted: bool,
     },
-    /// The PWM output of an AS5600 on the output shaft, at the echo input of a range sensor's connector. Its angle is absolute as
-    /// that of [`Feedback::Angle`].
+    /// PWM output of an AS5600 on the output shaft, at the echo input of a range sensor's connector. Its angle is
+    /// absolute as that of [`Feedback::Angle`].
     Pulses {
-        /// Which connector: 0 or 1, whose edges a timer captures.
+        /// Number of the range connector: 0 or 1, whose edges a timer captures.
         range: u8,
-        /// Frames a second that the sensor is set to: 115 or 230.
+        /// PWM frames of the sensor per second, as it is set: 115 or 230.
         frames_hz: u16,
-        /// Angle that is position 0, rad, 0 to 2π.
+        /// Angle of the sensor at position 0, rad, 0 to 2π.
         zero: f32,
-        /// Whether positive duty lowers the angle.
+        /// True where positive duty lowers the angle.
         inverted: bool,
     },
 }
 
 impl Feedback {
-    /// Whether it measures an angle, and not a length.
+    /// Returns whether the sensor measures an angle; false for a length.
     #[must_use]
     pub const fn turns(self) -> bool {
         !matches!(self, Self::Potentiometer { .. })
@@ -246,24 +248,26 @@ impl Feedback {
 
 /// Lowest rate at which an angle sensor serves as a motor's feedback, Hz: four control periods of 1 ms between two readings.
 pub const ANGLE_RATE_MIN_HZ: u16 = 250;
-/// Readings that may fail before the motor stops.
+/// Number of readings in a row that may fail before the motor stops.
 pub const ANGLE_READINGS_LOST: u16 = 5;
 
-/// One calibration point of a potentiometer.
+/// Calibration point of a potentiometer.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct PotPoint {
-    /// 16-bit converter code.
+    /// Code of the 16-bit converter.
     pub code: u16,
-    /// Position there, m.
+    /// Position at this code, m.
     pub position_m: f32,
 }
 
-/// Calibration points are no nearer, in 16-bit codes: 1/64 of the converter's range still tells 1/1000 of the stroke.
+/// Smallest difference of the calibration points, in 16-bit codes: 1/64 of the converter's range still resolves 1/1000
+/// of the stroke.
 const POT_SPAN: u16 = 1024;
-/// Codes of calibration points, 1/256 of the range away from either rail: room to tell a shorted wiper from an end.
+/// Range of codes for calibration points, 1/256 of the range away from either rail, so that a shorted wiper differs
+/// from an end.
 const POT_CODES: core::ops::RangeInclusive<u16> = 256..=u16::MAX - 256;
 
-/// How an axis finds its position: it seeks a switch, backs off it, and takes that place as known.
+/// Homing of an axis: it seeks a switch, backs off it, and takes that place as the configured position.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct HomingConfig {
     /// Number of the switch input.
@@ -278,7 +282,7 @@ pub(super) const HOMING_RULE: &str =
     "homing needs a switch from 0 to 3, a position in range and a positive speed of at most speed_max";
 
 impl HomingConfig {
-    /// Whether it fits an axis with these limits.
+    /// Returns whether the homing fits an axis with these limits.
     pub(super) fn is_valid(&self, position: Range, speed_max: f32) -> bool {
         usize::from(self.switch) < SWITCHES
             && position.contains(self.position)
@@ -290,16 +294,16 @@ impl HomingConfig {
 /// Gains of a PID loop whose output is a duty. E is the unit of the error (rad, m, rad/s or m/s).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct PidGains {
-    /// duty / E
+    /// Proportional gain on the error, duty/E.
     pub kp: f32,
-    /// duty / (E s)
+    /// Integral gain, duty/(E s).
     pub ki: f32,
-    /// duty s / E, on the measurement
+    /// Derivative gain on the measured value, duty s/E.
     pub kd: f32,
 }
 
 impl ControlConfig {
-    /// What of it a host may change without a restart, besides gains.
+    /// Returns the numbers, other than gains, that a host may change without a restart.
     #[must_use]
     pub fn tuning(&self) -> Tuning {
         Tuning { feed_forward: self.feed_forward, cascade_per_s: self.cascade_per_s }
@@ -307,49 +311,49 @@ impl ControlConfig {
 }
 
 impl PidGains {
-    /// No gain is higher: with any error a sensor can have, the loop computes in finite numbers.
+    /// Highest gain: up to it the loop computes finite numbers for any error that a sensor can have.
     pub const MAX: f32 = 1e6;
 
-    /// Whether every gain is from 0 to [`PidGains::MAX`].
+    /// Returns whether every gain is from 0 to [`PidGains::MAX`].
     #[must_use]
     pub fn is_valid(&self) -> bool {
         [self.kp, self.ki, self.kd].into_iter().all(|gain| (0.0..=Self::MAX).contains(&gain))
     }
 }
 
-/// Limits of a path.
+/// Limits of the profile to a new position.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ProfileLimits {
-    /// rad/s or m/s
+    /// Highest speed, rad/s or m/s.
     pub speed: f32,
-    /// rad/s² or m/s²
+    /// Highest acceleration, rad/s² or m/s².
     pub acceleration: f32,
-    /// rad/s³ or m/s³; 0 for trapezoids, whose acceleration jumps.
+    /// Highest jerk, rad/s³ or m/s³; 0 for trapezoids, whose acceleration steps.
     pub jerk: f32,
 }
 
 /// Feed-forward duty `static_duty sign(v) + duty_per_speed v + duty_per_acceleration a`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct FeedForward {
-    /// Duty that just does not move the motor.
+    /// Duty against static friction: just too little to move the motor.
     pub static_duty: f32,
-    /// duty s / rad, or duty s / m
+    /// Duty for the speed, duty s/rad or duty s/m.
     pub duty_per_speed: f32,
-    /// duty s² / rad, or duty s² / m
+    /// Duty for the acceleration, duty s²/rad or duty s²/m.
     pub duty_per_acceleration: f32,
 }
 
-/// What a host may change of a motor's loops besides their gains, without a restart.
+/// Numbers of a motor's loops, other than gains, that a host may change without a restart.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Tuning {
-    /// Feed-forward from the path.
+    /// Feed-forward from the path, added to the output of both loops.
     pub feed_forward: FeedForward,
-    /// As [`ControlConfig::cascade_per_s`].
+    /// Gain of the cascade: see [`ControlConfig::cascade_per_s`].
     pub cascade_per_s: f32,
 }
 
 impl FeedForward {
-    /// Whether nothing in it is negative or not finite, and `static_duty` stays below `duty_max`.
+    /// Returns whether all numbers are finite and none is negative, and `static_duty` is below `duty_max`.
     #[must_use]
     pub fn is_valid(&self, duty_max: f32) -> bool {
         let Self { static_duty, duty_per_speed, duty_per_acceleration } = *self;
@@ -358,7 +362,7 @@ impl FeedForward {
 }
 
 impl Tuning {
-    /// Whether a motor of this `duty_max` takes it.
+    /// Returns whether a motor of this `duty_max` takes these numbers.
     #[must_use]
     pub fn is_valid(&self, duty_max: f32) -> bool {
         self.feed_forward.is_valid(duty_max) && cascade_is_valid(self.cascade_per_s)
@@ -369,34 +373,34 @@ fn cascade_is_valid(cascade_per_s: f32) -> bool {
     not_negative(cascade_per_s) && cascade_per_s <= CASCADE_MAX_PER_S
 }
 
-/// When a position counts as reached: error and speed within these for `time_ms`.
+/// Condition of a reached position: error and speed stay within these limits for `time_ms`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct SettleConfig {
-    /// rad or m
+    /// Largest distance from the set point, rad or m.
     pub error: f32,
-    /// rad/s or m/s
+    /// Largest speed, rad/s or m/s.
     pub speed: f32,
-    /// ms
+    /// Time within both limits, ms.
     pub time_ms: u16,
 }
 
-/// A motor that is further than `error` from its path for `time_ms`, in position mode, does not follow it.
+/// Condition of a motor that does not follow its path: it is further away than `error` for `time_ms`, in position mode.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct FollowConfig {
-    /// rad or m
+    /// Largest distance from the path, rad or m.
     pub error: f32,
-    /// ms
+    /// Time beyond that distance, ms.
     pub time_ms: u16,
 }
 
-/// A motor driven with at least `duty` that moves less than `travel` in `time_ms` is stalled.
+/// Condition of a stall: driven with at least `duty`, the motor moves less than `travel` in `time_ms`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct StallConfig {
-    /// Share of the supply.
+    /// Lowest duty at which a stall counts, share of the supply.
     pub duty: f32,
-    /// rad or m
+    /// Smallest travel of a motor that is not stalled, rad or m.
     pub travel: f32,
-    /// ms
+    /// Time for that travel, ms.
     pub time_ms: u16,
 }
 
@@ -408,6 +412,7 @@ impl MotorConfig {
         rule(positive(self.duty_slew_per_s), "duty_slew_per_s must be positive")?;
         rule(self.stop_brake_ms <= STOP_BRAKE_MAX_MS, STOP_BRAKE_RULE)?;
         rule(
+            // Otherwise the supply would be switched off while the motor is still driven.
             self.stop_brake_ms == 0 || f32::from(self.stop_brake_ms) * self.duty_slew_per_s >= 1000.0 * self.duty_max,
             "stop_brake_ms must leave duty_max time to fall to 0 by duty_slew_per_s",
         )?;
@@ -429,6 +434,7 @@ impl MotorConfig {
             return rule(self.id.kind != ChannelKind::Actuator, "an actuator needs a potentiometer");
         };
         match (self.id.kind, control.feedback) {
+            // The name of the channel says its unit: `osmc` is in rad, `actuator` in m.
             (ChannelKind::Osmc, Feedback::Potentiometer { .. }) => {
                 rule(false, "an osmc channel has an encoder or an angle sensor")?;
             }
@@ -442,7 +448,7 @@ impl MotorConfig {
     }
 }
 
-/// Thermal time constants, s: a small winding has some seconds, a large motor's case an hour.
+/// Range of thermal time constants, s: a small winding has some seconds, a large motor's case an hour.
 const THERMAL_S: Range = Range::new(0.1, 36_000.0);
 
 impl WindingConfig {
@@ -465,14 +471,14 @@ impl WindingConfig {
     }
 }
 
-/// Range connectors whose echo inputs take pulses.
+/// Number of range connectors whose echo inputs take pulses.
 const PULSE_INPUTS: u8 = 2;
-/// The encoder that interrupts count; timers count the others.
+/// Number of the encoder that interrupts count; timers count the others.
 const INTERRUPT_ENCODER: u8 = 3;
-/// Counts in a millisecond that encoder 3 may make at a motor's highest speed. Twice as many are taken for a storm.
+/// Most counts per millisecond of encoder 3 at a motor's highest speed. Twice as many count as an interrupt storm.
 pub const ENCODER_3_COUNTS_PER_MS: u32 = 50;
 
-/// An encoder of fewer lines than 4 in a turn has no use for an index pulse, which tells whole lines.
+/// Fewest counts between index pulses: below 4 lines in a turn an index pulse, which shows whole lines, is of no use.
 const INDEX_LEAST: u32 = 16;
 impl MotorSideConfig {
     fn validate(&self, motor: &MotorConfig, control: &ControlConfig) -> Result<(), ConfigError> {
@@ -490,10 +496,10 @@ impl MotorSideConfig {
     }
 }
 
-/// rad
+/// One turn of a shaft, rad.
 const TURN: f32 = core::f32::consts::TAU;
 
-/// A cascade that is faster than the control loop makes no sense.
+/// Highest gain of a cascade, 1/s: one that is faster than the control loop is of no use.
 const CASCADE_MAX_PER_S: f32 = 1000.0;
 
 impl ControlConfig {
@@ -515,7 +521,7 @@ impl ControlConfig {
                     counts_per_index == 0 || (INDEX_LEAST..=MAX_EXACT).contains(&counts_per_index),
                     "counts_per_index must be 16 to 16777216, or 0 without an index pulse",
                 )?;
-                // So that a count is an i32, with room for what an axis may turn beyond its range.
+                // The limit keeps a count within an i32, with room for an axis that turns beyond its range.
                 let counts_per_ms = self.speed_max / core::f32::consts::TAU * counts_per_turn as f32 * 1e-3;
                 rule(
                     index != INTERRUPT_ENCODER || counts_per_ms <= ENCODER_3_COUNTS_PER_MS as f32,

@@ -1,4 +1,4 @@
-//! The numbers of a configuration, by the parameters that name them.
+//! Numbers of a configuration, by the parameters that name them.
 
 use super::{
     AnalogConfig, BldcConfig, BoardConfig, ConfigError, ControlConfig, CurrentSense, DacConfig, EncoderConfig,
@@ -12,7 +12,7 @@ use crate::{
 };
 
 impl BoardConfig {
-    /// Every number this configuration has: the board's first, then those of each channel in the order of
+    /// Iterates over every number of this configuration: the board's first, then those of each channel in the order of
     /// [`BoardConfig::channels`].
     pub fn parameters(&self) -> impl Iterator<Item = ParameterKey> {
         core::iter::once((None, None))
@@ -20,31 +20,34 @@ impl BoardConfig {
             .flat_map(|(channel, place)| {
                 Parameter::all().map(move |parameter| (place, ParameterKey { channel, parameter }))
             })
+            // Asking for each parameter of each channel needs no second list of what a channel has.
             .filter(|(place, key)| read::number(self, *place, key.parameter).is_some())
             .map(|(_, key)| key)
     }
 
-    /// The number behind `key`, or `None` when the configuration does not have it. Exact in a configuration that is valid.
+    /// Returns the number of parameter `key`, or `None` when the configuration does not have it. Exact in a valid
+    /// configuration.
     #[must_use]
     pub fn parameter(&self, key: ParameterKey) -> Option<f32> {
         read::number(self, self.place_of(key)?, key.parameter).map(Number::get)
     }
 
-    /// Sets one number. What must be whole is not rounded.
+    /// Sets one number. A value for a whole number is not rounded.
     ///
     /// # Errors
-    /// [`SetError`] when the configuration does not have the number, its field cannot hold `value`, or the configuration
-    /// would not be valid with it. Nothing is changed then.
+    /// [`SetError`] when the configuration does not have the number, its field cannot hold `value`, or the
+    /// configuration would not be valid with it. Nothing is changed then.
     pub fn set_parameter(&mut self, key: ParameterKey, value: f32) -> Result<(), SetError> {
         self.set_parameters([(key, value)])
     }
 
-    /// Sets several numbers, all or none: only the configuration that comes of all of them must be valid. Takes room for a
-    /// copy of the configuration, some 2.5 kB of stack.
+    /// Sets several numbers, all or none: only the configuration with all of them must be valid. Needs room for a copy
+    /// of the configuration, some 2.5 kB of stack.
     ///
     /// # Errors
     /// As [`BoardConfig::set_parameter`].
     pub fn set_parameters(&mut self, values: impl IntoIterator<Item = (ParameterKey, f32)>) -> Result<(), SetError> {
+        // Rules hold between numbers, so only a complete copy can be checked.
         let mut changed = self.clone();
         for (key, value) in values {
             let place = self.place_of(key).ok_or(SetError::Unknown(key))?;
@@ -58,16 +61,19 @@ impl BoardConfig {
         Ok(())
     }
 
-    /// Where `key`'s number is, `Some(None)` being the board itself.
+    /// Returns the place of `key`'s number, `Some(None)` for the board itself; `None` for a channel that it does not
+    /// have.
     fn place_of(&self, key: ParameterKey) -> Option<Option<Place>> {
         key.channel.map_or(Some(None), |channel| self.place(channel).map(Some))
     }
 }
 
-/// A field that is a parameter.
+/// Field of a configuration that is a parameter.
 trait Number {
     fn get(&self) -> f32;
 
+    /// Sets the field.
+    ///
     /// # Errors
     /// The rule that `value` breaks; the field is then not changed.
     fn set(&mut self, value: f32) -> Result<(), &'static str>;
@@ -90,7 +96,7 @@ impl Number for u16 {
     }
 
     fn set(&mut self, value: f32) -> Result<(), &'static str> {
-        // `as` cuts to the type's range and makes 0 of NaN: neither is equal to what it came from.
+        // `as` clamps to the type's range and turns NaN into 0: in either case the result differs from `value`.
         if f32::from(value as Self) != value {
             return Err("this parameter must be a whole number from 0 to 65535");
         }
@@ -105,6 +111,7 @@ impl Number for u32 {
     }
 
     fn set(&mut self, value: f32) -> Result<(), &'static str> {
+        // Above `MAX_EXACT` not every whole number is an f32: the host would read back another value.
         let whole = value as Self;
         if whole > MAX_EXACT || whole as f32 != value {
             return Err("this parameter must be a whole number from 0 to 16777216");
@@ -114,10 +121,10 @@ impl Number for u32 {
     }
 }
 
-/// Makes a module whose `number` lends the field behind a parameter of the channel at a place, `None` being the board.
+/// Makes a module whose `number` lends the field of a parameter of the channel at a place, `None` being the board.
 ///
-/// It is made twice, to read and to write, so that each parameter is written down once: a pattern lends the fields as the
-/// configuration was lent.
+/// The macro is used twice, for reading and for writing, so that each parameter is written down once: a pattern lends
+/// the fields as the configuration was lent.
 macro_rules! lend {
     ($module:ident, $get:ident $(, $mut:ident)?) => {
         mod $module {

@@ -9,180 +9,180 @@ use super::{
 };
 use crate::channel::{ChannelId, ChannelKind, Range};
 
-/// The PCA9685 behind the servos.
+/// PWM chip behind the servos, a PCA9685.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ServoChipConfig {
-    /// 7-bit I2C address.
+    /// I2C address of the chip, 7 bits.
     pub address: u8,
-    /// Repetition of the pulses, Hz; 40 to 330.
+    /// Repetition rate of the pulses, Hz; 40 to 330.
     pub frequency_hz: f32,
     /// Measured frequency of this chip's oscillator, Hz; 25 MHz where it has not been calibrated.
     pub oscillator_hz: f32,
-    /// Whether pulses go on while the board is not armed, so that servos hold where they are.
+    /// True where pulses go on while the board is not armed, so that servos hold their position.
     pub hold_when_safe: bool,
 }
 
-/// An RC servo.
+/// RC servo, set by the width of pulses.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ServoConfig {
     /// [`ChannelKind::Servo`] and its number.
     pub id: ChannelId,
-    /// Output of the PWM chip.
+    /// Output of the PWM chip, 0 to 15.
     pub output: u8,
-    /// One end of its travel.
+    /// One end of the travel, with the shorter pulse.
     pub low: ServoPoint,
-    /// The other end of its travel, with a longer pulse.
+    /// Other end of the travel, with the longer pulse.
     pub high: ServoPoint,
-    /// Fastest change of the angle that is asked of it, rad/s.
+    /// Fastest change of the commanded angle, rad/s.
     pub speed_max: f32,
 }
 
-/// Which pulse a servo takes for which angle.
+/// Pulse width of a servo for an angle.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ServoPoint {
-    /// Pulse width, s.
+    /// Pulse width at this point, s.
     pub pulse_s: f32,
-    /// Angle there, rad.
+    /// Angle at this pulse width, rad.
     pub angle_rad: f32,
 }
 
-/// The MCP4728 behind the brushless drives.
+/// DAC behind the brushless drives, an MCP4728.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct DacChipConfig {
-    /// 7-bit I2C address.
+    /// I2C address of the chip, 7 bits.
     pub address: u8,
-    /// Its supply, which is its reference, V.
+    /// Supply of the chip, which is its reference, V.
     pub full_scale_v: f32,
 }
 
-/// A brushless drive: speed by voltage, direction and brake by lines.
+/// Brushless drive: a voltage sets the speed, lines set direction and brake.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct BldcConfig {
     /// [`ChannelKind::Bldc`] and its number.
     pub id: ChannelId,
-    /// Output of the DAC chip.
+    /// Output of the DAC chip, 0 to 3.
     pub output: u8,
-    /// Where the drive stands still, V. Not always 0: some throttles rest in the middle.
+    /// Voltage at which the drive stands still, V. Not always 0: some throttles rest in the middle.
     pub neutral_v: f32,
-    /// Full speed forwards, V.
+    /// Voltage of full speed forwards, V.
     pub forward_v: f32,
-    /// How it is sent backwards.
+    /// Reversal of the drive.
     pub reverse: Reverse,
-    /// Its brake, if it is wired.
+    /// Line of the brake, if it is wired.
     pub brake: Option<DriveLine>,
-    /// Fastest change of its speed, as share of full speed per second.
+    /// Fastest change of the speed, share of full speed per second.
     pub slew_per_s: f32,
-    /// How long a controlled stop leaves its supply on while it brakes, ms: see [`super::BoardConfig::stop_brake_ms`]. 0
-    /// takes the supply away at once.
+    /// Time for which a controlled stop leaves the drive's supply on while it brakes, ms: see
+    /// [`super::BoardConfig::stop_brake_ms`]. A time of 0 takes the supply away at once.
     pub stop_brake_ms: u16,
 }
 
-/// How a brushless drive is sent backwards.
+/// Reversal of a brushless drive.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum Reverse {
-    /// Not at all.
+    /// The drive cannot be reversed.
     None,
-    /// By a line, at the same voltages.
+    /// A line reverses the drive, at the same voltages.
     Line {
-        /// Active backwards.
+        /// Line that is active for backwards.
         line: DriveLine,
-        /// Rest at neutral before the line changes, ms.
+        /// Time at neutral before the line changes, ms.
         rest_ms: u16,
     },
-    /// By a voltage on the other side of neutral.
+    /// A voltage on the other side of neutral reverses the drive.
     Voltage {
-        /// Full speed backwards, V.
+        /// Voltage of full speed backwards, V.
         full_v: f32,
     },
 }
 
-/// A line of the port expander to a drive.
+/// Line of the port expander to a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct DriveLine {
     /// Bit of the expander, 0 to 7 on port A, 8 to 15 on port B.
     pub bit: u8,
-    /// Whether a low output activates it.
+    /// True where a low output activates the line.
     pub active_low: bool,
 }
 
-/// What the step/direction drivers have in common.
+/// Settings that all step/direction drivers share.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct StepperBankConfig {
-    /// Whether a low level enables the drivers.
+    /// True where a low level enables the drivers.
     pub enable_active_low: bool,
-    /// From enabling to the first pulse, µs.
+    /// Time from enabling to the first pulse, µs.
     pub enable_setup_us: u32,
-    /// Direction steady before a pulse and after it, µs.
+    /// Time for which the direction is steady before a pulse and after it, µs.
     pub direction_setup_us: u32,
-    /// Most pulses per second of one axis, Hz; at most 100 kHz.
+    /// Highest pulse rate of one axis, Hz; at most 100 kHz.
     pub rate_max_hz: f32,
-    /// Whether the drivers stay enabled, and the motors hold, while the board is not armed.
+    /// True where the drivers stay enabled, and the motors hold, while the board is not armed.
     pub hold_when_safe: bool,
 }
 
-/// A step/direction driver with its motor.
+/// Step/direction driver with its motor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct StepperConfig {
     /// [`ChannelKind::Stepper`] and its number, which is the connector's.
     pub id: ChannelId,
     /// Pulses for one turn of the output shaft.
     pub steps_per_turn: u32,
-    /// Whether the direction line is high backwards.
+    /// True where the direction line is high backwards.
     pub inverted: bool,
-    /// Positions it may be sent to, rad.
+    /// Range of positions for set points, rad.
     pub position: Range,
-    /// Highest speed, rad/s.
+    /// Highest speed of the shaft, rad/s.
     pub speed_max: f32,
-    /// rad/s²
+    /// Acceleration of the shaft, rad/s².
     pub acceleration: f32,
-    /// rad/s³; 0 for a trapezoid.
+    /// Jerk of the shaft, rad/s³; 0 for a trapezoid.
     pub jerk: f32,
     /// Highest speed at which it can start and stop without losing steps, rad/s.
     pub start_speed: f32,
-    /// How it finds its zero.
+    /// Homing switch; `None` where the zero is the position at power-on.
     pub homing: Option<HomingConfig>,
-    /// How long a controlled stop may take to bring it to rest by its ramp, ms: see
-    /// [`super::BoardConfig::stop_brake_ms`]. 0 ends its pulses at once.
+    /// Time in which a controlled stop may bring the stepper to rest by its ramp, ms: see
+    /// [`super::BoardConfig::stop_brake_ms`]. A time of 0 ends its pulses at once.
     pub stop_brake_ms: u16,
 }
 
-/// An MCP23017.
+/// Port expander with 16 lines, an MCP23017.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct ExpanderConfig {
-    /// 7-bit I2C address.
+    /// I2C address of the chip, 7 bits.
     pub address: u8,
 }
 
-/// A relay on the expander.
+/// Relay on the expander.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct RelayConfig {
     /// [`ChannelKind::Relay`] and its number.
     pub id: ChannelId,
     /// Bit of the expander, 0 to 7 on port A, 8 to 15 on port B.
     pub bit: u8,
-    /// Whether a low output closes it. An input, as after power-up, must leave it open either way.
+    /// True where a low output closes the relay. An input, as after power-up, must leave it open either way.
     pub active_low: bool,
-    /// What it switches.
+    /// Purpose of the relay.
     pub role: RelayRole,
 }
 
-/// What a relay switches.
+/// Purpose of a relay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum RelayRole {
-    /// Whatever the user wired to it; open until commanded.
+    /// Any load of the user; open until commanded.
     General,
-    /// The motors' supply: closed while armed, opened first on a stop, not commanded by hosts.
+    /// Supply of the motors: closed while armed, opened first on a stop, not commanded by hosts.
     MotorPower,
 }
 
-/// An output of the processor's own DAC.
+/// Output of the processor's own DAC.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct DacConfig {
     /// [`ChannelKind::Dac`] and its number, which is the connector's.
     pub id: ChannelId,
-    /// Voltages it may be set to, V.
+    /// Range of voltages for set points, V.
     pub range_v: Range,
-    /// While the board is not armed, V.
+    /// Voltage while the board is not armed, V.
     pub safe_v: f32,
 }
 
@@ -221,7 +221,7 @@ impl ServoConfig {
         rule(positive(self.speed_max), "speed_max must be positive")
     }
 
-    /// Angles it can be sent to, rad.
+    /// Returns the range of angles for set points, rad.
     #[must_use]
     pub fn position(&self) -> Range {
         let (low, high) = (self.low.angle_rad, self.high.angle_rad);
@@ -249,12 +249,13 @@ impl BldcConfig {
         rule(positive(self.slew_per_s), "slew_per_s must be positive")?;
         rule(self.stop_brake_ms <= STOP_BRAKE_MAX_MS, STOP_BRAKE_RULE)?;
         rule(
+            // Without the line the drive would coast with its supply on.
             self.stop_brake_ms == 0 || self.brake.is_some(),
             "a brushless drive needs its brake line for a stop that brakes",
         )
     }
 
-    /// The expander's lines it uses.
+    /// Iterates over the lines of the expander that the drive uses.
     pub fn lines(&self) -> impl Iterator<Item = DriveLine> + use<> {
         let direction = if let Reverse::Line { line, .. } = self.reverse { Some(line) } else { None };
         direction.into_iter().chain(self.brake)
@@ -281,6 +282,7 @@ impl StepperConfig {
         rule(self.id.kind == ChannelKind::Stepper, "a stepper needs a stepper channel name")?;
         rule(usize::from(self.id.index) < STEPPERS, "steppers are numbered 0 to 3")?;
         rule((1..=MAX_EXACT).contains(&self.steps_per_turn), "steps_per_turn must be 1 to 16777216")?;
+        // Limits are checked in steps, because positions are counted as i32.
         let steps_per_rad = self.steps_per_turn as f32 / core::f32::consts::TAU;
         rule(finite_range(self.position), "position must have a finite min below a finite max")?;
         let counts = |position: f32| (position * steps_per_rad).abs() <= 1e9;

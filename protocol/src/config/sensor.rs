@@ -8,43 +8,44 @@ use serde::{Deserialize, Serialize};
 use super::{ConfigError, check, positive};
 use crate::channel::{ChannelId, ChannelKind, Range};
 
-/// Most sensors on the bus: as many samples as fit a frame of telemetry beside four of motors.
+/// Maximum number of sensors on the bus: as many samples as fit a frame of telemetry beside four of motors.
 pub const MAX_SENSORS: usize = 4;
 
-/// m/s² in one g, by definition (ISO 80000-3).
+/// Standard gravity, m/s² per g, by definition (ISO 80000-3).
 const G_M_S2: f32 = 9.806_65;
 
-/// Bits on the bus for a transfer of this many bytes, addresses included: nine each, START, STOP and the time between.
+/// Returns the bits on the bus for a transfer of this many bytes, addresses included: nine each, START, STOP and the
+/// time between.
 #[must_use]
 pub const fn bus_bits(bytes: u32) -> u32 {
     9 * bytes + 3
 }
 
-/// A sensor on the bus with the output chips.
+/// Sensor on the bus with the output chips.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct SensorConfig {
-    /// The kind of its chip and its number.
+    /// Kind of the chip's channel, and its number.
     pub id: ChannelId,
-    /// 7-bit I2C address.
+    /// I2C address of the chip, 7 bits.
     pub address: u8,
-    /// Readings a second.
+    /// Readings per second, Hz.
     pub rate_hz: u16,
-    /// The chip with its settings.
+    /// Chip with its settings.
     pub chip: SensorChip,
 }
 
-/// The chips there are drivers for, with their settings.
+/// Chips that have a driver, with their settings.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum SensorChip {
-    /// TDK ICM-20948: accelerations and rates about three axes.
+    /// TDK ICM-20948: accelerations and angular rates about three axes.
     Icm20948(Icm20948Config),
     /// TI INA226: a current, through a shunt, and a voltage.
     Ina226(Ina226Config),
     /// ams AS5600: the angle of a magnet in front of it.
     As5600(As5600Config),
-    /// Nuvoton NAU7802: the force on a load cell, by its bridge.
+    /// Nuvoton NAU7802: the force on a load cell, from its bridge.
     Nau7802(Nau7802Config),
-    /// ST VL6180X: the distance to what is in front of it.
+    /// ST VL6180X: the distance of the object in front of it.
     Vl6180x(Vl6180xConfig),
 }
 
@@ -53,43 +54,46 @@ pub enum SensorChip {
 pub struct Icm20948Config {
     /// Largest acceleration, g: 2, 4, 8 or 16.
     pub acceleration_max_g: u8,
-    /// Largest rate, °/s: 250, 500, 1000 or 2000.
+    /// Largest angular rate, °/s: 250, 500, 1000 or 2000.
     pub rate_max_deg_s: u16,
 }
 
-/// The shunt of an INA226.
+/// Shunt of an INA226.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Ina226Config {
-    /// Ω
+    /// Shunt resistance, Ω; positive.
     pub shunt_ohm: f32,
 }
 
 /// Filter of an AS5600.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct As5600Config {
-    /// How much its slow filter smooths: 2, 4, 8 or 16. Each doubling halves the noise's power and doubles the settling time, from
-    /// 0.286 ms and 0.043° rms with 2 on.
+    /// Averages of the slow filter: 2, 4, 8 or 16. Each doubling halves the power of the noise and doubles the settling
+    /// time, from 0.286 ms and 0.043° rms at 2.
     pub averages: u8,
 }
 
 /// Gain of an NAU7802, and the load cell in front of it.
 ///
-/// A bridge puts out so many millivolts for each volt that it is fed with, and the converter measures that ratio, whatever the supply.
+/// The output of a bridge is proportional to the voltage that feeds it, in mV/V. The converter measures that ratio,
+/// whatever the supply.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Nau7802Config {
-    /// Gain of its amplifier: 1, 2, 4, 8, 16, 32, 64 or 128. It measures up to 500 mV/V divided by this, either way.
+    /// Gain of the amplifier: 1, 2, 4, 8, 16, 32, 64 or 128. It measures up to 500 mV/V divided by this, either way.
     pub gain: u8,
-    /// Force for each mV/V of the bridge, N: the cell's rated force divided by its rated output. Negative for one that is turned round.
+    /// Force per mV/V of the bridge, N: the cell's rated force divided by its rated output. Negative for a cell mounted
+    /// the other way round.
     pub newtons_per_mv_v: f32,
-    /// What the bridge puts out without a force, mV/V.
+    /// Output of the bridge without a force, mV/V.
     pub zero_mv_v: f32,
 }
 
-/// A VL6180X, which has nothing to set but its rate.
+/// Settings of a VL6180X: none but the rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Vl6180xConfig {}
 
-/// Farthest distance that a VL6180X is read at, m: it is specified up to 0.1 m, and sees bright targets farther.
+/// Farthest distance that is read of a VL6180X, m: it is specified up to 0.1 m, and measures bright targets farther
+/// away.
 pub const VL6180X_FARTHEST_M: f32 = 0.2;
 
 /// Rates of an NAU7802, Hz.
@@ -104,27 +108,27 @@ pub const AS5600_COUNTS: u16 = 4096;
 /// Largest voltage at a shunt that an INA226 measures, V.
 const INA226_SHUNT_V: f32 = 0.081_92;
 
-/// What the board needs to know of a chip apart from its registers.
+/// Properties of a chip that the board needs apart from its registers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorDescription {
-    /// What its channel is.
+    /// Kind of its channel.
     pub kind: ChannelKind,
-    /// Addresses it can have.
+    /// Range of addresses that the chip can have.
     pub addresses: RangeInclusive<u8>,
-    /// Rates at which it can be read, Hz.
+    /// Range of rates at which the chip can be read, Hz.
     pub rates_hz: RangeInclusive<u16>,
-    /// Range of the first of its quantities.
+    /// Range of the first of its quantities, in that quantity's unit.
     pub range: Range,
     /// Bits on the bus of its longest transfer, at most 0.45 ms at 400 kHz.
     pub longest_bits: u32,
     /// Bits on the bus of all transfers of one reading.
     pub reading_bits: u32,
-    /// How many transfers one reading takes.
+    /// Number of transfers for one reading.
     pub transfers: u32,
 }
 
 impl SensorChip {
-    /// What there is to know of the chip.
+    /// Returns the properties of the chip.
     #[must_use]
     pub fn description(&self) -> SensorDescription {
         match self {
@@ -138,7 +142,7 @@ impl SensorChip {
                 reading_bits: bus_bits(4) + bus_bits(15),
                 transfers: 2,
             },
-            // Whether it is ready, shunt and bus: each two addresses, a register and its two bytes.
+            // Ready flag, shunt and bus voltage: two addresses, a register and its two bytes each.
             Self::Ina226(chip) => SensorDescription {
                 kind: ChannelKind::Current,
                 addresses: 0x40..=0x4F,
@@ -158,7 +162,8 @@ impl SensorChip {
                 reading_bits: bus_bits(6),
                 transfers: 1,
             },
-            // Two addresses, a register and whether it is ready; then the same and three bytes. Its settings are checked in three bytes.
+            // Two addresses, a register and the ready flag; then the same and three bytes. A check of the settings
+            // reads three bytes.
             Self::Nau7802(chip) => SensorDescription {
                 kind: ChannelKind::Force,
                 addresses: 0x2A..=0x2A,
@@ -168,8 +173,8 @@ impl SensorChip {
                 reading_bits: bus_bits(4) + bus_bits(6),
                 transfers: 2,
             },
-            // Two addresses, a register of two bytes and three of status; the same and the distance; one address, a register and what clears
-            // the flag.
+            // Two addresses, a register of two bytes and three of status; the same and the distance; one address, a
+            // register and the value that clears the flag.
             Self::Vl6180x(_) => SensorDescription {
                 kind: ChannelKind::Distance,
                 addresses: 0x29..=0x29,
@@ -199,16 +204,19 @@ impl SensorChip {
                 rule(chip.gain.is_power_of_two() && chip.gain <= 128, "gain must be 1, 2, 4, 8, 16, 32, 64 or 128")?;
                 rule(positive(chip.newtons_per_mv_v.abs()), "newtons_per_mv_v must be positive or negative")?;
                 let full_scale_mv_v = NAU7802_FULL_SCALE_MV_V / f32::from(chip.gain);
+                // An offset beyond the range would saturate every reading.
                 rule(chip.zero_mv_v.abs() < full_scale_mv_v, "zero_mv_v must be within 500 mV/V divided by gain")
             }
+            // The chip counts its period in steps of 10 ms.
             Self::Vl6180x(_) => rule(rate_hz > 0 && 100 % rate_hz == 0, "rate_hz must be 1, 2, 4, 5, 10, 20, 25 or 50"),
         }
     }
 }
 
 impl Nau7802Config {
-    /// Forces at both ends of the converter's range.
+    /// Returns the forces at both ends of the converter's range, N.
     fn range(&self) -> Range {
+        // A gain of 0 is refused by `validate`, but the range may be asked before.
         let full_scale_mv_v = NAU7802_FULL_SCALE_MV_V / f32::from(self.gain.max(1));
         let [low, high] = [-full_scale_mv_v, full_scale_mv_v].map(|end| (end - self.zero_mv_v) * self.newtons_per_mv_v);
         Range::new(low.min(high), low.max(high))

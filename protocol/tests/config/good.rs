@@ -1,4 +1,4 @@
-//! A configuration that is valid and has every kind of channel in every form, and where in it they are.
+//! A valid configuration that has every kind of channel in every form, and the places of these channels.
 
 use r4_protocol::{
     ChannelId, ChannelKind, Range,
@@ -12,13 +12,14 @@ use r4_protocol::{
     },
 };
 
-/// The channel of `kind` with number `index`.
+/// Makes the name of channel `index` of `kind`.
 pub(crate) const fn id(kind: ChannelKind, index: u8) -> ChannelId {
     ChannelId::new(kind, index)
 }
 
-/// `osmc0` and `dhb0` with encoders, `actuator1` with a potentiometer, `osmc2` open loop; brushless drives with every way
-/// backwards; a servo that turns either way; steppers with and without homing; inputs with and without limits.
+/// Makes a valid configuration: `osmc0` and `dhb0` with encoders, `actuator1` with a potentiometer, `osmc2` in open
+/// loop; brushless drives with every kind of reversal; a servo for either direction; steppers with and without homing;
+/// inputs with and without limits.
 pub(crate) fn good() -> BoardConfig {
     BoardConfig {
         robot: "test-bench".try_into().expect("short"),

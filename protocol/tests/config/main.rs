@@ -1,4 +1,4 @@
-//! The configuration, seen from outside the crate.
+//! Tests of the configuration, from outside the crate.
 //!
 //! | module | subject |
 //! | --- | --- |

@@ -1,4 +1,4 @@
-//! The numbers of a configuration, by name.
+//! Tests of parameters: the numbers of a configuration, by name.
 
 use std::collections::BTreeSet;
 
@@ -21,7 +21,7 @@ fn key(text: &str) -> ParameterKey {
     text.parse().unwrap_or_else(|_| panic!("{text} is a parameter"))
 }
 
-/// What the firmware works with after a parameter was set is this field and no other.
+/// Checks that each parameter changes the field that the firmware reads, and no other.
 #[test]
 fn a_parameter_is_the_field_of_its_name() {
     type Field = fn(&mut BoardConfig) -> &mut f32;
@@ -58,6 +58,7 @@ fn a_parameter_is_the_field_of_its_name() {
         let (mut set, mut written) = (good(), good());
         *field(&mut written) = value;
         assert_eq!(set.set_parameter(key(name), value), Ok(()), "{name}");
+        // A value that the good configuration has already would prove nothing.
         assert_ne!(set, good(), "{name}");
         assert_eq!(set, written, "{name}");
     }
@@ -136,6 +137,7 @@ fn whole_numbers_are_not_rounded_or_cut() {
         (time_key, f32::NAN, time),
         (time_key, f32::INFINITY, time),
         (counts_key, 16_777_216.0, Ok(())),
+        // 2^24 + 2 is an f32, but 2^24 + 1, its neighbour, is not.
         (counts_key, 16_777_218.0, counts),
         (counts_key, 4e9, counts),
         (counts_key, f32::INFINITY, counts),
@@ -149,7 +151,7 @@ fn whole_numbers_are_not_rounded_or_cut() {
     }
 }
 
-/// One after the other, either change alone would be refused.
+/// Sets values of which either alone would be refused.
 #[test]
 fn several_parameters_are_set_together_or_not_at_all() {
     let (min, max) = (key("osmc0.position_min"), key("osmc0.position_max"));
@@ -178,7 +180,8 @@ fn an_error_says_what_is_wrong() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(4096))]
 
-    /// Set, and it is that and nothing else is changed; refused, and nothing is.
+    /// Sets a parameter: either it has that value and nothing else is changed, or the value is refused and nothing is
+    /// changed.
     #[test]
     fn a_parameter_is_set_exactly_or_not_at_all((key, value) in settings()) {
         let before = good();
@@ -210,7 +213,7 @@ fn what_is_no_finite_number_is_never_taken() {
     }
 }
 
-/// A parameter and a value: near the one that is there, near it and whole, its opposite, or any at all.
+/// Samples a parameter and a value: near the present one, near it and whole, its opposite, or any at all.
 fn settings() -> impl Strategy<Value = (ParameterKey, f32)> {
     let config = good();
     let numbers: Vec<_> = config.parameters().filter_map(|key| Some((key, config.parameter(key)?))).collect();

@@ -1,4 +1,4 @@
-//! Any configuration at all: nothing panics, and what is taken can be computed with.
+//! Random configurations: nothing panics, and a configuration that is taken can be computed with.
 
 use postcard_schema::{
     Schema,
@@ -23,7 +23,7 @@ proptest! {
         survives(config, which, f32::from_bits(bits))?;
     }
 
-    /// Where `configs` is too wild to get past the first rules: the good one with one list or chip replaced.
+    /// Replaces one list or chip of the good configuration: `configs` is too random to get past the first rules.
     #[test]
     fn no_part_of_a_configuration_panics(
         config in configs(),
@@ -73,13 +73,13 @@ fn survives(config: BoardConfig, which: Index, value: f32) -> Result<(), proptes
     if changed.set_parameter(*which.get(&keys), value).is_ok() {
         prop_assert_eq!(changed.validate(), Ok(()));
     } else {
-        // As text: a NaN is not equal to itself.
+        // Compared as text, because a NaN is not equal to itself.
         prop_assert_eq!(format!("{:?}", changed), format!("{:?}", config));
     }
     Ok(())
 }
 
-/// Made of the schema of `BoardConfig`, so that a field added there is random here.
+/// Samples configurations from the schema of `BoardConfig`, so that a field added there is random here.
 fn configs() -> impl Strategy<Value = BoardConfig> {
     vec(any::<u32>(), 1024).prop_map(|entropy| {
         let mut writer = Writer { entropy, used: 0, bytes: Vec::new() };
@@ -88,7 +88,7 @@ fn configs() -> impl Strategy<Value = BoardConfig> {
     })
 }
 
-/// Writes random values as postcard does. Numbers are often such as a configuration could have.
+/// Writer of random values in postcard's encoding. Numbers are often such as a configuration could have.
 struct Writer {
     entropy: Vec<u32>,
     used: usize,
@@ -103,6 +103,7 @@ impl Writer {
                 self.bytes.push(value as u8);
             }
             DataModelType::U8 => {
+                // Mostly small, as numbers of channels and lines are.
                 let value = if self.below(4) > 0 { self.below(8) } else { self.below(256) };
                 self.bytes.push(value as u8);
             }
@@ -111,10 +112,12 @@ impl Writer {
                 self.varint(value);
             }
             DataModelType::U32 => {
+                // Shifted, so that every order of magnitude occurs.
                 let (value, shift) = (self.next(), self.below(32));
                 self.varint(value >> shift);
             }
             DataModelType::F32 => {
+                // Half of them 0 to 2, as most fields have; half any bits, NaN included.
                 let bits = if self.below(2) > 0 { (self.below(1000) as f32 / 500.0).to_bits() } else { self.next() };
                 self.bytes.extend(bits.to_le_bytes());
             }
@@ -126,7 +129,7 @@ impl Writer {
                     self.value(inner);
                 }
             }
-            // Two fit every list.
+            // Every list has room for two.
             DataModelType::Seq(inner) => {
                 let len = self.below(3);
                 self.varint(len);
@@ -149,6 +152,7 @@ impl Writer {
 
     fn next(&mut self) -> u32 {
         self.used += 1;
+        // From a list of proptest's, so that it can shrink a failing configuration.
         self.entropy[self.used % self.entropy.len()]
     }
 
@@ -156,7 +160,7 @@ impl Writer {
         self.next() % end
     }
 
-    /// Seven bits a byte, the lowest first; the top bit says that more follow.
+    /// Writes a varint: seven bits a byte, the lowest first; the top bit says that more follow.
     fn varint(&mut self, mut value: u32) {
         while value >= 0x80 {
             self.bytes.push(value as u8 | 0x80);

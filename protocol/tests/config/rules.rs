@@ -1,4 +1,4 @@
-//! Every rule of `BoardConfig::validate` can be broken, by one change to the good configuration.
+//! Tests that every rule of `BoardConfig::validate` can be broken, by one change to the good configuration.
 
 use std::{collections::BTreeSet, fs, path::PathBuf};
 
@@ -26,7 +26,7 @@ const FAN: Option<ChannelId> = Some(id(Osmc, 2));
 const ARM: Option<ChannelId> = Some(id(Dhb, 0));
 const HIP: Option<ChannelId> = Some(id(Dhb, 1));
 
-/// The loops of motor number `index`.
+/// Returns the loops of motor number `index`.
 fn loops(config: &mut BoardConfig, index: usize) -> &mut ControlConfig {
     config.motors[index].control.as_mut().expect("it has loops")
 }
@@ -55,7 +55,7 @@ fn hip(config: &mut BoardConfig, change: fn(&mut u8, &mut f32)) {
     change(angle, zero);
 }
 
-/// The hip's angle by pulses; without the sensor that looks from connector 1.
+/// Gives the hip's angle by pulses, without the range sensor at connector 1.
 fn pulses(config: &mut BoardConfig, range: u8, frames_hz: u16) {
     config.ranges.truncate(1);
     loops(config, 4).feedback = Feedback::Pulses { range, frames_hz, zero: 1.0, inverted: false };
@@ -543,7 +543,8 @@ const INPUTS: &[Case] = {
     ]
 };
 
-/// A second channel of each kind with the first one's name; of motors the connector is found to be used twice before.
+/// Second channel of each kind with the first one's name. For motors another rule, on the bridge connector, comes
+/// first.
 const TWICE: &[Case] = {
     const RULE: &str = "the channel is named twice";
     &[
@@ -636,6 +637,7 @@ const GROUPS: [&[Case]; 7] = [BOARD, MOTORS, LOOPS, OUTPUTS, INPUTS, TWICE, SENS
 
 #[test]
 fn each_change_breaks_its_rule() {
+    // The change alone must break the rule.
     assert_eq!(good().validate(), Ok(()));
     for (group, cases) in GROUPS.into_iter().enumerate() {
         for (number, (channel, rule, change)) in cases.iter().enumerate() {
@@ -647,12 +649,13 @@ fn each_change_breaks_its_rule() {
     }
 }
 
-/// The rules are the texts in the sources with a space in them and nothing to fill in.
+/// Reads the rules from the sources: texts with a space in them and nothing to fill in.
 #[test]
 fn no_rule_is_without_a_change_that_breaks_it() {
     let sources = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("src/config");
     let broken: BTreeSet<_> = GROUPS.into_iter().flatten().map(|(_, rule, _)| (*rule).to_owned()).collect();
     let mut known = BTreeSet::new();
+    // A rule without a case here would be untested.
     for file in ["mod.rs", "motor.rs", "output.rs", "input.rs", "sensor.rs"] {
         let source = fs::read_to_string(sources.join(file)).expect("the sources are beside the tests");
         let code = source.lines().filter(|line| !line.trim_start().starts_with("//"));
@@ -664,6 +667,7 @@ fn no_rule_is_without_a_change_that_breaks_it() {
     }
     let missing: Vec<_> = known.difference(&broken).collect();
     assert!(missing.is_empty(), "nothing here breaks {missing:#?}");
+    // Guards the search by text: a changed style of the sources would find none.
     assert!(known.len() > 70, "{} rules found: are they written otherwise now?", known.len());
 }
 
@@ -675,7 +679,7 @@ fn the_ends_of_what_is_allowed_are_taken() {
             c.control_period_us = 500;
         },
         |c| {
-            // A motor's angle sensor is read more often.
+            // The hip's angle sensor must go too: its readings do not fit this period.
             c.motors.pop();
             c.sensors.truncate(1);
             c.control_period_us = 20_000;
@@ -766,8 +770,9 @@ fn the_ends_of_what_is_allowed_are_taken() {
     }
 }
 
-/// A transfer is nine bits a byte and three more. In one period there may be all lines of a bridge, 18 bytes, or 6 bytes for each
-/// OSMC bridge and the longest other transfer: 14 bytes for a DHB, 5 and 4 that read a PWM chip's mode back, 9 for the DAC.
+/// Checks the room on the bus. A transfer has nine bits a byte and three more. One period must have room for all lines
+/// of a bridge, 18 bytes, or 6 bytes for each OSMC bridge and the longest other transfer: 14 bytes for a DHB, 5 and 4
+/// to read a PWM chip's mode back, 9 for the DAC.
 #[test]
 fn a_period_has_room_for_every_output() {
     let with = |motors: &[usize], bldcs: bool| {
@@ -778,6 +783,7 @@ fn a_period_has_room_for_every_output() {
         if !bldcs {
             config.bldcs.clear();
         }
+        // At 100 kHz a bit takes a whole number of microseconds.
         config.i2c_hz = 100_000;
         config
     };
@@ -830,7 +836,7 @@ fn a_controlled_stop_takes_as_long_as_the_slowest_channel() {
     assert_eq!(config.stop_brake_ms(), 400);
 }
 
-/// Chips and lists that nothing needs may be left out.
+/// Leaves out the chips and lists that nothing needs.
 #[test]
 fn a_board_with_nothing_on_it_is_taken() {
     let mut config = good();
@@ -854,6 +860,7 @@ fn a_board_with_nothing_on_it_is_taken() {
     config.stepper_bank = None;
     assert_eq!(config.validate(), Ok(()));
     config.auxiliary_stop = false;
+    // Every board has the dead-man's handle.
     assert!(config.channels().eq([(id(DeadMan, 0), Place::DeadMan(0))]));
 }
 

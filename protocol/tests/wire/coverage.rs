@@ -1,7 +1,7 @@
-//! Reads a message by the schema its type publishes and notes every enum variant on the way.
+//! Reader of a message by the schema that its type publishes; it notes every enum variant on the way.
 //!
-//! This is what makes the golden table and the strategies complete: a variant added anywhere below `ToDevice` or `ToHost`
-//! is in the schema at once, and missing from what was seen until a row or a strategy has it.
+//! It makes the golden table and the strategies complete: a variant added anywhere below `ToDevice` or `ToHost` is in
+//! the schema at once, and is missing from the variants seen until a row or a strategy has it.
 
 use std::collections::BTreeSet;
 
@@ -14,10 +14,10 @@ use serde::Serialize;
 
 use crate::payload;
 
-/// `Type::Variant` names.
+/// Set of variants, written `Type::Variant`.
 pub(crate) type Variants = BTreeSet<String>;
 
-/// Every variant that can travel.
+/// Returns every variant that can travel.
 pub(crate) fn all() -> Variants {
     let mut variants = Variants::new();
     collect(ToDevice::SCHEMA, &mut variants);
@@ -33,6 +33,7 @@ pub(crate) fn note<T: Schema + Serialize>(message: &T, seen: &mut Variants) {
     let bytes = payload(message);
     let mut reader = Reader { rest: &bytes, seen };
     reader.value(T::SCHEMA);
+    // Otherwise the schema and the encoder disagree, and the variants seen are wrong.
     assert!(reader.rest.is_empty(), "the schema of {} is shorter than the message", T::SCHEMA.name);
 }
 
@@ -122,7 +123,7 @@ impl Reader<'_> {
         self.rest = &self.rest[count..];
     }
 
-    /// Seven bits a byte, the lowest first; the top bit says that more follow.
+    /// Reads a varint: seven bits a byte, the lowest first; the top bit says that more follow.
     fn varint(&mut self) -> u64 {
         let mut value = 0;
         for shift in (0..64).step_by(7) {

@@ -1,11 +1,11 @@
-//! What a link does to frames, and that a decoder survives it.
+//! Damage of a link to frames, which a decoder must survive.
 //!
-//! What the checksum promises: CRC-16 with polynomial 0x1021 finds every one, two or three wrong bits in up to 32751
-//! bits, and every error within 16 bits in a row (Koopman, "Best CRC Polynomials", 0x8810). It is taken over the message
-//! before COBS, so the promise holds for bytes on the wire as long as COBS leaves them where they are: a damaged COBS
-//! code moves zeros about, a new 0x00 cuts the frame in two, and one wrong bit on the wire becomes many in the message.
-//! Those are found too, but for one in 2^16 of the ones that COBS and postcard let through. Of commands, whose checksum has 32 bits, none of
-//! the frames tried here and in `many` is taken.
+//! The checksum guarantees: CRC-16 with polynomial 0x1021 detects every one, two or three wrong bits in up to 32751
+//! bits, and every error within 16 bits in a row (Koopman, "Best CRC Polynomials", 0x8810). It covers the message
+//! before COBS, so the guarantee holds for bytes on the wire as long as COBS leaves them in place. A damaged COBS code
+//! moves zeros, a new 0x00 cuts the frame in two, and one wrong bit on the wire becomes many in the message. These are
+//! detected too, but for one in 2^16 of those that COBS and postcard let through. Of commands, whose checksum has 32
+//! bits, none of the frames tried here and in `many` is taken.
 
 use proptest::{
     arbitrary::any,
@@ -42,12 +42,12 @@ proptest! {
         let places = data_places(&good);
         let mut bad = good.clone();
         flips.iter().for_each(|(place, bit)| bad[*place.get(&places)] ^= 1 << bit);
-        // Flips that cancel each other, or make a delimiter.
+        // Flips that cancel each other, or make a delimiter, are no damage of this kind.
         prop_assume!(bad != good && !bad[..bad.len() - 1].contains(&0));
         prop_assert!(fails_the_checksum(&bad));
     }
 
-    /// The promise for 16 bits in a row, on whole bytes: two neighbours of the message or the checksum.
+    /// Tries the guarantee for 16 bits in a row, on whole bytes: two neighbours of the message or the checksum.
     #[test]
     fn any_change_of_two_neighbours_that_cobs_leaves_in_place_fails_the_checksum(
         message in strategies::to_host(),
@@ -56,6 +56,7 @@ proptest! {
     ) {
         let good = frame(&message);
         let places = data_places(&good);
+        // Places are apart where a COBS code lies between.
         let neighbours: Vec<_> = places.windows(2).filter(|pair| pair[0] + 1 == pair[1]).collect();
         prop_assume!(!neighbours.is_empty());
         let pair = place.get(&neighbours);
@@ -65,7 +66,7 @@ proptest! {
         prop_assert!(fails_the_checksum(&bad));
     }
 
-    /// A cut frame runs into the next one, which is lost with it; the one after is taken.
+    /// Cuts a frame: it runs into the next one, which is lost with it. The one after is taken.
     #[test]
     fn a_cut_frame_costs_at_most_the_next_one(
         first in strategies::to_device(),
@@ -79,6 +80,7 @@ proptest! {
         prop_assert_eq!(end_lost.len(), 2);
         prop_assert!(is(end_lost.last(), &third));
         let start_lost = receive::<ToDevice>(&[&first[cut..], &second, &frame(&third)].concat());
+        // A delimiter alone is no frame.
         prop_assert_eq!(start_lost.len(), if cut == first.len() - 1 { 2 } else { 3 });
         prop_assert!(is(start_lost.last(), &third));
     }
@@ -99,7 +101,7 @@ proptest! {
         prop_assert!(is(received.last(), &third));
     }
 
-    /// Whatever comes between, up to the delimiter that ends it.
+    /// Puts any bytes between two frames, up to the delimiter that ends them.
     #[test]
     fn garbage_between_frames_costs_no_frame_after_its_delimiter(
         before in strategies::to_device(),
@@ -111,7 +113,7 @@ proptest! {
         prop_assert!(is(received.last(), &after));
     }
 
-    /// A frame is decoded from its own bytes: the decoder keeps nothing of what came before.
+    /// Checks that a frame is decoded from its own bytes: the decoder keeps nothing of earlier ones.
     #[test]
     fn one_decoder_makes_of_a_stream_what_fresh_ones_make_of_its_pieces(
         pieces in vec(
@@ -124,18 +126,18 @@ proptest! {
     ) {
         let stream = receive::<ToHost>(&pieces.concat());
         let apart: Vec<_> = pieces.iter().flat_map(|piece| receive::<ToHost>(piece)).collect();
-        // As text: a NaN is not equal to itself.
+        // Compared as text, because a NaN is not equal to itself.
         prop_assert_eq!(format!("{stream:?}"), format!("{apart:?}"));
     }
 
-    /// Random bytes with a checksum that fits reach postcard; what it takes can be sent again.
+    /// Tries random bytes with a correct checksum, which reach postcard. A message that it accepts can be sent again.
     #[test]
     fn any_undamaged_bytes_are_survived(bytes in vec(prop_oneof![0..16u8, any::<u8>()], 0..=248)) {
         survives::<ToDevice>(&bytes);
         survives::<ToHost>(&bytes);
     }
 
-    /// As above, near a message: one byte of it is another.
+    /// Tries the neighbours of a message: one byte of it is replaced.
     #[test]
     fn any_undamaged_neighbour_of_a_message_is_survived(
         message in strategies::to_host(),
@@ -162,8 +164,8 @@ fn one_wrong_bit_in_any_golden_frame_is_not_taken() {
     samples::to_host().iter().for_each(|(name, message)| check(name, message));
 }
 
-/// The rest of the promise, for one to three wrong bits anywhere in a frame, COBS codes and new delimiters included.
-/// Seeded, so it is the same frames each time.
+/// Tries the rest of the guarantee, for one to three wrong bits anywhere in a frame, COBS codes and new delimiters
+/// included. Seeded, so that the frames are the same each time.
 #[test]
 fn fewer_than_one_in_65536_frames_with_up_to_three_wrong_bits_is_taken() {
     const TRIED: usize = 1 << 18;
@@ -186,7 +188,8 @@ fn fewer_than_one_in_65536_frames_with_up_to_three_wrong_bits_is_taken() {
     assert!(taken < TRIED >> 16, "{taken} of {TRIED}");
 }
 
-/// Where the frame holds a byte of the message or checksum as it is: not a COBS code, not the delimiter.
+/// Returns the places at which the frame holds a byte of the message or checksum unchanged: not a COBS code, not the
+/// delimiter.
 fn data_places(frame: &[u8]) -> Vec<usize> {
     let end = frame.len() - 1;
     let codes: Vec<_> = std::iter::successors(Some(0), |code| Some(code + usize::from(frame[*code])))
@@ -203,8 +206,10 @@ fn is<T: Serialize>(received: Option<&Result<T, FrameError>>, message: &T) -> bo
     matches!(received, Some(Ok(received)) if payload(received) == payload(message))
 }
 
+/// Checks that `bytes` in an undamaged frame are one message, which comes back when sent again, or `NotAMessage`.
+///
 /// # Panics
-/// When `bytes` in an undamaged frame are anything but one message, which comes back when sent again, or `NotAMessage`.
+/// When they are anything else.
 fn survives<T: Message>(bytes: &[u8]) {
     for check in [Check::Short, Check::Long] {
         match &receive::<T>(&raw(&Raw(bytes), check))[..] {
@@ -218,7 +223,7 @@ fn survives<T: Message>(bytes: &[u8]) {
     }
 }
 
-/// Bytes as they are, without a length before them.
+/// Bytes without a length before them.
 struct Raw<'a>(&'a [u8]);
 
 impl Serialize for Raw<'_> {

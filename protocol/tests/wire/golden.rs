@@ -1,4 +1,4 @@
-//! The bytes of `tests/golden/v<VERSION>.txt`, and what must never change at all.
+//! Tests of the bytes of `tests/golden/v<VERSION>.txt`, and of the encodings that must never change.
 //!
 //! A changed row is a changed protocol: bump `VERSION`, write a line in `CHANGELOG.md`, then let
 //! `R4_UPDATE_GOLDEN=1 cargo test -p r4-protocol --test wire golden` write the table of the new version.
@@ -9,7 +9,7 @@ use r4_protocol::{FrameDecoder, Refusal, Request, SCHEMA_HASH, ToDevice, ToHost,
 
 use crate::{coverage, frame, gives_back, payload, samples};
 
-/// Of `VERSION` 13, which has the shapes of 12.
+/// Schema hash of `VERSION` 13, which has the shapes of 12.
 const PINNED_SCHEMA_HASH: u64 = 0x2FCC_40F3_2856_D804;
 
 #[test]
@@ -31,6 +31,7 @@ fn every_message_has_the_bytes_of_the_golden_table() {
             Some(_) => {}
         }
     }
+    // A row without a sample is a message that is not tested any more.
     for name in golden.keys().filter(|name| !ours.contains_key(*name)) {
         writeln!(wrong, "no sample for:  {name}").expect("a string takes it");
     }
@@ -47,7 +48,7 @@ fn every_golden_frame_is_taken() {
     }
 }
 
-/// A version that is spoken is one whose every message is read as it was written, and written as it was.
+/// Checks each version that is spoken: every message is decoded as it was, and encoded as it was.
 #[test]
 fn every_message_of_every_spoken_version_has_kept_its_bytes() {
     fn again<T: r4_protocol::frame::Message>(hex: &str) -> String {
@@ -59,6 +60,7 @@ fn every_message_of_every_spoken_version_has_kept_its_bytes() {
     for spoken in SPOKEN {
         let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/v{}.txt", spoken.version));
         let golden = fs::read_to_string(&path).unwrap_or_else(|why| panic!("{}: {why}", path.display()));
+        // An empty or cut table would pass the loop below.
         assert!(rows(&golden).len() > 100, "{}", path.display());
         for (name, hex) in rows(&golden) {
             let now = if name.starts_with("to-device") { again::<ToDevice>(hex) } else { again::<ToHost>(hex) };
@@ -85,11 +87,12 @@ fn the_schema_of_this_version_is_pinned() {
     );
 }
 
-/// A board and a host of any two versions must be able to tell each other so: these bytes are for ever, whatever
-/// `VERSION` says.
+/// Checks the bytes by which a board and a host of any two versions agree or refuse each other: they never change,
+/// whatever `VERSION` is.
 #[test]
 fn hello_and_its_refusal_are_frozen_for_ever() {
     let hello =
+        // Numbers that take varints of several bytes, up to the longest.
         ToDevice::Request { seq: 0x1234, request: Request::Hello { version: 0x0102, schema: 0x8000_0000_0000_0001 } };
     let request = [
         0, // ToDevice::Request
@@ -118,7 +121,7 @@ fn hello_and_its_refusal_are_frozen_for_ever() {
     );
 }
 
-/// One row for each sample, `direction name hex`.
+/// Returns the table, one row for each sample: `direction name hex`.
 fn table() -> String {
     let mut table = format!(
         "# Frames of r4-protocol version {VERSION}: direction, name, bytes with COBS, CRC and delimiter.\n\
@@ -133,7 +136,7 @@ fn table() -> String {
     table
 }
 
-/// `direction name` to hex.
+/// Splits a table into its rows, from `direction name` to hex.
 fn rows(table: &str) -> BTreeMap<&str, &str> {
     let mut rows = BTreeMap::new();
     for line in table.lines().filter(|line| !line.starts_with('#')) {

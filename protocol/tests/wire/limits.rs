@@ -1,4 +1,4 @@
-//! Every message fits a frame, and the buffers end where they should.
+//! Tests that every message fits a frame, and that the buffers end where they should.
 
 use proptest::{prop_assert, proptest};
 use r4_protocol::{
@@ -15,12 +15,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::{frame, gives_back, payload, raw, receive, samples, strategies};
 
-/// Bytes of the longest message to a board: a `Follow` of as many points as it takes.
+/// Length of the longest message to a board, bytes: a `Follow` of as many points as it takes.
 const LONGEST_TO_DEVICE: usize = 110;
-/// Bytes of the longest message to a host: a full `Telemetry`.
+/// Length of the longest message to a host, bytes: a full `Telemetry`.
 const LONGEST_TO_HOST: usize = 246;
 
-/// The lengths are pinned because the schema does not tell how much a `Vec` or a `String` holds.
+/// Pins the lengths, because the schema does not contain the capacity of a `Vec` or a `String`.
 #[test]
 fn the_longest_message_of_each_kind_fits_a_frame() {
     let request = |request| ToDevice::Request { seq: u16::MAX, request };
@@ -48,7 +48,7 @@ fn the_longest_message_of_each_kind_fits_a_frame() {
 }
 
 proptest! {
-    /// So that the longest messages above are the longest.
+    /// Checks that no message is longer than the longest ones above.
     #[test]
     fn no_message_is_longer_than_the_longest(to_device in strategies::to_device(), to_host in strategies::to_host()) {
         prop_assert!(payload(&to_device).len() <= LONGEST_TO_DEVICE);
@@ -56,8 +56,8 @@ proptest! {
     }
 }
 
-/// What is promised of a cycle of four motors: 66 bytes for both frames, checksums, COBS and delimiters included. There is no
-/// byte to spare: a field more, or one that takes more bytes for some values, breaks it.
+/// Checks the guaranteed length of a cycle of four motors: 66 bytes for both frames, checksums, COBS and delimiters
+/// included. There is no byte to spare: one more field, or one that takes more bytes for some values, breaks it.
 #[test]
 fn both_frames_of_a_cycle_are_66_bytes_whatever_is_in_them() {
     for (name, cycle) in samples::cycles() {
@@ -77,7 +77,7 @@ proptest! {
     }
 }
 
-/// A stand-in for a command: as long as its test wants it.
+/// Message in place of a command, as long as its test needs it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Bytes(heapless::Vec<u8, 400>);
 
@@ -87,7 +87,7 @@ impl Message for Bytes {
     }
 }
 
-/// `len` bytes with their length before them.
+/// Makes a message of `len` encoded bytes, its own length included.
 fn bytes_of_encoded_length(len: usize, value: u8) -> Bytes {
     let bytes = Bytes(core::iter::repeat_n(value, len - 2).collect());
     assert_eq!(payload(&bytes).len(), len, "a length of 128 or more takes two bytes");
@@ -105,7 +105,7 @@ fn the_longest_frame_goes_through_and_a_longer_message_is_not_sent() {
     }
 }
 
-/// Whatever a bad link makes of a frame with 16 bits of checksum, it is no command.
+/// Checks that a frame with 16 bits of checksum is no command, whatever a bad link does to it.
 #[test]
 fn a_command_with_the_shorter_checksum_is_not_taken_and_all_else_with_either() {
     for (name, message) in samples::to_device() {
@@ -121,10 +121,11 @@ fn a_command_with_the_shorter_checksum_is_not_taken_and_all_else_with_either() {
     }
 }
 
-/// Without delimiters a frame has at most `MAX_FRAME` - 1 bytes.
+/// Sends a frame that is too long. Without its delimiter a frame has at most `MAX_FRAME` - 1 bytes.
 #[test]
 fn a_frame_that_is_too_long_is_one_error_and_the_next_frame_is_taken() {
     let next = ToDevice::Heartbeat { session: 7, host_us: 1 };
+    // Around one and two lengths of the buffer, where an overflow that is forgotten would show.
     for len in [MAX_FRAME, MAX_FRAME + 1, MAX_FRAME + 2, 2 * MAX_FRAME, 2 * MAX_FRAME + 1, 100_000] {
         for value in [0x01, 0x55, 0xFF] {
             let mut bytes = vec![value; len];
@@ -135,7 +136,7 @@ fn a_frame_that_is_too_long_is_one_error_and_the_next_frame_is_taken() {
     }
 }
 
-/// A good frame at the end of an endless one is not taken out of it.
+/// Checks that a good frame at the end of an endless one is not decoded.
 #[test]
 fn a_frame_inside_a_too_long_one_is_not_taken() {
     let message = ToDevice::Heartbeat { session: 7, host_us: 1 };
@@ -160,9 +161,10 @@ fn a_frame_too_short_for_a_checksum_is_malformed() {
     }
 }
 
-/// Undamaged, but longer, shorter or other than this version's messages.
+/// Tries undamaged messages that are longer, shorter or other than this version's.
 #[test]
 fn a_message_of_another_version_is_not_a_message() {
+    // `ToDevice` has variants 0 to 2.
     let unknown_variant = 3u8;
     let nameless = FrameError::NotAMessage { seq: None };
     assert_eq!(receive::<ToDevice>(&raw(&unknown_variant, Check::Short)), [Err(nameless)]);
@@ -170,7 +172,7 @@ fn a_message_of_another_version_is_not_a_message() {
     assert_eq!(receive::<ToDevice>(&raw(&(heartbeat, 0u8), Check::Short)), [Err(nameless)], "a field more");
     assert_eq!(receive::<ToDevice>(&raw(&(1u8, 7u8), Check::Short)), [Err(nameless)], "a field less");
     assert_eq!(receive::<ToDevice>(&raw(&(), Check::Short)), [Err(nameless)], "nothing");
-    // A request and a response are told by their number: they are refused, or given up.
+    // A request or a response keeps its number: a board refuses it by that, and a host ends the request.
     for seq in [0, 127, 128, u16::MAX] {
         let numbered = FrameError::NotAMessage { seq: Some(seq) };
         assert_eq!(receive::<ToDevice>(&raw(&(0u8, seq, 200u8), Check::Short)), [Err(numbered)], "an unknown request");
@@ -183,7 +185,7 @@ fn a_message_of_another_version_is_not_a_message() {
     assert_eq!(receive::<ToDevice>(&raw(&0u8, Check::Short)), [Err(nameless)], "a request without a number");
 }
 
-/// A board with more samples or longer names than this version's is another version's: an error, not a cut-off list.
+/// Checks that more samples or longer names than this version's are an error and not a cut-off list.
 #[test]
 fn lists_longer_than_this_versions_are_not_a_message() {
     let sample = Sample::Scalar { channel: ChannelId::new(ChannelKind::Supply, 0), value: 24.5 };

@@ -1,19 +1,19 @@
-//! Ten million damaged frames. Seeded, so they are the same ones each time.
+//! Test with ten million damaged frames. Seeded, so that they are the same each time.
 //!
-//! Damage of every kind that a link does: wrong bits, wrong, lost, repeated, inserted and swapped bytes, bursts, cut frames,
-//! halves of two frames glued together, noise. Looked at for each:
+//! The damage is of every kind that a link does: wrong bits; wrong, lost, repeated, inserted and swapped bytes; bursts;
+//! cut frames; halves of two frames joined; noise. For each damaged frame the test checks that
 //!
 //! - nothing panics;
-//! - the good frame behind it is taken, or, where the damage took the delimiter, the one after that;
-//! - what is taken is what somebody sent, but for the odds of the checksum.
+//! - the good frame behind it is taken or, where the damage took the delimiter, the one after that;
+//! - every message taken was sent, except for as many as the checksum may miss.
 //!
-//! Those are one in 2^16 of the damaged frames that get as far as the checksum, if damage makes every checksum equally likely.
-//! A few wrong bits and short bursts do not: they are always found where COBS leaves them in place (see `damage`). So there
-//! may be that many and not more, four standard deviations of a Poisson count allowed. Of those that pass the checksum
-//! postcard refuses a part.
+//! If damage makes every checksum equally likely, one in 2^16 of the damaged frames that get as far as the checksum
+//! passes it. A few wrong bits and short bursts do not count: they are always detected where COBS leaves them in place
+//! (see `damage`). The number is therefore an upper bound, with four standard deviations of a Poisson count allowed. Of
+//! the frames that pass the checksum postcard refuses a part.
 //!
-//! Not counted are frames without any message: their checksum is 0x0000, so damage makes sound ones of `01 01 01` now and
-//! then. They say nothing, and are no message of any version.
+//! Frames without any message are not counted: their checksum is 0x0000, so that damage sometimes makes valid ones of
+//! `01 01 01`. They carry nothing, and are no message of any version.
 
 use proptest::{
     strategy::{Strategy, ValueTree},
@@ -26,9 +26,9 @@ use r4_protocol::{
 
 use crate::{frame, strategies};
 
-/// For each direction.
+/// Number of damaged frames in each direction.
 const DAMAGED: u32 = 5_000_000;
-/// Good frames that are damaged.
+/// Number of good frames that are damaged.
 const GOOD: usize = 1024;
 
 #[test]
@@ -41,23 +41,23 @@ fn five_million_damaged_frames_to_a_host() {
     damage_many(strategies::to_host(), 2);
 }
 
-/// A frame without a message, delimiter left out.
+/// Frame without a message, delimiter left out.
 const NOTHING: [u8; 3] = [1, 1, 1];
 
-/// What became of damaged frames.
+/// Counters of damaged frames.
 #[derive(Debug, Default)]
 struct Seen {
-    /// Got as far as the checksum.
+    /// Frames that reached the checksum.
     checked: u32,
-    /// Passed it, and were sent by nobody.
+    /// Frames that passed it, although they were never sent.
     passed: u32,
-    /// And postcard took them.
+    /// Frames of these that postcard accepted.
     taken: u32,
-    /// And were commands.
+    /// Commands among the accepted ones.
     commands: u32,
-    /// Held nothing.
+    /// Frames without a message.
     empty: u32,
-    /// Were what somebody sent after all, such as a frame that is there twice.
+    /// Frames that were sent after all, such as a frame that is there twice.
     sent: u32,
 }
 
@@ -74,7 +74,7 @@ fn damage_many<T: Message>(messages: impl Strategy<Value = T>, seed: u64) {
         bad.clear();
         bad.extend_from_slice(of);
         random.damage(&mut bad, other);
-        // What has no delimiter takes the next frame with it, and no more.
+        // A frame that lost its delimiter takes the next one with it, and no more.
         if bad.last().is_some_and(|last| *last != 0) {
             bad.extend_from_slice(&good[random.below(GOOD)]);
         }
@@ -109,7 +109,7 @@ fn damage_many<T: Message>(messages: impl Strategy<Value = T>, seed: u64) {
         let early = before.iter().filter(|byte| decoder.push::<T>(**byte).is_some()).count();
         let Some(Ok(message)) = decoder.push::<T>(*end) else { panic!("{next:02x?} is lost behind {bad:02x?}") };
         assert_eq!(early, 0);
-        // Every frame's bytes are compared now and then; that there is one, always.
+        // Comparing all bytes of each next frame is slow: one in 64 suffices, and that a frame comes is checked always.
         if seen.checked % 64 == 0 {
             assert_eq!(frame(&message), *next, "behind {bad:02x?}");
         }
@@ -118,12 +118,12 @@ fn damage_many<T: Message>(messages: impl Strategy<Value = T>, seed: u64) {
     let most = expected + 4.0 * expected.sqrt();
     println!("{seen:?}; expected at most {expected:.1} past the checksum, bound {most:.1}");
     assert!(seen.checked > DAMAGED / 3, "{seen:?}: much of the damage must be for the checksum to find");
-    // One in 2^32: of five million, one in a thousand times.
+    // At one in 2^32, five million frames give a command in one of a thousand runs.
     assert_eq!(seen.commands, 0, "{seen:?}");
     assert!(f64::from(seen.passed) <= most, "{seen:?}: more than {most:.1} passed the checksum");
 }
 
-/// xorshift64* (Vigna, "An experimental exploration of Marsaglia's xorshift generators, scrambled", 2016).
+/// Generator xorshift64* (Vigna, "An experimental exploration of Marsaglia's xorshift generators, scrambled", 2016).
 struct Random(u64);
 
 impl Random {
@@ -134,7 +134,7 @@ impl Random {
         (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 32) as u32
     }
 
-    /// From 0 to `end` - 1.
+    /// Returns a number from 0 to `end` - 1.
     fn below(&mut self, end: usize) -> usize {
         ((u64::from(self.next()) * end as u64) >> 32) as usize
     }
@@ -156,12 +156,12 @@ impl Random {
                 let next = (at + 1) % bytes.len();
                 bytes.swap(at, next);
             }
-            // A burst.
+            // A burst of wrong bytes.
             8 => bytes.iter_mut().skip(at).take(2 + self.0 as usize % 14).for_each(|byte| {
                 self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
                 *byte = (self.0 >> 56) as u8;
             }),
-            // Cut, or its beginning lost.
+            // A frame that is cut, or whose beginning is lost.
             9 if self.below(2) == 0 => bytes.truncate(at),
             9 => drop(bytes.drain(..at)),
             10 => {

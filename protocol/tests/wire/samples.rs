@@ -14,14 +14,14 @@ use r4_protocol::{
 const OSMC0: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
 const ACTUATOR1: ChannelId = ChannelId::new(ChannelKind::Actuator, 1);
 const SUPPLY0: ChannelId = ChannelId::new(ChannelKind::Supply, 0);
-/// The channel name with the largest bytes.
+/// Channel name with the longest encoding.
 const LAST: ChannelId = ChannelId::new(ChannelKind::DeadMan, u8::MAX);
-/// A quiet NaN, pinned: `f32::NAN`'s bits are not promised.
+/// Quiet NaN with fixed bits: those of `f32::NAN` are not guaranteed.
 const NAN: f32 = f32::from_bits(0x7FC0_0000);
-/// A schema hash that is nobody's, so that the rows do not change with the schema.
+/// Schema hash of no version, so that the rows do not change with the schema.
 const SCHEMA: u64 = 0x0123_4567_89AB_CDEF;
 
-/// Names are `what` or `what-which`; they are the rows' names in the golden table.
+/// Returns the samples to a board. Their names, `what` or `what-which`, are those of the rows in the golden table.
 pub(crate) fn to_device() -> Vec<(&'static str, ToDevice)> {
     let mut rows: Vec<(&'static str, ToDevice)> = requests()
         .into_iter()
@@ -42,7 +42,7 @@ pub(crate) fn to_device() -> Vec<(&'static str, ToDevice)> {
     rows
 }
 
-/// As [`to_device`].
+/// Returns the samples to a host, named in the same way.
 pub(crate) fn to_host() -> Vec<(&'static str, ToHost)> {
     let mut rows: Vec<(&'static str, ToHost)> = replies()
         .into_iter()
@@ -81,7 +81,7 @@ pub(crate) fn to_host() -> Vec<(&'static str, ToHost)> {
     rows
 }
 
-/// Set points of cycles.
+/// Returns set points of cycles.
 pub(crate) fn cycles() -> [(&'static str, Cycle); 6] {
     [
         ("cycle", Cycle::new(1, None, Some(1_000_000), [100, -100, 0, NOTHING])),
@@ -93,7 +93,7 @@ pub(crate) fn cycles() -> [(&'static str, Cycle); 6] {
     ]
 }
 
-/// Answers to cycles.
+/// Returns answers to cycles.
 pub(crate) fn cycle_states() -> [(&'static str, CycleState); 5] {
     let motor = |position, speed, duty, settled| CycleMotor { position, speed, duty, settled };
     let armed = (SafetyState::Armed, Causes::NONE);
@@ -111,26 +111,26 @@ pub(crate) fn cycle_states() -> [(&'static str, CycleState); 5] {
     ]
 }
 
-/// The binding with the most bytes.
+/// Returns the longest binding.
 pub(crate) fn largest_bind() -> Request {
     let channel =
         CycleChannel { channel: LAST, mode: Mode::Home, position_scale: f32::MAX, speed_scale: f32::MIN_POSITIVE };
     Request::Bind { channels: [channel; CYCLE_CHANNELS].into_iter().collect(), ttl_ms: u16::MAX }
 }
 
-/// The request with the most bytes.
+/// Returns the longest request.
 pub(crate) fn largest_request() -> Request {
     let point =
         PathPoint { at_us: u64::MAX, position: f32::MIN, speed: Some(f32::MAX), feed_forward: f32::MIN_POSITIVE };
     Request::Follow { channel: LAST, sent_us: u64::MAX, points: [point; MAX_POINTS].into_iter().collect() }
 }
 
-/// The raw transfer with the most bytes.
+/// Returns the longest raw transfer.
 pub(crate) fn largest_transfer() -> Request {
     Request::I2cTransfer { bus: u8::MAX, address: u8::MAX, write: largest_raw(), read: u8::MAX }
 }
 
-/// The reply with the most bytes.
+/// Returns the longest reply.
 pub(crate) fn largest_reply() -> Reply {
     let motor = MotorSnapshot { position: i32::MIN, speed: f32::MIN, duty: f32::MIN_POSITIVE };
     Reply::FaultSnapshot(FaultSnapshot {
@@ -140,17 +140,17 @@ pub(crate) fn largest_reply() -> Reply {
     })
 }
 
-/// As many bytes as a raw transfer takes.
+/// Returns as many bytes as a raw transfer takes.
 pub(crate) fn largest_raw() -> heapless::Vec<u8, MAX_RAW> {
     [u8::MAX; MAX_RAW].into_iter().collect()
 }
 
-/// The piece of a log with the most bytes.
+/// Returns the longest piece of a log.
 pub(crate) fn largest_log() -> LogChunk {
     LogChunk { position: u32::MAX, bytes: largest_raw() }
 }
 
-/// The command with the most bytes.
+/// Returns the longest command.
 pub(crate) fn largest_set() -> Request {
     Request::Set {
         channel: LAST,
@@ -160,7 +160,7 @@ pub(crate) fn largest_set() -> Request {
     }
 }
 
-/// The longest answer to a `Hello`.
+/// Returns the longest answer to a `Hello`.
 pub(crate) fn largest_welcome() -> Reply {
     Reply::Hello(DeviceInfo {
         robot: "thirty-two bytes of a robot name".try_into().expect("32 bytes"),
@@ -174,7 +174,7 @@ pub(crate) fn largest_welcome() -> Reply {
     })
 }
 
-/// The telemetry with the most bytes.
+/// Returns the longest telemetry.
 pub(crate) fn largest_telemetry() -> Telemetry {
     Telemetry {
         device_us: u64::MAX,
@@ -186,7 +186,7 @@ pub(crate) fn largest_telemetry() -> Telemetry {
     }
 }
 
-/// A frame has at most one of each sensor that a board can have.
+/// Longest sample of a sensor. A frame has at most one of each sensor that a board can have.
 const LARGEST_SENSOR: Sample =
     Sample::Sensor { channel: LAST, values: [f32::MAX; MAX_QUANTITIES], age_ms: u16::MAX, quality: Quality::Saturated };
 
@@ -201,7 +201,7 @@ const LARGEST_SAMPLE: Sample = Sample::Motor {
     winding: Some(Winding { heat_percent: u8::MAX, hot: true }),
 };
 
-/// Of the board, and of the channel and parameter with the largest bytes.
+/// Keys of the board, and of the channel and parameter with the longest encoding.
 const KEYS: [(&str, ParameterKey); 2] = [
     ("set-parameter-board", ParameterKey { channel: None, parameter: Parameter::LinkTimeoutMs }),
     ("set-parameter-largest", ParameterKey { channel: Some(LAST), parameter: Parameter::StopBrakeMs }),
@@ -254,7 +254,7 @@ fn requests() -> Vec<(&'static str, Request)> {
         ("set-gains-position", Request::SetGains { channel: ACTUATOR1, mode: Mode::Position, gains }),
         ("set-gains-speed", Request::SetGains { channel: OSMC0, mode: Mode::Speed, gains }),
         ("stats", Request::Stats),
-        // Since version 3; at the end, so that the sequence numbers above stay.
+        // Since version 3; at the end, so that the sequence numbers above do not change.
         ("set-voltage", set(ChannelId::new(ChannelKind::Dac, 1), Mode::Voltage, 1.25)),
         ("set-brake", set(ChannelId::new(ChannelKind::Bldc, 2), Mode::Brake, 1.0)),
         ("set-home", set(ChannelId::new(ChannelKind::Stepper, 0), Mode::Home, -0.5)),
@@ -412,7 +412,7 @@ fn replies() -> Vec<(&'static str, Reply)> {
     ]
 }
 
-/// Since version 3; after the refusals, so that the sequence numbers of both stay.
+/// Returns replies since version 3; after the refusals, so that the sequence numbers of both do not change.
 fn later_replies() -> Vec<(&'static str, Reply)> {
     let parameter = |key, set| Reply::Parameter(ParameterInfo { key, active: 200.0, set, built_in: 200.0 });
     let [(_, of_board), (_, of_last)] = KEYS;
@@ -488,7 +488,7 @@ fn refusals() -> Vec<(&'static str, Refusal)> {
     ]
 }
 
-/// Since version 3.
+/// Returns refusals since version 3.
 fn later_refusals() -> Vec<(&'static str, Refusal)> {
     let [(_, of_board), (_, of_last)] = KEYS;
     vec![

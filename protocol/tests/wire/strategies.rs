@@ -1,4 +1,4 @@
-//! Any message at all: every variant, every value a field can hold.
+//! Strategies for any message at all: every variant, every value a field can hold.
 
 use proptest::{
     arbitrary::any,
@@ -23,7 +23,7 @@ use r4_protocol::{
 
 use crate::coverage;
 
-/// Any message to a board.
+/// Samples messages to a board.
 pub(crate) fn to_device() -> BoxedStrategy<ToDevice> {
     prop_oneof![
         6 => (u16s(), request()).prop_map(|(seq, request)| ToDevice::Request { seq, request }),
@@ -33,14 +33,14 @@ pub(crate) fn to_device() -> BoxedStrategy<ToDevice> {
     .boxed()
 }
 
-/// Any set points of a cycle.
+/// Samples set points of cycles.
 pub(crate) fn cycle() -> impl Strategy<Value = Cycle> {
     let set = any::<[i16; CYCLE_CHANNELS]>();
     (any::<u8>(), proptest::option::of(mode()), proptest::option::of(u64s()), set)
         .prop_map(|(seq, mode, sent_us, set)| Cycle::new(seq, mode, sent_us, set))
 }
 
-/// Any answer to a cycle.
+/// Samples answers to cycles.
 pub(crate) fn cycle_state() -> impl Strategy<Value = CycleState> {
     use CycleOutcome::{Refused, Stale, Taken, Unbound};
     let motor = any::<(i32, i16, i16, bool)>().prop_map(|(position, speed, duty, settled)| CycleMotor {
@@ -54,7 +54,7 @@ pub(crate) fn cycle_state() -> impl Strategy<Value = CycleState> {
         .prop_map(|(seq, outcome, device_us, safety, motors)| CycleState::new(seq, outcome, device_us, safety, motors))
 }
 
-/// Any message to a host.
+/// Samples messages to a host.
 pub(crate) fn to_host() -> BoxedStrategy<ToHost> {
     let result = prop_oneof![reply().prop_map(Ok), refusal().prop_map(Err)];
     prop_oneof![
@@ -105,7 +105,7 @@ fn control_request() -> BoxedStrategy<Request> {
     .boxed()
 }
 
-/// Parameters, trips, raw transfers.
+/// Samples requests about parameters, trips and raw transfers.
 fn service_request() -> BoxedStrategy<Request> {
     prop_oneof![
         u16s().prop_map(|index| Request::DescribeParameter { index }),
@@ -291,7 +291,7 @@ fn fault_snapshot() -> impl Strategy<Value = FaultSnapshot> {
 }
 
 fn telemetry() -> impl Strategy<Value = Telemetry> {
-    // A board has that many sensors, and a frame at most one sample of each.
+    // A frame has at most one sample of each sensor, so at most as many as a board has sensors.
     let sensors = vec(sensor_sample(), 0..=MAX_SENSORS);
     let others = vec(sample(), 0..=MAX_SAMPLES - MAX_SENSORS);
     (u64s(), state(), causes(), sensors, others).prop_map(|(device_us, state, causes, sensors, others)| Telemetry {
@@ -370,7 +370,7 @@ fn key() -> impl Strategy<Value = ParameterKey> {
         .prop_map(|(channel, parameter)| ParameterKey { channel, parameter })
 }
 
-/// Up to as many bytes as a raw transfer takes.
+/// Samples up to as many bytes as a raw transfer takes.
 fn raw() -> impl Strategy<Value = heapless::Vec<u8, MAX_RAW>> {
     vec(any::<u8>(), 0..=MAX_RAW).prop_map(|bytes| bytes.into_iter().collect())
 }
@@ -420,7 +420,7 @@ fn state() -> impl Strategy<Value = SafetyState> {
     select(vec![SafetyState::Disarmed, SafetyState::Armed, SafetyState::Tripped])
 }
 
-/// Bits without a cause too: a newer board may have one there.
+/// Samples sets of causes, including bits without a cause, which a newer board may use.
 fn causes() -> impl Strategy<Value = Causes> {
     any::<u32>().prop_map(Causes::from_bits)
 }
@@ -443,12 +443,13 @@ fn tuning() -> impl Strategy<Value = Tuning> {
     })
 }
 
-/// Every bit pattern, NaNs among them, and half the time one with many zero bytes, which COBS treats apart.
+/// Samples every bit pattern, NaNs among them, and half the time one with many zero bytes, which are the special case
+/// of COBS.
 fn f32s() -> impl Strategy<Value = f32> {
     (any::<u32>(), select(vec![u32::MAX, 0xFFFF_0000, 0])).prop_map(|(bits, mask)| f32::from_bits(bits & mask))
 }
 
-/// As many short as long ones: their length on the wire depends on their value.
+/// Samples as many short as long numbers: their length on the wire depends on their value.
 fn u16s() -> impl Strategy<Value = u16> {
     (any::<u16>(), 0..16u32).prop_map(|(value, shift)| value >> shift)
 }
@@ -461,11 +462,11 @@ fn u64s() -> impl Strategy<Value = u64> {
     (any::<u64>(), 0..64u32).prop_map(|(value, shift)| value >> shift)
 }
 
-/// Up to `N` bytes of any characters.
+/// Samples up to `N` bytes of any characters.
 fn string<const N: usize>() -> impl Strategy<Value = heapless::String<N>> {
     vec(any::<char>(), 0..=N).prop_map(|characters| {
         let mut text = heapless::String::new();
-        // What does not fit is left out.
+        // A character that does not fit is left out.
         characters.into_iter().for_each(|character| drop(text.push(character)));
         text
     })

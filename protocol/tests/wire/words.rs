@@ -1,4 +1,4 @@
-//! What refusals, states and readings say to users.
+//! Tests of the texts of refusals, states and readings for users.
 
 use std::collections::BTreeSet;
 
@@ -6,7 +6,7 @@ use r4_protocol::{Cause, Causes, Quality, Refusal, SafetyState, ToHost};
 
 use crate::samples;
 
-/// Of every variant one at least: the golden table has them all.
+/// Returns at least one refusal of every variant: the golden table has them all.
 fn refusals() -> Vec<Refusal> {
     let refusal = |message| match message {
         ToHost::Response { result: Err(refusal), .. } => Some(refusal),
@@ -32,7 +32,7 @@ fn a_refusal_says_what_is_wrong_with_what_was_asked() {
             Refusal::OutOfRange { channel, asked, range } => {
                 vec![channel.to_string(), asked.to_string(), range.min.to_string(), range.max.to_string()]
             }
-            // What to do about each.
+            // Advice on each cause is part of the text.
             Refusal::CausesPresent { causes } => {
                 causes.iter().flat_map(|cause| [cause.to_string(), cause.advice().into()]).collect()
             }

@@ -1,6 +1,7 @@
-//! Writes the part of the corpus that is made from sound messages and files: `cargo run -p r4-fuzz --example seeds`.
+//! Program that writes the part of the corpus that is made from valid messages and files: `cargo run -p r4-fuzz
+//! --example seeds`.
 //!
-//! To be run again after a change of the protocol. What is there under other names stays.
+//! To be run again after a change of the protocol. Files with other names stay.
 #![allow(clippy::unwrap_used, reason = "made for developers")]
 
 use std::{cell::RefCell, fs, io::Cursor, path::Path, rc::Rc};
@@ -113,7 +114,7 @@ fn main() {
     write("carrier", "r4-carrier.toml", &fs::read(boards.join("r4-carrier.toml")).unwrap());
 }
 
-/// Flash is ones where nothing was written, which a reader of a corpus need not see.
+/// Cuts off blank flash, which is all ones, to keep the corpus small.
 fn without_blank_end(content: &[u8]) -> &[u8] {
     const WORD: usize = 33;
     let blank = |word: &[u8]| word[0] == 1 && word[1..].iter().all(|byte| *byte == 0xFF);
@@ -132,7 +133,7 @@ async fn duty(board: &Board<VirtualClock>) -> Result<(), Error> {
     board.disarm().await
 }
 
-/// A set point for whatever takes one, and a cycle.
+/// Sends a set point to every channel that takes one, and a cycle.
 async fn everything(board: &Board<VirtualClock>) -> Result<(), Error> {
     board.arm().await?;
     let mut bound = Vec::new();
@@ -140,7 +141,7 @@ async fn everything(board: &Board<VirtualClock>) -> Result<(), Error> {
         board.subscribe(channel.id, 20).await?;
         let Some(mode) = channel.modes.first() else { continue };
         let value = mode.range.max.min(0.2);
-        // What is refused is a message, too.
+        // A refused request is a message, too.
         let _ = board.set(channel.id, Setpoint { mode: mode.mode, value }).await;
         if bound.len() < 2 && mode.mode != Mode::Home {
             bound.push((channel.id, mode.mode));
@@ -178,14 +179,14 @@ impl r4_driver::Clock for VirtualClock {
     }
 }
 
-/// What one end said.
+/// Bytes of one end of a link, with their time.
 struct Said {
     at_us: u64,
     by_host: bool,
     bytes: Vec<u8>,
 }
 
-/// Writes down what goes through.
+/// Link that records what goes through.
 struct Written<T> {
     inner: T,
     clock: r4_sim::Clock,
@@ -223,7 +224,7 @@ impl<T: Write> Write for Written<T> {
     }
 }
 
-/// What both say when `work` is done on a simulated board.
+/// Returns the messages of both ends while `work` is done on a simulated board.
 fn session(robot: &str, work: Work) -> Vec<Said> {
     let robot = r4_boards::load(robot).unwrap();
     let mut simulation = Simulation::new(Pace::Free);
@@ -241,12 +242,12 @@ fn session(robot: &str, work: Work) -> Vec<Said> {
     said.take()
 }
 
-/// The message of a frame as it is encoded.
+/// Returns the encoded message of a frame when `byte` completes one.
 fn plain<T: Message>(decoder: &mut FrameDecoder, byte: u8) -> Option<Vec<u8>> {
     let message = decoder.push::<T>(byte)?.ok()?;
     let mut buffer = [0; MAX_FRAME];
     let sent = encode_frame(&message, &mut buffer).unwrap();
-    // COBS adds one byte here, the checksum two or four, the end one: what lies between is found by trying.
+    // The length is found by trying: COBS adds one byte here, the checksum two or four, the delimiter one.
     let mut plain = vec![0; sent.len()];
     let mut from = 0;
     let mut to = 0;
@@ -266,7 +267,7 @@ fn plain<T: Message>(decoder: &mut FrameDecoder, byte: u8) -> Option<Vec<u8>> {
 
 type Plain = fn(&mut FrameDecoder, u8) -> Option<Vec<u8>>;
 
-/// A script of what one end said, when it did.
+/// Makes a script of one end's messages, with the pauses between them.
 fn timed(said: &[Said], which: fn(&Said) -> bool, plain: Plain) -> Vec<u8> {
     let mut script = Vec::new();
     let mut decoder = FrameDecoder::new();
@@ -274,7 +275,7 @@ fn timed(said: &[Said], which: fn(&Said) -> bool, plain: Plain) -> Vec<u8> {
     for said in said.iter().filter(|said| which(said)) {
         for byte in &said.bytes {
             if let Some(message) = plain(&mut decoder, *byte) {
-                // A millisecond goes by with each message anyway.
+                // Each message of a script takes a millisecond by itself.
                 for bit in (0..4).rev() {
                     let pause_us = 1000 << bit;
                     if said.at_us.saturating_sub(last_us) > pause_us + 1000 {
@@ -290,7 +291,7 @@ fn timed(said: &[Said], which: fn(&Said) -> bool, plain: Plain) -> Vec<u8> {
     script
 }
 
-/// A script of what both ends said: one the host, one the board.
+/// Makes a script of both ends' messages by turns: one of the host, one of the board.
 fn by_turns(said: &[Said]) -> Vec<u8> {
     let mut script = Vec::new();
     let (mut to_device, mut to_host) = (FrameDecoder::new(), FrameDecoder::new());
@@ -304,7 +305,7 @@ fn by_turns(said: &[Said]) -> Vec<u8> {
             };
             let Some(message) = message else { continue };
             if said.by_host != by_host {
-                // A pause in place of what the other end has not to say.
+                // A pause in the place of the other end's turn.
                 script.push(WAIT);
             }
             script.extend(of_messages([&message[..]]));

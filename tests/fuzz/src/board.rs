@@ -1,4 +1,4 @@
-//! The board's end of a link.
+//! Targets at the board's end of a link.
 
 use std::sync::OnceLock;
 
@@ -11,45 +11,45 @@ use r4_sim::{Clock, Pace, SimBoard, Simulation, link::Receiver};
 use crate::script::{Step, frame, steps};
 
 const MS: u64 = 1_000_000;
-/// Until a board takes its first message.
+/// Time until a board takes its first message, ns.
 const STARTED_NS: u64 = 5 * MS;
-/// Beyond what a board may take for a host that has gone.
+/// Margin beyond the time that a board may take to notice that its host has gone, ns.
 const MARGIN_NS: u64 = 100 * MS;
-/// What is under way, a few ticks of control, and the start of a board whose chips take their time.
+/// Time for pending transfers, a few control ticks, and the start of a board whose chips take their time, ns.
 const QUIET_NS: u64 = 50 * MS;
 
-/// A motor and an actuator.
+/// Returns a robot with a motor and an actuator.
 pub(crate) fn osmc_bench() -> &'static Robot {
     static ROBOT: OnceLock<Robot> = OnceLock::new();
     ROBOT.get_or_init(|| r4_boards::load("osmc-bench").expect("built in"))
 }
 
-/// A channel of each kind.
+/// Returns a robot with a channel of each kind.
 fn every_interface() -> &'static Robot {
     static ROBOT: OnceLock<Robot> = OnceLock::new();
     ROBOT.get_or_init(|| r4_boards::load("every-interface").expect("built in"))
 }
 
-/// Bytes as they are into the link of a board with a motor and an actuator.
+/// Target: sends bytes unchanged into the link of a board with a motor and an actuator.
 ///
 /// # Panics
-/// As [`dispatcher`].
+/// In the same cases as [`dispatcher`].
 pub fn link(bytes: &[u8]) -> bool {
-    // In pieces, with time for the board to answer in between.
+    // In pieces, so that the board has time to answer in between.
     let steps = bytes.chunks(64).map(|piece| Step::Frame(piece.to_vec()));
     run(osmc_bench(), steps)
 }
 
-/// A script of sound frames ([`crate::script`]) into the link of a board with a channel of each kind.
+/// Target: sends a script of valid frames ([`crate::script`]) into the link of a board with a channel of each kind.
 ///
 /// # Panics
-/// When the board does, says what is no message, moves though nobody asked to arm it, or drives anything after its host has
-/// gone.
+/// The board panics, sends something that is no message, moves without having been armed, or drives an output after its
+/// host has gone.
 pub fn dispatcher(script: &[u8]) -> bool {
     run(every_interface(), steps(script, |_, message| frame::<ToDevice>(message)))
 }
 
-/// Whether the board took anything.
+/// Runs the steps on a board, and returns whether it took anything.
 fn run(robot: &Robot, steps: impl Iterator<Item = Step>) -> bool {
     let mut simulation = Simulation::new(Pace::Free);
     let board = SimBoard::start(&mut simulation, robot, 1).expect("the robot has a world");
@@ -60,7 +60,7 @@ fn run(robot: &Robot, steps: impl Iterator<Item = Step>) -> bool {
         channels(robot).map(|channel| (channel, world.position(channel))).collect()
     };
     let before = places(&board);
-    // A drive that reverses by its voltage rests in the middle.
+    // A drive that reverses by its voltage rests in the middle of its range, not at 0 V.
     let throttles = |board: &SimBoard| -> Vec<_> {
         let mut world = board.world();
         channels(robot).map(|channel| world.throttle_v(channel).unwrap_or(0.0)).collect()
@@ -98,12 +98,13 @@ fn run(robot: &Robot, steps: impl Iterator<Item = Step>) -> bool {
     heard.messages > 0
 }
 
-/// How long a board moves for a host that has gone, at most: until it notices, and until its motors' brakes let go.
+/// Returns the longest time that a board moves after its host has gone, ns: until it notices, and until its motors'
+/// brakes let go.
 fn gone_ns(robot: &Robot) -> u64 {
     u64::from(robot.config.link_timeout_ms + robot.config.stop_brake_ms()) * MS + MARGIN_NS
 }
 
-/// What a command can reach.
+/// Iterates over the channels that set points can move.
 fn channels(robot: &Robot) -> impl Iterator<Item = ChannelId> {
     let config = &robot.config;
     let motors = config.motors.iter().map(|motor| motor.id);
@@ -114,7 +115,7 @@ fn channels(robot: &Robot) -> impl Iterator<Item = ChannelId> {
     motors.chain(others)
 }
 
-/// What the board says.
+/// Messages that the board sent.
 #[derive(Default)]
 struct Heard {
     decoder: FrameDecoder,

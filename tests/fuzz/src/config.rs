@@ -1,4 +1,4 @@
-//! Files of parameters, as `r4 config import` reads them: the program's own module.
+//! Target of files with parameters, as `r4 config import` reads them with the program's own module.
 
 #[allow(dead_code, reason = "the program uses the rest")]
 #[path = "../../../host/cli/src/commands/config/file.rs"]
@@ -10,11 +10,11 @@ use std::collections::BTreeMap;
 
 use r4_protocol::{ParameterInfo, ParameterKey};
 
-/// Any text. What is taken are finite numbers of lines that are there, and those of parameters say the same when they are
-/// written again.
+/// Target: reads any text. Accepted values are finite and refer to lines that exist; accepted parameters are read the
+/// same when they are written again.
 ///
 /// # Panics
-/// When it does not.
+/// An accepted file breaks one of these rules.
 pub fn config(bytes: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(bytes) else { return false };
     let Ok(entries) = file::read(text) else { return false };

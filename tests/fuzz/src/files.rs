@@ -1,4 +1,4 @@
-//! The files that the program reads.
+//! Targets of the files that the program reads.
 
 use std::{
     io::{self, Write},
@@ -24,7 +24,7 @@ use tempfile::NamedTempFile;
 
 use crate::board::osmc_bench;
 
-/// A log. What is taken can be looked at in every way.
+/// Target: reads a log. An accepted one can be viewed in every way.
 pub fn log(bytes: &[u8]) -> bool {
     let Ok(log) = Log::from_bytes(bytes) else { return false };
     let _ = (log.signals(), log.coverage(), log.duration_s(), log.time_span_s());
@@ -33,10 +33,11 @@ pub fn log(bytes: &[u8]) -> bool {
     true
 }
 
-/// A recording for `r4 identify`: the CSV of this project or of another, or a log. What is taken are numbers in order of time.
+/// Target: reads a recording for `r4 identify`, which is a CSV of this project or of another, or a log. Accepted values
+/// are finite, in order of time.
 ///
 /// # Panics
-/// When they are not.
+/// An accepted recording breaks this rule.
 pub fn recording(bytes: &[u8]) -> bool {
     let untimed = bytes.len() % 2 == 1;
     let mapped = |input: &str, output: &str| Options {
@@ -66,21 +67,22 @@ pub fn recording(bytes: &[u8]) -> bool {
     taken
 }
 
-/// Sectors that are as large as they must be for what is kept, and no larger.
+/// Sector size, bytes: just large enough for what is saved.
 const SMALL: usize = 512;
 
-/// The flash of a simulated board. Whatever it holds, there is a valid configuration, and what is saved then is kept.
+/// Target: loads the flash of a simulated board. Whatever it holds, the configuration is valid, and values saved
+/// afterwards are kept.
 ///
 /// # Panics
-/// When that is not so.
+/// One of these is not so.
 pub fn flash(bytes: &[u8]) -> bool {
     let config = &osmc_bench().config;
-    // As a file, of whatever length it is.
+    // The input as a file, whatever its length.
     if let Some(mut flash) = Flash::<SMALL>::from_bytes(bytes) {
         assert_eq!(block_on(parameters::load(&mut flash, config)).config.validate(), Ok(()));
         let _ = block_on(History::open(&mut flash));
     }
-    // As the beginning of a file that is a flash.
+    // The input as the beginning of a file that has the length of a flash.
     let blank = Flash::<SMALL>::new(SECTORS).to_bytes();
     let mut content: Vec<u8> = bytes.iter().copied().chain(blank.iter().copied().skip(bytes.len())).collect();
     content.truncate(blank.len());
@@ -102,10 +104,10 @@ pub fn flash(bytes: &[u8]) -> bool {
     loaded.saved == Saved::Changes || !history.is_empty()
 }
 
-/// A robot. What is taken is a board that starts.
+/// Target: reads a robot. An accepted one is a board that starts.
 ///
 /// # Panics
-/// When it does not.
+/// The board does not start.
 pub fn robot(bytes: &[u8]) -> bool {
     let file = toml(bytes);
     let Ok(robot) = r4_boards::load(name(&file)) else { return false };
@@ -116,22 +118,22 @@ pub fn robot(bytes: &[u8]) -> bool {
 
 fn starts(robot: &Robot) {
     let mut simulation = Simulation::new(Pace::Free);
-    // What only the simulator cannot do is told.
+    // Limits of the simulator alone are an error and no panic.
     let Ok(_board) = SimBoard::start(&mut simulation, robot, 1) else { return };
     let clock = simulation.clock();
     simulation.block_on(clock.sleep(5_000_000)).expect("time goes on");
 }
 
-/// A carrier.
+/// Target: reads a carrier's file.
 pub fn carrier(bytes: &[u8]) -> bool {
     let file = toml(bytes);
     r4_boards::load_carrier(name(&file)).is_ok()
 }
 
-/// A plant. What is taken says the same when it is written again, and moves by numbers.
+/// Target: reads a plant. An accepted one is read the same when it is written again, and its motion is finite.
 ///
 /// # Panics
-/// When it does not.
+/// An accepted plant breaks one of these rules.
 pub fn plant(bytes: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(bytes) else { return false };
     let Ok(spec) = PlantSpec::from_toml("plant.toml", text) else { return false };
@@ -148,7 +150,7 @@ pub fn plant(bytes: &[u8]) -> bool {
     true
 }
 
-/// A shared key.
+/// Target: reads a shared key.
 pub fn key(bytes: &[u8]) -> bool {
     let file = toml(bytes);
     let only_ours = std::fs::Permissions::from_mode(0o600);
@@ -156,7 +158,7 @@ pub fn key(bytes: &[u8]) -> bool {
     Key::read(file.path()).is_ok()
 }
 
-/// A file with these bytes.
+/// Writes the bytes to a temporary file.
 fn toml(bytes: &[u8]) -> NamedTempFile {
     let mut file = tempfile::Builder::new().prefix("r4-fuzz").suffix(".toml").tempfile().expect("a temporary file");
     file.write_all(bytes).expect("room for it");

@@ -1,14 +1,14 @@
-//! The frame decoder.
+//! Target of the frame decoder.
 
 use r4_protocol::{
     FrameDecoder, FrameError, Request, ToDevice, ToHost, encode_frame,
     frame::{MAX_FRAME, Message},
 };
 
-/// Any bytes into a decoder. What it takes comes back when it is sent again; the good frame behind a delimiter is taken.
+/// Target: decodes any bytes. A decoded message can be sent again, and the good frame behind a delimiter is decoded.
 ///
 /// # Panics
-/// When that is not so.
+/// One of these is not so.
 pub fn frames(bytes: &[u8]) -> bool {
     let to_device = direction(bytes, &ToDevice::Request { seq: 7, request: Request::Stats });
     let to_host = direction(bytes, &ToHost::Response { seq: 7, result: Ok(r4_protocol::Reply::Done) });
@@ -28,7 +28,7 @@ fn direction<T: Message>(bytes: &[u8], good: &T) -> bool {
             Some(Err(_)) | None => {}
         }
     }
-    // Ends what is not ended.
+    // Ends a frame that is not complete.
     let _ = decoder.push::<T>(0);
     let mut buffer = [0; MAX_FRAME];
     let frame = encode_frame(good, &mut buffer).expect("a small message");
@@ -37,8 +37,8 @@ fn direction<T: Message>(bytes: &[u8], good: &T) -> bool {
     taken > 0
 }
 
-/// The encoding of what was decoded is decoded to the same. Not of any bytes: postcard takes numbers written with more bytes
-/// than they need.
+/// Checks that a decoded message, encoded again, is decoded to the same. The input's bytes may differ: postcard accepts
+/// numbers written with more bytes than they need.
 fn comes_back<T: Message>(message: &T) {
     let (mut first, mut second) = ([0; MAX_FRAME], [0; MAX_FRAME]);
     let sent = encode_frame(message, &mut first).expect("no longer than what it came from");

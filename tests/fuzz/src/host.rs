@@ -1,4 +1,4 @@
-//! The host's end of a link.
+//! Targets at the host's end of a link.
 
 use std::{collections::VecDeque, convert::Infallible, io::Cursor};
 
@@ -25,7 +25,7 @@ impl r4_driver::Clock for VirtualClock {
     }
 }
 
-/// A board that says what a script has, a message each millisecond, and then closes the link.
+/// Board that sends the messages of a script, one each millisecond, and then closes the link.
 struct Scripted {
     steps: VecDeque<Step>,
     clock: Clock,
@@ -43,7 +43,7 @@ impl Read for Scripted {
                 Some(Step::Wait(ms)) => self.clock.sleep(ms * MS).await,
                 Some(Step::Frame(bytes)) => {
                     self.clock.sleep(MS).await;
-                    // The driver reads 512 bytes at a time, more than a frame.
+                    // Fits: the driver reads 512 bytes at a time, more than a frame.
                     buffer[..bytes.len()].copy_from_slice(&bytes);
                     return Ok(bytes.len());
                 }
@@ -52,7 +52,7 @@ impl Read for Scripted {
     }
 }
 
-/// Takes everything.
+/// Writer that accepts everything and drops it.
 struct Nowhere;
 
 impl ErrorType for Nowhere {
@@ -69,11 +69,11 @@ impl Write for Nowhere {
     }
 }
 
-/// A script ([`crate::script`]) as the words of a board, to the driver that opens a session and uses everything the board
-/// says it has. Whatever those are, each call ends, with a value or a typed error.
+/// Target: sends a script ([`crate::script`]) as a board's messages to the driver, which opens a session and uses
+/// everything that the board claims to have. Whatever the messages are, each call ends, with a value or a typed error.
 ///
 /// # Panics
-/// When one does not end.
+/// A call does not end.
 pub fn driver(script: &[u8]) -> bool {
     let mut simulation = Simulation::new(Pace::Free);
     let clock = simulation.clock();
@@ -105,11 +105,11 @@ pub fn driver(script: &[u8]) -> bool {
     ended.is_ok()
 }
 
-/// A script as what goes over a link that is recorded: by turns the host says something and the board. What is recorded can
-/// be read.
+/// Target: sends a script over a link that is recorded, as messages of the host and of the board by turns. The
+/// recording can be read.
 ///
 /// # Panics
-/// When it cannot.
+/// The recording cannot be read.
 pub fn tap(script: &[u8]) -> bool {
     let mut tap = Tap::new(
         Cursor::new(Vec::new()),
@@ -135,7 +135,7 @@ pub fn tap(script: &[u8]) -> bool {
     }
     let Ok(Some(file)) = tap.finish() else { return false };
     let log = Log::from_bytes(&file.into_inner()).expect("what was recorded is read");
-    // What a board says of a channel that it describes as something else is counted, and nothing else is wrong.
+    // Samples that contradict the description of their channel are counted as unreadable; no other warning is expected.
     let sound = log.warnings.iter().all(|warning| matches!(warning, Warning::Unreadable { .. }));
     assert!(sound, "{:?}", log.warnings);
     true

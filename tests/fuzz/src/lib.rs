@@ -1,22 +1,22 @@
-//! What any bytes do to the parts of R4 that read bytes.
+//! Fuzz targets: the parts of R4 that read bytes, with any bytes.
 //!
-//! Each target is a function over bytes. It panics when something does what it never may, and says otherwise whether the
-//! bytes were taken for what they stand for: a corpus of which nothing is taken tests nothing.
+//! Each target is a function over bytes. It panics when a rule of the part under test is broken, and otherwise returns
+//! whether the bytes were accepted: a corpus of which nothing is accepted tests nothing.
 //!
 //! | module | targets |
 //! | --- | --- |
 //! | [`frames`] | `frames`: the decoder of both directions |
-//! | [`board`] | `link`, `dispatcher`: bytes, and sound frames of any content, into the link of a simulated board |
-//! | [`host`] | `driver`: what any board says to the driver; `tap`: what any link says to a recording |
+//! | [`board`] | `link`, `dispatcher`: bytes, and valid frames of any content, into the link of a simulated board |
+//! | [`host`] | `driver`: messages of any board to the driver; `tap`: any traffic of a link to a recording |
 //! | [`files`] | `log`, `flash`, `robot`, `carrier`, `plant`, `key`, `recording`: the files that the program reads |
-//! | [`config`], [`scenario`] | those of them that only the program itself can read |
+//! | [`config`], [`scenario`] | files that only the program itself can read |
 //! | [`text`] | `slcan`, `legacy`: lines of a CAN adapter, packets of the old firmware's hosts |
-//! | [`secure`] | `secure`: somebody between the two ends of an encrypted link |
+//! | [`secure`] | `secure`: an attacker between the two ends of an encrypted link |
 //!
-//! [`mutate`] makes neighbours of inputs, [`script`] reads an input as a list of things to do. The same functions are
-//! called by `tests/replay.rs` in every test run and by the fuzzer in `cargo-fuzz/`.
+//! [`mutate`] makes neighbours of inputs, [`script`] reads an input as a list of actions. The same functions are called
+//! by `tests/replay.rs` in every test run and by the fuzzer in `cargo-fuzz/`.
 
-// What is found is told by a panic.
+// A finding is reported by a panic.
 #![allow(clippy::expect_used, clippy::unwrap_used, clippy::panic, reason = "a fuzz target fails by panicking")]
 
 pub mod board;
@@ -30,10 +30,10 @@ pub mod script;
 pub mod secure;
 pub mod text;
 
-/// Takes an input; whether it was taken for what the target reads.
+/// Function that reads an input, and returns whether it accepted it.
 pub type Target = fn(&[u8]) -> bool;
 
-/// Every target by its name, which is that of its corpus and of its fuzzer too.
+/// Targets by name, which is also the name of their corpus and of their fuzzer.
 pub const TARGETS: [(&str, Target); 17] = [
     ("carrier", files::carrier),
     ("config", config::config),

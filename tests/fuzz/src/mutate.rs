@@ -1,6 +1,6 @@
-//! Neighbours of inputs: what a fuzzer does without looking, and the same each time.
+//! Mutations of inputs: what a fuzzer does at random, but the same each time.
 
-/// Makes mutations; equal seeds make equal ones.
+/// Generator of mutations; equal seeds make equal ones.
 #[derive(Clone, Debug)]
 pub struct Mutator {
     state: u64,
@@ -10,13 +10,14 @@ pub struct Mutator {
 const TELLING: [u8; 16] = *b"\x00\x01\x7f\x80\xfe\xff\r\n\"-.:;=[9";
 
 impl Mutator {
-    /// One for each target.
+    /// Makes a generator, one for each target.
     #[must_use]
     pub const fn new(seed: u64) -> Self {
         Self { state: seed }
     }
 
-    /// SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014).
+    /// Returns a random number by SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators",
+    /// 2014).
     pub const fn next(&mut self) -> u64 {
         self.state = self.state.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.state;
@@ -25,13 +26,13 @@ impl Mutator {
         z ^ z >> 31
     }
 
-    /// Evenly from 0 to `end` - 1; 0 when that is nothing.
+    /// Returns a uniform number from 0 to `end` - 1; 0 when `end` is 0.
     pub const fn below(&mut self, end: usize) -> usize {
-        // 2^32 is far more than any input: the unevenness is none that matters.
+        // The bias does not matter, because 2^32 is far more than the length of any input.
         (((self.next() >> 32) * end as u64) >> 32) as usize
     }
 
-    /// `bytes` with one to eight changes; some take a part of `other`.
+    /// Returns `bytes` with one to eight changes; some of them use a part of `other`.
     #[must_use]
     pub fn neighbour(&mut self, bytes: &[u8], other: &[u8]) -> Vec<u8> {
         let mut bytes = bytes.to_vec();
@@ -92,7 +93,7 @@ mod tests {
         assert_ne!(all(1), all(2));
         let same = all(1).iter().filter(|bytes| bytes[..] == seed[..]).count();
         assert!(same < 30, "{same} of 1000 are no change");
-        // Nothing to change is no trouble.
+        // An empty input is possible.
         let mut mutator = Mutator::new(1);
         (0..1000).for_each(|_| drop(mutator.neighbour(b"", b"")));
     }

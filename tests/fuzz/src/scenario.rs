@@ -1,11 +1,11 @@
-//! Scenarios, as `r4 scenario` reads them.
+//! Target of scenarios, as `r4 scenario` reads them.
 
 use r4_rig::scenario::{Action, Scenario};
 
-/// Any text. Times and quantities of what is taken can be waited for, and given to a world.
+/// Target: reads any text. Times of an accepted scenario can be waited for, and its quantities given to a world.
 ///
 /// # Panics
-/// When they cannot.
+/// An accepted scenario breaks one of these rules.
 pub fn scenario(bytes: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(bytes) else { return false };
     let Ok(scenario) = toml::from_str::<Scenario>(text) else { return false };

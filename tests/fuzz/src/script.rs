@@ -1,24 +1,24 @@
-//! An input as a list of things to do, so that a fuzzer gets past the checksum of frames.
+//! Scripts: an input as a list of actions, so that a fuzzer gets past the checksum of frames.
 //!
-//! A byte says what follows: below [`WAIT`] the length of a message, whose bytes come next and are put into a sound frame;
-//! from there on a pause of 1 ms, 2 ms, 4 ms and so on. Every sequence of bytes is a script.
+//! A byte below [`WAIT`] is the length of a message, whose bytes follow and are put into a valid frame. A byte from
+//! there on is a pause of 1 ms, 2 ms, 4 ms and so on. Every sequence of bytes is a script.
 
 use r4_protocol::frame::{Check, MAX_FRAME, MAX_MESSAGE, Message, encode_with};
 use serde::{Serialize, Serializer, ser::SerializeTuple};
 
-/// The first byte that is a pause; above all lengths of messages.
+/// First byte that is a pause, above all lengths of messages.
 pub const WAIT: u8 = 0xFB;
 
-/// One thing to do.
+/// One action of a script.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// A sound frame.
+    /// A valid frame, to be sent.
     Frame(Vec<u8>),
-    /// A pause, ms.
+    /// A pause of this many ms.
     Wait(u64),
 }
 
-/// The steps of a script, whose messages are made frames by their number and [`frame`].
+/// Iterates over the steps of a script. `framed` makes a frame of each message, given its number.
 pub fn steps(script: &[u8], framed: impl Fn(usize, &[u8]) -> Vec<u8>) -> impl Iterator<Item = Step> {
     let mut rest = script;
     let mut number = 0..;
@@ -35,10 +35,10 @@ pub fn steps(script: &[u8], framed: impl Fn(usize, &[u8]) -> Vec<u8>) -> impl It
     })
 }
 
-/// The script that sends these messages, each as it is encoded, without pauses.
+/// Makes the script that sends these messages as they are encoded, without pauses.
 ///
 /// # Panics
-/// When one is longer than a frame can carry.
+/// A message is longer than a frame can carry.
 #[must_use]
 pub fn of_messages<'m>(messages: impl IntoIterator<Item = &'m [u8]>) -> Vec<u8> {
     let mut script = Vec::new();
@@ -50,10 +50,10 @@ pub fn of_messages<'m>(messages: impl IntoIterator<Item = &'m [u8]>) -> Vec<u8> 
     script
 }
 
-/// Bytes as a sound frame, with the checksum that they need if they are a message.
+/// Makes a valid frame of any bytes, with the checksum that they need if they are a message.
 ///
 /// # Panics
-/// When they are more than [`MAX_MESSAGE`].
+/// There are more than [`MAX_MESSAGE`] bytes.
 #[must_use]
 pub fn frame<T: Message>(message: &[u8]) -> Vec<u8> {
     let mut buffer = [0; MAX_FRAME];
@@ -61,7 +61,7 @@ pub fn frame<T: Message>(message: &[u8]) -> Vec<u8> {
     encode_with(&Raw(message), check, &mut buffer).expect("no longer than a message").to_vec()
 }
 
-/// Bytes as they are, without a length before them.
+/// Bytes without a length before them.
 struct Raw<'a>(&'a [u8]);
 
 impl Serialize for Raw<'_> {

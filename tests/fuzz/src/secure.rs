@@ -1,4 +1,4 @@
-//! Somebody between the two ends of an encrypted link.
+//! Target of the encrypted link, with an attacker between its two ends.
 
 use std::{io, os::unix::net::UnixStream};
 
@@ -11,28 +11,28 @@ use r4_links::{
 
 use crate::mutate::Mutator;
 
-/// What the client sends, in these pieces.
+/// Pieces that the client sends.
 const SENT: [&[u8]; 4] = [b"a first record", b"", b"another one, which is longer than the first", &[0; 600]];
 
-/// An input says what somebody in between does: its first byte with which part of the talk (the client's message of the
-/// handshake, the server's, the records), the rest how; nothing more leaves it as it is. Whatever it is, what is read at the far
-/// end is what was sent, up to where it was touched, and a touched handshake opens no link.
+/// Target: an input describes the attacker. Its first byte chooses the part of the conversation (the client's message
+/// of the handshake, the server's, the records), the rest the changes; no rest leaves that part unchanged. Whatever the
+/// input, the far end reads only what was sent, up to the first change, and a changed handshake opens no link.
 ///
 /// # Panics
-/// When something else is read, or the greeting is taken.
+/// The far end reads something else, or accepts a changed handshake.
 pub fn secure(bytes: &[u8]) -> bool {
     let (what, how) = bytes.split_first().map_or((2, &[][..]), |(what, how)| (what % 3, how));
     let (client_end, to_client) = pair().expect("a pair of sockets");
     let (server_end, to_server) = pair().expect("a pair of sockets");
     let key = Key::new([0x5A; 32]);
-    // What passed through: whether all of it was left as it was, and whether the part that each end waits for was.
+    // `all`: everything passed unchanged; `greeting`: so did the part of the handshake that each end waits for.
     let (mut all, mut greeting) = (true, true);
     let between = async {
         let mut change = |part: u8, bytes: Vec<u8>| {
             let passed_on = if part == what { touched(&bytes, how) } else { bytes.clone() };
             all &= passed_on == bytes;
             greeting &= part == 2 || passed_on.starts_with(&bytes);
-            // The far end would wait for the rest for ever.
+            // Ends the test, because the far end would wait for the rest indefinitely.
             if part < 2 && passed_on.len() < bytes.len() { Err(io::ErrorKind::UnexpectedEof) } else { Ok(passed_on) }
         };
         let (mut client, mut server) = (to_client, to_server);
@@ -45,7 +45,7 @@ pub fn secure(bytes: &[u8]) -> bool {
         while let len @ 1.. = client.read(&mut buffer).await? {
             records.extend_from_slice(&buffer[..len]);
         }
-        // The server hangs up at the first record that it does not trust.
+        // The server may have closed the connection at the first record that it does not trust.
         let _ = server.write_all(&change(2, records)?).await;
         Ok::<_, io::Error>(())
     };
@@ -70,7 +70,8 @@ pub fn secure(bytes: &[u8]) -> bool {
     };
     let (client, server, _) = block_on(join3(client, server, between));
     let sent = SENT.concat();
-    // The client's message is for the server to verify, and without an answer there is no link; the server's for the client.
+    // The server verifies the client's message, and without its answer there is no link; the client verifies the
+    // server's.
     assert!(greeting || client.is_err(), "the client trusts what was changed on the way");
     assert!(greeting || what == 1 || server.is_err(), "the server trusts what was changed on the way");
     let (read, to_the_end) = server.unwrap_or_default();
@@ -90,7 +91,7 @@ async fn exactly(link: &mut Descriptor, len: usize) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// `bytes` with a change for each three bytes of `how`.
+/// Returns `bytes` with one change for each three bytes of `how`.
 fn touched(bytes: &[u8], how: &[u8]) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for [kind, at, value] in how.as_chunks().0 {
@@ -99,7 +100,7 @@ fn touched(bytes: &[u8], how: &[u8]) -> Vec<u8> {
             0 => bytes.iter_mut().skip(at).take(1).for_each(|byte| *byte ^= value),
             1 => bytes.truncate(at),
             2 => bytes.insert(at.min(bytes.len()), *value),
-            // A part of it again, or in place of another part.
+            // A part of the bytes is inserted again, or replaces another part.
             _ => {
                 let from = Mutator::new(u64::from(*value)).below(bytes.len());
                 let again = bytes[from..].to_vec();

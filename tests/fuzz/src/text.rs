@@ -1,14 +1,14 @@
-//! Texts that come over links.
+//! Targets of texts that come over links.
 
 use r4_links::{
     legacy::{Command, LONGEST, Order, Packet, Sequence},
     slcan::{Frame, Line, Parser},
 };
 
-/// Any bytes from a CAN adapter. Whatever came, the line behind a carriage return is read right.
+/// Target: reads any bytes of a CAN adapter. Whatever they are, the line behind a carriage return is read correctly.
 ///
 /// # Panics
-/// When it is not.
+/// That line is not read correctly.
 pub fn slcan(bytes: &[u8]) -> bool {
     let mut parser = Parser::default();
     let mut frames = 0;
@@ -29,10 +29,10 @@ fn read(parser: &mut Parser, text: &[u8]) -> Vec<Line> {
     text.iter().filter_map(|byte| parser.push(*byte)).collect()
 }
 
-/// Any packet from a host of the old firmware. What is taken says the same when it is written again.
+/// Target: reads any packet of a host of the old firmware. An accepted one is read the same when it is written again.
 ///
 /// # Panics
-/// When it does not.
+/// It is not.
 pub fn legacy(bytes: &[u8]) -> bool {
     let Ok(packet) = Packet::parse(bytes) else { return false };
     let written = packet.to_string();

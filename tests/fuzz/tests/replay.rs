@@ -1,6 +1,8 @@
-//! Every target with its stored corpus and with seeded neighbours of it: the same inputs each time, about 20 s of them.
+//! Tests of every target with its stored corpus and with seeded neighbours of it: the same inputs each time, about 20 s
+//! of them.
 //!
-//! More of them, and other ones: `R4_FUZZ_RUNS=1000000 R4_FUZZ_SEED=7 cargo test --release -p r4-fuzz --test replay dispatcher`.
+//! For more of them, and other ones: `R4_FUZZ_RUNS=1000000 R4_FUZZ_SEED=7 cargo test --release -p r4-fuzz --test replay
+//! dispatcher`.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
 use std::{
@@ -13,7 +15,7 @@ use std::{
 use r4_fuzz::{TARGETS, Target, mutate::Mutator};
 use r4_protocol::{FrameDecoder, Request, SCHEMA_HASH, ToDevice, VERSION};
 
-/// Inputs of a target: its corpus, and files that the project has anyway.
+/// Returns the inputs of a target: its corpus, and suitable files of the project.
 fn seeds(name: &str) -> Vec<Vec<u8>> {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let more: &[&str] = match name {
@@ -36,7 +38,7 @@ fn seeds(name: &str) -> Vec<Vec<u8>> {
     files.iter().map(|path| fs::read(path).unwrap()).collect()
 }
 
-/// The corpus of the target `name`, and `runs` neighbours.
+/// Runs the target `name` on its corpus and on `runs` neighbours.
 fn replay(name: &str, runs: usize) {
     let number = |variable| env::var(variable).ok().map(|text| text.parse().unwrap());
     let runs = number("R4_FUZZ_RUNS").unwrap_or(runs as u64);
@@ -60,7 +62,7 @@ fn replay(name: &str, runs: usize) {
     assert!(taken > 0 && taken < runs, "neighbours are near: some are taken and some not");
 }
 
-/// Keeps an input that fails, and says where.
+/// Runs the target on one input; an input that fails is kept, and its path printed.
 fn try_it(name: &str, target: Target, input: &[u8]) -> bool {
     catch_unwind(AssertUnwindSafe(|| target(input))).unwrap_or_else(|why| {
         let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}.failed"));
@@ -70,7 +72,7 @@ fn try_it(name: &str, target: Target, input: &[u8]) -> bool {
     })
 }
 
-/// One of another version is refused at its first message, and nothing behind that is reached.
+/// A corpus of another protocol version would be refused at its first message, and nothing behind that would be tested.
 #[test]
 fn the_corpus_is_of_this_protocol() {
     let said = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus/link/hello")).unwrap();

@@ -1,4 +1,4 @@
-//! `cargo xtask firmware`: the image for the Giga, as an ELF with what debuggers and emulators need.
+//! Task `cargo xtask firmware`: builds the image for the Giga, as an ELF with what debuggers and emulators need.
 
 use std::{
     env, fmt, fs,
@@ -13,17 +13,17 @@ use crate::{
     toolchain::{self, TARGET},
 };
 
-/// What to build.
+/// Image to build: for which robot, and of which kind.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Firmware {
-    /// A built-in robot, or the path of its file.
+    /// Name of a built-in robot, or the path of a robot's file.
     robot: String,
-    /// `bare` or `hosted`.
+    /// Kind of image: `bare` or `hosted`.
     image: String,
 }
 
 impl Firmware {
-    /// The image of one kind for one robot.
+    /// Makes the task for the image of one kind for one robot.
     pub(crate) fn new(robot: &str, image: &str) -> Self {
         Self { robot: robot.into(), image: image.into() }
     }
@@ -31,7 +31,7 @@ impl Firmware {
     /// Reads the words after `firmware`.
     ///
     /// # Errors
-    /// The word that means nothing.
+    /// The word that is no option.
     pub(crate) fn parse(words: &[&str]) -> Result<Self, String> {
         let mut firmware = Self { robot: "osmc-bench".into(), image: "bare".into() };
         let mut words = words.iter();
@@ -49,7 +49,7 @@ impl Firmware {
         Ok(firmware)
     }
 
-    /// Builds it, copies it to where others look for it, and says what it is.
+    /// Builds the image, copies it to where other tasks look for it, and prints what it is.
     pub(crate) fn run(&self, root: &Path) -> ExitCode {
         match self.build(root) {
             Ok(report) => {
@@ -63,16 +63,16 @@ impl Firmware {
         }
     }
 
-    /// Builds it.
+    /// Builds the image.
     ///
     /// # Errors
-    /// What a person has to do.
+    /// The instruction for a person to solve the problem.
     pub(crate) fn build(&self, root: &Path) -> Result<Built, String> {
         toolchain::complete(root, &[])?;
         let target = target_folder(root)?;
-        // Its own workspace, with its own configuration of cargo.
+        // The folder has a workspace and a configuration of cargo of its own.
         let folder = root.join("firmware/giga");
-        // Sources of dependencies are there after that.
+        // Fetches first: `short_paths` needs the sources of dependencies.
         run(Command::new(toolchain::cargo()).args(["fetch", "--quiet", "--locked"]).current_dir(&folder))?;
         run(Command::new(toolchain::cargo())
             .args(["build", "--release", "--locked", "--config", &short_paths(root), "--target-dir"])
@@ -91,20 +91,21 @@ impl Firmware {
         Ok(Built { path, digest: r4_image::digest(&elf), seal, image })
     }
 
-    /// Where [`Self::build`] puts it.
+    /// Returns the path to which [`Self::build`] copies the ELF file.
     ///
     /// # Errors
-    /// There is no current folder.
+    /// The target folder is relative, and there is no current folder.
     pub(crate) fn elf(&self, root: &Path) -> Result<PathBuf, String> {
         Ok(target_folder(root)?.join("firmware").join(format!("{}-{}.elf", self.name(), self.image)))
     }
 
-    /// Whether it is for behind the Arduino bootloader.
+    /// Returns whether the image is started by the Arduino bootloader.
     pub(crate) fn is_hosted(&self) -> bool {
         self.image == "hosted"
     }
 
-    /// A file's path holds wherever the build script runs.
+    /// Returns the robot for the build script. A path is made absolute, because the build script runs in another
+    /// folder.
     fn robot_for_build(&self) -> Result<PathBuf, String> {
         if self.robot.ends_with(".toml") {
             return fs::canonicalize(&self.robot).map_err(|error| format!("{}: {error}", self.robot));
@@ -118,15 +119,15 @@ impl Firmware {
     }
 }
 
-/// An image that was built.
+/// Image that has been built.
 pub(crate) struct Built {
-    /// The ELF file, where others look for it.
+    /// Path of the ELF file, where other tasks look for it.
     pub(crate) path: PathBuf,
     /// SHA-256 of the file.
     digest: String,
-    /// What the board compares its flash with.
+    /// Record with which the board compares its flash.
     seal: Seal,
-    /// What it takes.
+    /// Sizes and symbols of the image.
     pub(crate) image: Image,
 }
 
@@ -144,8 +145,8 @@ fn run(command: &mut Command) -> Result<(), String> {
     if status.success() { Ok(()) } else { Err("the firmware does not build, see above".into()) }
 }
 
-/// For cargo: a panic's location has the name of a file, which takes flash. Without the folders of this machine it takes 6 KB
-/// less, and the image is the same on every machine.
+/// Returns compiler flags that shorten paths. A panic's location has the name of a file, which takes flash. Without the
+/// folders of this machine the image is 6 KB smaller, and the same on every machine.
 fn short_paths(root: &Path) -> String {
     let home = env::var_os("CARGO_HOME").map(PathBuf::from);
     let home = home.or_else(|| env::home_dir().map(|home| home.join(".cargo"))).unwrap_or_default();
@@ -157,13 +158,13 @@ fn short_paths(root: &Path) -> String {
     config(flags)
 }
 
-/// Adds to what the configuration of `firmware/giga` has.
+/// Makes an argument for cargo that adds flags to the configuration of `firmware/giga`.
 fn config(flags: impl Iterator<Item = String>) -> String {
-    // A string of Rust is one of TOML.
+    // A Rust string literal is a TOML string, too.
     format!("target.{TARGET}.rustflags={:?}", flags.collect::<Vec<_>>())
 }
 
-/// The folder that cargo builds into, whole.
+/// Returns the absolute path of the folder that cargo builds into.
 pub(crate) fn target_folder(root: &Path) -> Result<PathBuf, String> {
     let target = env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
     std::path::absolute(&target).map_err(|error| format!("{}: {error}", target.display()))

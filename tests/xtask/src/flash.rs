@@ -1,5 +1,5 @@
-//! `cargo xtask flash`: the image for the Giga, built and written into the board by the programs that can: probe-rs over a debug
-//! probe, or dfu-util over USB. `docs/bring-up.md` says what they need.
+//! Task `cargo xtask flash`: builds the image for the Giga and writes it into the board with probe-rs over a debug
+//! probe, or dfu-util over USB. `docs/bring-up.md` has their requirements.
 
 use std::{
     ffi::OsString,
@@ -12,20 +12,20 @@ use r4_image::{Binary, CHIP, Place, dfu_util};
 
 use crate::firmware::Firmware;
 
-/// What to flash, and how.
+/// Options of `cargo xtask flash`.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Flash {
     firmware: Firmware,
     way: Way,
-    /// Says what it would do.
+    /// True to print the commands instead of running them.
     dry_run: bool,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 enum Way {
-    /// SWD. Of several probes, the one that is selected as probe-rs does it: `VID:PID` or `VID:PID:SERIAL`.
+    /// SWD by a debug probe. Of several probes, `selector` names one as probe-rs does: `VID:PID` or `VID:PID:SERIAL`.
     Probe { selector: Option<String> },
-    /// The Arduino bootloader's USB device.
+    /// USB device of the Arduino bootloader.
     Dfu,
 }
 
@@ -33,7 +33,7 @@ impl Flash {
     /// Reads the words after `flash`.
     ///
     /// # Errors
-    /// The word that means nothing, or words that do not go together.
+    /// The word that is no option, or words that exclude each other.
     pub(crate) fn parse(words: &[&str]) -> Result<Self, String> {
         let (mut selector, mut dfu, mut dry_run, mut image) = (None, false, false, false);
         let mut rest = Vec::new();
@@ -66,7 +66,7 @@ impl Flash {
         }
     }
 
-    /// Builds, and flashes.
+    /// Builds the image and flashes it.
     pub(crate) fn run(&self, root: &Path) -> ExitCode {
         match self.flash(root) {
             Ok(()) => ExitCode::SUCCESS,
@@ -84,7 +84,7 @@ impl Flash {
             commands.iter().for_each(|command| println!("{command}"));
             return Ok(());
         }
-        // Before a build that takes a minute.
+        // Checked first, because the build takes a minute.
         let program = self.way.program();
         if !is_there(program) {
             return Err(self.way.advice().into());
@@ -109,7 +109,7 @@ impl Flash {
         Ok(())
     }
 
-    /// What is called, one after the other.
+    /// Returns the commands that flash the ELF file, in their order.
     fn commands(&self, elf: &Path) -> Vec<CommandLine> {
         match &self.way {
             Way::Probe { selector } => {
@@ -122,7 +122,7 @@ impl Flash {
                 };
                 let mut download = words(&["download"], &["--verify"]);
                 download.push(elf.into());
-                // Older versions leave the processor as flashing left it.
+                // Older versions of probe-rs leave the processor halted after flashing.
                 [download, words(&["reset"], &[])]
                     .map(|arguments| CommandLine { program: "probe-rs", arguments })
                     .into()
@@ -143,7 +143,7 @@ impl Way {
         }
     }
 
-    /// When the program is missing.
+    /// Returns the advice for a missing program.
     fn advice(&self) -> &'static str {
         match self {
             Self::Probe { .. } => {
@@ -159,7 +159,7 @@ impl Way {
         }
     }
 
-    /// When the program fails.
+    /// Returns the advice for a program that fails.
     fn failed(&self) -> &'static str {
         match self {
             Self::Probe { .. } => {
@@ -175,14 +175,14 @@ impl Way {
     }
 }
 
-/// A program and what it is given.
+/// Program with its arguments.
 #[derive(Clone, Debug, PartialEq)]
 struct CommandLine {
     program: &'static str,
     arguments: Vec<OsString>,
 }
 
-/// As a person would type it.
+/// Prints the command as a person would type it.
 impl fmt::Display for CommandLine {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str(self.program)?;
@@ -198,12 +198,12 @@ impl fmt::Display for CommandLine {
     }
 }
 
-/// Beside the ELF file.
+/// Returns the path of the raw image, beside the ELF file.
 fn raw(elf: &Path) -> PathBuf {
     elf.with_extension("bin")
 }
 
-/// The bytes for the bootloader, if it will start them.
+/// Returns the bytes for the bootloader, if it will start them.
 fn for_bootloader(elf: &[u8]) -> Result<Vec<u8>, String> {
     let binary = Binary::of(elf).map_err(|error| error.to_string())?;
     match Place::of(&binary).map_err(|error| error.to_string())? {
@@ -276,7 +276,8 @@ mod tests {
         }
     }
 
-    /// One loaded segment at `address`, that begins with a stack pointer and the address of a function.
+    /// Makes an ELF file with one loaded segment at `address`, which begins with a stack pointer and the address of a
+    /// function.
     fn elf(address: u32) -> Vec<u8> {
         let mut elf = vec![0; 52];
         elf[..6].copy_from_slice(b"\x7fELF\x01\x01");

@@ -1,25 +1,25 @@
-//! What an ELF file of the firmware takes in the processor's memories.
+//! Reader of an ELF file of the firmware: its sizes in the processor's memories, and its symbols.
 
 use rustc_demangle::demangle;
 
-/// Bytes of an image by what becomes of them.
+/// Sizes of an image by memory, bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Sizes {
-    /// In flash only.
+    /// Bytes in flash only: code and constants.
     pub(crate) text: u32,
-    /// In flash, and copied into RAM.
+    /// Bytes in flash that are copied into RAM.
     pub(crate) data: u32,
-    /// In RAM only, the stack not counted.
+    /// Bytes in RAM only, without the stack.
     pub(crate) bss: u32,
 }
 
 impl Sizes {
-    /// All that is written to flash.
+    /// Returns the bytes that are written to flash.
     pub(crate) fn flash(self) -> u32 {
         self.text + self.data
     }
 
-    /// All that is reserved in RAM, the stack not counted.
+    /// Returns the bytes that are reserved in RAM, without the stack.
     pub(crate) fn ram(self) -> u32 {
         self.data + self.bss
     }
@@ -33,19 +33,19 @@ impl Sizes {
     }
 }
 
-/// Where a section or a symbol is.
+/// Memory that a section or a symbol is in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Memory {
-    /// Code and constants.
+    /// Flash, for code and constants.
     Flash,
-    /// What begins as zero, or as nothing.
+    /// RAM, for variables that are zero or undefined at the start.
     Ram,
-    /// Variables whose first values are in flash.
+    /// Both, for variables whose initial values are in flash.
     Both,
 }
 
 impl Memory {
-    /// As a person reads it.
+    /// Returns the name for people.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Flash => "flash",
@@ -55,34 +55,34 @@ impl Memory {
     }
 }
 
-/// A function or a variable.
+/// Function or variable of an image.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Symbol {
-    /// As it is written in Rust.
+    /// Name as in Rust's source.
     pub(crate) name: String,
     pub(crate) bytes: u32,
     pub(crate) memory: Memory,
 }
 
-/// What is read of an ELF file.
+/// Sizes and symbols of an ELF file.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Image {
     pub(crate) sizes: Sizes,
-    /// The largest first; of the same size, by name.
+    /// Symbols, the largest first; of the same size, by name.
     pub(crate) symbols: Vec<Symbol>,
 }
 
-/// System V ABI, chapter 4.
+/// Type of the section with the symbols (System V ABI, chapter 4).
 const SYMBOLS: u32 = 2;
 const NOTES: u32 = 7;
 const NOBITS: u32 = 8;
 const WRITE: u32 = 1;
 const ALLOCATED: u32 = 2;
-/// Of a section's header and of a symbol.
+/// Length of a section's header and of a symbol, bytes.
 const HEADER: usize = 40;
 const ENTRY: usize = 16;
 
-/// A section's header.
+/// Header of a section.
 struct Section {
     kind: u32,
     flags: u32,
@@ -92,7 +92,7 @@ struct Section {
 }
 
 impl Section {
-    /// `None` for what stays in the file.
+    /// Returns the memory that the section is loaded into; `None` for one that stays in the file.
     fn memory(&self) -> Option<Memory> {
         match (self.flags & ALLOCATED != 0, self.kind, self.flags & WRITE != 0) {
             (false, ..) | (_, NOTES, _) => None,
@@ -104,7 +104,7 @@ impl Section {
 }
 
 impl Image {
-    /// `None` when it is no little-endian ELF file of 32 bits, or is cut off.
+    /// Reads an ELF file; `None` when it is not a little-endian one of 32 bits, or is cut off.
     pub(crate) fn read(elf: &[u8]) -> Option<Self> {
         if elf.get(..6)? != b"\x7fELF\x01\x01" {
             return None;
@@ -122,7 +122,7 @@ impl Image {
             let names = sections.get(table.link)?.offset;
             for at in (table.offset..table.offset + table.size as usize).step_by(ENTRY) {
                 let (name, bytes) = (word(elf, at)? as usize, word(elf, at + 8)?);
-                // Absolute ones have a number that no section has.
+                // Absolute symbols have a number that no section has.
                 let memory = sections.get(half(elf, at + 14)?).and_then(Section::memory);
                 if let (1.., Some(memory)) = (bytes, memory) {
                     let name = elf.get(names + name..)?.split(|byte| *byte == 0).next()?;
@@ -136,7 +136,7 @@ impl Image {
     }
 }
 
-/// How long the section of this name is; `None` when there is none, or the file is none.
+/// Returns the length of the section of this name, bytes; `None` when there is none, or `elf` is no ELF file.
 pub(crate) fn section_bytes(elf: &[u8], name: &str) -> Option<u32> {
     if elf.get(..6)? != b"\x7fELF\x01\x01" {
         return None;
@@ -174,9 +174,10 @@ mod tests {
 
     const NAMES: &[u8] = b"\0POOL\0_ZN4core9panicking5panic17h0123456789abcdefE\0VERSION\0";
 
-    /// Code, data, bss, notes, debug information, symbols and their names, each `(kind, flags, size)`.
+    /// Makes an ELF file with code, data, bss, notes, debug information, symbols and their names, each `(kind, flags,
+    /// size)`.
     fn file() -> Vec<u8> {
-        // Name, size, section: the last is absolute, the one before has no size.
+        // Name, size, section: the last one is absolute, the one before has no size.
         let symbols = [(0, 0, 0), (1, 3000, 2), (6, 60, 0), (6, 40, 0), (51, 20, 1), (51, 0, 1), (51, 9, 0xFFF1)];
         let names_at = 52 + symbols.len() * ENTRY;
         let sections = [
@@ -210,7 +211,7 @@ mod tests {
             }
             elf.extend(header);
         }
-        // Sections have no names but the first two.
+        // Only the first two sections have a name.
         elf[table] = 1;
         elf[table + HEADER] = 51;
         elf

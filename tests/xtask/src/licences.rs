@@ -1,6 +1,8 @@
-//! `cargo xtask licences`: whether all that is linked in may be passed on, by `deny.toml`, and comes from where it should.
+//! Task `cargo xtask licences`: checks that every package linked in may be distributed, by `deny.toml`, and comes from
+//! the right registry.
 //!
-//! It reads the lists that cargo-deny reads, so that each test run can look at them without a program that takes minutes to build.
+//! It reads the lists that cargo-deny reads, so that each test run can check them without a program that takes minutes
+//! to build.
 
 use std::{collections::BTreeMap, fs, path::Path};
 
@@ -9,10 +11,10 @@ use spdx::{Expression, ParseMode};
 
 use crate::toolchain;
 
-/// The only registry that packages may come from.
+/// Only registry that packages may come from.
 const REGISTRY: &str = "registry+https://github.com/rust-lang/crates.io-index";
 const POLICY: &str = "deny.toml";
-/// How a licence is written in manifests that are older than SPDX, too: `MIT/Apache-2.0`.
+/// Syntax of licences in manifests. It includes the one from before SPDX: `MIT/Apache-2.0`.
 const WRITTEN: ParseMode = ParseMode {
     allow_deprecated: true,
     allow_imprecise_license_names: true,
@@ -44,11 +46,11 @@ struct Package {
     name: String,
     version: String,
     license: Option<String>,
-    /// `None` for those of this repository.
+    /// Registry of the package; `None` for packages of this repository.
     source: Option<String>,
 }
 
-/// Looks at every package that any feature of the workspace links.
+/// Checks every package that any feature of the workspace links.
 pub(crate) fn check(root: &Path) -> Result<(), String> {
     let policy = fs::read_to_string(root.join(POLICY)).map_err(|error| format!("cannot read {POLICY}: {error}"))?;
     let policy: Policy = toml::from_str(&policy).map_err(|error| format!("{POLICY}: {error}"))?;

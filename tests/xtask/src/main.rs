@@ -5,18 +5,19 @@
 //! | `probe` | builds the program that checks an emulated Cortex-M7 |
 //! | `test` | the steps of `cargo xtask test`, in their order |
 //! | `python` | `cargo xtask python`: the Python package as a wheel, installed and tested |
-//! | `ros2` | `cargo xtask ros2`: the ROS 2 node beside stock rclpy |
+//! | `peers` | `cargo xtask peers`: the program beside stock rclpy, and a WebSocket client |
 //! | `venv` | Python environments with what is pinned |
 //! | `firmware` | `cargo xtask firmware`: the image for the Giga |
 //! | `flash` | `cargo xtask flash`: the image written into the board |
-//! | `size` | `cargo xtask size`: what that image takes, and whether it may |
-//! | `protocol` | `cargo xtask size --protocol`: what frames take, encoded and decoded |
-//! | `image` | what an ELF file takes in flash and RAM |
+//! | `size` | `cargo xtask size`: the size of that image, against its budgets |
+//! | `protocol` | `cargo xtask size --protocol`: the size of encoding and decoding frames |
+//! | `images` | `cargo xtask images`: the images that tests run |
+//! | `image` | sizes and symbols of an ELF file |
 //! | `mutants` | `cargo xtask mutants`: changes that no test notices, against a list of those that are judged |
 //! | `toolchain` | the parts of the Rust toolchain the steps need |
 //! | `programs` | the test programs, and the slowest tests in them |
-//! | `summary` | what became of each step, as a table |
-//! | `meter` | time on the wall and time of the processor |
+//! | `summary` | outcome of each step, as a table |
+//! | `meter` | wall-clock time and processor time |
 //! | `wire` | `cargo xtask protocol`: the wire protocol as a page, a schema, a header and a dissector |
 //! | `licences` | `cargo xtask licences`: whether what is linked in may be passed on |
 //! | `package` | `cargo xtask package`: the crates as they are published, and the program built of them |
@@ -28,17 +29,18 @@
 mod firmware;
 mod flash;
 mod image;
+mod images;
 mod licences;
 mod meter;
 mod mutants;
 mod package;
+mod peers;
 mod pictures;
 mod programs;
 mod prose;
 mod protocol;
 mod python;
 mod release;
-mod ros2;
 mod size;
 mod summary;
 mod test;
@@ -54,11 +56,11 @@ use std::{env, path::PathBuf, process::ExitCode};
 use firmware::Firmware;
 use flash::Flash;
 use mutants::Mutants;
+use peers::Peers;
 use pictures::Pictures;
 use prose::Prose;
 use python::Python;
 use release::Release;
-use ros2::Ros2;
 use size::Size;
 use test::Extent;
 use weight::Weight;
@@ -72,11 +74,13 @@ usage: cargo xtask <task>
   test --quick  for daily work: without the emulated processor, the corpus of bad input and the documentation
   python        the Python package (host/python): a wheel, installed into an environment of its own and tested there; [--wheel] only
                 the wheel, [--dist] as it is given to others, [--bench] with steps of environments per second
-  ros2          the program with its feature ros2 beside stock rclpy of Jazzy and Kilted, each in an environment of its own; skipped
-                where their wheels cannot be had, an error instead with R4_ROS2_REQUIRED=1: [--only jazzy|kilted],
+  peers         the program with its features live and ros2 beside programs of others, each in a Python environment of its own: a
+                WebSocket client for Foxglove's protocol, stock rclpy of ROS 2 Jazzy and Kilted; skipped where their packages
+                cannot be had, an error instead with R4_PEERS_REQUIRED=1: [--only foxglove|jazzy|kilted],
                 [--program FILE] one that is built already
   firmware      the image for the Arduino Giga, into target/firmware:
                 [--robot NAME|FILE.toml] (default osmc-bench), [--image bare|hosted] (default bare)
+  images        the images that tests run on the emulated board
   flash         the same, built and written into the board: by probe-rs over a debug probe [--probe VID:PID[:SERIAL]],
                 or by dfu-util over USB (--dfu: the hosted image; press reset twice before).
                 --dry-run prints the commands
@@ -99,7 +103,7 @@ usage: cargo xtask <task>
                 (tests/mutants.toml); fails for one that is not. Hours: [--package r4-firmware|r4-protocol|r4-links]
                 [--file FILE]... [--shard K/N] [--tests FILTER] (nextest's)";
 
-/// The exit code for a command line that means nothing here.
+/// Exit code for a command line that has no meaning here.
 const USAGE_ERROR: u8 = 2;
 
 #[derive(Debug, PartialEq)]
@@ -108,7 +112,8 @@ enum Task {
     Probe,
     Test(Extent),
     Python(Python),
-    Ros2(Ros2),
+    Peers(Peers),
+    Images,
     Firmware(Firmware),
     Flash(Flash),
     Size(Size),
@@ -124,7 +129,7 @@ enum Task {
 }
 
 fn main() -> ExitCode {
-    // In the place of a compiler, by which `cargo xtask weight` weighs each crate.
+    // Cargo calls this program in place of the compiler, so that `cargo xtask weight` can measure each crate.
     if let Some(exit) = weight::compiler() {
         return exit;
     }
@@ -137,7 +142,8 @@ fn main() -> ExitCode {
         Ok(Task::Probe) => probe::run(&root()),
         Ok(Task::Test(extent)) => test::run(&root(), extent),
         Ok(Task::Python(python)) => ended(python.test(&root())),
-        Ok(Task::Ros2(ros2)) => ended(ros2.test(&root())),
+        Ok(Task::Peers(peers)) => ended(peers.test(&root())),
+        Ok(Task::Images) => ended(images::build(&root())),
         Ok(Task::Firmware(firmware)) => firmware.run(&root()),
         Ok(Task::Flash(flash)) => flash.run(&root()),
         Ok(Task::Size(size)) => size.run(&root()),
@@ -157,7 +163,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Exit code of a task; a problem is printed.
+/// Prints a problem, if there is one, and returns the exit code of the task.
 fn ended(result: Result<(), String>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -173,14 +179,15 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
     match words[..] {
         ["help" | "--help" | "-h"]
         | [
-            "test" | "python" | "ros2" | "firmware" | "flash" | "size" | "weight" | "pictures" | "prose" | "mutants"
+            "test" | "python" | "peers" | "firmware" | "flash" | "size" | "weight" | "pictures" | "prose" | "mutants"
             | "protocol" | "release",
             "--help" | "-h",
         ] => Ok(Task::Help),
         ["test"] => Ok(Task::Test(Extent::Full)),
         ["test", "--quick"] => Ok(Task::Test(Extent::Quick)),
         ["python", ref words @ ..] => Python::parse(words).map(Task::Python),
-        ["ros2", ref words @ ..] => Ros2::parse(words).map(Task::Ros2),
+        ["peers", ref words @ ..] => Peers::parse(words).map(Task::Peers),
+        ["images"] => Ok(Task::Images),
         ["firmware", ref words @ ..] => Firmware::parse(words).map(Task::Firmware),
         ["flash", ref words @ ..] => Flash::parse(words).map(Task::Flash),
         ["size", "--protocol"] => Ok(Task::Protocol { json: false }),
@@ -201,7 +208,7 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
     }
 }
 
-/// The workspace: two folders above this crate, wherever the command was given.
+/// Returns the folder of the workspace, two above this crate, whatever the current folder is.
 fn root() -> PathBuf {
     concat!(env!("CARGO_MANIFEST_DIR"), "/../..").into()
 }

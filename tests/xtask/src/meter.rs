@@ -1,23 +1,23 @@
-//! What a command takes: time by the clock on the wall, and time of the processor.
+//! Cost of a command: wall-clock time and processor time.
 
 use std::{
     fmt, fs,
     time::{Duration, Instant},
 };
 
-/// Ticks of the processor's time in a second, as Linux tells programs on all processors that Rust's tools run on (`USER_HZ`).
+/// Ticks of processor time per second (`USER_HZ`), as Linux reports it on all processors that Rust's tools run on.
 const TICKS_PER_S: u64 = 100;
 
-/// What something took.
+/// Cost of a command.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Cost {
     pub(crate) wall: Duration,
-    /// Of all processes that were started and waited for, user's and system's. Unlike the wall's it hardly depends on what else
-    /// the machine does. None where the system does not tell it as Linux does.
+    /// Processor time of all processes that were started and waited for, user's and system's. Unlike wall-clock time it
+    /// hardly depends on the other load of the machine. `None` where the system does not report it as Linux does.
     pub(crate) processor: Option<Duration>,
 }
 
-/// Measures from its start on.
+/// Meter that measures from its creation on.
 pub(crate) struct Meter {
     begin: Instant,
     processor: Option<Duration>,
@@ -28,7 +28,7 @@ impl Meter {
         Self { begin: Instant::now(), processor: of_children() }
     }
 
-    /// What was taken since the start.
+    /// Returns the cost since the start.
     pub(crate) fn cost(&self) -> Cost {
         let processor = of_children().zip(self.processor).map(|(now, then)| now.saturating_sub(then));
         Cost { wall: self.begin.elapsed(), processor }
@@ -52,12 +52,13 @@ impl fmt::Display for Cost {
     }
 }
 
-/// Processor time of all children that have ended and were waited for, with their children.
+/// Returns the processor time of all children that have ended and were waited for, including their children.
 fn of_children() -> Option<Duration> {
     parse(&fs::read_to_string("/proc/self/stat").ok()?)
 }
 
-/// `cutime` and `cstime`, fields 16 and 17 of proc_pid_stat(5). The second field is a name in parentheses, with any characters.
+/// Reads `cutime` and `cstime`, fields 16 and 17 of proc_pid_stat(5). The second field is a name in parentheses, with
+/// any characters.
 fn parse(stat: &str) -> Option<Duration> {
     let (_, rest) = stat.rsplit_once(')')?;
     let mut fields = rest.split_whitespace().skip(13);
@@ -90,7 +91,7 @@ mod tests {
     #[test]
     fn a_child_counts() {
         let meter = Meter::start();
-        // Until it has had 50 ms of a processor, which its shell's `times` would tell too.
+        // The loop uses some 50 ms of processor time, five ticks.
         let shell = "i=0; while [ $i -lt 300000 ]; do i=$((i+1)); done";
         assert!(std::process::Command::new("sh").args(["-c", shell]).status().expect("a shell").success());
         assert!(meter.cost().processor >= Some(Duration::from_millis(30)), "{}", meter.cost());

@@ -1,5 +1,5 @@
-//! `cargo xtask mutants`: cargo-mutants on the crates whose tests must notice every change, against the list of mutants that
-//! are known to survive.
+//! Task `cargo xtask mutants`: runs cargo-mutants on the crates whose tests must notice every change, and compares the
+//! survivors with the list of known ones.
 //!
 //! It takes hours, so CI does not run it: choose a file or a shard.
 
@@ -14,44 +14,44 @@ use serde::Deserialize;
 
 use crate::toolchain;
 
-/// Packages that are mutated unless one is named.
+/// Packages that are mutated by default.
 const PACKAGES: [&str; 3] = ["r4-firmware", "r4-protocol", "r4-links"];
-/// Of the workspace's `Cargo.toml`.
+/// Profile of the workspace's `Cargo.toml`.
 const PROFILE: &str = "mutants";
-/// The list of known survivors, from the workspace's root.
+/// File with the list of known survivors, from the workspace's root.
 const LIST: &str = "tests/mutants.toml";
 
-/// What to mutate.
+/// Options of `cargo xtask mutants`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Mutants {
     package: Option<String>,
     files: Vec<String>,
-    /// As cargo-mutants has it: `0/8` to `7/8`.
+    /// Shard in cargo-mutants' syntax: `0/8` to `7/8`.
     shard: Option<String>,
-    /// A filter of nextest's: only these tests run.
+    /// Filter expression of nextest: only these tests run.
     tests: Option<String>,
 }
 
-/// A mutant that no test of its crate notices.
+/// Mutant that no test of its crate notices.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 struct Survivor {
-    /// As cargo-mutants names it, without line and column.
+    /// Name by cargo-mutants, without line and column.
     mutant: String,
     verdict: Verdict,
-    /// Why nothing is to be done, or where it is tested.
+    /// Reason why nothing is to be done, or the test that notices it.
     why: String,
 }
 
-/// What a survivor means.
+/// Verdict on a survivor.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
 #[serde(rename_all = "kebab-case")]
 enum Verdict {
-    /// The program does the same.
+    /// The program behaves the same.
     Equivalent,
     /// A test of another crate notices it.
     TestedAbove,
-    /// It is not tested, for the reason given.
+    /// It is not tested, for the given reason.
     Accepted,
 }
 
@@ -66,7 +66,7 @@ impl Mutants {
     /// Reads the words after `mutants`.
     ///
     /// # Errors
-    /// The word that means nothing.
+    /// The word that is no option.
     pub(crate) fn parse(words: &[&str]) -> Result<Self, String> {
         let mut mutants = Self::default();
         let mut words = words.iter();
@@ -89,7 +89,7 @@ impl Mutants {
         Ok(mutants)
     }
 
-    /// Runs cargo-mutants and compares its survivors with the list. Fails when one is not in it.
+    /// Runs cargo-mutants and compares its survivors with the list. Fails when one of them is not in it.
     pub(crate) fn run(&self, root: &Path) -> ExitCode {
         match self.survivors(root).and_then(|survivors| compare(&survivors, &list(root)?)) {
             Ok(()) => ExitCode::SUCCESS,
@@ -102,7 +102,7 @@ impl Mutants {
 
     fn arguments(&self, output: &Path) -> Vec<String> {
         let mut arguments: Vec<String> =
-            // A profile that compiles quickly, and only what the tests need: that is what most of the time goes into.
+            // Compiling takes most of the time: a profile that compiles quickly, and only the tests.
             ["mutants", "--test-tool", "nextest", "--profile", PROFILE, "--cargo-arg", "--tests", "--jobs", "1", "--output"]
                 .map(String::from)
                 .into();
@@ -123,7 +123,7 @@ impl Mutants {
         arguments
     }
 
-    /// What survived, without lines and columns.
+    /// Returns the survivors, without lines and columns.
     fn survivors(&self, root: &Path) -> Result<BTreeSet<String>, String> {
         let installed = Command::new(toolchain::cargo())
             .args(["mutants", "--version"])
@@ -137,7 +137,8 @@ impl Mutants {
         let output = crate::firmware::target_folder(root)?.join("mutants");
         fs::create_dir_all(&output).map_err(|error| format!("{}: {error}", output.display()))?;
         let status = Command::new(toolchain::cargo()).args(self.arguments(&output)).current_dir(root).status();
-        // 0: all were caught; 2: some were missed; 3: some tests did not end (https://mutants.rs/exit-codes.html).
+        // Exit codes: 0 when all were caught, 2 when some were missed, 3 when some tests did not end
+        // (https://mutants.rs/exit-codes.html).
         match status.map(|status| status.code()) {
             Ok(Some(0 | 2 | 3)) => {}
             Ok(_) => return Err("cargo-mutants could not test, see above".into()),
@@ -149,7 +150,7 @@ impl Mutants {
     }
 }
 
-/// `FILE:LINE:COLUMN: what` without line and column, which every edit moves.
+/// Returns `FILE:LINE:COLUMN: what` without line and column, which every edit changes.
 fn without_place(line: &str) -> String {
     let mut parts = line.splitn(4, ':');
     match (parts.next(), parts.next(), parts.next(), parts.next()) {
@@ -167,10 +168,10 @@ fn read(text: &str) -> Result<Vec<Survivor>, String> {
     toml::from_str(text).map(|list: List| list.survivor).map_err(|error| format!("{LIST}: {error}"))
 }
 
-/// Says what survived and how that is judged.
+/// Prints the survivors with their verdicts.
 ///
 /// # Errors
-/// Survivors that nobody has judged.
+/// The survivors without a verdict.
 fn compare(survivors: &BTreeSet<String>, list: &[Survivor]) -> Result<(), String> {
     let mut unknown = Vec::new();
     for survivor in survivors {

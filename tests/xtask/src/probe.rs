@@ -1,7 +1,7 @@
-//! `cargo xtask probe`: builds the program that checks a Cortex-M7, for both of its memory layouts.
+//! Task `cargo xtask probe`: builds the program that checks a Cortex-M7, for both of its memory layouts.
 //!
-//! The tests of `r4-unicorn` build it by themselves where nothing says that it is there; with the variables this prints they
-//! use what was built here.
+//! The tests of `r4-unicorn` build it by themselves unless a variable names a built one. With the variables that this
+//! task prints they use the programs built here.
 
 use std::{
     path::{Path, PathBuf},
@@ -10,11 +10,11 @@ use std::{
 
 use crate::toolchain::{self, TARGET};
 
-/// Where a program lies: the variable that tells the tests, and the features of the build.
+/// Layouts of the program: the variable for the tests, its name, and the features of the build.
 const LAYOUTS: [(&str, &str, &[&str]); 2] =
     [("R4_PROBE_ELF", "stm32h747", &[]), ("R4_PROBE_AN500_ELF", "an500", &["--features", "an500"])];
 
-/// Builds both, and prints where they are.
+/// Builds both programs, and prints their paths.
 pub(crate) fn run(root: &Path) -> ExitCode {
     for (variable, layout, features) in LAYOUTS {
         match build(root, layout, features) {
@@ -28,14 +28,14 @@ pub(crate) fn run(root: &Path) -> ExitCode {
     ExitCode::SUCCESS
 }
 
-/// Builds one; the ELF.
+/// Builds one program and returns the path of its ELF file.
 fn build(root: &Path, layout: &str, features: &[&str]) -> Result<PathBuf, String> {
-    // A folder each: both are called the same.
+    // One folder for each layout, because both programs have the same name.
     let target = root.join("target/probe").join(layout);
     let status = Command::new(toolchain::cargo())
         .args(["build", "--release", "--locked"])
         .args(features)
-        // The flags for this target are in the folder's own configuration.
+        // Compiler flags for this target are in the folder's own configuration.
         .current_dir(root.join("hil-sim/probe"))
         .env("CARGO_TARGET_DIR", &target)
         .env_remove("RUSTFLAGS")

@@ -1,4 +1,4 @@
-//! The test programs of the workspace, run one after the other, and the slowest tests in them.
+//! Test programs of the workspace, run one after the other, and their slowest tests.
 
 use std::{
     io::{BufRead, BufReader},
@@ -10,30 +10,30 @@ use serde_json::Value;
 
 use crate::toolchain;
 
-/// The slowest tests that are named.
+/// Number of slow tests that are listed.
 const SLOWEST: usize = 10;
 
-/// A test program as cargo built it.
+/// Test program that cargo has built.
 #[derive(Debug, PartialEq)]
 struct Program {
-    /// Package and target, as in `r4-sim, all`.
+    /// Name of package and target, as in `r4-sim, all`.
     name: String,
     executable: PathBuf,
-    /// Where cargo runs it.
+    /// Folder in which cargo runs it.
     folder: PathBuf,
 }
 
-/// A test, and how long it took.
+/// Test with its duration.
 #[derive(Debug, PartialEq)]
 struct Timed {
     seconds: f64,
     name: String,
 }
 
-/// Builds the test programs with `arguments` of `cargo test`, runs all of them, and names the slowest tests.
+/// Builds the test programs with `arguments` of `cargo test`, runs all of them, and lists the slowest tests.
 ///
 /// # Errors
-/// Which programs have tests that failed.
+/// The programs with tests that failed.
 pub(crate) fn run(root: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Result<(), String> {
     let (mut slowest, mut failed) = (Vec::new(), Vec::new());
     for program in built(root, arguments)? {
@@ -64,14 +64,14 @@ fn built(root: &Path, arguments: &[&str]) -> Result<Vec<Program>, String> {
     Ok(String::from_utf8_lossy(&output.stdout).lines().filter_map(program).collect())
 }
 
-/// Of one of cargo's messages; `None` for those about something else.
+/// Reads a test program from one of cargo's messages; `None` for messages about something else.
 fn program(message: &str) -> Option<Program> {
     let message: Value = serde_json::from_str(message).ok()?;
     if message["profile"]["test"] != true {
         return None;
     }
     let folder = Path::new(message["manifest_path"].as_str()?).parent()?.to_owned();
-    // path+file:///folder/of/it#name@version, or #version where the folder has its name.
+    // The id is path+file:///folder/of/it#name@version, or #version where the folder has the package's name.
     let id = message["package_id"].as_str()?;
     let (path, rest) = id.rsplit_once('#')?;
     let package = rest.split_once('@').map_or_else(|| path.rsplit('/').next(), |(name, _)| Some(name))?;
@@ -82,11 +82,12 @@ fn program(message: &str) -> Option<Program> {
     })
 }
 
-/// Whether all its tests passed.
+/// Runs one program and returns whether all its tests passed.
 fn run_one(program: &Program, environment: &[(&str, &str)], tests: &mut Vec<Timed>) -> Result<bool, String> {
     let cannot = |error| format!("{} cannot be run: {error}", program.executable.display());
     let mut child = Command::new(&program.executable)
-        // Times are told by the toolchain that is pinned, but behind a door: https://github.com/rust-lang/rust/issues/64888.
+        // The pinned toolchain reports times only with unstable options:
+        // https://github.com/rust-lang/rust/issues/64888.
         .env("RUSTC_BOOTSTRAP", "1")
         .args(["-Zunstable-options", "--report-time"])
         .env("CARGO_MANIFEST_DIR", &program.folder)
@@ -108,7 +109,7 @@ fn run_one(program: &Program, environment: &[(&str, &str)], tests: &mut Vec<Time
     Ok(child.wait().map_err(cannot)?.success())
 }
 
-/// Of a line like `test stops::dead_man ... ok <0.312s>`.
+/// Reads name and duration from a line like `test stops::dead_man ... ok <0.312s>`.
 fn timed(line: &str) -> Option<(&str, f64)> {
     let (name, result) = line.strip_prefix("test ")?.split_once(" ... ")?;
     let seconds = result.rsplit_once('<')?.1.strip_suffix("s>")?;

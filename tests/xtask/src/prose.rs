@@ -1,6 +1,6 @@
-//! `cargo xtask prose`: how readable the comments and pages are, by counts.
+//! Task `cargo xtask prose`: counts that show how readable the comments and pages are.
 //!
-//! Counting replaces no reader. It shows where one is needed, and keeps an improvement from being lost.
+//! Counts replace no reader. They show where one is needed, and keep an improvement from being lost.
 
 use std::{
     collections::BTreeMap,
@@ -63,7 +63,7 @@ impl Prose {
         Ok(prose)
     }
 
-    /// Counts, and prints what it counted.
+    /// Counts, and prints the result.
     pub(crate) fn run(self, root: &Path) -> ExitCode {
         let counts = match count(root) {
             Ok(counts) => counts,
@@ -125,7 +125,7 @@ impl Counts {
         text
     }
 
-    /// Adds the comments of a Rust file.
+    /// Adds the comments of a Rust file to the counts.
     fn add_code(&mut self, path: &Path, code: &str, idioms: &[String]) {
         let mut found = 0;
         for doc in doc_comments(code) {
@@ -151,7 +151,7 @@ impl Counts {
         *self.files.entry(path.to_owned()).or_default() += found;
     }
 
-    /// Adds a page.
+    /// Adds the words of a page to the counts.
     fn add_page(&mut self, path: &Path, page: &str, idioms: &[String]) {
         let found = self.add_idioms(page, idioms);
         *self.files.entry(path.to_owned()).or_default() += found;
@@ -188,7 +188,7 @@ fn count(root: &Path) -> Result<Counts, String> {
     Ok(counts)
 }
 
-/// Files of the repository, as git lists them.
+/// Lists the files of the repository, as git does.
 fn files(root: &Path) -> Result<Vec<PathBuf>, String> {
     let output = Command::new("git")
         .args(["ls-files", "-z", "--", "*.rs", "*.md"])
@@ -201,7 +201,7 @@ fn files(root: &Path) -> Result<Vec<PathBuf>, String> {
     Ok(String::from_utf8_lossy(&output.stdout).split_terminator('\0').map(PathBuf::from).collect())
 }
 
-/// First column of the table under [`TABLE`]: phrases separated by commas, without what is in brackets.
+/// Reads the first column of the table under [`TABLE`]: phrases separated by commas, without what is in brackets.
 fn idioms(glossary: &str) -> Result<Vec<String>, String> {
     let (_, table) = glossary.split_once(TABLE).ok_or_else(|| format!("{GLOSSARY} has no table `{TABLE}`"))?;
     let rows = table.lines().skip(2).take_while(|line| line.starts_with('|'));
@@ -212,7 +212,7 @@ fn idioms(glossary: &str) -> Result<Vec<String>, String> {
         .collect())
 }
 
-/// Occurrences of `phrase` in `text` that are no part of a longer word. Both in lower case.
+/// Counts occurrences of `phrase` in `text` that are no part of a longer word. Both are in lower case.
 fn occurrences(text: &str, phrase: &str) -> usize {
     let is_letter = |c: Option<char>| c.is_some_and(|c| c.is_alphanumeric() || c == '_');
     text.match_indices(phrase)
@@ -222,7 +222,7 @@ fn occurrences(text: &str, phrase: &str) -> usize {
         .count()
 }
 
-/// Doc comments, each as one text: neighbouring lines of the same kind belong together.
+/// Returns the doc comments, each as one text: neighbouring lines of the same kind belong together.
 fn doc_comments(code: &str) -> Vec<String> {
     let mut comments = Vec::new();
     let mut current: Option<(&str, String)> = None;
@@ -243,10 +243,10 @@ fn doc_comments(code: &str) -> Vec<String> {
     comments
 }
 
-/// Lines inside of function bodies that are not blank, and those of them that are comments.
+/// Counts the lines inside of function bodies that are not blank, and those of them that are comments.
 ///
-/// A body begins after the line of a `fn` that ends with its brace and ends at a brace as far from the margin as the `fn`: so
-/// it is in all code that rustfmt has formatted.
+/// A body begins after the line of a `fn` that ends with its brace, and ends at a brace with the indentation of the
+/// `fn`: that is true of all code that rustfmt has formatted.
 fn body_lines(code: &str) -> (usize, usize) {
     let (mut lines, mut comments) = (0, 0);
     let mut signature: Option<usize> = None;
@@ -277,7 +277,7 @@ fn body_lines(code: &str) -> (usize, usize) {
     (lines, comments)
 }
 
-/// Whether a line begins a function's signature.
+/// Returns whether a line begins a function's signature.
 fn is_function(line: &str) -> bool {
     const BEFORE: [&str; 8] = ["pub", "pub(crate)", "pub(super)", "pub(in", "const", "async", "unsafe", "extern"];
     line.split_whitespace().find(|word| !BEFORE.contains(word)) == Some("fn")

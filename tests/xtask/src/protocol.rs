@@ -1,8 +1,8 @@
-//! `cargo xtask size --protocol`: what the frames of the protocol take in the processor, against what is promised.
+//! Task `cargo xtask size --protocol`: the size of the protocol's frames in the processor, against a budget.
 //!
-//! `r4-code-size` has the two ends of a frame as a board has them, in a list for cycles only and in one for every message. It
-//! is built for the Giga's processor with the firmware's settings, but without optimisation across crates, so that functions
-//! stay apart; then what a list leads to is linked, and nothing else.
+//! `r4-code-size` has the two ends of a frame as a board has them, in a list for cycles only and in one for every
+//! message. It is built for the Giga's processor with the firmware's settings, but without optimisation across crates,
+//! so that functions stay separate. Then only what a list leads to is linked.
 //!
 //! | counted as | what |
 //! | --- | --- |
@@ -24,15 +24,15 @@ use crate::{
     toolchain::{self, TARGET},
 };
 
-/// Of code, for encoding and decoding cycles.
+/// Budget of code for encoding and decoding cycles, bytes.
 const BUDGET: u32 = 4096;
 const PACKAGE: &str = "r4-code-size";
-/// The lists, and what they are for. The first is what the budget is for.
+/// Lists with their purpose. The budget is for the first one.
 const LISTS: [(&str, &str); 2] = [("CYCLES_ONLY", "cycles"), ("EVERY_MESSAGE", "every message")];
-/// As the firmware is built.
+/// Settings of the firmware's profile.
 const PROFILE: [&str; 4] = ["opt-level=\"z\"", "codegen-units=1", "panic=\"abort\"", "lto=false"];
 
-/// Weighs and says what was found. Fails when it is over the budget.
+/// Measures the sizes and prints them. Fails when the first is over its budget.
 pub(crate) fn run(root: &Path, as_json: bool) -> ExitCode {
     let rows = match LISTS.iter().map(|(list, what)| measure(root, list, what)).collect::<Result<Vec<_>, _>>() {
         Ok(rows) => rows,
@@ -50,7 +50,7 @@ pub(crate) fn run(root: &Path, as_json: bool) -> ExitCode {
     if report.fits() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
-/// What a list leads to, bytes.
+/// Sizes of the code that a list leads to, bytes.
 #[derive(Clone, Debug, PartialEq)]
 struct Row {
     what: &'static str,
@@ -63,7 +63,7 @@ struct Report(Vec<Row>);
 
 impl Report {
     fn fits(&self) -> bool {
-        // Nothing at all was not weighed.
+        // A size of 0 means that nothing was linked, so that nothing was measured.
         self.0.first().is_some_and(|cycles| (1..=BUDGET).contains(&cycles.code))
     }
 
@@ -94,6 +94,7 @@ fn measure(root: &Path, list: &str, what: &'static str) -> Result<Row, String> {
         .map_err(|error| format!("{}: {error}", script.display()))?;
     let own = |library: &&PathBuf| library.file_name().is_some_and(|name| name.to_string_lossy().contains("code_size"));
     let linked = Command::new(linker(root)?)
+        // No entry and no startup code: only sections that the list reaches survive `--gc-sections`.
         .args(["-flavor", "gnu", "--gc-sections", "--entry=0", "--unresolved-symbols=ignore-all", "--whole-archive"])
         .args(libraries.iter().filter(own))
         .args(["--no-whole-archive", "--start-group"])
@@ -111,8 +112,9 @@ fn measure(root: &Path, list: &str, what: &'static str) -> Result<Row, String> {
     Ok(Row { what, code: section(".text")?, panics: section(".panics")?, constants: section(".rodata")? })
 }
 
-/// Only the list is wanted; the linker finds what it leads to.
+/// Returns a linker script that keeps only the list; the linker adds what it leads to.
 fn layout(list: &str) -> String {
+    // Parts of mangled names: the modules of `core` that format and panic.
     let panics = ["4core3fmt", "4core3str", "4core9panicking", "4core6result", "4core6option", "_fail"];
     let panics: String = panics.iter().map(|name| format!(" .text.*{name}*")).collect();
     format!(
@@ -121,7 +123,7 @@ fn layout(list: &str) -> String {
     )
 }
 
-/// Builds the package; it, what it depends on, and the standard library.
+/// Builds the package, and returns the libraries of it, its dependencies and the standard library.
 fn build(root: &Path) -> Result<Vec<PathBuf>, String> {
     let settings = PROFILE.iter().flat_map(|setting| ["--config".into(), format!("profile.release.{setting}")]);
     let output = Command::new(toolchain::cargo())
@@ -130,6 +132,7 @@ fn build(root: &Path) -> Result<Vec<PathBuf>, String> {
         .args(settings)
         .arg("--target-dir")
         .arg(target_folder(root)?.join("code-size"))
+        // The caller's flags would change the size.
         .env_remove("RUSTFLAGS")
         .current_dir(root)
         .stderr(Stdio::inherit())
@@ -148,7 +151,7 @@ fn build(root: &Path) -> Result<Vec<PathBuf>, String> {
     Ok(libraries)
 }
 
-/// Those for the processor that cargo names in a line.
+/// Returns the libraries for the processor that a line of cargo's output names.
 fn libraries_of(line: &str) -> Vec<PathBuf> {
     let message: Value = serde_json::from_str(line).unwrap_or_default();
     let files = message["filenames"].as_array().cloned().unwrap_or_default();
@@ -161,8 +164,9 @@ fn sysroot(root: &Path) -> Result<PathBuf, String> {
     toolchain::sysroot(root).ok_or_else(|| "rustc does not say where it is".into())
 }
 
-/// The linker that comes with rustc.
+/// Returns the linker that comes with rustc.
 fn linker(root: &Path) -> Result<PathBuf, String> {
+    // rust-lld belongs to the host's target, whose name is not known here.
     let hosts = sysroot(root)?.join("lib/rustlib");
     let found = fs::read_dir(&hosts).into_iter().flatten().flatten().map(|host| host.path().join("bin/rust-lld"));
     found

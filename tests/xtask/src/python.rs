@@ -1,4 +1,5 @@
-//! `cargo xtask python`: the Python package, built as a wheel, installed into an environment of its own, and tested there.
+//! Task `cargo xtask python`: builds the Python package as a wheel, installs it into an environment of its own, and
+//! tests it there.
 
 use std::{
     fs,
@@ -12,24 +13,24 @@ use crate::{
     venv::Venv,
 };
 
-/// The package, in the repository.
+/// Folder of the package in the repository.
 const PACKAGE: &str = "host/python";
-/// What tests need, with versions.
+/// Packages that the tests need, with versions.
 const PINNED: &str = "host/python/tests/requirements.txt";
 
-/// What `cargo xtask python` is asked for.
+/// Options of `cargo xtask python`.
 #[derive(Debug, Default, PartialEq)]
 pub(crate) struct Python {
-    /// As given to others: optimised, and not the profile of the tests.
+    /// True for the optimised profile of releases, in place of that of the tests.
     dist: bool,
-    /// Stops once the wheel is built.
+    /// True to stop once the wheel is built.
     only_wheel: bool,
-    /// Prints steps per second too.
+    /// True to print steps per second as well.
     bench: bool,
 }
 
 impl Python {
-    /// From the words behind `python`.
+    /// Reads the words after `python`.
     pub(crate) fn parse(words: &[&str]) -> Result<Self, String> {
         let mut python = Self::default();
         for word in words {
@@ -43,7 +44,7 @@ impl Python {
         Ok(python)
     }
 
-    /// Builds, installs and tests.
+    /// Builds, installs and tests the package.
     pub(crate) fn test(&self, root: &Path) -> Result<(), String> {
         let folder = firmware::target_folder(root)?.join("python");
         let tools = Venv::with(root, &folder, PINNED)?;
@@ -53,7 +54,7 @@ impl Python {
             return Ok(());
         }
         let begin = Instant::now();
-        // The same file name with other content: as one installs it, without what is installed already.
+        // Reinstalled by force, because the file name is the same and only the content differs.
         let install = ["-m", "pip", "install", "--quiet", "--force-reinstall", "--no-deps", "--no-index"];
         call(tools.python().args(install).arg(&wheel))?;
         let moved = "import r4; board = r4.sim('osmc-bench').blocking; board.arm(); \
@@ -67,7 +68,7 @@ impl Python {
         )?;
         let stubs = ["-m", "mypy.stubtest", "r4._native", "--mypy-config-file"];
         call(tools.python().args(stubs).arg(package.join("pyproject.toml")).current_dir(&folder))?;
-        // Serves boards for it, where it was built; the tests say that they were not run without it.
+        // The tests serve boards with it; without it they print that they were not run.
         let program = firmware::target_folder(root)?.join("debug").join("r4");
         let pytest = ["-m", "pytest", "--quiet", "--durations", "5", "-r", "s"];
         call(tools.python().args(pytest).env("R4_PROGRAM", program).current_dir(&package))?;
@@ -77,10 +78,10 @@ impl Python {
         Ok(())
     }
 
-    /// Builds the wheel; its path. With the profile of the tests it shares what they have compiled.
+    /// Builds the wheel and returns its path. With the profile of the tests it shares their compiled crates.
     fn wheel(&self, root: &Path, folder: &Path, tools: &Venv) -> Result<PathBuf, String> {
         let wheels = folder.join("wheels");
-        // An older version's would be taken for this one's.
+        // A wheel of an earlier version would be taken for this one.
         let _ = fs::remove_dir_all(&wheels);
         let profile = if self.dist { "dist" } else { "dev" };
         let mut build = tools.python();

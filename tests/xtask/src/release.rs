@@ -1,4 +1,5 @@
-//! `cargo xtask release`: the program as it is given to others, with manual pages, completions, udev rules and licences, in one archive.
+//! Task `cargo xtask release`: packs the program with manual pages, completions, udev rules and licences into one
+//! archive.
 
 use std::{
     fs,
@@ -11,17 +12,18 @@ use crate::{
     toolchain::{self, call},
 };
 
-/// What is linked in beside the program's own: debug probes, the emulated processor, live views. Gamepads need a library of the system.
+/// Features beside the default ones: debug probes, the emulated processor, live views. Gamepads are left out, because
+/// they need a library of the system.
 const FEATURES: &str = "dfu,emu,live,parquet,probe";
-/// Shells whose completions are in the archive, and how their files are called.
+/// Shells whose completions are in the archive, with the names of the files.
 const SHELLS: [(&str, &str); 4] = [("bash", "r4.bash"), ("zsh", "_r4"), ("fish", "r4.fish"), ("powershell", "r4.ps1")];
-/// What is put beside the program as it is.
+/// Files that are copied as they are.
 const FILES: [&str; 4] = ["README.md", "LICENSE-MIT", "LICENSE-APACHE", "host/udev/70-r4.rules"];
 
-/// What goes into the archive.
+/// Options of `cargo xtask release`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Release {
-    /// A program that is there already, in place of one that is built for others.
+    /// Path of a built program; `None` builds one with the release profile.
     program: Option<PathBuf>,
 }
 
@@ -36,12 +38,12 @@ impl Release {
         }
     }
 
-    /// With the program that the tests have built.
+    /// Makes the task for the program that the tests have built.
     pub(crate) fn of_tests(root: &Path) -> Result<Self, String> {
         Ok(Self { program: Some(built(&target_folder(root)?, "debug")) })
     }
 
-    /// Packs the program into an archive for the system that this runs on, and prints where that is.
+    /// Packs the program into an archive for the host's system, and prints the path.
     pub(crate) fn make(&self, root: &Path) -> Result<(), String> {
         let target = target_folder(root)?;
         let program = match &self.program {
@@ -56,7 +58,7 @@ impl Release {
         let name = format!("r4-{}-{}", env!("CARGO_PKG_VERSION"), host()?);
         let releases = target.join("release-archives");
         let folder = releases.join(&name);
-        // An older one's files would be taken for this one's.
+        // Files of an earlier run would be taken for this one's.
         let _ = fs::remove_dir_all(&folder);
         fill(root, &program, &folder)?;
         let archive = releases.join(format!("{name}.tar.gz"));
@@ -66,12 +68,12 @@ impl Release {
     }
 }
 
-/// Where cargo leaves the program.
+/// Returns the path to which cargo builds the program.
 fn built(target: &Path, profile: &str) -> PathBuf {
     target.join(profile).join(format!("r4{}", std::env::consts::EXE_SUFFIX))
 }
 
-/// Puts everything into a folder; what the program writes itself is written by it.
+/// Puts all files into a folder; manual pages and completions are written by the program.
 fn fill(root: &Path, program: &Path, folder: &Path) -> Result<(), String> {
     let failed = |path: &Path| {
         let path = path.display().to_string();
@@ -87,6 +89,7 @@ fn fill(root: &Path, program: &Path, folder: &Path) -> Result<(), String> {
     }
     call(Command::new(program).args(["man", "--out"]).arg(&manual).stdout(std::process::Stdio::null()))?;
     for (shell, file) in SHELLS {
+        // Run from the archive's own program, so that both always fit each other.
         let script = Command::new(program).args(["completions", shell]).output().map_err(failed(program))?;
         if !script.status.success() {
             return Err(format!("`r4 completions {shell}` ended with {}", script.status));
@@ -96,7 +99,7 @@ fn fill(root: &Path, program: &Path, folder: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// The system that this runs on, as the compiler calls it.
+/// Returns the host's system in the compiler's notation.
 fn host() -> Result<String, String> {
     let version =
         Command::new("rustc").arg("-vV").output().map_err(|error| format!("rustc cannot be started: {error}"))?;
@@ -117,7 +120,7 @@ mod tests {
         assert!(Release::parse(&["--fast"]).is_err_and(|problem| problem.contains("--fast")));
     }
 
-    /// What the workflow for releases has machines type, and what it takes up.
+    /// Checks that this task understands the commands of the workflow for releases.
     #[test]
     fn the_workflow_types_what_is_understood() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");

@@ -1,4 +1,4 @@
-//! `cargo xtask size`: what the image for the Giga takes of the processor, against what it may take.
+//! Task `cargo xtask size`: the size and speed of the image for the Giga, against their budgets.
 
 use std::{
     fmt,
@@ -14,14 +14,14 @@ use crate::{
     toolchain,
 };
 
-/// Bank 1 without the two sectors of the Arduino bootloader: the image must fit behind it.
+/// Budget of flash, bytes: bank 1 without the two sectors of the Arduino bootloader, behind which the image must fit.
 const FLASH_BUDGET: u32 = 768 * 1024;
-/// Of the 512 KiB of AXI SRAM, 32 KiB of DTCM and 64 KiB of SRAM4; the stack is not in it.
+/// Budget of RAM without the stack, bytes, of 512 KiB of AXI SRAM, 32 KiB of DTCM and 64 KiB of SRAM4.
 const RAM_BUDGET: u32 = 128 * 1024;
-/// The largest symbols that are listed.
+/// Number of large symbols that are listed.
 const BIGGEST: usize = 10;
 
-/// What to measure, and how to say it.
+/// Options of `cargo xtask size`.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Size {
     robot: String,
@@ -32,7 +32,7 @@ impl Size {
     /// Reads the words after `size`.
     ///
     /// # Errors
-    /// The word that means nothing.
+    /// The word that is no option.
     pub(crate) fn parse(words: &[&str]) -> Result<Self, String> {
         let mut size = Self { robot: "osmc-bench".into(), json: false };
         let mut words = words.iter();
@@ -46,7 +46,7 @@ impl Size {
         Ok(size)
     }
 
-    /// Builds the image, measures it and says what was found. Fails when it is over a budget.
+    /// Builds the image, measures it and prints the result. Fails when it is over a budget.
     pub(crate) fn run(&self, root: &Path) -> ExitCode {
         let report = match self.report(root) {
             Ok(report) => report,
@@ -70,14 +70,14 @@ impl Size {
     }
 }
 
-/// What only running the image shows, as `r4 bench firmware` tells it.
+/// Measurements of the running image, as `r4 bench firmware` reports them.
 #[derive(Clone, Debug, PartialEq)]
 struct Measured {
-    /// `[{"executor", "reserved", "used"}]`, in bytes.
+    /// Stack sizes `[{"executor", "reserved", "used"}]`, in bytes.
     stacks: Value,
-    /// `{"median", "max", "p999"}`, over the ticks of the control loop.
+    /// Instructions `{"median", "max", "p999"}` of the ticks of the control loop.
     control_tick_instructions: Value,
-    /// The instructions that 99.9 % of these ticks may take.
+    /// Budget of instructions for 99.9 % of these ticks.
     tick_budget: f64,
 }
 
@@ -92,7 +92,7 @@ impl Measured {
         })
     }
 
-    /// Whether 99.9 % of the control ticks are within their budget.
+    /// Returns whether 99.9 % of the control ticks are within their budget.
     fn fits(&self) -> bool {
         self.control_tick_instructions["p999"].as_f64().is_some_and(|instructions| instructions <= self.tick_budget)
     }
@@ -101,7 +101,7 @@ impl Measured {
 /// Runs the image on the emulated processor.
 ///
 /// # Errors
-/// When it tells nothing; why, it has said itself. That it holds all its limits is not asked for here.
+/// The run gave no measurements; the program has printed the reason. Limits that the run exceeds are no error here.
 fn measured(root: &Path, robot: &str, elf: &Path) -> Result<Measured, String> {
     let output = Command::new(toolchain::cargo())
         .args(["run", "--quiet", "--release", "--package", "r4", "--features", "emu", "--"])
@@ -114,7 +114,7 @@ fn measured(root: &Path, robot: &str, elf: &Path) -> Result<Measured, String> {
     Measured::read(&output.stdout).ok_or("stacks and instructions are not measured: see above".into())
 }
 
-/// What was found.
+/// Result of all measurements.
 struct Report {
     robot: String,
     image: Image,
@@ -188,7 +188,7 @@ mod tests {
         Report { robot: "osmc-bench".into(), image, measured }
     }
 
-    /// A tick of so many instructions, and no stacks.
+    /// Makes measurements of a tick of this many instructions, without stacks.
     fn tick(p999: u32) -> Measured {
         Measured {
             stacks: json!([]),
@@ -207,7 +207,7 @@ mod tests {
         }
     }
 
-    /// Data counts in both memories, and the last byte of a budget may be used.
+    /// Data count in both memories, and the last byte of a budget may be used.
     #[test]
     fn budgets_are_kept_to_the_byte() {
         let (flash, ram) = (FLASH_BUDGET - 1000, RAM_BUDGET - 1000);

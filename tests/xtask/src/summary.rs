@@ -1,4 +1,4 @@
-//! What became of each step.
+//! Outcome of each step, as a table.
 
 use std::{fmt, time::Duration};
 
@@ -8,11 +8,11 @@ use crate::meter::Cost;
 pub(crate) enum Outcome {
     Ok(Cost),
     Failed(Cost),
-    /// A step before it failed.
+    /// A step before it has failed.
     NotRun,
 }
 
-/// One row for each step, in the order they were run.
+/// Summary with one row for each step, in the order in which they ran.
 #[derive(Default)]
 pub(crate) struct Summary {
     rows: Vec<(&'static str, Outcome)>,
@@ -23,7 +23,7 @@ impl Summary {
         self.rows.push((step, outcome));
     }
 
-    /// The step that failed, if one did.
+    /// Returns the step that failed, if one did.
     pub(crate) fn failed(&self) -> Option<&'static str> {
         self.rows.iter().find(|(_, outcome)| matches!(outcome, Outcome::Failed(_))).map(|(step, _)| *step)
     }

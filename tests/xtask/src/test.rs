@@ -1,4 +1,4 @@
-//! `cargo xtask test`.
+//! Task `cargo xtask test`: the steps that check a change.
 
 use std::{
     env,
@@ -8,10 +8,13 @@ use std::{
 };
 
 use crate::{
-    firmware::{self, Firmware},
+    firmware,
+    images::{self, Background},
     licences,
     meter::Meter,
-    package, programs,
+    package,
+    peers::Peers,
+    programs,
     python::Python,
     release::Release,
     summary::{Outcome, Summary},
@@ -19,17 +22,17 @@ use crate::{
     wire::Wire,
 };
 
-/// Stand for the folders in which the board's image and the probe are built.
+/// Folders in the place of those in which the board's image and the probe are built.
 const GIGA_TARGET: &str = "target/giga";
 const PROBE_TARGET: &str = "target/probe";
 
-/// How much is tested.
+/// Extent of the tests.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Extent {
-    /// What CI tests.
+    /// All that CI tests.
     Full,
-    /// What a change is tried with many times a day: without the emulated processor, the library in C that it is compared with,
-    /// the corpus of bad input, and the documentation.
+    /// Selection to try a change many times a day: without the emulated processor, the library in C that it is compared
+    /// with, the corpus of bad input, and the documentation.
     Quick,
 }
 
@@ -38,30 +41,34 @@ struct Step {
     run: Run,
 }
 
-/// What a step does.
+/// Action of a step.
 enum Run {
-    /// Looks for what the others need, and adds what is missing.
+    /// Looks for the tools that the other steps need, and adds the missing ones.
     Toolchain(Extent),
-    /// Builds the board's images that the tests run.
+    /// Begins to build the board's images that tests run, beside the steps that follow.
+    ImagesBegin,
+    /// Waits for these images.
     Images,
-    /// Runs the test programs that these arguments of cargo build, and names the slowest tests.
+    /// Tests the program beside programs of others.
+    Peers,
+    /// Runs the test programs that these arguments of cargo build, and lists the slowest tests.
     Tests(&'static [&'static str]),
-    /// Compares the page of the protocol and what goes with it with what the protocol's types make.
+    /// Compares the page of the protocol and the files beside it with the output of the protocol's types.
     Protocol,
-    /// Compares licences and sources of what is linked in with what may be.
+    /// Compares licences and sources of what is linked in with the permitted ones.
     Licences,
-    /// Packages the crates and compiles the program of these.
+    /// Packages the crates and compiles the program from the packages.
     Packages,
-    /// Makes the archive of a release, of the program that the tests have built.
+    /// Makes the archive of a release, with the program that the tests have built.
     Release,
     /// Builds the Python package, installs it and runs its tests.
     Python,
-    /// Calls cargo.
+    /// Runs a command of cargo.
     Cargo {
-        /// Within the repository: each has a workspace.
+        /// Folder in the repository; each has a workspace.
         folder: &'static str,
         arguments: &'static [&'static str],
-        /// For where the caller's says nothing.
+        /// Variables that are set unless the caller's environment has them.
         environment: &'static [(&'static str, &'static str)],
     },
 }
@@ -74,27 +81,15 @@ const fn cargo(folder: &'static str, arguments: &'static [&'static str]) -> Run 
     Run::Cargo { folder, arguments, environment: &[] }
 }
 
-/// The images that tests run on the emulated board.
-const IMAGES: [(&str, &str); 12] = [
-    ("osmc-bench", "bare"),
-    ("osmc-bench", "hosted"),
-    ("openscout", "bare"),
-    ("every-interface", "bare"),
-    ("balance-tail", "bare"),
-    ("hil-sim/emu/tests/robots/feedback-bench.toml", "bare"),
-    ("osmc-evaluation", "bare"),
-    ("cable-loop", "bare"),
-    ("two-finger-gripper", "bare"),
-    ("berry-picker", "bare"),
-    ("suction-pad", "bare"),
-    ("deformobot", "bare"),
-];
-
-/// The same cases of property tests each time: what turns red is the change. Other cases are for who works on the code.
+/// Seed of property tests in CI: the cases are the same each time, so that a failure comes from the change. Developers
+/// may try other cases.
 const SAME_CASES: &[(&str, &str)] = &[("PROPTEST_RNG_SEED", "1")];
 
-/// Cheapest first: what fails most often is seen soonest. The steps for the tests differ in what they do, not in what they
-/// compile: first everything is built, then run.
+/// Features of the program that tests use.
+const TESTED: &str = "r4/emu,r4/live,r4/parquet,r4/ros2";
+
+/// Steps of a full test, the cheapest first: the most frequent failures are reported soonest. The steps of tests
+/// compile the same: first everything is built, then it runs.
 const FULL: &[Step] = &[
     step("toolchain", Run::Toolchain(Extent::Full)),
     FORMAT,
@@ -102,7 +97,7 @@ const FULL: &[Step] = &[
     FORMAT_PROBE,
     PROTOCOL,
     step("licences", Run::Licences),
-    // With what the program leaves out by default and needs nothing that is not everywhere.
+    // With the features that are off by default and need nothing beyond the usual tools.
     step(
         "lints",
         cargo(
@@ -119,7 +114,7 @@ const FULL: &[Step] = &[
             ],
         ),
     ),
-    // Only the program is another one without it.
+    // Only the program differs without these features.
     step("lints, default", cargo(".", &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
     step(
         "lints, probe",
@@ -146,15 +141,17 @@ const FULL: &[Step] = &[
             ],
         ),
     ),
-    // Compiled and not linked: it needs no tools of theirs.
+    step("images, begin", Run::ImagesBegin),
+    // Checked and not linked, so that it needs no tools of those systems.
     step("other systems", cargo(".", &["check", "--package", "r4", "--target", SYSTEMS[0], "--target", SYSTEMS[1]])),
     step("packages", Run::Packages),
+    step("build tests", cargo(".", &["test", "--workspace", "--features", TESTED, "--no-run"])),
     step("images", Run::Images),
-    step("build tests", cargo(".", &["test", "--workspace", "--features", "r4/emu,r4/parquet", "--no-run"])),
-    step("tests", Run::Tests(&["test", "--workspace", "--features", "r4/emu,r4/parquet"])),
+    step("tests", Run::Tests(&["test", "--workspace", "--features", TESTED])),
+    step("peers", Run::Peers),
     step("python", Run::Python),
     step("archive", Run::Release),
-    step("examples", cargo(".", &["test", "--workspace", "--features", "r4/emu,r4/parquet", "--doc"])),
+    step("examples", cargo(".", &["test", "--workspace", "--features", TESTED, "--doc"])),
     step(
         "docs",
         Run::Cargo {
@@ -189,15 +186,16 @@ const QUICK_TESTS: &[&str] =
 const QUICK_TESTS_BUILT: &[&str] =
     &["test", "--workspace", "--exclude", "r4-unicorn", "--exclude", "r4-emu", "--exclude", "r4-fuzz", "--no-run"];
 
-/// Runs the steps up to the first that fails, and says what became of each.
+/// Runs the steps up to the first that fails, and prints the outcome of each.
 pub(crate) fn run(root: &Path, extent: Extent) -> ExitCode {
     let steps = match extent {
         Extent::Full => FULL,
         Extent::Quick => QUICK,
     };
-    let (summary, problem) = run_all(steps, |step| execute(step, root));
+    let mut images = None;
+    let (summary, problem) = run_all(steps, |step| execute(step, root, &mut images));
     println!("\n{summary}");
-    // What is said on stderr comes last.
+    // Flushed, so that the message on stderr comes last.
     let _ = io::stdout().flush();
     match summary.failed() {
         None => ExitCode::SUCCESS,
@@ -208,11 +206,12 @@ pub(crate) fn run(root: &Path, extent: Extent) -> ExitCode {
     }
 }
 
-/// The summary, and what the failed step said.
+/// Returns the summary, and the message of the failed step.
 fn run_all(steps: &[Step], mut execute: impl FnMut(&Step) -> Result<(), String>) -> (Summary, String) {
     let mut summary = Summary::default();
     let mut problem = String::new();
     for step in steps {
+        // Later steps are listed, so that the summary shows what was not tested.
         if summary.failed().is_some() {
             summary.add(step.name, Outcome::NotRun);
             continue;
@@ -227,17 +226,20 @@ fn run_all(steps: &[Step], mut execute: impl FnMut(&Step) -> Result<(), String>)
     (summary, problem)
 }
 
-fn execute(step: &Step, root: &Path) -> Result<(), String> {
+/// Carries out a step. `images` is the build of images that was begun and not waited for.
+fn execute(step: &Step, root: &Path, images: &mut Option<Background>) -> Result<(), String> {
     match &step.run {
         Run::Toolchain(Extent::Quick) => toolchain::complete(root, &[]),
         Run::Toolchain(Extent::Full) => {
             toolchain::complete(root, &toolchain::SYSTEMS)?;
             toolchain::emulator(root)
         }
-        Run::Images => IMAGES.iter().try_for_each(|(robot, image)| {
-            println!("{}", Firmware::new(robot, image).build(root)?);
+        Run::ImagesBegin => {
+            *images = Some(Background::start(root)?);
             Ok(())
-        }),
+        }
+        Run::Images => images.take().map_or_else(|| images::build(root), Background::finish),
+        Run::Peers => Peers::of_tests(root)?.test(root),
         Run::Protocol => Wire::Check.go(root),
         Run::Licences => licences::check(root),
         Run::Packages => package::check(root),
@@ -247,6 +249,7 @@ fn execute(step: &Step, root: &Path) -> Result<(), String> {
         Run::Cargo { folder, arguments, environment } => {
             let target = firmware::target_folder(root)?;
             let (giga, probe) = (target.join("giga"), target.join("probe"));
+            // The constants stand for folders that are known only at run time.
             let arguments = arguments.iter().map(|word| match *word {
                 GIGA_TARGET => giga.as_os_str(),
                 PROBE_TARGET => probe.as_os_str(),
@@ -267,13 +270,13 @@ fn execute(step: &Step, root: &Path) -> Result<(), String> {
     }
 }
 
-/// What the caller's environment says nothing of.
+/// Returns the variables that the caller's environment does not set.
 fn unless_set(environment: &[(&'static str, &'static str)]) -> Vec<(&'static str, &'static str)> {
     environment.iter().filter(|(name, _)| env::var_os(name).is_none()).copied().collect()
 }
 
 impl Step {
-    /// As a person would type it.
+    /// Returns the command as a person would type it.
     fn command_line(&self) -> String {
         match &self.run {
             Run::Toolchain(Extent::Quick) => format!("rustfmt, clippy, the target {TARGET}"),
@@ -286,7 +289,9 @@ impl Step {
             Run::Packages => "cargo xtask package".into(),
             Run::Release => "cargo xtask release --program target/debug/r4".into(),
             Run::Python => "cargo xtask python".into(),
-            Run::Images => "cargo xtask firmware, for each robot that tests emulate".into(),
+            Run::ImagesBegin => "cargo xtask images, beside the next steps".into(),
+            Run::Images => "the end of cargo xtask images".into(),
+            Run::Peers => "cargo xtask peers --program target/debug/r4".into(),
             Run::Cargo { folder, arguments, environment } => command_line(folder, environment, arguments),
         }
     }

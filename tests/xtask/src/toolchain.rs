@@ -1,7 +1,7 @@
-//! The parts of the Rust toolchain that the steps need beyond cargo and rustc.
+//! Parts of the Rust toolchain that the steps need beyond cargo and rustc.
 //!
-//! What is missing is found out by asking the tools, so that a Rust that did not come from rustup will do; only adding
-//! what is missing needs rustup.
+//! Missing parts are found by asking the tools, so that a Rust that did not come from rustup works. Only adding missing
+//! parts needs rustup.
 
 use std::{
     env,
@@ -12,17 +12,17 @@ use std::{
 
 use serde::{Deserialize, de::DeserializeOwned};
 
-/// The Cortex-M7 of the Giga.
+/// Target of the Giga's Cortex-M7.
 pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
-/// The other systems that the program is compiled for.
+/// Other systems for which the program is checked.
 pub(crate) const SYSTEMS: [&str; 2] = ["aarch64-apple-darwin", "x86_64-pc-windows-gnu"];
 
-/// The cargo that runs this, so that every step uses the same toolchain.
+/// Returns the cargo that runs this task, so that every step uses the same toolchain.
 pub(crate) fn cargo() -> OsString {
     env::var_os("CARGO").unwrap_or_else(|| "cargo".into())
 }
 
-/// Packages as `cargo metadata` reports them, without those of others or with the ones of every feature.
+/// Returns packages as `cargo metadata` reports them: those of this repository, or with others those of every feature.
 pub(crate) fn packages<P: DeserializeOwned>(root: &Path, with_others: bool) -> Result<Vec<P>, String> {
     #[derive(Deserialize)]
     struct Metadata<P> {
@@ -42,7 +42,7 @@ pub(crate) fn packages<P: DeserializeOwned>(root: &Path, with_others: bool) -> R
     read.map(|metadata| metadata.packages).map_err(|error| format!("cargo metadata: {error}"))
 }
 
-/// Runs a command, which says by itself what it has to say.
+/// Runs a command, which prints its own output and errors.
 pub(crate) fn call(command: &mut Command) -> Result<(), String> {
     let status = command.status();
     let words = [command.get_program()].into_iter().chain(command.get_args());
@@ -61,7 +61,7 @@ enum Part {
     Target(&'static str),
 }
 
-/// What every run needs.
+/// Parts that every run needs.
 const ALWAYS: [Part; 3] = [Part::Rustfmt, Part::Clippy, Part::Target(TARGET)];
 
 impl Part {
@@ -77,7 +77,7 @@ impl Part {
         }
     }
 
-    /// For `rustup`: it works on the toolchain that runs this, as long as it is called in the workspace.
+    /// Returns arguments for `rustup`. Called in the workspace, it works on the toolchain that runs this task.
     fn rustup_arguments(self) -> [&'static str; 3] {
         match self {
             Self::Rustfmt => ["component", "add", "rustfmt"],
@@ -91,22 +91,22 @@ impl Part {
     }
 }
 
-/// The folder of the toolchain that builds in `root`.
+/// Returns the folder of the toolchain that builds in `root`.
 pub(crate) fn sysroot(root: &Path) -> Option<PathBuf> {
     let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
     output(Command::new(rustc).args(["--print", "sysroot"]), root).map(|folder| folder.trim().into())
 }
 
-/// Adds what is missing, with `targets` besides the board's.
+/// Adds missing parts, including those of `targets` besides the board's.
 ///
 /// # Errors
-/// What a person has to install.
+/// The parts that a person has to install.
 pub(crate) fn complete(root: &Path, targets: &[&'static str]) -> Result<(), String> {
     let needed = || ALWAYS.into_iter().chain(targets.iter().copied().map(Part::Target));
     let missing = || needed().filter(|part| !part.is_there(root)).collect::<Vec<_>>();
     for part in missing() {
         eprintln!("{} is missing: rustup {}", part.name(), part.rustup_arguments().join(" "));
-        // Whether it worked is seen by looking again.
+        // The exit code is ignored, because the check is repeated below.
         let _ = Command::new("rustup").args(part.rustup_arguments()).current_dir(root).status();
     }
     match &missing()[..] {
@@ -115,11 +115,11 @@ pub(crate) fn complete(root: &Path, targets: &[&'static str]) -> Result<(), Stri
     }
 }
 
-/// What Unicorn is built with, against which the emulated processor is tested: besides a C compiler cmake, and libclang for
-/// the bindings. Where this is run as root on a Debian, as CI does, what is missing is installed.
+/// Checks the tools that build Unicorn, against which the emulated processor is tested: a C compiler, cmake, and
+/// libclang for the bindings. As root on a Debian, as in CI, missing ones are installed.
 ///
 /// # Errors
-/// What a person has to install.
+/// The packages that a person has to install.
 pub(crate) fn emulator(root: &Path) -> Result<(), String> {
     let is_there = || {
         let libraries = output(Command::new("ldconfig").arg("-p"), root).unwrap_or_default();
@@ -133,7 +133,7 @@ pub(crate) fn emulator(root: &Path) -> Result<(), String> {
     for arguments in
         [&["update", "-q"][..], &["install", "-q", "-y", "--no-install-recommends", "cmake", "libclang-dev"]]
     {
-        // Whether it worked is seen by looking again.
+        // The exit code is ignored, because the check is repeated below.
         let _ = Command::new("apt-get").args(arguments).status();
     }
     let advice = "the tests of the emulated processor need cmake and libclang, and apt-get could not install them, see above. Install them \
@@ -155,7 +155,7 @@ fn advice(missing: &[Part], with_rustup: bool) -> String {
     format!("this Rust toolchain lacks {}.\n{how}{commands}", names.join(", "))
 }
 
-/// What a command prints, or `None` when it cannot be run or fails.
+/// Returns the output of a command, or `None` when it cannot be run or fails.
 fn output(command: &mut Command, folder: &Path) -> Option<String> {
     let output = command.current_dir(folder).output().ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())

@@ -1,4 +1,4 @@
-//! Python environments with what is pinned in a file, below the folder that cargo builds into.
+//! Python environments with the packages that a file pins, below the folder that cargo builds into.
 
 use std::{
     env, fs,
@@ -8,11 +8,12 @@ use std::{
 
 use crate::toolchain::call;
 
-/// A Python environment.
+/// Python environment in a folder.
 pub(crate) struct Venv(PathBuf);
 
 impl Venv {
-    /// The environment in `folder` with what `pinned` names, a file in the repository; made unless there is one with just that.
+    /// Returns the environment in `folder` with the packages of `pinned`, a file in the repository. Makes it unless it
+    /// exists with just these.
     pub(crate) fn with(root: &Path, folder: &Path, pinned: &str) -> Result<Self, String> {
         let names = fs::read_to_string(root.join(pinned)).map_err(|error| format!("cannot read {pinned}: {error}"))?;
         let venv = Self(folder.join("environment"));
@@ -34,7 +35,7 @@ impl Venv {
         self.0.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" })
     }
 
-    /// Its interpreter, with its programs in front of others'.
+    /// Returns a command for its interpreter, with its programs first in PATH.
     pub(crate) fn python(&self) -> Command {
         let mut python = Command::new(self.interpreter());
         let programs = self.interpreter().parent().map(Path::to_owned).unwrap_or_default();
@@ -42,7 +43,7 @@ impl Venv {
         if let Ok(path) = env::join_paths([programs].into_iter().chain(env::split_paths(&others))) {
             python.env("PATH", path);
         }
-        // What is in the environment only, and no files beside the sources.
+        // Only packages of the environment count, and no compiled files are left beside the sources.
         python.env_remove("PYTHONPATH").env("PYTHONDONTWRITEBYTECODE", "1").env("PIP_DISABLE_PIP_VERSION_CHECK", "1");
         python
     }

@@ -1,7 +1,7 @@
-//! `cargo xtask weight`: what it takes to build the program from an empty folder, and what that is spent on.
+//! Task `cargo xtask weight`: the cost of building the program from an empty folder, by crate.
 //!
-//! Each compiler is started by this program, which cargo is told to call instead (`RUSTC_WRAPPER`): so that every crate is charged
-//! with the processor time of its own compilers. What is neither of these is what build scripts and cargo take.
+//! Cargo calls this program in place of each compiler (`RUSTC_WRAPPER`), so that every crate is charged with the
+//! processor time of its own compilers. The rest is the time of build scripts and cargo itself.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -19,39 +19,39 @@ use crate::{
     toolchain,
 };
 
-/// Processor time that the build for `r4 demo` may take, s.
+/// Budget of processor time for the build for `r4 demo`, s.
 const PROCESSOR_BUDGET_S: f64 = 400.0;
-/// Bytes of the program as it is given to others.
+/// Budget of the released program's size, bytes.
 const SIZE_BUDGET: u64 = 15_000_000;
-/// The slowest crates that are listed.
+/// Number of slow crates that are listed.
 const SLOWEST: usize = 10;
-/// Where a compiler's time is written, one line for each crate. Set for compilers only.
+/// Variable with the path of a file for compilers' times, one line for each crate. Set for compilers only.
 const TIMES: &str = "R4_XTASK_TIMES";
-/// The program's package.
+/// Package of the program.
 const PROGRAM: &str = "r4";
 
-/// What to build, and how to say what it took.
+/// Options of `cargo xtask weight`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Weight {
-    /// The profile in which the program is given to others.
+    /// True to build with the profile of releases.
     dist: bool,
     json: bool,
 }
 
-/// What the build took.
+/// Result of the build.
 struct Report {
     whole: Cost,
-    /// Of the program, bytes.
+    /// Size of the program, bytes.
     size: u64,
     crates: Vec<Crate>,
 }
 
-/// A package, or a part of one: its library, its build script.
+/// Package, or a part of one: its library, its build script.
 #[derive(Debug, PartialEq)]
 struct Crate {
     name: String,
     seconds: f64,
-    /// From the program to it: each is a dependency of the one before.
+    /// Path of dependencies from the program to the package: each is one of the previous.
     chain: Vec<String>,
 }
 
@@ -59,7 +59,7 @@ impl Weight {
     /// Reads the words after `weight`.
     ///
     /// # Errors
-    /// The word that means nothing.
+    /// The word that is no option.
     pub(crate) fn parse(words: &[&str]) -> Result<Self, String> {
         let mut weight = Self::default();
         for word in words {
@@ -72,7 +72,7 @@ impl Weight {
         Ok(weight)
     }
 
-    /// Builds, and says what it took.
+    /// Builds, and prints the cost.
     pub(crate) fn run(self, root: &Path) -> ExitCode {
         let report = match self.build(root) {
             Ok(report) => report,
@@ -93,6 +93,7 @@ impl Weight {
         let target = target_folder(root)?.join("weight");
         let profile = if self.dist { "dist" } else { "release" };
         match fs::remove_dir_all(&target) {
+            // A folder with old crates would make the build look cheap.
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
                 return Err(format!("{}: {error}", target.display()));
             }
@@ -122,9 +123,10 @@ impl Weight {
         Ok(Report { whole, size, crates })
     }
 
-    /// Whether the build stays within what is promised of it.
+    /// Returns whether the build stays within its budgets.
     fn held(self, report: &Report) -> bool {
         let within = |cost: std::time::Duration| cost.as_secs_f64() <= PROCESSOR_BUDGET_S;
+        // Each profile has one budget. Where processor time is not measured it counts as held.
         if self.dist { report.size <= SIZE_BUDGET } else { report.whole.processor.is_none_or(within) }
     }
 
@@ -160,7 +162,8 @@ impl Weight {
     }
 }
 
-/// Runs the compiler that cargo asks this program for, and writes down what it took; `None` where nobody weighs.
+/// Runs the compiler that cargo asks this program for, and records its cost; `None` where the program was not called as
+/// a compiler.
 pub(crate) fn compiler() -> Option<ExitCode> {
     let times = PathBuf::from(env::var_os(TIMES)?);
     let mut words = env::args_os().skip(1);
@@ -168,7 +171,7 @@ pub(crate) fn compiler() -> Option<ExitCode> {
     let meter = Meter::start();
     let status = Command::new(compiler).args(words).status();
     let cost = meter.cost().processor.unwrap_or_default();
-    // Cargo says for which package it calls. One short line is written at once, whoever writes beside.
+    // Cargo sets the name of the package. One short line is one write, so that lines of parallel compilers do not mix.
     if let Ok(package) = env::var("CARGO_PKG_NAME") {
         let line = format!("{package} {}\n", cost.as_secs_f64());
         let file = fs::File::options().append(true).create(true).open(&times);
@@ -180,7 +183,7 @@ pub(crate) fn compiler() -> Option<ExitCode> {
     Some(code.map_or(ExitCode::FAILURE, ExitCode::from))
 }
 
-/// What each package took, of lines like `rustix 3.25`.
+/// Adds up the times of each package, from lines like `rustix 3.25`.
 fn sum(times: &str) -> BTreeMap<String, f64> {
     let mut sums = BTreeMap::new();
     for (name, seconds) in times.lines().filter_map(|line| line.split_once(' ')) {
@@ -189,7 +192,7 @@ fn sum(times: &str) -> BTreeMap<String, f64> {
     sums
 }
 
-/// What cargo says of the packages that the program is built of.
+/// Returns the packages that the program is built from, with their depths, as cargo lists them.
 fn dependencies(root: &Path) -> Result<Vec<(usize, String)>, String> {
     let arguments = ["tree", "--locked", "--package", PROGRAM, "--edges", "normal,build", "--prefix", "depth"];
     let output = Command::new(toolchain::cargo())
@@ -203,15 +206,16 @@ fn dependencies(root: &Path) -> Result<Vec<(usize, String)>, String> {
     Ok(String::from_utf8_lossy(&output.stdout).lines().filter_map(depth_and_name).collect())
 }
 
-/// Of a line like `2rustix v1.1.6`.
+/// Reads depth and name from a line like `2rustix v1.1.6`.
 fn depth_and_name(line: &str) -> Option<(usize, String)> {
     let digits = line.find(|letter: char| !letter.is_ascii_digit())?;
     let name = line[digits..].split(' ').next()?;
     Some((line[..digits].parse().ok()?, name.to_owned()))
 }
 
-/// Of each package the one by which the program needs it on the shortest way.
+/// Returns for each package the one that needs it on the shortest path from the program.
 fn parents(tree: &[(usize, String)]) -> BTreeMap<String, String> {
+    // Cargo prints a tree by depth: the parent of a line is the last one above it with a lower depth.
     let mut edges: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     let mut path: Vec<&str> = Vec::new();
     for (depth, name) in tree {
@@ -222,6 +226,7 @@ fn parents(tree: &[(usize, String)]) -> BTreeMap<String, String> {
         path.push(name);
     }
     let mut parents = BTreeMap::new();
+    // Breadth first: the first parent found is on a shortest path.
     let mut next = VecDeque::from([PROGRAM]);
     while let Some(parent) = next.pop_front() {
         for &child in edges.get(parent).into_iter().flatten() {

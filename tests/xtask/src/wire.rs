@@ -1,4 +1,5 @@
-//! `cargo xtask protocol`: the wire protocol for those who do not read Rust, made of the types themselves.
+//! Task `cargo xtask protocol`: the wire protocol for readers of other languages than Rust, generated from the types
+//! themselves.
 //!
 //! | module | subject |
 //! | --- | --- |
@@ -30,26 +31,26 @@ use model::Model;
 use r4_protocol::VERSION;
 use source::Source;
 
-/// What writes the files again.
+/// Command that renews the files, as they name it.
 const RENEWED_BY: &str = "cargo xtask protocol";
 
-/// What is done with the files.
+/// Action on the files.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Wire {
     #[default]
     Write,
-    /// Compares them with what would be written.
+    /// Compares them with the output of the generators.
     Check,
 }
 
-/// A golden frame.
+/// Golden frame with its row.
 struct Golden {
     direction: String,
     name: String,
     frame: Vec<u8>,
 }
 
-/// What the files are made of.
+/// Sources of the files.
 struct Input {
     root: PathBuf,
     source: Source,
@@ -59,7 +60,7 @@ struct Input {
 
 type Generator = fn(&Input) -> Result<String, String>;
 
-/// The files, and what makes them.
+/// Files with their generators.
 const FILES: [(&str, Generator); 4] = [
     ("protocol/schema.json", json::file),
     ("protocol/r4.h", header::file),
@@ -68,8 +69,10 @@ const FILES: [(&str, Generator); 4] = [
 ];
 
 impl Wire {
+    /// Reads the words after `protocol`.
+    ///
     /// # Errors
-    /// The word that means nothing.
+    /// The word that is no option.
     pub(crate) fn parse(words: &[&str]) -> Result<Self, String> {
         match words {
             [] => Ok(Self::Write),
@@ -88,7 +91,7 @@ impl Wire {
         }
     }
 
-    /// Writes the files that have changed, or says which would.
+    /// Writes the files that have changed, or compares them.
     ///
     /// # Errors
     /// The source and the types do not fit each other, a file cannot be written, or one is stale.
@@ -129,8 +132,10 @@ impl Input {
     }
 }
 
+/// Reads the rows of golden frames.
+///
 /// # Errors
-/// The line that is none.
+/// The line that is no row.
 fn golden(text: &str) -> Result<Vec<Golden>, &str> {
     let row = |line| {
         let [direction, name, hex] = str::split_whitespace(line).collect::<Vec<_>>()[..] else { return Err(line) };

@@ -1,4 +1,4 @@
-//! `[body.berry-picker]`: a pneumatic gripper before a bush.
+//! Table `[body.berry-picker]`: a pneumatic gripper before a bush.
 
 use r4_protocol::channel::ChannelId;
 use r4_world::{AirSupply, AnyBody, Berry, BerryError, BerryPicker, CoilValve, Cylinder, Fingers, Point, ToolAxes};
@@ -146,6 +146,7 @@ impl PickerTable {
         };
         let reach = shafts.turning(axes.reach, "body.berry-picker.axes.reach".into())?;
         let row = shafts.turning(axes.row, "body.berry-picker.axes.row".into())?;
+        // Two axes on one shaft could not reach a berry.
         if reach == row {
             return Err(shafts.reader.source.rule("body.berry-picker.axes.row", "each axis needs a motor of its own"));
         }

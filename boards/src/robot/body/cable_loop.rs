@@ -1,4 +1,4 @@
-//! `[body.cable-loop]`: a gripper with a loop that closes round a vial.
+//! Table `[body.cable-loop]`: a gripper with a loop that closes round a vial.
 
 use r4_protocol::channel::ChannelId;
 use r4_world::{AnyBody, CableLoop, CableLoopError, Point, cable_loop};
@@ -131,6 +131,7 @@ impl CableLoopTable {
         let source = shafts.reader.source;
         for (number, (channel, name)) in channels.into_iter().enumerate() {
             let path = format!("body.cable-loop.{name}");
+            // `CableLoop` has its axes in this order; a channel that was taken before has a lower number.
             if shafts.turning(channel, path.clone())? != number {
                 return Err(source.rule(path, "each axis needs a channel of its own"));
             }

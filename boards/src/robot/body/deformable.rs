@@ -1,4 +1,4 @@
-//! `[body.deformable]`: a robot on wheels in a shell of six panels that a servo narrows, with two whiskers.
+//! Table `[body.deformable]`: a robot on wheels in a shell of six panels that a servo narrows, with two whiskers.
 
 use r4_protocol::channel::ChannelId;
 use r4_world::{AnyBody, Deformable, DeformableError, Point, Shell, Whiskers};
@@ -66,6 +66,7 @@ impl DeformableTable {
             let why = "the shell is the outline: leave `outline_m` out";
             return Err(source.rule("body.deformable.wheeled.outline_m", why));
         }
+        // A shared shaft would drive and narrow the robot at once.
         if self.wheeled.wheel.iter().any(|wheel| wheel.channel == Some(channel)) {
             return Err(
                 source.rule("body.deformable.shell.channel", "a wheel has this channel: the shell needs its own")

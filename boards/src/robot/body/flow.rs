@@ -1,4 +1,4 @@
-//! Valves and tubes, as several bodies have them.
+//! Valves and tubes that several bodies have.
 
 use r4_world::Restriction;
 use serde::Deserialize;

@@ -1,4 +1,4 @@
-//! `[body.suction-pad]`: a strip with suction cups and inflatable membranes.
+//! Table `[body.suction-pad]`: a strip with suction cups and inflatable membranes.
 
 use r4_protocol::channel::ChannelId;
 use r4_world::{AnyBody, Cup, Line, Membrane, Restriction, Strip, SuctionError, SuctionPad};
@@ -100,6 +100,7 @@ impl SuctionTable {
     pub(super) fn check(&self, mut shafts: Shafts<'_>) -> Result<SimulatedBody, BoardError> {
         let source = shafts.reader.source;
         let LineTable { lead_m, bore_m2, syringe_m3, dead_m3, tube, orifice, leak_m3_s_pa } = self.line;
+        // The leak is given by its conductance alone; the critical ratio of the tube serves for it.
         let leak = Restriction { conductance_m3_s_pa: leak_m3_s_pa, critical_ratio: tube.critical_ratio };
         let (tube, orifice) = (tube.into(), orifice.into());
         let mut line = |index: usize| {
@@ -107,6 +108,7 @@ impl SuctionTable {
             let path = format!("body.suction-pad.membrane[{index}]");
             let stepper = shafts.turning(stepper, format!("{path}.stepper"))?;
             let valve = shafts.relay(valve, format!("{path}.valve"))?;
+            // A channel is taken only once, so that a shared one leaves the list shorter.
             if shafts.channels.len() < 2 * (index + 1) {
                 return Err(source.rule(path, "each membrane needs a stepper and a valve of its own"));
             }

@@ -1,4 +1,4 @@
-//! `[body.two-fingers]`: two fingers with an object between them.
+//! Table `[body.two-fingers]`: two fingers with an object between them.
 
 use r4_protocol::channel::ChannelId;
 use r4_world::{AnyBody, Encoders, Finger, GripError, Held, Pads, Palm, Point, TwoFingers};
@@ -107,6 +107,7 @@ impl GripTable {
             shafts.turning(id, format!("body.two-fingers.{path}"))?;
         }
         let source = shafts.reader.source;
+        // A channel is taken only once, so that a shared one leaves the list shorter.
         if shafts.channels.len() < 3 {
             return Err(source.rule("body.two-fingers", "left, right and palm need a channel of their own each"));
         }

@@ -1,4 +1,4 @@
-//! What gdb debugs: the machine's registers, memory and breakpoints.
+//! Debuggee of gdb: the machine's registers, memory and breakpoints.
 
 use std::io::Write;
 
@@ -26,26 +26,26 @@ use r4_mcu::{Bank, Chip, Size, cpu::Core};
 use super::registers::{CortexM7, Number, Values};
 use crate::{board::BoardSoc, tracing::Tracer, watch::SharedMachine};
 
-/// Of the system control space (DDI0403E B3.2), what can be read without effect: NVIC and system control block, floating
-/// point; gdb needs it to look behind exceptions. SysTick, below, forgets a flag when it is read.
+/// Part of the system control space (DDI0403E B3.2) that can be read without side effects: NVIC, system control block,
+/// and floating point; gdb needs it to unwind exceptions. SysTick, below, clears a flag when it is read.
 const CONTROL_SPACE: std::ops::Range<u32> = 0xE000_E100..0xE000_F000;
 
-/// How the machine is to go on.
+/// Mode in which the machine continues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Resume {
     Continue,
     Step,
-    /// By instructions, as long as PC is from the first address up to before the second.
+    /// Steps instructions while PC is in the range from the first address to before the second.
     Range(u32, u32),
 }
 
-/// The machine as gdb sees it.
+/// View of the machine for gdb.
 pub(super) struct Inferior<C> {
     pub(super) machine: SharedMachine<C>,
     pub(super) breakpoints: Vec<u32>,
     pub(super) resume: Resume,
     pub(super) tracer: Option<Tracer<Box<dyn Write>>>,
-    /// Why the machine cannot go on.
+    /// Reason why the machine cannot go on.
     pub(super) failure: Option<String>,
 }
 
@@ -67,7 +67,8 @@ impl<C: Core> Target for Inferior<C> {
 }
 
 impl<C: Core> Inferior<C> {
-    /// Bytes at an address, up to the end of what holds it; fewer than asked for, or none.
+    /// Reads bytes at an address up to the end of its region; returns their number, which may be less than requested,
+    /// or 0.
     fn read(&self, start: u32, into: &mut [u8]) -> usize {
         let mut machine = self.machine.borrow_mut();
         if CONTROL_SPACE.contains(&start) {
@@ -84,11 +85,11 @@ impl<C: Core> Inferior<C> {
         machine.chip.memory().read_slice(start, &mut into[..len]).map_or(0, |()| len)
     }
 
-    /// Bytes of memory from an address on that may be looked at and changed: to the end of what holds it.
+    /// Returns the number of bytes from an address to the end of its region that gdb may access.
     fn reaches(chip: &BoardSoc, start: u32) -> u32 {
         let memory = chip.memory();
         let Some((region, offset)) = memory.locate(start) else { return 0 };
-        // The cells of these sectors are elsewhere, and reading them by the bus can raise an error's flag.
+        // The cells of these sectors are outside the memory map, and reading them on the bus can set an error flag.
         let kept = memory.kept();
         if kept.contains(&start) || chip.is_closed() && (region.bank.is_flash() || region.bank == Bank::Backup) {
             return 0;
@@ -206,7 +207,7 @@ impl<C: Core> Inferior<C> {
     }
 }
 
-// Both kinds are the same: the machine is told where to stop, and nothing is written to flash.
+// Both kinds of breakpoint are the same: the machine observes the address, and nothing is written to flash.
 
 impl<C: Core> SwBreakpoint for Inferior<C> {
     fn add_sw_breakpoint(&mut self, address: u32, _: ArmBreakpointKind) -> TargetResult<bool, Self> {

@@ -1,12 +1,12 @@
-//! A debugger on the machine, by gdb's remote protocol. While gdb has it halted, virtual time stands still.
+//! Debugger for the machine with gdb's remote protocol. While gdb has the machine halted, virtual time stands still.
 //!
-//! Registers are those of the core with floating point and the masks. Memory is RAM and flash, read and written as it is,
-//! without clocks and without effects; peripherals are refused, for to read one can change it: `monitor read` does so on
-//! purpose. Of the system control space NVIC, SCB and floating point are read, which has no effect. Breakpoints, of which
-//! there are as many as one likes, are kept by the machine and not in flash. A step is one instruction, or the entry of an
-//! exception that is due. Neither breakpoints nor steps change what the program does or when. A connected gdb does so at
-//! readout protection level 1 (RM0399, 4.5.3): flash and backup SRAM are refused then, and the program cannot go on from
-//! flash either.
+//! Registers are those of the core with floating point and the masks. Memory is RAM and flash, read and written without
+//! clocks and side effects; peripherals are refused, because reading one can change it: `monitor read` does so on
+//! purpose. In the system control space NVIC, SCB and floating point are readable without side effects. Breakpoints are
+//! unlimited in number: the machine keeps them, and flash is unchanged. A step is one instruction, or the entry of a
+//! pending exception. Neither breakpoints nor steps change what the program does or when. But a connected gdb does at
+//! readout protection level 1 (RM0399, 4.5.3): flash and backup SRAM are refused then, and the program cannot go on
+//! from flash either.
 
 mod inferior;
 mod monitor;
@@ -32,39 +32,39 @@ use crate::watch::{Go, SharedMachine, Watcher, observed_at};
 use inferior::{Inferior, Resume};
 use wire::Wire;
 
-/// How often it is looked whether gdb has connected, in real time.
+/// Real time between polls for a connection from gdb.
 const ACCEPT_EVERY: Duration = Duration::from_millis(20);
 
-/// Where a debugging session stands.
+/// State of a debugging session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
-    /// Nobody has connected yet.
+    /// No gdb has connected yet.
     Waiting,
-    /// gdb is connected.
+    /// A gdb is connected.
     Attached,
-    /// gdb has gone; the machine runs freely.
+    /// The gdb has disconnected; the machine runs freely.
     Detached,
-    /// gdb wants all to end.
+    /// The gdb has requested the end of the program.
     Killed,
 }
 
-/// Whoever started the server: tells a person, and knows whether that person wants to stop waiting.
+/// Caller of the server: shows messages to the user, and knows whether the user wants to stop waiting.
 pub trait Starter {
-    /// Something to say.
+    /// Shows a message to the user.
     fn say(&self, text: &str);
 
-    /// Waiting for gdb is to end, and the machine to run on.
+    /// Returns true if the user wants to end the wait for gdb; the machine then runs on.
     fn interrupted(&self) -> bool {
         false
     }
 
-    /// gdb wants all to end.
+    /// Ends the program at gdb's request.
     fn killed(&self) {}
 }
 
 type Stub<C> = GdbStubStateMachine<'static, Inferior<C>, Wire>;
 
-/// Serves one gdb.
+/// Server for one gdb.
 pub struct Server<C: Core + 'static> {
     listener: TcpListener,
     attach_at_ns: u64,
@@ -75,7 +75,8 @@ pub struct Server<C: Core + 'static> {
 }
 
 impl<C: Core + 'static> Server<C> {
-    /// A server that halts the machine at the first instruction at or after `attach_at_ns`, and waits there for gdb.
+    /// Makes a server that halts the machine at the first instruction at or after `attach_at_ns` and waits there for
+    /// gdb.
     pub fn new(
         machine: SharedMachine<C>,
         listener: TcpListener,
@@ -88,12 +89,12 @@ impl<C: Core + 'static> Server<C> {
         Self { listener, attach_at_ns, starter: Box::new(starter), state, inferior, stub: None }
     }
 
-    /// Where it stands, now and later.
+    /// Returns the state of the session, shared with the server.
     pub fn state(&self) -> Rc<Cell<State>> {
         self.state.clone()
     }
 
-    /// Waits for gdb.
+    /// Waits for gdb to connect.
     fn accept(&mut self) {
         let address = self.listener.local_addr().map(|address| address.to_string()).unwrap_or_default();
         let (now_ns, location) = {
@@ -127,7 +128,7 @@ impl<C: Core + 'static> Server<C> {
         }
     }
 
-    /// The connection goes on, or has failed.
+    /// Keeps the protocol state, or ends the session after a failure.
     fn keep<E: std::fmt::Display>(&mut self, stub: Result<Stub<C>, E>) {
         match stub {
             Ok(stub) => self.stub = Some(stub),
@@ -135,7 +136,7 @@ impl<C: Core + 'static> Server<C> {
         }
     }
 
-    /// The chip notices a debugger.
+    /// Makes the chip notice the debugger.
     fn connect(&self, connected: bool) {
         let mut machine = self.inferior.machine.borrow_mut();
         machine.chip.set_debugger(connected);
@@ -153,7 +154,7 @@ impl<C: Core + 'static> Server<C> {
         self.state.set(State::Detached);
     }
 
-    /// Answers gdb until the machine is to run, or nobody is there any more.
+    /// Answers gdb until the machine is to run, or the session has ended.
     fn talk(&mut self) {
         while let Some(stub) = self.stub.take() {
             match stub {
@@ -183,7 +184,7 @@ impl<C: Core + 'static> Server<C> {
                     self.keep(next);
                 }
                 Disconnected(mut disconnected) => {
-                    // What was answered last.
+                    // The last answer is still in the buffer.
                     let _ = disconnected.borrow_conn().flush();
                     self.connect(false);
                     self.inferior.breakpoints.clear();
@@ -199,7 +200,7 @@ impl<C: Core + 'static> Server<C> {
         }
     }
 
-    /// Tells gdb why the machine has stopped, if it waits for that.
+    /// Reports the reason of a stop to gdb, if it waits for one.
     fn report(&mut self, reason: SingleThreadStopReason<u32>) {
         match self.stub.take() {
             Some(Running(running)) => {
@@ -210,7 +211,7 @@ impl<C: Core + 'static> Server<C> {
         }
     }
 
-    /// What of a stop gdb is to know.
+    /// Translates a stop of the machine for gdb; `None` if it does not concern gdb.
     fn reason(&self, stopped: Stopped) -> Option<SingleThreadStopReason<u32>> {
         let at_breakpoint = |address: u32| self.inferior.breakpoints.contains(&address);
         match stopped.reason {

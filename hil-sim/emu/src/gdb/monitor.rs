@@ -1,4 +1,4 @@
-//! What gdb's `monitor` can ask for.
+//! Commands of gdb's `monitor`.
 
 use std::{fs::File, io};
 
@@ -22,7 +22,7 @@ trace on [FILE]            writes exceptions, misuses and I2C transfers to a fil
 trace off
 read ADDRESS [8|16|32]     reads on the bus as the program would, with every effect that has on a peripheral";
 
-/// IPSR.
+/// Exception number field of xPSR (IPSR).
 const EXCEPTION: u32 = 0x1FF;
 
 impl<C: Core> MonitorCmd for Inferior<C> {

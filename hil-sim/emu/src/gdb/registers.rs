@@ -1,4 +1,4 @@
-//! The registers of a Cortex-M7 as gdb knows them: its features `m-profile`, `vfp` (double precision, 16 registers) and
+//! Registers of a Cortex-M7 as gdb knows them: its features `m-profile`, `vfp` (double precision, 16 registers) and
 //! `m-system`.
 
 use std::num::NonZeroUsize;
@@ -7,7 +7,7 @@ use gdbstub::arch::{Arch, RegId, Registers};
 use gdbstub_arch::arm::ArmBreakpointKind;
 use r4_mcu::cpu::{Core, Register};
 
-/// The order below is that of [`ALL`], which numbers follow.
+/// Target description in XML; `number` below assigns gdb's numbers in its order.
 const DESCRIPTION: &str = r#"<?xml version="1.0"?><!DOCTYPE target SYSTEM "gdb-target.dtd">
 <target version="1.0"><architecture>arm</architecture>
 <feature name="org.gnu.gdb.arm.m-profile">
@@ -35,19 +35,19 @@ const DESCRIPTION: &str = r#"<?xml version="1.0"?><!DOCTYPE target SYSTEM "gdb-t
 </feature>
 </target>"#;
 
-/// How many registers gdb is told of.
+/// Number of registers in the target description.
 const COUNT: usize = 40;
 
-/// A register by gdb's number.
+/// Register by gdb's number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Number {
-    /// One of 32 bits.
+    /// Register of 32 bits.
     Single(Register),
-    /// D0 to D15: two of the core's registers of single precision.
+    /// D0 to D15: a pair of single-precision registers of the core.
     Double(u8),
 }
 
-/// All of them, in gdb's order.
+/// Iterates over all registers in gdb's order.
 fn all() -> impl Iterator<Item = Number> {
     (0..COUNT).filter_map(number)
 }
@@ -73,7 +73,7 @@ fn number(id: usize) -> Option<Number> {
 }
 
 impl Number {
-    /// Bytes.
+    /// Returns the register's length, bytes.
     pub(super) fn len(self) -> usize {
         match self {
             Self::Single(_) => 4,
@@ -93,7 +93,7 @@ impl Number {
 
     pub(super) fn write<C: Core>(self, core: &mut C, value: u64) {
         match self {
-            // The Thumb bit is no part of an address here.
+            // The core's PC is an address without the Thumb bit.
             Self::Single(Register::Pc) => core.set(Register::Pc, value as u32 & !1),
             Self::Single(register) => core.set(register, value as u32),
             Self::Double(index) => {
@@ -110,7 +110,7 @@ impl RegId for Number {
     }
 }
 
-/// The values of all registers, in gdb's order.
+/// Values of all registers in gdb's order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Values([u64; COUNT]);
 
@@ -125,7 +125,7 @@ impl Values {
         self.0.iter_mut().zip(all()).for_each(|(value, number)| *value = number.read(core));
     }
 
-    /// Only what differs: what a register reads as need not be what it takes.
+    /// Writes only registers whose value differs: writing back a value as read may have another effect.
     pub(super) fn write<C: Core>(&self, core: &mut C) {
         for (value, number) in self.0.iter().zip(all()) {
             if number.read(core) != *value {
@@ -159,7 +159,7 @@ impl Registers for Values {
     }
 }
 
-/// A Cortex-M7 with double-precision floating point.
+/// Architecture description of a Cortex-M7 with double-precision floating point.
 #[derive(Debug)]
 pub(super) enum CortexM7 {}
 
@@ -192,7 +192,7 @@ mod tests {
         });
         let mut bytes = Vec::new();
         values.gdb_serialize(|byte| bytes.extend(byte));
-        // 24 of 32 bits, 16 of 64.
+        // Sizes: 24 registers of 32 bits, 16 of 64.
         assert_eq!(bytes.len(), 24 * 4 + 16 * 8);
         let mut back = Values::default();
         back.gdb_deserialize(&bytes).unwrap();

@@ -1,4 +1,4 @@
-//! The connection to gdb.
+//! TCP connection to gdb.
 
 use std::{
     collections::VecDeque,
@@ -9,12 +9,12 @@ use std::{
 
 use gdbstub::conn::Connection;
 
-/// How often a running machine looks for bytes of gdb, in real time.
+/// Real time between polls for gdb's bytes while the machine runs.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// How long a halted machine waits for bytes before it asks whether to go on waiting.
+/// Real time that a halted machine waits for bytes before it checks for an interruption.
 const WAIT: Duration = Duration::from_millis(100);
 
-/// A TCP connection, with what is to be sent in one piece.
+/// TCP connection that collects the bytes of an answer and sends them in one piece.
 pub(super) struct Wire {
     stream: TcpStream,
     received: VecDeque<u8>,
@@ -30,7 +30,7 @@ impl Wire {
         Ok(Self { stream, received: VecDeque::new(), to_send: Vec::new(), looked: Instant::now() })
     }
 
-    /// The next byte; waits a while for it.
+    /// Returns the next byte, waiting up to [`WAIT`] for it.
     pub(super) fn wait(&mut self) -> io::Result<Option<u8>> {
         if self.received.is_empty() {
             self.receive()?;
@@ -38,7 +38,7 @@ impl Wire {
         Ok(self.received.pop_front())
     }
 
-    /// The next byte, if there is one; does not wait, and does not even look each time.
+    /// Returns the next byte if there is one. Does not wait, and reads the socket only every [`LOOK_EVERY`].
     pub(super) fn look(&mut self) -> io::Result<Option<u8>> {
         if self.received.is_empty() && self.looked.elapsed() >= LOOK_EVERY {
             self.looked = Instant::now();

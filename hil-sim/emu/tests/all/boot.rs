@@ -1,4 +1,4 @@
-//! The board comes up from its image: who it says it is, its lights, its pins, and nothing done against a manual.
+//! Boot of the board from its image: identity, lights, pins, and no misuse of a chip.
 
 use std::process::Command;
 
@@ -27,7 +27,8 @@ fn the_board_comes_up_and_a_host_connects() {
     });
 }
 
-/// Behind the bootloader: its first sector of flash is empty here, and the chip starts where the bootloader would jump to.
+/// The image starts behind the bootloader: the bootloader's first sector is empty here, and the chip starts where the
+/// bootloader would jump to.
 #[test]
 fn the_hosted_image_starts_behind_the_bootloader() {
     let setup = Setup::of(r4_boards::load("osmc-bench").expect("built in"), image("osmc-bench", "hosted"));
@@ -42,7 +43,7 @@ fn the_hosted_image_starts_behind_the_bootloader() {
     });
 }
 
-/// What is loaded is the file, byte for byte, under the name that everybody knows it by.
+/// The loaded bytes are those of the file, with the same SHA-256 digest.
 #[test]
 fn the_image_is_the_file() {
     let image = image("osmc-bench", "bare");
@@ -52,8 +53,8 @@ fn the_image_is_the_file() {
     assert_eq!(std::fs::read(image.path()).expect("it is there"), image.elf());
 }
 
-/// Each pin of the carrier is what its file says, and no other is driven: an input that the firmware drove would work
-/// against the sensor at it, a free pin that it drove against whatever is plugged in there.
+/// Each pin of the carrier is configured as its file states, and no other pin is driven: a driven input would work
+/// against its sensor, a driven free pin against whatever is plugged in.
 #[test]
 fn every_pin_is_what_the_carriers_file_says_and_no_other_is_driven() {
     for robot in ["osmc-bench", "every-interface"] {
@@ -88,7 +89,7 @@ fn every_pin_is_what_the_carriers_file_says_and_no_other_is_driven() {
     }
 }
 
-/// The debugger's own: PA13, PA14, PA15, PB3, PB4 come out of reset with its functions (RM0399, 12.3.2).
+/// Returns true for the debugger's pins: PA13, PA14, PA15, PB3, PB4 have its functions after reset (RM0399, 12.3.2).
 fn is_debugger(pin: Pin) -> bool {
     [('A', 13), ('A', 14), ('A', 15), ('B', 3), ('B', 4)]
         .into_iter()
@@ -99,7 +100,7 @@ fn is_driven(level: Level) -> bool {
     matches!(level, Level::Low | Level::High)
 }
 
-/// By the id of a pin: outputs are those that the carrier wires to an input of something.
+/// Checks a pin's configuration by its id: outputs are the pins that the carrier wires to inputs of other parts.
 fn is_right(id: &str, af: Option<u8>, mode: Mode, alternate: Option<u8>) -> bool {
     const OUTPUTS: [&str; 14] = [
         "osmc_dis",
@@ -121,7 +122,7 @@ fn is_right(id: &str, af: Option<u8>, mode: Mode, alternate: Option<u8>) -> bool
     let begins = |with: &[&str]| with.iter().any(|start| id.starts_with(start));
     let switch = id.starts_with("enc") && id.ends_with("_sw");
     if begins(&INPUTS) || switch {
-        // A pin of an interface that the robot does not have stays as it came out of reset.
+        // A pin of an interface that the robot does not have stays as after reset.
         return matches!(mode, Mode::Input | Mode::Analog);
     }
     match af {

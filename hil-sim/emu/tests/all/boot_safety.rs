@@ -1,6 +1,6 @@
-//! What a reset of the processor does to outputs whose chips do not notice it: every kind of output is made safe within a few
-//! milliseconds, in whatever way the run ended and whether the crystal starts or not; and firmware that ends again and
-//! again holds them so, and says why.
+//! Outputs after a reset of the processor, which their chips do not notice: every kind of output is made safe within a
+//! few milliseconds, however the run ended and whether the crystal starts or not. Firmware that fails again and again
+//! holds them safe, and reports the reason.
 
 use crate::emulated::{
     BOOT_MS, Board, Emu, Setup,
@@ -14,21 +14,21 @@ use r4_sim::{
     stop::{Outputs, StopWatch},
 };
 
-/// Backup register that counts bad starts in its low half (see `reset.rs` of the firmware).
+/// Backup register with the number of bad starts in its low half (see `reset.rs` of the firmware).
 const BAD_STARTS: usize = 22;
-/// So many in a row lead to hold mode, and so many more to hold mode without links.
+/// Number of successive bad starts that lead to hold mode; as many more lead to hold mode without links.
 const HOLD: u32 = 3;
-/// The watchdog's longest period: that of a processor that has just been reset, 4096 times 4 cycles of 32 kHz.
+/// Longest period of the watchdog, ns: that after a reset, 4096 times 4 cycles of 32 kHz.
 const LONGEST_WATCHDOG_NS: u64 = 512 * MS;
-/// From the reset to safe outputs, most: start-up's clearing of 100 KB (0.5 ms at the emulator's 240 million instructions a
-/// second), reading the configuration, and the sweep of five chips at 400 kHz.
+/// Time limit from the reset to safe outputs, ns: start-up's clearing of 100 KB (0.5 ms at the emulator's 240 million
+/// instructions a second), reading the configuration, and the sweep of five chips at 400 kHz.
 const SWEPT_NS: u64 = 5 * MS;
 
 const fn channel(kind: ChannelKind, index: u8) -> ChannelId {
     ChannelId::new(kind, index)
 }
 
-/// Everything moves, on a board that has each kind of output.
+/// Moves everything, on a board with each kind of output.
 async fn move_everything(emu: &Emu<'_>) {
     emu.host.arm().await.expect("nothing is wrong");
     emu.sleep_ms(60).await;
@@ -46,7 +46,7 @@ async fn move_everything(emu: &Emu<'_>) {
     assert_eq!(emu.safety().await.0, SafetyState::Armed);
 }
 
-/// How the chip drives DISABLE of the bridges; it floats while the chip is in reset and until the firmware claims it.
+/// Returns the chip's level at DISABLE of the bridges; it floats during reset and until the firmware claims it.
 fn disable(board: &Board) -> Level {
     let carrier = r4_boards::load_carrier("r4-carrier").expect("built in");
     let pin = carrier.pin("osmc_dis").expect("it has it").stm32;
@@ -57,7 +57,7 @@ fn is_floating(board: &Board) -> bool {
     matches!(disable(board), Level::Floating(_))
 }
 
-/// Waits for the next reset; its moment, to 20 us.
+/// Waits for the next reset; returns its time, accurate to 20 µs.
 async fn next_reset(device: &Device, board: &Board, limit_ns: u64) -> u64 {
     let since_ns = device.clock.now_ns();
     while !is_floating(board) {
@@ -67,8 +67,8 @@ async fn next_reset(device: &Device, board: &Board, limit_ns: u64) -> u64 {
     device.clock.now_ns()
 }
 
-/// Breaks the program while everything moves, and measures each kind of output from the reset that
-/// follows.
+/// Injects a fault while everything moves, and measures the time from the following reset until each kind of output is
+/// safe, ns.
 fn after_reset(name: &str, setup: &Setup, fault: Fault, without_crystal: bool) -> u64 {
     let (worst_ns, _) = setup.bench_with_misuse(async |emu| {
         move_everything(emu).await;
@@ -110,8 +110,8 @@ fn every_output_is_safe_right_after_a_reset() {
     }
 }
 
-/// The processor's own analog outputs keep what the sweep has set while the rest of the boot sets everything up: looked at so
-/// often that a converter that is reset meanwhile shows.
+/// The processor's own analog outputs keep the sweep's values during the rest of the boot. They are sampled so often
+/// that a reset of the converter would show.
 #[test]
 fn analog_outputs_keep_their_safe_voltage_through_the_boot() {
     Setup::new("every-interface").bench_with_misuse(async |emu| {
@@ -134,8 +134,8 @@ fn analog_outputs_keep_their_safe_voltage_through_the_boot() {
     });
 }
 
-/// A chip that was sending when the processor was reset holds the data line; it is clocked free. One that does not answer at all
-/// does not keep the others from being told.
+/// A chip that was sending at the processor's reset holds the data line; the sweep clocks it free. A chip that does not
+/// answer at all does not keep the others from being written.
 #[test]
 fn a_held_bus_is_freed_and_a_silent_chip_is_left_out() {
     for disturbance in [Disturbance::StuckLow { persistent: false }, Disturbance::AddressNack] {
@@ -162,7 +162,7 @@ fn bad_starts(board: &Board) -> u32 {
     board.machine().chip.backup_register(BAD_STARTS).expect("0 to 31") & 0xFFFF
 }
 
-/// Asserts that the board is in hold mode, and answers why.
+/// Asserts that the board is in hold mode and reports the reason.
 async fn is_held(host: &mut RawHost, device: &Device, board: &Board) {
     host.listen(100).await;
     host.bad_frames = 0;
@@ -184,8 +184,8 @@ async fn is_held(host: &mut RawHost, device: &Device, board: &Board) {
     assert_eq!(disable(board), Level::High);
 }
 
-/// A supervisor that hangs at once, at every start: after three bad starts the board holds its outputs and answers why, a chip
-/// that was told something else meanwhile is told again, and a host's restart leaves it.
+/// The supervisor hangs at once at every start: after three bad starts the board holds its outputs and reports the
+/// reason; a chip that lost its settings is written again; a host's restart leaves hold mode.
 #[test]
 fn firmware_that_hangs_at_every_start_holds_outputs_safe_and_says_why() {
     let setup = Setup::new("every-interface");
@@ -198,9 +198,9 @@ fn firmware_that_hangs_at_every_start_holds_outputs_safe_and_says_why() {
         }
         device.clock.sleep(100 * MS).await;
         is_held(host, device, board).await;
-        // A chip that lost its supply meanwhile.
+        // The DAC loses its supply meanwhile.
         assert!(board.world().brown_out(r4_sim::world::BoardChip::BldcDac), "it has it");
-        // For as long as it likes: nobody resets it, and the red light flashes alone.
+        // Hold mode has no time limit: the watchdog does not reset the board, and only the red light flashes.
         let mut seen = [false; 2];
         for _ in 0..100 {
             device.clock.sleep(20 * MS).await;
@@ -210,7 +210,7 @@ fn firmware_that_hangs_at_every_start_holds_outputs_safe_and_says_why() {
         }
         assert_eq!((seen, bad_starts(board)), ([true; 2], HOLD));
         is_held(host, device, board).await;
-        // What hung is whole again, as after another image was flashed.
+        // The fault is removed, as by flashing another image.
         patch.undo(&mut board.machine()).expect("code is in memory");
         host.ask(Request::Restart).await.expect("it is not armed");
         next_reset(device, board, 100 * MS).await;
@@ -222,7 +222,7 @@ fn firmware_that_hangs_at_every_start_holds_outputs_safe_and_says_why() {
     });
 }
 
-/// Where not even the time driver or a link works, hold mode goes on without them.
+/// Hold mode continues without time driver and links if one of them hangs too.
 #[test]
 fn hold_mode_that_hangs_too_goes_on_alone() {
     let setup = Setup::new("every-interface");
@@ -246,7 +246,7 @@ fn hold_mode_that_hangs_too_goes_on_alone() {
     });
 }
 
-/// A single bad end is no reason to hold: it is forgotten after ten seconds.
+/// A single bad end does not lead to hold mode: it is forgotten after ten seconds.
 #[test]
 fn bad_starts_are_forgotten_when_the_board_has_run_well() {
     Setup::osmc_bench().raw(async |host, device, board| {
@@ -264,10 +264,10 @@ fn bad_starts_are_forgotten_when_the_board_has_run_well() {
     });
 }
 
-/// Timers that run too fast or too slow by the independent oscillator: the watchdog's window finds them.
+/// Timers that run too fast or too slow against the independent oscillator: the watchdog's window detects them.
 #[test]
 fn a_crystal_of_another_frequency_is_found_by_the_watchdogs_window() {
-    // Where 16 MHz belong.
+    // The crystal's nominal frequency is 16 MHz.
     for hse_hz in [11_000_000, 20_000_000] {
         Setup::osmc_bench().raw(async |_, device, board| {
             device.clock.sleep(100 * MS).await;
@@ -280,8 +280,8 @@ fn a_crystal_of_another_frequency_is_found_by_the_watchdogs_window() {
     }
 }
 
-/// A crystal that stops while everything moves: the clock security system stops the outputs at once, and the board starts again
-/// from its internal oscillator and knows why.
+/// The crystal stops while everything moves: the clock security system stops the outputs at once, and the board
+/// restarts from its internal oscillator and reports the reason.
 #[test]
 fn a_crystal_that_stops_at_run_time_stops_everything_and_is_told() {
     Setup::new("every-interface").bench_with_misuse(async |emu| {
@@ -302,12 +302,12 @@ fn a_crystal_that_stops_at_run_time_stops_everything_and_is_told() {
             assert!(after_ns <= SWEPT_NS, "{outputs}: {after_ns} ns");
         }
         eprintln!("crystal stops, ms: {told}");
-        // It runs from the internal oscillator.
+        // Clock source 2: the board runs from the internal oscillator.
         assert_eq!(board.machine().chip.backup_register(21), Some(2));
     });
 }
 
-/// The board's own state after that, to a host that connects anew.
+/// State of the board after that, for a host that connects anew.
 #[test]
 fn a_stopped_crystal_is_the_cause_of_the_next_start() {
     Setup::osmc_bench().raw(async |host, device, board| {
@@ -322,8 +322,8 @@ fn a_stopped_crystal_is_the_cause_of_the_next_start() {
     });
 }
 
-/// The processor's 3.3 V sag: the stop lines follow within microseconds and the chips are written while the processor runs; as
-/// long as the rail is low the trip cannot be cleared.
+/// The processor's 3.3 V supply sags: the stop lines follow within microseconds and the chips are written while the
+/// processor runs; while the rail is low the trip cannot be cleared.
 #[test]
 fn a_sagging_supply_stops_the_board_before_it_resets() {
     Setup::osmc_bench().raw(async |host, device, board| {
@@ -347,7 +347,8 @@ fn a_sagging_supply_stops_the_board_before_it_resets() {
     });
 }
 
-/// A brown-out with the level that docs/bring-up.md has set: a reset, and every output is safe right after the supply is back.
+/// A brown-out with the level that docs/bring-up.md sets: the processor is reset, and every output is safe right after
+/// the supply returns.
 #[test]
 fn after_a_brown_out_every_output_is_safe() {
     Setup::new("every-interface").bench_with_misuse(async |emu| {
@@ -355,7 +356,7 @@ fn after_a_brown_out_every_output_is_safe() {
         let (device, board) = (emu.device(), &emu.emulated);
         let mut watch = StopWatch::new(&emu.board);
         let dips_ns = device.clock.now_ns() + MS;
-        // Without a level the chip runs on down to 1.6 V.
+        // Without a brown-out level the chip runs on down to 1.6 V.
         board.dip_supply(dips_ns, 1.5, 2 * MS);
         let back_ns = dips_ns + 2 * MS;
         while device.clock.now_ns() < back_ns + 60 * MS {
@@ -369,10 +370,10 @@ fn after_a_brown_out_every_output_is_safe() {
     });
 }
 
-/// From power-on to the end of the first write to each chip: the same with a crystal that does not start.
+/// Time from power-on to the end of the first write to each chip; with a crystal that does not start, it is the same.
 #[test]
 fn chips_are_written_before_anything_else_is_done() {
-    // The servos of this board hold when safe: their chip is left alone.
+    // This board's servos hold when safe, so their chip is left alone.
     const CHIPS: [(&str, u8); 4] = [("expander", 0x20), ("DAC", 0x60), ("OSMC PWM", 0x40), ("DHB PWM", 0x41)];
     for crystal in [true, false] {
         let setup = Setup::new("every-interface").prepared(move |board| {

@@ -1,4 +1,4 @@
-//! The image on a CAN bus: its bit rate and number, which it keeps, and its way back from bus-off.
+//! Image on a CAN bus: its bit rate and node number, which it stores, and its recovery from bus-off.
 
 use crate::emulated::{
     Board, Emu, Setup,
@@ -18,18 +18,19 @@ const fn node(number: u8) -> Node {
     Node::new(number).expect("at most 127")
 }
 
-/// Another host greets the board with the number `to`; how many frames the board with the number `from` has answered.
+/// Sends a hello from another host to board number `to`; returns the number of frames with which board number `from`
+/// has answered.
 async fn answers(emu: &Emu<'_>, to: Node, from: Node) -> u64 {
     answers_within(emu, to, from, 100).await
 }
 
-/// The same within so many ms.
+/// Does the same with an answer time of `ms`.
 async fn answers_within(emu: &Emu<'_>, to: Node, from: Node, ms: u64) -> u64 {
     let hello = Request::Hello { version: VERSION, schema: SCHEMA_HASH };
     let mut buffer = [0; _];
     let frame = encode_frame(&ToDevice::Request { seq: 1, request: hello }, &mut buffer).expect("short");
     let before = sent(emu, from);
-    // Longer than a frame of 8 bytes takes at 125 kbit/s.
+    // The interval exceeds the duration of a frame of 8 bytes at 125 kbit/s.
     const APART_NS: u64 = 1_200_000;
     let begin_ns = emu.clock.now_ns();
     for (data, at_ns) in cut(frame).zip((begin_ns + APART_NS..).step_by(APART_NS as usize)) {
@@ -65,7 +66,7 @@ fn bit_rate_and_number_are_those_that_the_board_has_kept() {
     flash.power_up();
     Setup::osmc_bench().with_flash(flash).bench(async |emu| {
         assert_eq!(emu.emulated.can_bit_rate(), 125e3);
-        // Frames for the board beside it are not its own.
+        // The board ignores frames for other nodes.
         for other in [0, 4] {
             assert_eq!(answers(emu, node(other), node(5)).await, 0, "{other}");
         }
@@ -79,7 +80,7 @@ fn a_board_comes_back_from_bus_off() {
     Setup::osmc_bench().bench(async |emu| {
         assert!(answers(emu, node(0), node(0)).await > 0);
         emu.emulated.inject_can_bus_off();
-        // After 50 ms it begins to wait for 128 times 11 recessive bits, 1.4 ms; then it takes part again.
+        // The firmware waits 50 ms, then for 128 times 11 recessive bits, 1.4 ms; then it takes part again.
         emu.sleep_ms(48).await;
         assert_eq!(answers_within(emu, node(0), node(0), 0).await, 0);
         emu.sleep_ms(5).await;
@@ -88,15 +89,15 @@ fn a_board_comes_back_from_bus_off() {
     });
 }
 
-/// How a host sends.
+/// Frame format that the host sends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Format {
     Classic,
-    /// CAN FD with the data phase at its own rate.
+    /// CAN FD with a bit rate of its own in the data phase.
     Fd,
 }
 
-/// A host on the CAN bus that speaks frames.
+/// Host on the CAN bus that sends single frames.
 struct CanHost<'a> {
     board: &'a Board,
     device: &'a Device,
@@ -105,7 +106,7 @@ struct CanHost<'a> {
     seq: u16,
     decoder: FrameDecoder,
     heard: Vec<ToHost>,
-    /// Of each frame of the board: whether it is one of CAN FD, whether its rate is switched, its bytes of data.
+    /// Properties of each frame of the board: CAN FD, bit-rate switch, and bytes of data.
     frames: Vec<(bool, bool, usize)>,
 }
 
@@ -116,7 +117,7 @@ impl<'a> CanHost<'a> {
         Self { board, device, node: node(number), format, seq: 0, decoder, heard: Vec::new(), frames: Vec::new() }
     }
 
-    /// Frame by frame, each in a pause of the board and longer than any takes at 500 kbit/s.
+    /// Sends a message frame by frame, each in a pause of the board, at intervals longer than any frame at 500 kbit/s.
     async fn send(&self, message: &ToDevice) {
         const LONGEST_NS: u64 = 400 * US;
         let bytes = frame(message);
@@ -153,7 +154,7 @@ impl<'a> CanHost<'a> {
         }
     }
 
-    /// The answer, `None` without one.
+    /// Sends a request and returns the answer; `None` without one.
     async fn ask(&mut self, request: Request) -> Option<Result<Reply, Refusal>> {
         self.seq += 1;
         let seq = self.seq;
@@ -183,7 +184,7 @@ impl<'a> CanHost<'a> {
         }
     }
 
-    /// Opens a session and gets the rotary motor to run; the session's number.
+    /// Opens a session and starts the rotary motor; returns the session's number.
     async fn run_rotary(&mut self) -> u16 {
         let info = self.hello().await;
         assert_eq!(self.ask(Request::Arm).await, Some(Ok(Reply::Done)));
@@ -195,7 +196,7 @@ impl<'a> CanHost<'a> {
         info.session
     }
 
-    /// Heartbeats for `ms`, four in each link timeout; each is answered.
+    /// Sends heartbeats for `ms`, four per link time-out, and checks that each is answered.
     async fn keep_alive(&mut self, session: u16, ms: u64) {
         for _ in 0..ms / 50 {
             self.send(&ToDevice::Heartbeat { session, host_us: 0 }).await;
@@ -207,7 +208,7 @@ impl<'a> CanHost<'a> {
     }
 }
 
-/// What a board keeps that was told these parameters.
+/// Returns the flash of a board after these parameters were set and saved.
 fn told(parameters: &[(Parameter, f32)]) -> Flash {
     let first = Setup::osmc_bench();
     first.bench(async |emu| {
@@ -228,7 +229,7 @@ fn a_board_that_was_told_nothing_speaks_classic_frames_only() {
         let session = host.run_rotary().await;
         host.keep_alive(session, 500).await;
         assert!(!host.frames.is_empty() && host.frames.iter().all(|(fd, _, length)| !fd && *length <= 8));
-        // A frame of CAN FD is an error to it, as to every classic node: it is not taken, and the session goes on.
+        // A CAN FD frame is an error for a classic node: the board does not take it, and the session goes on.
         let before = host.stats().await;
         host.format = Format::Fd;
         assert_eq!(host.ask(Request::Stats).await, None);
@@ -238,7 +239,8 @@ fn a_board_that_was_told_nothing_speaks_classic_frames_only() {
         assert_eq!((after.bad_frames, after.refused), (before.bad_frames, before.refused));
         assert_eq!((after.can_bus_off, after.can_warnings), (0, 0));
         assert!(!device.is_off(ROTARY));
-        // So many that the receive counter reaches the warning limit, one at a time: the board says so, and stays on the bus.
+        // One hundred errors, one at a time, raise the receive counter to the warning limit: the board reports it, and
+        // stays on the bus.
         host.format = Format::Fd;
         for _ in 0..100 {
             host.send(&ToDevice::Request { seq: 1, request: Request::Bye }).await;
@@ -250,7 +252,7 @@ fn a_board_that_was_told_nothing_speaks_classic_frames_only() {
     assert_eq!(misuse, Vec::<String>::new());
 }
 
-/// As r4 does it: a host sends CAN FD from the board's first frame of it on.
+/// The host sends CAN FD from the board's first CAN FD frame on, as `r4` does.
 #[test]
 fn a_session_of_can_fd_at_two_rates() {
     for (rate, data_rate, switches) in [(1000.0, 2000.0, true), (500.0, 1000.0, true), (1000.0, 1000.0, false)] {
@@ -264,7 +266,7 @@ fn a_session_of_can_fd_at_two_rates() {
             host.format = Format::Fd;
             let session = host.run_rotary().await;
             host.keep_alive(session, 500).await;
-            // A classic frame between others, as of a host that began anew.
+            // Classic frames come between others, as from a host that was restarted.
             for format in [Format::Classic, Format::Fd, Format::Classic] {
                 host.format = format;
                 host.keep_alive(session, 100).await;
@@ -277,8 +279,8 @@ fn a_session_of_can_fd_at_two_rates() {
     }
 }
 
-/// A bus that is held dominant in the middle of one of the board's frames: the board is off the bus, its host's silence stops it,
-/// and it is back when the short is gone.
+/// The bus is held dominant in the middle of one of the board's frames: the board goes bus-off, the silence of its host
+/// stops it, and it is back when the short is gone.
 #[test]
 fn a_shorted_bus_stops_the_board_and_a_session_works_again_after_it() {
     let (_, misuse) = Setup::osmc_bench().raw(async |_, device, board| {
@@ -296,7 +298,7 @@ fn a_shorted_bus_stops_the_board_and_a_session_works_again_after_it() {
         eprintln!("off {} ms after the short", off_ns / MS);
         device.clock.sleep(2000 * MS).await;
         board.hold_can_dominant(false);
-        // What was under way is a damaged frame.
+        // Bytes on their way at the short form a damaged frame.
         host.listen(100).await;
         host.decoder = FrameDecoder::new();
         host.heard.clear();
@@ -311,7 +313,7 @@ fn a_shorted_bus_stops_the_board_and_a_session_works_again_after_it() {
     assert_eq!(misuse, Vec::<String>::new());
 }
 
-/// A bus on which every frame of the board fails at once: it tries again, but not so often that anything else suffers.
+/// Every frame of the board fails at once: it retries, but not so often that other work suffers.
 #[test]
 fn a_broken_transceiver_costs_no_time() {
     let (_, misuse) = Setup::osmc_bench().raw(async |uart, device, board| {
@@ -321,11 +323,11 @@ fn a_broken_transceiver_costs_no_time() {
         board.set_can_outcome(CanOutcome::BitError);
         host.send(&ToDevice::Request { seq: 1, request: Request::Stats }).await;
         device.clock.sleep(2000 * MS).await;
-        // The session has ended with its host's silence, and another link is free.
+        // The session has ended by the silence of its host, so another link can open one.
         uart.hello().await;
         let during = uart.stats().await;
         uart.ask(Request::Bye).await.expect("it has a session");
-        // 2 s by 50 ms, 32 frames and 1.4 ms.
+        // Expected number in 2 s: one per 50 ms, 32 frames and 1.4 ms.
         let times = during.can_bus_off - before.can_bus_off;
         assert!((30..=40).contains(&times), "{times} times off the bus in 2 s");
         assert_eq!(during.late_ticks, before.late_ticks);
@@ -342,7 +344,7 @@ fn a_broken_transceiver_costs_no_time() {
     assert_eq!(misuse, Vec::<String>::new());
 }
 
-/// In hold mode the board answers at the rate and under the number that it was told, and not as its image was built.
+/// In hold mode the board answers at its stored rate and node number, and not at those built into its image.
 #[test]
 fn a_held_board_keeps_its_rate_and_number() {
     let flash = told(&[(Parameter::CanRate, 500.0), (Parameter::CanNode, 7.0)]);

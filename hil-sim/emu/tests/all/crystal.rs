@@ -1,4 +1,4 @@
-//! The processor's crystal and supply: missing at the start, off its frequency, gone at run time; a dip.
+//! Faults of the processor's crystal and supply: missing at the start, off its frequency, lost at run time; a dip.
 
 use crate::emulated::{
     Setup,
@@ -7,11 +7,11 @@ use crate::emulated::{
 use r4_mcu::{Chip, peripherals::rcc::Oscillators};
 use r4_protocol::{Causes, Mode, SafetyState};
 
-/// Backup register that says what the clock is made from (see `reset.rs` of the firmware): 1 crystal, 2 internal.
+/// Backup register with the clock source (see `reset.rs` of the firmware): 1 crystal, 2 internal oscillator.
 const CLOCK_SOURCE: usize = 21;
 
-/// Without a crystal the board starts from the internal oscillator, says so by three flashes of red and blue, and then does
-/// all that it does otherwise.
+/// Without a crystal the board starts from the internal oscillator, shows it by three flashes of red and blue, and
+/// works normally.
 #[test]
 fn without_a_crystal_the_board_works_from_the_internal_oscillator_and_says_so() {
     let setup = Setup::osmc_bench().prepared(|board| board.machine().chip.rcc().fit_crystals(false, false));
@@ -29,7 +29,7 @@ fn without_a_crystal_the_board_works_from_the_internal_oscillator_and_says_so() 
         let info = host.hello().await;
         assert_eq!((info.state, info.causes), (SafetyState::Disarmed, Causes::NONE));
         assert_eq!(board.machine().chip.backup_register(CLOCK_SOURCE), Some(2));
-        // The control loop runs at 1 kHz of true time, for here the internal oscillator is exact.
+        // The control loop runs at 1 kHz of true time, because the internal oscillator is exact in this test.
         let before = host.stats().await;
         host.listen(100).await;
         let after = host.stats().await;
@@ -39,7 +39,7 @@ fn without_a_crystal_the_board_works_from_the_internal_oscillator_and_says_so() 
     assert_eq!(misuse, Vec::<String>::new());
 }
 
-/// With its crystal it does not flash, and notes that it has one.
+/// With its crystal the board does not flash, and records that it has one.
 #[test]
 fn with_a_crystal_it_uses_it() {
     Setup::osmc_bench().bench(async |emu| {
@@ -48,7 +48,7 @@ fn with_a_crystal_it_uses_it() {
     });
 }
 
-/// Cheap crystals are within 100 ppm: bytes arrive, waits end, and the driver knows the board's clock.
+/// Cheap crystals are within 100 ppm: bytes arrive, waits end, and the driver's clock map holds.
 #[test]
 fn a_crystal_that_is_100_ppm_off_does_no_harm() {
     for ppm in [-100_i64, 100] {
@@ -65,12 +65,12 @@ fn a_crystal_that_is_100_ppm_off_does_no_harm() {
             emu.set(ROTARY, Mode::Speed, 2.0).await.expect("fresh by the board's clock too");
             emu.sleep_ms(2000).await;
             assert_eq!(emu.safety().await, (SafetyState::Armed, Causes::NONE));
-            // The board's own time of the latest sample, and what the driver takes it for: a sample is at most 10 ms old,
-            // and has been on its way for 1 ms.
+            // The driver's estimate of the board's clock is compared with the latest sample, which is at most 10 ms old
+            // and was 1 ms on its way.
             let sample = std::iter::from_fn(|| stream.try_next()).last().expect("samples come");
             let behind_us = emu.host.device_us().saturating_sub(sample.device_us);
             assert!(behind_us < 13_000, "{ppm} ppm: {behind_us} us between the clocks");
-            // Its seconds are longer or shorter than true ones: in two of them 200 us, a fifth of a tick.
+            // The board's seconds are longer or shorter than true ones: in two of them by 200 µs, a fifth of a tick.
             let ticks = f64::from(emu.host.stats().await.expect("it answers").ticks - begin.1);
             let expected = (emu.clock.now_ns() - begin.0) as f64 / 1e6 * (1.0 + ppm as f64 * 1e-6);
             assert!((ticks - expected).abs() < 3.0, "{ppm} ppm: {ticks} ticks, {expected} expected");
@@ -81,14 +81,14 @@ fn a_crystal_that_is_100_ppm_off_does_no_harm() {
     }
 }
 
-/// The crystal stops while the board runs: whatever the firmware does at once, it starts again from the internal oscillator.
+/// The crystal stops at run time: the board restarts from the internal oscillator, whatever the firmware does at once.
 #[test]
 fn a_crystal_that_stops_at_run_time_ends_in_a_start_from_the_internal_oscillator() {
     let setup = Setup::osmc_bench();
     setup.raw(async |host, device, board| {
         host.hello().await;
         board.stop_crystal_at(device.clock.now_ns() + MS);
-        // The watchdog, the crystal's time-out and the flashes.
+        // The wait covers the watchdog, the crystal's time-out and the flashes.
         device.clock.sleep(3_000 * MS).await;
         assert_eq!(board.machine().chip.backup_register(CLOCK_SOURCE), Some(2));
         assert_eq!(board.machine().chip.core_hz(), 480_000_000);
@@ -97,10 +97,11 @@ fn a_crystal_that_stops_at_run_time_ends_in_a_start_from_the_internal_oscillator
     });
 }
 
-/// The processor's supply sags below the brown-out level of its option bytes: it is reset, holds still, and starts again.
+/// The processor's supply sags below the brown-out level of its option bytes: the processor is reset, stays in reset,
+/// and starts again.
 #[test]
 fn a_dip_of_the_supply_restarts_the_processor() {
-    // BOR_LEV 3, the rest as the Giga is delivered.
+    // Option bytes as the Giga is delivered, but with BOR_LEV 3.
     let setup = Setup::osmc_bench().prepared(|board| board.machine().chip.set_option_bytes(0x0B86_AAFC));
     setup.raw(async |host, device, board| {
         host.hello().await;

@@ -1,10 +1,10 @@
-//! What the image counts of the processor's cycles.
+//! Processor cycles as the image counts them.
 
 use crate::emulated::{Setup, harness::MS};
 use r4_protocol::{Reply, Request};
 
-/// A period of osmc-bench takes 6 000 to 15 000 instructions (`r4 bench firmware`), each two cycles here: 240 million a second
-/// are set, at 480 MHz. Without a host or a set point it is one of the shorter ones.
+/// A period of osmc-bench takes 6 000 to 15 000 instructions (`r4 bench firmware`), each two cycles here: 240 million
+/// instructions a second at 480 MHz. Without a host or a set point it is near the lower end.
 #[test]
 fn the_image_counts_what_control_takes_of_the_processor() {
     let (_, misuse) = Setup::osmc_bench().raw(async |host, device, _| {

@@ -1,5 +1,5 @@
-//! The same image, world and host give the same run, instruction for instruction: whatever is asked in between, how fast
-//! virtual time goes, and what ran before in the same process.
+//! Determinism: the same image, world and host give the same run, instruction for instruction, whatever is requested in
+//! between, at any pace of virtual time, and whatever ran before in the same process.
 
 use crate::emulated::{
     Setup,
@@ -8,20 +8,20 @@ use crate::emulated::{
 use r4_protocol::{Mode, Telemetry};
 use r4_sim::Pace;
 
-/// What must be the same.
+/// Results of a run that must not differ.
 #[derive(Debug, PartialEq)]
 struct Run {
-    /// Of all exceptions taken and left: their moments, program counters and numbers.
+    /// Digest of all exception entries and returns: their times, program counters and numbers.
     trace: u64,
     exceptions: u64,
     instructions: u64,
     now_ns: u64,
     telemetry: Vec<Telemetry>,
-    /// True, of the motors, in bits.
+    /// True positions of the motors, as bits.
     positions: [u64; 2],
 }
 
-/// 0.6 s of both motors on their way, with telemetry of both.
+/// Runs both motors for 0.6 s, with telemetry of both.
 fn run(seed: u64, pace: Pace) -> Run {
     let setup = Setup::osmc_bench().with_seed(seed).prepared(|board| board.machine().start_trace());
     let (run, misuse) = setup.paced_bench(pace, async |emu| {
@@ -55,18 +55,17 @@ fn run(seed: u64, pace: Pace) -> Run {
 #[test]
 fn two_runs_are_the_same_and_another_seed_is_another() {
     let first = run(1, Pace::Free);
-    // The control loop alone is woken 600 times, each by a timer and by its transfers.
-    // Telemetry comes every 10 ms, both motors in one frame.
+    // The control loop alone is woken 600 times, each time by a timer and by its transfers.
     let frames = first.telemetry.len();
     assert!(first.exceptions > 2000 && frames > 50, "{} exceptions, {frames} frames", first.exceptions);
     assert_eq!(run(1, Pace::Free), first);
-    // Other noise at the converter.
+    // Another seed changes the noise at the converter.
     assert_ne!(run(2, Pace::Free).telemetry, first.telemetry);
 }
 
 #[test]
 fn the_pace_changes_nothing() {
-    // 20 times real time: the run's 0.7 s must take 35 ms of real time at least, and the emulator has to keep pace.
+    // At 20 times real time the run's 0.7 s take at least 35 ms of real time; the emulator has to keep up.
     let begin = std::time::Instant::now();
     let paced = run(1, Pace::RealTime(20.0));
     let took_s = begin.elapsed().as_secs_f64();

@@ -1,5 +1,5 @@
-//! Every fault that can be injected into the board shows: it is counted, or refused by name, or trips by its own cause; and
-//! what it does not concern goes on.
+//! Every fault that can be injected into the board is noticed: it is counted, refused by name, or trips with its own
+//! cause; unaffected functions go on.
 
 use crate::emulated::{
     Board, Emu, Setup,
@@ -16,7 +16,7 @@ use r4_sim::{
     world::BoardChip,
 };
 
-/// The newest sample of a channel.
+/// Returns the newest sample of a channel.
 async fn sample(emu: &Emu<'_>, channel: ChannelId) -> Sample {
     let mut telemetry = emu.host.telemetry();
     emu.host.subscribe(channel, 5).await.expect("it has the channel");
@@ -29,8 +29,8 @@ async fn sample(emu: &Emu<'_>, channel: ChannelId) -> Sample {
     }
 }
 
-/// A transfer that nobody acknowledges, and a line that is held until it is clocked free, are repeated and counted; the
-/// motor goes on as if nothing had been.
+/// A transfer without acknowledge, and a line that is held until it is clocked free, are repeated and counted; the
+/// motor is not affected.
 #[test]
 fn a_passing_fault_of_the_bus_is_counted_and_does_not_trip() {
     Setup::osmc_bench().bench(async |emu| {
@@ -50,7 +50,7 @@ fn a_passing_fault_of_the_bus_is_counted_and_does_not_trip() {
     });
 }
 
-/// A bit that flips on the wire in a write is acknowledged; only reading back tells.
+/// A bit that flips on the wire in a write is acknowledged; only reading back detects it.
 #[test]
 fn a_flipped_bit_trips_by_reading_back() {
     let (_, misuse) = Setup::osmc_bench().bench_with_misuse(async |emu| {
@@ -58,7 +58,7 @@ fn a_flipped_bit_trips_by_reading_back() {
         let device = emu.device();
         device.record_wire();
         let begin_ns = emu.clock.now_ns();
-        // As on the simulated board: right after a line was read back there is time for a write before the next look.
+        // As on the simulated board, there is time for a write right after a line was read back, before the next check.
         let line_read = || {
             let mut reads = device.wire_since(begin_ns).filter(|record| !record.read.is_empty());
             reads.any(|record| record.address == 0x40 && (0x06..0xFE).contains(&record.written[0]))
@@ -67,12 +67,12 @@ fn a_flipped_bit_trips_by_reading_back() {
         let flip_ns = emu.clock.now_ns();
         device.inject(Disturbance::BitFlip { byte: 2, mask: 0x08 }, Span::Transfers { count: 1 });
         emu.set(ROTARY, Mode::Duty, 0.81).await.expect("armed");
-        // One round of reading back is 40 ms.
+        // One round of reading back takes 40 ms.
         let written_ns = device.wait_all_off_written(flip_ns, 45 * MS).await;
         assert!(written_ns.is_some_and(|ns| ns <= 45 * MS), "{written_ns:?}");
         assert_eq!(emu.safety().await, (SafetyState::Tripped, Causes::only(Cause::ReadBackMismatch)));
     });
-    // What was flipped may be a duty that the chip does not take well; nothing else is wrong.
+    // The flipped bit may be a duty that the chip reports as misuse; nothing else may be wrong.
     assert!(misuse.len() <= 1, "{misuse:?}");
 }
 
@@ -97,8 +97,9 @@ fn a_short_of_the_bus_and_a_brown_out_trip_by_their_own_causes() {
     });
 }
 
-/// A crystal that drifts in the middle of a run, by far more than any does: the board's seconds get shorter with it, the
-/// driver follows its clock, and the board stays armed. (That a UART loses bytes beyond some per cent is not modelled.)
+/// The crystal drifts in the middle of a run, by far more than a real one does: the board's seconds get shorter with
+/// it, the driver follows its clock, and the board stays armed. (That a UART loses bytes beyond some per cent is not
+/// modelled.)
 #[test]
 fn a_clock_that_drifts_is_followed() {
     let (_, misuse) = Setup::osmc_bench().bench_with_misuse(async |emu| {
@@ -111,17 +112,17 @@ fn a_clock_that_drifts_is_followed() {
             emu.sleep_ms(500).await;
             let ticks = f64::from(emu.host.stats().await.expect("it answers").ticks - begin.1);
             let expected = (emu.clock.now_ns() - begin.0) as f64 / 1e6 * hse_hz as f64 / 16e6;
-            // 1 % of 500 ticks are 5: seen, with one to spare at each end.
+            // A drift of 1 % is 5 of 500 ticks: it is detected, with one tick to spare at each end.
             assert!((ticks - expected).abs() < 2.5, "{hse_hz} Hz: {ticks} ticks of {expected}");
             emu.set(ROTARY, Mode::Duty, 0.8).await.expect("fresh by the board's clock");
             assert_eq!(emu.safety().await, (SafetyState::Armed, Causes::NONE), "{hse_hz} Hz");
         }
     });
-    // Nothing that the firmware did: CAN or I2C notices that its clock changed in the middle of a frame or of a transfer.
+    // The firmware did nothing wrong: CAN or I2C notices that its clock changed within a frame or a transfer.
     assert!(misuse.iter().all(|misuse| misuse.contains("kernel clock changes within a")), "{misuse:?}");
 }
 
-/// Two edges of a shaft that come as one: the interrupts of connector 3 count what cannot be.
+/// Two edges of a shaft merge into one: the interrupts of connector 3 count an impossible transition.
 #[test]
 fn lost_edges_of_an_encoder_are_counted() {
     let encoder = ChannelId::new(ChannelKind::Encoder, 3);
@@ -139,7 +140,7 @@ fn lost_edges_of_an_encoder_are_counted() {
     });
 }
 
-/// Echo lines that stay low or high: told as the sensor's quality, and the one that guards the board stops it.
+/// Echo lines that stay low or high are reported as the sensor's quality, and the one that guards the board stops it.
 #[test]
 fn a_stuck_echo_is_told_and_stops_the_board() {
     let range = |index| ChannelId::new(ChannelKind::Range, index);
@@ -150,7 +151,7 @@ fn a_stuck_echo_is_told_and_stops_the_board() {
         emu.sleep_ms(1000).await;
         emu.host.arm().await.expect("nothing is near");
         let now_ns = emu.clock.now_ns();
-        // Connector 1 is timed by TIM2, connector 2 by EXTI.
+        // TIM2 times connector 1, EXTI connector 2.
         for (index, fault) in [(1, HcSr04Fault::StuckHigh), (2, HcSr04Fault::Silent)] {
             emu.board.world().range_sensor(index).expect("it has four").set_fault(now_ns, Some(fault));
         }
@@ -168,7 +169,7 @@ fn a_stuck_echo_is_told_and_stops_the_board() {
     });
 }
 
-/// The request that was answered, if that is what the message does.
+/// Returns the number of the answered request, if the message is an answer.
 fn seq_of_answer(message: &ToHost) -> Option<u16> {
     if let ToHost::Response { seq, result: Ok(_) } = message { Some(*seq) } else { None }
 }
@@ -189,15 +190,15 @@ fn frames_damaged_by_noise_are_counted_and_the_session_survives() {
             }
         }
         device.board.disturb_link(None, None);
-        // Ends whatever the last damaged frame has left in the board's decoder.
+        // This frame ends a damaged one that the board's decoder may still hold.
         host.send(&ToDevice::Heartbeat { session: info.session, host_us: 0 }).await;
         host.listen(5).await;
-        // Answered, so the session is the same.
+        // An answer shows that the session is the same.
         let lost = host.stats().await.bad_frames - before.bad_frames;
         assert!(answered.is_sorted_by(|one, next| one < next), "answered twice, or late: {answered:?}");
         let answers = answered.len();
         assert!(lost > 0 && answers < 300, "{lost} frames lost, {answers} answers: no noise");
-        // Nothing else is lost: a damaged frame is counted, and takes one more with it when its end is what was damaged.
+        // Nothing else is lost: each damaged frame is counted, and takes one more with it if its end was damaged.
         assert!(answers + 2 * lost as usize >= 300 && answers + lost as usize <= 312, "{answers} answers, {lost} lost");
         eprintln!("noise: {answers} of 300 answered, {lost} damaged frames counted");
         assert_eq!(host.hello().await.causes, Causes::NONE);
@@ -205,13 +206,13 @@ fn frames_damaged_by_noise_are_counted_and_the_session_survives() {
     assert_eq!(misuse, Vec::<String>::new());
 }
 
-/// A host that asks faster than the board can answer: what does not fit is lost, nothing is carried out twice or out of turn,
-/// and then the board answers as ever.
+/// A host sends requests faster than the board can answer: the excess is lost, nothing is executed twice or out of
+/// order, and afterwards the board answers normally.
 #[test]
 fn requests_faster_than_answers_are_lost_and_never_repeated() {
     let (_, misuse) = Setup::osmc_bench().raw(async |host, _, _| {
         host.hello().await;
-        // The line is never silent: 23 laps of the receiver's ring, 0.24 s.
+        // The line is never idle: 23 laps of the receiver's ring buffer, 0.24 s.
         let requests: Vec<u8> =
             (1000..4000_u16).flat_map(|seq| frame(&ToDevice::Request { seq, request: Request::Stats })).collect();
         assert!(requests.len() > 20 * 1024, "{} bytes are few laps", requests.len());
@@ -219,23 +220,23 @@ fn requests_faster_than_answers_are_lost_and_never_repeated() {
         let answered: Vec<u16> = host.listen(500).await.iter().filter_map(seq_of_answer).collect();
         eprintln!("{} bytes: {} of 3000 answered", requests.len(), answered.len());
         assert!(answered.is_sorted_by(|one, next| one < next), "answered twice, or out of turn: {answered:?}");
-        // The line carries so many: an answer is some 4 times as long as what asks for it.
+        // The line limits the number: an answer is some 4 times as long as its request.
         assert!((300..2900).contains(&answered.len()), "{} answers", answered.len());
-        // Ends what the last frame that was cut has left in the board's decoder.
+        // The zero byte ends a cut frame that the board's decoder may still hold.
         host.send_bytes(&[0]).await;
         host.stats().await;
     });
     assert_eq!(misuse, Vec::<String>::new());
 }
 
-/// FDCAN2's protocol status: bit 7 is bus-off (RM0399, 59.5.15).
+/// Reads bit 7, bus-off, of FDCAN2's protocol status (RM0399, 59.5.15).
 fn is_bus_off(board: &Board) -> bool {
     let mut machine = board.machine();
     let now_ns = machine.now_ns();
     machine.chip.read(now_ns, 0x4000_A444, Size::Word).expect("its clock is on") & 1 << 7 != 0
 }
 
-/// A CAN node that others have driven off the bus comes back by itself, and nobody else is the worse for it.
+/// A CAN node in bus-off recovers by itself, without harm to other functions.
 #[test]
 fn can_off_the_bus_comes_back() {
     Setup::osmc_bench().bench(async |emu| {
@@ -243,7 +244,7 @@ fn can_off_the_bus_comes_back() {
         assert!(!is_bus_off(&emu.emulated));
         emu.emulated.machine().chip.inject_can_bus_off(2);
         assert!(is_bus_off(&emu.emulated));
-        // The 50 ms that the firmware waits, 129 times 11 recessive bits of 1 us, and up to a look of the firmware.
+        // The wait covers the firmware's 50 ms, 129 times 11 recessive bits of 1 µs, and one check by the firmware.
         emu.sleep_ms(60).await;
         assert!(!is_bus_off(&emu.emulated), "it stays off");
         assert_eq!(emu.safety().await, (SafetyState::Armed, Causes::NONE));

@@ -1,4 +1,4 @@
-//! What tells a motor's position, in the image: index pulses, an absolute angle sensor on the bus, and its pulses.
+//! Position feedback of motors in the image: index pulses, and an absolute angle sensor on the bus and by its pulses.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -13,7 +13,7 @@ const fn motor(index: u8) -> ChannelId {
     ChannelId::new(ChannelKind::Osmc, index)
 }
 
-/// The position that the board tells, counts, and whether it is settled and homed.
+/// Returns the reported position in counts, and the flags settled and homed.
 async fn told(emu: &Emu<'_>, channel: ChannelId) -> (i32, bool, bool) {
     let mut samples = emu.host.samples(channel, 1).await.unwrap();
     match samples.next().await.unwrap().sample {
@@ -22,10 +22,10 @@ async fn told(emu: &Emu<'_>, channel: ChannelId) -> (i32, bool, bool) {
     }
 }
 
-/// Two motors seek their index pulses, one up and one down, while two with angle sensors go to a place.
+/// Two motors seek their index pulses, one upwards and one downwards, while two with angle sensors move to a position.
 ///
-/// Of index pulses the zero is that of the simulated board (its tests' `index.rs`): the pulse is where the true count is 0 on a disc of
-/// 300, and is told to be at 0.5 rad, 191 counts.
+/// The zero of the index pulses is that of the simulated board (its tests' `index.rs`): the pulse is at true count 0 on
+/// a disc of 300, and is configured to be at 0.5 rad, 191 counts.
 #[test]
 fn motors_find_their_zeros_and_places_by_every_sensor() {
     let setup = Setup::of(r4_boards::load(ROBOT).unwrap(), image("feedback-bench", "bare"));
@@ -33,7 +33,7 @@ fn motors_find_their_zeros_and_places_by_every_sensor() {
         for (index, start) in [(2, 2.0), (3, 2.0)] {
             let (position, _, homed) = told(emu, motor(index)).await;
             let position = f64::from(position) * TAU / 4096.0;
-            // Noise, rounding to a count, and that of a frame's pulse.
+            // The tolerance covers noise, rounding to a count, and the rounding of a frame's pulse.
             assert!(homed && (position - start).abs() < 4.0 * TAU / 4096.0, "osmc{index}: {position} rad");
         }
         emu.host.arm().await.unwrap();
@@ -57,7 +57,8 @@ fn motors_find_their_zeros_and_places_by_every_sensor() {
             let shown = f64::from(position) * TAU / 4096.0;
             println!("osmc{index}: {truth:.4} rad, shown {shown:.4}");
             assert!(settled && (shown - truth).abs() < 4.0 * TAU / 4096.0, "osmc{index}: {shown}, {truth}");
-            // Twice the settling error, to which one that rests may be pushed, and the noise of a reading.
+            // The tolerance is twice the settling error, to which a resting motor may be pushed, and the noise of a
+            // reading.
             assert!((truth - 1.0).abs() < 0.008 + 3.0 * TAU / 4096.0, "osmc{index}: {truth}");
         }
     });

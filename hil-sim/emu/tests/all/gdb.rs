@@ -1,4 +1,4 @@
-//! gdb on the emulated board: the real one where it is installed, and a small one that speaks the protocol.
+//! Tests of gdb on the emulated board: the real gdb where it is installed, and a small client of its protocol.
 
 use std::{
     cell::Cell,
@@ -17,7 +17,7 @@ use r4_mcu::{
 };
 use r4_sim::VirtualBoard as _;
 
-/// Boots, sets up every chip on the bus, and goes about its periods.
+/// Time of a run that boots, sets up every chip on the bus, and runs control periods, ns.
 const LONG_NS: u64 = 60_000_000;
 
 struct Silent;
@@ -26,7 +26,7 @@ impl Starter for Silent {
     fn say(&self, _: &str) {}
 }
 
-/// A board that waits for gdb at its reset.
+/// Starts a board that waits for gdb at its reset.
 fn waiting() -> (Debugged, SocketAddr, Rc<Cell<State>>) {
     let debugged = Debugged::start();
     let listener = TcpListener::bind("127.0.0.1:0").expect("there is a free port");
@@ -42,7 +42,7 @@ fn address_of(debugged: &Debugged, symbol: &str) -> u32 {
     debugged.board.machine().symbols().address(symbol).unwrap_or_else(|| panic!("the image has no {symbol}"))
 }
 
-/// What a run without anybody looking does.
+/// Returns trace and instructions of a run without a debugger.
 fn undisturbed() -> (Option<Trace>, u64) {
     let mut debugged = Debugged::start();
     debugged.board.machine().start_trace();
@@ -51,7 +51,7 @@ fn undisturbed() -> (Option<Trace>, u64) {
     (machine.trace(), machine.instructions())
 }
 
-/// The protocol from gdb's side, as far as these tests need it.
+/// Client side of the protocol, as far as these tests need it.
 struct Client {
     to: TcpStream,
     from: BufReader<TcpStream>,
@@ -64,7 +64,7 @@ impl Client {
         Self { to, from }
     }
 
-    /// Sends a packet and takes the answer.
+    /// Sends a packet and returns the answer.
     fn ask(&mut self, packet: &str) -> String {
         let sum = packet.bytes().fold(0_u8, u8::wrapping_add);
         write!(self.to, "${packet}#{sum:02x}").expect("it is connected");
@@ -95,7 +95,7 @@ impl Client {
     }
 }
 
-/// Run-length encoding: after `*` comes the count of repetitions, plus 29.
+/// Expands run-length encoding: after `*` comes the number of repetitions, plus 29.
 fn expand(packet: &[u8]) -> String {
     let mut text = Vec::new();
     let mut rest = packet.iter();
@@ -124,11 +124,11 @@ fn the_protocol_stops_steps_and_reads_and_changes_nothing() {
         assert!(gdb.ask("?").starts_with("T05"), "halted");
         assert_eq!(gdb.register(PC), reset);
         assert_eq!(gdb.register(SP), stack_top);
-        // 23 words up to xPSR and behind, 16 doubles, FPSCR: in hexadecimal digits.
+        // Length in hexadecimal digits: 24 registers of 32 bits with xPSR, FPSCR and the masks, 16 of 64 bits.
         assert_eq!(gdb.ask("g").len(), 2 * (24 * 4 + 16 * 8));
         assert_eq!(gdb.word(0x0800_0000), stack_top, "the vector table");
         assert_eq!(gdb.word(0x0800_0004), reset | 1);
-        // USART1's receive register: reading it would take a byte.
+        // Reading USART1's receive register would take a byte.
         assert_eq!(&gdb.ask("m40011024,4")[..1], "E");
         let before = gdb.register(PC);
         let stepped = gdb.ask("s");
@@ -139,7 +139,7 @@ fn the_protocol_stops_steps_and_reads_and_changes_nothing() {
         let stopped = gdb.ask("c");
         assert!(stopped.starts_with("T05") && stopped.contains("hwbreak"), "{stopped}");
         assert_eq!(gdb.register(PC), main);
-        // Reset has called it, and keeps nothing or whole double words on the stack.
+        // `Reset` has called `main`, and keeps nothing or whole double words on the stack.
         let sp = gdb.register(SP);
         assert!(sp <= stack_top && stack_top - sp < 64 && sp.is_multiple_of(8), "{sp:#x}");
         assert_eq!(gdb.ask(&format!("M{:x},4:78563412", sp - 4)), "OK");
@@ -160,7 +160,7 @@ fn the_protocol_stops_steps_and_reads_and_changes_nothing() {
     assert_eq!((machine.trace(), machine.instructions()), undisturbed());
 }
 
-/// Option bytes (OPTSR, RM0399 4.9.8) as the Giga is delivered, with RDP 0xBB: readout protection level 1.
+/// Option bytes (OPTSR, RM0399 4.9.8) as the Giga is delivered, but with RDP 0xBB: readout protection level 1.
 const PROTECTED: u32 = 0x0B86_BBF0;
 
 #[test]
@@ -170,7 +170,7 @@ fn at_readout_protection_level_1_flash_is_refused_and_the_program_cannot_go_on()
     let client = thread::spawn(move || {
         let mut gdb = Client::connect(address);
         assert!(gdb.ask("?").starts_with("T05"), "halted");
-        // Both banks and the backup SRAM; RAM and the system control space are as ever.
+        // Both flash banks and the backup SRAM are refused; RAM and the system control space are not.
         for refused in ["m8000000,4", "m8100000,4", "m38800000,4", "M8000000,4:00000000", "M38800000,4:00000000"] {
             assert_eq!(&gdb.ask(refused)[..1], "E", "{refused}");
         }
@@ -184,7 +184,7 @@ fn at_readout_protection_level_1_flash_is_refused_and_the_program_cannot_go_on()
         gdb.ask("D");
     });
     let clock = debugged.clock.clone();
-    // Virtual time goes on without the processor.
+    // Virtual time passes without the processor.
     let _ = debugged.simulation.block_on(clock.sleep_until(LONG_NS));
     client.join().expect("the client's checks hold");
     let failure = debugged.board.failure();
@@ -208,7 +208,7 @@ fn a_running_program_is_interrupted_and_virtual_time_stands_still() {
         assert_eq!(time(), time());
         write!(gdb.to, "$k#6b").expect("it is connected");
     });
-    // As long as it takes the client to interrupt it.
+    // The machine runs until the client interrupts and kills it.
     let clock = debugged.clock.clone();
     let mut until_ns = 0;
     while state.get() != State::Killed {
@@ -259,7 +259,7 @@ fn gdb_itself_stops_at_main_and_shows_registers_and_stack() {
         output.expect("gdb-multiarch runs")
     });
     debugged.run_to_ns(LONG_NS);
-    // If it still waits for a breakpoint, it is told that all has ended.
+    // Dropping the server ends a gdb that still waits for a breakpoint.
     drop(debugged);
     let output = gdb.join().expect("gdb ran");
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -267,7 +267,7 @@ fn gdb_itself_stops_at_main_and_shows_registers_and_stack() {
     assert!(said.contains(&format!("pc             {main:#x}")), "{all}");
     assert!(said.contains("msp            0x2") && said.contains("control        0x"), "{all}");
     assert!(said.contains("$1 = ") && said.contains("main"), "{all}");
-    // The timer of the firmware's clock: gdb finds what it interrupted behind the exception's frame.
+    // The interrupt is that of the firmware's timer; gdb unwinds the exception frame to the interrupted code.
     let frame = |number: &str, what: &str| said.lines().any(|line| line.starts_with(number) && line.contains(what));
     assert!(frame("#0", "TIM5") && frame("#1", "signal handler called") && frame("#2", " ("), "{all}");
     assert!(all.contains(" instructions, in 66 TIM5, awake"), "{all}");

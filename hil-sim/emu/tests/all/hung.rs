@@ -1,6 +1,6 @@
-//! Firmware that hangs, faults or overflows its stack: in every case the outputs go safe by themselves, and the next start
-//! knows why. The program is broken from outside, as a debugger would: an instruction of the image is overwritten in the
-//! middle of the run.
+//! Firmware that hangs, faults or overflows its stack: the outputs always go safe by themselves, and the next start
+//! knows the reason. The program is broken from outside, as a debugger would: an instruction of the image is
+//! overwritten in the middle of the run.
 
 use crate::emulated::{
     Board, Setup,
@@ -10,22 +10,24 @@ use r4_emu::fault::{Fault, Lasting, PANIC_LINE, PANIC_LOCATION};
 use r4_mcu::{Level, Pin};
 use r4_protocol::{Cause, Causes, Mode, Refusal, Reply, Request, SafetyState, Setpoint, ToDevice};
 
-/// The watchdog's period: 104 times 4 cycles of 32 kHz (see `watchdog.rs` of the firmware), exact here.
+/// Period of the watchdog, ns: 104 times 4 cycles of 32 kHz (see `watchdog.rs` of the firmware), exact here.
 const WATCHDOG_NS: u64 = 13 * MS;
-/// It is fed this often.
+/// Feeding interval of the watchdog, ns.
 const FEED_NS: u64 = 10 * MS;
-/// The supervisor runs this often: a hang shows at its next run.
+/// Period of the supervisor, ns: a hang shows at its next run.
 const SUPERVISOR_NS: u64 = MS;
-/// From the reset to the first instruction that drives the stop lines, behind start-up's clearing of 100 KB. The lines float meanwhile, and the carrier's resistors hold the bridges off.
+/// Time limit from the reset to the first instruction that drives the stop lines, after start-up's clearing of 100 KB,
+/// ns. The lines float meanwhile, and the carrier's resistors hold the bridges off.
 const CLAIM_NS: u64 = 2 * MS;
-/// The control loop counts as dead after five periods without an end, seen at the supervisor's next look.
+/// Time limit for detecting a dead control loop, ns: five periods without an end, noticed at the supervisor's next
+/// pass.
 const CONTROL_DEAD_NS: u64 = MS + 5 * MS + 2 * MS;
 
-/// Backup registers that hold the record of an end (see `reset.rs` of the firmware): PC or location, and CFSR or line.
+/// Backup registers with the record of an end (see `reset.rs` of the firmware): PC or location, and CFSR or line.
 const RECORD_PC: usize = 17;
 const RECORD_DETAIL: usize = 19;
 
-/// Gets the rotary motor to run for a host without a driver; its session's number.
+/// Starts the rotary motor from a host without a driver; returns the session's number.
 async fn run_rotary(host: &mut RawHost, device: &Device) -> u16 {
     let info = host.hello().await;
     host.ask(Request::Arm).await.expect("nothing is wrong");
@@ -36,7 +38,7 @@ async fn run_rotary(host: &mut RawHost, device: &Device) -> u16 {
     info.session
 }
 
-/// Heartbeats for `ms`, four in each link timeout.
+/// Sends heartbeats for `ms`, four per link time-out.
 async fn keep_alive(host: &mut RawHost, session: u16, ms: u64) {
     for _ in 0..ms / 50 {
         host.send(&ToDevice::Heartbeat { session, host_us: 0 }).await;
@@ -44,7 +46,7 @@ async fn keep_alive(host: &mut RawHost, session: u16, ms: u64) {
     }
 }
 
-/// The moment at which both bridges are off, to 1 us.
+/// Returns the time after `since_ns` at which both bridges are off, accurate to 1 µs.
 async fn off_after(device: &Device, since_ns: u64, limit_ns: u64) -> Option<u64> {
     loop {
         let after_ns = device.clock.now_ns() - since_ns;
@@ -58,16 +60,16 @@ async fn off_after(device: &Device, since_ns: u64, limit_ns: u64) -> Option<u64>
     }
 }
 
-/// How the chip drives DISABLE of the bridges.
+/// Returns the chip's level at DISABLE of the bridges.
 fn disable(board: &Board) -> Level {
     let carrier = r4_boards::load_carrier("r4-carrier").expect("built in");
     let pin = carrier.pin("osmc_dis").expect("it has it").stm32;
     board.machine().chip.gpio().driven(Pin::new(pin.port, pin.number))
 }
 
-/// After a bad end the board is tripped by the watchdog's cause, is left by clearing, and works as new.
+/// Checks that after a bad end the board is tripped by the watchdog's cause, can be cleared, and works again.
 async fn starts_tripped_and_works(host: &mut RawHost, device: &Device, board: &Board) {
-    // What was under way on the cable when the processor ended is a damaged frame.
+    // Bytes on the cable when the processor was reset form a damaged frame.
     host.listen(100).await;
     host.bad_frames = 0;
     let info = host.hello().await;
@@ -80,7 +82,8 @@ async fn starts_tripped_and_works(host: &mut RawHost, device: &Device, board: &B
     assert!(board.lights().green, "it stays armed");
 }
 
-/// However the supervisor hangs: in its own interrupt, with all interrupts off, or because no time comes to it any more.
+/// The supervisor hangs in its own interrupt, with all interrupts masked, or because the time driver no longer wakes
+/// it.
 #[test]
 fn a_hung_supervisor_is_reset_by_the_watchdog() {
     let (mut worst_ns, mut worst_claim_ns) = (0, 0);
@@ -89,7 +92,7 @@ fn a_hung_supervisor_is_reset_by_the_watchdog() {
             let (_, misuse) = Setup::osmc_bench().raw(async |host, device, board| {
                 run_rotary(host, device).await;
                 device.clock.sleep(phase_us * US).await;
-                // After the reset it is whole again: the same program as after a passing fault.
+                // After the reset the program is restored, as after a transient fault.
                 board.inject(fault, Lasting::UntilReset).expect("the image has it");
                 let at_ns = device.clock.now_ns();
                 let limit_ns = SUPERVISOR_NS + WATCHDOG_NS;
@@ -115,7 +118,7 @@ fn a_hung_supervisor_is_reset_by_the_watchdog() {
     );
 }
 
-/// The control task alone: the supervisor sees it, and no reset is needed.
+/// Only the control task hangs: the supervisor detects it, and no reset is needed.
 #[test]
 fn a_hung_control_task_trips_without_a_reset() {
     let mut worst_ns = 0;
@@ -127,14 +130,14 @@ fn a_hung_control_task_trips_without_a_reset() {
             let at_ns = device.clock.now_ns();
             let off_ns = off_after(device, at_ns, CONTROL_DEAD_NS).await;
             worst_ns = worst_ns.max(off_ns.expect("the supervisor drives DISABLE"));
-            // The lights follow the lines, in the same pass of the supervisor.
+            // The lights follow the lines in the same pass of the supervisor.
             device.clock.sleep(100 * US).await;
             assert!(board.lights().red && !board.lights().green);
-            // For as long as it hangs, far beyond the watchdog's time; it is not reset, and goes on when it is let go.
+            // The hang lasts far beyond the watchdog's period without a reset, and the board continues when it ends.
             device.clock.sleep(3 * WATCHDOG_NS).await;
             assert_eq!(disable(board), Level::High);
             patch.undo(&mut board.machine()).expect("code is in flash");
-            // The time without heartbeats was below the link's timeout.
+            // The time without heartbeats was below the link time-out.
             let told = host.ask(Request::Stats).await;
             assert!(matches!(told, Ok(Reply::Stats(_))), "the session is the same: {told:?}");
             let info = host.hello().await;
@@ -146,13 +149,14 @@ fn a_hung_control_task_trips_without_a_reset() {
     eprintln!("hung control: outputs off after at most {} us", worst_ns / US);
 }
 
-/// Breaks the control task in the middle of a run; where that is, and two registers of the record.
+/// Breaks the control task in the middle of a run; returns the address, and two registers of the record.
 fn ended_by(fault: Fault) -> (u32, u32, u32) {
     let (result, _) = Setup::osmc_bench().raw(async |host, device, board| {
         run_rotary(host, device).await;
         let patch = board.inject(fault, Lasting::UntilReset).expect("the image has it");
         let at_ns = device.clock.now_ns();
-        // At its next run, which is a period away at most. The handler drives the lines first; a stack has to fill before.
+        // The fault acts at the task's next run, at most one period away. The handler drives the lines first; a stack
+        // has to fill before.
         let off_ns = off_after(device, at_ns, 2 * MS).await;
         let off_ns = off_ns.unwrap_or_else(|| panic!("{fault:?}: the outputs are not off"));
         eprintln!("{fault:?}: outputs off after {} us", off_ns / US);
@@ -166,7 +170,7 @@ fn ended_by(fault: Fault) -> (u32, u32, u32) {
 #[test]
 fn a_fault_stops_leaves_a_record_and_restarts() {
     let (at, pc, cfsr) = ended_by(Fault::UndefinedInstruction);
-    // CFSR: UNDEFINSTR is bit 16 (DDI0403E, B3.2.15).
+    // Bit 16 of CFSR is UNDEFINSTR (DDI0403E, B3.2.15).
     assert_eq!((pc, cfsr), (at, 1 << 16));
 }
 
@@ -176,18 +180,18 @@ fn a_panic_stops_leaves_a_record_and_restarts() {
     assert_eq!((location, line), (PANIC_LOCATION, PANIC_LINE));
 }
 
-/// The stack ends at a guard that nobody may write, and must end there, and not in what the tasks know.
+/// The stack ends at a guard region without write access: an overflow must end there, and not in the tasks' data.
 #[test]
 fn a_stack_overflow_ends_safely() {
-    // 96 KiB are full after 3072 pushes of eight registers.
+    // The stack of 96 KiB is full after 3072 pushes of eight registers.
     let (_, _, cfsr) = ended_by(Fault::StackOverflow);
-    // A store that the guard refused, or a frame that could not be stacked there: DACCVIOL, MSTKERR (DDI0403E, B3.2.15).
+    // Either the guard refused a store, or a frame could not be stacked there: DACCVIOL, MSTKERR (DDI0403E, B3.2.15).
     assert!(cfsr & 0x12 != 0, "{cfsr:#x}");
 }
 
 #[test]
 fn a_null_pointer_ends_safely() {
     let (at, pc, cfsr) = ended_by(Fault::NullPointer);
-    // DACCVIOL; MMARVALID says that its address is known.
+    // Expected are DACCVIOL, and MMARVALID for a known address.
     assert_eq!((pc, cfsr & 0xFFFF), (at + 2, 0x82));
 }

@@ -1,5 +1,6 @@
-//! Whether flash holds what was built: the exact image, with one bit flipped, cut off, half an older one, and with words that fail
-//! their error correction. It never arms then, and says why wherever what is damaged is not what would have to say it.
+//! Check of the flashed image: intact, with one bit flipped, cut off, half replaced by an older one, and with words
+//! that fail their error correction. A damaged image never arms, and reports the damage unless the reporting code
+//! itself is damaged.
 
 use rand_pcg::{
     Pcg64,
@@ -18,23 +19,24 @@ use r4_protocol::{
     Cause, Causes, ImageInfo, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, ToDevice, ToHost, VERSION,
 };
 
-/// A sector of flash, which is erased as one (RM0399, 4.3.1).
+/// Size of a flash sector, the unit of erasure, bytes (RM0399, 4.3.1).
 const SECTOR_BYTES: usize = 128 * 1024;
-/// Three bad starts in a row lead to hold mode, and each lasts up to half a second: the watchdog's longest period after a reset.
+/// Time until hold mode, ms: three bad starts in a row, each up to half a second, the watchdog's longest period after a
+/// reset.
 const BAD_STARTS_MS: u64 = 3 * 520;
 
-/// What a board with a damaged image did.
+/// Behaviour of a board with a damaged image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Did {
-    /// Held its outputs, and said that the image is damaged.
+    /// Held its outputs and reported the damaged image.
     Said,
-    /// Held its outputs, and said that it started badly again and again.
+    /// Held its outputs and reported repeated bad starts.
     SaidBadStarts,
-    /// No answer: what would have given it is damaged.
+    /// No answer: the code that would give it is damaged.
     Silent,
 }
 
-/// The answer to `request`, if there is one.
+/// Sends `request`; returns the answer, if there is one.
 async fn answer(host: &mut RawHost, seq: u16, request: Request) -> Option<Result<Reply, Refusal>> {
     host.send(&ToDevice::Request { seq, request }).await;
     host.listen(50).await.into_iter().find_map(|message| match message {
@@ -43,14 +45,14 @@ async fn answer(host: &mut RawHost, seq: u16, request: Request) -> Option<Result
     })
 }
 
-/// How the chip drives DISABLE of the bridges.
+/// Returns the chip's level at DISABLE of the bridges.
 fn disable(board: &Board) -> Level {
     let carrier = r4_boards::load_carrier("r4-carrier").expect("built in");
     let pin = carrier.pin("osmc_dis").expect("it has it").stm32;
     board.machine().chip.gpio().driven(Pin::new(pin.port, pin.number))
 }
 
-/// What a board does with these bytes in flash, in `ms` and while it is asked to arm; panics if the bridges are ever let go.
+/// Runs a board with these bytes in flash for `ms` and tries to arm it; panics if the bridges are ever enabled.
 fn with_flash(robot: &str, of: &Image, bytes: &Binary, spoiled: Option<u32>, ms: u64) -> Did {
     let (start, content) = (bytes.start, bytes.bytes.clone());
     let setup = Setup::of(r4_boards::load(robot).expect("built in"), of.clone()).prepared(move |board| {
@@ -67,7 +69,7 @@ fn with_flash(robot: &str, of: &Image, bytes: &Binary, spoiled: Option<u32>, ms:
             Some(Ok(Reply::Hello(info))) => {
                 assert_eq!(info.state, SafetyState::Tripped, "{info:?}");
                 match info.causes {
-                    // What is damaged may be the configuration, too.
+                    // The damage may be in the configuration, too.
                     causes if causes.contains(Cause::DamagedImage) => Did::Said,
                     causes if causes == Causes::only(Cause::RepeatedBadStarts) => Did::SaidBadStarts,
                     causes => panic!("damaged, and says {causes}"),
@@ -82,7 +84,7 @@ fn with_flash(robot: &str, of: &Image, bytes: &Binary, spoiled: Option<u32>, ms:
                 assert!(matches!(refused, Some(Err(Refusal::CausesPresent { .. }))), "{request:?}: {refused:?}");
             }
         }
-        // Driven to off, or floating as in reset, where the carrier's resistor turns them off.
+        // DISABLE is driven to off, or floats as in reset, where the carrier's resistor disables the bridges.
         assert!(!matches!(disable(board), Level::Low), "the bridges are let go");
         host.bad_frames = 0;
         did
@@ -94,7 +96,7 @@ fn binary(image: &Image) -> Binary {
     Binary::of(image.elf()).expect("an image")
 }
 
-/// The board says which image it runs, and that is the file's.
+/// The board reports the identity of its image, which is that of the file.
 #[test]
 fn the_image_that_runs_is_the_file() {
     for (robot, kind) in [("osmc-bench", "bare"), ("osmc-bench", "hosted"), ("every-interface", "bare")] {
@@ -109,7 +111,7 @@ fn the_image_that_runs_is_the_file() {
     }
 }
 
-/// A hosted image restarts into the bootloader when it is asked to, and a bare one refuses.
+/// A hosted image restarts into the bootloader at a request, and a bare one refuses.
 #[test]
 fn a_hosted_image_restarts_into_the_bootloader() {
     let robot = || r4_boards::load("osmc-bench").expect("built in");
@@ -124,7 +126,8 @@ fn a_hosted_image_restarts_into_the_bootloader() {
         assert_eq!(host.ask(Request::Arm).await, Err(Refusal::Busy));
         host.bad_frames = 0;
         device.clock.sleep(30 * MS).await;
-        // What the Arduino bootloader takes for a request to stay (mcuboot-arduino-stm32h7, app/main.cpp); it clears it.
+        // The Arduino bootloader takes this value as a request to stay (mcuboot-arduino-stm32h7, app/main.cpp) and
+        // clears it.
         assert_eq!(board.machine().chip.backup_register(0), Some(0xDF59));
         host.listen(BOOT_MS).await;
         host.bad_frames = 0;
@@ -138,7 +141,7 @@ fn a_hosted_image_restarts_into_the_bootloader() {
     });
 }
 
-/// Functions that run neither before the check nor in hold mode: what is wrong in them is always said.
+/// Functions that run neither before the check nor in hold mode: damage in them is always reported.
 const LATER: [&str; 4] = [
     "r4_firmware::control::task::Control<B,P>::tick::{{closure}}",
     "r4_firmware::control::task::Control<B,P>::initialise::{{closure}}",
@@ -158,7 +161,7 @@ fn one_flipped_bit_is_said_and_never_arms() {
         damaged
     };
     let with = |bit: usize| with_flash("osmc-bench", &image, &flipped(bit), None, 0);
-    // In the record itself: its magic number, length, CRC and what is unused.
+    // Damage in the record itself: its magic number, length, CRC and unused part.
     for byte in [0, 4, 6, 8, 11, 31] {
         assert_eq!(with(8 * (RECORD_AT + byte)), Did::Said, "byte {byte} of the record");
     }
@@ -171,7 +174,7 @@ fn one_flipped_bit_is_said_and_never_arms() {
         dids.push(did);
     }
     let said = dids.iter().filter(|did| **did == Did::Said).count();
-    // A quarter of the image runs at a start or on a link; half would be a check that is itself late.
+    // About a quarter of the image runs at a start or on a link; half would mean that the check itself comes late.
     assert!(said * 4 >= PLACES * 3, "{said} of {PLACES} said: {dids:?}");
 }
 
@@ -193,8 +196,8 @@ fn a_flipped_bit_in_what_runs_later_is_always_said() {
     }
 }
 
-/// A power cut leaves the front of a new image and behind it erased flash. Constants and initial values are last, without which a
-/// start comes to no answer: it faults again and again.
+/// A power cut leaves the front of a new image, followed by erased flash. Constants and initial values come last;
+/// without them a start faults again and again and reaches no answer.
 #[test]
 fn a_cut_image_never_arms() {
     let image = image("osmc-bench", "bare");
@@ -210,13 +213,14 @@ fn a_cut_image_never_arms() {
     }
 }
 
-/// Half a new image and half an old one: what a power cut in the middle of an update leaves, sector by sector or within one.
+/// Half a new image and half an old one, as a power cut in the middle of an update leaves them, sector by sector or
+/// within one.
 #[test]
 fn half_an_update_never_arms() {
     let (new, old) = (image("osmc-bench", "bare"), image("every-interface", "bare"));
     let (front, back) = (binary(&new), binary(&old));
     for (written, erased) in [(1, 1), (2, 2), (3, 3), (1, 2), (2, 3)] {
-        // Sectors up to `written` are new, those up to `erased` empty, the others old.
+        // Sectors below `written` are new, those below `erased` empty, the others old.
         let mut mixed = back.clone();
         let (written, erased) = (written * SECTOR_BYTES, erased * SECTOR_BYTES);
         mixed.bytes[..written].copy_from_slice(&front.bytes[..written]);
@@ -224,13 +228,14 @@ fn half_an_update_never_arms() {
         let did = with_flash("osmc-bench", &old, &mixed, None, BAD_STARTS_MS);
         eprintln!("new to {written:#x}, empty to {erased:#x}: {did:?}");
     }
-    // With its first sector erased and nothing written yet, the bootloader finds no program, and stays.
+    // With its first sector erased and not yet written, the bootloader finds no program, and stays.
     let mut erased = binary(&image("osmc-bench", "hosted"));
     erased.bytes[..SECTOR_BYTES].fill(0xFF);
     assert_eq!(Place::of(&erased), Err(ImageError::NoStack { word: u32::MAX }));
 }
 
-/// A word that was being programmed when the power went fails its error correction: that is no bus fault, and is said.
+/// A word that was being programmed at a power cut fails its error correction: that is reported and causes no bus
+/// fault.
 #[test]
 fn a_word_that_fails_its_error_correction_is_said() {
     let image = image("osmc-bench", "bare");

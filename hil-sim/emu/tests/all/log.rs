@@ -1,4 +1,4 @@
-//! The firmware's log, decoded from the RAM of the emulated chip, and from its link.
+//! Firmware log, decoded from the RAM of the emulated chip and from its link.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -16,7 +16,7 @@ fn the_firmware_says_what_it_is_and_that_its_tasks_run() {
     let control_block = debugged.board.machine().symbols().address("_SEGGER_RTT");
     let log = Log::new(&debugged.image, control_block, move |record| kept.borrow_mut().push(record));
     debugged.board.watch(log.expect("the image has a log"));
-    // It has started long before: a watchdog waits for no more than that.
+    // The run is much longer than a start, which the watchdog limits.
     debugged.run_to_ns(500_000_000);
     let records = records.borrow();
     let first = &records[0];
@@ -25,10 +25,10 @@ fn the_firmware_says_what_it_is_and_that_its_tasks_run() {
     let position = |text: &str| records.iter().position(|record| record.message.contains(text));
     let (clock, tasks) = (position("480 MHz from the crystal"), position("tasks run"));
     assert!(clock.is_some() && tasks > clock, "{records:?}");
-    // A chip as it is delivered has no brown-out reset, of which the image warns.
+    // A chip as delivered has no brown-out reset; the image warns of that.
     let expected = |message: &str| message.contains("no brown-out reset");
     assert!(records.iter().all(|record| record.level < Some(Level::Warn) || expected(&record.message)), "{records:?}");
-    // A record is read at most a slice, 10 ms, after its own time stamp, in s, which counts from when the clock runs.
+    // A record is read at most one slice, 10 ms, after its own time stamp, in s, which counts from when the clock runs.
     for record in &records[tasks.expect("it was found")..] {
         let stamp_s: f64 = record.stamp.parse().unwrap_or_else(|_| panic!("{record:?}"));
         let late_s = record.read_ns as f64 * 1e-9 - stamp_s;
@@ -36,7 +36,7 @@ fn the_firmware_says_what_it_is_and_that_its_tasks_run() {
     }
 }
 
-/// The same over the link, in a session that is asked for everything else as well: nothing of that comes later or less often.
+/// The log over the link, in a session with all other traffic: none of that comes later or less often.
 #[test]
 fn the_log_comes_over_the_link_behind_everything_else() {
     let setup = Setup::osmc_bench();
@@ -69,7 +69,7 @@ fn the_log_comes_over_the_link_behind_everything_else() {
         let mut last_us = None;
         while let Some(sample) = telemetry.try_next() {
             let step_us = last_us.replace(sample.device_us).map_or(1000, |last| sample.device_us - last);
-            // A frame may wait for one that is on the line, 200 bytes at 1 Mbaud, and then two in a row have the same reading.
+            // A frame may wait for the one on the line, 200 bytes at 1 Mbaud; then two in a row have the same reading.
             assert!(step_us <= 3000, "{step_us} us between two samples");
         }
     });

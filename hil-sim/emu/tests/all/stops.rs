@@ -1,8 +1,8 @@
-//! The safety promises of `hil-sim/board/tests/all/safety.rs`, kept by the image that is flashed: with interrupts, DMA and the
-//! processor's own time. Same limits, except where it says why.
+//! Safety promises of `hil-sim/board/tests/all/safety.rs`, kept by the image as flashed: with interrupts, DMA and the
+//! processor's own time. The limits are the same, except where a comment gives the reason.
 //!
-//! "Off" is the moment at which no transistor of a bridge conducts; "written" is the STOP of the transfer that turns all
-//! outputs of the PWM chip off. The measured times are printed (`--nocapture`).
+//! "Off" is the moment at which no transistor of a bridge conducts; "written" is the STOP of the transfer that turns
+//! all outputs of the PWM chip off. The tests print the measured times (`--nocapture`).
 
 use crate::emulated::{
     Setup,
@@ -19,26 +19,27 @@ use rand_pcg::{
     rand_core::{Rng, SeedableRng},
 };
 
-/// Promised: all motor channels written safe after a stop.
+/// Time limit for writing all motor channels safe after a stop, ns.
 const WRITTEN_SAFE_NS: u64 = 5 * MS;
-/// Promised: the relays' write, the motors' supply with them.
+/// Time limit of the relays' write, which switches off the motors' supply, ns.
 const RELAYS_NS: u64 = MS;
-/// From the handle's edge to DISABLE: EXTI's interrupt, the supervisor's, its pass over all causes. Below that is 20 us at
-/// the emulator's 240 million instructions a second; 100 us leave room for another compiler.
+/// Time limit from the handle's edge to DISABLE, ns: EXTI's interrupt, the supervisor's, its pass over all causes. The
+/// measured time is below 20 µs at the emulator's 240 million instructions a second; 100 µs leave room for another
+/// compiler.
 const LINE_NS: u64 = 100 * US;
-/// The bench's rotary motor is braked for so long by a stop that leaves the board working, and then switched off at the
-/// supervisor's next look.
+/// Braking time of the bench's rotary motor at a stop that leaves the board working, ns; the supervisor's next pass
+/// switches it off.
 const BRAKED_NS: u64 = 500 * MS + SUPERVISOR_NS;
-/// The supervisor looks this often at causes without a line of their own.
+/// Interval of the supervisor's checks of causes without a line of their own, ns.
 const SUPERVISOR_NS: u64 = MS;
 
-/// When the first write that ends a transfer to `address` ended after `since_ns`.
+/// Returns the end of the first successful write to `address` after `since_ns`, relative to it, ns.
 fn first_write(device: &Device, address: u8, since_ns: u64) -> Option<u64> {
     let mut writes = device.wire_since(since_ns).filter(|record| record.address == address && record.read.is_empty());
     writes.find(|record| record.fault.is_none() && !record.written.is_empty()).map(|record| record.end_ns - since_ns)
 }
 
-/// The moment at which both bridges are off, to 0.5 us.
+/// Returns the time after `since_ns` at which both bridges are off, accurate to 0.5 µs.
 async fn off_after(device: &Device, since_ns: u64, limit_ns: u64) -> Option<u64> {
     loop {
         let after_ns = device.clock.now_ns() - since_ns;
@@ -52,8 +53,7 @@ async fn off_after(device: &Device, since_ns: u64, limit_ns: u64) -> Option<u64>
     }
 }
 
-/// The promise for the dead-man's handle, at moments spread at random over the control loop's period and every kind of
-/// motion.
+/// Release of the dead-man's handle at random moments of the control loop's period and in every kind of motion.
 #[test]
 fn dead_man_released_at_any_moment() {
     const SEED: u64 = 0x5AFE;
@@ -121,8 +121,8 @@ fn host_stop() {
     );
 }
 
-/// A bus fault shows at the next look at the chip; from there the promised 5 ms. The firmware's three tries of 1 ms each, with
-/// the freeing of the bus between them, are in it.
+/// Time limit after a bus fault, ns: the next check of the chip, then the promised 5 ms. They include the firmware's
+/// three attempts of 1 ms each, and the freeing of the bus between them.
 const BUS_FAULT_OFF_NS: u64 = CHECK_EVERY * PERIOD_NS + 5 * MS;
 
 #[test]
@@ -177,7 +177,7 @@ fn chip_lost_its_supply_for_a_moment() {
 
 #[test]
 fn supply_too_low() {
-    // 24 V fall to 15 V and cross 20 V in the 10 ms low-pass.
+    // The supply falls from 24 V to 15 V and crosses 20 V in the 10 ms low-pass.
     let crossed_ns = (10.0 * (9.0_f64 / 5.0).ln() * 1e6) as u64;
     check(
         "24 V at 15 V",
@@ -197,7 +197,7 @@ fn supply_too_low() {
 fn host_gone_without_a_word() {
     let setup = Setup::osmc_bench();
     let timeout_ns = u64::from(setup.robot().config.link_timeout_ms) * MS;
-    // As on the simulated board: the timeout and 2 ms, and a heartbeat that may still be in the cable.
+    // The limit is that of the simulated board: the time-out and 2 ms, and a heartbeat that may still be on the cable.
     let limit_ns = timeout_ns + 2 * MS + MS / 4 + BRAKED_NS;
     let mut worst_ns = 0;
     for phase_ns in (0..6).map(|moment| moment * 8_437 * US) {
@@ -217,8 +217,8 @@ fn host_gone_without_a_word() {
     eprintln!("host gone: off after at most {} us of {}", worst_ns / US, limit_ns / US);
 }
 
-/// The robot with every kind of output, armed with its brushless drive and a servo commanded: each output of its own kind
-/// is written safe in time, and the auxiliary stop, which is looked at each millisecond, is as good as the handle.
+/// Robot with every kind of output, armed, with its brushless drive and a servo commanded: each output is written safe
+/// in time by its own means, and the auxiliary stop, which is polled every millisecond, works as well as the handle.
 #[test]
 fn the_auxiliary_stop_makes_every_output_safe() {
     let setup = Setup::new("every-interface");
@@ -240,7 +240,7 @@ fn the_auxiliary_stop_makes_every_output_safe() {
             device.record_wire();
             let at_ns = emu.clock.now_ns();
             emu.board.auxiliary_stop().set(false);
-            // One look of the supervisor later the lines are down.
+            // The lines are down one pass of the supervisor later.
             let limit_ns = SUPERVISOR_NS + LINE_NS;
             let lines_ns = device.wait_until(at_ns, limit_ns, is_off).await;
             worst_lines_ns = worst_lines_ns.max(lines_ns.unwrap_or_else(|| panic!("case {case}: not off")));

@@ -1,7 +1,7 @@
-//! Storms of edges on the lines whose interrupts are above the supervisor: encoder 3, the four echoes and the dead-man's handle. A
-//! loose wire beside a motor's leads makes millions of edges a second.
+//! Edge storms on the lines with interrupts above the supervisor: encoder 3, the four echoes and the dead-man's handle.
+//! A loose wire beside a motor's leads makes millions of edges a second.
 //!
-//! The measured times and instructions are printed (`--nocapture`).
+//! The tests print the measured times and instructions (`--nocapture`).
 
 use crate::emulated::{
     Emu, Setup,
@@ -10,22 +10,23 @@ use crate::emulated::{
 use r4_protocol::{Cause, ChannelId, ChannelKind, Mode, SafetyState};
 use r4_sim::sensors::{interference::SquareWave, quadrature::Channel};
 
-/// Promised: the relays' write, the motors' supply with them.
+/// Time limit of the relays' write, which switches off the motors' supply, ns.
 const RELAYS_NS: u64 = MS;
-/// From the handle's edge to DISABLE, as in `stops.rs`.
+/// Time limit from the handle's edge to DISABLE, as in `stops.rs`, ns.
 const LINE_NS: u64 = 100 * US;
-/// Between two edges of the wave: more than the processor can take one by one at the emulator's 240 million instructions a
-/// second, 67 for each.
+/// Interval between edges of the wave, ns: more edges than the processor can handle one by one at the emulator's 240
+/// million instructions a second, 67 for each.
 const EDGE_NS: u64 = 200;
-/// Between two edges of the wave at echoes 0 and 1: their timer's filter passes nothing faster than 267 ns.
+/// Interval between edges at echoes 0 and 1, ns: their timer's filter passes nothing faster than 267 ns.
 const FILTERED_EDGE_NS: u64 = 300;
 const STORM_NS: u64 = 100 * MS;
-/// The chip looks at its lines again within this time, and then knows of the wave.
+/// Longest time until the chip polls its lines again and then sees the wave, ns.
 const AHEAD_NS: u64 = 2 * MS;
-/// A masked line is tried again after a second, and then each range sensor has its turn to see something, every 60 ms one.
+/// Recovery time: a masked line is tried again after a second, and then each range sensor needs its turn of 60 ms for a
+/// measurement.
 const OVER_MS: u64 = 1800;
 
-/// A line with an interrupt.
+/// Line with an interrupt.
 #[derive(Clone, Copy, Debug)]
 enum Line {
     Track(Channel),
@@ -37,7 +38,7 @@ const LINES: [Line; 6] =
 
 const MOTOR: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
 
-/// Couples square waves into lines, and returns when they begin.
+/// Couples square waves into `lines`; returns the time at which they begin, ns.
 fn storm(device: &Device, lines: &[Line]) -> u64 {
     let from_ns = device.clock.now_ns() + AHEAD_NS;
     let wave = |half_period_ns| SquareWave { from_ns, until_ns: from_ns + STORM_NS, half_period_ns };
@@ -54,7 +55,7 @@ fn storm(device: &Device, lines: &[Line]) -> u64 {
     from_ns
 }
 
-/// All lines at once, and each alone.
+/// Iterates over the cases: all lines at once, then each alone.
 fn cases() -> impl Iterator<Item = Vec<Line>> {
     std::iter::once(LINES.to_vec()).chain(LINES.map(|line| vec![line]))
 }
@@ -66,7 +67,7 @@ async fn run(emu: &Emu<'_>) {
     assert!(!emu.is_off(MOTOR), "nothing to stop");
 }
 
-/// When the first write to the port expander ended, after `since_ns`.
+/// Returns the end of the first write to the port expander after `since_ns`, relative to it, ns.
 fn relays_written(device: &Device, since_ns: u64) -> Option<u64> {
     let written = device.wire_since(since_ns).find(|record| {
         record.address == 0x20 && record.read.is_empty() && record.fault.is_none() && !record.written.is_empty()
@@ -74,7 +75,7 @@ fn relays_written(device: &Device, since_ns: u64) -> Option<u64> {
     written.map(|record| record.end_ns - since_ns)
 }
 
-/// A storm alone: outputs off, its cause raised, and the host goes on hearing from the board while it lasts.
+/// A storm alone: the outputs are off, its cause is raised, and the host hears from the board while it lasts.
 #[test]
 fn a_storm_trips_and_the_board_goes_on() {
     let mut worst_ns = 0;
@@ -87,7 +88,7 @@ fn a_storm_trips_and_the_board_goes_on() {
             let off_ns = device.wait_until(begins_ns - AHEAD_NS, until_ns, || device.is_off(MOTOR)).await;
             let off_ns = off_ns.and_then(|off_ns| off_ns.checked_sub(AHEAD_NS)).expect("off, and by the storm");
             worst_ns = worst_ns.max(off_ns);
-            // Asked over the link, in the middle of it.
+            // The request is answered in the middle of the storm.
             let stats = emu.host.stats().await.expect("the board answers");
             emu.sleep_ms(20).await;
             let ticks = emu.host.stats().await.expect("the board answers").ticks.wrapping_sub(stats.ticks);
@@ -102,12 +103,12 @@ fn a_storm_trips_and_the_board_goes_on() {
         }
     });
     eprintln!("storm: off after at most {} us", worst_ns / US);
-    // The masked line is seen in the next period, the cause at the supervisor's next look.
+    // The masked line is noticed in the next period, and the cause at the supervisor's next pass.
     assert!(worst_ns <= 2 * MS + LINE_NS);
 }
 
-/// The handle is released at moments around the beginning of a storm on all lines: while their interrupts still have their
-/// budgets, and when they are masked.
+/// The handle is released at moments around the beginning of a storm on all lines: while their interrupts still have
+/// their budgets, and when they are masked.
 #[test]
 fn a_released_handle_stops_in_a_storm() {
     let (mut worst_off_ns, mut worst_relays_ns) = (0, 0);
@@ -122,7 +123,7 @@ fn a_released_handle_stops_in_a_storm() {
             emu.board.dead_man().set(false);
             let off_ns = device.wait_until(at_ns, STORM_NS, || device.is_off(MOTOR)).await;
             worst_off_ns = worst_off_ns.max(off_ns.expect("the handle stops it in the end"));
-            // The storm itself may have opened them before.
+            // The storm itself may have opened the relays before.
             let written = || relays_written(&device, begins_ns);
             device.wait_until(at_ns, STORM_NS, || written().is_some()).await.expect("relays are written in the end");
             worst_relays_ns = worst_relays_ns.max(written().unwrap_or(u64::MAX).saturating_sub(after_ns));
@@ -136,7 +137,7 @@ fn a_released_handle_stops_in_a_storm() {
     assert!(worst_off_ns <= LINE_NS && worst_relays_ns <= RELAYS_NS);
 }
 
-/// Lines that no channel of the robot uses are not listened to: nothing happens.
+/// Lines that no channel of the robot uses make no interrupts.
 #[test]
 fn an_unused_line_makes_no_interrupts() {
     let setup = Setup::new("osmc-bench").prepared(|board| board.start_measuring().expect("the image has its symbols"));
@@ -150,14 +151,15 @@ fn an_unused_line_makes_no_interrupts() {
         emu.clock.sleep_until(begins_ns).await;
         let before = urgent(emu);
         emu.clock.sleep(20 * MS).await;
-        // Alarms of embassy's time only: a few in each millisecond.
+        // Only alarms of embassy's time remain, a few per millisecond.
         let entries = urgent(emu) - before;
         assert!(entries < 200, "{entries} interrupts above the supervisor in 20 ms");
         assert_eq!(emu.safety().await.0, SafetyState::Armed);
     });
 }
 
-/// Released and held every 10 us: the handle stops the board at once, and costs the supervisor two looks a millisecond.
+/// The handle is released and held every 10 µs: it stops the board at once, and costs the supervisor two passes per
+/// millisecond.
 #[test]
 fn a_chattering_handle_leaves_the_processor_to_others() {
     let setup = Setup::new("osmc-bench").prepared(|board| board.start_measuring().expect("the image has its symbols"));
@@ -181,14 +183,15 @@ fn a_chattering_handle_leaves_the_processor_to_others() {
             "dead-man's handle, 100 000 edges a second for 20 ms: {instructions} instructions in {entries} looks"
         );
         assert!(emu.safety().await.1.contains(Cause::DeadMan));
-        // Of 9.6 million that the processor makes in 20 ms.
+        // The limit is 1 % of the 9.6 million cycles in 20 ms at 480 MHz, and 2 % of the instructions that the emulator
+        // executes in that time.
         assert!(instructions <= 96_000, "{instructions}");
         emu.sleep_ms(25).await;
         emu.host.clear().await.expect("held");
     });
 }
 
-/// What an edge costs, and what all budgets together do: `docs/performance.md`.
+/// Cost of one edge, and of all budgets together: `docs/performance.md`.
 #[test]
 fn the_budgets_are_a_small_share_of_the_processor() {
     let setup =
@@ -214,7 +217,8 @@ fn the_budgets_are_a_small_share_of_the_processor() {
             all = all.max(instructions);
             emu.sleep_ms(OVER_MS).await;
         }
-        // 5 % of the 480 000 of a millisecond.
+        // The limit is 5 % of the 480 000 cycles of a millisecond, and 10 % of the instructions that the emulator
+        // executes in it.
         assert!(all <= 24_000, "{all}");
     });
 }

@@ -1,4 +1,4 @@
-//! The heat of a winding in the image: hosts are warned, and a reset forgets none of it.
+//! Winding temperatures in the image: hosts are warned, and no kind of reset clears them.
 
 use crate::emulated::{
     Setup,
@@ -8,8 +8,8 @@ use r4_emu::fault::{Fault, Lasting};
 use r4_plants::{Effect, effect::friction::CoulombFriction};
 use r4_protocol::{Causes, HotWinding, Mode, Request, SafetyState, Setpoint, ToDevice, ToHost};
 
-/// One heartbeat: the board's clock, µs, where it stands, and the heat of the rotary motor's winding, %, where the board warns of
-/// that.
+/// Exchanges one heartbeat. Returns the board's clock, µs, its state and causes, and the heat of the rotary motor's
+/// winding, %, if the board warns of it.
 async fn beat(host: &mut RawHost, session: u16) -> (u64, SafetyState, Causes, Option<u8>) {
     host.send(&ToDevice::Heartbeat { session, host_us: 0 }).await;
     let heard = host.listen(20).await;
@@ -25,16 +25,16 @@ async fn beat(host: &mut RawHost, session: u16) -> (u64, SafetyState, Causes, Op
     answer.expect("a heartbeat is answered")
 }
 
-/// Opens a session, and the heat in its first heartbeat.
+/// Opens a session; returns its number and the heat in its first heartbeat.
 async fn heat_after_start(host: &mut RawHost, device: &Device) -> (u16, Option<u8>) {
-    // What was under way on the cable when the processor ended is a damaged frame.
+    // Bytes on the cable when the processor was reset form a damaged frame.
     host.listen(100).await;
     device.clock.sleep(50 * MS).await;
     let info = host.hello().await;
     (info.session, beat(host, info.session).await.3)
 }
 
-/// With a load of most of its torque at a stall the motor turns slowly, by more than its rated current.
+/// Load near the stall torque: the motor turns slowly, with more than its rated current, N m.
 const LOAD_NM: f64 = 1.8;
 
 #[test]
@@ -71,13 +71,13 @@ fn heat_outlives_the_watchdog_a_panic_and_a_restart() {
                 }
             }
             let (next, heat) = heat_after_start(host, device).await;
-            // Each of the three takes about 0.3 s, in which a winding of 30 s cools by 1 %.
+            // Each of the three resets takes about 0.3 s, in which a winding with a time constant of 30 s cools by 1 %.
             let heat = heat.unwrap_or_else(|| panic!("{ended:?}: forgotten"));
             eprintln!("{heat} % after {ended:?}");
             assert!((after - 2..=after + 1).contains(&heat), "{ended:?}: {heat} % after {after} %");
             (session, after) = (next, heat);
         }
-        // Nor does it hold for ever: it is the same model that goes on.
+        // The heat is not frozen either: the same model continues.
         let mut cooled = after;
         for _ in 0..10 {
             cooled = beat(host, session).await.3.expect("it is still hot");
@@ -85,7 +85,7 @@ fn heat_outlives_the_watchdog_a_panic_and_a_restart() {
         }
         assert!((2..=5).contains(&(after - cooled)), "1 s of 30 s are 3.3 %: {after} % to {cooled} %");
     });
-    // A processor that ends in the middle of a read leaves it so; the next start frees the bus before it does anything else.
+    // A reset in the middle of a read leaves the chip so; the next start frees the bus first.
     let others: Vec<_> = misuse.into_iter().filter(|what| !what.contains("read of no bytes")).collect();
     assert_eq!(others, Vec::<String>::new());
 }

@@ -1,6 +1,6 @@
-//! A set of exception numbers.
+//! Set of exception numbers.
 
-/// Bits 0 to 255.
+/// Set with one bit for each exception number, 0 to 255.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Bits([u32; 8]);
 
@@ -23,7 +23,7 @@ impl Bits {
         Self(std::array::from_fn(|index| self.0[index] & other.0[index]))
     }
 
-    /// The members, in order.
+    /// Iterates over the members in ascending order.
     pub(crate) fn iter(&self) -> impl Iterator<Item = u16> + '_ {
         self.0.iter().enumerate().flat_map(|(index, word)| {
             let mut left = *word;

@@ -1,183 +1,185 @@
-//! The instruction set, behind a trait: what a backend does, and what the rest of the processor does for it.
+//! Instruction set behind a trait: the work of a backend, and the services of the rest of the processor.
 //!
 //! A backend executes instructions and keeps the registers. It takes no exceptions, has no interrupt controller and
-//! knows no time: it counts instructions. What it cannot do by itself — an access that is not direct (see
-//! [`Region::direct`]), sleeping, a fault, a return from an exception — it asks the [`CoreBus`] for, or stops with.
+//! knows no time: it counts instructions. For everything else (an access that is not direct, see [`Region::direct`],
+//! sleeping, a fault, a return from an exception) it calls the [`CoreBus`], or stops.
 
 use super::mpu::Protection;
 use crate::memory::Region;
 use crate::peripheral::Size;
 
-/// A register of the programmers' model (DDI0403E B1.4).
+/// Register of the programmers' model (DDI0403E B1.4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Register {
-    /// R0 to R12.
+    /// General-purpose registers R0 to R12.
     R(u8),
-    /// The stack pointer in use: the bank that mode and CONTROL.SPSEL choose.
+    /// Stack pointer in use: the bank that mode and CONTROL.SPSEL select.
     Sp,
-    /// R14.
+    /// Link register of the program, R14.
     Lr,
-    /// The address of the next instruction, without the Thumb bit. A write is a branch and clears nothing else.
+    /// Address of the next instruction, without the Thumb bit. A write is a branch and clears nothing else.
     Pc,
-    /// The main stack pointer.
+    /// Main stack pointer, MSP.
     Msp,
-    /// The process stack pointer.
+    /// Process stack pointer, PSP.
     Psp,
     /// Flags, IT state and, where the backend keeps it, the exception number; EPSR.T reads as one.
     Xpsr,
-    /// Bit 0.
+    /// PRIMASK, in bit 0.
     Primask,
-    /// Bits 7 to 0.
+    /// BASEPRI, in bits 7 to 0.
     Basepri,
-    /// Bit 0.
+    /// FAULTMASK, in bit 0.
     Faultmask,
-    /// nPRIV, SPSEL, FPCA. A write of SPSEL selects the stack whatever the mode.
+    /// CONTROL: nPRIV, SPSEL, FPCA. A write of SPSEL selects the stack in any mode.
     Control,
-    /// Floating-point status and control.
+    /// FPSCR, floating-point status and control.
     Fpscr,
-    /// S0 to S31.
+    /// Single-precision registers S0 to S31.
     S(u8),
 }
 
-/// Where and how a core accesses what is not direct.
+/// Access by a core to memory or peripherals that it cannot access directly.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Access {
-    /// The address.
+    /// Address of the access.
     pub address: u32,
-    /// Width. A wider load or store comes as several accesses, in order of address.
+    /// Width of the access. A wider load or store comes as several accesses, in order of address.
     pub size: Size,
-    /// Address of the instruction.
+    /// Address of the accessing instruction.
     pub pc: u32,
-    /// Instructions executed in this run before that one.
+    /// Number of instructions executed in this run before that one.
     pub instructions: u64,
 }
 
-/// An access is refused: the core stops at the instruction, which has no further effect, with [`Fault::Load`] or [`Fault::Store`].
+/// Refusal of an access: the core stops at the instruction, which has no further effect, with [`Fault::Load`] or
+/// [`Fault::Store`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NoResult;
 
-/// Until when a core runs.
+/// Limits of a core's run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Instructions of this run. The core stops before the first block of instructions that begins at or after this
-    /// many: it can overshoot by one block, and never stops within one for this reason.
+    /// Number of instructions in this run. The core stops before the first block of instructions that begins at or
+    /// after this number: it can overshoot by one block, and never stops within one for this reason.
     pub instructions: u64,
-    /// Stop as soon as PRIMASK, BASEPRI or FAULTMASK differ from what they were when this was asked for.
+    /// Stop as soon as PRIMASK, BASEPRI or FAULTMASK differ from their values at the request of the limits.
     pub mask_changes: bool,
 }
 
-/// What a core needs while it runs.
+/// Services for a core while it runs.
 pub trait CoreBus {
-    /// A load that is not direct. The address is as the program gave it, aligned or not.
+    /// Loads where direct access is impossible. The address is as the program gave it, aligned or not.
     ///
     /// # Errors
-    /// The load is abandoned.
+    /// [`NoResult`] if the load must be abandoned.
     fn read(&mut self, access: &Access) -> Result<u32, NoResult>;
 
-    /// A store that is not direct, aligned or not. An error of the bus takes effect later, as on the Cortex-M7, which
-    /// buffers its stores (imprecise bus faults).
+    /// Stores where direct access is impossible, aligned or not. An error of the bus takes effect later, as on the
+    /// Cortex-M7, which buffers its stores (imprecise bus faults).
     ///
     /// # Errors
-    /// The memory protection unit forbids it.
+    /// [`NoResult`] if the memory protection unit forbids the store.
     fn write(&mut self, access: &Access, value: u32) -> Result<(), NoResult>;
 
-    /// Asked at the start of a run, after each access and after [`CoreBus::reached`], which may change them.
+    /// Returns the limits; called at the start of a run, after each access and after [`CoreBus::reached`], which may
+    /// change them.
     fn limits(&self) -> Limits;
 
-    /// [`Limits::instructions`] is reached, after so many: what is due is done, and the limits may be others now. Where they
-    /// are not, the core stops.
+    /// Notes that [`Limits::instructions`] is reached, after this number: due work is done, and the limits may be
+    /// different now. If they are not, the core stops.
     fn reached(&mut self, _instructions: u64) {}
 
-    /// SEV was, or is about to be, executed in the present block.
+    /// Notes that SEV was executed, or is about to be, in the present block.
     fn event(&mut self);
 
-    /// [`Region::direct`] of some region changed since the core last asked; the regions are then mapped anew.
+    /// Returns the regions to map again if [`Region::direct`] of one has changed since the last call.
     fn remapped(&mut self) -> Option<&[Region]>;
 }
 
-/// What went wrong with an instruction.
+/// Fault of an instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// [`CoreBus::read`] gave no result to the instruction at PC.
+    /// [`CoreBus::read`] refused the load of the instruction at PC.
     Load,
-    /// [`CoreBus::write`] refused the instruction at PC.
+    /// [`CoreBus::write`] refused the store of the instruction at PC.
     Store,
-    /// An instruction cannot be fetched from PC.
+    /// No instruction can be fetched from PC.
     Fetch,
-    /// Undefined instruction at PC.
+    /// The instruction at PC is undefined.
     Undefined,
-    /// Floating-point instruction at PC while CPACR does not allow it.
+    /// The instruction at PC is floating-point, and CPACR does not allow it.
     NoCoprocessor,
-    /// EPSR.T is zero, or the IT state makes no sense.
+    /// EPSR.T is zero, or the IT state is invalid.
     InvalidState,
-    /// The instruction at PC needs an aligned address (LDM, LDRD, LDREX and the like), and has another.
+    /// The instruction at PC (LDM, LDRD, LDREX and the like) has an unaligned address.
     Unaligned,
 }
 
-/// Why a core stopped.
+/// Reason why a core stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Why {
-    /// [`Limits::instructions`] is reached.
+    /// The run has reached [`Limits::instructions`].
     Limit,
-    /// [`Limits::mask_changes`].
+    /// A mask has changed, see [`Limits::mask_changes`].
     MaskChanged,
     /// WFI was executed; PC is after it.
     Wfi,
-    /// WFE was executed, whatever the event register is; PC is after it.
+    /// WFE was executed, whatever the event register holds; PC is after it.
     Wfe,
     /// YIELD was executed; PC is after it.
     Yield,
     /// SVC was executed; PC is after it.
     Svc,
-    /// BKPT is at PC, with this operand.
+    /// The instruction at PC is BKPT, with this operand.
     Breakpoint(u8),
-    /// PC is at an address given by [`Core::observe`]; its instruction was not executed.
+    /// PC is at an address of [`Core::observe`]; its instruction was not executed.
     Observed,
-    /// A branch to an EXC_RETURN value, which is in PC (with bit 0 cleared, as in the argument).
+    /// The program branched to an EXC_RETURN value, which is in PC (with bit 0 cleared, as in the argument).
     ExceptionReturn(u32),
-    /// A fault.
+    /// The instruction at PC has a fault.
     Fault(Fault),
 }
 
-/// What a run came to.
+/// Result of a core's run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CoreStop {
-    /// Instructions executed, those skipped by IT included.
+    /// Number of executed instructions, including those skipped by IT.
     pub instructions: u64,
-    /// Why it stopped.
+    /// Reason of the stop.
     pub why: Why,
 }
 
-/// The backend failed by itself: never the program's fault.
+/// Failure of the backend itself, never caused by the program.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the processor backend failed: {0}")]
 pub struct CoreError(pub String);
 
-/// A processor that executes the Thumb instructions of a Cortex-M7 with double-precision floating point.
+/// Processor that executes the Thumb instructions of a Cortex-M7 with double-precision floating point.
 pub trait Core {
-    /// Maps every memory, at the start of the machine. The core keeps the references.
+    /// Maps every memory at the start of the machine. The core keeps the references.
     ///
     /// # Errors
-    /// The backend's.
+    /// Those of the backend.
     fn map(&mut self, regions: &[Region]) -> Result<(), CoreError>;
 
-    /// Maps regions anew, of which [`Region::direct`] may have changed between runs.
+    /// Maps regions again whose [`Region::direct`] may have changed between runs.
     ///
     /// # Errors
-    /// The backend's.
+    /// Those of the backend.
     fn remap(&mut self, regions: &[Region]) -> Result<(), CoreError>;
 
-    /// Instructions in direct memory were changed from outside the core.
+    /// Notes that instructions in direct memory were changed from outside the core.
     ///
     /// # Errors
-    /// The backend's.
+    /// Those of the backend.
     fn code_changed(&mut self) -> Result<(), CoreError>;
 
-    /// The memory protection unit has changed, is on where it was off, or the other way round: what it forbids is not accessed
-    /// directly from now on, but by the [`CoreBus`], and not executed.
+    /// Sets the memory protection, after the unit has changed or was turned on or off: from now on forbidden accesses
+    /// go to the [`CoreBus`], and forbidden code is not executed.
     ///
     /// # Errors
-    /// The backend's, which need not have it.
+    /// Those of the backend, which need not support protection.
     fn protect(&mut self, protection: Option<&Protection>) -> Result<(), CoreError> {
         match protection {
             None => Ok(()),
@@ -185,48 +187,49 @@ pub trait Core {
         }
     }
 
-    /// Reads a register.
+    /// Reads the value of a register.
     fn get(&self, register: Register) -> u32;
 
-    /// Writes a register. Exception entry writes CONTROL before the exception number in xPSR, return the other way
-    /// round: a backend that keeps the mode ignores SPSEL in handler mode.
+    /// Writes a register. Exception entry writes CONTROL before the exception number in xPSR, and return does it the
+    /// other way round: a backend that keeps the mode ignores SPSEL in handler mode.
     fn set(&mut self, register: Register, value: u32);
 
-    /// Floating point is allowed (CPACR).
+    /// Enables or disables floating point (CPACR).
     fn set_fpu(&mut self, on: bool);
 
     /// Clears the monitor of exclusive accesses, as exceptions do.
     ///
     /// # Errors
-    /// The backend's.
+    /// Those of the backend.
     fn clear_exclusive(&mut self) -> Result<(), CoreError>;
 
-    /// Stops with [`Why::Observed`] before these instructions, from now on; a run that begins at one executes it.
-    /// One within an IT block is stopped at before the IT instruction: no backend need stop within such a block.
+    /// Sets the instructions before which runs stop with [`Why::Observed`]; a run that begins at one executes it. For
+    /// an instruction within an IT block, the stop is before the IT instruction: no backend needs to stop within such a
+    /// block.
     ///
     /// # Errors
-    /// The backend's.
+    /// Those of the backend.
     fn observe(&mut self, addresses: &[u32]) -> Result<(), CoreError>;
 
-    /// Executes from PC.
+    /// Executes from PC until a limit or another reason.
     ///
     /// # Errors
-    /// The backend's.
+    /// Those of the backend.
     fn run(&mut self, bus: &mut dyn CoreBus) -> Result<CoreStop, CoreError>;
 
     /// Executes the instruction at PC, observed or not, and stops with [`Why::Observed`] before the next one, or with
     /// another reason. An IT instruction may be executed together with those that it makes conditional.
     ///
     /// # Errors
-    /// The backend's.
+    /// Those of the backend.
     fn step(&mut self, bus: &mut dyn CoreBus) -> Result<CoreStop, CoreError>;
 
-    /// Everything from PC to the end of the block loads, computes and branches, and does nothing else. A core that does not know
-    /// says no.
+    /// Returns true if all instructions from PC to the end of the block only load, compute and branch. A core that does
+    /// not know returns false.
     fn only_looks(&self) -> bool {
         false
     }
 
-    /// The last run stopped within a block of instructions: some of it were executed, and some not.
+    /// Returns true if the last run stopped within a block of instructions, of which it executed only a part.
     fn is_within_block(&self) -> bool;
 }

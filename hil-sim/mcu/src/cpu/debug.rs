@@ -1,20 +1,20 @@
-//! What firmware uses of the debug components: the cycle counter of DWT, and the switches of ITM (DDI0403E C1).
+//! Debug components that firmware uses: the cycle counter of DWT, and the switches of ITM (DDI0403E C1).
 
 use crate::context::Ticks;
 
-/// The key of a lock access register (C1.2, CoreSight).
+/// Key of a lock access register (C1.2, CoreSight).
 const KEY: u32 = 0xC5AC_CE55;
 
-/// DEMCR.TRCENA.
+/// Bit DEMCR.TRCENA: trace components enabled.
 const TRACE_ENABLE: u32 = 1 << 24;
 
-/// DWT_CTRL.CYCCNTENA.
+/// Bit DWT_CTRL.CYCCNTENA: cycle counter enabled.
 const CYCLE_COUNT_ENABLE: u32 = 1;
 
-/// Four comparators, which are not modelled.
+/// Read-only part of DWT_CTRL: four comparators, which are not modelled.
 const DWT_CTRL_FIXED: u32 = 4 << 28;
 
-/// DEMCR, DWT and ITM.
+/// Registers DEMCR, and those of DWT and ITM.
 #[derive(Clone, Debug)]
 pub struct Debug {
     demcr: u32,
@@ -23,13 +23,13 @@ pub struct Debug {
     itm_locked: bool,
     itm_enable: u32,
     itm_control: u32,
-    /// The cycle counter at tick 0 of `clock`.
+    /// Value of the cycle counter at tick 0 of `clock`.
     cycles: u32,
     clock: Ticks,
 }
 
 impl Debug {
-    /// As after power-on: locked, as the components of a Cortex-M7 are.
+    /// Makes the components in their power-on state: locked, as those of a Cortex-M7 are.
     #[must_use]
     pub fn new(now_ns: u64, core_hz: u64) -> Self {
         Self {
@@ -48,7 +48,7 @@ impl Debug {
         self.demcr & TRACE_ENABLE != 0 && self.dwt_control & CYCLE_COUNT_ENABLE != 0
     }
 
-    /// Cycles of the core clock while counting, from virtual time: not instructions.
+    /// Returns the cycle counter: cycles of the core clock while it counts, from virtual time, not from instructions.
     fn cycles(&self, now_ns: u64) -> u32 {
         if self.counting() { self.cycles.wrapping_add(self.clock.at(now_ns) as u32) } else { self.cycles }
     }
@@ -58,19 +58,19 @@ impl Debug {
         self.clock.start_ns = now_ns;
     }
 
-    /// The core clock changes.
+    /// Sets the frequency of the core clock, Hz.
     pub fn set_core_hz(&mut self, now_ns: u64, core_hz: u64) {
         self.restart(now_ns, self.cycles(now_ns));
         self.clock.frequency_hz = core_hz;
     }
 
-    /// DEMCR.
+    /// Returns the value of DEMCR.
     #[must_use]
     pub fn demcr(&self) -> u32 {
         self.demcr
     }
 
-    /// Writes DEMCR; `None` for what needs a debugger: catching of vectors, the monitor.
+    /// Writes DEMCR; `None` for functions that need a debugger: vector catch, the monitor.
     pub fn set_demcr(&mut self, value: u32, now_ns: u64) -> Option<()> {
         if value & !TRACE_ENABLE != 0 {
             return None;
@@ -83,10 +83,10 @@ impl Debug {
     /// Reads a register, offset from 0xE000_0000; `None` where none is modelled.
     #[must_use]
     pub fn read(&self, offset: u32, now_ns: u64) -> Option<u32> {
-        // Lock status: implemented, locked.
+        // Lock status: the lock is implemented; the second bit is its state.
         let lock = |locked: bool| 1 | u32::from(locked) << 1;
         Some(match offset {
-            // ITM: stimulus ports take nothing while they are disabled, which reads as "full"; enabled ones are ready.
+            // ITM stimulus ports: a disabled port accepts nothing, which reads as "full"; an enabled one is ready.
             0x000..0x080 if offset & 3 == 0 => {
                 u32::from(self.itm_control & 1 != 0 && self.itm_enable >> (offset / 4) & 1 != 0)
             }
@@ -100,7 +100,7 @@ impl Debug {
         })
     }
 
-    /// Writes a register; `None` where none is modelled, or not with this value. A locked component ignores writes.
+    /// Writes a register; `None` if it is not modelled, or not with this value. A locked component ignores writes.
     pub fn write(&mut self, offset: u32, value: u32, now_ns: u64) -> Option<()> {
         match offset {
             0xFB0 => self.itm_locked = value != KEY,

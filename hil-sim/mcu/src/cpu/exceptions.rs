@@ -1,56 +1,56 @@
-//! Exceptions: which are pending and active, and which one comes next (DDI0403E B1.5).
+//! Exception state: which exceptions are pending and active, and which is next (DDI0403E B1.5).
 
 use super::bits::Bits;
 
-/// Exception numbers (B1.5.2).
+/// Numbers of exceptions (B1.5.2).
 pub mod number {
-    /// Reset, which is never pending here.
+    /// Reset, which is never pending in this model.
     pub const RESET: u16 = 1;
-    /// Non-maskable interrupt.
+    /// Non-maskable interrupt (NMI), above all configurable exceptions.
     pub const NMI: u16 = 2;
-    /// HardFault.
+    /// HardFault, the exception for escalated faults.
     pub const HARD_FAULT: u16 = 3;
-    /// MemManage fault.
+    /// MemManage fault, of the memory protection.
     pub const MEM_MANAGE: u16 = 4;
-    /// BusFault.
+    /// BusFault, for refused bus accesses.
     pub const BUS_FAULT: u16 = 5;
-    /// UsageFault.
+    /// UsageFault, for invalid instructions and states.
     pub const USAGE_FAULT: u16 = 6;
-    /// Supervisor call.
+    /// Supervisor call (SVCall), by the SVC instruction.
     pub const SV_CALL: u16 = 11;
-    /// Debug monitor.
+    /// Debug monitor, which is not modelled.
     pub const DEBUG_MONITOR: u16 = 12;
-    /// PendSV.
+    /// PendSV, requested by software.
     pub const PEND_SV: u16 = 14;
-    /// SysTick.
+    /// SysTick, the system timer.
     pub const SYS_TICK: u16 = 15;
     /// The first external interrupt.
     pub const IRQ0: u16 = 16;
 }
 
-/// External interrupts of the controller: its architectural maximum, of which the chip wires 150.
+/// Number of external interrupts: the architectural maximum, of which the chip wires 150.
 pub const IRQS: u16 = 240;
 
-/// Bits of a priority that are implemented, the most significant ones (the chip has 16 levels).
+/// Implemented bits of a priority, the most significant ones (the chip has 16 levels).
 pub const PRIORITY_MASK: u8 = 0xF0;
 
-/// The registers that raise the execution priority (B1.4.3).
+/// Registers that raise the execution priority (B1.4.3).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Masks {
-    /// PRIMASK.PM.
+    /// PRIMASK.PM: masks all configurable exceptions.
     pub primask: bool,
-    /// FAULTMASK.FM.
+    /// FAULTMASK.FM: masks all but NMI.
     pub faultmask: bool,
-    /// BASEPRI, 0 is off.
+    /// BASEPRI; 0 means off.
     pub basepri: u8,
 }
 
 impl Masks {
-    /// None of them.
+    /// No mask is set.
     pub const NONE: Self = Self { primask: false, faultmask: false, basepri: 0 };
 }
 
-/// State of all exceptions.
+/// State of all exceptions of the processor.
 #[derive(Clone, Debug)]
 pub struct Exceptions {
     pub(super) pending: Bits,
@@ -58,7 +58,7 @@ pub struct Exceptions {
     pub(super) enabled: Bits,
     lines: Bits,
     priority: [u8; 256],
-    /// AIRCR.PRIGROUP.
+    /// Field AIRCR.PRIGROUP, the split of priorities.
     pub(super) prigroup: u8,
     version: u32,
 }
@@ -70,7 +70,7 @@ impl Default for Exceptions {
 }
 
 impl Exceptions {
-    /// As after a reset, every line low.
+    /// Makes the state after a reset, with every line low.
     #[must_use]
     pub fn new() -> Self {
         let mut enabled = Bits::default();
@@ -88,15 +88,15 @@ impl Exceptions {
         }
     }
 
-    /// A reset of the processor: lines keep their levels, and those that are high are pending at once.
+    /// Resets the state: lines keep their levels, and those that are high are pending at once.
     pub fn reset(&mut self) {
         let lines = self.lines;
         let version = self.version;
         *self = Self { lines, pending: lines, version: version.wrapping_add(1), ..Self::new() };
     }
 
-    /// Changes whenever an exception may have become able to preempt: when it becomes pending or enabled, or priorities
-    /// change.
+    /// Returns a version number that changes whenever an exception may have become able to preempt: when it becomes
+    /// pending or enabled, or priorities change.
     #[must_use]
     pub fn version(&self) -> u32 {
         self.version
@@ -117,25 +117,25 @@ impl Exceptions {
         }
     }
 
-    /// The priority field of an exception, as SHPR and IPR hold it.
+    /// Returns the priority field of an exception, as in SHPR and IPR.
     #[must_use]
     pub fn priority_field(&self, exception: u16) -> u8 {
         self.priority[usize::from(exception)]
     }
 
-    /// Writes it; bits that are not implemented stay zero.
+    /// Writes the priority field; unimplemented bits stay zero.
     pub fn set_priority_field(&mut self, exception: u16, value: u8) {
         self.priority[usize::from(exception)] = value & PRIORITY_MASK;
         self.changed();
     }
 
-    /// The part of a priority that decides on preemption (B1.5.4, PRIGROUP).
+    /// Returns the group part of a priority, which decides on preemption (B1.5.4, PRIGROUP).
     fn group(&self, priority: i32) -> i32 {
         let sub_bits = u32::from(self.prigroup) + 1;
         if priority < 0 { priority } else { priority >> sub_bits << sub_bits }
     }
 
-    /// The execution priority (B1.5.4, `ExecutionPriority`); 256 in thread mode without masks.
+    /// Returns the execution priority (B1.5.4, `ExecutionPriority`); 256 in thread mode without masks.
     #[must_use]
     pub fn execution_priority(&self, masks: Masks) -> i32 {
         let active = self.active.iter().map(|exception| self.group(self.priority(exception))).min().unwrap_or(256);
@@ -152,39 +152,39 @@ impl Exceptions {
         active.min(boosted)
     }
 
-    /// The most urgent exception that is pending and enabled: ties go to the lower number (B1.5.4).
+    /// Returns the most urgent exception that is pending and enabled; ties go to the lower number (B1.5.4).
     #[must_use]
     pub fn next_pending(&self) -> Option<u16> {
         let candidates = self.pending.and(&self.enabled);
         candidates.iter().min_by_key(|exception| (self.priority(*exception), *exception))
     }
 
-    /// An exception is pending and enabled, however urgent.
+    /// Returns true if any exception is pending and enabled, of any priority.
     #[must_use]
     pub fn is_any_pending(&self) -> bool {
         !self.pending.and(&self.enabled).is_empty()
     }
 
-    /// The exception that preempts what is executing now, if one does.
+    /// Returns the exception that preempts the present code, if one does.
     #[must_use]
     pub fn preempting(&self, masks: Masks) -> Option<u16> {
         if self.pending.is_empty() {
             return None;
         }
-        // Sub-priorities order what is pending; the group alone preempts.
+        // Sub-priorities only order pending exceptions; the group decides on preemption.
         self.next_pending().filter(|next| self.group(self.priority(*next)) < self.execution_priority(masks))
     }
 
-    /// A synchronous exception of this kind would be taken now: it is enabled and urgent enough.
+    /// Returns true if a synchronous exception of this kind would be taken now: it is enabled and urgent enough.
     #[must_use]
     pub fn can_take(&self, exception: u16, masks: Masks) -> bool {
         self.enabled.get(exception) && self.group(self.priority(exception)) < self.execution_priority(masks)
     }
 
-    /// Sets the level of an interrupt's line. A rising level makes it pending (B3.4: a level that stays makes it pending
-    /// again after its handler).
+    /// Sets the level of an interrupt's line. A rising level makes it pending (B3.4: a level that stays makes it
+    /// pending again after its handler).
     ///
-    /// Lines from [`IRQS`] on do not exist, and are ignored.
+    /// Lines from [`IRQS`] on do not exist and are ignored.
     pub fn set_line(&mut self, irq: u16, level: bool) {
         if irq >= IRQS {
             return;
@@ -196,7 +196,7 @@ impl Exceptions {
         self.lines.set(exception, level);
     }
 
-    /// Sets the level of the NMI's input, which behaves as an interrupt's line does (B1.5.1, B3.2.4).
+    /// Sets the level of the NMI's input, which behaves as an interrupt's line (B1.5.1, B3.2.4).
     pub fn set_nmi(&mut self, level: bool) {
         if level && !self.lines.get(number::NMI) {
             self.set_pending(number::NMI);
@@ -216,37 +216,37 @@ impl Exceptions {
         self.pending.set(exception, held);
     }
 
-    /// Enables or disables.
+    /// Enables or disables an exception.
     pub fn set_enabled(&mut self, exception: u16, on: bool) {
         self.enabled.set(exception, on);
         self.changed();
     }
 
-    /// It is pending.
+    /// Returns true if the exception is pending.
     #[must_use]
     pub fn is_pending(&self, exception: u16) -> bool {
         self.pending.get(exception)
     }
 
-    /// Its handler runs, or is preempted.
+    /// Returns true if its handler runs, or is preempted.
     #[must_use]
     pub fn is_active(&self, exception: u16) -> bool {
         self.active.get(exception)
     }
 
-    /// Active exceptions.
+    /// Returns the number of active exceptions.
     #[must_use]
     pub fn active_count(&self) -> usize {
         self.active.iter().count()
     }
 
-    /// It is taken.
+    /// Marks the exception as active, when it is taken.
     pub fn activate(&mut self, exception: u16) {
         self.active.set(exception, true);
         self.pending.set(exception, false);
     }
 
-    /// Its handler has returned.
+    /// Marks the exception as inactive, when its handler has returned.
     pub fn deactivate(&mut self, exception: u16) {
         self.active.set(exception, false);
         if self.lines.get(exception) {
@@ -277,7 +277,7 @@ mod tests {
         }
         assert_eq!(exceptions.preempting(Masks::NONE), Some(IRQ0 + 4));
         exceptions.activate(IRQ0 + 4);
-        // The same priority does not preempt.
+        // An exception of the same priority does not preempt.
         assert_eq!(exceptions.preempting(Masks::NONE), None);
         exceptions.set_line(4, false);
         exceptions.deactivate(IRQ0 + 4);
@@ -287,7 +287,7 @@ mod tests {
     #[test]
     fn sub_priorities_order_but_do_not_preempt() {
         let mut exceptions = with(&[(0, 0x50), (1, 0x40)]);
-        // PRIGROUP 6: bit 7 is the group.
+        // With PRIGROUP 6 only bit 7 is the group.
         exceptions.prigroup = 6;
         exceptions.set_line(0, true);
         exceptions.activate(IRQ0);

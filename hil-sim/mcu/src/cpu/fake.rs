@@ -1,11 +1,11 @@
-//! A core that keeps registers and executes nothing: for tests of what is around it.
+//! Fake core that keeps registers and executes nothing, for tests of the processor around it.
 
 use std::collections::HashMap;
 
 use super::core::{Core, CoreBus, CoreError, CoreStop, Register};
 use crate::memory::Region;
 
-/// Registers, with the two stack pointers as a core has them.
+/// Register file of the fake core, with both stack pointers banked as in a real one.
 #[derive(Default)]
 pub(crate) struct FakeCore {
     registers: HashMap<Register, u32>,

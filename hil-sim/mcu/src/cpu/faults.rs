@@ -1,28 +1,28 @@
-//! Faults: their status registers, and which exception they raise (DDI0403E B1.5.14, B3.2.15 ff.).
+//! Faults: their status registers, and the exceptions they raise (DDI0403E B1.5.14, B3.2.15 ff.).
 
 use std::fmt;
 
 use super::exceptions::number;
 
-/// What went wrong, as the status registers tell it.
+/// Cause of a fault, as in the status registers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// Instruction fetch from where nothing may be executed: IACCVIOL.
+    /// Instruction fetch from where no code may be executed: IACCVIOL.
     FetchViolation,
     /// Load or store that the memory protection unit forbids: DACCVIOL and MMFAR.
     DataViolation {
-        /// The address.
+        /// Address of the access.
         address: u32,
     },
-    /// The memory protection unit forbids to save registers at exception entry: MSTKERR.
+    /// The memory protection unit forbids the saving of registers at exception entry: MSTKERR.
     StackingViolation,
-    /// The same at exception return: MUNSTKERR.
+    /// The memory protection unit forbids their restoring at exception return: MUNSTKERR.
     UnstackingViolation,
     /// Instruction fetch that the bus refused: IBUSERR.
     FetchError,
     /// Load that the bus refused: PRECISERR and BFAR.
     Load {
-        /// The address.
+        /// Address of the load.
         address: u32,
     },
     /// Store that the bus refused: IMPRECISERR.
@@ -31,19 +31,19 @@ pub enum Cause {
     Stacking,
     /// Exception return could not restore them: UNSTKERR.
     Unstacking,
-    /// UNDEFINSTR.
+    /// Undefined instruction at PC: UNDEFINSTR.
     Undefined,
-    /// INVSTATE.
+    /// Invalid execution state: INVSTATE.
     InvalidState,
-    /// INVPC.
+    /// Invalid exception return: INVPC.
     InvalidReturn,
-    /// NOCP.
+    /// Coprocessor disabled or absent: NOCP.
     NoCoprocessor,
-    /// UNALIGNED.
+    /// Unaligned access by LDM and the like: UNALIGNED.
     Unaligned,
 }
 
-/// What happened, and the flag of CFSR that says so.
+/// Text with the event and its flag in CFSR.
 impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -66,7 +66,7 @@ impl fmt::Display for Cause {
 }
 
 impl Cause {
-    /// The exception that is for it, unless that cannot be taken.
+    /// Returns the exception for this cause, to take if it is enabled.
     #[must_use]
     pub const fn exception(self) -> u16 {
         match self {
@@ -80,7 +80,7 @@ impl Cause {
         }
     }
 
-    /// Its bit in CFSR.
+    /// Returns the bit of the cause in CFSR.
     const fn bit(self) -> u32 {
         match self {
             Self::FetchViolation => 1 << 0,
@@ -104,16 +104,16 @@ impl Cause {
 const MMFAR_VALID: u32 = 1 << 7;
 const BFAR_VALID: u32 = 1 << 15;
 
-/// HFSR.VECTTBL.
+/// Bit HFSR.VECTTBL: the vector could not be read.
 pub(super) const VECTOR_TABLE: u32 = 1 << 1;
-/// HFSR.FORCED.
+/// Bit HFSR.FORCED: an escalated fault.
 pub(super) const FORCED: u32 = 1 << 30;
-/// HFSR.DEBUGEVT.
+/// Bit HFSR.DEBUGEVT: a debug event.
 pub(super) const DEBUG_EVENT: u32 = 1 << 31;
-/// DFSR.BKPT.
+/// Bit DFSR.BKPT: a breakpoint instruction.
 pub(super) const BREAKPOINT: u32 = 1 << 1;
 
-/// CFSR, HFSR, DFSR, MMFAR, BFAR.
+/// Fault status registers: CFSR, HFSR, DFSR, MMFAR, BFAR.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FaultStatus {
     pub(super) configurable: u32,
@@ -124,7 +124,7 @@ pub struct FaultStatus {
 }
 
 impl FaultStatus {
-    /// Notes a cause.
+    /// Sets the bits of a cause.
     pub fn note(&mut self, cause: Cause) {
         self.configurable |= cause.bit();
         if let Cause::Load { address } = cause {
@@ -139,7 +139,7 @@ impl FaultStatus {
 }
 
 impl fmt::Display for FaultStatus {
-    /// The registers that are not zero; the addresses of faults where they are valid.
+    /// Formats the registers that are not zero, and the addresses of faults where they are valid.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let bus_address = if self.configurable & BFAR_VALID == 0 { 0 } else { self.bus_address };
         let memory_address = if self.configurable & MMFAR_VALID == 0 { 0 } else { self.memory_address };

@@ -1,12 +1,13 @@
-//! What a Cortex-M7 has around its instruction set, from the ARMv7-M manual (DDI0403E) and the Cortex-M7's (DDI0489).
+//! Processor around the instruction set of a Cortex-M7, after the ARMv7-M manual (DDI0403E) and the Cortex-M7's
+//! (DDI0489).
 //!
 //! [`Core`] is the instruction set. [`Processor`] is the rest that a program can see: exceptions and their controller,
 //! the system control block, SysTick, the cycle counter, the registers of the memory protection unit and of floating
 //! point. [`take::Taker`] moves a core into a handler and back.
 //!
-//! Two simplifications a program can notice: registers of floating point are saved on exception entry at once where the
-//! processor would do so when the handler uses them (FPCCR.LSPACT is never set), and a processor in unprivileged mode may
-//! do what a privileged one may.
+//! There are two simplifications that a program can notice: floating-point registers are saved immediately at exception
+//! entry, where the processor would save them when the handler uses them (FPCCR.LSPACT is never set), and unprivileged
+//! code may do everything that privileged code may.
 
 mod bits;
 pub mod core;

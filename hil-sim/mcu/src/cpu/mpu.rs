@@ -1,38 +1,38 @@
-//! The memory protection unit (DDI0403E B3.5): its registers, and what they forbid.
+//! Memory protection unit (DDI0403E B3.5): its registers, and the accesses that they forbid.
 //!
-//! What it forbids is judged for privileged code; code in unprivileged mode is taken for privileged, here as everywhere.
-//! Attributes (cacheability, shareability) change nothing.
+//! Accesses are judged as privileged, also in unprivileged mode, as everywhere in this model. Attributes (cacheability,
+//! shareability) have no effect.
 
-/// Regions of the chip's Cortex-M7 (RM0399 2.1: 16).
+/// Number of regions in the chip's Cortex-M7 (RM0399 2.1: 16).
 const REGIONS: usize = 16;
 
 const ENABLE: u32 = 1;
 const IN_FAULT_HANDLERS: u32 = 1 << 1;
 const DEFAULT_MAP: u32 = 1 << 2;
 
-/// The system address space: always as in the default map.
+/// First address of the system space, where the default map always applies.
 const SYSTEM: u32 = 0xE000_0000;
 
-/// What an access is for.
+/// Purpose of an access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// A load.
+    /// Load of data by an instruction.
     Load,
-    /// A store.
+    /// Store of data by an instruction.
     Store,
-    /// A fetch of an instruction.
+    /// Fetch of an instruction.
     Fetch,
 }
 
-/// One enabled region.
+/// Permissions of one enabled region.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Rule {
     base: u32,
-    /// The last address.
+    /// Last address of the region.
     last: u32,
-    /// SRD: eighths that do not belong to it.
+    /// SRD: disabled eighths of the region.
     without: u32,
-    /// Bytes within which nothing changes, as a power of 2.
+    /// Size of the blocks with uniform permissions, as a power of 2, bytes.
     granule: u32,
     load: bool,
     store: bool,
@@ -44,7 +44,7 @@ impl Rule {
         if attributes & 1 == 0 {
             return None;
         }
-        // Sizes below 32 bytes are reserved.
+        // The minimum is 32 bytes; smaller sizes are reserved.
         let bits = (attributes >> 1 & 0x1F).max(4) + 1;
         let mask = ((1_u64 << bits) - 1) as u32;
         let divided = bits >= 8;
@@ -70,16 +70,16 @@ impl Rule {
     }
 }
 
-/// What may be accessed, while the unit is on.
+/// Accesses allowed while the unit is on.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Protection {
-    /// The one that decides comes first: the highest number.
+    /// Regions in order of precedence, the highest number first.
     rules: Vec<Rule>,
     default_map: bool,
 }
 
 impl Protection {
-    /// Whether a privileged program may do this with the byte at an address.
+    /// Returns true if a privileged program may access the byte at `address` for `purpose`.
     #[must_use]
     pub fn allows(&self, address: u32, purpose: Purpose) -> bool {
         if address >= SYSTEM {
@@ -91,7 +91,7 @@ impl Protection {
                 Purpose::Store => rule.store,
                 Purpose::Fetch => rule.fetch,
             },
-            // Peripherals and devices are never executed from (B3.1).
+            // Code is never executed from peripherals and devices (B3.1).
             None => {
                 let never = matches!(address, 0x4000_0000..0x6000_0000 | 0xA000_0000..);
                 self.default_map && (purpose != Purpose::Fetch || !never)
@@ -99,14 +99,14 @@ impl Protection {
         }
     }
 
-    /// The same for some bytes: the first that it is not allowed for.
+    /// Checks an access of `bytes`; returns the first address for which it is not allowed.
     #[must_use]
     pub fn refuses(&self, address: u32, bytes: u32, purpose: Purpose) -> Option<u32> {
         let last = address.wrapping_add(bytes.wrapping_sub(1));
         [address, last].into_iter().find(|address| !self.allows(*address, purpose))
     }
 
-    /// Whether every byte of an aligned block of 2^`bits` bytes is allowed the same.
+    /// Returns true if an aligned block of 2^`bits` bytes has uniform permissions.
     #[must_use]
     pub fn is_uniform(&self, address: u32, bits: u32) -> bool {
         let last = address | ((1_u64 << bits) - 1) as u32;
@@ -114,7 +114,7 @@ impl Protection {
     }
 }
 
-/// Registers.
+/// Registers of the memory protection unit.
 #[derive(Clone, Debug, Default)]
 pub struct Mpu {
     control: u32,
@@ -124,7 +124,7 @@ pub struct Mpu {
 }
 
 impl Mpu {
-    /// Reads a register, offset from 0xE000_ED90.
+    /// Reads a register, offset from 0xE000_ED90; `None` where none exists.
     #[must_use]
     pub fn read(&self, offset: u32) -> Option<u32> {
         let region = self.number as usize;
@@ -138,13 +138,13 @@ impl Mpu {
         })
     }
 
-    /// Writes a register; `None` where none is.
+    /// Writes a register; `None` where none exists.
     pub fn write(&mut self, offset: u32, value: u32) -> Option<()> {
         match offset {
             0x04 => self.control = value & 7,
             0x08 => self.number = ((value & 0xFF) as usize).min(REGIONS - 1) as u32,
             0x0C | 0x14 | 0x1C | 0x24 => {
-                // VALID: the region's number is in the low bits.
+                // With VALID, the low bits select the region.
                 if value & 0x10 != 0 {
                     self.number = value & 15;
                 }
@@ -156,19 +156,19 @@ impl Mpu {
         Some(())
     }
 
-    /// MPU_CTRL.ENABLE.
+    /// Returns MPU_CTRL.ENABLE: protection is on.
     #[must_use]
     pub fn is_on(&self) -> bool {
         self.control & ENABLE != 0
     }
 
-    /// MPU_CTRL.HFNMIENA: also where the execution priority is negative.
+    /// Returns MPU_CTRL.HFNMIENA: protection also at negative execution priority.
     #[must_use]
     pub fn is_on_in_fault_handlers(&self) -> bool {
         self.control & IN_FAULT_HANDLERS != 0
     }
 
-    /// What it allows while it is on.
+    /// Returns the allowed accesses while the unit is on.
     #[must_use]
     pub fn protection(&self) -> Protection {
         let regions = self.base.iter().zip(&self.attributes).rev();
@@ -188,7 +188,7 @@ mod tests {
         let mut mpu = Mpu::default();
         assert_eq!(mpu.read(0), Some(0x1000));
         mpu.write(0x0C, 0x3000_0000 | 0x10 | 3).unwrap();
-        // Normal, not cacheable, full access, 512 KiB.
+        // Attributes: normal memory, not cacheable, full access, 512 KiB.
         mpu.write(0x10, 0x1308_0025).unwrap();
         assert_eq!((mpu.read(0x08), mpu.read(0x0C), mpu.read(0x10)), (Some(3), Some(0x3000_0003), Some(0x1308_0025)));
         mpu.write(0x08, 0).unwrap();
@@ -206,8 +206,8 @@ mod tests {
     fn the_region_with_the_highest_number_decides_and_eighths_can_be_left_out() {
         let mut mpu = Mpu::default();
         mpu.write(0x04, ENABLE | DEFAULT_MAP).unwrap();
-        // 32 bytes at 0 without access; 64 KiB of DTCM read-only and not executable, of which the second eighth is left out; in
-        // the first eighth 1 KiB with everything.
+        // Regions: 32 bytes at 0 without access; 64 KiB of DTCM read-only and not executable, with the second eighth
+        // disabled; in the first eighth 1 KiB with full access.
         region(&mut mpu, 0, 0, 4 << 1 | 1);
         region(&mut mpu, 1, 0x2000_0000, 1 << 28 | 5 << 24 | 0b10 << 8 | 15 << 1 | 1);
         region(&mut mpu, 2, 0x2000_0400, 3 << 24 | 9 << 1 | 1);
@@ -237,7 +237,7 @@ mod tests {
         assert_eq!(protection.refuses(0x2000_03FE, 4, Purpose::Store), Some(0x2000_03FE));
         assert_eq!(protection.refuses(0x2000_07FE, 4, Purpose::Store), Some(0x2000_0801));
         assert_eq!(protection.refuses(0x2000_07FC, 4, Purpose::Store), None);
-        // Without the default map nothing else is left, but the system space.
+        // Without the default map only the system space remains besides the regions.
         mpu.write(0x04, ENABLE).unwrap();
         let protection = mpu.protection();
         assert!(!protection.allows(0x0800_0000, Purpose::Fetch) && protection.allows(0xE000_ED94, Purpose::Store));

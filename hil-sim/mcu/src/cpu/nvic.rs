@@ -1,8 +1,8 @@
-//! Registers of the NVIC (DDI0403E B3.4), over [`Exceptions`].
+//! Registers of the NVIC (DDI0403E B3.4), backed by [`Exceptions`].
 
 use super::exceptions::{Exceptions, IRQS, number::IRQ0};
 
-/// A group of 32 interrupts' bits, and what a write of ones does.
+/// Kind of a register with 32 interrupts' bits: the effect of writing ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Group {
     SetEnable,
@@ -12,7 +12,7 @@ enum Group {
     Active,
 }
 
-/// The group and the first interrupt of a register; offsets are from 0xE000_E000.
+/// Returns the kind and the first interrupt of a register; offsets are from 0xE000_E000.
 fn group(offset: u32) -> Option<(Group, u16)> {
     let group = match offset {
         0x100..0x120 => Group::SetEnable,
@@ -29,7 +29,7 @@ fn exceptions_from(first: u16) -> impl Iterator<Item = (u32, u16)> {
     (0..32).map(move |bit| (bit, first + bit as u16)).filter(|(_, irq)| *irq < IRQS).map(|(bit, irq)| (bit, IRQ0 + irq))
 }
 
-/// Reads a word; `None` where no register is.
+/// Reads a word; `None` where no register exists.
 pub(super) fn read(exceptions: &Exceptions, offset: u32) -> Option<u32> {
     if let 0x400..0x4F0 = offset {
         let first = IRQ0 + (offset - 0x400) as u16;
@@ -44,7 +44,7 @@ pub(super) fn read(exceptions: &Exceptions, offset: u32) -> Option<u32> {
     Some(exceptions_from(first).filter(|(_, exception)| set.get(*exception)).fold(0, |word, (bit, _)| word | 1 << bit))
 }
 
-/// Writes a word; `None` where no register is.
+/// Writes a word; `None` where no register exists.
 pub(super) fn write(exceptions: &mut Exceptions, offset: u32, value: u32) -> Option<()> {
     if let 0x400..0x4F0 = offset {
         let first = IRQ0 + (offset - 0x400) as u16;
@@ -60,14 +60,14 @@ pub(super) fn write(exceptions: &mut Exceptions, offset: u32, value: u32) -> Opt
             Group::ClearEnable => exceptions.set_enabled(exception, false),
             Group::SetPending => exceptions.set_pending(exception),
             Group::ClearPending => exceptions.clear_pending(exception),
-            // Read-only.
+            // Writes to the active bits have no effect.
             Group::Active => {}
         }
     }
     Some(())
 }
 
-/// STIR: makes an interrupt pending by its number.
+/// Handles STIR: makes an interrupt pending by its number.
 pub(super) fn trigger(exceptions: &mut Exceptions, value: u32) {
     let irq = (value & 0x1FF) as u16;
     if irq < IRQS {

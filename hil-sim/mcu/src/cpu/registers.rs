@@ -1,4 +1,4 @@
-//! The private peripheral bus: registers of the system control space, and the processor's state behind them.
+//! Private peripheral bus: registers of the system control space, and the processor's state behind them.
 
 use super::debug::Debug;
 use super::exceptions::{Exceptions, Masks, number};
@@ -8,55 +8,55 @@ use super::nvic;
 use super::systick::SysTick;
 use crate::peripheral::{Size, Unmodelled};
 
-/// Cortex-M7 r1p1, as in the STM32H747 (DDI0489D 3.3, PM0253).
+/// CPUID: Cortex-M7 r1p1, as in the STM32H747 (DDI0489D 3.3, PM0253).
 const CPUID: u32 = 0x411F_C271;
 
-/// 240 interrupts: (7 + 1) times 32, less the 16 system exceptions.
+/// ICTR for 240 interrupts: (7 + 1) times 32, less the 16 system exceptions.
 const ICTR: u32 = 7;
 
-/// AIRCR.VECTKEY, and what it reads as.
+/// AIRCR.VECTKEY for writes, and its value in reads.
 const KEY: u32 = 0x05FA;
 const KEY_READS: u32 = 0xFA05;
 
 const SYSRESETREQ: u32 = 1 << 2;
 const VECTCLRACTIVE_VECTRESET: u32 = 0b11;
 
-/// CCR: STKALIGN reads as one on this processor.
+/// CCR bits: STKALIGN reads as one on this processor.
 const CCR_RESET: u32 = 1 << 9;
 const UNALIGN_TRP: u32 = 1 << 3;
 const DIV_0_TRP: u32 = 1 << 4;
 const BFHFNMIGN: u32 = 1 << 8;
 const CCR_WRITABLE: u32 = 0x0007_031B | UNALIGN_TRP;
 
-/// FPCCR.ASPEN and LSPEN.
+/// FPCCR after reset: ASPEN and LSPEN.
 const FPCCR_RESET: u32 = 3 << 30;
 const AUTOMATIC_SAVE: u32 = 1 << 31;
 
-/// What a program asked for by writing a register.
+/// Requests of the program by writes to registers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Requests {
-    /// AIRCR.SYSRESETREQ.
+    /// Reset of the chip, AIRCR.SYSRESETREQ.
     pub reset: bool,
-    /// CPACR changed.
+    /// Change of CPACR, which enables floating point.
     pub fpu: bool,
-    /// The memory protection unit was written.
+    /// Write to the memory protection unit.
     pub protection: bool,
 }
 
-/// The state of a processor around its instructions.
+/// State of a processor around its instruction set.
 #[derive(Clone, Debug)]
 pub struct Processor {
-    /// Exceptions.
+    /// Pending and active exceptions.
     pub exceptions: Exceptions,
-    /// Fault status.
+    /// Fault status and address registers.
     pub faults: FaultStatus,
-    /// SysTick.
+    /// System timer with its exception, SysTick.
     pub systick: SysTick,
-    /// DWT, ITM, DEMCR.
+    /// Debug components: DWT, ITM, DEMCR.
     pub debug: Debug,
-    /// The event register (B1.5.18).
+    /// Event register of WFE and SEV (B1.5.18).
     pub event: bool,
-    /// What was asked for, until someone takes it.
+    /// Requests that the machine has not handled yet.
     pub requests: Requests,
     mpu: Mpu,
     vector_table: u32,
@@ -71,7 +71,7 @@ pub struct Processor {
 }
 
 impl Processor {
-    /// After power-on.
+    /// Makes the state after power-on.
     #[must_use]
     pub fn new(now_ns: u64, core_hz: u64, vector_table: u32) -> Self {
         Self {
@@ -90,103 +90,103 @@ impl Processor {
             float_control: FPCCR_RESET,
             float_frame: 0,
             cache_select: 0,
-            // ITCMCR and DTCMCR: 64 and 128 KiB, enabled (DDI0489D 3.3.6; sizes of the chip).
+            // Reset values of ITCMCR and DTCMCR: 64 and 128 KiB, enabled (DDI0489D 3.3.6; sizes of the chip).
             tcm_control: [0x39, 0x41],
         }
     }
 
-    /// A reset: what the debug components hold stays.
+    /// Resets the processor; the debug components keep their state.
     pub fn reset(&mut self, now_ns: u64, core_hz: u64, vector_table: u32) {
         let mut exceptions = self.exceptions.clone();
         exceptions.reset();
         *self = Self { exceptions, debug: self.debug.clone(), ..Self::new(now_ns, core_hz, vector_table) };
-        // The counter goes on, at the rate of the clock that the reset has left.
+        // The cycle counter continues, at the rate of the clock after the reset.
         self.debug.set_core_hz(now_ns, core_hz);
     }
 
-    /// The core clock changes.
+    /// Sets the frequency of the core clock, Hz.
     pub fn set_core_hz(&mut self, now_ns: u64, core_hz: u64) {
         self.systick.set_core_hz(now_ns, core_hz);
         self.debug.set_core_hz(now_ns, core_hz);
     }
 
-    /// Brings timers to a moment.
+    /// Advances the timers to `now_ns`.
     pub fn advance(&mut self, now_ns: u64) {
         if self.systick.advance(now_ns) {
             self.exceptions.set_pending(number::SYS_TICK);
         }
     }
 
-    /// VTOR.
+    /// Returns the address of the vector table, VTOR.
     #[must_use]
     pub fn vector_table(&self) -> u32 {
         self.vector_table
     }
 
-    /// Floating point is allowed to privileged code: CP10 and CP11 are given access.
+    /// Returns true if privileged code may use floating point: CPACR gives access to CP10 and CP11.
     #[must_use]
     pub fn fpu_enabled(&self) -> bool {
         self.coprocessors >> 20 & 0b0101 == 0b0101
     }
 
-    /// The memory protection unit is on, for code that is executed at this priority (B3.5.2: HFNMIENA).
+    /// Returns true if memory protection applies to code at this priority (B3.5.2: HFNMIENA).
     #[must_use]
     pub fn is_protected(&self, masks: Masks) -> bool {
         self.mpu.is_on() && (self.mpu.is_on_in_fault_handlers() || self.exceptions.execution_priority(masks) >= 0)
     }
 
-    /// What the memory protection unit allows while it is on.
+    /// Returns the accesses that the memory protection unit allows while it is on.
     #[must_use]
     pub fn protection(&self) -> Protection {
         self.mpu.protection()
     }
 
-    /// MPU_CTRL.ENABLE.
+    /// Returns MPU_CTRL.ENABLE: the memory protection unit is on.
     #[must_use]
     pub fn has_protection(&self) -> bool {
         self.mpu.is_on()
     }
 
-    /// FPCCR.ASPEN: exceptions save registers of floating point.
+    /// Returns FPCCR.ASPEN: exceptions save floating-point registers.
     #[must_use]
     pub fn saves_float(&self) -> bool {
         self.float_control & AUTOMATIC_SAVE != 0
     }
 
-    /// SCR.SLEEPONEXIT.
+    /// Returns SCR.SLEEPONEXIT: the core sleeps after the last handler.
     #[must_use]
     pub fn sleep_on_exit(&self) -> bool {
         self.sleep_control & 1 << 1 != 0
     }
 
-    /// SCR.SLEEPDEEP.
+    /// Returns SCR.SLEEPDEEP: sleep means a low-power mode.
     #[must_use]
     pub fn sleep_deep(&self) -> bool {
         self.sleep_control & 1 << 2 != 0
     }
 
-    /// SCR.SEVONPEND.
+    /// Returns SCR.SEVONPEND: a new pending interrupt is an event.
     #[must_use]
     pub fn event_on_pend(&self) -> bool {
         self.sleep_control & 1 << 4 != 0
     }
 
-    /// CCR.BFHFNMIGN.
+    /// Returns CCR.BFHFNMIGN: handlers of negative priority ignore bus errors.
     #[must_use]
     pub fn ignores_bus_faults(&self) -> bool {
         self.configuration & BFHFNMIGN != 0
     }
 
-    /// CCR.NONBASETHRDENA.
+    /// Returns CCR.NONBASETHRDENA: a nested handler may return to thread mode.
     #[must_use]
     pub fn any_level_returns_to_thread(&self) -> bool {
         self.configuration & 1 != 0
     }
 
-    /// Reads from 0xE000_0000 on; `active` is the exception number in IPSR.
+    /// Reads an address from 0xE000_0000 on; `active` is the exception number in IPSR.
     ///
     /// # Errors
-    /// Registers that are not modelled.
+    /// [`Unmodelled`] for a register without a model.
     pub fn read(&mut self, address: u32, size: Size, now_ns: u64, active: u16) -> Result<u32, Unmodelled> {
         let word = address & !3;
         let value = if size == Size::Word || in_bytes(word) { self.read_word(word, now_ns, active) } else { None };
@@ -195,16 +195,16 @@ impl Processor {
         value.map(|value| value >> (8 * shift) & mask).ok_or_else(|| unmodelled(address, size))
     }
 
-    /// Writes from 0xE000_0000 on.
+    /// Writes to an address from 0xE000_0000 on.
     ///
     /// # Errors
-    /// Registers, and uses of some, that are not modelled.
+    /// [`Unmodelled`] for a register, or a use of one, without a model.
     pub fn write(&mut self, address: u32, size: Size, value: u32, now_ns: u64) -> Result<(), Unmodelled> {
         let word = address & !3;
         let shift = 8 * (address & 3);
         let value = match size {
             Size::Word => Some(value),
-            // Writing ones clears: the other bytes are not written.
+            // Ones clear bits here, so the other bytes must not be written back.
             _ if word == 0xE000_ED28 => Some(value << shift),
             _ if in_bytes(word) => self.read_word(word, now_ns, 0).map(|old| {
                 let mask = (u32::MAX >> (32 - 8 * size.bytes())) << shift;
@@ -251,19 +251,20 @@ impl Processor {
             0xD38 => self.faults.bus_address,
             0xD3C => 0,
             0xD40..0xD80 => identification(offset)?,
-            // 16 KiB of instruction and data cache, 32 bytes a line, 2 and 4 ways (DDI0489D 3.3.4, RM0399 2.1).
+            // CCSIDR: 16 KiB of instruction and data cache each, 32 bytes per line, 2 and 4 ways (DDI0489D 3.3.4,
+            // RM0399 2.1).
             0xD80 if self.cache_select & 1 == 1 => 0xF01F_E009,
             0xD80 => 0xF00F_E019,
             0xD84 => self.cache_select,
             0xD88 => self.coprocessors,
             0xD90..0xDBC => self.mpu.read(offset - 0xD90)?,
-            // No debugger.
+            // DHCSR reads 0: no debugger is connected.
             0xDF0 => 0,
             0xDFC => self.debug.demcr(),
             0xF34 => self.float_control,
             0xF38 => self.float_frame,
             0xF3C => 0,
-            // MVFR0 to 2: single and double precision, FPv5 (DDI0489D 8.3).
+            // Values of MVFR0 to 2: single and double precision, FPv5 (DDI0489D 8.3).
             0xF40 => 0x1011_0221,
             0xF44 => 0x1200_0011,
             0xF48 => 0x0000_0040,
@@ -289,7 +290,7 @@ impl Processor {
             0xD04 => self.pend(value),
             0xD08 => self.vector_table = value & !0x7F,
             0xD0C => return self.reset_control(value),
-            // SEVEXTONPEND, SLEEPDEEP, SLEEPONEXIT.
+            // Writable bits: SEVEXTONPEND, SLEEPDEEP, SLEEPONEXIT.
             0xD10 => self.sleep_control = value & 0x16,
             0xD14 if value & (UNALIGN_TRP | DIV_0_TRP) != 0 => return None,
             0xD14 => self.configuration = value & CCR_WRITABLE | CCR_RESET,
@@ -319,11 +320,11 @@ impl Processor {
             }
             0xDFC => self.debug.set_demcr(value, now_ns)?,
             0xF00 => nvic::trigger(&mut self.exceptions, value),
-            // LSPACT and what goes with it is state of lazy saving, which does not happen here.
+            // LSPACT and the related bits are state of lazy saving, which the model does not have.
             0xF34 => self.float_control = value & FPCCR_RESET,
             0xF38 => self.float_frame = value & !7,
             0xF3C if value == 0 => {}
-            // Cache and branch predictor maintenance: there are no caches to maintain.
+            // Cache and branch predictor maintenance does nothing: the model has no caches.
             0xF50 | 0xF58..0xF7C => {}
             0xF90 => self.tcm_control[0] = self.tcm_control[0] & !7 | value & 7,
             0xF94 => self.tcm_control[1] = self.tcm_control[1] & !7 | value & 7,
@@ -332,7 +333,7 @@ impl Processor {
         Some(())
     }
 
-    /// ICSR (B3.2.4).
+    /// Returns the value of ICSR (B3.2.4).
     fn interrupt_control(&self, active: u16) -> u32 {
         let exceptions = &self.exceptions;
         let flag = |bit: u32, exception| u32::from(exceptions.is_pending(exception)) << bit;
@@ -359,13 +360,13 @@ impl Processor {
         }
     }
 
-    /// AIRCR. A write without the key is ignored.
+    /// Writes AIRCR; ignored without the key.
     fn reset_control(&mut self, value: u32) -> Option<()> {
         if value >> 16 != KEY {
             return Some(());
         }
         if value & VECTCLRACTIVE_VECTRESET != 0 {
-            // Reserved for debuggers.
+            // These bits are reserved for debuggers.
             return None;
         }
         self.exceptions.prigroup = (value >> 8 & 7) as u8;
@@ -374,7 +375,7 @@ impl Processor {
         Some(())
     }
 
-    /// SHCSR (B3.2.13).
+    /// Returns the value of SHCSR (B3.2.13).
     fn handler_control(&self) -> u32 {
         let exceptions = &self.exceptions;
         let active = ACTIVE_BITS.iter().map(|(bit, exception)| (bit, exceptions.is_active(*exception)));
@@ -383,7 +384,8 @@ impl Processor {
         active.chain(pending).chain(enabled).fold(0, |word, (bit, on)| word | u32::from(on) << bit)
     }
 
-    /// Active bits can be written on hardware, by operating systems that take exceptions apart; here they are not.
+    /// Writes SHCSR. On hardware, operating systems can write the active bits to manipulate exceptions; this model
+    /// ignores them.
     fn set_handler_control(&mut self, value: u32) {
         for (bit, exception) in PENDING_BITS {
             if value >> bit & 1 == 1 {
@@ -413,17 +415,17 @@ const PENDING_BITS: [(u32, u16); 4] =
 
 const ENABLE_BITS: [(u32, u16); 3] = [(16, number::MEM_MANAGE), (17, number::BUS_FAULT), (18, number::USAGE_FAULT)];
 
-/// System exceptions of which SHPR holds the priority.
+/// Returns true for system exceptions with a priority in SHPR.
 fn implemented(exception: u16) -> bool {
     matches!(exception, 4..=6 | 11 | 12 | 14 | 15)
 }
 
-/// Registers that can be accessed by bytes and halfwords (B3.2, B3.4): IPR, SHPR, CFSR.
+/// Returns true for registers with byte and halfword access (B3.2, B3.4): IPR, SHPR, CFSR.
 fn in_bytes(word: u32) -> bool {
     matches!(word, 0xE000_E400..0xE000_E4F0 | 0xE000_ED18..0xE000_ED24 | 0xE000_ED28)
 }
 
-/// Processor and instruction set features, cache type (DDI0489D table 3-3, 3-11).
+/// Returns a register of processor and instruction set features, or of the cache type (DDI0489D table 3-3, 3-11).
 fn identification(offset: u32) -> Option<u32> {
     Some(match offset {
         0xD40 => 0x0000_0030,
@@ -529,7 +531,7 @@ mod tests {
         assert!(!cpu.fpu_enabled());
         cpu.write(0xE000_ED88, Size::Word, 0xF << 20, 0).unwrap();
         assert!(cpu.fpu_enabled() && cpu.requests.fpu);
-        // Only one of the two halves.
+        // Access to one of the two coprocessors is not enough.
         cpu.write(0xE000_ED88, Size::Word, 3 << 20, 0).unwrap();
         assert!(!cpu.fpu_enabled());
     }
@@ -537,7 +539,7 @@ mod tests {
     #[test]
     fn caches_are_described_and_their_maintenance_is_accepted() {
         let mut cpu = processor();
-        // 128 sets of 4 ways of 32 bytes; 256 of 2.
+        // Expected: 128 sets of 4 ways of 32 bytes; 256 sets of 2 ways.
         assert_eq!(read(&mut cpu, 0xE000_ED80), 0xF00F_E019);
         cpu.write(0xE000_ED84, Size::Word, 1, 0).unwrap();
         assert_eq!(read(&mut cpu, 0xE000_ED80), 0xF01F_E009);

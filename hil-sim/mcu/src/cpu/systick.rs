@@ -1,31 +1,31 @@
-//! SysTick (DDI0403E B3.3), computed from virtual time.
+//! SysTick timer (DDI0403E B3.3), computed from virtual time.
 
 use crate::context::Ticks;
 
-/// What SysTick's external reference divides the core clock by: HCLK/8 on this chip (RM0399 8.5.11). The AHB runs at the
-/// core clock or slower; it is the core clock that is divided here, as the processor knows no other.
+/// Divider of SysTick's external reference: HCLK/8 on this chip (RM0399 8.5.11). The AHB runs at the core clock or
+/// slower; the model divides the core clock, because the processor knows no other.
 const REFERENCE_DIVIDER: u64 = 8;
 
 const MASK: u32 = 0x00FF_FFFF;
 
-/// The timer.
+/// State of the SysTick timer.
 #[derive(Clone, Debug)]
 pub struct SysTick {
     enable: bool,
     interrupt: bool,
     core_clock: bool,
     reload: u32,
-    /// The counter at tick 0 of `clock`.
+    /// Value of the counter at tick 0 of `clock`.
     value: u32,
     clock: Ticks,
-    /// Moments at which zero was reached, up to this one, were told.
+    /// Time up to which zero crossings were reported, ns.
     told_ns: u64,
     count_flag: bool,
     core_hz: u64,
 }
 
 impl SysTick {
-    /// As after a reset; the reload value, unknown on hardware, is zero.
+    /// Makes the timer in its reset state; the reload value, unknown on hardware, is zero.
     #[must_use]
     pub fn new(now_ns: u64, core_hz: u64) -> Self {
         Self {
@@ -41,20 +41,22 @@ impl SysTick {
         }
     }
 
-    /// The counter.
+    /// Returns the value of the counter.
     fn counter(&self, now_ns: u64) -> u32 {
         if !self.enable {
             return self.value;
         }
         let ticks = self.clock.at(now_ns);
         let value = u64::from(self.value);
+        // The first round begins at the present value; each further one takes RELOAD + 1 ticks.
         match ticks.checked_sub(value + 1) {
             None => (value - ticks) as u32,
             Some(past) => self.reload - (past % (u64::from(self.reload) + 1)) as u32,
         }
     }
 
-    /// Ticks from tick 0 to the `n`-th time that the counter changes from 1 to 0, `n` from 0; `None` is never.
+    /// Returns the ticks from tick 0 to the `n`-th transition of the counter from 1 to 0, `n` from 0; `None` if it
+    /// never occurs.
     fn zero(&self, n: u64) -> Option<u64> {
         let period = u64::from(self.reload) + 1;
         match (self.value, self.reload) {
@@ -65,7 +67,7 @@ impl SysTick {
         }
     }
 
-    /// The first moment after `after_ns` at which zero is reached; `u64::MAX` is never.
+    /// Returns the first time after `after_ns` at which zero is reached, ns; `u64::MAX` for never.
     fn next_zero_ns(&self, after_ns: u64) -> u64 {
         if !self.enable || after_ns == u64::MAX {
             return u64::MAX;
@@ -73,6 +75,7 @@ impl SysTick {
         let Some(first) = self.zero(0) else { return u64::MAX };
         let period = u64::from(self.reload) + 1;
         let ticks = self.clock.at(after_ns);
+        // The ticks are rounded down, so the estimate may be too early; the loop corrects it.
         let mut n = ticks.saturating_sub(first) / period;
         loop {
             let Some(zero) = self.zero(n) else { return u64::MAX };
@@ -84,28 +87,29 @@ impl SysTick {
         }
     }
 
-    /// When [`SysTick::advance`] says something next; `u64::MAX` is never.
+    /// Returns the time of the next interrupt, ns; `u64::MAX` for never.
     #[must_use]
     pub fn next_event_ns(&self) -> u64 {
         if self.interrupt { self.next_zero_ns(self.told_ns) } else { u64::MAX }
     }
 
-    /// Brings it to a moment: the exception becomes pending.
+    /// Advances the timer to `now_ns`; returns true if the exception becomes pending.
     pub fn advance(&mut self, now_ns: u64) -> bool {
         let reached = self.next_zero_ns(self.told_ns) <= now_ns;
         self.told_ns = self.told_ns.max(now_ns);
+        // COUNTFLAG is set without TICKINT too.
         self.count_flag |= reached;
         reached && self.interrupt
     }
 
-    /// Starts again from the present value: something about counting changes.
+    /// Restarts the count from the present value, before a change of its conditions.
     fn restart(&mut self, now_ns: u64) {
         self.value = self.counter(now_ns);
         let divider = if self.core_clock { 1 } else { REFERENCE_DIVIDER };
         self.clock = Ticks { start_ns: now_ns, frequency_hz: self.core_hz, divider };
     }
 
-    /// The core clock changes.
+    /// Sets the frequency of the core clock, Hz.
     pub fn set_core_hz(&mut self, now_ns: u64, core_hz: u64) {
         self.restart(now_ns);
         self.core_hz = core_hz;
@@ -116,6 +120,7 @@ impl SysTick {
     pub fn read(&mut self, offset: u32, now_ns: u64) -> Option<u32> {
         Some(match offset {
             0x0 => {
+                // A read of CSR clears COUNTFLAG.
                 let flag = std::mem::take(&mut self.count_flag);
                 u32::from(flag) << 16
                     | u32::from(self.core_clock) << 2
@@ -132,6 +137,7 @@ impl SysTick {
     pub fn write(&mut self, offset: u32, value: u32, now_ns: u64) -> Option<()> {
         match offset {
             0x0 => {
+                // The first restart counts up to now with the old settings, the second one applies the new clock.
                 self.restart(now_ns);
                 self.enable = value & 1 != 0;
                 self.interrupt = value & 2 != 0;
@@ -143,7 +149,7 @@ impl SysTick {
                 self.reload = value & MASK;
             }
             0x8 => {
-                // Any value clears; the next tick reloads.
+                // A write of any value clears the counter; the next tick reloads it.
                 self.restart(now_ns);
                 self.value = 0;
                 self.count_flag = false;
@@ -158,7 +164,7 @@ impl SysTick {
 mod tests {
     use super::*;
 
-    /// 1 GHz: a tick is a nanosecond.
+    /// Timer at 1 GHz, so that a tick is a nanosecond.
     fn running(reload: u32, at_ns: u64) -> SysTick {
         let mut timer = SysTick::new(0, 1_000_000_000);
         timer.write(4, reload, at_ns).unwrap();

@@ -8,55 +8,55 @@ use super::registers::Processor;
 use crate::memory::Memory;
 use crate::peripheral::Size;
 
-/// CONTROL.SPSEL.
+/// Bit CONTROL.SPSEL: PSP in thread mode.
 const PROCESS_STACK: u32 = 1 << 1;
-/// CONTROL.FPCA.
+/// Bit CONTROL.FPCA: floating-point context active.
 const FLOAT_ACTIVE: u32 = 1 << 2;
 
-/// IPSR.
+/// Exception number field of xPSR (IPSR).
 const EXCEPTION: u32 = 0x1FF;
 /// Flags of xPSR: N, Z, C, V, Q, GE.
 const FLAGS: u32 = 0xF80F_0000;
-/// EPSR.T.
+/// Bit EPSR.T: Thumb state.
 const THUMB: u32 = 1 << 24;
-/// xPSR in a frame: the stack was padded to 8 bytes.
+/// Bit of xPSR in a frame: the stack was padded to 8 bytes.
 const PADDED: u32 = 1 << 9;
 
-/// Frame without and with registers of floating point, bytes.
+/// Size of a frame without and with floating-point registers, bytes.
 const BASIC: u32 = 0x20;
 const EXTENDED: u32 = 0x68;
 
-/// EXC_RETURN bit 4: a basic frame.
+/// Bit 4 of EXC_RETURN: a basic frame.
 const RETURN_BASIC: u32 = 1 << 4;
 
-/// Registers of a basic frame, from its lowest address.
+/// First registers of a basic frame, from its lowest address.
 const CALLER_SAVED: [Register; 6] =
     [Register::R(0), Register::R(1), Register::R(2), Register::R(3), Register::R(12), Register::Lr];
 
-/// An exception was wanted that cannot be taken, with no one left to tell: see B1.5.15.
+/// Failure to take an exception, for which no other exception can be taken: see B1.5.15.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Failure {
     /// The processor locks up.
     #[error("{0}")]
     LockUp(String),
-    /// The backend.
+    /// The core's backend has failed.
     #[error(transparent)]
     Core(#[from] CoreError),
 }
 
-/// The processor and what it takes exceptions with.
+/// Processor, core and memory while exceptions are taken or left.
 pub struct Taker<'a, C> {
-    /// The registers.
+    /// Core with the registers.
     pub core: &'a mut C,
-    /// Everything else of the processor.
+    /// Rest of the processor.
     pub cpu: &'a mut Processor,
-    /// Where stacks and the vector table are.
+    /// Memory with the stacks and the vector table.
     pub memory: &'a Memory,
-    /// What the memory protection unit allows, while it is on.
+    /// Accesses that the memory protection unit allows, while it is on.
     pub protection: Option<&'a Protection>,
 }
 
-/// The masks a core holds.
+/// Returns the exception masks of a core.
 pub fn masks<C: Core>(core: &C) -> Masks {
     Masks {
         primask: core.get(Register::Primask) & 1 == 1,
@@ -65,20 +65,21 @@ pub fn masks<C: Core>(core: &C) -> Masks {
     }
 }
 
-/// The exception whose handler a core executes; 0 is thread mode.
+/// Returns the exception whose handler a core executes; 0 for thread mode.
 pub fn active<C: Core>(core: &C) -> u16 {
     (core.get(Register::Xpsr) & EXCEPTION) as u16
 }
 
 impl<C: Core> Taker<'_, C> {
-    /// Takes an exception: saves registers, and goes to the handler.
+    /// Takes an exception: saves registers and starts the handler.
     ///
     /// # Errors
-    /// Lock-up, where its vector or stack cannot be used and nor can HardFault's.
+    /// Lock-up if neither its vector and stack nor HardFault's can be used.
     pub fn enter(&mut self, exception: u16) -> Result<(), Failure> {
         let control = self.core.get(Register::Control);
         let float = control & FLOAT_ACTIVE != 0 && self.cpu.saves_float();
         let handler = active(self.core) != 0;
+        // EXC_RETURN (B1.5.8): 1 to a handler, 9 to thread mode on MSP, 0xD to thread mode on PSP.
         let mut exc_return = match (handler, control & PROCESS_STACK != 0) {
             (true, _) => 0xFFFF_FFF1,
             (false, false) => 0xFFFF_FFF9,
@@ -87,11 +88,12 @@ impl<C: Core> Taker<'_, C> {
         if float {
             exc_return &= !RETURN_BASIC;
         }
+        // A derived exception of the stacking competes with the original one by priority.
         let mut exception = exception;
         if let Err(cause) = self.push(float) {
             self.cpu.faults.note(cause);
             let derived = self.escalate(cause.exception(), "the stack cannot be written")?;
-            // The one that was to be taken waits, unless it is the more urgent one.
+            // The original exception stays pending, unless it is the more urgent one.
             self.cpu.exceptions.set_pending(exception);
             if self.cpu.exceptions.priority(derived) < self.cpu.exceptions.priority(exception) {
                 exception = derived;
@@ -102,44 +104,46 @@ impl<C: Core> Taker<'_, C> {
         self.start_handler(exception, exc_return)
     }
 
-    /// A fault of the instruction at PC.
+    /// Takes a fault of the instruction at PC.
     ///
     /// # Errors
-    /// Lock-up.
+    /// Lock-up if no fault can be taken.
     pub fn fault(&mut self, cause: Cause) -> Result<(), Failure> {
         self.cpu.faults.note(cause);
         let exception = self.escalate(cause.exception(), &cause.to_string())?;
         self.enter(exception)
     }
 
-    /// SVC was executed.
+    /// Takes SVCall after an SVC instruction.
     ///
     /// # Errors
-    /// Lock-up.
+    /// Lock-up if no exception can be taken.
     pub fn supervisor_call(&mut self) -> Result<(), Failure> {
         let exception = self.escalate(number::SV_CALL, "SVC")?;
         self.enter(exception)
     }
 
-    /// BKPT at PC, with no debugger: a HardFault, as the debug monitor is not there.
+    /// Takes BKPT at PC without a debugger: a HardFault, because the debug monitor is not modelled.
     ///
     /// # Errors
-    /// Lock-up.
+    /// Lock-up if HardFault cannot be taken.
     pub fn breakpoint(&mut self) -> Result<(), Failure> {
         self.cpu.faults.debug |= BREAKPOINT;
         self.cpu.faults.hard |= DEBUG_EVENT;
+        // Within NMI and HardFault no fault can be taken.
         if !self.cpu.exceptions.can_take(number::HARD_FAULT, masks(self.core)) {
             return Err(Failure::LockUp("BKPT".into()));
         }
         self.enter(number::HARD_FAULT)
     }
 
-    /// A store was refused some time ago: an asynchronous BusFault, or HardFault where that is not enabled.
+    /// Reports an earlier store that was refused: an asynchronous BusFault, or HardFault where that is not enabled.
     ///
     /// # Errors
-    /// Lock-up, in the handlers of HardFault and NMI.
+    /// Lock-up in the handlers of HardFault and NMI.
     pub fn pend_store_fault(&mut self) -> Result<(), Failure> {
         self.cpu.faults.note(Cause::Store);
+        // The fault is asynchronous: it waits for its priority like an interrupt.
         if self.cpu.exceptions.enabled.get(number::BUS_FAULT) {
             self.cpu.exceptions.set_pending(number::BUS_FAULT);
             return Ok(());
@@ -149,19 +153,22 @@ impl<C: Core> Taker<'_, C> {
         Ok(())
     }
 
-    /// Returns from a handler by `exc_return`; or goes on to the handler of what is pending. `true`: the processor is in
-    /// thread mode again and wants to sleep (SLEEPONEXIT).
+    /// Returns from a handler by `exc_return`, or continues with the handler of a pending exception. Returns `true` if
+    /// the processor is in thread mode again and must sleep (SLEEPONEXIT).
     ///
     /// # Errors
-    /// Lock-up.
+    /// Lock-up if no exception can be taken.
     pub fn leave(&mut self, exc_return: u32) -> Result<bool, Failure> {
         let returning = active(self.core);
         let nested = self.cpu.exceptions.active_count();
         let to_thread = exc_return & 0xF != 1;
+        // Valid values are 0xFFFF_FFE1 to 0xFFFF_FFFD with the last digit 1, 9 or 0xD.
         let shape = exc_return | 0x1F == u32::MAX && matches!(exc_return & 0xF, 1 | 9 | 0xD);
+        // The last active handler returns to thread mode, others to a handler; NONBASETHRDENA allows exceptions.
         let depth = if to_thread { nested == 1 || self.cpu.any_level_returns_to_thread() } else { nested > 1 };
         let was_active = self.cpu.exceptions.is_active(returning);
         self.cpu.exceptions.deactivate(returning);
+        // A return from any handler but NMI's clears FAULTMASK (B1.5.8).
         if returning != number::NMI {
             self.core.set(Register::Faultmask, 0);
         }
@@ -169,7 +176,7 @@ impl<C: Core> Taker<'_, C> {
             return self.refuse(Cause::InvalidReturn, exc_return);
         }
         if let Some(next) = self.cpu.exceptions.preempting(masks(self.core)) {
-            // Tail-chaining: the frame stays where it is.
+            // Tail-chaining: the frame stays on the stack.
             self.start_handler(next, exc_return)?;
             return Ok(false);
         }
@@ -180,10 +187,12 @@ impl<C: Core> Taker<'_, C> {
             Ok(frame) => frame,
             Err(cause) => return self.refuse(cause, exc_return),
         };
+        // The frame must agree with EXC_RETURN about the mode.
         if (frame.xpsr & EXCEPTION == 0) != to_thread {
             return self.refuse(Cause::InvalidReturn, exc_return);
         }
         self.restore(&frame, bank, process);
+        // An exception return is an event, and clears the exclusive monitor.
         self.cpu.event = true;
         self.core.clear_exclusive()?;
         if frame.xpsr & THUMB == 0 {
@@ -193,7 +202,7 @@ impl<C: Core> Taker<'_, C> {
         Ok(to_thread && self.cpu.sleep_on_exit())
     }
 
-    /// A return that cannot be made becomes a fault, on the frame that is there (B1.5.8).
+    /// Turns an impossible return into a fault, on the present frame (B1.5.8).
     fn refuse(&mut self, cause: Cause, exc_return: u32) -> Result<bool, Failure> {
         self.cpu.faults.note(cause);
         let exception = self.escalate(cause.exception(), &cause.to_string())?;
@@ -201,7 +210,7 @@ impl<C: Core> Taker<'_, C> {
         Ok(false)
     }
 
-    /// The exception that a synchronous one becomes: itself, or HardFault.
+    /// Returns the exception to take for a synchronous one: itself, or HardFault.
     fn escalate(&mut self, exception: u16, what: &str) -> Result<u16, Failure> {
         let masks = masks(self.core);
         if self.cpu.exceptions.can_take(exception, masks) {
@@ -210,16 +219,18 @@ impl<C: Core> Taker<'_, C> {
         if !self.cpu.exceptions.can_take(number::HARD_FAULT, masks) {
             return Err(Failure::LockUp(what.into()));
         }
+        // FORCED marks a HardFault that replaces a disabled or too low fault.
         self.cpu.faults.hard |= FORCED;
         Ok(number::HARD_FAULT)
     }
 
-    /// Goes to a handler, with the frame already made (`ExceptionTaken`).
+    /// Starts a handler after its frame was made (`ExceptionTaken`).
     fn start_handler(&mut self, exception: u16, exc_return: u32) -> Result<(), Failure> {
         let mut exception = exception;
         let vector = match self.vector(exception) {
             Some(vector) => vector,
             None => {
+                // An unreadable vector becomes a HardFault; if that is the one, the processor locks up.
                 self.cpu.faults.hard |= VECTOR_TABLE;
                 let tables = "the vector table cannot be read";
                 if exception == number::HARD_FAULT {
@@ -239,7 +250,7 @@ impl<C: Core> Taker<'_, C> {
         self.cpu.event = true;
         self.core.clear_exclusive()?;
         if vector & 1 == 0 {
-            // The first instruction of the handler would be one of the Arm instruction set.
+            // Bit 0 of the vector is clear: the handler would be Arm code.
             return self.fault(Cause::InvalidState);
         }
         Ok(())
@@ -265,7 +276,7 @@ impl<C: Core> Taker<'_, C> {
         self.memory.write(address, Size::Word, value)
     }
 
-    /// A word onto the stack.
+    /// Stores a word on the stack.
     fn save(&self, address: u32, value: u32) -> Result<(), Cause> {
         if self.protection.is_some_and(|protection| !protection.allows(address, Purpose::Store)) {
             return Err(Cause::StackingViolation);
@@ -273,7 +284,8 @@ impl<C: Core> Taker<'_, C> {
         self.store(address, value).ok_or(Cause::Stacking)
     }
 
-    /// Saves registers (`PushStack`). `Err`: some could not be stored; the stack pointer has moved nevertheless.
+    /// Saves registers (`PushStack`). `Err` means that some could not be stored; the stack pointer has moved
+    /// nevertheless.
     fn push(&mut self, float: bool) -> Result<(), Cause> {
         let sp = self.core.get(Register::Sp);
         let padding = sp >> 2 & 1;
@@ -296,7 +308,7 @@ impl<C: Core> Taker<'_, C> {
         Ok(())
     }
 
-    /// Reads what [`Taker::push`] saved.
+    /// Reads the registers that [`Taker::push`] saved.
     fn pop(&self, frame: u32, float: bool) -> Result<Frame, Cause> {
         let word = |index: u32| {
             let address = frame.wrapping_add(4 * index);
@@ -344,13 +356,13 @@ impl<C: Core> Taker<'_, C> {
     }
 }
 
-/// What was saved on a stack.
+/// Registers restored from a stack.
 struct Frame {
     registers: [u32; 6],
     pc: u32,
     xpsr: u32,
     float: Option<[u32; 17]>,
-    /// The stack pointer below it.
+    /// Stack pointer after the frame is removed.
     sp: u32,
 }
 

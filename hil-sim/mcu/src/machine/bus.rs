@@ -1,4 +1,4 @@
-//! What the core's accesses reach: the private peripheral bus, and the chip.
+//! Bus behind the core's accesses: the private peripheral bus, and the chip.
 
 use super::error::MachineError;
 use super::poll::Polls;
@@ -8,10 +8,10 @@ use crate::cpu::{Access, Cause, CoreBus, Limits, Masks, NoResult, Processor, Pro
 use crate::memory::Region;
 use crate::peripheral::{Size, Unmodelled};
 
-/// The private peripheral bus begins here (DDI0403E B3.1).
+/// First address of the private peripheral bus (DDI0403E B3.1).
 const PRIVATE: u32 = 0xE000_0000;
 
-/// Why a run ends in an error.
+/// Access without a result, which ends a run with an error.
 pub(super) struct Unanswered {
     pub(super) access: Access,
     write: bool,
@@ -26,7 +26,7 @@ impl Unanswered {
     }
 }
 
-/// Tells the processor about interrupt lines.
+/// Passes changes of interrupt lines to the processor.
 pub(super) fn take_irqs<S: Chip>(chip: &mut S, cpu: &mut Processor, irqs: &mut Vec<(u16, bool)>) {
     chip.take_irqs(irqs);
     cpu.exceptions.set_nmi(chip.nmi());
@@ -40,7 +40,7 @@ pub(super) fn take_irqs<S: Chip>(chip: &mut S, cpu: &mut Processor, irqs: &mut V
     }
 }
 
-/// Tells the processor about its clock.
+/// Passes a change of the core clock to the processor.
 pub(super) fn follow_clock<S: Chip>(chip: &S, cpu: &mut Processor, core_hz: &mut u64, now_ns: u64) {
     if *core_hz != chip.core_hz() {
         *core_hz = chip.core_hz();
@@ -48,40 +48,41 @@ pub(super) fn follow_clock<S: Chip>(chip: &S, cpu: &mut Processor, core_hz: &mut
     }
 }
 
-/// The bus, for one run of the core.
+/// Bus of one run of the core.
 pub(super) struct Bus<'a, S> {
     chip: &'a mut S,
     cpu: &'a mut Processor,
     time: Instructions,
     t_ns: u64,
-    /// The exception number: no instruction changes it within a run.
+    /// Active exception number; no instruction changes it within a run.
     active: u16,
     irqs: &'a mut Vec<(u16, bool)>,
     core_hz: &'a mut u64,
     mapping_version: &'a mut u32,
     code_version: u32,
     exceptions_version: u32,
-    /// Something is pending that only masks hold back.
+    /// An exception is pending that only masks hold back.
     pub(super) watch_masks: bool,
-    /// What is executed is the rest of a block, whatever happens meanwhile.
+    /// The run executes the rest of a block, whatever happens meanwhile.
     pub(super) rest_of_block: bool,
     limit: u64,
-    /// A moment, and how many instructions of this run are before it: most accesses do not change what is next.
+    /// Cache for the limit: a time, and the number of this run's instructions before it. Most accesses do not change
+    /// the next event.
     next: (u64, u64),
     pub(super) store_fault: bool,
-    /// Why the access was refused with which the run ended.
+    /// Reason of the refused access with which the run ended.
     pub(super) refused: Option<Cause>,
-    /// What the memory protection unit allows, while it is on.
+    /// Accesses that the memory protection unit allows, while it is on.
     protection: Option<&'a Protection>,
-    /// A load from here was refused before, and is not to be made again.
+    /// Address of a load that was refused before, and must not be made again.
     pub(super) ignored_load: Option<u32>,
     pub(super) failure: Option<Unanswered>,
-    /// One block, and no more: what it reads is told in `reads`.
+    /// Only one block is executed; `reads` records its reads.
     pub(super) one_block: bool,
     pub(super) reads: Vec<u32>,
     pub(super) wrote: bool,
     pub(super) polls: &'a mut Polls,
-    /// The access with which the run ended is made again then.
+    /// Time at which the access that ended the run must be repeated.
     pub(super) waits_until_ns: Option<u64>,
 }
 
@@ -130,11 +131,13 @@ impl<'a, S: Chip> Bus<'a, S> {
         bus
     }
 
-    /// Instructions of this run until something is to be done between instructions.
+    /// Returns the number of this run's instructions until the next action between instructions.
     fn instructions(&mut self) -> u64 {
         let requests = self.cpu.requests;
+        // Exceptions that were pending at the start of the run are held back by masks, which `watch_masks` covers.
         let newly_pending = self.exceptions_version != self.cpu.exceptions.version()
             && self.cpu.exceptions.preempting(Masks::NONE).is_some();
+        // Each of these must be handled between instructions, so the run ends at the next block.
         let now = self.failure.is_some()
             || self.polls.suspected()
             || self.store_fault
@@ -151,20 +154,21 @@ impl<'a, S: Chip> Bus<'a, S> {
             return 0;
         }
         let next_ns = self.t_ns.min(self.chip.next_event_ns()).min(self.cpu.systick.next_event_ns());
+        // The division in `until` is slow; the next event is often the same as at the last access.
         if self.next.0 != next_ns {
             self.next = (next_ns, self.time.until(next_ns));
         }
         self.next.1
     }
 
-    /// After each access.
+    /// Passes on interrupt lines and clock after each access, and renews the limit.
     fn accessed(&mut self, now_ns: u64) {
         take_irqs(self.chip, self.cpu, self.irqs);
         follow_clock(self.chip, self.cpu, self.core_hz, now_ns);
         self.limit = self.instructions();
     }
 
-    /// Device memory by default (B3.1): unaligned accesses are faults there.
+    /// Returns true for device memory by default (B3.1), where unaligned accesses fault.
     fn is_device(address: u32) -> bool {
         matches!(address, 0x4000_0000..0x6000_0000 | 0xA000_0000..)
     }
@@ -174,7 +178,7 @@ impl<'a, S: Chip> Bus<'a, S> {
             return Ok(self.cpu.read(address, size, now_ns, self.active)?);
         }
         let memory = self.chip.memory();
-        // Protection keeps the core from reading it by itself.
+        // Protection may keep the core from reading memory by itself.
         let direct = |region: &Region| region.direct().read && !region.has_hole(address, size.bytes());
         if memory.locate(address).is_some_and(|(region, _)| direct(region))
             && let Some(value) = memory.read(address, size)
@@ -197,7 +201,7 @@ impl<'a, S: Chip> Bus<'a, S> {
         self.chip.write(now_ns, address, size, value)
     }
 
-    /// What the memory protection unit says of an access.
+    /// Checks an access against the memory protection unit.
     fn check(&mut self, access: &Access, purpose: Purpose) -> Result<(), NoResult> {
         let Some(protection) = self.protection else { return Ok(()) };
         match protection.refuses(access.address, access.size.bytes(), purpose) {
@@ -217,7 +221,7 @@ impl<'a, S: Chip> Bus<'a, S> {
 impl<S: Chip> CoreBus for Bus<'_, S> {
     fn read(&mut self, access: &Access) -> Result<u32, NoResult> {
         if self.ignored_load.take() == Some(access.address) {
-            // What hardware gives here is unknown.
+            // The hardware's value here is unknown; the model returns 0.
             return Ok(0);
         }
         self.check(access, Purpose::Load)?;
@@ -230,6 +234,7 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
             self.refused = Some(Cause::Unaligned);
             return Err(NoResult);
         } else {
+            // Normal memory allows unaligned accesses; the model makes them byte by byte.
             (0..size.bytes()).try_fold(0, |value, byte| {
                 let at = address.wrapping_add(byte);
                 Ok(value | self.read_one(at, Size::Byte, now_ns)? << (8 * byte))
@@ -251,6 +256,7 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
                 Err(NoResult)
             }
             Err(AccessError::Busy { until_ns }) => {
+                // The run ends; the machine lets time pass and the core repeats the access.
                 self.waits_until_ns = Some(until_ns);
                 self.limit = 0;
                 Err(NoResult)
@@ -264,6 +270,7 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
     }
 
     fn write(&mut self, access: &Access, value: u32) -> Result<(), NoResult> {
+        // After an unmodelled access the rest of the block must not change anything more.
         if self.failure.is_some() {
             return Ok(());
         }
@@ -286,6 +293,7 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
         };
         match result {
             Ok(()) => {}
+            // Imprecise: the fault is taken after the block, as stores are buffered on the Cortex-M7.
             Err(AccessError::Bus) => self.store_fault = true,
             Err(AccessError::Busy { until_ns }) => {
                 self.waits_until_ns = Some(until_ns);
@@ -299,7 +307,7 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
     }
 
     fn limits(&self) -> Limits {
-        // Up to the next block is at least one instruction.
+        // One instruction is the least that reaches the next block.
         let instructions = if self.rest_of_block { 1 } else { self.limit };
         let instructions = if self.one_block { instructions.min(1) } else { instructions };
         Limits { instructions, mask_changes: self.watch_masks }
@@ -307,7 +315,7 @@ impl<S: Chip> CoreBus for Bus<'_, S> {
 
     fn reached(&mut self, instructions: u64) {
         let now_ns = self.time.after_ns(instructions);
-        // A run that ends here anyway leaves what is due to the machine.
+        // If the run ends here anyway, the machine handles what is due.
         if now_ns < self.t_ns && self.failure.is_none() {
             self.chip.advance(now_ns);
             self.cpu.advance(now_ns);

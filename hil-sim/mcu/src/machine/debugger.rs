@@ -1,19 +1,19 @@
-//! What a debugger asks for besides memory and registers, which are public.
+//! Functions for debuggers, besides memory and registers, which are public.
 
 use super::{Change, Machine, MachineError, Stopped, bus};
 use crate::chip::{AccessError, Chip};
 use crate::cpu::{Core, Register, take::active};
 use crate::peripheral::Size;
 
-/// The private peripheral bus begins here (DDI0403E B3.1).
+/// First address of the private peripheral bus (DDI0403E B3.1).
 const PRIVATE: u32 = 0xE000_0000;
 
 impl<C: Core, S: Chip> Machine<C, S> {
-    /// Executes one instruction, or takes one exception, and stops with [`Reason::Stepped`](super::Reason::Stepped); or with
-    /// another reason, as [`Machine::run_until`] does, a moment that comes before the end of a sleep among them.
+    /// Executes one instruction, or takes one exception, and stops with [`Reason::Stepped`](super::Reason::Stepped); or
+    /// stops for another reason, as [`Machine::run_until`] does, such as a time before the end of a sleep.
     ///
     /// # Errors
-    /// As [`Machine::run_until`].
+    /// Those of [`Machine::run_until`].
     pub fn step_until(&mut self, t_ns: u64) -> Result<Stopped, MachineError> {
         self.stepping = true;
         let stopped = self.run_until(t_ns);
@@ -21,26 +21,26 @@ impl<C: Core, S: Chip> Machine<C, S> {
         stopped
     }
 
-    /// Keeps exceptions from now on, for [`Machine::take_changes`], or no longer.
+    /// Starts or ends the recording of exceptions for [`Machine::take_changes`].
     pub fn keep_changes(&mut self, on: bool) {
         self.changes = on.then(Vec::new);
     }
 
-    /// Exceptions taken and left since this was asked for last, in order.
+    /// Takes the exception entries and returns since the last call, in order.
     pub fn take_changes(&mut self) -> Vec<Change> {
         self.changes.as_mut().map(std::mem::take).unwrap_or_default()
     }
 
-    /// The core sleeps until an interrupt or event.
+    /// Returns true while the core sleeps until an interrupt or event.
     #[must_use]
     pub fn is_asleep(&self) -> bool {
         self.sleep.is_some()
     }
 
-    /// A read on the bus at this moment, with everything it does to a peripheral: a byte that is read is taken.
+    /// Reads on the bus at this time, with all side effects on a peripheral: a receive register loses its byte.
     ///
     /// # Errors
-    /// What a program's read would meet.
+    /// Those of a read by the program.
     pub fn bus_read(&mut self, address: u32, size: Size) -> Result<u32, AccessError> {
         let now_ns = self.now_ns();
         let value = if address >= PRIVATE {
@@ -53,7 +53,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         Ok(value)
     }
 
-    /// Bytes from memory as they are, without any effect; `None` where no memory is, or not all of it.
+    /// Reads memory without side effects; `None` where no memory holds all of it.
     #[must_use]
     pub fn peek(&self, address: u32, len: usize) -> Option<Vec<u8>> {
         let mut bytes = vec![0; len];
@@ -61,7 +61,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         Some(bytes)
     }
 
-    /// Where the program is: PC, with the function that holds it.
+    /// Returns PC, with the function that contains it.
     #[must_use]
     pub fn location(&self) -> String {
         self.symbols.locate(self.core.get(Register::Pc))

@@ -1,120 +1,120 @@
-//! How a machine runs, and how runs end.
+//! Settings of a machine, reasons for stops, and errors.
 
 use crate::context::ResetCause;
 use crate::cpu::CoreError;
 use crate::peripheral::{Size, Unmodelled};
 
-/// How a machine runs.
+/// Settings of a machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
-    /// Instructions executed in a virtual second: how long a program takes, as far as this emulator can say. It is a
-    /// setting, not a measurement: caches, wait states, the bus and dual issue are not modelled, so that counts of
-    /// instructions are never cycles. The clock tree does not change it.
+    /// Instructions executed per virtual second, which sets how long a program takes in the emulator. It is a setting,
+    /// not a measurement: caches, wait states, the bus and dual issue are not modelled, so that numbers of instructions
+    /// are never cycles. The clock tree does not change it.
     pub instructions_per_second: u64,
-    /// BKPT ends a run ([`Reason::Breakpoint`]), as with a debugger; without, it is the program's HardFault.
+    /// BKPT ends a run ([`Reason::Breakpoint`]), as with a debugger; otherwise it is the program's HardFault.
     pub stop_at_breakpoints: bool,
-    /// Loops that look at registers until something happens are not executed again and again. No result depends on it.
+    /// Loops that poll registers are skipped until an event. No result depends on it.
     pub leave_out_polling: bool,
 }
 
 impl Default for Settings {
-    /// One instruction every two cycles of a 480 MHz core; no debugger.
+    /// Default: one instruction every two cycles of a 480 MHz core, without a debugger.
     fn default() -> Self {
         Self { instructions_per_second: 240_000_000, stop_at_breakpoints: false, leave_out_polling: true }
     }
 }
 
-/// Why [`Machine::run_until`](crate::Machine::run_until) returned.
+/// Reason why [`Machine::run_until`](crate::Machine::run_until) returned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reason {
-    /// The moment is reached.
+    /// The requested time is reached.
     Time,
-    /// [`Chip::outside_waits`](crate::Chip::outside_waits).
+    /// A task outside waits: [`Chip::outside_waits`](crate::Chip::outside_waits).
     Outside,
-    /// The instruction at an observed address is next.
+    /// The next instruction is at an observed address.
     Observed {
-        /// Its address.
+        /// Address of the instruction.
         address: u32,
     },
-    /// One instruction was executed, or an exception taken ([`Machine::step_until`](crate::Machine::step_until)).
+    /// One instruction was executed, or one exception taken ([`Machine::step_until`](crate::Machine::step_until)).
     Stepped,
-    /// BKPT is next; write PC to go on after it.
+    /// The next instruction is BKPT; write PC to go on after it.
     Breakpoint {
-        /// Its operand.
+        /// Operand of the instruction.
         operand: u8,
     },
     /// The chip was reset, and the processor is about to execute its first instruction.
     Reset(ResetCause),
 }
 
-/// Where a run stopped.
+/// Time and reason of a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stopped {
-    /// Virtual time.
+    /// Virtual time of the stop, ns.
     pub at_ns: u64,
-    /// Why.
+    /// Reason of the stop.
     pub reason: Reason,
 }
 
-/// Why a run cannot go on.
+/// Error after which a run cannot go on.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MachineError {
-    /// The program uses what is not modelled.
+    /// The program uses something that is not modelled.
     #[error("{} {address:#010x} ({size}) at {at_ns} ns from {location}: {cause}", if *.write { "write of" } else { "read of" })]
     Unmodelled {
-        /// The address accessed.
+        /// Address of the access.
         address: u32,
-        /// Width.
+        /// Width of the access.
         size: Size,
-        /// A store.
+        /// True for a store.
         write: bool,
-        /// Virtual time.
+        /// Virtual time of the access, ns.
         at_ns: u64,
-        /// PC, with the function's name where symbols are known.
+        /// PC, with the function's name if symbols are loaded.
         location: String,
-        /// What.
+        /// Register or use that is not modelled.
         cause: Unmodelled,
     },
-    /// The processor is locked up (DDI0403E B1.5.15): nothing but a reset or an NMI goes on from there.
+    /// The processor is locked up (DDI0403E B1.5.15): it leaves that state only by a reset or an NMI.
     #[error("lock-up at {at_ns} ns from {location}: {what}")]
     LockUp {
-        /// Virtual time.
+        /// Virtual time of the lock-up, ns.
         at_ns: u64,
-        /// Where.
+        /// PC with its function.
         location: String,
-        /// The fault that could not be taken.
+        /// Fault that could not be taken.
         what: String,
     },
-    /// A use of the processor itself that is not modelled.
+    /// The program uses a function of the processor that is not modelled.
     #[error("at {at_ns} ns, {location}: {what}")]
     Processor {
-        /// Virtual time.
+        /// Virtual time of the use, ns.
         at_ns: u64,
-        /// Where.
+        /// PC with its function.
         location: String,
-        /// What.
+        /// Description of the use.
         what: String,
     },
-    /// The backend.
+    /// The core has failed.
     #[error(transparent)]
     Core(#[from] CoreError),
 }
 
-/// Why a program cannot be loaded.
+/// Reason why a program cannot be loaded.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LoadError {
-    /// It is not an ELF file that can be read.
+    /// The file is not a readable ELF file.
     #[error("not an ELF file: {0}")]
     Format(String),
-    /// It is for another processor.
+    /// The program is for another processor.
     #[error("the program is not for a 32-bit Arm processor")]
     Processor,
-    /// A segment lies where no memory is.
+    /// A segment lies outside the chip's memories.
     #[error("the segment of {len} bytes at {address:#010x} is in no memory of the chip")]
     Segment {
-        /// Load address.
+        /// Load address of the segment.
         address: u32,
-        /// Bytes.
+        /// Length of the segment, bytes.
         len: usize,
     },
 }

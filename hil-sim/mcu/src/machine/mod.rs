@@ -1,12 +1,12 @@
-//! The machine: a core, the processor around it, the chip around that, and virtual time.
+//! Machine: a core, the processor around it, the chip around that, and virtual time.
 //!
-//! Time passes in two ways. While the core executes, it passes with instructions, at [`Settings::instructions_per_second`];
-//! an access to a register happens at the moment of its instruction. While the core sleeps, it jumps to the next moment at
-//! which something happens. Interrupts are taken between blocks of instructions: a block ends at the first branch, and at
-//! instructions that change what may be taken (CPSIE, MSR, ISB), so that a program cannot tell by its own results; it
-//! can tell by the time, by the length of a block.
+//! Time passes in two ways. While the core executes, it passes with instructions, at
+//! [`Settings::instructions_per_second`]; a register access happens at the time of its instruction. While the core
+//! sleeps, time jumps to the next event. Interrupts are taken between blocks of instructions. A block ends at the first
+//! branch, and at instructions that change which interrupts may be taken (CPSIE, MSR, ISB). So a program's results do
+//! not show the difference; only its timing does, by the length of a block.
 //!
-//! Runs are deterministic, and do not depend on how they are cut into pieces by [`Machine::run_until`].
+//! Runs are deterministic, however [`Machine::run_until`] cuts them into pieces.
 
 mod bus;
 mod debugger;
@@ -31,29 +31,30 @@ use bus::Bus;
 use poll::{OneBlock, Polls};
 use time::Instructions;
 
-/// Times around the loop at one moment, before that is an error: far more than nested exceptions can need.
+/// Largest number of iterations of the run loop without progress of time; beyond it the machine reports an error.
+/// Nested exceptions need far fewer.
 const STANDSTILL: u32 = 10_000;
 
-/// How the core sleeps.
+/// Kind of the core's sleep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sleep {
-    /// WFI, or SLEEPONEXIT.
+    /// Sleep by WFI or SLEEPONEXIT, until an interrupt.
     Interrupt,
-    /// WFE.
+    /// Sleep by WFE, until an event.
     Event,
 }
 
-/// A core and a chip.
+/// Core and chip with their virtual time.
 pub struct Machine<C, S> {
-    /// The instruction set. Writing its registers between runs is a debugger's right.
+    /// Core with the instruction set. A debugger may write its registers between runs.
     pub core: C,
-    /// Peripherals and memories.
+    /// Chip with its peripherals and memories.
     pub chip: S,
     cpu: Processor,
     settings: Settings,
     time: Instructions,
     sleep: Option<Sleep>,
-    /// The core waits for the bus, and takes no exceptions meanwhile.
+    /// Time until which the core stalls on the bus; it takes no exceptions meanwhile.
     waits_until_ns: Option<u64>,
     core_hz: u64,
     mapping_version: u32,
@@ -62,30 +63,30 @@ pub struct Machine<C, S> {
     symbols: Symbols,
     trace: Option<Trace>,
     profile: Option<Box<Profile>>,
-    /// Exceptions taken and left since they were last asked for, where somebody asks for them.
+    /// Exception entries and returns since they were last taken; `None` without recording.
     changes: Option<Vec<Change>>,
-    /// One instruction, and no more.
+    /// Execute a single instruction.
     stepping: bool,
-    /// The core stopped within a block: no interrupt is taken before its end, as if it had not stopped.
+    /// The core stopped within a block: no interrupt is taken before the block's end, as if it had not stopped.
     unfinished: bool,
     just_reset: Option<ResetCause>,
     observed: Vec<u32>,
-    /// An observed instruction that was told, and is to be executed.
+    /// Address of an observed instruction that was reported, and is to be executed next.
     told: Option<u32>,
-    /// What the memory protection unit allows, while it is on.
+    /// Accesses that the memory protection unit allows, while it is on.
     protection: Option<Protection>,
     polls: Polls,
     one_block: OneBlock,
-    /// A load that was refused, and whose error is ignored: it is about to be executed again.
+    /// Address of a refused load whose error is ignored: it is about to be executed again.
     ignored_load: Option<u32>,
     runs: u64,
 }
 
 impl<C: Core, S: Chip> Machine<C, S> {
-    /// A machine at time 0 whose chip has just been powered; load a program, then [`Machine::reset`].
+    /// Makes a machine at time 0 whose chip has just been powered; load a program, then call [`Machine::reset`].
     ///
     /// # Errors
-    /// The backend's.
+    /// Those of the core.
     pub fn new(mut core: C, chip: S, settings: Settings) -> Result<Self, MachineError> {
         core.map(chip.memory().regions())?;
         let core_hz = chip.core_hz();
@@ -118,19 +119,19 @@ impl<C: Core, S: Chip> Machine<C, S> {
         })
     }
 
-    /// Writes an ELF's segments to the memories at their load addresses, and keeps its symbols.
+    /// Writes an ELF file's segments to the memories at their load addresses, and keeps its symbols.
     ///
     /// # Errors
-    /// What is not an ELF, or does not fit.
+    /// [`LoadError`] for another file format, another processor, or a segment that does not fit.
     pub fn load_elf(&mut self, elf: &[u8]) -> Result<(), LoadError> {
         self.symbols = symbols::load(elf, self.chip.memory())?;
         Ok(())
     }
 
-    /// Resets chip and processor, as `cause` does; the first instruction is that of the vector table's reset handler.
+    /// Resets chip and processor for `cause`; the first instruction is that of the vector table's reset handler.
     ///
     /// # Errors
-    /// The backend's; a vector table that cannot be read.
+    /// Those of the core; an unreadable vector table.
     pub fn reset(&mut self, cause: ResetCause) -> Result<(), MachineError> {
         let now_ns = self.now_ns();
         self.chip.reset(now_ns, cause);
@@ -140,6 +141,8 @@ impl<C: Core, S: Chip> Machine<C, S> {
         self.sleep = None;
         self.waits_until_ns = None;
         self.unfinished = false;
+        // The reset may have changed clocks and swapped banks, so the vector table is read after the memory map is up
+        // to date.
         self.follow_memory()?;
         let memory = self.chip.memory();
         let word = |address| memory.read(address, crate::Size::Word);
@@ -151,11 +154,12 @@ impl<C: Core, S: Chip> Machine<C, S> {
             });
         };
         self.core.set(Register::Control, 0);
+        // Only EPSR.T is set: Thumb state, thread mode.
         self.core.set(Register::Xpsr, 1 << 24);
         for register in [Register::Primask, Register::Basepri, Register::Faultmask, Register::Fpscr, Register::Psp] {
             self.core.set(register, 0);
         }
-        // Unknown on hardware; the same in every run here.
+        // Hardware leaves these registers undefined; zeros make every run the same.
         (0..=12).for_each(|index| self.core.set(Register::R(index), 0));
         (0..32).for_each(|index| self.core.set(Register::S(index), 0));
         self.core.set(Register::Msp, stack & !3);
@@ -169,77 +173,78 @@ impl<C: Core, S: Chip> Machine<C, S> {
         Ok(())
     }
 
-    /// Virtual time.
+    /// Returns the virtual time, ns.
     #[must_use]
     pub fn now_ns(&self) -> u64 {
         self.time.now_ns()
     }
 
-    /// Instructions executed since power-on: never a number of cycles.
+    /// Returns the instructions executed since power-on; not a number of cycles.
     #[must_use]
     pub fn instructions(&self) -> u64 {
         self.time.executed()
     }
 
-    /// How often the core was started since power-on: each start costs the time of many instructions.
+    /// Returns how often the core was started since power-on: each start costs the real time of many instructions.
     #[must_use]
     pub fn runs(&self) -> u64 {
         self.runs
     }
 
-    /// The processor around the core: exceptions, fault status.
+    /// Returns the processor around the core: exceptions, fault status.
     #[must_use]
     pub fn processor(&self) -> &Processor {
         &self.cpu
     }
 
-    /// The loaded program's symbols.
+    /// Returns the symbols of the loaded program.
     #[must_use]
     pub fn symbols(&self) -> &Symbols {
         &self.symbols
     }
 
-    /// Stops before these instructions from now on, with [`Reason::Observed`]: none ends that. The next run executes the one
-    /// that was told, also where others are observed meanwhile.
+    /// Stops before these instructions from now on, with [`Reason::Observed`]; an empty list ends that. The next run
+    /// executes the instruction that was reported, also if others are observed meanwhile.
     ///
     /// # Errors
-    /// The backend's.
+    /// Those of the core.
     pub fn observe(&mut self, addresses: &[u32]) -> Result<(), MachineError> {
         self.observed = addresses.to_vec();
         self.told = self.told.filter(|told| addresses.contains(told));
         Ok(self.core.observe(addresses)?)
     }
 
-    /// Begins a trace of exceptions.
+    /// Starts a trace of exceptions.
     pub fn start_trace(&mut self) {
         self.trace = Some(Trace::new());
     }
 
-    /// The trace, where one was begun.
+    /// Returns the trace; `None` if none was started.
     #[must_use]
     pub fn trace(&self) -> Option<Trace> {
         self.trace
     }
 
-    /// Begins to count instructions and stack by exception, from a reset on; `mark` is an instruction whose executions are
-    /// noted if it is also observed. Replaces an earlier profile.
+    /// Starts to count instructions and stack by exception, right after a reset. `mark` is an instruction whose
+    /// executions are recorded if it is also observed. Replaces an earlier profile.
     pub fn start_profile(&mut self, stack: StackArea, mark: Option<u32>) {
         let sp = self.core.get(Register::Msp);
         self.profile = Some(Box::new(Profile::new(stack, mark, self.chip.memory(), sp)));
     }
 
-    /// The profile, where one was begun.
+    /// Returns the profile; `None` if none was started.
     pub fn profile(&mut self) -> Option<&mut Profile> {
         self.profile.as_deref_mut()
     }
 
-    /// Runs to a moment, or until something else is to be told. It can end up to one block of instructions after it.
+    /// Runs to a time, or until another reason for a stop. The run can end up to one block of instructions later.
     ///
     /// # Errors
-    /// See [`MachineError`].
+    /// [`MachineError`] names the reason.
     pub fn run_until(&mut self, t_ns: u64) -> Result<Stopped, MachineError> {
         let mut standstill = (0, 0, 0);
         loop {
+            // The rest of an interrupted block comes before everything else, as if the run had not been cut.
             if self.unfinished {
                 if let Some(reason) = self.execute(t_ns)? {
                     return Ok(self.stopped(reason));
@@ -247,6 +252,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
                 continue;
             }
             self.settle()?;
+            // Progress is time or instructions; nested exceptions need a few rounds without either.
             standstill = match (self.now_ns(), self.instructions()) {
                 (now_ns, executed) if (now_ns, executed) == (standstill.0, standstill.1) => {
                     (now_ns, executed, standstill.2 + 1)
@@ -262,6 +268,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
             if self.chip.outside_waits() {
                 return Ok(self.stopped(Reason::Outside));
             }
+            // Events due at `t_ns` have been handled by now, the instructions at `t_ns` have not.
             if self.now_ns() >= t_ns {
                 return Ok(self.stopped(Reason::Time));
             }
@@ -284,6 +291,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
                     continue;
                 }
             }
+            // Pending is checked first: the comparison of priorities is slower, and rarely needed.
             if self.cpu.exceptions.is_any_pending()
                 && let Some(exception) = self.cpu.exceptions.preempting(masks(&self.core))
             {
@@ -293,7 +301,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
                 }
             }
             if self.polls.suspected() {
-                // Who steps or observes is told of each instruction.
+                // A debugger that steps or observes must see each instruction.
                 if !self.stepping && self.observed.is_empty() {
                     self.leave_out_polling(t_ns)?;
                     continue;
@@ -314,7 +322,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         self.chip.next_event_ns().min(self.cpu.systick.next_event_ns())
     }
 
-    /// Brings chip and timers to now, and carries out what that gives.
+    /// Advances chip and timers to now, and carries out the consequences.
     fn settle(&mut self) -> Result<(), MachineError> {
         let now_ns = self.now_ns();
         self.chip.advance(now_ns);
@@ -322,11 +330,13 @@ impl<C: Core, S: Chip> Machine<C, S> {
         bus::take_irqs(&mut self.chip, &mut self.cpu, &mut self.irqs);
         bus::follow_clock(&self.chip, &mut self.cpu, &mut self.core_hz, now_ns);
         self.follow_memory()?;
+        // The protection request stays: it is handled before the next run, at the priority that is valid then.
         let protection = self.cpu.requests.protection;
         let requests = std::mem::replace(&mut self.cpu.requests, Requests { protection, ..Requests::default() });
         if requests.fpu {
             self.core.set_fpu(self.cpu.fpu_enabled());
         }
+        // A software reset precedes one of the chip at the same moment.
         let cause = if requests.reset { Some(ResetCause::Software) } else { self.chip.take_reset() };
         if let Some(cause) = cause {
             self.reset(cause)?;
@@ -348,8 +358,8 @@ impl<C: Core, S: Chip> Machine<C, S> {
         Ok(())
     }
 
-    /// The memory protection unit, at the priority of what is executed next. FAULTMASK that changes within a run counts from the
-    /// next one on.
+    /// Updates the memory protection unit for the priority of the next code. A change of FAULTMASK within a run takes
+    /// effect at the next one.
     fn follow_protection(&mut self) -> Result<(), MachineError> {
         let changed = std::mem::take(&mut self.cpu.requests.protection);
         if !changed && self.protection.is_none() && !self.cpu.has_protection() {
@@ -363,7 +373,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         Ok(())
     }
 
-    /// B1.5.17 and B1.5.18: what ends a sleep.
+    /// Returns true if the sleep ends (B1.5.17 and B1.5.18).
     fn wakes(&mut self, sleep: Sleep) -> bool {
         if sleep == Sleep::Event && self.cpu.event {
             self.cpu.event = false;
@@ -373,14 +383,15 @@ impl<C: Core, S: Chip> Machine<C, S> {
             return false;
         }
         let masks = masks(&self.core);
-        // WFI wakes for what only PRIMASK holds back; WFE for what is taken.
+        // WFI wakes also for an interrupt that only PRIMASK holds back; WFE only for one that is taken.
         let unmasked = Masks { primask: masks.primask && sleep == Sleep::Event, ..masks };
         self.cpu.exceptions.preempting(unmasked).is_some()
     }
 
-    /// Executes for a while.
+    /// Executes up to `t_ns` or the next event; returns the reason of an earlier stop.
     fn execute(&mut self, t_ns: u64) -> Result<Option<Reason>, MachineError> {
         let pc = self.core.get(Register::Pc);
+        // An instruction reported before is executed now; while stepping every one is.
         if self.told == Some(pc) || self.stepping {
             self.told = None;
         } else if self.observed.contains(&pc) {
@@ -388,6 +399,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         }
         self.follow_protection()?;
         let executing = active(&self.core);
+        // Only if an exception is pending can a change of the masks matter to the run.
         let masked = self.cpu.exceptions.preempting(Masks::NONE).is_some();
         let mut bus = Bus::new(
             &mut self.chip,
@@ -411,6 +423,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         let waits_until_ns = bus.waits_until_ns;
         let (reads, wrote) = (std::mem::take(&mut bus.reads), bus.wrote);
         let (store_fault, refused, failure) = (bus.store_fault, bus.refused.take(), bus.failure.take());
+        // Time advances to the failing access, so that the error has its moment.
         if let Some(failure) = failure {
             let location = self.symbols.locate(failure.access.pc);
             self.time.execute(failure.access.instructions.min(instructions));
@@ -423,6 +436,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         if self.one_block.is_on() {
             self.one_block.executed(&reads, why == Why::Limit && !wrote && !store_fault);
         }
+        // Interrupts are taken between blocks only, wherever an observed instruction has stopped the core.
         self.unfinished = why == Why::Observed && self.core.is_within_block();
         if store_fault && self.ignores_bus_errors() {
             self.cpu.faults.note(Cause::Store);
@@ -431,6 +445,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
             pended.map_err(|failure| self.failed(failure, self.core.get(Register::Pc)))?;
         }
         match why {
+            // No instruction was executed, so there is nothing to report even while stepping.
             Why::Limit if instructions == 0 => return Ok(None),
             Why::Limit | Why::MaskChanged | Why::Yield => {}
             Why::Wfi => self.go_to_sleep(Sleep::Interrupt)?,
@@ -446,10 +461,12 @@ impl<C: Core, S: Chip> Machine<C, S> {
             Why::Breakpoint(_) => self.take(|taker| taker.breakpoint().map(|()| false))?,
             Why::Svc => self.take(|taker| taker.supervisor_call().map(|()| false))?,
             Why::ExceptionReturn(exc_return) => self.take(|taker| taker.leave(exc_return))?,
+            // Not a fault: the bus stalls, and the instruction is repeated afterwards.
             Why::Fault(_) if waits_until_ns.is_some() => self.waits_until_ns = waits_until_ns,
             Why::Fault(Fault::Fetch) if self.fetch_waits().is_some() => self.waits_until_ns = self.fetch_waits(),
             Why::Fault(fault) => {
                 let cause = match (fault, refused) {
+                    // The load is executed once more and then reads 0.
                     (Fault::Load, Some(Cause::Load { address })) if self.ignores_bus_errors() => {
                         self.cpu.faults.note(Cause::Load { address });
                         self.ignored_load = Some(address);
@@ -472,7 +489,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         Ok(self.stepping.then_some(Reason::Stepped))
     }
 
-    /// An observed instruction is next.
+    /// Notes that an observed instruction is next, and returns the reason for the stop.
     fn observed(&mut self, address: u32) -> Reason {
         self.told = Some(address);
         if let Some(profile) = &mut self.profile {
@@ -481,14 +498,14 @@ impl<C: Core, S: Chip> Machine<C, S> {
         Reason::Observed { address }
     }
 
-    /// The flash that holds the next instruction is at work.
+    /// Returns the time until which the flash with the next instruction is busy, ns.
     fn fetch_waits(&self) -> Option<u64> {
         let pc = self.core.get(Register::Pc);
-        // A wide instruction may reach into another bank.
+        // A wide instruction may extend into another bank.
         self.chip.fetch_waits_until_ns(pc).or_else(|| self.chip.fetch_waits_until_ns(pc.wrapping_add(2)))
     }
 
-    /// Execution from where code cannot be: an error of the program, or a restriction of this machine.
+    /// Classifies a failed fetch: an error of the program, or a restriction of this machine.
     fn fetch_fault(&self) -> Result<Cause, MachineError> {
         let pc = self.core.get(Register::Pc);
         // A wide instruction may lie in two regions.
@@ -508,17 +525,17 @@ impl<C: Core, S: Chip> Machine<C, S> {
         {
             return Err(self.processor_error(format!("execution from {} at {pc:#010x} is not modelled", region.bank)));
         }
-        // Peripherals, external devices and the system area are never executed from (B3.1).
+        // Code is never executed from peripherals, external devices and the system area (B3.1).
         let never = matches!(pc, 0x4000_0000..0x6000_0000 | 0xA000_0000..);
         Ok(if never { Cause::FetchViolation } else { Cause::FetchError })
     }
 
-    /// The flash flags a fetch that it answers with a bus error, as it does a load.
+    /// Makes the flash set its flags for a fetch with a bus error, as for a load.
     fn flag_fetch(&mut self, cause: Cause) {
         let (pc, now_ns) = (self.core.get(Register::Pc), self.time.now_ns());
         let in_flash = |at: u32| self.chip.memory().locate(at).is_some_and(|(region, _)| region.bank.is_flash());
         if cause == Cause::FetchError && in_flash(pc) {
-            // A wide instruction may fail by its second half.
+            // The second half of a wide instruction may be the one that fails.
             for at in [pc, pc.wrapping_add(2)] {
                 if self.chip.read(now_ns, at & !3, crate::Size::Word).is_err() {
                     break;
@@ -536,7 +553,8 @@ impl<C: Core, S: Chip> Machine<C, S> {
         Ok(())
     }
 
-    /// CCR.BFHFNMIGN: handlers of negative priority, and code under FAULTMASK, ignore bus errors of data accesses.
+    /// Returns true where CCR.BFHFNMIGN applies: handlers of negative priority, and code under FAULTMASK, ignore bus
+    /// errors of data accesses.
     fn ignores_bus_errors(&self) -> bool {
         self.cpu.ignores_bus_faults() && self.cpu.exceptions.execution_priority(masks(&self.core)) < 0
     }
@@ -555,7 +573,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
         }
     }
 
-    /// Takes or leaves exceptions; `true` from `how` is to sleep.
+    /// Takes or leaves exceptions; `how` returns `true` if the core is to sleep.
     fn take(&mut self, how: impl FnOnce(&mut Taker<'_, C>) -> Result<bool, Failure>) -> Result<(), MachineError> {
         let (from, before) = (self.core.get(Register::Pc), active(&self.core));
         let sp = self.core.get(Register::Msp);

@@ -1,35 +1,35 @@
-//! Loops that look at registers until something happens: what they do until then is worked out once, and time passes.
+//! Skipping of loops that poll registers: one iteration is analysed, and time jumps to the next event.
 //!
-//! A loop is left out only where nothing can be different by it: one time round was executed block by block, it loaded, computed
-//! and branched, every register of the core was the same after it as before, no event was due in it, and each register that
-//! it looked at stays as it is ([`Chip::stable_until_ns`]) up to the end of what is left out. Instructions that are left out
+//! A loop is skipped only where that cannot change any result: one iteration was executed block by block; it loaded,
+//! computed and branched; every register of the core was the same after it as before; no event was due in it; and each
+//! register that it read keeps its value ([`Chip::stable_until_ns`]) up to the end of the skip. Skipped instructions
 //! count as executed.
 
 use super::{Machine, MachineError};
 use crate::chip::Chip;
 use crate::cpu::{Core, Register};
 
-/// Equal reads after which a loop is looked at: fewer would look at what is not one, more would execute more of what is.
-/// Halving it changes no result.
+/// Number of equal reads after which a loop is analysed. Fewer would analyse code that is no loop, more would execute
+/// more of real ones. Half the number changes no result.
 const SUSPICIOUS: u32 = 16;
-/// Different reads that a loop may have.
+/// Largest number of different reads in a loop.
 const DIFFERENT: usize = 4;
-/// Blocks of a loop at most.
+/// Largest number of blocks in a loop.
 const BLOCKS: usize = 16;
-/// Equal reads before the next attempt, where the last one found no such loop.
+/// Number of equal reads before the next attempt, after the last one found no such loop.
 const PAUSE: u32 = 4096;
 
-/// PC, address and value.
+/// Read by the program: PC, address and value.
 type Read = (u32, u32, u32);
 
-/// The program's reads, as far as they repeat themselves.
+/// Recent reads of the program, to detect repetition.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Polls {
     on: bool,
     last: [Option<Read>; DIFFERENT],
     next: usize,
     equal: u32,
-    /// Equal reads that are let pass first.
+    /// Number of equal reads to ignore first.
     pause: u32,
 }
 
@@ -45,6 +45,7 @@ impl Polls {
         if self.last.contains(&Some(read)) {
             self.equal += 1;
         } else {
+            // Another address or value: the program makes progress.
             (self.equal, self.pause) = (0, 0);
             self.last[self.next] = Some(read);
             self.next = (self.next + 1) % DIFFERENT;
@@ -52,6 +53,7 @@ impl Polls {
     }
 
     pub(super) fn wrote(&mut self) {
+        // A write can change what the next reads return.
         (self.equal, self.pause) = (0, 0);
         self.last = [None; DIFFERENT];
     }
@@ -61,11 +63,12 @@ impl Polls {
     }
 
     fn done(&mut self, left_out: bool) {
+        // An attempt executes block by block, which is slow, so a failed one is not repeated at once.
         (self.equal, self.pause) = (0, if left_out { 0 } else { PAUSE });
     }
 }
 
-/// Every register of the core.
+/// Returns all registers of the core.
 fn registers<C: Core>(core: &C) -> Vec<u32> {
     use Register::{Basepri, Control, Faultmask, Fpscr, Lr, Msp, Pc, Primask, Psp, R, S, Xpsr};
     let others = [Lr, Pc, Msp, Psp, Xpsr, Primask, Basepri, Faultmask, Control, Fpscr];
@@ -74,11 +77,12 @@ fn registers<C: Core>(core: &C) -> Vec<u32> {
 }
 
 impl<C: Core, S: Chip> Machine<C, S> {
-    /// Goes once round the loop at PC, and leaves out what is the same until something happens. Does nothing that executing
-    /// would not do: where it finds no loop, so much of the program is executed. `false` is to be followed by that.
+    /// Executes one iteration of the loop at PC, and skips further ones until the next event. If it finds no loop, it
+    /// has only executed a part of the program as usual.
     pub(super) fn leave_out_polling(&mut self, t_ns: u64) -> Result<(), MachineError> {
         let (head, executed) = (registers(&self.core), self.instructions());
         let event_ns = self.next_event_ns().min(t_ns);
+        // The pause applies unless `leave_out` succeeds and cancels it.
         self.polls.done(false);
         self.one_block.begin();
         for _ in 0..BLOCKS {
@@ -86,10 +90,11 @@ impl<C: Core, S: Chip> Machine<C, S> {
                 break;
             }
             let told = self.execute(t_ns)?;
-            // Whatever else has happened is the program's, and is seen to before its next instruction.
+            // Other consequences are the program's, and are handled before its next instruction.
             if told.is_some() || self.one_block.is_broken() || self.now_ns() >= event_ns {
                 break;
             }
+            // With the registers as at the head and no write in between, the next iteration is the same.
             if registers(&self.core) == head {
                 self.leave_out(self.instructions() - executed, event_ns);
                 break;
@@ -107,8 +112,9 @@ impl<C: Core, S: Chip> Machine<C, S> {
         else {
             return;
         };
-        // The last of them ends before that moment.
+        // The last skipped iteration ends before that time.
         let rounds = self.time.until(until_ns).saturating_sub(1).checked_div(round).unwrap_or(0);
+        // The skipped instructions count as executed, so that the time advances as it would with them.
         self.time.execute(rounds * round);
         if let Some(profile) = &mut self.profile {
             profile.executed(crate::cpu::take::active(&self.core), rounds * round);
@@ -117,7 +123,7 @@ impl<C: Core, S: Chip> Machine<C, S> {
     }
 }
 
-/// What blocks that are executed one by one do.
+/// Observation of blocks executed one by one.
 #[derive(Clone, Debug, Default)]
 pub(super) struct OneBlock {
     on: bool,
@@ -147,7 +153,7 @@ impl OneBlock {
         &self.reads
     }
 
-    /// A block was executed.
+    /// Records an executed block.
     pub(super) fn executed(&mut self, reads: &[u32], plain: bool) {
         self.reads.extend(reads);
         self.broken |= !plain;

@@ -1,55 +1,55 @@
-//! What a program costs: instructions and stack, exception by exception.
+//! Cost of a program: instructions and stack, by exception.
 //!
-//! Both are told apart where exceptions are entered and left, between runs of the core, so that nothing is added to an
-//! instruction. The memory below the stack pointer is of no use to anybody at that moment (AAPCS32, 6.2.1.1): it is
-//! searched for what was written, which is charged to the code that ran since the last such moment, and painted again.
+//! Both are assigned at exception entries and returns, between runs of the core, so that no instruction is slowed down.
+//! The memory below the stack pointer is unused at that time (AAPCS32, 6.2.1.1): it is searched for written bytes,
+//! which are charged to the code that ran since the previous such time, and painted again.
 
 use crate::memory::Memory;
 
-/// Exception numbers, thread mode included.
+/// Number of exceptions, thread mode included.
 const EXCEPTIONS: usize = 16 + 240;
-/// Bytes compared at once.
+/// Size of a comparison, bytes.
 const CHUNK: usize = 32;
 
-/// A stack to watch.
+/// Stack to watch, with its paint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StackArea {
-    /// Its lowest address.
+    /// Lowest address of the stack.
     pub end: u32,
-    /// The address after its highest.
+    /// Address after the highest.
     pub start: u32,
-    /// What it is painted with: what the program itself paints with, if it does.
+    /// Byte to paint it with; that of the program, if it paints its stack itself.
     pub paint: u8,
 }
 
-/// An execution of the marked instruction.
+/// Execution of the marked instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Moment {
-    /// Virtual time.
+    /// Virtual time of the execution, ns.
     pub at_ns: u64,
-    /// The exception whose handler executes it, 0 in thread mode.
+    /// Exception whose handler executes it; 0 for thread mode.
     pub exception: u16,
-    /// Instructions executed by that handler so far, without those of what interrupted it.
+    /// Instructions executed by that handler so far, without those of nested exceptions.
     pub instructions: u64,
 }
 
-/// Counts since it was begun.
+/// Counts since the start of the profile.
 #[derive(Clone, Debug)]
 pub struct Profile {
     instructions: Vec<u64>,
     entries: Vec<u64>,
     depths: Vec<u32>,
     stack: StackArea,
-    /// Who is active, the innermost last, and where the stack pointer was before.
+    /// Active exceptions, the innermost last, each with the stack pointer before it.
     nested: Vec<(u16, u32)>,
-    /// The lowest address written so far.
+    /// Lowest address written so far.
     lowest: u32,
     mark: Option<u32>,
     moments: Vec<Moment>,
 }
 
 impl Profile {
-    /// Begins, and paints what is free of the stack; thread mode is executing, or nothing yet.
+    /// Starts a profile and paints the free part of the stack; thread mode is executing, or no code yet.
     pub(super) fn new(stack: StackArea, mark: Option<u32>, memory: &Memory, sp: u32) -> Self {
         let mut profile = Self {
             instructions: vec![0; EXCEPTIONS],
@@ -65,36 +65,37 @@ impl Profile {
         profile
     }
 
-    /// Instructions that the handler of an exception executed, or thread mode, 0: without those of what interrupted it.
+    /// Returns the instructions executed by the handler of an exception, or by thread mode (0), without those of nested
+    /// exceptions.
     #[must_use]
     pub fn instructions(&self, exception: u16) -> u64 {
         self.instructions.get(usize::from(exception)).copied().unwrap_or(0)
     }
 
-    /// How often it was entered.
+    /// Returns the number of entries into the handler.
     #[must_use]
     pub fn entries(&self, exception: u16) -> u64 {
         self.entries.get(usize::from(exception)).copied().unwrap_or(0)
     }
 
-    /// The most that it took of the stack, its frame included and what interrupted it not, bytes.
+    /// Returns its deepest stack use, bytes, with its frame and without the interrupted code.
     #[must_use]
     pub fn depth(&self, exception: u16) -> u32 {
         self.depths.get(usize::from(exception)).copied().unwrap_or(0)
     }
 
-    /// Exceptions that executed anything.
+    /// Iterates over the exceptions that executed instructions.
     pub fn active(&self) -> impl Iterator<Item = u16> {
         (0..EXCEPTIONS as u16).filter(|exception| self.instructions(*exception) > 0)
     }
 
-    /// The most that was taken of the stack at once, bytes.
+    /// Returns the deepest use of the stack, bytes.
     #[must_use]
     pub fn deepest(&self) -> u32 {
         self.stack.start - self.lowest
     }
 
-    /// Executions of the marked instruction since this was last asked.
+    /// Takes the executions of the marked instruction since the last call.
     pub fn take_moments(&mut self) -> Vec<Moment> {
         std::mem::take(&mut self.moments)
     }
@@ -111,13 +112,13 @@ impl Profile {
         }
     }
 
-    /// Before an exception is entered or left, in the handler of another one or of the same.
+    /// Charges stack use before an exception is entered or left from `exception`.
     pub(super) fn leaves_off(&mut self, memory: &Memory, exception: u16, sp: u32) {
         let StackArea { end, start, .. } = self.stack;
         if !(end..=start).contains(&sp) {
             return;
         }
-        // All of it: a frame may be large and hardly written.
+        // The whole free part is searched, because a frame may be large and sparsely written.
         let written = lowest_written(memory, self.stack, end, sp);
         let reached = written.unwrap_or(sp);
         if let Some(written) = written {
@@ -130,11 +131,11 @@ impl Profile {
         }
     }
 
-    /// After that: `exception` goes on, or begins.
+    /// Notes the exception that continues or begins after that.
     pub(super) fn goes_on(&mut self, exception: u16, sp_before: u32, sp: u32) {
         let mut base = sp_before;
         if sp >= sp_before {
-            // Left; the frame stays where another one follows at once.
+            // The handler was left; its frame stays if another one follows at once (tail-chaining).
             let left = self.nested.pop();
             if sp > sp_before {
                 return;
@@ -147,14 +148,14 @@ impl Profile {
         }
     }
 
-    /// After a reset nobody is active, and nothing on the stack is of use.
+    /// Starts again after a reset: no exception is active, and the stack is unused.
     pub(super) fn restarted(&mut self, memory: &Memory, sp: u32) {
         self.nested.clear();
         paint(memory, self.stack, self.stack.end, sp.clamp(self.stack.end, self.stack.start));
     }
 }
 
-/// The lowest address in `from..to` that is not painted.
+/// Returns the lowest address in `from..to` that is not painted.
 fn lowest_written(memory: &Memory, stack: StackArea, from: u32, to: u32) -> Option<u32> {
     let (region, offset) = memory.locate(from)?;
     let cells = region.bytes().get(offset as usize..(offset + (to - from)) as usize)?;
@@ -187,18 +188,18 @@ mod tests {
     fn what_was_written_is_charged_to_who_ran() {
         let memory = Memory::new();
         let mut profile = Profile::new(AREA, None, &memory, AREA.start);
-        // Thread mode goes 0x400 deep, is back at 0x100, and is interrupted by 20.
+        // Thread mode uses 0x400 bytes, returns to 0x100, and is interrupted by exception 20.
         write(&memory, AREA.start - 0x400);
         let sp = AREA.start - 0x100;
         profile.leaves_off(&memory, 0, sp);
         profile.goes_on(20, sp, sp - 0x20);
-        // 20 takes less than what thread mode had taken there before, and is interrupted by 30, which takes 0x40.
+        // Exception 20 uses less than thread mode had there before, and is interrupted by 30, which uses 0x40.
         write(&memory, sp - 0x80);
         profile.leaves_off(&memory, 20, sp - 0x60);
         profile.goes_on(30, sp - 0x60, sp - 0x80);
         write(&memory, sp - 0xA0);
         profile.leaves_off(&memory, 30, sp - 0x80);
-        // 40 follows 30 on the same frame.
+        // Exception 40 follows 30 on the same frame.
         profile.goes_on(40, sp - 0x80, sp - 0x80);
         profile.leaves_off(&memory, 40, sp - 0x80);
         profile.goes_on(20, sp - 0x80, sp - 0x60);

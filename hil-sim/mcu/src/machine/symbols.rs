@@ -1,4 +1,4 @@
-//! Programs: their segments and symbols.
+//! Loading of programs: their segments and symbols.
 
 use object::read::elf::{ElfFile32, ProgramHeader};
 use object::{Architecture, Object, ObjectSegment, ObjectSymbol, SymbolKind, SymbolSection};
@@ -6,7 +6,7 @@ use object::{Architecture, Object, ObjectSegment, ObjectSymbol, SymbolKind, Symb
 use super::error::LoadError;
 use crate::memory::Memory;
 
-/// A function or a variable.
+/// Function or variable of a program.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Symbol {
     address: u32,
@@ -15,14 +15,14 @@ struct Symbol {
     function: bool,
 }
 
-/// The symbols of a program.
+/// Symbols of a program.
 #[derive(Clone, Debug, Default)]
 pub struct Symbols {
-    /// By address.
+    /// Symbols in order of address.
     all: Vec<Symbol>,
 }
 
-/// Writes an ELF's segments to memory.
+/// Writes an ELF file's segments to memory and returns its symbols.
 pub(super) fn load(elf: &[u8], memory: &Memory) -> Result<Symbols, LoadError> {
     let format = |error: object::Error| LoadError::Format(error.to_string());
     let file = ElfFile32::<object::Endianness>::parse(elf).map_err(format)?;
@@ -31,7 +31,8 @@ pub(super) fn load(elf: &[u8], memory: &Memory) -> Result<Symbols, LoadError> {
     }
     for segment in file.segments() {
         let bytes = segment.data().map_err(format)?;
-        // Where it is stored, not where it runs: initial values of variables lie in flash.
+        // The physical address is where a segment is stored, not where it runs: initial values of variables lie in
+        // flash.
         let address = segment.elf_program_header().p_paddr(file.endian());
         if !bytes.is_empty() && memory.write_slice(address, bytes).is_none() {
             return Err(LoadError::Segment { address, len: bytes.len() });
@@ -41,14 +42,14 @@ pub(super) fn load(elf: &[u8], memory: &Memory) -> Result<Symbols, LoadError> {
         .symbols()
         .filter(|symbol| {
             let of_program = matches!(symbol.kind(), SymbolKind::Text | SymbolKind::Data | SymbolKind::Label);
-            // What a linker script defines, as the ends of a stack.
+            // Absolute symbols come from a linker script, as the ends of a stack.
             let of_script = symbol.section() == SymbolSection::Absolute && symbol.kind() == SymbolKind::Unknown;
             of_program && symbol.is_definition() || of_script
         })
         .filter_map(|symbol| {
             let function = symbol.kind() == SymbolKind::Text;
             let name = symbol.name().ok().filter(|name| !name.is_empty() && !name.starts_with('$'))?;
-            // The low bit of a function's address says Thumb.
+            // The low bit of a function's address marks Thumb code.
             let address = symbol.address() as u32 & if function { !1 } else { !0 };
             Some(Symbol {
                 address,
@@ -63,18 +64,19 @@ pub(super) fn load(elf: &[u8], memory: &Memory) -> Result<Symbols, LoadError> {
 }
 
 impl Symbols {
-    /// The address of the symbol of this name, demangled, without a hash: a whole path as `app::control::tick`.
+    /// Returns the address of the symbol with this demangled name, without a hash: a full path such as
+    /// `app::control::tick`.
     #[must_use]
     pub fn address(&self, name: &str) -> Option<u32> {
         self.all.iter().find(|symbol| symbol.name == name).map(|symbol| symbol.address)
     }
 
-    /// Names and addresses of all functions and variables, by address.
+    /// Iterates over names and addresses of all functions and variables, by address.
     pub fn iter(&self) -> impl Iterator<Item = (&str, u32)> {
         self.all.iter().map(|symbol| (symbol.name.as_str(), symbol.address))
     }
 
-    /// The function that holds an address, and the offset in it.
+    /// Returns the function that contains an address, and the offset in it.
     #[must_use]
     pub fn function(&self, address: u32) -> Option<(&str, u32)> {
         let after = self.all.partition_point(|symbol| symbol.address <= address);
@@ -83,7 +85,7 @@ impl Symbols {
         Some((&symbol.name, address - symbol.address))
     }
 
-    /// An address with the function it is in.
+    /// Formats an address with the function that contains it.
     #[must_use]
     pub fn locate(&self, address: u32) -> String {
         match self.function(address) {

@@ -1,8 +1,8 @@
-//! Virtual time from instructions.
+//! Conversion of instructions to virtual time.
 
 const SECOND: u64 = 1_000_000_000;
 
-/// A moment: so many instructions after another moment, without rounding that adds up.
+/// Time as a number of instructions after a start; rounding errors do not accumulate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Instructions {
     start_ns: u64,
@@ -16,41 +16,41 @@ impl Instructions {
         Self { start_ns: 0, since: 0, per_second: per_second.max(1), executed: 0 }
     }
 
-    /// The moment.
+    /// Returns the present time, ns.
     pub(crate) fn now_ns(&self) -> u64 {
         self.after_ns(0)
     }
 
-    /// The moment `instructions` later: the first nanosecond that is not before it.
+    /// Returns the time after `instructions` more, rounded up to a nanosecond.
     pub(crate) fn after_ns(&self, instructions: u64) -> u64 {
         let since = self.since + instructions;
         let whole = since / self.per_second;
-        // Below `per_second` squared, which is far from 2^64 at up to 4 instructions per nanosecond.
+        // The product is below `per_second` squared, far from 2^64 at up to 4 instructions per nanosecond.
         let rest = (since % self.per_second * SECOND).div_ceil(self.per_second);
         self.start_ns + whole * SECOND + rest
     }
 
-    /// How many instructions later the moment is at or after `t_ns`; 0 when it is already.
+    /// Returns the number of instructions until a time at or after `t_ns`; 0 if it is reached already.
     pub(crate) fn until(&self, t_ns: u64) -> u64 {
         let Some(before) = t_ns.saturating_sub(self.start_ns).checked_sub(1) else { return 0 };
-        // The first n for which ceil(n * SECOND / per_second) > before, whole seconds and the rest apart.
+        // Finds the first n for which ceil(n * SECOND / per_second) > before, with whole seconds and the rest separate.
         let whole = (before / SECOND).saturating_mul(self.per_second);
         let needed = whole.saturating_add(before % SECOND * self.per_second / SECOND + 1);
         needed.saturating_sub(self.since)
     }
 
-    /// Executes instructions.
+    /// Advances time by executed instructions.
     pub(crate) fn execute(&mut self, instructions: u64) {
         self.since += instructions;
         self.executed += instructions;
     }
 
-    /// Instructions executed ever.
+    /// Returns the instructions executed in total.
     pub(crate) fn executed(&self) -> u64 {
         self.executed
     }
 
-    /// Passes time without instructions.
+    /// Advances time to `t_ns` without instructions.
     pub(crate) fn jump(&mut self, t_ns: u64) {
         if t_ns > self.now_ns() {
             self.start_ns = t_ns;

@@ -1,32 +1,33 @@
-//! A digest of what a program did, and its parts.
+//! Trace of a program's exceptions and its digest.
 
-/// EXC_RETURN values begin here (DDI0403E B1.5.8).
+/// First EXC_RETURN value (DDI0403E B1.5.8).
 const EXC_RETURN: u32 = 0xFFFF_FF00;
 
-/// An exception was taken or left.
+/// Entry into an exception, or return from one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Change {
-    /// When.
+    /// Virtual time of the change, ns.
     pub at_ns: u64,
-    /// PC before: the next instruction of what was interrupted, or EXC_RETURN.
+    /// PC before: the next instruction of the interrupted code, or EXC_RETURN.
     pub from: u32,
-    /// PC after.
+    /// PC after the change.
     pub to: u32,
-    /// The exception whose handler was executed; 0 is none.
+    /// Exception whose handler was executed; 0 for none.
     pub before: u16,
-    /// The exception whose handler is executed now; 0 is none.
+    /// Exception whose handler is executed now; 0 for none.
     pub after: u16,
 }
 
 impl Change {
-    /// A handler has returned: to what it interrupted, or (tail-chaining) to the handler of one that waited.
+    /// Returns true for a return: to the interrupted code, or (tail-chaining) to the handler of a pending exception.
     #[must_use]
     pub fn is_return(&self) -> bool {
         self.from >= EXC_RETURN
     }
 }
 
-/// A hash over all exceptions: when they were taken and left, from where to where. Equal for two runs that did the same.
+/// Hash over all exception entries and returns: times, and program counters before and after. Equal for two runs that
+/// did the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Trace {
     hash: u64,
@@ -35,7 +36,7 @@ pub struct Trace {
 
 impl Trace {
     pub(super) fn new() -> Self {
-        // FNV-1a's offset basis.
+        // The start value is FNV-1a's offset basis.
         Self { hash: 0xCBF2_9CE4_8422_2325, exceptions: 0 }
     }
 
@@ -47,13 +48,13 @@ impl Trace {
         self.exceptions += 1;
     }
 
-    /// The hash.
+    /// Returns the hash of all exceptions so far.
     #[must_use]
     pub fn hash(&self) -> u64 {
         self.hash
     }
 
-    /// Exceptions taken and left.
+    /// Returns the number of exception entries and returns.
     #[must_use]
     pub fn exceptions(&self) -> u64 {
         self.exceptions

@@ -1,8 +1,8 @@
-//! Bytes and half-words of 32-bit registers.
+//! Byte and half-word accesses to 32-bit registers.
 
 use crate::Size;
 
-/// The part of a register that an access of `size` at `offset` reads, right-aligned.
+/// Returns the part of a register that an access of `size` at `offset` reads, right-aligned.
 pub(crate) fn part(word: u32, offset: u32, size: Size) -> u32 {
     let shifted = word >> (8 * (offset & 3));
     match size {
@@ -12,7 +12,7 @@ pub(crate) fn part(word: u32, offset: u32, size: Size) -> u32 {
     }
 }
 
-/// A register after a part of it is written: what is not written stays as in `word`.
+/// Returns the register after a write of a part; the other bits are those of `word`.
 pub(crate) fn merged(word: u32, offset: u32, size: Size, value: u32) -> u32 {
     let shift = 8 * (offset & 3);
     let mask = match size {

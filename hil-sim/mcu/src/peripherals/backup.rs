@@ -1,7 +1,8 @@
-//! The backup domain as a program without a clock uses it (RM0399, 50 "RTC"): the 32 backup registers.
+//! Backup domain without its clock (RM0399, 50 "RTC"): the 32 backup registers.
 //!
-//! They are written only while PWR_CR1.DBP is set, and keep their content through every reset but that of the backup
-//! domain itself. The calendar does not run: its registers read as after that reset, and writing them ends the run.
+//! The backup registers are writable only while PWR_CR1.DBP is set, and keep their content through every reset but that
+//! of the backup domain. The calendar does not run: its registers read as after that reset, and writing them ends the
+//! run.
 
 use crate::{
     Context, Peripheral, Size, Unmodelled,
@@ -12,10 +13,10 @@ const WPR: u32 = 0x24;
 const BKP0R: u32 = 0x50;
 const BKP31R: u32 = 0xCC;
 
-/// The registers of the calendar after a backup domain reset: TR, DR, CR, ISR, PRER, WUTR.
+/// Calendar registers after a backup domain reset: TR, DR, CR, ISR, PRER, WUTR.
 const CALENDAR: [u32; 6] = [0, 0x2101, 0, 0x7, 0x007F_00FF, 0xFFFF];
 
-/// RTC.
+/// Backup registers of the RTC.
 pub struct Backup {
     registers: [u32; 32],
     writable: bool,
@@ -28,23 +29,23 @@ impl Default for Backup {
 }
 
 impl Backup {
-    /// After the first power-on.
+    /// Makes the registers after the first power-on: zeros.
     #[must_use]
     pub fn new() -> Self {
         Self { registers: [0; 32], writable: false }
     }
 
-    /// PWR_CR1.DBP.
+    /// Sets the write permission, PWR_CR1.DBP.
     pub fn set_writable(&mut self, writable: bool) {
         self.writable = writable;
     }
 
-    /// A reset of the backup domain (RCC_BDCR.BDRST), or the loss of VBAT and VDD.
+    /// Clears the registers at a reset of the backup domain (RCC_BDCR.BDRST), or a loss of VBAT and VDD.
     pub fn clear(&mut self) {
         self.registers = [0; 32];
     }
 
-    /// A backup register, 0 to 31, as the outside may want to look at it.
+    /// Returns a backup register, 0 to 31, for tests; `None` beyond.
     #[must_use]
     pub fn register(&self, index: usize) -> Option<u32> {
         self.registers.get(index).copied()
@@ -75,7 +76,7 @@ impl Peripheral for Backup {
                 let register = &mut self.registers[((at - BKP0R) / 4) as usize];
                 *register = merged(*register, offset, size, value);
             }
-            // The keys for the calendar's registers, which are not writable anyway.
+            // WPR takes the keys for the calendar's registers, which are not writable here anyway.
             WPR => {}
             _ => {
                 return Err(Unmodelled {
@@ -87,7 +88,7 @@ impl Peripheral for Backup {
         Ok(())
     }
 
-    /// A reset of the chip: nothing but the protection, which PWR sets again.
+    /// Resets only the write permission; PWR sets it again.
     fn reset(&mut self, _: &mut Context<'_>) {
         self.writable = false;
     }
@@ -102,7 +103,7 @@ mod tests {
     fn backup_registers_outlive_a_reset_of_the_chip() {
         let (mut backup, mut bench) = (Backup::new(), Bench::default());
         backup.set_writable(true);
-        // The Arduino bootloader's request for DFU in register 0, its reset cause in register 8.
+        // Register 0 holds the Arduino bootloader's request for DFU, register 8 its reset cause.
         bench.write(&mut backup, BKP0R, 0xDF59);
         bench.write(&mut backup, BKP0R + 4 * 8, 7);
         bench.write(&mut backup, BKP31R, 31);

@@ -1,4 +1,4 @@
-//! What the tests of the serial peripherals have outside the chip: wires that keep what was sent, and answers that are set.
+//! Bench for tests of the serial peripherals: wires that record what was sent, and prepared answers.
 
 use std::collections::VecDeque;
 
@@ -6,7 +6,7 @@ use crate::context::{Clocks, Context, Misuse, Signal};
 use crate::outside::{CanFrame, CanOutcome, Edge, I2cResponse, Level, Outside, Pin};
 use crate::peripheral::{Peripheral, Size, Unmodelled};
 
-/// What was seen on an I2C bus.
+/// Event on an I2C bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum OnI2c {
     Start { at_ns: u64, address: u8, read: bool },
@@ -15,21 +15,21 @@ pub(crate) enum OnI2c {
     Stop { at_ns: u64 },
 }
 
-/// Keeps what left the chip.
+/// Recorder of everything that leaves the chip.
 pub(crate) struct Wires {
     pub(crate) uart: Vec<(u8, u64, u8)>,
-    /// Controller, moment, frame, bits.
+    /// Sent SPI frames: controller, time, frame, bits.
     pub(crate) spi: Vec<(u8, u64, u32, u8)>,
     pub(crate) i2c: Vec<OnI2c>,
-    /// Answers to the next bytes (address included); acknowledged when there is none.
+    /// Responses to the next I2C bytes (address included); then acknowledged.
     pub(crate) i2c_answers: VecDeque<I2cResponse>,
-    /// What is read next; `None` is a bus that is stuck, 0xFF when there is nothing.
+    /// Bytes read next from I2C; `None` is a stuck bus; 0xFF after the last one.
     pub(crate) i2c_data: VecDeque<Option<u8>>,
     pub(crate) i2c_lines: (bool, bool),
     pub(crate) can: Vec<(u8, u64, CanFrame)>,
-    /// Outcomes of the next frames; then acknowledged.
+    /// Outcomes of the next CAN frames; then `can_outcome`.
     pub(crate) can_outcomes: VecDeque<CanOutcome>,
-    /// After these: this one.
+    /// Outcome of CAN frames after the list.
     pub(crate) can_outcome: CanOutcome,
 }
 
@@ -105,7 +105,7 @@ impl Outside for Wires {
     }
 }
 
-/// One peripheral, time, and the wires around it. Levels of its interrupt and request lines are kept.
+/// Bench with one peripheral, time, and the wires around it. It records the levels of interrupt and request lines.
 pub(crate) struct Bench<P> {
     pub(crate) peripheral: P,
     pub(crate) now_ns: u64,
@@ -171,7 +171,7 @@ impl<P: Peripheral> Bench<P> {
         self.with(|peripheral, context| peripheral.write(offset, Size::Word, value, context))
     }
 
-    /// Lets time pass as a machine does: from one event to the next.
+    /// Advances time as a machine does, from one event to the next.
     pub(crate) fn run_until(&mut self, until_ns: u64) {
         loop {
             let next_ns = self.peripheral.next_event_ns();
@@ -198,7 +198,7 @@ impl<P: Peripheral> Bench<P> {
         self.bdmas.contains(&request)
     }
 
-    /// What was misused since the last call.
+    /// Takes the misuse since the last call.
     pub(crate) fn take_misuse(&mut self) -> Vec<String> {
         self.misuse.drain(..).map(|misuse| misuse.what).collect()
     }

@@ -1,31 +1,31 @@
-//! The CRC calculation unit (RM0399, chapter 22): a register that each write of data goes through, four AHB cycles a word, in
-//! which the bus waits; here a write takes no time.
+//! CRC calculation unit (RM0399, chapter 22). On hardware each word written takes four AHB cycles, in which the bus
+//! stalls; in this model a write takes no time.
 
 use crate::{
     Context, Peripheral, Size, Unmodelled,
     peripherals::access::{merged, part},
 };
 
-/// Registers (22.4).
+/// Offsets of the registers (22.4).
 const DR: u32 = 0x00;
 const IDR: u32 = 0x04;
 const CR: u32 = 0x08;
 const INIT: u32 = 0x10;
 const POL: u32 = 0x14;
 
-/// CR: RESET, POLYSIZE, REV_IN, REV_OUT (22.4.3).
+/// Fields of CR: RESET, POLYSIZE, REV_IN, REV_OUT (22.4.3).
 const RESET: u32 = 1 << 0;
 const POLYSIZE: u32 = 3;
 const REV_IN: u32 = 5;
 const REV_OUT: u32 = 1 << 7;
 
-/// After a reset (22.4.1, 22.4.4, 22.4.5).
+/// Values after a reset (22.4.1, 22.4.4, 22.4.5).
 const ONES: u32 = u32::MAX;
 const ETHERNET: u32 = 0x04C1_1DB7;
 
-/// The unit.
+/// CRC unit with its settings.
 pub struct Crc {
-    /// Remainder, right-aligned.
+    /// Remainder of the calculation, right-aligned.
     remainder: u32,
     independent: u32,
     control: u32,
@@ -40,13 +40,13 @@ impl Default for Crc {
 }
 
 impl Crc {
-    /// After a reset.
+    /// Makes the unit in its reset state.
     #[must_use]
     pub fn new() -> Self {
         Self { remainder: ONES, independent: 0, control: 0, initial: ONES, polynomial: ETHERNET }
     }
 
-    /// Bits of the polynomial.
+    /// Returns the number of bits of the polynomial.
     fn width(&self) -> u32 {
         match self.control >> POLYSIZE & 3 {
             0 => 32,
@@ -60,7 +60,7 @@ impl Crc {
         u32::MAX >> (32 - self.width())
     }
 
-    /// Data as they go in: bits in each byte, half-word or word turned round (22.3.3).
+    /// Reverses the bits of input data in each byte, half-word or word (22.3.3).
     fn turned_in(&self, value: u32, bits: u32) -> u32 {
         let group = match self.control >> REV_IN & 3 {
             0 => return value,
@@ -74,13 +74,14 @@ impl Crc {
         })
     }
 
-    /// Bit by bit, the highest first.
+    /// Feeds data bit by bit, the highest first.
     fn feed(&mut self, value: u32, bits: u32) {
         let top = 1 << (self.width() - 1);
         for bit in (0..bits).rev() {
             let carry = self.remainder & top != 0;
             let data = value >> bit & 1 != 0;
             self.remainder = (self.remainder << 1) & self.mask();
+            // The data bit meets the highest bit of the remainder, so no zeros need to follow the message.
             if carry != data {
                 self.remainder ^= self.polynomial & self.mask();
             }
@@ -111,7 +112,7 @@ impl Peripheral for Crc {
         let before = self.value(at).ok_or_else(|| Unmodelled::register("CRC", offset))?;
         let whole = merged(before, offset, size, value);
         match at {
-            // The width of the access is that of the data (22.3.3).
+            // The width of the access defines the width of the data (22.3.3).
             DR => {
                 let bits = match size {
                     Size::Byte => 8,
@@ -128,7 +129,7 @@ impl Peripheral for Crc {
                     self.remainder = self.initial & self.mask();
                 }
             }
-            // Writing it also starts a calculation from it (22.4.4).
+            // Writing INIT also starts a calculation from it (22.4.4).
             INIT => {
                 self.initial = whole;
                 self.remainder = whole & self.mask();
@@ -153,7 +154,8 @@ mod tests {
     use super::*;
     use crate::testing::Bench;
 
-    /// The nine digits by which catalogues check CRCs (Ross Williams, *A Painless Guide to CRC Error Detection Algorithms*).
+    /// Nine digits by which catalogues check CRCs (Ross Williams, *A Painless Guide to CRC Error Detection
+    /// Algorithms*).
     const CHECK: &[u8] = b"123456789";
 
     fn digits(control: u32, polynomial: u32, initial: u32) -> u32 {
@@ -168,7 +170,8 @@ mod tests {
         bench.read(&mut crc, DR)
     }
 
-    /// Published check values: CRC-32/MPEG-2, CRC-32/ISO-HDLC before its last step, CRC-16/IBM-3740, CRC-8/SMBUS, CRC-7/MMC.
+    /// Published check values of CRC-32/MPEG-2, CRC-32/ISO-HDLC before its last step, CRC-16/IBM-3740, CRC-8/SMBUS,
+    /// CRC-7/MMC.
     #[test]
     fn catalogued_crcs_have_their_check_values() {
         assert_eq!(digits(0, ETHERNET, ONES), 0x0376_E6E7);
@@ -178,7 +181,7 @@ mod tests {
         assert_eq!(digits(3 << POLYSIZE, 0x09, 0), 0x75);
     }
 
-    /// A word that is turned round as a whole is its four bytes, the lowest first, each turned round.
+    /// A word reversed as a whole equals its four bytes, the lowest first, each reversed.
     #[test]
     fn words_are_bytes_in_little_endian_order_when_turned_round() {
         let (mut crc, mut bench) = (Crc::new(), Bench::default());

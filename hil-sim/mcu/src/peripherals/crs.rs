@@ -1,5 +1,5 @@
-//! Clock recovery of HSI48 from USB's start of frame (RM0399, 10). No host is there, so no frame comes: the settings are
-//! kept, the trimming stays where it is, and no flag is ever set.
+//! Clock recovery of HSI48 from USB's start of frame (RM0399, 10). The model has no USB host, so no frame comes:
+//! settings are stored, the trimming stays, and no flag is ever set.
 
 use crate::{
     Context, Peripheral, Size, Unmodelled,
@@ -11,12 +11,12 @@ const CFGR: u32 = 0x04;
 const ISR: u32 = 0x08;
 const ICR: u32 = 0x0C;
 
-/// TRIM in the middle.
+/// Reset value of CR: TRIM in the middle.
 const CR_AT_RESET: u32 = 0x2000;
 const CFGR_AT_RESET: u32 = 0x2022_BB7F;
 const SWSYNC: u32 = 1 << 7;
 
-/// CRS.
+/// Registers of the CRS.
 pub struct Crs {
     control: u32,
     configuration: u32,
@@ -29,7 +29,7 @@ impl Default for Crs {
 }
 
 impl Crs {
-    /// After a reset.
+    /// Makes the unit in its reset state.
     #[must_use]
     pub fn new() -> Self {
         Self { control: CR_AT_RESET, configuration: CFGR_AT_RESET }

@@ -1,9 +1,11 @@
 //! DAC1 (RM0399, DAC): two channels, on PA4 and PA5.
 //!
-//! A channel gives `DOR / 4096` of its 3.3 V reference, at once and to the rails: settling, and the 0.2 V that a buffered output
-//! keeps from them, are left out. A channel that does not drive its pin is told as 0 V, where a load takes it.
+//! A channel's output is `DOR / 4096` of its 3.3 V reference, immediately and to the rails: settling, and the 0.2 V
+//! that a buffered output keeps from them, are not modelled. The voltage of a channel that does not drive its pin is
+//! reported as 0 V, where a load pulls it.
 //!
-//! Not modelled, and refused: wave generation, sample and hold, calibration, triggers other than software and timers.
+//! Wave generation, sample and hold, calibration, and triggers other than software and timers are not modelled and end
+//! the run.
 
 use crate::context::Context;
 use crate::outside::Pin;
@@ -11,43 +13,43 @@ use crate::peripheral::{Peripheral, Size, Unmodelled};
 use crate::peripherals::width;
 
 const NAME: &str = "DAC1";
-/// Shared with TIM6.
+/// Interrupt number, shared with TIM6.
 const IRQ: u16 = 54;
-/// DMAMUX1 inputs.
+/// Input numbers of DMAMUX1, by channel.
 const REQUESTS: [u8; 2] = [67, 68];
 const PINS: [Pin; 2] = [Pin::new('A', 4), Pin::new('A', 5)];
 const VREF_V: f64 = 3.3;
 
-/// Half of CR.
+/// Bits of a channel's half of CR.
 const EN: u32 = 1;
 const TEN: u32 = 1 << 1;
 const WAVE: u32 = 3 << 6;
 const DMAEN: u32 = 1 << 12;
 const DMAUDRIE: u32 = 1 << 13;
 const CEN: u32 = 1 << 14;
-/// Half of SR.
+/// Bit of a channel's half of SR.
 const DMAUDR: u32 = 1 << 13;
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Channel {
-    /// Its half of CR.
+    /// Half of CR for this channel.
     control: u32,
-    /// MODEx of MCR.
+    /// Field MODEx of MCR.
     mode: u32,
-    /// DHRx and DORx, 12 bits.
+    /// Registers DHRx and DORx, 12 bits.
     holding: u32,
     output: u32,
-    /// DMAUDRx.
+    /// DMA underrun flag, DMAUDRx.
     underrun: bool,
-    /// A DMA request is not served yet.
+    /// A DMA request was made and not served yet.
     asked: bool,
-    /// What was last told outside.
+    /// Voltage last reported to the outside world, V.
     volts: f64,
 }
 
 impl Channel {
     fn drives(&self) -> bool {
-        // Mode 3 goes to other peripherals only.
+        // Mode 3 connects the output to other peripherals only.
         self.control & EN != 0 && self.mode != 3
     }
 
@@ -59,29 +61,30 @@ impl Channel {
         }
     }
 
-    /// The timer whose trigger output TSELx selects (RM0399, DAC, trigger selection), 0 for the software's.
+    /// Returns the timer whose trigger output TSELx selects (RM0399, DAC, trigger selection); 0 for the software
+    /// trigger.
     fn trigger_source(&self) -> Option<u8> {
         [0, 1, 2, 4, 5, 6, 7, 8, 15].get((self.control >> 2 & 15) as usize).copied()
     }
 }
 
-/// DAC1, base address 0x4000_7400.
+/// Digital-to-analog converter DAC1, base address 0x4000_7400.
 #[derive(Debug, Default)]
 pub struct Dac {
     channels: [Channel; 2],
-    /// CCR, which only keeps what is written.
+    /// Register CCR, which only stores what is written.
     trim: u32,
     line: bool,
 }
 
 impl Dac {
-    /// As after a reset of the chip.
+    /// Makes the converter in its reset state.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// A timer's trigger output (`Signal::Trigger`).
+    /// Handles a timer's trigger output (`Signal::Trigger`).
     pub fn trigger(&mut self, timer: u8, context: &mut Context<'_>) {
         for (channel, request) in self.channels.iter_mut().zip(REQUESTS) {
             if channel.control & (EN | TEN) != EN | TEN || channel.trigger_source() != Some(timer) {
@@ -89,7 +92,7 @@ impl Dac {
             }
             channel.output = channel.holding;
             if channel.control & DMAEN != 0 && !channel.underrun {
-                // A trigger before the last request was served ends them (RM0399, DAC, DMA requests).
+                // A trigger before the last request was served ends DMA requests (RM0399, DAC, DMA requests).
                 channel.underrun = channel.asked;
                 channel.asked = true;
                 if !channel.underrun {
@@ -172,7 +175,7 @@ impl Dac {
         for (index, channel) in self.channels.iter_mut().enumerate() {
             let selected = channel.control & (EN | TEN) == EN | TEN && channel.trigger_source() == Some(0);
             if value >> index & 1 != 0 && selected {
-                // No DMA request: those follow external triggers only (RM0399, DAC, DMA requests).
+                // The software trigger makes no DMA request: only external triggers do (RM0399, DAC, DMA requests).
                 channel.output = channel.holding;
             }
         }
@@ -206,7 +209,7 @@ impl Peripheral for Dac {
     fn write(&mut self, offset: u32, size: Size, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
         let register = offset & !3;
         let value = match register {
-            // Bits that are not written trigger nothing, and clear nothing.
+            // Unwritten bits are 0: they trigger nothing and clear nothing.
             0x04 | 0x34 => width::merge(0, offset, size, value),
             _ => width::merge(self.register(register)?, offset, size, value),
         };
@@ -285,7 +288,7 @@ mod tests {
     #[test]
     fn data_can_be_written_in_every_alignment() {
         let (mut bench, mut dac) = (Bench::default(), Dac::new());
-        // Register, value, both outputs afterwards.
+        // Cases: register, value, and both outputs afterwards.
         let cases = [
             (0x08, 0xf123, (0x123, 0)),
             (0x0c, 0x456f, (0x456, 0)),
@@ -301,7 +304,7 @@ mod tests {
             assert_eq!((bench.read(&mut dac, 0x2c), bench.read(&mut dac, 0x30)), outputs, "{offset:#x}");
         }
         assert_eq!(bench.read(&mut dac, 0x20), 0x0ab0_0cd0);
-        // As DMA writes it.
+        // DMA writes with these widths.
         bench.try_write(&mut dac, 0x08, Size::Half, 0x321).unwrap();
         bench.try_write(&mut dac, 0x1c, Size::Byte, 0x65).unwrap();
         assert_eq!((bench.read(&mut dac, 0x2c), bench.read(&mut dac, 0x30)), (0x321, 0x650));
@@ -318,7 +321,7 @@ mod tests {
         bench.write(&mut dac, 0x04, 1);
         assert_eq!(bench.read(&mut dac, 0x2c), 0x400);
         assert_eq!(volts(&mut bench), [(PINS[0], 0.825)]);
-        // TSEL 5: TIM6.
+        // TSEL 5 selects TIM6.
         bench.write(&mut dac, 0x00, EN | TEN | 5 << 2);
         bench.write(&mut dac, 0x08, 0x500);
         bench.write(&mut dac, 0x04, 1);

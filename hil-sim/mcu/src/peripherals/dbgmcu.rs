@@ -1,5 +1,5 @@
-//! Debug unit (RM0399, 63.5.8): who the chip is, and what a debugger may stop. There is no debugger, so nothing comes of the
-//! settings.
+//! Debug unit (RM0399, 63.5.8): identity of the chip, and settings for debuggers. Without a debugger the settings have
+//! no effect.
 
 use crate::{
     Context, Peripheral, Size, Unmodelled,
@@ -8,15 +8,15 @@ use crate::{
 
 const IDC: u32 = 0x00;
 const CR: u32 = 0x04;
-/// APB3FZ1, the first of the freeze registers.
+/// Offset of APB3FZ1, the first of the freeze registers.
 const FREEZE: u32 = 0x34;
 const FREEZE_END: u32 = 0x5C;
 
-/// Device 0x450, revision V.
+/// Identity: device 0x450, revision V.
 const IDENTITY: u32 = 0x2003_6450;
 const CR_BITS: u32 = 0x1070_01BF;
 
-/// DBGMCU. Only power-on resets it.
+/// Registers of DBGMCU. Only power-on resets them.
 pub struct Dbgmcu {
     control: u32,
     freeze: [u32; ((FREEZE_END - FREEZE) / 4) as usize],
@@ -29,7 +29,7 @@ impl Default for Dbgmcu {
 }
 
 impl Dbgmcu {
-    /// After power-on.
+    /// Makes the registers after power-on.
     #[must_use]
     pub fn new() -> Self {
         Self { control: 0, freeze: [0; ((FREEZE_END - FREEZE) / 4) as usize] }
@@ -63,7 +63,7 @@ impl Peripheral for Dbgmcu {
         Ok(())
     }
 
-    /// A reset of the chip leaves it as it is.
+    /// A reset of the chip leaves the registers unchanged.
     fn reset(&mut self, _: &mut Context<'_>) {}
 }
 

@@ -1,8 +1,8 @@
-//! Extended interrupt controller (RM0399, 21): lines 0 to 15, which are pins, and 16, for the Cortex-M7.
+//! Extended interrupt controller (RM0399, 21) for the Cortex-M7: lines 0 to 15, which are pins, and line 16.
 //!
-//! An edge that RTSR or FTSR chooses sets its bit of C1PR1, whether C1IMR1 lets it through or not; the interrupt lines
-//! follow both. Line 16 is the voltage detector of PWR; lines 17 to 21 can be set up and are raised by software only. Events (EMR),
-//! the D3 domain, the lines from 32 on and the registers of the Cortex-M4 are not modelled.
+//! An edge selected by RTSR or FTSR sets its bit of C1PR1, whether C1IMR1 unmasks it or not; the interrupt lines follow
+//! both registers. Line 16 is the voltage detector of PWR; lines 17 to 21 can be configured, and only software raises
+//! them. Events (EMR), the D3 domain, the lines from 32 on and the registers of the Cortex-M4 are not modelled.
 
 use crate::{
     Context, Edge, Peripheral, Pin, Size, Unmodelled,
@@ -19,24 +19,24 @@ const C1IMR1: u32 = 0x80;
 const C1EMR1: u32 = 0x84;
 const C1PR1: u32 = 0x88;
 
-/// Lines whose edge can be chosen.
+/// Lines with selectable edges.
 const CONFIGURABLE: u32 = 0x003F_FFFF;
-/// Lines of pins.
+/// Lines that are pins.
 const PINS: u32 = 0xFFFF;
-/// The other lines let everything through.
+/// Mask register after reset: all direct lines are unmasked.
 const MASK_AT_RESET: u32 = 0xFFC0_0000;
 
-/// NVIC positions with the lines that raise them.
+/// Interrupt numbers, with the EXTI lines that raise them.
 const IRQS: [(u16, u32); 8] =
     [(1, 1 << 16), (6, 1), (7, 1 << 1), (8, 1 << 2), (9, 1 << 3), (10, 1 << 4), (23, 0x03E0), (40, 0xFC00)];
 
-/// EXTI.
+/// State of the EXTI.
 pub struct Exti {
     rising: u32,
     falling: u32,
     mask: u32,
     pending: u32,
-    /// Which of [`IRQS`] are raised.
+    /// Raised interrupt lines, in the order of [`IRQS`].
     raised: [bool; IRQS.len()],
 }
 
@@ -47,13 +47,13 @@ impl Default for Exti {
 }
 
 impl Exti {
-    /// After a reset.
+    /// Makes the controller in its reset state.
     #[must_use]
     pub fn new() -> Self {
         Self { rising: 0, falling: 0, mask: MASK_AT_RESET, pending: 0, raised: [false; IRQS.len()] }
     }
 
-    /// A pin changes. The input is taken at once: it is asynchronous and needs no clock.
+    /// Handles an edge at a pin. The input is asynchronous and needs no clock, so it takes effect at once.
     pub fn edge(&mut self, syscfg: &Syscfg, edge: Edge, context: &mut Context<'_>) {
         let chosen = if edge.high { self.rising } else { self.falling };
         if syscfg.exti_pin(edge.pin.number) == edge.pin && chosen >> edge.pin.number & 1 != 0 {
@@ -62,20 +62,20 @@ impl Exti {
         }
     }
 
-    /// A line from 16 on changes its level.
+    /// Handles a change of a line from 16 on.
     pub fn line(&mut self, line: u8, high: bool, context: &mut Context<'_>) {
         let chosen = if high { self.rising } else { self.falling };
         self.pending |= chosen & CONFIGURABLE & 1 << (line & 31);
         self.raise(context);
     }
 
-    /// Whether a write there may change [`Exti::watched`]: to RTSR, FTSR or IMR, not to the pending bits.
+    /// Returns true for registers that may change [`Exti::watched`]: RTSR, FTSR or IMR, not the pending bits.
     #[must_use]
     pub fn chooses(offset: u32) -> bool {
         !matches!(offset & !3, SWIER1 | C1PR1)
     }
 
-    /// Pins of which an edge would raise an interrupt.
+    /// Returns the pins of which an edge would raise an interrupt.
     pub fn watched<'a>(&self, syscfg: &'a Syscfg) -> impl Iterator<Item = Pin> + use<'a> {
         let lines = (self.rising | self.falling) & self.mask & PINS;
         (0..16).filter(move |line| lines >> line & 1 != 0).map(|line| syscfg.exti_pin(line))
@@ -113,7 +113,7 @@ impl Peripheral for Exti {
         let at = offset & !3;
         let before = self.value(at).ok_or_else(|| Unmodelled::register("EXTI", offset))?;
         let whole = merged(before, offset, size, value);
-        // For bits that are written with 1 to act, what is not written is 0.
+        // For bits that act when written with 1, unwritten bits are 0.
         let acting = merged(0, offset, size, value);
         match at {
             RTSR1 => self.rising = whole & CONFIGURABLE,
@@ -140,7 +140,7 @@ mod tests {
     use super::*;
     use crate::{Signal, testing::Bench};
 
-    /// Line 10 on port I, both edges, let through.
+    /// Makes EXTI line 10 on port I, with both edges, unmasked.
     fn encoder() -> (Exti, Syscfg, Bench) {
         let (mut exti, mut syscfg, mut bench) = (Exti::new(), Syscfg::new(), Bench::default());
         bench.write(&mut syscfg, 0x10, 8 << 8);
@@ -196,7 +196,7 @@ mod tests {
         let (mut exti, mut bench) = (Exti::new(), Bench::default());
         bench.write(&mut exti, C1IMR1, 0x1FFFF);
         for line in 0..17 {
-            // RM0399, table of the vectors: 6 to 10, 23, 40, and PVD_PVM is 1.
+            // Numbers of RM0399's table of vectors: 6 to 10, 23, 40, and 1 for PVD_PVM.
             let number = [6, 7, 8, 9, 10, 23, 23, 23, 23, 23, 40, 40, 40, 40, 40, 40, 1][line];
             bench.write(&mut exti, SWIER1, 1 << line);
             bench.write(&mut exti, C1PR1, 1 << line);

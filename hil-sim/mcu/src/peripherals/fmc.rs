@@ -1,6 +1,7 @@
-//! Flexible memory controller (RM0399, 23): BCR1 only, so that a program can turn bank 1 off, which is on after a reset.
+//! Flexible memory controller (RM0399, 23). Only BCR1 is modelled, so that a program can disable bank 1, which is
+//! enabled after a reset.
 //!
-//! No external memory is modelled: anything else ends the run.
+//! The model has no external memory: any other access ends the run.
 
 use crate::{
     Context, Peripheral, Size, Unmodelled,
@@ -8,11 +9,11 @@ use crate::{
 };
 
 const BCR1: u32 = 0x00;
-/// MBKEN, MTYP = NOR, MWID = 16 bits, WREN, WAITEN and others.
+/// Reset value of BCR1: MBKEN, MTYP = NOR, MWID = 16 bits, WREN, WAITEN and others.
 const BCR1_AT_RESET: u32 = 0x0000_30DB;
 const MBKEN: u32 = 1;
 
-/// FMC.
+/// Registers of the FMC.
 pub struct Fmc {
     bcr1: u32,
 }
@@ -24,13 +25,14 @@ impl Default for Fmc {
 }
 
 impl Fmc {
-    /// After a reset.
+    /// Makes the controller in its reset state.
     #[must_use]
     pub fn new() -> Self {
         Self { bcr1: BCR1_AT_RESET }
     }
 
-    /// Whether bank 1 answers (at 0x6000_0000). The processor may then read there ahead of the program, and wait.
+    /// Returns true while bank 1 (at 0x6000_0000) is enabled. The processor may then read there speculatively, and
+    /// stall.
     #[must_use]
     pub fn bank_1_on(&self) -> bool {
         self.bcr1 & MBKEN != 0

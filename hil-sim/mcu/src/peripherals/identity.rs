@@ -1,4 +1,4 @@
-//! What is engraved in the chip (RM0399, 64): the unique number and the size of the flash, from 0x1FF1_E800 on.
+//! Engraved identity of the chip (RM0399, 64): the unique number and the size of the flash, from 0x1FF1_E800 on.
 
 use crate::{Context, Peripheral, Size, Unmodelled, peripherals::access::part};
 
@@ -6,16 +6,16 @@ const UNIQUE: u32 = 0x00;
 const UNIQUE_END: u32 = 0x0C;
 const FLASH_SIZE: u32 = 0x80;
 
-/// KiB.
+/// Size of the flash, KiB.
 const FLASH_KIB: u32 = 2048;
 
-/// Read-only.
+/// Read-only registers with the identity.
 pub struct Identity {
     unique: [u32; 3],
 }
 
 impl Identity {
-    /// A chip with this 96-bit number.
+    /// Makes the identity with this 96-bit unique number.
     #[must_use]
     pub fn new(unique: [u32; 3]) -> Self {
         Self { unique }

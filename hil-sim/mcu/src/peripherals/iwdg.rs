@@ -1,8 +1,8 @@
-//! Independent watchdog 1 (RM0399, 49), on LSI.
+//! Independent watchdog IWDG1 (RM0399, 49), clocked by LSI.
 //!
-//! Started by 0xCCCC it counts down from 0xFFF, not from RLR: that is taken at the first refresh. It cannot be stopped but by
-//! a reset of the chip, which it demands when the count ends, or when it is refreshed outside its window. Changes of PR,
-//! RLR and WINR act five LSI cycles after the write, the most that the manual allows; SR says so until then. A changed
+//! Started by 0xCCCC, it counts down from 0xFFF; RLR is loaded at the first refresh only. Only a reset of the chip
+//! stops it. It requests one when the count ends, or at a refresh outside its window. Changes of PR, RLR and WINR act
+//! five LSI cycles after the write, the longest delay that the manual allows; SR shows it until then. A changed
 //! prescaler begins a new prescaler period.
 
 use crate::{Context, Peripheral, ResetCause, Signal, Size, Ticks, Unmodelled};
@@ -20,7 +20,7 @@ const START: u32 = 0xCCCC;
 const COUNT_AT_START: u32 = 0xFFF;
 const UPDATE_CYCLES: u64 = 5;
 
-/// A register that takes its time.
+/// Register whose writes take effect later.
 #[derive(Clone, Copy)]
 struct Delayed {
     value: u32,
@@ -39,7 +39,7 @@ impl Delayed {
     }
 }
 
-/// The count while it runs.
+/// Down-counter while it runs.
 #[derive(Clone, Copy)]
 struct Counter {
     from: u32,
@@ -51,20 +51,20 @@ impl Counter {
         u64::from(self.from).saturating_sub(self.ticks.at(now_ns)) as u32
     }
 
-    /// The tick after 0.
+    /// Returns the time of the tick after 0, ns.
     fn ends_ns(&self) -> u64 {
         self.ticks.when_ns(u64::from(self.from) + 1)
     }
 }
 
-/// IWDG1.
+/// State of the watchdog IWDG1.
 pub struct Iwdg {
     unlocked: bool,
     prescaler: Delayed,
     reload: Delayed,
     window: Delayed,
     counter: Option<Counter>,
-    /// The reset was demanded.
+    /// The reset was requested.
     fired: bool,
 }
 
@@ -75,7 +75,7 @@ impl Default for Iwdg {
 }
 
 impl Iwdg {
-    /// After a reset: not running.
+    /// Makes the watchdog in its reset state, not running.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -88,20 +88,20 @@ impl Iwdg {
         }
     }
 
-    /// Whether it was started.
+    /// Returns true after the watchdog was started.
     #[must_use]
     pub fn is_running(&self) -> bool {
         self.counter.is_some()
     }
 
-    /// Starts it: by its key, or by the option bytes (IWDG1_SW) at each reset.
+    /// Starts the watchdog: by its key, or by the option bytes (IWDG1_SW) at each reset.
     pub fn start(&mut self, context: &mut Context<'_>) {
         if self.counter.is_none() {
             self.count_from(COUNT_AT_START, context.now_ns, context);
         }
     }
 
-    /// LSI cycles per count.
+    /// Returns the number of LSI cycles per count.
     fn divider(&self) -> u64 {
         4 << self.prescaler.value.min(6)
     }
@@ -151,7 +151,8 @@ impl Iwdg {
             return;
         }
         register.next = Some((lsi.when_ns(UPDATE_CYCLES), value & mask));
-        // "Write to the window register. This automatically refreshes the counter" (RM0399, 49.3.3), inside the window or not.
+        // The write refreshes the counter, inside the window or not: "Write to the window register. This automatically
+        // refreshes the counter" (RM0399, 49.3.3).
         if offset == WINR && self.counter.is_some() {
             self.count_from(self.reload.value, context.now_ns, context);
         }
@@ -186,7 +187,7 @@ impl Peripheral for Iwdg {
 
     fn next_event_ns(&self) -> u64 {
         let Some(counter) = self.counter.filter(|_| !self.fired) else { return u64::MAX };
-        // A new prescaler moves the end.
+        // A pending change of the prescaler moves the end.
         self.prescaler.next.map_or(u64::MAX, |(at_ns, _)| at_ns).min(counter.ends_ns())
     }
 
@@ -210,7 +211,7 @@ impl Peripheral for Iwdg {
         }
     }
 
-    /// A reset of the chip, the only thing that stops it.
+    /// Handles a reset of the chip, the only way to stop the watchdog.
     fn reset(&mut self, _: &mut Context<'_>) {
         *self = Self::new();
     }
@@ -222,10 +223,11 @@ mod tests {
     use crate::testing::Bench;
 
     const RESET: [Signal; 1] = [Signal::Reset(ResetCause::Watchdog)];
-    /// LSI of the bench.
+    /// LSI frequency of the bench, Hz.
     const LSI_HZ: u64 = 32_000;
 
-    /// As a driver does it: /32 and 99, so 100 ms, then started and refreshed once the values are taken.
+    /// Starts the watchdog as a driver does: /32 and 99, so 100 ms, then started, and refreshed once the values have
+    /// taken effect.
     fn running() -> (Iwdg, Bench) {
         let (mut iwdg, mut bench) = (Iwdg::new(), Bench::default());
         for (at, value) in [(KR, UNLOCK), (PR, 3), (RLR, 99), (KR, START)] {
@@ -268,7 +270,7 @@ mod tests {
         for (at, value) in [(KR, UNLOCK), (RLR, 9), (KR, START)] {
             bench.write(&mut iwdg, at, value);
         }
-        // 4096 counts of four cycles: 512 ms.
+        // The first period is 4096 counts of four cycles: 512 ms.
         assert_eq!(iwdg.next_event_ns(), 512_000_000);
         assert_eq!(bench.read(&mut iwdg, SR), 0b10, "RVU");
         bench.run(&mut iwdg, UPDATE_CYCLES * 1_000_000_000 / LSI_HZ);
@@ -319,7 +321,7 @@ mod tests {
     #[test]
     fn a_slow_oscillator_gives_more_time() {
         let (mut iwdg, mut bench) = running();
-        // DS12930: 31.4 to 32.6 kHz at 30 °C.
+        // Range of LSI in DS12930: 31.4 to 32.6 kHz at 30 °C.
         bench.clocks.lsi_hz = 31_400;
         iwdg.clocks_changed(&mut bench.context());
         assert_eq!(iwdg.next_event_ns(), 1_000_000 + (100 * 32 * 1_000_000_000_u64).div_ceil(31_400));

@@ -1,4 +1,4 @@
-//! The peripherals, one module each.
+//! Models of the peripherals, one module each.
 
 pub(crate) mod access;
 pub mod adc;

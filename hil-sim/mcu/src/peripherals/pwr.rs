@@ -1,19 +1,19 @@
-//! Power control (RM0399, 7) of a chip that is wired for its LDO, as on the Arduino Giga R1.
+//! Power control (RM0399, 7) of a chip wired for its LDO, as on the Arduino Giga R1.
 //!
-//! The supply configuration (the low byte of CR3) can be written once after power-on; until then VCORE is not said to be
-//! valid. Anything but the LDO alone would leave the Giga's core without supply, out of reach of a debugger until its
-//! power is cut: it ends the run. Scale 0 is scale 1 with the overdrive of SYSCFG_PWRCR.
+//! The supply configuration (the low byte of CR3) can be written once after power-on; until then VCORE is not reported
+//! as valid. Anything but the LDO alone would leave the Giga's core without supply, out of reach of a debugger until
+//! its power is cut: it ends the run. Scale 0 is scale 1 with the overdrive of SYSCFG_PWRCR.
 //!
-//! A change of the scale takes 20 µs. The manual gives no time; this is only so that a program has to wait.
+//! A change of the scale takes 20 µs. The manual gives no time; the value only forces programs to wait.
 //!
-//! **Supply.** The 3.3 V at VDD follow a list of changes ([`Pwr::supply_at`]). Below the brown-out level of the option bytes the chip
-//! is held in reset, up to 377 µs after the supply is back above it; below 1.62 V that is a power-on reset, in which RAM and what
-//! no battery keeps are lost. The programmable voltage detector (CR1.PVDEN, PLS) compares with a hysteresis of 100 mV and tells
-//! EXTI line 16. Thresholds are the typical ones of DS12930, "Reset and power control block characteristics" (recalled, not looked
-//! up).
+//! **Supply.** The 3.3 V supply at VDD follows a list of changes ([`Pwr::supply_at`]). Below the brown-out level of the
+//! option bytes the chip is held in reset, until 377 µs after the supply is back above it. Below 1.62 V it is a
+//! power-on reset, in which RAM and everything without a battery is lost. The programmable voltage detector (CR1.PVDEN,
+//! PLS) compares with a hysteresis of 100 mV and drives EXTI line 16. Thresholds are the typical ones of DS12930,
+//! "Reset and power control block characteristics" (recalled, not looked up).
 //!
-//! Low-power modes, the analog voltage detector (turning it on ends the run) and the monitors of battery and temperature are not
-//! modelled: settings of the latter are kept, and nothing comes of them.
+//! Low-power modes, the analog voltage detector (enabling it ends the run) and the monitors of battery and temperature
+//! are not modelled: settings of the latter are stored without effect.
 
 use std::{collections::VecDeque, fmt};
 
@@ -22,16 +22,16 @@ use crate::{
     peripherals::access::{merged, part},
 };
 
-/// Core voltage, from the highest to the lowest.
+/// Voltage scale of the core, from the highest to the lowest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum VoltageScale {
-    /// Up to 480 MHz: scale 1 and overdrive.
+    /// Core clock up to 480 MHz: scale 1 and overdrive.
     Vos0,
-    /// Up to 400 MHz.
+    /// Core clock up to 400 MHz.
     Vos1,
-    /// Up to 300 MHz.
+    /// Core clock up to 300 MHz.
     Vos2,
-    /// Up to 200 MHz, after reset.
+    /// Core clock up to 200 MHz; the scale after reset.
     Vos3,
 }
 
@@ -54,9 +54,9 @@ const CPUCR: u32 = 0x10;
 const CPU2CR: u32 = 0x14;
 const D3CR: u32 = 0x18;
 
-/// CR1.
+/// Bit of CR1: write access to the backup domain.
 const DBP: u32 = 1 << 8;
-/// CR3: BYPASS, LDOEN, SMPSEN, SMPSEXTHP, SMPSLEVEL.
+/// Supply field of CR3: BYPASS, LDOEN, SMPSEN, SMPSEXTHP, SMPSLEVEL.
 const SUPPLY: u32 = 0x3F;
 const LDO_ONLY: u32 = 1 << 1;
 const SUPPLY_AT_RESET: u32 = 0b110;
@@ -64,23 +64,24 @@ const USB33DEN: u32 = 1 << 24;
 
 const SETTLE_NS: u64 = 20_000;
 
-/// CR1 and CSR1.
+/// Bits of CR1 and CSR1 for the voltage detectors.
 const PVDEN: u32 = 1 << 4;
 const AVDEN: u32 = 1 << 16;
 const PVDO: u32 = 1 << 4;
-/// EXTI line of the detectors.
+/// EXTI line of the voltage detectors.
 const PVD_LINE: u8 = 16;
 /// Rising thresholds of the detector by PLS, mV; code 7 compares a pin (PWR_CR1).
 const PVD_RISING_MV: [u32; 7] = [1950, 2100, 2250, 2400, 2550, 2700, 2850];
 const PVD_HYSTERESIS_MV: u32 = 100;
-/// Falling and rising thresholds of the brown-out reset by BOR_LEV, mV; level 0 is power-on and power-down reset alone.
+/// Falling and rising thresholds of the brown-out reset by BOR_LEV, mV; level 0 is the power-on and power-down reset
+/// alone.
 const BROWN_OUT_MV: [(u32, u32); 4] = [(1620, 1670), (2000, 2100), (2310, 2410), (2610, 2700)];
-/// The reset lasts so long after the supply is back.
+/// Duration of the reset after the supply is back, ns.
 const RESET_NS: u64 = 377_000;
-/// The supply of a board that nothing is wrong with, mV.
+/// Supply voltage of a healthy board, mV.
 pub const NOMINAL_MV: u32 = 3300;
 
-/// PWR.
+/// State of power control and supply.
 pub struct Pwr {
     cr1: u32,
     cr2: u32,
@@ -88,31 +89,31 @@ pub struct Pwr {
     supply_written: bool,
     cpucr: u32,
     cpu2cr: u32,
-    /// D3CR.VOS.
+    /// Field D3CR.VOS, the requested scale.
     vos: u32,
     overdrive: bool,
-    /// What the regulator gave before.
+    /// Scale before the present change.
     from: VoltageScale,
-    /// When it gives what is asked for.
+    /// End of the present change of the scale, ns.
     settled_ns: u64,
-    /// Advanced since then.
+    /// The end of the change was handled.
     seen: bool,
     supply: Supply,
-    /// PVDO.
+    /// Detector output PVDO: the supply is low.
     low: bool,
-    /// BOR_LEV of the option bytes.
+    /// Brown-out level of the option bytes, BOR_LEV.
     brown_out_level: u8,
 }
 
-/// VDD, and what follows from it alone.
+/// Supply voltage VDD, with the state that depends on it alone.
 #[derive(Clone, Debug)]
 struct Supply {
     now_mv: u32,
-    /// Still to come, in order of time.
+    /// Future changes of VDD in order of time: ns, mV.
     changes: VecDeque<(u64, u32)>,
-    /// The chip is in reset; until then, `u64::MAX` while the supply is too low.
+    /// End of the reset by the supply, ns; `u64::MAX` while the supply is too low; `None` without a reset.
     held_until_ns: Option<u64>,
-    /// It fell below the power-down threshold since somebody asked.
+    /// VDD fell below the power-down threshold since the last check.
     lost: bool,
 }
 
@@ -123,7 +124,7 @@ impl Default for Pwr {
 }
 
 impl Pwr {
-    /// After power-on.
+    /// Makes the state after power-on.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -144,37 +145,36 @@ impl Pwr {
         }
     }
 
-    /// VDD is so high from `at_ns` on. Changes are told in order of time; an earlier one that is still to come and is later than
-    /// this one is forgotten.
+    /// Sets VDD from `at_ns` on, mV. Calls must be in order of time: pending changes later than this one are dropped.
     pub fn supply_at(&mut self, at_ns: u64, millivolts: u32) {
         self.supply.changes.retain(|(other_ns, _)| *other_ns < at_ns);
         self.supply.changes.push_back((at_ns, millivolts));
     }
 
-    /// VDD, mV.
+    /// Returns the present supply voltage VDD, mV.
     #[must_use]
     pub fn supply_mv(&self) -> u32 {
         self.supply.now_mv
     }
 
-    /// The chip is held in reset by its supply.
+    /// Returns true while the supply holds the chip in reset.
     #[must_use]
     pub fn is_held(&self) -> bool {
         self.supply.held_until_ns.is_some()
     }
 
-    /// Whether VDD fell so low since the last time that RAM has lost its content.
+    /// Returns true if VDD fell so low since the last call that RAM lost its content.
     pub fn take_power_loss(&mut self) -> bool {
         std::mem::take(&mut self.supply.lost)
     }
 
-    /// Power was lost: the supply configuration and CR2 go too.
+    /// Resets what a loss of power clears: the supply configuration and CR2 too.
     pub fn power_on(&mut self) {
         let (supply, brown_out_level) = (self.supply.clone(), self.brown_out_level);
         *self = Self { supply, brown_out_level, ..Self::new() };
     }
 
-    /// BOR_LEV of the option bytes, 0 to 3.
+    /// Sets BOR_LEV of the option bytes, 0 to 3.
     pub fn set_brown_out_level(&mut self, level: u8) {
         self.brown_out_level = level & 3;
     }
@@ -183,6 +183,7 @@ impl Pwr {
         while let Some((_, millivolts)) = self.supply.changes.pop_front_if(|(at_ns, _)| *at_ns <= context.now_ns) {
             self.supply.now_mv = millivolts;
             let (falling, rising) = BROWN_OUT_MV[usize::from(self.brown_out_level)];
+            // The power-on threshold comes first: below it RAM is lost as well, whatever BOR_LEV is.
             if millivolts < BROWN_OUT_MV[0].0 && !self.supply.lost {
                 (self.supply.held_until_ns, self.supply.lost) = (Some(u64::MAX), true);
                 context.signals.push(Signal::Reset(ResetCause::PowerOn));
@@ -199,9 +200,10 @@ impl Pwr {
         self.compare(context);
     }
 
-    /// The detector.
+    /// Updates the voltage detector.
     fn compare(&mut self, context: &mut Context<'_>) {
         let rising = PVD_RISING_MV.get((self.cr1 >> 5 & 7) as usize).copied().filter(|_| self.cr1 & PVDEN != 0);
+        // The hysteresis: a low supply must reach the rising threshold, a good one fall below the lower threshold.
         let threshold = rising.map(|rising| if self.low { rising } else { rising - PVD_HYSTERESIS_MV });
         let low = threshold.is_some_and(|threshold| self.supply.now_mv < threshold);
         if low != self.low {
@@ -210,26 +212,27 @@ impl Pwr {
         }
     }
 
-    /// The scale that the core can rely on at `now_ns`: during a change, the lower of the two.
+    /// Returns the scale that the core can rely on at `now_ns`: during a change, the lower of the two.
     #[must_use]
     pub fn scale(&self, now_ns: u64) -> VoltageScale {
         let target = self.target();
+        // A larger `VoltageScale` is a lower voltage.
         if now_ns >= self.settled_ns { target } else { target.max(self.from) }
     }
 
-    /// Whether the backup domain can be written (CR1.DBP).
+    /// Returns true if the backup domain is writable (CR1.DBP).
     #[must_use]
     pub fn backup_writable(&self) -> bool {
         self.cr1 & DBP != 0
     }
 
-    /// Whether the USB transceiver has its supply (CR3.USB33DEN; 3.3 V are always on its pin).
+    /// Returns true if the USB transceiver has its supply (CR3.USB33DEN; its pin always has 3.3 V).
     #[must_use]
     pub fn usb_supplied(&self) -> bool {
         self.cr3 & USB33DEN != 0
     }
 
-    /// SYSCFG_PWRCR.ODEN, as it was written.
+    /// Takes the present value of SYSCFG_PWRCR.ODEN.
     pub fn set_overdrive(&mut self, on: bool, context: &mut Context<'_>) {
         if on == self.overdrive {
             return;
@@ -270,9 +273,9 @@ impl Pwr {
                 };
                 Some(settled << 13 | actual << 14 | if self.low { PVDO } else { 0 })
             }
-            // BRRDY follows BREN.
+            // BRRDY equals BREN, without delay.
             CR2 => Some(self.cr2 | brought(1 << 16)),
-            // USB33RDY: the supply is there, and is looked at while USB33DEN is set.
+            // USB33RDY is set while USB33DEN is, because the supply is always present.
             CR3 => Some(self.cr3 | (self.cr3 & USB33DEN) << 2),
             CPUCR => Some(self.cpucr),
             CPU2CR => Some(self.cpu2cr),
@@ -326,14 +329,14 @@ impl Peripheral for Pwr {
             }
             CR2 => self.cr2 = value & 0b1_0001,
             CR3 => {
-                // A byte or half-word above the supply's is no write of the supply.
+                // A byte or half-word write above the supply's byte does not write the supply.
                 if offset & 3 == 0 {
                     self.write_supply(value, context)?;
                 }
                 const OTHERS: u32 = 0x0300_0300;
                 self.cr3 = self.cr3 & !OTHERS | value & OTHERS;
             }
-            // CSSF removes the flags of Stop and Standby, which are never set, and reads as 0.
+            // CSSF clears the flags of Stop and Standby, which are never set; it reads as 0.
             CPUCR => self.cpucr = value & 0x0000_0807,
             CPU2CR => self.cpu2cr = value & 0x0000_0807,
             D3CR => {
@@ -351,7 +354,7 @@ impl Peripheral for Pwr {
         Ok(())
     }
 
-    /// When the voltage arrives: the limits of clocks and flash are others from then on.
+    /// Returns the time of the next change of voltage, ns: the limits of clocks and flash change then.
     fn next_event_ns(&self) -> u64 {
         let settled_ns = if self.seen { u64::MAX } else { self.settled_ns };
         let change_ns = self.supply.changes.front().map_or(u64::MAX, |(at_ns, _)| *at_ns);
@@ -359,7 +362,7 @@ impl Peripheral for Pwr {
     }
 
     fn stable_until_ns(&self, _: u32, now_ns: u64) -> Option<u64> {
-        // The supply's first settling is no event.
+        // The first settling of the supply is not an event.
         let settled_ns = if now_ns < self.settled_ns { self.settled_ns } else { u64::MAX };
         Some(self.next_event_ns().min(settled_ns))
     }
@@ -369,7 +372,7 @@ impl Peripheral for Pwr {
         self.follow_supply(context);
     }
 
-    /// A reset of the chip. The supply configuration and CR2 outlive it.
+    /// Resets the chip's power control. The supply configuration and CR2 survive.
     fn reset(&mut self, context: &mut Context<'_>) {
         let kept = (self.cr2, self.cr3, self.supply_written);
         let (supply, brown_out_level) = (self.supply.clone(), self.brown_out_level);
@@ -405,7 +408,8 @@ mod tests {
 
     #[test]
     fn a_supply_that_bricks_a_giga_ends_the_run() {
-        // SMPS alone, SMPS for the LDO, both at once as after reset, bypass: RM0399, table "Supply configuration control".
+        // Cases of RM0399, table "Supply configuration control": SMPS alone, SMPS for the LDO, both at once as after
+        // reset, bypass.
         for supply in [0b100, 0b1_0110, 0b110, 0b001] {
             let (mut pwr, mut bench) = (Pwr::new(), Bench::default());
             let error = bench.try_write(&mut pwr, CR3, Size::Word, supply).unwrap_err();
@@ -489,7 +493,7 @@ mod tests {
             assert!(!pwr.is_held());
             bench.run(&mut pwr, start_ns + 2_000);
             assert_eq!(bench.take_signals(), [Signal::Reset(ResetCause::BrownOut)]);
-            // The machine carries the reset out.
+            // In this test the reset is carried out by hand, as the machine would.
             pwr.reset(&mut bench.context());
             bench.run(&mut pwr, start_ns + 4_000 + RESET_NS - 1);
             assert!(pwr.is_held());

@@ -1,60 +1,61 @@
-//! RNG, the random number generator (RM0399, chapter 36): here deterministic, from a seed.
+//! Random number generator RNG (RM0399, chapter 36), deterministic from a seed.
 //!
-//! The numbers are those of SplitMix64 (Steele, Lea, Flood, *Fast Splittable Pseudorandom Number Generators*, OOPSLA 2014),
-//! upper halves, zeros left out, because the manual says that a good number is not 0. They come at the times of 36.5. The RNG
-//! clock is taken to be HSI48, which is the reset value of its multiplexer. A reset by RCC does not start the numbers again.
+//! The numbers are the upper halves of SplitMix64 (Steele, Lea, Flood, *Fast Splittable Pseudorandom Number
+//! Generators*, OOPSLA 2014), without zeros, because the manual states that a valid number is not 0. Their times are
+//! those of 36.5. The RNG clock is assumed to be HSI48, the reset value of its multiplexer. A reset by RCC does not
+//! restart the sequence.
 
 use crate::context::{Clocks, Context, Ticks};
 use crate::peripheral::{Peripheral, Size, Unmodelled};
 
 const NAME: &str = "RNG";
-/// Position in the vector table (RM0399, chapter 20).
+/// Interrupt number, the position in the vector table (RM0399, chapter 20).
 const IRQ: u16 = 80;
 
 const CR: u32 = 0x00;
 const SR: u32 = 0x04;
 const DR: u32 = 0x08;
 
-/// Bits of CR (36.7.1).
+/// Bits of the control register CR (36.7.1).
 const RNGEN: u32 = 1 << 2;
 const IE: u32 = 1 << 3;
 const CED: u32 = 1 << 5;
 
-/// Bits of SR (36.7.2).
+/// Bits of the status register SR (36.7.2).
 const DRDY: u32 = 1 << 0;
 const CECS: u32 = 1 << 1;
 const SECS: u32 = 1 << 2;
 const CEIS: u32 = 1 << 5;
 const SEIS: u32 = 1 << 6;
 
-/// Words of the output buffer.
+/// Size of the output buffer, words.
 const BUFFER: u32 = 4;
-/// Words that are discarded after a seed error (36.3.7).
+/// Number of words to discard after a seed error (36.3.7).
 const DISCARDED: u32 = 12;
-/// AHB clocks of a conditioning round.
+/// Duration of a conditioning round, AHB clocks.
 const ROUND: u64 = 213;
 
-/// The generator.
+/// State of the generator.
 #[derive(Clone, Debug)]
 pub struct Rng {
     state: u64,
     cr: u32,
     seed_interrupt: bool,
     clock_interrupt: bool,
-    /// Current seed error, and words to be read until it is over.
+    /// Present seed error, with the number of words to read until it ends.
     seed_error: Option<u32>,
-    /// Words that can be read.
+    /// Number of words that can be read.
     ready: u32,
-    /// When the buffer is filled.
+    /// Time at which the buffer is filled, ns.
     fill_ns: Option<u64>,
-    /// It has delivered since it was reset: the conditioning is set up.
+    /// The conditioning is set up: words were delivered since the reset.
     warm: bool,
     clocks: Clocks,
     line: bool,
 }
 
 impl Rng {
-    /// The same seed gives the same numbers.
+    /// Makes a generator; the same seed gives the same numbers.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self {
@@ -71,7 +72,7 @@ impl Rng {
         }
     }
 
-    /// The noise source fails its test now: SEIS and SECS, until the program has recovered as 36.3.7 says.
+    /// Injects a failed test of the noise source: SEIS and SECS, until the program has recovered according to 36.3.7.
     pub fn inject_seed_error(&mut self, context: &mut Context<'_>) {
         self.bring_to_now(context);
         if self.enabled() {
@@ -94,18 +95,19 @@ impl Rng {
             mixed = (mixed ^ mixed >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
             mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
             let upper = ((mixed ^ mixed >> 31) >> 32) as u32;
+            // A valid number is not 0.
             if upper != 0 {
                 return upper;
             }
         }
     }
 
-    /// Too slow against the AHB clock (36.3.6).
+    /// Returns true if the RNG clock is too slow against the AHB clock (36.3.6).
     fn clock_error(&self) -> bool {
         self.enabled() && self.cr & CED == 0 && self.clocks.hsi48_hz * 32 < self.clocks.ahb_hz
     }
 
-    /// A round begins now, if nothing is left and nothing is wrong.
+    /// Starts a round if the buffer is empty and there is no error.
     fn begin_round(&mut self, now_ns: u64) {
         if !self.enabled() || self.ready > 0 || self.fill_ns.is_some() || self.seed_error.is_some() {
             return;
@@ -115,6 +117,7 @@ impl Rng {
             return;
         }
         let after = |clocks: u64, frequency_hz: u64| Ticks { start_ns: 0, frequency_hz, divider: 1 }.when_ns(clocks);
+        // Cycle counts of 36.5; the first words after a reset take longer, by counts that depend on the clock ratio.
         let takes_ns = if self.warm {
             after(ROUND, ahb_hz).max(after(16, rng_hz))
         } else if ahb_hz < ROUND * rng_hz / 64 {
@@ -149,11 +152,12 @@ impl Rng {
         .fold(0, |value, (_, bit)| value | bit)
     }
 
-    /// DR is read: 0 when there is nothing.
+    /// Reads DR: 0 if the buffer is empty.
     fn take(&mut self, context: &mut Context<'_>) -> u32 {
         if self.seed_interrupt || self.clock_interrupt && self.ready == 0 {
             context.misuse(NAME, "DR is read in spite of an error (RM0399, 36.3.5)");
         }
+        // After SEIS is cleared, the words to discard read as 0 (36.3.7).
         if let Some(left) = self.seed_error.filter(|_| !self.seed_interrupt) {
             self.seed_error = Some(left - 1).filter(|left| *left > 0);
             self.begin_round(context.now_ns);
@@ -176,7 +180,7 @@ impl Rng {
         }
         self.cr = value;
         if !self.enabled() {
-            // What is in the buffer can still be read; the noise source stops.
+            // The buffer remains readable; the noise source stops.
             self.fill_ns = None;
             self.seed_error = None;
         }
@@ -192,7 +196,7 @@ impl Rng {
         self.line = level;
     }
 
-    /// Anything else than words is a bus error (36.1).
+    /// Refuses accesses other than words, which are bus errors (36.1).
     fn words_only(size: Size) -> Result<(), Unmodelled> {
         match size {
             Size::Word => Ok(()),
@@ -221,6 +225,7 @@ impl Peripheral for Rng {
         match offset {
             CR => self.write_cr(value, context),
             SR => {
+                // Flags are cleared by writing 0.
                 self.seed_interrupt &= value & SEIS != 0;
                 self.clock_interrupt &= value & CEIS != 0;
             }
@@ -242,13 +247,14 @@ impl Peripheral for Rng {
 
     fn clocks_changed(&mut self, context: &mut Context<'_>) {
         self.clocks = *context.clocks;
-        // A round that is under way begins again.
+        // A round in progress starts again.
         self.fill_ns = None;
         self.bring_to_now(context);
         self.update_line(context);
     }
 
     fn reset(&mut self, context: &mut Context<'_>) {
+        // The sequence continues after a reset by RCC.
         *self = Self { state: self.state, clocks: *context.clocks, line: self.line, ..Self::new(0) };
         self.update_line(context);
     }
@@ -263,7 +269,7 @@ mod tests {
         Bench::new(Rng::new(seed), Clocks { ahb_hz: 240_000_000, hsi48_hz: 48_000_000, ..Clocks::default() })
     }
 
-    /// Polls as 36.3.5 says.
+    /// Reads numbers with the polling procedure of 36.3.5.
     fn numbers(bench: &mut Bench<Rng>, count: usize) -> Vec<u32> {
         let mut numbers = Vec::new();
         while numbers.len() < count {
@@ -281,7 +287,7 @@ mod tests {
 
     #[test]
     fn the_first_number_of_seed_0_is_published() {
-        // SplitMix64 of 0 begins with 0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4.
+        // Published sequence: SplitMix64 of seed 0 begins with 0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4.
         let mut bench = bench(0);
         bench.write(CR, RNGEN);
         assert_eq!(numbers(&mut bench, 2), [0xE220_A839, 0x6E78_9E6A]);
@@ -304,7 +310,7 @@ mod tests {
         let mut bench = bench(1);
         assert_eq!(bench.read(SR), 0);
         bench.write(CR, RNGEN | IE);
-        // 240 MHz is above 213 * 48 MHz / 64: 192 periods of 48 MHz, 213 of 240 MHz.
+        // Because 240 MHz exceeds 213 * 48 MHz / 64: 192 periods of 48 MHz, then 213 of 240 MHz.
         let first_ns = 4_000 + 888;
         bench.run_until(first_ns - 1);
         assert_eq!(bench.read(SR) & DRDY, 0);
@@ -316,7 +322,7 @@ mod tests {
             assert_ne!(bench.read(DR), 0);
         }
         assert!(!bench.irq(80));
-        // 213 AHB clocks are longer than 16 of the RNG clock.
+        // The round takes 213 AHB clocks, which are longer than 16 of the RNG clock.
         bench.run_until(first_ns + 887);
         assert_eq!(bench.read(SR), 0);
         bench.run_until(first_ns + 888);

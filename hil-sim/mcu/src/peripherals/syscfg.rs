@@ -1,7 +1,7 @@
-//! System configuration (RM0399, 12 "SYSCFG"): which port has an EXTI line, overdrive, I/O compensation cell.
+//! System configuration (RM0399, 12 "SYSCFG"): port selection of EXTI lines, overdrive, I/O compensation cell.
 //!
-//! Fast-mode plus, analog switches and boosters are settings that are kept; they change nothing here. The user registers
-//! (option bytes read back), package and compensation codes are not modelled.
+//! Fast-mode plus, analog switches and boosters are settings stored without effect. The user registers (option bytes
+//! read back), package and compensation codes are not modelled.
 
 use crate::{
     Context, Peripheral, Pin, Size, Unmodelled,
@@ -15,12 +15,12 @@ const CCCSR: u32 = 0x20;
 const CCCR: u32 = 0x28;
 const PWRCR: u32 = 0x2C;
 
-/// PA0SO to PC3SO: the switches to the `_C` pads are open.
+/// Reset value of PMCR: PA0SO to PC3SO, the switches to the `_C` pads are open.
 const PMCR_AT_RESET: u32 = 0x0F00_0000;
-/// Ports A to K.
+/// Number of ports, A to K.
 const PORTS: u32 = 11;
 
-/// SYSCFG.
+/// Registers of the SYSCFG.
 pub struct Syscfg {
     pmcr: u32,
     exticr: [u32; 4],
@@ -36,20 +36,20 @@ impl Default for Syscfg {
 }
 
 impl Syscfg {
-    /// After a reset.
+    /// Makes the unit in its reset state.
     #[must_use]
     pub fn new() -> Self {
         Self { pmcr: PMCR_AT_RESET, exticr: [0; 4], compensation: 0, codes: 0, overdrive: false }
     }
 
-    /// The pin that an EXTI line (0 to 15) is connected to.
+    /// Returns the pin that an EXTI line (0 to 15) is connected to.
     #[must_use]
     pub fn exti_pin(&self, line: u8) -> Pin {
         let port = self.exticr[usize::from(line / 4)] >> (4 * (line % 4)) & 0xF;
         Pin { port: port as u8, number: line }
     }
 
-    /// PWRCR.ODEN, which [`crate::peripherals::pwr::Pwr::set_overdrive`] must be told.
+    /// Returns PWRCR.ODEN, for [`crate::peripherals::pwr::Pwr::set_overdrive`].
     #[must_use]
     pub fn overdrive(&self) -> bool {
         self.overdrive
@@ -59,7 +59,7 @@ impl Syscfg {
         match at {
             PMCR => Some(self.pmcr),
             EXTICR1..=EXTICR4 => Some(self.exticr[((at - EXTICR1) / 4) as usize]),
-            // RDY follows EN.
+            // RDY equals EN, without delay.
             CCCSR => Some(self.compensation | (self.compensation & 1) << 8),
             CCCR => Some(self.codes),
             PWRCR => Some(self.overdrive.into()),

@@ -1,4 +1,4 @@
-//! Timers, DMA and the ADC wired to each other, as the chip wires them.
+//! Tests of timers, DMA and the ADC wired to each other, as in the chip.
 
 use crate::peripherals::adc::Adc12;
 use crate::peripherals::dma::{Access, BusError, Dma12};
@@ -7,7 +7,7 @@ use crate::testing::Bench;
 use crate::{Peripheral, Pin, Signal};
 
 const RAM: u32 = 0x2400_0000;
-/// GPIOK's BSRR: its writes are recorded with their time.
+/// Address of GPIOK's BSRR, whose writes are recorded with their time.
 const BSRR: u32 = 0x5802_2818;
 const ADC1_DR: u32 = 0x4002_2040;
 const TIM12: u32 = 0x4000_1800;
@@ -107,9 +107,9 @@ fn a_table_of_pin_changes_by_timer_and_dma() {
     let mut chip = Chip::new();
     let table = [1_u32, 1 << 16, 2, 2 << 16];
     chip.memory[..16].copy_from_slice(&table.map(u32::to_le_bytes).concat());
-    // Generator 0: one request for each rising edge of input 7.
+    // Generator 0 makes one request for each rising edge of input 7.
     chip.bench.write(&mut chip.dma, 0x900, 7 | 1 << 16 | 1 << 17);
-    // Words, memory to peripheral, circular.
+    // Settings: words, memory to peripheral, circular.
     chip.stream(3, 1, BSRR, 4, 1 << 6 | 1 << 8 | 1 << 10 | 2 << 11 | 2 << 13);
     let (bench, tim) = (&mut chip.bench, &mut chip.tim);
     bench.write(tim, 0x28, 239);
@@ -125,13 +125,13 @@ fn a_table_of_pin_changes_by_timer_and_dma() {
     chip.bench.assert_no_misuse();
 }
 
-/// Continuous conversions of two inputs fill a ring; half and all of it are told.
+/// Continuous conversions of two inputs fill a ring; interrupts report half and complete.
 #[test]
 fn a_ring_of_conversions() {
     let mut chip = Chip::new();
     chip.bench.outside.volts.insert(Pin::new('C', 4), 1.65);
     chip.bench.outside.volts.insert(Pin::new('C', 5), 0.825);
-    // Half-words, memory increment, circular, half and complete.
+    // Settings: half-words, memory increment, circular, interrupts at half and complete.
     chip.stream(0, 9, ADC1_DR, 4, 1 << 8 | 1 << 10 | 1 << 11 | 1 << 13 | 1 << 3 | 1 << 4);
     let on = 1 << 28 | 1 << 8;
     let (bench, adc) = (&mut chip.bench, &mut chip.adc);
@@ -143,7 +143,7 @@ fn a_ring_of_conversions() {
     bench.write(adc, 0x30, 1 | 4 << 6 | 8 << 12);
     bench.write(adc, 0x0c, 1 << 13 | 3);
     bench.write(adc, 0x08, on | 1 | 1 << 2);
-    // 1.5 + 8.5 clocks of 125 ns each.
+    // A conversion takes 1.5 + 8.5 clocks of 125 ns each.
     chip.run(20_000 + 2 * 1_250);
     assert_eq!(chip.interrupts, [(22_500, 11)]);
     chip.bench.write(&mut chip.dma, 0x08, 1 << 4);

@@ -1,8 +1,8 @@
-//! OTG_FS (RM0399, 60) as a device with no cable in its connector.
+//! OTG_FS (RM0399, 60) as a device without a cable in its connector.
 //!
-//! The core resets, idles and flushes as a driver waits for; settings are kept. Nothing ever arrives: no reset, no frame,
-//! no packet, not even the suspend that an idle line would bring. Reading what was received, sending (an enabled IN
-//! endpoint, the FIFOs) and host mode end the run. A link over USB is thus not tested by this model.
+//! The core resets, idles and flushes as a driver expects; settings are stored. Nothing ever arrives: no reset, no
+//! frame, no packet, not even the suspend that an idle line would bring. Reading received data, sending (an enabled IN
+//! endpoint, the FIFOs) and host mode end the run. So this model does not test a link over USB.
 
 use crate::{Context, Peripheral, Size, Unmodelled};
 
@@ -28,28 +28,28 @@ const DOEPMSK: u32 = 0x814;
 const DAINT: u32 = 0x818;
 const DAINTMSK: u32 = 0x81C;
 const DIEPEMPMSK: u32 = 0x834;
-/// DIEPCTL0 and DOEPCTL0; the other registers of an endpoint follow, 0x20 for each of nine.
+/// Offsets of DIEPCTL0 and DOEPCTL0; the other registers of the nine endpoints follow at intervals of 0x20.
 const IN: u32 = 0x900;
 const OUT: u32 = 0xB00;
 const ENDPOINTS: u32 = 9 * 0x20;
 const PCGCCTL: u32 = 0xE00;
 const END: u32 = 0xE04;
 
-/// GUSBCFG.
+/// Bits of GUSBCFG that force a mode.
 const FORCE_HOST: u32 = 1 << 29;
 #[cfg(test)]
 const FORCE_DEVICE: u32 = 1 << 30;
-/// GRSTCTL: AHBIDL, and what clears itself: CSRST, PSRST, FSRST, RXFFLSH, TXFFLSH.
+/// Bit of GRSTCTL: AHBIDL. CSRST, PSRST, FSRST, RXFFLSH and TXFFLSH clear themselves.
 const AHB_IDLE: u32 = 1 << 31;
-/// GINTSTS.
+/// Bit of GINTSTS: host mode.
 #[cfg(test)]
 const CURRENT_MODE_HOST: u32 = 1;
-/// DIEPCTLx, DOEPCTLx.
+/// Bit of DIEPCTLx and DOEPCTLx: endpoint enabled.
 const ENABLE: u32 = 1 << 31;
-/// Synopsys core as STM32H7 reports it (OTG_CID after a reset).
+/// Identity of the Synopsys core as STM32H7 reports it (OTG_CID after a reset).
 const CORE_ID: u32 = 0x0000_2300;
 
-/// OTG_FS.
+/// Stored registers of OTG_FS.
 pub struct Usb {
     registers: Box<[u32; (END / 4) as usize]>,
 }
@@ -61,7 +61,7 @@ impl Default for Usb {
 }
 
 impl Usb {
-    /// After a reset.
+    /// Makes the core in its reset state.
     #[must_use]
     pub fn new() -> Self {
         let mut registers = Box::new([0; (END / 4) as usize]);
@@ -79,7 +79,7 @@ impl Usb {
         Self { registers }
     }
 
-    /// Whether the driver has connected its pull-up: DCTL.SDIS is 0 and the transceiver is on.
+    /// Returns true if the driver has connected its pull-up: DCTL.SDIS is 0 and the transceiver is on.
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.registers[(DCTL / 4) as usize] & 1 << 1 == 0 && self.registers[(GCCFG / 4) as usize] & 1 << 16 != 0
@@ -87,7 +87,7 @@ impl Usb {
 
     fn is_plain(at: u32) -> bool {
         let endpoint = |base: u32| {
-            // DxEPCTL and DxEPTSIZ; DxEPINT has flags, which are never set.
+            // Stored registers are DxEPCTL and DxEPTSIZ, and DxEPINT, whose flags are never set.
             (base..base + ENDPOINTS).contains(&at) && matches!((at - base) % 0x20, 0 | 8 | 0x10)
         };
         matches!(
@@ -122,10 +122,10 @@ impl Peripheral for Usb {
         match offset {
             _ if size != Size::Word => Err(Unmodelled::register("OTG_FS", offset)),
             GRSTCTL => Ok(AHB_IDLE),
-            // Without an ID pin the core is in host mode only where that is forced, which is not modelled.
+            // Without an ID pin the core is in host mode only if that is forced, which is not modelled.
             GINTSTS => Ok(0),
             _ if offset < END && Self::is_plain(offset) => Ok(self.registers[(offset / 4) as usize]),
-            // DTXFSTSx: the FIFO is empty.
+            // DTXFSTSx reports an empty FIFO.
             _ if (IN..IN + ENDPOINTS).contains(&offset) && (offset - IN) % 0x20 == 0x18 => {
                 let number = (offset - IN) / 0x20;
                 let size = if number == 0 { DIEPTXF0 } else { DIEPTXF1 + 4 * (number - 1) };
@@ -144,7 +144,7 @@ impl Peripheral for Usb {
                 return Err(Unmodelled { peripheral: "OTG_FS", what: "host mode (GUSBCFG.FHMOD)".into() });
             }
             GRSTCTL if value & 1 != 0 => {
-                // CSRST leaves the settings of the transceiver and which mode is forced.
+                // CSRST keeps the settings of the transceiver and the forced mode.
                 let kept = [GUSBCFG, GCCFG].map(|at| self.registers[(at / 4) as usize]);
                 self.reset(context);
                 for (at, value) in [GUSBCFG, GCCFG].into_iter().zip(kept) {
@@ -196,7 +196,7 @@ mod tests {
     #[test]
     fn traffic_ends_the_run() {
         let (mut usb, mut bench) = (Usb::new(), Bench::default());
-        // GRXSTSP, a FIFO, a host channel, an IN transfer, host mode.
+        // Unmodelled accesses: GRXSTSP, a FIFO, a host channel, an IN transfer, host mode.
         assert!(bench.try_read(&mut usb, 0x020, Size::Word).is_err());
         assert!(bench.try_write(&mut usb, 0x1000, Size::Word, 0).is_err());
         assert!(bench.try_write(&mut usb, 0x500, Size::Word, 0).is_err());

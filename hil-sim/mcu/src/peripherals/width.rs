@@ -1,4 +1,4 @@
-//! Accesses narrower than a register.
+//! Accesses that are narrower than a register.
 
 use crate::peripheral::Size;
 
@@ -10,12 +10,12 @@ const fn mask(size: Size) -> u32 {
     }
 }
 
-/// The bits of a 32-bit register that a read of `size` at `offset` returns, right-aligned.
+/// Returns the bits of a 32-bit register that a read of `size` at `offset` gives, right-aligned.
 pub(crate) const fn part(register: u32, offset: u32, size: Size) -> u32 {
     (register >> (8 * (offset & 3))) & mask(size)
 }
 
-/// A 32-bit register's value after a write of `size` at `offset`: the other bits stay as in `register`.
+/// Returns a 32-bit register's value after a write of `size` at `offset`; the other bits are those of `register`.
 pub(crate) const fn merge(register: u32, offset: u32, size: Size, value: u32) -> u32 {
     let shift = 8 * (offset & 3);
     register & !(mask(size) << shift) | (value & mask(size)) << shift

@@ -1,4 +1,4 @@
-//! What RCC, PWR, SYSCFG, the flash and the backup registers tell each other without a bus.
+//! Direct wires between RCC, PWR, SYSCFG, the flash and the backup registers.
 
 use crate::{
     Context,
@@ -11,23 +11,23 @@ use crate::{
     },
 };
 
-/// The blocks that are wired to each other.
+/// Blocks that are wired to each other.
 pub struct Wired<'a, C> {
-    /// Clocks and resets.
+    /// RCC: clocks and resets.
     pub rcc: &'a mut Rcc,
-    /// Core voltage and the backup domain's protection.
+    /// PWR: core voltage, and write protection of the backup domain.
     pub pwr: &'a mut Pwr,
-    /// Overdrive.
+    /// SYSCFG: overdrive of the core voltage.
     pub syscfg: &'a Syscfg,
-    /// Wait states.
+    /// Flash with its wait states.
     pub flash: &'a mut Flash<C>,
-    /// Backup registers.
+    /// Backup registers of the RTC.
     pub backup: &'a mut Backup,
 }
 
 impl<C: FlashCells> Wired<'_, C> {
-    /// To be called after each access to one of them, each [`crate::Peripheral::advance`] of RCC and PWR, and after a reset
-    /// of the chip. Idempotent.
+    /// Exchanges the states. Call it after each access to one of the blocks, each [`crate::Peripheral::advance`] of RCC
+    /// and PWR, and after a reset of the chip. It is idempotent.
     pub fn settle(&mut self, context: &mut Context<'_>) {
         self.pwr.set_overdrive(self.syscfg.overdrive(), context);
         let scale = self.pwr.scale(context.now_ns);
@@ -51,7 +51,7 @@ mod tests {
         testing::Bench,
     };
 
-    /// The five blocks behind their addresses.
+    /// Chip with the five blocks at their addresses.
     struct Chip {
         rcc: Rcc,
         pwr: Pwr,
@@ -111,7 +111,7 @@ mod tests {
             self.write(bench, address, value & !clear | set);
         }
 
-        /// Polls as a program does, 100 ns apart.
+        /// Polls a register every 100 ns, as a program does.
         fn wait(&mut self, bench: &mut Bench, address: u32, mask: u32, value: u32) {
             let deadline_ns = bench.now_ns + 10_000_000;
             while self.read(bench, address) & mask != value {
@@ -120,9 +120,9 @@ mod tests {
             }
         }
 
-        /// The order in which embassy-stm32 0.6.0 brings up a Giga with PLL1 and PLL2, each step waited for.
+        /// Boot sequence of embassy-stm32 0.6.0 for a Giga with PLL1 and PLL2; waits after each step.
         fn boot(&mut self, bench: &mut Bench, overdrive: bool) {
-            // SYSCFG, supply, scale 1, overdrive.
+            // Step 1: SYSCFG, supply, scale 1, overdrive.
             self.modify(bench, RCC + 0xF4, 0, 1 << 1);
             self.modify(bench, PWR + 0x0C, 0b101, 0b010);
             self.wait(bench, PWR + 0x04, 1 << 13, 1 << 13);
@@ -132,14 +132,15 @@ mod tests {
                 self.modify(bench, SYSCFG + 0x2C, 0, 1);
                 self.wait(bench, PWR + 0x18, 1 << 13, 1 << 13);
             }
-            // Oscillators: HSI, HSE, HSI48, CSI.
+            // Step 2: the oscillators HSI, HSE, HSI48, CSI.
             self.modify(bench, RCC, 0b11 << 3, 1);
             self.modify(bench, RCC + 0x10, 7, 0);
             for on in [1 << 16, 1 << 12, 1 << 7] {
                 self.modify(bench, RCC, 0, on);
                 self.wait(bench, RCC, on << 1, on << 1);
             }
-            // PLL1: 8 MHz * 120, P / 2, Q / 12. PLL2: 8 MHz * 100, P / 16. PLL3 off, by a plain write of PLLCKSELR.
+            // Step 3: PLL1 = 8 MHz * 120, P / 2, Q / 12. PLL2 = 8 MHz * 100, P / 16. PLL3 off, by a plain write of
+            // PLLCKSELR.
             self.modify(bench, RCC + 0x28, 0x3F << 4 | 3, 2 << 4 | 2);
             self.modify(bench, RCC + 0x2C, 0xF | 7 << 16, 3 << 2 | 3 << 16);
             self.write(bench, RCC + 0x30, 119 | 1 << 9 | 11 << 16 | 1 << 24);
@@ -152,7 +153,7 @@ mod tests {
             self.wait(bench, RCC, 1 << 27, 1 << 27);
             self.modify(bench, RCC, 1 << 28, 0);
             self.write(bench, RCC + 0x28, 0);
-            // Wait states, LSI for the RTC, prescalers, the switch.
+            // Step 4: wait states, LSI for the RTC, prescalers, the switch.
             self.write(bench, FLASH, 2 << 4 | 4);
             self.modify(bench, PWR, 0, 1 << 8);
             self.modify(bench, RCC + 0x74, 0, 1);
@@ -178,7 +179,7 @@ mod tests {
         let clocks = chip.rcc.clocks();
         assert_eq!((clocks.core_hz, clocks.ahb_hz, clocks.adc_hz), (480_000_000, 240_000_000, 50_000_000));
         assert_eq!(chip.rcc.voltage_scale(), VoltageScale::Vos0);
-        // Mostly the crystal's 2 ms.
+        // The start of the crystal, 2 ms, takes most of the time.
         assert!((2_000_000..3_000_000).contains(&bench.now_ns), "{}", bench.now_ns);
     }
 

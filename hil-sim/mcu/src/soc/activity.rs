@@ -1,28 +1,28 @@
-//! What a chip has done, counted: to see what an emulation spends its time on.
+//! Activity counters of a chip, to find what an emulation spends its time on.
 
 use std::collections::BTreeMap;
 
 use super::map::{self, Id};
 
-/// Accesses to one register.
+/// Numbers of accesses to one register.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Accesses {
-    /// Loads.
+    /// Number of the program's loads.
     pub reads: u64,
-    /// Stores.
+    /// Number of the program's stores.
     pub writes: u64,
 }
 
-/// Counts since power-on.
+/// Counters of a chip since power-on.
 #[derive(Clone, Debug)]
 pub struct Activity {
     accesses: [u64; Id::COUNT],
     events: [u64; Id::COUNT],
-    /// Calls of [`Outside::poll`](crate::Outside::poll).
+    /// Number of calls of [`Outside::poll`](crate::Outside::poll).
     pub polls: u64,
-    /// Accesses of DMA controllers to memory and peripherals.
+    /// Number of accesses by DMA controllers to memory and peripherals.
     pub beats: u64,
-    /// By address, where that was asked for.
+    /// Accesses by address; `None` before [`Activity::count_registers`].
     registers: Option<BTreeMap<u32, Accesses>>,
 }
 
@@ -45,17 +45,17 @@ impl Activity {
         self.events[id] += 1;
     }
 
-    /// Counts accesses by address from now on, which costs time.
+    /// Starts to count accesses by address, which costs time.
     pub fn count_registers(&mut self) {
         self.registers.get_or_insert_default();
     }
 
-    /// Every register that the program has accessed since [`Activity::count_registers`], by address.
+    /// Iterates over the registers that the program has accessed since [`Activity::count_registers`], by address.
     pub fn registers(&self) -> impl Iterator<Item = (u32, Accesses)> {
         self.registers.iter().flatten().map(|(address, accesses)| (*address, *accesses))
     }
 
-    /// Of every peripheral its name, accesses of the program, and events of its own.
+    /// Iterates over the peripherals: name, accesses of the program, and events of its own.
     pub fn peripherals(&self) -> impl Iterator<Item = (String, u64, u64)> {
         map::names()
             .into_iter()

@@ -1,5 +1,5 @@
-//! All cells of the flash: those that the processor reads directly, which are the bytes of [`Memory`], and those that the board
-//! keeps.
+//! All cells of the flash: those that the processor reads directly, which are the bytes of [`Memory`], and those that
+//! the board keeps.
 
 use std::{cell::Cell, collections::BTreeMap, ops::Range, rc::Rc};
 
@@ -8,20 +8,20 @@ use crate::{
     peripherals::flash::{BANK_WORDS, BASE, FlashCells, PowerLost, SECTOR_WORDS, WORD_BYTES, Word},
 };
 
-/// The parts of the flash, in order of address.
+/// Parts of the flash in order of address.
 pub(super) const FLASH: [Bank; 3] = [Bank::Flash1, Bank::Flash2, Bank::Storage];
 
-/// The first word of those that are kept elsewhere: sector 4 of bank 2.
+/// First word of the cells kept elsewhere: sector 4 of bank 2.
 const KEPT: u32 = BANK_WORDS + 4 * SECTOR_WORDS;
 
-/// Cells of a chip.
+/// Flash cells of a chip.
 pub(super) struct Cells<F> {
-    /// What the processor reads directly, by address.
+    /// Bytes that the processor reads directly, by address.
     places: [Rc<[Cell<u8>]>; 3],
     /// The banks' addresses are exchanged.
     swapped: bool,
     kept: F,
-    /// Words of the banks that do not read as their bytes.
+    /// Words of the banks that do not read as their bytes, for example after a failed programming.
     spoiled: BTreeMap<u32, Word>,
     changed: bool,
 }
@@ -32,19 +32,21 @@ impl<F: FlashCells> Cells<F> {
         Self { places, swapped: false, kept, spoiled: BTreeMap::new(), changed: false }
     }
 
-    /// The banks' addresses are exchanged or not; whether that is new, and the contents of [`Memory`] are to follow.
+    /// Sets whether the banks' addresses are exchanged; returns true if that is new, so that the contents of [`Memory`]
+    /// must follow.
     pub(super) fn swap(&mut self, swapped: bool) -> bool {
         let changes = std::mem::replace(&mut self.swapped, swapped) != swapped;
         self.changed |= changes;
         changes
     }
 
-    /// Whether what the processor reads directly has changed since the last time.
+    /// Returns true if the directly readable bytes have changed since the last call.
     pub(super) fn take_changed(&mut self) -> bool {
         std::mem::take(&mut self.changed)
     }
 
-    /// Addresses in a part of the flash that cannot be read directly: spoiled words, and what is kept elsewhere.
+    /// Returns the addresses in a part of the flash that cannot be read directly: spoiled words, and cells kept
+    /// elsewhere.
     pub(super) fn holes(&self, bank: Bank) -> Vec<Range<u32>> {
         let (base, len) = bank.span();
         let first = self.place((base - BASE) / WORD_BYTES as u32);
@@ -58,13 +60,13 @@ impl<F: FlashCells> Cells<F> {
             }
         }
         if self.swapped && bank == Bank::Flash1 {
-            // Behind all that can be spoiled here.
+            // The kept part follows all cells that can be spoiled here, so the holes stay in order.
             holes.push(BASE + self.place(KEPT) * WORD_BYTES as u32..base + len);
         }
         holes
     }
 
-    /// The place in the memory map of a word, or the word of a place.
+    /// Converts a word's index to its place in the memory map, and back.
     fn place(&self, index: u32) -> u32 {
         index ^ if self.swapped { BANK_WORDS } else { 0 }
     }
@@ -80,7 +82,7 @@ impl<F: FlashCells> Cells<F> {
         &[]
     }
 
-    /// The part of some words that is here, and the part that is kept.
+    /// Splits a range of words into the part in this type and the part kept elsewhere.
     fn split(first: u32, words: u32) -> (Range<u32>, Range<u32>) {
         let end = first + words;
         (first..end.min(KEPT).max(first), first.max(KEPT).min(end)..end)

@@ -1,6 +1,6 @@
-//! Which peripheral is at which address (RM0399, 2.3.2, table 7, as the Cortex-M7 sees it).
+//! Address map of the peripherals (RM0399, 2.3.2, table 7, as the Cortex-M7 sees it).
 
-/// A peripheral of the chip, by its place in [`super::Soc`].
+/// Peripheral of the chip, by its place in [`super::Soc`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[repr(u8)]
 pub(super) enum Id {
@@ -53,7 +53,7 @@ pub(super) enum Id {
     Crc,
 }
 
-/// Block of 1 KiB: first address, blocks, peripheral.
+/// Map entries: first address, number of 1 KiB blocks, peripheral.
 const MAP: &[(u32, u32, Id)] = &[
     (IDENTITY, 1, Id::Identity),
     (0x4000_0000, 1, Id::Tim2),
@@ -110,10 +110,10 @@ const MAP: &[(u32, u32, Id)] = &[
 ];
 
 impl Id {
-    /// How many there are.
+    /// Number of peripherals in the map.
     pub(super) const COUNT: usize = Self::Crc as usize + 1;
 
-    /// Every one, in order of its discriminant.
+    /// Iterates over all peripherals in order of their discriminants.
     #[cfg(test)]
     fn all() -> impl Iterator<Item = Self> {
         let mut all: Vec<Self> = MAP.iter().map(|(_, _, id)| *id).collect();
@@ -122,25 +122,25 @@ impl Id {
     }
 }
 
-/// Every first address, by place.
+/// Returns the first address of each peripheral, by place.
 pub(super) fn bases() -> [u32; Id::COUNT] {
     let mut bases = [0; Id::COUNT];
     MAP.iter().for_each(|(base, _, id)| bases[*id as usize] = *base);
     bases
 }
 
-/// Every name, by place.
+/// Returns the name of each peripheral, by place.
 pub(super) fn names() -> [String; Id::COUNT] {
     let mut names = [const { String::new() }; Id::COUNT];
     MAP.iter().for_each(|(_, _, id)| names[*id as usize] = format!("{id:?}"));
     names
 }
 
-/// From an address to a peripheral, fast: one byte for each KiB of peripheral space.
+/// Fast map from an address to a peripheral: one byte for each KiB of peripheral space.
 pub(super) struct AddressMap(Box<[u8]>);
 
 const FIRST: u32 = 0x4000_0000;
-/// What is engraved in the chip is not among the peripherals.
+/// Address block of the engraved identity, which is outside the peripheral space.
 const IDENTITY: u32 = 0x1FF1_E800;
 const END: u32 = 0x5C00_2000;
 const NOTHING: u8 = u8::MAX;
@@ -155,7 +155,7 @@ impl AddressMap {
         Self(blocks)
     }
 
-    /// Place in the list of [`Id::all`], or `None`.
+    /// Returns the place of the peripheral, the value of its [`Id`]; `None` outside all peripherals.
     #[inline]
     pub(super) fn find(&self, address: u32) -> Option<usize> {
         if address & !0x3FF == IDENTITY {

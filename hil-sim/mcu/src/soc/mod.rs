@@ -1,8 +1,8 @@
-//! The chip around the processor: every peripheral at its address, and the wires between them.
+//! Chip around the processor: every peripheral at its address, and the wires between them.
 //!
-//! An access, or an event that is due, reaches one peripheral. The signals it gives off are carried out when it returns:
+//! An access, or a due event, reaches one peripheral. The signals it gives off are carried out when it returns:
 //! interrupt lines to the processor, requests to DMA, whose beats follow at once, timer outputs to pins, changes of the
-//! clock tree to everybody. DMA takes no time; what it waits for does.
+//! clock tree to all peripherals. DMA itself takes no time; what it waits for does.
 
 mod activity;
 mod cells;
@@ -48,7 +48,7 @@ use crate::{
     },
 };
 
-/// Every peripheral.
+/// All peripherals of the chip.
 struct Devices<F> {
     rcc: Rcc,
     pwr: Pwr,
@@ -106,7 +106,7 @@ impl<F: FlashCells> Devices<F> {
         }
     }
 
-    /// [`Peripheral::stable_until_ns`] of the peripherals that know it.
+    /// Calls [`Peripheral::stable_until_ns`] of the peripherals that implement it.
     fn stable_until_ns(&self, id: usize, offset: u32, now_ns: u64) -> Option<u64> {
         const USART: usize = Id::Usart1 as usize;
         const I2C: usize = Id::I2c1 as usize;
@@ -121,7 +121,7 @@ impl<F: FlashCells> Devices<F> {
         }
     }
 
-    /// By the place of its [`Id`].
+    /// Returns a peripheral by the place of its [`Id`].
     fn get(&mut self, id: usize) -> &mut dyn Peripheral {
         const TIM: usize = Id::Tim1 as usize;
         const USART: usize = Id::Usart1 as usize;
@@ -161,7 +161,7 @@ impl<F: FlashCells> Devices<F> {
     }
 }
 
-/// The chip around the processor, wired to `O`.
+/// Chip around the processor, wired to the outside world `O`.
 pub struct Soc<O, F> {
     devices: Devices<F>,
     outside: O,
@@ -171,57 +171,57 @@ pub struct Soc<O, F> {
     clocks: Clocks,
     now_ns: u64,
     signals: Vec<Signal>,
-    /// Who gave off each signal, by place.
+    /// Place of the peripheral that gave off each signal.
     sources: Vec<usize>,
     misuse: Vec<Misuse>,
-    /// When each peripheral must be advanced, by its place.
+    /// Time by which each peripheral must be advanced, by place, ns.
     next_ns: [u64; Id::COUNT],
-    /// The earliest of those.
+    /// Earliest time in `next_ns`.
     next_device_ns: u64,
     next_poll_ns: u64,
     /// Pins with an interrupt or a capture on them.
     watched: Vec<Pin>,
-    /// Who asserts each interrupt line now, by number and place.
+    /// Places of the peripherals that assert each interrupt line now, by line number.
     asserted: Vec<Vec<usize>>,
-    /// Inputs of timers that are watched, a bit for each, by the timer's place.
+    /// Watched inputs of timers, one bit each, by the timer's place.
     watching: [u8; TIMERS.len()],
     irqs: Vec<(u16, bool)>,
-    /// The NMI's input.
+    /// Level of the NMI's input.
     nmi: bool,
     reset: Option<ResetCause>,
     edges: Vec<Edge>,
     boot: u32,
-    /// What a DMA controller met that is not modelled; told at the program's next access.
+    /// Unmodelled use met by a DMA controller; reported at the program's next access.
     unmodelled: Option<Unmodelled>,
-    /// Blocks of 1 KiB that are known to have their clock, each in the place that its number chooses.
+    /// Cache of 1 KiB blocks that are known to have their clock; a block's number selects its slot.
     clocked: [u32; CLOCKED],
     activity: Activity,
 }
 
-/// Where the Cortex-M7 boots, as the Giga's option bytes say.
+/// Boot address of the Cortex-M7 in the Giga's option bytes.
 const BANK_1: u32 = 0x0800_0000;
-/// Registers of a GPIO port that say what its pins are (RM0399, 12.4).
+/// Offsets of a GPIO port's registers with the functions of its pins (RM0399, 12.4).
 const MODER: u32 = 0x00;
 const AFRL: u32 = 0x20;
 const AFRH: u32 = 0x24;
-/// Below are memories only, and between them nothing.
+/// First address of peripherals; below are only memories and gaps.
 const PERIPHERALS: u32 = 0x4000_0000;
-/// The memories and peripherals of domain 3, which are all that BDMA reaches.
+/// First address of domain 3's memories and peripherals, the only ones that BDMA reaches.
 const DOMAIN_3: u32 = 0x3800_0000;
-/// Peripherals that see pins.
+/// Places of the peripherals that see pins.
 const EXTI: usize = Id::Exti as usize;
 const FLASH: usize = Id::Flash as usize;
 const TIM1: usize = Id::Tim1 as usize;
 const TIM17: usize = Id::Tim17 as usize;
-/// Places for blocks that are known to have their clock.
+/// Number of slots for blocks that are known to have their clock.
 const CLOCKED: usize = 64;
 const NO_BLOCK: u32 = u32::MAX;
-/// Misuses are kept, the first so many.
+/// Number of misuse records kept, the first ones.
 const MISUSE_KEPT: usize = 1000;
 
 impl<O: Outside, F: FlashCells> Soc<O, F> {
-    /// A chip that power has just come to, with erased flash but for what `cells` hold in bank 2's last four sectors: they are
-    /// asked for nothing else.
+    /// Makes a chip at power-on with erased flash, except for the contents of `cells` in bank 2's last four sectors; it
+    /// accesses no others of `cells`.
     #[must_use]
     pub fn new(outside: O, oscillators: Oscillators, cells: F) -> Self {
         let memory = Memory::new();
@@ -256,23 +256,23 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         soc
     }
 
-    /// What the pins are wired to.
+    /// Returns the outside world at the pins.
     pub fn outside(&mut self) -> &mut O {
         &mut self.outside
     }
 
-    /// What was done against the manual, the first of it.
+    /// Returns the first records of misuse.
     #[must_use]
     pub fn misuse(&self) -> &[Misuse] {
         &self.misuse
     }
 
-    /// What was done so far, counted.
+    /// Returns the activity counters.
     pub fn activity(&mut self) -> &mut Activity {
         &mut self.activity
     }
 
-    /// Calls `f` with the peripherals and the context of one of them, whose next event is then asked for.
+    /// Calls `f` with the peripherals and the context of one of them, then renews its next event.
     fn call<R>(&mut self, id: usize, f: impl FnOnce(&mut Devices<F>, &mut Context<'_>) -> R) -> R {
         let mut context = Context {
             now_ns: self.now_ns,
@@ -290,7 +290,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         result
     }
 
-    /// Asks a peripheral for its next event.
+    /// Renews the time of a peripheral's next event.
     fn ask_next(&mut self, id: usize) {
         let next_ns = self.devices.get(id).next_event_ns();
         let was_ns = std::mem::replace(&mut self.next_ns[id], next_ns);
@@ -301,13 +301,14 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
     }
 
-    /// The same for what every peripheral can do.
+    /// Calls `f` with one peripheral as [`Peripheral`] and its context.
     fn with<R>(&mut self, id: usize, f: impl FnOnce(&mut dyn Peripheral, &mut Context<'_>) -> R) -> R {
         self.call(id, |devices, context| f(devices.get(id), context))
     }
 
-    /// Carries out what peripherals have given off, and what follows from that, until nothing is left.
+    /// Carries out the signals of peripherals and their consequences, until none is left.
     fn settle(&mut self) {
+        // Carrying out a signal may append more; an index allows for that, and keeps their order.
         let mut next = 0;
         loop {
             while next < self.signals.len() {
@@ -318,6 +319,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             self.signals.clear();
             self.sources.clear();
             next = 0;
+            // DMA follows the signals: one of them may have raised or lowered a request.
             if !self.dma_beat() {
                 break;
             }
@@ -339,13 +341,13 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
                 self.call(Id::Exti as usize, |devices, context| devices.exti.line(line, high, context));
             }
             Signal::Clocks => self.follow_clocks(),
-            // Of two at one moment the one that loses more.
+            // Of two resets at one time, the one that loses more state counts.
             Signal::Reset(ResetCause::PowerOn) => self.reset = Some(ResetCause::PowerOn),
             Signal::Reset(cause) => self.reset = self.reset.or(Some(cause)),
         }
     }
 
-    /// An interrupt line of a peripheral. Those that share a vector are ORed.
+    /// Sets an interrupt line of a peripheral. Lines that share a vector are ORed.
     fn interrupt(&mut self, number: u16, level: bool, source: usize) {
         let index = usize::from(number);
         if index >= self.asserted.len() {
@@ -353,6 +355,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
         let sources = &mut self.asserted[index];
         let was = !sources.is_empty();
+        // A source is listed at most once, however often it repeats its level.
         sources.retain(|other| *other != source);
         if level {
             sources.push(source);
@@ -363,7 +366,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
     }
 
-    /// A timer's trigger output, to whoever may listen.
+    /// Passes a timer's trigger output to its listeners.
     fn trigger(&mut self, timer: u8) {
         if let Some(input) = dma_trigger(timer) {
             self.call(Id::Dma as usize, |devices, context| devices.dma.trigger(input, context));
@@ -372,12 +375,13 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         self.call(Id::Dac1 as usize, |devices, context| devices.dac.trigger(timer, context));
     }
 
-    /// One access of a DMA controller; false when none wants any.
+    /// Makes one access of a DMA controller; returns false if none wants any.
     fn dma_beat(&mut self) -> bool {
         if let Some(beat) = self.devices.dma.next_beat() {
             self.activity.beats += 1;
             let result = self.bus_access(beat);
             let finish = |devices: &mut Devices<F>, context: &mut Context<'_>| devices.dma.finish_beat(result, context);
+            // DMA in one-shot mode ends the ADC's conversions with its last item.
             if let Some(request) = self.call(Id::Dma as usize, finish) {
                 self.call(Id::Adc12 as usize, |devices, context| devices.adc.dma_ended(request, context));
             }
@@ -385,6 +389,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
         if let Some(beat) = self.devices.bdma.next_beat() {
             self.activity.beats += 1;
+            // The bus matrix connects BDMA to domain 3 only (RM0399, 2.1).
             let result = if beat.address < DOMAIN_3 { Err(dma::BusError) } else { self.bus_access(beat) };
             self.call(Id::Bdma as usize, |devices, context| devices.bdma.finish_beat(result, context));
             return true;
@@ -392,18 +397,19 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         false
     }
 
-    /// An access by a DMA controller: to memory that it reaches and that has a clock, or to a peripheral.
+    /// Accesses the bus for a DMA controller: memory that it reaches and that has a clock, or a peripheral.
     fn bus_access(&mut self, beat: dma::Beat) -> Result<u32, dma::BusError> {
         if let Some((region, _)) = self.memory.locate(beat.address) {
             let bank = region.bank;
             if bank.is_flash() && self.devices.flash.is_closed() {
-                // The flag, and the misuse.
+                // The load sets the flag, and records the misuse.
                 let load = |devices: &mut Devices<F>, context: &mut Context<'_>| {
                     let _ = devices.flash.load(beat.address, beat.size, context);
                 };
                 self.call(FLASH, load);
                 return Err(dma::BusError);
             }
+            // The bus would stall the DMA, which the model cannot; the program learns of it at its next access.
             if bank.is_flash() && self.devices.flash.busy_until_ns(beat.address).is_some() {
                 let what = format!("DMA reads {:#010x} while the bank programs or erases: it would wait", beat.address);
                 self.unmodelled = self.unmodelled.take().or(Some(Unmodelled { peripheral: "FLASH", what }));
@@ -417,6 +423,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             }
             return match beat.access {
                 dma::Access::Read => self.memory.read(beat.address, beat.size).ok_or(dma::BusError),
+                // The model lets only the core program the flash.
                 dma::Access::Write(_) if bank.is_flash() => Err(dma::BusError),
                 dma::Access::Write(value) => {
                     self.memory.write(beat.address, beat.size, value).map(|()| 0).ok_or(dma::BusError)
@@ -437,9 +444,11 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         })
     }
 
-    /// The clock tree has changed: everybody comes to now by the old one and goes on by the new one.
+    /// Handles a change of the clock tree: all peripherals advance to now with the old clocks and continue with the new
+    /// ones.
     fn follow_clocks(&mut self) {
         for id in 0..Id::COUNT {
+            // RCC, which made the change, is at the present moment already.
             if id != Id::Rcc as usize {
                 self.with(id, |device, context| device.advance(context));
             }
@@ -450,7 +459,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
     }
 
-    /// Memories of domains 2 and 3 follow their enable bits.
+    /// Updates the memories of domains 2 and 3 from their enable bits.
     fn update_memory_clocks(&mut self) {
         for bank in [Bank::Sram1, Bank::Sram2, Bank::Sram3, Bank::Backup] {
             let closed = bank == Bank::Backup && self.devices.flash.is_closed();
@@ -458,9 +467,10 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
     }
 
-    /// What the flash has become, and whether it can be read, after an access to it or an event in it.
+    /// Updates contents and readability of the flash, after an access to it or an event in it.
     fn follow_flash(&mut self) {
         let flash = &mut self.devices.flash;
+        // The swap exchanges the contents, so it precedes the update of the holes.
         if flash.cells.swap(flash.is_swapped()) {
             self.memory.swap_flash();
         }
@@ -471,12 +481,13 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             self.memory.code_changed();
         }
         for bank in FLASH_PARTS {
+            // A bank at work is taken from the core, so that its accesses and fetches stall in the chip.
             let waits = flash.busy_until_ns(bank.span().0).is_some();
             self.memory.set_enabled(bank, !waits && !flash.is_closed());
         }
         if flash.take_backup_erase() {
             self.devices.backup.clear();
-            // Filled with zeros: our choice, the manual does not say.
+            // The model fills it with zeros: our choice, the manual does not specify it.
             let (base, len) = Bank::Backup.span();
             (base..base + len).step_by(4).for_each(|address| {
                 self.memory.write(address, Size::Word, 0);
@@ -485,8 +496,9 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         self.update_memory_clocks();
     }
 
-    /// What RCC, PWR and SYSCFG tell each other, after a write to one of them or an event in it.
+    /// Exchanges state between RCC, PWR and SYSCFG, after a write to one of them or an event in it.
     fn link_power(&mut self) {
+        // A write to RCC may have turned any clock off.
         self.clocked = [NO_BLOCK; CLOCKED];
         self.update_memory_clocks();
         for base in self.devices.rcc.take_resets() {
@@ -500,7 +512,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         });
     }
 
-    /// A reset bit of RCC: of one block where several share a model.
+    /// Carries out a reset bit of RCC for one block, where several share a model.
     fn reset_part(&mut self, id: usize, base: u32) {
         self.call(id, |devices, context| match base {
             0x4002_0000 => devices.dma.reset_part(dma::Part::Dma1, context),
@@ -510,9 +522,10 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         });
     }
 
-    /// Tells the chip what changed at its input pins.
+    /// Passes changes at input pins to the chip.
     pub fn poll_outside(&mut self) {
         self.activity.polls += 1;
+        // The buffer is reused, and taken out because carrying out an edge borrows the chip.
         let mut edges = std::mem::take(&mut self.edges);
         self.outside.poll(self.now_ns, &mut edges);
         for edge in edges.drain(..) {
@@ -534,7 +547,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         self.call(Id::Exti as usize, |devices, context| devices.exti.edge(&devices.syscfg, edge, context));
     }
 
-    /// Pins of a port have other functions now: timers see the level of those they have got.
+    /// Updates timers after pins of a port got other functions: they see the levels of their present pins.
     fn connect_timers(&mut self, port: u8) {
         for number in 0..16 {
             let pin = Pin { port, number };
@@ -545,7 +558,8 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
     }
 
-    /// Which pins must be told of at once: those with an interrupt on them, or a timer's that may give one.
+    /// Collects the pins whose changes must be reported at once: those with an interrupt, or those of a timer that may
+    /// raise one.
     fn update_watched(&mut self) {
         let Devices { exti, syscfg, gpio, timers, .. } = &self.devices;
         self.watched.clear();
@@ -556,12 +570,13 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
                 self.watched.extend(gpio.pins_with(Function::Timer(number, channel)));
             }
         }
+        // Other pins are watched now: the outside world is asked again at once.
         self.next_poll_ns = self.now_ns;
     }
 }
 
 impl<O: Outside, F: FlashCells> Soc<O, F> {
-    /// Bytes for a UART of the chip, each at its time, which is not before now.
+    /// Queues a byte for a UART of the chip; its time must not be before now.
     pub fn uart_receive(&mut self, port: u8, byte: UartByte) {
         let index = usize::from(port).wrapping_sub(1);
         if let Some(usart) = self.devices.usarts.get_mut(index) {
@@ -570,14 +585,14 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         }
     }
 
-    /// A frame for an FDCAN of the chip, which ends at `at_ns`.
+    /// Queues a frame for an FDCAN of the chip, which ends at `at_ns`.
     pub fn can_receive(&mut self, bus: u8, at_ns: u64, frame: CanFrame) {
         self.devices.fdcan.receive(bus, at_ns, frame);
         self.ask_next(Id::Fdcan as usize);
     }
 
-    /// The flash word at `address` fails its error correction from now on, as after a power cut while it was programmed
-    /// (RM0399, 4.3 "Error code correction"), until it is erased.
+    /// Makes the flash word at `address` fail its error correction from now on, as after a power cut during its
+    /// programming (RM0399, 4.3 "Error code correction"), until it is erased.
     pub fn spoil_flash(&mut self, address: u32) {
         if let Some(word) = self.devices.flash.word_at(address) {
             self.devices.flash.cells.abandon(word, 1);
@@ -585,17 +600,17 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         self.follow_flash();
     }
 
-    /// Where the processor starts: at the vector table to which a bootloader would jump, if not that of bank 1.
+    /// Sets the boot address: the vector table to which a bootloader would jump, if not that of bank 1.
     pub fn set_boot_address(&mut self, address: u32) {
         self.boot = address;
     }
 
-    /// RCC, to take crystals away or to let them drift.
+    /// Returns RCC, to remove crystals or to let them drift.
     pub fn rcc(&mut self) -> &mut Rcc {
         &mut self.devices.rcc
     }
 
-    /// An access of the processor to a peripheral.
+    /// Accesses a peripheral for the processor.
     fn access<R>(
         &mut self,
         now_ns: u64,
@@ -603,11 +618,13 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
         write: bool,
         f: impl FnOnce(&mut dyn Peripheral, u32, &mut Context<'_>) -> Result<R, Unmodelled>,
     ) -> Result<(R, usize), AccessError> {
+        // Events before the access come first; an access always sees the peripheral at its own time.
         self.advance(now_ns);
         if let Some(unmodelled) = self.unmodelled.take() {
             return Err(unmodelled.into());
         }
         let Some(id) = self.map.find(address) else {
+            // The gaps between memories answer with a bus error, as on the chip.
             if address < PERIPHERALS {
                 let what = format!("an access to {address:#010x}, where no memory is: a bus error (RM0399, 2.3.2)");
                 self.misuse.push(Misuse { at_ns: now_ns, peripheral: "bus", what });
@@ -617,11 +634,13 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             let what = format!("nothing is modelled at {address:#010x}");
             return Err(Unmodelled { peripheral: "bus", what }.into());
         };
+        // The access is forbidden; its result is not modelled, so the run ends.
         if id == Id::Backup as usize && self.devices.flash.is_closed() {
             let what = "the backup registers at readout protection level 1 with a debugger (RM0399, 4.5.3)".into();
             return Err(Unmodelled { peripheral: "RTC", what }.into());
         }
         self.activity.accessed(id, address, write);
+        // The check of the clock is needed at each access, so its result is cached by block.
         let block = address >> 10;
         let place = block as usize % CLOCKED;
         if self.clocked[place] != block {
@@ -633,6 +652,7 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
             }
         }
         let base = self.bases[id];
+        // Only timers and EXTI depend on the edges of a poll, which is expensive.
         let sees_pins = match id {
             TIM1..=TIM17 => self.devices.timers[id - TIM1].needs_inputs(address - base, write),
             EXTI => true,
@@ -654,6 +674,7 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
     fn read(&mut self, now_ns: u64, address: u32, size: Size) -> Result<u32, AccessError> {
         if let Some((region, _)) = self.memory.locate(address) {
             let is_flash = region.bank.is_flash();
+            // The core reaches enabled RAM directly, so an access here has no clock.
             return if is_flash { self.load_flash(now_ns, address, size) } else { Err(AccessError::Bus) };
         }
         let (value, _) =
@@ -670,15 +691,18 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
         let write =
             |device: &mut dyn Peripheral, offset, context: &mut Context<'_>| device.write(offset, size, value, context);
         let ((), id) = self.access(now_ns, address, true, write)?;
+        // These three exchange voltages, limits and clock enables.
         if id == Id::Rcc as usize || id == Id::Pwr as usize || id == Id::Syscfg as usize {
             self.link_power();
         }
         if id == FLASH {
             self.follow_flash();
         }
+        // A new selection of edges or ports changes the pins whose edges must be noticed at once.
         if id == EXTI && Exti::chooses(address & 0x3FF) || id == Id::Syscfg as usize {
             self.update_watched();
         }
+        // MODER and AFR connect pins to timers.
         if id == Id::Gpio as usize && matches!(address & 0x3FF, MODER | AFRL | AFRH) {
             self.connect_timers((address >> 10 & 0xF) as u8);
             self.update_watched();
@@ -690,7 +714,7 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
             }
         }
         self.settle();
-        // A stop line or a trigger may have moved: what is outside changes at other times than it said.
+        // An output may have changed the world: the time of its next change is no longer valid.
         if id == Id::Gpio as usize || id == Id::Dac1 as usize {
             self.next_poll_ns = self.outside.next_poll_ns(now_ns, &self.watched);
         }
@@ -706,10 +730,10 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
             self.now_ns = self.now_ns.max(due);
             if self.next_poll_ns <= self.now_ns {
                 self.poll_outside();
-                // At least so much later, whatever is said outside: time must go on.
+                // The next poll is at least 1 ns later, whatever the outside world returns: time must advance.
                 self.next_poll_ns = self.next_poll_ns.max(self.now_ns + 1);
             }
-            // Only a poll was due: no peripheral is looked at.
+            // If only a poll was due, no peripheral needs to be advanced.
             let looked_at = if self.next_device_ns <= self.now_ns { Id::COUNT } else { 0 };
             for id in 0..looked_at {
                 if self.next_ns[id] <= self.now_ns {
@@ -746,10 +770,11 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
 
     fn reset(&mut self, now_ns: u64, cause: ResetCause) {
         self.now_ns = self.now_ns.max(now_ns);
+        // A pending request of the chip is covered by this reset.
         self.reset = None;
         self.devices.rcc.note_reset(cause);
         if self.devices.pwr.take_power_loss() {
-            // Nothing is known to be soldered to VBAT: the backup domain goes with VDD.
+            // The model assumes no supply at VBAT: the backup domain loses power with VDD.
             self.devices.pwr.power_on();
             self.devices.rcc.reset_backup();
             self.devices.backup.clear();
@@ -759,7 +784,7 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
         for id in 0..Id::COUNT {
             self.with(id, |device, context| device.reset(context));
         }
-        // What was under way between peripherals is gone with them; what they tell of their lines is not.
+        // Pending signals between peripherals are lost with the reset; levels of interrupt lines are not.
         for index in 0..self.signals.len() {
             match self.signals[index] {
                 Signal::Irq { number, level } => self.interrupt(number, level, self.sources[index]),
@@ -769,9 +794,11 @@ impl<O: Outside, F: FlashCells> Chip for Soc<O, F> {
         }
         self.signals.clear();
         self.sources.clear();
+        // Clocks come first: limits and wait states are judged by them.
         self.follow_clocks();
         self.link_power();
         self.follow_flash();
+        // IWDG1_SW of the option bytes makes it a hardware watchdog, running from reset.
         if self.devices.flash.starts_watchdog() {
             self.call(Id::Iwdg as usize, |devices, context| devices.iwdg.start(context));
         }
@@ -829,12 +856,12 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     }
 }
 
-/// Numbers of the timers, in the order of their [`Id`]s.
+/// Timer numbers in the order of their [`Id`]s.
 const TIMERS: [u8; 14] = [1, 2, 3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17];
-/// The number that is engraved in the emulated chip: "R4 emulated!" in ASCII.
+/// Unique number engraved in the emulated chip: "R4 emulated!" in ASCII.
 const UNIQUE: [u32; 3] = [0x6520_3452, 0x616C_756D, 0x2164_6574];
 
-/// Input of DMAMUX1's request generators for a timer's trigger output (RM0399, 18.3.2).
+/// Returns the input of DMAMUX1's request generators for a timer's trigger output (RM0399, 18.3.2).
 fn dma_trigger(timer: u8) -> Option<u8> {
     (timer == 12).then_some(7)
 }

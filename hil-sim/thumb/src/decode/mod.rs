@@ -1,4 +1,4 @@
-//! Instructions to operations (DDI0403E A5).
+//! Decoder from instructions to operations (DDI0403E A5).
 
 mod narrow;
 mod wide;
@@ -9,91 +9,95 @@ use crate::float::{self, Float};
 use crate::memory::Memory;
 use crate::operation::{ALWAYS, Condition, Index, NONE, Op, SCRATCH, SP, ZERO};
 
-/// Bytes of a line: a block ends where an instruction would begin in the next one.
+/// Size of a line, bytes: a block ends where an instruction would begin in the next line.
 const LINE: u32 = 128;
 
-/// Where an operation is from.
+/// Origin of an operation in the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Position {
-    /// Instructions of the block before its own.
+    /// Number of instructions of the block before its own.
     pub(crate) instruction: u16,
-    /// Where its own is.
+    /// Address of its instruction.
     pub(crate) address: u32,
-    /// ITSTATE of its own.
+    /// ITSTATE at its instruction.
     pub(crate) it: u8,
 }
 
-/// A block of instructions, decoded.
+/// Result of decoding a block of instructions.
 #[derive(Default)]
 pub(crate) struct Decoded {
     pub(crate) ops: Vec<Op>,
-    /// One for each operation.
+    /// Origin of each operation, in the same order.
     pub(crate) positions: Vec<Position>,
     /// Address after the last instruction.
     pub(crate) end: u32,
     pub(crate) instructions: u16,
-    /// ITSTATE after it.
+    /// ITSTATE after the last instruction.
     pub(crate) it: u8,
-    /// It ends where a line does, and not with a branch.
+    /// The block ends at the end of a line, and not with a branch.
     pub(crate) full: bool,
-    /// Operations before those instructions outside of IT blocks that are observed.
+    /// Observed instructions outside IT blocks: the number of operations before each, and its address.
     pub(crate) observed: Vec<(u16, u32)>,
 }
 
-/// What to decode.
+/// Conditions of decoding, apart from the address.
 #[derive(Clone, Copy)]
 pub(crate) struct What<'a> {
     pub(crate) memory: &'a Memory,
     pub(crate) observed: &'a [u32],
     /// ITSTATE at the first instruction.
     pub(crate) it: u8,
-    /// Nothing but the first instruction, with those it makes conditional.
+    /// Decode only the first instruction, with those it makes conditional.
     pub(crate) one: bool,
 }
 
-/// The block goes on after an instruction, or not.
+/// Continuation of the block after an instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Then {
     Next,
     End,
 }
 
-/// One instruction, and what becomes of it.
+/// Decoder state for one instruction.
 struct Instruction<'a> {
     ops: &'a mut Vec<Op>,
     floats: &'a mut Vec<Float>,
     memory: &'a Memory,
     address: u32,
-    /// Within an IT block: narrow instructions do not set flags (A5.2).
+    /// The instruction is within an IT block: narrow instructions do not set flags (A5.2).
     conditional: bool,
-    /// It may be made one with the instruction before it: that is always executed, and nobody stops between them.
+    /// The instruction may be merged with the one before it, which is always executed and is no stop point.
     joins: bool,
 }
 
-/// ITSTATE after one more instruction (A7.3.3).
+/// Advances ITSTATE by one instruction (A7.3.3).
 fn advanced(it: u8) -> u8 {
     if it & 7 == 0 { 0 } else { it & 0xE0 | it << 1 & 0x1F }
 }
 
-/// The instruction has two halfwords (A5.1).
+/// Returns true if the instruction has two halfwords (A5.1).
 pub(crate) fn is_wide(first: u16) -> bool {
     first >> 11 >= 0b11101
 }
 
-/// Operations of a stretch, at which it is not continued.
+/// Number of operations at which a stretch is not extended any more.
 const LONG: usize = 32;
 
-/// The stretch of blocks at an address: a block, and what is likely to follow it. `None` where nothing can be fetched.
+/// Decodes the stretch at an address: a block, and the blocks that are likely to follow it. `None` where no instruction
+/// can be fetched.
 pub(crate) fn stretch(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> Option<Decoded> {
     let mut stretch = block(address, what, floats)?;
+    // Stop points and IT blocks need single blocks.
     let goes_on = what.it == 0 && what.observed.is_empty() && !what.one;
     while goes_on && stretch.ops.len() < LONG {
         let Some(next) = stretch.next() else { break };
         let Some(mut more) = block(next, what, floats).filter(|block| block.it == 0) else { break };
+        // Execution simply continues in the target's operations.
         if let Some(Op::Branch { .. }) = stretch.ops.last() {
             stretch.ops.pop();
         }
         stretch.ops.push(Op::Onward { instructions: more.instructions, address: next });
+        // Positions have one entry per operation; that of the removed branch is replaced.
         stretch.positions.truncate(stretch.ops.len() - 1);
         stretch.positions.push(Position { instruction: 0, address: next, it: 0 });
         stretch.ops.append(&mut more.ops);
@@ -104,7 +108,7 @@ pub(crate) fn stretch(address: u32, what: &What<'_>, floats: &mut Vec<Float>) ->
 }
 
 impl Decoded {
-    /// Where it goes on, if not another way.
+    /// Returns the address at which the stretch continues; `None` if it branches away or ends in an IT block.
     fn next(&self) -> Option<u32> {
         let last = self.ops.last()?;
         if self.it != 0 || self.positions.last()?.it != 0 && !self.full {
@@ -129,16 +133,17 @@ impl Decoded {
     }
 }
 
-/// The block at an address; `None` where nothing can be fetched.
+/// Decodes the block at an address; `None` where no instruction can be fetched.
 pub(crate) fn block(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> Option<Decoded> {
     let mut block = Decoded { end: address, it: what.it, ..Decoded::default() };
-    // The last `Unless`, whose condition still stands, and the operation after it.
+    // Last `Unless` whose condition still holds, with the number of the operation after it.
     let mut open: Option<(Condition, usize)> = None;
-    // Where an instruction within an IT block is stopped at: before the IT, if that is in this block.
+    // Stop point of an instruction within an IT block: before the IT, if that is in this block.
     let mut outside = None;
     loop {
         let at = block.end;
         let within = block.it != 0;
+        // The end of a line ends a block, but not within an IT block, which must stay together.
         let full = block.instructions > 0 && !within && (at ^ address) >= LINE;
         if full || what.one && block.instructions > 0 && !within {
             block.full = full;
@@ -158,9 +163,10 @@ pub(crate) fn block(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> O
             block.observed.push(stop);
         }
         let position = Position { instruction: block.instructions, address: at, it: block.it };
+        // BKPT is executed whatever the condition in an IT block is (A7.7.17).
         let unconditional = !within || first & 0xFF00 == 0xBE00;
         let condition = if unconditional { ALWAYS } else { (block.it >> 4).min(ALWAYS) };
-        // Merge with the condition before, where it is the same and flags are.
+        // Operations join the previous condition if it is the same and the flags have not changed.
         if condition == ALWAYS || open.is_none_or(|(before, _)| before != condition) {
             open = None;
         }
@@ -169,16 +175,18 @@ pub(crate) fn block(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> O
             open = Some((condition, block.ops.len()));
         }
         let start = block.ops.len();
+        // Merging hides the border between two instructions, so neither may be observed or in an IT block.
         let joins = what.observed.is_empty() && !within && block.positions.last().is_some_and(|before| before.it == 0);
         let mut instruction =
             Instruction { ops: &mut block.ops, floats, memory: what.memory, address: at, conditional: within, joins };
         let (then, it) = match first {
-            // IT (A7.7.38); not within another.
+            // IT (A7.7.38), which must not be within another IT block.
             0xBF00..=0xBFFF if first & 0xF != 0 && !within => (Then::Next, first as u8),
             _ if is_wide(first) => (instruction.wide(first, second), advanced(block.it)),
             _ => (instruction.narrow(first), advanced(block.it)),
         };
         if let Some((_, after)) = open {
+            // The number of operations to skip is known only now.
             let skip = (block.ops.len() - after) as u8;
             block.ops[after - 1] = Op::Unless { condition, skip };
             if block.ops[start..].iter().any(|op| !op.keeps_flags()) {
@@ -197,7 +205,7 @@ pub(crate) fn block(address: u32, what: &What<'_>, floats: &mut Vec<Float>) -> O
 }
 
 impl Op {
-    /// Flags are the same after it, for sure.
+    /// Returns true if the operation certainly leaves the flags unchanged.
     fn keeps_flags(&self) -> bool {
         matches!(
             self,
@@ -242,22 +250,22 @@ impl Op {
     }
 }
 
-/// Bits of an encoding, from the lowest on.
+/// Extracts `count` bits of an encoding from bit `lowest` on.
 fn bits(word: u16, lowest: u32, count: u32) -> u32 {
     u32::from(word) >> lowest & ((1 << count) - 1)
 }
 
-/// As [`bits`]: a register.
+/// Extracts a register number of 4 bits.
 fn index(word: u16, lowest: u32) -> Index {
     bits(word, lowest, 4) as Index
 }
 
-/// The lowest bits of a value, with their sign.
+/// Sign-extends the lowest `count` bits of a value.
 fn signed(value: u32, count: u32) -> u32 {
     ((value << (32 - count)) as i32 >> (32 - count)) as u32
 }
 
-/// Operations of data processing, as encoded (A5.3.1).
+/// Codes of data-processing operations (A5.3.1).
 mod data {
     pub(super) const AND: u32 = 0;
     pub(super) const BIC: u32 = 1;
@@ -272,7 +280,7 @@ mod data {
     pub(super) const RSB: u32 = 14;
 }
 
-/// A load or store of one register.
+/// Load or store of one register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Single {
     Str,
@@ -286,7 +294,7 @@ enum Single {
 }
 
 impl Instruction<'_> {
-    /// A conditional branch, together with the comparison before it.
+    /// Emits a conditional branch, merged with the comparison before it if possible.
     fn branch_if(&mut self, condition: Condition, target: u32) -> Then {
         let joined = match self.ops.last() {
             Some(&Op::CmpValue { n, value }) if value < 256 => {
@@ -315,7 +323,7 @@ impl Instruction<'_> {
         Then::Next
     }
 
-    /// The last of its block.
+    /// Emits the last operation of the block.
     fn end(&mut self, op: Op) -> Then {
         self.ops.push(op);
         Then::End
@@ -325,7 +333,7 @@ impl Instruction<'_> {
         self.end(Op::Undefined)
     }
 
-    /// After a write of a register that may be SP.
+    /// Aligns SP if `d`, which was written, is SP.
     fn wrote(&mut self, d: Index) -> Then {
         if d == SP {
             self.ops.push(Op::AlignSp);
@@ -333,17 +341,17 @@ impl Instruction<'_> {
         Then::Next
     }
 
-    /// What PC reads as: 4 after the instruction.
+    /// Returns PC as instructions read it: their address plus 4.
     fn pc(&self) -> u32 {
         self.address.wrapping_add(4)
     }
 
-    /// The same, rounded down to a multiple of 4.
+    /// Returns PC rounded down to a multiple of 4.
     fn aligned_pc(&self) -> u32 {
         self.pc() & !3
     }
 
-    /// Data processing of registers. No destination is [`NONE`], no first operand [`ZERO`].
+    /// Emits data processing of registers. A missing destination is [`NONE`], a missing first operand [`ZERO`].
     fn data(&mut self, operation: u32, s: bool, d: Index, n: Index, m: Index) -> Then {
         let op = match (operation, s) {
             (data::AND, false) => Op::And { d, n, m },
@@ -375,7 +383,7 @@ impl Instruction<'_> {
         self.wrote(d)
     }
 
-    /// Data processing with a constant.
+    /// Emits data processing with a constant.
     fn data_value(&mut self, operation: u32, s: bool, d: Index, n: Index, value: u32) -> Then {
         let op = match (operation, s) {
             (data::AND, false) => Op::AndValue { d, n, value },
@@ -397,6 +405,7 @@ impl Instruction<'_> {
             (data::SUB, false) => Op::AddValue { d, n, value: value.wrapping_neg() },
             (data::SUB, true) if d == NONE => Op::CmpValue { n, value },
             (data::SUB, true) => Op::SubValues { d, n, value },
+            // RSB from 0 is NEG: a subtraction from the register that reads zero.
             (data::RSB, _) if value == 0 => return self.data(data::SUB, s, d, ZERO, n),
             _ => {
                 self.push(Op::Value { d: SCRATCH, value });
@@ -404,14 +413,14 @@ impl Instruction<'_> {
             }
         };
         self.push(op);
-        // The stack pointer plus a multiple of 4 needs nothing.
+        // SP stays aligned when a multiple of 4 is added, so no AlignSp is needed.
         if matches!(op, Op::AddValue { d: SP, n: SP, value } if value & 3 == 0) {
             return Then::Next;
         }
         self.wrote(d)
     }
 
-    /// A shift by a constant as encoded (A7.4.2): kind and amount.
+    /// Emits a shift by a constant as encoded (A7.4.2): kind and amount.
     fn shift(&mut self, s: bool, d: Index, m: Index, kind: u32, amount: u32) -> Then {
         let by = amount as u8;
         let op = match (kind, amount, s) {
@@ -419,6 +428,7 @@ impl Instruction<'_> {
             (0, 0, true) => Op::Movs { d, m },
             (0, _, false) => Op::Lsl { d, m, by },
             (0, _, true) => Op::Lsls { d, m, by },
+            // An amount of 0 encodes LSR by 32, ASR by 32 and RRX (A7.4.2).
             (1, 0, false) => Op::Value { d, value: 0 },
             (1, 0, true) => Op::Lsrs { d, m, by: 32 },
             (1, _, false) => Op::Lsr { d, m, by },
@@ -436,7 +446,7 @@ impl Instruction<'_> {
         self.wrote(d)
     }
 
-    /// A constant that was loaded from code that only the outside changes.
+    /// Reads a literal from code that the program cannot change; `None` elsewhere.
     fn literal(&self, single: Single, address: u32) -> Option<u32> {
         if self.memory.is_changeable_code(address) {
             return None;
@@ -452,7 +462,7 @@ impl Instruction<'_> {
         })
     }
 
-    /// A load or store of one register at an offset; `n` may be [`ZERO`].
+    /// Emits a load or store of one register at an offset; `n` may be [`ZERO`].
     fn single(&mut self, single: Single, t: Index, n: Index, offset: u32) {
         if n == ZERO
             && let Some(value) = self.literal(single, offset)
@@ -472,7 +482,7 @@ impl Instruction<'_> {
         });
     }
 
-    /// The same with a register as offset.
+    /// Emits a load or store of one register with a register offset.
     fn single_by(&mut self, single: Single, t: Index, n: Index, m: Index, left: u8) {
         self.push(match single {
             Single::Str => Op::StrBy { t, n, m, left },
@@ -486,9 +496,9 @@ impl Instruction<'_> {
         });
     }
 
-    /// Coprocessors (A5.3.18): the floating-point unit, or none.
+    /// Decodes coprocessor instructions (A5.3.18): the floating-point unit is the only coprocessor.
     fn coprocessor(&mut self, first: u16, second: u16) -> Then {
-        // Advanced SIMD, which ARMv7-M has not.
+        // These are encodings of Advanced SIMD, which ARMv7-M does not have.
         if bits(first, 8, 2) == 3 {
             return self.undefined();
         }

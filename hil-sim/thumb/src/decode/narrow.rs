@@ -1,9 +1,9 @@
-//! Instructions of 16 bits (DDI0403E A5.2).
+//! Decoder for instructions of 16 bits (DDI0403E A5.2).
 
 use super::{Instruction, Single, Then, bits, data, index, signed};
 use crate::operation::{Index, LOADED, LR, NONE, Op, SCRATCH, SP, ZERO};
 
-/// A low register.
+/// Extracts the number of a low register, R0 to R7.
 fn low(word: u16, lowest: u32) -> Index {
     bits(word, lowest, 3) as Index
 }
@@ -45,7 +45,7 @@ impl Instruction<'_> {
         }
     }
 
-    /// A5.2.1.
+    /// Shift, add, subtract, move and compare (A5.2.1).
     fn arithmetic(&mut self, code: u16) -> Then {
         let s = !self.conditional;
         let (d, m, value) = (low(code, 0), low(code, 3), bits(code, 0, 8));
@@ -63,7 +63,7 @@ impl Instruction<'_> {
         }
     }
 
-    /// A5.2.2.
+    /// Data processing of two registers (A5.2.2).
     fn data_processing(&mut self, code: u16) -> Then {
         let s = !self.conditional;
         let (d, m) = (low(code, 0), low(code, 3));
@@ -89,7 +89,7 @@ impl Instruction<'_> {
         }
     }
 
-    /// A5.2.3.
+    /// Operations on high registers, BX and BLX (A5.2.3).
     fn special(&mut self, code: u16) -> Then {
         let (d, m) = (low(code, 0) | (bits(code, 7, 1) << 3) as u8, index(code, 3));
         match (bits(code, 8, 2), d, m) {
@@ -123,7 +123,7 @@ impl Instruction<'_> {
         }
     }
 
-    /// A5.2.4.
+    /// Loads and stores of one register (A5.2.4).
     fn load_store(&mut self, code: u16) -> Then {
         const BY: [Single; 8] = [
             Single::Str,
@@ -148,7 +148,7 @@ impl Instruction<'_> {
         Then::Next
     }
 
-    /// A7.7.159 (STM), A7.7.41 (LDM).
+    /// Multiple loads and stores: STM (A7.7.159) and LDM (A7.7.41).
     fn narrow_multiple(&mut self, code: u16) -> Then {
         let (n, list) = (low(code, 8), code & 0xFF);
         if list == 0 {
@@ -166,7 +166,7 @@ impl Instruction<'_> {
         Then::Next
     }
 
-    /// A5.2.5.
+    /// Miscellaneous instructions: stack, extension, hints, CBZ, IT (A5.2.5).
     fn miscellaneous(&mut self, code: u16) -> Then {
         let (d, m) = (low(code, 0), low(code, 3));
         match code >> 8 & 0xF {
@@ -205,14 +205,14 @@ impl Instruction<'_> {
                 }
             },
             14 => self.end(Op::Bkpt { operand: code as u8 }),
-            // IT within an IT block.
+            // An IT within an IT block is undefined.
             15 if code & 0xF != 0 => self.undefined(),
             15 => self.hint(bits(code, 4, 4)),
             _ => self.undefined(),
         }
     }
 
-    /// Hints (A5.2.5, A5.3.4), of which those unknown do nothing.
+    /// Decodes hints (A5.2.5, A5.3.4); unknown ones do nothing.
     pub(super) fn hint(&mut self, number: u32) -> Then {
         match number {
             1 => self.end(Op::Yield),

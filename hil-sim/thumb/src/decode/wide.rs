@@ -1,4 +1,4 @@
-//! Instructions of 32 bits (DDI0403E A5.3): which group, branches and control.
+//! Decoder for instructions of 32 bits (DDI0403E A5.3): selection of the group, branches and control.
 
 use super::{Instruction, Then, bits, index, signed};
 use crate::operation::Op;
@@ -23,7 +23,7 @@ impl Instruction<'_> {
         }
     }
 
-    /// A5.3.4.
+    /// Branches and miscellaneous control (A5.3.4).
     fn branch_or_control(&mut self, first: u16, second: u16) -> Then {
         let sign = bits(first, 10, 1);
         let (j1, j2) = (bits(second, 13, 1), bits(second, 11, 1));
@@ -52,7 +52,7 @@ impl Instruction<'_> {
         }
     }
 
-    /// MSR, MRS, hints and barriers.
+    /// Decodes MSR, MRS, hints and barriers.
     fn control(&mut self, first: u16, second: u16) -> Then {
         let special = second as u8;
         match (first & 0xFFF0, first & 0xF) {
@@ -62,7 +62,7 @@ impl Instruction<'_> {
             (0xF3A0, 15) if second & 0x2F00 == 0 => self.hint(bits(second, 0, 8)),
             (0xF3B0, 15) if second & 0x2F00 == 0x0F00 => match bits(second, 4, 4) {
                 2 => self.push(Op::Clrex),
-                // DSB, DMB: accesses are made in order, one after the other.
+                // DSB and DMB need no action: accesses are made in order, one after the other.
                 4 | 5 => Then::Next,
                 6 => Then::End,
                 _ => self.undefined(),

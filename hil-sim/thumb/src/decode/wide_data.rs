@@ -1,9 +1,9 @@
-//! Data processing of 32 bits: A5.3.1, A5.3.3, A5.3.11 to A5.3.17.
+//! Decoder for data processing of 32 bits: A5.3.1, A5.3.3, A5.3.11 to A5.3.17.
 
 use super::{Instruction, Then, bits, data, index};
 use crate::operation::{Index, NONE, Op, SCRATCH, SCRATCH2, ZERO};
 
-/// A constant (`ThumbExpandImm_C`, A5.3.2), and the carry that it makes, if it does.
+/// Expands a constant (`ThumbExpandImm_C`, A5.3.2); returns it with the carry, if it sets one.
 fn expanded(value: u32) -> (u32, Option<bool>) {
     let byte = value & 0xFF;
     match value >> 8 {
@@ -18,7 +18,7 @@ fn expanded(value: u32) -> (u32, Option<bool>) {
     }
 }
 
-/// Constant of a shift: imm3 and imm2.
+/// Extracts the amount of a shift from imm3 and imm2.
 fn amount(second: u16) -> u32 {
     bits(second, 12, 3) << 2 | bits(second, 6, 2)
 }
@@ -27,7 +27,7 @@ fn is_logical(operation: u32) -> bool {
     operation <= data::EOR
 }
 
-/// What is wanted of registers that are encoded as 15: no first operand, no destination. `None`: they mean nothing.
+/// Replaces registers encoded as 15 by the absent first operand or destination; `None` where they are undefined.
 fn operands(operation: u32, s: bool, d: Index, n: Index) -> Option<(Index, Index)> {
     let n = match n {
         15 if matches!(operation, data::ORR | data::ORN) => ZERO,
@@ -43,7 +43,7 @@ fn operands(operation: u32, s: bool, d: Index, n: Index) -> Option<(Index, Index
 }
 
 impl Instruction<'_> {
-    /// A5.3.1.
+    /// Data processing with an expanded constant (A5.3.1).
     pub(super) fn modified_immediate(&mut self, first: u16, second: u16) -> Then {
         let (operation, s) = (bits(first, 5, 4), first & 0x10 != 0);
         let Some((d, n)) = operands(operation, s, index(second, 8), index(first, 0)) else { return self.undefined() };
@@ -59,7 +59,7 @@ impl Instruction<'_> {
         self.data_value(operation, s, d, n, value)
     }
 
-    /// A5.3.11.
+    /// Data processing with a shifted register (A5.3.11).
     pub(super) fn shifted_register(&mut self, first: u16, second: u16) -> Then {
         let (operation, s) = (bits(first, 5, 4), first & 0x10 != 0);
         let (m, kind, amount) = (index(second, 0), bits(second, 4, 2), amount(second));
@@ -90,7 +90,7 @@ impl Instruction<'_> {
         }
     }
 
-    /// A5.3.3.
+    /// Data processing with a plain constant (A5.3.3).
     pub(super) fn plain_immediate(&mut self, first: u16, second: u16) -> Then {
         let (operation, d, n) = (bits(first, 4, 5), index(second, 8), index(first, 0));
         let value = bits(first, 10, 1) << 11 | bits(second, 12, 3) << 8 | bits(second, 0, 8);
@@ -135,7 +135,7 @@ impl Instruction<'_> {
         }
     }
 
-    /// A5.3.12 to A5.3.15.
+    /// Data processing of registers: shifts, extensions, parallel and miscellaneous operations (A5.3.12 to A5.3.15).
     pub(super) fn register(&mut self, first: u16, second: u16) -> Then {
         let (n, d, m) = (index(first, 0), index(second, 8), index(second, 0));
         let (group, what) = (bits(first, 4, 4), bits(second, 4, 4));
@@ -171,7 +171,7 @@ impl Instruction<'_> {
         }
     }
 
-    /// SXTH, SXTAH and the like: rotated by so many bytes, extended, added.
+    /// Emits SXTH, SXTAH and the like: `m` rotated by `bytes`, extended, and added to `n`.
     fn extend(&mut self, group: u32, d: Index, n: Index, m: Index, bytes: u32) -> Then {
         let m = if bytes == 0 {
             m
@@ -195,7 +195,7 @@ impl Instruction<'_> {
         }
     }
 
-    /// A5.3.16.
+    /// Multiplication with a result of 32 bits (A5.3.16).
     pub(super) fn multiply(&mut self, first: u16, second: u16) -> Then {
         let (n, a, d, m) = (index(first, 0), index(second, 12), index(second, 8), index(second, 0));
         let (group, what) = (bits(first, 4, 3), bits(second, 4, 2));
@@ -232,7 +232,7 @@ impl Instruction<'_> {
         }
     }
 
-    /// A5.3.17.
+    /// Multiplication with a result of 64 bits, and division (A5.3.17).
     pub(super) fn long_multiply(&mut self, first: u16, second: u16) -> Then {
         let (n, low, high, m) = (index(first, 0), index(second, 12), index(second, 8), index(second, 0));
         let (group, what) = (bits(first, 4, 3), bits(second, 4, 4));
@@ -267,7 +267,7 @@ impl Instruction<'_> {
     }
 }
 
-/// imm4 of MOVW and MOVT, where it belongs.
+/// Moves imm4 of MOVW and MOVT to its place in the constant.
 fn bits_of(n: u32) -> u32 {
     n << 12
 }
@@ -278,7 +278,7 @@ mod tests {
 
     #[test]
     fn constants_are_expanded_as_the_manual_says() {
-        // A5.3.2, table A5-11.
+        // Expected values are those of A5.3.2, table A5-11.
         assert_eq!(expanded(0x0AB), (0xAB, None));
         assert_eq!(expanded(0x1AB), (0x00AB_00AB, None));
         assert_eq!(expanded(0x2AB), (0xAB00_AB00, None));

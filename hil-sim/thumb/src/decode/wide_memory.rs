@@ -1,10 +1,10 @@
-//! Loads and stores of 32 bits: A5.3.5 to A5.3.10.
+//! Decoder for loads and stores of 32 bits: A5.3.5 to A5.3.10.
 
 use super::{Instruction, Single, Then, bits, index};
 use crate::operation::{Index, LOADED, Op, SCRATCH, SP, Width, ZERO};
 
 impl Instruction<'_> {
-    /// Adds to a base register, after the access.
+    /// Emits the addition to a base register after the access.
     fn write_back(&mut self, n: Index, value: u32) {
         self.push(Op::AddValue { d: n, n, value });
         if n == SP && value & 3 != 0 {
@@ -12,7 +12,7 @@ impl Instruction<'_> {
         }
     }
 
-    /// LDM, STM and relatives (A5.3.5).
+    /// Decodes multiple loads and stores: LDM, STM and relatives (A5.3.5).
     pub(super) fn multiple(&mut self, first: u16, second: u16) -> Then {
         let (n, list) = (index(first, 0), second);
         let (before, up, write_back, is_load) =
@@ -23,7 +23,7 @@ impl Instruction<'_> {
             || list >> SP & 1 != 0
             || write_back && list >> n & 1 != 0
             || to_pc && (!is_load || list >> 14 & 1 != 0);
-        // SRS and RFE are not there.
+        // ARMv7-M does not have SRS and RFE.
         if before == up || unpredictable {
             return self.undefined();
         }
@@ -46,7 +46,7 @@ impl Instruction<'_> {
         if to_pc { self.end(Op::Exchange { m: LOADED }) } else { Then::Next }
     }
 
-    /// A5.3.6.
+    /// Loads and stores of two words, exclusive accesses and table branches (A5.3.6).
     pub(super) fn dual_or_exclusive(&mut self, first: u16, second: u16) -> Then {
         let (before, up, write_back, is_load) =
             (first & 0x100 != 0, first & 0x80 != 0, first & 0x20 != 0, first & 0x10 != 0);
@@ -54,6 +54,7 @@ impl Instruction<'_> {
             return self.exclusive(first, second, up, is_load);
         }
         let (n, t, other) = (index(first, 0), index(second, 12), index(second, 8));
+        // A base that is also transferred, and PC as base with write-back, are UNPREDICTABLE.
         let written = write_back && (n == 15 || n == t || n == other);
         let not_data = |register| matches!(register, 13 | 15);
         if written || not_data(t) || not_data(other) || is_load && t == other || !is_load && n == 15 {
@@ -77,7 +78,7 @@ impl Instruction<'_> {
         Then::Next
     }
 
-    /// LDREX, STREX, TBB and the like.
+    /// Decodes exclusive accesses and table branches: LDREX, STREX, TBB and the like.
     fn exclusive(&mut self, first: u16, second: u16, up: bool, is_load: bool) -> Then {
         let (n, t, m) = (index(first, 0), index(second, 12), index(second, 0));
         let width = match bits(second, 4, 4) {
@@ -111,7 +112,7 @@ impl Instruction<'_> {
         self.push(Op::Strex { width, d, t, n, words })
     }
 
-    /// Stores of one register (A5.3.10).
+    /// Decodes stores of one register (A5.3.10).
     pub(super) fn store(&mut self, first: u16, second: u16) -> Then {
         let single = match bits(first, 5, 2) {
             0 => Single::Strb,
@@ -126,7 +127,7 @@ impl Instruction<'_> {
         self.addressed(single, t, n, first & 0x80 != 0, second)
     }
 
-    /// Loads of one register, and hints (A5.3.7 to A5.3.9).
+    /// Decodes loads of one register, and memory hints (A5.3.7 to A5.3.9).
     pub(super) fn load(&mut self, first: u16, second: u16) -> Then {
         let signed = first & 0x100 != 0;
         let single = match (bits(first, 5, 2), signed) {
@@ -140,7 +141,8 @@ impl Instruction<'_> {
         let (n, t, positive) = (index(first, 0), index(second, 12), first & 0x80 != 0);
         let to_pc = t == 15 && single == Single::Ldr;
         if t == 15 && !to_pc {
-            // PLD, PLI, and hints not allocated: nothing is cached. With write-back there are none.
+            // PLD, PLI and unallocated hints do nothing, because the model has no caches. There are no hints with
+            // write-back.
             let hint = n == 15 || positive || second & 0xFC0 == 0 || second & 0xF00 == 0xC00;
             return if hint { Then::Next } else { self.undefined() };
         }
@@ -160,7 +162,7 @@ impl Instruction<'_> {
         if to_pc { self.end(Op::Exchange { m: SCRATCH }) } else { self.wrote(t) }
     }
 
-    /// The ways to address: a positive constant of 12 bits, or one of 8 with write-back, or a register.
+    /// Decodes the addressing mode: a positive offset of 12 bits, one of 8 with write-back, or a register.
     fn addressed(&mut self, single: Single, t: Index, n: Index, positive: bool, second: u16) -> Then {
         if positive {
             self.single(single, t, n, bits(second, 0, 12));

@@ -1,4 +1,4 @@
-//! Accesses: directly, or by the bus.
+//! Memory accesses, direct or by the bus.
 
 use std::cell::Cell;
 
@@ -26,7 +26,7 @@ impl State {
         Access { address, size, pc: context.pc(index), instructions }
     }
 
-    /// After an access.
+    /// Handles the consequences of a bus access: a changed memory map, and new limits.
     fn accessed(&mut self, bus: &mut dyn CoreBus) {
         if let Some(regions) = bus.remapped() {
             if let Err(error) = self.memory.map(regions) {
@@ -37,7 +37,7 @@ impl State {
         self.refresh_limits(bus);
     }
 
-    /// A load that is not direct; `None` has no result.
+    /// Loads by the bus, where direct access is impossible; `None` stops the instruction.
     #[cold]
     #[inline(never)]
     pub(super) fn load_by_bus(
@@ -54,7 +54,7 @@ impl State {
         result.ok()
     }
 
-    /// A store that is not direct, or to code.
+    /// Stores by the bus, where direct access is impossible, or to code.
     #[cold]
     #[inline(never)]
     pub(super) fn store_by_bus(
@@ -67,6 +67,7 @@ impl State {
         bus: &mut dyn CoreBus,
     ) -> Result<(), Fault> {
         let bytes = size.bytes() as usize;
+        // Pages with decoded code are not in the table of direct stores, so their stores arrive here.
         if let Some(decoded) = self.memory.store_code(address, &value.to_le_bytes()[..bytes]) {
             if decoded {
                 self.set_stale();
@@ -74,6 +75,7 @@ impl State {
             return Ok(());
         }
         let access = self.access(address, size, index, context);
+        // The bus expects only the bits of the access; a register has 32.
         let value = if bytes == 4 { value } else { value & ((1 << (8 * bytes)) - 1) };
         let result = bus.write(&access, value);
         self.accessed(bus);
@@ -106,7 +108,7 @@ impl State {
         }
     }
 
-    /// Loads words, each by itself where they are not direct.
+    /// Loads words, one by one where direct access is impossible.
     #[inline(always)]
     pub(super) fn load_words(
         &mut self,
@@ -148,7 +150,7 @@ impl State {
         Ok(())
     }
 
-    /// Stores words, each by itself where they are not direct.
+    /// Stores words, one by one where direct access is impossible.
     #[inline(always)]
     pub(super) fn store_words(
         &mut self,
@@ -189,7 +191,7 @@ impl State {
         Ok(())
     }
 
-    /// Loads the registers of a list, all or none; PC as [`LOADED`].
+    /// Loads the registers of a list, all or none; PC goes to [`LOADED`].
     pub(super) fn load_list(
         &mut self,
         address: u32,
@@ -210,6 +212,7 @@ impl State {
             }
             return Ok(());
         }
+        // Registers change only after all loads, because one of them may be refused.
         let mut words = [0; LOADED as usize + 1];
         let words = &mut words[..count];
         self.load_words_by_bus(address, words, index, context, bus)?;
@@ -249,7 +252,7 @@ impl State {
         self.store_words_by_bus(address, &words[..count], index, context, bus)
     }
 
-    /// LDREX and relatives: the monitor watches the address (A3.4).
+    /// Executes LDREX and relatives: the exclusive monitor watches the address (A3.4).
     pub(super) fn load_exclusive(
         &mut self,
         width: Width,
@@ -275,7 +278,7 @@ impl State {
         Ok(value)
     }
 
-    /// STREX and relatives; `true` did not store.
+    /// Executes STREX and relatives; returns `true` if nothing was stored.
     pub(super) fn store_exclusive(
         &mut self,
         width: Width,
@@ -319,7 +322,7 @@ impl State {
         }
         match (transfer.load, transfer.words) {
             (true, 1) => self.float.s[first] = self.load_word(address, index, context, bus)?,
-            // Neither half is loaded where one cannot be.
+            // Both words are loaded before either half is written, because the second may be refused.
             (true, _) => {
                 let low = self.load_word(address, index, context, bus)?;
                 self.float.s[second] = self.load_word(address.wrapping_add(4), index, context, bus)?;
@@ -364,7 +367,7 @@ impl State {
         }
     }
 
-    /// A floating-point instruction, while they are allowed.
+    /// Executes a floating-point instruction, if the unit is enabled.
     pub(super) fn float(
         &mut self,
         number: u32,
@@ -374,7 +377,8 @@ impl State {
     ) -> Result<(), Fault> {
         let float = context.blocks.floats()[number as usize];
         if self.control & FLOAT_ACTIVE == 0 {
-            // A new floating-point context begins with FPDSCR in FPSCR (B1.5.7), of which the machine has the reset value only.
+            // A new floating-point context starts with FPDSCR in FPSCR (B1.5.7); the machine models only FPDSCR's reset
+            // value.
             self.control |= FLOAT_ACTIVE;
             self.float.set_fpscr(0);
         }
@@ -388,12 +392,12 @@ impl State {
             self.r[usize::from(transfer.base) % COUNT]
         };
         let address = base.wrapping_add(i32::from(transfer.offset) as u32);
-        // One register without more: most are that.
+        // Fast path: most instructions transfer one register without write-back.
         if let (1 | 2, 0) = (transfer.words, transfer.write_back) {
             return self.transfer(&transfer, address, index, context, bus);
         }
         let (first, words) = (usize::from(transfer.first), usize::from(transfer.words));
-        // The decoder lets no list leave the registers.
+        // The decoder accepts only lists that fit the registers.
         let list = first..(first + words).min(self.float.s.len());
         let mut values = [0; 32];
         let values = &mut values[..list.len()];

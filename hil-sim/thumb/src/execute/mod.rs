@@ -1,4 +1,4 @@
-//! What operations do.
+//! Execution of the operations of a block.
 
 mod access;
 mod multiply;
@@ -13,7 +13,7 @@ use crate::decode::Position;
 use crate::operation::{COUNT, LR, Op, SP};
 use crate::state::State;
 
-/// The stretch of blocks that is executed.
+/// Stretch of blocks that is being executed.
 #[derive(Clone, Copy)]
 pub(crate) struct Context<'a> {
     pub(crate) blocks: &'a Blocks,
@@ -21,12 +21,12 @@ pub(crate) struct Context<'a> {
 }
 
 impl Context<'_> {
-    /// Where an operation is from.
+    /// Returns the origin of an operation.
     pub(crate) fn position(&self, index: usize) -> Position {
         self.blocks.positions(self.block)[index]
     }
 
-    /// The address of an operation's instruction.
+    /// Returns the address of an operation's instruction.
     pub(crate) fn pc(&self, index: usize) -> u32 {
         self.position(index).address
     }
@@ -42,7 +42,7 @@ fn add(state: &mut State, a: u32, b: u32, carry: bool) -> u32 {
     result
 }
 
-/// A shift by a register (A2.2.1): the result, and the carry where it changes.
+/// Shifts by a register (A2.2.1); returns the result, and the carry if it changes.
 fn shift_by(kind: u8, value: u32, by: u32) -> (u32, Option<bool>) {
     let by = by & 0xFF;
     if by == 0 {
@@ -63,7 +63,7 @@ fn shift_by(kind: u8, value: u32, by: u32) -> (u32, Option<bool>) {
     }
 }
 
-/// An instruction has no effect, but ends the run.
+/// Ends the run before an instruction, which has no effect.
 #[cold]
 fn stop_before(state: &mut State, context: &Context<'_>, index: usize, why: Why) -> Option<Why> {
     let position = context.position(index);
@@ -73,7 +73,7 @@ fn stop_before(state: &mut State, context: &Context<'_>, index: usize, why: Why)
     Some(why)
 }
 
-/// The last instruction of a stretch, whose last block has so many, ends the run; what follows is at `pc`.
+/// Ends the run after the last instruction of a stretch, whose last block has `instructions`; the next one is at `pc`.
 #[cold]
 fn stop_after(state: &mut State, context: &Context<'_>, instructions: u16, pc: u32, why: Why) -> Option<Why> {
     state.pc = pc;
@@ -82,8 +82,8 @@ fn stop_after(state: &mut State, context: &Context<'_>, instructions: u16, pc: u
     Some(why)
 }
 
-/// Executes a stretch of blocks, or its first operations. With `chain` those that follow, too, as long as they are known and
-/// nothing else is to be looked at, which is known before each block. `Some` ends the run.
+/// Executes a stretch of blocks, or its first operations. With `chain` also its successors, as long as they are known
+/// and no check is due; checks are made before each block. `Some` ends the run.
 pub(crate) fn execute(
     state: &mut State,
     blocks: &Blocks,
@@ -93,10 +93,10 @@ pub(crate) fn execute(
 ) -> Option<Why> {
     let mut context = Context { blocks, block };
     let mut ops = blocks.ops(block);
-    // Of the present block, and what is left of the stretch.
+    // Instructions of the current block, and the remaining operations of the stretch.
     let mut instructions = block.instructions;
     let mut rest = ops.iter();
-    // The place of the present operation.
+    // Index of the current operation.
     macro_rules! here {
         () => {
             ops.len() - rest.len() - 1
@@ -107,7 +107,7 @@ pub(crate) fn execute(
             state.r[usize::from($index) % COUNT]
         };
     }
-    // N and Z of a result.
+    // Sets N and Z from a result.
     macro_rules! nz {
         ($d:expr, $result:expr) => {{
             let result = $result;
@@ -126,7 +126,7 @@ pub(crate) fn execute(
             return stop_after(state, &context, instructions, context.block.end, $why)
         };
     }
-    // Of accesses to several words.
+    // Handles the result of accesses to several words.
     macro_rules! words {
         ($result:expr) => {
             match $result {
@@ -163,7 +163,7 @@ pub(crate) fn execute(
     }
     loop {
         let next = 'block: {
-            // What follows is in the stretch, or after it.
+            // The target may be in this stretch or after it.
             macro_rules! branch {
                 ($taken:expr, $target:expr) => {
                     if $taken {
@@ -225,6 +225,8 @@ pub(crate) fn execute(
 
                     Op::Lsl { d, m, by } => r!(d) = r!(m) << (by & 31),
                     Op::Lsls { d, m, by } => {
+                        // Shifting in two steps gives the carry, which is the last bit shifted out; LSR and ASR may
+                        // shift by 32.
                         let partial = r!(m) << (by.wrapping_sub(1) & 31);
                         state.flags.c = partial >> 31 != 0;
                         nz!(d, partial << 1);
@@ -243,6 +245,7 @@ pub(crate) fn execute(
                     }
                     Op::Ror { d, m, by } => r!(d) = r!(m).rotate_right(by.into()),
                     Op::Rors { d, m, by } => {
+                        // The last bit rotated is now the highest one.
                         let result = r!(m).rotate_right(by.into());
                         state.flags.c = result >> 31 != 0;
                         nz!(d, result);
@@ -393,6 +396,7 @@ pub(crate) fn execute(
                     Op::Push { list } => {
                         let address = r!(SP).wrapping_sub(4 * list.count_ones());
                         words!(state.store_list(address, list, here!(), &context, bus));
+                        // SP changes last, so that an access that faults leaves it unchanged; the same holds for POP.
                         r!(SP) = address;
                     }
                     Op::Pop { list } => {
@@ -416,6 +420,8 @@ pub(crate) fn execute(
                     Op::Onward { instructions: next, address } => {
                         state.executed += u64::from(instructions);
                         instructions = next;
+                        // The loop stops here only when an event is due; otherwise the next instructions follow without
+                        // a lookup.
                         if state.executed >= state.attention_at {
                             state.pc = address;
                             state.it = 0;
@@ -446,6 +452,7 @@ pub(crate) fn execute(
                     Op::BranchNotZero { n, target } => branch!(r!(n) != 0, target),
                     Op::Exchange { m } => {
                         let target = r!(m);
+                        // In handler mode, a branch to 0xFxxx_xxxx is an exception return (DDI0403E, BXWritePC).
                         if state.exception != 0 && target >> 28 == 0xF {
                             return stop_after(
                                 state,
@@ -459,6 +466,7 @@ pub(crate) fn execute(
                         break 'block target & !1;
                     }
                     Op::CallExchange { m } => {
+                        // The target is read first, because `m` may be LR.
                         let target = r!(m);
                         r!(LR) = context.block.end | 1;
                         state.thumb = target & 1 != 0;
@@ -524,7 +532,7 @@ mod tests {
 
     use super::shift_by;
 
-    /// One place after the other (DDI0403E A2.2.1).
+    /// Reference implementation that shifts by one place at a time (DDI0403E A2.2.1).
     fn by_ones(kind: u8, value: u32, by: u32) -> (u32, Option<bool>) {
         (0..by & 0xFF).fold((value, None), |(value, _), _| match kind {
             0 => (value << 1, Some(value >> 31 != 0)),

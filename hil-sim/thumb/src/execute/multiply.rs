@@ -1,14 +1,14 @@
-//! Multiplications of halves, and double words (DDI0403E A4.4.2).
+//! Execution of multiplications of halfwords, and of double words (DDI0403E A4.4.2).
 
 use crate::operation::{COUNT, Index};
 use crate::state::State;
 
-/// A half of a word, with its sign.
+/// Extracts a halfword with its sign.
 fn half(value: u32, top: bool) -> i64 {
     i64::from(if top { (value >> 16) as i16 } else { value as i16 })
 }
 
-/// Products of the bottom and the top halves, the second operand's exchanged or not.
+/// Combines the products of the bottom and the top halves; `how` exchanges the second operand's halves or subtracts.
 fn products(n: u32, m: u32, how: u8) -> i64 {
     let exchanged = how & 1 != 0;
     let (bottom, top) = (half(n, false) * half(m, exchanged), half(n, true) * half(m, !exchanged));
@@ -33,19 +33,19 @@ impl State {
         self.set_reg(high, (value >> 32) as u32);
     }
 
-    /// Sets Q where a result does not fit in a word.
+    /// Truncates a result to a word; sets Q if it does not fit.
     fn word_sticky(&mut self, value: i64) -> u32 {
         self.q |= i32::try_from(value).is_err();
         value as u32
     }
 
-    /// SMULBB and relatives.
+    /// Executes SMULBB and relatives.
     pub(super) fn smul_halves(&mut self, d: Index, n: Index, m: Index, tops: u8) {
         let product = half(self.reg(n), tops & 2 != 0) * half(self.reg(m), tops & 1 != 0);
         self.set_reg(d, product as u32);
     }
 
-    /// SMULWB, SMULWT.
+    /// Executes SMULWB and SMULWT.
     pub(super) fn smul_wide(&mut self, d: Index, n: Index, m: Index, top: bool) {
         let product = i64::from(self.reg(n) as i32) * half(self.reg(m), top);
         self.set_reg(d, (product >> 16) as u32);
@@ -57,20 +57,20 @@ impl State {
         self.set_reg(d, sum);
     }
 
-    /// SMLAD, SMLSD, SMUAD, SMUSD.
+    /// Executes SMLAD, SMLSD, SMUAD and SMUSD.
     pub(super) fn dual(&mut self, d: Index, n: Index, m: Index, a: Index, how: u8) {
         let sum = products(self.reg(n), self.reg(m), how) + i64::from(self.reg(a) as i32);
         let sum = self.word_sticky(sum);
         self.set_reg(d, sum);
     }
 
-    /// SMLALD, SMLSLD.
+    /// Executes SMLALD and SMLSLD.
     pub(super) fn dual_long(&mut self, low: Index, high: Index, n: Index, m: Index, how: u8) {
         let sum = products(self.reg(n), self.reg(m), how) as u64;
         self.set_long(low, high, self.long(low, high).wrapping_add(sum));
     }
 
-    /// SMMLA, SMMLS, SMMUL.
+    /// Executes SMMLA, SMMLS and SMMUL.
     pub(super) fn upper(&mut self, d: Index, n: Index, m: Index, a: Index, how: u8) {
         let product = i64::from(self.reg(n) as i32) * i64::from(self.reg(m) as i32);
         let a = i64::from(self.reg(a) as i32) << 32;

@@ -1,4 +1,4 @@
-//! Saturation, and operations on halves and bytes (DDI0403E A4.4.3, A4.4.4).
+//! Execution of saturation, and of operations on halves and bytes (DDI0403E A4.4.3, A4.4.4).
 
 use crate::operation::Index;
 use crate::state::State;
@@ -8,7 +8,7 @@ fn clamp(value: i32, lowest: i32, highest: i32) -> (i32, bool) {
     (clamped, clamped != value)
 }
 
-/// A sum or difference of two lanes of so many bits, as parallel instructions make it, and whether GE is set.
+/// Computes the sum or difference of two lanes of `bits` bits for parallel instructions, and whether GE is set.
 fn lane(kind: u8, bits: u32, n: u32, m: u32, subtract: bool) -> (u32, bool) {
     let mask = (1 << bits) - 1;
     let is_signed = kind & 0x20 == 0;
@@ -30,8 +30,8 @@ fn lane(kind: u8, bits: u32, n: u32, m: u32, subtract: bool) -> (u32, bool) {
 }
 
 impl State {
-    /// SADD16 and relatives: `kind` has in bits 2 to 0 ADD8, ADD16, ASX, -, SUB8, SUB16, SAX; in 4 and 3 plain, saturating,
-    /// halving; bit 5 is unsigned.
+    /// Executes SADD16 and relatives. `kind` has in bits 2 to 0 ADD8, ADD16, ASX, -, SUB8, SUB16, SAX; in 4 and 3
+    /// plain, saturating, halving; bit 5 is unsigned.
     pub(super) fn parallel(&mut self, kind: u8, d: Index, n: Index, m: Index) {
         let (n, m) = (self.reg(n), self.reg(m));
         let (mut result, mut ge) = (0, 0);
@@ -42,7 +42,7 @@ impl State {
                 ge |= u8::from(at_least) << byte;
             }
         } else {
-            // Halves of the second operand are exchanged by ASX, which subtracts the lower ones, and SAX.
+            // ASX and SAX exchange the halves of the second operand; ASX subtracts the lower ones, SAX adds them.
             let exchanged = kind & 3 == 2;
             let m = if exchanged { m.rotate_left(16) } else { m };
             let subtract = kind & 4 != 0;
@@ -63,7 +63,7 @@ impl State {
         self.set_reg(d, self.reg(n) & mask | self.reg(m) & !mask);
     }
 
-    /// SSAT: to so many bits, 1 to 32.
+    /// Executes SSAT: saturates to `bits` bits, 1 to 32.
     pub(super) fn signed_saturated(&mut self, value: i32, bits: u8) -> i32 {
         let highest = i32::MAX >> ((32 - u32::from(bits)) & 31);
         let (value, saturated) = clamp(value, !highest, highest);
@@ -71,7 +71,7 @@ impl State {
         value
     }
 
-    /// USAT: to so many bits, 0 to 31.
+    /// Executes USAT: saturates to `bits` bits, 0 to 31.
     pub(super) fn unsigned_saturated(&mut self, value: i32, bits: u8) -> u32 {
         let (value, saturated) = clamp(value, 0, ((1_u32 << (bits & 31)) - 1) as i32);
         self.q |= saturated;

@@ -1,13 +1,13 @@
-//! Special registers (DDI0403E B5.2).
+//! Execution of accesses to special registers (DDI0403E B5.2).
 
 use crate::state::{FLOAT_ACTIVE, PROCESS_STACK, State};
 
-/// CONTROL.nPRIV.
+/// Bit CONTROL.nPRIV: thread mode is unprivileged.
 const UNPRIVILEGED: u32 = 1;
-/// Exceptions whose priority is negative: NMI and HardFault.
+/// Exceptions with negative priority: NMI and HardFault.
 const NEGATIVE: [u16; 2] = [2, 3];
 
-/// Numbers of special registers.
+/// Numbers of special registers in MRS and MSR.
 mod number {
     pub(super) const MSP: u8 = 8;
     pub(super) const PSP: u8 = 9;
@@ -19,7 +19,7 @@ mod number {
 }
 
 impl State {
-    /// MRS (B5.2.2).
+    /// Reads a special register, as MRS does (B5.2.2).
     pub(super) fn special(&self, special: u8) -> u32 {
         let privileged = self.is_privileged();
         match special {
@@ -39,7 +39,7 @@ impl State {
         }
     }
 
-    /// MSR (B5.2.3).
+    /// Writes a special register, as MSR does (B5.2.3).
     pub(super) fn set_special(&mut self, special: u8, mask: u8, value: u32) {
         match special {
             0..=3 => {
@@ -53,7 +53,7 @@ impl State {
             }
             _ if !self.is_privileged() => {}
             number::CONTROL => {
-                // The stack is chosen in thread mode only.
+                // Only thread mode can select the stack.
                 let stack = if self.exception == 0 { PROCESS_STACK } else { 0 };
                 let allowed = UNPRIVILEGED | FLOAT_ACTIVE | stack;
                 self.set_control(self.control & !allowed | value & allowed);
@@ -62,6 +62,7 @@ impl State {
             number::PSP => self.set_stack(true, value),
             number::PRIMASK => self.primask = value & 1,
             number::BASEPRI => self.basepri = value & 0xFF,
+            // BASEPRI_MAX only raises the priority: a lower number, or any while BASEPRI is 0 (off).
             number::BASEPRI_MAX => {
                 let value = value & 0xFF;
                 if value != 0 && (value < self.basepri || self.basepri == 0) {
@@ -74,12 +75,13 @@ impl State {
     }
 
     fn set_faultmask(&mut self, value: u32) {
+        // NMI and HardFault run at negative priority, where FAULTMASK cannot be set (B5.2.3).
         if value == 0 || !NEGATIVE.contains(&self.exception) {
             self.faultmask = value;
         }
     }
 
-    /// CPS (B5.2.1): bit 0 of `what` is FAULTMASK, bit 1 PRIMASK.
+    /// Executes CPS (B5.2.1): bit 0 of `what` is FAULTMASK, bit 1 PRIMASK.
     pub(super) fn change_masks(&mut self, disable: bool, what: u8) {
         if !self.is_privileged() {
             return;

@@ -1,7 +1,7 @@
-//! Sums, products, quotients, roots (DDI0403E A2.5, FPAdd to FPSqrt): exact, and rounded once.
+//! Addition, multiplication, division and square root (DDI0403E A2.5, FPAdd to FPSqrt): exact, and rounded once.
 //!
-//! Every result and every cumulative flag is computed from integers here, in every rounding mode. The processor this
-//! runs on gives the same results where nothing is special about them, and sooner: see `fast`.
+//! All results and cumulative flags are computed with integers here, in every rounding mode. For ordinary values the
+//! host's floating-point unit gives the same results faster: see `fast`.
 
 use super::format::{Format, Number, Value, process_nan, process_nans, round, unpack};
 use super::status::{DZC, IOC, Rounding};
@@ -11,7 +11,7 @@ fn invalid(format: Format, fpscr: &mut u32) -> u64 {
     format.default_nan()
 }
 
-/// FPAdd.
+/// Adds two values (FPAdd).
 pub(super) fn add(format: Format, a: u64, b: u64, fpscr: &mut u32) -> u64 {
     let (first, second) = (unpack(format, a, fpscr), unpack(format, b, fpscr));
     if let Some(nan) = process_nans(format, [(a, first), (b, second)], fpscr) {
@@ -20,7 +20,7 @@ pub(super) fn add(format: Format, a: u64, b: u64, fpscr: &mut u32) -> u64 {
     sum(format, first, second, fpscr)
 }
 
-/// FPSub: not the sum with the second negated, for a NaN keeps its sign.
+/// Subtracts two values (FPSub). Not the sum with the second negated, because a NaN keeps its sign.
 pub(super) fn subtract(format: Format, a: u64, b: u64, fpscr: &mut u32) -> u64 {
     let (first, second) = (unpack(format, a, fpscr), unpack(format, b, fpscr));
     if let Some(nan) = process_nans(format, [(a, first), (b, second)], fpscr) {
@@ -35,7 +35,7 @@ pub(super) fn subtract(format: Format, a: u64, b: u64, fpscr: &mut u32) -> u64 {
     sum(format, first, negated, fpscr)
 }
 
-/// The sum of two values that are not NaN.
+/// Adds two values that are not NaN.
 fn sum(format: Format, first: Value, second: Value, fpscr: &mut u32) -> u64 {
     let rounding = Rounding::of(*fpscr);
     match (first, second) {
@@ -49,22 +49,25 @@ fn sum(format: Format, first: Value, second: Value, fpscr: &mut u32) -> u64 {
         }
         (Value::Finite(first), Value::Finite(second)) => match exact_sum(first, second) {
             Some(number) => round(format, number, rounding, fpscr),
+            // An exact difference of zero is +0, or -0 when rounding down (IEEE 754, 6.3).
             None => format.zero(rounding == Rounding::Down),
         },
         _ => format.zero(rounding == Rounding::Down),
     }
 }
 
-/// The sum of two numbers, of which the lowest bit may stand for a smaller part; `None` is zero.
+/// Adds two numbers without rounding, except that the lowest bit may represent a smaller part (sticky bit); `None` is
+/// zero.
 ///
-/// Each significand has at most 106 bits. Both are moved up to 126, so that where bits fall out of the smaller one, it is
-/// by 20 places or more the smaller, and the sum keeps more bits than any format has.
+/// Each significand has at most 106 bits and is shifted up to 126. So where bits of the smaller one are lost, it is
+/// smaller by at least 20 places, and the sum keeps more bits than any format has.
 fn exact_sum(first: Number, second: Number) -> Option<Number> {
     let (first, second) = (raised(first), raised(second));
     let order = (first.exponent, first.significand) >= (second.exponent, second.significand);
     let (large, small) = if order { (first, second) } else { (second, first) };
     let places = (large.exponent - small.exponent) as u32;
     let kept = small.significand.checked_shr(places).unwrap_or(0);
+    // The lost part becomes a sticky bit, which keeps the rounding correct.
     let lost = kept.checked_shl(places).unwrap_or(0) != small.significand;
     let moved = kept | u128::from(lost);
     let significand =
@@ -72,7 +75,7 @@ fn exact_sum(first: Number, second: Number) -> Option<Number> {
     (significand != 0).then_some(Number { significand, ..large })
 }
 
-/// The same number with bit 125 as the highest one.
+/// Normalises the number to bit 125 as its highest bit.
 fn raised(number: Number) -> Number {
     let places = number.significand.leading_zeros() - 2;
     Number { exponent: number.exponent - places as i32, significand: number.significand << places, ..number }
@@ -94,7 +97,7 @@ fn sign(value: Value) -> bool {
     }
 }
 
-/// FPMul.
+/// Multiplies two values (FPMul).
 pub(super) fn multiply(format: Format, a: u64, b: u64, fpscr: &mut u32) -> u64 {
     let (first, second) = (unpack(format, a, fpscr), unpack(format, b, fpscr));
     if let Some(nan) = process_nans(format, [(a, first), (b, second)], fpscr) {
@@ -113,11 +116,12 @@ pub(super) fn multiply(format: Format, a: u64, b: u64, fpscr: &mut u32) -> u64 {
     }
 }
 
-/// FPMulAdd: `addend + a * b`, rounded once.
+/// Computes `addend + a * b`, rounded once (FPMulAdd).
 pub(super) fn fused(format: Format, addend: u64, a: u64, b: u64, fpscr: &mut u32) -> u64 {
     let third = unpack(format, addend, fpscr);
     let (first, second) = (unpack(format, a, fpscr), unpack(format, b, fpscr));
     let undefined = first.is_infinite() && second.is_zero() || first.is_zero() && second.is_infinite();
+    // Zero times infinity is invalid even with a quiet NaN as addend; a signalling one has priority (FPMulAdd).
     if undefined && third == Value::Quiet {
         return invalid(format, fpscr);
     }
@@ -136,7 +140,7 @@ pub(super) fn fused(format: Format, addend: u64, a: u64, b: u64, fpscr: &mut u32
     sum(format, third, product, fpscr)
 }
 
-/// FPDiv.
+/// Divides two values (FPDiv).
 pub(super) fn divide(format: Format, a: u64, b: u64, fpscr: &mut u32) -> u64 {
     let (first, second) = (unpack(format, a, fpscr), unpack(format, b, fpscr));
     if let Some(nan) = process_nans(format, [(a, first), (b, second)], fpscr) {
@@ -145,7 +149,7 @@ pub(super) fn divide(format: Format, a: u64, b: u64, fpscr: &mut u32) -> u64 {
     let negative = sign(first) != sign(second);
     match (first, second) {
         (Value::Finite(first), Value::Finite(second)) => {
-            // 126 bits by at most 53: 73 or more.
+            // The quotient of 126 bits by at most 53 has 73 or more, enough for one rounding.
             let first = raised(first);
             let quotient = first.significand / second.significand;
             let rest = quotient * second.significand != first.significand;
@@ -168,13 +172,13 @@ pub(super) fn divide(format: Format, a: u64, b: u64, fpscr: &mut u32) -> u64 {
     }
 }
 
-/// FPSqrt.
+/// Takes the square root of a value (FPSqrt).
 pub(super) fn square_root(format: Format, a: u64, fpscr: &mut u32) -> u64 {
     match unpack(format, a, fpscr) {
         Value::Zero { negative } => format.zero(negative),
         Value::Infinity { negative: false } => format.infinity(false),
         Value::Finite(number) if !number.negative => {
-            // An even exponent, and 125 or 126 bits, of which the root has 63.
+            // With an even exponent and 125 or 126 bits, the root has 63 bits.
             let mut number = raised(number);
             if number.exponent & 1 != 0 {
                 number.significand >>= 1;

@@ -1,28 +1,29 @@
-//! Comparisons (DDI0403E A2.5, FPCompare, FPMaxNum, FPMinNum).
+//! Comparison, maximum and minimum (DDI0403E A2.5, FPCompare, FPMaxNum, FPMinNum).
 
 use std::cmp::Ordering;
 
 use super::format::{Format, Value, process_nans, unpack};
 use super::status::IOC;
 
-/// Less, equal, greater, and not to be compared, as N, Z, C, V.
+/// Flags N, Z, C, V of the results less, equal, greater, and unordered.
 const LESS: u32 = 0b1000 << 28;
 const EQUAL: u32 = 0b0110 << 28;
 const GREATER: u32 = 0b0010 << 28;
 const UNORDERED: u32 = 0b0011 << 28;
 
-/// A key that orders the numbers of a format as integers. Both zeros are one.
+/// Maps the numbers of a format to integers of the same order. Both zeros map to 0.
 fn key(format: Format, bits: u64) -> i64 {
     let magnitude = format.absolute(bits) as i64;
     if format.negative(bits) { -magnitude } else { magnitude }
 }
 
-/// The bits again, or zero where FPSCR.FZ makes it of them.
+/// Returns the bits, or zero if FPSCR.FZ flushes them.
 fn flushed(format: Format, bits: u64, value: Value) -> u64 {
     if let Value::Zero { negative } = value { format.zero(negative) } else { bits }
 }
 
-/// FPCompare: the flags. `signalling` is of VCMPE, to which a quiet NaN is invalid, too.
+/// Compares two values; returns the flags (FPCompare). `signalling` is for VCMPE, for which a quiet NaN is invalid,
+/// too.
 pub(super) fn compare(format: Format, a: u64, b: u64, signalling: bool, fpscr: &mut u32) -> u32 {
     let (first, second) = (unpack(format, a, fpscr), unpack(format, b, fpscr));
     if first.is_nan() || second.is_nan() {
@@ -34,7 +35,7 @@ pub(super) fn compare(format: Format, a: u64, b: u64, signalling: bool, fpscr: &
     flags(key(format, flushed(format, a, first)).cmp(&key(format, flushed(format, b, second))))
 }
 
-/// The flags of two values that can be compared.
+/// Returns the flags of two ordered values.
 pub(super) fn flags(order: Ordering) -> u32 {
     match order {
         Ordering::Less => LESS,
@@ -43,7 +44,7 @@ pub(super) fn flags(order: Ordering) -> u32 {
     }
 }
 
-/// FPMaxNum, or FPMinNum: a quiet NaN is passed over where the other operand is a number.
+/// Selects the larger or smaller value (FPMaxNum, FPMinNum); a number wins over a quiet NaN.
 pub(super) fn extreme(format: Format, a: u64, b: u64, largest: bool, fpscr: &mut u32) -> u64 {
     let (first, second) = (unpack(format, a, fpscr), unpack(format, b, fpscr));
     match (first, second) {

@@ -1,13 +1,13 @@
-//! Decoding of coprocessors 10 and 11 (DDI0403E A5.3.18, A6.4 to A6.7; the encodings of A7.7.225 ff.).
+//! Decoder for coprocessors 10 and 11 (DDI0403E A5.3.18, A6.4 to A6.7; the encodings of A7.7.225 ff.).
 //!
-//! What is UNPREDICTABLE is undefined here: bits that should be zero and are not, PC where it is no operand, registers
-//! past the last.
+//! UNPREDICTABLE encodings are treated as undefined: nonzero bits that should be zero, PC where it is no operand,
+//! registers past the last.
 
 use super::integer::Fixed;
 use super::status::Rounding;
 use super::{Float, Three, Toward, Transfer, Two};
 
-/// The halfwords, as fields.
+/// Fields of an instruction's two halfwords.
 #[derive(Clone, Copy)]
 struct Fields {
     first: u16,
@@ -15,7 +15,7 @@ struct Fields {
 }
 
 impl Fields {
-    /// A field of the second halfword.
+    /// Extracts a field of the second halfword.
     fn second(self, low: u16, bits: u16) -> u8 {
         (self.second >> low & ((1 << bits) - 1)) as u8
     }
@@ -28,7 +28,7 @@ impl Fields {
         self.second & 0x100 != 0
     }
 
-    /// A register by four bits and one: the first S register of it. There is no D16 and above.
+    /// Combines the four and one bits of a register number to that of its first S register. D16 and above do not exist.
     fn register(four: u8, one: u8, double: bool) -> Option<u8> {
         match (double, one) {
             (false, _) => Some(four << 1 | one),
@@ -49,13 +49,13 @@ impl Fields {
         Self::register(self.second(0, 4), self.second(5, 1), double)
     }
 
-    /// An operand or result that is the core's. SP is allowed, as cores do.
+    /// Returns the core register that is operand or result. SP is allowed, as cores do.
     fn core(self) -> Option<u8> {
         Some(self.second(12, 4)).filter(|core| *core != 15)
     }
 }
 
-/// Decodes the two halfwords of an instruction of coprocessors 10 and 11; `None` is undefined.
+/// Decodes both halfwords of an instruction of coprocessors 10 and 11; `None` is undefined.
 pub(crate) fn decode(first: u16, second: u16) -> Option<Float> {
     let fields = Fields { first, second };
     if second & 0x0E00 != 0x0A00 {
@@ -71,7 +71,7 @@ pub(crate) fn decode(first: u16, second: u16) -> Option<Float> {
     }
 }
 
-/// VMOV between two core registers and two S registers, or one D register.
+/// Decodes VMOV between two core registers and two S registers, or one D register.
 fn pair(fields: Fields) -> Option<Float> {
     if fields.second & 0xD0 != 0x10 {
         return None;
@@ -85,7 +85,7 @@ fn pair(fields: Fields) -> Option<Float> {
     Some(if to_core { Float::PairToCore { low, high, first } } else { Float::PairFromCore { low, high, first } })
 }
 
-/// VLDR, VSTR, VLDM, VSTM, VPUSH, VPOP.
+/// Decodes VLDR, VSTR, VLDM, VSTM, VPUSH and VPOP.
 fn transfer(fields: Fields) -> Option<Float> {
     let double = fields.double();
     let (load, base) = (fields.first & 0x10 != 0, fields.first(0, 4));
@@ -107,7 +107,7 @@ fn transfer(fields: Fields) -> Option<Float> {
             write_back: 0,
         }));
     }
-    // With an odd count of words of D registers (FLDMX, FSTMX), the last is passed over.
+    // With an odd count of words for D registers (FLDMX, FSTMX), the last word is skipped.
     let words = if double { immediate & !1 } else { immediate };
     let fits = words != 0 && words <= 32 && i16::from(first) + words <= 32;
     let (offset, write_back) = match (before, up, back) {
@@ -122,7 +122,7 @@ fn transfer(fields: Fields) -> Option<Float> {
     Some(Float::Transfer(Transfer { load, base, first, words: words as u8, offset, write_back }))
 }
 
-/// Transfers of 32 bits between the core and the extension registers.
+/// Decodes transfers of 32 bits between the core and the extension registers.
 fn core(fields: Fields) -> Option<Float> {
     let load = fields.first & 0x10 != 0;
     let operation = fields.first(5, 3);
@@ -133,7 +133,7 @@ fn core(fields: Fields) -> Option<Float> {
                 let (core, single) = (fields.core()?, fields.n(false)?);
                 Some(if load { Float::ToCore { core, single } } else { Float::FromCore { core, single } })
             }
-            // FPSCR, the only one of these registers.
+            // FPSCR is the only one of these registers that exists.
             7 if low == 0x10 && fields.first(0, 4) == 1 => Some(match (load, fields.second(12, 4)) {
                 (true, 15) => Float::StatusToFlags,
                 (false, 15) => return None,
@@ -153,7 +153,7 @@ fn core(fields: Fields) -> Option<Float> {
     }
 }
 
-/// Data processing (A6.4).
+/// Decodes data-processing instructions (A6.4).
 fn data(fields: Fields) -> Option<Float> {
     let double = fields.double();
     let odd = fields.second & 0x40 != 0;
@@ -183,7 +183,7 @@ fn three(fields: Fields, operation: Three, double: bool) -> Option<Float> {
     Some(Float::Three { operation, double, d, n, m })
 }
 
-/// VMOV of a constant (VFPExpandImm): the highest halfword of it, the rest is zero.
+/// Decodes VMOV of a constant (VFPExpandImm) to its highest halfword; the rest is zero.
 fn immediate(fields: Fields) -> Option<Float> {
     if fields.second & 0xA0 != 0 {
         return None;
@@ -193,7 +193,7 @@ fn immediate(fields: Fields) -> Option<Float> {
     let (high, low) = (u16::from(fields.first(0, 4)), u16::from(fields.second(0, 4)));
     let (sign, exponent) = (high >> 3 << 15, high & 7);
     let repeated = exponent & 4 != 0;
-    // The exponent is NOT(b), then b as often as the format has room, then two bits.
+    // The exponent is NOT(b), then b repeated to fill the format, then two bits.
     let highest = if double {
         let middle = if repeated { 0x3FC0 } else { 0x4000 };
         sign | middle | (exponent & 3) << 4 | low
@@ -204,7 +204,7 @@ fn immediate(fields: Fields) -> Option<Float> {
     Some(Float::Immediate { double, d, highest })
 }
 
-/// The data-processing instructions of two operands.
+/// Decodes the data-processing instructions with two operands.
 fn other(fields: Fields) -> Option<Float> {
     let double = fields.double();
     let n = fields.second & 0x80 != 0;
@@ -249,7 +249,7 @@ fn to_integer(fields: Fields, signed: bool, toward: Toward) -> Option<Float> {
     Some(Float::ToInteger { double, signed, toward, d: fields.d(false)?, m: fields.m(double)? })
 }
 
-/// VSEL, VMAXNM, VMINNM, VRINTA to M, VCVTA to M: never conditional by themselves.
+/// Decodes VSEL, VMAXNM, VMINNM, VRINTA to M and VCVTA to M, which are never conditional by themselves.
 fn unconditional(fields: Fields) -> Option<Float> {
     let double = fields.double();
     let odd = fields.second & 0x40 != 0;
@@ -257,7 +257,7 @@ fn unconditional(fields: Fields) -> Option<Float> {
         if odd {
             return None;
         }
-        // EQ, VS, GE, GT.
+        // Conditions of VSEL: EQ, VS, GE, GT.
         let condition = [0, 6, 10, 12][usize::from(fields.first(4, 2))];
         let (d, n, m) = (fields.d(double)?, fields.n(double)?, fields.m(double)?);
         return Some(Float::Select { condition, double, d, n, m });

@@ -1,23 +1,24 @@
-//! Arithmetic by the processor that this runs on, where it cannot differ (IEEE 754 on both): rounding to nearest, operands
-//! as they are, and a result that is an ordinary number. All it could do besides is to raise IXC, so it is asked only
-//! where that is raised already, which it is after the first few operations of most programs. Everything else is
-//! `arithmetic`'s.
+//! Arithmetic with the host's floating-point unit, where its result cannot differ (both follow IEEE 754): rounding to
+//! nearest, no flush to zero, and a result that is an ordinary number. The only possible side effect is IXC, so this
+//! path is taken only when IXC is set already, which it is after the first few operations of most programs.
+//! `arithmetic` handles everything else.
 //!
-//! An ordinary result has an exponent neither of the lowest two nor the highest: so it is no NaN, nor infinite, nor
-//! underflown, and no operand was NaN or infinite, but a divisor. A sum of zero is exact. A denormal operand matters with FZ only.
+//! An ordinary result has an exponent neither of the lowest two nor the highest: so it is no NaN, not infinite and no
+//! underflow, and no operand was NaN or infinite except a divisor. A sum of zero is exact. A denormal operand matters
+//! with FZ only.
 
 use super::format::{DOUBLE, Format, SINGLE, convert};
 use super::integer::{self, Fixed};
 use super::status::{FZ, IXC, RMODE, Rounding};
 use super::{arithmetic, compare};
 
-/// Nothing but the number would come of an operation.
+/// Returns true if an operation with an ordinary result has no effect but the result.
 #[inline]
 pub(super) fn applies(fpscr: u32) -> bool {
     fpscr & (RMODE | FZ | IXC) == IXC
 }
 
-/// A float of this processor, as what the program has in its registers.
+/// Host float that corresponds to a format of the program's registers.
 pub(super) trait Native: Copy + PartialOrd + Into<f64> {
     const FORMAT: Format;
     fn of(bits: u64) -> Self;
@@ -150,7 +151,7 @@ pub(super) fn square_root<F: Native>(a: u64, fpscr: &mut u32) -> u64 {
     arithmetic::square_root(F::FORMAT, a, fpscr)
 }
 
-/// FPCompare, as [`compare::compare`].
+/// Compares two values (FPCompare), as [`compare::compare`] does.
 #[inline]
 pub(super) fn compare<F: Native>(a: u64, b: u64, signalling: bool, fpscr: &mut u32) -> u32 {
     match F::of(a).partial_cmp(&F::of(b)) {
@@ -159,7 +160,7 @@ pub(super) fn compare<F: Native>(a: u64, b: u64, signalling: bool, fpscr: &mut u
     }
 }
 
-/// FPToFixed of 32 bits without fraction.
+/// Converts to a 32-bit integer (FPToFixed without fraction).
 #[inline]
 pub(super) fn to_integer<F: Native>(bits: u64, signed: bool, rounding: Rounding, fpscr: &mut u32) -> u32 {
     let value: f64 = F::of(bits).into();
@@ -174,21 +175,21 @@ pub(super) fn to_integer<F: Native>(bits: u64, signed: bool, rounding: Rounding,
     integer::to_fixed(F::FORMAT, bits, Fixed { signed, bits: 32, fraction: 0 }, rounding, fpscr) as u32
 }
 
-/// FPSingleToDouble, which is exact.
+/// Converts single to double, which is exact (FPSingleToDouble).
 #[inline]
 pub(super) fn to_double(bits: u64, fpscr: &mut u32) -> u64 {
     let value = <f32 as Native>::of(bits);
     if value.is_ordinary() { f64::from(value).to_bits() } else { convert(SINGLE, DOUBLE, bits, fpscr) }
 }
 
-/// FPDoubleToSingle.
+/// Converts double to single (FPDoubleToSingle).
 #[inline]
 pub(super) fn to_single(bits: u64, fpscr: &mut u32) -> u64 {
     let single = <f64 as Native>::of(bits) as f32;
     if applies(*fpscr) && single.is_ordinary() { single.bits() } else { convert(DOUBLE, SINGLE, bits, fpscr) }
 }
 
-/// FPMaxNum and FPMinNum.
+/// Selects the larger or smaller value (FPMaxNum, FPMinNum).
 #[inline]
 pub(super) fn extreme<F: Native>(a: u64, b: u64, largest: bool, fpscr: &mut u32) -> u64 {
     let (first, second) = (F::of(a), F::of(b));

@@ -1,19 +1,19 @@
-//! Values as their bits: what a format is, taking apart, rounding and putting together (DDI0403E A2.5, FPUnpack and FPRound).
+//! Floating-point formats: unpacking, rounding and packing (DDI0403E A2.5, FPUnpack and FPRound).
 
 use super::status::{AHP, DN, FZ, IDC, IOC, IXC, OFC, Rounding, UFC};
 
-/// A format of IEEE 754: sign, exponent and fraction, from the highest bit down.
+/// Format of IEEE 754: sign, exponent and fraction, from the highest bit down.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Format {
     exponent_bits: u32,
     pub(super) fraction_bits: u32,
 }
 
-/// 16 bits. With FPSCR.AHP the highest exponent is an ordinary one.
+/// Half precision, 16 bits. With FPSCR.AHP the highest exponent is an ordinary one.
 pub(super) const HALF: Format = Format { exponent_bits: 5, fraction_bits: 10 };
-/// 32 bits.
+/// Single precision, 32 bits.
 pub(super) const SINGLE: Format = Format { exponent_bits: 8, fraction_bits: 23 };
-/// 64 bits.
+/// Double precision, 64 bits.
 pub(super) const DOUBLE: Format = Format { exponent_bits: 11, fraction_bits: 52 };
 
 impl Format {
@@ -21,7 +21,7 @@ impl Format {
         self.exponent_bits == HALF.exponent_bits
     }
 
-    /// Of this format or, with `alternative`, of the alternative half precision.
+    /// Returns true for half precision in its alternative form, which FPSCR.AHP selects.
     fn is_alternative(self, fpscr: u32) -> bool {
         self.is_half() && fpscr & AHP != 0
     }
@@ -34,12 +34,12 @@ impl Format {
         (1 << self.fraction_bits) - 1
     }
 
-    /// The exponent field of all ones.
+    /// Returns the exponent field of all ones.
     fn highest(self) -> u64 {
         (1 << self.exponent_bits) - 1
     }
 
-    /// The exponent of the smallest normal number.
+    /// Returns the exponent of the smallest normal number.
     fn smallest(self) -> i32 {
         2 - (1 << (self.exponent_bits - 1))
     }
@@ -64,12 +64,12 @@ impl Format {
         self.signed(negative, self.highest() << self.fraction_bits)
     }
 
-    /// FPDefaultNaN: positive, quiet, otherwise zero.
+    /// Returns the default NaN: positive, quiet, other bits zero (FPDefaultNaN).
     pub(super) fn default_nan(self) -> u64 {
         self.infinity(false) | self.quiet()
     }
 
-    /// The largest finite number.
+    /// Returns the largest finite number.
     fn largest(self, negative: bool) -> u64 {
         self.infinity(negative) - 1
     }
@@ -83,7 +83,7 @@ impl Format {
     }
 }
 
-/// A number that is not zero: `significand` times 2 to the `exponent`.
+/// Number other than zero: `significand` times 2 to the `exponent`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Number {
     pub(super) negative: bool,
@@ -91,7 +91,7 @@ pub(super) struct Number {
     pub(super) significand: u128,
 }
 
-/// What some bits are.
+/// Unpacked value of a format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Value {
     Zero { negative: bool },
@@ -115,7 +115,7 @@ impl Value {
     }
 }
 
-/// FPUnpack. A denormal number is taken for zero where FPSCR.FZ says so; not in half precision.
+/// Unpacks a value (FPUnpack). With FPSCR.FZ, a denormal number counts as zero, except in half precision.
 pub(super) fn unpack(format: Format, bits: u64, fpscr: &mut u32) -> Value {
     let negative = format.negative(bits);
     let field = bits >> format.fraction_bits & format.highest();
@@ -142,8 +142,8 @@ pub(super) fn unpack(format: Format, bits: u64, fpscr: &mut u32) -> Value {
     }
 }
 
-/// The lowest bits of `value` dropped, so many of them: what is left, and how the part dropped compares with half a unit.
-/// The lowest bit of `value` may stand for any smaller part that is not zero.
+/// Drops the lowest `bits` bits of `value`; returns the rest, and how the dropped part compares with half a unit. The
+/// lowest bit of `value` may represent any smaller nonzero part (sticky bit).
 pub(super) fn dropped(value: u128, bits: u32) -> (u128, Part) {
     if bits == 0 {
         return (value, Part::None);
@@ -161,7 +161,7 @@ pub(super) fn dropped(value: u128, bits: u32) -> (u128, Part) {
     (value >> bits, part)
 }
 
-/// A part of a unit.
+/// Dropped part of a unit, relative to one half.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Part {
     None,
@@ -171,7 +171,7 @@ pub(super) enum Part {
 }
 
 impl Part {
-    /// A magnitude of which this is left over is rounded up.
+    /// Returns true if a magnitude with this dropped part is rounded up.
     pub(super) fn rounds_up(self, rounding: Rounding, negative: bool, odd: bool) -> bool {
         if self == Self::None {
             return false;
@@ -186,8 +186,8 @@ impl Part {
     }
 }
 
-/// FPRound: the number in a format, rounded as said. Its significand is not zero, and its lowest bit may stand for any
-/// smaller part that is not zero, if the format has fewer bits by two.
+/// Rounds and packs a number (FPRound). Its significand is not zero. Its lowest bit may represent any smaller nonzero
+/// part (sticky bit), if the format has at least two bits fewer.
 pub(super) fn round(format: Format, number: Number, rounding: Rounding, fpscr: &mut u32) -> u64 {
     let Number { negative, exponent, significand } = number;
     let top = exponent + 127 - significand.leading_zeros() as i32;
@@ -204,7 +204,7 @@ pub(super) fn round(format: Format, number: Number, rounding: Rounding, fpscr: &
     if top < format.smallest() && part != Part::None {
         *fpscr |= UFC;
     }
-    // Exponent and fraction are one number: a carry out of the fraction is the next exponent. The leading one of a
+    // Exponent and fraction form one number: a carry out of the fraction increments the exponent. The leading one of a
     // normal number counts as one in the exponent.
     let field = (top - format.smallest()).max(0) as u64;
     let rounded = whole + u64::from(part.rounds_up(rounding, negative, whole & 1 != 0));
@@ -230,7 +230,7 @@ pub(super) fn round(format: Format, number: Number, rounding: Rounding, fpscr: &
     format.signed(negative, magnitude)
 }
 
-/// FPProcessNaN: the operand, made quiet, or the default.
+/// Returns the operand as a quiet NaN, or the default NaN (FPProcessNaN).
 pub(super) fn process_nan(format: Format, bits: u64, value: Value, fpscr: &mut u32) -> u64 {
     if value == Value::Signalling {
         *fpscr |= IOC;
@@ -238,7 +238,7 @@ pub(super) fn process_nan(format: Format, bits: u64, value: Value, fpscr: &mut u
     if *fpscr & DN != 0 { format.default_nan() } else { bits | format.quiet() }
 }
 
-/// FPProcessNaNs: the first signalling operand, else the first quiet one, in the order given.
+/// Selects the first signalling operand, else the first quiet one, in the order given (FPProcessNaNs).
 pub(super) fn process_nans<const N: usize>(
     format: Format,
     operands: [(u64, Value); N],
@@ -249,13 +249,14 @@ pub(super) fn process_nans<const N: usize>(
     Some(process_nan(format, bits, value, fpscr))
 }
 
-/// FPConvertNaN, and the like for half precision: a NaN in another format, with the highest bits of its fraction.
+/// Converts a NaN to another format, with the highest bits of its fraction (FPConvertNaN, and the like for half
+/// precision).
 pub(super) fn convert_nan(from: Format, to: Format, bits: u64, value: Value, fpscr: &mut u32) -> u64 {
     if value == Value::Signalling {
         *fpscr |= IOC;
     }
     if to.is_alternative(*fpscr) {
-        // There are none: zero.
+        // The alternative half precision has no NaN: the result is zero.
         *fpscr |= IOC;
         return to.zero(from.negative(bits));
     }
@@ -267,7 +268,7 @@ pub(super) fn convert_nan(from: Format, to: Format, bits: u64, value: Value, fps
     to.infinity(from.negative(bits)) | to.quiet() | fraction
 }
 
-/// FPSingleToDouble, FPDoubleToSingle, FPHalfToSingle and so on.
+/// Converts between formats (FPSingleToDouble, FPDoubleToSingle, FPHalfToSingle and so on).
 pub(super) fn convert(from: Format, to: Format, bits: u64, fpscr: &mut u32) -> u64 {
     match unpack(from, bits, fpscr) {
         Value::Zero { negative } => to.zero(negative),

@@ -1,19 +1,19 @@
-//! Floating point and whole numbers (DDI0403E A2.5, FPToFixed, FixedToFP, FPRoundInt).
+//! Conversions between floating point and integers (DDI0403E A2.5, FPToFixed, FixedToFP, FPRoundInt).
 
 use super::format::{Format, Number, Part, Value, dropped, process_nan, round, unpack};
 use super::status::{IOC, IXC, Rounding};
 
-/// A whole number or fixed-point number of the processor's registers.
+/// Format of an integer or fixed-point number in a register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Fixed {
     pub(super) signed: bool,
-    /// 16 or 32.
+    /// Width in bits, 16 or 32.
     pub(super) bits: u8,
-    /// Of which this many are after the point.
+    /// Number of its bits after the binary point.
     pub(super) fraction: u8,
 }
 
-/// The magnitude as a whole number of units of 2 to the `-fraction`, at most 2 to the 64, and what is left over of it.
+/// Returns the magnitude in units of 2 to the `-fraction`, rounded down, at most 2 to the 64, and the dropped part.
 fn whole(number: Number, fraction: u8) -> (u128, Part) {
     let exponent = number.exponent + i32::from(fraction);
     match u32::try_from(-exponent) {
@@ -23,7 +23,7 @@ fn whole(number: Number, fraction: u8) -> (u128, Part) {
     }
 }
 
-/// FPToFixed: saturated, and extended to 64 bits by the sign it has.
+/// Converts to fixed point with saturation, extended to 64 bits according to its sign (FPToFixed).
 pub(super) fn to_fixed(format: Format, bits: u64, fixed: Fixed, rounding: Rounding, fpscr: &mut u32) -> u64 {
     let value_bits = u32::from(fixed.bits);
     let (lowest, highest) = if fixed.signed {
@@ -54,7 +54,7 @@ pub(super) fn to_fixed(format: Format, bits: u64, fixed: Fixed, rounding: Roundi
     saturated as u64
 }
 
-/// FixedToFP, of the low bits of `register`.
+/// Converts the low bits of `register` from fixed point (FixedToFP).
 pub(super) fn from_fixed(format: Format, register: u32, fixed: Fixed, rounding: Rounding, fpscr: &mut u32) -> u64 {
     let value = match (fixed.bits, fixed.signed) {
         (16, true) => i64::from(register as i16),
@@ -70,12 +70,12 @@ pub(super) fn from_fixed(format: Format, register: u32, fixed: Fixed, rounding: 
     round(format, number, rounding, fpscr)
 }
 
-/// FPRoundInt: to a whole number of the same format. `exact` says so in FPSCR where it is another number.
+/// Rounds to an integer in the same format (FPRoundInt). With `exact`, FPSCR records an inexact result.
 pub(super) fn round_to_whole(format: Format, bits: u64, rounding: Rounding, exact: bool, fpscr: &mut u32) -> u64 {
     match unpack(format, bits, fpscr) {
         Value::Zero { negative } => format.zero(negative),
         Value::Infinity { negative } => format.infinity(negative),
-        // All of its bits are before the point.
+        // The number is an integer already: all of its bits are before the binary point.
         Value::Finite(Number { exponent: 0.., .. }) => bits,
         Value::Finite(number) => {
             let (magnitude, part) = whole(number, 0);
@@ -87,7 +87,7 @@ pub(super) fn round_to_whole(format: Format, bits: u64, rounding: Rounding, exac
             if significand == 0 {
                 return format.zero(number.negative);
             }
-            // Exact: it has no more bits than before.
+            // This is exact, because the result has no more bits than the operand.
             round(format, Number { exponent: 0, significand, ..number }, rounding, fpscr)
         }
         nan => process_nan(format, bits, nan, fpscr),

@@ -1,8 +1,9 @@
-//! Floating point: FPv5-D16 with double precision (DDI0403E A2.5, A6.4 to A6.7), but for memory, which the executor accesses.
+//! Floating point: FPv5-D16 with double precision (DDI0403E A2.5, A6.4 to A6.7), except memory accesses, which the
+//! executor makes.
 //!
-//! Results are the architecture's bit for bit, in every rounding mode, with flush to zero, default NaN and the alternative
-//! half precision, and so are the cumulative flags of FPSCR: none is left out. Nothing traps: the Cortex-M7 has no
-//! trapped floating-point exceptions, either.
+//! Results equal the architecture's bit for bit, in every rounding mode, with flush to zero, default NaN and the
+//! alternative half precision, and so do all cumulative flags of FPSCR. Nothing traps: the Cortex-M7 has no trapped
+//! floating-point exceptions, either.
 
 mod arithmetic;
 mod compare;
@@ -21,77 +22,77 @@ use status::{NZCV, Rounding, WRITABLE};
 
 pub(crate) use decode::decode;
 
-/// The extension registers.
+/// Extension registers of the floating-point unit.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Registers {
     /// S0 to S31 as bits; D(n) is S(2n) and, as its high half, S(2n+1).
     pub(crate) s: [u32; 32],
-    /// Status and control; written by [`Registers::set_fpscr`].
+    /// FPSCR, status and control; written by [`Registers::set_fpscr`].
     pub(crate) fpscr: u32,
 }
 
-/// The core registers, as far as floating point needs them.
+/// Access to the core registers that floating point needs.
 pub(crate) trait CoreRegisters {
     fn get(&self, register: u8) -> u32;
     fn set(&mut self, register: u8, value: u32);
-    /// N, Z, C, V in bits 31 to 28; the others are anything.
+    /// Returns N, Z, C, V in bits 31 to 28; the other bits are undefined.
     fn nzcv(&self) -> u32;
-    /// As [`CoreRegisters::nzcv`] gives them; the others are zero.
+    /// Sets N, Z, C, V from bits 31 to 28; the other bits are zero.
     fn set_nzcv(&mut self, flags: u32);
 }
 
-/// What a load or store transfers: so many words in order of address from `first` on.
+/// Words that a load or store transfers, in order of address, from register `first` on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Transfer {
-    /// Memory to registers.
+    /// Direction of the transfer: true from memory to registers.
     pub(crate) load: bool,
-    /// The core register that holds the address; 15 is PC + 4, rounded down to a word.
+    /// Core register with the address; 15 is PC + 4, rounded down to a word.
     pub(crate) base: u8,
-    /// The first S register.
+    /// Number of the first S register.
     pub(crate) first: u8,
-    /// S registers.
+    /// Number of S registers, one word each.
     pub(crate) words: u8,
-    /// From the base to the first word, bytes.
+    /// Offset of the first word from the base, bytes.
     pub(crate) offset: i16,
-    /// Added to the base after it; 0 is none.
+    /// Number added to the base afterwards, bytes; 0 for none.
     pub(crate) write_back: i16,
 }
 
-/// Data processing of three registers; "accumulator" is the destination before.
+/// Data processing with three registers; the accumulator is the destination's old value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Three {
     Add,
     Subtract,
     Multiply,
-    /// VNMUL.
+    /// VNMUL: the negated product.
     NegatedMultiply,
-    /// VMLA: product and sum are rounded each.
+    /// VMLA: accumulator plus product, with both rounded.
     MultiplyAdd,
-    /// VMLS.
+    /// VMLS: accumulator minus product.
     MultiplySubtract,
-    /// VNMLS: product less accumulator.
+    /// VNMLS: product minus accumulator.
     NegatedMultiplySubtract,
-    /// VNMLA: both negated.
+    /// VNMLA: negated product minus accumulator.
     NegatedMultiplyAdd,
     Divide,
-    /// VFMA: rounded once.
+    /// VFMA: accumulator plus product, rounded once.
     FusedAdd,
-    /// VFMS.
+    /// VFMS: accumulator minus product, rounded once.
     FusedSubtract,
-    /// VFNMS: product less accumulator.
+    /// VFNMS: product minus accumulator, rounded once.
     NegatedFusedSubtract,
-    /// VFNMA: both negated.
+    /// VFNMA: negated product minus accumulator, rounded once.
     NegatedFusedAdd,
-    /// VMAXNM.
+    /// VMAXNM: the larger of two.
     Maximum,
-    /// VMINNM.
+    /// VMINNM: the smaller of two.
     Minimum,
 }
 
-/// Where a number that is not whole goes.
+/// Rounding mode of a conversion to an integer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Toward {
-    /// As FPSCR says.
+    /// The mode that FPSCR selects.
     Status,
     Fixed(Rounding),
 }
@@ -105,20 +106,21 @@ impl Toward {
     }
 }
 
-/// Data processing of two registers of one width.
+/// Data processing with two registers of one width.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Two {
     Move,
     Absolute,
     Negate,
     SquareRoot,
-    /// VRINT but VRINTX.
+    /// VRINT variants, except VRINTX.
     Whole(Toward),
-    /// VRINTX.
+    /// VRINTX, which records an inexact result.
     WholeExact,
 }
 
-/// A decoded instruction of coprocessors 10 and 11. Registers `d`, `n` and `m` are numbers of S registers, the low half of a D register.
+/// Decoded instruction of coprocessors 10 and 11. Registers `d`, `n` and `m` are numbers of S registers, the low half
+/// of a D register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Float {
     Three {
@@ -142,13 +144,13 @@ pub(crate) enum Float {
         n: u8,
         m: u8,
     },
-    /// VMOV of a constant: its highest 16 bits.
+    /// VMOV of a constant, given by its highest 16 bits.
     Immediate {
         double: bool,
         d: u8,
         highest: u16,
     },
-    /// VCMP; `signalling` is VCMPE.
+    /// VCMP, or VCMPE if `signalling`.
     Compare {
         double: bool,
         signalling: bool,
@@ -160,14 +162,14 @@ pub(crate) enum Float {
         signalling: bool,
         d: u8,
     },
-    /// To a float of this width.
+    /// VCVT from an integer to a float of this width.
     FromInteger {
         double: bool,
         signed: bool,
         d: u8,
         m: u8,
     },
-    /// From a float of this width.
+    /// VCVT from a float of this width to an integer.
     ToInteger {
         double: bool,
         signed: bool,
@@ -175,36 +177,37 @@ pub(crate) enum Float {
         d: u8,
         m: u8,
     },
-    /// In place.
+    /// VCVT from fixed point, in place.
     FromFixed {
         double: bool,
         d: u8,
         fixed: Fixed,
     },
-    /// In place.
+    /// VCVT to fixed point, in place.
     ToFixed {
         double: bool,
         d: u8,
         fixed: Fixed,
     },
-    /// VCVT.F64.F32.
+    /// VCVT.F64.F32: single to double.
     ToDouble {
         d: u8,
         m: u8,
     },
-    /// VCVT.F32.F64.
+    /// VCVT.F32.F64: double to single.
     ToSingle {
         d: u8,
         m: u8,
     },
-    /// VCVTB, VCVTT: the half is in the low or the high halfword of `m`.
+    /// VCVTB, VCVTT from half precision: the value is in the low or the high halfword of `m`.
     FromHalf {
         double: bool,
         top: bool,
         d: u8,
         m: u8,
     },
-    /// As [`Float::FromHalf`], of `d`, of which the other halfword stays.
+    /// VCVTB, VCVTT to half precision: writes one halfword of `d` and keeps the other, as selected for
+    /// [`Float::FromHalf`].
     ToHalf {
         double: bool,
         top: bool,
@@ -219,7 +222,7 @@ pub(crate) enum Float {
         core: u8,
         single: u8,
     },
-    /// `low` is for S register `first`, `high` for the one after it.
+    /// VMOV to two core registers: `low` gets S register `first`, `high` the one after it.
     PairToCore {
         low: u8,
         high: u8,
@@ -230,13 +233,13 @@ pub(crate) enum Float {
         high: u8,
         first: u8,
     },
-    /// VMRS.
+    /// VMRS to a core register.
     StatusToCore {
         core: u8,
     },
-    /// VMRS APSR_nzcv.
+    /// VMRS APSR_nzcv: copies the flags.
     StatusToFlags,
-    /// VMSR.
+    /// VMSR from a core register.
     StatusFromCore {
         core: u8,
     },
@@ -244,12 +247,12 @@ pub(crate) enum Float {
 }
 
 impl Registers {
-    /// Writes FPSCR, of which some bits do not exist.
+    /// Writes FPSCR; only existing bits are stored.
     pub(crate) fn set_fpscr(&mut self, value: u32) {
         self.fpscr = value & WRITABLE;
     }
 
-    // The numbers are below 32: masked, so that nothing is to be checked.
+    // The mask removes the bounds check: the numbers are below 32 anyway.
     #[inline]
     fn single(&self, register: u8) -> u32 {
         self.s[usize::from(register & 31)]
@@ -358,7 +361,7 @@ impl Registers {
 
     fn set_from_integer(&mut self, double: bool, signed: bool, d: u8, m: u8) {
         let value = self.single(m);
-        // Whatever has no more bits than the format is exact.
+        // The conversion is exact for an integer with no more bits than the format.
         let number = if signed { f64::from(value as i32) } else { f64::from(value) };
         if double {
             return self.set_float(true, d, number.to_bits());
@@ -377,7 +380,7 @@ fn width(double: bool) -> Format {
     if double { DOUBLE } else { SINGLE }
 }
 
-/// A condition of VSEL (A7.3).
+/// Evaluates a condition of VSEL (A7.3).
 fn holds(condition: u8, flags: u32) -> bool {
     let (n, z, v) = (flags >> 31 & 1, flags >> 30 & 1, flags >> 28 & 1);
     match condition {
@@ -389,7 +392,7 @@ fn holds(condition: u8, flags: u32) -> bool {
 }
 
 impl Float {
-    /// What a load or store transfers; `None` for everything else.
+    /// Returns the transfer of a load or store; `None` for other instructions.
     pub(crate) fn transfer(&self) -> Option<Transfer> {
         match self {
             Self::Transfer(transfer) => Some(*transfer),
@@ -397,7 +400,7 @@ impl Float {
         }
     }
 
-    /// Everything else; a load or store does nothing here.
+    /// Executes all other instructions; does nothing for a load or store.
     #[inline]
     pub(crate) fn execute(&self, registers: &mut Registers, core: &mut impl CoreRegisters) {
         match *self {

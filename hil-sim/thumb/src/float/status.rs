@@ -1,47 +1,47 @@
-//! FPSCR (DDI0403E B1.4.7; A2.5.3).
+//! Fields of FPSCR (DDI0403E B1.4.7; A2.5.3).
 
-/// Bits that exist.
+/// Mask of the bits that exist.
 pub(super) const WRITABLE: u32 = 0xF7C0_009F;
-/// N, Z, C, V of the last comparison.
+/// Flags N, Z, C, V of the last comparison.
 pub(super) const NZCV: u32 = 0xF000_0000;
-/// Alternative half precision.
+/// AHP: alternative half precision.
 pub(super) const AHP: u32 = 1 << 26;
-/// Default NaN.
+/// DN: default NaN mode.
 pub(super) const DN: u32 = 1 << 25;
-/// Flush to zero.
+/// FZ: flush denormals to zero.
 pub(super) const FZ: u32 = 1 << 24;
-/// Rounding mode.
+/// RMode: rounding mode field.
 pub(super) const RMODE: u32 = 3 << 22;
-/// Input denormal, cumulative, as all that follow.
+/// IDC: input denormal, cumulative, as all that follow.
 pub(super) const IDC: u32 = 1 << 7;
-/// Inexact.
+/// IXC: cumulative inexact flag.
 pub(super) const IXC: u32 = 1 << 4;
-/// Underflow.
+/// UFC: cumulative underflow flag.
 pub(super) const UFC: u32 = 1 << 3;
-/// Overflow.
+/// OFC: cumulative overflow flag.
 pub(super) const OFC: u32 = 1 << 2;
-/// Division by zero.
+/// DZC: cumulative division-by-zero flag.
 pub(super) const DZC: u32 = 1 << 1;
-/// Invalid operation.
+/// IOC: cumulative invalid-operation flag.
 pub(super) const IOC: u32 = 1 << 0;
 
-/// How a number that a format does not have is rounded.
+/// Rounding of a number that the format cannot represent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rounding {
-    /// To the nearest, halves to even.
+    /// To the nearest, ties to even.
     Nearest,
-    /// To the nearest, halves away from zero.
+    /// To the nearest, ties away from zero.
     NearestAway,
-    /// Towards plus infinity.
+    /// Rounds towards plus infinity.
     Up,
-    /// Towards minus infinity.
+    /// Rounds towards minus infinity.
     Down,
-    /// Towards zero.
+    /// Rounds towards zero (truncation).
     Zero,
 }
 
 impl Rounding {
-    /// Of FPSCR.
+    /// Returns the rounding mode in FPSCR.
     pub(super) fn of(fpscr: u32) -> Self {
         match (fpscr & RMODE) >> 22 {
             0 => Self::Nearest,

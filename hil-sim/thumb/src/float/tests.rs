@@ -1,4 +1,4 @@
-//! Results against the floats of this processor, which are IEEE 754's too, against exact integers, and by hand.
+//! Tests against the host's IEEE 754 floats, against exact integers, and against values computed by hand.
 
 use proptest::prelude::*;
 
@@ -31,7 +31,7 @@ impl CoreRegisters for Core {
     }
 }
 
-/// Bits of a float, special values and neighbours of powers of two as likely as others.
+/// Generates bits of a float, with special values and neighbours of powers of two as likely as others.
 fn single() -> impl Strategy<Value = u32> {
     prop_oneof![
         any::<u32>(),
@@ -51,7 +51,7 @@ fn double() -> impl Strategy<Value = u64> {
     ]
 }
 
-/// Equal, or both not a number: whose NaN it is, the architecture says and IEEE 754 does not.
+/// Returns true for equal bits, or two NaNs: the architecture defines which NaN results, IEEE 754 does not.
 fn same32(ours: u64, theirs: f32) -> bool {
     ours as u32 == theirs.to_bits() || theirs.is_nan() && f32::from_bits(ours as u32).is_nan()
 }
@@ -88,7 +88,7 @@ proptest! {
         prop_assert!(same32(convert(DOUBLE, SINGLE, a, &mut fpscr), x as f32));
     }
 
-    /// The way by this processor's floats gives what the integers give, FPSCR included.
+    /// The fast path with the host's floats gives the results of the integers, FPSCR included.
     #[test]
     fn the_fast_way_is_the_exact_one(a in double(), b in double(), c in double(), mode in 0_usize..4, more in any::<u32>()) {
         let before = MODES[mode] | more & (FZ | DN | IXC | IOC | UFC | OFC | IDC);
@@ -130,13 +130,13 @@ proptest! {
         }
     }
 
-    /// Of the sum or product of floats, which doubles hold exactly: down is not above it, up not below, they are
-    /// neighbours or the same, towards zero is one of them, and IXC says whether they differ.
+    /// Rounding modes for a sum or product of floats, which doubles hold exactly: down is not above it, up not below,
+    /// they are neighbours or equal, towards zero is one of them, and IXC is set if they differ.
     #[test]
     fn rounding_modes_enclose_the_exact_result(a in single(), b in single(), multiply in any::<bool>()) {
         let (x, y) = (f64::from(f32::from_bits(a)), f64::from(f32::from_bits(b)));
         prop_assume!(x.is_finite() && y.is_finite());
-        // Sums of floats far apart do not fit into a double.
+        // Sums of floats of very different magnitude do not fit into a double.
         let near = x == 0.0 || y == 0.0 || (x.abs().log2() - y.abs().log2()).abs() < 28.0;
         let multiply = multiply || !near;
         let exact = if multiply { x * y } else { x + y };
@@ -245,7 +245,7 @@ fn every_half_survives_the_way_to_single_and_back() {
             assert_eq!(convert(DOUBLE, HALF, wider, &mut fpscr), expected, "{half:#x}");
         }
     }
-    // The largest of each kind, and one that rounds to infinity.
+    // The largest value of each kind, and one that rounds to infinity.
     assert_eq!(f32::from_bits(convert(HALF, SINGLE, 0x7BFF, &mut 0) as u32), 65504.0);
     assert_eq!(f32::from_bits(convert(HALF, SINGLE, 0x7FFF, &mut { AHP }) as u32), 131008.0);
     let mut fpscr = 0;
@@ -256,7 +256,7 @@ fn every_half_survives_the_way_to_single_and_back() {
 
 #[test]
 fn a_double_becomes_a_half_with_one_rounding() {
-    // 1 + 2^-11 + 2^-40: by way of a float it would be a tie, and go down.
+    // 1 + 2^-11 + 2^-40: rounded to a float first, it would be a tie, and go down.
     let x = 1.0 + 2_f64.powi(-11) + 2_f64.powi(-40);
     assert_eq!(convert(DOUBLE, HALF, x.to_bits(), &mut 0), 0x3C01);
 }
@@ -283,7 +283,7 @@ fn special_cases_raise_what_they_should() {
         (multiply, tiny, bits(0.3), 0, bits(f32::MIN_POSITIVE * 0.3), UFC | IXC),
         (multiply, tiny, bits(0.5), FZ, zero, UFC),
         (multiply, 1, one, FZ, zero, IDC),
-        // Underflow is found before rounding, which makes the smallest normal number of this.
+        // Underflow is detected before rounding, which makes the smallest normal number of this.
         (multiply, tiny, bits(1.0_f32.next_down()), 0, tiny, UFC | IXC),
         (multiply, bits(f32::MAX), bits(2.0), 0, infinity, OFC | IXC),
         (multiply, bits(f32::MAX), bits(2.0), 3 << 22, bits(f32::MAX), OFC | IXC),
@@ -297,7 +297,7 @@ fn special_cases_raise_what_they_should() {
         let got = operation(a, b, &mut fpscr);
         assert_eq!((got, fpscr), (result, before | raised), "{a:#x} {b:#x} {before:#x}");
     }
-    // The sign of a NaN stays in a difference; zero times infinity outweighs a quiet addend, not a signalling one.
+    // The sign of a NaN stays in a difference; zero times infinity overrides a quiet addend, not a signalling one.
     assert_eq!(arithmetic::subtract(SINGLE, one, quiet, &mut 0), quiet);
     assert_eq!(arithmetic::fused(SINGLE, quiet, zero, infinity, &mut 0), 0x7FC0_0000);
     assert_eq!(arithmetic::fused(SINGLE, signalling, zero, infinity, &mut 0), 0x7FC0_0001);
@@ -317,7 +317,7 @@ fn the_larger_and_the_smaller_pass_over_a_quiet_nan() {
     assert_eq!((pick(0, minus, true), pick(minus, 0, false)), (0, minus));
 }
 
-/// Instructions as an assembler makes them.
+/// Encodings are those of an assembler.
 #[test]
 fn known_encodings_are_decoded() {
     for ((first, second), expected) in [
@@ -384,13 +384,13 @@ fn known_encodings_are_decoded() {
         ((0xED2D, 0x8B10), (false, 13, 16, 16, -64, -64)),
         ((0xECBD, 0x8A01), (true, 13, 16, 1, 0, 4)),
         ((0xEC91, 0x0A04), (true, 1, 0, 4, 0, 0)),
-        // fldmiax r1!,{d0-d1}: five words apart, four moved.
+        // fldmiax r1!,{d0-d1}: the base advances by five words, four are transferred.
         ((0xECB1, 0x0B05), (true, 1, 0, 4, 0, 20)),
     ] {
         let expected = Transfer { load, base, first: register, words, offset, write_back };
         assert_eq!(transfer(first, second), Some(expected), "{first:04x} {second:04x}");
     }
-    // D16; a list past S31; an empty one; another coprocessor; vdiv with bit 6; VMRS of another register.
+    // Undefined: D16; a list past S31; an empty one; another coprocessor; vdiv with bit 6; VMRS of another register.
     for (first, second) in [
         (0xEE71, 0x0B01),
         (0xECB1, 0xFA03),

@@ -1,4 +1,4 @@
-//! What happens to a chip from outside: its crystal stops, its supply sags.
+//! External faults of the chip: its crystal stops, its supply sags.
 
 use r4_mcu::{Memory, Reason};
 
@@ -63,7 +63,7 @@ fn without_its_guard_the_core_stands_still_until_the_watchdog() {
     let (counted, executed) = (r(&board, 3), board.instructions());
     run_for(&mut board, 400 * MS);
     assert_eq!((r(&board, 3), board.instructions(), board.chip.core_hz()), (counted, executed, 0));
-    // 4096 counts of 4 periods of LSI from its start.
+    // Expected time-out: 4096 counts of 4 periods of LSI from its start.
     let stopped = board.run_until(1000 * MS).unwrap();
     assert_eq!(stopped.reason, Reason::Reset(ResetCause::Watchdog));
     assert!((512 * MS..513 * MS).contains(&stopped.at_ns), "{}", stopped.at_ns);
@@ -72,7 +72,7 @@ fn without_its_guard_the_core_stands_still_until_the_watchdog() {
     assert!(board.instructions() > executed);
 }
 
-/// BOR_LEV 3 (2.7 V), the rest as the Giga has it.
+/// Option bytes with BOR_LEV 3 (2.7 V), the rest as the Giga has it.
 const BROWN_OUT_3: u32 = 0x0B86_AAFC;
 
 #[test]
@@ -84,15 +84,15 @@ fn a_dip_of_the_supply_resets_the_chip_and_leaves_its_ram() {
     board.chip.supply_at(6 * MS, 3_300);
     let stopped = board.run_until(100 * MS).unwrap();
     assert_eq!(stopped.reason, Reason::Reset(ResetCause::BrownOut));
-    // At the end of a block.
+    // The reset comes at the end of a block.
     assert!((4 * MS..4 * MS + 100).contains(&stopped.at_ns), "{}", stopped.at_ns);
     let executed = board.instructions();
-    // Held, and then 377 us more.
+    // The processor is held in reset, and then for 377 µs more.
     board.run_until(6 * MS + 376_000).unwrap();
     assert_eq!(board.instructions(), executed);
     board.run_until(7 * MS).unwrap();
     assert!(board.instructions() > executed);
-    // BORRSTF and PINRSTF with the flags of the power-on before: no program has removed them.
+    // BORRSTF and PINRSTF are set with the flags of the earlier power-on, which the program has not cleared.
     assert_eq!(peek(&mut board, RSR) >> 21 & 0b111, 0b111);
     assert_eq!(board.chip.memory().read(SOME_RAM.0, Size::Word), Some(SOME_RAM.1));
 }

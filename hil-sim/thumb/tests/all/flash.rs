@@ -1,4 +1,4 @@
-//! One flash for everybody: what is erased and programmed is what is read and executed (RM0399, 4.3).
+//! Consistency of the flash: erased and programmed words are what the program reads and executes (RM0399, 4.3).
 
 use r4_mcu::AccessError;
 
@@ -13,12 +13,12 @@ const X64: u32 = 3 << 4;
 const MS: u64 = 1_000_000;
 const AXI: u32 = 0x2400_0000;
 
-/// Registers of a bank.
+/// Returns the address of a bank's registers.
 fn registers(bank: u32) -> u32 {
     FLASH + 0x100 * bank
 }
 
-/// The registers of a flash, as a debugger uses them: the processor executes nothing meanwhile.
+/// Access to the flash registers as a debugger has it, while the processor executes nothing.
 struct Programmer {
     board: Board,
     now_ns: u64,
@@ -41,7 +41,7 @@ impl Programmer {
         self.board.chip.read(self.now_ns, address, Size::Word)
     }
 
-    /// What the processor would read.
+    /// Reads a word as the processor would.
     fn load(&mut self, address: u32) -> Option<u32> {
         let memory = self.board.chip.memory();
         let (region, _) = memory.locate(address).unwrap();
@@ -74,7 +74,7 @@ impl Programmer {
 #[test]
 fn every_sector_of_both_banks_is_programmed_and_erased() {
     let mut programmer = Programmer::new();
-    // The vector table and the program go with sector 0.
+    // Erasing sector 0 erases the vector table and the program too.
     for bank in 0..2 {
         (0..8).for_each(|sector| programmer.erase(bank, sector));
     }
@@ -89,7 +89,7 @@ fn every_sector_of_both_banks_is_programmed_and_erased() {
         }
         assert_eq!(programmer.load(place(index) + 32), Some(u32::MAX));
     }
-    // One sector at a time goes, and no other.
+    // Each erasure clears one sector and no other.
     for index in 0..16 {
         programmer.erase(index / 8, index % 8);
         for other in 0..16 {
@@ -164,7 +164,7 @@ fn an_erase_of_its_own_bank_stops_the_program_and_one_of_the_other_bank_does_not
 
 #[test]
 fn a_load_from_a_bank_that_erases_waits_for_it() {
-    // The same with ldr r5,[r6] before the count.
+    // The program of [`ERASES`], with ldr r5,[r6] before the count.
     let mut board = erasing(board(&[0x6001, 0x6002, 0x6084, 0x6835, 0x3301, 0xE7FD]), 1, 0);
     set(&mut board, &[(6, 0x0812_0000)]);
     write(&board, 0x0812_0000, &halves(&[0xCAFE]));
@@ -189,7 +189,7 @@ fn a_program_in_ram_erases_the_bank_it_came_from_and_runs_on() {
 #[test]
 fn a_program_that_erases_itself_is_gone() {
     let mut board = erasing(board(&ERASES), 0, 0);
-    // Ones are no instruction, and the vector table is ones too.
+    // Erased flash holds no instruction, and no vector table.
     let error = board.run_until(2_000 * MS).unwrap_err();
     assert!(error.to_string().starts_with("lock-up at 1000"), "{error}");
 }
@@ -201,7 +201,7 @@ fn a_program_in_ram_that_changes_itself_executes_what_it_wrote() {
     for ram in [AXI, 0x2000_0400, 0x0000_0400] {
         let mut board = board(&[FOR_EVER]);
         write(&board, ram, &code);
-        // movs r3,#7 in place of its first instruction.
+        // The new word is movs r3,#7, in place of its first instruction.
         set(&mut board, &[(1, 0x2307), (2, ram), (3, 0)]);
         board.core.set(Register::Pc, ram);
         run_for(&mut board, 10_000);

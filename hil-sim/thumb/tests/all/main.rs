@@ -1,4 +1,4 @@
-//! The instruction set and the chip around it, with nothing at the pins: what needs both to be seen.
+//! Tests of instruction set and chip together, with nothing at the pins.
 
 #![allow(clippy::unwrap_used, reason = "failing is a test's way to speak")]
 
@@ -14,15 +14,15 @@ use r4_mcu::soc::Soc;
 use r4_mcu::{CanFrame, CanOutcome, Chip, Edge, I2cResponse, Level, Machine, Outside, Pin, ResetCause, Settings, Size};
 use r4_thumb::ThumbCore;
 
-/// The vector table, the handlers and the program, all in bank 1.
+/// Addresses of the vector table, the handlers and the program, all in bank 1.
 const TABLE: u32 = 0x0800_0000;
 const HANDLERS: u32 = 0x0800_1000;
 const CODE: u32 = 0x0800_2000;
 const STACK: u32 = 0x2000_8000;
-/// `b .`
+/// Machine code of `b .`, an endless loop.
 const FOR_EVER: u16 = 0xE7FE;
 
-/// Nothing is wired to the chip.
+/// Environment without any wiring.
 struct Nothing;
 
 impl Outside for Nothing {
@@ -59,12 +59,12 @@ impl Outside for Nothing {
 
 type Board = Machine<ThumbCore, Soc<Nothing, PlainCells>>;
 
-/// Where the handler of an exception is: it stays there.
+/// Returns the address of an exception's handler, which loops.
 fn handler(exception: u16) -> u32 {
     HANDLERS + 0x20 * u32::from(exception)
 }
 
-/// A chip after power-on, about to execute `code`; every handler stays where it is.
+/// Makes a chip after power-on, about to execute `code`; every handler loops.
 fn board(code: &[u16]) -> Board {
     board_with(code, Settings::default())
 }
@@ -103,12 +103,12 @@ fn pc(board: &Board) -> u32 {
     board.core.get(Register::Pc)
 }
 
-/// The exception that is executed.
+/// Returns the number of the active exception.
 fn exception(board: &Board) -> u16 {
     (board.core.get(Register::Xpsr) & 0x1FF) as u16
 }
 
-/// Runs for so long, through resets and whatever else is told.
+/// Runs for `ns`, through resets and any other stops.
 fn run_for(board: &mut Board, ns: u64) {
     let until_ns = board.now_ns() + ns;
     while board.now_ns() < until_ns {

@@ -1,4 +1,5 @@
-//! Option bytes of the flash as programs and debuggers meet them: swapped banks and readout protection (RM0399, 4.3.13, 4.5.3).
+//! Option bytes of the flash, as programs and debuggers use them: swapped banks and readout protection (RM0399, 4.3.13,
+//! 4.5.3).
 
 use r4_mcu::{AccessError, MachineError, Memory, Reason};
 
@@ -12,7 +13,7 @@ const OPTSR_PRG: u32 = FLASH + 0x20;
 const BANK_BYTES: u32 = 1024 * 1024;
 const OPTION_KEYS: [u32; 2] = [0x0819_2A3B, 0x4C5D_6E7F];
 const OPTSTART: u32 = 1 << 1;
-/// As the Giga is delivered, swapped, and at readout protection level 1.
+/// Option bytes as the Giga is delivered, with swapped banks, and at readout protection level 1.
 const DELIVERED: u32 = 0x0B86_AAF0;
 const SWAPPED: u32 = DELIVERED | 1 << 31;
 const LEVEL_1: u32 = DELIVERED & !0xFF00 | 0xBB00;
@@ -27,7 +28,7 @@ const COUNTS_ELSEWHERE: [u16; 2] = [0x3401, 0xE7FD];
 /// wait: ldr r6,[r0,#0x1C]; lsls r6,r6,#31; bne wait (OPT_BUSY); str r7,[r3]; b .
 const CHANGES: [u16; 9] = [0x6081, 0x6082, 0x6204, 0x6185, 0x69C6, 0x07F6, 0xD1FC, 0x601F, FOR_EVER];
 
-/// The last store of [`CHANGES`]: AIRCR.SYSRESETREQ with its key, or a word of RAM.
+/// Address and value for the last store of [`CHANGES`]: AIRCR.SYSRESETREQ with its key, or a word of RAM.
 const RESET: (u32, u32) = (0xE000_ED0C, 0x05FA_0004);
 const NO_RESET: (u32, u32) = (AXI + 0x1000, 1);
 
@@ -36,19 +37,19 @@ fn changing(board: &mut Board, options: u32, (last, value): (u32, u32)) {
     set(board, &[(0, FLASH), (1, key), (2, other_key), (3, last), (4, options), (5, OPTSTART), (7, value)]);
 }
 
-/// Bank 1 with a program, and bank 2 with another for the same addresses.
+/// Makes a board with a program in bank 1, and another in bank 2 for the same addresses.
 fn two_banks(code: &[u16]) -> Board {
     let mut board = board(code);
     write(&board, TABLE + BANK_BYTES, &halves(&[STACK, CODE | 1]));
     write(&board, CODE + BANK_BYTES, &COUNTS_ELSEWHERE);
-    // Bank 1's last sectors, which are directly below bank 2.
+    // These are bank 1's last sectors, directly below bank 2.
     write(&board, 0x080F_0000, &COUNTS);
     board.chip.set_option_bytes(DELIVERED);
     board.reset(ResetCause::Software).unwrap();
     board
 }
 
-/// With swapped banks, as after [`CHANGES`].
+/// Makes a board with swapped banks, as after [`CHANGES`].
 fn swapped(code: &[u16]) -> Board {
     let mut board = two_banks(code);
     board.chip.set_option_bytes(SWAPPED);
@@ -92,7 +93,7 @@ fn with_swapped_banks_all_of_bank_1_is_executed_and_read_in_the_upper_megabyte()
         assert!(r(&board, 3) > 100_000, "{address:#x}");
         assert_eq!(peek(&mut board, address) as u16, COUNTS[0]);
     }
-    // And erased there: sector 7 by the second registers, while the program is in the other half.
+    // Sector 7 is erased there with the second set of registers, while the program runs in the other half.
     board.core.set(Register::Pc, CODE);
     let now_ns = board.now_ns();
     for (at, value) in [(0x104, 0x4567_0123), (0x104, 0xCDEF_89AB), (0x10C, 3 << 4 | 7 << 8 | 1 << 7 | 1 << 2)] {
@@ -112,7 +113,7 @@ const LOADS: [u16; 2] = [0x6835, FOR_EVER];
 fn with_swapped_banks_the_kept_sectors_are_in_the_lower_megabyte_and_programmed_there() {
     let mut board = swapped(&LOADS);
     let now_ns = board.now_ns();
-    // The first registers are those of the lower megabyte: unlock, PG.
+    // The first set of registers belongs to the lower megabyte: unlock, PG.
     for (at, value) in [(0x04, 0x4567_0123), (0x04, 0xCDEF_89AB), (0x0C, 3 << 4 | 1 << 1)] {
         board.chip.write(now_ns, FLASH + at, Size::Word, value).unwrap();
     }
@@ -173,7 +174,7 @@ fn at_level_1_a_program_runs_until_a_debugger_is_connected_and_again_after_power
     assert_eq!(peek(&mut board, FLASH + 0x10), 1 << 23, "RDPERR");
     let misuse = board.chip.misuse()[0].what.clone();
     assert!(misuse.contains("readout protection level 1"), "{misuse}");
-    // Gone, but it was there.
+    // The debugger has disconnected, but the protection stays closed.
     board.chip.set_debugger(false);
     assert!(board.chip.is_closed());
     board.chip.supply_at(board.now_ns() + MS, 0);
@@ -190,13 +191,13 @@ fn at_level_1_a_debugger_s_program_in_ram_meets_bus_errors() {
         let mut board = board(&[FOR_EVER]);
         board.chip.set_option_bytes(LEVEL_1);
         board.chip.set_debugger(true);
-        // RCC_AHB4ENR.BKPRAMEN.
+        // RCC_AHB4ENR.BKPRAMEN enables the clock of the backup SRAM.
         let now_ns = board.now_ns();
         board.chip.write(now_ns, 0x5802_44E0, Size::Word, 1 << 28).unwrap();
         write(&board, AXI, &LOADS);
         board.core.set(Register::Pc, AXI);
         set(&mut board, &[(6, address)]);
-        // The vector of the fault is in flash.
+        // The fault's vector is in flash, which cannot be read, so the processor locks up.
         let error = board.run_until(MS).unwrap_err();
         assert!(matches!(error, MachineError::LockUp { .. }), "{address:#x}: {error}");
         assert_eq!(r(&board, 5), 0);
@@ -208,10 +209,10 @@ fn at_level_1_a_debugger_s_program_in_ram_meets_bus_errors() {
     assert!(error.to_string().contains("backup registers at readout protection"), "{error}");
 }
 
-/// DMA2 copies a word to AXI SRAM, memory to memory; whether it ended in a transfer error, and the word.
+/// Makes DMA2 copy a word to AXI SRAM, memory to memory; returns whether a transfer error occurred, and the word.
 fn dma_copies(board: &mut Board, address: u32) -> (bool, Option<u32>) {
     const DMA2: u32 = 0x4002_0400;
-    // RCC_AHB1ENR.DMA2EN; NDTR, PAR, M0AR, FCR.DMDIS; words, DIR 2, EN.
+    // Registers written: RCC_AHB1ENR.DMA2EN; NDTR, PAR, M0AR, FCR.DMDIS; words, DIR 2, EN.
     let start = 0b10 << 13 | 0b10 << 11 | 0b10 << 6 | 1;
     let writes =
         [(0x14, 1), (0x18, address), (0x1C, AXI), (0x24, 1 << 2), (0x10, start)].map(|(at, value)| (DMA2 + at, value));
@@ -219,7 +220,7 @@ fn dma_copies(board: &mut Board, address: u32) -> (bool, Option<u32>) {
         let now_ns = board.now_ns();
         board.chip.write(now_ns, at, Size::Word, value).unwrap();
     }
-    // LISR.TEIF0.
+    // Bit LISR.TEIF0: the transfer error.
     (peek(board, DMA2) >> 3 & 1 != 0, board.chip.memory().read(AXI, Size::Word))
 }
 
@@ -241,7 +242,7 @@ fn dma_reads_what_the_processor_reads_directly() {
 #[test]
 fn the_way_back_to_level_0_takes_its_time_and_erases_all_that_was_protected() {
     let mut board = board(&[FOR_EVER]);
-    // PWR_CR1.DBP; a backup register; the backup SRAM.
+    // Set-up: PWR_CR1.DBP; a backup register; the backup SRAM.
     for (at, value) in [(0x5802_4800, 1 << 8), (0x5800_4050, 0xDF59)] {
         let now_ns = board.now_ns();
         board.chip.write(now_ns, at, Size::Word, value).unwrap();
@@ -252,7 +253,7 @@ fn the_way_back_to_level_0_takes_its_time_and_erases_all_that_was_protected() {
     write(&board, AXI, &CHANGES);
     board.core.set(Register::Pc, AXI);
     changing(&mut board, DELIVERED, NO_RESET);
-    // 5 s for the banks, and the change.
+    // The change takes 5 s for the banks, then that of the option bytes.
     run_for(&mut board, 5_099 * MS);
     let done = |board: &Board| board.chip.memory().read(NO_RESET.0, Size::Word);
     assert_eq!((done(&board), board.chip.backup_register(0)), (Some(Memory::POWER_ON), Some(0xDF59)));
@@ -269,7 +270,7 @@ fn an_option_that_is_not_modelled_ends_the_run_with_its_name() {
     changing(&mut board, DELIVERED ^ 1 << 22, RESET);
     let error = board.run_until(MS).unwrap_err().to_string();
     assert!(error.starts_with(&format!("write of {OPTSR_PRG:#010x}")) && error.contains("BOOT_CM4"), "{error}");
-    // Left by a programmer, it is met at the next access to a peripheral.
+    // Option bytes left by a programmer take effect at the next access to a peripheral.
     let mut board = two_banks(&CHANGES);
     changing(&mut board, DELIVERED, RESET);
     board.chip.set_option_bytes(DELIVERED & !0xFF00 | 0xCC00);

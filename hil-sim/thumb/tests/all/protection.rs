@@ -1,4 +1,4 @@
-//! The memory protection unit, by what programs meet (DDI0403E B3.5, B1.5.14).
+//! Memory protection unit as programs see it (DDI0403E B3.5, B1.5.14).
 
 use r4_mcu::Size;
 
@@ -13,11 +13,11 @@ const SHCSR: u32 = 0xE000_ED24;
 const HARD_FAULT: u16 = 3;
 const MEM_MANAGE: u16 = 4;
 
-/// CTRL: on, with the default map for what no region holds.
+/// MPU_CTRL: on, with the default map where no region applies.
 const ON: u32 = 0b101;
 const ON_EVERYWHERE: u32 = 0b111;
 
-/// RASR: enabled, 2^(n + 1) bytes.
+/// Returns the RASR value of an enabled region of 2^(n + 1) bytes.
 const fn sized(n: u32) -> u32 {
     n << 1 | 1
 }
@@ -30,7 +30,7 @@ const NEVER_EXECUTE: u32 = 1 << 28;
 const SET_UP: [u16; 8] = [0x6001, 0x6042, 0xF840, 0x3C08, 0xF3BF, 0x8F4F, 0xF3BF, 0x8F6F];
 const AFTER: u32 = CODE + 2 * SET_UP.len() as u32;
 
-/// A region at `base`, then `code`, with R4 and R5 and MemManage on or not.
+/// Makes a board with a region at `base`, then `code`, with R4 and R5 set, and MemManage enabled or not.
 fn protected(base: u32, attributes: u32, control: u32, code: &[u16], r4: u32, handled: bool) -> Board {
     let mut program = Vec::new();
     if handled {
@@ -52,16 +52,16 @@ fn protected(base: u32, attributes: u32, control: u32, code: &[u16], r4: u32, ha
 
 const FAULTING: u32 = AFTER + 4;
 
-/// What the frame of the exception says was the instruction.
+/// Returns the return address in the exception's frame, the faulting instruction.
 fn returns_to(board: &mut Board) -> u32 {
     let sp = board.core.get(Register::Sp);
     board.chip.memory().read(sp + 0x18, Size::Word).unwrap()
 }
 
-/// (code, R4, the address told)
+/// Case of a fault: code, R4, and the reported address.
 type Case = (&'static [u16], u32, u32);
 
-/// 256 bytes in the middle of DTCM, as below a stack: 0x2000_4000 to 0x2000_40FF.
+/// Guard region of 256 bytes in the middle of DTCM, as below a stack: 0x2000_4000 to 0x2000_40FF.
 const GUARD: u32 = 0x2000_4000;
 const CASES: [Case; 6] = [
     // str r5,[r4]
@@ -86,7 +86,7 @@ fn a_data_access_that_is_forbidden_is_a_mem_manage_fault_with_its_address() {
         let told = format!("{code:04x?}");
         assert_eq!((exception(&board), pc(&board)), (MEM_MANAGE, handler(MEM_MANAGE)), "{told}");
         assert_eq!((peek(&mut board, CFSR), peek(&mut board, MMFAR)), (0x82, address), "{told}");
-        // The instruction, which has not written its base back.
+        // The frame names the instruction, which has not written its base back.
         assert_eq!(returns_to(&mut board), FAULTING, "{told}");
         assert_eq!((r(&board, 4), r(&board, 5)), (r4, 0x5555_AAAA), "{told}");
     }
@@ -101,7 +101,7 @@ fn without_its_handler_it_is_a_hard_fault_that_may_access_what_is_forbidden() {
     assert_eq!((exception(&board), pc(&board)), (HARD_FAULT, handler(HARD_FAULT) + 2));
     assert_eq!((peek(&mut board, CFSR), peek(&mut board, HFSR)), (0x82, 1 << 30));
     assert_eq!(board.chip.memory().read(GUARD, Size::Word), Some(0x5555_AAAA));
-    // With HFNMIENA that is a fault in the handler of faults: lock-up.
+    // With HFNMIENA that is a fault in the fault handler: lock-up.
     let mut board = protected(GUARD, NO_ACCESS | sized(7), ON_EVERYWHERE, &[0x6025], GUARD, false);
     write(&board, handler(HARD_FAULT), &[0x6025, FOR_EVER]);
     let error = board.run_until(2_000).unwrap_err();
@@ -110,13 +110,13 @@ fn without_its_handler_it_is_a_hard_fault_that_may_access_what_is_forbidden() {
 
 #[test]
 fn what_is_around_a_region_and_what_it_allows_is_as_without_it() {
-    // Just below and above the guard, and reading where only writing is forbidden.
+    // Accesses just below and above the guard, and reads where only writes are forbidden.
     for (attributes, code, r4) in [
         (NO_ACCESS | sized(7), 0x6025, GUARD - 4),
         (NO_ACCESS | sized(7), 0x6025, GUARD + 0x100),
         (READ_ONLY | sized(7), 0x6825, GUARD),
         (FULL | NEVER_EXECUTE | sized(7), 0x6025, GUARD),
-        // The second eighth, 32 bytes, is left out.
+        // The second eighth of the region, 32 bytes, is disabled.
         (NO_ACCESS | 0b10 << 8 | sized(7), 0x6025, GUARD + 0x20),
     ] {
         let mut board = protected(GUARD, attributes, ON, &[code], r4, true);
@@ -132,11 +132,11 @@ fn what_is_around_a_region_and_what_it_allows_is_as_without_it() {
 
 #[test]
 fn address_zero_is_caught_and_so_is_a_fetch_from_where_nothing_may_be_executed() {
-    // ldr r5,[r4] with R4 = 0: 32 bytes of ITCM.
+    // ldr r5,[r4] with R4 = 0: the region is the first 32 bytes of ITCM.
     let mut board = protected(0, NO_ACCESS | sized(4), ON, &[0x6825], 0, true);
     run_for(&mut board, 2_000);
     assert_eq!((exception(&board), peek(&mut board, CFSR), peek(&mut board, MMFAR)), (MEM_MANAGE, 0x82, 0));
-    // bx r4 to code in flash that is not to be executed, and to the first 32 bytes of ITCM.
+    // bx r4 to code in flash that must not be executed, and to the first 32 bytes of ITCM.
     for (base, to) in [(0x0804_0000, 0x0804_0010), (0, 0x10)] {
         let mut board = protected(base, READ_ONLY | NEVER_EXECUTE | sized(4), ON, &[0x4720], to | 1, true);
         write(&board, to, &[FOR_EVER]);
@@ -151,7 +151,7 @@ fn a_stack_that_reaches_its_guard_at_an_exception_is_told() {
     // mov sp,r4; svc #0
     let mut board = protected(GUARD, NO_ACCESS | sized(7), ON, &[0x46A5, 0xDF00], GUARD + 0x110, true);
     run_for(&mut board, 2_000);
-    // MSTKERR; of equal priority, MemManage waits for SVCall.
+    // MSTKERR is set; MemManage waits for SVCall, which has the same priority.
     assert_eq!((exception(&board), peek(&mut board, CFSR)), (11, 1 << 4));
     assert_eq!(peek(&mut board, SHCSR) >> 13 & 1, 1);
     // mov sp,r4; push {r0-r7}: the fault finds no room for its frame either.

@@ -1,4 +1,4 @@
-//! The whole way: a board that runs, its bootloader, and the board that runs the new image.
+//! Tests of the whole procedure: a running board, its bootloader, and the board that runs the new image.
 
 use std::{cell::RefCell, rc::Rc, time::Duration};
 
@@ -9,12 +9,12 @@ use crate::{
     model::{Bootloader, FLASH},
 };
 
-/// The board refuses.
+/// Error of a board that refuses, because it is armed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("not while the board is armed")]
 struct Armed;
 
-/// A bootloader that may be held and looked at.
+/// Bootloader that two owners share: the update, and the test that inspects it.
 #[derive(Clone)]
 struct Handle(Rc<RefCell<Bootloader>>);
 
@@ -36,19 +36,19 @@ impl Usb for Handle {
     }
 }
 
-/// A desk with one board on it, and perhaps a person.
+/// Desk with one board on it, and sometimes a person.
 struct Desk {
     bootloader: Handle,
     asked: Result<Asked, Armed>,
-    /// When the bootloader is on USB, ms.
+    /// Time at which the bootloader appears on USB, ms.
     appears_ms: Option<u64>,
-    /// When a person presses reset twice, ms.
+    /// Time at which a person presses reset twice, ms.
     person_ms: Option<u64>,
-    /// Which image a board that was started says that it runs; `None`: no board answers.
+    /// Image that a started board reports; `None` when no board answers.
     runs: Option<fn(&[u8]) -> Running>,
 }
 
-/// Any sum does.
+/// Makes a record of an image; any checksum serves.
 fn record(content: &[u8]) -> Running {
     let crc = content.iter().fold(7_u32, |sum, byte| sum.wrapping_mul(31).wrapping_add(u32::from(*byte)));
     Running { bytes: content.len() as u32, crc }
@@ -113,7 +113,7 @@ const ALL_IS_WELL: Flashed = Flashed { verified: true, confirmed: true };
 #[test]
 fn a_running_board_restarts_into_its_bootloader_and_runs_the_image() {
     let mut desk = Desk::new(Ok(Asked::Restarts));
-    // After it was asked.
+    // After the request to restart.
     desk.appears_ms = Some(1500);
     assert_eq!(desk.flash(), (Ok(ALL_IS_WELL), vec![Note::Restarts, Note::Starts]));
 }
@@ -136,7 +136,7 @@ fn a_person_is_told_to_press_reset_and_waited_for() {
         assert_eq!(desk.flash(), (Err(FlashError::NoBootloader { waited_s: 60 }), vec![press(why)]));
         assert!((60_000..61_000).contains(&desk.now_ms()), "{} ms", desk.now_ms());
     }
-    // One that restarts, and hangs in doing so.
+    // A board that restarts, and hangs on the way.
     let mut desk = Desk::new(Ok(Asked::Restarts));
     desk.person_ms = Some(30_000);
     let (flashed, notes) = desk.flash();

@@ -1,4 +1,4 @@
-//! Updates of a bootloader's flash, with all that goes wrong on the way.
+//! Tests of updates of a bootloader's flash, with every failure on the way.
 
 mod board;
 mod model;
@@ -7,10 +7,10 @@ use model::{Bootloader, FLASH, SECTOR, Wrong};
 use proptest::{prop_assert_eq, proptest};
 use r4_dfu::{Progress, Status, Step, UpdateError, Updated, UsbError, leave, update};
 
-/// Behind the Arduino bootloader.
+/// Address of an image behind the Arduino bootloader.
 const START: u32 = 0x0804_0000;
 
-/// Not a whole number of blocks, and more than a sector.
+/// Makes an image longer than a sector, which is no whole number of blocks.
 fn image() -> Vec<u8> {
     (0..SECTOR + 10 * 4096 + 32).map(|byte| (byte % 251) as u8 ^ (byte >> 12) as u8).collect()
 }
@@ -19,7 +19,7 @@ fn write(bootloader: &mut Bootloader, image: &[u8]) -> Result<Updated, UpdateErr
     update(bootloader, image, START, &mut |_| {})
 }
 
-/// The image is where it belongs, and what is not in its sectors is as it was.
+/// Checks that the image is in its place, and that the other sectors are unchanged.
 fn assert_written(bootloader: &Bootloader, image: &[u8]) {
     let (from, before) = ((START - FLASH) as usize, Bootloader::new().flash);
     let erased = from + image.len().next_multiple_of(SECTOR);
@@ -46,14 +46,14 @@ fn an_image_is_written_read_back_and_started() {
     assert!(seen.iter().all(|progress| progress.done <= progress.all && progress.all == all));
     assert_eq!(seen.last(), Some(&Progress { step: Step::Verify, done: all, all }));
     assert_eq!(seen.iter().filter(|progress| progress.step == Step::Erase).count(), 2, "two sectors");
-    // As long as it said that it takes, and never asked before its time: that would have been an error.
+    // Each operation took the time that the bootloader named; asking earlier would have been an error.
     assert!(bootloader.now_ms >= 2 * 900, "{} ms", bootloader.now_ms);
     assert_eq!(bootloader.started, None);
     assert_eq!(leave(&mut bootloader, START), Ok(()));
     assert_eq!(bootloader.started, Some(START));
 }
 
-/// Whatever the transfer at which the cable is pulled, the same command again succeeds.
+/// Pulls the cable at each transfer: the same command succeeds afterwards.
 #[test]
 fn the_cable_may_be_pulled_at_any_transfer() {
     let image = image();
@@ -73,7 +73,7 @@ fn the_cable_may_be_pulled_at_any_transfer() {
     eprintln!("{} transfers", whole.transfers);
 }
 
-/// The same for a program that is ended: the bootloader keeps its power, and stays in whatever state it was.
+/// Ends the program at each transfer: the bootloader keeps its power and its state.
 #[test]
 fn the_program_may_be_ended_at_any_transfer() {
     let image = image();
@@ -91,7 +91,7 @@ fn the_program_may_be_ended_at_any_transfer() {
     }
 }
 
-/// And for a transfer that is not taken: the error says so, and the next try clears it.
+/// Stalls each transfer: the error says so, and the next try clears it.
 #[test]
 fn any_transfer_may_be_stalled() {
     let image = image();
@@ -102,7 +102,7 @@ fn any_transfer_may_be_stalled() {
         let mut bootloader = Bootloader::new();
         bootloader.wrong.stalls_at = Some(at);
         match write(&mut bootloader, &image) {
-            // Requests that only bring it to idle may be stalled.
+            // Requests that only bring the bootloader to idle may be stalled.
             Ok(updated) => assert!(updated.verified),
             Err(UpdateError::Refused { status, .. }) => {
                 assert_eq!(status, Status::ErrStalledpkt, "{at}");
@@ -139,7 +139,7 @@ fn a_worn_byte_is_found_by_reading_back() {
     assert_eq!(write(&mut bootloader, &image), Err(UpdateError::Differs { address }));
 }
 
-/// The Arduino bootloader says that a block is programmed when it is only queued.
+/// The Arduino bootloader reports a block as programmed when it is only queued.
 #[test]
 fn a_bootloader_that_programs_behind_its_answers_is_read_again() {
     let (mut bootloader, image) = (Bootloader::new(), image());
@@ -157,7 +157,7 @@ fn without_upload_it_is_written_and_not_read_back() {
     assert_eq!(leave(&mut bootloader, START), Ok(()));
 }
 
-/// Before anything is erased.
+/// The image is refused before anything is erased.
 #[test]
 fn another_memory_is_refused_before_it_is_touched() {
     for (memory, start, bytes, told) in [
@@ -178,7 +178,7 @@ fn another_memory_is_refused_before_it_is_touched() {
 }
 
 proptest! {
-    /// Of any size of image and block.
+    /// Writes images of any length, with any size of block.
     #[test]
     fn images_of_any_length_are_written(words in 1_usize..10_000, transfer_bytes in 64_u16..8192, at in 0_usize..400) {
         let image: Vec<u8> = (0..32 * words).map(|byte| (byte % 253) as u8).collect();

@@ -1,22 +1,23 @@
-//! A bootloader: the states of USB DFU 1.1 (A.1), the commands of DfuSe (UM0424, 6; AN3156, 5), on virtual time.
+//! Model of a bootloader: the states of USB DFU 1.1 (A.1) and the commands of DfuSe (UM0424, 6; AN3156, 5), on virtual
+//! time.
 
 use std::time::Duration;
 
 use r4_dfu::{Descriptor, Usb, UsbError};
 
-/// Of flash and its sectors, as in an STM32H747's bank 1.
+/// Address of flash, and the length of its sectors, as in an STM32H747's bank 1.
 pub(crate) const FLASH: u32 = 0x0800_0000;
 pub(crate) const SECTOR: usize = 128 * 1024;
 const SECTORS: usize = 8;
 
-/// Requests (DFU 1.1, table 3.2).
+/// Requests of DFU (DFU 1.1, table 3.2).
 const DNLOAD: u8 = 1;
 const UPLOAD: u8 = 2;
 const GETSTATUS: u8 = 3;
 const CLRSTATUS: u8 = 4;
 const ABORT: u8 = 6;
 
-/// States by their number (6.1.2).
+/// States by their number (DFU 1.1, 6.1.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum State {
     Idle = 2,
@@ -29,7 +30,7 @@ pub(crate) enum State {
     Error = 10,
 }
 
-/// Status by its number (6.1.2).
+/// Status by its number (DFU 1.1, 6.1.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Status {
     Ok = 0,
@@ -38,7 +39,7 @@ pub(crate) enum Status {
     StalledPkt = 15,
 }
 
-/// What a block asks for; carried out from the next request for the status on.
+/// Operation of a block, carried out from the next request for the status on.
 #[derive(Clone, Debug)]
 enum Operation {
     Pointer(u32),
@@ -46,18 +47,18 @@ enum Operation {
     Program(u32, Vec<u8>),
 }
 
-/// What is wrong with it.
+/// Faults of the bootloader.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Wrong {
-    /// From this transfer on, the cable is out, and the bootloader without power.
+    /// Transfer from which on the cable is out, and the bootloader without power.
     pub(crate) unplugged_at: Option<usize>,
-    /// From this transfer on, the host is gone, and the bootloader waits.
+    /// Transfer from which on the host is gone, and the bootloader waits.
     pub(crate) host_gone_at: Option<usize>,
-    /// This transfer is not taken.
+    /// Transfer that is stalled.
     pub(crate) stalls_at: Option<usize>,
-    /// A byte of flash that keeps a bit at 0.
+    /// Address of a byte of flash that keeps a bit at 0.
     pub(crate) worn: Option<u32>,
-    /// Sectors at and above are said to be outside.
+    /// Address from which on sectors are refused.
     pub(crate) refuses_from: Option<u32>,
 }
 
@@ -65,10 +66,10 @@ pub(crate) struct Bootloader {
     pub(crate) flash: Vec<u8>,
     pub(crate) wrong: Wrong,
     pub(crate) transfers: usize,
-    /// Where a program was started.
+    /// Address at which a program was started.
     pub(crate) started: Option<u32>,
     pub(crate) can_upload: bool,
-    /// Programs so much later than it says, ms, as the Arduino bootloader does; `None`: before it says so.
+    /// Delay of programming behind its report, ms, as in the Arduino bootloader; `None` programs before the report.
     pub(crate) behind_ms: Option<u64>,
     pub(crate) memory: String,
     pub(crate) transfer_bytes: u16,
@@ -82,9 +83,10 @@ pub(crate) struct Bootloader {
 }
 
 impl Bootloader {
-    /// Full of what was there before.
+    /// Makes a bootloader whose flash has old content.
     pub(crate) fn new() -> Self {
         Self {
+            // 239 is no divisor of a sector's length, so that no sector equals another.
             flash: (0..SECTOR * SECTORS).map(|byte| (byte % 239) as u8).collect(),
             wrong: Wrong::default(),
             transfers: 0,
@@ -103,7 +105,7 @@ impl Bootloader {
         }
     }
 
-    /// The cable is in again, and the board in its bootloader.
+    /// Plugs the cable in again, with the board in its bootloader.
     pub(crate) fn plug_in(&mut self) {
         self.wrong = Wrong::default();
         (self.state, self.status, self.pointer) = (State::Idle, Status::Ok, FLASH);
@@ -111,7 +113,7 @@ impl Bootloader {
         self.later.clear();
     }
 
-    /// Another host comes.
+    /// Lets another host continue.
     pub(crate) fn next_host(&mut self) {
         self.wrong = Wrong::default();
         self.transfers = 0;
@@ -127,7 +129,7 @@ impl Bootloader {
         UsbError::Stalled
     }
 
-    /// Flash that loses its power in the middle of an operation: the first half of it is done.
+    /// Cuts power in the middle of an operation: the first half of it is done.
     fn tear(&mut self) {
         match self.operation.take() {
             Some(Operation::Erase(address)) if self.state == State::Dnbusy => {
@@ -143,15 +145,17 @@ impl Bootloader {
         }
     }
 
-    /// One transfer, and what may be wrong with it.
+    /// Counts a transfer, and applies its fault.
     fn transfer(&mut self) -> Result<(), UsbError> {
         let number = self.transfers;
         self.transfers += 1;
         self.now_ms += 1;
+        // Blocks that were only queued are programmed when their time has come, whatever the host does.
         while let Some(at) = self.later.iter().position(|(ms, ..)| *ms <= self.now_ms) {
             let (_, address, data) = self.later.remove(at);
             self.program(address, &data);
         }
+        // Without power the operation in progress is torn; without a host it is not.
         if self.wrong.unplugged_at.is_some_and(|at| number >= at) {
             self.tear();
             return Err(UsbError::Gone);
@@ -168,7 +172,7 @@ impl Bootloader {
     fn program(&mut self, address: u32, data: &[u8]) -> Status {
         let Some(from) = self.at(address) else { return Status::Address };
         let Some(flash) = self.flash.get_mut(from..from + data.len()) else { return Status::Address };
-        // Only what is erased can be programmed.
+        // Only erased flash can be programmed.
         if flash.iter().any(|byte| *byte != 0xFF) {
             return Status::Prog;
         }
@@ -176,12 +180,13 @@ impl Bootloader {
         if let Some(worn) = self.wrong.worn
             && (address..address + data.len() as u32).contains(&worn)
         {
+            // A worn cell reads 0 where 1 was programmed.
             flash[(worn - address) as usize] &= !0x10;
         }
         Status::Ok
     }
 
-    /// How long an operation takes, and how long the host is told that it does.
+    /// Returns the time that an operation takes, and the time that the bootloader names, ms.
     fn time_ms(&self, operation: &Operation) -> u64 {
         match operation {
             Operation::Pointer(_) => 0,
@@ -265,7 +270,7 @@ impl Bootloader {
                 self.state = State::Dnbusy;
                 self.ready_ms = self.now_ms + poll_ms;
             }
-            // Asked before its time (DFU 1.1, A.2.5).
+            // A request for the status before its time is an error (DFU 1.1, A.2.5).
             State::Dnbusy if self.now_ms < self.ready_ms => {
                 self.tear();
                 return Err(self.stall());
@@ -287,6 +292,7 @@ impl Bootloader {
 impl Usb for Bootloader {
     fn descriptor(&self) -> Descriptor {
         let [low, high] = self.transfer_bytes.to_le_bytes();
+        // Can download and will detach; upload is optional (DFU 1.1, table 4.2).
         let attributes = 0x09 | u8::from(self.can_upload) << 1;
         let bytes = [9, 0x21, attributes, 0xFF, 0, low, high, 0x1A, 0x01];
         let functional = dfu_core::functional_descriptor::FunctionalDescriptor::from_bytes(&bytes);

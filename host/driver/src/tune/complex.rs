@@ -1,8 +1,8 @@
-//! Complex numbers, as far as a frequency response needs them.
+//! Complex arithmetic that frequency responses need.
 
 use std::ops::{Add, Div, Mul};
 
-/// Real and imaginary part.
+/// Complex number: real and imaginary part.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Complex(pub(super) f64, pub(super) f64);
 
@@ -13,7 +13,7 @@ impl Complex {
         self.0.hypot(self.1)
     }
 
-    /// In -π..=π.
+    /// Returns the angle in -π..=π, rad.
     pub(super) fn angle(self) -> f64 {
         self.1.atan2(self.0)
     }

@@ -1,109 +1,109 @@
-//! A motor's model, fitted to recorded runs by least squares.
+//! Least-squares fit of a motor's model to recorded runs.
 
 use super::Sample;
 
-/// A motor as its loops see it: its speed follows the duty beyond friction, `gain e^(-delay s) / (lag s + 1)`.
+/// Motor as its loops see it: from the duty beyond friction to the speed, `gain e^(-delay s) / (lag s + 1)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Model {
-    /// Steady speed per duty beyond friction, rad/s or m/s.
+    /// Steady-state speed per duty beyond friction, rad/s or m/s.
     pub gain: f64,
-    /// s
+    /// Time constant of the speed, s.
     pub lag_s: f64,
-    /// s
+    /// Dead time before the speed responds, s.
     pub delay_s: f64,
 }
 
-/// Duty that friction and a dead zone take of a motor that turns, as a share of the supply.
+/// Duty that friction and a dead zone take from a turning motor, as a share of the supply voltage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Friction {
-    /// Of one that turns upwards.
+    /// Duty when turning in positive direction.
     pub up: f64,
-    /// Of one that turns downwards.
+    /// Duty when turning in negative direction.
     pub down: f64,
 }
 
 impl Friction {
-    /// The mean of both directions; what they differ by is a load.
+    /// Returns the mean of both directions; their difference is a constant load.
     #[must_use]
     pub fn mean(&self) -> f64 {
         (self.up + self.down) / 2.0
     }
 }
 
-/// A recording of a motor that is driven in one direction, and turns in it from some sample on. The duty changes while it turns.
+/// Recording of a motor driven in one direction, in which it turns from some sample on. The duty varies while it turns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
-    /// Whether upwards.
+    /// True for the positive direction.
     pub up: bool,
-    /// Duty and position.
+    /// Samples of duty and position.
     pub samples: Vec<Sample>,
 }
 
-/// A model, and how well it describes the recording.
+/// Fitted model with the quality of the fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fit {
-    /// Best model.
+    /// Model with the smallest residual.
     pub model: Model,
-    /// Friction that goes with it.
+    /// Friction fitted together with the model.
     pub friction: Friction,
-    /// Root mean square of the residual, as a share of the output's own after each run's beginning is taken out.
+    /// RMS residual relative to the RMS of the output, after position and speed at the start of each run are removed.
     pub residual: f64,
-    /// The same in the unit of the position.
+    /// RMS residual in the unit of the position.
     pub residual_rms: f64,
-    /// Models that the recording does not exclude: those with the least and the most of lag, delay and of gain over lag.
+    /// Models that the recording does not exclude: those with the least and the most lag, delay, and gain over lag.
     pub plausible: Vec<Model>,
 }
 
-/// Why a recording has no model.
+/// Reason why a recording has no model.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum FitError {
-    /// Too few samples with motion.
+    /// Too few samples with motion for a fit.
     #[error("{samples} samples of a turning motor are too few to fit it to: allow more --travel")]
     TooShort {
-        /// In the recording.
+        /// Number of samples in the recording.
         samples: usize,
     },
-    /// The duty or the position is the same all the time.
+    /// Duty or position is constant over the recording.
     #[error("duty or position does not change: nothing can be fitted")]
     Flat,
-    /// More duty, less speed.
+    /// The fitted gain is negative: more duty, less speed.
     #[error("the motor turns against its duty: check `inverted` of motor and encoder")]
     Backwards,
-    /// The model leaves too much of the motion.
+    /// The residual is too large a part of the motion.
     #[error(
         "no linear motor with friction describes the motion: {:.0} % of it are residual, allowed are {:.0} %",
         residual * 100.0, allowed * 100.0
     )]
     Poor {
-        /// As in [`Fit::residual`].
+        /// Relative residual as in [`Fit::residual`].
         residual: f64,
-        /// The most it may be.
+        /// Largest relative residual accepted.
         allowed: f64,
     },
 }
 
-/// Fewer samples say nothing of five numbers.
+/// Least number of samples for a fit of five numbers.
 const LEAST_SAMPLES: usize = 40;
-/// A run counts from when the position has moved by so many counts: play is over then.
+/// Travel in counts after which a run is used: the backlash is taken up by then.
 const BEGIN_COUNTS: f64 = 3.0;
-/// A shorter run has as many unknowns of its own as it has to say.
+/// Least number of samples of a run; each run adds two unknowns, its initial position and speed.
 const LEAST_RUN: usize = 8;
-/// Lags and delays tried at once, and how often the grid is drawn closer around the best.
+/// Grid of lags and delays, and the number of times it is refined around the best point.
 const LAGS: usize = 20;
 const DELAYS: usize = 12;
 const ROUNDS: usize = 4;
-/// How much closer it is drawn.
+/// Factor by which each refinement narrows the grid.
 const CLOSER: f64 = 3.0;
-/// No lag and no delay is longer, s.
+/// Upper limits of the search for lag and delay, s.
 const LONGEST_LAG_S: f64 = 3.0;
 const LONGEST_DELAY_S: f64 = 0.08;
-/// Neighbouring samples of a position that is counted have the same error: so many of them say as much as one of their own. An
-/// assumption, not measured.
+/// Number of neighbouring samples of a quantised position that count as one independent sample, since their errors are
+/// alike. An assumption, not measured.
 const ALIKE: f64 = 10.0;
-/// 95 % of a chi-squared distribution with two degrees of freedom (lag and delay).
+/// 95 % quantile of the chi-squared distribution with two degrees of freedom (lag and delay).
 const CHI_SQUARED: f64 = 5.99;
 
-/// A lag and a delay, what goes with them, and the sum of squares that they leave.
+/// Grid point: lag and delay, with the linear parameters fitted for them and their residual.
 #[derive(Clone, Copy)]
 struct Tried {
     log_lag: f64,
@@ -116,19 +116,19 @@ impl Tried {
         Model { gain: self.linear.gain, lag_s: self.log_lag.exp(), delay_s: self.delay_s }
     }
 
-    /// What the motor is far above its lag: an integrator of the duty.
+    /// Gain over lag: the motor's gain as an integrator of the duty, at frequencies far above 1/lag.
     fn rise(&self) -> f64 {
         self.linear.gain / self.log_lag.exp()
     }
 }
 
 impl Fit {
-    /// The model that leaves least of the position in `runs`, by least squares; `resolution` is a count of it. Where each run
-    /// began and how fast is left open, so play before a run and what a run before it left do not matter. The residual's share
-    /// must be at most `allowed`.
+    /// Fits the model with the smallest residual of the position in `runs`; `resolution` is one count of it. Position
+    /// and speed at the start of each run are free, so backlash before a run and the motion left from an earlier one do
+    /// not matter. The relative residual must not exceed `allowed`.
     ///
     /// # Errors
-    /// [`FitError`].
+    /// [`FitError`] names the reason.
     pub fn of(runs: &[Run], resolution: f64, allowed: f64) -> Result<Self, FitError> {
         let runs: Vec<Cut<'_>> = runs.iter().filter_map(|run| Cut::of(run, resolution)).collect();
         let samples: usize = runs.iter().map(Cut::len).sum();
@@ -177,7 +177,8 @@ impl Fit {
         if gain <= 0.0 {
             return Err(FitError::Backwards);
         }
-        // A position is known to a count at best, even where the residual happens to be smaller.
+        // The standard deviation of a quantised position is at least count/√12, even where the residual happens to be
+        // smaller.
         let variance = (left / samples as f64).max(resolution * resolution / 12.0);
         let limit = left + CHI_SQUARED * ALIKE * variance;
         let plausible: Vec<&Tried> =
@@ -201,7 +202,7 @@ fn between((low, high): (f64, f64), index: usize, count: usize) -> f64 {
     low + (high - low) * index as f64 / (count - 1) as f64
 }
 
-/// A run from where its play is over; what was driven before is there for the delay.
+/// Run from the end of its backlash on; earlier samples stay available for the delayed duty.
 struct Cut<'r> {
     sign: f64,
     samples: &'r [Sample],
@@ -240,8 +241,8 @@ impl<'r> Cut<'r> {
         self.turning().iter().any(|sample| sample.input != self.turning()[0].input)
     }
 
-    /// The duty in the middle of each step between two samples of the turning motor, `delay_s` earlier; before the run as at
-    /// its start.
+    /// Returns the duty in the middle of each interval between two samples of the turning motor, `delay_s` earlier;
+    /// before the start of the run it is the first one.
     fn delayed(&self, delay_s: f64) -> Vec<f64> {
         let mut at = 0;
         let steps = self.turning().windows(2).map(|pair| {
@@ -258,21 +259,21 @@ impl<'r> Cut<'r> {
     }
 }
 
-/// `output = gain (answer to the duty) - sign friction (answer to 1) + speed (1 - e^(-t/lag)) lag + place`, of which speed and place
-/// are each run's own, and friction is that of the run's direction.
+/// Linear fit at a fixed lag: `output = gain (response to the duty) - sign friction (response to 1) + speed (1 -
+/// e^(-t/lag)) lag + position`. Initial speed and position belong to each run, friction to the run's direction.
 #[derive(Clone, Copy)]
 struct Linear {
     gain: f64,
-    /// Gain times the duty that friction takes.
+    /// Gain times the duty of friction, positive direction, then negative.
     up: f64,
     down: f64,
-    /// Sum of squares of what is left, and of all that there was.
+    /// Sum of squared residuals, and that of the output.
     left: f64,
     whole: f64,
 }
 
 impl Linear {
-    /// `None` where the numbers cannot be told apart.
+    /// Solves for gain and both frictions; `None` where they are not separately identifiable.
     fn of(runs: &[Cut<'_>], inputs: &[Vec<f64>], lag_s: f64) -> Option<Self> {
         let (mut normal, mut right, mut whole) = ([[0.0; 3]; 3], [0.0; 3], 0.0);
         for (run, inputs) in runs.iter().zip(inputs) {
@@ -288,7 +289,8 @@ impl Linear {
                 right[held_index] += held * output;
             }
         }
-        // Eliminates both frictions, which do not meet: a 2 by 2 step each. One that never was is 0.
+        // The two frictions have no common samples, so their 2 by 2 blocks are eliminated separately. One without
+        // samples is 0.
         let (mut own, mut common) = (normal[0][0], right[0]);
         let mut solved = right.map(|_| 0.0);
         for index in [1, 2] {
@@ -297,7 +299,8 @@ impl Linear {
                 common -= normal[0][index] * right[index] / normal[index][index];
             }
         }
-        // What of the duty's answer is not friction's: rounding is nine digits below.
+        // The part of the response to the duty that is not collinear with friction; rounding is some nine digits below
+        // it.
         if !(own > 1e-9 * normal[0][0] && whole > 0.0) {
             return None;
         }
@@ -313,8 +316,8 @@ impl Linear {
     }
 }
 
-/// Position, the answer of a motor of gain 1 to the duty, and to a duty of 1; without what a place and a speed at the beginning
-/// would add to each.
+/// Returns the columns of the fit: position, response of a motor of gain 1 to the duty, and to a duty of 1. Initial
+/// position and speed are projected out of each.
 fn columns(run: &Cut<'_>, inputs: &[f64], lag_s: f64) -> [Vec<f64>; 3] {
     let turning = run.turning();
     let count = turning.len();
@@ -360,7 +363,7 @@ fn centre(values: &mut [f64]) {
 mod tests {
     use super::*;
 
-    /// What the recording is of, besides the model.
+    /// Conditions of the recording besides the model.
     #[derive(Clone, Copy)]
     struct World {
         friction: Friction,
@@ -370,7 +373,8 @@ mod tests {
 
     const SMOOTH: World = World { friction: Friction { up: 0.12, down: 0.08 }, play: 0.0, count: 1e-9 };
 
-    /// Four runs up and down of a motor stepped finely, seen each 2 ms, under duties that change as the board lets them.
+    /// Simulates four runs up and down with small steps, sampled every 2 ms, with duties that change at the board's
+    /// rate limit.
     fn recording(model: Model, world: World) -> Vec<Run> {
         const STEP_S: f64 = 1e-4;
         let levels = [(true, 0.3), (false, 0.35), (true, 0.5), (false, 0.5)];
@@ -413,7 +417,7 @@ mod tests {
             let world = World { count: 1e-6 * gain, ..SMOOTH };
             let fit = Fit::of(&recording(model, world), world.count, 0.05).expect("it fits");
             let found = fit.model;
-            // Two milliseconds between samples hide up to half of one of delay.
+            // With 2 ms between samples the delay is uncertain by up to half of that.
             assert!((found.gain / gain - 1.0).abs() < 0.02, "{model:?} {fit:?}");
             assert!((found.lag_s - lag_s).abs() < 0.04 * lag_s + 1e-3, "{model:?} {fit:?}");
             assert!((found.delay_s - delay_s).abs() < 1.5e-3, "{model:?} {fit:?}");
@@ -421,7 +425,7 @@ mod tests {
         }
     }
 
-    /// A count of 1.8 degrees and a degree of play: the truth is among what is not excluded.
+    /// With a count of 1.8 degrees and about one degree of backlash, the true lag is among the plausible models.
     #[test]
     fn a_coarse_sensor_leaves_more_open() {
         let model = Model { gain: 9.0, lag_s: 0.06, delay_s: 0.004 };
@@ -454,7 +458,7 @@ mod tests {
         assert_eq!(Fit::of(&still, 1e-9, 0.1), Err(FitError::TooShort { samples: 0 }));
         let flat = with(|sample| Sample { input: 0.3, ..*sample });
         assert_eq!(Fit::of(&flat, 1e-9, 0.1), Err(FitError::Flat));
-        // More duty makes it slower.
+        // A negated duty makes the fitted gain negative.
         let against = with(|sample| Sample { input: -sample.input, ..*sample });
         assert_eq!(Fit::of(&against, 1e-9, 1.0), Err(FitError::Backwards));
         let other: Vec<Run> = good

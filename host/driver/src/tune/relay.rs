@@ -1,10 +1,10 @@
-//! Relay feedback: a motor that swings by itself tells its gain and phase at one frequency.
+//! Relay feedback: the limit cycle of a motor under a relay gives its gain and phase at one frequency.
 
 use std::f64::consts::{PI, TAU};
 
 use super::Sample;
 
-/// A relay with hysteresis: high below the centre, low above it.
+/// Relay with hysteresis: high below the centre, low above it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Relay {
     centre: f64,
@@ -13,13 +13,13 @@ pub struct Relay {
 }
 
 impl Relay {
-    /// A relay that is high.
+    /// Makes a relay that is high.
     #[must_use]
     pub fn new(centre: f64, hysteresis: f64) -> Self {
         Self { centre, hysteresis, high: true }
     }
 
-    /// Whether it is high, having seen `output`. What is not a number changes nothing.
+    /// Updates the relay with `output` and returns true while it is high. NaN changes nothing.
     pub fn step(&mut self, output: f64) -> bool {
         if output > self.centre + self.hysteresis {
             self.high = false;
@@ -33,76 +33,76 @@ impl Relay {
 /// Frequency response at one frequency.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// rad/s
+    /// Frequency of the point, rad/s.
     pub frequency_rad_s: f64,
-    /// Output per input.
+    /// Gain as output amplitude per input amplitude.
     pub gain: f64,
-    /// Of the output against the input, in -2π..=0.
+    /// Phase of the output relative to the input, in -2π..=0, rad.
     pub phase_rad: f64,
 }
 
 impl Point {
-    /// The gain of a proportional loop of this magnitude.
+    /// Returns the proportional gain that gives a loop gain of 1 at this frequency.
     #[must_use]
     pub fn ultimate_gain(&self) -> f64 {
         1.0 / self.gain
     }
 }
 
-/// A steady swing.
+/// Steady limit cycle of a relay experiment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Oscillation {
-    /// How many cycles it is the mean of.
+    /// Number of cycles averaged.
     pub cycles: usize,
-    /// Of a cycle, s.
+    /// Mean period of a cycle, s.
     pub period_s: f64,
-    /// Of the first harmonic of the output.
+    /// Amplitude of the output's first harmonic, in the output's unit.
     pub amplitude: f64,
-    /// How far a cycle's period or height is from the mean at most, as a share of it.
+    /// Largest deviation of a cycle's period or height from the mean, as a share of it.
     pub spread: f64,
-    /// What it says of the motor.
+    /// Motor's frequency response at the oscillation.
     pub point: Point,
 }
 
-/// Why a recording is no steady swing.
+/// Reason why a recording has no steady oscillation.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RelayError {
-    /// Too short, or the motor does not swing.
+    /// The recording is too short, or the motor does not oscillate.
     #[error("{seen} whole cycles were seen of {wanted}: the motor does not swing")]
     TooFew {
-        /// In the recording.
+        /// Whole cycles in the recording.
         seen: usize,
-        /// How many must agree.
+        /// Number of cycles that must agree.
         wanted: usize,
     },
-    /// The cycles differ.
+    /// The last cycles differ too much.
     #[error("the last cycles differ by {:.0} % of their mean, allowed are {:.0} %: the swing does not settle", spread * 100.0, allowed * 100.0)]
     Unsettled {
-        /// The largest difference from the mean, as a share of it.
+        /// Largest deviation from the mean, as a share of it.
         spread: f64,
-        /// The most it may be.
+        /// Largest deviation accepted, as a share of the mean.
         allowed: f64,
     },
     /// The input or output has no first harmonic.
     #[error("duty or measurement does not swing at all")]
     Flat,
-    /// A cycle has too few samples to tell its phase.
+    /// A cycle has too few samples for its phase.
     #[error("{samples:.1} samples in a cycle are too few: the motor swings too fast for the telemetry")]
     TooFast {
-        /// In a cycle.
+        /// Mean number of samples per cycle.
         samples: f64,
     },
 }
 
-/// A cycle needs so many samples.
+/// Least number of samples per cycle.
 const LEAST_SAMPLES: f64 = 8.0;
 
 impl Oscillation {
-    /// The mean of the last `cycles` cycles of `samples` around `centre`, if no period and no height differs from the mean by
-    /// more than the share `allowed`. A crossing counts from `hysteresis` below the centre on.
+    /// Averages the last `cycles` cycles of `samples` around `centre`, if no period and no height differs from the mean
+    /// by more than the share `allowed`. A crossing counts only after the output was `hysteresis` below the centre.
     ///
     /// # Errors
-    /// [`RelayError`].
+    /// [`RelayError`] names the reason.
     pub fn of(
         samples: &[Sample],
         centre: f64,
@@ -149,20 +149,21 @@ impl Oscillation {
         Ok(Self { cycles, period_s, amplitude: output_size, spread, point })
     }
 
-    /// What hysteresis alone takes from the half turn at which a relay without one would swing, rad.
+    /// Returns the phase by which hysteresis alone reduces the half turn at which an ideal relay oscillates, rad.
     #[must_use]
     pub fn hysteresis_phase(&self, hysteresis: f64) -> f64 {
         (hysteresis / self.amplitude).clamp(0.0, 1.0).asin()
     }
 
-    /// The delay between relay and motor that the swing shows, s: what of the turn neither the motor nor the hysteresis takes.
+    /// Returns the delay between relay and motor, s: the part of the half turn that neither the motor nor the
+    /// hysteresis accounts for.
     #[must_use]
     pub fn outside_delay_s(&self, hysteresis: f64) -> f64 {
         (PI + self.point.phase_rad - self.hysteresis_phase(hysteresis)) / self.point.frequency_rad_s
     }
 }
 
-/// When the output came up through `centre`, having been `hysteresis` below it.
+/// Returns the times at which the output rises through `centre` after it was `hysteresis` below, s.
 fn crossings(samples: &[Sample], centre: f64, hysteresis: f64) -> Vec<f64> {
     let mut crossings = Vec::new();
     let mut below = false;
@@ -183,7 +184,7 @@ fn spread(values: &[f64]) -> f64 {
     values.iter().map(|value| ((value - mean) / mean).abs()).fold(0.0, f64::max)
 }
 
-/// The samples from `begin_s` to `end_s`, with one at each end.
+/// Returns the samples from `begin_s` to `end_s`, with an interpolated one at each end.
 fn cut(samples: &[Sample], begin_s: f64, end_s: f64) -> Vec<Sample> {
     let mut span = Vec::new();
     for pair in samples.windows(2) {
@@ -203,7 +204,7 @@ fn cut(samples: &[Sample], begin_s: f64, end_s: f64) -> Vec<Sample> {
     span
 }
 
-/// First harmonic as a complex number (real, imaginary), the phase being against a cosine at the start of the clock.
+/// Returns the first harmonic as (real, imaginary); its phase is relative to a cosine at time 0.
 fn harmonic(span: &[Sample], frequency_rad_s: f64, of: impl Fn(&Sample) -> f64) -> (f64, f64) {
     let (mut real, mut imaginary) = (0.0, 0.0);
     for pair in span.windows(2) {
@@ -227,8 +228,8 @@ mod tests {
 
     const STEP_S: f64 = 1e-4;
 
-    /// `gain / (s (lag s + 1))` on a relay of height `height` whose decisions arrive `delay_s` late; `samples` of every
-    /// millisecond, as a board would tell them: without that delay.
+    /// Simulates `gain / (s (lag s + 1))` under a relay of height `height` whose decisions arrive `delay_s` late. The
+    /// samples, one per millisecond, have the input at the motor as a board's telemetry does, so without that delay.
     fn swing(gain: f64, lag_s: f64, delay_s: f64, height: f64, hysteresis: f64, seconds: f64) -> Vec<Sample> {
         let mut relay = Relay::new(0.0, hysteresis);
         let late = (delay_s / STEP_S) as usize;
@@ -255,10 +256,10 @@ mod tests {
             let omega = seen.point.frequency_rad_s;
             let gain = 6.0 / (omega * (omega * lag_s).hypot(1.0));
             let phase_rad = -PI / 2.0 - (omega * lag_s).atan();
-            // A sample each millisecond places the edges of the input within half of one.
+            // Samples every millisecond locate the edges of the input within half of that.
             assert!((seen.point.gain / gain - 1.0).abs() < 0.02, "{seen:?} {gain}");
             assert!((seen.point.phase_rad - phase_rad).abs() < omega * 0.7e-3, "{seen:?} {phase_rad}");
-            // The describing function takes the output for a sine, which costs some of the delay's accuracy.
+            // The describing function assumes a sinusoidal output, which limits the accuracy of the delay.
             let outside_s = seen.outside_delay_s(hysteresis);
             assert!((outside_s - delay_s).abs() < 0.15 * delay_s + 1e-3, "{outside_s} {delay_s}");
         }
@@ -266,11 +267,12 @@ mod tests {
 
     #[test]
     fn the_ultimate_point_of_an_integrator_with_a_delay() {
-        // Relay and delay only: it swings with a period of four delays, and at height h, gain k reaches k h L.
+        // An integrator with a delay oscillates with a period of four delays; at relay height h and gain k its
+        // amplitude is k h L.
         let samples = swing(2.0, 1e-4, 0.05, 0.5, 0.0, 4.0);
         let seen = Oscillation::of(&samples, 0.0, 0.0, 5, 0.05).expect("it swings");
         assert!((seen.period_s - 0.2).abs() < 0.002, "{seen:?}");
-        // The first harmonic of a triangle is 8/pi² of its height.
+        // The first harmonic of a triangle wave is 8/pi² of its height.
         assert!((seen.amplitude - 0.05 * 8.0 / (PI * PI)).abs() < 0.001, "{seen:?}");
         assert!((seen.point.ultimate_gain() - seen.point.frequency_rad_s / 2.0).abs() < 0.4, "{seen:?}");
     }

@@ -1,25 +1,27 @@
-//! How a loop answered a step of its set point.
+//! Step response of a loop: rise time, overshoot, settling time, steady error.
 
-/// What is read off the answer to a step.
+/// Characteristics of a step response.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Response {
-    /// From 10 to 90 % of the step, s; `None` where it never came so far.
+    /// Rise time from 10 to 90 % of the step, s; `None` where the output never reaches 90 %.
     pub rise_s: Option<f64>,
-    /// Beyond the target, as a share of the step; 0 for none.
+    /// Overshoot beyond the target, as a share of the step; 0 for none.
     pub overshoot: f64,
-    /// From the command until the error last was outside the band, s; `None` where it still was in the last tenth.
+    /// Settling time from the command until the error last leaves the band, s; `None` where it still does in the last
+    /// tenth.
     pub settling_s: Option<f64>,
-    /// Mean error at the end, in the unit of the output; positive is beyond the start-to-target direction's zero.
+    /// Mean of output minus target over the last fifth, in the unit of the output.
     pub steady_error: f64,
 }
 
-/// The last share of a recording counts as steady.
+/// Last share of a recording that counts as steady state.
 const STEADY: f64 = 0.2;
-/// What is not settled after this share of a recording may only seem to be.
+/// Share of a recording by which it must have settled: a later settling time may be an artefact of its end.
 const SETTLED_BY: f64 = 0.9;
 
 impl Response {
-    /// Reads off `samples` (s since the command, output), a step from `from` to `to`, with a band of ±`band` around `to`.
+    /// Evaluates `samples` (s since the command, output) of a step from `from` to `to`, with a band of ±`band` around
+    /// `to`.
     ///
     /// `None` without samples or without a step.
     #[must_use]
@@ -48,7 +50,7 @@ impl Response {
         Some(Self { rise_s, overshoot: (highest - 1.0).max(0.0), settling_s, steady_error })
     }
 
-    /// Of two answers to the same step, each number from the worse.
+    /// Combines two responses to the same step: the worse of each number.
     #[must_use]
     pub fn worse(self, other: Self) -> Self {
         let longer = |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a.max(b));
@@ -66,7 +68,7 @@ impl Response {
 mod tests {
     use super::*;
 
-    /// A second-order system of damping `zeta` and 10 rad/s, from 2 to -1.
+    /// Step response of a second-order system from 2 to -1 with damping ratio `zeta` and natural frequency 10 rad/s.
     fn answer(zeta: f64) -> Vec<(f64, f64)> {
         const STEP_S: f64 = 1e-5;
         let (mut output, mut rate) = (0.0, 0.0);
@@ -84,7 +86,8 @@ mod tests {
     #[test]
     fn a_known_answer_is_read_off() {
         let seen = Response::of(&answer(0.5), 2.0, -1.0, 0.06).expect("a step");
-        // exp(-pi zeta / sqrt(1 - zeta²)); rise (10 to 90 %) 1.639 / 10 s; 2 % band: 8.08 / 10 s by the exact answer.
+        // Closed forms: overshoot exp(-pi zeta / sqrt(1 - zeta²)); rise time (10 to 90 %) 1.639 / 10 s; 2 % settling
+        // time 8.08 / 10 s from the exact response.
         assert!((seen.overshoot - 0.163).abs() < 0.002, "{seen:?}");
         assert!((seen.rise_s.expect("it rises") - 0.1639).abs() < 0.002, "{seen:?}");
         assert!((seen.settling_s.expect("it settles") - 0.808).abs() < 0.01, "{seen:?}");

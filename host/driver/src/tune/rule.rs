@@ -1,4 +1,4 @@
-//! Gains from what is known of a motor, and the phase margin that they leave.
+//! Design of gains from a motor's model or frequency response, with the resulting phase margin.
 
 use std::f64::consts::PI;
 
@@ -10,35 +10,35 @@ use super::{
     fit::Fit,
 };
 
-/// Why there are no gains by a rule.
+/// Reason why a rule gives no gains.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RuleError {
-    /// No derivative could make up for the lag.
+    /// The motor lags more than a derivative can compensate.
     #[error("at {frequency_rad_s:.0} rad/s the motor lags {lag_deg:.0} deg: no loop has the phase margin there")]
     LagsTooMuch {
-        /// Of the swing.
+        /// Frequency of the oscillation, rad/s.
         frequency_rad_s: f64,
-        /// Behind the duty.
+        /// Lag behind the duty, degrees.
         lag_deg: f64,
     },
-    /// A slow loop does not have the margin either.
+    /// Even the slowest loop does not have the margin.
     #[error("no loop slower than {closed_s:.1} s leaves a phase margin of {margin_deg:.0} deg on what was found")]
     NoMargin {
-        /// Time constant of the slowest that was tried, s.
+        /// Time constant of the slowest loop tried, s.
         closed_s: f64,
-        /// What it is to have.
+        /// Required phase margin, degrees.
         margin_deg: f64,
     },
-    /// A count of the sensor would be too much duty.
+    /// One count of the sensor would change the duty too much.
     #[error(
         "the sensor is too coarse for this motor: its counts alone would be {duty:.2} of duty in a loop of {closed_s:.1} s, allowed are {allowed:.2}"
     )]
     TooCoarse {
-        /// What counts come to, as a share of the supply.
+        /// Duty caused by the counts, RMS, as a share of the supply voltage.
         duty: f64,
-        /// The most they may come to.
+        /// Largest duty accepted, as a share of the supply voltage.
         allowed: f64,
-        /// Time constant of the slowest loop that was tried, s.
+        /// Time constant of the slowest loop tried, s.
         closed_s: f64,
     },
     /// A number is not finite, or a gain would be too high for the board.
@@ -46,86 +46,88 @@ pub enum RuleError {
     NoGains,
 }
 
-/// How the board knows the speed.
+/// Speed estimator of the board.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SpeedEstimate {
-    /// Differences of the position behind a low-pass.
+    /// Differences of the position with a low-pass filter.
     LowPass {
-        /// Its time constant, s.
+        /// Time constant of the filter, s.
         time_s: f64,
     },
-    /// A model of the motor that the position corrects, so that the estimate has no lag where the model is right.
+    /// Observer: a model of the motor corrected by the position, without lag as far as the model is right.
     Observer {
         /// Time constant of the correction, s.
         time_s: f64,
     },
 }
 
-/// A board around a motor's loop.
+/// Properties of the board that closes a motor's loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surroundings {
-    /// Period of the loops, s.
+    /// Control period of the loops, s.
     pub period_s: f64,
-    /// How the speed is known.
+    /// Estimator that provides the speed.
     pub estimate: SpeedEstimate,
-    /// A count of the sensor, rad or m.
+    /// One count of the sensor, rad or m.
     pub resolution: f64,
-    /// Lowest and highest speed that the loop is for, rad/s or m/s.
+    /// Lowest and highest speed that the loop is designed for, rad/s or m/s.
     pub speeds: (f64, f64),
 }
 
 /// Gains of the loop that a motor follows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Gains {
-    /// A position, by a loop from its error to the duty.
+    /// Position loop from the position error to the duty.
     Position(PidGains),
-    /// A speed.
+    /// Speed loop from the speed error to the duty.
     Speed(PidGains),
-    /// A position, by the speed loop.
+    /// Position loop around the speed loop.
     Cascade {
-        /// The speed loop's.
+        /// Gains of the inner speed loop.
         speed: PidGains,
-        /// Speed per distance, 1/s.
+        /// Set point of the speed per position error, 1/s.
         per_s: f64,
     },
 }
 
-/// Gains, and what they were chosen for.
+/// Gains with the margin and closed-loop time constant of their design.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Design {
-    /// The gains.
+    /// Gains of the selected loop.
     pub gains: Gains,
-    /// Least phase margin on the model and on all that are as plausible, rad.
+    /// Smallest phase margin on the model and all plausible ones, rad.
     pub margin_rad: f64,
     /// Time constant of the closed loop, s.
     pub closed_s: f64,
 }
 
-/// The corner of the integral is so far below the crossing: it costs there atan(1/6) = 9.5 degrees, which the rule makes up for.
+/// Ratio of the crossover frequency to the integral's corner: its lag at crossover is atan(1/6) = 9.5 degrees, which
+/// the rule compensates.
 const INTEGRAL_BELOW: f64 = 6.0;
-/// The most lead a derivative is asked for.
+/// Largest phase lead demanded from a derivative.
 const MOST_LEAD_RAD: f64 = PI * 70.0 / 180.0;
-/// A motor with more phase than it needs is not given more lag than this.
+/// Largest phase lag given to a motor that has more phase than required.
 const MOST_LAG_RAD: f64 = PI * 60.0 / 180.0;
-/// What is computed in one period acts in the next, and is held there: half a period more.
+/// Delay of the loop in control periods: a result acts in the next period and is held there, half a period more.
 const DELAY_PERIODS: f64 = 1.5;
-/// The closed loop's time constant is at least this many times the delay of all that is around the motor. Our choice: other values
+/// Least ratio of the closed loop's time constant to the delay of everything around the motor. Our choice: other values
 /// have not been tried.
 const DELAYS: f64 = 2.0;
-/// What the counts of a sensor may come to, root mean square, as a share of the supply. Our choice. With an estimate of the noise several
-/// times too high, so as if this were that much lower, 182 of 200 sampled position loops were good instead of 195: slow loops stop
-/// badly over a dead zone.
+/// Largest duty caused by the counts of a sensor, RMS, as a share of the supply voltage. Our choice. With the noise
+/// estimated several times too high, which equals a lower limit, 182 of 200 sampled position loops were good instead of
+/// 195: slow loops stop badly over a dead zone.
 const COUNT_DUTY: f64 = 0.06;
-/// The loop is made slower by this until it keeps its limits, and given up when it is so slow, s.
+/// Factor by which the loop is slowed down until it meets its limits, and the time constant at which the search ends,
+/// s.
 const SLOWER: f64 = 1.1;
 const SLOWEST_S: f64 = 5.0;
-/// Of the closed speed loop's time constants in a cascade: how long the distance takes.
+/// Time constant of the outer position loop in a cascade, in closed speed-loop time constants.
 const CASCADE_SLOWER: f64 = 5.0;
 
 impl SpeedEstimate {
-    /// Of the estimate against the speed, at a frequency.
+    /// Frequency response from the speed to its estimate at `omega`, rad/s.
     ///
-    /// The observer counts as having a tenth of its correction's lag, an assumption: its model is never exact.
+    /// The observer counts as having a tenth of its correction's lag: an assumption, because its model is never exact.
     fn at(self, omega: f64) -> Complex {
         let time_s = match self {
             Self::LowPass { time_s } => time_s,
@@ -134,7 +136,7 @@ impl SpeedEstimate {
         ONE / (ONE + Complex(0.0, omega * time_s))
     }
 
-    /// What it comes to as a delay, s.
+    /// Returns the equivalent delay of the estimate, s.
     fn delay_s(self) -> f64 {
         match self {
             Self::LowPass { time_s } => time_s,
@@ -149,7 +151,8 @@ impl SpeedEstimate {
 }
 
 impl Surroundings {
-    /// From the position to a duty that holds it, at a frequency; the duty's sign is turned.
+    /// Frequency response from the position to the duty of `gains` at `omega`, rad/s, without the negative sign of the
+    /// feedback.
     fn controller(&self, gains: Gains, omega: f64) -> Complex {
         let s = Complex(0.0, omega);
         let estimate = self.estimate.at(omega);
@@ -172,18 +175,19 @@ impl Surroundings {
         }
     }
 
-    /// Phase margin of `gains` on `model`, rad; `None` where the open loop's gain never falls through 1. The lowest, where it does
-    /// so several times. The loop acts a period and a half after what it measures.
+    /// Phase margin of `gains` on `model`, rad; the lowest of several crossovers; `None` where the open loop's gain
+    /// never falls through 1. The delay of the loop is a period and a half.
     #[must_use]
     pub fn phase_margin(&self, model: &Model, gains: Gains) -> Option<f64> {
-        /// Steps of the frequency from 0.01 to 10⁴ rad/s; between two of them the crossing is interpolated.
+        /// Number of frequency steps from 0.01 to 10⁴ rad/s; the crossover is interpolated between two of them.
         const STEPS: u32 = 600;
         let delay_s = model.delay_s + DELAY_PERIODS * self.period_s;
         let open = |omega: f64| {
             let s = Complex(0.0, omega);
             let motor = Complex(model.gain, 0.0) / (s * (ONE + s * model.lag_s));
             let open = motor * self.controller(gains, omega);
-            // Continuous from -pi on: beyond that a loop of this kind has no gain left.
+            // The angle is unwrapped to be continuous from -π on: at lower phases the gain of such a loop is far below
+            // 1.
             let angle = open.angle();
             let angle = if angle > PI / 2.0 { angle - 2.0 * PI } else { angle };
             (open.size().ln(), angle - omega * delay_s)
@@ -203,11 +207,11 @@ impl Surroundings {
         lowest
     }
 
-    /// What the counts of the sensor come to in the duty, as a share of the supply.
+    /// RMS duty caused by the counts of the sensor, as a share of the supply voltage.
     ///
-    /// Root mean square. A position is known to a count, evenly distributed; a count that is rarer than a period is dated by
-    /// periods, which is the way of one period. The speed is the difference of such positions, over the estimate's filter or
-    /// from one count to the next.
+    /// The error of a position is evenly distributed over one count; where counts are rarer than periods, over the
+    /// travel in one period. The speed is the difference of such positions, over the estimator's filter or from one
+    /// count to the next.
     fn count_duty(&self, gains: Gains) -> f64 {
         let of = |gains: PidGains| [gains.kp, gains.kd].map(f64::from);
         let speed = self.speeds.1;
@@ -225,19 +229,19 @@ impl Surroundings {
         }
     }
 
-    /// The delay of all that is around a motor, as the loop meets it, s: of the board, its speed estimate, and for a speed half
-    /// of the time between two counts.
+    /// Returns the delay of everything around the motor in its loop, s: the board's, the speed estimate's, and for a
+    /// speed loop half the time between two counts.
     fn delay_s(&self, of: Loop) -> f64 {
         let between_counts_s = self.resolution / self.speeds.0.max(f64::MIN_POSITIVE);
         let of_counts_s = if of == Loop::Speed { between_counts_s / 2.0 } else { 0.0 };
         DELAY_PERIODS * self.period_s + self.estimate.delay_s() + of_counts_s
     }
 
-    /// Gains for a motor by SIMC: with a closed loop of `closed_s` or, without, the fastest that keeps the margin on every
-    /// plausible model and whose duty does not show the counts of the sensor; `slower` times as slow as that.
+    /// Designs gains by SIMC. Without `closed_s`, takes the fastest closed loop that keeps the margin on every
+    /// plausible model and whose duty stays below the limit for counts, slowed down by the factor `slower`.
     ///
     /// # Errors
-    /// [`RuleError`].
+    /// [`RuleError`] names the limit that no loop meets.
     pub fn design(
         &self,
         of: Loop,
@@ -285,12 +289,12 @@ impl Surroundings {
     }
 }
 
-/// Share of the friction that was found which a feed-forward takes: with more than all of it a motor would not come to rest.
+/// Share of the identified friction in the feed-forward: with more than all of it a motor would not come to rest.
 const OF_FRICTION: f64 = 0.9;
 
-/// Feed-forward for a motor: friction, and duty for speed and acceleration of the path.
+/// Designs the feed-forward: friction, and duty for speed and acceleration of the path.
 ///
-/// Of the friction it takes nine tenths, of both directions' mean; a load is what they differ by, and the integral's.
+/// Friction is nine tenths of the mean of both directions; their difference is a load, which the integral compensates.
 #[must_use]
 pub fn feed_forward(fit: &Fit, duty_max: f64) -> FeedForward {
     let Model { gain, lag_s, .. } = fit.model;
@@ -306,13 +310,13 @@ fn gains(kp: f64, ki: f64, kd: f64) -> Result<PidGains, RuleError> {
     if gains.is_valid() && gains.kp > 0.0 { Ok(gains) } else { Err(RuleError::NoGains) }
 }
 
-/// Gains of a position loop whose open loop goes through `point` with gain 1 and `phase_margin_rad` left, which is the
-/// specification of Åström and Hägglund. The integral's corner is at a sixth of that frequency; the rate's filter of
-/// `filter_s` is made up for, and so is the period and a half after which the board acts. A motor with more phase than that gets
-/// no derivative, and has more margin.
+/// Designs a position loop whose open loop passes through `point` with gain 1 and phase margin `phase_margin_rad`, the
+/// specification of Åström and Hägglund. The integral's corner is at a sixth of that frequency; the lag of the rate's
+/// filter, `filter_s`, and the loop's delay of a period and a half are compensated. A motor with more phase than that
+/// gets no derivative, and has a larger margin.
 ///
 /// # Errors
-/// [`RuleError`].
+/// [`RuleError::LagsTooMuch`] or [`RuleError::NoGains`].
 pub fn position_through(
     point: Point,
     phase_margin_rad: f64,
@@ -325,7 +329,8 @@ pub fn position_through(
     let filter = omega * filter_s;
     let (sin, cos) = lead.max(-MOST_LAG_RAD).sin_cos();
     let ultimate = 1.0 / gain;
-    // kp + x filter = ultimate cos, x - kp / below = ultimate sin, of which x = kd omega / (1 + filter²).
+    // Real and imaginary part of the controller: kp + x filter = ultimate cos, x - kp / below = ultimate sin, with x =
+    // kd omega / (1 + filter²).
     let kp = ultimate * (cos - filter * sin) / (1.0 + filter / INTEGRAL_BELOW);
     let x = ultimate * sin + kp / INTEGRAL_BELOW;
     if lead > MOST_LEAD_RAD || kp <= 0.0 {
@@ -339,44 +344,45 @@ pub fn position_through(
 }
 
 impl Point {
-    /// The motor of which this is a point of the speed, taken for an integrator with a delay there. A real one has more phase
-    /// below that frequency, so margins on this are on the safe side.
+    /// Returns the integrator with a delay that has this point as its speed response. A real motor has more phase below
+    /// that frequency, so margins on this model are conservative.
     #[must_use]
     pub fn integrator(&self) -> Model {
-        /// So slow that its corner is far below all that matters, s.
+        /// Time constant so long that its corner is far below all relevant frequencies, s.
         const LAG_S: f64 = 1e3;
         let delay_s = ((-self.phase_rad - PI / 2.0) / self.frequency_rad_s).max(0.0);
         Model { gain: self.gain * self.frequency_rad_s * LAG_S, lag_s: LAG_S, delay_s }
     }
 
-    /// The point of the speed, where this is one of the position.
+    /// Converts a point of the position response to one of the speed response.
     #[must_use]
     pub fn of_speed(&self) -> Self {
         Self { gain: self.gain * self.frequency_rad_s, phase_rad: self.phase_rad + PI / 2.0, ..*self }
     }
 }
 
-/// Gains of a position loop for `model` by SIMC: `closed_s` is the sum of the closed loop's time constant and of the delay.
+/// Designs a position loop for `model` by SIMC; `closed_s` is the closed loop's time constant plus the delay, s.
 ///
 /// # Errors
-/// [`RuleError::NoGains`].
+/// [`RuleError::NoGains`] for a gain that is not finite or too high.
 pub fn position_for(model: &Model, closed_s: f64) -> Result<PidGains, RuleError> {
     let (kc, integral_s) = (1.0 / (model.gain * closed_s), 4.0 * closed_s);
-    // From the series form of the rule to the parallel one of the board.
+    // The rule is in series form, the board's loop in parallel form.
     gains(kc * (1.0 + model.lag_s / integral_s), kc / integral_s, kc * model.lag_s)
 }
 
-/// Gains of a speed loop for `model` by SIMC: `closed_s` is the sum of the closed loop's time constant and of the delay.
+/// Designs a speed loop for `model` by SIMC; `closed_s` is the closed loop's time constant plus the delay, s.
 ///
 /// # Errors
-/// [`RuleError::NoGains`].
+/// [`RuleError::NoGains`] for a gain that is not finite or too high.
 pub fn speed_for(model: &Model, closed_s: f64) -> Result<PidGains, RuleError> {
     let kp = model.lag_s / (model.gain * closed_s);
     gains(kp, kp / model.lag_s.min(4.0 * closed_s), 0.0)
 }
 
-/// Gains of the speed loop in a cascade: as [`speed_for`], with an integral half as fast where that is slower than the motor's lag,
-/// since the distance is an integral already. On sampled motors 1 to 200 as many cascades are good with either.
+/// Designs the speed loop of a cascade: as [`speed_for`], with an integral half as fast where that is slower than the
+/// motor's lag, since the position is an integral already. On the sampled motors 1 to 200, as many cascades are good
+/// with either.
 fn inner_for(model: &Model, closed_s: f64) -> Result<PidGains, RuleError> {
     let kp = model.lag_s / (model.gain * closed_s);
     gains(kp, kp / model.lag_s.min(8.0 * closed_s), 0.0)
@@ -403,7 +409,7 @@ mod tests {
         Surroundings { period_s: 1e-3, estimate, resolution: 1e-4, speeds: (1.0, 2.0) }
     }
 
-    /// Nothing but the motor and the gains.
+    /// Board without delay, filter and counts.
     const BARE: Surroundings = Surroundings {
         period_s: 0.0,
         estimate: SpeedEstimate::LowPass { time_s: 0.0 },
@@ -424,7 +430,7 @@ mod tests {
             let model = Model { gain: 6.0, lag_s, delay_s };
             let gains = position_through(point(&model, omega), MARGIN_RAD, filter_s, 1e-3).expect("gains");
             let margin = around(filter_s).phase_margin(&model, Gains::Position(gains)).expect("it crosses");
-            // A step of the frequency is 2.3 %, between which the crossing is interpolated.
+            // A frequency step is 2.3 %; the crossover is interpolated within it.
             assert!((margin - MARGIN_RAD).abs() < 0.01, "{gains:?}: {} deg", margin.to_degrees());
         }
     }
@@ -443,7 +449,8 @@ mod tests {
     fn simc_has_its_known_margins() {
         let margin_deg =
             |model: &Model, gains| BARE.phase_margin(model, gains).expect("it crosses the gain of 1").to_degrees();
-        // With the time constant of the delay: 90° - 1/2 rad = 61.4° where the integral cancels the lag.
+        // With a closed-loop time constant equal to the delay: 90° - 1/2 rad = 61.4° where the integral cancels the
+        // lag.
         let lag = Model { gain: 9.0, lag_s: 0.02, delay_s: 0.01 };
         let margin = margin_deg(&lag, Gains::Speed(speed_for(&lag, 0.02).expect("gains")));
         assert!((margin - 61.4).abs() < 0.3, "{margin}");
@@ -458,14 +465,15 @@ mod tests {
         assert!((margin - 46.9).abs() < 0.3, "{margin}");
     }
 
-    /// A cascade whose integral cancels the lag is an integrator with the integral of SIMC, `(s + per_s) / (closed_s s²)`.
+    /// A cascade whose integral cancels the lag is an integrator with the integral of SIMC, `(s + per_s) / (closed_s
+    /// s²)`.
     #[test]
     fn a_cascade_is_the_same_loop_in_other_numbers() {
         let model = Model { gain: 9.0, lag_s: 0.02, delay_s: 0.01 };
         let (closed_s, per_s) = (0.04, 6.25);
         let cascade = Gains::Cascade { speed: speed_for(&model, closed_s).expect("gains"), per_s };
         let margin = BARE.phase_margin(&model, cascade).expect("it crosses");
-        // |L| = 1 at omega: omega² = (omega² + per_s²)^(1/2) / closed_s.
+        // Crossover |L| = 1 at omega: omega² = (omega² + per_s²)^(1/2) / closed_s.
         let omega = (0.5 * (625.0 + (625.0_f64.powi(2) + 4.0 * 625.0 * per_s * per_s).sqrt())).sqrt();
         let expected = (omega / per_s).atan() - omega * 0.01;
         assert!((margin - expected).abs() < 5e-3, "{margin} {expected}");
@@ -492,7 +500,7 @@ mod tests {
                     }
                     let slower = board.design(of, &fit, MARGIN_RAD, None, 2.0).expect("a design");
                     assert!((slower.closed_s / design.closed_s - 2.0).abs() < 1e-9);
-                    // Less delay, no slower.
+                    // A board with less delay does not get a slower loop.
                     let free = Surroundings { period_s: 1e-5, ..board };
                     assert!(
                         free.design(of, &fit, MARGIN_RAD, None, 1.0).expect("a design").closed_s <= design.closed_s

@@ -1,5 +1,5 @@
-//! Boards of the versions that are no longer spoken, by what they were recorded to say, and one that says what none can: the host is told so by a
-//! typed error.
+//! Boards of versions that are no longer spoken, replayed from recordings, and one that no version allows: the host
+//! returns a typed error.
 
 use std::{collections::VecDeque, convert::Infallible};
 
@@ -16,7 +16,7 @@ mod tables;
 
 use tables::{GOLDEN, SESSION, rows};
 
-/// A board that says what it was recorded to say, a piece each millisecond, and then closes the link.
+/// Replays a board's recorded bytes, one piece per millisecond, and then closes the link.
 struct Recorded {
     says: VecDeque<Vec<u8>>,
     clock: VirtualClock,
@@ -35,7 +35,7 @@ impl Read for Recorded {
     }
 }
 
-/// Why there is no session with a board that says `says`.
+/// Returns the error of opening a session with a board that sends `says`.
 fn told(says: Vec<Vec<u8>>) -> Error {
     let mut error = None;
     simulated_link(async |_, tx, clock| {
@@ -57,7 +57,8 @@ fn a_board_of_version_4_is_named_with_both_versions() {
     }
 }
 
-/// A board of an older version that took the hello, which none does: no panic, no session on what today's host reads otherwise.
+/// A board of an older version that accepts the hello, which none does: the host neither panics nor opens a session on
+/// data which it would misread.
 #[test]
 fn no_message_of_an_older_version_opens_a_session() {
     for (version, golden) in (1..).zip(GOLDEN) {
@@ -72,7 +73,7 @@ fn no_message_of_an_older_version_opens_a_session() {
     }
 }
 
-/// The hello that it answers has the number 0.
+/// The board's answer is to the hello with number 0.
 #[test]
 fn an_answer_of_a_later_version_ends_the_wait_and_is_named() {
     let unknown = encode_with(&(0u8, 0u16, 0u8, 200u8), Check::Short, &mut [0; MAX_FRAME]).expect("a frame").to_vec();
@@ -80,7 +81,7 @@ fn an_answer_of_a_later_version_ends_the_wait_and_is_named() {
     assert!(matches!(error, Error::UnknownAnswer { request: "hello" }), "{error:?}");
 }
 
-/// Heartbeats are sent four to a time-out: without end at one moment where that is 0.
+/// Four heartbeats are sent per time-out: with a time-out of 0 they would be sent without end.
 #[test]
 fn a_time_out_that_no_board_has_opens_no_session() {
     for (link_timeout_ms, is_refused) in [(0, true), (19, true), (20, false), (1000, false), (1001, true)] {
@@ -97,7 +98,7 @@ fn a_time_out_that_no_board_has_opens_no_session() {
         let mut buffer = [0; MAX_FRAME];
         let hello = ToHost::Response { seq: 0, result: Ok(Reply::Hello(info)) };
         let error = told(vec![encode_frame(&hello, &mut buffer).expect("a frame").to_vec()]);
-        // One that is taken says nothing more, and its link ends.
+        // An accepted hello is followed by nothing, and the link ends.
         assert_eq!(
             matches!(error, Error::WrongReply { request: "hello" }),
             is_refused,

@@ -1,4 +1,4 @@
-//! Tests of the driver on a simulated bench.
+//! Tests of the driver on a simulated board.
 
 mod compatibility;
 mod simulated;

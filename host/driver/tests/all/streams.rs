@@ -1,4 +1,4 @@
-//! The driver with a simulated board on a line that loses what the test says: cycles, repeats, streams, the board's clock.
+//! Tests of cycles, repeats, streams and the clock map, on a link to a simulated board that drops frames on demand.
 
 use std::{cell::Cell, convert::Infallible, rc::Rc};
 
@@ -12,7 +12,7 @@ use r4_sim::link::Sender;
 const ROTARY: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
 const LINEAR: ChannelId = ChannelId::new(ChannelKind::Actuator, 1);
 
-/// The way to the board: the next so many frames are lost.
+/// Transmitting half of the link, which drops the next n frames.
 struct Lossy {
     tx: Sender,
     lose: Rc<Cell<u32>>,
@@ -24,7 +24,7 @@ impl ErrorType for Lossy {
 
 impl Write for Lossy {
     async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        // The driver writes one frame at a time.
+        // One call is one frame, because the driver writes frames one at a time.
         match self.lose.get().checked_sub(1) {
             Some(left) => {
                 self.lose.set(left);
@@ -39,7 +39,7 @@ impl Write for Lossy {
     }
 }
 
-/// A session in which `lose` says how many of the next frames do not arrive.
+/// Runs a session in which the cell `lose` holds the number of next frames to drop.
 fn lossy(work: impl AsyncFnOnce(&Board<VirtualClock>, &Cell<u32>) -> Result<(), Error>) {
     let lose = Rc::new(Cell::new(0));
     let result = simulated_link(async |rx, tx, clock| {
@@ -49,10 +49,10 @@ fn lossy(work: impl AsyncFnOnce(&Board<VirtualClock>, &Cell<u32>) -> Result<(), 
     result.expect("a session");
 }
 
-/// Just after a heartbeat has left, so that the next frame is the test's.
+/// Waits until just after a heartbeat, so that the next frame is the test's.
 async fn after_a_heartbeat(board: &Board<VirtualClock>) {
     let mut last_us = board.device_us();
-    // 50 ms, the period of heartbeats; the first left with the hello's answer.
+    // Heartbeats have a period of 50 ms; the first one leaves with the hello's answer.
     board.sleep_s(0.05 - (last_us % 50_000) as f64 * 1e-6).await;
     last_us = board.device_us();
     assert!(last_us > 0);
@@ -73,7 +73,7 @@ fn a_lost_request_is_sent_again_if_doing_it_twice_is_doing_it_once() {
         after_a_heartbeat(board).await;
         while sent.try_next().is_some() {}
         lose.set(1);
-        // A board does it once; a set point is too old by then.
+        // The board carries out the repeated request only once; a set point is too old by then.
         board.arm().await?;
         let tries = std::iter::from_fn(|| sent.try_next())
             .filter(|sent| matches!(sent.message, ToDevice::Request { request: Request::Arm, .. }));
@@ -95,7 +95,7 @@ fn the_newest_set_points_win_and_what_is_not_sent_is_counted() {
     simulated(async |board| {
         board.arm().await?;
         let mut cycles = board.stream(&[(ROTARY, Mode::Duty), (LINEAR, Mode::Position)], 100).await?;
-        // Nothing leaves in between: nobody waits.
+        // No message leaves in between, because the test does not yield.
         cycles.set(&[0.1, 0.01])?;
         cycles.set(&[0.2, 0.02])?;
         let report = cycles.cycle(&[0.3, 0.03]).await?;
@@ -113,13 +113,13 @@ fn the_newest_set_points_win_and_what_is_not_sent_is_counted() {
         let r4_protocol::Sample::Motor { setpoint, .. } = sample.sample else { panic!("{sample:?}") };
         assert!(setpoint.mode == Mode::Position && (setpoint.value - 0.03).abs() < 2e-6, "{setpoint:?}");
 
-        // What the channel does not take is not sent.
+        // A value outside the channel's range is not sent.
         let refused = cycles.cycle(&[0.3, 0.2]).await;
         assert!(matches!(refused, Err(Error::Refused(Refusal::OutOfRange { channel: LINEAR, .. }))), "{refused:?}");
         assert_eq!(cycles.set(&[0.3]), Err(Error::CycleLength { asked: 1, expected: 2 }));
         assert_eq!(cycles.counters().sent, 1);
 
-        // A board has one stream; when it is dropped there is room for another.
+        // A board has one stream; another can be opened after it is dropped.
         assert!(matches!(board.stream(&[(ROTARY, Mode::Speed)], 100).await, Err(Error::StreamOpen)));
         drop(cycles);
         let home = board.stream(&[(ROTARY, Mode::Home)], 100).await;
@@ -143,7 +143,7 @@ fn a_lost_cycle_is_counted_and_told() {
         for _ in 0..3 {
             cycles.send(&[0.0]).await?;
         }
-        // The board is not armed: the other two are refused, which is an answer.
+        // The board is not armed, so it refuses the other two, which is an answer.
         for number in [2, 3] {
             let report = cycles.next().await?;
             assert_eq!((report.number, report.outcome), (number, CycleOutcome::Refused));
@@ -159,7 +159,7 @@ fn a_lost_cycle_is_counted_and_told() {
     });
 }
 
-/// As fast as the link carries them: heartbeats, requests and telemetry have their share, and not one cycle is lost.
+/// Cycles as fast as the link carries them leave heartbeats, requests and telemetry their share, and none is lost.
 #[test]
 fn cycles_at_full_rate_starve_nobody() {
     simulated(async |board| {
@@ -191,7 +191,7 @@ fn cycles_at_full_rate_starve_nobody() {
         let (cycled, asked) = join(cycling, asking).await;
         cycled.and(asked)?;
         let CycleCounters { sent, answered, lost, replaced, dropped } = cycles.counters();
-        // 45 bytes of 10 bits at 1 Mbaud are 450 us each.
+        // A frame of 45 bytes with 10 bits each takes 450 µs at 1 Mbaud.
         assert!(sent > 1800, "{sent} in a second");
         assert_eq!((answered, lost, replaced, dropped), (sent, 0, 0, 0));
         let told = std::iter::from_fn(|| samples.try_next()).count();
@@ -207,7 +207,7 @@ fn cycles_at_full_rate_starve_nobody() {
 fn a_future_that_is_dropped_leaves_nothing_behind() {
     simulated(async |board| {
         for _ in 0..3 {
-            // Before the board can have answered.
+            // The future is dropped before the board can have answered.
             let opening = std::pin::pin!(board.stream(&[(ROTARY, Mode::Speed)], 100));
             let soon = std::pin::pin!(board.sleep_s(50e-6));
             assert!(matches!(select(opening, soon).await, futures::future::Either::Right(_)));
@@ -259,7 +259,7 @@ fn what_is_sent_and_subscribed_to_is_told() {
     .unwrap();
 }
 
-/// The simulated board's clock is the simulation's, as is the driver's: the map should be the identity.
+/// Board and driver share the simulation's clock, so the map must be the identity.
 #[test]
 fn the_boards_clock_is_known_both_ways() {
     simulated_link(async |rx, tx, clock| {

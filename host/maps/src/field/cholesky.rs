@@ -2,10 +2,10 @@
 
 use super::lattice::Lattice;
 
-/// Rectangles of at most as many cells are not divided further.
+/// Maximum number of cells of a rectangle that is not divided further.
 const LEAF: usize = 32;
 
-/// Variances of all nodes: the diagonal of A⁻¹.
+/// Returns the variances of all nodes: the diagonal of A⁻¹.
 pub(super) fn marginal_variances(lattice: &Lattice, smoothness: f64, own: &[f64]) -> Vec<f64> {
     let mut order = Vec::with_capacity(lattice.nodes());
     let (columns, rows) = (lattice.frame().columns(), lattice.frame().rows());
@@ -17,7 +17,7 @@ pub(super) fn marginal_variances(lattice: &Lattice, smoothness: f64, own: &[f64]
     variances
 }
 
-/// Order of elimination by nested dissection: two halves first, then the line of cells between them.
+/// Finds the order of elimination by nested dissection: two halves first, then the line of cells between them.
 fn dissect(lattice: &Lattice, columns: [usize; 2], rows: [usize; 2], order: &mut Vec<u32>) {
     let [wide, high] = [columns[1] - columns[0], rows[1] - rows[0]];
     if wide * high <= LEAF {
@@ -35,7 +35,7 @@ fn dissect(lattice: &Lattice, columns: [usize; 2], rows: [usize; 2], order: &mut
     }
 }
 
-/// A = L D Lᵀ with a unit lower triangle, which is kept by columns without its diagonal, rows ascending.
+/// Factor A = L D Lᵀ with a unit lower triangle, which is kept by columns without its diagonal, rows ascending.
 struct Factor {
     starts: Vec<usize>,
     rows: Vec<u32>,
@@ -46,7 +46,7 @@ struct Factor {
 const NO_PARENT: u32 = u32::MAX;
 
 impl Factor {
-    /// Row by row.
+    /// Computes the factor row by row.
     ///
     /// Source: Davis, *Direct Methods for Sparse Linear Systems*, SIAM 2006, 4.1 to 4.7 (elimination tree, row patterns, up-looking
     /// factor).
@@ -114,10 +114,10 @@ impl Factor {
         Self { starts, rows, values, diagonal }
     }
 
-    /// Diagonal of the inverse: Takahashi's equations, from the last column to the first.
+    /// Computes the diagonal of the inverse by Takahashi's equations, from the last column to the first.
     ///
-    /// Z = A⁻¹ has, on the pattern of L, Zᵢⱼ = -Σ Zᵢₖ Lₖⱼ and Zⱼⱼ = 1/Dⱼ - Σ Lₖⱼ Zₖⱼ, sums over the rows k of column j. All Zᵢₖ that these
-    /// need are on the pattern too.
+    /// Z = A⁻¹ has, on the pattern of L, Zᵢⱼ = -Σ Zᵢₖ Lₖⱼ and Zⱼⱼ = 1/Dⱼ - Σ Lₖⱼ Zₖⱼ, sums over the rows k of column j.
+    /// All Zᵢₖ in these sums are on the pattern too.
     fn selected_inverse(&self) -> Vec<f64> {
         let nodes = self.diagonal.len();
         let mut inverse = vec![0.0; self.values.len()];

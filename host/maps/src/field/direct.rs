@@ -1,4 +1,4 @@
-//! Direct solve by the sparse Cholesky factor of the crate `faer`: what the other solvers are compared with.
+//! Direct solve by the sparse Cholesky factor of the crate `faer`: the reference for the other solvers.
 
 use faer::{
     Mat, Side,
@@ -10,7 +10,8 @@ use super::{Field, FieldError};
 use crate::grid::Grid;
 
 impl Field {
-    /// Means of all cells by a direct solve, independent of messages and multigrid; `None` where the map is not free.
+    /// Returns the means of all cells by a direct solve, independent of messages and multigrid; `None` where the map is
+    /// not free.
     ///
     /// # Errors
     /// [`FieldError::NotConverged`] if the factor does not exist, which only rounding can cause.

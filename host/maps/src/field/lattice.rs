@@ -3,7 +3,7 @@
 use super::FieldError;
 use crate::grid::{Cell, Frame, Grid};
 
-/// No node: a neighbour that is not free, or off the grid.
+/// Index in place of a neighbour that is not free, or off the grid.
 pub(super) const NONE: u32 = u32::MAX;
 
 /// Free cells, numbered row by row, and their free neighbours in +x, +y, -x, -y.
@@ -14,7 +14,7 @@ pub(super) struct Lattice {
     pub(super) neighbours: Vec<[u32; 4]>,
 }
 
-/// The direction that leads back.
+/// Returns the opposite direction.
 pub(super) const fn back(direction: usize) -> usize {
     (direction + 2) % 4
 }
@@ -63,7 +63,7 @@ impl Lattice {
         }
     }
 
-    /// Nodes that share an edge with this one.
+    /// Iterates over the nodes that share an edge with this one.
     pub(super) fn near(&self, node: usize) -> impl Iterator<Item = usize> + use<> {
         self.neighbours[node].into_iter().filter(|near| *near != NONE).map(|near| near as usize)
     }
@@ -72,7 +72,7 @@ impl Lattice {
         self.nodes.map(|node| if *node == NONE { None } else { Some(value(*node as usize)) })
     }
 
-    /// Nodes of a rectangle of cells, row by row.
+    /// Adds the nodes of a rectangle of cells to `to`, row by row.
     pub(super) fn within(&self, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>, to: &mut Vec<u32>) {
         for row in rows {
             let start = row * self.frame().columns();

@@ -1,41 +1,42 @@
 //! Gaussian belief propagation.
 //!
-//! Messages carry a correction of means that are known (0 at first), so that a solve can be handed to them and they go on from it.
+//! Messages carry a correction of known means (0 at first), so that they can continue from the result of a solve.
 //!
-//! A message has a precision P ≤ 0 and an information P·μ, which is what is kept: both are sums at the receiver. With
+//! A message has a precision P ≤ 0 and an information P·μ. These two are kept, because the receiver adds both up. With
 //! Aᵢⱼ = -λ, the message from i to j is P = -λ² / P(i without j) and P·μ = λ / P(i without j) · h(i without j).
 
 use std::collections::{BinaryHeap, VecDeque};
 
 use super::lattice::{Lattice, NONE, back};
 
-/// What propagation has done.
+/// Result of a propagation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spent {
-    /// Cells that sent messages to their neighbours.
+    /// Number of cells that sent messages to their neighbours.
     pub updates: usize,
-    /// Whether no cell is left whose mean has changed by more than the threshold since it last sent.
+    /// True when no cell remains whose mean has changed by more than the threshold since it last sent.
     pub settled: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Node {
-    /// Diagonal of A, and what of it is the edges'.
+    /// Diagonal of A, and its part that comes from edges.
     diagonal: f64,
     edges: f64,
-    /// h of the caller, and the mean that messages correct.
+    /// Caller's h, and the mean that messages correct.
     source: f64,
     base: f64,
-    /// λ times the sum of the neighbours' base.
+    /// Product of λ and the sum of the neighbours' base.
     around: f64,
-    /// Residual that the base was accepted with.
+    /// Residual with which the base was accepted.
     accepted: f64,
-    /// Residual of the base beyond that: what the messages solve for.
+    /// Residual of the base beyond that: the right side that the messages solve for.
     information: f64,
-    /// Received messages, by the direction they came from.
+    /// Received messages, by the direction that they came from.
     precision_in: [f64; 4],
     information_in: [f64; 4],
-    /// Bound of the change of the mean since this node last sent; sums small changes, which would be lost one by one.
+    /// Bound of the change of the mean since this node last sent. It adds up small changes, each of which would be
+    /// below the threshold.
     pending: f64,
 }
 
@@ -56,7 +57,7 @@ impl Node {
 #[derive(Clone, Debug)]
 pub(super) struct Messages {
     nodes: Vec<Node>,
-    /// λ: smoothness.
+    /// Smoothness λ of the field.
     smoothness: f64,
     queue: VecDeque<u32>,
     is_queued: Vec<bool>,
@@ -65,11 +66,11 @@ pub(super) struct Messages {
     is_changed: Vec<bool>,
 }
 
-/// Change of a message's precision, relative to λ, that is not passed on. Changes in a corridor shrink by 1 - 2 √(prior / λ) from
-/// cell to cell, 0.97 for the weights of a gas map: what is left of those to come is 30 times this.
+/// Change of a message's precision, relative to λ, that is not passed on. Changes in a corridor shrink by 1 - 2 √(prior
+/// / λ) from cell to cell, 0.97 for the weights of a gas map: the sum of all later changes is 30 times this.
 const SETTLED: f64 = 1e-14;
 
-/// An entry of the queue by residuals: the bits of a number that is not negative are in its order.
+/// Entry of the queue of residuals. The bits of a non-negative number have its order.
 type Entry = (u64, u32);
 
 impl Messages {
@@ -92,7 +93,7 @@ impl Messages {
         messages
     }
 
-    /// A node's own energy: the diagonal of A without edges, and h.
+    /// Sets a node's own energy: the diagonal of A without edges, and h.
     pub(super) fn set(&mut self, node: usize, own: f64, information: f64) {
         let at = &mut self.nodes[node];
         let (before, correction, precision) = (*at, at.total() / at.precision(), at.precision());
@@ -100,6 +101,8 @@ impl Messages {
         at.source = information;
         at.information = at.residual();
         let [steeper, pulled] = [at.diagonal - before.diagonal, at.information - before.information];
+        // Bound of the change of the mean: h changes by `pulled`, and the diagonal by `steeper` at the present
+        // correction.
         at.pending += (pulled.abs() + (steeper * correction).abs()) / precision;
         self.change(node);
         self.enqueue(node);
@@ -110,7 +113,7 @@ impl Messages {
         at.base + at.total() / at.precision()
     }
 
-    /// Precisions of all beliefs at their fixed point.
+    /// Returns the precisions of all beliefs at their fixed point.
     pub(super) fn precisions(&self, lattice: &Lattice) -> Vec<f64> {
         let mut settled = self.clone();
         settled.settle_precisions(lattice);
@@ -157,7 +160,7 @@ impl Messages {
             && let Some((bits, node)) = heap.pop()
         {
             let pending = self.nodes[node as usize].pending;
-            // Entered again with a greater residual since, or sent already.
+            // Skipped: entered again with a greater residual, or sent already.
             if pending <= threshold || pending.to_bits() != bits {
                 continue;
             }
@@ -177,13 +180,14 @@ impl Messages {
         Spent { updates, settled }
     }
 
-    /// Messages of a node to all neighbours, which are returned.
+    /// Sends a node's messages to all neighbours, which are returned.
     fn send(&mut self, lattice: &Lattice, node: usize) -> [u32; 4] {
         let at = &mut self.nodes[node];
         at.pending = 0.0;
         let (at, precision, total) = (*at, at.precision(), at.total());
         let neighbours = lattice.neighbours[node];
         for (direction, near) in neighbours.into_iter().enumerate().filter(|(_, near)| *near != NONE) {
+            // Without what this neighbour has sent itself: a message must not return to its sender.
             let share = self.smoothness / (precision - at.precision_in[direction]);
             let message = [-self.smoothness * share, share * (total - at.information_in[direction])];
             let to = &mut self.nodes[near as usize];
@@ -200,7 +204,7 @@ impl Messages {
         neighbours
     }
 
-    /// Precisions of all messages, at their fixed point: independent of the readings' values.
+    /// Brings the precisions of all messages to their fixed point, which is independent of the readings' values.
     fn settle_precisions(&mut self, lattice: &Lattice) {
         while let Some(node) = self.changed.pop_front() {
             self.is_changed[node as usize] = false;
@@ -212,6 +216,7 @@ impl Messages {
                 }
                 let message = -self.smoothness * self.smoothness / (precision - at.precision_in[direction]);
                 let received = &mut self.nodes[near as usize].precision_in[back(direction)];
+                // The threshold ends this: changes shrink from cell to cell (see `SETTLED`).
                 let change = message - std::mem::replace(received, message);
                 if change.abs() > SETTLED * self.smoothness {
                     self.change(near as usize);
@@ -220,16 +225,18 @@ impl Messages {
         }
     }
 
-    /// Means that messages correct from now on: they start again, at nothing, on the residual of the means.
+    /// Sets the means that messages correct from now on: they start again at zero, on the residual of the means.
     ///
-    /// Where `is_solved`, the residual they have is accepted: a belief that has not heard from its neighbours would make an error of λ
-    /// over the prior times as much of it. Messages with these means as beliefs also follow in closed form from both ends of each edge; that enlarged the errors of
-    /// means by λ over the prior where no reading is near, and was given up.
+    /// Where `is_solved`, their residual is accepted: a belief without its neighbours' messages would make an error of
+    /// λ over the prior times as much of it. Messages that have these means as beliefs also follow in closed form from
+    /// both ends of each edge. That was tried and given up: it enlarged the errors of means by λ over the prior where
+    /// no reading is near.
     pub(super) fn set_means(&mut self, lattice: &Lattice, means: &[f64], is_solved: bool) {
         self.queue.clear();
         for (index, node) in self.nodes.iter_mut().enumerate() {
             node.base = means[index];
             node.around = self.smoothness * lattice.near(index).map(|near| means[near]).sum::<f64>();
+            // `residual` subtracts what is accepted, so that must be cleared first.
             node.accepted = 0.0;
             node.accepted = if is_solved { node.residual() } else { 0.0 };
             node.information = if is_solved { 0.0 } else { node.residual() };

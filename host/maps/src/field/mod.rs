@@ -1,14 +1,15 @@
-//! A scalar field on the free cells of a map, as a Gauss-Markov random field that readings are added to.
+//! Scalar field on the free cells of a map, as a Gauss-Markov random field that readings are added to.
 //!
 //! The field minimises the energy (twice the negative logarithm of its density)
 //!
 //! Σ over edges `smoothness` (xᵢ - xⱼ)² + Σ over readings λ(age) (xᵢ - z)² + Σ over cells `prior` xᵢ²,
 //!
-//! with edges between free neighbours only, so that nothing passes a wall. Its mean solves A x = h and its covariance is A⁻¹.
-//! Means come from Gaussian belief propagation (`messages`), which is local and can be interrupted at any time, and from
-//! conjugate gradients preconditioned by multigrid (`multigrid`), which also removes the errors of long wavelength that messages
-//! need thousands of sweeps for. Variances come from a sparse Cholesky factor by selected inversion (`cholesky`): those of
-//! belief propagation are too small on grids, which have loops. `docs/maps.md` has what was measured.
+//! with edges between free neighbours only, so that no value passes a wall. Its mean solves A x = h and its covariance
+//! is A⁻¹. Means come from Gaussian belief propagation (`messages`), which is local and can be interrupted at any time,
+//! and from conjugate gradients preconditioned by multigrid (`multigrid`), which also remove the errors of long
+//! wavelength that take messages thousands of sweeps. Variances come from a sparse Cholesky factor by selected
+//! inversion (`cholesky`): those of belief propagation are too small on grids, which have loops. `docs/maps.md` has the
+//! measurements.
 
 mod cholesky;
 #[cfg(feature = "direct")]
@@ -26,38 +27,38 @@ use thiserror::Error;
 
 use crate::grid::{Cell, Grid, GridError};
 
-/// A field that cannot be made, or a reading that it cannot take.
+/// Error of a field that cannot be made, or of a reading that it cannot take.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum FieldError {
-    /// A place that the grid does not have.
+    /// The grid does not have this place.
     #[error(transparent)]
     Grid(#[from] GridError),
-    /// No free cell.
+    /// The map has no free cell.
     #[error("the map has no free cell: wait until it has some")]
     NoFreeCell,
-    /// A reading in a cell that is not free.
+    /// The cell of a reading is not free.
     #[error("cell {cell:?} is not free: take the nearest free cell, or correct the map")]
     NotFree {
-        /// The cell.
+        /// Cell of the reading.
         cell: Cell,
     },
-    /// A weight that is not finite and above 0.
+    /// A weight is not finite and above 0.
     #[error("{what} is {value}: a finite number above 0 is needed")]
     Weight {
-        /// Which.
+        /// Name of the weight.
         what: &'static str,
-        /// Its value.
+        /// Value of the weight.
         value: f64,
     },
-    /// A reading or a time that is not finite.
+    /// A reading or a time is not finite.
     #[error("{what} is {value}: leave out readings that are not finite")]
     NotFinite {
-        /// Which.
+        /// Name of the number.
         what: &'static str,
-        /// Its value.
+        /// Value of the number.
         value: f64,
     },
-    /// A time before one that was given.
+    /// The time is before an earlier one.
     #[error("time {asked_s} s is before {now_s} s: give times in order")]
     Backwards {
         /// Time asked for, s.
@@ -65,27 +66,27 @@ pub enum FieldError {
         /// Time of the field, s.
         now_s: f64,
     },
-    /// Iterations ended before the tolerance was reached, which rounding can prevent.
+    /// The iterations ended before the tolerance was reached, because of rounding.
     #[error("an error bound of {reached} after {iterations} iterations: ask for a larger one")]
     NotConverged {
-        /// Bound that was reached, in the unit of the field.
+        /// Bound of the error that was reached, in the unit of the field.
         reached: f64,
-        /// Iterations.
+        /// Number of iterations that ran.
         iterations: usize,
     },
 }
 
-/// Weights of the energy; all are inverse variances, in 1/(unit of the field)², but `forgetting_s`.
+/// Weights of the energy: inverse variances, in 1/(unit of the field)², except for `forgetting_s`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Weights {
-    /// Inverse variance of the difference between neighbours: how smooth the field is (λp).
+    /// Inverse variance of the difference between neighbours (λp): the higher, the smoother is the field.
     pub smoothness: f64,
     /// Inverse variance of a fresh reading (λo).
     pub reading: f64,
-    /// Time over inverse-variance, s/unit² (λt): a reading's variance grows by `age / forgetting_s`, so that it weighs half after
-    /// `forgetting_s / reading` seconds.
+    /// Ratio of time to variance, s/unit² (λt): a reading's variance grows by `age / forgetting_s`, so that it has half
+    /// its weight after `forgetting_s / reading` seconds.
     pub forgetting_s: f64,
-    /// Inverse variance of each cell about 0 before any reading (λd).
+    /// Inverse variance of each cell about 0 without any reading (λd).
     pub prior: f64,
 }
 
@@ -97,7 +98,7 @@ impl Weights {
         bad.map_or(Ok(()), |(what, value)| Err(FieldError::Weight { what, value }))
     }
 
-    /// Inverse variance of a reading of this age: 1 / (1/reading + age/forgetting).
+    /// Returns the inverse variance of a reading of this age: 1 / (1/reading + age/forgetting).
     ///
     /// ```
     /// let weights = r4_maps::field::Weights { smoothness: 0.5, reading: 10.0, forgetting_s: 100.0, prior: 1e-2 };
@@ -110,18 +111,18 @@ impl Weights {
     }
 }
 
-/// A reading of the field.
+/// Reading of the field at one cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
-    /// Where, a free cell.
+    /// Cell of the reading, a free one.
     pub cell: Cell,
-    /// Value, in the field's unit.
+    /// Value of the reading, in the field's unit.
     pub value: f64,
-    /// When, s on the caller's clock.
+    /// Time of the reading, s on the caller's clock.
     pub at_s: f64,
 }
 
-/// The field: its cells, readings, and the beliefs of all cells.
+/// Scalar field: its cells, readings, and the beliefs of all cells.
 ///
 /// ```
 /// use r4_maps::{field::{Field, Reading, Weights}, grid::{Frame, Grid}, pose::Pose};
@@ -129,7 +130,7 @@ pub struct Reading {
 /// let weights = Weights { smoothness: 0.5, reading: 10.0, forgetting_s: 1e6, prior: 1e-2 };
 /// let mut field = Field::new(&free, weights).unwrap();
 /// field.observe(Reading { cell: [5, 5], value: 40.0, at_s: 0.0 }).unwrap();
-/// // While driving: near the reading, and not for long.
+/// // While driving: near the reading, in a short time.
 /// field.wildfire(0.01, 10_000);
 /// // With time to spare: everywhere.
 /// field.solve(1e-6).unwrap();
@@ -140,19 +141,19 @@ pub struct Reading {
 pub struct Field {
     lattice: Lattice,
     weights: Weights,
-    /// Node of each reading, beside it.
+    /// Readings, each with its node.
     readings: Vec<(usize, Reading)>,
     now_s: f64,
     /// Sum of the weights of each node's readings.
     observed: Vec<f64>,
-    /// Sum of weight times value: h.
+    /// Sum of weight times value of each node's readings: h.
     information: Vec<f64>,
     messages: Messages,
     hierarchy: Hierarchy,
 }
 
 impl Field {
-    /// Field without readings on the free cells of a map.
+    /// Makes a field without readings on the free cells of a map.
     ///
     /// # Errors
     /// [`FieldError::NoFreeCell`] and [`FieldError::Weight`].
@@ -175,8 +176,9 @@ impl Field {
         })
     }
 
-    /// The same readings on a map that has changed; means of cells that were free start at what they were, the error is that of
-    /// a field whose messages have not settled ([`Field::solve`]). Readings in cells that are not free any more are dropped.
+    /// Makes a field with the same readings on a map that has changed. Means of cells that were free begin at their
+    /// former values; the error is that of a field whose messages have not settled ([`Field::solve`]). Readings in
+    /// cells that are not free any more are dropped.
     ///
     /// # Errors
     /// [`FieldError::NoFreeCell`], and [`GridError::Unlike`] for a map of another frame.
@@ -198,19 +200,19 @@ impl Field {
         Ok(moved)
     }
 
-    /// Number of free cells.
+    /// Returns the number of free cells.
     #[must_use]
     pub fn cells(&self) -> usize {
         self.lattice.nodes()
     }
 
-    /// Readings so far, in the order in which they were taken.
+    /// Iterates over the readings so far, in the order in which they were taken.
     pub fn readings(&self) -> impl Iterator<Item = &Reading> {
         self.readings.iter().map(|(_, reading)| reading)
     }
 
-    /// Adds a reading, and lets the older ones age to its time. Beliefs change with [`Field::wildfire`], [`Field::settle`] or
-    /// [`Field::solve`].
+    /// Adds a reading, and lets the older ones age to its time. Beliefs change only with [`Field::wildfire`],
+    /// [`Field::settle`] or [`Field::solve`].
     ///
     /// # Errors
     /// [`FieldError::NotFree`], [`FieldError::NotFinite`], [`FieldError::Backwards`], [`FieldError::Grid`]; nothing is changed.
@@ -244,7 +246,7 @@ impl Field {
         Ok(())
     }
 
-    /// Sums of all readings' weights at the field's time.
+    /// Adds up all readings' weights at the field's time.
     fn weigh(&mut self) {
         let nodes = self.lattice.nodes();
         let (mut observed, mut information) = (vec![0.0; nodes], vec![0.0; nodes]);
@@ -266,9 +268,9 @@ impl Field {
         self.messages.set(node, self.weights.prior + observed, information);
     }
 
-    /// Messages that go out from the newest readings in the order in which cells were reached, until no cell's mean has changed
-    /// by more than `threshold` (in the field's unit) since it last sent, or `budget` cells were updated. What is left over is
-    /// kept for the next call.
+    /// Sends messages from the newest readings, in the order in which cells are reached, until no cell's mean has
+    /// changed by more than `threshold` (in the field's unit) since it last sent, or `budget` cells were updated.
+    /// Remaining updates are kept for the next call.
     ///
     /// # Source
     /// Messages: Weiss, Freeman, "Correctness of Belief Propagation in Gaussian Graphical Models of Arbitrary Topology", Neural
@@ -278,7 +280,7 @@ impl Field {
         self.messages.wildfire(&self.lattice, threshold, budget)
     }
 
-    /// Messages of the cells with the greatest residual first, for idle time; ends as [`Field::wildfire`] does.
+    /// Sends messages of the cells with the greatest residual first, for idle time; ends as [`Field::wildfire`] does.
     ///
     /// # Source
     /// Elidan, McGraw, Koller, "Residual Belief Propagation", UAI 2006.
@@ -286,14 +288,14 @@ impl Field {
         self.messages.settle(&self.lattice, threshold, budget)
     }
 
-    /// Means of all cells to `tolerance` (in the field's unit), by preconditioned conjugate gradients from the present beliefs;
-    /// messages correct them from then on.
+    /// Solves for the means of all cells to `tolerance` (in the field's unit), by preconditioned conjugate gradients
+    /// from the present beliefs; messages correct them from then on.
     ///
-    /// The error is estimated by the preconditioner, five times over; [`Field::error_bound`] is rigorous and thousands of times
-    /// greater. Errors against a direct solve are in `docs/maps.md`.
+    /// The error is estimated by the preconditioner, times a factor of five. [`Field::error_bound`] is rigorous, and
+    /// thousands of times greater. Errors against a direct solve are in `docs/maps.md`.
     ///
     /// # Errors
-    /// [`FieldError::NotConverged`]; means are then the best that were found.
+    /// [`FieldError::NotConverged`]; the means are then the best that were found.
     ///
     /// # Source
     /// Hestenes, Stiefel 1952; aggregation multigrid: Braess, Computing 55, 1995.
@@ -304,15 +306,15 @@ impl Field {
         solved.within(tolerance)
     }
 
-    /// Rigorous upper bound of the error of all means, in the field's unit: the greatest residual over the prior, by which A is
-    /// diagonally dominant (Varah, Linear Algebra and its Applications 11, 1975).
+    /// Returns a rigorous upper bound of the error of all means, in the field's unit: the greatest residual divided by
+    /// the prior, by which A is diagonally dominant (Varah, Linear Algebra and its Applications 11, 1975).
     #[must_use]
     pub fn error_bound(&self) -> f64 {
         let means: Vec<f64> = (0..self.lattice.nodes()).map(|node| self.messages.mean(node)).collect();
         self.hierarchy.residual(&self.observed, &self.information, &means) / self.weights.prior
     }
 
-    /// Mean of a free cell, as far as it has been propagated.
+    /// Returns the mean of a free cell, as far as it has been propagated.
     ///
     /// # Errors
     /// [`FieldError::NotFree`] and [`FieldError::Grid`].
@@ -320,21 +322,21 @@ impl Field {
         self.lattice.node(cell).map(|node| self.messages.mean(node))
     }
 
-    /// Means of all cells; `None` where the map is not free.
+    /// Returns the means of all cells; `None` where the map is not free.
     #[must_use]
     pub fn means(&self) -> Grid<Option<f64>> {
         self.lattice.grid(|node| self.messages.mean(node))
     }
 
-    /// Variances as belief propagation has them, unit²: **too small** on a map with loops, by up to 4.6 times in `docs/maps.md`
-    /// (Weiss, Freeman 2001 prove means only). For comparison; plans use [`Field::variances`].
+    /// Returns the variances of belief propagation, unit²: **too small** on a map with loops, by up to 4.6 times in
+    /// `docs/maps.md` (Weiss, Freeman 2001 prove means only). For comparison; plans use [`Field::variances`].
     #[must_use]
     pub fn propagated_variances(&self) -> Grid<Option<f64>> {
         let precisions = self.messages.precisions(&self.lattice);
         self.lattice.grid(|node| precisions[node].recip())
     }
 
-    /// Exact marginal variances of all cells at the field's time, unit²; `None` where the map is not free.
+    /// Returns the exact marginal variances of all cells at the field's time, unit²; `None` where the map is not free.
     ///
     /// # Source
     /// Selected inversion of a sparse Cholesky factor: Takahashi, Fagan, Chin, 1973; Erisman, Tinney, "On Computing Certain
@@ -347,8 +349,9 @@ impl Field {
         self.lattice.grid(|node| variances[node])
     }
 
-    /// Exact variances after a further fresh reading in `cell`, from `variances` before it: without another factor, in the time
-    /// of one [`Field::solve`]. What a reading would be worth, and what one that was taken has changed.
+    /// Returns the exact variances after a further fresh reading in `cell`, from `variances` before it: without another
+    /// factor, in the time of one [`Field::solve`]. For the value of a planned reading, or the effect of one that was
+    /// taken.
     ///
     /// # Errors
     /// [`FieldError::NotFree`], [`FieldError::Grid`], [`GridError::Unlike`] for variances of another map, and

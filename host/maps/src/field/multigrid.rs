@@ -1,19 +1,19 @@
 //! Conjugate gradients, preconditioned by a multigrid of aggregated cells.
 //!
-//! A level's nodes are the connected parts of squares of 2 × 2 of the level below, so that a coarse node never lies on both sides of
-//! a wall; its edges are sums of edges. This is the Galerkin product of a piecewise constant interpolation, and again the matrix
-//! of a field.
+//! A level's nodes are the connected parts of squares of 2 × 2 of the level below, so that a coarse node never lies on
+//! both sides of a wall; its edges are sums of edges. This is the Galerkin product of a piecewise constant
+//! interpolation, and has again the form of a field's matrix.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::{FieldError, lattice::Lattice};
 
-/// What a solve took.
+/// Result of a solve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solved {
     /// Estimate of the greatest error of a mean, in the field's unit.
     pub estimate: f64,
-    /// Iterations of conjugate gradients.
+    /// Number of iterations of conjugate gradients.
     pub iterations: usize,
 }
 
@@ -27,39 +27,40 @@ impl Solved {
     }
 }
 
-/// Piecewise constant interpolation makes a coarse level too stiff, and its corrections too small: edges between squares of twice the
-/// side sum to 2 λ, where the differential equation has λ. Edges are divided by this; priors and readings are right as they are.
+/// Divisor of a coarse level's edges. Piecewise constant interpolation makes the level too stiff, and its corrections
+/// too small: edges between squares of twice the side sum to 2 λ, where the differential equation has λ. Priors and
+/// readings need no correction.
 ///
 /// Braess, "Towards Algebraic Multigrid for Elliptic Problems of Second Order", Computing 55, 1995: 1.8.
 const STIFFNESS: f64 = 1.8;
 
-/// A cycle on the residual estimates the error. Beside a solve to 1e-8 the greatest error was up to 2.8 times the greatest element of it
-/// (`example field`, hall with shelves).
+/// Factor of the error estimate, which is a cycle on the residual. Compared with a solve to 1e-8 the greatest error was
+/// up to 2.8 times the greatest element of it (`example field`, hall with shelves).
 const ESTIMATE: f64 = 5.0;
 
-/// Levels stop at as many nodes, which are solved by a dense factor.
+/// Number of nodes at which coarsening stops; they are solved by a dense factor.
 const COARSEST: usize = 64;
 
-/// Never reached but by rounding: the maps of `docs/maps.md` take fewer than 30.
+/// Limit that only rounding can reach: the maps of `docs/maps.md` take fewer than 30 iterations.
 const MOST_ITERATIONS: usize = 300;
 
-/// A graph of one level: edges in compressed rows, those to earlier nodes first. Vectors have one element more than there are nodes,
-/// which is 0.
+/// Graph of one level: edges in compressed rows, those to earlier nodes first. Vectors have one element more than there
+/// are nodes, which is 0.
 #[derive(Clone, Debug)]
 struct Level {
     starts: Vec<u32>,
-    /// First edge of each node that leads to a later one.
+    /// First edge of each node that leads to a later node.
     middles: Vec<u32>,
     ends: Vec<u32>,
     weights: Vec<f64>,
     /// Diagonal without readings: sum of edges plus priors.
     base: Vec<f64>,
-    /// Where each node lies, in squares of this level.
+    /// Position of each node, in squares of this level.
     squares: Vec<[u32; 2]>,
     /// Node of the next level that each node is part of.
     parents: Vec<u32>,
-    /// On the finest level: neighbours in +x, +y, -x, -y, the element after the last node where there is none. All edges have one
-    /// weight there.
+    /// Neighbours in +x, +y, -x, -y, on the finest level only, where all edges have one weight. A missing neighbour is
+    /// the element after the last node.
     four: Vec<[u32; 4]>,
     smoothness: f64,
 }
@@ -80,7 +81,7 @@ impl Level {
         edges.map(|(near, weight)| weight * x[*near as usize]).sum()
     }
 
-    /// Sum of edge weights times the values of earlier neighbours.
+    /// Returns the sum of edge weights times the values of earlier neighbours.
     fn lower(&self, node: usize, x: &[f64]) -> f64 {
         match self.four.get(node) {
             Some([_, _, left, down]) => self.smoothness * (x[*left as usize] + x[*down as usize]),
@@ -88,7 +89,7 @@ impl Level {
         }
     }
 
-    /// Sum of edge weights times the values of later neighbours.
+    /// Returns the sum of edge weights times the values of later neighbours.
     fn upper(&self, node: usize, x: &[f64]) -> f64 {
         match self.four.get(node) {
             Some([right, up, ..]) => self.smoothness * (x[*right as usize] + x[*up as usize]),
@@ -96,7 +97,7 @@ impl Level {
         }
     }
 
-    /// Both: what A has off its diagonal, negated.
+    /// Returns both sums: the row of A without its diagonal, negated.
     fn gathered(&self, node: usize, x: &[f64]) -> f64 {
         self.lower(node, x) + self.upper(node, x)
     }
@@ -118,7 +119,7 @@ impl Level {
             while let Some(node) = stack.pop() {
                 base[parent as usize] += self.base[node];
                 for (near, weight) in self.edges(node) {
-                    // The prior alone; edges are added below.
+                    // Subtracts the edges from the diagonal, so that the prior remains; edges are added below.
                     base[parent as usize] -= weight;
                     if square(near) == square(first) && parents[near] == u32::MAX {
                         parents[near] = parent;
@@ -130,9 +131,12 @@ impl Level {
         let mut edges: Vec<(u32, u32, f64)> = Vec::new();
         for node in 0..nodes {
             let far = self.edges(node).filter(|(near, _)| parents[*near] != parents[node]);
+            // Edges inside of a coarse node vanish.
             edges.extend(far.map(|(near, weight)| (parents[node], parents[near], weight / STIFFNESS)));
         }
+        // Rows in order, and in each row earlier nodes first, as `lower` and `upper` expect.
         edges.sort_unstable_by_key(|(from, to, _)| (*from, *to));
+        // Parallel edges between the same two nodes add up; sorting has made them neighbours.
         edges.dedup_by(|next, kept| {
             let is_same = (next.0, next.1) == (kept.0, kept.1);
             if is_same {
@@ -143,6 +147,7 @@ impl Level {
         let mut starts = vec![0u32; squares.len() + 1];
         for (from, _, weight) in &edges {
             starts[*from as usize + 1] += 1;
+            // Restores the diagonal from the weights as they are after division.
             base[*from as usize] += weight;
         }
         (1..starts.len()).for_each(|at| starts[at] += starts[at - 1]);
@@ -171,7 +176,7 @@ pub(super) struct Hierarchy {
 /// Vectors of one level during a solve.
 struct Work {
     diagonal: Vec<f64>,
-    /// Of the diagonal: divisions would be the longest part of each step, which the next one waits for.
+    /// Reciprocals of the diagonal: a division would be the longest part of each step, for which the next one waits.
     reciprocal: Vec<f64>,
     right: Vec<f64>,
     x: Vec<f64>,
@@ -195,7 +200,7 @@ impl Hierarchy {
         let mut levels = vec![Level { starts, middles, ends, weights, base, squares, parents, four, smoothness }];
         while let Some(last) = levels.last_mut()
             && last.nodes() > COARSEST
-            // Without edges between its nodes a level has nothing to hand up.
+            // A level without edges between its nodes cannot be coarsened.
             && !last.ends.is_empty()
         {
             let next = last.coarser();
@@ -204,7 +209,7 @@ impl Hierarchy {
         Self { levels }
     }
 
-    /// Greatest absolute residual of means.
+    /// Returns the greatest absolute residual of means.
     pub(super) fn residual(&self, observed: &[f64], right: &[f64], means: &[f64]) -> f64 {
         let level = &self.levels[0];
         let padded = [means, &[0.0]].concat();
@@ -226,12 +231,14 @@ impl Hierarchy {
         let mut before = 0.0;
         let mut solved = Solved { estimate: f64::INFINITY, iterations: 0 };
         while solved.iterations < MOST_ITERATIONS {
+            // The preconditioned residual is also an estimate of the error, so the check costs nothing.
             let z = &cycle.apply(&residual)[..nodes];
             solved.estimate = ESTIMATE * z.iter().map(|z| z.abs()).fold(0.0, f64::max);
             if solved.estimate <= tolerance {
                 break;
             }
             let now = dot(&residual, z);
+            // The first direction is that of steepest descent.
             let beta = if solved.iterations == 0 { 0.0 } else { now / before };
             direction.iter_mut().zip(z).for_each(|(direction, z)| *direction = z + beta * *direction);
             let diagonal = &cycle.works[0].diagonal;
@@ -241,6 +248,7 @@ impl Hierarchy {
                 curvature += product[node] * direction[node];
             }
             let step = now / curvature;
+            // A residual of 0 in all nodes leaves no direction: 0 / 0.
             if !step.is_finite() {
                 break;
             }
@@ -257,11 +265,11 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// One V-cycle with the readings' weights of the moment.
+/// V-cycle with the present weights of the readings.
 struct Cycle<'l> {
     levels: &'l [Level],
     works: Vec<Work>,
-    /// `None` where the coarsest level has too many parts without connection for a dense factor.
+    /// Dense factor; `None` where the coarsest level has too many unconnected parts for one.
     coarsest: Option<Cholesky<f64, Dyn>>,
 }
 
@@ -277,6 +285,7 @@ impl<'l> Cycle<'l> {
             if let Some(next) = levels.get(depth + 1) {
                 let mut sums = vec![0.0; next.nodes()];
                 level.parents.iter().zip(&observed).for_each(|(parent, observed)| sums[*parent as usize] += observed);
+                // A coarse node has all readings of its cells.
                 observed = sums;
             }
         }
@@ -304,20 +313,20 @@ impl<'l> Cycle<'l> {
                 let solved = factor.solve(&DVector::from_column_slice(&work.right));
                 work.x[..nodes].copy_from_slice(solved.as_slice());
             } else {
-                // Parts that have no edges between them: the diagonal is all.
+                // Without edges the diagonal is the whole matrix.
                 (0..nodes).for_each(|node| work.x[node] = work.right[node] * work.reciprocal[node]);
             }
             return;
         }
         let (fine, coarse) = self.works.split_at_mut(depth + 1);
         let (work, next) = (&mut fine[depth], &mut coarse[0]);
-        // Gauss-Seidel forwards from 0, and backwards below: together symmetric, as conjugate gradients need it.
+        // Gauss-Seidel forwards from 0 here, and backwards below: together symmetric, as conjugate gradients need it.
         for node in 0..nodes {
             work.x[node] = (work.right[node] + level.lower(node, &work.x)) * work.reciprocal[node];
         }
         next.right.fill(0.0);
         for node in 0..nodes {
-            // All that the sweep has left of the residual: each node was solved for without its later neighbours.
+            // The residual after the sweep: each node was solved without its later neighbours.
             next.right[level.parents[node] as usize] += level.upper(node, &work.x);
         }
         self.level(depth + 1);

@@ -2,13 +2,14 @@
 
 use crate::grid::Grid;
 
-/// Distances, m; see [`super::clearance_m`].
+/// Returns distances, m; see [`super::clearance_m`].
 pub(super) fn transform(marked: &Grid<bool>) -> Grid<f64> {
     let (columns, rows) = (marked.frame().columns(), marked.frame().rows());
     let mut squared = marked.map(|marked| if *marked { 0.0 } else { f64::INFINITY });
     let mut hull = Hull::default();
     let values = squared.values_mut();
     let mut line = Vec::new();
+    // The squared distance separates: along the columns first, then along the rows of the result.
     for column in 0..columns {
         line.clear();
         line.extend((0..rows).map(|row| values[row * columns + column]));
@@ -27,7 +28,7 @@ pub(super) fn transform(marked: &Grid<bool>) -> Grid<f64> {
 /// Lower envelope of the parabolas `(x - at)² + line[at]`.
 #[derive(Default)]
 struct Hull {
-    /// Where each parabola stands, and from which x on it is the lowest.
+    /// Parabolas of the envelope: the vertex, and the x from which on it is the lowest.
     parabolas: Vec<(usize, f64)>,
     current: usize,
 }
@@ -38,6 +39,7 @@ impl Hull {
         self.current = 0;
         for (at, height) in line.iter().enumerate().filter(|(_, height)| height.is_finite()) {
             let mut from = f64::NEG_INFINITY;
+            // A parabola that is nowhere the lowest any more is removed.
             while let Some(&(other, other_from)) = self.parabolas.last() {
                 let [x, other_x] = [at as f64, other as f64];
                 from = (height + x * x - line[other] - other_x * other_x) / (2.0 * (x - other_x));
@@ -51,7 +53,7 @@ impl Hull {
         }
     }
 
-    /// Squared distance at `x`, in cells; asked with `x` growing.
+    /// Returns the squared distance at `x`, in cells. `x` must grow from call to call.
     fn next(&mut self, x: usize, line: &[f64]) -> f64 {
         while self.parabolas.get(self.current + 1).is_some_and(|(_, from)| *from < x as f64) {
             self.current += 1;

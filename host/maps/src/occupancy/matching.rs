@@ -8,7 +8,7 @@ use crate::{
     pose::{Point, Pose, wrapped},
 };
 
-/// Where a pose is sought, about a guess, and how a scan is weighed.
+/// Region about a guess in which a pose is sought, and the weights of a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Search {
     /// Greatest displacement in x and in y, m.
@@ -17,28 +17,31 @@ pub struct Search {
     pub turn_rad: f64,
     /// Standard deviation of a scan's points about the map's walls, m: the sensor's noise and half a cell.
     pub deviation_m: f64,
-    /// Share of the points that count as independent for the covariance, above 0 to 1: neighbouring rays err alike.
+    /// Share of the points that count as independent for the covariance, above 0 to 1: neighbouring rays have
+    /// correlated errors.
     pub independent: f64,
 }
 
-/// Pose of a scan.
+/// Pose of a scan, with its quality.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Matched {
     /// Best pose, to a sixteenth of a cell.
     pub pose: Pose,
     /// Covariance of x, y and yaw (m, m, rad): wide along a corridor, which a scan does not determine.
     pub covariance: Matrix3<f64>,
-    /// Mean log-likelihood of a point, 0 at best and -4.5 where none is within three deviations of a wall.
+    /// Mean log-likelihood of a point: 0 at best, -4.5 where no point is within three standard deviations of a wall.
     pub score: f64,
 }
 
-/// Points farther than three standard deviations from every wall count alike: they are of something that is not on the map.
+/// Largest negative log-likelihood of a point. Points farther than three standard deviations from every wall count
+/// alike: they belong to objects that are not on the map.
 const FARTHEST: f64 = 4.5;
 
 /// Finds the pose of a scan, given as points in the sensor's frame (m), near `guess`.
 ///
-/// Every pose of the window is tried in steps of a cell and of the angle that moves the farthest point by a cell, then those about the
-/// best in quarters and sixteenths of that. Makes a distance map each time, which takes longer than the search on large maps.
+/// The search tries every pose of the window in steps of a cell and of the angle that moves the farthest point by a
+/// cell, then those about the best in quarters and sixteenths of that. Each call makes a distance map, which takes
+/// longer than the search on large maps.
 ///
 /// # Errors
 /// [`OccupancyError::Model`] names a parameter that is out of range, or the number of points when there is none;
@@ -49,6 +52,7 @@ const FARTHEST: f64 = 4.5;
 /// *Probabilistic Robotics*, MIT Press 2005, 6.4.
 pub fn match_scan(map: &Occupancy, points: &[Point], guess: Pose, search: Search) -> Result<Matched, OccupancyError> {
     let Search { reach_m, turn_rad, deviation_m, independent } = search;
+    // NaN fails the check below, with the same message.
     let share = if independent <= 1.0 { independent } else { f64::NAN };
     let all = [("reach_m", reach_m), ("turn_rad", turn_rad), ("deviation_m", deviation_m), ("independent", share)];
     let numbers = all.into_iter().chain([("points of the scan", points.len() as f64)]);
@@ -70,12 +74,14 @@ pub fn match_scan(map: &Occupancy, points: &[Point], guess: Pose, search: Search
     let step = [cell_m, cell_m, cell_m / farthest_m.max(cell_m)];
     let sides = [reach_m, reach_m, turn_rad].into_iter().zip(step).map(|(reach, step)| (reach / step).ceil() as i32);
     let sides: Vec<i32> = sides.collect();
+    // Coarse over the whole window, then finer about the best, so that a narrow maximum costs few poses.
     let coarse = around(&likelihood, points, guess, step, [sides[0], sides[1], sides[2]]);
     let centre = best(&coarse, guess);
     let fine = around(&likelihood, points, centre.0, step.map(|step| step / 4.0), [4; 3]);
     let centre = best(&fine, centre.0);
     let finest = around(&likelihood, points, centre.0, step.map(|step| step / 16.0), [4; 3]);
     let (pose, score) = best(&finest, centre.0);
+    // Relative to the best score: likelihoods of hundreds of points would underflow.
     let weight = |score: f64| (independent * points.len() as f64 * (score - score_of(&coarse))).exp();
     let (mut total, mut mean, mut square) = (0.0, Vector3::zeros(), Matrix3::zeros());
     for (pose, score) in &coarse {
@@ -86,12 +92,12 @@ pub fn match_scan(map: &Occupancy, points: &[Point], guess: Pose, search: Search
         square += off * off.transpose() * weight;
     }
     mean /= total;
-    // The steps of the search are quantised samples: a twelfth of their square is added.
+    // The steps of the search quantise the pose: a twelfth of their square is the variance of that.
     let quantised = Matrix3::from_diagonal(&Vector3::from(step.map(|step| step * step / 12.0)));
     Ok(Matched { pose, covariance: square / total - mean * mean.transpose() + quantised, score })
 }
 
-/// Poses about one, with their scores.
+/// Returns the poses about one, with their scores.
 fn around(likelihood: &Grid<f64>, points: &[Point], at: Pose, step: [f64; 3], sides: [i32; 3]) -> Vec<(Pose, f64)> {
     let mut tried = Vec::new();
     for turn in -sides[2]..=sides[2] {

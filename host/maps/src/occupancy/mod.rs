@@ -1,4 +1,4 @@
-//! Occupancy grids: which cells are free, from range readings.
+//! Occupancy grids: the free cells, from range readings.
 
 mod distance;
 mod matching;
@@ -13,44 +13,44 @@ use crate::{
     pose::{Point, Pose, distance_m},
 };
 
-/// A reading or a parameter that an occupancy grid cannot use.
+/// Error of a reading or a parameter that an occupancy grid cannot use.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum OccupancyError {
-    /// A place that the grid does not have.
+    /// The grid does not have this place.
     #[error(transparent)]
     Grid(#[from] GridError),
-    /// Parameters of the inverse sensor model that contradict each other.
+    /// The parameters of the inverse sensor model contradict each other.
     #[error("{what} is {value}, and {needed} is needed")]
     Model {
-        /// Which.
+        /// Name of the parameter.
         what: &'static str,
-        /// Its value.
+        /// Value of the parameter.
         value: f64,
-        /// What it has to be.
+        /// Condition that it must satisfy.
         needed: &'static str,
     },
-    /// A range that is negative or not a number, or a bearing or pose that is not finite.
+    /// The range is negative or not a number, or the bearing or pose is not finite.
     #[error("range {range_m} m at bearing {bearing_rad} rad: leave out readings that are not finite or below 0")]
     Reading {
-        /// Range, m.
+        /// Range of the reading, m.
         range_m: f64,
-        /// Bearing, rad.
+        /// Bearing of the reading, rad.
         bearing_rad: f64,
     },
 }
 
-/// What is known of a cell.
+/// Knowledge about a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
     /// The probability of an obstacle is below [`InverseSensor::free_below`].
     Free,
-    /// It is above [`InverseSensor::occupied_above`].
+    /// The probability of an obstacle is above [`InverseSensor::occupied_above`].
     Occupied,
-    /// Anything between: not seen yet, or seen in contradictory ways.
+    /// The probability is between these: the cell has not been seen, or readings contradict each other.
     Unknown,
 }
 
-/// Inverse sensor model: what one ray says of the cells that it meets.
+/// Inverse sensor model: the probabilities that one ray gives to the cells that it meets.
 ///
 /// # Source
 /// Moravec, Elfes, "High Resolution Maps from Wide Angle Sonar", ICRA 1985; log-odds: Thrun, Burgard, Fox, *Probabilistic
@@ -62,18 +62,19 @@ pub struct InverseSensor {
     pub end_occupied: f64,
     /// Probability that a cell which a ray crosses has an obstacle, from this ray alone; 0 to 0.5.
     pub crossed_occupied: f64,
-    /// Least and greatest probability a cell may reach, so that what moved away is forgotten after a few rays.
+    /// Lowest and highest probability of a cell, so that obstacles that moved away are forgotten after a few rays.
     pub clamp: [f64; 2],
-    /// A cell is free below this probability.
+    /// Probability below which a cell is free.
     pub free_below: f64,
-    /// A cell is occupied above this probability.
+    /// Probability above which a cell is occupied.
     pub occupied_above: f64,
-    /// Longest range of the sensor, m: a reading of as much, or infinity, met nothing, and frees the cells up to here.
+    /// Longest range of the sensor, m: a reading of as much, or infinity, met no obstacle, and frees the cells up to
+    /// here.
     pub max_range_m: f64,
 }
 
 impl InverseSensor {
-    /// Usual model of a lidar with this longest range, m.
+    /// Returns the usual model of a lidar with this longest range, m.
     #[must_use]
     pub const fn lidar(max_range_m: f64) -> Self {
         Self {
@@ -88,7 +89,7 @@ impl InverseSensor {
 
     fn check(&self) -> Result<(), OccupancyError> {
         let within = |what, value: f64, low: f64, high: f64, needed| {
-            // NaN is outside.
+            // False for NaN.
             if low < value && value < high { Ok(()) } else { Err(OccupancyError::Model { what, value, needed }) }
         };
         within("end_occupied", self.end_occupied, 0.5, 1.0, "more than 0.5 and less than 1")?;
@@ -105,7 +106,7 @@ fn log_odds(probability: f64) -> f64 {
     (probability / (1.0 - probability)).ln()
 }
 
-/// Occupancy grid in log-odds, 0 where nothing is known.
+/// Occupancy grid in log-odds, 0 for unknown cells.
 ///
 /// ```
 /// use r4_maps::{grid::Frame, occupancy::{InverseSensor, Occupancy, State}, pose::Pose};
@@ -126,16 +127,16 @@ pub struct Occupancy {
 }
 
 impl Occupancy {
-    /// Map of which nothing is known.
+    /// Makes a map of unknown cells.
     ///
     /// # Errors
-    /// [`OccupancyError::Model`] names the parameter.
+    /// [`OccupancyError::Model`] with the name of the parameter.
     pub fn new(frame: Frame, sensor: InverseSensor) -> Result<Self, OccupancyError> {
         sensor.check()?;
         Ok(Self { odds: Grid::filled(frame, 0.0), sensor })
     }
 
-    /// Where the map lies.
+    /// Returns the frame of the map.
     #[must_use]
     pub const fn frame(&self) -> &Frame {
         self.odds.frame()
@@ -143,8 +144,8 @@ impl Occupancy {
 
     /// Adds one ray of a range sensor at `sensor` (world): bearing, rad, from the sensor's x axis, and range, m.
     ///
-    /// Cells beyond the grid are left out: a ray that leaves it frees what it crosses inside. A range of
-    /// [`InverseSensor::max_range_m`] or more met nothing.
+    /// Cells beyond the grid are left out: a ray that leaves it frees the cells that it crosses inside. A range of
+    /// [`InverseSensor::max_range_m`] or more met no obstacle.
     ///
     /// # Errors
     /// [`OccupancyError::Reading`] and, for a sensor that is not on the grid, [`OccupancyError::Grid`]; the map is not changed.
@@ -161,7 +162,7 @@ impl Occupancy {
         let end_cell = if met { frame.cell_at(end).ok() } else { None };
         let crossed = log_odds(self.sensor.crossed_occupied);
         for Crossing { cell, .. } in traverse(&frame, sensor.point(), end)? {
-            // Rounding may put the end into the cell before its own; it is counted once, below.
+            // Rounding may put the end into the previous cell; it is counted once, below.
             if Some(cell) != end_cell {
                 self.add(cell, crossed);
             }
@@ -179,7 +180,7 @@ impl Occupancy {
         }
     }
 
-    /// Probability that a cell has an obstacle; 0.5 where nothing is known.
+    /// Returns the probability that a cell has an obstacle; 0.5 for an unknown cell.
     ///
     /// # Errors
     /// [`OccupancyError::Grid`].
@@ -187,7 +188,7 @@ impl Occupancy {
         Ok(1.0 / (1.0 + (-self.odds.get(cell)?).exp()))
     }
 
-    /// What is known of a cell.
+    /// Returns the knowledge about a cell.
     ///
     /// # Errors
     /// [`OccupancyError::Grid`].
@@ -205,20 +206,20 @@ impl Occupancy {
         }
     }
 
-    /// States of all cells.
+    /// Returns the states of all cells.
     #[must_use]
     pub fn states(&self) -> Grid<State> {
         self.odds.map(|odds| self.state_of(*odds))
     }
 
-    /// Distance, m, from each cell's centre to that of the nearest occupied cell; infinite without any.
+    /// Returns the distance, m, from each cell's centre to that of the nearest occupied cell; infinite without any.
     #[must_use]
     pub fn clearance_m(&self) -> Grid<f64> {
         clearance_m(&self.odds.map(|odds| self.state_of(*odds) == State::Occupied))
     }
 
-    /// Cells whose centre is free and at least `radius_m` from every occupied cell's centre: where the centre of a round robot
-    /// may be. Unknown cells are never among them.
+    /// Returns the cells where the centre of a round robot may be: they are free, and their centre is at least
+    /// `radius_m` from that of every occupied cell. Unknown cells are never among them.
     #[must_use]
     pub fn free_for(&self, radius_m: f64) -> Grid<bool> {
         let clearance_m = self.clearance_m();
@@ -229,7 +230,8 @@ impl Occupancy {
     }
 }
 
-/// Distance, m, from each cell's centre to that of the nearest marked cell; infinite without any, 0 in marked cells.
+/// Returns the distance, m, from each cell's centre to that of the nearest marked cell; infinite without any, 0 in
+/// marked cells.
 ///
 /// # Source
 /// Felzenszwalb, Huttenlocher, "Distance Transforms of Sampled Functions", Theory of Computing 8, 2012: exact, linear in the
@@ -239,7 +241,7 @@ pub fn clearance_m(marked: &Grid<bool>) -> Grid<f64> {
     distance::transform(marked)
 }
 
-/// Whether a straight line between two points of the world crosses no marked cell.
+/// Returns whether a straight line between two points of the world crosses no marked cell.
 ///
 /// # Errors
 /// [`OccupancyError::Grid`] if the first point is not on the grid.

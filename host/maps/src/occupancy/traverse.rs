@@ -5,10 +5,10 @@ use crate::{
     pose::{Point, distance_m},
 };
 
-/// A cell on a line, and where the line enters it.
+/// Cell on a line, with the place where the line enters it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
-    /// The cell.
+    /// Cell that the line crosses.
     pub cell: Cell,
     /// Length of the line up to the cell, m.
     pub entered_m: f64,
@@ -27,7 +27,8 @@ struct Walk {
     length_m: f64,
 }
 
-/// Cells that the line between two points of the world crosses, in order, up to its end or the grid's border.
+/// Iterates over the cells that the line between two points of the world crosses, in order, up to its end or the grid's
+/// border.
 ///
 /// # Errors
 /// [`GridError::Outside`] if the line does not start on the grid or does not end at a finite point.
@@ -59,6 +60,7 @@ pub fn traverse(frame: &Frame, from: Point, to: Point) -> Result<impl Iterator<I
     };
     for axis in 0..2 {
         let along = end[axis] - start[axis];
+        // A line along an axis never crosses a boundary of the other one, whose `next` stays infinite.
         if along != 0.0 {
             let is_up = along > 0.0;
             let boundary = cell[axis] as f64 + if is_up { 1.0 } else { 0.0 };
@@ -76,10 +78,11 @@ impl Iterator for Walk {
     fn next(&mut self) -> Option<Crossing> {
         let cell = self.cell?;
         let crossing = Crossing { cell, entered_m: self.entered * self.length_m };
+        // The nearer boundary decides the next cell.
         let axis = usize::from(self.next[1] < self.next[0]);
         self.entered = self.next[axis];
         self.cell = None;
-        // The end on a boundary belongs to the cell before it on the line's way.
+        // An end on a boundary belongs to the cell before it.
         if self.entered < 1.0
             && let Some(along) = cell[axis].checked_add_signed(self.step[axis])
             && along < [self.columns, self.rows][axis]

@@ -1,4 +1,4 @@
-//! Ways over an occupancy grid, and the next command that follows one.
+//! Paths over an occupancy grid, and the next speeds that follow one.
 
 mod window;
 
@@ -10,28 +10,29 @@ pub use window::{Blocked, Choice, Drive, Limits, Local, Preference};
 
 use crate::grid::{Cell, Grid, GridError};
 
-/// A way that cannot be planned.
+/// Error of a path that cannot be planned.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum PlanError {
-    /// A place that the grid does not have.
+    /// The grid does not have this place.
     #[error(transparent)]
     Grid(#[from] GridError),
-    /// No way, or a start or goal that is not free.
+    /// There is no path, or the start or goal is not free.
     #[error(transparent)]
     Path(#[from] PathError),
-    /// A parameter of the drive or the planner that is out of range.
+    /// A parameter of the drive or the planner is out of range.
     #[error("{what} is {value}: a finite number above 0 is needed")]
     Parameter {
-        /// Which.
+        /// Name of the parameter.
         what: &'static str,
-        /// Its value.
+        /// Value of the parameter.
         value: f64,
     },
 }
 
-/// Shortest ways, m, from a cell to all others over free cells in eight directions; infinite where none leads.
+/// Returns the lengths, m, of the shortest paths from a cell to all others over free cells in eight directions;
+/// infinite where there is none.
 ///
-/// Diagonal steps need both cells beside them free, as in [`route`], whose costs these are.
+/// Diagonal steps need both cells beside them free, as in [`route`], which has the same costs.
 ///
 /// # Errors
 /// [`PlanError::Grid`], and [`PathError::Blocked`] for a start that is not free.
@@ -56,7 +57,7 @@ pub fn distances_m(free: &Grid<bool>, from: Cell) -> Result<Grid<f64>, PlanError
     let mut distances_m = Grid::filled(frame, f64::INFINITY);
     let best_m = distances_m.values_mut();
     best_m[start] = 0.0;
-    // Bits of a number that is not negative are in its order.
+    // The bits of a non-negative number have its order.
     let mut open = BinaryHeap::from([Reverse((0.0f64.to_bits(), start))]);
     let is_free = |cell: Cell| matches!(free.get(cell), Ok(true));
     while let Some(Reverse((bits, index))) = open.pop() {
@@ -81,7 +82,7 @@ pub fn distances_m(free: &Grid<bool>, from: Cell) -> Result<Grid<f64>, PlanError
     Ok(distances_m)
 }
 
-/// Shortest way between two cells over free cells, by A* ([`r4_maths::path`]); its cost is m.
+/// Finds the shortest path between two cells over free cells, by A* ([`r4_maths::path`]); its cost is in m.
 ///
 /// # Errors
 /// [`PlanError::Path`].

@@ -1,4 +1,4 @@
-//! Dynamic window: the next speeds of a drive, among those it can reach and still stop from.
+//! Dynamic window: the next speeds of a drive, among those that it can reach and from which it can still stop.
 
 use thiserror::Error;
 
@@ -8,58 +8,58 @@ use crate::{
     pose::{Point, Pose, distance_m, wrapped},
 };
 
-/// What a differential or skid-steer drive can do.
+/// Limits of a differential or skid-steer drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Greatest speed ahead, m/s; it never drives backwards.
+    /// Highest speed ahead, m/s; the drive never goes backwards.
     pub speed_m_s: f64,
-    /// Greatest turn rate to either side, rad/s.
+    /// Highest turn rate to either side, rad/s.
     pub turn_rad_s: f64,
-    /// Greatest acceleration and deceleration, m/s².
+    /// Highest acceleration and deceleration, m/s².
     pub acceleration_m_s2: f64,
-    /// Greatest angular acceleration, rad/s².
+    /// Highest angular acceleration, rad/s².
     pub turn_acceleration_rad_s2: f64,
-    /// Distance that every obstacle has to keep from the drive's centre, m: the radius of its outline and a margin.
+    /// Smallest distance of an obstacle from the drive's centre, m: the radius of its outline and a margin.
     pub clearance_m: f64,
 }
 
 /// Speeds of a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Drive {
-    /// Speed ahead, m/s.
+    /// Speed straight ahead, m/s.
     pub speed_m_s: f64,
     /// Turn rate, rad/s, positive from +x towards +y.
     pub turn_rad_s: f64,
 }
 
-/// Weights of what is preferred; only their ratios matter.
+/// Weights of the criteria for a choice; only their ratios matter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Preference {
-    /// Of the heading to the target at the end of the period.
+    /// Weight of the heading to the target at the end of the period.
     pub heading: f64,
-    /// Of the free length ahead.
+    /// Weight of the free length ahead.
     pub free: f64,
-    /// Of speed.
+    /// Weight of the speed.
     pub speed: f64,
 }
 
 impl Default for Preference {
-    /// As published: 2, 0.2 and 0.2 (Fox, Burgard, Thrun 1997).
+    /// Returns the published weights: 2, 0.2 and 0.2 (Fox, Burgard, Thrun 1997).
     fn default() -> Self {
         Self { heading: 2.0, free: 0.2, speed: 0.2 }
     }
 }
 
-/// Speeds that were chosen.
+/// Speeds that were chosen, with the free length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
     /// The speeds for the next period.
     pub drive: Drive,
-    /// Length of the arc that is free, m, as far as it was looked at.
+    /// Free length of the arc, m, as far as it was searched.
     pub free_m: f64,
 }
 
-/// Why the drive has to stop.
+/// Reason why the drive has to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum Blocked {
     /// The drive is nearer to an obstacle than its clearance, or off the map.
@@ -69,21 +69,21 @@ pub enum Blocked {
     Here {
         /// Distance to the nearest obstacle, m; 0 off the map.
         found_m: f64,
-        /// Clearance, m.
+        /// Clearance that the drive needs, m.
         needed_m: f64,
     },
-    /// Every pair of speeds within reach ends too near to an obstacle to stop before it.
+    /// Every reachable pair of speeds ends too near to an obstacle to stop before it.
     #[error("none of {tried} pairs of speeds stops before an obstacle: stop, and plan another way")]
     Ahead {
-        /// Pairs that were tried.
+        /// Number of pairs that were tried.
         tried: usize,
     },
-    /// A pose, speed or target that is not finite.
+    /// A pose, speed or target is not finite.
     #[error("the pose, the speeds or the target are not finite: stop, and localise again")]
     NotFinite,
 }
 
-/// Dynamic-window planner.
+/// Planner by the dynamic-window approach.
 ///
 /// # Source
 /// Fox, Burgard, Thrun, "The Dynamic Window Approach to Collision Avoidance", IEEE Robotics and Automation Magazine 4, 1997.
@@ -94,18 +94,19 @@ pub struct Local {
     period_s: f64,
 }
 
-/// Speeds and turn rates tried on each axis of the window: odd, so that going on as before is among them.
+/// Number of speeds and turn rates tried on each axis of the window: odd, so that the present ones are among them.
 const SPEEDS: i32 = 11;
 const TURNS: i32 = 21;
 
-/// Longest piece of an arc between two looks at the clearance, in cells: less than one, so that no cell is jumped over.
+/// Longest piece of an arc between two checks of the clearance, in cells: less than one, so that no cell is skipped.
 const LOOK_CELLS: f64 = 0.5;
 
-/// How far the clearance may fall between two looks, in cells: half a look, by a slope of at most √2 (bilinear between distances).
+/// Largest drop of the clearance between two checks, in cells: half a piece, with a slope of at most √2 (bilinear
+/// between distances).
 const SLACK_CELLS: f64 = 0.25 * std::f64::consts::SQRT_2;
 
 impl Local {
-    /// Planner for a drive with these limits, called every `period_s`.
+    /// Makes the planner for a drive with these limits, called every `period_s`.
     ///
     /// # Errors
     /// [`PlanError::Parameter`].
@@ -125,11 +126,13 @@ impl Local {
         bad.map_or(Ok(Self { limits, preference, period_s }), |(what, value)| Err(PlanError::Parameter { what, value }))
     }
 
-    /// Speeds for the next period, towards `target` (world, m), such as a point of a route some way ahead.
+    /// Chooses the speeds for the next period, towards `target` (world, m), such as a point of a route some distance
+    /// ahead.
     ///
-    /// `clearance_m` has the distance to the nearest obstacle of each cell ([`crate::occupancy::Occupancy::clearance_m`], or
-    /// [`crate::occupancy::clearance_m`] of all cells that are not free). Every choice can still stop before the first place that
-    /// is too near to an obstacle, after driving one period.
+    /// `clearance_m` has the distance to the nearest obstacle of each cell
+    /// ([`crate::occupancy::Occupancy::clearance_m`], or [`crate::occupancy::clearance_m`] of all cells that are not
+    /// free). After one period with the chosen speeds the drive can still stop before the first place that is too near
+    /// to an obstacle.
     ///
     /// # Errors
     /// [`Blocked`]: the caller brakes on the arc that it drives, which was free.
@@ -140,11 +143,13 @@ impl Local {
         }
         let needed_m = self.limits.clearance_m;
         let found_m = clear_m(clearance_m, pose.point());
+        // The clearance may have dropped by the slack between two checks of the arc.
         if found_m < needed_m - SLACK_CELLS * clearance_m.frame().cell_m() {
             return Err(Blocked::Here { found_m, needed_m });
         }
         let Limits { speed_m_s, turn_rad_s, acceleration_m_s2, turn_acceleration_rad_s2, .. } = self.limits;
         let [reach_m_s, reach_rad_s] = [acceleration_m_s2, turn_acceleration_rad_s2].map(|limit| limit * self.period_s);
+        // Farther than this no choice needs to see: one period at full speed, then braking.
         let look_m = self.stopping_m(speed_m_s) + speed_m_s * self.period_s;
         let mut best: Option<(f64, Choice)> = None;
         for step in 0..SPEEDS {
@@ -155,6 +160,7 @@ impl Local {
                 let turn_rad_s = (now.turn_rad_s + share * reach_rad_s).clamp(-turn_rad_s, turn_rad_s);
                 let drive = Drive { speed_m_s, turn_rad_s };
                 let free_m = self.free_m(clearance_m, pose, drive, look_m);
+                // Admissible only if it can still stop after one more period.
                 if self.stopping_m(speed_m_s) + speed_m_s * self.period_s > free_m {
                     continue;
                 }
@@ -172,20 +178,21 @@ impl Local {
     }
 
     fn value(&self, pose: Pose, drive: Drive, target: Point, free: f64) -> f64 {
-        // Where it could stop turning: after the period, and as long as the turn rate takes to end.
+        // The heading at the end of the turn: after the period, and the time in which the turn rate can fall to 0.
         let turn_s = self.period_s + drive.turn_rad_s.abs() / (2.0 * self.limits.turn_acceleration_rad_s2);
         let end = after(pose, drive, turn_s);
         let bearing_rad = (target[1] - end.y_m).atan2(target[0] - end.x_m);
         let aligned = 1.0 - wrapped(bearing_rad - end.yaw_rad).abs() / std::f64::consts::PI;
-        // Slower where the target is nearer than it takes to stop.
+        // Slower where the target is nearer than the stopping distance.
         let to_go_m = distance_m(pose.point(), target);
         let wanted_m_s = (2.0 * self.limits.acceleration_m_s2 * to_go_m).sqrt().min(self.limits.speed_m_s);
         let speed = 1.0 - (drive.speed_m_s - wanted_m_s).abs() / self.limits.speed_m_s;
         self.preference.heading * aligned + self.preference.free * free + self.preference.speed * speed
     }
 
-    /// Length of an arc up to the first place with too little clearance, at most `look_m`.
+    /// Returns the length of an arc up to the first place with too little clearance, at most `look_m`.
     fn free_m(&self, clearance_m: &Grid<f64>, pose: Pose, drive: Drive, look_m: f64) -> f64 {
+        // Turning on the spot meets nothing: the drive is round for the planner.
         if drive.speed_m_s <= 0.0 {
             return look_m;
         }
@@ -203,14 +210,14 @@ impl Local {
     }
 }
 
-/// Clearance at a place, m; 0 off the map, and where the map's is not a number.
+/// Returns the clearance at a place, m; 0 off the map, and where the map's is not a number.
 fn clear_m(clearance_m: &Grid<f64>, place: Point) -> f64 {
-    // Infinite where there is no obstacle at all, which cannot be interpolated.
+    // Infinite without any obstacle, which cannot be interpolated.
     let clear_m = clearance_m.interpolated(place).ok().filter(|clear_m| !clear_m.is_nan());
     clear_m.or_else(|| clearance_m.at(place).ok().copied()).filter(|clear_m| !clear_m.is_nan()).unwrap_or(0.0)
 }
 
-/// Pose after some time at constant speeds: an arc.
+/// Returns the pose after some time at constant speeds: on an arc.
 fn after(pose: Pose, drive: Drive, time_s: f64) -> Pose {
     let half_rad = 0.5 * drive.turn_rad_s * time_s;
     // sin(x)/x, by its series where x² is below the rounding error.

@@ -1,7 +1,7 @@
-//! Gaussian-process regression of a field that varies with place and, everywhere alike, with time.
+//! Gaussian-process regression of a field that varies with place and, alike at every place, with time.
 //!
-//! A reading is spatial part + temporal part + noise. On one drive both parts are confounded: only places that are visited again at
-//! another time set them apart, which the variances of the parts show.
+//! A reading is spatial part + temporal part + noise. On one drive both parts are confounded: only places that are
+//! visited again at another time separate them, which the variances of the parts show.
 
 mod sites;
 
@@ -12,21 +12,21 @@ use thiserror::Error;
 
 use crate::pose::{Point, distance_m};
 
-/// Numbers that no regression can be made of.
+/// Reason why numbers allow no regression.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum ProcessError {
-    /// A parameter that is not finite and above 0.
+    /// A parameter is not finite and above 0.
     #[error("{what} is {value}: a finite number above 0 is needed")]
     Parameter {
-        /// Which.
+        /// Name of the parameter.
         what: &'static str,
-        /// Its value.
+        /// Value of the parameter.
         value: f64,
     },
-    /// A sample that is not finite.
+    /// A sample is not finite.
     #[error("sample {index} is not finite: leave it out")]
     NotFinite {
-        /// Its index, from 0.
+        /// Index of the sample, from 0.
         index: usize,
     },
     /// The covariance of the samples is not positive definite in 53 bits.
@@ -39,12 +39,12 @@ pub enum ProcessError {
         /// Standard deviation of the noise.
         noise: f64,
     },
-    /// Nothing to fit to or to choose from.
+    /// There are too few items to fit to or to choose from.
     #[error("{what}: give at least {least}")]
     TooFew {
-        /// What there is too little of.
+        /// Name of the items.
         what: &'static str,
-        /// How many are needed.
+        /// Number of items that are needed.
         least: usize,
     },
 }
@@ -78,13 +78,13 @@ impl Kernel {
         bad.map_or(Ok(()), |(what, value)| Err(ProcessError::Parameter { what, value }))
     }
 
-    /// Covariance of the spatial part between two places, unit².
+    /// Returns the covariance of the spatial part between two places, unit².
     #[must_use]
     pub fn place(&self, a: Point, b: Point) -> f64 {
         self.place_deviation.powi(2) * (-0.5 * (distance_m(a, b) / self.length_m).powi(2)).exp()
     }
 
-    /// Covariance of the temporal part between two times, unit².
+    /// Returns the covariance of the temporal part between two times, unit².
     #[must_use]
     pub fn time(&self, a_s: f64, b_s: f64) -> f64 {
         self.time_deviation.powi(2) * (-(a_s - b_s).abs() / self.time_s).exp()
@@ -95,14 +95,14 @@ impl Kernel {
     }
 }
 
-/// A reading with its place and time.
+/// Sample of the field: a reading with its place and time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Place, m.
+    /// Place of the reading, m.
     pub at: Point,
-    /// Time, s on the caller's clock.
+    /// Time of the reading, s on the caller's clock.
     pub at_s: f64,
-    /// Value, in the field's unit.
+    /// Value of the reading, in the field's unit.
     pub value: f64,
 }
 
@@ -115,18 +115,18 @@ pub struct Normal {
     pub variance: f64,
 }
 
-/// What is known at a place and time.
+/// Prediction at a place and time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prediction {
-    /// Spatial part.
+    /// Spatial part of the field.
     pub place: Normal,
-    /// Temporal part.
+    /// Temporal part of the field.
     pub time: Normal,
-    /// Their sum, without noise.
+    /// Sum of both parts, without noise.
     pub sum: Normal,
 }
 
-/// Regression on samples, which are added one at a time.
+/// Gaussian-process regression on samples, which are added one at a time.
 ///
 /// The mean of both parts before any sample is 0: subtract a known offset first.
 ///
@@ -147,12 +147,12 @@ pub struct Process {
     kernel: Kernel,
     samples: Vec<Sample>,
     factor: Option<Cholesky<f64, Dyn>>,
-    /// (K + noise²)⁻¹ times the values.
+    /// Product of (K + noise²)⁻¹ and the values.
     weights: DVector<f64>,
 }
 
 impl Process {
-    /// Regression without samples.
+    /// Makes a regression without samples.
     ///
     /// # Errors
     /// [`ProcessError::Parameter`].
@@ -161,12 +161,13 @@ impl Process {
         Ok(Self { kernel, samples: Vec::new(), factor: None, weights: DVector::zeros(0) })
     }
 
-    /// Regression on samples.
+    /// Makes a regression on samples.
     ///
     /// # Errors
     /// [`ProcessError::Parameter`], [`ProcessError::NotFinite`] and [`ProcessError::Singular`].
     pub fn of(kernel: Kernel, samples: &[Sample]) -> Result<Self, ProcessError> {
         let mut process = Self::new(kernel)?;
+        // Before the cubic time of the factor.
         for (index, sample) in samples.iter().enumerate() {
             check(index, sample)?;
         }
@@ -195,6 +196,7 @@ impl Process {
         let factor = match &self.factor {
             None => Cholesky::new(DMatrix::from_element(1, 1, own)),
             Some(factor) => {
+                // Extending the factor by a row takes quadratic time; a new factor would take cubic time.
                 let mut column = self.column(|other| self.kernel.both(&sample, other)).push(own);
                 column[index] = own;
                 let grown = factor.insert_column(index, column);
@@ -217,19 +219,19 @@ impl Process {
         DVector::from_iterator(self.samples.len(), self.samples.iter().map(covariance))
     }
 
-    /// Kernel with its parameters.
+    /// Returns the kernel with its parameters.
     #[must_use]
     pub const fn kernel(&self) -> &Kernel {
         &self.kernel
     }
 
-    /// Samples so far.
+    /// Returns the samples so far.
     #[must_use]
     pub fn samples(&self) -> &[Sample] {
         &self.samples
     }
 
-    /// Field at a place, m, and time, s.
+    /// Predicts the field at a place, m, and time, s.
     #[must_use]
     pub fn predict(&self, at: Point, at_s: f64) -> Prediction {
         let place = self.column(|sample| self.kernel.place(at, sample.at));
@@ -245,17 +247,17 @@ impl Process {
 
     fn normal(&self, prior: f64, column: &DVector<f64>) -> Normal {
         let explained = self.whitened(column).norm_squared();
-        // Rounding of what is left where all is explained.
+        // Rounding may make the remaining variance negative where the samples explain all of it.
         Normal { mean: column.dot(&self.weights), variance: (prior - explained).max(0.0) }
     }
 
-    /// L⁻¹ times a vector, with L the factor of the samples' covariance.
+    /// Returns L⁻¹ times a vector, with L the factor of the samples' covariance.
     fn whitened(&self, column: &DVector<f64>) -> DVector<f64> {
         let solved = self.factor.as_ref().and_then(|factor| factor.l_dirty().solve_lower_triangular(column));
         solved.unwrap_or_else(|| DVector::zeros(0))
     }
 
-    /// Covariance of the spatial part between places, unit², given the samples.
+    /// Returns the covariance of the spatial part between places, unit², given the samples.
     #[must_use]
     pub fn place_covariance(&self, places: &[Point]) -> DMatrix<f64> {
         let whitened: Vec<DVector<f64>> = places
@@ -267,21 +269,22 @@ impl Process {
         })
     }
 
-    /// Natural logarithm of the samples' probability density under the kernel.
+    /// Returns the natural logarithm of the samples' probability density under the kernel.
     #[must_use]
     pub fn log_likelihood(&self) -> f64 {
         let quadratic: f64 =
             self.samples.iter().zip(self.weights.iter()).map(|(sample, weight)| sample.value * weight).sum();
         let diagonal =
             self.factor.iter().flat_map(|factor| factor.l_dirty().diagonal().iter().copied().collect::<Vec<_>>());
+        // The determinant is the square of the product of the factor's diagonal.
         let half_determinant: f64 = diagonal.map(f64::ln).sum();
         -0.5 * quadratic - half_determinant - 0.5 * self.samples.len() as f64 * std::f64::consts::TAU.ln()
     }
 
-    /// Regression on the same samples with the kernel of greatest likelihood between two kernels, parameter by parameter. The
-    /// same seed gives the same result.
+    /// Returns a regression on the same samples with the kernel of greatest likelihood between two kernels, parameter
+    /// by parameter. The same seed gives the same result.
     ///
-    /// A parameter that is the same in both stays so. Search: [`r4_maths::minimise::global`] over the logarithms.
+    /// A parameter that is the same in both is not changed. Search: [`r4_maths::minimise::global`] over the logarithms.
     ///
     /// # Errors
     /// [`ProcessError::TooFew`] below 3 samples, [`ProcessError::Parameter`] and [`ProcessError::Singular`].
@@ -292,6 +295,7 @@ impl Process {
         if self.samples.len() < LEAST {
             return Err(ProcessError::TooFew { what: "samples to fit a kernel to", least: LEAST });
         }
+        // All parameters are scales: in logarithms the search covers decades evenly and stays positive.
         let bounds: Vec<(f64, f64)> =
             numbers(&low).into_iter().zip(numbers(&high)).map(|(low, high)| (low.ln(), high.ln())).collect();
         let cost = |at: &[f64]| Self::of(kernel(at), &self.samples).map_or(f64::INFINITY, |fit| -fit.log_likelihood());
@@ -308,7 +312,7 @@ fn numbers(kernel: &Kernel) -> [f64; 5] {
     [kernel.place_deviation, kernel.length_m, kernel.time_deviation, kernel.time_s, kernel.noise]
 }
 
-/// Of the logarithms of its numbers, in the order of [`numbers`].
+/// Makes a kernel of the logarithms of its numbers, in the order of [`numbers`].
 fn kernel(at: &[f64]) -> Kernel {
     let number = |index: usize| at.get(index).map_or(f64::NAN, |log| log.exp());
     let [place_deviation, length_m, time_deviation, time_s, noise] = [0, 1, 2, 3, 4].map(number);

@@ -1,11 +1,11 @@
-//! Where to measure next.
+//! Choice of the sites to measure next.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::{Process, ProcessError};
 use crate::pose::Point;
 
-/// What makes a site worth a visit.
+/// Criterion for the value of a site.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Criterion {
     /// Greatest variance given the sites chosen before: entropy. Prefers the border of the region.
@@ -14,11 +14,11 @@ pub enum Criterion {
     MutualInformation,
 }
 
-/// Sites to measure next, best first: indices of `candidates`, at most `count` and each once.
+/// Chooses the sites to measure next, best first: indices of `candidates`, at most `count` and each once.
 ///
-/// Candidates are places, m, that cover the region of interest; readings have the kernel's noise. Greedy choice is within 1 - 1/e
-/// of the best for mutual information, as long as the candidates are dense compared with the kernel's length. The time grows with
-/// the cube of the number of candidates.
+/// Candidates are places, m, that cover the region of interest; readings have the kernel's noise. Greedy choice is
+/// within 1 - 1/e of the best for mutual information, as long as the candidates are dense compared with the kernel's
+/// length. The time grows with the cube of the number of candidates.
 ///
 /// # Errors
 /// [`ProcessError::TooFew`] without candidates, [`ProcessError::NotFinite`] for a candidate that is not finite,
@@ -39,10 +39,10 @@ pub fn next_sites(
         return Err(ProcessError::NotFinite { index });
     }
     let noise = process.kernel().noise;
-    // Of readings at all candidates, given the samples so far; then also given the chosen ones.
+    // Covariance of readings at all candidates, given the samples so far; later also given the chosen sites.
     let mut given = process.place_covariance(candidates);
     (0..candidates.len()).for_each(|index| given[(index, index)] += noise * noise);
-    // Precision of readings at the candidates that were not chosen.
+    // Precision of readings at the candidates that are not chosen.
     let singular = ProcessError::Singular { index: candidates.len() - 1, noise };
     let mut rest: DMatrix<f64> = given.clone().cholesky().ok_or(singular)?.inverse();
     let mut left: Vec<usize> = (0..candidates.len()).collect();
@@ -53,7 +53,7 @@ pub fn next_sites(
             // The variance given all the others is the reciprocal of the precision.
             Criterion::MutualInformation => given[(index, index)] * rest[(index, index)],
         };
-        // Of equals the first: `max_by` would take the last.
+        // The first of equal ones: `max_by` alone would return the last.
         let best = (0..left.len()).rev().max_by(|a, b| worth(left[*a]).total_cmp(&worth(left[*b])));
         let Some(best) = best else { break };
         let site = left.remove(best);
@@ -64,7 +64,7 @@ pub fn next_sites(
     Ok(chosen)
 }
 
-/// Takes one variable out: conditions a covariance on it, or marginalises a precision over it.
+/// Removes one variable: conditions a covariance on it, or marginalises a precision over it.
 fn condition(matrix: &mut DMatrix<f64>, index: usize) {
     let column: DVector<f64> = matrix.column(index).into_owned();
     let scale = column[index].recip();

@@ -1,4 +1,4 @@
-//! Scalar fields beside a dense solve.
+//! Comparison of scalar fields with a dense solve.
 
 use nalgebra::{DMatrix, DVector};
 use proptest::{collection::vec, prelude::*};
@@ -8,14 +8,14 @@ use r4_maps::{
     pose::Pose,
 };
 
-/// Of the published gas maps.
+/// Weights of the published gas maps.
 const GAS: Weights = Weights { smoothness: 0.5, reading: 10.0, forgetting_s: 1e6, prior: 1e-4 };
 
 fn frame(columns: usize, rows: usize) -> Frame {
     Frame::new(Pose::default(), 0.2, columns, rows).expect("within the limits")
 }
 
-/// Means and covariance by the energy as it is written, over all free cells in their order.
+/// Computes means and covariance from the energy as it is written, over all free cells in their order.
 fn dense(
     free: &Grid<bool>,
     weights: Weights,
@@ -47,7 +47,7 @@ fn worst(field: &Field, cells: &[Cell], means: &DVector<f64>) -> f64 {
     errors.fold(0.0, f64::max)
 }
 
-/// 8 × 8 cells, a wall with a gap, six readings.
+/// Makes a map of 8 × 8 cells with a wall that has a gap, and six readings.
 fn walled() -> (Grid<bool>, Vec<Reading>) {
     let free = Grid::from_fn(frame(8, 8), |[column, row]| column != 4 || row == 6);
     let readings = [([0, 0], 3.0), ([2, 5], -1.0), ([3, 7], 12.0), ([5, 1], 40.0), ([7, 7], 0.5), ([6, 4], 7.0)];
@@ -86,7 +86,7 @@ fn variances_of_messages_are_too_small_and_those_of_the_factor_exact() {
         assert!((exact.get(*cell).unwrap().unwrap() / truth - 1.0).abs() < 1e-10);
         ratios.push(loops.get(*cell).unwrap().unwrap() / truth);
     }
-    // Here as far as a third of the true variance. None is too great: walks that the loops double are missing.
+    // Here down to a third of the true variance. None is too great: walks that the loops double are missing.
     assert!(ratios.iter().all(|ratio| *ratio < 1.0 + 1e-9), "{ratios:?}");
     let least = ratios.iter().copied().fold(1.0, f64::min);
     assert!((0.2..0.6).contains(&least), "{least}");
@@ -127,7 +127,7 @@ fn a_solve_and_messages_agree_and_go_on_from_each_other() {
     let solved = field.solve(1e-7).unwrap();
     let (cells, means, _) = dense(&free, GAS, &readings, 5.0);
     assert!(worst(&field, &cells, &means) < 1e-7 && field.error_bound() < 1e-3, "{solved:?}");
-    // At the fixed point there is nothing left to send.
+    // At the fixed point no message remains to be sent.
     assert_eq!(field.settle(1e-9, 1000).updates, 0);
     assert!(worst(&field, &cells, &means) < 1e-7);
     // A further reading is propagated from there.

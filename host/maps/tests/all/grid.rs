@@ -1,4 +1,4 @@
-//! Frames: cells and points of the world.
+//! Tests of frames: cells and points of the world.
 
 use proptest::{array::uniform3, prelude::*};
 use r4_maps::{
@@ -38,7 +38,7 @@ proptest! {
     fn a_plane_is_interpolated_exactly(frame in frames(), [u, v] in [0.0..1.0, 0.0..1.0]) {
         let plane = |[x, y]: [f64; 2]| 3.0 * x - 2.0 * y + 1.0;
         let grid = Grid::from_fn(frame, |cell| plane(frame.centre(cell)));
-        // Between the centres, where nothing is extended.
+        // Between the centres, where the border's values are not extended.
         let along = |share: f64, cells: usize| (0.5 + share * (cells - 1) as f64) * frame.cell_m();
         let point = frame.origin().outer([along(u, frame.columns()), along(v, frame.rows())]);
         prop_assert!((grid.interpolated(point).unwrap() - plane(point)).abs() < 1e-8);

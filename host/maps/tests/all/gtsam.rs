@@ -1,4 +1,4 @@
-//! Scalar fields beside GTSAM's elimination: `tests/oracle/gmrf.py`.
+//! Comparison of scalar fields with GTSAM's elimination: `tests/oracle/gmrf.py`.
 
 use r4_maps::{
     field::{Field, Reading, Weights},
@@ -20,7 +20,7 @@ struct Case {
     smoothness: f64,
     reading: f64,
     prior: f64,
-    /// Column, row, value.
+    /// Readings as column, row and value.
     readings: Vec<(usize, usize, f64)>,
     mean: Vec<f64>,
     variance: Vec<f64>,
@@ -34,7 +34,7 @@ fn means_and_variances_are_those_of_gtsam() {
         let frame = Frame::new(Pose::default(), 0.2, case.columns, case.rows).expect("within the limits");
         let free = Grid::of(frame, case.free).expect("one for each cell");
         let Case { smoothness, reading, prior, .. } = case;
-        // Nothing is forgotten: GTSAM's factors have no age.
+        // Readings do not age here: GTSAM's factors have no age.
         let mut field = Field::new(&free, Weights { smoothness, reading, forgetting_s: 1e12, prior }).unwrap();
         for (column, row, value) in case.readings {
             field.observe(Reading { cell: [column, row], value, at_s: 0.0 }).unwrap();

@@ -1,4 +1,5 @@
-//! Maps and planning beside direct solves, closed forms and scikit-learn, and properties that must hold for any input.
+//! Tests of maps and planning: comparison with direct solves, closed forms and scikit-learn, and properties that must
+//! hold for any input.
 
 mod field;
 mod grid;

@@ -1,4 +1,4 @@
-//! Occupancy by rays, and distances.
+//! Tests of occupancy by rays, and of distances.
 
 use proptest::{collection::vec, prelude::*};
 use r4_maps::{
@@ -22,7 +22,7 @@ proptest! {
             prop_assert!(pair[0].entered_m <= pair[1].entered_m);
         }
         prop_assert!(crossed.last().unwrap().entered_m <= distance_m(from, to));
-        // Each point in between lies in the cell that was entered last before it, or on its edge.
+        // Each point in between lies in the cell that was entered last, or on its edge.
         for step in 0..=200 {
             let share = f64::from(step) / 200.0;
             let point = [from[0] + share * (to[0] - from[0]), from[1] + share * (to[1] - from[1])];
@@ -71,7 +71,7 @@ fn log_odds_add_up_and_are_clamped() {
     assert!((map.probability([4, 0]).unwrap() - 0.3).abs() < 1e-12);
     (0..50).for_each(|_| map.insert(Pose::new(0.5, 0.5, 0.0), 0.0, 3.0).unwrap());
     assert!((map.probability([3, 0]).unwrap() - sensor.clamp[1]).abs() < 1e-12);
-    // What moved away is forgotten: ln(0.97/0.03 × 0.88/0.12) / ln(0.7/0.3) rays at most.
+    // An obstacle that moved away is forgotten after at most ln(0.97/0.03 × 0.88/0.12) / ln(0.7/0.3) rays.
     (0..7).for_each(|_| map.insert(Pose::new(0.5, 0.5, 0.0), 0.0, f64::INFINITY).unwrap());
     assert_eq!(map.state([3, 0]), Ok(State::Free));
 }
@@ -81,14 +81,14 @@ fn inflation_keeps_a_round_robot_off_walls_and_the_unknown() {
     let frame = Frame::new(Pose::default(), 0.1, 30, 30).unwrap();
     let mut map = Occupancy::new(frame, InverseSensor::lidar(5.0)).unwrap();
     for degree in (0..3600).map(|tenth| f64::from(tenth) / 10.0) {
-        // A round room of radius 1.2 m.
+        // A round room with a radius of 1.2 m.
         map.insert(Pose::new(1.5, 1.5, 0.0), degree.to_radians(), 1.2).unwrap();
     }
     let free = map.free_for(0.4);
     assert_eq!(free.at([1.5, 1.5]), Ok(&true));
     for (cell, is_free) in free.iter() {
         let radius_m = distance_m(frame.centre(cell), [1.5, 1.5]);
-        // Walls are the cells the rays end in, whose centres are up to half a diagonal (0.071 m) off.
+        // Walls are the cells in which the rays end; their centres are up to half a diagonal (0.071 m) off.
         assert!(!is_free || radius_m < 1.2 - 0.4 + 0.071, "{cell:?}");
         assert!(*is_free || radius_m > 1.2 - 0.4 - 0.071, "{cell:?}");
     }

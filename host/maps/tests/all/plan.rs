@@ -1,4 +1,4 @@
-//! Ways and local planning.
+//! Tests of paths and local planning.
 
 use proptest::{collection::vec, prelude::*};
 use r4_maps::{
@@ -22,7 +22,7 @@ fn local() -> Local {
 }
 
 fn driven(pose: Pose, drive: Drive) -> Pose {
-    // In small straight steps, not by the planner's arc.
+    // In small straight steps, not by the planner's formula for an arc.
     (0..100).fold(pose, |pose, _| {
         let step_s = PERIOD_S / 100.0;
         pose.then(Pose::new(drive.speed_m_s * step_s, 0.0, drive.turn_rad_s * step_s))
@@ -38,7 +38,7 @@ proptest! {
         match distances_m(&free, start) {
             Ok(all_m) => for (cell, found_m) in all_m.iter() {
                 match route(&free, start, cell) {
-                    // Equally long ways add up in another order.
+                    // Equally long paths have their sums in another order.
                     Ok(way) => prop_assert!((way.cost - found_m).abs() < 1e-12),
                     Err(_) => prop_assert!(found_m.is_infinite()),
                 }
@@ -60,7 +60,7 @@ proptest! {
         for _ in 0..150 {
             let next = match local().choose(&clear_m, pose, drive, target) {
                 Ok(choice) => choice.drive,
-                // It brakes on its arc, which was free.
+                // The drive brakes on its arc, which was free.
                 Err(Blocked::Ahead { .. }) => {
                     let speed_m_s = (drive.speed_m_s - LIMITS.acceleration_m_s2 * PERIOD_S).max(0.0);
                     let share = if drive.speed_m_s > 0.0 { speed_m_s / drive.speed_m_s } else { 0.0 };
@@ -72,8 +72,8 @@ proptest! {
             prop_assert!((0.0..=LIMITS.speed_m_s).contains(&next.speed_m_s) && next.turn_rad_s.abs() <= LIMITS.turn_rad_s);
             drive = next;
             pose = driven(pose, drive);
-            // Arcs are looked at every half cell, 0.025 m from a place between, and the distance is interpolated between cells' centres,
-            // up to 0.071 m away.
+            // Arcs are checked every half cell, so that a place is up to 0.025 m from a check, and the distance is
+            // interpolated between cells' centres, up to 0.071 m away.
             for (cell, _) in marked.iter().filter(|(_, marked)| **marked) {
                 let away_m = distance_m(marked.frame().centre(cell), pose.point());
                 prop_assert!(away_m > LIMITS.clearance_m - 0.1, "{} m at {:?}", away_m, pose);
@@ -107,7 +107,7 @@ fn what_blocks_is_said() {
     let marked = Grid::from_fn(frame(40, 20), |[column, _]| column == 20);
     let clear_m = clearance_m(&marked);
     let fast = Drive { speed_m_s: 0.5, turn_rad_s: 0.0 };
-    // 0.25 m to stop, and a wall 0.3 m of clearance plus 0.1 m ahead.
+    // The drive needs 0.25 m to stop; the wall is at 0.3 m of clearance plus 0.1 m.
     let near = Pose::new(1.65, 1.0, 0.0);
     assert!(matches!(local().choose(&clear_m, near, fast, [3.0, 1.0]), Err(Blocked::Ahead { tried: 231 })));
     assert!(local().choose(&clear_m, near, Drive::default(), [3.0, 1.0]).is_ok());

@@ -1,4 +1,4 @@
-//! Regression beside scikit-learn's, and sites beside a search.
+//! Comparison of the regression with scikit-learn's, and of sites with a search.
 
 use nalgebra::DMatrix;
 use r4_maps::process::{Criterion, Kernel, Normal, Process, ProcessError, Sample, next_sites};
@@ -94,7 +94,7 @@ fn a_fit_is_at_least_as_likely_as_what_made_the_samples() {
     let fitted = process.fitted(low, high, Effort { points: 10, generations: 8, simplex: 150 }, 3).unwrap();
     assert!(fitted.log_likelihood() > process.log_likelihood());
     assert!((fitted.kernel().noise / truth.noise - 1.0).abs() < 1e-12);
-    // A maximum: no parameter can be changed by 2 % to the better, but for what 190 evaluations leave.
+    // At a maximum no change of a parameter by 2 % gains, except for the remaining error after 190 evaluations.
     let mut longer = *fitted.kernel();
     longer.length_m *= 1.3;
     assert!(Process::of(longer, &samples).unwrap().log_likelihood() < fitted.log_likelihood());
@@ -112,7 +112,7 @@ fn on_one_drive_place_and_time_are_confounded_and_coming_back_parts_them() {
     let before = process.predict([0.0, 0.0], 200.0);
     process.add(Sample { at: [0.0, 0.0], at_s: 200.0, value: value(0.0, 200.0) }).unwrap();
     let after = process.predict([0.0, 0.0], 200.0);
-    // The sum is known on the way; the parts only as far as the loop closes.
+    // During the drive the sum is known; the parts only as far as the loop closes.
     let there = process.predict([5.0, 0.0], 100.0);
     assert!(there.sum.variance < 0.3 && there.time.variance > 5.0, "{there:?}");
     assert!(after.time.variance < 0.7 * before.time.variance, "{before:?} {after:?}");

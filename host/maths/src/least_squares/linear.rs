@@ -4,15 +4,15 @@ use nalgebra::{DMatrix, DVector};
 
 use super::{Fit, FitError, Scaled};
 
-/// Ordinary least squares: the parameters of `observed ≈ design × parameters`.
+/// Fits by ordinary least squares: the parameters of `observed ≈ design × parameters`.
 ///
 /// | name | shape | unit |
 /// | --- | --- | --- |
 /// | `design` | observations × parameters | that of an observation over that of the column's parameter |
 /// | `observed` | observations | the same for all |
 ///
-/// Columns may be of any scale; they are decomposed (SVD) with length 1. Errors of the parameters suppose independent
-/// residuals of equal variance.
+/// Columns may be of any scale; they are decomposed (SVD) with length 1. The standard errors of the parameters assume
+/// independent residuals of equal variance.
 ///
 /// # Errors
 /// [`FitError`], all but [`FitError::Deviation`].
@@ -34,9 +34,9 @@ pub fn linear(design: &DMatrix<f64>, observed: &[f64]) -> Result<Fit, FitError> 
     fit(design, observed, None)
 }
 
-/// Weighted least squares: as [`linear`], for observations of different standard deviations.
+/// Fits by weighted least squares: as [`linear`], for observations of different standard deviations.
 ///
-/// Only the ratios of the deviations matter: their common factor is estimated by the residuals, in
+/// Only the ratios of the standard deviations matter: their common factor is estimated from the residuals, in
 /// [`Fit::residual_variance`].
 ///
 /// # Errors
@@ -48,7 +48,7 @@ pub fn linear(design: &DMatrix<f64>, observed: &[f64]) -> Result<Fit, FitError> 
 /// ```
 /// use nalgebra::DMatrix;
 /// let ones = DMatrix::repeat(3, 1, 1.0);
-/// // The third sensor is worth nearly nothing.
+/// // The third sensor has nearly no weight.
 /// let fit = r4_maths::least_squares::weighted(&ones, &[1.0, 3.0, 99.0], &[0.1, 0.1, 1e6]).unwrap();
 /// assert!((fit.parameters[0] - 2.0).abs() < 1e-6);
 /// ```
@@ -87,7 +87,7 @@ fn fit(design: &DMatrix<f64>, observed: &[f64], deviations: Option<&[f64]>) -> R
     let scaled = Scaled::of(&left)?;
     let collinear = FitError::Collinear { rank: 0, parameters };
     let mut estimates = scaled.solve(&right).ok_or(collinear)?;
-    // Once more for what rounding has left: a digit or two for ill-conditioned designs.
+    // One step of iterative refinement: it gains a digit or two for ill-conditioned designs.
     estimates += scaled.solve(&(&right - &left * &estimates)).ok_or(collinear)?;
     let residuals = observed - design * &estimates;
     let weighted = weights.map_or_else(|| residuals.clone(), |weights| residuals.component_mul(&weights));

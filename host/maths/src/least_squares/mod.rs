@@ -11,38 +11,38 @@ use thiserror::Error;
 
 use crate::statistics::{Interval, StatisticsError, student_quantile};
 
-/// Data or a model that no fit can be made of.
+/// Reason why data or a model cannot be fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum FitError {
     /// Observations and rows of the design matrix, or deviations, differ in number.
     #[error("{rows} rows for {observed} observations: give as many of both")]
     Shape {
-        /// Rows of the design matrix, or deviations.
+        /// Number of rows of the design matrix, or of standard deviations.
         rows: usize,
-        /// Observations.
+        /// Number of observations given.
         observed: usize,
     },
-    /// A model without parameters.
+    /// The model has no parameters.
     #[error("the model has no parameters to fit")]
     NoParameters,
-    /// Not more observations than parameters: no residual would be left to estimate their errors from.
+    /// There are not more observations than parameters, so that no residual remains to estimate standard errors from.
     #[error("{observed} observations for {parameters} parameters: more observations than parameters are needed")]
     TooFew {
-        /// Observations.
+        /// Number of observations given.
         observed: usize,
-        /// Parameters.
+        /// Number of parameters to fit.
         parameters: usize,
     },
-    /// A NaN or infinite number in the data, or in the residuals of the initial guess.
+    /// A number in the data, or in the residuals of the initial guess, is NaN or infinite.
     #[error("row {row} has a number that is not finite: leave it out, or start elsewhere")]
     NotFinite {
-        /// Its row, from 0.
+        /// Row of the number, from 0.
         row: usize,
     },
-    /// A standard deviation that is not greater than 0.
+    /// A standard deviation is not greater than 0.
     #[error("the standard deviation of row {row} is not greater than 0")]
     Deviation {
-        /// Its row, from 0.
+        /// Row of the standard deviation, from 0.
         row: usize,
     },
     /// Parameters are collinear: the data determine only combinations of them.
@@ -50,33 +50,33 @@ pub enum FitError {
         "the data determine {rank} combinations of {parameters} parameters: fix some, or record what sets them apart"
     )]
     Collinear {
-        /// Independent combinations.
+        /// Number of independent combinations.
         rank: usize,
-        /// Parameters.
+        /// Number of parameters to fit.
         parameters: usize,
     },
     /// The iteration ended without a minimum.
     #[error("no minimum after {evaluations} evaluations: start nearer to it")]
     NotConverged {
-        /// Evaluations of the residuals, without those of derivatives.
+        /// Number of evaluations of the residuals, without those of derivatives.
         evaluations: usize,
     },
 }
 
-/// Fitted parameters.
+/// Fitted parameters with their covariance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fit {
     /// Estimates, in the order of the columns or of the initial guess.
     pub parameters: DVector<f64>,
     /// Covariance of the estimates: residual variance times (JᵀJ)⁻¹, unless [`Fit::autocorrelated`] replaced it.
     pub covariance: DMatrix<f64>,
-    /// Contribution of each observation, a row, to the errors of the estimates: (JᵀJ)⁻¹ Jᵢ rᵢ, weighted.
+    /// Influence of each observation, a row, on the errors of the estimates: (JᵀJ)⁻¹ Jᵢ rᵢ, weighted.
     pub influence: DMatrix<f64>,
     /// Observed minus predicted for linear fits, as the caller computed them for nonlinear ones; not weighted.
     pub residuals: DVector<f64>,
     /// Sum of the squared (weighted) residuals over the degrees of freedom.
     pub residual_variance: f64,
-    /// Observations minus parameters.
+    /// Number of observations minus number of parameters.
     pub degrees_of_freedom: usize,
     /// Condition number of the design matrix or Jacobian with columns of length 1; relative errors of the data may grow by as
     /// much in the parameters.
@@ -84,7 +84,7 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// Standard error of each parameter, in its unit.
+    /// Returns the standard error of each parameter, in its unit.
     ///
     /// ```
     /// use nalgebra::DMatrix;
@@ -97,10 +97,11 @@ impl Fit {
         self.covariance.diagonal().iter().map(|variance| variance.sqrt()).collect()
     }
 
-    /// The same fit with the covariance of estimates whose errors are correlated over up to `lag` successive observations, and of unlike
-    /// variance: what a model does not explain of a time series is seldom white. [`newey_west_lag`] is the usual choice.
+    /// Returns the same fit with a covariance for residuals that are correlated over up to `lag` successive
+    /// observations and of unequal variance: unmodelled effects in a time series are seldom white. [`newey_west_lag`]
+    /// is the usual choice.
     ///
-    /// The correction for few observations is n / (n - p), as statsmodels has it.
+    /// The correction for few observations is n / (n - p), as in statsmodels.
     ///
     /// # Source
     /// Newey, West, *A Simple, Positive Semi-Definite, Heteroskedasticity and Autocorrelation Consistent Covariance Matrix*,
@@ -108,7 +109,7 @@ impl Fit {
     ///
     /// ```
     /// use nalgebra::DMatrix;
-    /// // Each reading was taken twice: a mean of eight numbers that is worth one of four.
+    /// // Each reading was taken twice: a mean of eight numbers with the information of four.
     /// let twice = [1.0, 1.0, 5.0, 5.0, 2.0, 2.0, 4.0, 4.0];
     /// let fit = r4_maths::least_squares::linear(&DMatrix::repeat(8, 1, 1.0), &twice).unwrap();
     /// let white = fit.standard_errors()[0];
@@ -121,7 +122,7 @@ impl Fit {
         for distance in 1..=lag.min(observed.saturating_sub(1)) {
             let rows = observed - distance;
             let product = self.influence.rows(0, rows).tr_mul(&self.influence.rows(distance, rows));
-            // Bartlett's weights, which keep the matrix positive semi-definite.
+            // Bartlett's weights keep the matrix positive semi-definite.
             let weight = 1.0 - distance as f64 / (lag + 1) as f64;
             covariance += (&product + product.transpose()) * weight;
         }
@@ -129,7 +130,7 @@ impl Fit {
         self
     }
 
-    /// Student's t intervals of all parameters, each by itself; exact for linear fits with normal errors.
+    /// Returns Student's t intervals of all parameters, each by itself; exact for linear fits with normal errors.
     ///
     /// # Errors
     /// A `level` outside 0 < level < 1.
@@ -153,7 +154,8 @@ impl Fit {
     }
 }
 
-/// Lag for [`Fit::autocorrelated`] that grows slowly enough with the number of observations: the integer part of 4 (n / 100)^(2/9).
+/// Returns a lag for [`Fit::autocorrelated`] that grows slowly enough with the number of observations: the integer part
+/// of 4 (n / 100)^(2/9).
 ///
 /// # Source
 /// Newey, West, *Automatic Lag Selection in Covariance Matrix Estimation*, Review of Economic Studies 61 (1994) 631-653.
@@ -167,7 +169,8 @@ pub fn newey_west_lag(observed: usize) -> usize {
     (4.0 * (observed as f64 / 100.0).powf(2.0 / 9.0)) as usize
 }
 
-/// A matrix with its columns scaled to length 1, decomposed: columns of different units have no condition in common.
+/// Matrix with its columns scaled to length 1, decomposed: the condition of columns with different units has no
+/// meaning.
 struct Scaled {
     svd: nalgebra::SVD<f64, nalgebra::Dyn, nalgebra::Dyn>,
     lengths: DVector<f64>,
@@ -186,7 +189,8 @@ impl Scaled {
         }
         let svd = scaled.svd(true, true);
         let greatest = svd.singular_values.max();
-        // What rounding alone leaves of a singular value that is 0 (Golub, Van Loan, Matrix Computations, 4th edition, 5.4.1).
+        // A singular value of 0 is at most this large after rounding (Golub, Van Loan, Matrix Computations, 4th
+        // edition, 5.4.1).
         let rank = svd.rank(rows.max(parameters) as f64 * f64::EPSILON * greatest);
         if rank < parameters {
             return Err(FitError::Collinear { rank, parameters });
@@ -195,12 +199,12 @@ impl Scaled {
         Ok(Self { svd, lengths, condition })
     }
 
-    /// Parameters with the least sum of squares.
+    /// Returns the parameters with the least sum of squares.
     fn solve(&self, observed: &DVector<f64>) -> Option<DVector<f64>> {
         Some(self.svd.solve(observed, 0.0).ok()?.component_div(&self.lengths))
     }
 
-    /// Rows (JᵀJ)⁻¹ Jᵢ rᵢ of the scaled matrix J.
+    /// Returns the rows (JᵀJ)⁻¹ Jᵢ rᵢ of the scaled matrix J.
     fn influence(&self, matrix: &DMatrix<f64>, residuals: &DVector<f64>) -> DMatrix<f64> {
         let mut rows = matrix * self.inverse_gram();
         for (mut row, residual) in rows.row_iter_mut().zip(residuals) {
@@ -209,7 +213,7 @@ impl Scaled {
         rows
     }
 
-    /// (JᵀJ)⁻¹.
+    /// Returns the inverse (JᵀJ)⁻¹ of the scaled matrix J.
     fn inverse_gram(&self) -> DMatrix<f64> {
         let count = self.lengths.len();
         let Some(mut rows) = self.svd.v_t.clone() else { return DMatrix::zeros(count, count) };

@@ -5,12 +5,13 @@ use nalgebra::{DMatrix, DVector, Dyn, storage::Owned};
 
 use super::{Fit, FitError, Scaled};
 
-/// Nonlinear least squares: the parameters at which the sum of squared `residuals` is least, followed from an initial guess.
+/// Fits by nonlinear least squares: finds the parameters with the least sum of squared `residuals`, from an initial
+/// guess.
 ///
-/// `residuals` returns one number for each observation, as many each time, of equal standard deviation (divide each by its
-/// own). Derivatives are central differences, with steps of 6e-6 of a parameter's magnitude or that of its guess: give a
-/// parameter that may be 0 a guess of its scale. The covariance follows from the Jacobian at the minimum: it is what a linear
-/// model with this slope would have.
+/// `residuals` returns one number for each observation, always the same number of them, of equal standard deviation
+/// (divide each by its own). Derivatives are central differences, with steps of 6e-6 of a parameter's magnitude or that
+/// of its guess: give a parameter that may be 0 a guess of its scale. The covariance follows from the Jacobian at the
+/// minimum, as for a linear model with this slope.
 ///
 /// # Errors
 /// [`FitError`], all but [`FitError::Shape`] and [`FitError::Deviation`].
@@ -46,7 +47,7 @@ pub fn nonlinear(start: &[f64], residuals: impl Fn(&[f64]) -> Vec<f64>) -> Resul
     let problem = Problem { residuals: &residuals, at: DVector::from_column_slice(start), scales, observed };
     let (problem, report) = LevenbergMarquardt::new().minimize(problem);
     let not_converged = FitError::NotConverged { evaluations: report.number_of_evaluations };
-    // Rounding ended the iteration before its tolerance did: there is no better place.
+    // Rounding ended the iteration before its tolerance did: there is no better point.
     let settled = report.termination.was_successful()
         || matches!(report.termination, TerminationReason::NoImprovementPossible(_));
     let (Some(residuals), Some(jacobian)) = (problem.residuals(), problem.jacobian()) else {
@@ -72,13 +73,13 @@ pub fn nonlinear(start: &[f64], residuals: impl Fn(&[f64]) -> Vec<f64>) -> Resul
 struct Problem<'r, F> {
     residuals: &'r F,
     at: DVector<f64>,
-    /// Magnitude of each parameter that its step does not fall below.
+    /// Scale of each parameter: the lower limit of its step.
     scales: Vec<f64>,
     observed: usize,
 }
 
 impl<F: Fn(&[f64]) -> Vec<f64>> Problem<'_, F> {
-    /// `None` where the model has no finite values.
+    /// Returns the residuals at a point; `None` where the model has no finite values.
     fn look(&self, at: &[f64]) -> Option<DVector<f64>> {
         let residuals = (self.residuals)(at);
         let is_usable = residuals.len() == self.observed && residuals.iter().all(|residual| residual.is_finite());
@@ -100,7 +101,7 @@ impl<F: Fn(&[f64]) -> Vec<f64>> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'
     }
 
     fn residuals(&self) -> Option<DVector<f64>> {
-        // So far from any data that the iteration goes back and takes a shorter step; its square is still finite.
+        // Larger than any data, so that the iteration goes back and takes a shorter step; the square is still finite.
         Some(self.look(self.at.as_slice()).unwrap_or_else(|| DVector::repeat(self.observed, 1e100)))
     }
 
@@ -109,14 +110,15 @@ impl<F: Fn(&[f64]) -> Vec<f64>> LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'
         let mut at = self.at.clone();
         for (column, scale) in self.scales.iter().enumerate() {
             let middle = self.at[column];
-            // The cube root balances the error of a central difference, by the step's square, with that of rounding.
+            // With the cube root the error of a central difference, which grows with the step's square, balances that
+            // of rounding.
             let step = f64::EPSILON.cbrt() * middle.abs().max(*scale);
             at[column] = middle + step;
             let above = self.look(at.as_slice())?;
             let high = at[column];
             at[column] = middle - step;
             let below = self.look(at.as_slice())?;
-            // As the numbers were rounded.
+            // The width of the rounded numbers, not twice the step.
             let width = high - at[column];
             at[column] = middle;
             jacobian.set_column(column, &((above - below) / width));

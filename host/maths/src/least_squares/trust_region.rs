@@ -1,39 +1,45 @@
 //! Levenberg-Marquardt on the normal equations, for problems that sum them themselves.
 //!
-//! A model of many recordings has few parameters that concern all of them and, for each, some that concern it alone. The rows of a
-//! recording are zero in the columns of all others: a QR decomposition of the whole Jacobian costs the square of all columns for
-//! each row, and needs all rows in memory. A problem that adds up `JᵀJ` one recording at a time needs neither.
+//! A model of many recordings has a few common parameters and, for each recording, some of its own. The rows of a
+//! recording are zero in the columns of all others. A QR decomposition of the whole Jacobian costs the square of all
+//! columns for each row, and needs all rows in memory. A problem that adds up `JᵀJ` one recording at a time needs
+//! neither.
 //!
-//! The square of a condition number is the price. Columns are scaled to length one before, and a step only has to make the
-//! cost smaller: what is lost is speed in directions in which the data say less than a millionth of what they say in others.
+//! The normal equations square the condition number. Columns are scaled to length one before, and a step only has to
+//! reduce the cost: the loss is speed, in directions in which the data have less than a millionth of the information of
+//! others.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-/// Added to the diagonal of scaled normal equations, so that what the data do not show has a step: about as large as their rounding.
+/// Ridge on the diagonal of the scaled normal equations, about as large as their rounding, so that unobservable
+/// directions have a step.
 const RIDGE: f64 = 1e-13;
-/// A step within this share of the trust region's radius is as long as it.
+/// Tolerance of a step's length to the trust region's radius, as a share of it.
 const ON_EDGE: f64 = 0.1;
-/// Values of the damping that are tried for one step.
+/// Maximum number of damping values for one step.
 const DAMPINGS: usize = 10;
-/// A step that gains so much of what was predicted is taken.
+/// Lowest accepted gain of a step, as a share of the predicted one.
 const LEAST_RATIO: f64 = 1e-4;
 
-/// What is minimised: half the sum of squares of residuals that depend on variables.
+/// Sum of squares to be minimised: half the sum of squares of residuals that depend on variables.
 pub trait SumOfSquares {
-    /// Values of the variables at which the problem stands.
+    /// Returns the present values of the variables.
     fn variables(&self) -> &DVector<f64>;
 
-    /// Goes elsewhere and returns the sum of squares there; `None` ends the search, there.
+    /// Sets the variables and returns the sum of squares there; `None` ends the search at this point.
     fn go(&mut self, variables: &DVector<f64>) -> Option<f64>;
 
-    /// `JᵀJ` and `Jᵀr` where it is, of the Jacobian `J` and the residuals `r`; `None` ends the search.
+    /// Returns `JᵀJ` and `Jᵀr` at the present values, of the Jacobian `J` and the residuals `r`; `None` ends the
+    /// search.
     fn normal(&mut self) -> Option<(DMatrix<f64>, DVector<f64>)>;
 }
 
-/// Follows a sum of squares downhill from where it is, with `sum` there, until a step gains less than `tolerance` of the sum or is
-/// shorter than `tolerance` of the variables, or the problem ends it. The first step is at most as long as the variables are.
+/// Minimises a sum of squares from the present values, with `sum` there, until a step gains less than `tolerance` of
+/// the sum or is shorter than `tolerance` of the variables, or the problem ends it. The first step is at most as long
+/// as the vector of variables.
 ///
-/// The problem ends where it looked last, which may be beyond the best place: it has to remember that.
+/// The problem ends at the last point that was tried, which may be worse than the best one: the problem has to remember
+/// that.
 ///
 /// # Source
 /// Moré, "The Levenberg-Marquardt Algorithm: Implementation and Theory", in *Numerical Analysis*, Springer 1978, whose rules for the
@@ -46,7 +52,7 @@ pub fn minimise(problem: &mut impl SumOfSquares, mut sum: f64, tolerance: f64) {
         for (scale, square) in scales.iter_mut().zip(gram.diagonal().iter()) {
             *scale = square.sqrt().max(*scale);
         }
-        // What changes nothing keeps its place.
+        // A variable without influence keeps its value.
         let scales_or_one = scales.map(|scale| if scale > 0.0 { scale } else { 1.0 });
         let mut is_first = radius.is_nan();
         if is_first {
@@ -99,7 +105,7 @@ struct Scaled {
 }
 
 impl Scaled {
-    /// `None` at a stationary point, and where something is not finite.
+    /// Scales the equations; `None` at a stationary point, and where a number is not finite.
     fn of(gram: &DMatrix<f64>, gradient: &DVector<f64>, scales: &DVector<f64>) -> Option<Self> {
         let gram = DMatrix::from_fn(gram.nrows(), gram.ncols(), |row, column| {
             gram[(row, column)] / (scales[row] * scales[column])
@@ -117,9 +123,10 @@ impl Scaled {
         Cholesky::new(damped)
     }
 
-    /// The step to the minimum of the quadratic model within a radius, and the damping that keeps it there.
+    /// Returns the step to the minimum of the quadratic model within a radius, and changes the damping that keeps it
+    /// there.
     fn step(&self, radius: f64, damping: &mut f64) -> Option<DVector<f64>> {
-        // The step, what it is too long by, and the share of the damping's next change, by Newton's rule on the length.
+        // Returns the step, its excess length, and the relative change of the damping by Newton's rule on the length.
         let at = |cholesky: Cholesky<f64, Dyn>| {
             let step = -cholesky.solve(&self.gradient);
             let length = step.norm();
@@ -172,7 +179,7 @@ impl Scaled {
 mod tests {
     use super::*;
 
-    /// Residuals as a function; derivatives by differences, summed as a problem of one recording.
+    /// Residuals as a function, with derivatives by differences, as a problem of one recording.
     struct Residuals<F> {
         of: F,
         at: DVector<f64>,
@@ -218,8 +225,8 @@ mod tests {
         }
     }
 
-    /// More, Garbow and Hillstrom, "Testing Unconstrained Optimization Software", ACM Transactions on Mathematical Software 7 (1981),
-    /// 17-41: problems 1, 3, 13 and 15, from their usual starts; their least sums.
+    /// Known minima: More, Garbow and Hillstrom, "Testing Unconstrained Optimization Software", ACM Transactions on
+    /// Mathematical Software 7 (1981), 17-41: problems 1, 3, 13 and 15, from their usual starts; their least sums.
     #[test]
     fn known_minima_are_found() {
         let rosenbrock = |x: &[f64]| vec![10.0 * (x[1] - x[0] * x[0]), 1.0 - x[0]];
@@ -230,7 +237,7 @@ mod tests {
         let done = Residuals::minimised(powell_scaled, &[0.0, 1.0]);
         assert!(done.sum() < 1e-12, "Powell's badly scaled: {:?} leaves {}", done.at, done.sum());
 
-        // Its Jacobian is singular at the minimum.
+        // The Jacobian is singular at the minimum.
         let powell = |x: &[f64]| {
             let far = 10.0_f64.sqrt() * (x[0] - x[3]).powi(2);
             vec![x[0] + 10.0 * x[1], 5.0_f64.sqrt() * (x[2] - x[3]), (x[1] - 2.0 * x[2]).powi(2), far]
@@ -253,7 +260,8 @@ mod tests {
         let line = |x: &[f64]| [1.0, 2.0, 3.0, 4.0].map(|t| x[0] * t + x[2] - (3.0 * t + 0.5)).to_vec();
         let done = Residuals::minimised(line, &[1.0, 7.0, 0.0]);
         assert!(done.sum() < 1e-20 && done.at[1] == 7.0, "{:?}", done.at);
-        // Two numbers of which only the sum shows: any of them, without end or absurdity.
+        // Only the sum of two variables has an influence: any values of them are right, as long as the search ends and
+        // they are finite.
         let sum = |x: &[f64]| [1.0, 2.0, 3.0].map(|t| (x[0] + x[1]) * t - 6.0 * t).to_vec();
         let done = Residuals::minimised(sum, &[1.0, 2.0]);
         assert!(done.sum() < 1e-16 && done.at.amax() < 10.0, "{:?}", done.at);

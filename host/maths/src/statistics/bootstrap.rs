@@ -10,37 +10,37 @@ use super::{
 
 /// Settings of a bootstrap.
 ///
-/// Resamples are sampled from the seed: the same seed, sample and statistic give the same interval, bit by bit.
+/// The same seed, sample and statistic give the same resamples and the same interval, bit by bit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bootstrap {
-    /// Resamples, at least 2. An end of a 95 % interval of 10 000 has a standard error of 2 % of the distribution's standard
-    /// deviation, of 1000 one of 7 %.
+    /// Number of resamples, at least 2. An end of a 95 % interval of 10 000 has a standard error of 2 % of the
+    /// distribution's standard deviation, of 1000 one of 7 %.
     pub resamples: usize,
-    /// Confidence of the interval, such as 0.95.
+    /// Confidence level of the interval, such as 0.95.
     pub confidence: f64,
-    /// Where the random numbers start.
+    /// Seed of the random numbers.
     pub seed: u64,
 }
 
-/// A statistic with the interval that its bootstrap gives, in the statistic's unit.
+/// Statistic with its bootstrap interval, in the statistic's unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
-    /// The statistic of the sample itself.
+    /// Statistic of the sample itself.
     pub value: f64,
     /// Standard deviation of the resampled statistic.
     pub standard_error: f64,
-    /// Confidence interval.
+    /// Confidence interval of the statistic.
     pub interval: Interval,
 }
 
 impl Bootstrap {
-    /// 10 000 resamples, 95 % confidence.
+    /// Makes settings with 10 000 resamples and 95 % confidence.
     #[must_use]
     pub const fn new(seed: u64) -> Self {
         Self { resamples: 10_000, confidence: 0.95, seed }
     }
 
-    /// Percentile interval of a statistic of independent items: numbers, pairs, whole runs.
+    /// Returns the percentile interval of a statistic of independent items: numbers, pairs, whole runs.
     ///
     /// Right where the resampled statistic is unbiased and symmetric; otherwise [`Self::bca`] covers better.
     ///
@@ -66,10 +66,10 @@ impl Bootstrap {
         self.estimate(sample, 1, statistic)
     }
 
-    /// Bias-corrected and accelerated (BCa) interval of a statistic of independent items.
+    /// Returns the bias-corrected and accelerated (BCa) interval of a statistic of independent items.
     ///
-    /// Second-order accurate; calls the statistic once more for each item. Too narrow for fewer than about 10 items, as every
-    /// bootstrap.
+    /// Second-order accurate; calls the statistic once more for each item. Too narrow for fewer than about 10 items,
+    /// like every bootstrap.
     ///
     /// # Errors
     /// Those of [`Self::percentile`], and [`StatisticsError::NoSpread`] where all resamples have the same statistic, or all
@@ -91,7 +91,7 @@ impl Bootstrap {
         let mut others = sample[1..].to_vec();
         let mut jackknife = Vec::with_capacity(sample.len());
         jackknife.push(statistic(&others));
-        // Puts back one that was left out where the next one is, which is then left out.
+        // The item at `place` returns and the next one is left out, so that one copy serves for all.
         for (place, item) in sample[..sample.len() - 1].iter().enumerate() {
             others[place].clone_from(item);
             jackknife.push(statistic(&others));
@@ -103,11 +103,11 @@ impl Bootstrap {
         })
     }
 
-    /// Percentile interval of a statistic of a time series, whose neighbouring samples depend on each other.
+    /// Returns the percentile interval of a statistic of a time series with correlated samples.
     ///
-    /// Resamples are made of blocks of `block` consecutive samples, which begin anywhere and go on at the start behind the
-    /// end. Blocks should be several correlation times long; the cube root of the number of samples is a common choice when
-    /// nothing is known.
+    /// Resamples consist of blocks of `block` consecutive samples, which begin anywhere and wrap round from the end to
+    /// the start. Blocks should be several correlation times long; the cube root of the number of samples is a common
+    /// choice when nothing is known.
     ///
     /// # Errors
     /// Those of [`Self::percentile`], and [`StatisticsError::Block`] for empty blocks or ones longer than the series.
@@ -122,7 +122,7 @@ impl Bootstrap {
     /// let of_mean = |values: &[f64]| mean(values).unwrap_or(f64::NAN);
     /// let alone = Bootstrap::new(1).percentile(&error_m, of_mean).unwrap();
     /// let in_blocks = Bootstrap::new(1).block(&error_m, 20, of_mean).unwrap();
-    /// // Neighbours that are alike say less than so many independent samples.
+    /// // Correlated neighbours have less information than as many independent samples.
     /// assert!(in_blocks.interval.width() > 2.0 * alone.interval.width());
     /// ```
     pub fn block<T: Clone>(
@@ -151,7 +151,7 @@ impl Bootstrap {
         })
     }
 
-    /// The sample's statistic, and that of each resample.
+    /// Returns the sample's statistic, and that of each resample.
     fn distribution<T: Clone>(
         &self,
         sample: &[T],
@@ -168,6 +168,7 @@ impl Bootstrap {
         let mut resample = sample.to_vec();
         let mut distribution = Vec::with_capacity(self.resamples);
         for number in 0..self.resamples {
+            // Blocks of one item are the ordinary bootstrap of independent items.
             for items in resample.chunks_mut(block) {
                 let first = below(&mut random, sample.len());
                 for (place, item) in items.iter_mut().enumerate() {
@@ -184,16 +185,17 @@ impl Bootstrap {
     }
 }
 
-/// Makes neighbouring seeds start far apart: any odd number does.
+/// Stream of the generator, any odd number: it makes neighbouring seeds start far apart.
 const SEQUENCE: u128 = 0x9e37_79b9_7f4a_7c15_f39c_c060_5ced_c835;
 
-/// Evenly distributed below `end`, which is not 0: the high half of a product (Lemire, "Fast Random Integer Generation in an
-/// Interval", ACM TOMACS 29, 2019), without its rejection, whose absence favours no number by more than `end` / 2^64.
+/// Returns a uniform number below `end`, which is not 0: the high half of a product (Lemire, "Fast Random Integer
+/// Generation in an Interval", ACM TOMACS 29, 2019), without its rejection, whose absence favours no number by more
+/// than `end` / 2^64.
 fn below(random: &mut Pcg64Mcg, end: usize) -> usize {
     ((u128::from(random.next_u64()) * end as u128) >> 64) as usize
 }
 
-/// Percentile interval of a statistic that somebody else has resampled.
+/// Returns the percentile interval of a statistic that the caller has resampled.
 ///
 /// # Errors
 /// Fewer than two values, one that is not finite, or a `level` outside 0 < level < 1.
@@ -212,8 +214,8 @@ pub fn percentile_interval(distribution: &[f64], level: f64) -> Result<Interval,
     ends(distribution, [f64::midpoint(0.0, 1.0 - level), f64::midpoint(1.0, level)])
 }
 
-/// BCa interval of a statistic that somebody else has resampled: `value` is that of the sample, `jackknife` that of the sample
-/// without each of its items.
+/// Returns the BCa interval of a statistic that the caller has resampled: `value` is that of the sample, `jackknife`
+/// that of the sample without each of its items.
 ///
 /// # Errors
 /// Fewer than two values of either, one that is not finite, a `level` outside 0 < level < 1, or
@@ -240,15 +242,17 @@ pub fn bca_interval(
     finite(jackknife, 2)?;
     finite(&[value], 1)?;
     let count = |is: fn(&f64, &f64) -> bool| distribution.iter().filter(|other| is(other, &value)).count() as f64;
+    // Resamples equal to the value count half, or a discrete statistic would look biased.
     let below = (count(f64::lt) + count(f64::le)) / (2.0 * distribution.len() as f64);
     let bias = normal_quantile(below);
+    // All resamples on one side: the quantile of 0 or 1 is infinite.
     if !bias.is_finite() {
         return Err(StatisticsError::NoSpread);
     }
     let middle = jackknife.iter().sum::<f64>() / jackknife.len() as f64;
     let power = |exponent| jackknife.iter().map(|other| (middle - other).powi(exponent)).sum::<f64>();
     let squares = power(2);
-    // A statistic that no item moves is not skewed by any.
+    // A statistic that no item changes has no skew.
     let acceleration = if squares > 0.0 { power(3) / (6.0 * squares.powf(1.5)) } else { 0.0 };
     let adjusted = |probability| {
         let shifted = bias + normal_quantile(probability);

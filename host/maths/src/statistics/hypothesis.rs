@@ -4,22 +4,22 @@ use statrs::distribution::{Binomial, ContinuousCDF, DiscreteCDF, StudentsT};
 
 use super::{StatisticsError, finite, interval::normal_probability, mean, paired, variance};
 
-/// What a small p-value speaks for, seen from the first sample.
+/// Alternative hypothesis, as seen from the first sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Alternative {
-    /// The samples differ, either way.
+    /// The samples differ, in either direction.
     #[default]
     TwoSided,
-    /// The first is smaller.
+    /// The first sample is smaller.
     Less,
-    /// The first is greater.
+    /// The first sample is greater.
     Greater,
 }
 
 /// Result of a t-test.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TTest {
-    /// First mean minus second, in the values' unit.
+    /// Mean of the first sample minus that of the second, in the values' unit.
     pub difference: f64,
     /// Standard error of the difference, in the values' unit.
     pub standard_error: f64,
@@ -31,7 +31,7 @@ pub struct TTest {
     pub p_value: f64,
 }
 
-/// Welch's t-test: whether two independent samples have the same mean, without the assumption of equal variances.
+/// Performs Welch's t-test: have two independent samples the same mean? The variances need not be equal.
 ///
 /// # Errors
 /// Fewer than two values of either, one that is not finite, or [`StatisticsError::NoSpread`] where both are constant.
@@ -49,12 +49,12 @@ pub fn welch_t(first: &[f64], second: &[f64], alternative: Alternative) -> Resul
     let difference = mean(first)? - mean(second)?;
     let squared = |values: &[f64]| Ok((variance(values)? / values.len() as f64, (values.len() - 1) as f64));
     let ((a, free_a), (b, free_b)) = (squared(first)?, squared(second)?);
-    // Sums of squares underflow together with the variances: then nothing is left to divide by.
+    // NaN (0 / 0) where the squares of tiny variances underflow: `t_test` then reports no spread.
     let degrees_of_freedom = (a + b).powi(2) / (a * a / free_a + b * b / free_b);
     t_test(difference, (a + b).sqrt(), degrees_of_freedom, alternative)
 }
 
-/// Paired t-test: whether pairs, such as of two controllers on the same seeds, differ in the mean.
+/// Performs a paired t-test: do pairs, such as of two controllers on the same seeds, differ in the mean?
 ///
 /// # Errors
 /// Fewer than two pairs, a different number of both, a value that is not finite, or [`StatisticsError::NoSpread`] where all
@@ -103,21 +103,22 @@ pub struct Wilcoxon {
     pub rank_sum_positive: f64,
     /// Sum of the ranks of negative differences.
     pub rank_sum_negative: f64,
-    /// Pairs that differ; the others say nothing.
+    /// Number of pairs that differ; equal ones have no information.
     pub pairs: usize,
-    /// Whether the p-value counts all signs; otherwise it follows from the normal approximation.
+    /// True when the p-value counts all signs; false when it follows from the normal approximation.
     pub exact: bool,
     /// Probability of such rank sums, or ones farther out, if differences are as often above as below 0.
     pub p_value: f64,
 }
 
-/// Most pairs whose signs are counted instead of approximated, as in SciPy.
+/// Maximum number of pairs whose signs are counted instead of approximated, as in SciPy.
 const MOST_EXACT: usize = 50;
 
-/// Wilcoxon signed-rank test: whether pairs differ, without the assumption of a normal distribution.
+/// Performs a Wilcoxon signed-rank test: do pairs differ? The distribution need not be normal.
 ///
-/// Equal pairs are left out, and tied differences share their ranks. Up to 50 pairs the p-value is exact, with ties too (the
-/// distribution of the given ranks under random signs); beyond, normal with tie correction and without continuity correction.
+/// Equal pairs are left out, and tied differences share their ranks. Up to 50 pairs the p-value is exact, with ties too
+/// (the distribution of the given ranks under random signs); beyond that it is normal with tie correction and without
+/// continuity correction.
 ///
 /// # Errors
 /// No pair, a different number of both, a value that is not finite, or [`StatisticsError::NoSpread`] where no pair differs.
@@ -181,7 +182,7 @@ pub fn wilcoxon_signed_rank(
     })
 }
 
-/// Chance of each sum of ranks that random signs leave positive.
+/// Returns the probability of each sum of the ranks that random signs leave positive.
 fn rank_sums(ranks: &[usize]) -> Vec<f64> {
     let mut chances = vec![0.0; ranks.iter().sum::<usize>() + 1];
     chances[0] = 1.0;
@@ -196,9 +197,11 @@ fn rank_sums(ranks: &[usize]) -> Vec<f64> {
     chances
 }
 
-/// Exact McNemar test: whether two programs succeed equally often on the same cases. Returns the two-sided p-value.
+/// Performs an exact McNemar test: do two programs succeed equally often on the same cases? Returns the two-sided
+/// p-value.
 ///
-/// Only cases in which exactly one of them succeeded count: `only_first` and `only_second`. Without any the p-value is 1.
+/// Only cases in which exactly one of them succeeded count: `only_first` and `only_second`. Without any the p-value is
+/// 1.
 ///
 /// # Source
 /// McNemar, "Note on the Sampling Error of the Difference Between Correlated Proportions or Percentages", Psychometrika 12,

@@ -4,17 +4,17 @@ use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 use super::{StatisticsError, confidence, mean, standard_error};
 
-/// Two ends, in the unit of what they are about.
+/// Interval between two ends, in the unit of its quantity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interval {
-    /// Lower end.
+    /// Lower end of the interval.
     pub low: f64,
-    /// Upper end.
+    /// Upper end of the interval.
     pub high: f64,
 }
 
 impl Interval {
-    /// Whether a value is within the ends, which belong to the interval.
+    /// Returns whether a value lies in the interval, ends included.
     ///
     /// ```
     /// let interval = r4_maths::statistics::Interval { low: 1.0, high: 2.0 };
@@ -25,17 +25,17 @@ impl Interval {
         (self.low..=self.high).contains(&value)
     }
 
-    /// Distance of the ends.
+    /// Returns the distance between the ends.
     #[must_use]
     pub fn width(&self) -> f64 {
         self.high - self.low
     }
 }
 
-/// Wilson score interval of a share, such as of seeds that succeeded; 0.95 as `level` for 95 % confidence.
+/// Returns the Wilson score interval of a share, such as of seeds that succeeded; 0.95 as `level` for 95 % confidence.
 ///
-/// It stays within 0..=1 and has a width at 0 and at all successes, where the normal approximation has none. Without a trial
-/// it is all of 0..=1.
+/// It stays within 0..=1 and has a width at 0 and at all successes, where the normal approximation has none. Without a
+/// trial it is all of 0..=1.
 ///
 /// # Errors
 /// More successes than trials, or a `level` outside 0 < level < 1.
@@ -68,7 +68,7 @@ pub fn wilson(successes: u64, trials: u64, level: f64) -> Result<Interval, Stati
     Ok(Interval { low, high })
 }
 
-/// Student's t interval of the mean of independent, about normal values, in their unit.
+/// Returns Student's t interval of the mean of independent, about normal values, in their unit.
 ///
 /// # Errors
 /// Fewer than two values, one that is not finite, or a `level` outside 0 < level < 1.
@@ -89,17 +89,17 @@ pub fn mean_interval(values: &[f64], level: f64) -> Result<Interval, StatisticsE
     Ok(Interval { low: middle - half, high: middle + half })
 }
 
-/// Standard normal value below which this probability lies.
+/// Returns the standard normal value below which this probability lies.
 pub(super) fn normal_quantile(probability: f64) -> f64 {
     Normal::standard().inverse_cdf(probability)
 }
 
-/// Probability below a standard normal value.
+/// Returns the probability below a standard normal value.
 pub(super) fn normal_probability(value: f64) -> f64 {
     Normal::standard().cdf(value)
 }
 
-/// Value of Student's t below which this probability lies; NaN without a degree of freedom.
+/// Returns the value of Student's t below which this probability lies; NaN without a degree of freedom.
 pub(crate) fn student_quantile(degrees_of_freedom: f64, probability: f64) -> f64 {
     StudentsT::new(0.0, 1.0, degrees_of_freedom).map_or(f64::NAN, |student| student.inverse_cdf(probability))
 }

@@ -23,27 +23,27 @@ pub use order::{
 };
 pub use residuals::{RootMeanSquare, nrmse, rms, rmse};
 
-/// Input that a statistic is not defined for.
+/// Error of input for which a statistic is not defined.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum StatisticsError {
     /// Fewer values than the statistic is defined for.
     #[error("{got} values, and at least {need} are needed: record more")]
     TooFew {
-        /// Values given.
+        /// Number of values given.
         got: usize,
-        /// Values needed.
+        /// Number of values needed.
         need: usize,
     },
     /// A value is NaN.
     #[error("value {index} is not a number: leave it out or replace it first")]
     NotANumber {
-        /// Its position, from 0.
+        /// Position of the value, from 0.
         index: usize,
     },
     /// A value is infinite where only finite ones have a meaning.
     #[error("value {index} is infinite: leave it out, or use the median")]
     Infinite {
-        /// Its position, from 0.
+        /// Position of the value, from 0.
         index: usize,
     },
     /// Two series that belong together have different lengths.
@@ -54,15 +54,15 @@ pub enum StatisticsError {
         /// Length of the second series.
         second: usize,
     },
-    /// A probability or confidence outside its range.
+    /// A probability or confidence level is outside its range.
     #[error("{0} is not a probability that can be used here: give one between 0 and 1")]
     Probability(f64),
-    /// More successes than trials.
+    /// There are more successes than trials.
     #[error("{successes} successes in {trials} trials: swap them?")]
     Share {
-        /// Successes given.
+        /// Number of successes given.
         successes: u64,
-        /// Trials given.
+        /// Number of trials given.
         trials: u64,
     },
     /// All values are equal, and the statistic divides by their spread.
@@ -71,7 +71,7 @@ pub enum StatisticsError {
     /// The resampled statistic of a bootstrap is NaN or infinite.
     #[error("the statistic of resample {resample} is not finite: use one that every resample has")]
     Resample {
-        /// Its position, from 0.
+        /// Number of the resample, from 0.
         resample: usize,
     },
     /// A bootstrap block that is empty or longer than the series.
@@ -84,7 +84,7 @@ pub enum StatisticsError {
     },
 }
 
-/// Refuses too few values and NaN.
+/// Checks that there are enough values, and no NaN.
 fn numbers(values: &[f64], need: usize) -> Result<(), StatisticsError> {
     if values.len() < need {
         return Err(StatisticsError::TooFew { got: values.len(), need });
@@ -92,7 +92,7 @@ fn numbers(values: &[f64], need: usize) -> Result<(), StatisticsError> {
     values.iter().position(|value| value.is_nan()).map_or(Ok(()), |index| Err(StatisticsError::NotANumber { index }))
 }
 
-/// Refuses too few values, NaN and infinite ones.
+/// Checks that there are enough values, all of them finite.
 fn finite(values: &[f64], need: usize) -> Result<(), StatisticsError> {
     numbers(values, need)?;
     values.iter().position(|value| value.is_infinite()).map_or(Ok(()), |index| Err(StatisticsError::Infinite { index }))
@@ -106,7 +106,7 @@ fn paired(first: &[f64], second: &[f64], need: usize) -> Result<(), StatisticsEr
     finite(second, need)
 }
 
-/// Refuses a confidence outside 0 < confidence < 1.
+/// Checks that the confidence level is in 0 < confidence < 1.
 fn confidence(confidence: f64) -> Result<(), StatisticsError> {
     if confidence > 0.0 && confidence < 1.0 { Ok(()) } else { Err(StatisticsError::Probability(confidence)) }
 }

@@ -1,8 +1,8 @@
-//! Mean and variance.
+//! Moments: mean and variance.
 
 use super::{StatisticsError, finite};
 
-/// Arithmetic mean.
+/// Returns the arithmetic mean.
 ///
 /// # Errors
 /// No value, or one that is not finite.
@@ -18,7 +18,8 @@ pub fn mean(values: &[f64]) -> Result<f64, StatisticsError> {
     Ok(values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Unbiased sample variance: squared deviations from the mean, divided by n - 1. Unit: that of the values, squared.
+/// Returns the unbiased sample variance: squared deviations from the mean, divided by n - 1. Unit: that of the values,
+/// squared.
 ///
 /// # Errors
 /// Fewer than two values, or one that is not finite.
@@ -35,7 +36,7 @@ pub fn variance(values: &[f64]) -> Result<f64, StatisticsError> {
     Ok(squared_deviations(values) / (values.len() - 1) as f64)
 }
 
-/// Square root of the unbiased [`variance`], in the values' unit.
+/// Returns the square root of the unbiased [`variance`], in the values' unit.
 ///
 /// # Errors
 /// Those of [`variance`].
@@ -50,7 +51,7 @@ pub fn standard_deviation(values: &[f64]) -> Result<f64, StatisticsError> {
     variance(values).map(f64::sqrt)
 }
 
-/// Standard error of the mean of independent values: standard deviation over √n, in the values' unit.
+/// Returns the standard error of the mean of independent values: standard deviation over √n, in the values' unit.
 ///
 /// # Errors
 /// Those of [`variance`].
@@ -65,13 +66,13 @@ pub fn standard_error(values: &[f64]) -> Result<f64, StatisticsError> {
     Ok((variance(values)? / values.len() as f64).sqrt())
 }
 
-/// Sum of the squared deviations from the mean, of at least one finite value.
+/// Returns the sum of the squared deviations from the mean, of at least one finite value.
 pub(super) fn squared_deviations(values: &[f64]) -> f64 {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let (sum, squares) = values.iter().fold((0.0, 0.0), |(sum, squares), value| {
         let deviation = value - mean;
         (sum + deviation, squares + deviation * deviation)
     });
-    // The deviations add up to 0 but for the mean's rounding error, which this takes out. Rounding must not go below 0.
+    // The deviations add up to the mean's rounding error, which this corrects. Rounding must not go below 0.
     (squares - sum * sum / values.len() as f64).max(0.0)
 }

@@ -2,7 +2,7 @@
 
 use super::{StatisticsError, numbers};
 
-/// Standard deviation of a normal distribution over its median absolute deviation: 1 / Φ⁻¹(3/4).
+/// Ratio of a normal distribution's standard deviation to its median absolute deviation: 1 / Φ⁻¹(3/4).
 pub const MAD_TO_DEVIATION: f64 = 1.482_602_218_505_602;
 
 /// Definition of a quantile where no value splits the sample exactly.
@@ -19,7 +19,7 @@ pub enum QuantileRule {
     NearestPosition,
 }
 
-/// Quantile of unsorted values; 0 is the least, 1 the greatest. Infinite values are ordered like any other.
+/// Returns a quantile of unsorted values; 0 is the least, 1 the greatest. Infinite values are ordered like any other.
 ///
 /// # Errors
 /// No value, a NaN, or a `probability` outside 0..=1.
@@ -50,16 +50,17 @@ pub fn quantile(values: &[f64], probability: f64, rule: QuantileRule) -> Result<
             let (left, rest) = nth(&mut values, position as usize);
             let share = position.fract();
             let right = rest.iter().copied().min_by(f64::total_cmp).unwrap_or(left);
-            // Without the first condition two equal infinite values would have NaN between them.
+            // Without the first condition two equal infinite values would give NaN.
             if left == right || share == 0.0 { left } else { left + share * (right - left) }
         }
     })
 }
 
-/// Value of sorted data at the nearest rank, as [`QuantileRule::NearestRank`], without a copy; `None` of no data.
+/// Returns the value of sorted data at the nearest rank, as [`QuantileRule::NearestRank`], without a copy; `None`
+/// without data.
 ///
-/// For several quantiles of one large sample: sort once. Data that are not sorted give some other of their values; a
-/// `probability` beyond 0..=1 gives the least or greatest.
+/// For several quantiles of one large sample: sort once. Unsorted data give some other of their values; a `probability`
+/// beyond 0..=1 gives the least or greatest.
 ///
 /// # Source
 /// Hyndman, Fan 1996 (see [`quantile`]), definition 1.
@@ -76,7 +77,7 @@ pub fn nearest_rank(sorted: &[f64], probability: f64) -> Option<f64> {
     sorted.get(rank.saturating_sub(1).min(sorted.len().checked_sub(1)?)).copied()
 }
 
-/// Median: the middle value, or the mean of the middle two.
+/// Returns the median: the middle value, or the mean of the middle two.
 ///
 /// # Errors
 /// No value, or a NaN.
@@ -98,14 +99,14 @@ pub fn median(values: &[f64]) -> Result<f64, StatisticsError> {
     if is_odd {
         return Ok(right);
     }
-    // Selecting has put everything that is not greater to the left.
+    // Selection has moved everything that is not greater to the left.
     let left = values[..half].iter().copied().max_by(f64::total_cmp).unwrap_or(right);
     Ok(if left == right { left } else { f64::midpoint(left, right) })
 }
 
-/// Median absolute deviation (MAD) from the median, without a factor, in the values' unit.
+/// Returns the median absolute deviation (MAD) from the median, without a factor, in the values' unit.
 ///
-/// Half of the values may be outliers before it is one. It is 0 if more than half of the values are equal.
+/// Up to half of the values may be outliers without much effect. It is 0 if more than half of the values are equal.
 ///
 /// # Errors
 /// No value, a NaN, or a median that is infinite.
@@ -126,10 +127,9 @@ pub fn median_absolute_deviation(values: &[f64]) -> Result<f64, StatisticsError>
     median(&values.iter().map(|value| (value - middle).abs()).collect::<Vec<_>>())
 }
 
-/// Robust estimate of the standard deviation: [`MAD_TO_DEVIATION`] times the [`median_absolute_deviation`].
+/// Returns a robust estimate of the standard deviation: [`MAD_TO_DEVIATION`] times the [`median_absolute_deviation`].
 ///
-/// Estimates the standard deviation of normal values; of 37 % of the efficiency of [`super::standard_deviation`] then, but
-/// outliers hardly move it.
+/// For normal values it has 37 % of the efficiency of [`super::standard_deviation`], but outliers hardly change it.
 ///
 /// # Errors
 /// Those of [`median_absolute_deviation`].
@@ -145,7 +145,7 @@ pub fn robust_deviation(values: &[f64]) -> Result<f64, StatisticsError> {
     median_absolute_deviation(values).map(|deviation| MAD_TO_DEVIATION * deviation)
 }
 
-/// Moves the value of a rank to its place, from 0, and returns it and those that are not smaller.
+/// Moves the value of a rank, from 0, to its place, and returns it and those that are not smaller.
 fn nth(values: &mut [f64], rank: usize) -> (f64, &mut [f64]) {
     let (_, &mut value, greater) = values.select_nth_unstable_by(rank, f64::total_cmp);
     (value, greater)

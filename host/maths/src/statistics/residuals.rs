@@ -1,4 +1,4 @@
-//! Root mean square of differences.
+//! Root mean squares of values and of differences.
 
 use super::{StatisticsError, finite, moments::squared_deviations, paired};
 
@@ -22,13 +22,13 @@ impl RootMeanSquare {
         self.count += 1;
     }
 
-    /// Number of values added.
+    /// Returns the number of values added.
     #[must_use]
     pub const fn count(&self) -> usize {
         self.count
     }
 
-    /// The RMS, in the values' unit; `None` before the first.
+    /// Returns the RMS, in the values' unit; `None` before the first value.
     #[must_use]
     pub fn value(&self) -> Option<f64> {
         (self.count > 0).then(|| (self.squares / self.count as f64).sqrt())
@@ -49,7 +49,7 @@ impl FromIterator<f64> for RootMeanSquare {
     }
 }
 
-/// Root mean square of values, in their unit.
+/// Returns the root mean square of values, in their unit.
 ///
 /// # Errors
 /// No value, or one that is not finite.
@@ -65,7 +65,7 @@ pub fn rms(values: &[f64]) -> Result<f64, StatisticsError> {
     Ok(values.iter().copied().collect::<RootMeanSquare>().value().unwrap_or(f64::NAN))
 }
 
-/// Root-mean-square error (RMSE) of a prediction, in the unit of what was measured.
+/// Returns the root-mean-square error (RMSE) of a prediction, in the unit of the measured values.
 ///
 /// # Errors
 /// No pair, a different number of both, or a value that is not finite.
@@ -82,12 +82,13 @@ pub fn rmse(measured: &[f64], predicted: &[f64]) -> Result<f64, StatisticsError>
     Ok(errors.collect::<RootMeanSquare>().value().unwrap_or(f64::NAN))
 }
 
-/// Normalised root-mean-square error (NRMSE): [`rmse`] over the standard deviation (divisor n) of what was measured.
+/// Returns the normalised root-mean-square error (NRMSE): [`rmse`] over the standard deviation (divisor n) of the
+/// measured values.
 ///
 /// 0 is a perfect prediction, 1 as good as the mean. `100 (1 - nrmse)` is the "fit" in percent of MATLAB's `compare`.
 ///
 /// # Errors
-/// Those of [`rmse`], and [`StatisticsError::NoSpread`] where what was measured is constant.
+/// Those of [`rmse`], and [`StatisticsError::NoSpread`] where the measured values are constant.
 ///
 /// # Source
 /// Ljung, *System Identification: Theory for the User*, 2nd edition, Prentice Hall 1999, 16.4 (model validation).

@@ -1,4 +1,4 @@
-//! Splines and roots.
+//! Tests of splines and roots.
 
 use std::f64::consts::TAU;
 
@@ -26,8 +26,8 @@ struct Curve {
 
 #[test]
 fn splines_are_those_of_scipy() {
-    // Values of a few units, slopes of a few tens over knots 0.2 apart: rounding, times the tridiagonal system's condition of
-    // less than 10.
+    // Values of a few units, slopes of a few tens over knots 0.2 apart: rounding errors, times the condition of less
+    // than 10 of the tridiagonal system.
     const WITHIN: f64 = 1e-11;
     for case in cases::<Curve>("splines") {
         let (knots, values) = (&case.knots, &case.values);
@@ -51,7 +51,7 @@ fn splines_are_those_of_scipy() {
         compare("natural", &|x| natural.value(x), case.natural.as_deref().unwrap());
         let monotone = Spline::monotone(knots, values).unwrap();
         compare("monotone", &|x| monotone.value(x), case.monotone.as_deref().unwrap());
-        // Not at the end itself, from where on our curves are constant.
+        // Not at the end itself, from which on our curves are constant.
         let last = *case.x.last().unwrap();
         let slope = |curve: &Spline, x: f64, expected: f64| if x < last { curve.slope(x) } else { expected };
         for (name, curve, slopes) in
@@ -85,7 +85,7 @@ fn a_wave_goes_round_without_a_seam() {
     assert_eq!((fine.len(), fine[8], followed[8]), (96, at[1], values[1]));
     for n in -200..200 {
         let x = 0.1 * f64::from(n);
-        // Slopes are off by h² / 6 (h = TAU / 12), which moves a cubic by h times 0.096 of that; the rest is less.
+        // Slopes are wrong by h² / 6 (h = TAU / 12), which changes a cubic by h times 0.096 of that; the rest is less.
         assert!((spline.value(x) - (x + 1.0).sin()).abs() < 0.003, "{x}: {}", spline.value(x));
     }
 }
@@ -122,7 +122,7 @@ proptest! {
         let monotone = Spline::monotone(&knots, &values).unwrap();
         for (x, y) in knots.windows(2).zip(values.windows(2)) {
             let value = monotone.value(x[0] + share * (x[1] - x[0]));
-            // Rounding of values of a few units.
+            // Rounding errors of values of a few units.
             prop_assert!(value >= y[0].min(y[1]) - 1e-12 && value <= y[0].max(y[1]) + 1e-12, "{} {:?}", value, y);
         }
     }
@@ -157,7 +157,7 @@ fn roots_are_those_of_scipy() {
             "pole" => 1.0 / (x - 4.0) + 1.0,
             other => panic!("{other}"),
         };
-        // The tolerance as promised, and a few last bits.
+        // The guaranteed tolerance, and a few last bits.
         let within = tolerance + 4.0 * f64::EPSILON;
         for found in [bisect(f, low, high, tolerance).unwrap(), brent(f, low, high, tolerance).unwrap()] {
             assert!((found - root).abs() <= within, "{name}: {found} {root}");
@@ -176,7 +176,7 @@ fn brent_needs_fewer_evaluations_than_bisection() {
     bisect(f, 0.0, 1.0, 1e-12).unwrap();
     let halvings = count.replace(0);
     brent(f, 0.0, 1.0, 1e-12).unwrap();
-    // 40 halvings are 1e-12.
+    // 1e-12 takes 40 halvings.
     assert!(halvings >= 40 && count.get() <= 12, "{halvings} {}", count.get());
 }
 
@@ -188,7 +188,7 @@ fn what_has_no_root_is_refused() {
         assert!(matches!(of(|x| x, f64::NAN, 1.0, 1e-9), Err(RootError::Input(_))));
         assert_eq!(of(|x| x, -1.0, 1.0, -1.0), Err(RootError::Input(-1.0)));
         assert_eq!((of(|x| x, 0.0, 1.0, 0.0), of(|x| x, -1.0, 0.0, 0.0)), (Ok(0.0), Ok(0.0)));
-        // A jump is where the sign changes, to the last bit.
+        // A jump is found where the sign changes, to the last bit.
         let jump = of(|x| if x < 0.7 { -1.0 } else { 1.0 }, 0.0, 1.0, 0.0).unwrap();
         assert!((jump - 0.7).abs() <= 4.0 * f64::EPSILON, "{jump}");
     }

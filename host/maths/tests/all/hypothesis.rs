@@ -1,4 +1,4 @@
-//! Tests of two samples beside SciPy's and statsmodels'.
+//! Comparison of two-sample tests with SciPy's and statsmodels'.
 
 use r4_maths::statistics::{Alternative, StatisticsError, mcnemar_exact, paired_t, welch_t, wilcoxon_signed_rank};
 use serde::Deserialize;
@@ -24,14 +24,14 @@ struct Welch {
     p: f64,
 }
 
-/// Of the cumulative distributions of statrs, relative, also far out in a tail; 1e-12 was seen.
+/// Relative error of the cumulative distributions of statrs, also far out in a tail; 1e-12 was seen.
 const CHANCES: f64 = 1e-10;
 
 #[test]
 fn welchs_test_is_scipys() {
     for case in cases::<Welch>("welch") {
         let found = welch_t(&case.a, &case.b, case.alternative).unwrap();
-        // The difference of two means near each other loses a few digits.
+        // The difference of two similar means loses a few digits.
         close(found.t, case.t, 100.0 * SUMS);
         close(found.degrees_of_freedom, case.degrees_of_freedom, SUMS);
         close(found.p_value, case.p, CHANCES);

@@ -1,4 +1,4 @@
-//! Filters beside that of statsmodels.
+//! Comparison of filters with that of statsmodels.
 
 use nalgebra::{DMatrix, DVector, dmatrix, dvector};
 use r4_maths::kalman::{Kalman, KalmanError};
@@ -24,7 +24,7 @@ fn matrix(rows: &[Vec<f64>]) -> DMatrix<f64> {
 
 #[test]
 fn filtered_states_are_those_of_statsmodels() {
-    // Some 60 steps of a contracting recursion on numbers of about 1.
+    // Rounding errors of some 60 steps of a contracting recursion on numbers of about 1.
     const WITHIN: f64 = 1e-11;
     for case in cases::<Case>("kalman") {
         let (transition, process) = (matrix(&case.transition), matrix(&case.process));
@@ -45,7 +45,7 @@ fn filtered_states_are_those_of_statsmodels() {
     }
 }
 
-/// A point on a circle seen by range and bearing, as an extended filter linearises it.
+/// Locates a point from range and bearing on a circle around it, as an extended filter linearises them.
 #[test]
 fn an_extended_filter_finds_a_beacon() {
     let beacon = [2.0, -1.0f64];
@@ -64,7 +64,8 @@ fn an_extended_filter_finds_a_beacon() {
         filter.update_extended(dvector![measured.0 - range, turn], &jacobian, &noise).unwrap();
     }
     let error = (filter.state()[0] - beacon[0]).hypot(filter.state()[1] - beacon[1]);
-    // Views have no noise: what is left is the first's linearisation, 0.14² / (2 × 1.8²) rad at 1.8 m, or 5 mm.
+    // Measurements have no noise: the remaining error is that of the first linearisation, 0.14² / (2 × 1.8²) rad at 1.8
+    // m, or 5 mm.
     assert!(error < 0.01, "{error}");
 }
 

@@ -1,4 +1,4 @@
-//! Fits beside those of statsmodels and SciPy, and beside values that NIST certifies.
+//! Comparison of fits with those of statsmodels and SciPy, and with values that NIST certifies.
 
 use nalgebra::DMatrix;
 use r4_maths::least_squares::{Fit, FitError, linear, nonlinear, weighted};
@@ -33,8 +33,8 @@ fn linear_fits_are_those_of_statsmodels() {
         if even {
             assert_eq!(linear(&design, &case.observed).unwrap(), found);
         }
-        // Rounding grows by the condition of the scaled columns, and by its square in the covariance;
-        // both sides have it, and statsmodels that of columns that are not scaled.
+        // Rounding errors grow with the condition of the scaled columns, and with its square in the covariance. Both
+        // programs have them, and statsmodels those of columns that are not scaled.
         let (one, two) = (1e-14 * found.condition, 1e-13 * found.condition.powi(2));
         let errors = found.standard_errors();
         for (place, expected) in case.parameters.iter().enumerate() {
@@ -56,7 +56,7 @@ fn linear_fits_are_those_of_statsmodels() {
                 }
             }
         }
-        // Residuals are differences of numbers as great as what was observed.
+        // Residuals are differences of numbers as large as the observations.
         let scale = case.observed.iter().fold(0.0f64, |scale, value| scale.max(value.abs()));
         for (found, expected) in found.residuals.iter().zip(&case.residuals) {
             assert!((found - expected).abs() <= one * scale, "{found} {expected}");
@@ -65,7 +65,7 @@ fn linear_fits_are_those_of_statsmodels() {
     }
 }
 
-/// NIST StRD, Longley: certified to 15 digits.
+/// Certified values of NIST StRD, Longley: 15 digits.
 #[test]
 fn longleys_data_have_the_certified_parameters() {
     const CERTIFIED: [(f64, f64); 7] = [
@@ -82,7 +82,7 @@ fn longleys_data_have_the_certified_parameters() {
     for ((found, error), (certified, certified_error)) in
         found.parameters.iter().zip(found.standard_errors()).zip(CERTIFIED)
     {
-        // The condition of the scaled columns is 4e4, of f64's 16 digits: 11 are left.
+        // The condition of the scaled columns is 4e4: of f64's 16 digits 11 remain.
         close(*found, certified, 1e-10);
         close(error, certified_error, 1e-8);
     }
@@ -107,15 +107,15 @@ fn nonlinear_fits_are_those_of_scipy() {
     for case in cases::<Nonlinear>("nonlinear_fits") {
         let found = saturation(&case).expect(&case.name);
         for (place, expected) in case.parameters.iter().enumerate() {
-            // A minimum is flat to the root of rounding, of which the gradient's zero is found to about its 1.3rd power; the
-            // derivatives are good to 1e-10.
+            // A minimum is flat to the root of rounding; the zero of its gradient is found to about the power 1.3 of
+            // that. The derivatives have an error of 1e-10.
             close(found.parameters[place], *expected, 1e-7);
             close(found.standard_errors()[place], case.covariance[place][place].sqrt(), 1e-6);
         }
     }
 }
 
-/// NIST StRD, Misra1a: certified to 11 digits.
+/// Certified values of NIST StRD, Misra1a: 11 digits.
 #[test]
 fn misras_data_have_the_certified_parameters() {
     let cases = cases::<Nonlinear>("nonlinear_fits");
@@ -155,7 +155,7 @@ fn what_the_data_cannot_tell_is_refused() {
     assert!(matches!(nonlinear(&[1.0], endless), Err(FitError::NotConverged { .. }) | Ok(_)));
 }
 
-/// The logarithm has no values beyond 0, into which the first full step leads.
+/// The logarithm has no values below 0, where the first full step leads.
 #[test]
 fn a_step_to_where_the_model_has_no_value_is_shortened() {
     let fit = nonlinear(&[5.0], |numbers| vec![numbers[0].ln(), 2.0 * numbers[0].ln()]).unwrap();

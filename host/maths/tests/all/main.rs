@@ -1,4 +1,5 @@
-//! Results beside those of SciPy, NumPy and statsmodels, and properties that must hold for any input.
+//! Tests that compare results with those of SciPy, NumPy and statsmodels, and of properties that must hold for any
+//! input.
 
 mod curves;
 mod hypothesis;

@@ -1,4 +1,4 @@
-//! Minima beside those of SciPy.
+//! Comparison of minima with those of SciPy.
 
 use std::cell::Cell;
 
@@ -27,8 +27,8 @@ fn minima_are_those_of_scipys_simplex() {
         let found = nelder_mead(&bounds, &start, 2000, rosenbrock);
         let anywhere = global(&bounds, EFFORT, 1, rosenbrock);
         for found in [found, anywhere] {
-            // A smooth minimum is flat to the root of rounding, 1.5e-8, times the valley's curvatures, of which the least is
-            // 0.4.
+            // A smooth minimum is flat to the root of rounding, 1.5e-8, divided by the curvatures, of which the least
+            // is 0.4.
             let off = found.at.iter().zip(&at).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(off < 1e-6 && (found.value - value).abs() < 1e-12, "{found:?} {at:?} {value}");
         }
@@ -37,7 +37,7 @@ fn minima_are_those_of_scipys_simplex() {
 
 #[test]
 fn the_global_search_is_not_caught_by_the_first_hollow() {
-    // Rastrigin's function: 11² hollows in these bounds.
+    // Rastrigin's function has 11² local minima within these bounds.
     let hollows = |at: &[f64]| at.iter().map(|x| x * x + 10.0 - 10.0 * (std::f64::consts::TAU * x).cos()).sum();
     for seed in 0..10 {
         assert!(global(&[(-5.12, 5.12); 2], EFFORT, seed, hollows).value < 1e-6, "{seed}");
@@ -54,7 +54,7 @@ fn stays_within_the_bounds_and_is_repeatable() {
     let found = global(&bounds, EFFORT, 7, slope);
     assert_eq!(found.at, [2.0, 4.0]);
     assert_eq!(found, global(&bounds, EFFORT, 7, slope));
-    // A start outside is put on the bound.
+    // A start outside is moved to the bound.
     assert_eq!(nelder_mead(&bounds, &[-9.0, 9.0], 100, slope).at, [2.0, 4.0]);
 }
 
@@ -75,7 +75,7 @@ fn the_budget_of_evaluations_is_kept() {
         at.iter().map(|x| (x - 2.0).powi(2)).sum()
     };
     let found = nelder_mead(&[(-10.0, 10.0); 3], &[5.0, -5.0, 1.0], 300, bowl);
-    // The last step may take a reflection, a contraction and three shrunk corners.
+    // The last step may take a reflection, a contraction and three shrunk vertices.
     assert!(count.get() <= 304, "{}", count.get());
     assert!(found.value < 1e-8, "{found:?}");
     let longer = nelder_mead(&[(-10.0, 10.0); 3], &[5.0, -5.0, 1.0], 2000, bowl);

@@ -1,4 +1,4 @@
-//! `tests/oracle/oracle.json`, which `oracle.py` beside it writes.
+//! Reference values from `tests/oracle/oracle.json`, which `oracle.py` beside it writes.
 
 use std::sync::LazyLock;
 
@@ -8,10 +8,11 @@ use serde_json::Value;
 static ORACLE: LazyLock<Value> =
     LazyLock::new(|| serde_json::from_str(include_str!("../oracle/oracle.json")).expect("written by oracle.py"));
 
-/// Rounding errors of sums of at most a few hundred numbers, in another order than NumPy's pairwise one: n × 2⁻⁵³ at most.
+/// Relative rounding error of sums of at most a few hundred numbers, in another order than NumPy's pairwise one: n ×
+/// 2⁻⁵³ at most.
 pub(crate) const SUMS: f64 = 1e-13;
 
-/// Cases of one kind; there is at least one.
+/// Returns the cases of one kind; there is at least one.
 pub(crate) fn cases<T: DeserializeOwned>(kind: &str) -> Vec<T> {
     let cases = ORACLE.get(kind).unwrap_or_else(|| panic!("oracle.json has no {kind}: run oracle.py"));
     let cases: Vec<T> = Deserialize::deserialize(cases).expect(kind);
@@ -19,7 +20,7 @@ pub(crate) fn cases<T: DeserializeOwned>(kind: &str) -> Vec<T> {
     cases
 }
 
-/// Compares by the relative error; 0 and infinite values must be equal.
+/// Checks the relative error; 0 and infinite values must be equal.
 #[track_caller]
 pub(crate) fn close(found: f64, expected: f64, relative: f64) {
     let error = (found - expected).abs();

@@ -1,4 +1,4 @@
-//! Paths beside those of SciPy's Dijkstra.
+//! Comparison of paths with those of SciPy's Dijkstra.
 
 use proptest::{collection::vec, prelude::*};
 use r4_maths::path::{Grid, PathError, astar};
@@ -8,9 +8,9 @@ use crate::oracle::{SUMS, cases};
 
 #[derive(Deserialize)]
 struct Case {
-    /// By rows; nothing is blocked.
+    /// Factors of the cells by rows; `None` is blocked.
     factors: Vec<Vec<Option<f64>>>,
-    /// From the first cell; nothing is out of reach.
+    /// Costs from the first cell; `None` is out of reach.
     costs: Vec<Vec<Option<f64>>>,
 }
 
@@ -31,7 +31,7 @@ fn paths_cost_what_scipys_dijkstra_says() {
                 match (cost, factors[row][column]) {
                     (Some(cost), _) => {
                         let found = found.unwrap();
-                        // A different one of equally cheap paths adds up in another order.
+                        // Another one of equally cheap paths has its sum in another order.
                         assert!(
                             (found.cost - CELL_M * cost).abs() <= SUMS * found.cost,
                             "{column} {row}: {found:?} {cost}"

@@ -1,4 +1,4 @@
-//! What must hold for any numbers.
+//! Properties that must hold for any numbers.
 
 use nalgebra::DMatrix;
 use proptest::{collection::vec, prelude::*};
@@ -87,7 +87,7 @@ proptest! {
         let (less, greater) = (rank(a, b, Alternative::Less), rank(b, a, Alternative::Greater));
         prop_assert_eq!(less.p_value, greater.p_value);
         prop_assert!((0.0..=1.0).contains(&less.p_value));
-        // All signs: what is at most and what is at least have the ranks themselves in common.
+        // Counted over all signs: "at most" and "at least" both contain the rank sum itself.
         prop_assert!(less.p_value + rank(a, b, Alternative::Greater).p_value > 1.0);
     }
 
@@ -108,7 +108,7 @@ proptest! {
             prop_assert!(values.iter().any(|value| *value <= end) && values.iter().any(|value| *value >= end));
         }
         let blocks = bootstrap.block(&values, values.len(), |values| values.iter().sum()).unwrap();
-        // Whole turns have all values: their sum is that of the sample, but for rounding.
+        // Rotations have all values: their sum is that of the sample, but for rounding.
         prop_assert!(blocks.standard_error <= 1e-15 * 40.0 * 40e6, "{:?}", blocks);
     }
 
@@ -119,7 +119,7 @@ proptest! {
         let design = DMatrix::from_vec(10, 3, cells);
         let Ok(fit) = linear(&design, &observed) else { return Ok(()) };
         let gradient = design.tr_mul(&fit.residuals);
-        // Ten products of at most 10 × 20, and as much again from the parameters' rounding.
+        // Rounding errors of ten products of at most 10 × 20, and as much again of the parameters.
         prop_assert!(gradient.amax() < 1e-10, "{}", gradient);
     }
 }

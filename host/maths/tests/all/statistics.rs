@@ -1,4 +1,4 @@
-//! One sample, its intervals and its bootstrap.
+//! Tests of one sample, its intervals and its bootstrap.
 
 use r4_maths::statistics::{
     Bootstrap, Interval, QuantileRule, StatisticsError, bca_interval, mean, mean_interval, median,
@@ -39,7 +39,7 @@ fn moments_and_order_statistics_are_those_of_numpy() {
         close(standard_deviation(values).unwrap(), sample.variance.sqrt(), SUMS);
         close(standard_error(values).unwrap(), sample.standard_error, SUMS);
         close(rms(values).unwrap(), sample.rms, SUMS);
-        // Selected, not computed: but for the mean of two, and a difference, of a few last bits.
+        // Selected, not computed: only the mean of two, or a difference, may be wrong by a few last bits.
         assert_eq!(median(values), Ok(sample.median));
         close(median_absolute_deviation(values).unwrap(), sample.mad, 4.0 * f64::EPSILON);
         close(robust_deviation(values).unwrap(), sample.robust_deviation, 8.0 * f64::EPSILON);
@@ -47,7 +47,7 @@ fn moments_and_order_statistics_are_those_of_numpy() {
         sorted.sort_by(f64::total_cmp);
         for Quantile { probability, linear, nearest_rank: ranked } in sample.quantiles {
             let found = quantile(values, probability, QuantileRule::Linear).unwrap();
-            // Straight between two values: rounding of their difference, in units of the greatest value.
+            // Interpolation between two values: rounding errors of their difference, relative to the greatest value.
             let scale = values.iter().fold(0.0f64, |scale, value| scale.max(value.abs()));
             assert!((found - linear).abs() <= 4.0 * f64::EPSILON * scale, "{probability}: {found} {linear}");
             assert_eq!(quantile(values, probability, QuantileRule::NearestRank), Ok(ranked), "{probability}");
@@ -56,14 +56,14 @@ fn moments_and_order_statistics_are_those_of_numpy() {
     }
 }
 
-/// Of quantiles of Student's t and the normal distribution by statrs, relative: 1e-11 was seen.
+/// Relative error of the quantiles of Student's t and the normal distribution by statrs; 1e-11 was seen.
 const QUANTILES: f64 = 1e-10;
 
 #[test]
 fn the_interval_of_a_mean_is_that_of_scipy() {
     for sample in cases::<Sample>("one_sample") {
         let found = mean_interval(&sample.values, 0.9).unwrap();
-        // The half width carries the error of the quantile, the middle that of the mean.
+        // The half width has the error of the quantile, the middle that of the mean.
         let [low, high] = sample.mean_interval;
         let within = QUANTILES * (high - low) + SUMS * sample.mean.abs();
         assert!((found.low - low).abs() <= within && (found.high - high).abs() <= within, "{found:?} {low} {high}");
@@ -119,7 +119,7 @@ struct Resampled {
     distribution: Vec<f64>,
     percentile: [f64; 2],
     bca: [f64; 2],
-    /// By the percentile and the BCa method, of 20 000 resamples.
+    /// Ends by the percentile and the BCa method, of 20 000 resamples.
     many: [Ends; 2],
     standard_error: f64,
 }
@@ -138,7 +138,8 @@ fn intervals_of_a_given_distribution_are_those_of_scipy() {
         let found = percentile_interval(&case.distribution, case.level).unwrap();
         let bca = bca_interval(&case.distribution, value, &case.jackknife, case.level).unwrap();
         for (found, [low, high]) in [(found, case.percentile), (bca, case.bca)] {
-            // Between two of 199 values lies less than the whole distribution, which the probability's error moves by.
+            // Neighbours of 199 values differ by less than the range of the distribution, by which the probability's
+            // error is scaled.
             let within = QUANTILES * 199.0 * (high - low);
             assert!((found.low - low).abs() <= within && (found.high - high).abs() <= within, "{found:?} {low} {high}");
         }
@@ -153,11 +154,12 @@ fn own_resamples_give_the_intervals_that_scipys_give() {
         let percentile = bootstrap.percentile(&case.values, statistic).unwrap();
         let bca = bootstrap.bca(&case.values, statistic).unwrap();
         assert_eq!(percentile.value, statistic(&case.values));
-        // A standard deviation of 20 000 normal draws is known to 0.5 %; heavy tails to less.
+        // The standard deviation of 20 000 normal samples is known to 0.5 %; that of heavy tails less well.
         close(percentile.standard_error, case.standard_error, 0.05);
         for (found, Ends { ends, spread }) in [percentile.interval, bca.interval].into_iter().zip(case.many) {
             for ((end, expected), spread) in [found.low, found.high].into_iter().zip(ends).zip(spread) {
-                // The spread itself is known to 16 %; a lump of the distribution can hide it, and rounding then remains.
+                // The spread itself is known to 16 %. Where the distribution has equal values it can be 0, so a floor
+                // for rounding is added.
                 let within = 5.0 * spread + 1e-3 * case.standard_error;
                 assert!((end - expected).abs() < within, "{} at {}: {end} {expected}", case.statistic, case.level);
             }
@@ -188,7 +190,7 @@ fn a_bootstrap_refuses_what_it_cannot_resample() {
     assert_eq!(bootstrap.percentile(&[1.0, 2.0], |_| f64::NAN), Err(StatisticsError::Resample { resample: 0 }));
 }
 
-/// A first-order autoregressive series: each sample is 0.9 of the one before and a new number.
+/// Uses a first-order autoregressive series: each sample is 0.9 of the previous one and a new number.
 #[test]
 fn block_intervals_cover_the_mean_of_a_correlated_series() {
     use rand_pcg::{Pcg64Mcg, rand_core::Rng};
@@ -210,7 +212,8 @@ fn block_intervals_cover_the_mean_of_a_correlated_series() {
             *covered += i32::from(found.unwrap().interval.contains(0.0));
         }
     }
-    // The correlation makes 600 samples worth 600 (1 - 0.9) / (1 + 0.9) = 32: intervals of single samples are 4.4 times too
-    // narrow and cover P(|z| < 0.45) = 35 %. Ten blocks cover 95 % but for their own bias; of 200 series ± 3 % (one sigma: 1.5 %).
+    // The correlation leaves 600 samples with the information of 600 (1 - 0.9) / (1 + 0.9) = 32: intervals of single
+    // samples are 4.4 times too narrow and cover P(|z| < 0.45) = 35 %. Ten blocks cover 95 % but for their own bias; of
+    // 200 series ± 3 % (one sigma: 1.5 %).
     assert!(covered[0] < 100 && covered[1] > 170, "{covered:?} of 200");
 }

@@ -1,25 +1,25 @@
-//! Frames and messages read by nothing but what the page says: this is what tells that it says enough.
+//! Decoder of frames and messages that follows only the rules of the page: it shows that these are sufficient.
 
 use r4_protocol::frame::Check;
 use serde_json::{Map, Value as Json, json};
 
 use super::model::{Field, Kind, Model, Shape, Variant};
 
-/// A checksum of frames, as the page describes it.
+/// Checksum of frames, as the page describes it.
 pub(super) struct Checksum {
     pub(super) name: &'static str,
-    /// On the wire, low byte first.
+    /// Length on the wire, bytes, low byte first.
     pub(super) bytes: usize,
     pub(super) polynomial: u32,
-    /// The polynomial as it is used, bit-reversed.
+    /// Polynomial as it is used, bit-reversed.
     pub(super) reflected: u32,
     pub(super) initial: u32,
     pub(super) final_xor: u32,
-    /// Of the ASCII digits 1 to 9.
+    /// Checksum of the ASCII digits 1 to 9.
     pub(super) check: u32,
 }
 
-/// Of the two that frames have.
+/// Returns the description of one of the two checksums.
 pub(super) fn checksum(of: Check) -> Checksum {
     match of {
         Check::Short => {
@@ -50,7 +50,7 @@ pub(super) fn checksum(of: Check) -> Checksum {
 }
 
 impl Checksum {
-    /// Bit by bit.
+    /// Computes the checksum bit by bit.
     pub(super) fn of(&self, bytes: &[u8]) -> u32 {
         let sum = bytes.iter().fold(self.initial, |sum, byte| {
             (0..8)
@@ -59,16 +59,16 @@ impl Checksum {
         sum ^ self.final_xor
     }
 
-    /// A number of its width, in hexadecimal.
+    /// Formats a number of the checksum's width in hexadecimal.
     pub(super) fn hex(&self, number: u32) -> String {
         format!("{number:#0width$x}", width = 2 + 2 * self.bytes)
     }
 }
 
-/// The message in a frame, delimiter included, that has this checksum.
+/// Returns the message in a frame, delimiter included, that has this checksum.
 ///
 /// # Errors
-/// What of COBS or the checksum is wrong.
+/// The problem of COBS or the checksum.
 pub(super) fn payload(frame: &[u8], check: Check) -> Result<Vec<u8>, String> {
     let [body @ .., 0] = frame else { return Err("no delimiter".into()) };
     let (mut plain, mut rest) = (Vec::new(), body);
@@ -76,6 +76,7 @@ pub(super) fn payload(frame: &[u8], check: Check) -> Result<Vec<u8>, String> {
         let length = usize::from(*code).checked_sub(1).ok_or("a 0 within")?;
         plain.extend(after.get(..length).ok_or("a code points behind the end")?);
         rest = &after[length..];
+        // Code 0xFF stands for 254 bytes without a zero behind them; the last piece has none either.
         if *code != 0xFF && !rest.is_empty() {
             plain.push(0);
         }
@@ -87,14 +88,14 @@ pub(super) fn payload(frame: &[u8], check: Check) -> Result<Vec<u8>, String> {
     if calculated[..checksum.bytes] == *received { Ok(message.to_vec()) } else { Err("checksum".into()) }
 }
 
-/// Reads a message by the model.
+/// Reader of a message by the model.
 pub(super) struct Reader<'a> {
     model: &'a Model,
     rest: &'a [u8],
 }
 
-/// The value of type `name` that is all of `message`: a struct is an object, a variant its name or an object of its name and
-/// its fields, bytes are numbers, and what JSON has no number for is `"NaN"`, `"inf"` or `"-inf"`.
+/// Reads all of `message` as a value of type `name`. A struct is an object, a variant its name or an object of its name
+/// and its fields, bytes are numbers, and a float without a number in JSON is `"NaN"`, `"inf"` or `"-inf"`.
 ///
 /// # Errors
 /// The bytes do not fit the type.
@@ -113,6 +114,7 @@ impl Reader<'_> {
 
     fn varint(&mut self, bits: u8) -> Result<u64, String> {
         let mut number = 0;
+        // Limits the length, so that a varint without end is an error.
         for place in 0..bits.div_ceil(7) {
             let [byte] = self.take()?;
             number |= u64::from(byte & 0x7F) << (7 * place);
@@ -182,7 +184,7 @@ impl Reader<'_> {
         Ok(json!({ variant.name: self.fields(&variant.fields)? }))
     }
 
-    /// An object; of one field without a name its value alone.
+    /// Reads fields as an object; a single field without a name is its value alone.
     fn fields(&mut self, fields: &[Field]) -> Result<Json, String> {
         if let [Field { name: None, shape, .. }] = fields {
             return self.value(shape);
@@ -219,7 +221,7 @@ mod tests {
 
     #[test]
     fn damage_is_seen() {
-        // Bye with number 3, a golden row of all versions.
+        // Bye with `seq` 3, a row of all golden tables.
         let frame = [0x01, 0x05, 0x03, 0x01, 0x2D, 0xFD, 0x00];
         assert_eq!(payload(&frame, Check::Short), Ok(vec![0, 3, 1]));
         assert!(payload(&frame, Check::Long).is_err() && payload(&frame[..6], Check::Short).is_err());

@@ -1,7 +1,7 @@
-//! Values of constants, computed from how they are written.
+//! Values of constants, computed from their source text.
 //!
-//! Only what the constants of a protocol are made of: numbers, others of them, arithmetic, lists, ranges, durations. A test
-//! compares those that matter most with what the compiler makes of them.
+//! Only the expressions that a protocol's constants have are supported: numbers, other constants, arithmetic, lists,
+//! ranges, durations. A test compares the most important ones with the compiler's values.
 
 use std::fmt;
 
@@ -13,20 +13,20 @@ use super::source::Source;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Value {
     Integer(i128),
-    /// An `f32`, as the double that is equal to it.
+    /// Value of an `f32`, as the double that is equal to it.
     Float(f64),
     List(Vec<Value>),
-    /// From the first to the last, both included.
+    /// Range from the first to the last value, both included.
     Range(Box<Value>, Box<Value>),
-    /// ms
+    /// Duration in whole milliseconds.
     Milliseconds(i128),
 }
 
 impl Value {
-    /// Of the constant `name`.
+    /// Computes the constant `name`.
     ///
     /// # Errors
-    /// There is none, or it is made of something else.
+    /// There is none, or it has an expression that is not supported.
     pub(super) fn of(name: &str, source: &Source) -> Result<Self, String> {
         let constant = source.constant_source(name)?;
         let of = name.split_once("::").map(|(of, _)| of);
@@ -44,7 +44,7 @@ impl Value {
         }
     }
 
-    /// The number, of a length or a limit.
+    /// Returns the value as a length or a limit.
     pub(super) fn count(&self) -> Option<usize> {
         if let Self::Integer(number) = self { usize::try_from(*number).ok() } else { None }
     }
@@ -62,21 +62,24 @@ impl fmt::Display for Value {
     }
 }
 
-/// `of` is the type whose constant it is, as `Self` names it.
+/// Computes an expression. `of` is the type whose constant it is, which `Self` names.
 fn compute(expression: &Expr, source: &Source, of: Option<&str>) -> Option<Value> {
     let compute = |expression| compute(expression, source, of);
     match expression {
         Expr::Lit(ExprLit { lit: Lit::Int(number), .. }) => number.base10_parse().ok().map(Value::Integer),
         Expr::Lit(ExprLit { lit: Lit::Float(number), .. }) => {
+            // As an f32, because the protocol has no constant of type f64.
             number.base10_parse::<f32>().ok().map(|number| Value::Float(number.into()))
         }
         Expr::Paren(inner) => compute(&inner.expr),
+        // Constants are cast without loss only, so the value stays.
         Expr::Cast(inner) => compute(&inner.expr),
         Expr::Array(list) => list.elems.iter().map(compute).collect::<Option<_>>().map(Value::List),
         Expr::Range(range) => {
             let (first, last) = (compute(range.start.as_deref()?)?, compute(range.end.as_deref()?)?);
             match (&range.limits, &last) {
                 (RangeLimits::Closed(_), _) => Some(Value::Range(first.into(), last.into())),
+                // The last value of a half-open range is one less; floats have no such value.
                 (RangeLimits::HalfOpen(_), Value::Integer(end)) => {
                     Some(Value::Range(first.into(), Value::Integer(end - 1).into()))
                 }
@@ -105,6 +108,7 @@ fn compute(expression: &Expr, source: &Source, of: Option<&str>) -> Option<Value
                 ["i16", "MIN"] => Some(Value::Integer(i16::MIN.into())),
                 ["u16", "MAX"] => Some(Value::Integer(u16::MAX.into())),
                 ["u8", "MAX"] => Some(Value::Integer(u8::MAX.into())),
+                // Names of other modules are unique in the source, so their paths can be ignored.
                 ["Self", name] => Value::of(&format!("{}::{name}", of?), source).ok(),
                 [.., name] => Value::of(name, source).ok(),
                 [] => None,
@@ -126,7 +130,7 @@ fn arithmetic(operator: &BinOp, left: &Value, right: &Value) -> Option<Value> {
             _ => None,
         }
         .map(Value::Integer),
-        // Rounded as an f32 is.
+        // Rounded to f32, as the compiler does.
         (Value::Float(left), Value::Float(right)) => match operator {
             BinOp::Mul(_) => Some(*left as f32 * *right as f32),
             BinOp::Div(_) => Some(*left as f32 / *right as f32),
@@ -177,6 +181,7 @@ mod tests {
         ] {
             assert_eq!(Value::of(name, &source), Ok(value), "{name}");
         }
+        // A block expression is not supported, and must be an error and not a wrong value.
         assert!(Value::of("SCHEMA_HASH", &source).is_err_and(|problem| problem.contains("not made of numbers")));
         assert!(Value::of("NO_SUCH", &source).is_err_and(|problem| problem.contains("no constant NO_SUCH")));
     }

@@ -1,4 +1,4 @@
-//! `protocol/r4.h`: constants and numbers of variants in C99, layouts as comments.
+//! Generator of `protocol/r4.h`: constants and numbers of variants in C99, layouts as comments.
 
 use r4_protocol::{Cause, SCHEMA_HASH, frame::Check};
 
@@ -9,10 +9,10 @@ use super::{
     model::{Field, Kind, Named, Variant},
 };
 
-/// Modules whose constants are not about bytes on a wire.
+/// Modules whose constants are not about bytes on the wire.
 const LEFT_OUT: [&str; 6] = ["image", "force", "input", "motor", "output", "sensor"];
 
-/// The whole file.
+/// Returns the whole file.
 ///
 /// # Errors
 /// A name that is not in the source.
@@ -88,13 +88,13 @@ fn of_type(named: &Named) -> String {
                 format!("    R4_{prefix}_{} = {number}, /* {comment} */\n", screaming(variant.name))
             };
             let variants: String = variants.iter().enumerate().map(variant).collect();
-            // C99 has no comma behind the last one in pedantic eyes only; it allows it.
+            // C99 allows the comma behind the last enumerator.
             format!("\n/* {} */\nenum r4_{} {{\n{variants}}};\n", comment(&named.doc), prefix.to_lowercase())
         }
     }
 }
 
-/// A line for each field.
+/// Returns a line of comment for each field.
 fn layout(fields: &[Field]) -> String {
     let line = |field: &Field| {
         let name = field.name.map(|name| format!(" {name}")).unwrap_or_default();
@@ -105,12 +105,12 @@ fn layout(fields: &[Field]) -> String {
     fields.iter().map(line).collect::<Vec<_>>().join("\n")
 }
 
-/// In one line, and nothing in it that ends a comment.
+/// Returns the text in one line, without any end of a comment in it.
 fn comment(doc: &str) -> String {
     super::json::one_line(doc).replace("*/", "* /").replace("/*", "/ *")
 }
 
-/// `MAX_FRAME` of `MaxFrame`.
+/// Converts a name like `MaxFrame` to `MAX_FRAME`.
 fn screaming(name: &str) -> String {
     let mut text = String::new();
     let mut before = '_';

@@ -1,4 +1,4 @@
-//! `protocol/schema.json`: everything that a program needs to read and write messages, and bytes to test itself with.
+//! Generator of `protocol/schema.json`: what a program needs to read and write messages, and bytes to test itself with.
 
 use std::collections::BTreeSet;
 
@@ -16,10 +16,10 @@ use super::{
     model::{Field, Kind, Named},
 };
 
-/// Most letters of what stands in one line of the file.
+/// Length up to which a value is written in one line, characters.
 const LINE: usize = 120;
 
-/// The whole file.
+/// Returns the whole file.
 ///
 /// # Errors
 /// A golden frame that does not fit the types, or names that are not in the source.
@@ -62,7 +62,8 @@ fn checksum_of(check: Check) -> Json {
     })
 }
 
-/// The messages to a board whose frames have the short checksum, by the golden frames: `Type::Variant`. All to a host have it.
+/// Returns the messages to a board whose frames have the short checksum, by the golden frames, as `Type::Variant`. All
+/// messages to a host have it.
 pub(super) fn short_of(input: &Input) -> Result<Vec<String>, String> {
     let mut short = BTreeSet::new();
     for vector in input.golden.iter().filter(|vector| vector.direction == "to-device") {
@@ -78,7 +79,7 @@ pub(super) fn short_of(input: &Input) -> Result<Vec<String>, String> {
     Ok(short.into_iter().collect())
 }
 
-/// The message in a golden frame, and what the program reads in it.
+/// Returns the message in a golden frame, and the value that this crate decodes from it.
 fn taken<T: Message>(vector: &Golden) -> Result<(Vec<u8>, T), String> {
     let wrong = |problem: String| format!("golden frame {} {}: {problem}", vector.direction, vector.name);
     let decoded = FrameDecoder::new();
@@ -89,7 +90,7 @@ fn taken<T: Message>(vector: &Golden) -> Result<(Vec<u8>, T), String> {
 }
 
 fn constants(input: &Input) -> Json {
-    /// What boards are configured with, and what is no number on the wire, only limits lists.
+    /// Module whose constants describe an image in flash and not the wire.
     const NOT_ON_THE_WIRE: [&str; 1] = ["image"];
     let of = input
         .source
@@ -136,7 +137,7 @@ fn fields(fields: &[Field]) -> Json {
     fields.iter().map(field).collect()
 }
 
-/// Each kind, with the name that people write and what a channel of it measures together.
+/// Returns each kind of channel with its written name, and the quantities that it measures together.
 fn channel_kinds(input: &Input) -> Result<Json, String> {
     let Kind::Enum(variants) = &input.model.get("ChannelKind")?.kind else {
         return Err("ChannelKind is an enum".into());
@@ -176,13 +177,13 @@ fn causes(input: &Input) -> Result<Json, String> {
     Cause::ALL.into_iter().zip(&of.variants).enumerate().map(cause).collect::<Result<Vec<_>, String>>().map(Json::from)
 }
 
-/// The variant of this number, of an enum whose variants have no fields.
+/// Returns the variant of this number, of an enum whose variants have no fields.
 pub(super) fn variant_of<T: DeserializeOwned>(number: usize) -> Result<T, String> {
     let number = u8::try_from(number).ok().filter(|number| *number < 0x80).ok_or("more than 127 variants")?;
     postcard::from_bytes(&[number]).map_err(|error| error.to_string())
 }
 
-/// The golden frames of one direction, each taken apart and compared with what the program makes of it.
+/// Returns the golden frames of one direction, each decoded by the page's rules and compared with this crate's value.
 fn vectors<T: Message>(input: &Input, direction: &str, name: &'static str) -> Result<Json, String> {
     let of = input.golden.iter().filter(|vector| vector.direction == direction);
     of.map(|vector| {
@@ -206,12 +207,12 @@ pub(super) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The text of a comment as one line.
+/// Returns the text of a comment as one line.
 pub(super) fn one_line(doc: &str) -> String {
     doc.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// As a person would write it: what is short in one line.
+/// Formats a value as a person would: short values in one line.
 fn pretty(value: &Json, depth: usize) -> String {
     let compact = value.to_string();
     let indent = "  ".repeat(depth + 1);

@@ -1,4 +1,4 @@
-//! `protocol/r4.lua`: the dissector beside this file, with the types as tables.
+//! Generator of `protocol/r4.lua`: the dissector beside this file, with the types as tables.
 
 use r4_protocol::{
     VERSION,
@@ -13,7 +13,7 @@ use super::{
 
 const TEMPLATE: &str = include_str!("dissector.lua");
 
-/// The whole file.
+/// Returns the whole file.
 pub(super) fn file(input: &Input) -> Result<String, String> {
     let mut types = format!("local VERSION = {VERSION}\nlocal CHECKSUMS = {{\n");
     for check in [Check::Short, Check::Long] {

@@ -1,4 +1,4 @@
-//! The types that travel: shapes and numbers from their schemas, texts and limits from the source.
+//! Model of the types that travel: shapes and numbers from their schemas, texts and limits from the source.
 
 use postcard_schema::{
     Schema,
@@ -13,15 +13,15 @@ use super::{
     source::{FieldSource, Source, TypeSource},
 };
 
-/// How a value is encoded.
+/// Encoding of a value.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Shape {
     Bool,
     U8,
     I8,
-    /// Of so many bits, as a varint.
+    /// Unsigned number with this many bits, as a varint.
     Unsigned(u8),
-    /// Of so many bits, as a zigzag varint.
+    /// Signed number with this many bits, as a zigzag varint.
     Signed(u8),
     F32,
     Text {
@@ -44,7 +44,7 @@ pub(super) enum Shape {
 }
 
 pub(super) struct Field {
-    /// None for the only field of a variant or struct that has no name.
+    /// Name of the field; `None` for the only field of a variant or struct that has no name.
     pub(super) name: Option<&'static str>,
     pub(super) shape: Shape,
     pub(super) doc: String,
@@ -67,10 +67,12 @@ pub(super) struct Named {
     pub(super) kind: Kind,
 }
 
-/// Every type that travels, in the order in which they are met from [`ToDevice`] and then [`ToHost`] on.
+/// Types that travel, in the order in which they are met from [`ToDevice`] and then [`ToHost`] on.
 pub(super) struct Model(pub(super) Vec<Named>);
 
 impl Model {
+    /// Makes the model of all messages.
+    ///
     /// # Errors
     /// A type that travels is not in the source, or is written in a way that this does not know.
     pub(super) fn new(source: &Source) -> Result<Self, String> {
@@ -85,7 +87,7 @@ impl Model {
         self.0.iter().find(|named| named.name == name).ok_or_else(|| format!("no message has a {name}"))
     }
 
-    /// Adds a struct or an enum, and what it is made of behind it.
+    /// Adds a struct or an enum, and then the types that it consists of.
     fn named(&mut self, schema: &NamedType, source: &Source) -> Result<Shape, String> {
         let name = schema.name;
         if self.0.iter().any(|named| named.name == name) {
@@ -93,6 +95,7 @@ impl Model {
         }
         let of = source.of_type(name)?;
         let place = self.0.len();
+        // A placeholder keeps the order of first use, and ends the recursion of a type in itself.
         self.0.push(Named { name, doc: of.doc.clone(), kind: Kind::Struct(Vec::new()) });
         self.0[place].kind = self.kind(schema, of, source).map_err(|problem| format!("{name}: {problem}"))?;
         Ok(Shape::Named(name))
@@ -105,6 +108,7 @@ impl Model {
             DataModelType::Enum(variants) => {
                 let mut all = Vec::new();
                 for (variant, written) in variants.iter().zip(&of.variants) {
+                    // The order of variants is their encoding, so both sources must agree on it.
                     if variant.name != written.name {
                         return Err(format!(
                             "variant {} of the schema is {} in the source",
@@ -171,6 +175,7 @@ impl Model {
                 };
                 Shape::Array { of: self.shape(first, &array.elem, source)?.into(), length: all.len() }
             }
+            // serde's `Result` is an enum without a type of ours.
             DataModelType::Enum([ok, refusal]) if ok.name == "Ok" && refusal.name == "Err" => {
                 let (DataModelVariant::TupleVariant([ok_type]), DataModelVariant::TupleVariant([refusal_type])) =
                     (ok.ty, refusal.ty)
@@ -206,7 +211,7 @@ fn argument(written: &Type, place: usize) -> Result<&Type, String> {
     }
 }
 
-/// How much a list or text holds: the constant in its type.
+/// Returns the capacity of a list or text: the constant in its type.
 fn limit(written: &Type, place: usize, source: &Source) -> Result<usize, String> {
     let path = match generic(written, place)? {
         GenericArgument::Type(Type::Path(path)) => &path.path,
@@ -218,7 +223,7 @@ fn limit(written: &Type, place: usize, source: &Source) -> Result<usize, String>
 }
 
 impl Shape {
-    /// In one word or two, as in tables.
+    /// Returns the type in one word or two, as in tables.
     pub(super) fn text(&self) -> String {
         match self {
             Self::Bool => "bool".into(),
@@ -249,7 +254,7 @@ impl Shape {
 }
 
 impl Field {
-    /// As the end of its name tells.
+    /// Returns the unit at the end of the field's name.
     pub(super) fn unit(&self) -> Option<&'static str> {
         const UNITS: [(&str, &str); 8] = [
             ("_us", "µs"),

@@ -1,4 +1,4 @@
-//! `docs/protocol.md`: the template beside this file, with what the code knows put into it.
+//! Generator of `docs/protocol.md`: the template beside this file, with values from the code.
 //!
 //! | in the template | becomes |
 //! | --- | --- |
@@ -27,10 +27,10 @@ use super::{
 
 const TEMPLATE: &str = include_str!("page.md");
 
-/// The whole page.
+/// Returns the whole page.
 ///
 /// # Errors
-/// Names what the template asks for and nobody knows.
+/// A placeholder of the template that has no value.
 pub(super) fn file(input: &Input) -> Result<String, String> {
     let mut page = String::new();
     let mut shown = BTreeSet::new();
@@ -54,7 +54,7 @@ fn put(input: &Input, words: &[&str], shown: &mut BTreeSet<String>) -> Result<St
             let source = Source::read(&input.root.join(file))?;
             Value::of(name, &source).map(|value| value.to_string())
         }
-        // What is about an item stands within a paragraph.
+        // An item's comment becomes part of a paragraph, so it must be one line.
         ["doc", path] if path.starts_with(char::is_uppercase) => input.source.doc(path).map(one_line),
         ["doc", module] => input.source.doc(module).map(lower_headings),
         ["type", name] => {
@@ -95,7 +95,7 @@ fn put(input: &Input, words: &[&str], shown: &mut BTreeSet<String>) -> Result<St
     }
 }
 
-/// The headings of a comment below those of the page.
+/// Moves the headings of a comment below those of the page.
 fn lower_headings(doc: &str) -> String {
     doc.lines()
         .map(|line| if line.starts_with("# ") { format!("###{}", &line[1..]) } else { line.into() })
@@ -113,7 +113,7 @@ fn section(named: &Named) -> String {
     format!("### {}\n\n{}\n\n{}", named.name, named.doc, table(named))
 }
 
-/// Fields, or variants with theirs.
+/// Returns a table of fields, or of variants with their fields.
 fn table(named: &Named) -> String {
     let mut text = String::new();
     match &named.kind {
@@ -157,7 +157,7 @@ fn line(text: &mut String, cells: &[&str]) {
     writeln!(text, "| {} |", cells.join(" | ")).expect("a string takes it");
 }
 
-/// With the unit that the name of the field tells.
+/// Returns the meaning of a field, with the unit from its name.
 fn meaning(field: &Field) -> String {
     let text = one_line(&field.doc);
     field.unit().map_or_else(|| text.clone(), |unit| format!("{text} [{unit}]"))

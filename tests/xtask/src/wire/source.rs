@@ -1,26 +1,26 @@
-//! What the source of the protocol says beside its types: doc comments, how much lists hold, constants.
+//! Source text of the protocol, for what its types do not have: doc comments, capacities of lists, constants.
 
 use std::{collections::BTreeMap, fs, path::Path};
 
 use syn::{Attribute, Expr, ExprLit, Fields, ImplItem, Item, Lit, Meta, Type};
 
-/// A folder of Rust files, or one, as far as the page needs it.
+/// Relevant content of a Rust file, or of a folder of such files.
 #[derive(Default)]
 pub(super) struct Source {
-    /// By name. Those of one name in several modules are told apart by nothing, so that none may be asked for.
+    /// Types by name. Those of one name in several modules cannot be told apart, so none of them may be asked for.
     types: BTreeMap<String, Vec<TypeSource>>,
-    /// By name, those of a type as `Type::NAME`.
+    /// Constants by name, those of a type as `Type::NAME`.
     constants: BTreeMap<String, Vec<ConstantSource>>,
-    /// Comments of modules, by their names.
+    /// Comments of modules, by the names of the modules.
     modules: BTreeMap<String, String>,
 }
 
-/// A struct, or an enum.
+/// Struct or enum with its comments.
 pub(super) struct TypeSource {
     pub(super) doc: String,
-    /// Of a struct; a tuple's have no names.
+    /// Fields of a struct; those of a tuple have no names.
     pub(super) fields: Vec<FieldSource>,
-    /// Of an enum.
+    /// Variants of an enum.
     pub(super) variants: Vec<VariantSource>,
 }
 
@@ -46,7 +46,7 @@ impl Source {
     /// Reads the file, or every Rust file below the folder.
     ///
     /// # Errors
-    /// Names the file that cannot be read or is not Rust.
+    /// The name of the file that cannot be read or is not Rust.
     pub(super) fn read(path: &Path) -> Result<Self, String> {
         let mut source = Self::default();
         source.add(path)?;
@@ -113,19 +113,23 @@ impl Source {
         self.constants.entry(name).or_default().push(source);
     }
 
+    /// Returns the type of this name.
+    ///
     /// # Errors
     /// There is none, or several.
     pub(super) fn of_type(&self, name: &str) -> Result<&TypeSource, String> {
         only(self.types.get(name), "type", name)
     }
 
+    /// Returns the constant of this name.
+    ///
     /// # Errors
     /// There is none, or several.
     pub(super) fn constant_source(&self, name: &str) -> Result<&ConstantSource, String> {
         only(self.constants.get(name), "constant", name)
     }
 
-    /// Every constant that has a name of its own.
+    /// Iterates over the constants whose name is unique.
     pub(super) fn constants(&self) -> impl Iterator<Item = (&str, &ConstantSource)> {
         self.constants.iter().filter_map(|(name, sources)| match &sources[..] {
             [source] => Some((name.as_str(), source)),
@@ -133,10 +137,11 @@ impl Source {
         })
     }
 
-    /// The comment of what `path` names: a module, a constant, a type, or a variant as `Type::Variant`.
+    /// Returns the comment of the item that `path` names: a module, a constant, a type, or a variant as
+    /// `Type::Variant`.
     ///
     /// # Errors
-    /// There is none, or it has no comment.
+    /// There is no such item, or it has no comment.
     pub(super) fn doc(&self, path: &str) -> Result<&str, String> {
         let variant = path.split_once("::").and_then(|(of, name)| {
             self.of_type(of).ok()?.variants.iter().find(|variant| variant.name == name).map(|variant| &variant.doc)
@@ -161,7 +166,7 @@ fn fields(fields: Fields) -> Vec<FieldSource> {
     fields.into_iter().map(|field| FieldSource { doc: doc(&field.attrs), written: field.ty }).collect()
 }
 
-/// The text of the doc comments, without what only rustdoc understands.
+/// Returns the text of the doc comments, without the syntax that only rustdoc understands.
 fn doc(attributes: &[Attribute]) -> String {
     let lines = attributes.iter().filter_map(|attribute| {
         let Meta::NameValue(pair) = &attribute.meta else { return None };
@@ -174,7 +179,8 @@ fn doc(attributes: &[Attribute]) -> String {
     text.join("\n").trim().to_owned()
 }
 
-/// Of links to items only the item: both forms of a link to `crate::a::B`, with and without a text of its own, become `B`.
+/// Replaces links to items by the item: both forms of a link to `crate::a::B`, with and without a text of its own,
+/// become `B`.
 fn unlinked(line: &str) -> String {
     let mut text = String::new();
     let mut rest = line;
@@ -192,7 +198,7 @@ fn unlinked(line: &str) -> String {
     text + rest
 }
 
-/// Without modules: a type, and what it has.
+/// Returns the path of an item without modules: a type, and its member.
 fn shown(name: &str) -> String {
     let parts: Vec<&str> = name.trim_matches('`').split("::").collect();
     let begin = parts.iter().position(|part| part.starts_with(char::is_uppercase)).unwrap_or(parts.len() - 1);

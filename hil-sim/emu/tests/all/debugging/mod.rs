@@ -1,4 +1,4 @@
-//! A board with the firmware's image, to debug.
+//! Board with the firmware's image, for debugging tests.
 
 #![allow(dead_code, reason = "each test file uses a part")]
 
@@ -7,10 +7,10 @@ use r4_mcu::Settings;
 use r4_sim::{Clock, Simulation, VirtualBoard as _};
 use r4_thumb::ThumbCore;
 
-/// The robot whose image the tests debug.
+/// Robot whose image the tests debug.
 const ROBOT: &str = "osmc-bench";
 
-/// A board that runs in a simulation of its own.
+/// Board in a simulation of its own.
 pub(crate) struct Debugged {
     pub(crate) simulation: Simulation,
     pub(crate) clock: Clock,
@@ -19,7 +19,7 @@ pub(crate) struct Debugged {
 }
 
 impl Debugged {
-    /// Powers it up.
+    /// Powers up the board.
     pub(crate) fn start() -> Self {
         let image = Image::find(ROBOT).unwrap_or_else(|error| panic!("{error}"));
         let mut simulation = Simulation::default();
@@ -30,7 +30,7 @@ impl Debugged {
         Self { clock: simulation.clock(), simulation, board, image }
     }
 
-    /// Runs to a moment.
+    /// Runs to the virtual time `at_ns`.
     pub(crate) fn run_to_ns(&mut self, at_ns: u64) {
         let clock = self.clock.clone();
         self.simulation.block_on(clock.sleep_until(at_ns)).expect("the clock does not stand still");

@@ -1,7 +1,7 @@
-//! The firmware's image on an emulated board with a host connected to it.
+//! Firmware image on an emulated board with a connected host.
 //!
-//! Images are built by `cargo xtask firmware --robot <robot> [--image hosted]`. A test whose image is missing fails and
-//! says so. Times are virtual.
+//! `cargo xtask firmware --robot <robot> [--image hosted]` builds the images. A test whose image is missing fails with
+//! that message. Times are virtual.
 #![allow(dead_code, unused_imports, reason = "each test file uses its part")]
 
 #[path = "../../../../board/tests/all/harness/mod.rs"]
@@ -16,13 +16,14 @@ use r4_mcu::{Chip, Settings, soc::Soc};
 use r4_sim::{Pace, Simulation, VirtualBoard, flash::Flash};
 use r4_thumb::ThumbCore;
 
-/// The board under test.
+/// Emulated board under test.
 pub(crate) type Board = EmuBoard<ThumbCore>;
 
-/// From power-on until the supervisor runs, more than any start takes, ms: clocks, the expander's and PWM chips' set-up.
+/// Upper limit of the time from power-on until the supervisor runs, ms: clocks, and the set-up of the expander and PWM
+/// chips.
 pub(crate) const BOOT_MS: u64 = 100;
 
-/// How a board is powered up.
+/// Power-up conditions of a board.
 pub(crate) struct Setup {
     robot: Robot,
     image: Image,
@@ -32,7 +33,7 @@ pub(crate) struct Setup {
     board: Rc<RefCell<Option<Rc<Board>>>>,
 }
 
-/// The image that is built for `robot`; `kind` is `bare` or `hosted`.
+/// Returns the image built for `robot`; `kind` is `bare` or `hosted`.
 pub(crate) fn image(robot: &str, kind: &str) -> Image {
     if kind == "bare" {
         return Image::find(robot).unwrap_or_else(|error| panic!("{error}"));
@@ -44,12 +45,12 @@ pub(crate) fn image(robot: &str, kind: &str) -> Image {
 }
 
 impl Setup {
-    /// A built-in robot with its bare image, nothing kept.
+    /// Set-up of a built-in robot with its bare image and empty flash storage.
     pub(crate) fn new(robot: &str) -> Self {
         Self::of(r4_boards::load(robot).expect("built in"), image(robot, "bare"))
     }
 
-    /// The bench.
+    /// Set-up of the robot `osmc-bench`.
     pub(crate) fn osmc_bench() -> Self {
         Self::new("osmc-bench")
     }
@@ -58,13 +59,13 @@ impl Setup {
         Self { robot, image, kept: RefCell::default(), seed: 1, prepare: Box::new(|_| {}), board: Rc::default() }
     }
 
-    /// With another world around the same firmware.
+    /// Changes the robot, and so the world around the same firmware.
     pub(crate) fn with_robot(mut self, change: impl FnOnce(&mut Robot)) -> Self {
         change(&mut self.robot);
         self
     }
 
-    /// With what another board has kept.
+    /// Starts with the flash storage of another board.
     pub(crate) fn with_flash(self, flash: Flash) -> Self {
         self.kept.replace(Some(flash));
         self
@@ -74,12 +75,12 @@ impl Setup {
         Self { seed, ..self }
     }
 
-    /// With something done to the board before its first instruction.
+    /// Calls `prepare` with the board before its first instruction.
     pub(crate) fn prepared(self, prepare: impl Fn(&Board) + 'static) -> Self {
         Self { prepare: Box::new(prepare), ..self }
     }
 
-    /// The robot around it.
+    /// Returns the robot of the set-up.
     pub(crate) fn robot(&self) -> &Robot {
         &self.robot
     }
@@ -88,7 +89,7 @@ impl Setup {
         &self.image
     }
 
-    /// See [`harness::PowerUp`].
+    /// Powers up the board for [`harness::PowerUp`].
     pub(crate) fn power_up(&self, simulation: &mut Simulation, robot: &Robot) -> Rc<dyn VirtualBoard> {
         let core = ThumbCore::new();
         let kept = self.kept.borrow_mut().take();
@@ -99,14 +100,15 @@ impl Setup {
         board
     }
 
-    /// Runs `work` with a connected host; at the end nobody may have done anything against a manual or a datasheet.
+    /// Runs `work` with a connected host; fails if the run has misused a chip against its manual or datasheet.
     pub(crate) fn bench<T>(&self, work: impl AsyncFnOnce(&Emu<'_>) -> T) -> T {
         let (result, misuse) = self.bench_with_misuse(work);
         assert_eq!(misuse, Vec::<String>::new(), "what a chip would have suffered or ignored in silence");
         result
     }
 
-    /// The same for tests that break something, and so may expect misuse: of the board's chips, then of the processor.
+    /// Runs `work` with a connected host; returns the misuse as well, of the board's chips, then of the processor, for
+    /// tests that break something.
     pub(crate) fn bench_with_misuse<T>(&self, work: impl AsyncFnOnce(&Emu<'_>) -> T) -> (T, Vec<String>) {
         self.paced_bench(Pace::Free, work)
     }
@@ -126,7 +128,7 @@ impl Setup {
         (result, misuse)
     }
 
-    /// Runs `work` with a host that speaks bytes, once the board has come up.
+    /// Runs `work` with a host that sends raw bytes, once the board has booted.
     pub(crate) fn raw<T>(&self, work: impl AsyncFnOnce(&mut RawHost, &Device, &Board) -> T) -> (T, Vec<String>) {
         let _told = TellFailure(self.board.clone());
         let power_up = |simulation: &mut Simulation, robot: &Robot| self.power_up(simulation, robot);
@@ -140,7 +142,8 @@ impl Setup {
         (result, world)
     }
 
-    /// As [`Setup::bench`], but after `work` the host is gone without a word, and `alone` goes on with the board.
+    /// Runs `work` as [`Setup::bench`] does; then the host vanishes without a bye, and `alone` continues with the
+    /// board.
     pub(crate) fn left_alone<A, T>(
         &self,
         work: impl AsyncFnOnce(&Bench<'_>) -> A,
@@ -153,7 +156,7 @@ impl Setup {
         result
     }
 
-    /// The board that was powered up last.
+    /// Returns the board that was powered up last.
     pub(crate) fn last(&self) -> Rc<Board> {
         self.board.borrow().clone().expect("one was powered up")
     }
@@ -163,7 +166,7 @@ impl Setup {
     }
 }
 
-/// Why the processor stopped for ever, if a test fails for that.
+/// Prints the reason for which the processor stopped, if a test fails because of it.
 struct TellFailure(Rc<RefCell<Option<Rc<Board>>>>);
 
 impl Drop for TellFailure {
@@ -177,7 +180,7 @@ impl Drop for TellFailure {
     }
 }
 
-/// A connected host, the world, and the processor.
+/// Connected host, the world, and the processor.
 pub(crate) struct Emu<'b> {
     bench: &'b Bench<'b>,
     pub(crate) emulated: Rc<Board>,
@@ -191,7 +194,7 @@ impl<'b> Deref for Emu<'b> {
     }
 }
 
-/// The path of the image, short.
+/// Returns the file name of an image's path.
 pub(crate) fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }

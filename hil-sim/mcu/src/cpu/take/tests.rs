@@ -1,4 +1,4 @@
-//! Entry and return on a core that executes nothing: frames word by word, and what is refused.
+//! Entry and return on a core that executes nothing: frames word by word, and refused cases.
 
 use super::super::fake::FakeCore;
 use super::*;
@@ -8,7 +8,7 @@ const STACK: u32 = 0x2000_1000;
 const PROCESS: u32 = 0x2000_2000;
 const THREAD_PC: u32 = 0x0800_1000;
 
-/// The handler of an exception.
+/// Returns the address of an exception's handler.
 fn handler(exception: u16) -> u32 {
     0x0800_4000 + 0x10 * u32::from(exception)
 }
@@ -20,7 +20,7 @@ struct Bench {
 }
 
 impl Bench {
-    /// In thread mode, on the main stack, with R0 to R3, R12 and LR told apart.
+    /// Starts in thread mode on the main stack, with distinct values in R0 to R3, R12 and LR.
     fn new() -> Self {
         let memory = Memory::new();
         for exception in 1..48_u16 {
@@ -92,7 +92,7 @@ fn an_extended_frame_has_floating_point_and_its_address_in_fpcar() {
         bench.core.set(Register::S(index), 0x2000 + u32::from(index));
     }
     bench.core.set(Register::Fpscr, 0x0100_0000);
-    // Aligned to four only.
+    // The stack is aligned to four bytes only, so the frame needs padding.
     bench.core.set(Register::Msp, STACK - 4);
     let irq = bench.pend(0, 0x40);
     bench.enter(irq);
@@ -173,7 +173,7 @@ fn a_return_that_makes_no_sense_is_a_usage_fault_on_the_frame_that_is_there() {
             ("CFSR 0x00040000".into(), STACK - 0x20)
         );
     }
-    // To thread mode, while another handler is preempted; allowed by NONBASETHRDENA.
+    // Return to thread mode while another handler is preempted; NONBASETHRDENA allows it.
     for (allowed, expected) in [(false, number::HARD_FAULT), (true, 0)] {
         let mut bench = Bench::new();
         bench.cpu.write(0xE000_ED14, Size::Word, allowed.into(), 0).unwrap();
@@ -207,7 +207,8 @@ fn faults_escalate_when_they_are_disabled_or_not_urgent_enough() {
     bench.cpu.exceptions.set_priority_field(number::USAGE_FAULT, 0x80);
     bench.taker().fault(Cause::Undefined).unwrap();
     assert_eq!((active(&bench.core), bench.cpu.faults.to_string()), (6, "CFSR 0x00010000".into()));
-    // Within itself it cannot be taken again; within HardFault nothing can.
+    // Within UsageFault's handler a bus error becomes a HardFault, because BusFault is not enabled; within HardFault no
+    // fault can be taken.
     bench.taker().fault(Cause::Load { address: 0x9000_0000 }).unwrap();
     assert_eq!(active(&bench.core), number::HARD_FAULT);
     let failure = bench.taker().fault(Cause::Undefined).unwrap_err();
@@ -238,7 +239,7 @@ fn faultmask_is_cleared_by_a_return_but_not_from_nmi() {
 #[test]
 fn a_vector_that_cannot_be_read_or_is_no_thumb_code_is_a_fault() {
     let mut bench = Bench::new();
-    // The last words of DTCM: the vector of HardFault is there, that of interrupt 0 is not.
+    // The table is in the last words of DTCM: it contains HardFault's vector, but not that of interrupt 0.
     bench.cpu.write(0xE000_ED08, Size::Word, 0x2001_FF80, 0).unwrap();
     let vectors: Vec<u32> = (0..32_u16).map(|exception| handler(exception) | 1).collect();
     for (at, vector) in (0x2001_FF80..).step_by(4).zip(&vectors) {

@@ -1,4 +1,4 @@
-//! One converter.
+//! One converter of the ADC.
 
 use std::collections::VecDeque;
 
@@ -7,14 +7,14 @@ use crate::context::{Context, Ticks};
 use crate::outside::Pin;
 use crate::peripheral::Unmodelled;
 
-/// ISR and IER.
+/// Bits of ISR and IER.
 const ADRDY: u32 = 1;
 const EOSMP: u32 = 1 << 1;
 const EOC: u32 = 1 << 2;
 const EOS: u32 = 1 << 3;
 const OVR: u32 = 1 << 4;
 const LDORDY: u32 = 1 << 12;
-/// CR.
+/// Bits of the control register CR.
 const ADEN: u32 = 1;
 const ADDIS: u32 = 1 << 1;
 const ADSTART: u32 = 1 << 2;
@@ -26,28 +26,29 @@ const ADVREGEN: u32 = 1 << 28;
 const DEEPPWD: u32 = 1 << 29;
 const DIFFERENTIAL: u32 = 1 << 30;
 const ADCAL: u32 = 1 << 31;
-/// CFGR.
+/// Bits of the configuration register CFGR.
 const OVRMOD: u32 = 1 << 12;
 const CONT: u32 = 1 << 13;
 const REFUSED: u32 = 1 << 14 | 1 << 16 | 1 << 20 | 1 << 22 | 1 << 23 | 1 << 24 | 1 << 25;
-/// CFGR2.
+/// Bits of the configuration register CFGR2.
 const ROVSE: u32 = 1;
 
-/// Stages of DR.
+/// Number of FIFO stages behind DR.
 const FIFO: usize = 8;
 const VREF_V: f64 = 3.3;
-/// Start-up of the regulator, typical (DS12930, 16-bit ADC characteristics); the maximum is 10 us.
+/// Start-up time of the regulator, ns: the typical value (DS12930, 16-bit ADC characteristics); the maximum is 10 µs.
 const REGULATOR_NS: u64 = 5_000;
-/// Calibration of the offset alone and of the linearity too, clocks (DS12930, same table).
+/// Duration of calibration, of the offset alone and with the linearity, ADC clocks (DS12930, same table).
 const OFFSET_CLOCKS: u64 = 1_280;
 const LINEARITY_CLOCKS: u64 = 165_010;
-/// From ADEN to ADRDY: one conversion (DS12930, same table), of 1.5 + 8.5 clocks.
+/// Time from ADEN to ADRDY, ADC clocks: one conversion (DS12930, same table), of 1.5 + 8.5 clocks.
 const READY_CLOCKS: u64 = 10;
 
-/// Half clocks of sampling, by SMPx (RM0399, ADC, sampling time).
+/// Sampling time by SMPx, half clocks (RM0399, ADC, sampling time).
 const SAMPLING: [u64; 8] = [3, 5, 17, 33, 65, 129, 775, 1621];
 
-/// Pins of INP2 to INP19 (DS12930, pin definitions); `None` is internal, or missing on this converter.
+/// Returns the pin of INP2 to INP19 (DS12930, pin definitions); `None` for inputs that are internal, or missing on this
+/// converter.
 fn pin(converter: u8, channel: u32) -> Option<Pin> {
     let first = converter == 1;
     Some(match channel {
@@ -73,17 +74,17 @@ fn pin(converter: u8, channel: u32) -> Option<Pin> {
     })
 }
 
-/// A sequence that is under way.
+/// Sequence of conversions in progress.
 #[derive(Clone, Copy, Debug)]
 struct Running {
-    /// 1 to 16.
+    /// Rank of the present conversion, 1 to 16.
     rank: u32,
-    /// Half clocks since the first conversion began, and at which of them this one ends.
+    /// Half clocks since the first conversion began, and the number at which the present one ends.
     ticks: Ticks,
     end: u64,
 }
 
-/// ADC1 or ADC2.
+/// State of ADC1 or ADC2.
 #[derive(Debug)]
 pub(super) struct Converter {
     number: u8,
@@ -96,10 +97,10 @@ pub(super) struct Converter {
     smpr: [u32; 2],
     pcsel: u32,
     sqr: [u32; 4],
-    /// What was last read from DR, and results not yet read.
+    /// Last value read from DR, and the results not read yet.
     data: u32,
     results: VecDeque<u32>,
-    /// Thresholds of watchdogs that are never enabled: LTR1, HTR1, LTR2, HTR2, LTR3, HTR3.
+    /// Thresholds of the watchdogs, which cannot be enabled: LTR1, HTR1, LTR2, HTR2, LTR3, HTR3.
     thresholds: [u32; 6],
     calibration: [u32; 2],
     running: Option<Running>,
@@ -107,7 +108,7 @@ pub(super) struct Converter {
     regulator_ns: u64,
     calibrated_ns: u64,
     ready_ns: u64,
-    /// DMA one-shot mode is through.
+    /// The transfer of DMA one-shot mode has ended.
     dma_over: bool,
     request: bool,
 }
@@ -156,7 +157,8 @@ impl Converter {
     }
 
     pub(super) fn tell_request(&mut self, context: &mut Context<'_>) {
-        // After an overrun what is in memory stays in step with the sequence: nothing more is asked for (RM0399, ADC, DMA one-shot mode).
+        // No request follows an overrun, so that memory stays in step with the sequence (RM0399, ADC, DMA one-shot
+        // mode).
         let lost = self.isr & OVR != 0 && self.cfgr & OVRMOD == 0;
         let request = self.uses_dma() && !self.results.is_empty() && !lost && !self.dma_over;
         if self.request != request {
@@ -176,9 +178,10 @@ impl Converter {
         conversion_ns.min(ready_ns)
     }
 
-    /// Works out what has ended up to now.
+    /// Carries out the conversions that have ended up to now.
     pub(super) fn run(&mut self, clock: Clock, context: &mut Context<'_>) {
         let now_ns = context.now_ns;
+        // Done first, so that a long pause does not compute conversions without any effect.
         self.skip_lost(now_ns);
         while let Some(running) = self.running.filter(|running| running.ticks.when_ns(running.end) <= now_ns) {
             self.convert(running, context);
@@ -198,7 +201,7 @@ impl Converter {
         if clock != self.clock {
             self.clock = clock;
             if let Some(running) = &mut self.running {
-                // What is left of this conversion takes as many clocks, of the new kind.
+                // The rest of this conversion takes the same number of clocks, at the new frequency.
                 let left = running.end - running.ticks.at(now_ns);
                 let ticks = Ticks { start_ns: now_ns, frequency_hz: clock.frequency_hz, divider: clock.divider };
                 *running = Running { ticks, end: left, ..*running };
@@ -206,13 +209,14 @@ impl Converter {
         }
     }
 
-    /// Nobody reads: all that a further conversion can set is set, and its result is lost.
+    /// Returns true if the program does not read: all flags that a further conversion could set are set, and its result
+    /// would be lost.
     fn is_drowned(&self) -> bool {
         let overwrites = self.cfgr & OVRMOD != 0;
         self.isr & (EOSMP | EOC | EOS | OVR) == EOSMP | EOC | EOS | OVR && self.results.len() == FIFO && !overwrites
     }
 
-    /// Skips sequences of a continuous mode whose results are lost.
+    /// Skips sequences in continuous mode whose results would be lost.
     fn skip_lost(&mut self, now_ns: u64) {
         let lost = self.is_drowned() && self.cfgr & CONT != 0;
         let sequence: u64 = (1..=self.ranks()).map(|rank| self.duration(rank)).sum();
@@ -244,11 +248,12 @@ impl Converter {
         self.sqr[(rank / 5) as usize] >> (6 * (rank % 5)) & 0x1f
     }
 
-    /// Half clocks of the conversions for one result.
+    /// Returns the duration of the conversions for one result, half clocks.
     fn duration(&self, rank: u32) -> u64 {
         let channel = self.channel(rank);
         let sampling = SAMPLING[(self.smpr[(channel / 10).min(1) as usize] >> (3 * (channel % 10)) & 7) as usize];
-        // 8.5 clocks for 16 bits, one less for each two bits less (RM0399, ADC, conversion timing).
+        // Successive approximation takes 8.5 clocks for 16 bits, one less for each two bits less (RM0399, ADC,
+        // conversion timing).
         let approximation = u64::from(self.bits()) + 1;
         (sampling + approximation) * self.ratio()
     }
@@ -258,11 +263,12 @@ impl Converter {
         self.running = Some(Running { rank: 1, ticks, end: self.duration(1) });
     }
 
-    /// The end of one conversion.
+    /// Ends one conversion: stores its result and starts the next one.
     fn convert(&mut self, running: Running, context: &mut Context<'_>) {
         let code = self.sample(self.channel(running.rank), context);
         self.store(code);
         self.isr |= EOSMP | EOC;
+        // The ends add up in half clocks from the start of the sequence, so that rounding errors do not accumulate.
         if running.rank < self.ranks() {
             let rank = running.rank + 1;
             self.running = Some(Running { rank, end: running.end + self.duration(rank), ..running });
@@ -270,6 +276,7 @@ impl Converter {
         }
         self.isr |= EOS;
         self.running = None;
+        // A software start ends with its sequence; a triggered one stays armed.
         let software = self.cfgr >> 10 & 3 == 0;
         if self.cfgr & CONT != 0 {
             self.running = Some(Running { rank: 1, end: running.end + self.duration(1), ..running });
@@ -278,7 +285,8 @@ impl Converter {
         }
     }
 
-    /// DR has a FIFO of eight stages, but of one when results may be overwritten (RM0399, ADC, overrun).
+    /// Stores a result. DR has a FIFO of eight stages, but of only one if results may be overwritten (RM0399, ADC,
+    /// overrun).
     fn store(&mut self, code: u32) {
         let overwrites = self.cfgr & OVRMOD != 0;
         let depth = if overwrites { 1 } else { FIFO };
@@ -315,7 +323,7 @@ impl Converter {
         }
     }
 
-    /// The timer whose trigger output EXTSEL selects (RM0399, ADC, external triggers).
+    /// Returns the timer whose trigger output EXTSEL selects (RM0399, ADC, external triggers).
     fn trigger_timer(&self) -> Option<u8> {
         match self.cfgr >> 5 & 0x1f {
             4 => Some(3),
@@ -332,7 +340,8 @@ impl Converter {
     pub(super) fn dma_ended(&mut self, request: u8, context: &mut Context<'_>) {
         if request == 8 + self.number && self.cfgr & 3 == 1 {
             self.dma_over = true;
-            // The conversion under way is dropped; ADSTART stays until the program stops it (RM0399, ADC, DMA one-shot mode).
+            // The conversion in progress is dropped; ADSTART stays set until the program stops it (RM0399, ADC, DMA
+            // one-shot mode).
             self.running = None;
             self.tell_request(context);
         }
@@ -398,7 +407,7 @@ impl Converter {
             0xb0..=0xbc => self.thresholds[2 + (offset as usize - 0xb0) / 4] = value & 0x03ff_ffff,
             0xc4 | 0xc8 => self.calibration[(offset as usize - 0xc4) / 4] = value & 0x3fff_ffff,
             0x40 => {}
-            // Offsets, watchdogs 2 and 3, differential inputs: off is all there is.
+            // Offsets, watchdogs 2 and 3 and differential inputs are modelled in their off state only.
             0x60..=0x6c | 0xa0 | 0xa4 | 0xc0 if value == 0 => {}
             0x60..=0x6c => return self.refuse("offsets (OFRx)"),
             0xa0 | 0xa4 => return self.refuse("analog watchdogs"),
@@ -505,7 +514,7 @@ impl Converter {
             return self.refuse(&format!("channel {channel}"));
         }
         let hz = clock.frequency_hz / (2 * clock.divider);
-        // BOOST: up to 6.25, 12.5, 25 and 50 MHz (RM0399, ADC_CR).
+        // Clock limits by BOOST: 6.25, 12.5, 25 and 50 MHz (RM0399, ADC_CR).
         let limit_hz = 6_250_000 << (self.cr >> 8 & 3);
         if hz > limit_hz {
             context.misuse(self.name, format!("a clock of {hz} Hz with BOOST for {limit_hz} Hz (RM0399, ADC, clocks)"));

@@ -1,12 +1,13 @@
-//! ADC1 and ADC2 with what they share (RM0399, ADC), silicon revision V.
+//! ADC1 and ADC2 with their common registers (RM0399, ADC), silicon revision V.
 //!
-//! Regular conversions: software start or a timer's trigger output, single or continuous sequences, oversampling, DMA. An input
-//! is sampled once for each conversion, at its end, and so are the `OSVR + 1` parts of an oversampled one; EOSMP comes with
-//! EOC. Codes are those of an ideal converter with a reference of 3.3 V: the code is the voltage over the reference times
-//! 2 to the resolution, rounded down, and stays within its range. So calibration takes its time and finds nothing.
+//! Modelled are regular conversions: software start or a timer's trigger output, single or continuous sequences,
+//! oversampling, DMA. An input is sampled once per conversion, at its end, and so are the `OSVR + 1` parts of an
+//! oversampled one; EOSMP comes with EOC. Codes are those of an ideal converter with a reference of 3.3 V: the voltage
+//! over the reference times 2 to the resolution, rounded down and limited to the range. So calibration takes its time
+//! but finds no error.
 //!
-//! Not modelled, and refused: injected conversions, analog watchdogs, discontinuous and auto-delayed mode, offsets,
-//! differential inputs, dual modes, internal channels and the direct pads PA0_C and PA1_C.
+//! Injected conversions, analog watchdogs, discontinuous and auto-delayed mode, offsets, differential inputs, dual
+//! modes, internal channels and the direct pads PA0_C and PA1_C are not modelled and end the run.
 
 mod converter;
 #[cfg(test)]
@@ -19,7 +20,7 @@ use crate::peripheral::{Peripheral, Size, Unmodelled};
 use crate::peripherals::width;
 
 const IRQ: u16 = 18;
-/// CCR: clock source and divider, the only part that changes anything here.
+/// Clock source and divider fields of CCR, the only ones with an effect in the model.
 const CLOCKING: u32 = 0x003f_0000;
 
 /// ADC1 (offset 0x000), ADC2 (0x100) and their common registers (0x300) from base address 0x4002_2000.
@@ -36,7 +37,7 @@ impl Default for Adc12 {
     }
 }
 
-/// Divided clock of the converters: half of their clock's period is one tick of `frequency_hz / divider`.
+/// Divided clock of the converters: a tick of `frequency_hz / divider` is half a period of the ADC clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Clock {
     frequency_hz: u64,
@@ -44,13 +45,13 @@ struct Clock {
 }
 
 impl Adc12 {
-    /// As after a reset of the chip.
+    /// Makes the converters in their reset state.
     #[must_use]
     pub fn new() -> Self {
         Self { converters: [Converter::new(1), Converter::new(2)], common: 0, line: false }
     }
 
-    /// A timer's trigger output (`Signal::Trigger`).
+    /// Handles a timer's trigger output (`Signal::Trigger`).
     pub fn trigger(&mut self, timer: u8, context: &mut Context<'_>) {
         self.enter(context);
         for converter in &mut self.converters {
@@ -59,7 +60,8 @@ impl Adc12 {
         self.leave(context);
     }
 
-    /// A DMA transfer of this request (9 is ADC1, 10 ADC2) has moved its last item: DMA in one-shot mode ends the conversions.
+    /// Handles the last item of a DMA transfer for this request (9 is ADC1, 10 ADC2): in one-shot mode it ends the
+    /// conversions.
     pub fn dma_ended(&mut self, request: u8, context: &mut Context<'_>) {
         self.enter(context);
         for converter in &mut self.converters {
@@ -68,7 +70,8 @@ impl Adc12 {
         self.leave(context);
     }
 
-    /// RM0399, ADC, clocks and, for revision V, the fixed divider by 2 behind the others.
+    /// Returns the clock of the converters (RM0399, ADC, clocks), with revision V's fixed divider by 2 behind the
+    /// others.
     fn clock(&self, clocks: &Clocks) -> Clock {
         const DIVIDERS: [u64; 12] = [1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256];
         let (frequency_hz, divider) = match self.common >> 16 & 3 {
@@ -150,7 +153,7 @@ impl Peripheral for Adc12 {
             0x300 => {}
             _ => return Err(Unmodelled::register("ADC12", offset)),
         }
-        // Another divider counts from here on.
+        // A changed divider counts from this moment.
         self.enter(context);
         self.leave(context);
         Ok(())

@@ -1,4 +1,5 @@
-//! The kernel clock of the bench is 16 MHz: 8 MHz behind the fixed divider of revision V, half clocks of 62.5 ns.
+//! Tests of the ADC. The kernel clock of the bench is 16 MHz: 8 MHz behind the fixed divider of revision V, half clocks
+//! of 62.5 ns.
 
 use super::Adc12;
 use crate::testing::Bench;
@@ -20,14 +21,14 @@ const CCR: u32 = 0x308;
 const ADEN: u32 = 1;
 const ADSTART: u32 = 1 << 2;
 const ADSTP: u32 = 1 << 4;
-/// BOOST for up to 12.5 MHz.
+/// BOOST field for up to 12.5 MHz.
 const BOOST: u32 = 1 << 8;
 const ADVREGEN: u32 = 1 << 28;
 const ON: u32 = ADVREGEN | BOOST;
 
 const US: u64 = 1_000;
 
-/// An ADC1 that is ready, without calibration.
+/// Makes an ADC1 that is ready, without calibration.
 fn ready() -> (Bench, Adc12) {
     let (mut bench, mut adc) = (Bench::default(), Adc12::new());
     bench.write(&mut adc, CR, ON);
@@ -55,7 +56,7 @@ fn starting_up_takes_its_time() {
     let mut adc = Adc12::new();
     bench.write(&mut adc, CR, ON);
     bench.run(&mut adc, 10 * US);
-    // Offset and linearity: 165010 clocks of 125 ns.
+    // Calibration of offset and linearity takes 165010 clocks of 125 ns.
     bench.write(&mut adc, CR, ON | 1 << 16 | 1 << 31);
     bench.run(&mut adc, 10 * US + 165_010 * 125 - 1);
     assert_eq!(bench.read(&mut adc, CR) >> 31, 1);
@@ -67,7 +68,7 @@ fn starting_up_takes_its_time() {
     assert_eq!(bench.read(&mut adc, ISR) & 1, 0);
     bench.run(&mut adc, now_ns + 10 * 125);
     assert_eq!(bench.read(&mut adc, ISR) & 1, 1);
-    // ADDIS at once.
+    // ADDIS takes effect at once.
     bench.write(&mut adc, CR, ON | 1 << 1);
     assert_eq!(bench.read(&mut adc, CR), ON);
     bench.assert_no_misuse();
@@ -82,7 +83,7 @@ fn one_conversion() {
     bench.write(&mut adc, SQR1, 4 << 6);
     bench.write(&mut adc, IER, 1 << 2);
     bench.write(&mut adc, CR, ON | ADEN | ADSTART);
-    // 8.5 clocks of sampling and 8.5 for 16 bits: 17 of 125 ns.
+    // The conversion takes 8.5 clocks for sampling and 8.5 for 16 bits: 17 of 125 ns.
     assert_eq!(adc.next_event_ns(), 20 * US + 2_125);
     bench.run(&mut adc, 20 * US + 2_124);
     assert_eq!(bench.read(&mut adc, ISR) & 0x1e, 0);
@@ -99,7 +100,7 @@ fn one_conversion() {
 
 #[test]
 fn codes_follow_the_resolution_and_stay_in_range() {
-    // RES of revision V, bits, clocks of the approximation in halves.
+    // Cases: RES of revision V, bits, and half clocks of the approximation.
     for (res, bits, halves) in [(0, 16, 17), (5, 14, 15), (1, 14, 15), (6, 12, 13), (2, 12, 13), (3, 10, 11), (7, 8, 9)]
     {
         for (volts, share) in [(-0.2, 0.0), (0.0, 0.0), (1.65, 0.5), (3.3, 1.0), (5.0, 1.0)] {
@@ -124,13 +125,13 @@ fn oversampling_sums_and_shifts() {
     bench.outside.volts.insert(Pin::new('C', 5), 1.65);
     bench.write(&mut adc, PCSEL, 1 << 8);
     bench.write(&mut adc, SQR1, 8 << 6);
-    // 16 parts, divided by 4.
+    // Oversampling: 16 parts, divided by 4.
     bench.write(&mut adc, CFGR2, 1 | 2 << 5 | 15 << 16);
     bench.write(&mut adc, CR, ON | ADEN | ADSTART);
     assert_eq!(adc.next_event_ns(), 20 * US + 16 * 10 * 125);
     bench.run(&mut adc, 60 * US);
     assert_eq!(bench.read(&mut adc, DR), 32_768 * 4);
-    // A left shift without oversampling.
+    // Without oversampling the left shift still applies.
     bench.write(&mut adc, CFGR2, 3 << 28);
     bench.write(&mut adc, CR, ON | ADEN | ADSTART);
     bench.run(&mut adc, 70 * US);
@@ -138,7 +139,7 @@ fn oversampling_sums_and_shifts() {
     bench.assert_no_misuse();
 }
 
-/// As a driver with DMA does it: the six analog inputs of the board, continuously, until the transfer ends.
+/// The sequence of a driver with DMA: the six analog inputs of the board, continuously, until the transfer ends.
 #[test]
 fn a_sequence_goes_to_memory() {
     let (mut bench, mut adc) = ready();
@@ -178,7 +179,7 @@ fn unread_results_overrun() {
     bench.write(&mut adc, SQR1, 4 << 6);
     bench.write(&mut adc, CFGR, 1 << 13 | 3);
     bench.write(&mut adc, CR, ON | ADEN | ADSTART);
-    // Eight stages fill, the ninth result is lost.
+    // The eight stages fill, and the ninth result is lost.
     let mut now_ns = bench.now_ns;
     for n in 1..=9 {
         bench.outside.volts.insert(Pin::new('C', 4), 0.1 * f64::from(n));
@@ -187,7 +188,7 @@ fn unread_results_overrun() {
         assert_eq!(bench.read(&mut adc, ISR) >> 4 & 1, u32::from(n == 9));
     }
     assert_eq!(requests(&mut bench), [(9, true), (9, false)], "no requests after an overrun");
-    // A day of conversions that nobody reads is no work, and keeps their phase.
+    // A day of conversions without reads costs no work, and keeps their phase.
     assert_eq!(adc.next_event_ns(), u64::MAX);
     now_ns += 86_400_000_000 * US + 1_000;
     bench.run(&mut adc, now_ns);
@@ -196,7 +197,7 @@ fn unread_results_overrun() {
     bench.run(&mut adc, now_ns + 250);
     assert_eq!(bench.read(&mut adc, ISR) >> 4 & 1, 1);
     assert_eq!(bench.read(&mut adc, DR), (0.1 / 3.3 * 65_536.0) as u32, "the oldest");
-    // Overwriting instead.
+    // With OVRMOD the newest result overwrites instead.
     bench.write(&mut adc, CR, ON | ADEN | ADSTP);
     bench.write(&mut adc, ISR, 1 << 4);
     bench.write(&mut adc, CFGR, 1 << 13 | 1 << 12);
@@ -214,7 +215,7 @@ fn a_timer_starts_conversions() {
     let (mut bench, mut adc) = ready();
     bench.write(&mut adc, PCSEL, 1 << 4);
     bench.write(&mut adc, SQR1, 4 << 6);
-    // EXTSEL 13: TIM6's trigger output; rising edges.
+    // EXTSEL 13 selects TIM6's trigger output; rising edges.
     bench.write(&mut adc, CFGR, 13 << 5 | 1 << 10);
     bench.write(&mut adc, CR, ON | ADEN | ADSTART);
     assert_eq!(adc.next_event_ns(), u64::MAX);
@@ -225,7 +226,7 @@ fn a_timer_starts_conversions() {
     bench.run(&mut adc, 30 * US);
     assert_eq!(bench.read(&mut adc, CR) & ADSTART, ADSTART, "armed for the next");
     assert_eq!(bench.read(&mut adc, ISR) & 8, 8);
-    // With DMA in one-shot mode it goes on after the transfer, but asks for nothing.
+    // With DMA in one-shot mode it continues after the transfer, but makes no request.
     bench.write(&mut adc, CR, ON | ADEN | ADSTP);
     bench.write(&mut adc, CFGR, 13 << 5 | 1 << 10 | 1);
     bench.write(&mut adc, CR, ON | ADEN | ADSTART);
@@ -243,7 +244,7 @@ fn a_timer_starts_conversions() {
 #[test]
 fn the_clock_is_divided_and_may_change() {
     let (mut bench, mut adc) = (Bench::default(), Adc12::new());
-    // AHB/4 = 60 MHz, halved: 30 MHz, a clock of 33.3 ns.
+    // The clock is AHB/4 = 60 MHz, halved to 30 MHz: 33.3 ns.
     bench.write(&mut adc, CCR, 3 << 16);
     bench.write(&mut adc, 0x100 + CR, ADVREGEN | 3 << 8);
     bench.run(&mut adc, 10 * US);
@@ -256,7 +257,7 @@ fn the_clock_is_divided_and_may_change() {
     bench.assert_no_misuse();
     bench.write(&mut adc, CCR, 0);
     assert_eq!(bench.take_misuse(), ["the clock changed while an ADC is enabled (RM0399, ADCx_CCR)"]);
-    // All of its 10 clocks are left, now of 125 ns; after 5 of them they are of 62.5 ns.
+    // All of its 10 clocks remain, now of 125 ns; after 5 of them they take 62.5 ns each.
     assert_eq!(adc.next_event_ns(), 20 * US + 1_250);
     bench.run(&mut adc, 20 * US + 625);
     bench.clocks.adc_hz = 32_000_000;
@@ -280,7 +281,7 @@ fn misuse_is_told() {
             "channel 5 converted without its bit in PCSEL (RM0399, ADC, channel preselection)"
         ]
     );
-    // 8 MHz needs more than the lowest BOOST.
+    // A clock of 8 MHz exceeds the limit of the lowest BOOST.
     bench.write(&mut adc, PCSEL, 1 << 5);
     bench.write(&mut adc, CR, ADVREGEN | ADEN | ADSTART);
     assert_eq!(bench.take_misuse(), ["a clock of 8000000 Hz with BOOST for 6250000 Hz (RM0399, ADC, clocks)"]);

@@ -1,4 +1,4 @@
-//! BDMA and DMAMUX2 in domain D3 (RM0399, BDMA, DMAMUX): eight channels, no FIFO.
+//! BDMA and DMAMUX2 in domain D3 (RM0399, BDMA, DMAMUX): eight channels without FIFO.
 
 use super::mux::{DMAMUX2, Mux};
 use super::{Access, Beat, BusError, Patience, size_of_code};
@@ -18,7 +18,8 @@ const MINC: u32 = 1 << 7;
 const MEM2MEM: u32 = 1 << 14;
 const DBM: u32 = 1 << 15;
 const CT: u32 = 1 << 16;
-/// Enable bits, which lie in CCRx where their flags lie in ISR: transfer complete, half transfer, transfer error.
+/// Interrupt enable bits, at the same places in CCRx as their flags in ISR: transfer complete, half transfer, transfer
+/// error.
 const INTERRUPTS: u32 = 0xe;
 
 const TCIF: u32 = 1 << 1;
@@ -33,17 +34,17 @@ struct Channel {
     peripheral_address: u32,
     memory_address: [u32; 2],
     flags: u32,
-    /// Addresses of the next item.
+    /// Addresses of the next item at both ports.
     peripheral: u32,
     memory: u32,
-    /// Read, not yet written.
+    /// Item that was read and not written yet.
     held: Option<u32>,
     level: bool,
     patience: Patience,
 }
 
 impl Channel {
-    /// Reads from memory, writes to the peripheral.
+    /// Returns true for transfers from memory to the peripheral.
     fn reads_memory(&self) -> bool {
         self.control & FROM_MEMORY != 0
     }
@@ -72,7 +73,8 @@ impl Channel {
             (self.peripheral_side(), self.memory_side())
         };
         match self.held {
-            // Right-aligned: wider destinations get zeros, narrower ones the low part (RM0399, BDMA, data width and alignment).
+            // Items are right-aligned: wider destinations get zeros, narrower ones the low part (RM0399, BDMA, data
+            // width and alignment).
             Some(value) => Some((destination.0, destination.1, Access::Write(value))),
             None => (request || self.control & MEM2MEM != 0).then_some((source.0, source.1, Access::Read)),
         }
@@ -94,7 +96,7 @@ impl Channel {
             return;
         }
         self.flags |= TCIF;
-        // Otherwise EN stays, and nothing more happens until the program has written it anew.
+        // Otherwise EN stays set, and no transfer follows until the program writes it again.
         if self.control & (CIRC | DBM) != 0 && self.control & MEM2MEM == 0 {
             if self.control & DBM != 0 {
                 self.control ^= CT;
@@ -106,13 +108,13 @@ impl Channel {
 }
 
 /// BDMA (offset 0x000) and DMAMUX2 (0x400) from base address 0x5802_5400. It reaches domain D3 only: SRAM4 and D3's
-/// peripherals; the bus refuses everything else.
+/// peripherals; the bus refuses all other addresses.
 #[derive(Debug)]
 pub struct Bdma {
     mux: Mux,
     channels: [Channel; CHANNELS],
     current: Option<(usize, Access)>,
-    /// No channel wants anything, and nothing has happened since that could change it.
+    /// No channel wants an access, and nothing has changed since that was found.
     quiet: bool,
 }
 
@@ -123,26 +125,26 @@ impl Default for Bdma {
 }
 
 impl Bdma {
-    /// As after a reset of the chip.
+    /// Makes the controller in its reset state.
     #[must_use]
     pub fn new() -> Self {
         Self { mux: Mux::new(&DMAMUX2, CHANNELS), channels: Default::default(), current: None, quiet: false }
     }
 
-    /// A request line of a peripheral (`Signal::Bdma`).
+    /// Sets a request line of a peripheral (`Signal::Bdma`).
     pub fn request(&mut self, request: u8, level: bool) {
         self.mux.request(request, level);
         self.quiet &= !level;
     }
 
-    /// A pulse at an input of the request generators (RM0399, DMAMUX2, trigger inputs).
+    /// Handles a pulse at an input of the request generators (RM0399, DMAMUX2, trigger inputs).
     pub fn trigger(&mut self, input: u8, context: &mut Context<'_>) {
         self.quiet = false;
         self.mux.trigger_pulse(input, context);
     }
 
-    /// The next access to the bus, which must be answered with [`Bdma::finish_beat`] before the next is asked for. The order
-    /// is that of priority, then number; an item that was read is written before anything else.
+    /// Returns the next access to the bus, which must be answered with [`Bdma::finish_beat`] before the next call. The
+    /// order is that of priority, then number; an item that was read is written before all others.
     #[inline]
     pub fn next_beat(&mut self) -> Option<Beat> {
         if self.quiet { None } else { self.find_beat() }
@@ -157,6 +159,7 @@ impl Bdma {
         let mut best = held;
         if best.is_none() {
             for next in (0..CHANNELS).filter_map(wanted) {
+                // Strictly greater, so that the lower number wins among equal priorities.
                 if best.as_ref().is_none_or(|(_, _, priority)| next.2 > *priority) {
                     best = Some(next);
                 }
@@ -167,6 +170,7 @@ impl Bdma {
             return None;
         };
         let channel = &self.channels[number];
+        // The access on the peripheral's side serves the request; memory to memory has none.
         let serves = (access == Access::Read) != channel.reads_memory();
         if serves && channel.control & MEM2MEM == 0 {
             self.mux.acknowledge(number);
@@ -179,7 +183,7 @@ impl Bdma {
         Some(Beat { channel: number as u8, address, size, access })
     }
 
-    /// What became of the access: the value read (anything after a write), or that the bus refused it.
+    /// Completes the access with the value read (any value after a write), or with the refusal of the bus.
     pub fn finish_beat(&mut self, result: Result<u32, BusError>, context: &mut Context<'_>) {
         let Some((number, access)) = self.current.take() else { return };
         self.quiet = false;
@@ -200,6 +204,7 @@ impl Bdma {
                 channel.held = None;
             }
         }
+        // A request that never falls would stop virtual time.
         if channel.patience.spend(context.now_ns) {
             context
                 .misuse("BDMA", format!("channel {number}: request {request} never falls, it waits until time passes"));
@@ -219,7 +224,7 @@ impl Bdma {
 
     fn register(&self, offset: u32) -> Result<u32, Unmodelled> {
         match offset {
-            // GIFx is set when any of the others is.
+            // GIFx is set while any of the channel's other flags is.
             0x00 => Ok((0..CHANNELS)
                 .map(|n| (self.channels[n].flags | u32::from(self.channels[n].flags != 0)) << (4 * n))
                 .sum()),
@@ -244,7 +249,7 @@ impl Bdma {
         let enabled = channel.control & EN != 0;
         match register {
             0x00 if enabled => {
-                // All but the interrupts and EN is read-only while the channel is enabled.
+                // While the channel is enabled, only the interrupt bits, EN and CIRC are writable.
                 let writable = EN | INTERRUPTS | CIRC;
                 channel.control = channel.control & !writable | value & writable;
                 if channel.control & EN == 0 {
@@ -320,6 +325,7 @@ impl Peripheral for Bdma {
                 for number in 0..CHANNELS {
                     let clear = value >> (4 * number) & 0xf;
                     let flags = &mut self.channels[number].flags;
+                    // CGIF clears all flags of the channel.
                     *flags = if clear & 1 != 0 { 0 } else { *flags & !clear };
                     self.irq(number, context);
                 }

@@ -1,4 +1,4 @@
-//! DMA1 or DMA2: eight streams, their flags and the arbiter (RM0399, DMA).
+//! DMA1 or DMA2: eight streams, their flags, and the arbiter (RM0399, DMA).
 
 use super::stream::{self, Direction, Port, Stream, Wanted};
 use super::{BusError, mux::Mux, size_of_code};
@@ -7,7 +7,7 @@ use crate::peripheral::Unmodelled;
 
 pub(super) const STREAMS: usize = 8;
 
-/// Bit of stream 0 to 3 (4 to 7) in LISR (HISR).
+/// First flag bit of streams 0 to 3 (4 to 7) in LISR (HISR).
 const FLAG_SHIFT: [u32; 4] = [0, 6, 16, 22];
 
 #[derive(Debug)]
@@ -30,7 +30,7 @@ impl Controller {
         }
     }
 
-    /// The access that the arbiter lets through: the highest priority, then the lowest number.
+    /// Returns the access that the arbiter selects: the highest priority, then the lowest number.
     pub(super) fn next(&self, mux: &Mux, first_channel: usize) -> Option<(usize, Wanted)> {
         let mut best: Option<(usize, Wanted, u32)> = None;
         for (number, stream) in self.streams.iter().enumerate() {
@@ -91,7 +91,8 @@ impl Controller {
 
     fn irq(&mut self, number: usize, context: &mut Context<'_>) {
         let stream = &self.streams[number];
-        // Each flag with its enable bit: HTIF and TCIF one place above HTIE and TCIE, TEIF too, FEIF with FEIE of SxFCR.
+        // Pairs of a flag and its enable bit: HTIF, TCIF and TEIF lie one place above HTIE, TCIE and TEIE; FEIF belongs
+        // to FEIE of SxFCR.
         let enabled = [
             (stream::FEIF, stream.fifo_control & stream::FEIE),
             (stream::TEIF, stream.control & stream::TEIE),
@@ -119,7 +120,8 @@ impl Controller {
                     0x08 => stream.peripheral_address,
                     0x0c => stream.memory_address[0],
                     0x10 => stream.memory_address[1],
-                    // FS: between accesses of the program a FIFO is empty or holds less than its threshold; only "empty" is told.
+                    // Field FS: between accesses of the program a FIFO is empty or below its threshold; the model
+                    // reports only "empty".
                     _ => stream.fifo_control & !(7 << 3) | 4 << 3,
                 })
             }
@@ -178,7 +180,7 @@ impl Controller {
                 }
             }
             0x14 if enabled => {
-                // FEIE only: FTH and DMDIS are protected.
+                // Only FEIE is writable: FTH and DMDIS are protected.
                 if (stream.fifo_control ^ value) & 7 != 0 {
                     context.misuse(
                         name,
@@ -262,7 +264,7 @@ enum Wrong {
 }
 
 impl Wrong {
-    /// The stream is disabled again and FEIF tells it (RM0399, DMA, FIFO).
+    /// Returns true if the stream is disabled again and sets FEIF (RM0399, DMA, FIFO).
     fn is_fatal(&self) -> bool {
         matches!(self, Self::Reserved | Self::CircularMemory | Self::Threshold { .. })
     }

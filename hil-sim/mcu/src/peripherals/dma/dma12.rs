@@ -1,4 +1,4 @@
-//! DMA1, DMA2 and DMAMUX1, which lie next to each other on the bus and work as one.
+//! DMA1, DMA2 and DMAMUX1, which are adjacent on the bus and work as one.
 
 use super::controller::{Controller, STREAMS};
 use super::mux::{DMAMUX1, Mux};
@@ -8,14 +8,14 @@ use crate::context::Context;
 use crate::peripheral::{Peripheral, Size, Unmodelled};
 use crate::peripherals::width;
 
-/// A part of [`Dma12`] with an own reset in RCC.
+/// Part of [`Dma12`] with its own reset bit in RCC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// DMA1 and channels 0 to 7 of DMAMUX1.
+    /// DMA1, with channels 0 to 7 of DMAMUX1.
     Dma1,
-    /// DMA2.
+    /// DMA2, with channels 8 to 15.
     Dma2,
-    /// The multiplexer.
+    /// The request multiplexer DMAMUX1.
     Dmamux1,
 }
 
@@ -26,9 +26,9 @@ pub enum Part {
 pub struct Dma12 {
     mux: Mux,
     controllers: [Controller; 2],
-    /// The access that [`Dma12::next_beat`] has given out.
+    /// Access returned by [`Dma12::next_beat`] and not finished yet.
     current: Option<(usize, usize, Wanted)>,
-    /// No stream wants anything, and nothing has happened since that could change it.
+    /// No stream wants an access, and nothing has changed since that was found.
     quiet: bool,
 }
 
@@ -39,7 +39,7 @@ impl Default for Dma12 {
 }
 
 impl Dma12 {
-    /// As after a reset of the chip.
+    /// Makes the controllers in their reset state.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -53,28 +53,28 @@ impl Dma12 {
         }
     }
 
-    /// A request line of a peripheral (`Signal::Dma`).
+    /// Sets a request line of a peripheral (`Signal::Dma`).
     pub fn request(&mut self, request: u8, level: bool) {
         self.mux.request(request, level);
         self.quiet &= !level;
     }
 
-    /// A pulse at an input of the request generators, RM0399, DMAMUX1, trigger inputs: TIM12's trigger output is 7, LPTIM1 to 3 are 3 to 5.
-    /// The multiplexer's own events (0 to 2) are wired inside.
+    /// Handles a pulse at an input of the request generators (RM0399, DMAMUX1, trigger inputs): TIM12's trigger output
+    /// is 7, LPTIM1 to 3 are 3 to 5. The multiplexer's own events (0 to 2) are wired inside.
     pub fn trigger(&mut self, input: u8, context: &mut Context<'_>) {
         self.quiet = false;
         self.mux.trigger_pulse(input, context);
         self.mux.synchronize(input, true, context);
     }
 
-    /// An edge at an input of the request generators: EXTI line 0 is 6.
+    /// Handles an edge at an input of the request generators: EXTI line 0 is 6.
     pub fn trigger_edge(&mut self, input: u8, rising: bool, context: &mut Context<'_>) {
         self.quiet = false;
         self.mux.trigger_edge(input, rising, context);
         self.mux.synchronize(input, rising, context);
     }
 
-    /// The next access to the bus, which must be answered with [`Dma12::finish_beat`] before the next is asked for.
+    /// Returns the next access to the bus, which must be answered with [`Dma12::finish_beat`] before the next call.
     #[inline]
     pub fn next_beat(&mut self) -> Option<Beat> {
         if self.quiet { None } else { self.find_beat() }
@@ -88,7 +88,7 @@ impl Dma12 {
             return None;
         };
         let channel = unit * STREAMS + number;
-        // Before the access: what it does to the peripheral may raise the request anew.
+        // The acknowledge precedes the access, because the access may make the peripheral raise its request again.
         if wanted.serves {
             self.mux.acknowledge(channel);
         }
@@ -96,9 +96,9 @@ impl Dma12 {
         Some(Beat { channel: channel as u8, address: wanted.address, size: wanted.size, access: wanted.access })
     }
 
-    /// What became of the access: the value read (anything after a write), or that the bus refused it.
+    /// Completes the access with the value read (any value after a write), or with the refusal of the bus.
     ///
-    /// Returns the request whose transfer has ended with it, if any: the ADCs' one-shot mode needs to know.
+    /// Returns the request whose transfer ended with it, if any, for the ADCs' one-shot mode.
     pub fn finish_beat(&mut self, result: Result<u32, BusError>, context: &mut Context<'_>) -> Option<u8> {
         let (unit, number, wanted) = self.current.take()?;
         self.quiet = false;
@@ -108,7 +108,7 @@ impl Dma12 {
         (!self.controllers[unit].is_enabled(number)).then_some(request)
     }
 
-    /// A reset of one part by RCC.
+    /// Resets one part, as RCC does.
     pub fn reset_part(&mut self, part: Part, context: &mut Context<'_>) {
         self.quiet = false;
         match part {

@@ -1,19 +1,19 @@
-//! DMAMUX: which request reaches which channel, after how many of them something else is told, and requests made of triggers
+//! DMAMUX: routing of requests to channels, events after a number of requests, and requests generated from triggers
 //! (RM0399, DMAMUX).
 
 use crate::context::Context;
 use crate::peripheral::Unmodelled;
 
-/// What an instance has (RM0399, DMAMUX implementation).
+/// Properties of an instance (RM0399, DMAMUX implementation).
 #[derive(Debug)]
 pub(super) struct Kind {
     pub(super) name: &'static str,
-    /// Width masks of SYNC_ID and SIG_ID.
+    /// Width masks of the fields SYNC_ID and SIG_ID.
     sync_id: u32,
     signal_id: u32,
-    /// Requests that stay pending until they are served.
+    /// Returns true for requests that stay pending until they are served.
     is_pulse: fn(u8) -> bool,
-    /// Trigger and synchronization input of the event output of a channel.
+    /// Trigger and synchronization input that a channel's event output is wired to.
     event_trigger: fn(usize) -> Option<u8>,
     event_sync: fn(usize) -> Option<u8>,
     overrun_irq: u16,
@@ -23,7 +23,7 @@ pub(super) static DMAMUX1: Kind = Kind {
     name: "DMAMUX1",
     sync_id: 7,
     signal_id: 7,
-    // Timers 1 to 8, DAC1, timers 15 to 17: RM0399, DMAMUX1, request inputs.
+    // Pulses come from timers 1 to 8, DAC1 and timers 15 to 17 (RM0399, DMAMUX1, request inputs).
     is_pulse: |request| matches!(request, 11..=32 | 47..=53 | 55..=60 | 67..=70 | 105..=112),
     event_trigger: |channel| (channel < 3).then_some(channel as u8),
     event_sync: |channel| (channel < 3).then_some(channel as u8),
@@ -69,9 +69,9 @@ impl Requests {
 #[derive(Clone, Copy, Debug, Default)]
 struct Channel {
     control: u32,
-    /// Requests served since the last event, or since the synchronization.
+    /// Number of requests served since the last event, or since the synchronization.
     served: u32,
-    /// Requests still let through (SE only).
+    /// Number of requests still passed on (with SE only).
     open: u32,
 }
 
@@ -87,12 +87,12 @@ pub(super) struct Mux {
     lines: Requests,
     channels: Vec<Channel>,
     generators: [Generator; GENERATORS],
-    /// SOFx and OFx.
+    /// Overrun flags SOFx and OFx.
     sync_overruns: u32,
     trigger_overruns: u32,
-    /// Event outputs to carry on to other inputs of the same multiplexer.
+    /// Channels with an event to pass on to other inputs of the same multiplexer.
     events: Vec<usize>,
-    /// The overrun interrupt.
+    /// Level of the overrun interrupt.
     level: bool,
 }
 
@@ -110,7 +110,7 @@ impl Mux {
         }
     }
 
-    /// Registers and counters; the lines belong to the peripherals.
+    /// Resets registers and counters; the request lines belong to the peripherals and stay.
     pub(super) fn reset(&mut self, context: &mut Context<'_>) {
         *self = Self { lines: self.lines, level: self.level, ..Self::new(self.kind, self.channels.len()) };
         self.irq(context);
@@ -123,23 +123,24 @@ impl Mux {
     fn line(&self, id: u8) -> bool {
         match id {
             0 => false,
+            // Requests 1 to 8 come from the request generators.
             1..=8 => self.generators[usize::from(id) - 1].pending > 0,
             _ => self.lines.get(id),
         }
     }
 
-    /// Whether the channel's output asks its controller.
+    /// Returns true while the channel requests an access from its controller.
     pub(super) fn output(&self, channel: usize) -> bool {
         let state = &self.channels[channel];
         self.line((state.control & 0x7f) as u8) && (state.control & SE == 0 || state.open > 0)
     }
 
-    /// The number of the request that a channel selects.
+    /// Returns the number of the request that a channel selects.
     pub(super) fn selected(&self, channel: usize) -> u8 {
         (self.channels[channel].control & 0x7f) as u8
     }
 
-    /// The controller serves the channel's request.
+    /// Notes that the controller serves the channel's request.
     pub(super) fn acknowledge(&mut self, channel: usize) {
         let id = self.selected(channel);
         if (1..=8).contains(&id) {
@@ -151,6 +152,7 @@ impl Mux {
         let state = &mut self.channels[channel];
         state.open = state.open.saturating_sub(1);
         state.served += 1;
+        // NBREQ + 1 requests make an event.
         if state.served > state.control >> 19 & 0x1f {
             state.served = 0;
             if state.control & EGE != 0 {
@@ -159,7 +161,7 @@ impl Mux {
         }
     }
 
-    /// Carries the event outputs of served channels on; after `acknowledge`, when there is a context.
+    /// Passes on the event outputs of served channels; called after `acknowledge`, when a context is available.
     pub(super) fn carry_events(&mut self, context: &mut Context<'_>) {
         for channel in std::mem::take(&mut self.events) {
             if let Some(input) = (self.kind.event_trigger)(channel) {
@@ -172,14 +174,14 @@ impl Mux {
         }
     }
 
-    /// A pulse at a trigger input of the generators.
+    /// Handles a pulse at a trigger input of the generators.
     pub(super) fn trigger_pulse(&mut self, input: u8, context: &mut Context<'_>) {
         // One pulse is one trigger, also where both edges count: RM0399 gives no width for it.
         let any = |polarity| polarity != 0;
         self.trigger(input, any, context);
     }
 
-    /// An edge at a trigger input of the generators.
+    /// Handles an edge at a trigger input of the generators.
     pub(super) fn trigger_edge(&mut self, input: u8, rising: bool, context: &mut Context<'_>) {
         self.trigger(input, |polarity| polarity & if rising { 1 } else { 2 } != 0, context);
     }
@@ -191,6 +193,7 @@ impl Mux {
             if control & GE == 0 || !selected || !counts(control >> 17 & 3) {
                 continue;
             }
+            // A trigger before the last requests were served is an overrun.
             if generator.pending > 0 {
                 self.trigger_overruns |= 1 << number;
             }
@@ -199,7 +202,7 @@ impl Mux {
         self.irq(context);
     }
 
-    /// An edge at a synchronization input of the channels.
+    /// Handles an edge at a synchronization input of the channels.
     pub(super) fn synchronize(&mut self, input: u8, rising: bool, context: &mut Context<'_>) {
         for (number, channel) in self.channels.iter_mut().enumerate() {
             let control = channel.control;

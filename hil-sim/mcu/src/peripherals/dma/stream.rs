@@ -1,4 +1,4 @@
-//! One stream of DMA1 or DMA2: its registers, its FIFO and the access it wants next.
+//! Stream of DMA1 or DMA2: its registers, its FIFO and its next access.
 
 use std::collections::VecDeque;
 
@@ -19,10 +19,10 @@ pub(super) const DBM: u32 = 1 << 18;
 pub(super) const CT: u32 = 1 << 19;
 pub(super) const DMDIS: u32 = 1 << 2;
 pub(super) const FEIE: u32 = 1 << 7;
-/// What can be written while the stream is enabled: the rest of SxCR is protected.
+/// Bits that are writable while the stream is enabled; the rest of SxCR is protected.
 pub(super) const WHILE_ENABLED: u32 = EN | DMEIE | TEIE | HTIE | TCIE | CIRC;
 
-/// Flags as they lie in LISR, shifted to stream 0.
+/// Flags of LISR, shifted to stream 0.
 pub(super) const FEIF: u32 = 1;
 pub(super) const TEIF: u32 = 1 << 3;
 pub(super) const HTIF: u32 = 1 << 4;
@@ -38,21 +38,21 @@ pub(super) enum Direction {
     Memory,
 }
 
-/// Which port of the stream an access goes through.
+/// Port of the stream that an access uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Port {
     Peripheral,
     Memory,
 }
 
-/// An access, before it is numbered.
+/// Access wanted by a stream, without the stream's number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Wanted {
     pub(super) port: Port,
     pub(super) address: u32,
     pub(super) size: Size,
     pub(super) access: Access,
-    /// It serves the request line.
+    /// The access serves the request line.
     pub(super) serves: bool,
 }
 
@@ -61,22 +61,22 @@ pub(super) struct Stream {
     pub(super) control: u32,
     pub(super) fifo_control: u32,
     pub(super) remaining: u32,
-    /// What was last written to SxNDTR.
+    /// Value last written to SxNDTR.
     pub(super) programmed: u32,
     pub(super) peripheral_address: u32,
     pub(super) memory_address: [u32; 2],
     pub(super) flags: u32,
-    /// EN was cleared by the program, what is in the FIFO goes to memory first (RM0399, DMA, FIFO).
+    /// The program has cleared EN; the content of the FIFO goes to memory first (RM0399, DMA, FIFO).
     pub(super) stopping: bool,
     fifo: VecDeque<u8>,
     /// The FIFO has reached its threshold and is being emptied.
     emptying: bool,
-    /// Addresses of the next accesses.
+    /// Addresses of the next accesses at both ports.
     peripheral: u32,
     memory: u32,
-    /// Bytes that the memory port has still to move in this round.
+    /// Bytes that the memory port still has to move in this round.
     memory_left: u32,
-    /// Items of a burst at the peripheral port still to come.
+    /// Remaining items of a burst at the peripheral port.
     burst_left: u32,
     pub(super) patience: Patience,
 }
@@ -99,7 +99,7 @@ impl Stream {
         }
     }
 
-    /// Without the FIFO; memory to memory always uses it (RM0399, DMA, direct mode).
+    /// Returns true for direct mode, without the FIFO; memory to memory always uses it (RM0399, DMA, direct mode).
     pub(super) fn is_direct(&self) -> bool {
         self.fifo_control & DMDIS == 0 && self.direction() != Some(Direction::Memory)
     }
@@ -108,7 +108,7 @@ impl Stream {
         size_of_code(self.control >> 11).unwrap_or(Size::Word)
     }
 
-    /// In direct mode MSIZE is as PSIZE (RM0399, DMA_SxCR).
+    /// Returns the width at the memory port; in direct mode MSIZE equals PSIZE (RM0399, DMA_SxCR).
     pub(super) fn memory_size(&self) -> Size {
         if self.is_direct() { self.peripheral_size() } else { size_of_code(self.control >> 13).unwrap_or(Size::Word) }
     }
@@ -121,7 +121,7 @@ impl Stream {
         4 * ((self.fifo_control & 3) as usize + 1)
     }
 
-    /// Beats of a burst: PBURST at bit 21, MBURST at bit 23. Direct mode knows only single ones.
+    /// Returns the beats of a burst: PBURST is at bit 21, MBURST at bit 23. Direct mode has single transfers only.
     pub(super) fn burst_beats(&self, bit: u32) -> u32 {
         match self.control >> bit & 3 {
             0 => 1,
@@ -130,9 +130,10 @@ impl Stream {
         }
     }
 
-    /// EN goes to 1.
+    /// Starts the stream when EN is set.
     pub(super) fn start(&mut self) {
         self.control |= EN;
+        // Double-buffer mode implies circular mode (RM0399, DMA_SxCR).
         if self.control & DBM != 0 {
             self.control |= CIRC;
         }
@@ -140,6 +141,7 @@ impl Stream {
         self.fifo.clear();
         self.emptying = false;
         self.burst_left = 0;
+        // A stream that is enabled again restarts with the number written before.
         if self.remaining == 0 {
             self.remaining = self.programmed;
         }
@@ -155,16 +157,18 @@ impl Stream {
         self.memory_left = self.remaining * self.peripheral_size().bytes();
     }
 
-    /// Without a trace: a bus error, a wrong configuration.
+    /// Stops the stream at once, after a bus error or a wrong configuration.
     pub(super) fn abort(&mut self) {
         self.control &= !EN;
         self.stopping = false;
         self.fifo.clear();
     }
 
-    /// The program clears EN. TCIF comes when the FIFO is empty; SxNDTR stays (RM0399, DMA, FIFO flush and suspension).
+    /// Stops the stream when the program clears EN. TCIF is set when the FIFO is empty; SxNDTR stays (RM0399, DMA, FIFO
+    /// flush and suspension).
     pub(super) fn stop(&mut self) {
         let drains = self.direction() != Some(Direction::ToPeripheral);
+        // Data read from memory is dropped: only received data must reach its destination.
         if !drains {
             self.fifo.clear();
         }
@@ -176,7 +180,7 @@ impl Stream {
         }
     }
 
-    /// What it would do now, given its request line.
+    /// Returns the access that the stream wants now, given its request line.
     pub(super) fn wants(&self, request: bool) -> Option<Wanted> {
         if !self.is_enabled() || self.patience.is_over() {
             return None;
@@ -190,6 +194,7 @@ impl Stream {
     fn wants_to_memory(&self, request: bool, direction: Direction) -> Option<Wanted> {
         let held = self.fifo.len();
         let size = self.memory_size();
+        // The rest of a transfer leaves the FIFO below its threshold too.
         let last = self.remaining == 0 || self.stopping;
         if held > 0 && (last || self.emptying || self.is_direct()) && (last || held >= size.bytes() as usize) {
             return Some(Wanted {
@@ -202,6 +207,7 @@ impl Stream {
         }
         let size = self.peripheral_size();
         let room = held + size.bytes() as usize <= FIFO_BYTES;
+        // A burst in progress needs no further request.
         (self.remaining > 0 && !self.stopping && room && (request || self.burst_left > 0)).then_some(Wanted {
             port: Port::Peripheral,
             address: self.peripheral,
@@ -214,6 +220,7 @@ impl Stream {
     fn wants_to_peripheral(&self, request: bool) -> Option<Wanted> {
         let held = self.fifo.len();
         let size = self.memory_size();
+        // Direct mode holds one item at most.
         let room = if self.is_direct() { held == 0 } else { held + size.bytes() as usize <= FIFO_BYTES };
         if self.memory_left > 0 && room {
             return Some(Wanted {
@@ -235,12 +242,12 @@ impl Stream {
         })
     }
 
-    /// The oldest bytes of the FIFO; zeros where there are none (a last item narrower than MSIZE).
+    /// Returns the oldest bytes of the FIFO, with zeros for missing ones (a last item narrower than MSIZE).
     fn peek(&self, size: Size) -> u32 {
         (0..size.bytes()).map(|n| u32::from(self.fifo.get(n as usize).copied().unwrap_or(0)) << (8 * n)).sum()
     }
 
-    /// The access was done; `value` is what was read.
+    /// Completes an access; `value` is the value read.
     pub(super) fn done(&mut self, wanted: Wanted, value: u32) {
         let bytes = wanted.size.bytes();
         match wanted.access {
@@ -251,6 +258,7 @@ impl Stream {
             Port::Peripheral => self.done_peripheral(wanted, bytes),
             Port::Memory => self.done_memory(bytes),
         }
+        // Flags count items at the destination, not reads at the source.
         let arrived = match self.direction() {
             Some(Direction::ToPeripheral) => wanted.port == Port::Peripheral,
             _ => wanted.port == Port::Memory,
@@ -265,6 +273,7 @@ impl Stream {
             self.peripheral = self.peripheral.wrapping_add(if self.control & PINCOS != 0 { 4 } else { bytes });
         }
         self.remaining -= 1;
+        // The first beat of a burst serves the request, the others follow without one.
         self.burst_left = match (wanted.serves, self.burst_left) {
             (true, _) => self.burst_beats(21) - 1,
             (false, left) => left.saturating_sub(1),
@@ -279,12 +288,13 @@ impl Stream {
             self.memory = self.memory.wrapping_add(bytes);
         }
         self.memory_left = self.memory_left.saturating_sub(bytes);
+        // Emptying ends when no whole item is left, so that the FIFO fills to its threshold again.
         if self.fifo.len() < self.memory_size().bytes() as usize {
             self.emptying = false;
         }
     }
 
-    /// Something has arrived at its destination: half, all, or the end of a stop.
+    /// Updates the flags after an item has arrived: half, complete, or the end of a stop.
     fn account(&mut self) {
         let unit = self.peripheral_size().bytes();
         let left = match self.direction() {
@@ -296,6 +306,7 @@ impl Stream {
             Some(Direction::ToPeripheral) => unit,
             _ => self.memory_size().bytes(),
         };
+        // The flag is set by the item that passes the half.
         if self.programmed > 1 && left <= half && left + moved_last > half {
             self.flags |= HTIF;
         }

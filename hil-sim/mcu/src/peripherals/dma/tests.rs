@@ -1,4 +1,5 @@
-//! A bus with memory that ends, and one peripheral at 0x4000_0000 whose register gives and takes words.
+//! Tests of DMA with a bus of limited memory, and one peripheral at 0x4000_0000 whose register supplies and takes
+//! words.
 
 use std::collections::VecDeque;
 
@@ -11,11 +12,11 @@ use crate::{Context, Signal};
 
 const RAM: u32 = 0x2400_0000;
 const REGISTER: u32 = 0x4000_0000;
-/// A request that is a level (USART1_RX), and one that is a pulse (TIM2_UP).
+/// Requests of either kind: a level (USART1_RX), and a pulse (TIM2_UP).
 const LEVEL: u8 = 41;
 const PULSE: u8 = 22;
 
-/// CR bits as the manual draws them.
+/// Bits of CR as in the manual.
 const EN: u32 = 1;
 const TEIE: u32 = 1 << 2;
 const HTIE: u32 = 1 << 3;
@@ -57,7 +58,7 @@ impl Controller for Bdma {
     }
 }
 
-/// What a peripheral with a level as request does: it asks as long as it has something to give, or room.
+/// Bus with a peripheral whose request is a level: asserted while it has data to supply, or room.
 #[derive(Default)]
 struct Bus {
     memory: Vec<u8>,
@@ -114,7 +115,7 @@ fn stream(number: u32) -> u32 {
     0x10 + 0x18 * number
 }
 
-/// Sets a stream of DMA1 up (8 to 15: DMA2) and selects its request.
+/// Configures a stream of DMA1 (8 to 15: DMA2) and selects its request.
 fn set_up(dma: &mut Dma12, bench: &mut Bench, number: u32, request: u8, items: u32, fifo: u32, control: u32) {
     let base = 0x400 * (number / 8) + stream(number % 8);
     bench.write(dma, 0x800 + 4 * number, request.into());
@@ -155,7 +156,7 @@ fn a_transmitter_is_fed_and_the_stream_ends() {
     let (mut bench, mut dma, mut bus) = bench();
     bus.memory[..3].copy_from_slice(&[1, 2, 3]);
     set_up(&mut dma, &mut bench, 13, LEVEL, 3, 0, TO_PERIPHERAL | MINC | TCIE | EN);
-    // Direct mode fetches one item before it is asked (RM0399, DMA, FIFO).
+    // Direct mode fetches one item before the first request (RM0399, DMA, FIFO).
     bus.serve(&mut dma, &mut bench);
     assert_eq!(bus.beats.len(), 1);
     bus.memory[..3].copy_from_slice(&[9, 2, 3]);
@@ -167,13 +168,13 @@ fn a_transmitter_is_fed_and_the_stream_ends() {
     bus.room = 5;
     bus.serve(&mut dma, &mut bench);
     assert_eq!(bus.taken, [1, 2, 3]);
-    // Stream 5 of DMA2: HISR from bit 6 on, vector 68. Half of three is told when one is left.
+    // Flags of stream 5 of DMA2 begin at bit 6 of HISR; its vector is 68. Half of three is reported when one is left.
     assert_eq!(bench.read(&mut dma, 0x404), (1 << 5 | 1 << 4) << 6);
     assert!(bench.take_signals().contains(&Signal::Irq { number: 68, level: true }));
     assert_eq!(bench.read(&mut dma, 0x400 + stream(5)) & EN, 0);
     assert_eq!(bench.read(&mut dma, 0x400 + stream(5) + 4), 0);
 
-    // Enabled again, it starts over with the number once written (RM0399, DMA_SxNDTR).
+    // When enabled again, it restarts with the number written before (RM0399, DMA_SxNDTR).
     bench.write(&mut dma, 0x40c, 0x3d << 6);
     bench.modify(&mut dma, 0x400 + stream(5), 0, EN);
     bus.room = 9;
@@ -188,7 +189,7 @@ fn stopping_sets_the_flag_and_keeps_the_count() {
     set_up(&mut dma, &mut bench, 7, LEVEL, 8, 0, MINC | TCIE | EN);
     bus.gives = [7, 8, 9].into();
     bus.serve(&mut dma, &mut bench);
-    // As a driver resets a stream: everything but the interrupts to 0. The configuration is protected until EN is 0.
+    // A driver resets a stream by clearing everything but the interrupts. The configuration is protected until EN is 0.
     bench.write(&mut dma, stream(7), TCIE | TEIE);
     assert_eq!(bench.read(&mut dma, stream(7)), MINC | TCIE | TEIE);
     assert_eq!(bench.read(&mut dma, stream(7) + 4), 5);
@@ -203,7 +204,7 @@ fn stopping_sets_the_flag_and_keeps_the_count() {
 #[test]
 fn the_fifo_packs_and_flushes_what_is_left() {
     let (mut bench, mut dma, mut bus) = bench();
-    // Bytes to words, threshold half (8 bytes).
+    // Bytes to words, with the threshold at half (8 bytes).
     let control = MINC | 2 << 13 | EN;
     set_up(&mut dma, &mut bench, 2, LEVEL, 16, 1 << 2 | 1, control);
     bus.gives = (1..=7).collect();
@@ -229,7 +230,7 @@ fn memory_is_copied_without_a_request() {
     bench.write(&mut dma, stream(1) + 0x08, RAM);
     bench.write(&mut dma, stream(1) + 0x0c, RAM + 0x40);
     bench.write(&mut dma, stream(1) + 0x14, 3);
-    // Bytes to half-words; hardware selects the FIFO itself.
+    // Bytes to half-words; the hardware selects the FIFO itself.
     bench.write(&mut dma, stream(1), MEMORY | PINC | MINC | 1 << 13 | EN);
     assert_eq!(bench.read(&mut dma, stream(1) + 0x14) & 1 << 2, 1 << 2);
     bus.serve(&mut dma, &mut bench);
@@ -279,7 +280,7 @@ fn the_higher_priority_goes_first_then_the_lower_number() {
 fn a_refused_access_ends_the_stream() {
     let (mut bench, mut dma, mut bus) = bench();
     set_up(&mut dma, &mut bench, 0, LEVEL, 4, 0, MINC | TEIE);
-    // DTCM: DMA1 has no way there.
+    // DMA1 has no path to DTCM.
     bench.write(&mut dma, stream(0) + 0x0c, 0x2000_0000);
     bench.modify(&mut dma, stream(0), 0, EN);
     bus.gives = [1, 2].into();
@@ -297,22 +298,22 @@ fn a_refused_access_ends_the_stream() {
 #[test]
 fn what_does_not_fit_is_refused_or_told() {
     let (mut bench, mut dma, _) = bench();
-    // A burst of 8 words and a FIFO of 4.
+    // A burst of 8 words does not fit a FIFO of 4.
     set_up(&mut dma, &mut bench, 0, LEVEL, 8, 1 << 2 | 3, MINC | 2 << 11 | 2 << 13 | 2 << 23 | EN);
     assert_eq!(bench.read(&mut dma, stream(0)) & EN, 0);
     assert_eq!(bench.read(&mut dma, 0x00), 1, "FEIF");
     assert_eq!(bench.take_misuse().len(), 1);
-    // That flag left where it is.
+    // The flag of the last transfer was not cleared.
     set_up(&mut dma, &mut bench, 0, LEVEL, 8, 0, MINC | EN);
     assert_eq!(
         bench.take_misuse(),
         ["stream 0: enabled with event flags 0x01 not cleared (RM0399, DMA, stream configuration)"]
     );
-    // Registers of a running stream.
+    // Registers of a running stream are protected.
     bench.write(&mut dma, stream(0) + 4, 1);
     assert_eq!(bench.read(&mut dma, stream(0) + 4), 8);
     assert_eq!(bench.take_misuse().len(), 1);
-    // A half-word to an odd address.
+    // A half-word at an odd address is misaligned.
     set_up(&mut dma, &mut bench, 4, 45, 8, 0, MINC | 1 << 11 | 1 << 13);
     bench.write(&mut dma, stream(4) + 0x0c, RAM + 1);
     bench.modify(&mut dma, stream(4), 0, EN);
@@ -339,7 +340,7 @@ fn a_timers_request_waits_until_it_is_served_once() {
 fn a_trigger_makes_requests() {
     let (mut bench, mut dma, mut bus) = bench();
     bus.memory[..8].copy_from_slice(&[1, 2, 3, 4, 5, 6, 7, 8]);
-    // Generator 2 (request 3): TIM12's trigger output (7), rising, two requests each; its overrun interrupt.
+    // Generator 2 (request 3): TIM12's trigger output (7), rising, two requests each; with its overrun interrupt.
     bench.write(&mut dma, 0x908, 7 | 1 << 8 | 1 << 16 | 1 << 17 | 1 << 19);
     set_up(&mut dma, &mut bench, 0, 3, 8, 0, TO_PERIPHERAL | MINC | EN);
     dma.trigger(7, &mut bench.context());
@@ -361,11 +362,11 @@ fn a_trigger_makes_requests() {
 #[test]
 fn a_channels_event_triggers_another() {
     let (mut bench, mut dma, mut bus) = bench();
-    // Channel 0 tells after each third request; generator 0 makes a request of it, for channel 1.
+    // Channel 0 makes an event after each third request; generator 0 makes a request of it, for channel 1.
     set_up(&mut dma, &mut bench, 0, LEVEL, 8, 0, MINC | EN);
     bench.write(&mut dma, 0x800, u32::from(LEVEL) | 1 << 9 | 2 << 19);
     bench.write(&mut dma, 0x900, 1 << 16 | 1 << 17);
-    // Of a higher priority, so that it goes before the fourth of channel 0.
+    // Channel 1 has a higher priority, so that it precedes the fourth access of channel 0.
     set_up(&mut dma, &mut bench, 1, 1, 8, 0, MINC | 1 << 16 | EN);
     bus.gives = [1, 2, 3, 4].into();
     bus.serve(&mut dma, &mut bench);
@@ -411,7 +412,7 @@ fn one_request_for_two_channels_is_told() {
 #[test]
 fn bdma_moves_items_without_packing() {
     let (mut bench, mut dma, mut bus) = (Bench::default(), Bdma::new(), Bus::new());
-    // Channel 2, request 13 (I2C4_RX): bytes from a register, words in memory, TCIE and HTIE.
+    // Channel 2, request 13 (I2C4_RX): bytes from a register to words in memory, TCIE and HTIE.
     bench.write(&mut dma, 0x408, 13);
     let base = 0x08 + 0x14 * 2;
     bench.write(&mut dma, base + 0x04, 2);
@@ -457,7 +458,7 @@ fn bdma_feeds_a_transmitter_and_stops_at_a_refusal() {
 #[test]
 fn bdma_goes_round_and_finishes_an_item_first() {
     let (mut bench, mut dma, mut bus) = (Bench::default(), Bdma::new(), Bus::new());
-    // Channel 0, low priority, two bytes for ever; channel 1, very high priority, request 14.
+    // Channel 0 has low priority and transfers two bytes circularly; channel 1 has very high priority and request 14.
     for (channel, request, control) in [(0, 13, 1 | 1 << 5 | 1 << 7), (1, 14, 1 | 1 << 7 | 3 << 12)] {
         bench.write(&mut dma, 0x400 + 4 * channel, request);
         let base = 0x08 + 0x14 * channel;
@@ -485,7 +486,7 @@ fn bdma_goes_round_and_finishes_an_item_first() {
 #[test]
 fn a_burst_takes_several_items_for_one_request() {
     let (mut bench, mut dma, mut bus) = bench();
-    // Bursts of four half-words from addresses that go up by words (PINCOS), FIFO full.
+    // Bursts of four half-words from addresses that advance by words (PINCOS), FIFO threshold full.
     bus.memory[..20].copy_from_slice(&[1, 1, 0, 0, 2, 2, 0, 0, 3, 3, 0, 0, 4, 4, 0, 0, 5, 5, 0, 0]);
     let sizes = 1 << 11 | 1 << 13;
     set_up(&mut dma, &mut bench, 0, PULSE, 8, 1 << 2 | 3, 1 << 21 | 1 << 15 | PINC | MINC | sizes);
@@ -502,7 +503,7 @@ fn a_burst_takes_several_items_for_one_request() {
 }
 
 proptest! {
-    /// Whatever the widths and the threshold, the bytes arrive in their order.
+    /// The bytes arrive in their order for all widths and thresholds.
     #[test]
     fn no_byte_is_lost_in_the_fifo(
         peripheral in 0..3_u32, memory in 0..3_u32, threshold in 0..4_u32, words in 1..16_u32, chunk in 1..9_usize,
@@ -534,7 +535,7 @@ proptest! {
         } else {
             prop_assert_eq!(&bus.memory[..bytes.len()], &bytes[..]);
         }
-        // A single item has no half.
+        // A single item has no half transfer.
         prop_assert_eq!(bench.read(&mut dma, 0x00), if items.len() > 1 { 1 << 5 | 1 << 4 } else { 1 << 5 });
         prop_assert_eq!(bench.read(&mut dma, stream(0)) & EN, 0);
     }

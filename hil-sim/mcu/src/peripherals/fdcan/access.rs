@@ -1,4 +1,4 @@
-//! Accesses to the registers and the message RAM, and time.
+//! Accesses to the registers and the message RAM, and the progress of time.
 
 use crate::context::Context;
 use crate::peripheral::{Peripheral, Size, Unmodelled};
@@ -8,7 +8,7 @@ use super::ram;
 use super::registers::{self as register, PROTECTED, cccr, ir, psr, test};
 use super::{Fdcan, Module};
 
-/// Where the parts are.
+/// Offsets of the parts.
 const FDCAN2_AT: u32 = 0x400;
 const CCU_AT: u32 = 0x800;
 const RAM_AT: u32 = 0xC00;
@@ -27,16 +27,18 @@ impl Module {
         Ok(match offset {
             register::CREL => register::CREL_VALUE,
             register::ENDN => register::ENDN_VALUE,
-            // The bus is recessive whenever nobody looks closer.
+            // The receive pin always reads recessive: single bits are not modelled.
             register::TEST => self.reg(offset) | test::RX,
             register::TSCV => self.timestamp(now_ns),
             register::TOCV => 0xFFFF,
             register::ECR => {
+                // A read of ECR clears CEL.
                 let logged = std::mem::take(&mut self.errors.logged);
                 self.errors.ecr() | logged << 16
             }
             register::PSR => {
                 let value = self.psr(now_ns);
+                // A read of PSR sets LEC and DLEC to "no change" and clears the event flags.
                 self.errors.last = LastError::NoChange;
                 self.errors.last_in_data = LastError::NoChange;
                 self.protocol &= !(psr::PXE | psr::REDL | psr::RBRS | psr::RESI);
@@ -55,7 +57,7 @@ impl Module {
         })
     }
 
-    /// Registers that read as they are kept.
+    /// Returns true for registers that read as they were written.
     fn is_stored(&self, offset: u32) -> bool {
         matches!(
             offset,
@@ -95,8 +97,10 @@ impl Module {
                 return Err(self.unmodelled("software control of the transmit pin (TEST.TX) is not modelled"));
             }
             register::TEST => self.set_reg(offset, value & test::LBCK),
+            // A write of any value clears the counter.
             register::TSCV => self.timestamp_start_ns = context.now_ns,
             register::TOCV => (),
+            // Flags are cleared by writing 1, here and in the two NDAT registers.
             register::IR => self.set_reg(offset, self.reg(offset) & !value),
             register::IE | register::ILS => self.set_reg(offset, value & ir::ALL),
             register::ILE => self.set_reg(offset, value & 3),
@@ -135,6 +139,7 @@ impl Module {
 
     fn write_protected(&mut self, offset: u32, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
         if !self.configurable() {
+            // A write of the present value has no effect, so it is no misuse.
             if value != self.reg(offset) {
                 context.misuse(
                     self.name,
@@ -149,6 +154,7 @@ impl Module {
         if offset == register::TOCC && value & 1 != 0 {
             return Err(self.unmodelled("the timeout counter (TOCC.ETOC) is not modelled"));
         }
+        // The timestamp counter counts nominal bit times, so it starts anew with a new one.
         if offset == register::TSCC || offset == register::NBTP {
             self.timestamp_start_ns = context.now_ns;
         }
@@ -158,6 +164,7 @@ impl Module {
 
     fn write_cccr(&mut self, value: u32, context: &mut Context<'_>) {
         let old = self.reg(register::CCCR);
+        // CSA is read-only.
         let mut new = value & 0xF3FF & !cccr::CSA | old & cccr::CSA;
         if !self.configurable() {
             let refused = (old ^ new) & cccr::PROTECTED | new & !old & cccr::SET_PROTECTED;
@@ -169,6 +176,7 @@ impl Module {
                 new = new & !refused | old & refused;
             }
         }
+        // CCE requires that INIT was 1 before, and falls with INIT.
         if new & cccr::CCE != 0 && (old & cccr::INIT == 0 || new & cccr::INIT == 0) {
             if old & cccr::CCE == 0 {
                 context.misuse(self.name, "CCE is set while INIT is 0 (RM0399, 59.4.1)");
@@ -176,7 +184,7 @@ impl Module {
             new &= !cccr::CCE;
         }
         if old & cccr::CSA != 0 {
-            // INIT stays until the clock stop is taken back.
+            // INIT stays set until the clock stop request is withdrawn.
             new |= cccr::INIT;
             if new & cccr::CSR == 0 {
                 new &= !cccr::CSA;
@@ -196,13 +204,14 @@ impl Module {
             self.check_bit_timing(context);
             self.leave_init(context.now_ns);
         }
+        // In bus monitoring mode the node sends nothing.
         if new & cccr::MON != 0 && !self.loops_back() {
             self.set_reg(register::TXBRP, 0);
         }
         self.stop_clock_if_asked(context.now_ns);
     }
 
-    /// What the manual demands of clocks and bit times.
+    /// Checks the manual's rules for clocks and bit times.
     fn check_bit_timing(&self, context: &mut Context<'_>) {
         if self.kernel_hz > self.apb_hz {
             context.misuse(self.name, "the kernel clock is faster than the APB clock (RM0399, 59.4.5)");
@@ -231,7 +240,7 @@ impl Fdcan {
     }
 }
 
-/// Which module an offset belongs to, and where in it; `None` is the message RAM.
+/// Returns the module an offset belongs to, and the offset in it; `None` is the message RAM.
 fn part(offset: u32) -> Result<Option<(u8, u32)>, Unmodelled> {
     match offset {
         0..FDCAN2_AT => Ok(Some((1, offset))),
@@ -276,7 +285,7 @@ impl Peripheral for Fdcan {
             }
             Some((bus, offset)) => self.module_mut(bus).write(offset, value, context)?,
         }
-        // A frame that may begin at once does.
+        // A frame that may begin now begins at once.
         self.bring_to_now(context);
         self.update_lines(context);
         Ok(())
@@ -302,6 +311,7 @@ impl Peripheral for Fdcan {
 
     fn reset(&mut self, context: &mut Context<'_>) {
         for module in &mut self.modules {
+            // Frames under way are on the bus, not in the module, so that a reset keeps them.
             let kept = (std::mem::take(&mut module.coming), module.lines);
             *module = Module::new(module.bus);
             (module.coming, module.lines) = kept;

@@ -4,17 +4,17 @@ use crate::outside::CanFrame;
 
 use super::ram::MessageRam;
 
-/// What becomes of a frame.
+/// Result of the filters for a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Verdict {
     pub(super) store: Store,
-    /// Index of the element that matched.
+    /// Index of the matching element, if any.
     pub(super) element: Option<u32>,
-    /// A priority match.
+    /// The element reports a priority match.
     pub(super) priority: bool,
 }
 
-/// Where a frame goes.
+/// Destination of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Store {
     Nowhere,
@@ -23,18 +23,18 @@ pub(super) enum Store {
     Debug,
 }
 
-/// The filter registers of a module.
+/// Filter registers of a module.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Filters {
     pub(super) global: u32,
     pub(super) standard: u32,
     pub(super) extended: u32,
     pub(super) extended_mask: u32,
-    /// Rx buffers whose New data flag is set.
+    /// Rx buffers with their New data flag set.
     pub(super) locked_buffers: u64,
 }
 
-/// An element, of either kind.
+/// Filter element of either kind.
 struct Element {
     configuration: u32,
     kind: u32,
@@ -45,11 +45,11 @@ struct Element {
 const RANGE: u32 = 0;
 const DUAL: u32 = 1;
 const CLASSIC: u32 = 2;
-/// Disabled for standard identifiers, a range without XIDAM for extended ones.
+/// Type code 3: disabled for standard identifiers, a range without XIDAM for extended ones.
 const OTHER: u32 = 3;
 
 impl Filters {
-    /// Runs through the list from element 0 to the first that matches.
+    /// Searches the list from element 0 for the first match.
     pub(super) fn judge(&self, frame: &CanFrame, ram: &MessageRam) -> Verdict {
         let (reject_remote, not_matching, list, limit) = if frame.extended {
             (self.global & 1, self.global >> 2 & 3, self.extended, 64)
@@ -67,6 +67,7 @@ impl Filters {
                 return verdict;
             }
         }
+        // ANFS and ANFE: 0 and 1 select a FIFO, 2 and 3 reject.
         match not_matching {
             fifo @ 0..2 => Verdict { store: Store::Fifo(fifo as usize), ..nowhere },
             _ => nowhere,
@@ -75,9 +76,11 @@ impl Filters {
 
     fn matches(&self, frame: &CanFrame, element: &Element, index: u32) -> Option<Verdict> {
         let masked = if frame.extended { frame.id & self.extended_mask } else { frame.id };
+        // Configuration 7: the frame goes to an Rx buffer, or is a debug message.
         if element.configuration == 7 {
             let buffer = (element.second & 0x3F) as usize;
             let debug = element.second >> 9 & 3 != 0;
+            // A buffer whose New data flag is set accepts no frame.
             let matched = masked == element.first && (debug || self.locked_buffers >> buffer & 1 == 0);
             let store = if debug { Store::Debug } else { Store::Buffer(buffer) };
             return matched.then_some(Verdict { store, element: Some(index), priority: false });
@@ -96,6 +99,7 @@ impl Filters {
             2 | 6 => Store::Fifo(1),
             _ => Store::Nowhere,
         };
+        // Configurations 4 to 6 report a priority match.
         matched.then_some(Verdict { store, element: Some(index), priority: element.configuration >= 4 })
     }
 }

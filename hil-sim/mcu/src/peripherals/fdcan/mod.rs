@@ -1,18 +1,19 @@
-//! FDCAN1 and FDCAN2 with the message RAM they share (RM0399, chapter 59): Bosch's M_CAN 3.2.1.
+//! FDCAN1 and FDCAN2 with their common message RAM (RM0399, chapter 59): Bosch's M_CAN 3.2.1.
 //!
 //! One [`Peripheral`](crate::Peripheral) from 0x4000_A000 on, 13 KB long: FDCAN1 at 0x000, FDCAN2 at 0x400, the clock
 //! calibration unit at 0x800, the message RAM at 0xC00.
 //!
-//! A frame takes the time of its bits, stuff bits included (`wire.rs`). It is told to
-//! [`Outside::can_sent`](crate::Outside::can_sent) at the end of its acknowledge slot, and is done at the end of EOF.
-//! Frames of others are queued by [`Fdcan::receive`] with the end of their EOF; a transmission waits until they are over.
+//! A frame takes the time of its bits, stuff bits included (`wire.rs`). It is passed to
+//! [`Outside::can_sent`](crate::Outside::can_sent) at the end of its acknowledge slot, and is complete at the end of
+//! EOF. Frames of other nodes are queued by [`Fdcan::receive`] with the end of their EOF; a transmission waits until
+//! they are over.
 //!
-//! Deviations: a node begins a frame at the moment it may (the chip at its next bit, less than a bit later); an error that
-//! the outside tells of is seen in the acknowledge slot, wherever it was; an error frame is 14 bits long; the delay of the
-//! transceiver is 0, so that TDCV shows TDCO; every frame that comes in was sent by an error-active node.
+//! Deviations: a node begins a frame at the moment it may (the chip at its next bit, less than a bit later); an error
+//! reported by the outside world is detected in the acknowledge slot, wherever it was; an error frame is 14 bits long;
+//! the delay of the transceiver is 0, so that TDCV shows TDCO; every received frame was sent by an error-active node.
 //!
-//! Not modelled, so refused: TTCAN, the clock calibration unit (taken as bypassed), the timeout counter, timestamps of TIM3,
-//! software control of the transmit pin. Debug messages are reported and dropped.
+//! TTCAN, the clock calibration unit (assumed bypassed), the timeout counter, timestamps of TIM3, and software control
+//! of the transmit pin are not modelled and end the run. Debug messages are reported and dropped.
 
 mod access;
 mod errors;
@@ -39,10 +40,10 @@ use self::registers::{cccr, ir, psr, test, txbc};
 use self::transmit::Transmission;
 use self::wire::{AFTER_ACK_BITS, BitTime};
 
-/// Names of the modules, and positions of their interrupt lines in the vector table (RM0399, chapter 20).
+/// Names of the modules, and their interrupt numbers (RM0399, chapter 20).
 const MODULES: [(&str, [u16; 2]); 2] = [("FDCAN1", [19, 21]), ("FDCAN2", [20, 22])];
 
-/// Words of a module's registers up to TXEFA.
+/// Number of a module's register words up to TXEFA.
 const REGISTERS: usize = 64;
 
 /// Both modules and their message RAM.
@@ -59,39 +60,40 @@ impl Default for Fdcan {
 }
 
 impl Fdcan {
-    /// As after reset; the message RAM is zeros (on the chip, anything).
+    /// Makes the modules in their reset state; the message RAM is zeros (undefined on the chip).
     #[must_use]
     pub fn new() -> Self {
         Self { modules: [Module::new(1), Module::new(2)], ram: MessageRam::new() }
     }
 
-    /// A frame of another node on bus 1 or 2, whose EOF ends at `at_ns`. To be called before it begins (its length is
-    /// [`Fdcan::frame_ns`]), in order of time, and not for a time in which this node sends
+    /// Queues a frame of another node on bus 1 or 2, whose EOF ends at `at_ns`. Call it before the frame begins (its
+    /// length is [`Fdcan::frame_ns`]), in order of time, and not for a time in which this node sends
     /// ([`Fdcan::sends_until_ns`]).
     pub fn receive(&mut self, bus: u8, at_ns: u64, frame: CanFrame) {
         self.module_mut(bus).queue(at_ns, frame);
     }
 
-    /// Whether the node on that bus would acknowledge a frame that is on the bus at `now_ns`.
+    /// Returns true if the node on that bus would acknowledge a frame that is on the bus at `now_ns`.
     #[must_use]
     pub fn acknowledges(&self, bus: u8, now_ns: u64) -> bool {
         let module = self.module(bus);
         module.takes_part(now_ns) && module.dominant.is_none() && !module.on(cccr::MON) && !module.loops_back()
     }
 
-    /// The end of EOF of the frame that the node is sending.
+    /// Returns the end of EOF of the frame that the node is sending, ns; `None` if it sends none.
     #[must_use]
     pub fn sends_until_ns(&self, bus: u8) -> Option<u64> {
         self.module(bus).transmission.as_ref().map(Transmission::end_ns)
     }
 
-    /// Nanoseconds of a frame at the bit rates of that node, from SOF to the end of EOF; `u64::MAX` without a clock.
+    /// Returns the duration of a frame at the bit rates of that node, from SOF to the end of EOF, ns; `u64::MAX`
+    /// without a clock.
     #[must_use]
     pub fn frame_ns(&self, bus: u8, frame: &CanFrame) -> u64 {
         self.module(bus).frame_ns(frame)
     }
 
-    /// Bits per second of the arbitration and of the data phase, by the clock tree as of the last access.
+    /// Returns the bit rates of the arbitration and the data phase, bit/s, by the clock tree at the last access.
     #[must_use]
     pub fn bit_rates(&self, bus: u8) -> (f64, f64) {
         let module = self.module(bus);
@@ -99,12 +101,12 @@ impl Fdcan {
         (rate(module.nominal()), rate(module.data()))
     }
 
-    /// The node goes bus-off now, as after 32 destroyed frames.
+    /// Sends the node to bus-off now, as 32 destroyed frames would.
     pub fn inject_bus_off(&mut self, bus: u8, context: &mut Context<'_>) {
         self.inject(bus, context, |module| module.count(|errors| errors.transmit = 256));
     }
 
-    /// Sets TEC (0 to 255) and REC (0 to 128).
+    /// Sets the error counters TEC (0 to 255) and REC (0 to 128).
     pub fn set_error_counters(&mut self, bus: u8, transmit: u8, receive: u8, context: &mut Context<'_>) {
         self.inject(bus, context, |module| {
             module.count(|errors| {
@@ -114,14 +116,14 @@ impl Fdcan {
         });
     }
 
-    /// Something holds the bus dominant from now on, or no longer: a short, or a transceiver that fails. A frame that this node is
-    /// sending breaks off.
+    /// Starts or ends a fault that holds the bus dominant: a short, or a failed transceiver. It aborts a frame that
+    /// this node is sending.
     pub fn hold_dominant(&mut self, bus: u8, held: bool, context: &mut Context<'_>) {
         let now_ns = context.now_ns;
         self.inject(bus, context, |module| module.hold_dominant(held, now_ns));
     }
 
-    /// A frame of another node is destroyed now: REC goes up by one.
+    /// Destroys a frame of another node now: REC increases by one.
     pub fn inject_receive_error(&mut self, bus: u8, context: &mut Context<'_>) {
         self.inject(bus, context, |module| {
             module.protocol_error(LastError::Form, false, |errors| errors.receive = (errors.receive + 1).min(128));
@@ -144,39 +146,39 @@ impl Fdcan {
     }
 }
 
-/// On the way back from bus-off.
+/// Progress of the recovery from bus-off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Recovery {
-    /// INIT was cleared then.
+    /// Time at which INIT was cleared, ns.
     since_ns: u64,
-    /// Sequences of 11 recessive bits since.
+    /// Sequences of 11 recessive bits since then.
     seen: u32,
 }
 
-/// One module.
+/// State of one module.
 #[derive(Clone, Debug)]
 struct Module {
     bus: u8,
     name: &'static str,
     irqs: [u16; 2],
-    /// Registers that are kept as they were written, and IR.
+    /// Registers that are stored as written, and IR.
     registers: [u32; REGISTERS],
     errors: Errors,
-    /// PXE, REDL, RBRS, RESI and TDCV of PSR.
+    /// Bits PXE, REDL, RBRS, RESI and TDCV of PSR.
     protocol: u32,
-    /// Takes part in communication from then on, while INIT is 0.
+    /// Time from which the module takes part in communication while INIT is 0, ns.
     synchronised_ns: u64,
     recovery: Option<Recovery>,
-    /// Something holds the bus dominant.
+    /// State of a bus that is held dominant.
     dominant: Option<Dominant>,
-    /// The bus is not free for a frame of ours before then.
+    /// Time from which the bus is free for a frame of this node, ns.
     free_ns: u64,
     requested_ns: u64,
     transmission: Option<Transmission>,
     /// Put and get index of the Tx FIFO or queue, counted from its first buffer.
     tx_put: usize,
     tx_get: usize,
-    /// Elements of the Tx FIFO from the get to the put index.
+    /// Number of elements of the Tx FIFO from the get to the put index.
     tx_taken: usize,
     tx_events: RxFifo,
     coming: VecDeque<(u64, CanFrame)>,
@@ -228,7 +230,7 @@ impl Module {
         self.registers[offset as usize / 4] = value;
     }
 
-    /// A bit of CCCR.
+    /// Returns a bit of CCCR.
     fn on(&self, bit: u32) -> bool {
         self.reg(register::CCCR) & bit != 0
     }
@@ -252,12 +254,12 @@ impl Module {
         BitTime::new(dbtp >> 16 & 0x1F, dbtp >> 8 & 0x1F, dbtp >> 4 & 0xF)
     }
 
-    /// Kernel clocks, counted from a moment on.
+    /// Returns the count of kernel clocks from `start_ns` on.
     fn kernel_from(&self, start_ns: u64) -> Ticks {
         Ticks { start_ns, frequency_hz: self.kernel_hz, divider: 1 }
     }
 
-    /// So many nominal bits after a moment.
+    /// Returns the time `bits` nominal bits after `start_ns`, ns.
     fn bits_after(&self, start_ns: u64, bits: u64) -> u64 {
         self.kernel_from(start_ns).when_ns(bits * self.nominal().clocks())
     }
@@ -275,33 +277,37 @@ impl Module {
         self.reg(register::TEST) & test::LBCK != 0
     }
 
-    /// Neither initialising nor bus-off nor still waiting for 11 recessive bits.
+    /// Returns true if the module is not in initialisation, not bus-off, and no longer waits for 11 recessive bits.
     fn takes_part(&self, now_ns: u64) -> bool {
         !self.on(cccr::INIT) && !self.errors.bus_off && now_ns >= self.synchronised_ns
     }
 
-    /// INIT is 1: no message leaves or comes, a frame that is on the wire breaks off (59.4.1, software initialization).
+    /// Enters initialisation, with INIT = 1: no message is sent or received, a frame on the wire is aborted (59.4.1,
+    /// software initialization).
     fn enter_init(&mut self) {
         self.set_reg(register::CCCR, self.reg(register::CCCR) | cccr::INIT);
+        // The frame on the wire is lost; its request in TXBRP stays.
         self.transmission = None;
         self.recovery = None;
         self.protocol &= !(0x7F << psr::TDCV_AT);
     }
 
-    /// INIT is 0 from now on.
+    /// Leaves initialisation, with INIT = 0.
     fn leave_init(&mut self, now_ns: u64) {
         self.set_reg(register::CCCR, self.reg(register::CCCR) & !(cccr::INIT | cccr::CCE));
         if self.errors.bus_off {
+            // During the recovery REC counts the sequences of 11 recessive bits.
             self.errors.receive = 0;
             self.recovery = Some(Recovery { since_ns: now_ns, seen: 0 });
             self.synchronised_ns = self.bits_after(now_ns, 11 * u64::from(errors::RECOVERY_SEQUENCES));
         } else {
+            // The node takes part after 11 recessive bits, which show an idle bus.
             self.synchronised_ns = self.bits_after(now_ns, 11);
         }
         self.free_ns = self.free_ns.max(self.synchronised_ns);
     }
 
-    /// CCE is 1: status registers are as after reset, the handlers of both directions idle.
+    /// Enters configuration, with CCE = 1: status registers are as after reset, both message handlers are idle.
     fn enter_configuration(&mut self) {
         for offset in [register::HPMS, register::TXBRP, register::TXBCR, register::TXBTO, register::TXBCF] {
             self.set_reg(offset, 0);
@@ -315,11 +321,12 @@ impl Module {
 
     fn recovery_ns(&self) -> u64 {
         self.recovery
+            // A dominant bus has no recessive sequences, so the recovery makes no progress.
             .filter(|_| self.dominant.is_none())
             .map_or(u64::MAX, |recovery| self.bits_after(recovery.since_ns, 11 * (u64::from(recovery.seen) + 1)))
     }
 
-    /// Time of the timestamp counter: multiples of nominal bits.
+    /// Returns the time base of the timestamp counter: multiples of nominal bits.
     fn timestamp_ticks(&self) -> Ticks {
         let prescaler = u64::from(self.reg(register::TSCC) >> 16 & 0xF) + 1;
         let divider = prescaler * self.nominal().clocks();
@@ -335,7 +342,7 @@ impl Module {
             return 0;
         }
         let ticks = self.timestamp_ticks();
-        // A frame may have begun before the counter's last wrap.
+        // The frame may have begun before the counter's last wrap.
         let before = Ticks { start_ns: at_ns, ..ticks }.at(ticks.start_ns);
         (ticks.at(at_ns) as u32).wrapping_sub(before as u32) & 0xFFFF
     }
@@ -352,7 +359,8 @@ impl Module {
         self.coming.front().map_or(u64::MAX, |(at_ns, _)| *at_ns)
     }
 
-    /// What others can see next: a wrap of the timestamp counter only as an interrupt.
+    /// Returns the time of the next observable event, ns; a wrap of the timestamp counter counts only with its
+    /// interrupt.
     fn next_event_ns(&self) -> u64 {
         let wrap_ns = if self.reg(register::IE) & ir::TSW != 0 { self.timestamp_wrap_ns() } else { u64::MAX };
         self.next_but_wrap_ns().min(wrap_ns)
@@ -374,6 +382,7 @@ impl Module {
     fn bring_to_now(&mut self, ram: &mut MessageRam, context: &mut Context<'_>) {
         self.use_clocks(context.clocks);
         loop {
+            // Each event may change the time of the others, so each pass determines the next one anew.
             let at_ns = self.next_ns();
             if at_ns > context.now_ns || at_ns == u64::MAX {
                 break;
@@ -398,8 +407,9 @@ impl Module {
         self.stop_clock_if_asked(context.now_ns);
     }
 
-    /// CSR: once nothing is left to be done, INIT and then CSA are set (59.4.1, power down).
+    /// Stops the clock at the request CSR: INIT and then CSA are set once all work is done (59.4.1, power down).
     fn stop_clock_if_asked(&mut self, now_ns: u64) {
+        // A pending request is sent first, unless initialisation blocks it.
         let quiet = self.transmission.is_none() && (self.reg(register::TXBRP) == 0 || self.on(cccr::INIT));
         if self.on(cccr::CSR) && !self.on(cccr::CSA) && quiet && now_ns >= self.free_ns {
             self.enter_init();
@@ -407,7 +417,7 @@ impl Module {
         }
     }
 
-    /// PSR (59.5.13).
+    /// Returns the value of PSR (59.5.13).
     fn psr(&self, now_ns: u64) -> u32 {
         let receiving = self
             .coming
@@ -426,7 +436,7 @@ impl Module {
             | (self.errors.last_in_data as u32) << psr::DLEC_AT
     }
 
-    /// TXFQS (59.5.35).
+    /// Returns the value of TXFQS (59.5.35).
     fn txfqs(&self) -> u32 {
         let (first, size) = self.tx_fifo_place();
         if size == 0 {

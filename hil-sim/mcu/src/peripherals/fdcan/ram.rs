@@ -1,48 +1,48 @@
-//! The message RAM that both modules share (RM0399, 59.4.2), and the elements in it (59.4.18 to 59.4.22).
+//! Message RAM of both modules (RM0399, 59.4.2), and its elements (59.4.18 to 59.4.22).
 
 use crate::outside::CanFrame;
 
-/// 10 KB.
+/// Size of the RAM, words: 10 KB.
 pub(super) const WORDS: usize = 2560;
 
 /// Bits of an element's first word.
 pub(super) const ESI: u32 = 1 << 31;
 pub(super) const XTD: u32 = 1 << 30;
 pub(super) const RTR: u32 = 1 << 29;
-/// Bits of its second one.
+/// Bits of an element's second word.
 pub(super) const FDF: u32 = 1 << 21;
 pub(super) const BRS: u32 = 1 << 20;
 pub(super) const EFC: u32 = 1 << 23;
 
-/// Bytes of a data field by DLC; of a classic frame 8 from 8 on (table 502).
+/// Length of a data field by DLC, bytes; a classic frame has at most 8 (table 502).
 const FD_LENGTH: [usize; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64];
 
-/// Bytes of an element's data field by RXESC and TXESC (table 506).
+/// Size of an element's data field by RXESC and TXESC, bytes (table 506).
 const ELEMENT_BYTES: [usize; 8] = [8, 12, 16, 20, 24, 32, 48, 64];
 
-/// The code of a length; of one that has none, the next longer one.
+/// Returns the DLC of a length, or that of the next longer one.
 pub(super) fn dlc(length: usize) -> u32 {
     FD_LENGTH.iter().position(|bytes| *bytes >= length).unwrap_or(15) as u32
 }
 
-/// The length that a code stands for.
+/// Returns the length that a DLC means, bytes.
 pub(super) fn length(dlc: u32, fd: bool) -> usize {
     let bytes = FD_LENGTH[(dlc & 0xF) as usize];
     if fd { bytes } else { bytes.min(8) }
 }
 
-/// The first word of an element.
+/// Makes the first word of an element.
 pub(super) fn header(frame: &CanFrame, esi: bool) -> u32 {
     let id = if frame.extended { frame.id & 0x1FFF_FFFF | XTD } else { (frame.id & 0x7FF) << 18 };
     id | if frame.remote { RTR } else { 0 } | if esi { ESI } else { 0 }
 }
 
-/// FDF, BRS and DLC as in the second word of an element.
+/// Returns FDF, BRS and DLC for the second word of an element.
 pub(super) fn format(frame: &CanFrame) -> u32 {
     dlc(frame.data.len()) << 16 | if frame.fd { FDF } else { 0 } | if frame.bit_rate_switch { BRS } else { 0 }
 }
 
-/// 2560 words; what is outside reads 0 and is not written.
+/// RAM of 2560 words; addresses outside read 0 and ignore writes.
 #[derive(Clone, Debug)]
 pub(super) struct MessageRam {
     words: Vec<u32>,
@@ -63,7 +63,7 @@ impl MessageRam {
         }
     }
 
-    /// The frame in the Tx buffer at a word; what does not fit its element is padded with 0xCC (59.4.1).
+    /// Reads the frame in the Tx buffer at a word; data beyond its element is padded with 0xCC (59.4.1).
     pub(super) fn frame(&self, index: usize, element_bytes: usize, fd_enabled: bool, brs_enabled: bool) -> CanFrame {
         let (first, second) = (self.word(index), self.word(index + 1));
         let extended = first & XTD != 0;
@@ -83,7 +83,7 @@ impl MessageRam {
         }
     }
 
-    /// Writes data behind two words of an element, as far as it has room.
+    /// Writes data behind the two header words of an element, as far as it has room.
     pub(super) fn set_data(&mut self, index: usize, element_bytes: usize, data: &[u8]) {
         for (nth, four) in data[..data.len().min(element_bytes)].chunks(4).enumerate() {
             let mut bytes = [0; 4];
@@ -93,12 +93,12 @@ impl MessageRam {
     }
 }
 
-/// Bytes of data in an element, by a field of RXESC or TXESC.
+/// Returns the data size of an element by its code in RXESC or TXESC, bytes.
 pub(super) fn element_bytes(code: u32) -> usize {
     ELEMENT_BYTES[(code & 7) as usize]
 }
 
-/// Words of an element.
+/// Returns the size of an element, words.
 pub(super) fn element_words(code: u32) -> usize {
     2 + element_bytes(code) / 4
 }

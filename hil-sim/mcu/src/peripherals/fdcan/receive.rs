@@ -1,4 +1,4 @@
-//! The Rx handler (RM0399, 59.4.2).
+//! Rx handler of a module (RM0399, 59.4.2).
 
 use crate::context::Context;
 use crate::outside::CanFrame;
@@ -10,7 +10,7 @@ use super::ram::{self, MessageRam, element_bytes, element_words};
 use super::registers::{self as register, cccr, ir, psr};
 use super::wire::INTERMISSION_BITS;
 
-/// Indices of a FIFO of elements: for reception, and of Tx events.
+/// Indices of a FIFO of elements, for reception or for Tx events.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct RxFifo {
     pub(super) put: usize,
@@ -19,13 +19,14 @@ pub(super) struct RxFifo {
 }
 
 impl RxFifo {
-    /// Where the next element goes; `None` when it is lost.
+    /// Returns the place of the next element; `None` if the element is lost.
     pub(super) fn put(&mut self, size: usize, overwrite: bool) -> Option<usize> {
         if size == 0 || self.level >= size && !overwrite {
             return None;
         }
         let index = self.put;
         self.put = (self.put + 1) % size;
+        // In overwrite mode the oldest element is lost.
         if self.level >= size {
             self.get = self.put;
         } else {
@@ -34,7 +35,7 @@ impl RxFifo {
         Some(index)
     }
 
-    /// All up to and including `index` are read. `false` if that is not held.
+    /// Marks all elements up to and including `index` as read. Returns `false` if the FIFO does not hold it.
     pub(super) fn acknowledge(&mut self, index: usize, size: usize) -> bool {
         let read = (index + size.max(1) - self.get % size.max(1)) % size.max(1) + 1;
         if index >= size || read > self.level {
@@ -45,7 +46,7 @@ impl RxFifo {
         true
     }
 
-    /// RXFnS or TXEFS, without the lost flag.
+    /// Returns RXFnS or TXEFS, without the lost flag.
     pub(super) fn status(&self, size: usize) -> u32 {
         let full = u32::from(size > 0 && self.level == size);
         full << 24 | (self.put as u32) << 16 | (self.get as u32) << 8 | self.level as u32
@@ -58,7 +59,7 @@ impl Module {
         self.coming.insert(place, (at_ns, frame));
     }
 
-    /// The EOF of another node's frame has ended.
+    /// Handles the end of EOF of another node's frame.
     pub(super) fn frame_arrived(
         &mut self,
         at_ns: u64,
@@ -67,17 +68,18 @@ impl Module {
         context: &mut Context<'_>,
     ) {
         let started_ns = at_ns.saturating_sub(self.frame_ns(frame));
+        // A node that joined the bus within the frame does not receive it; in loop-back mode it ignores the bus.
         if !self.takes_part(started_ns) || self.dominant.is_some() || self.loops_back() {
             return;
         }
         self.free_ns = self.free_ns.max(self.bits_after(at_ns, INTERMISSION_BITS));
         if frame.fd && !self.on(cccr::FDOE) {
-            // An FD frame to a classic node: error frame (59.4.1, CAN FD operation).
+            // A classic node answers an FD frame with an error frame (59.4.1, CAN FD operation).
             self.protocol_error(LastError::Form, false, |errors| errors.receive = (errors.receive + 1).min(128));
             return;
         }
         self.no_error(frame.bit_rate_switch);
-        // From error passive back to between 119 and 127 (Bosch CAN 2.0, B, 8, rule 8).
+        // An error-passive receiver returns to between 119 and 127 (Bosch CAN 2.0, B, 8, rule 8).
         self.count(|errors| {
             errors.receive = if errors.receive >= 128 { 119 } else { errors.receive.saturating_sub(1) };
         });
@@ -89,7 +91,7 @@ impl Module {
         self.accept(frame, self.timestamp(started_ns), ram, context);
     }
 
-    /// Filters and stores.
+    /// Filters a frame and stores it.
     pub(super) fn accept(&mut self, frame: &CanFrame, timestamp: u32, ram: &mut MessageRam, context: &mut Context<'_>) {
         let filters = Filters {
             global: self.reg(register::GFC),
@@ -120,18 +122,19 @@ impl Module {
         }
     }
 
-    /// Elements of FIFO 0 or 1.
+    /// Returns the number of elements of FIFO 0 or 1.
     pub(super) fn fifo_size(&self, fifo: usize) -> usize {
         (self.reg([register::RXF0C, register::RXF1C][fifo]) >> 16 & 0x7F).min(64) as usize
     }
 
-    /// Stores, and returns MSI and BIDX of HPMS.
+    /// Stores a frame in a FIFO; returns MSI and BIDX of HPMS.
     fn store_in_fifo(&mut self, fifo: usize, frame: &CanFrame, second: u32, ram: &mut MessageRam) -> u32 {
         let configuration = self.reg([register::RXF0C, register::RXF1C][fifo]);
         let shift = 4 * fifo as u32;
         let size = self.fifo_size(fifo);
         let Some(index) = self.fifos[fifo].put(size, configuration >> 31 == 1) else {
             self.raise(ir::RF0L << shift);
+            // MSI = 1: the message is lost.
             return 1 << 6;
         };
         let code = self.reg(register::RXESC) >> (4 * fifo) & 7;

@@ -1,4 +1,4 @@
-//! Offsets and bits (RM0399, 59.5).
+//! Offsets and bits of the registers (RM0399, 59.5).
 
 pub(super) const CREL: u32 = 0x00;
 pub(super) const ENDN: u32 = 0x04;
@@ -47,15 +47,15 @@ pub(super) const TXEFC: u32 = 0xF0;
 pub(super) const TXEFS: u32 = 0xF4;
 pub(super) const TXEFA: u32 = 0xF8;
 
-/// Release 3.2.1 of 2014-12-18.
+/// Values of CREL and ENDN: release 3.2.1 of 2014-12-18.
 pub(super) const CREL_VALUE: u32 = 0x3214_1218;
 pub(super) const ENDN_VALUE: u32 = 0x8765_4321;
 
-/// Registers that reset to something else than 0.
+/// Registers with a reset value other than 0.
 pub(super) const RESET_VALUES: [(u32, u32); 5] =
     [(DBTP, 0x0000_0A33), (CCCR, cccr::INIT), (NBTP, 0x0600_0A03), (TOCC, 0xFFFF_0000), (XIDAM, 0x1FFF_FFFF)];
 
-/// Registers that are written only while CCE and INIT are 1, and their bits.
+/// Registers that are writable only while CCE and INIT are 1, with their bits.
 pub(super) const PROTECTED: [(u32, u32); 17] = [
     (DBTP, 0x009F_1FFF),
     (RWD, 0x0000_00FF),
@@ -76,7 +76,7 @@ pub(super) const PROTECTED: [(u32, u32); 17] = [
     (TXEFC, 0x3F3F_FFFC),
 ];
 
-/// Bits of CCCR.
+/// Bits of the register CCCR.
 pub(super) mod cccr {
     pub(crate) const INIT: u32 = 1 << 0;
     pub(crate) const CCE: u32 = 1 << 1;
@@ -92,20 +92,20 @@ pub(super) mod cccr {
     pub(crate) const EFBI: u32 = 1 << 13;
     pub(crate) const TXP: u32 = 1 << 14;
     pub(crate) const NISO: u32 = 1 << 15;
-    /// Changed only while CCE and INIT are 1.
+    /// Bits that change only while CCE and INIT are 1.
     pub(crate) const PROTECTED: u32 = DAR | FDOE | BRSE | PXHD | EFBI | TXP | NISO;
-    /// Set only while CCE and INIT are 1, cleared at any time.
+    /// Bits that are set only while CCE and INIT are 1, and cleared at any time.
     pub(crate) const SET_PROTECTED: u32 = ASM | MON | TEST;
 }
 
-/// Bits of TEST.
+/// Bits of the register TEST.
 pub(super) mod test {
     pub(crate) const LBCK: u32 = 1 << 4;
     pub(crate) const TX: u32 = 3 << 5;
     pub(crate) const RX: u32 = 1 << 7;
 }
 
-/// Bits of PSR.
+/// Bits of the register PSR.
 pub(super) mod psr {
     pub(crate) const ACT_AT: u32 = 3;
     pub(crate) const EP: u32 = 1 << 5;
@@ -121,7 +121,7 @@ pub(super) mod psr {
 
 /// Bits of IR; those of IE and ILS are at the same places.
 pub(super) mod ir {
-    /// New message, watermark, full, lost: of FIFO 1 four places higher.
+    /// Rx FIFO 0: new message, watermark, full, lost; those of FIFO 1 are four places higher.
     pub(crate) const RF0N: u32 = 1 << 0;
     pub(crate) const RF0W: u32 = 1 << 1;
     pub(crate) const RF0F: u32 = 1 << 2;
@@ -145,7 +145,7 @@ pub(super) mod ir {
     pub(crate) const ALL: u32 = 0x3FCF_FFFF;
 }
 
-/// Bits of TXBC.
+/// Fields of the register TXBC.
 pub(super) mod txbc {
     pub(crate) const NDTB_AT: u32 = 16;
     pub(crate) const TFQS_AT: u32 = 24;

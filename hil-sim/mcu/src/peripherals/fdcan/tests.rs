@@ -1,7 +1,8 @@
-//! Sequences of RM0399, 59.4, as a driver does them, and misuse.
+//! Tests with sequences of RM0399, 59.4, as a driver makes them, and with misuse.
 //!
-//! 80 MHz, nominal bits of 80 clocks (1 Mbit/s: 1 + 63 + 16 quanta), data bits of 16 (5 Mbit/s: 1 + 11 + 4). The message RAM is
-//! laid out as standard filters at word 0, extended ones at 16, FIFO 0 at 64, FIFO 1 at 256, events at 448, buffers at 512.
+//! The kernel clock is 80 MHz: nominal bits of 80 clocks (1 Mbit/s: 1 + 63 + 16 quanta), data bits of 16 (5 Mbit/s: 1 +
+//! 11 + 4). The message RAM has standard filters at word 0, extended ones at 16, FIFO 0 at 64, FIFO 1 at 256, events at
+//! 448, buffers at 512.
 
 use proptest::prelude::*;
 
@@ -19,7 +20,7 @@ const FIFO_0: u32 = 64;
 const FIFO_1: u32 = 256;
 const EVENTS: u32 = 448;
 const BUFFERS: u32 = 512;
-/// Elements of 64 bytes.
+/// Size of elements with 64 bytes of data, words.
 const ELEMENT: u32 = 18;
 
 fn new() -> Bench<Fdcan> {
@@ -27,7 +28,7 @@ fn new() -> Bench<Fdcan> {
     Bench::new(Fdcan::new(), clocks)
 }
 
-/// INIT and CCE, bit times and message RAM.
+/// Makes a module in configuration, with INIT and CCE, bit times and message RAM set.
 fn configured(cccr_bits: u32) -> Bench<Fdcan> {
     let mut bench = new();
     bench.write(CCCR, cccr::INIT);
@@ -49,7 +50,7 @@ fn configured(cccr_bits: u32) -> Bench<Fdcan> {
     bench
 }
 
-/// Runs from now on, synchronised.
+/// Ends the configuration and waits until the module is synchronised.
 fn run(bench: &mut Bench<Fdcan>) {
     let value = bench.read(CCCR);
     bench.write(CCCR, value & !(cccr::CCE | cccr::INIT));
@@ -84,7 +85,7 @@ fn frame(id: u32, data: &[u8]) -> CanFrame {
     CanFrame { id, extended: false, remote: false, fd: false, bit_rate_switch: false, data: data.to_vec() }
 }
 
-/// A frame comes in and is over.
+/// Receives a frame, and waits until it is over.
 fn receive(bench: &mut Bench<Fdcan>, frame: CanFrame) {
     let length_ns = bench.peripheral.frame_ns(1, &frame);
     let at_ns = bench.now_ns + length_ns + 5 * BIT_NS;
@@ -115,7 +116,7 @@ fn reset_values_and_identity() {
         ] {
             assert_eq!(bench.read(base + offset), value, "{offset:#x}");
         }
-        // The reset value is 0x707: the table of bits has ACT = 0.
+        // The documented reset value is 0x707, but the table of bits has ACT = 0.
         assert_eq!(bench.read(base + PSR), 0x707);
     }
     assert_eq!(bench.take_misuse(), [""; 0]);
@@ -155,7 +156,7 @@ fn a_frame_takes_its_bits_and_completes_at_the_end_of_eof() {
     assert_eq!(bench.read(PSR) >> psr::ACT_AT & 3, 3);
     let expected = frame(0x2AA, &[0x55]);
     let length_ns = bench.peripheral.frame_ns(1, &expected);
-    // 52 bits of a frame with one byte, and at most (42 - 1) / 4 stuff bits.
+    // A frame with one byte has 52 bits, and at most (42 - 1) / 4 stuff bits.
     assert!((52 * BIT_NS..=62 * BIT_NS).contains(&length_ns), "{length_ns}");
     bench.run_until(start_ns + length_ns - 1);
     assert_eq!(bench.wires.can, [(1, start_ns + length_ns - 8 * BIT_NS, expected)]);
@@ -176,7 +177,7 @@ fn a_frame_takes_its_bits_and_completes_at_the_end_of_eof() {
 
 #[test]
 fn a_fifo_sends_in_order_and_a_queue_by_identifier() {
-    // The first one is on the wire before the others are asked for.
+    // The first frame is on the wire before the others are requested.
     for (queue, order) in [(0, [0x30, 0x20, 0x10]), (txbc::TFQM, [0x30, 0x10, 0x20])] {
         let mut bench = configured(0);
         bench.write(TXBC, BUFFERS << 2 | 3 << 24 | queue);
@@ -197,7 +198,7 @@ fn a_fifo_sends_in_order_and_a_queue_by_identifier() {
         }
         assert_eq!(bench.take_misuse(), [""; 0]);
     }
-    // All three at once: the lowest identifier first, but not in a FIFO.
+    // With all three requested at once, the lowest identifier is first, except in a FIFO.
     for (queue, order) in [(0, [0x30, 0x20, 0x10]), (txbc::TFQM, [0x10, 0x20, 0x30])] {
         let mut bench = configured(0);
         bench.write(TXBC, BUFFERS << 2 | 3 << 24 | queue);
@@ -254,7 +255,7 @@ fn fd_with_bit_rate_switch() {
     assert_eq!(bench.wires.can[0].2, expected);
     let slow = CanFrame { bit_rate_switch: false, ..expected };
     let (fast_ns, slow_ns) = (bench.wires.can[0].1 - start_ns, bench.peripheral.frame_ns(1, &slow) - 8 * BIT_NS);
-    // 512 data bits, ESI, DLC and 32 bits of CRC field take a fifth.
+    // 512 data bits, ESI, DLC and 32 bits of the CRC field take a fifth of the time.
     assert!(fast_ns < slow_ns - 512 * 800 && fast_ns > slow_ns / 5, "{fast_ns} {slow_ns}");
     assert_eq!(bench.read(PSR) >> psr::DLEC_AT & 7, 0);
     // Without FDOE the same buffer is a classic frame of eight bytes.
@@ -295,7 +296,7 @@ fn a_node_alone_becomes_error_passive_but_not_bus_off() {
     let to_ack_ns = bench.peripheral.frame_ns(1, &frame(0x100, &[0])) - 8 * BIT_NS;
     assert_eq!(times[1] - times[0], to_ack_ns + 17 * BIT_NS, "error frame and intermission");
     assert_eq!(times[100] - times[99], to_ack_ns + 25 * BIT_NS, "and 8 bits of an error-passive node");
-    // Somebody joins.
+    // Another node joins the bus.
     bench.wires.can_outcome = CanOutcome::Acknowledged;
     bench.run_until(bench.now_ns + 1_000_000);
     assert_eq!(bench.read(TXBTO), 1);
@@ -332,7 +333,7 @@ fn destroyed_frames_lead_to_bus_off_and_init_back_from_it() {
     assert_eq!(bench.wires.can.len(), 33, "the request was kept");
 }
 
-/// Rule 6: a dominant bus counts 8 after the 14th bit behind the error flag, and 8 again after each 8 more.
+/// Rule 6: a dominant bus counts 8 after the 14th bit behind the error flag, and 8 again after each further 8 bits.
 #[test]
 fn a_transmitter_on_a_dominant_bus_goes_off_it_and_stays_so_until_it_is_recessive() {
     let mut bench = running(0);
@@ -349,7 +350,7 @@ fn a_transmitter_on_a_dominant_bus_goes_off_it_and_stays_so_until_it_is_recessiv
     assert_eq!(bench.read(ECR) & 0xFF, 16);
     bench.run_until(begin_ns + (20 + 8 * 10) * BIT_NS);
     assert_eq!((bench.read(ECR) & 0xFF, bench.read(PSR) & psr::EW), (96, psr::EW));
-    // 8, 16, then 30 times 8 are 256.
+    // The sum of 8 * 2 and 30 times 8 is 256.
     bench.run_until(begin_ns + (20 + 8 * 30) * BIT_NS - 1);
     assert_eq!(bench.read(PSR) & psr::BO, 0);
     bench.run_until(begin_ns + (20 + 8 * 30) * BIT_NS);
@@ -427,7 +428,7 @@ fn events_of_transmissions_are_stored() {
     }
     bench.write(TXBAR, 7);
     bench.run_until(bench.now_ns + 1_000_000);
-    // The FIFO has two elements, the third event is lost.
+    // The FIFO has two elements, so the third event is lost.
     assert_eq!(bench.read(IR) & (ir::TEFN | ir::TEFF | ir::TEFL), ir::TEFN | ir::TEFF | ir::TEFL);
     assert_eq!(bench.read(TXEFS), 1 << 25 | 1 << 24 | 2);
     assert_eq!(ram(&mut bench, EVENTS), 0x100 << 18);
@@ -485,7 +486,7 @@ fn a_full_fifo_blocks_or_overwrites() {
     }
 }
 
-/// What filters make of an identifier: FIFO 0, FIFO 1 or none.
+/// Returns the new elements in FIFO 0 and FIFO 1 after the filters have judged a frame.
 fn filtered(filters: &[u32], extended_filters: &[(u32, u32)], gfc: u32, xidam: u32, frame: CanFrame) -> [u32; 2] {
     let mut bench = configured(0);
     bench.write(SIDFC, FILTERS << 2 | (filters.len() as u32) << 16);
@@ -528,7 +529,7 @@ fn standard_filters() {
     ] {
         assert_eq!(filtered(&filters, &[], reject_others, 0x1FFF_FFFF, frame(id, &[])), stored, "{filters:x?} {id:#x}");
     }
-    // Without a match: by GFC, FIFO 0, FIFO 1, rejected.
+    // Frames without a match go by GFC to FIFO 0, to FIFO 1, or are rejected.
     for (anfs, stored) in [(0, [1, 0]), (1, [0, 1]), (2, [0, 0]), (3, [0, 0])] {
         assert_eq!(filtered(&[off], &[], anfs << 4, 0x1FFF_FFFF, frame(5, &[])), stored);
     }
@@ -575,7 +576,7 @@ fn dedicated_buffers_and_priority() {
     assert_eq!((bench.read(NDAT1), bench.read(NDAT2)), (0, 2));
     assert_eq!(ram(&mut bench, 1024 + 33 * ELEMENT + 2), 9);
     assert_eq!(bench.read(IR) & (ir::DRX | ir::HPM | ir::RF0N), ir::DRX);
-    // The buffer is locked: the next element matches.
+    // The buffer is locked, so the next element matches.
     receive(&mut bench, frame(0x111, &[8]));
     assert_eq!(bench.read(HPMS), 1 << 8 | 2 << 6);
     assert_eq!(bench.read(IR) & (ir::HPM | ir::RF0N), ir::HPM | ir::RF0N);
@@ -737,7 +738,7 @@ fn both_modules_share_the_ram() {
     assert!(bench.with(|fdcan, context| fdcan.read(RAM + 4 * 2560, Size::Word, context)).is_err());
     bench.with(|fdcan, context| fdcan.write(RAM, Size::Byte, 1, context)).unwrap();
     assert_eq!(bench.take_misuse().len(), 1);
-    // FDCAN2 with the same layout sends what FDCAN1 would.
+    // FDCAN2 with the same layout sends the frame that FDCAN1 would.
     fill(&mut bench, 0, 0x77, 1);
     let base = 0x400;
     bench.write(base + CCCR, 3);
@@ -777,7 +778,7 @@ fn misuse_of_clocks_is_reported() {
 }
 
 proptest! {
-    /// Looking more often changes nothing: neither what is sent nor what is counted, stored and flagged.
+    /// More frequent advances change nothing: not the sent frames, the counters, the stored frames or the flags.
     #[test]
     fn looking_more_often_changes_nothing(
         cuts in prop::collection::vec(0..3_000_000_u64, 0..20),

@@ -1,4 +1,4 @@
-//! The Tx handler (RM0399, 59.4.2).
+//! Tx handler of a module (RM0399, 59.4.2).
 
 use crate::context::{Context, Ticks};
 use crate::outside::{CanFrame, CanOutcome};
@@ -9,20 +9,20 @@ use super::ram::{self, MessageRam, element_bytes, element_words};
 use super::registers::{self as register, cccr, ir, psr, txbc};
 use super::wire::{AFTER_ACK_BITS, INTERMISSION_BITS};
 
-/// Bits of an error flag and its delimiter.
+/// Bits of an error flag with its delimiter.
 const ERROR_FRAME_BITS: u64 = 6 + 8;
-/// An error-passive transmitter waits so much longer.
+/// Additional wait of an error-passive transmitter, bits.
 const SUSPEND_BITS: u64 = 8;
-/// Pause with TXP.
+/// Transmit pause with TXP, bits.
 const PAUSE_BITS: u64 = 2;
 
-/// A frame on the wire.
+/// Frame being sent on the wire.
 #[derive(Clone, Debug)]
 pub(super) struct Transmission {
     buffer: usize,
     frame: CanFrame,
     esi: bool,
-    /// Message marker and EFC: the second word of the Tx buffer.
+    /// Second word of the Tx buffer, with message marker and EFC.
     control: u32,
     timestamp: u32,
     kernel: Ticks,
@@ -32,7 +32,7 @@ pub(super) struct Transmission {
 }
 
 impl Transmission {
-    /// The end of the acknowledge slot, then that of EOF.
+    /// Returns the time of the next step, ns: the end of the acknowledge slot, then that of EOF.
     pub(super) fn next_ns(&self) -> u64 {
         self.kernel.when_ns(if self.acknowledged { self.end_clocks } else { self.ack_clocks })
     }
@@ -43,7 +43,7 @@ impl Transmission {
 }
 
 impl Module {
-    /// First buffer of the Tx FIFO or queue, and how many it has.
+    /// Returns the first buffer of the Tx FIFO or queue, and its number of buffers.
     pub(super) fn tx_fifo_place(&self) -> (usize, usize) {
         let txbc = self.reg(register::TXBC);
         let dedicated = (txbc >> txbc::NDTB_AT & 0x3F).min(32) as usize;
@@ -68,20 +68,22 @@ impl Module {
         (self.reg(register::TXBC) & 0xFFFC) as usize / 4 + buffer * element_words(self.reg(register::TXESC))
     }
 
-    /// TXBAR is written.
+    /// Handles a write to TXBAR.
     pub(super) fn add_requests(&mut self, requests: u32, context: &mut Context<'_>) {
         if self.on(cccr::CCE) {
             context.misuse(self.name, "TXBAR is written while CCE is 1 (RM0399, 59.4.1)");
             return;
         }
+        // A node in bus monitoring mode cannot send (59.4.1).
         if self.on(cccr::MON) && !self.loops_back() {
             return;
         }
         let (first, size) = self.tx_fifo_place();
+        // The first request of an idle handler sets the earliest start.
         if self.reg(register::TXBRP) == 0 {
             self.requested_ns = context.now_ns;
         }
-        // From the put index on, cyclically, so that several requests at once are taken in the FIFO's order.
+        // Buffers are taken cyclically from the put index on, so that simultaneous requests keep the FIFO's order.
         let in_fifo = (0..size).map(|nth| first + (self.tx_put + nth) % size);
         for buffer in (0..first).chain(in_fifo.collect::<Vec<_>>()) {
             if requests >> buffer & 1 == 0 || self.pending(buffer) {
@@ -106,7 +108,7 @@ impl Module {
         }
     }
 
-    /// The get index of a FIFO is that of the oldest request, or of the next.
+    /// Moves the get index of a FIFO to the oldest request, or to the next one.
     fn seek_get(&mut self) {
         let (first, size) = self.tx_fifo_place();
         while self.tx_taken > 0 && !self.pending(first + self.tx_get) {
@@ -115,7 +117,7 @@ impl Module {
         }
     }
 
-    /// The put index of a queue is that of the next free buffer.
+    /// Moves the put index of a queue to the next free buffer.
     fn seek_put(&mut self) {
         let (first, size) = self.tx_fifo_place();
         if self.is_queue()
@@ -126,7 +128,7 @@ impl Module {
         }
     }
 
-    /// TXBCR is written.
+    /// Handles a write to TXBCR.
     pub(super) fn add_cancellations(&mut self, requests: u32, context: &mut Context<'_>) {
         if self.on(cccr::CCE) {
             context.misuse(self.name, "TXBCR is written while CCE is 1 (RM0399, 59.4.1)");
@@ -134,6 +136,7 @@ impl Module {
         }
         let (first, size) = self.tx_fifo_place();
         for buffer in (0..first + size).filter(|buffer| requests >> buffer & 1 == 1) {
+            // A frame on the wire cannot be stopped; its cancellation completes with it.
             if self.transmission.as_ref().is_some_and(|transmission| transmission.buffer == buffer) {
                 self.set_reg(register::TXBCR, self.reg(register::TXBCR) | 1 << buffer);
             } else {
@@ -150,7 +153,7 @@ impl Module {
         }
     }
 
-    /// A buffer has no request any more.
+    /// Removes the request of a buffer.
     fn retire(&mut self, buffer: usize) {
         let (first, size) = self.tx_fifo_place();
         let had_requests = self.tx_fifo_pending() > 0;
@@ -166,7 +169,8 @@ impl Module {
         }
     }
 
-    /// The buffer to be sent next: of the dedicated ones and the queue the lowest identifier, of a FIFO the oldest.
+    /// Returns the buffer to send next: the lowest identifier among the dedicated ones and the queue, the oldest of a
+    /// FIFO.
     fn next_buffer(&self, ram: &MessageRam) -> Option<usize> {
         let (first, size) = self.tx_fifo_place();
         let candidates = if self.is_queue() { first + size } else { first };
@@ -177,7 +181,7 @@ impl Module {
             .min_by_key(|buffer| (priority(ram.word(self.buffer_word(*buffer))), *buffer))
     }
 
-    /// When the next frame begins, if one is requested.
+    /// Returns the time at which the next frame begins, ns; `None` without a request.
     pub(super) fn start_ns(&self) -> Option<u64> {
         let may = !self.on(cccr::INIT)
             && !self.errors.bus_off
@@ -189,7 +193,9 @@ impl Module {
         if !may {
             return None;
         }
+        // All three conditions must hold: synchronised, bus free, and requested.
         let mut start_ns = self.synchronised_ns.max(self.free_ns).max(self.requested_ns);
+        // Another node that began first wins the bus; this one waits until the frame and the intermission are over.
         for (end_ns, frame) in &self.coming {
             let others_ns = end_ns.saturating_sub(self.frame_ns(frame));
             if others_ns <= start_ns && start_ns < *end_ns {
@@ -203,8 +209,10 @@ impl Module {
         let Some(buffer) = self.next_buffer(ram) else { return };
         let word = self.buffer_word(buffer);
         let frame = ram.frame(word, element_bytes(self.reg(register::TXESC)), self.on(cccr::FDOE), self.on(cccr::BRSE));
+        // ESI is sent recessive by an error-passive node, or if the buffer demands it.
         let esi = frame.fd && (self.errors.passive() || ram.word(word) & ram::ESI != 0);
         let ack_clocks = self.clocks_to_ack(&frame, esi);
+        // Without a transceiver delay, the measured value is the offset.
         if frame.fd && self.reg(register::DBTP) >> 23 & 1 == 1 {
             let tdco = self.reg(register::TDCR) >> 8 & 0x7F;
             self.protocol = self.protocol & !(0x7F << psr::TDCV_AT) | tdco << psr::TDCV_AT;
@@ -222,19 +230,21 @@ impl Module {
         });
     }
 
-    /// The acknowledge slot or EOF has ended.
+    /// Handles the end of the acknowledge slot or of EOF.
     pub(super) fn transmission_event(&mut self, at_ns: u64, ram: &mut MessageRam, context: &mut Context<'_>) {
         let Some(mut transmission) = self.transmission.take() else { return };
         if transmission.acknowledged {
             self.sent(at_ns, transmission, ram, context);
             return;
         }
+        // Internal loop back does not reach the bus.
         let internal = self.loops_back() && self.on(cccr::MON);
         let outcome = match internal {
             true => CanOutcome::Acknowledged,
             false => context.outside.can_sent(self.bus, at_ns, &transmission.frame),
         };
         match outcome {
+            // Loop back ignores a missing acknowledge (59.4.1).
             CanOutcome::NotAcknowledged if self.loops_back() => (),
             CanOutcome::Acknowledged => (),
             CanOutcome::NotAcknowledged => return self.not_sent(LastError::Acknowledge, at_ns, &transmission),
@@ -248,6 +258,7 @@ impl Module {
         let buffer = transmission.buffer;
         let cancelled = self.reg(register::TXBCR) >> buffer & 1 == 1;
         self.no_error(transmission.frame.bit_rate_switch);
+        // A frame sent without error lowers TEC by one (Bosch CAN 2.0, B, 8, rule 7).
         self.count(|errors| errors.transmit = errors.transmit.saturating_sub(1));
         self.wait(at_ns, if self.on(cccr::TXP) { PAUSE_BITS } else { 0 });
         self.retire(buffer);
@@ -266,9 +277,10 @@ impl Module {
         }
     }
 
-    /// The frame was disturbed: an error frame follows, and the same again, unless it is not to be repeated.
+    /// Handles a disturbed frame: an error frame follows, then the same frame again, unless automatic retransmission is
+    /// off.
     fn not_sent(&mut self, error: LastError, at_ns: u64, transmission: &Transmission) {
-        // An error-passive node that misses an acknowledgement does not count it (Bosch CAN 2.0, B, 8, rule 3 exception 1).
+        // An error-passive node does not count a missing acknowledgement (Bosch CAN 2.0, B, 8, rule 3 exception 1).
         let alone = error == LastError::Acknowledge && self.errors.passive();
         self.protocol_error(error, false, |errors| errors.transmit += if alone { 0 } else { 8 });
         self.wait(at_ns, ERROR_FRAME_BITS);
@@ -279,7 +291,7 @@ impl Module {
         }
     }
 
-    /// The bus is ours again after so many bits and the intermission.
+    /// Marks the bus as occupied for `bits` and the intermission.
     fn wait(&mut self, at_ns: u64, bits: u64) {
         let suspended = if self.errors.passive() { SUSPEND_BITS } else { 0 };
         self.free_ns = self.bits_after(at_ns, bits + INTERMISSION_BITS + suspended);
@@ -309,7 +321,7 @@ impl Module {
     }
 }
 
-/// Order in which identifiers win arbitration: the 11 first bits, a standard before an extended frame, the rest.
+/// Returns a key in the order of arbitration: the first 11 bits, a standard before an extended frame, the rest.
 fn priority(header: u32) -> (u32, bool, u32) {
     let id = header & 0x1FFF_FFFF;
     let extended = header & ram::XTD != 0;

@@ -1,4 +1,4 @@
-//! How long a frame is on the wire: every bit of it, with its stuff bits (ISO 11898-1:2015; RM0399, 59.4.4).
+//! Duration of a frame on the wire: every bit of it, with its stuff bits (ISO 11898-1:2015; RM0399, 59.4.4).
 //!
 //! Classic frames are stuffed from SOF to the end of the CRC, which is computed; FD frames from SOF to the end of the data,
 //! with fixed stuff bits in the CRC field. With bit-rate switching the clock changes at the sample points of BRS and of the
@@ -8,7 +8,7 @@ use crate::outside::CanFrame;
 
 use super::ram::dlc;
 
-/// Kernel clocks of a bit: to the sample point, and from there on.
+/// Length of a bit in kernel clocks: up to the sample point, and from there on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct BitTime {
     pub(super) before_sample: u64,
@@ -21,18 +21,18 @@ impl BitTime {
         Self { before_sample: quantum * (u64::from(segment_1) + 2), after_sample: quantum * (u64::from(segment_2) + 1) }
     }
 
-    /// Kernel clocks of a bit.
+    /// Returns the length of a bit in kernel clocks.
     pub(super) fn clocks(self) -> u64 {
         self.before_sample + self.after_sample
     }
 }
 
-/// ACK delimiter and EOF.
+/// Bits of ACK delimiter and EOF.
 pub(super) const AFTER_ACK_BITS: u64 = 8;
-/// Between frames.
+/// Bits of the intermission between frames.
 pub(super) const INTERMISSION_BITS: u64 = 3;
 
-/// Bits that are sent as they come, counted with the stuff bits between them.
+/// Sequence of bits with the stuff bits inserted between them, counted.
 #[derive(Default)]
 struct Stuffed {
     bits: u64,
@@ -40,7 +40,7 @@ struct Stuffed {
     last: bool,
     stuff_due: bool,
     crc: u32,
-    /// Bits up to and including BRS, stuff bits included.
+    /// Number of bits up to and including BRS, with stuff bits.
     to_brs: u64,
 }
 
@@ -51,7 +51,7 @@ impl Stuffed {
             self.last = !self.last;
             self.run = 1;
         }
-        // CRC-15: x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1.
+        // Polynomial of CRC-15: x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1.
         let feedback = (self.crc >> 14 & 1 == 1) != bit;
         self.crc = self.crc << 1 & 0x7FFF ^ if feedback { 0x4599 } else { 0 };
         self.run = if self.bits > 0 && bit == self.last { self.run + 1 } else { 1 };
@@ -97,19 +97,19 @@ impl Stuffed {
     }
 }
 
-/// Kernel clocks from the start of SOF to the end of the acknowledge slot.
+/// Returns the kernel clocks from the start of SOF to the end of the acknowledge slot.
 pub(super) fn clocks_to_ack(frame: &CanFrame, esi: bool, non_iso: bool, nominal: BitTime, data: BitTime) -> u64 {
     let mut stuffed = Stuffed::header(frame, esi);
     if !frame.fd {
         let crc = stuffed.crc;
         stuffed.push_bits(crc, 15);
         let bits = stuffed.bits + u64::from(stuffed.stuff_due);
-        // CRC delimiter and acknowledge slot.
+        // Two more bits: CRC delimiter and acknowledge slot.
         return (bits + 2) * nominal.clocks();
     }
     let crc_bits = if frame.data.len() <= 16 { 17 } else { 21 };
     let field_bits: u64 = if non_iso { crc_bits } else { 4 + crc_bits };
-    // A fixed stuff bit before the first and after each four bits.
+    // A fixed stuff bit precedes the first bit and follows each four bits.
     let bits = stuffed.bits + field_bits + field_bits.div_ceil(4);
     if !frame.bit_rate_switch {
         return (bits + 2) * nominal.clocks();
@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn crc_15_has_its_published_check_value() {
-        // CRC-15/CAN of "123456789" is 0x059E (reveng.sourceforge.io catalogue).
+        // Published check value: CRC-15/CAN of "123456789" is 0x059E (reveng.sourceforge.io catalogue).
         let mut stuffed = Stuffed::default();
         for byte in b"123456789" {
             stuffed.push_bits(u32::from(*byte), 8);
@@ -150,7 +150,7 @@ mod tests {
 
     #[test]
     fn a_frame_without_stuffing_has_34_bits_and_its_data() {
-        // 0x555 without data: 0 10101010101 0 0 0 0000 needs one stuff bit in 0 0 0 0000; then its CRC.
+        // Identifier 0x555 without data: 0 10101010101 0 0 0 0000 needs one stuff bit in 0 0 0 0000; then its CRC.
         let empty = frame(0x555, &[]);
         let mut stuffed = Stuffed::header(&empty, false);
         assert_eq!(stuffed.bits, 19 + 1);
@@ -161,9 +161,10 @@ mod tests {
 
     #[test]
     fn the_worst_case_is_one_stuff_bit_after_five_then_every_four() {
-        // ID 0x000 and zeros: SOF to DLC's first bits are a run of zeros.
+        // With identifier 0x000 and zeros, the bits from SOF to the first of DLC are a run of zeros.
         let zeros = frame(0, &[0; 8]);
-        // 34 + 64 bits to be stuffed give at most (98 - 1) / 4 = 24 stuff bits, and the run of zeros at least 80 / 5.
+        // The 34 + 64 bits to be stuffed give at most (98 - 1) / 4 = 24 stuff bits, and the run of zeros at least 80 /
+        // 5.
         let stuff_bits = bits(&zeros) - 2 - 98;
         assert!((16..=24).contains(&stuff_bits), "{stuff_bits}");
     }
@@ -175,10 +176,11 @@ mod tests {
         // SOF, 11, RRS, IDE, FDF, res: 16; BRS, ESI, DLC: 6; 128 data bits; with 21 + 6 bits of CRC field and two more.
         // 0101010101 0 0 | 1 0 | 0 0 | 1010 has no five equal bits.
         assert_eq!(bits(&slow), 16 + 6 + 128 + 27 + 2);
-        // BRS is recessive in the other one: still no five equal bits. Slow before BRS and in the slot, split in two bits.
+        // In the other frame BRS is recessive: still no five equal bits. The slow rate applies before BRS and in the
+        // slot; two bits are split.
         let clocks = clocks_to_ack(&fast, false, false, NOMINAL, FAST);
         assert_eq!(clocks, 16 * 10 + (7 + 1) + (5 + 128 + 27) * 3 + (2 + 3) + 10);
-        // Above 16 bytes CRC-21: 25 + 7 bits; before ISO no stuff count, 17 + 5 bits.
+        // Above 16 bytes the CRC is CRC-21: 25 + 7 bits; before ISO there is no stuff count: 17 + 5 bits.
         let long = CanFrame { data: vec![0x55; 20], ..slow.clone() };
         assert_eq!(bits(&long), 16 + 6 + 160 + 32 + 2);
         assert_eq!(clocks_to_ack(&slow, false, true, NOMINAL, FAST) / 10, 16 + 6 + 128 + 22 + 2);

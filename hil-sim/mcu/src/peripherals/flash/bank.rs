@@ -1,11 +1,12 @@
-//! One bank: its control and status registers, write buffer and queue of operations (RM0399, 4.3.9, 4.3.10, 4.7, 4.9).
+//! One bank of the flash: its control and status registers, write buffer and queue of operations (RM0399, 4.3.9,
+//! 4.3.10, 4.7, 4.9).
 
 use std::collections::VecDeque;
 
 use super::cells::{BANK_WORDS, FlashCells, SECTOR_WORDS, WORD_BYTES, Word};
 use crate::Context;
 
-/// CR.
+/// Bits of the control register CR.
 pub(super) const LOCK: u32 = 1;
 const PG: u32 = 1 << 1;
 const SER: u32 = 1 << 2;
@@ -16,7 +17,7 @@ pub(super) const CRC_EN: u32 = 1 << 15;
 pub(super) const CR_AT_RESET: u32 = 0x31;
 const CR_WRITABLE: u32 = 0x0FEF_0F7F | START;
 
-/// SR.
+/// Bits of the status register SR.
 const BSY: u32 = 1;
 const WBNE: u32 = 1 << 1;
 const QW: u32 = 1 << 2;
@@ -28,14 +29,14 @@ pub(super) const INCERR: u32 = 1 << 21;
 pub(super) const RDPERR: u32 = 1 << 23;
 pub(super) const SNECCERR: u32 = 1 << 25;
 pub(super) const DBECCERR: u32 = 1 << 26;
-/// Flags, and with the same places in CR what makes them interrupts and in CCR what clears them.
+/// Flags of SR; the bits at the same places in CR enable their interrupts, and those in CCR clear them.
 pub(super) const FLAGS: u32 = 0x1FEF_0000;
-/// While one of these is set, nothing can be programmed; the others do not block (4.8, table 26).
+/// Flags that block programming while set; the others do not (4.8, table 26).
 const PROGRAM_ERRORS: u32 = PGSERR | INCERR;
 
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
-/// Typical, by PSIZE (x8, x16, x32, x64), DS12930, table "Flash memory programming".
+/// Typical durations by PSIZE (x8, x16, x32, x64), ns (DS12930, table "Flash memory programming").
 const PROGRAM_NS: [u64; 4] = [290_000, 180_000, 130_000, 100_000];
 const ERASE_SECTOR_NS: [u64; 4] = [2_000_000_000, 1_800_000_000, 1_100_000_000, 1_000_000_000];
 const ERASE_BANK_NS: [u64; 4] = [13_000_000_000, 8_000_000_000, 6_000_000_000, 5_000_000_000];
@@ -50,33 +51,33 @@ struct Operation {
     first: u32,
     words: u32,
     takes_ns: u64,
-    /// Known once it is the first in the queue.
+    /// End of the operation, ns; known once it is the first in the queue.
     ends_ns: u64,
 }
 
-/// What was written of a flash word that is not complete.
+/// Bytes written so far of an incomplete flash word.
 struct Buffer {
     index: u32,
     bytes: [u8; WORD_BYTES],
-    /// A bit for each byte.
+    /// Mask with one bit for each written byte.
     written: u32,
 }
 
-/// A bank.
+/// State of one bank.
 pub(super) struct Bank {
-    /// In cells, the number of its first word.
+    /// Number of its first word in the cells.
     base: u32,
-    /// Its first address.
+    /// First address of the bank on the bus.
     address: u32,
-    /// Readout protection keeps everybody out.
+    /// Readout protection blocks all access.
     pub(super) closed: bool,
     pub(super) cr: u32,
     flags: u32,
-    /// How many of the keys were given; `None` after a wrong one, until a reset.
+    /// Number of keys written correctly; `None` after a wrong one, until a reset.
     keys: Option<usize>,
     buffer: Option<Buffer>,
     queue: VecDeque<Operation>,
-    /// ECC_FA: the word of the first error since the flags were cleared.
+    /// ECC_FA: word of the first error since the flags were cleared.
     pub(super) fault_word: u32,
 }
 
@@ -113,6 +114,7 @@ impl Bank {
     }
 
     pub(super) fn write_key(&mut self, key: u32, context: &mut Context<'_>) {
+        // The keys must come in their order, and only while the register is locked.
         self.keys = match self.keys {
             Some(given) if self.cr & LOCK != 0 && KEYS.get(given) == Some(&key) => Some(given + 1),
             _ => {
@@ -141,9 +143,10 @@ impl Bank {
         if !self.queue.is_empty() && (value ^ self.cr) & SETTINGS != 0 {
             context.misuse("FLASH", "PSIZE or SNB is changed during an operation (FLASH_CR)");
         }
+        // START and FW clear themselves.
         self.cr = value & CR_WRITABLE & !(START | FW);
         if value & PG == 0 && self.buffer.is_some() {
-            // A word that is given up before it was complete is lost.
+            // A word abandoned before it is complete is lost.
             self.buffer = None;
             self.flags |= PGSERR;
         }
@@ -157,19 +160,20 @@ impl Bank {
 
     fn force(&mut self, now_ns: u64) {
         match self.buffer.take() {
-            // What was not written stays all ones.
+            // Unwritten bytes stay all ones.
             Some(buffer) => self.start_program(buffer, now_ns),
             None => self.flags |= PGSERR,
         }
     }
 
-    /// OPTCR.MER: BER and START are set in both banks (4.3.10).
+    /// Handles OPTCR.MER, which sets BER and START in both banks (4.3.10).
     pub(super) fn mass_erase(&mut self, now_ns: u64) {
         self.cr |= BER;
         self.start_erase(now_ns);
     }
 
-    /// The erase of a bank, whatever its lock and flags say, with `more_ns` for the option bytes; says when it ends.
+    /// Starts the erase of a bank for a regression, whatever its lock and flags, with `more_ns` for the option bytes;
+    /// returns its end, ns.
     pub(super) fn erase_for_regression(&mut self, now_ns: u64, more_ns: u64) -> u64 {
         let takes_ns = ERASE_BANK_NS[self.parallelism()] + more_ns;
         let (first, words) = (self.base, BANK_WORDS);
@@ -177,7 +181,7 @@ impl Bank {
         self.enqueue(Operation { step: Step::Erase, first, words, takes_ns, ends_ns: 0 }, now_ns)
     }
 
-    /// PSIZE.
+    /// Returns the field PSIZE.
     fn parallelism(&self) -> usize {
         (self.cr >> 4 & 3) as usize
     }
@@ -196,6 +200,7 @@ impl Bank {
             self.flags |= PGSERR;
             return;
         };
+        // Programming and erasing exclude each other, and error flags must be cleared first.
         if self.cr & PG != 0 || self.buffer.is_some() || self.flags & PROGRAM_ERRORS != 0 {
             self.flags |= PGSERR;
             return;
@@ -209,15 +214,16 @@ impl Bank {
         self.enqueue(Operation { step, first: buffer.index, words: 1, takes_ns, ends_ns: 0 }, now_ns);
     }
 
-    /// Says when it ends.
+    /// Queues an operation; returns its end, ns.
     fn enqueue(&mut self, mut operation: Operation, now_ns: u64) -> u64 {
+        // Operations run one after another.
         operation.ends_ns = self.queue.back().map_or(now_ns, |last| last.ends_ns) + operation.takes_ns;
         let ends_ns = operation.ends_ns;
         self.queue.push_back(operation);
         ends_ns
     }
 
-    /// A store of the core: `word` in the bank, `at` in the word.
+    /// Handles a store of the core: `word` in the bank, `at` in the word.
     pub(super) fn store(&mut self, word: u32, at: usize, bytes: &[u8], context: &mut Context<'_>) {
         if self.closed {
             self.flags |= WRPERR;
@@ -228,6 +234,7 @@ impl Bank {
             self.flags |= PGSERR;
             return;
         }
+        // The queue has room for one operation that runs and one that waits.
         if self.queue.len() > 1 {
             context.misuse(
                 "FLASH",
@@ -237,12 +244,13 @@ impl Bank {
         let index = self.base + word;
         let mut buffer = self.buffer.take().unwrap_or(Buffer { index, bytes: [0xFF; WORD_BYTES], written: 0 });
         let mask = ((1_u32 << bytes.len()) - 1) << at;
+        // A store to another word before this one is complete is inconsistent.
         if buffer.index != index {
             self.flags |= INCERR;
             return;
         }
         if buffer.written & mask != 0 {
-            // The new bytes replace the old ones (4.7.4).
+            // The new bytes replace the old ones, with a flag (4.7.4).
             self.flags |= STRBERR;
         }
         buffer.bytes[at..at + bytes.len()].copy_from_slice(bytes);
@@ -254,7 +262,7 @@ impl Bank {
         }
     }
 
-    /// Ends what ends until now. `Err` when the power went in a step.
+    /// Completes the operations that end until now. `Err` if the power failed in a step.
     pub(super) fn advance(
         &mut self,
         cells: &mut dyn FlashCells,
@@ -276,7 +284,7 @@ impl Bank {
         Ok(())
     }
 
-    /// A read while readout protection forbids it.
+    /// Handles a read that readout protection forbids.
     pub(super) fn refuse_read(&mut self, address: u32, context: &mut Context<'_>) {
         if self.flags & RDPERR == 0 {
             let what = format!(
@@ -287,7 +295,7 @@ impl Bank {
         self.flags |= RDPERR;
     }
 
-    /// A read found an error: the flags, and the address of the first.
+    /// Sets the flags of an error found by a read, and the address of the first one.
     pub(super) fn note_ecc(&mut self, flag: u32, word: u32) {
         if self.flags & (SNECCERR | DBECCERR) == 0 {
             self.fault_word = word;
@@ -295,9 +303,9 @@ impl Bank {
         self.flags |= flag;
     }
 
-    /// A reset of the chip, after which the bank begins at `address`.
+    /// Resets the bank with the chip; from then on it begins at `address`.
     pub(super) fn reset(&mut self, cells: &mut dyn FlashCells, address: u32) {
-        // Only the first has begun.
+        // Only the first operation in the queue has begun.
         if let Some(operation) = self.queue.front() {
             cells.abandon(operation.first, operation.words);
         }

@@ -1,63 +1,63 @@
-//! The memory cells, apart from the registers: a board may have its own, with power cuts and wear.
+//! Memory cells, separate from the registers: a board may provide its own, with power cuts and wear.
 
-/// Bytes of a flash word: the unit of programming and of error correction.
+/// Size of a flash word, the unit of programming and of error correction, bytes.
 pub const WORD_BYTES: usize = 32;
-/// Flash words of a sector of 128 KiB.
+/// Size of a sector of 128 KiB, flash words.
 pub const SECTOR_WORDS: u32 = 4096;
-/// Sectors of a bank.
+/// Number of sectors per bank.
 pub const BANK_SECTORS: u32 = 8;
-/// Flash words of a bank.
+/// Size of a bank, flash words.
 pub const BANK_WORDS: u32 = BANK_SECTORS * SECTOR_WORDS;
 
 const ERASED: [u8; WORD_BYTES] = [0xFF; WORD_BYTES];
 
-/// How a flash word reads.
+/// Result of reading a flash word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Word {
-    /// As it was programmed or erased.
+    /// The word is as programmed or erased.
     Good([u8; WORD_BYTES]),
-    /// One bit was wrong and is corrected.
+    /// One bit was wrong and has been corrected.
     Corrected([u8; WORD_BYTES]),
-    /// More is wrong than can be corrected.
+    /// More bits are wrong than can be corrected.
     Unreadable,
 }
 
 impl Word {
-    /// After an erase.
+    /// Flash word after an erase.
     pub const ERASED: Self = Self::Good(ERASED);
 }
 
-/// The power went away during a step; what it left is in the cells. Nothing runs any more.
+/// Power failure during a step; the cells hold what it left. No further step may be executed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PowerLost;
 
-/// 2 MiB of cells. Words are numbered from the start of bank 1 (0x0800_0000); bank 2 begins with [`BANK_WORDS`].
+/// Flash cells of 2 MiB. Words are numbered from the start of bank 1 (0x0800_0000); bank 2 begins at [`BANK_WORDS`].
 ///
-/// Steps are called when they end, the time they take having passed.
+/// Steps are called at their end, after their time has passed.
 pub trait FlashCells {
-    /// Reads a word.
+    /// Reads a flash word.
     fn word(&mut self, index: u32) -> Word;
 
-    /// Programs a word. One that was not erased is left unreadable: its correction does not fit any more.
+    /// Programs a word. One that was not erased becomes unreadable, because its ECC no longer matches.
     ///
     /// # Errors
-    /// The power went in this step.
+    /// [`PowerLost`] if the power fails in this step.
     fn program(&mut self, index: u32, bytes: &[u8; WORD_BYTES]) -> Result<(), PowerLost>;
 
-    /// Erases whole sectors.
+    /// Erases whole sectors, `words` flash words from `first` on.
     ///
     /// # Errors
-    /// The power went in this step.
+    /// [`PowerLost`] if the power fails in this step.
     fn erase(&mut self, first: u32, words: u32) -> Result<(), PowerLost>;
 
-    /// A reset of the chip fell into a step that concerned these words: what they hold is not defined.
+    /// Notes a reset of the chip during a step on these words: their content is undefined.
     fn abandon(&mut self, first: u32, words: u32);
 }
 
-/// Cells that always work.
+/// Cells without wear and power cuts.
 #[derive(Clone)]
 pub struct PlainCells {
-    /// By sector; those that were never written are erased.
+    /// Content by sector; `None` for sectors that were never written and so are erased.
     sectors: Vec<Option<Vec<Word>>>,
 }
 
@@ -68,16 +68,16 @@ impl Default for PlainCells {
 }
 
 impl PlainCells {
-    /// Erased.
+    /// Makes cells that are all erased.
     #[must_use]
     pub fn new() -> Self {
         Self { sectors: vec![None; 2 * BANK_SECTORS as usize] }
     }
 
-    /// Puts content at an offset from 0x0800_0000, as a programmer does; what is between stays.
+    /// Writes content at an offset from 0x0800_0000, as a programmer does; other content stays.
     ///
     /// # Panics
-    /// Beyond the end of the flash.
+    /// At an offset beyond the end of the flash.
     pub fn load(&mut self, offset: u32, bytes: &[u8]) {
         for (offset, byte) in (offset..).zip(bytes) {
             let index = offset / WORD_BYTES as u32;
@@ -90,10 +90,10 @@ impl PlainCells {
         }
     }
 
-    /// Makes a word read like this.
+    /// Sets the result of reading a word.
     ///
     /// # Panics
-    /// Beyond the end of the flash.
+    /// At an index beyond the end of the flash.
     pub fn set(&mut self, index: u32, word: Word) {
         let sector = &mut self.sectors[(index / SECTOR_WORDS) as usize];
         sector.get_or_insert_with(|| vec![Word::ERASED; SECTOR_WORDS as usize])[(index % SECTOR_WORDS) as usize] = word;

@@ -1,24 +1,26 @@
 //! Embedded flash memory (RM0399, 4): registers of both banks, programming and erasing, error correction.
 //!
-//! Programming and erasing take the typical times of DS12930 for the parallelism chosen by PSIZE. Stores of the core come
-//! through [`Flash::store`], reads through [`Flash::load`]. Reading a bank that is at work waits on the chip:
-//! [`LoadError::Busy`] says until when, and the caller lets that time pass; so do fetches, wherefore a program that erases the
-//! bank it is in stands still, and one that erases itself then meets ones. SR is read-only, as in the manual (flags are
-//! cleared by CCR); a write to it does nothing.
+//! Programming and erasing take the typical times of DS12930 for the parallelism selected by PSIZE. Stores of the core
+//! come through [`Flash::store`], reads through [`Flash::load`]. A read of a busy bank stalls on the chip:
+//! [`LoadError::Busy`] has the end, and the caller lets that time pass. The same holds for fetches: a program that
+//! erases another sector of its own bank stalls, and one that erases itself then fetches ones. SR is read-only, as in
+//! the manual (CCR clears the flags); a write to it has no effect.
 //!
-//! **Option bytes** (4.4): OPTSR_PRG is unlocked by OPTKEYR and goes into force by OPTCR.OPTSTART, which takes 100 ms (the manual
-//! gives no time; this is only so that a program has to wait). A reset before that keeps the old ones. They are:
+//! **Option bytes** (4.4): OPTSR_PRG is unlocked by OPTKEYR and takes effect by OPTCR.OPTSTART after 100 ms (the manual
+//! gives no time; the value only forces programs to wait). A reset before that keeps the old ones. The modelled options
+//! are:
 //!
 //! - the brown-out level and the watchdog's hardware mode;
-//! - **bank swap** (4.3.13): the next reset after the change exchanges the banks' addresses and the two sets of registers, so that
-//!   the registers from 0x000 on are those of the bank at 0x0800_0000;
-//! - **readout protection** (4.5.3), levels 0 and 1. At level 1 [`Flash::set_debugger`] closes the flash, the backup SRAM and the
-//!   backup registers: reads are bus errors with RDPERR, stores and erases WRPERR. They stay closed without the debugger until the
-//!   power has been off (the manual says "is or has been connected", not until when). Back to level 0 takes the time of a mass
-//!   erase besides and erases all of these. Boots from RAM or system memory, which close it too, are not modelled.
+//! - **bank swap** (4.3.13): the next reset after the change exchanges the banks' addresses and the two sets of
+//!   registers, so that the registers from 0x000 on are those of the bank at 0x0800_0000;
+//! - **readout protection** (4.5.3), levels 0 and 1. At level 1 [`Flash::set_debugger`] closes the flash, the backup
+//!   SRAM and the backup registers: reads are bus errors with RDPERR, stores and erases set WRPERR. They stay closed
+//!   without the debugger until a power cycle (the manual says "is or has been connected", not until when). The change
+//!   back to level 0 also takes the time of a mass erase, and erases all of these. Boots from RAM or system memory,
+//!   which close them too, are not modelled.
 //!
-//! Any other option ends the run with its name: level 2, security, boot settings, write protection, PCROP and secure areas. So
-//! does the CRC unit.
+//! Any other option ends the run with its name: level 2, security, boot settings, write protection, PCROP and secure
+//! areas. So does the CRC unit.
 
 mod bank;
 mod cells;
@@ -39,9 +41,9 @@ use crate::{
     },
 };
 
-/// Where the flash begins on the bus.
+/// First address of the flash on the bus.
 pub const BASE: u32 = 0x0800_0000;
-/// Bytes of both banks.
+/// Size of both banks, bytes.
 pub const BYTES: u32 = 2 * BANK_WORDS * WORD_BYTES as u32;
 
 const ACR: u32 = 0x00;
@@ -51,7 +53,7 @@ const OPTSR_CUR: u32 = 0x1C;
 const OPTSR_PRG: u32 = 0x20;
 const OPTCCR: u32 = 0x24;
 const BANK_2: u32 = 0x100;
-/// Within a bank.
+/// Register offsets within a bank.
 const KEYR: u32 = 0x04;
 const CR: u32 = 0x0C;
 const SR: u32 = 0x10;
@@ -59,49 +61,49 @@ const CCR: u32 = 0x14;
 const WPSN_CUR: u32 = 0x38;
 const ECC_FA: u32 = 0x60;
 
-/// LATENCY 7, WRHIGHFREQ 3.
+/// Reset value of ACR: LATENCY 7, WRHIGHFREQ 3.
 const ACR_AT_RESET: u32 = 0x37;
 
 const IRQ: u16 = 4;
 
-/// Why a read gives nothing.
+/// Reason why a read has no result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LoadError {
-    /// A bus error: the word has more wrong bits than can be corrected.
+    /// Bus error: the word has more wrong bits than can be corrected.
     Ecc,
-    /// A bus error: readout protection, and a debugger.
+    /// Bus error: readout protection with a debugger.
     Protected,
-    /// The bank programs or erases; the bus waits.
+    /// The bank programs or erases, and the bus stalls.
     Busy {
-        /// Until then.
+        /// End of the operation, ns.
         until_ns: u64,
     },
-    /// No flash there.
+    /// The address is outside the flash.
     Outside,
 }
 
-/// The flash: its registers, and access to its cells.
+/// Flash with its registers and access to its cells.
 pub struct Flash<C> {
-    /// The content.
+    /// Memory cells with the content.
     pub cells: C,
     acr: u32,
     banks: [Bank; 2],
     conditions: (u64, VoltageScale),
     options: Options,
-    /// OPTCR.SWAP_BANK.
+    /// Banks are swapped, OPTCR.SWAP_BANK.
     swapped: bool,
-    /// A debugger is connected.
+    /// A debugger is connected now.
     debugger: bool,
-    /// One was since the power came.
+    /// A debugger was connected since power-on.
     intruded: bool,
-    /// The backup SRAM and the backup registers are to be erased.
+    /// The backup SRAM and the backup registers must be erased.
     erases_backup: bool,
     raised: bool,
     power_lost: bool,
 }
 
 impl<C: FlashCells> Flash<C> {
-    /// After a reset.
+    /// Makes the flash in its reset state.
     #[must_use]
     pub fn new(cells: C) -> Self {
         Self {
@@ -119,39 +121,39 @@ impl<C: FlashCells> Flash<C> {
         }
     }
 
-    /// Until when the bank at an address programs or erases, and cannot be read.
+    /// Returns the end of programming or erasing in the bank at an address, ns; `None` if it can be read.
     #[must_use]
     pub fn busy_until_ns(&self, address: u32) -> Option<u64> {
         let (number, ..) = self.locate(address)?;
         Some(self.banks[number].busy_until_ns()).filter(|until_ns| *until_ns != u64::MAX)
     }
 
-    /// The banks' addresses are exchanged: since the last reset, by SWAP_BANK_OPT.
+    /// Returns true while the banks' addresses are exchanged, since the last reset, by SWAP_BANK_OPT.
     #[must_use]
     pub fn is_swapped(&self) -> bool {
         self.swapped
     }
 
-    /// Readout protection keeps everybody from the flash, the backup SRAM and the backup registers.
+    /// Returns true while readout protection blocks the flash, the backup SRAM and the backup registers.
     #[must_use]
     pub fn is_closed(&self) -> bool {
         self.intruded && self.options.level() == Level::One
     }
 
-    /// A debugger is connected or not.
+    /// Connects or disconnects a debugger.
     pub fn set_debugger(&mut self, connected: bool) {
         self.debugger = connected;
         self.intruded |= connected;
         self.follow_protection();
     }
 
-    /// The power has been off.
+    /// Handles a power cycle.
     pub fn power_on(&mut self) {
         self.intruded = self.debugger;
         self.follow_protection();
     }
 
-    /// Whether the backup SRAM and registers are to be erased, once.
+    /// Returns true once if the backup SRAM and registers must be erased.
     pub fn take_backup_erase(&mut self) -> bool {
         std::mem::take(&mut self.erases_backup)
     }
@@ -161,22 +163,22 @@ impl<C: FlashCells> Flash<C> {
         self.banks.iter_mut().for_each(|bank| bank.closed = closed);
     }
 
-    /// IWDG1_SW is cleared: the watchdog runs from each reset on.
+    /// Returns true if IWDG1_SW is cleared: the watchdog runs from each reset on.
     #[must_use]
     pub fn starts_watchdog(&self) -> bool {
         self.options.current & options::IWDG1_SW == 0
     }
 
-    /// BOR_LEV of the option bytes in force, 0 to 3.
+    /// Returns BOR_LEV of the present option bytes, 0 to 3.
     #[must_use]
     pub fn brown_out_level(&self) -> u8 {
         (self.options.current >> 2 & 3) as u8
     }
 
-    /// The option bytes (OPTSR) as a programmer has left them; a bank swap comes with the next reset.
+    /// Sets the option bytes (OPTSR), as a programmer would; a bank swap takes effect at the next reset.
     ///
     /// # Errors
-    /// Those that are not modelled, by name; nothing has changed then.
+    /// [`Unmodelled`] names an option that is not modelled; nothing has changed then.
     pub fn set_options(&mut self, options: u32) -> Result<(), Unmodelled> {
         options::unmodelled(options).map_or(Ok(()), Err)?;
         self.options.set(options);
@@ -203,6 +205,7 @@ impl<C: FlashCells> Flash<C> {
             return Err(Unmodelled { peripheral: "FLASH", what });
         }
         if value & MER != 0 {
+            // MER erases both banks, so the lock of either one blocks it.
             if self.banks.iter().any(Bank::is_locked) {
                 let what = "OPTCR.MER while CR1 or CR2 is locked; both are to be unlocked before (RM0399, 4.3.10)";
                 context.misuse("FLASH", what);
@@ -217,12 +220,13 @@ impl<C: FlashCells> Flash<C> {
         Ok(())
     }
 
-    /// Without a difference there is nothing to do (4.4.3).
+    /// Starts a change of the option bytes, unless they are equal (4.4.3).
     fn start_change(&mut self, now_ns: u64) {
         if self.options.next == self.options.current {
             return;
         }
         self.options.ends_ns = now_ns + options::CHANGE_NS;
+        // A regression to level 0 erases both banks; the change lasts until the slower of the two is done.
         if self.options.regresses() {
             for bank in &mut self.banks {
                 let ends_ns = bank.erase_for_regression(now_ns, options::CHANGE_NS);
@@ -237,13 +241,13 @@ impl<C: FlashCells> Flash<C> {
         self.follow_protection();
     }
 
-    /// Whether the cells told that the power went during a step. The chip is off then, and nobody should run it.
+    /// Returns true after a power failure during a step. The chip is off then and must not run.
     #[must_use]
     pub fn power_lost(&self) -> bool {
         self.power_lost
     }
 
-    /// The clock of the AXI bus by its nominal frequency, and the voltage: too few wait states are reported.
+    /// Sets the nominal frequency of the AXI clock, Hz, and the voltage; reports too few wait states.
     pub fn set_conditions(&mut self, axi_hz: u64, scale: VoltageScale, context: &mut Context<'_>) {
         if self.conditions != (axi_hz, scale) {
             self.conditions = (axi_hz, scale);
@@ -268,33 +272,36 @@ impl<C: FlashCells> Flash<C> {
         }
     }
 
-    /// Bank, word in it, byte in the word.
+    /// Converts an address to bank, word in it, and byte in the word.
     fn locate(&self, address: u32) -> Option<(usize, u32, usize)> {
         let offset = address.checked_sub(BASE).filter(|offset| *offset < BYTES)?;
         let word = offset / WORD_BYTES as u32;
+        // SWAP_BANK exchanges the addresses of the banks, not their cells.
         let bank = (word / BANK_WORDS) as usize ^ usize::from(self.swapped);
         Some((bank, word % BANK_WORDS, offset as usize % WORD_BYTES))
     }
 
-    /// The cells' number of the word at an address.
+    /// Returns the number of the word at an address, in the cells' order.
     #[must_use]
     pub fn word_at(&self, address: u32) -> Option<u32> {
         self.locate(address).map(|(bank, word, _)| bank as u32 * BANK_WORDS + word)
     }
 
-    /// The core or a DMA reads. Aligned accesses only.
+    /// Reads for the core or a DMA controller. Aligned accesses only.
     ///
     /// # Errors
-    /// A bus error, or that it takes longer.
+    /// [`LoadError`] for a bus error, or a busy bank.
     pub fn load(&mut self, address: u32, size: Size, context: &mut Context<'_>) -> Result<u32, LoadError> {
         self.advance(context);
         let (number, word, at) = self.locate(address).ok_or(LoadError::Outside)?;
         let bank = &mut self.banks[number];
+        // The read protection is examined before the wait for a busy bank: a refused read does not stall.
         if bank.closed {
             bank.refuse_read(address, context);
             self.raise(context);
             return Err(LoadError::Protected);
         }
+        // A read of a busy bank stalls the reader; the other bank remains readable.
         let until_ns = bank.busy_until_ns();
         if until_ns != u64::MAX {
             return Err(LoadError::Busy { until_ns });
@@ -316,8 +323,8 @@ impl<C: FlashCells> Flash<C> {
         Ok(read.rev().fold(0, |value, byte| value << 8 | u32::from(*byte)))
     }
 
-    /// The core stores to an address in the flash: one of the parts of a flash word, which is programmed when all 32 bytes
-    /// are there. Aligned accesses only. What goes wrong is in SR.
+    /// Handles a store of the core: a part of a flash word, which is programmed when all 32 bytes are there. Aligned
+    /// accesses only. Errors appear in SR.
     pub fn store(&mut self, address: u32, size: Size, value: u32, context: &mut Context<'_>) {
         self.advance(context);
         let Some((number, word, at)) = self.locate(address) else { return };
@@ -327,6 +334,7 @@ impl<C: FlashCells> Flash<C> {
     }
 
     fn raise(&mut self, context: &mut Context<'_>) {
+        // Both banks share one interrupt line.
         let level = self.banks.iter().any(Bank::interrupt);
         if level != self.raised {
             self.raised = level;
@@ -334,7 +342,8 @@ impl<C: FlashCells> Flash<C> {
         }
     }
 
-    /// The bank whose registers are there (4.3.13, table 19), and the offset in its set; common ones are in both.
+    /// Returns the bank whose registers are at an offset (4.3.13, table 19), and the offset in its set; common
+    /// registers are in both sets.
     fn split(&self, offset: u32) -> (usize, u32) {
         let (second, at) = if offset >= BANK_2 { (true, offset - BANK_2) } else { (false, offset) };
         (usize::from(second ^ self.swapped), at & !3)
@@ -351,7 +360,7 @@ impl<C: FlashCells> Flash<C> {
             OPTCR => Some(self.option_control()),
             OPTSR_CUR => Some(self.options.status()),
             OPTSR_PRG => Some(self.options.next),
-            // No sector is protected.
+            // No sector is write-protected.
             WPSN_CUR => Some(0xFF),
             _ => None,
         }
@@ -396,7 +405,7 @@ impl<C: FlashCells> Peripheral for Flash<C> {
                 let value = merged(self.options.next, offset, size, value);
                 self.options.write_next(value, context)?;
             }
-            // It clears OPTCHANGEERR, which is never set.
+            // It clears OPTCHANGEERR, which the model never sets.
             OPTCCR => {}
             _ => return Err(options::unmodelled_register(offset)),
         }
@@ -426,7 +435,7 @@ impl<C: FlashCells> Peripheral for Flash<C> {
         self.raise(context);
     }
 
-    /// A reset of the chip. What was being programmed or erased is abandoned.
+    /// Resets the registers with the chip. Operations in progress are abandoned.
     fn reset(&mut self, context: &mut Context<'_>) {
         self.advance(context);
         self.options.reset();

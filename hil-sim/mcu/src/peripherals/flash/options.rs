@@ -1,29 +1,30 @@
-//! Option bytes: their two registers, the lock before them, and a change of them (RM0399, 4.4, 4.5.3, 4.9.7 to 4.9.9).
+//! Option bytes: their two registers, their lock, and their change (RM0399, 4.4, 4.5.3, 4.9.7 to 4.9.9).
 
 use crate::{Context, Unmodelled};
 
-/// As the Arduino Giga is delivered: RDP level 0, the Cortex-M7 boots and the Cortex-M4 does not, software watchdogs, banks
-/// not swapped.
+/// Option bytes of the Arduino Giga as delivered: RDP level 0, the Cortex-M7 boots and the Cortex-M4 does not, software
+/// watchdogs, banks not swapped.
 pub(super) const DELIVERED: u32 = 0x0B86_AAF0;
 pub(super) const KEYS: [u32; 2] = [0x0819_2A3B, 0x4C5D_6E7F];
-/// The manual gives no time; this is only so that a program has to wait.
+/// Duration of a change, ns. The manual gives no time; the value only forces programs to wait.
 pub(super) const CHANGE_NS: u64 = 100_000_000;
-/// OPTCR.
+/// Bits of the register OPTCR.
 pub(super) const OPTLOCK: u32 = 1;
 pub(super) const OPTSTART: u32 = 1 << 1;
 pub(super) const MER: u32 = 1 << 4;
 pub(super) const OPTCHANGEERRIE: u32 = 1 << 30;
 pub(super) const SWAP_BANK: u32 = 1 << 31;
-/// OPTSR.
+/// Bits of the register OPTSR.
 pub(super) const OPT_BUSY: u32 = 1;
 const BOR_LEV: u32 = 0b11 << 2;
 pub(super) const IWDG1_SW: u32 = 1 << 4;
 const RDP: u32 = 0xFF << 8;
 pub(super) const SWAP_BANK_OPT: u32 = 1 << 31;
-/// IWDG2_SW, and resets, freezes and I/O speed, which have no meaning without low-power modes.
+/// Options without effect in the model: IWDG2_SW, and resets, freezes and I/O speed, which matter only with low-power
+/// modes.
 const WITHOUT_EFFECT: u32 = 0b111 << 5 | 0b11 << 17 | 0b11 << 24 | 1 << 29;
 const MODELLED: u32 = BOR_LEV | IWDG1_SW | RDP | SWAP_BANK_OPT | WITHOUT_EFFECT;
-/// The others, by name.
+/// Options that are not modelled, with their names.
 const OTHERS: [(u32, &str); 5] = [
     (1 << 23, "BOOT_CM7"),
     (1 << 22, "BOOT_CM4"),
@@ -32,14 +33,14 @@ const OTHERS: [(u32, &str); 5] = [
     (1 << 30 | 0b111 << 26 | 1 << 16 | 1 << 1, "reserved bits"),
 ];
 
-/// Readout protection (4.5.3, table 22). Level 2 is not modelled: nothing leads out of it.
+/// Level of readout protection (4.5.3, table 22). Level 2 is not modelled: it cannot be left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Level {
-    /// None.
+    /// Level 0, without readout protection.
     Zero,
     /// The flash is closed once a debugger has been connected.
     One,
-    /// No debugger, and no change of options any more.
+    /// No debugger access, and no change of options any more.
     Two,
 }
 
@@ -53,7 +54,7 @@ impl Level {
     }
 }
 
-/// What of these options is not modelled, as they differ from those of the Giga.
+/// Returns the options that are not modelled and differ from those of the Giga.
 pub(super) fn unmodelled(options: u32) -> Option<Unmodelled> {
     let differing = (options ^ DELIVERED) & !(MODELLED | OPT_BUSY);
     let mut names: Vec<&str> = OTHERS.iter().filter(|(bits, _)| differing & bits != 0).map(|(_, name)| *name).collect();
@@ -69,7 +70,7 @@ pub(super) fn unmodelled(options: u32) -> Option<Unmodelled> {
     })
 }
 
-/// The registers of a protection, of boot addresses or of the CRC unit, by their offset.
+/// Names an unmodelled register by its offset: protection areas, boot addresses, the CRC unit.
 pub(super) fn unmodelled_register(offset: u32) -> Unmodelled {
     let name = match offset & 0x2FC {
         0x28 | 0x2C => "PRAR (PCROP area)",
@@ -84,16 +85,16 @@ pub(super) fn unmodelled_register(offset: u32) -> Unmodelled {
     Unmodelled { peripheral: "FLASH", what }
 }
 
-/// The option bytes and what changes them.
+/// Option bytes, and the state of their change.
 pub(super) struct Options {
-    /// OPTSR_CUR, without OPT_BUSY.
+    /// Register OPTSR_CUR, without OPT_BUSY.
     pub(super) current: u32,
-    /// OPTSR_PRG.
+    /// Register OPTSR_PRG, the next values.
     pub(super) next: u32,
-    /// How many of the keys were given; `None` after a wrong one, until a reset.
+    /// Number of keys written correctly; `None` after a wrong one, until a reset.
     keys: Option<usize>,
     pub(super) unlocked: bool,
-    /// When the change is in force; `u64::MAX` without one.
+    /// Time at which the change takes effect, ns; `u64::MAX` without one.
     pub(super) ends_ns: u64,
 }
 
@@ -110,17 +111,18 @@ impl Options {
         self.current | if self.is_busy() { OPT_BUSY } else { 0 }
     }
 
-    /// Readout protection in force.
+    /// Returns the present level of readout protection.
     pub(super) fn level(&self) -> Level {
         Level::of(self.current)
     }
 
-    /// The change that is asked for takes the protection back, and erases what it protected (4.5.3, table 24).
+    /// Returns true if the requested change removes the protection, which erases the protected memories (4.5.3, table
+    /// 24).
     pub(super) fn regresses(&self) -> bool {
         (self.level(), Level::of(self.next)) == (Level::One, Level::Zero)
     }
 
-    /// As a programmer has left them.
+    /// Sets the option bytes directly, as a programmer would.
     pub(super) fn set(&mut self, options: u32) {
         (self.current, self.next) = (options & !OPT_BUSY, options & !OPT_BUSY);
     }
@@ -151,12 +153,12 @@ impl Options {
         Ok(())
     }
 
-    /// The change is over.
+    /// Completes the change of the option bytes.
     pub(super) fn finish(&mut self) {
         (self.current, self.ends_ns) = (self.next, u64::MAX);
     }
 
-    /// A reset of the chip: a change that was not finished is none (4.3.14).
+    /// Resets the registers with the chip: an unfinished change is dropped (4.3.14).
     pub(super) fn reset(&mut self) {
         (self.next, self.ends_ns) = (self.current, u64::MAX);
         (self.keys, self.unlocked) = (Some(0), false);

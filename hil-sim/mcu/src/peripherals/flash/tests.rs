@@ -1,4 +1,4 @@
-//! Programming, erasing and reading as a driver does it.
+//! Tests of programming, erasing and reading, with the sequences of a driver.
 
 use super::{
     bank::*,
@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{Signal, testing::Bench};
 
-/// Sector 4 of bank 2, as the R4 firmware keeps its configuration in, and the first registers of bank 2.
+/// Sector 4 of bank 2, where the R4 firmware stores its configuration, and first registers of bank 2.
 const SECTOR: u32 = 0x0818_0000;
 const KEYR2: u32 = BANK_2 + KEYR;
 const CR2: u32 = BANK_2 + CR;
@@ -35,7 +35,7 @@ fn load(flash: &mut Flash<PlainCells>, bench: &mut Bench, address: u32) -> Resul
     flash.load(address, Size::Word, &mut bench.context())
 }
 
-/// The eight words of a flash word, the first of which is `value`.
+/// Programs the eight words of a flash word; the first one is `value`.
 fn program(flash: &mut Flash<PlainCells>, bench: &mut Bench, address: u32, value: u32) {
     for part in 0..8 {
         store(flash, bench, address + 4 * part, value + part);
@@ -100,7 +100,7 @@ fn a_word_programmed_twice_is_a_bus_error_with_its_address() {
     assert!(misuse[0].contains("0x08180040 is programmed without"), "{misuse:?}");
     assert_eq!(load(&mut flash, &mut bench, SECTOR + 68), Err(LoadError::Ecc));
     assert_ne!(bench.read(&mut flash, SR2) & DBECCERR, 0);
-    // Word 2 of the fifth sector of the bank.
+    // The fault is in word 2 of the fifth sector of the bank.
     assert_eq!(bench.read(&mut flash, BANK_2 + ECC_FA), 4 * 4096 + 2);
 }
 
@@ -238,7 +238,7 @@ fn too_few_wait_states_are_misuse() {
     assert!(bench.take_misuse()[0].contains("at least 4 and 2 are needed"));
 }
 
-/// BOR_LEV 3 and the hardware watchdog.
+/// Option bytes with BOR_LEV 3 and the hardware watchdog.
 const OTHER_OPTIONS: u32 = OPTIONS & !IWDG1_SW | 0b11 << 2;
 
 #[test]
@@ -297,7 +297,8 @@ fn unlock_bank_1(flash: &mut Flash<PlainCells>, bench: &mut Bench) {
     }
 }
 
-/// Both banks unlocked and the option bytes too, with the first word of each sector programmed: 0x100 * bank + sector.
+/// Makes a flash with both banks and the option bytes unlocked, and the first word of each sector programmed: 0x100 *
+/// bank + sector.
 fn filled() -> (Flash<PlainCells>, Bench) {
     let (mut flash, mut bench) = unlocked();
     unlock_bank_1(&mut flash, &mut bench);
@@ -310,7 +311,7 @@ fn filled() -> (Flash<PlainCells>, Bench) {
     (flash, bench)
 }
 
-/// The first word of each sector in order of address; `None` where it is erased.
+/// Returns the first word of each sector in order of address; `None` where it is erased.
 fn sectors(flash: &mut Flash<PlainCells>, bench: &mut Bench) -> Vec<Option<u32>> {
     let firsts = (BASE..BASE + BYTES).step_by(SECTOR_WORDS as usize * WORD_BYTES);
     firsts.map(|address| load(flash, bench, address).ok().filter(|value| *value != u32::MAX)).collect()
@@ -353,7 +354,7 @@ fn banks_are_swapped_by_the_reset_after_the_change_and_not_before() {
     assert_eq!(bench.read(&mut flash, BANK_2 + OPTCR), 1 << 31 | OPTLOCK, "common registers are in both sets");
     assert_eq!(sectors(&mut flash, &mut bench), [full(2), full(1)].concat());
     assert!(flash.is_swapped());
-    // And back: SWAP_BANK cannot be written, and writing it with the rest is no offence.
+    // The way back: SWAP_BANK is read-only, and writing it with the other bits is no misuse.
     unlock_options(&mut flash, &mut bench);
     bench.modify(&mut flash, OPTCR, 1 << 31, 0);
     assert_eq!(bench.read(&mut flash, OPTCR), 1 << 31);
@@ -388,9 +389,9 @@ fn with_swapped_banks_the_first_registers_are_those_of_the_first_address() {
     let mut first = full(2);
     first[4] = None;
     assert_eq!(sectors(&mut flash, &mut bench), [first, full(1)].concat());
-    // Cells are numbered by banks: it was bank 2's sector.
+    // Cells are numbered by bank: this was bank 2's sector.
     assert_eq!(flash.cells.word(BANK_WORDS + 4 * SECTOR_WORDS), Word::ERASED);
-    // Programming, its misuse and the address of an error go by address too.
+    // Programming, its misuse and the address of an error follow the swapped addresses too.
     bench.write(&mut flash, CR2, X64 | PG);
     for _ in 0..2 {
         program(&mut flash, &mut bench, SECTOR + 64, 5);
@@ -407,7 +408,7 @@ fn a_bank_is_erased_in_5_s_and_the_other_is_not() {
     const BER: u32 = 1 << 3;
     for (at, bank) in [(CR, 0), (CR2, 1)] {
         let (mut flash, mut bench) = filled();
-        // SER besides changes nothing (4.3.10).
+        // SER in addition to BER has no effect (4.3.10).
         bench.write(&mut flash, at, X64 | BER | ERASE_SECTOR_4);
         bench.run(&mut flash, 4_999_999_999);
         assert!(flash.busy_until_ns(BASE + bank * BYTES / 2).is_some());
@@ -422,7 +423,7 @@ fn a_bank_is_erased_in_5_s_and_the_other_is_not() {
 #[test]
 fn a_mass_erase_takes_both_banks_at_once_and_only_unlocked_ones() {
     let (mut flash, mut bench) = filled();
-    // PSIZE of each bank: 8 s by half-words.
+    // PSIZE belongs to each bank: by half-words it takes 8 s.
     bench.write(&mut flash, CR2, 1 << 4);
     bench.write(&mut flash, OPTCR, MER);
     assert_eq!([CR, CR2].map(|at| bench.read(&mut flash, at) >> 3 & 1), [1, 1], "BER");
@@ -441,7 +442,7 @@ fn a_mass_erase_takes_both_banks_at_once_and_only_unlocked_ones() {
     assert_eq!([SR, SR2].map(|at| bench.read(&mut flash, at)), [0, 0]);
 }
 
-/// Readout protection level 1 by two of its values.
+/// Option bytes of readout protection level 1, with two of its values.
 const LEVEL_1: u32 = OPTIONS & !0xFF00 | 0xBB00;
 const ALSO_LEVEL_1: u32 = OPTIONS & !0xFF00;
 
@@ -498,7 +499,7 @@ fn a_closed_flash_is_neither_programmed_nor_erased() {
     assert_eq!(flash.next_event_ns(), u64::MAX, "nothing is under way");
     flash.set_debugger(false);
     flash.power_on();
-    // The flag does not block (4.7.2).
+    // The flag does not block programming (4.7.2).
     bench.write(&mut flash, CR2, X64 | PG);
     program(&mut flash, &mut bench, SECTOR + 32, 1);
     bench.run(&mut flash, 100_000);

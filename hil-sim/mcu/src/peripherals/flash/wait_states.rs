@@ -1,8 +1,8 @@
-//! Wait states and programming delay that the AXI clock needs (RM0399, 4.3.8, table of recommended values).
+//! Wait states and programming delay required by the AXI clock (RM0399, 4.3.8, table of recommended values).
 
 use crate::peripherals::pwr::VoltageScale;
 
-/// LATENCY and WRHIGHFREQ that suffice up to a frequency, Hz.
+/// Row of the table: highest frequency, Hz, with its LATENCY and WRHIGHFREQ.
 type Row = (u64, u32, u32);
 
 const HIGH: [Row; 6] = [
@@ -17,7 +17,7 @@ const VOS2: [Row; 4] = [(55_000_000, 0, 0), (110_000_000, 1, 1), (165_000_000, 2
 const VOS3: [Row; 5] =
     [(45_000_000, 0, 0), (90_000_000, 1, 1), (135_000_000, 2, 1), (180_000_000, 3, 2), (225_000_000, 4, 2)];
 
-/// The least LATENCY and WRHIGHFREQ; `None` where no setting is enough.
+/// Returns the least LATENCY and WRHIGHFREQ; `None` if no setting suffices.
 pub(super) fn needed(axi_hz: u64, scale: VoltageScale) -> Option<(u32, u32)> {
     let table: &[Row] = match scale {
         VoltageScale::Vos0 => &HIGH,

@@ -1,48 +1,48 @@
-//! Alternate functions of pins (DS12930, tables of the alternate functions), for the pins that are brought out on the
-//! Arduino Giga R1, and its debug pins.
+//! Alternate functions (DS12930, tables of the alternate functions) of the pins that are brought out on the Arduino
+//! Giga R1, and of its debug pins.
 
 use std::sync::LazyLock;
 
 use super::PORTS;
 use crate::Pin;
 
-/// What a pin is connected to inside the chip.
+/// Function inside the chip that a pin is connected to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Function {
-    /// A timer and its channel.
+    /// Timer number and channel.
     Timer(u8, u8),
-    /// A timer and its channel, the complementary output.
+    /// Timer number and channel, complementary output.
     TimerComplement(u8, u8),
     /// Transmitter of USARTx or UARTx.
     UartTx(u8),
     /// Receiver of USARTx or UARTx.
     UartRx(u8),
-    /// Clock of I2Cx.
+    /// Clock line of I2Cx.
     I2cScl(u8),
-    /// Data of I2Cx.
+    /// Data line of I2Cx.
     I2cSda(u8),
-    /// Transmitter of FDCANx.
+    /// Transmit line of FDCANx.
     CanTx(u8),
-    /// Receiver of FDCANx.
+    /// Receive line of FDCANx.
     CanRx(u8),
-    /// SCK of SPIx.
+    /// Clock SCK of SPIx.
     SpiClock(u8),
-    /// MOSI of SPIx.
+    /// Data output MOSI of SPIx.
     SpiMosi(u8),
-    /// MISO of SPIx.
+    /// Data input MISO of SPIx.
     SpiMiso(u8),
-    /// NSS of SPIx.
+    /// Select line NSS of SPIx.
     SpiSelect(u8),
-    /// A data line of OTG_FS.
+    /// Data line of OTG_FS.
     Usb,
-    /// JTAG or SWD.
+    /// Debug port, JTAG or SWD.
     DebugPort,
 }
 
-/// The function of a pin with an alternate function number; `None` if there is none, or none that is listed here.
+/// Returns the function of a pin with an alternate function number; `None` if there is none, or none in this table.
 #[must_use]
 pub fn function_of(pin: Pin, alternate: u8) -> Option<Function> {
-    /// By port, number and alternate function.
+    /// Functions by port, number and alternate function.
     static FUNCTIONS: LazyLock<Vec<[[Option<Function>; 16]; 16]>> = LazyLock::new(|| {
         let mut functions = vec![[[None; 16]; 16]; PORTS];
         for (port, number, af, function) in TABLE {
@@ -54,7 +54,7 @@ pub fn function_of(pin: Pin, alternate: u8) -> Option<Function> {
     *FUNCTIONS.get(usize::from(pin.port))?.get(usize::from(pin.number))?.get(usize::from(alternate))?
 }
 
-/// Pins and alternate function numbers with which a function can be had.
+/// Returns the pins, with their alternate function numbers, that can have a function.
 pub fn pins_for(function: Function) -> impl Iterator<Item = (Pin, u8)> {
     TABLE.iter().filter(move |row| row.3 == function).map(|(port, number, af, _)| (Pin::new(*port, *number), *af))
 }
@@ -271,7 +271,8 @@ mod tests {
 
     #[test]
     fn a_wrong_number_is_another_function_or_none() {
-        // DS12930, port J and port H: PJ8 is TIM1_CH3N, TIM8_CH1, UART8_TX; PH6 is TIM12_CH1, SPI5_SCK.
+        // Expected functions of DS12930, port J and port H: PJ8 is TIM1_CH3N, TIM8_CH1, UART8_TX; PH6 is TIM12_CH1,
+        // SPI5_SCK.
         let pin = Pin::new('J', 8);
         assert_eq!(
             [1, 2, 3, 8].map(|af| function_of(pin, af)),
@@ -282,7 +283,7 @@ mod tests {
         assert!(pins_for(I2cSda(2)).any(|pair| pair == (Pin::new('B', 11), 4)));
     }
 
-    /// A function by the name that data sheets give it; `None` for those that no test needs.
+    /// Parses a function's name in data sheets; `None` for those that no test needs.
     fn named(signal: &str) -> Option<Function> {
         let (peripheral, line) = signal.rsplit_once('_')?;
         let number = peripheral.trim_start_matches(|letter: char| !letter.is_ascii_digit());
@@ -298,14 +299,14 @@ mod tests {
             ("SPI", "MOSI", Some(bus)) => SpiMosi(bus),
             ("SPI", "MISO", Some(bus)) => SpiMiso(bus),
             ("USB_OTG_FS", "DM" | "DP", None) => Usb,
-            // The 2 of I2C is a digit too.
+            // The digit search stops at the 2 of I2C.
             ("I", "SCL", None) => I2cScl(peripheral.strip_prefix("I2C")?.parse().ok()?),
             ("I", "SDA", None) => I2cSda(peripheral.strip_prefix("I2C")?.parse().ok()?),
             _ => return None,
         })
     }
 
-    /// The pins of the R4 carrier, as its file has them: pin, signal, alternate function.
+    /// Reads the pins of the R4 carrier from its file: pin, signal, alternate function.
     fn carrier() -> Vec<(Pin, String, u8)> {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../boards/r4-carrier.toml");
         let text = std::fs::read_to_string(path).unwrap();
@@ -325,7 +326,8 @@ mod tests {
     #[test]
     fn the_carrier_s_pins_have_the_functions_that_its_file_wants() {
         let pins = carrier();
-        // Timers: six of encoders, four of steppers, two of echoes. Buses: I2C six, CAN two, UART six, USB two, SPI three.
+        // Numbers of pins: timers have six for encoders, four for steppers, two for echoes; buses have I2C six, CAN
+        // two, UART six, USB two, SPI three.
         assert_eq!(pins.len(), 31);
         for (pin, signal, af) in pins {
             let function = named(&signal);

@@ -1,9 +1,9 @@
-//! The ports A to K (RM0399, 12), as one block from 0x5802_0000 on: port n is at n * 0x400.
+//! GPIO ports A to K (RM0399, 12), as one block from 0x5802_0000 on: port n is at n * 0x400.
 //!
-//! Each change of what the chip does to a pin is told to [`Outside::drive`]. A pin with a timer's channel has the level
-//! that the timer gives it, once there is one; pins of buses (UART, I2C, CAN, SPI) are told as not driven, as those work
-//! with bytes and frames and not with levels. Locking pins (LCKR) is not modelled and says so. Of ports J and K all 16
-//! pins have registers, also those that no package brings out.
+//! Each change of the chip's output at a pin is passed to [`Outside::drive`]. A pin with a timer's channel has the
+//! level of the timer, once there is one; pins of buses (UART, I2C, CAN, SPI) are reported as not driven, because those
+//! models work with bytes and frames instead of levels. Locking of pins (LCKR) is not modelled and ends the run. All 16
+//! pins of ports J and K have registers, including those that no package brings out.
 
 mod functions;
 #[cfg(test)]
@@ -31,16 +31,16 @@ const LCKR: u32 = 0x1C;
 const AFRL: u32 = 0x20;
 const AFRH: u32 = 0x24;
 
-/// MODER.
+/// Mode of a pin, from MODER.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// Read only.
+    /// Digital input without an output.
     Input,
-    /// ODR drives it.
+    /// Output driven by ODR.
     Output,
-    /// A peripheral has it.
+    /// Alternate function: a peripheral uses the pin.
     Alternate,
-    /// Connected to analog parts; reads as 0.
+    /// Analog: connected to analog parts; reads as 0.
     Analog,
 }
 
@@ -52,12 +52,12 @@ struct Port {
     pull: u32,
     output: u32,
     alternate: [u32; 2],
-    /// What the outside was told of each pin.
+    /// Last reported output state of each pin.
     told: [Level; 16],
 }
 
 impl Port {
-    /// After a reset (RM0399, 12.4): analog, but for the debug pins on ports A and B.
+    /// Makes a port in its reset state (RM0399, 12.4): analog, except the debug pins on ports A and B.
     fn at_reset(index: usize, told: [Level; 16]) -> Self {
         let (mode, speed, pull) = match index {
             0 => (0xABFF_FFFF, 0x0C00_0000, 0x6400_0000),
@@ -93,10 +93,10 @@ impl Port {
     }
 }
 
-/// All ports.
+/// All GPIO ports of the chip.
 pub struct Gpio {
     ports: [Port; PORTS],
-    /// Levels that timers give to their channels.
+    /// Levels that timers output on their channels.
     timers: HashMap<Function, bool>,
 }
 
@@ -107,8 +107,8 @@ impl Default for Gpio {
 }
 
 impl Gpio {
-    /// After power-on. The outside starts with no pin driven or pulled; what differs is told by [`Peripheral::reset`], or
-    /// at the first write to the port.
+    /// Makes the ports in their power-on state. The outside world assumes that no pin is driven or pulled;
+    /// [`Peripheral::reset`], or the first write to the port, reports the differences.
     #[must_use]
     pub fn new() -> Self {
         let told = [Level::Floating(None); 16];
@@ -119,56 +119,57 @@ impl Gpio {
         &self.ports[usize::from(pin.port)]
     }
 
-    /// What a pin is set to.
+    /// Returns the mode of a pin.
     #[must_use]
     pub fn mode(&self, pin: Pin) -> Mode {
         self.port(pin).mode_of(pin.number)
     }
 
-    /// The number of the alternate function that a pin has, when a peripheral has it.
+    /// Returns the number of a pin's alternate function; `None` in other modes.
     #[must_use]
     pub fn alternate(&self, pin: Pin) -> Option<u8> {
         let port = self.port(pin);
         (port.mode_of(pin.number) == Mode::Alternate).then(|| port.alternate_of(pin.number))
     }
 
-    /// The function that a pin has now, if a peripheral has it.
+    /// Returns the present function of a pin; `None` if no peripheral uses it.
     #[must_use]
     pub fn function(&self, pin: Pin) -> Option<Function> {
         function_of(pin, self.alternate(pin)?)
     }
 
-    /// The pins that have a function now.
+    /// Returns the pins that have a function at present.
     pub fn pins_with(&self, function: Function) -> impl Iterator<Item = Pin> {
         pins_for(function).filter(|(pin, af)| self.alternate(*pin) == Some(*af)).map(|(pin, _)| pin)
     }
 
-    /// Whether a pin's output only pulls low.
+    /// Returns true if a pin's output is open-drain.
     #[must_use]
     pub fn is_open_drain(&self, pin: Pin) -> bool {
         self.port(pin).is_open_drain(pin.number)
     }
 
-    /// The chip's own pull resistor at a pin.
+    /// Returns the chip's own pull resistor at a pin: `Some(true)` up, `Some(false)` down.
     #[must_use]
     pub fn pull(&self, pin: Pin) -> Option<bool> {
         self.port(pin).pull_of(pin.number)
     }
 
-    /// Whether a pin's digital input is connected, so that its changes reach EXTI and peripherals: not in analog mode.
+    /// Returns true if a pin's digital input is connected, so that its changes reach EXTI and peripherals: in all modes
+    /// but analog.
     #[must_use]
     pub fn has_input(&self, pin: Pin) -> bool {
         self.mode(pin) != Mode::Analog
     }
 
-    /// Reports a pin that an analog peripheral uses and that is not in analog mode.
+    /// Reports a pin used by an analog peripheral that is not in analog mode.
     pub fn check_analog(&self, pin: Pin, user: &'static str, context: &mut Context<'_>) {
         if self.has_input(pin) {
             context.misuse("GPIO", format!("{pin} is used by {user} and is not in analog mode (RM0399, 12.3.12)"));
         }
     }
 
-    /// A timer's channel gives a level from `at_ns` on, `None` if its output is off. It is on the pins that have it.
+    /// Sets the level of a timer's channel from `at_ns` on, `None` if its output is off, on all pins that have it.
     pub fn timer_output(&mut self, function: Function, level: Option<bool>, at_ns: u64, outside: &mut dyn Outside) {
         match level {
             Some(level) => self.timers.insert(function, level),
@@ -180,7 +181,7 @@ impl Gpio {
         }
     }
 
-    /// What the chip does to a pin.
+    /// Returns the output state of a pin.
     #[must_use]
     pub fn driven(&self, pin: Pin) -> Level {
         let port = self.port(pin);
@@ -198,11 +199,12 @@ impl Gpio {
         }
     }
 
-    /// The level at a pin, as inputs see it: IDR, EXTI, and the peripheral that has it.
+    /// Returns the level at a pin, as its inputs see it: IDR, EXTI, and the peripheral that uses it.
     pub fn level(&self, pin: Pin, now_ns: u64, outside: &mut dyn Outside) -> bool {
         match self.driven(pin) {
             Level::Low => false,
             Level::High => true,
+            // In analog mode the input buffer is off and reads 0.
             Level::Floating(_) if self.mode(pin) == Mode::Analog => false,
             Level::Floating(pull) => outside.level(now_ns, pin, pull),
         }
@@ -274,7 +276,7 @@ impl Peripheral for Gpio {
             IDR => {}
             ODR => port.output = into(port.output) & 0xFFFF,
             BSRR => {
-                // Where both bits are set, setting wins (12.4.7).
+                // If both bits are set, setting has priority (12.4.7).
                 let bits = into(0);
                 port.output = port.output & !(bits >> 16) | bits & 0xFFFF;
             }
@@ -290,7 +292,7 @@ impl Peripheral for Gpio {
         Ok(())
     }
 
-    /// A reset of the chip: all ports.
+    /// Resets all ports, with the chip.
     fn reset(&mut self, context: &mut Context<'_>) {
         self.timers.clear();
         for index in 0..PORTS {
@@ -300,7 +302,7 @@ impl Peripheral for Gpio {
 }
 
 impl Gpio {
-    /// A reset of one port by RCC; 0 is port A.
+    /// Resets one port, as RCC does; 0 is port A.
     pub fn reset_port(&mut self, index: usize, context: &mut Context<'_>) {
         self.ports[index] = Port::at_reset(index, self.ports[index].told);
         self.tell_pins(index, 0xFFFF, context);

@@ -1,4 +1,4 @@
-//! Pins as a program sets them and as the outside sees them.
+//! Tests of pins: configuration by a program, and their state for the outside world.
 
 use super::*;
 use crate::testing::{Bench, Event};
@@ -27,7 +27,7 @@ fn pins_are_analog_after_a_reset_but_for_the_debug_pins() {
     assert_eq!(gpio.mode(PH6), Mode::Analog);
     assert_eq!(gpio.function(Pin::new('A', 13)), Some(Function::DebugPort));
     gpio.reset(&mut bench.context());
-    // RM0399, 12.3.1: SWDIO, JTDI and NJTRST are pulled up, SWCLK down, JTDO (PB3) floats.
+    // Reset state of RM0399, 12.3.1: SWDIO, JTDI and NJTRST are pulled up, SWCLK down, JTDO (PB3) floats.
     let pulled = [('A', 13, true), ('A', 14, false), ('A', 15, true), ('B', 4, true)];
     let expected = pulled.map(|(port, number, up)| (Pin::new(port, number), Level::Floating(Some(up))));
     assert_eq!(drives(&mut bench), expected);

@@ -1,4 +1,4 @@
-//! Accesses to the registers, and time.
+//! Accesses to the registers, and the progress of time.
 
 use crate::context::Context;
 use crate::peripheral::{Peripheral, Size, Unmodelled};
@@ -64,7 +64,7 @@ impl I2c {
         if self.instance.number == 4 { context.clocks.apb4_hz } else { context.clocks.apb1_hz }
     }
 
-    /// PE is 0: both lines are let go of, wherever the transfer was (RM0399, 50.4.6).
+    /// Handles PE = 0: both lines are released, at any point of a transfer (RM0399, 50.4.6).
     fn software_reset(&mut self) {
         self.abandon();
         self.cr2 &= !(cr2::SET_ONLY | cr2::PECBYTE);
@@ -79,11 +79,13 @@ impl I2c {
             return Err(self.unmodelled("10-bit addresses and PEC (CR2) are not modelled"));
         }
         let old = self.cr2;
+        // START, STOP and NACK can only be set; the hardware clears them.
         let mut value = value & cr2::ALL | old & cr2::SET_ONLY;
         if old & cr2::START != 0 && (old ^ value) & cr2::FIXED_BY_START != 0 {
             self.misuse("address, direction or NBYTES changes while START is 1 (RM0399, 50.7.2)", context);
             value = value & !cr2::FIXED_BY_START | old & cr2::FIXED_BY_START;
         }
+        // With PE = 0 the hardware keeps START, STOP and NACK at 0.
         if !self.enabled() {
             if value & (cr2::START | cr2::STOP) != 0 {
                 self.misuse("START or STOP is set while PE is 0 (RM0399, 50.7.2)", context);
@@ -100,6 +102,7 @@ impl I2c {
                 }
                 self.start_requested(now_ns, context);
             }
+            // STOP takes precedence over a repeated START and over a reload.
             Phase::Held { since_ns } if value & cr2::STOP != 0 => self.stop(since_ns, now_ns),
             Phase::Held { since_ns } if self.flags & isr::TC != 0 && value & cr2::START != 0 => {
                 self.start_again(since_ns, now_ns);
@@ -137,7 +140,7 @@ impl I2c {
         self.send_next(context.now_ns);
     }
 
-    /// TXE may be set, which empties TXDR; TXIS only with NOSTRETCH.
+    /// Writes ISR: setting TXE empties TXDR; TXIS can be set with NOSTRETCH only.
     fn write_isr(&mut self, value: u32) {
         if value & isr::TXE != 0 {
             self.to_send = None;
@@ -155,6 +158,7 @@ impl Peripheral for I2c {
         }
         let value = match offset {
             register::CR1 => {
+                // The program has read PE back as 0, which ensures the three APB clocks (RM0399, 50.4.6).
                 self.disabled_ns = None;
                 self.cr1
             }
@@ -203,6 +207,7 @@ impl Peripheral for I2c {
             register::ISR => self.write_isr(value),
             register::ICR => {
                 self.flags &= !(value & isr::CLEARED_BY_ICR);
+                // ADDRCF also cancels a START that still waits for the bus.
                 if value & isr::ADDR != 0 && matches!(self.phase, Phase::Waiting { .. }) {
                     self.cr2 &= !cr2::START;
                     self.phase = Phase::Idle;
@@ -221,7 +226,7 @@ impl Peripheral for I2c {
     }
 
     fn stable_until_ns(&self, offset: u32, _: u64) -> Option<u64> {
-        // While nothing of our own is on the wire, the lines are looked at by each read.
+        // While the controller drives nothing, each read samples the lines, so ISR may change.
         let under_way = self.owns_bus && self.phase.end_ns().is_some();
         (offset == register::ISR && under_way).then(|| self.next_ns())
     }
@@ -240,6 +245,7 @@ impl Peripheral for I2c {
     }
 
     fn reset(&mut self, context: &mut Context<'_>) {
+        // The line levels stay so that their changes are reported, and tBUF passes on the bus regardless of the reset.
         let kept = (self.lines, self.free_ns);
         if let Some(fresh) = Self::new(self.instance.number) {
             *self = fresh;

@@ -1,14 +1,14 @@
-//! I2C1 to 4 as controllers of 7-bit targets (RM0399, chapter 50).
+//! I2C1 to I2C4 as controllers of 7-bit targets (RM0399, chapter 50).
 //!
-//! A transfer runs in time: START, address, bytes and STOP take as long as TIMINGR and the kernel clock say (`timing.rs` has
-//! the approximation), and are told to the [`Outside`](crate::Outside) when they end. While software or DMA is late, SCL is
-//! held low and the transfer stands still; a target that does not let go of a line stops it for good.
+//! A transfer takes time: START, address, bytes and STOP have the durations of TIMINGR and the kernel clock
+//! (`timing.rs` has the approximation), and reach the [`Outside`](crate::Outside) at their end. While software or DMA
+//! is late, SCL is held low and the transfer pauses; a target that holds a line stops it permanently.
 //!
-//! Deviations: RXNE is set at the end of the acknowledge bit, one bit later than on the chip, because the byte is known only
-//! then; held lines are looked at when something is asked for, and every 10 µs while a START waits for them. A START on an
-//! idle bus falls at the moment it is asked for (the chip takes up to a few periods of its clock).
+//! Deviations: RXNE is set at the end of the acknowledge bit, one bit later than on the chip, because the byte is known
+//! only then; held lines are sampled at a request, and every 10 µs while a START waits for them. A START on an idle bus
+//! occurs at the moment of the request (the chip takes up to a few periods of its clock).
 //!
-//! Not modelled, so refused: target mode, SMBus except the timeout of a low SCL, PEC, 10-bit addresses.
+//! Target mode, SMBus except the timeout of a low SCL, PEC, and 10-bit addresses are not modelled and end the run.
 
 mod access;
 mod registers;
@@ -24,15 +24,15 @@ use self::registers::{cr1, cr2, isr};
 use self::timing::Timing;
 use self::transfer::Phase;
 
-/// What tells one controller from the next.
+/// Properties that distinguish the controllers.
 #[derive(Clone, Copy, Debug)]
 struct Instance {
     number: u8,
     name: &'static str,
-    /// Positions in the vector table (RM0399, chapter 20).
+    /// Interrupt numbers (RM0399, chapter 20).
     event_irq: u16,
     error_irq: u16,
-    /// Inputs of DMAMUX1, and for I2C4 of DMAMUX2 (RM0399, 18.3.2).
+    /// Inputs of DMAMUX1, for I2C4 of DMAMUX2 (RM0399, 18.3.2).
     rx_request: u8,
     tx_request: u8,
 }
@@ -48,7 +48,7 @@ const INSTANCES: [Instance; 4] = [
     instance(4, "I2C4", 95, 13),
 ];
 
-/// One of the four controllers.
+/// State of one of the four controllers.
 #[derive(Clone, Debug)]
 pub struct I2c {
     instance: Instance,
@@ -60,28 +60,28 @@ pub struct I2c {
     timeoutr: u32,
     /// ISR without TXE and BUSY, which follow from the state.
     flags: u32,
-    /// TXDR, until it goes to the shift register.
+    /// Content of TXDR, until it moves to the shift register.
     to_send: Option<u8>,
     received: u8,
-    /// Between START and STOP of our own.
+    /// The controller is between its own START and STOP.
     owns_bus: bool,
-    /// Lines were held low when they were last looked at.
+    /// The lines were held low when they were last sampled.
     held_low: bool,
-    /// No START before: tBUF after the last STOP.
+    /// Earliest time of a START, ns: tBUF after the last STOP.
     free_ns: u64,
     phase: Phase,
     /// Bytes of NBYTES that are still to be acknowledged.
     remaining: u32,
-    /// Of the transfer that is under way.
+    /// Direction of the transfer in progress.
     reading: bool,
-    /// PE was cleared then, and not read back since.
+    /// Time at which PE was cleared, ns; `None` after it was read back.
     disabled_ns: Option<u64>,
     kernel_hz: u64,
     lines: [bool; 4],
 }
 
 impl I2c {
-    /// Controller `number`, 1 to 4; `None` for any other.
+    /// Makes controller `number`, 1 to 4; `None` for any other number.
     #[must_use]
     pub fn new(number: u8) -> Option<Self> {
         let instance = *INSTANCES.iter().find(|instance| instance.number == number)?;
@@ -108,27 +108,27 @@ impl I2c {
         })
     }
 
-    /// As in `I2C1`.
+    /// Returns the name, as in `I2C1`.
     #[must_use]
     pub fn name(&self) -> &'static str {
         self.instance.name
     }
 
-    /// SCL's frequency without stretching, by the clock tree as of the last access; 0 while it stands still.
+    /// Returns SCL's frequency without stretching, by the clock tree at the last access, Hz; 0 for a stopped clock.
     #[must_use]
     pub fn scl_hz(&self) -> f64 {
         let thousand_bits_ns = self.timing().bits_ns(1000);
         if thousand_bits_ns == u64::MAX { 0.0 } else { 1e12 / thousand_bits_ns as f64 }
     }
 
-    /// Another controller wins the bus now: ARLO, and no longer a controller (RM0399, 50.4.9). Nothing happens while no
-    /// transfer is under way.
+    /// Lets another controller win the bus now: sets ARLO and ends the controller role (RM0399, 50.4.9). No effect
+    /// without a transfer.
     pub fn inject_arbitration_loss(&mut self, context: &mut Context<'_>) {
         self.inject(isr::ARLO, context);
     }
 
-    /// A START or STOP comes where none should be: BERR, and the transfer is over (RM0399, 50.4.16). Nothing happens while no
-    /// transfer is under way.
+    /// Injects a misplaced START or STOP: sets BERR and ends the transfer (RM0399, 50.4.16). No effect without a
+    /// transfer.
     pub fn inject_bus_error(&mut self, context: &mut Context<'_>) {
         self.inject(isr::BERR, context);
     }
@@ -142,7 +142,7 @@ impl I2c {
         self.update_lines(context);
     }
 
-    /// The transfer ends without a STOP of our own.
+    /// Ends the transfer without a STOP of its own.
     fn abandon(&mut self) {
         self.owns_bus = false;
         self.phase = Phase::Idle;
@@ -162,7 +162,7 @@ impl I2c {
         if self.instance.number == 4 { clocks.i2c4_hz } else { clocks.i2c123_hz }
     }
 
-    /// Looks at the lines, which tell something only while nobody of us drives them.
+    /// Samples the lines, which is meaningful only while this controller does not drive them.
     fn look_at_lines(&mut self, context: &mut Context<'_>) {
         if !self.owns_bus && self.enabled() {
             let lines = context.outside.i2c_lines(self.instance.number, context.now_ns);
@@ -181,7 +181,7 @@ impl I2c {
         value
     }
 
-    /// Sets the interrupt and request lines as the flags are (RM0399, 50.6 and 50.4.17).
+    /// Updates the interrupt and request lines from the flags (RM0399, 50.6 and 50.4.17).
     fn update_lines(&mut self, context: &mut Context<'_>) {
         let flag = |enable: u32, flags: u32| self.cr1 & enable != 0 && self.flags & flags != 0;
         let lines = [

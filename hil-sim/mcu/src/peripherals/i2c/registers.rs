@@ -1,4 +1,4 @@
-//! Offsets and bits (RM0399, 50.7).
+//! Offsets and bits of the registers (RM0399, 50.7).
 
 pub(super) const CR1: u32 = 0x00;
 pub(super) const CR2: u32 = 0x04;
@@ -12,7 +12,7 @@ pub(super) const PECR: u32 = 0x20;
 pub(super) const RXDR: u32 = 0x24;
 pub(super) const TXDR: u32 = 0x28;
 
-/// Bits of CR1.
+/// Bits of the register CR1.
 pub(super) mod cr1 {
     pub(crate) const PE: u32 = 1 << 0;
     pub(crate) const TXIE: u32 = 1 << 1;
@@ -26,14 +26,14 @@ pub(super) mod cr1 {
     pub(crate) const TXDMAEN: u32 = 1 << 14;
     pub(crate) const RXDMAEN: u32 = 1 << 15;
     pub(crate) const NOSTRETCH: u32 = 1 << 17;
-    /// SBC, WUPEN, GCEN, SMBHEN, SMBDEN, ALERTEN, PECEN: target mode and SMBus.
+    /// Bits of target mode and SMBus: SBC, WUPEN, GCEN, SMBHEN, SMBDEN, ALERTEN, PECEN.
     pub(crate) const UNMODELLED: u32 = 1 << 16 | 0x3F << 18;
-    /// Written only while PE is 0.
+    /// Bits that are writable only while PE is 0.
     pub(crate) const LOCKED: u32 = 0xF << DNF_AT | ANFOFF | NOSTRETCH;
     pub(crate) const ALL: u32 = 0x00FF_DFFF;
 }
 
-/// Bits of CR2.
+/// Bits of the register CR2.
 pub(super) mod cr2 {
     pub(crate) const SADD: u32 = 0x3FF;
     pub(crate) const RD_WRN: u32 = 1 << 10;
@@ -47,14 +47,14 @@ pub(super) mod cr2 {
     pub(crate) const RELOAD: u32 = 1 << 24;
     pub(crate) const AUTOEND: u32 = 1 << 25;
     pub(crate) const PECBYTE: u32 = 1 << 26;
-    /// Set by writing 1, cleared by the hardware only.
+    /// Bits set by writing 1, and cleared by the hardware only.
     pub(crate) const SET_ONLY: u32 = START | STOP | NACK;
-    /// Not to be changed while START is set.
+    /// Bits that must not change while START is set.
     pub(crate) const FIXED_BY_START: u32 = SADD | RD_WRN | ADD10 | HEAD10R | NBYTES;
     pub(crate) const ALL: u32 = 0x07FF_FFFF;
 }
 
-/// Bits of TIMEOUTR.
+/// Bits of the register TIMEOUTR.
 pub(super) mod timeoutr {
     pub(crate) const TIMEOUTA: u32 = 0xFFF;
     pub(crate) const TIDLE: u32 = 1 << 12;
@@ -79,8 +79,8 @@ pub(super) mod isr {
     pub(crate) const TIMEOUT: u32 = 1 << 12;
     pub(crate) const ALERT: u32 = 1 << 13;
     pub(crate) const BUSY: u32 = 1 << 15;
-    /// Interrupts of the error line.
+    /// Flags of the error interrupt.
     pub(crate) const ERRORS: u32 = BERR | ARLO | OVR | PECERR | TIMEOUT | ALERT;
-    /// What ICR clears.
+    /// Flags that ICR clears.
     pub(crate) const CLEARED_BY_ICR: u32 = NACKF | STOPF | ERRORS;
 }

@@ -1,7 +1,7 @@
-//! The manual's sequences (RM0399, 50.4.9), each moment on the bus, and misuse.
+//! Tests with the manual's sequences (RM0399, 50.4.9), the times of all bus events, and misuse.
 //!
-//! 100 MHz, SCLL + 1 + 3 = 124 periods and 10 ns of slope low, SCLH + 1 + 3 = 115 periods and 100 ns high: bits of 1250 +
-//! 1250 ns. SCLDEL is 10 periods.
+//! Clock of 100 MHz: SCLL + 1 + 3 = 124 periods and 10 ns of slope low, SCLH + 1 + 3 = 115 periods and 100 ns high:
+//! bits of 1250 + 1250 ns. SCLDEL is 10 periods.
 
 use proptest::prelude::*;
 
@@ -14,9 +14,9 @@ use crate::{Peripheral, Size};
 const TIMING: u32 = 9 << 20 | 111 << 8 | 120;
 const BIT_NS: u64 = 2_500;
 const BYTE_NS: u64 = 9 * BIT_NS;
-/// START to the end of the address: tHD:STA and nine bits.
+/// Time from START to the end of the address, ns: tHD:STA and nine bits.
 const ADDRESS_NS: u64 = 1_250 + BYTE_NS;
-/// From an acknowledge bit to STOP.
+/// Time from an acknowledge bit to STOP, ns.
 const STOP_NS: u64 = 2_500;
 
 fn bench(number: u8) -> Bench<I2c> {
@@ -38,12 +38,12 @@ fn started(number: u8, extra_cr1: u32) -> Bench<I2c> {
     bench
 }
 
-/// CR2 for a START to target 0x42.
+/// Returns CR2 for a START to target 0x42.
 fn request(nbytes: u32, flags: u32) -> u32 {
     0x42 << 1 | nbytes << cr2::NBYTES_AT | cr2::START | flags
 }
 
-/// Waits for a flag as software does, but lets time pass from event to event.
+/// Waits for a flag as software does, with time advancing from event to event.
 fn wait_for(bench: &mut Bench<I2c>, flag: u32) {
     for _ in 0..1000 {
         if bench.read(ISR) & flag != 0 {
@@ -68,13 +68,14 @@ fn reset_values() {
 
 #[test]
 fn scl_is_slower_than_its_counters_by_the_synchronisation() {
-    // Table 409, 16 MHz, 400 kHz: PRESC 1, SCLL 9, SCLH 3 are 1750 ns; the manual's example adds 750 ns, at least 250 ns.
+    // Table 409, 16 MHz, 400 kHz: PRESC 1, SCLL 9, SCLH 3 are 1750 ns; the manual's example adds 750 ns, at least 250
+    // ns.
     let mut bench = bench(1);
     bench.clocks.i2c123_hz = 16_000_000;
     bench.write(TIMINGR, 0x1000_0309);
     let period_ns = 1e9 / bench.peripheral.scl_hz();
     assert!((2_000.0..2_500.0).contains(&period_ns), "{period_ns}");
-    // A slower kernel clock, a digital filter: each is seen.
+    // A slower kernel clock and a digital filter both change the frequency.
     bench.write(CR1, 2 << cr1::DNF_AT);
     assert!((1e9 / bench.peripheral.scl_hz() - period_ns - 4.0 * 62.5).abs() < 1.0);
 }
@@ -127,7 +128,7 @@ fn register_read_with_a_repeated_start() {
     wait_for(&mut bench, isr::RXNE);
     assert_eq!(bench.read(RXDR), 0x5A);
     wait_for(&mut bench, isr::STOPF);
-    // SCL low, high for tSU:STA (SCLL), START, tHD:STA (SCLH), then nine bits.
+    // Sequence: SCL low, high for tSU:STA (SCLL), START, tHD:STA (SCLH), then nine bits.
     let again_ns = low_ns + 1_250 + BIT_NS + BYTE_NS;
     assert_eq!(
         bench.wires.i2c[2..],
@@ -147,7 +148,7 @@ fn scl_is_held_while_a_byte_to_send_is_late() {
     bench.run_until(500_000);
     bench.write(TXDR, 1);
     bench.run_until(1_000_000);
-    // SCLDEL after the write, then nine high and eight low phases.
+    // The byte ends after SCLDEL from the write, then nine high and eight low phases.
     assert_eq!(bench.wires.i2c[1], OnI2c::Write { at_ns: 500_000 + 100 + 9 * 1_250 + 8 * 1_250, byte: 1 });
 }
 
@@ -232,7 +233,7 @@ fn the_next_start_keeps_the_bus_free_time() {
 
 #[test]
 fn dma_moves_a_whole_transfer() {
-    // I2C4 asks the BDMA, inputs 13 and 14 of DMAMUX2.
+    // I2C4 uses the BDMA, inputs 13 and 14 of DMAMUX2.
     let mut bench = started(4, cr1::TXDMAEN | cr1::RXDMAEN);
     bench.write(CR2, request(3, 0));
     let mut next = 0;
@@ -400,7 +401,7 @@ fn reset_is_as_new() {
 }
 
 proptest! {
-    /// Whatever the target answers, a transfer ends, with STOP as the last thing on the bus, and all bytes in order.
+    /// A transfer ends for any answers of the target, with STOP as the last event on the bus, and all bytes in order.
     #[test]
     fn a_transfer_ends(nbytes in 0..20_u32, read: bool, nack_at in 0..25_usize, late_ns in prop::collection::vec(0..50_000_u64, 1..5)) {
         let mut bench = started(1, 0);
@@ -415,7 +416,7 @@ proptest! {
                 bench.run_until(until_ns);
             }
             if flags & isr::TXIS != 0 {
-                // While software was late the byte before may have been refused.
+                // While software was late, the previous byte may have been refused.
                 if bench.read(ISR) & isr::TXIS != 0 {
                     bench.write(TXDR, count);
                     count += 1;
@@ -436,7 +437,7 @@ proptest! {
         prop_assert!(stopped);
         let written: Vec<u8> =
             bench.wires.i2c.iter().filter_map(|event| if let OnI2c::Write { byte, .. } = event { Some(*byte) } else { None }).collect();
-        // The address is the first answer; a byte that is refused is on the bus, too.
+        // The address is the first answer; a refused byte is on the bus too.
         let expected = if read { 0 } else { answered + usize::from(refused) - 1 };
         prop_assert_eq!(written, (0..expected as u8).collect::<Vec<u8>>());
         if read && !refused {

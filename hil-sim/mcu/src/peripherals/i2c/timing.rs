@@ -1,8 +1,8 @@
-//! How long SCL is low and high (RM0399, 50.4.9, "I2C master initialization").
+//! Durations of SCL's low and high phases (RM0399, 50.4.9, "I2C master initialization").
 //!
-//! The low phase is counted from where the controller sees its own falling edge, the high phase from where it sees the rising
-//! one, so that each is longer than TIMINGR says by a delay: tSYNC1 after the falling, tSYNC2 after the rising edge. The
-//! manual gives what they are made of, not their values. Taken here:
+//! The low phase is counted from the controller's detection of its own falling edge, the high phase from that of the
+//! rising one. So each is longer than TIMINGR by a delay: tSYNC1 after the falling, tSYNC2 after the rising edge. The
+//! manual gives their components, not their values. The model assumes:
 //!
 //! - synchronisation: 3 periods of the kernel clock (manual: 2 to 3);
 //! - digital filter: DNF periods;
@@ -16,7 +16,7 @@ const ANALOG_FILTER_NS: u64 = 50;
 const FALL_NS: u64 = 10;
 const RISE_NS: u64 = 100;
 
-/// Phases of SCL.
+/// Durations of SCL's phases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Timing {
     kernel_hz: u64,
@@ -40,7 +40,8 @@ impl Timing {
         }
     }
 
-    /// So many low and high phases, rounded up to a nanosecond once; `u64::MAX` while the clock stands still.
+    /// Returns the duration of `low` and `high` phases, rounded up to a nanosecond once; `u64::MAX` for a stopped
+    /// clock.
     pub(super) fn phases_ns(&self, low: u64, high: u64) -> u64 {
         self.periods_ns(low * self.low_periods + high * self.high_periods)
             .saturating_add(low * (self.filter_ns + FALL_NS) + high * (self.filter_ns + RISE_NS))
@@ -50,12 +51,12 @@ impl Timing {
         self.phases_ns(bits, bits)
     }
 
-    /// SDA is set up before SCL rises (SCLDEL).
+    /// Returns the set-up time of SDA before SCL rises (SCLDEL), ns.
     pub(super) fn setup_ns(&self) -> u64 {
         self.periods_ns(self.setup_periods)
     }
 
-    /// So many periods of the kernel clock.
+    /// Returns the duration of `periods` of the kernel clock, ns.
     pub(super) fn periods_ns(&self, periods: u64) -> u64 {
         if self.kernel_hz == 0 {
             return u64::MAX;

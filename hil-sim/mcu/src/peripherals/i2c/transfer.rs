@@ -1,4 +1,4 @@
-//! A transfer, step by step (RM0399, 50.4.7 and 50.4.9).
+//! Steps of a transfer (RM0399, 50.4.7 and 50.4.9).
 
 use crate::context::Context;
 use crate::outside::I2cResponse;
@@ -6,31 +6,31 @@ use crate::outside::I2cResponse;
 use super::I2c;
 use super::registers::{cr2, isr, timeoutr};
 
-/// Held lines are looked at again after this time, while a START waits.
+/// Interval at which held lines are sampled while a START waits, ns.
 const LINES_POLLED_NS: u64 = 10_000;
 
-/// What the bus does. Each end is that of an acknowledge bit, where not said otherwise.
+/// Phase of the bus. Each end is that of an acknowledge bit, unless stated otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Phase {
-    /// No transfer; START is 0.
+    /// No transfer is in progress; START is 0.
     Idle,
-    /// START is 1, the bus is not free before then.
+    /// START is 1, but the bus is not free before that time.
     Waiting { until_ns: u64 },
-    /// START and address.
+    /// START and address are on the bus.
     Address { end_ns: u64 },
-    /// A byte to the target.
+    /// A byte is being sent to the target.
     Sending { byte: u8, end_ns: u64 },
-    /// Eight bits from the target, without the acknowledge bit.
+    /// Eight bits are being received from the target, without the acknowledge bit.
     Receiving { end_ns: u64 },
-    /// Eight bits are there, and RXDR is not read yet: SCL is low since then.
+    /// Eight bits have arrived, and RXDR is not read yet: SCL is low since then.
     Unread { since_ns: u64 },
-    /// The acknowledge bit for a received byte.
+    /// The acknowledge bit for a received byte is being sent.
     Acknowledging { end_ns: u64 },
-    /// SCL is low since then, until software writes TXDR, NBYTES, START or STOP.
+    /// SCL is held low since then, until software writes TXDR, NBYTES, START or STOP.
     Held { since_ns: u64 },
-    /// STOP; the end is where SDA rises.
+    /// STOP is being made; the end is the rise of SDA.
     Stopping { end_ns: u64 },
-    /// A target holds a line since then.
+    /// A target holds a line since that time.
     Stuck { since_ns: u64 },
 }
 
@@ -49,12 +49,12 @@ impl Phase {
 }
 
 impl I2c {
-    /// When the bus goes on by itself.
+    /// Returns the time of the next step without software, ns.
     pub(super) fn next_ns(&self) -> u64 {
         self.phase.end_ns().unwrap_or(u64::MAX).min(self.timeout_ns())
     }
 
-    /// When SCL has been low for too long (RM0399, 50.4.12, tTIMEOUT).
+    /// Returns the time at which SCL has been low for too long (RM0399, 50.4.12, tTIMEOUT), ns; `u64::MAX` for never.
     fn timeout_ns(&self) -> u64 {
         let (Phase::Held { since_ns } | Phase::Unread { since_ns } | Phase::Stuck { since_ns }) = self.phase else {
             return u64::MAX;
@@ -66,7 +66,7 @@ impl I2c {
         since_ns.saturating_add(self.timing().periods_ns(periods))
     }
 
-    /// What is due at `at_ns` happens.
+    /// Carries out the step due at `at_ns`.
     pub(super) fn step(&mut self, at_ns: u64, context: &mut Context<'_>) {
         if self.timeout_ns() == at_ns {
             self.timed_out(at_ns);
@@ -81,6 +81,7 @@ impl I2c {
                     self.byte_done(at_ns);
                 }
             }
+            // While RXDR is unread, the controller holds SCL low before the acknowledge bit.
             Phase::Receiving { .. } if self.flags & isr::RXNE != 0 => self.phase = Phase::Unread { since_ns: at_ns },
             Phase::Receiving { .. } => {
                 self.phase = Phase::Acknowledging { end_ns: at_ns.saturating_add(self.timing().bits_ns(1)) };
@@ -95,10 +96,11 @@ impl I2c {
             },
             Phase::Stopping { .. } => {
                 context.outside.i2c_stop(self.instance.number, at_ns);
+                // The STOP releases the bus before a START requested meanwhile is examined.
                 self.owns_bus = false;
                 self.flags |= isr::STOPF;
                 self.cr2 &= !cr2::STOP;
-                // tBUF is made of SCLL.
+                // The model uses SCLL for tBUF.
                 self.free_ns = at_ns.saturating_add(self.timing().phases_ns(1, 0));
                 self.phase = Phase::Idle;
                 self.start_requested(at_ns, context);
@@ -107,7 +109,7 @@ impl I2c {
         }
     }
 
-    /// START is 1 and no transfer of ours is under way.
+    /// Handles START = 1 without a transfer of this controller in progress.
     pub(super) fn start_requested(&mut self, at_ns: u64, context: &mut Context<'_>) {
         if self.cr2 & cr2::START == 0 {
             return;
@@ -122,16 +124,17 @@ impl I2c {
     fn start_if_free(&mut self, at_ns: u64, context: &mut Context<'_>) {
         let lines = context.outside.i2c_lines(self.instance.number, at_ns);
         self.held_low = lines != (true, true);
+        // The lines are outside this model and report no change, so they are polled.
         if self.held_low {
             self.phase = Phase::Waiting { until_ns: at_ns + LINES_POLLED_NS };
             return;
         }
         self.owns_bus = true;
-        // tHD:STA is made of SCLH.
+        // SCLH defines tHD:STA.
         self.send_address(at_ns.saturating_add(self.timing().phases_ns(0, 1)));
     }
 
-    /// A START while the bus is ours. SCL is low since `since_ns`; tSU:STA is made of SCLL.
+    /// Makes a repeated START. SCL is low since `since_ns`; SCLL defines tSU:STA.
     pub(super) fn start_again(&mut self, since_ns: u64, at_ns: u64) {
         let timing = self.timing();
         let risen_ns = at_ns.max(since_ns.saturating_add(timing.phases_ns(1, 0)));
@@ -154,11 +157,12 @@ impl I2c {
         }
     }
 
-    /// Whether the target takes part; otherwise STOP follows, or nothing ever.
+    /// Returns true if the target acknowledges; otherwise a STOP follows, or the bus is stuck.
     fn acknowledged(&mut self, response: I2cResponse, at_ns: u64) -> bool {
         match response {
             I2cResponse::Ack => true,
             I2cResponse::Nack => {
+                // The hardware sends the STOP after a NACK, also without AUTOEND.
                 self.flags = self.flags & !isr::TXIS | isr::NACKF;
                 self.stop(at_ns, at_ns);
                 false
@@ -175,8 +179,9 @@ impl I2c {
         self.go_on(at_ns);
     }
 
-    /// After an acknowledge bit: the next byte, or what NBYTES, RELOAD, AUTOEND, START and STOP say.
+    /// Continues after an acknowledge bit: with the next byte, or as NBYTES, RELOAD, AUTOEND, START and STOP define.
     pub(super) fn go_on(&mut self, at_ns: u64) {
+        // A STOP requested by the program takes precedence over the bytes that remain.
         if self.cr2 & cr2::STOP != 0 {
             self.stop(at_ns, at_ns);
         } else if self.remaining > 0 && self.reading {
@@ -185,6 +190,7 @@ impl I2c {
             self.phase = Phase::Held { since_ns: at_ns };
             self.flags |= if self.to_send.is_none() { isr::TXIS } else { 0 };
             self.send_next(at_ns);
+        // AUTOEND has no effect while RELOAD is set, so RELOAD is examined first.
         } else if self.cr2 & cr2::RELOAD != 0 {
             self.flags |= isr::TCR;
             self.phase = Phase::Held { since_ns: at_ns };
@@ -198,7 +204,7 @@ impl I2c {
         }
     }
 
-    /// Puts TXDR into the shift register, if SCL is held for that.
+    /// Moves TXDR to the shift register, if SCL is held for that.
     pub(super) fn send_next(&mut self, at_ns: u64) {
         let Phase::Held { since_ns } = self.phase else { return };
         if self.reading || self.remaining == 0 {
@@ -206,15 +212,17 @@ impl I2c {
         }
         let Some(byte) = self.to_send.take() else { return };
         let timing = self.timing();
+        // SCL stays low for SCLL at least, and for the data set-up time SCLDEL after the write of TXDR.
         let low_ended_ns = since_ns.saturating_add(timing.phases_ns(1, 0));
         let risen_ns = low_ended_ns.max(at_ns.saturating_add(timing.setup_ns()));
         self.phase = Phase::Sending { byte, end_ns: risen_ns.saturating_add(timing.phases_ns(8, 9)) };
+        // TXDR is empty again, but only a further byte of this transfer is requested.
         if self.remaining > 1 {
             self.flags |= isr::TXIS;
         }
     }
 
-    /// RXDR was read: an acknowledge bit that waited for it follows.
+    /// Continues after a read of RXDR with the acknowledge bit that waited for it.
     pub(super) fn room_made(&mut self, at_ns: u64) {
         if let Phase::Unread { since_ns } = self.phase {
             let timing = self.timing();
@@ -223,7 +231,7 @@ impl I2c {
         }
     }
 
-    /// STOP: SCL, low since `since_ns`, rises, and tSU:STO later, which is made of SCLH, SDA does.
+    /// Makes a STOP: SCL, low since `since_ns`, rises, and tSU:STO later, which SCLH defines, SDA rises.
     pub(super) fn stop(&mut self, since_ns: u64, at_ns: u64) {
         let timing = self.timing();
         let risen_ns = at_ns.max(since_ns.saturating_add(timing.phases_ns(1, 0)));
@@ -231,10 +239,11 @@ impl I2c {
         self.phase = Phase::Stopping { end_ns: risen_ns.saturating_add(timing.phases_ns(0, 1)) };
     }
 
-    /// TIMEOUT: a STOP follows, where the lines allow it (RM0399, 50.4.16).
+    /// Handles TIMEOUT: a STOP follows, if the lines allow it (RM0399, 50.4.16).
     fn timed_out(&mut self, at_ns: u64) {
         self.flags |= isr::TIMEOUT;
         self.cr2 &= !cr2::START;
+        // Only in these phases this controller itself holds SCL, so that it can make a STOP.
         if let Phase::Held { since_ns } | Phase::Unread { since_ns } = self.phase {
             self.stop(since_ns, at_ns);
         }

@@ -1,28 +1,28 @@
-//! The clock tree: frequencies from registers (RM0399, 9.5).
+//! Decoder of the clock tree: frequencies from registers (RM0399, 9.5).
 
 use crate::Clocks;
 
 use super::{Oscillator, Rcc, offset};
 
-/// What the oscillators do, Hz.
+/// Frequencies of the oscillators, Hz.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Oscillators {
-    /// The crystal or clock at OSC_IN.
+    /// HSE: the crystal or clock at OSC_IN.
     pub hse_hz: u64,
-    /// Internal, 64 MHz.
+    /// HSI, internal, 64 MHz.
     pub hsi_hz: u64,
-    /// Internal, 4 MHz.
+    /// CSI, internal, 4 MHz.
     pub csi_hz: u64,
-    /// Internal, 48 MHz.
+    /// HSI48, internal, 48 MHz.
     pub hsi48_hz: u64,
-    /// Internal, 32 kHz.
+    /// LSI, internal, 32 kHz.
     pub lsi_hz: u64,
-    /// The crystal at OSC32_IN.
+    /// LSE: the crystal at OSC32_IN.
     pub lse_hz: u64,
 }
 
 impl Default for Oscillators {
-    /// Those of an Arduino Giga R1, all exact.
+    /// Oscillators of an Arduino Giga R1, all exact.
     fn default() -> Self {
         Self {
             hse_hz: 16_000_000,
@@ -35,7 +35,7 @@ impl Default for Oscillators {
     }
 }
 
-/// A frequency as a fraction, so that dividers do not round one after the other.
+/// Frequency as a fraction, so that rounding errors of dividers do not accumulate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Hertz {
     numerator: u128,
@@ -55,17 +55,17 @@ impl Hertz {
         Self { numerator: self.numerator * u128::from(by), denominator: self.denominator.max(1) }
     }
 
-    /// To the nearest.
+    /// Returns the frequency rounded to the nearest Hz.
     pub(super) fn hz(self) -> u64 {
         let denominator = self.denominator.max(1);
         ((self.numerator + denominator / 2) / denominator) as u64
     }
 }
 
-/// What one PLL makes: 0 where an output is off.
+/// Outputs of one PLL; 0 for an output that is off.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Pll {
-    /// After DIVM.
+    /// Reference frequency after DIVM.
     pub(super) reference: Hertz,
     pub(super) vco: Hertz,
     p: Hertz,
@@ -73,7 +73,7 @@ pub(super) struct Pll {
     r: Hertz,
 }
 
-/// Prescalers of the AHB and the core (HPRE, D1CPRE).
+/// Decodes the prescalers of the AHB and the core (HPRE, D1CPRE).
 fn ahb_divider(field: u32) -> u32 {
     match field & 0xF {
         0..=7 => 1,
@@ -82,7 +82,7 @@ fn ahb_divider(field: u32) -> u32 {
     }
 }
 
-/// Prescalers of the APBs.
+/// Decodes the prescalers of the APBs.
 fn apb_divider(field: u32) -> u32 {
     match field & 7 {
         0..=3 => 1,
@@ -90,15 +90,15 @@ fn apb_divider(field: u32) -> u32 {
     }
 }
 
-/// The timers' clock: that of the AHB, as long as the APB is divided by no more than 2, or 4 with TIMPRE; else 2 or 4 times
-/// that of the APB (RM0399, 9.5.10).
+/// Returns the timers' clock: that of the AHB if the APB divider is at most 2 (4 with TIMPRE), else 2 (4) times that of
+/// the APB (RM0399, 9.5.10).
 fn timers(ahb: Hertz, apb: u32, timpre: bool) -> Hertz {
     let times = if timpre { 4 } else { 2 };
     if apb <= times { ahb } else { ahb.divided(apb / times) }
 }
 
 impl Rcc {
-    /// A PLL as its registers say, whether it is on or not.
+    /// Returns the outputs of a PLL by its registers, whether it is on or not.
     pub(super) fn pll_settings(&self, oscillators: &Oscillators, index: usize) -> Pll {
         let select = self.register(offset::PLLCKSELR);
         let source = match select & 3 {
@@ -127,7 +127,7 @@ impl Rcc {
         Hertz::new(oscillators.hsi_hz).divided(1 << (self.register(offset::CR) >> 3 & 3))
     }
 
-    /// All clocks, from the registers and what is ready now.
+    /// Returns all clocks by the registers and the sources that are ready now.
     pub(super) fn decode(&self, oscillators: &Oscillators) -> (Clocks, u64) {
         let when_ready =
             |source: Oscillator, frequency: Hertz| if self.is_ready(source) { frequency } else { Hertz::default() };
@@ -177,7 +177,7 @@ impl Rcc {
             spi123_hz: choose(&spi123, offset::D2CCIP1R, 12, 3).hz(),
             fdcan_hz: choose(&[hse, plls[0].q, plls[1].q], offset::D2CCIP1R, 28, 2).hz(),
             adc_hz: choose(&[plls[1].p, plls[2].r, per], offset::D3CCIPR, 16, 2).hz(),
-            // The watchdog turns LSI on by itself, so its frequency is told whether CSR.LSION is set or not.
+            // The watchdog turns LSI on by itself, so its frequency does not depend on CSR.LSION.
             lsi_hz: oscillators.lsi_hz,
             hsi48_hz: hsi48.hz(),
             lse_hz: lse.hz(),
@@ -197,14 +197,15 @@ mod tests {
 
     #[test]
     fn prescalers_are_those_of_the_manual() {
-        // RM0399, RCC_D1CFGR: 32 is not among them.
+        // RM0399, RCC_D1CFGR has no divider by 32.
         assert_eq!([0, 7, 8, 9, 10, 11, 12, 13, 14, 15].map(ahb_divider), [1, 1, 2, 4, 8, 16, 64, 128, 256, 512]);
         assert_eq!([0, 3, 4, 5, 6, 7].map(apb_divider), [1, 1, 2, 4, 8, 16]);
     }
 
     #[test]
     fn timers_run_at_the_ratio_of_the_manual_s_table() {
-        // RM0399, table "Ratio between clock timer and pclk", for APB prescalers 1, 2, 4, 8, 16, in shares of the AHB.
+        // Expected values of RM0399, table "Ratio between clock timer and pclk", for APB prescalers 1, 2, 4, 8, 16, as
+        // divisors of the AHB clock.
         let ahb = Hertz::new(240_000_000);
         let shares = |timpre| [1, 2, 4, 8, 16].map(|apb| 240_000_000 / timers(ahb, apb, timpre).hz());
         assert_eq!(shares(false), [1, 1, 2, 4, 8]);

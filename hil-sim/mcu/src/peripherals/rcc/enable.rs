@@ -1,6 +1,6 @@
-//! Which bit of the enable and reset registers belongs to what (RM0399, 9.7): in both they have the same place.
+//! Assignment of the bits of the enable and reset registers (RM0399, 9.7); each block has the same place in both.
 
-/// Groups of bits: AHB3, AHB1, AHB2, AHB4, APB3, APB1L, APB1H, APB2, APB4, in the order of the registers.
+/// Number of register groups: AHB3, AHB1, AHB2, AHB4, APB3, APB1L, APB1H, APB2, APB4, in the order of the registers.
 pub(super) const GROUPS: usize = 9;
 
 const AHB3: usize = 0;
@@ -13,8 +13,8 @@ const APB1H: usize = 6;
 const APB2: usize = 7;
 const APB4: usize = 8;
 
-/// Base addresses of peripherals and memories that have a clock of their own, with the group and the bits of which any one
-/// gives it.
+/// Base addresses of peripherals and memories with a clock of their own, with the group and the bits; any one of these
+/// bits enables the clock.
 #[rustfmt::skip]
 const TABLE: [(u32, usize, u32); 88] = [
     (0x5200_0000, AHB3, 1 << 0), // MDMA
@@ -107,22 +107,22 @@ const TABLE: [(u32, usize, u32); 88] = [
     (0x5800_4000, APB4, 1 << 16), // RTC
 ];
 
-/// What has no clock enable: the group and bits of a base address, or `None`.
+/// Returns the group and bits of a base address; `None` for blocks without a clock enable.
 pub(super) fn bits_of(base: u32) -> Option<(usize, u32)> {
     TABLE.iter().find(|(address, ..)| *address == base).map(|(_, group, bits)| (*group, *bits))
 }
 
-/// Base addresses of what the bits of a reset register reset.
+/// Returns the base addresses of the blocks that the bits of a reset register reset.
 pub(super) fn bases_of(group: usize, bits: u32) -> impl Iterator<Item = u32> {
-    // The RTC, the window watchdogs and memories have an enable bit but no reset bit: WRITABLE keeps those out of `bits`.
-    // DMAMUX1 has no reset of its own.
+    // The RTC, the window watchdogs and memories have an enable bit but no reset bit: WRITABLE keeps those out of
+    // `bits`.
     TABLE
         .iter()
         .filter(move |(base, in_group, of)| *in_group == group && *base != 0x4002_0800 && of & bits != 0)
         .map(|(base, ..)| *base)
 }
 
-/// Bits that exist in the enable registers.
+/// Masks of the bits that exist in the enable registers.
 pub(super) const ENABLES: [u32; GROUPS] = [
     0xF001_5131,
     0x1E03_C023,
@@ -135,7 +135,7 @@ pub(super) const ENABLES: [u32; GROUPS] = [
     0x0021_DEAA,
 ];
 
-/// Bits that exist in the reset registers.
+/// Masks of the bits that exist in the reset registers.
 pub(super) const RESETS: [u32; GROUPS] = [
     0x0001_5031,
     0x0A00_C023,
@@ -148,5 +148,5 @@ pub(super) const RESETS: [u32; GROUPS] = [
     0x0020_DEAA,
 ];
 
-/// The enable registers after a reset: RTCAPBEN is set.
+/// Enable registers after a reset: RTCAPBEN is set.
 pub(super) const ENABLES_AT_RESET: [u32; GROUPS] = [0, 0, 0, 0, 0, 0, 0, 0, 1 << 16];

@@ -1,11 +1,11 @@
-//! What the clock tree must not exceed (DS12930, table "Maximum allowed clock frequencies"; RM0399, 9.5.5).
+//! Limits of the clock tree (DS12930, table "Maximum allowed clock frequencies"; RM0399, 9.5.5).
 
 use crate::Clocks;
 
 use super::{Oscillator, Oscillators, Rcc, offset};
 use crate::peripherals::pwr::VoltageScale;
 
-/// Highest core and AHB frequencies, Hz; the APBs go up to half of the AHB's.
+/// Returns the highest core and AHB frequencies, Hz; those of the APBs are half of the AHB's.
 fn highest(scale: VoltageScale) -> (u64, u64) {
     match scale {
         VoltageScale::Vos0 => (480_000_000, 240_000_000),
@@ -15,10 +15,11 @@ fn highest(scale: VoltageScale) -> (u64, u64) {
     }
 }
 
-/// HSI with all prescalers at 1, which is what the chip itself starts with at scale 3, where its APBs may have 50 MHz.
+/// Exception for HSI with all prescalers at 1, with which the chip itself starts at scale 3, where its APBs are limited
+/// to 50 MHz.
 const AT_RESET_HZ: u64 = 64_000_000;
 
-/// What is too fast for the voltage.
+/// Returns the clocks that are too fast for the voltage.
 pub(super) fn too_fast(clocks: &Clocks, scale: VoltageScale) -> Vec<String> {
     let (core, ahb) = highest(scale);
     [
@@ -36,7 +37,7 @@ pub(super) fn too_fast(clocks: &Clocks, scale: VoltageScale) -> Vec<String> {
 }
 
 impl Rcc {
-    /// What is wrong with a PLL that is switched on now.
+    /// Returns the errors in the settings of a PLL that is switched on now.
     pub(super) fn pll_faults(&self, index: usize) -> Vec<String> {
         let pll = self.pll_settings(&Oscillators::default(), index);
         let name = format!("PLL{}", index + 1);
@@ -69,7 +70,7 @@ impl Rcc {
         faults
     }
 
-    /// Whether the source that PLLCKSELR chooses is ready.
+    /// Returns the source that PLLCKSELR selects; `None` for no clock.
     pub(super) fn pll_source(&self) -> Option<Oscillator> {
         match self.register(offset::PLLCKSELR) & 3 {
             0 => Some(Oscillator::Hsi),

@@ -1,24 +1,25 @@
-//! Reset and clock control (RM0399, 9).
+//! Reset and clock control RCC (RM0399, 9).
 //!
-//! Oscillators and PLLs become ready after the start-up times that DS12930 gives as typical, so a program that does not
-//! wait is found out. The clock tree is decoded exactly ([`Rcc::clocks`]); each change of it is a [`Signal::Clocks`].
+//! Oscillators and PLLs become ready after the typical start-up times of DS12930, so that a program that does not wait
+//! is detected. The clock tree is decoded exactly ([`Rcc::clocks`]); each change of it is a [`Signal::Clocks`].
 //!
-//! The registers at 0x0D0 to 0x11C are those of the core that accesses them, which is the Cortex-M7; those at 0x130 are the
-//! same ones under their other address, and those at 0x190 belong to the Cortex-M4. Something has its clock when one of
-//! the two wants it.
+//! The registers at 0x0D0 to 0x11C are those of the core that accesses them, which is the Cortex-M7; those at 0x130 are
+//! the same ones under their other address, and those at 0x190 belong to the Cortex-M4. A block has its clock if either
+//! core enables it.
 //!
-//! The chip ignores writes to PLLSRC, DIVMx, DIVx and DIVxEN of a PLL that is on, and so does the model; an attempt to put
-//! another value than 0 there is reported as misuse. (A program that writes the fields of one PLL plainly puts zeros into
-//! those of the others, which changes nothing.) Reserved bits cannot be written.
+//! The chip ignores writes to PLLSRC, DIVMx, DIVx and DIVxEN of a PLL that is on, and so does the model; an attempt to
+//! write a value other than 0 there is reported as misuse. (A program that writes the fields of one PLL with a plain
+//! store writes zeros into those of the others, which has no effect.) Reserved bits are read-only.
 //!
-//! A crystal can stop while it is used ([`Rcc::stop_hse_at`]). With the clock security system on (CR.HSECSSON, 9.5.3) HSE and the
-//! PLLs that run on it are turned off, the core goes over to HSI, and the NMI is raised until CICR.HSECSSC. That takes no time
-//! here; the manual gives none. Without it everything that runs on the crystal stands still, the core too: what a PLL gives
-//! without a reference is not specified, and this is the worst. HSERDY stays as it is then, for the manual names nothing that
-//! clears it.
+//! A crystal can stop while it is used ([`Rcc::stop_hse_at`]). With the clock security system on (CR.HSECSSON, 9.5.3)
+//! HSE and the PLLs that depend on it are turned off, the core changes to HSI, and the NMI is raised until
+//! CICR.HSECSSC. That takes no time in the model; the manual gives none. Without it all clocks from the crystal stop,
+//! the core's too: the output of a PLL without a reference is not specified, and this is the worst case. HSERDY keeps
+//! its value then, because the manual names no condition that clears it.
 //!
-//! Not modelled, and said so when they are turned on: the Cortex-M4, the security system of LSE, clock outputs (MCO1, MCO2), the
-//! high-resolution timer's clock. Wake-up clocks and autonomous mode have no meaning without low-power modes: they are kept.
+//! The Cortex-M4, the security system of LSE, clock outputs (MCO1, MCO2) and the high-resolution timer's clock are not
+//! modelled; turning them on ends the run. Wake-up clocks and autonomous mode matter only with low-power modes: their
+//! settings are stored.
 
 mod decode;
 mod enable;
@@ -38,7 +39,7 @@ use crate::{
 
 pub use decode::Oscillators;
 
-/// Register offsets (RM0399, 9.7).
+/// Offsets of the registers (RM0399, 9.7).
 mod offset {
     pub(super) const CR: u32 = 0x00;
     pub(super) const HSICFGR: u32 = 0x04;
@@ -62,33 +63,33 @@ mod offset {
     pub(super) const CICR: u32 = 0x68;
     pub(super) const BDCR: u32 = 0x70;
     pub(super) const CSR: u32 = 0x74;
-    /// AHB3RSTR, the first of nine.
+    /// First of the nine reset registers, AHB3RSTR.
     pub(super) const RESETS: u32 = 0x7C;
     pub(super) const GCR: u32 = 0xA0;
     pub(super) const D3AMR: u32 = 0xA8;
-    /// RSR, nine enable registers from AHB3ENR on, and nine for sleep from 0xFC on: those of the accessing core.
+    /// Registers of the accessing core: RSR, nine enable registers from AHB3ENR on, and nine for sleep from 0xFC on.
     pub(super) const OF_CORE: u32 = 0xD0;
-    /// What the Cortex-M7's have here too.
+    /// Second address of the Cortex-M7's registers.
     pub(super) const CORE_1: u32 = 0x130;
-    /// The Cortex-M4's.
+    /// Address of the Cortex-M4's registers.
     pub(super) const CORE_2: u32 = 0x190;
     pub(super) const END: u32 = 0x1E0;
 }
 
-/// NVIC position of the RCC interrupt.
+/// Interrupt number of RCC.
 const IRQ: u16 = 5;
 
-/// CR.
+/// Bits of the register CR.
 const HSEON: u32 = 1 << 16;
 const HSECSSON: u32 = 1 << 19;
-/// CFGR: MCO1 and MCO2 are off while their prescalers are 0.
+/// Bits of CFGR; MCO1 and MCO2 are off while their prescalers are 0.
 const MCO1PRE: u32 = 0xF << 18;
 const MCO2PRE: u32 = 0xF << 25;
 const HRTIMSEL: u32 = 1 << 14;
-/// CIFR, CICR.
+/// Bit of CIFR and CICR.
 const HSECSSF: u32 = 1 << 10;
 
-/// What starts and becomes ready, numbered as its flag in RCC_CIFR.
+/// Oscillator or PLL with a ready flag, numbered as its flag in RCC_CIFR.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Oscillator {
     Lsi,
@@ -123,7 +124,7 @@ impl Oscillator {
         [Self::Lsi, Self::Lse, Self::Hsi, Self::Hse, Self::Csi, Self::Hsi48, Self::Pll1, Self::Pll2, Self::Pll3];
     const PLLS: [Self; 3] = [Self::Pll1, Self::Pll2, Self::Pll3];
 
-    /// From on to ready, typical (DS12930, tables of the oscillators and of the PLL).
+    /// Returns the typical time from on to ready, ns (DS12930, tables of the oscillators and of the PLL).
     const fn start_up_ns(self) -> u64 {
         match self {
             Self::Lsi => 80_000,
@@ -136,7 +137,7 @@ impl Oscillator {
         }
     }
 
-    /// Its bit in RCC_CR that turns it on, and the one that says it is ready; LSE and LSI have their own registers.
+    /// Returns its enable bit and its ready bit in RCC_CR; `None` for LSE and LSI, which have registers of their own.
     const fn bits(self) -> Option<(u32, u32)> {
         match self {
             Self::Lsi | Self::Lse => None,
@@ -155,12 +156,12 @@ impl Oscillator {
 enum State {
     #[default]
     Off,
-    /// Ready then; `u64::MAX` if it never will be.
+    /// Ready at that time, ns; `u64::MAX` for never.
     Starting(u64),
     Ready,
 }
 
-/// Writable registers: offset, value after a reset, bits that exist.
+/// Writable registers: offset, value after a reset, mask of existing bits.
 const PLAIN: [(u32, u32, u32); 17] = [
     (offset::HSICFGR, 0x4000_0000, 0x7F00_0000),
     (offset::CSICFGR, 0x2000_0000, 0x3F00_0000),
@@ -181,17 +182,17 @@ const PLAIN: [(u32, u32, u32); 17] = [
     (offset::CRRCR, 0, 0),
 ];
 
-/// RCC.
+/// State of RCC and the clock tree.
 pub struct Rcc {
     oscillators: Oscillators,
     hse_fitted: bool,
-    /// When the main crystal stops; `u64::MAX` is never.
+    /// Time at which the main crystal stops, ns; `u64::MAX` for never.
     hse_stops_ns: u64,
     lse_fitted: bool,
     states: [State; 9],
-    /// Everything below 0xD0, by offset / 4; CR without its ready bits, CFGR without SWS.
+    /// Registers below 0xD0, by offset / 4; CR without its ready bits, CFGR without SWS.
     registers: [u32; 0xD0 / 4],
-    /// What runs the core, as in SWS.
+    /// Source of the system clock, as in SWS.
     system_source: u32,
     latched_fraction: [u32; 3],
     flags: u32,
@@ -200,7 +201,7 @@ pub struct Rcc {
     backup_writable: bool,
     scale: VoltageScale,
     clocks: Clocks,
-    /// The same with crystals that are exact.
+    /// Frequencies with exact crystals.
     nominal: Clocks,
     usb_hz: u64,
     reset: Vec<u32>,
@@ -208,7 +209,7 @@ pub struct Rcc {
 }
 
 impl Rcc {
-    /// After power-on, with these oscillators around it.
+    /// Makes RCC in its power-on state, with these oscillators.
     #[must_use]
     pub fn new(oscillators: Oscillators) -> Self {
         let mut rcc = Self {
@@ -237,46 +238,46 @@ impl Rcc {
         rcc
     }
 
-    /// The frequencies now.
+    /// Returns the present frequencies.
     #[must_use]
     pub fn clocks(&self) -> Clocks {
         self.clocks
     }
 
-    /// The frequencies that the registers are meant to give, with oscillators that are exact: what limits are judged by.
+    /// Returns the frequencies that the registers give with exact oscillators; limits are judged by them.
     #[must_use]
     pub fn nominal_clocks(&self) -> Clocks {
         self.nominal
     }
 
-    /// Kernel clock of the USB controllers now, Hz.
+    /// Returns the present kernel clock of the USB controllers, Hz.
     #[must_use]
     pub fn usb_hz(&self) -> u64 {
         self.usb_hz
     }
 
-    /// Whether what is at a base address has its bus clock. What has no enable bit always has it.
+    /// Returns true if the block at a base address has its bus clock. Blocks without an enable bit always have it.
     #[must_use]
     pub fn is_enabled(&self, base: u32) -> bool {
         enable::bits_of(base).is_none_or(|(group, bits)| self.cores.iter().any(|core| core[1 + group] & bits != 0))
     }
 
-    /// Base addresses of what a program has put into reset since the last time: each is to be reset.
+    /// Takes the base addresses of the blocks that the program has reset since the last call; the caller resets them.
     pub fn take_resets(&mut self) -> Vec<u32> {
         std::mem::take(&mut self.reset)
     }
 
-    /// Whether a program has reset the backup domain (BDCR.BDRST) since the last time.
+    /// Returns true if the program has reset the backup domain (BDCR.BDRST) since the last call.
     pub fn take_backup_reset(&mut self) -> bool {
         std::mem::take(&mut self.backup_reset)
     }
 
-    /// Whether the crystals are there: without one its ready bit never comes. One that is taken away stops.
+    /// Adds or removes the crystals: without one its ready bit is never set, and a removed one stops.
     pub fn fit_crystals(&mut self, hse: bool, lse: bool) {
         (self.hse_fitted, self.lse_fitted) = (hse, lse);
         for (oscillator, fitted) in [(Oscillator::Hse, hse), (Oscillator::Lse, lse)] {
             let state = &mut self.states[oscillator as usize];
-            // HSERDY stays as it is: see the top of this module.
+            // HSERDY keeps its value: see the module comment.
             let told_ready = oscillator == Oscillator::Hse && *state == State::Ready;
             if !fitted && *state != State::Off && !told_ready {
                 *state = State::Starting(u64::MAX);
@@ -284,27 +285,28 @@ impl Rcc {
         }
     }
 
-    /// The main crystal stops at a moment, and does not start again.
+    /// Stops the main crystal at `at_ns`; it does not start again.
     pub fn stop_hse_at(&mut self, at_ns: u64) {
         self.hse_stops_ns = at_ns;
     }
 
-    /// The crystal of HSE swings: what RCC says of it may be something else.
+    /// Returns true while HSE's crystal oscillates, which the ready flag may not show.
     fn hse_swings(&self) -> bool {
         self.hse_fitted && self.is_ready(Oscillator::Hse)
     }
 
-    /// Other frequencies: a crystal drifts. What depends on them follows at the next [`Peripheral::advance`].
+    /// Changes the oscillators' frequencies: a crystal drifts. Dependent clocks follow at the next
+    /// [`Peripheral::advance`].
     pub fn set_oscillators(&mut self, oscillators: Oscillators) {
         self.oscillators = oscillators;
     }
 
-    /// PWR_CR1.DBP: without it BDCR cannot be written.
+    /// Sets the write permission for BDCR, PWR_CR1.DBP.
     pub fn set_backup_writable(&mut self, writable: bool) {
         self.backup_writable = writable;
     }
 
-    /// The voltage that the core has now; frequencies beyond it are reported.
+    /// Sets the present core voltage; frequencies beyond its limits are reported.
     pub fn set_voltage_scale(&mut self, scale: VoltageScale, context: &mut Context<'_>) {
         if scale != self.scale {
             self.scale = scale;
@@ -312,14 +314,14 @@ impl Rcc {
         }
     }
 
-    /// The voltage that was told last.
+    /// Returns the core voltage set last.
     #[must_use]
     pub fn voltage_scale(&self) -> VoltageScale {
         self.scale
     }
 
-    /// Puts the cause of a reset of the chip into RCC_RSR (RM0399, 9.4.4, "Reset source identification"); the flags of
-    /// earlier ones stay until the program clears them.
+    /// Records the cause of a reset of the chip in RCC_RSR (RM0399, 9.4.4, "Reset source identification"); flags of
+    /// earlier resets stay until the program clears them.
     pub fn note_reset(&mut self, cause: ResetCause) {
         const CORES: u32 = 0b11 << 17;
         const DOMAINS: u32 = 0b11 << 19;
@@ -342,7 +344,7 @@ impl Rcc {
         }
     }
 
-    /// The backup domain lost its power or is reset: LSE and RTC settings go.
+    /// Resets the backup domain, also after a loss of its power: clears LSE and RTC settings.
     pub fn reset_backup(&mut self) {
         *self.register_mut(offset::BDCR) = 0;
         self.states[Oscillator::Lse as usize] = State::Off;
@@ -384,7 +386,8 @@ impl Rcc {
         self.states[oscillator as usize] == State::Ready
     }
 
-    /// Which core's register, and which of its 20: 0 is RSR, then nine enables and, from 11 on, nine sleep enables.
+    /// Returns the core whose register is at an offset, and which of its 20: 0 is RSR, then nine enables and, from 11
+    /// on, nine sleep enables.
     fn of_core(at: u32) -> Option<(usize, usize)> {
         let (core, from) = match at {
             offset::OF_CORE..offset::CORE_1 => (0, offset::OF_CORE),
@@ -406,7 +409,7 @@ impl Rcc {
                     Some((_, ready)) if self.is_ready(*oscillator) => ready,
                     _ => 0,
                 };
-                // HSIDIVF, D1CKRDY and D2CKRDY: the divider acts at once, both domains run.
+                // HSIDIVF, D1CKRDY and D2CKRDY are always set: the divider acts at once, and both domains run.
                 const ALWAYS: u32 = 1 << 5 | 1 << 14 | 1 << 15;
                 Some(self.register(at) | ALWAYS | Oscillator::ALL.iter().map(ready).fold(0, |all, bit| all | bit))
             }
@@ -429,11 +432,12 @@ impl Rcc {
             Oscillator::Lse => !self.lse_fitted,
             _ => false,
         };
+        // A missing crystal starts but never becomes ready.
         let ready_ns = if missing { u64::MAX } else { now_ns + oscillator.start_up_ns() };
         self.states[oscillator as usize] = State::Starting(ready_ns);
     }
 
-    /// Turns it on or off, as its bit says.
+    /// Turns an oscillator on or off.
     fn switch(&mut self, oscillator: Oscillator, on: bool, now_ns: u64) {
         let state = self.states[oscillator as usize];
         match (on, state) {
@@ -446,9 +450,9 @@ impl Rcc {
     fn write_cr(&mut self, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
         const WRITABLE: u32 = 0x150D_129B;
         let before = self.register(offset::CR);
-        // HSECSSON is cleared by a reset only (RCC_CR).
+        // Only a reset clears HSECSSON (RCC_CR).
         let mut value = value & (WRITABLE | HSECSSON) | before & HSECSSON;
-        // The chip keeps what the core runs on, and what a PLL that is on runs on.
+        // The source of the core clock, and those of PLLs that are on, cannot be turned off.
         for (oscillator, number) in
             [(Oscillator::Hsi, 0), (Oscillator::Csi, 1), (Oscillator::Hse, 2), (Oscillator::Pll1, 3)]
         {
@@ -466,6 +470,7 @@ impl Rcc {
         let divider = 0b11 << 3;
         if (before ^ value) & divider != 0 && self.pll_source() == Some(Oscillator::Hsi) && self.any_pll_on() {
             context.misuse("RCC", "HSIDIV is changed while a PLL runs on HSI; the chip ignores it (RCC_CR)");
+            // The write of the other fields still takes effect.
             value = value & !divider | before & divider;
         }
         if (before ^ value) & 1 << 18 != 0 && before & 1 << 16 != 0 {
@@ -475,6 +480,7 @@ impl Rcc {
         *self.register_mut(offset::CR) = value;
         for oscillator in Oscillator::ALL {
             let Some((on, _)) = oscillator.bits() else { continue };
+            // HSIKERON keeps HSI on for peripherals.
             let on = value & on != 0 || oscillator == Oscillator::Hsi && value & 1 << 1 != 0;
             let starts = on && self.states[oscillator as usize] == State::Off;
             self.switch(oscillator, on, context.now_ns);
@@ -490,6 +496,7 @@ impl Rcc {
         for fault in self.pll_faults(index) {
             context.misuse("RCC", fault);
         }
+        // The PLL latches its fraction when it is switched on.
         self.latched_fraction[index] = self.register(offset::PLL1FRACR + 8 * index as u32) >> 3;
         let runs = |source| if source == Oscillator::Hse { self.hse_swings() } else { self.is_ready(source) };
         if !self.pll_source().is_some_and(runs) {
@@ -497,6 +504,7 @@ impl Rcc {
                 "RCC",
                 format!("PLL{} is turned on while its source is not ready: it does not lock", index + 1),
             );
+            // It never locks, and the program waits for its ready flag in vain.
             self.states[Oscillator::PLLS[index] as usize] = State::Starting(u64::MAX);
         }
     }
@@ -509,7 +517,7 @@ impl Rcc {
         Oscillator::PLLS.into_iter().any(|pll| self.is_on(pll))
     }
 
-    /// Writes a register of which some fields are locked: `locked` gives the mask of those.
+    /// Writes a register with locked fields; `locked` is their mask.
     fn write_locked(&mut self, at: u32, value: u32, locked: u32, name: &str, context: &mut Context<'_>) {
         let before = self.register(at);
         let refused = (before ^ value) & locked;
@@ -524,9 +532,11 @@ impl Rcc {
 
     fn write_pll(&mut self, at: u32, value: u32, context: &mut Context<'_>) {
         let on = Oscillator::PLLS.map(|pll| self.is_on(pll));
+        // Each PLL that is on locks its own fields.
         let of_each = |mask: fn(usize) -> u32| (0..3).filter(|pll| on[*pll]).fold(0, |all, pll| all | mask(pll));
         match at {
             offset::PLLCKSELR => {
+                // The source is common to the PLLs, so any one that is on locks it.
                 let source = if on.contains(&true) { 0b11 } else { 0 };
                 let locked = source | of_each(|pll| 0x3F << (4 + 8 * pll));
                 self.write_locked(at, value & 0x03F3_F3F3, locked, "PLLCKSELR", context);
@@ -535,6 +545,7 @@ impl Rcc {
                 let locked = of_each(|pll| 0b1110 << (4 * pll) | 0b111 << (16 + 3 * pll));
                 let before = self.register(at);
                 self.write_locked(at, value & 0x01FF_0FFF, locked, "PLLCFGR", context);
+                // A rising FRACEN latches the fraction, also while the PLL runs.
                 for pll in 0..3 {
                     let latch = 1 << (4 * pll);
                     if before & latch == 0 && value & latch != 0 {
@@ -563,6 +574,7 @@ impl Rcc {
         }
         let before = self.register(offset::BDCR);
         let mut value = value & WRITABLE;
+        // BDRST: the reset counts once, at its rising edge, and holds the other bits at 0.
         if value & 1 << 16 != 0 {
             self.backup_reset |= before & 1 << 16 == 0;
             self.reset_backup();
@@ -584,7 +596,7 @@ impl Rcc {
     fn write_of_core(&mut self, core: usize, index: usize, value: u32) {
         let register = &mut self.cores[core][index];
         match index {
-            // RMVF removes all flags and reads as 0 again.
+            // RMVF removes all flags and reads as 0 afterwards.
             0 if value & 1 << 16 != 0 => *register = 0,
             0 => {}
             1..=9 => *register = value & enable::ENABLES[index - 1],
@@ -592,7 +604,7 @@ impl Rcc {
         }
     }
 
-    /// The system clock goes over to what SW wants, once that is ready.
+    /// Switches the system clock to the source in SW, once that is ready.
     fn follow_switch(&mut self) {
         let wanted = self.register(offset::CFGR) & 7;
         let source = [Oscillator::Hsi, Oscillator::Csi, Oscillator::Hse, Oscillator::Pll1].get(wanted as usize);
@@ -601,13 +613,13 @@ impl Rcc {
         }
     }
 
-    /// The crystal stops; with the security system that is seen at once (RM0399, 9.5.3).
+    /// Handles the stop of the crystal, which the security system detects at once (RM0399, 9.5.3).
     fn follow_crystal(&mut self, context: &mut Context<'_>) {
         if self.hse_stops_ns <= context.now_ns {
             (self.hse_fitted, self.hse_stops_ns) = (false, u64::MAX);
         }
         let cr = self.register(offset::CR);
-        // The detector works while HSE is on and was ready.
+        // The detector works only while HSE is on and was ready.
         if cr & HSECSSON == 0 || !self.is_ready(Oscillator::Hse) || self.hse_fitted {
             return;
         }
@@ -620,10 +632,11 @@ impl Rcc {
             }
         }
         *self.register_mut(offset::CR) = cr & !off;
-        // Used directly or through a PLL: hardware writes HSION and SW (RCC_CR, RCC_CFGR). HSI runs within microseconds, which
-        // the switch waits for.
+        // If the core used HSE directly or through a PLL, the hardware writes HSION and SW (RCC_CR, RCC_CFGR). HSI
+        // starts within microseconds, which the switch waits for.
         let source = [None, None, Some(Oscillator::Hse), Some(Oscillator::Pll1)];
         let lost = source.get(self.system_source as usize).copied().flatten();
+        // A core that runs on HSI or CSI is not affected.
         if lost.is_some_and(|source| !self.is_ready(source)) {
             *self.register_mut(offset::CR) |= 1;
             *self.register_mut(offset::CFGR) &= !7;
@@ -643,6 +656,7 @@ impl Rcc {
                 && ready_ns <= context.now_ns
             {
                 self.states[oscillator as usize] = State::Ready;
+                // The flag is set only with its interrupt enabled (RCC_CIFR).
                 self.flags |= bit & self.register(offset::CIER);
             }
         }
@@ -659,6 +673,7 @@ impl Rcc {
             let Clocks { core_hz, ahb_hz, apb1_hz, apb2_hz, apb3_hz, apb4_hz, .. } = *clocks;
             [core_hz, ahb_hz, apb1_hz, apb2_hz, apb3_hz, apb4_hz]
         };
+        // Limits are checked again only if a bus clock has changed.
         let changed = buses(&nominal) != buses(&self.nominal);
         self.nominal = nominal;
         if changed {
@@ -666,7 +681,7 @@ impl Rcc {
         }
     }
 
-    /// Judged by the nominal frequencies: that a crystal runs fast within its tolerance is allowed for in the limits.
+    /// Checks the limits with nominal frequencies: the limits allow for a crystal that runs fast within its tolerance.
     fn check_limits(&self, context: &mut Context<'_>) {
         if self.nominal.core_hz == 0 && self.hse_fitted {
             context.misuse("RCC", "the core's clock stops: its source gives none");
@@ -768,7 +783,8 @@ impl Peripheral for Rcc {
         }
     }
 
-    /// A reset of the chip: all but the backup domain, the reset flags (see [`Rcc::note_reset`]) and what is outside.
+    /// Resets the chip's RCC, except the backup domain, the reset flags (see [`Rcc::note_reset`]) and the state of the
+    /// crystals.
     fn reset(&mut self, context: &mut Context<'_>) {
         self.set_reset_values();
         self.reset.clear();

@@ -1,4 +1,4 @@
-//! RCC as a program meets it, step by step.
+//! Tests of RCC with a program's sequences, step by step.
 
 use proptest::prelude::*;
 
@@ -17,7 +17,8 @@ fn wait_for(rcc: &mut Rcc, bench: &mut Bench, at: u32, mask: u32) {
     }
 }
 
-/// PLL1 from HSE: 16 MHz / 2 * 120 = 960 MHz, P 480 MHz, Q 80 MHz; AHB 240, APBs 120 MHz. As on the Giga.
+/// Configures the Giga's clocks with PLL1 from HSE: 16 MHz / 2 * 120 = 960 MHz, P 480 MHz, Q 80 MHz; AHB 240, APBs 120
+/// MHz.
 fn full_speed(rcc: &mut Rcc, bench: &mut Bench) {
     rcc.set_voltage_scale(VoltageScale::Vos0, &mut bench.context());
     bench.modify(rcc, offset::CR, 0, 1 << 16);
@@ -84,7 +85,7 @@ fn without_a_crystal_hse_is_never_ready() {
     bench.run(&mut rcc, 10_000_000_000);
     assert_eq!(bench.read(&mut rcc, offset::CR) >> 16 & 0b11, 0b01);
     assert_eq!(rcc.next_event_ns(), u64::MAX);
-    // The core stays on HSI although HSE is asked for.
+    // The core stays on HSI although HSE is requested.
     bench.modify(&mut rcc, offset::CFGR, 7, 2);
     assert_eq!(rcc.clocks().core_hz, 64_000_000);
     assert_eq!(bench.take_misuse().len(), 1);
@@ -94,11 +95,11 @@ fn without_a_crystal_hse_is_never_ready() {
 fn a_running_pll_keeps_its_divider() {
     let (mut rcc, mut bench) = bench();
     full_speed(&mut rcc, &mut bench);
-    // As when another PLL is turned off by a plain write of its own field: zeros for this one.
+    // A plain write for another PLL puts zeros into this one's fields.
     bench.write(&mut rcc, offset::PLLCKSELR, 0);
     assert_eq!(bench.read(&mut rcc, offset::PLLCKSELR), 2 << 4 | 2);
     bench.assert_no_misuse();
-    // Other values can only be meant.
+    // Other values are misuse.
     bench.write(&mut rcc, offset::PLLCKSELR, 1 << 4 | 2);
     bench.write(&mut rcc, offset::PLL1DIVR, 59 | 1 << 9);
     bench.write(&mut rcc, offset::PLLCFGR, 0b10 << 2 | 0b111 << 16);
@@ -126,7 +127,7 @@ fn too_fast_for_the_voltage_is_misuse() {
     bench.assert_no_misuse();
     rcc.set_voltage_scale(VoltageScale::Vos1, &mut bench.context());
     let misuse = bench.take_misuse();
-    // Core, AHB and four APBs, each 20 % over what scale 1 allows.
+    // Core, AHB and four APBs are each 20 % above the limit of scale 1.
     assert_eq!(misuse.len(), 6, "{misuse:?}");
     assert!(misuse[0].contains("480000000 Hz, over the 400000000 Hz of VOS1"), "{}", misuse[0]);
 }
@@ -134,7 +135,7 @@ fn too_fast_for_the_voltage_is_misuse() {
 #[test]
 fn a_pll_out_of_its_range_is_misuse() {
     let (mut rcc, mut bench) = bench();
-    // HSI / 1 = 64 MHz: four times the highest reference; times 129 with the reset values: 8.256 GHz.
+    // HSI / 1 = 64 MHz is four times the highest reference; times 129 with the reset values it is 8.256 GHz.
     bench.write(&mut rcc, offset::PLLCKSELR, 1 << 4);
     bench.modify(&mut rcc, offset::CR, 0, 1 << 24);
     let misuse = bench.take_misuse();
@@ -145,7 +146,7 @@ fn a_pll_out_of_its_range_is_misuse() {
 #[test]
 fn the_fraction_is_taken_when_it_is_enabled() {
     let (mut rcc, mut bench) = bench();
-    // HSI / 8 = 8 MHz, * (31 + 0.5 once the fraction counts) = 248 or 252 MHz, / 2.
+    // HSI / 8 = 8 MHz, * (31, or 31.5 once the fraction counts) = 248 or 252 MHz, / 2.
     bench.write(&mut rcc, offset::PLLCKSELR, 8 << 4);
     bench.write(&mut rcc, offset::PLLCFGR, 0b11 << 2 | 1 << 16);
     bench.write(&mut rcc, offset::PLL1DIVR, 30 | 1 << 9);
@@ -199,13 +200,13 @@ fn enables_of_both_addresses_are_one_register_and_the_other_core_has_its_own() {
 #[test]
 fn a_rising_reset_bit_resets_once() {
     let (mut rcc, mut bench) = bench();
-    // APB1LRSTR: I2C2.
+    // Bit 22 of APB1LRSTR resets I2C2.
     bench.write(&mut rcc, 0x90, 1 << 22);
     bench.write(&mut rcc, 0x90, 1 << 22);
     assert_eq!(rcc.take_resets(), [0x4000_5800]);
     bench.write(&mut rcc, 0x90, 0);
     assert_eq!(rcc.take_resets(), []);
-    // One bit for both FDCANs, their calibration unit and message RAM.
+    // One bit resets both FDCANs, their calibration unit and message RAM.
     bench.write(&mut rcc, 0x94, 1 << 8);
     assert_eq!(rcc.take_resets().len(), 4);
 }
@@ -285,7 +286,7 @@ proptest! {
     }
 }
 
-/// Full speed, the security system on, HSI off.
+/// Makes RCC at full speed, with the security system on and HSI off.
 fn guarded() -> (Rcc, Bench) {
     let (mut rcc, mut bench) = bench();
     full_speed(&mut rcc, &mut bench);
@@ -304,17 +305,17 @@ fn a_crystal_that_stops_under_the_security_system_raises_the_nmi_and_leaves_the_
     assert_eq!((bench.take_signals(), rcc.clocks().core_hz), (vec![], 480_000_000));
     bench.run(&mut rcc, stops_ns + 10_000);
     assert_eq!(bench.take_signals().first(), Some(&Signal::Nmi { level: true }));
-    // HSI runs, HSE and the PLL are off and not ready; SW and SWS say HSI; dividers stay.
+    // Afterwards HSI runs, HSE and the PLL are off and not ready; SW and SWS select HSI; dividers stay.
     assert_eq!(bench.read(&mut rcc, offset::CR) & 0x0303_0005, 0x0000_0005);
     assert_eq!(bench.read(&mut rcc, offset::CFGR) & 0x3F, 0);
     assert_eq!((rcc.clocks().core_hz, rcc.clocks().ahb_hz, rcc.clocks().apb1_hz), (64_000_000, 32_000_000, 16_000_000));
     assert_eq!(bench.read(&mut rcc, offset::CIFR) & HSECSSF, HSECSSF);
-    // The NMI stays until it is cleared here.
+    // The NMI stays until its flag is cleared here.
     bench.write(&mut rcc, offset::CICR, 0x3FF);
     assert_eq!(bench.take_signals().iter().filter(|signal| matches!(signal, Signal::Nmi { .. })).count(), 0);
     bench.write(&mut rcc, offset::CICR, HSECSSF);
     assert_eq!(bench.take_signals(), [Signal::Nmi { level: false }]);
-    // The crystal never comes again, and its security system is still on.
+    // The crystal never becomes ready again, and its security system stays on.
     bench.modify(&mut rcc, offset::CR, 0, HSEON);
     bench.run(&mut rcc, bench.now_ns + 1_000_000_000);
     assert_eq!(bench.read(&mut rcc, offset::CR) >> 16 & 0b1011, 0b1001);
@@ -333,7 +334,7 @@ fn a_crystal_that_stops_without_the_security_system_stops_everything_that_runs_o
     assert_eq!(rcc.clocks().lsi_hz, 32_000);
     assert_eq!(bench.take_signals(), [Signal::Clocks]);
     assert_eq!(bench.read(&mut rcc, offset::CR) >> 16 & 0b11, 0b11, "nothing tells");
-    // A reset is the way out: HSI, and no HSE.
+    // Only a reset recovers: it selects HSI, without HSE.
     rcc.reset(&mut bench.context());
     assert_eq!(rcc.clocks().core_hz, 64_000_000);
     bench.modify(&mut rcc, offset::CR, 0, HSEON);
@@ -350,7 +351,7 @@ fn the_security_system_is_turned_off_by_a_reset_only_and_minds_a_crystal_in_use_
     rcc.reset(&mut bench.context());
     bench.take_signals();
     assert_eq!(bench.read(&mut rcc, offset::CR) & HSECSSON, 0);
-    // On before HSE is; a crystal that never starts is no failure of a running one.
+    // The security system is on before HSE; a crystal that never starts is not a failure of a running one.
     bench.modify(&mut rcc, offset::CR, 0, HSECSSON);
     rcc.fit_crystals(false, true);
     bench.modify(&mut rcc, offset::CR, 0, HSEON);
@@ -368,7 +369,7 @@ fn clock_outputs_and_other_clocks_that_are_not_modelled_end_the_run() {
         let error = bench.try_write(&mut rcc, at, Size::Word, bits).unwrap_err();
         assert!(error.to_string().starts_with("RCC: "), "{error}");
     }
-    // The choice of what an output that is off would give is nothing.
+    // Selecting the source of an output that is off has no effect.
     bench.write(&mut rcc, offset::CFGR, 0b010 << 22 | 0b001 << 29);
     bench.assert_no_misuse();
 }

@@ -1,4 +1,4 @@
-//! Accesses to the registers, and time.
+//! Accesses to the registers, and the progress of time.
 
 use crate::context::Context;
 use crate::peripheral::{Peripheral, Size, Unmodelled};
@@ -16,8 +16,9 @@ impl Spi {
             return Err(unmodelled("receiving with automatic suspension (MASRX) is not modelled"));
         }
         let old = self.cr1;
-        // CSTART and IOLOCK are set only; CSUSP reads as 0.
+        // CSTART and IOLOCK can only be set; CSUSP reads as 0.
         self.cr1 = value & cr1::ALL & !cr1::CSUSP | old & (cr1::CSTART | cr1::IOLOCK);
+        // While MODF is set, SPE and IOLOCK stay 0.
         if self.flags & sr::MODF != 0 {
             self.cr1 &= !(cr1::SPE | cr1::IOLOCK);
         }
@@ -32,6 +33,7 @@ impl Spi {
             return Ok(());
         }
         if value & cr1::CSUSP != 0 && self.cr1 & cr1::CSTART != 0 {
+            // The suspension waits for the end of the frame on the wire.
             if self.shifting.is_some() {
                 self.suspend = true;
             } else {
@@ -56,18 +58,19 @@ impl Spi {
         if 2 * self.packet() > self.capacity() {
             context.misuse(NAME, "a packet is larger than half the FIFO (RM0399, 53.11.3)");
         }
-        // Mode fault: SS of a master is active (53.5.2).
+        // Mode fault: the master's SS input is active (53.5.2).
         let selected = (self.cr1 & cr1::SSI != 0) == (self.cfg2 & cfg2::SSIOP != 0);
         if self.cfg2 & cfg2::SSM != 0 && selected {
             self.flags |= sr::MODF;
             self.cr1 &= !(cr1::SPE | cr1::IOLOCK);
         }
+        // TSIZE is taken when SPE rises.
         self.unsent = self.cr2 & 0xFFFF;
         self.unwritten = self.unsent;
         Ok(())
     }
 
-    /// SPE is 0: all stops, FIFOs are emptied (53.11.1).
+    /// Handles SPE = 0: all activity stops, the FIFOs are emptied (53.11.1).
     fn switch_off(&mut self, context: &mut Context<'_>) {
         if self.shifting.is_some() || !self.to_send.is_empty() {
             context.misuse(NAME, "SPE is cleared while frames are still to be sent: they are lost (RM0399, 53.4.12)");
@@ -85,6 +88,7 @@ impl Spi {
         if value & cfg1::CRCEN != 0 {
             return Err(unmodelled("CRC (CFG1.CRCEN) is not modelled"));
         }
+        // While SPE is 1, only the DMA enable bits may change.
         let free = cfg1::TXDMAEN | cfg1::RXDMAEN;
         let value = value & cfg1::ALL;
         if self.enabled() && (self.cfg1 ^ value) & !free != 0 {
@@ -128,6 +132,7 @@ impl Spi {
             context.misuse(NAME, "TXDR is written while SPE is 0: the frame is lost (RM0399, 53.4.11)");
             return;
         }
+        // An access wider than a frame holds several frames, the first in the low bits.
         for nth in 0..access_bytes / frame_bytes {
             if self.counted() && self.unwritten == 0 {
                 // The rest of the last packet is discarded.
@@ -142,6 +147,7 @@ impl Spi {
                 self.unwritten -= 1;
                 if self.unwritten == 0 && self.cr2 >> 16 == 0 {
                     self.flags |= sr::TXTF;
+                    // All frames are written, so the interrupts that ask for more are disabled.
                     self.ier &= !(sr::TXP | sr::DXP);
                 }
             }

@@ -1,12 +1,12 @@
-//! SPI1 as a master that transmits (RM0399, chapter 53).
+//! SPI1 as a transmitting master (RM0399, chapter 53).
 //!
-//! Each data frame takes its clocks, back to back as long as the FIFO holds one, and is told to
-//! [`Outside::spi_sent`](crate::Outside::spi_sent) when its last clock ends. A transfer begins at the moment it may (the chip
-//! takes a few clocks to synchronise).
+//! Each data frame takes its clocks, back to back while the FIFO holds one, and is passed to
+//! [`Outside::spi_sent`](crate::Outside::spi_sent) at the end of its last clock. A transfer begins at the moment it may
+//! (the chip takes a few clocks to synchronise).
 //!
-//! Nothing is wired to MISO: in full-duplex mode frames come in and fill the RxFIFO, up to the overrun, but what they contain
-//! is not modelled, so that reading one is refused. So are slave mode, receivers, half duplex, TI mode, I2S, CRC, and the SS
-//! input pin.
+//! MISO is not connected: in full-duplex mode frames are received and fill the RxFIFO, up to the overrun, but their
+//! content is not modelled, so that reading one ends the run. So do slave mode, receivers, half duplex, TI mode, I2S,
+//! CRC, and the SS input pin.
 
 mod access;
 mod registers;
@@ -22,15 +22,15 @@ use self::registers::{cfg1, cfg2, cr1, sr};
 
 const NAME: &str = "SPI1";
 const CONTROLLER: u8 = 1;
-/// Position in the vector table (RM0399, chapter 20).
+/// Interrupt number of SPI1 (RM0399, chapter 20).
 const IRQ: u16 = 35;
-/// Inputs of DMAMUX1 (RM0399, 18.3.2).
+/// Input numbers of DMAMUX1 (RM0399, 18.3.2).
 const RX_REQUEST: u8 = 37;
 const TX_REQUEST: u8 = 38;
-/// Of each FIFO (table 435).
+/// Size of each FIFO, bytes (table 435).
 const FIFO_BYTES: usize = 16;
 
-/// A frame on the wire.
+/// Frame being sent on the wire.
 #[derive(Clone, Copy, Debug)]
 struct Shifting {
     frame: u32,
@@ -39,7 +39,7 @@ struct Shifting {
     end: u64,
 }
 
-/// SPI1.
+/// Registers, FIFOs and transfer state of SPI1.
 #[derive(Clone, Debug)]
 pub struct Spi {
     cr1: u32,
@@ -50,15 +50,15 @@ pub struct Spi {
     crcpoly: u32,
     udrdr: u32,
     i2scfgr: u32,
-    /// EOT, TXTF, OVR, MODF, TSERF, SUSP.
+    /// Flags EOT, TXTF, OVR, MODF, TSERF, SUSP.
     flags: u32,
     to_send: VecDeque<u32>,
-    /// Frames in the RxFIFO.
+    /// Number of frames in the RxFIFO.
     received: usize,
     shifting: Option<Shifting>,
-    /// CSUSP was written.
+    /// A suspension was requested by CSUSP.
     suspend: bool,
-    /// Of a transfer with TSIZE: frames not yet sent, and not yet written.
+    /// Frames of a transfer with TSIZE that are not sent yet, and not written yet.
     unsent: u32,
     unwritten: u32,
     kernel_hz: u64,
@@ -72,7 +72,7 @@ impl Default for Spi {
 }
 
 impl Spi {
-    /// As after reset.
+    /// Makes SPI1 in its reset state.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -96,7 +96,7 @@ impl Spi {
         }
     }
 
-    /// Clocks of SCK per second, by the clock tree as of the last access.
+    /// Returns the frequency of SCK by the clock tree at the last access, Hz.
     #[must_use]
     pub fn sck_hz(&self) -> f64 {
         self.kernel_hz as f64 / self.divider() as f64
@@ -110,12 +110,12 @@ impl Spi {
         self.cr1 & cr1::SPE != 0
     }
 
-    /// Bits of a data frame.
+    /// Returns the number of bits in a data frame.
     fn bits(&self) -> u32 {
         (self.cfg1 & cfg1::DSIZE) + 1
     }
 
-    /// Bytes of a register access for one frame: 1, 2 or 4.
+    /// Returns the bytes of a register access for one frame: 1, 2 or 4.
     fn access_bytes(&self) -> usize {
         match self.bits() {
             ..=8 => 1,
@@ -124,12 +124,12 @@ impl Spi {
         }
     }
 
-    /// Frames that a FIFO holds (53.4.11).
+    /// Returns the number of frames that a FIFO holds (53.4.11).
     fn capacity(&self) -> usize {
         FIFO_BYTES / self.bits().div_ceil(8) as usize
     }
 
-    /// Frames of a packet.
+    /// Returns the number of frames in a packet.
     fn packet(&self) -> usize {
         (self.cfg1 >> cfg1::FTHLV_AT & 0xF) as usize + 1
     }
@@ -142,7 +142,7 @@ impl Spi {
         self.cfg2 >> cfg2::COMM_AT & 3 == 0
     }
 
-    /// Begins a frame, `at` clocks into a run, if there is one to be sent.
+    /// Starts the next frame, `at` clocks into a run, if there is one.
     fn load(&mut self, clocks: Ticks, at: u64) {
         let running = self.enabled() && self.cr1 & cr1::CSTART != 0 && self.flags & (sr::SUSP | sr::MODF) == 0;
         if self.shifting.is_some() || !running {
@@ -152,9 +152,9 @@ impl Spi {
         self.shifting = Some(Shifting { frame, clocks, end: at + u64::from(self.bits()) });
     }
 
-    /// A transfer begins or goes on at `at_ns`.
+    /// Starts or continues a transfer at `at_ns`.
     fn start(&mut self, at_ns: u64) {
-        // Between SS, where the hardware drives it, and the first clock.
+        // Idle clocks between SS, if the hardware drives it, and the first clock.
         let idle = if self.cfg2 & cfg2::SSOE != 0 { u64::from(self.cfg2 & cfg2::MSSI) } else { 0 };
         self.load(Ticks { start_ns: at_ns, frequency_hz: self.kernel_hz, divider: self.divider() }, idle);
     }
@@ -177,6 +177,7 @@ impl Spi {
         if self.cfg2 & cfg2::LSBFRST != 0 {
             frame = frame.reverse_bits() >> (32 - bits);
         }
+        // The frame is reported with its most significant bit first on the wire.
         context.outside.spi_sent(CONTROLLER, at_ns, frame, bits as u8);
         if self.full_duplex() {
             if self.received < self.capacity() {
@@ -195,7 +196,7 @@ impl Spi {
         self.load(sent.clocks, sent.end + u64::from(self.cfg2 >> cfg2::MIDI_AT & 0xF));
     }
 
-    /// One frame less of TSIZE; behind the last one TSER, or the end.
+    /// Counts a sent frame of TSIZE; after the last one TSER applies, or the end.
     fn count_sent(&mut self) {
         self.unsent = self.unsent.saturating_sub(1);
         if self.unsent > 0 {
@@ -203,6 +204,7 @@ impl Spi {
         }
         let extension = self.cr2 >> 16;
         if extension > 0 {
+            // TSER moves to TSIZE, so that the transfer continues without an end.
             self.cr2 = extension;
             self.unsent = extension;
             self.unwritten += extension;
@@ -239,10 +241,10 @@ impl Spi {
         value | self.unsent << sr::CTSIZE_AT
     }
 
-    /// Sets the interrupt and request lines as the flags are.
+    /// Updates the interrupt and request lines from the flags.
     fn update_lines(&mut self, context: &mut Context<'_>) {
         let sr = self.sr();
-        // SUSP and TXC interrupt with EOTIE.
+        // EOTIE also enables the interrupts of SUSP and TXC.
         let ending = self.ier & sr::EOT != 0 && sr & (sr::SUSP | sr::TXC) != 0;
         let lines = [
             self.ier & sr & (sr::CLEARED | 7) & !sr::SUSP != 0 || ending,

@@ -1,4 +1,4 @@
-//! Offsets and bits (RM0399, 53.11).
+//! Offsets and bits of the registers (RM0399, 53.11).
 
 pub(super) const CR1: u32 = 0x00;
 pub(super) const CR2: u32 = 0x04;
@@ -15,7 +15,7 @@ pub(super) const RXCRC: u32 = 0x48;
 pub(super) const UDRDR: u32 = 0x4C;
 pub(super) const I2SCFGR: u32 = 0x50;
 
-/// Bits of CR1.
+/// Bits of the register CR1.
 pub(super) mod cr1 {
     pub(crate) const SPE: u32 = 1 << 0;
     pub(crate) const MASRX: u32 = 1 << 8;
@@ -26,7 +26,7 @@ pub(super) mod cr1 {
     pub(crate) const ALL: u32 = 0x0001_FF01;
 }
 
-/// Bits of CFG1.
+/// Bits of the register CFG1.
 pub(super) mod cfg1 {
     pub(crate) const DSIZE: u32 = 0x1F;
     pub(crate) const FTHLV_AT: u32 = 5;
@@ -37,7 +37,7 @@ pub(super) mod cfg1 {
     pub(crate) const ALL: u32 = 0x705F_DFFF;
 }
 
-/// Bits of CFG2.
+/// Bits of the register CFG2.
 pub(super) mod cfg2 {
     pub(crate) const MSSI: u32 = 0xF;
     pub(crate) const MIDI_AT: u32 = 4;
@@ -66,6 +66,6 @@ pub(super) mod sr {
     pub(crate) const RXPLVL_AT: u32 = 13;
     pub(crate) const RXWNE: u32 = 1 << 15;
     pub(crate) const CTSIZE_AT: u32 = 16;
-    /// What IFCR clears.
+    /// Flags that IFCR clears.
     pub(crate) const CLEARED: u32 = 0xFF8;
 }

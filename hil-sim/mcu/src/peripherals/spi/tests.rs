@@ -1,4 +1,4 @@
-//! Sequences of RM0399, 53.4, and misuse. 64 MHz / 64: clocks of 1 µs, frames of 8 µs.
+//! Tests with sequences of RM0399, 53.4, and with misuse. The clock is 64 MHz / 64: clocks of 1 µs, frames of 8 µs.
 
 use super::registers::*;
 use super::*;
@@ -6,9 +6,9 @@ use crate::context::Clocks;
 use crate::peripherals::bench::Bench;
 use crate::{Peripheral, Size};
 
-/// Divided by 64, 8 bits, packets of one frame.
+/// CFG1: divider 64, 8 bits, packets of one frame.
 const CFG1_VALUE: u32 = 5 << cfg1::MBR_AT | 7 << 16 | 7;
-/// Master, SS by software: SSI = 0 is inactive with an SS that is active high.
+/// CFG2: master, SS by software: SSI = 0 is inactive for an SS that is active high.
 const CFG2_VALUE: u32 = cfg2::MASTER | cfg2::SSM | cfg2::SSIOP;
 
 fn configured(cfg1_value: u32, cfg2_value: u32) -> Bench<Spi> {
@@ -98,7 +98,7 @@ fn wider_accesses_pack_frames_and_frames_have_their_bits() {
     put(&mut bench, Size::Word, 0x4433_2211);
     bench.run_until(32_000);
     assert_eq!(bench.wires.spi.iter().map(|sent| sent.2).collect::<Vec<_>>(), [0x11, 0x22, 0x33, 0x44]);
-    // 16 bits, the least significant first.
+    // Frames of 16 bits, the least significant first.
     let mut bench = started(CFG1_VALUE & !0x1F | 15, CFG2_VALUE | cfg2::LSBFRST);
     put(&mut bench, Size::Word, 0x8001_1234);
     bench.run_until(32_000);

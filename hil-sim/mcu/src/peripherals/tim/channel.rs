@@ -1,23 +1,23 @@
-//! Capture and compare.
+//! Capture and compare channels.
 
 use super::{AOE, CCDS, CEN, MOE, OSSI, Tim, input};
 use crate::context::{Context, Signal};
 
-/// One of up to four channels.
+/// State of one of up to four channels.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Channel {
     /// CCRx as written, and as in use; captured values are in both.
     pub(super) preload: u64,
     pub(super) compare: u64,
-    /// OCxREF.
+    /// Reference level of the output, OCxREF.
     pub(super) reference: bool,
-    /// The output's level, as last told.
+    /// Output level last reported.
     pub(super) level: bool,
     /// Input edges since the last capture (ICxPSC).
     pub(super) edges: u32,
 }
 
-/// OCxM.
+/// Output compare mode, OCxM.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
     Frozen,
@@ -31,7 +31,7 @@ enum Mode {
 }
 
 impl Tim {
-    /// The channel's byte of CCMRx; OCxM has its fourth bit elsewhere, and that must be 0.
+    /// Returns the channel's byte of CCMRx. The fourth bit of OCxM is elsewhere and must be 0.
     pub(super) fn mode_byte(&self, index: usize) -> u32 {
         self.ccmr[index / 2] >> (8 * (index % 2)) & 0xff
     }
@@ -61,7 +61,7 @@ impl Tim {
         }
     }
 
-    /// CCxP and CCxNP.
+    /// Returns the bits CCxP and CCxNP.
     fn polarity(&self, index: usize) -> (bool, bool) {
         let bits = self.ccer >> (4 * index);
         (bits & 2 != 0, bits & 8 != 0)
@@ -72,7 +72,7 @@ impl Tim {
         self.is_output(index) && self.is_enabled(index) && main
     }
 
-    /// Works OCxREF out where it follows from the count, and tells outputs that have changed.
+    /// Updates OCxREF where it follows from the count, and reports outputs that have changed.
     pub(super) fn tell_outputs(&mut self, at_ns: u64, context: &mut Context<'_>) {
         for index in 0..self.kind.channels {
             if !self.is_output(index) {
@@ -91,7 +91,7 @@ impl Tim {
             let level = if !self.is_driving(index) {
                 false
             } else if self.kind.has_break() && self.bdtr & MOE == 0 {
-                // The idle level OISx.
+                // Without MOE the output has the idle level OISx.
                 self.cr2 >> (8 + 2 * index) & 1 != 0
             } else {
                 reference != self.polarity(index).0
@@ -110,7 +110,7 @@ impl Tim {
         }
     }
 
-    /// The count has come to the channel's compare value; OCxREF follows.
+    /// Handles a match of the count with the channel's compare value; updates OCxREF.
     pub(super) fn matched(&mut self, index: usize, context: &mut Context<'_>) {
         let reference = &mut self.channels[index].reference;
         let old = *reference;
@@ -124,19 +124,19 @@ impl Tim {
         self.compare_event(index, context);
     }
 
-    /// CCxIF and what goes with it.
+    /// Sets CCxIF, and makes the channel's requests and triggers.
     pub(super) fn compare_event(&mut self, index: usize, context: &mut Context<'_>) {
         self.sr |= 2 << index;
         if self.dier >> index & 0x200 != 0 && self.cr2 & CCDS == 0 {
             self.request(self.kind.channel_requests[index], context);
         }
-        // MMS = 3: a pulse for each event of channel 1, also when the flag is still set.
+        // MMS = 3 makes a trigger pulse for each event of channel 1, also while the flag is still set.
         if index == 0 && self.master_mode() == 3 {
             self.trigger(context);
         }
     }
 
-    /// Counts to the channel's next compare event, given those to the overflow.
+    /// Returns the counts to the channel's next compare event, given those to the overflow.
     pub(super) fn counts_to_match(&self, index: usize, to_overflow: u64) -> u64 {
         let compare = self.channels[index].compare;
         let top = if self.count <= self.arr { self.arr } else { self.kind.top() };
@@ -149,7 +149,7 @@ impl Tim {
         }
     }
 
-    /// Counts to the next edge of an enabled output; none if it stays as it is.
+    /// Returns the counts to the next edge of an enabled output; `None` if it does not change.
     pub(super) fn counts_to_edge(&self, index: usize, to_overflow: u64) -> Option<u64> {
         if !self.is_output(index) || !self.is_enabled(index) {
             return None;
@@ -181,14 +181,14 @@ impl Tim {
         input::filter_ns(self.mode_byte(index) >> 4, division, self.clock.frequency_hz)
     }
 
-    /// The enabled channels that capture input `input`.
+    /// Returns the enabled channels that capture input `input`.
     pub(super) fn capturing(&self, input: usize) -> impl Iterator<Item = usize> {
-        // CCxS: 1 is the channel's own input, 2 that of its neighbour.
+        // CCxS: 1 selects the channel's own input, 2 that of its neighbour.
         let own = move |index: usize, select: u32| index == input && select == 1 || index == input ^ 1 && select == 2;
         (0..self.kind.channels).filter(move |&index| self.is_enabled(index) && own(index, self.mode_byte(index) & 3))
     }
 
-    /// The level behind an input's filter has changed.
+    /// Handles a change of the level behind an input's filter.
     pub(super) fn input_changed(&mut self, input: usize, at_ns: u64, context: &mut Context<'_>) {
         self.crossed = true;
         let encoder = self.encoder_mode().filter(|_| input < 2 && self.cr1 & CEN != 0);
@@ -211,13 +211,13 @@ impl Tim {
         }
     }
 
-    /// Half periods of a clock at TI1, of which `told` are behind, up to the channel's next capture.
+    /// Returns the half periods of a clock at TI1 up to the channel's next capture, `told` of which have passed.
     pub(super) fn halves_to_capture(&self, index: usize, told: u64) -> u64 {
         let every = 1_u64 << (self.mode_byte(index) >> 2 & 3);
         let edges = every.saturating_sub(self.channels[index].edges.into()).max(1);
         match self.polarity(index) {
             (_, true) => edges,
-            // Odd ones rise.
+            // Odd half periods begin with a rising edge.
             (inverted, false) => {
                 let first = if (told & 1 != 0) == inverted { 1 } else { 2 };
                 first + 2 * (edges - 1)
@@ -235,7 +235,7 @@ impl Tim {
         }
     }
 
-    /// CCRx takes the count; CCxOF if the last capture was not fetched.
+    /// Captures the count in CCRx; sets CCxOF if the last capture was not read.
     pub(super) fn capture(&mut self, index: usize, context: &mut Context<'_>) {
         if self.sr & 2 << index != 0 {
             self.sr |= 0x200 << index;
@@ -245,12 +245,12 @@ impl Tim {
         self.compare_event(index, context);
     }
 
-    /// SMS 1 to 3 of a timer that has an encoder interface.
+    /// Returns SMS 1 to 3 of a timer with an encoder interface.
     pub(super) fn encoder_mode(&self) -> Option<u32> {
         Some(self.smcr & 7).filter(|mode| self.kind.has_encoder && (1..=3).contains(mode))
     }
 
-    /// An edge of TI1 or TI2 moves the count (RM0399, TIM2 to 5, encoder interface).
+    /// Handles an edge of TI1 or TI2 in encoder mode, which moves the count (RM0399, TIM2 to 5, encoder interface).
     fn encoder_edge(&mut self, mode: u32, input: usize, at_ns: u64, context: &mut Context<'_>) {
         // Mode 1 counts the edges of TI1, mode 2 those of TI2, mode 3 both.
         if mode & 1 << input == 0 {
@@ -258,7 +258,7 @@ impl Tim {
         }
         let level = |index: usize| self.inputs[index].filtered != self.polarity(index).0;
         let (first, second) = (level(0), level(1));
-        // TI1 before TI2 counts up: a rising TI1 while TI2 is low, a rising TI2 while TI1 is high, and so on.
+        // The count goes up if TI1 leads TI2: TI1 rises while TI2 is low, TI2 rises while TI1 is high, and so on.
         let up = if input == 0 { first != second } else { first == second };
         self.step(up, at_ns, context);
     }

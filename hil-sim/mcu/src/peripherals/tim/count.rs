@@ -1,15 +1,15 @@
-//! The counter, its updates, and when something happens next.
+//! Counter, its updates, and the time of the next event.
 
 use super::{AOE, CCDS, CEN, DIR, MOE, OPM, OUTPUT_BATCH_NS, Tim, UDE, UDIS, UIF, URS};
 use crate::context::Context;
 
 impl Tim {
-    /// Counts its own clock.
+    /// Returns true while the timer counts its own clock.
     pub(super) fn is_running(&self) -> bool {
         self.cr1 & CEN != 0 && self.encoder_mode().is_none()
     }
 
-    /// Nothing written waits for the next update.
+    /// Returns true if no preloaded value waits for the next update.
     pub(super) fn is_settled(&self) -> bool {
         let channels = &self.channels[..self.kind.channels];
         self.psc == self.psc_preload
@@ -17,14 +17,16 @@ impl Tim {
             && channels.iter().all(|channel| channel.compare == channel.preload)
     }
 
-    /// Works everything out up to `now_ns`: counts, and what filters have let through meanwhile.
+    /// Computes everything up to `now_ns`: counts, and the edges that filters have passed meanwhile.
     pub(super) fn run_to(&mut self, now_ns: u64, context: &mut Context<'_>) {
         loop {
             let passing = self.inputs.iter().enumerate().filter_map(|(n, input)| Some((input.passes_ns?, Some(n))));
             let ticking = self.next_source_ns().map(|at_ns| (at_ns, None));
+            // Of all pending edges the earliest one is handled first, so that counts and captures keep their order.
             let Some((at_ns, index)) = passing.chain(ticking).min().filter(|&(at_ns, _)| at_ns <= now_ns) else {
                 break;
             };
+            // A late edge counts as of the last access.
             let at_ns = at_ns.max(self.now_ns);
             self.count_to(at_ns, context);
             self.now_ns = at_ns;
@@ -50,7 +52,8 @@ impl Tim {
         while self.cr1 & CEN != 0 {
             let per_count = u64::from(self.psc) + 1;
             let clocks = self.prescaled + (target - self.done);
-            // "The counter is blocked while the auto-reload value is null" (RM0399, TIMx_ARR).
+            // ARR = 0 stops the counter: "The counter is blocked while the auto-reload value is null" (RM0399,
+            // TIMx_ARR).
             let counts = if self.arr == 0 { 0 } else { clocks / per_count };
             let to_boundary = self.counts_to_boundary();
             if counts < to_boundary {
@@ -59,9 +62,11 @@ impl Tim {
                 self.done = target;
                 return;
             }
+            // The prescaler restarts at each boundary, so the clocks already in it are taken off.
             self.done += to_boundary * per_count - self.prescaled;
             self.prescaled = 0;
             let at_ns = self.clock.when_ns(self.done);
+            // Periods are skipped from an overflow on.
             if self.cross_boundary(to_boundary, at_ns, context) {
                 overflows += 1;
                 self.skip_periods(overflows, target);
@@ -70,12 +75,12 @@ impl Tim {
     }
 
     fn counts_to_overflow(&self) -> u64 {
-        // Beyond the auto-reload value it runs on to the end.
+        // A count beyond the auto-reload value continues to the end of the range.
         let last = if self.count <= self.arr { self.arr } else { self.kind.top() };
         last + 1 - self.count
     }
 
-    /// To the overflow or the next count that a channel compares with.
+    /// Returns the counts to the overflow or the next compare value of a channel.
     fn counts_to_boundary(&self) -> u64 {
         let overflow = self.counts_to_overflow();
         (0..self.kind.channels)
@@ -85,10 +90,11 @@ impl Tim {
             .fold(overflow, |counts, compare| counts.min(compare - self.count))
     }
 
-    /// Counts up to a boundary; true if it was the overflow.
+    /// Counts up to a boundary; returns true if it was the overflow.
     fn cross_boundary(&mut self, counts: u64, at_ns: u64, context: &mut Context<'_>) -> bool {
         self.crossed = true;
         let (last, within) = (self.count + counts, self.count <= self.arr);
+        // A count above ARR wraps at the end of the range, which is no update.
         let overflow = within && last > self.arr || last > self.kind.top();
         self.count = if overflow { 0 } else { last };
         if overflow && within {
@@ -107,14 +113,15 @@ impl Tim {
         }
     }
 
-    /// The count has passed an end.
+    /// Handles an overflow of the count.
     fn overflow(&mut self, context: &mut Context<'_>) {
         for index in 0..self.kind.channels {
-            // A compare value that is never reached is told at the overflow (RM0399, TIMx_SR, CC1IF).
+            // A compare value that is never reached sets its flag at the overflow (RM0399, TIMx_SR, CC1IF).
             if self.is_output(index) && self.channels[index].compare > self.arr {
                 self.compare_event(index, context);
             }
         }
+        // The repetition counter delays the update by this many overflows.
         if self.repetitions > 0 {
             self.repetitions -= 1;
             return;
@@ -128,7 +135,7 @@ impl Tim {
         }
     }
 
-    /// An update event: what was written comes into use.
+    /// Carries out an update event: preloaded values take effect.
     pub(super) fn update(&mut self, by_counter: bool, context: &mut Context<'_>) {
         self.psc = self.psc_preload;
         self.arr = self.arr_preload;
@@ -139,6 +146,7 @@ impl Tim {
         if self.bdtr & AOE != 0 {
             self.bdtr |= MOE;
         }
+        // URS limits flag and requests to overflows.
         if by_counter || self.cr1 & URS == 0 {
             self.sr |= UIF;
             if self.dier & UDE != 0 {
@@ -155,7 +163,7 @@ impl Tim {
         }
     }
 
-    /// EGR.UG: the counter and the prescaler start over.
+    /// Handles EGR.UG: counter and prescaler restart.
     pub(super) fn generate_update(&mut self, context: &mut Context<'_>) {
         let down = self.encoder_mode().is_some() && self.cr1 & DIR != 0;
         self.prescaled = 0;
@@ -169,7 +177,7 @@ impl Tim {
         self.tell_outputs(self.now_ns, context);
     }
 
-    /// One count of the encoder interface.
+    /// Handles one count of the encoder interface.
     pub(super) fn step(&mut self, up: bool, at_ns: u64, context: &mut Context<'_>) {
         self.cr1 = if up { self.cr1 & !DIR } else { self.cr1 | DIR };
         self.prescaled += 1;
@@ -180,6 +188,7 @@ impl Tim {
         if self.arr == 0 {
             return;
         }
+        // An update belongs to a wrap at ARR only, not to one at the end of the range.
         if up && (self.count == self.arr || self.count == self.kind.top()) {
             let end = self.count == self.arr;
             self.count = 0;
@@ -196,25 +205,27 @@ impl Tim {
         self.tell_outputs(at_ns, context);
     }
 
-    /// Skips periods that change nothing. Flags stay set once they are, and levels that toggle are back after two updates.
+    /// Skips periods that change nothing: flags stay set, and toggled levels are restored after two updates.
     fn skip_periods(&mut self, overflows: u64, target: u64) {
+        // Two updates restore the repetition counter, and an even number of periods restores toggled outputs.
         let cycle = 2 * (u64::from(self.rcr_preload) + 1);
         let settled = self.repetitions == self.rcr_preload && self.arr != 0 && self.count == 0;
         if overflows < cycle || !settled || !self.is_quiet() {
             return;
         }
+        // Whole cycles are skipped, so that the phase of count, prescaler and repetitions stays.
         let clocks = cycle * (self.arr + 1) * (u64::from(self.psc) + 1);
         self.done += (target - self.done) / clocks * clocks;
     }
 
-    /// No period does anything that others see.
+    /// Returns true if no period has an effect that others can observe.
     fn is_quiet(&self) -> bool {
         let asks = self.dier & 0x1f00 != 0 || matches!(self.master_mode(), 2 | 3) || self.cr1 & OPM != 0;
         let to_overflow = self.counts_to_overflow();
         self.is_settled() && !asks && (0..self.kind.channels).all(|n| self.counts_to_edge(n, to_overflow).is_none())
     }
 
-    /// When others can see the next thing this timer does.
+    /// Returns the time of the next event of this timer that others can observe, ns.
     pub(super) fn find_next_event(&self) -> u64 {
         let filtered = self.inputs.iter().enumerate().filter(|&(n, _)| self.watches(n as u8 + 1));
         let filtered_ns = filtered.filter_map(|(_, input)| input.passes_ns).min().unwrap_or(u64::MAX);
@@ -225,6 +236,7 @@ impl Tim {
         let to_overflow = self.counts_to_overflow();
         let mut counts = u64::MAX;
         let mut edge = u64::MAX;
+        // An event counts only if it changes what others observe: a flag that is set already does not.
         let update = self.dier & UIF & !self.sr != 0
             || self.dier & UDE != 0
             || self.master_mode() == 2
@@ -242,12 +254,13 @@ impl Tim {
                 edge = edge.min(next);
             }
         }
+        // Edges soon after the last report wait for the batch.
         let edge_ns = self.when_ns(edge).max(self.told_ns.saturating_add(OUTPUT_BATCH_NS));
         let edge_ns = if edge == u64::MAX { u64::MAX } else { edge_ns };
         filtered_ns.min(self.when_ns(counts)).min(edge_ns)
     }
 
-    /// When that many counts from now are through.
+    /// Returns the time after `counts` more counts, ns.
     fn when_ns(&self, counts: u64) -> u64 {
         if counts == u64::MAX {
             return u64::MAX;

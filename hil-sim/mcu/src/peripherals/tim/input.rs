@@ -1,6 +1,7 @@
-//! An input of a timer, with its digital filter.
+//! Input of a timer with its digital filter.
 
-/// Samples and divider of f_DTS for each value of ICxF (RM0399, TIMx_CCMR1, IC1F); 0 divides nothing: f_CK_INT.
+/// Number of samples, and divider of f_DTS, for each value of ICxF (RM0399, TIMx_CCMR1, IC1F); divider 0 means
+/// f_CK_INT.
 const FILTER: [(u64, u64); 16] = [
     (0, 0),
     (2, 0),
@@ -20,32 +21,32 @@ const FILTER: [(u64, u64); 16] = [
     (8, 32),
 ];
 
-/// How long a level must last to pass a filter, ns, rounded up. `division` is what CKD divides f_DTS by.
+/// Returns the time that a level must last to pass a filter, ns, rounded up. `division` is CKD's divider of f_DTS.
 ///
-/// The sampling clock's phase is not modelled: the level passes exactly this long after its edge.
+/// The phase of the sampling clock is not modelled: the level passes exactly this long after its edge.
 pub(super) fn filter_ns(icf: u32, division: u64, hz: u64) -> u64 {
     let (samples, divider) = FILTER[(icf & 15) as usize];
     let clocks = samples * if divider == 0 { 1 } else { divider * division };
     if hz == 0 { 0 } else { (clocks * 1_000_000_000).div_ceil(hz) }
 }
 
-/// TI1 to TI4.
+/// State of an input, TI1 to TI4.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Input {
-    /// At the pin.
+    /// Level at the pin.
     pub(super) raw: bool,
-    /// Behind the filter.
+    /// Level behind the filter.
     pub(super) filtered: bool,
-    /// When the filter will follow the pin.
+    /// Time at which the filter will follow the pin, ns.
     pub(super) passes_ns: Option<u64>,
 }
 
 impl Input {
-    /// The pin changes. True if the level behind the filter follows at once.
+    /// Handles an edge at the pin; returns true if the level behind the filter follows at once.
     pub(super) fn edge(&mut self, high: bool, at_ns: u64, filter_ns: u64) -> bool {
         self.raw = high;
         if high == self.filtered {
-            // Back before the filter has followed: the pulse was too short.
+            // The level returned before the filter followed: the pulse was too short.
             self.passes_ns = None;
             return false;
         }
@@ -57,7 +58,7 @@ impl Input {
         true
     }
 
-    /// The filter follows the pin.
+    /// Lets the filter follow the pin.
     pub(super) fn pass(&mut self) {
         self.passes_ns = None;
         self.filtered = self.raw;
@@ -70,7 +71,7 @@ mod tests {
 
     #[test]
     fn the_filters_of_the_manual() {
-        // 240 MHz: two samples at the timer's clock are 8.3 ns; 8 samples of f_DTS/32 with CKD = 4 are 4267 ns.
+        // At 240 MHz two samples at the timer's clock are 8.3 ns; 8 samples of f_DTS/32 with CKD = 4 are 4267 ns.
         assert_eq!(filter_ns(0, 1, 240_000_000), 0);
         assert_eq!(filter_ns(1, 4, 240_000_000), 9);
         assert_eq!(filter_ns(15, 4, 240_000_000), 4267);

@@ -1,33 +1,33 @@
-//! Which timer has what (RM0399, one chapter for each group).
+//! Features of each timer (RM0399, one chapter for each group).
 
 use crate::context::Clocks;
 
-/// One timer of the chip.
+/// Features of one timer of the chip.
 #[derive(Debug)]
 pub(super) struct Kind {
     pub(super) number: u8,
     pub(super) name: &'static str,
-    /// Capture/compare channels.
+    /// Number of capture/compare channels.
     pub(super) channels: usize,
     pub(super) is_32_bit: bool,
-    /// On APB2.
+    /// The timer is on APB2.
     apb2: bool,
-    /// Counting direction by quadrature inputs; center-aligned counting belongs to the same timers.
+    /// Encoder interface; center-aligned counting belongs to the same timers.
     pub(super) has_encoder: bool,
     pub(super) has_cr2: bool,
     pub(super) has_smcr: bool,
     /// Mask of the repetition counter, 0 without one. Timers with it also have BDTR.
     pub(super) repetition: u32,
-    /// Bursts (DCR, DMAR).
+    /// DMA bursts (DCR, DMAR).
     pub(super) has_burst: bool,
-    /// DMAMUX1 inputs of the channels and of the update, 0 without.
+    /// Inputs of DMAMUX1 for the channels and the update; 0 for none.
     pub(super) channel_requests: [u8; 4],
     pub(super) update_request: u8,
-    /// Which flags of SR are on which interrupt.
+    /// Flags of SR on each interrupt.
     pub(super) vectors: &'static [(u32, u16)],
 }
 
-/// SR: UIF, CC1IF to CC4IF, COMIF, TIF, BIF and B2IF.
+/// Flags of SR: UIF, CC1IF to CC4IF, COMIF, TIF, BIF and B2IF.
 const ALL: u32 = 0x1ff;
 const UPDATE: u32 = 1;
 const COMPARE: u32 = 0x1e;
@@ -162,7 +162,7 @@ impl Kind {
         if self.apb2 { clocks.tim_apb2_hz } else { clocks.tim_apb1_hz }
     }
 
-    /// The largest count.
+    /// Returns the largest count.
     pub(super) fn top(&self) -> u64 {
         if self.is_32_bit { u64::from(u32::MAX) } else { 0xffff }
     }

@@ -1,22 +1,23 @@
-//! Timers TIM1 to 8 and 12 to 17 (RM0399, one chapter for each group).
+//! Timers TIM1 to TIM8 and TIM12 to TIM17 (RM0399, one chapter for each group).
 //!
-//! **Time.** A timer counts nothing by itself: whenever it is looked at it works out, exactly, what has happened since the
-//! last time. It asks to be advanced ([`Peripheral::next_event_ns`]) only for what others can see: an enabled interrupt or DMA
-//! request, a trigger output that fires, an edge of an enabled output, a captured edge that a filter still holds back. A free
-//! running timer costs nothing; any number of its periods is skipped at once.
+//! **Time.** A timer does not count by itself: at each access it computes exactly the events since the last one. It
+//! requests to be advanced ([`Peripheral::next_event_ns`]) only for events that others can observe: an enabled
+//! interrupt or DMA request, a trigger output that fires, an edge of an enabled output, a captured edge that a filter
+//! still delays. A free-running timer costs nothing; any number of its periods is skipped at once.
 //!
-//! **Outputs.** An edge of an output is told as `Signal::TimerOutput` with its exact time. Edges that follow one another within
-//! [`OUTPUT_BATCH_NS`] may be told together, late by at most that, so that a fast PWM does not cost an event for each; an edge
-//! after a longer pause is told at its time. Accesses and other events tell what is due as well, so edges are always told in
-//! order, and before anything that an access does. A disabled output counts as low ([`Tim::drives`] tells whether it drives).
+//! **Outputs.** An edge of an output is a `Signal::TimerOutput` with its exact time. Edges that follow one another
+//! within [`OUTPUT_BATCH_NS`] may be reported together, late by at most that, so that a fast PWM does not cost an event
+//! for each; an edge after a longer pause is reported at its time. Accesses and other events report due edges as well,
+//! so edges always come in order, and before any effect of an access. A disabled output counts as low ([`Tim::drives`]
+//! returns whether it drives).
 //!
-//! **Inputs.** [`Tim::edge`] takes the edges of the pins, each before the timer is accessed at a later time. Behind the filter
-//! they are captured, or move an encoder's count. Two clock periods of synchronization are left out. TI1 of TIM15, 16 and 17 can be
-//! an oscillator (TISEL, `source`), by which a program compares one clock with another.
+//! **Inputs.** [`Tim::edge`] takes the edges of the pins, each before the timer is accessed at a later time. Behind the
+//! filter they are captured, or move an encoder's count. Two clock periods of synchronization are not modelled. TI1 of
+//! TIM15, 16 and 17 can be an oscillator (TISEL, `source`), by which a program compares one clock with another.
 //!
-//! Not modelled, and refused: center-aligned and down counting, slave modes other than the encoder's, capture of TRC, the
-//! external trigger, combined and retriggerable modes, channels 5 and 6, complementary outputs, commutation. Break inputs are
-//! ignored, and reported when they are enabled.
+//! Center-aligned and down counting, slave modes other than the encoder's, capture of TRC, the external trigger,
+//! combined and retriggerable modes, channels 5 and 6, complementary outputs and commutation are not modelled and end
+//! the run. Break inputs are ignored, and reported when they are enabled.
 
 mod channel;
 mod count;
@@ -36,10 +37,10 @@ use crate::context::{Context, Signal, Ticks};
 use crate::peripheral::{Peripheral, Size, Unmodelled};
 use crate::peripherals::width;
 
-/// How late an output's edge may be told, when another was told this short before it.
+/// Largest delay in the report of an output's edge that follows another one within this time, ns.
 pub const OUTPUT_BATCH_NS: u64 = 20_000;
 
-/// CR1.
+/// Bits of the register CR1.
 const CEN: u32 = 1;
 const UDIS: u32 = 1 << 1;
 const URS: u32 = 1 << 2;
@@ -48,17 +49,17 @@ const DIR: u32 = 1 << 4;
 const CMS: u32 = 3 << 5;
 const ARPE: u32 = 1 << 7;
 const UIFREMAP: u32 = 1 << 11;
-/// CR2.
+/// Bit of the register CR2.
 const CCDS: u32 = 1 << 3;
-/// SR and DIER.
+/// Bits of the registers SR and DIER.
 const UIF: u32 = 1;
 const UDE: u32 = 1 << 8;
-/// BDTR.
+/// Bits of the register BDTR.
 const OSSI: u32 = 1 << 10;
 const AOE: u32 = 1 << 14;
 const MOE: u32 = 1 << 15;
 
-/// A timer.
+/// State of one timer.
 #[derive(Debug)]
 pub struct Tim {
     kind: &'static Kind,
@@ -72,40 +73,40 @@ pub struct Tim {
     bdtr: u32,
     dcr: u32,
     af: [u32; 2],
-    /// The prescaler, the auto-reload value and the repetitions as written, and as in use.
+    /// Prescaler, auto-reload value and repetitions, as written and as in use.
     psc_preload: u32,
     psc: u32,
     arr_preload: u64,
     arr: u64,
     rcr_preload: u32,
-    /// Overflows until the next update.
+    /// Number of overflows until the next update.
     repetitions: u32,
     count: u64,
     channels: [Channel; 4],
     inputs: [Input; 4],
-    /// What TI1 is instead of the pin.
+    /// Oscillator at TI1 in place of the pin.
     source: Option<Source>,
-    /// The timer's clock since counting began, and how much of it was counted.
+    /// Ticks of the timer's clock since counting began, and the number already counted.
     clock: Ticks,
     done: u64,
-    /// Clocks within the present count.
+    /// Clocks within the present count (prescaler).
     prescaled: u64,
-    /// Up to when everything is worked out.
+    /// Time up to which everything is computed, ns.
     now_ns: u64,
-    /// Something has happened since the next event was worked out.
+    /// An event has occurred since the next one was computed.
     crossed: bool,
-    /// When an output's edge was last told.
+    /// Time of the last report of an output's edge, ns.
     told_ns: u64,
     next_ns: u64,
-    /// Interrupt lines that are set, by index in the kind's vectors.
+    /// Asserted interrupt lines, by index in the kind's vectors.
     lines: u8,
-    /// Accesses to DMAR within the present burst, and the request that asked for it.
+    /// Number of accesses to DMAR in the present burst, and the request that started it.
     burst: u32,
     burst_request: u8,
 }
 
 impl Tim {
-    /// TIM`number`, as after a reset.
+    /// Makes TIM`number` in its reset state.
     ///
     /// # Panics
     /// If the chip has no such timer: there are 1 to 8 and 12 to 17.
@@ -127,7 +128,7 @@ impl Tim {
             ccer: 0,
             bdtr: 0,
             dcr: 0,
-            // BKINE and BK2INE are set after reset.
+            // After reset, BKINE and BK2INE are set.
             af: if kind.has_break() { [1; 2] } else { [0; 2] },
             psc_preload: 0,
             psc: 0,
@@ -152,9 +153,9 @@ impl Tim {
         }
     }
 
-    /// The pin of input TI`channel` (1 to 4) has this level from `at_ns` on. Also to be called when a pin is connected to the
-    /// timer. Edges come in order of time, and before the timer is accessed or advanced beyond them; one that is late counts
-    /// as of the last look.
+    /// Sets the level at the pin of input TI`channel` (1 to 4) from `at_ns` on; call it also when a pin is connected to
+    /// the timer. Edges come in order of time, and before the timer is accessed or advanced beyond them; a late one
+    /// counts as of the last access.
     pub fn edge(&mut self, channel: u8, high: bool, at_ns: u64, context: &mut Context<'_>) {
         let Some(index) = usize::from(channel).checked_sub(1).filter(|&index| index < self.kind.channels) else {
             return;
@@ -174,7 +175,7 @@ impl Tim {
         self.leave(context);
     }
 
-    /// Whether an edge at input TI`channel` does anything.
+    /// Returns true if an edge at input TI`channel` has any effect.
     #[must_use]
     pub fn listens(&self, channel: u8) -> bool {
         let index = usize::from(channel).wrapping_sub(1);
@@ -182,7 +183,8 @@ impl Tim {
         index < self.kind.channels && (encoder || self.capturing(index).next().is_some())
     }
 
-    /// Whether an edge at input TI`channel` must be told when it happens, because an interrupt or a DMA request may follow.
+    /// Returns true if an edge at input TI`channel` must be reported at its time, because an interrupt or a DMA request
+    /// may follow.
     #[must_use]
     pub fn watches(&self, channel: u8) -> bool {
         let index = usize::from(channel).wrapping_sub(1);
@@ -193,18 +195,18 @@ impl Tim {
         encoder || self.capturing(index).any(|channel| self.dier >> channel & 0x202 != 0)
     }
 
-    /// Whether the levels of its inputs must be up to date for an access: they move the count or are captured, or the write
-    /// may be the one from which on they do.
+    /// Returns true if the input levels must be up to date for an access: they move the count or are captured, or the
+    /// write may enable that.
     #[must_use]
     pub fn needs_inputs(&self, offset: u32, write: bool) -> bool {
         let encoder = self.encoder_mode().is_some() && self.cr1 & CEN != 0;
         let captures = |index| self.is_enabled(index) && !self.is_output(index);
-        // SR, DIER, CNT and CCRx set nothing up.
+        // Writes to SR, DIER, CNT and CCRx configure nothing.
         let sets_up = write && !matches!(offset & !3, 0x0C | 0x10 | 0x24 | 0x34..=0x40);
         sets_up || encoder || (0..self.kind.channels).any(captures)
     }
 
-    /// [`Tim::watches`] of every input: bit 0 is TI1.
+    /// Returns [`Tim::watches`] of all inputs: bit 0 is TI1.
     #[must_use]
     pub fn watching(&self) -> u8 {
         if self.dier & 0x1f1f == 0 {
@@ -214,20 +216,21 @@ impl Tim {
         (first..4).filter(|index| self.watches(index + 1)).fold(0, |bits, index| bits | 1 << index)
     }
 
-    /// The level of output OC`channel` (1 to 4); low when it does not drive.
+    /// Returns the level of output OC`channel` (1 to 4); low while it does not drive.
     #[must_use]
     pub fn output(&self, channel: u8) -> bool {
         self.channels.get(usize::from(channel).wrapping_sub(1)).is_some_and(|channel| channel.level)
     }
 
-    /// Whether output OC`channel` drives its pin: CCxE, and with a main output enable (TIM1, 8, 15 to 17) MOE or OSSI.
+    /// Returns true if output OC`channel` drives its pin: CCxE, and with a main output enable (TIM1, 8, 15 to 17) MOE
+    /// or OSSI.
     #[must_use]
     pub fn drives(&self, channel: u8) -> bool {
         let index = usize::from(channel).wrapping_sub(1);
         index < self.kind.channels && self.is_driving(index)
     }
 
-    /// Works out what has happened, up to now.
+    /// Computes all events up to now, before an access.
     fn enter(&mut self, context: &mut Context<'_>) {
         let now_ns = context.now_ns.max(self.now_ns);
         self.run_to(now_ns, context);
@@ -242,9 +245,9 @@ impl Tim {
         }
     }
 
-    /// Sets interrupt lines and the next event by the present state.
+    /// Updates interrupt lines and the next event, after an access.
     fn leave(&mut self, context: &mut Context<'_>) {
-        // Enable bits lie as their flags, but BIE is for both break flags.
+        // Enable bits are at the places of their flags, except BIE, which enables both break flags.
         let enabled = self.dier & 0xff | (self.dier & 0x80) << 1;
         for (index, &(flags, number)) in self.kind.vectors.iter().enumerate() {
             let level = self.sr & enabled & flags != 0;

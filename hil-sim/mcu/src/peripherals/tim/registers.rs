@@ -1,4 +1,4 @@
-//! Registers: what can be read, written, and what is refused.
+//! Register accesses: reads, writes, and refused settings.
 
 use super::{ARPE, CEN, CMS, DIR, MOE, Source, Tim, UDE, UIF, UIFREMAP};
 use crate::context::{Context, Ticks};
@@ -59,14 +59,14 @@ impl Tim {
         if (CCR1..=CCR4).contains(&offset) {
             let index = ((offset - CCR1) / 4) as usize;
             if !self.is_output(index) {
-                // Fetching a capture clears its flag.
+                // Reading a captured value clears its flag.
                 self.sr &= !(2 << index);
             }
         }
         Ok(value)
     }
 
-    /// A register's value, without what reading does.
+    /// Returns a register's value without the side effects of a read.
     fn peek(&self, offset: u32) -> Result<u32, Unmodelled> {
         if !self.has(offset) {
             return Err(Unmodelled::register(self.kind.name, offset));
@@ -113,7 +113,7 @@ impl Tim {
                 );
                 return self.refuse(format!("a byte written to offset {offset:#x}"));
             }
-            // What is not written does nothing.
+            // Unwritten bits must have no effect.
             (Size::Half, EGR) => width::merge(0, offset, size, value),
             (Size::Half, SR) => width::merge(u32::MAX, offset, size, value),
             (Size::Half, DMAR) => value,
@@ -142,6 +142,7 @@ impl Tim {
             PSC => self.psc_preload = value & 0xffff,
             ARR => {
                 self.arr_preload = u64::from(value) & self.kind.top();
+                // Without preload the new limit applies at once; with it, from the next update event on.
                 if self.cr1 & ARPE == 0 {
                     self.arr = self.arr_preload;
                 }
@@ -151,6 +152,7 @@ impl Tim {
             BDTR => self.write_bdtr(value, context),
             DCR => {
                 self.dcr = value & 0x1f1f;
+                // A write of DCR starts the burst at its base address again.
                 self.burst = 0;
             }
             DMAR => {
@@ -183,19 +185,23 @@ impl Tim {
         if value & CMS != 0 {
             return self.refuse("center-aligned counting (CMS)");
         }
+        // In encoder mode DIR is read-only: the inputs define the direction.
         if self.encoder_mode().is_some() {
             value = value & !DIR | self.cr1 & DIR;
         }
         let started = value & !self.cr1 & CEN != 0;
         self.cr1 = value;
+        // The end of preload makes a pending limit effective at once.
         if value & ARPE == 0 {
             self.arr = self.arr_preload;
         }
         self.check_direction()?;
+        // The prescaler's clock counts from the rising edge of CEN.
         if started {
             let frequency_hz = self.kind.hz(context.clocks);
             self.clock = Ticks { start_ns: self.now_ns, frequency_hz, divider: 1 };
             self.done = 0;
+            // MMS = 1: the trigger output is the counter enable.
             if self.master_mode() == 1 {
                 self.trigger(context);
             }
@@ -230,6 +236,7 @@ impl Tim {
         }
         let was_running = self.is_running();
         self.smcr = value;
+        // The internal clock counts again after the encoder mode, from now on.
         if !was_running && self.is_running() {
             self.clock = Ticks { start_ns: self.now_ns, frequency_hz: self.kind.hz(context.clocks), divider: 1 };
             self.done = 0;
@@ -253,7 +260,7 @@ impl Tim {
             }
         }
         let value = value & mask;
-        // A request that is no longer enabled is no longer made.
+        // A request that is disabled is withdrawn.
         let ended = self.dier & !value;
         self.dier = value;
         if ended & UDE != 0 {
@@ -342,7 +349,7 @@ impl Tim {
     }
 
     fn write_ccr(&mut self, index: usize, value: u32, context: &mut Context<'_>) {
-        // Read-only while the channel is an input.
+        // CCRx is read-only while the channel is an input.
         if !self.is_output(index) {
             return;
         }
@@ -364,7 +371,8 @@ impl Tim {
         self.tell_outputs(self.now_ns, context);
     }
 
-    /// The register that an access to DMAR reaches; the timer asks again until the burst is through (RM0399, TIM2 to 5, DMA burst mode).
+    /// Returns the register that an access to DMAR reaches; the timer repeats its request until the burst is complete
+    /// (RM0399, TIM2 to 5, DMA burst mode).
     fn burst_target(&mut self, context: &mut Context<'_>) -> u32 {
         let target = 4 * ((self.dcr & 0x1f) + self.burst);
         self.burst += 1;
@@ -373,7 +381,7 @@ impl Tim {
         } else if self.burst_request != 0 {
             context.dma(self.burst_request, true);
         }
-        // DMAR itself cannot be meant: no register is there.
+        // A burst that reaches DMAR itself addresses no register.
         if target == DMAR { u32::MAX } else { target }
     }
 }

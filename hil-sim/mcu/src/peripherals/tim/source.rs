@@ -1,9 +1,10 @@
-//! An oscillator in place of the pin at TI1 (RM0399, TIM15_TISEL, TIM16_TISEL, TIM17_TISEL; the codes are recalled, not looked up).
+//! Oscillator at TI1 in place of the pin (RM0399, TIM15_TISEL, TIM16_TISEL, TIM17_TISEL; the codes are recalled, not
+//! looked up).
 
 use super::Tim;
 use crate::context::{Clocks, Context, Ticks};
 
-/// A clock at TI1.
+/// Clock at TI1 of a timer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Source {
     select: u32,
@@ -12,7 +13,7 @@ pub(super) struct Source {
     told: u64,
 }
 
-/// Frequency of a clock that TI1 can be; `None` where it is not modelled.
+/// Returns the frequency of a selected clock, Hz; `None` for one that is not modelled.
 fn hz(timer: u8, select: u32, clocks: &Clocks) -> Option<u64> {
     match (timer, select) {
         (15, 4) | (16, 2) => Some(clocks.lse_hz),
@@ -23,7 +24,7 @@ fn hz(timer: u8, select: u32, clocks: &Clocks) -> Option<u64> {
 }
 
 impl Source {
-    /// By TI1SEL, other than 0.
+    /// Makes the source for a TI1SEL other than 0.
     pub(super) fn new(timer: u8, select: u32, now_ns: u64, clocks: &Clocks) -> Option<Self> {
         let hz = hz(timer, select, clocks)?;
         Some(Self { select, halves: Ticks { start_ns: now_ns, frequency_hz: 2 * hz, divider: 1 }, told: 0 })
@@ -33,11 +34,11 @@ impl Source {
         self.select
     }
 
-    /// The oscillator has another frequency now.
+    /// Takes over a changed frequency of the oscillator.
     pub(super) fn follow(&mut self, timer: u8, now_ns: u64, clocks: &Clocks) {
         let frequency_hz = 2 * hz(timer, self.select, clocks).unwrap_or(0);
         if frequency_hz != self.halves.frequency_hz {
-            // A new period begins.
+            // A change of frequency begins a new period.
             (self.halves, self.told) = (Ticks { start_ns: now_ns, frequency_hz, divider: 1 }, 0);
         }
     }
@@ -48,14 +49,14 @@ impl Source {
 }
 
 impl Tim {
-    /// When the clock at TI1 changes next, where that is captured.
+    /// Returns the time of the next edge at TI1, ns, if it is captured.
     pub(super) fn next_source_ns(&self) -> Option<u64> {
         let source = self.source.as_ref()?;
         self.capturing(0).next()?;
         Some(source.next_ns())
     }
 
-    /// When it is captured next, if that must be told at once.
+    /// Returns the time of the next capture, ns, if it must be reported at once.
     pub(super) fn source_event_ns(&self) -> u64 {
         let Some(source) = self.source.as_ref().filter(|_| self.watches(1)) else { return u64::MAX };
         if self.filter_ns(0) > 0 {
@@ -67,7 +68,7 @@ impl Tim {
         captures.min().unwrap_or(u64::MAX)
     }
 
-    /// The clock at TI1 changes.
+    /// Handles an edge of the clock at TI1.
     pub(super) fn source_edge(&mut self, at_ns: u64, context: &mut Context<'_>) {
         let Some(source) = &mut self.source else { return };
         source.told += 1;
@@ -78,7 +79,7 @@ impl Tim {
         }
     }
 
-    /// Edges of the clock that nobody captured are behind.
+    /// Skips the edges of the clock that no channel captures.
     pub(super) fn skip_source(&mut self, now_ns: u64) {
         let idle = self.capturing(0).next().is_none();
         if let Some(source) = self.source.as_mut().filter(|_| idle) {

@@ -1,4 +1,4 @@
-//! The timers' clock is 240 MHz: a count of 240 clocks is 1 us.
+//! Tests of the timers. Their clock is 240 MHz: 240 clocks are 1 µs.
 
 use proptest::prelude::*;
 
@@ -30,7 +30,7 @@ const DMAR: u32 = 0x4c;
 const US: u64 = 1_000;
 const MS: u64 = 1_000_000;
 
-/// Counts microseconds from 0 to `arr`; the update that loads the prescaler leaves no flag.
+/// Makes a timer that counts microseconds from 0 to `arr`; the update that loads the prescaler leaves no flag.
 fn microseconds(number: u8, arr: u32) -> (Bench, Tim) {
     let (mut bench, mut tim) = (Bench::default(), Tim::new(number));
     bench.write(&mut tim, PSC, 239);
@@ -71,7 +71,7 @@ fn a_period_ends_with_an_update() {
     assert_eq!((bench.read(&mut tim, CNT), bench.read(&mut tim, SR) & 1), (0, 1));
     assert_eq!(irqs(&mut bench), [(29, true)]);
     assert_eq!(tim.next_event_ns(), u64::MAX, "the line is up, nothing more can be seen");
-    // Flags are cleared by 0, and only by 0.
+    // Writing 0 clears a flag, writing 1 does not.
     bench.write(&mut tim, SR, !2);
     assert_eq!(bench.read(&mut tim, SR) & 1, 1);
     bench.write(&mut tim, SR, !1);
@@ -79,7 +79,7 @@ fn a_period_ends_with_an_update() {
     assert_eq!(tim.next_event_ns(), 2 * MS);
 }
 
-/// As embassy-time's driver uses it: a half-way mark on channel 1, the alarm on channel 2, 16-bit accesses to PSC.
+/// Set-up of embassy-time's driver: a half-way mark on channel 1, the alarm on channel 2, 16-bit accesses to PSC.
 #[test]
 fn compare_interrupts_of_a_time_base() {
     let (mut bench, mut tim) = (Bench::default(), Tim::new(5));
@@ -102,7 +102,7 @@ fn compare_interrupts_of_a_time_base() {
     assert_eq!(tim.next_event_ns(), 0x1_0000 * US + 500 * US, "not before it comes round");
     bench.write(&mut tim, DIER, 0b011);
     bench.run(&mut tim, 0x1_0000 * US);
-    // The counts of channels that nobody asked for match as well: 3 and 4 compare with 0, channel 2 with 500.
+    // Unused channels match as well: 3 and 4 compare with 0, channel 2 with 500.
     assert_eq!(bench.read(&mut tim, SR), 0b1_1011);
     assert_eq!(irqs(&mut bench), [(50, false), (50, true)]);
 }
@@ -120,7 +120,7 @@ fn the_prescaler_and_preloaded_values_wait_for_the_update() {
     assert_eq!(bench.read(&mut tim, CNT), 5, "2 us each from the update at 100 us on");
     bench.run(&mut tim, 200 * US);
     assert_eq!(bench.read(&mut tim, CNT), 0, "50 of them");
-    // Without ARPE a new end holds at once; a count beyond it runs to 0xffff, and that is no update.
+    // Without ARPE a new end takes effect at once; a count beyond it continues to 0xffff, which is no update.
     bench.write(&mut tim, CR1, 1);
     bench.run(&mut tim, 260 * US);
     bench.write(&mut tim, SR, 0);
@@ -134,7 +134,7 @@ fn the_prescaler_and_preloaded_values_wait_for_the_update() {
 #[test]
 fn long_idle_times_cost_nothing_and_lose_nothing() {
     let (mut bench, mut tim) = (Bench::default(), Tim::new(14));
-    // 7 clocks of 1/240 us: no whole nanoseconds. An hour has 123 thousand million periods.
+    // A period of 7 clocks of 1/240 µs is no whole number of nanoseconds. An hour has 123 thousand million periods.
     bench.write(&mut tim, ARR, 6);
     bench.write(&mut tim, CCR1, 3);
     bench.write(&mut tim, CR1, 1);
@@ -142,7 +142,7 @@ fn long_idle_times_cost_nothing_and_lose_nothing() {
     let clocks = 3_600 * 240_000_000_u64;
     assert_eq!(u64::from(bench.read(&mut tim, CNT)), clocks % 7);
     assert_eq!(bench.read(&mut tim, SR), 0b11);
-    // From the middle on, to a moment just after an overflow: the compare value is met in periods that are skipped.
+    // The run starts in mid-period and ends just after an overflow: the compare value is reached in skipped periods.
     let (mut bench, mut tim) = (Bench::default(), Tim::new(14));
     bench.write(&mut tim, ARR, 239);
     bench.write(&mut tim, CCR1, 100);
@@ -150,7 +150,7 @@ fn long_idle_times_cost_nothing_and_lose_nothing() {
     bench.write(&mut tim, CR1, 1);
     bench.now_ns = 100 * US + 200;
     assert_eq!((bench.read(&mut tim, CNT), bench.read(&mut tim, SR)), (8, 0b11));
-    // With a repetition counter the phase of the updates stays.
+    // With a repetition counter the phase of the updates is kept.
     let (mut bench, mut tim) = (Bench::default(), Tim::new(16));
     bench.write(&mut tim, ARR, 239);
     bench.write(&mut tim, RCR, 2);
@@ -159,7 +159,7 @@ fn long_idle_times_cost_nothing_and_lose_nothing() {
     bench.now_ns = 1_000_000 * US + US / 2;
     bench.write(&mut tim, SR, 0);
     bench.write(&mut tim, DIER, 1);
-    // 1 000 000 overflows: the next update is the third of 999 999, 1 000 000, 1 000 001... at 1 000 002.
+    // After 1 000 000 overflows the next update is at 1 000 002, the third from 999 999 on.
     bench.run(&mut tim, 1_000_002 * US - 1);
     assert_eq!(bench.read(&mut tim, SR) & 1, 0);
     bench.run(&mut tim, 1_000_002 * US);
@@ -178,7 +178,7 @@ fn a_pwm_has_exact_edges() {
     bench.write(&mut tim, CR1, 1);
     bench.run(&mut tim, 120 * US);
     assert_eq!(edges(&mut bench), [(10 * US, false), (100 * US, true), (110 * US, false)]);
-    // A preloaded duty begins with the next period; 0 and 100 % have no edges.
+    // A preloaded duty takes effect with the next period; 0 and 100 % have no edges.
     bench.write(&mut tim, CCR1, 0);
     bench.run(&mut tim, 250 * US);
     assert_eq!(edges(&mut bench), []);
@@ -195,7 +195,7 @@ fn a_pwm_has_exact_edges() {
 #[test]
 fn fast_edges_are_told_in_batches_and_slow_ones_at_once() {
     let (mut bench, mut tim) = (Bench::default(), Tim::new(13));
-    // 1 MHz, half on.
+    // The output has 1 MHz with a duty of one half.
     bench.write(&mut tim, ARR, 239);
     bench.write(&mut tim, CCMR1, 0x60);
     bench.write(&mut tim, CCR1, 120);
@@ -220,7 +220,7 @@ fn fast_edges_are_told_in_batches_and_slow_ones_at_once() {
 #[test]
 fn one_pulse_ends_the_count() {
     let (mut bench, mut tim) = microseconds(14, 29);
-    // PWM 2: low for 10 us, then high to the end.
+    // PWM mode 2: low for 10 µs, then high to the end.
     bench.write(&mut tim, CCMR1, 0x70);
     bench.write(&mut tim, CCR1, 10);
     bench.write(&mut tim, CCER, 1);
@@ -236,7 +236,7 @@ fn one_pulse_ends_the_count() {
 #[test]
 fn outputs_toggle_set_and_clear_on_a_match() {
     let (mut bench, mut tim) = microseconds(2, 99);
-    // Channel 1 toggles at 30, channel 2 is set at 40, once.
+    // Channel 1 toggles at 30; channel 2 is set at 40, once.
     bench.write(&mut tim, CCMR1, 0x1030);
     bench.write(&mut tim, CCR1, 30);
     bench.write(&mut tim, CCR2, 40);
@@ -244,7 +244,7 @@ fn outputs_toggle_set_and_clear_on_a_match() {
     bench.write(&mut tim, CR1, 1);
     bench.run(&mut tim, 250 * US);
     assert_eq!(edges(&mut bench), [(30 * US, true), (40 * US, true), (130 * US, false), (230 * US, true)]);
-    // Forced, whatever the count.
+    // Forced modes ignore the count.
     bench.write(&mut tim, CCMR1, 0x4050);
     assert_eq!(edges(&mut bench), [(250 * US, false)]);
     assert!(tim.output(1) && !tim.output(2));
@@ -259,7 +259,7 @@ fn advanced_timers_need_their_main_output_enable() {
     assert!(!tim.drives(1) && bench.signals.is_empty());
     bench.write(&mut tim, BDTR, 1 << 15);
     assert_eq!(edges(&mut bench), [(0, true)]);
-    // A break by software ends it; with AOE the next update brings it back.
+    // A break by software turns the output off; with AOE the next update turns it on again.
     bench.write(&mut tim, BDTR, 1 << 15 | 1 << 14);
     bench.write(&mut tim, EGR, 1 << 7);
     assert_eq!(edges(&mut bench), [(0, false)]);
@@ -281,7 +281,7 @@ fn an_echo_is_captured_at_both_edges() {
     assert!(tim.listens(4) && tim.watches(4) && !tim.listens(3));
     input(&mut bench, &mut tim, 4, true, 1_000 * US + 300);
     assert_eq!(irqs(&mut bench), [(28, true)]);
-    // Between the edge and the interrupt's read time passes.
+    // Time passes between the edge and the interrupt handler's read.
     bench.now_ns = 1_005 * US;
     assert_eq!(bench.read(&mut tim, CCR4), 1_000);
     assert_eq!(bench.read(&mut tim, SR) & 1 << 4, 0, "reading clears the flag");
@@ -299,7 +299,7 @@ fn an_echo_is_captured_at_both_edges() {
 #[test]
 fn captures_can_be_divided_and_come_from_the_neighbour() {
     let (mut bench, mut tim) = microseconds(3, 0xffff);
-    // Channel 1: own input, every second rising edge. Channel 2: input 1, falling edges.
+    // Channel 1 captures every second rising edge of its own input, channel 2 the falling edges of input 1.
     bench.write(&mut tim, CCMR1, 0x0205);
     bench.write(&mut tim, CCER, 0x31);
     bench.write(&mut tim, CR1, 1);
@@ -346,7 +346,7 @@ fn an_encoder_counts_every_edge_both_ways() {
         }
     }
     assert_eq!((bench.read(&mut tim, CNT), bench.read(&mut tim, CR1) & 0x10), (20, 0));
-    // Back, and through 0.
+    // The shaft turns back, through 0.
     for _ in 0..6 {
         for (channel, high) in [(2, true), (1, true), (2, false), (1, false)] {
             at_ns += US;
@@ -355,7 +355,7 @@ fn an_encoder_counts_every_edge_both_ways() {
     }
     assert_eq!((bench.read(&mut tim, CNT), bench.read(&mut tim, CR1) & 0x10), (0xfffc, 0x10));
     assert_eq!(bench.read(&mut tim, SR) & 1, 1, "an underflow is an update");
-    // Written back as it was read: DIR belongs to the hardware here.
+    // Writing CR1 back as read does not change DIR, which belongs to the hardware in encoder mode.
     bench.modify(&mut tim, CR1, 0x10, 4);
     assert_eq!(bench.read(&mut tim, CR1) & 0x10, 0x10);
     assert_eq!(tim.next_event_ns(), u64::MAX);
@@ -364,7 +364,7 @@ fn an_encoder_counts_every_edge_both_ways() {
 
 #[test]
 fn an_encoder_can_count_one_input_or_turn_round() {
-    // Mode 1 counts TI1, mode 2 TI2; the third inverts TI1, the last does not count as the timer is off.
+    // Cases: mode 1 counts TI1, mode 2 TI2; the third inverts TI1; the last does not count because the timer is off.
     for (mode, ccer, cr1, expected) in [(1, 0, 1, 2), (2, 0, 1, 2), (3, 2, 1, 0xfffc), (3, 0, 0, 0)] {
         let (mut bench, mut tim) = (Bench::default(), Tim::new(3));
         bench.write(&mut tim, CCMR1, 0x0101);
@@ -381,7 +381,7 @@ fn an_encoder_can_count_one_input_or_turn_round() {
 #[test]
 fn a_filtered_encoder_ignores_bouncing() {
     let (mut bench, mut tim) = (Bench::default(), Tim::new(1));
-    // 8 samples of the timer's clock: 33.3 ns.
+    // The filter takes 8 samples of the timer's clock: 33.3 ns.
     bench.write(&mut tim, CCMR1, 0x3131);
     bench.write(&mut tim, SMCR, 3);
     bench.write(&mut tim, CR1, 1);
@@ -389,7 +389,7 @@ fn a_filtered_encoder_ignores_bouncing() {
         input(&mut bench, &mut tim, 1, high, at_ns);
     }
     assert_eq!(bench.read(&mut tim, CNT), 0);
-    // TI2 follows before the filter has let TI1 through, and comes out after it.
+    // TI2 changes before the filter has passed TI1, and passes after it.
     input(&mut bench, &mut tim, 2, true, 1_080);
     assert_eq!(bench.read(&mut tim, CNT), 0);
     bench.now_ns = 1_094;
@@ -408,7 +408,7 @@ fn dma_requests_follow_updates_and_compares() {
     let cc = Signal::Dma { request: 23, level: true };
     let up = Signal::Dma { request: 27, level: true };
     assert_eq!(bench.take_signals(), [cc, up, cc]);
-    // CCDS: the channels' requests come with the update.
+    // With CCDS the channels' requests come with the update.
     bench.write(&mut tim, CR2, 1 << 3);
     bench.run(&mut tim, 25 * US);
     assert_eq!(bench.take_signals(), [up, cc]);
@@ -439,7 +439,7 @@ fn the_trigger_output_follows_the_master_mode() {
 #[test]
 fn a_burst_writes_several_registers() {
     let (mut bench, mut tim) = microseconds(4, 99);
-    // From CCR1 (13th word) on, two registers.
+    // The burst starts at CCR1 (13th word), and has two registers.
     bench.write(&mut tim, DCR, 1 << 8 | 13);
     bench.write(&mut tim, DIER, 1 << 8);
     bench.write(&mut tim, CR1, 1);
@@ -479,7 +479,7 @@ fn a_new_clock_counts_on() {
 
 #[test]
 fn vectors_of_the_manual() {
-    // Update interrupts of timers that share a vector with another one, or have several.
+    // Update interrupts of timers that share a vector with another, or have several vectors.
     for (number, vector) in
         [(1, 25), (8, 44), (12, 43), (13, 44), (14, 45), (15, 116), (16, 117), (17, 118), (6, 54), (7, 55)]
     {
@@ -545,11 +545,12 @@ fn setting() -> impl Strategy<Value = Setting> {
         .prop_map(|(psc, arr, compare, modes, preload, later)| Setting { psc, arr, compare, modes, preload, later })
 }
 
-/// Runs a timer for 20 us, with new compare values at 7 us, and looks at it at some moments, and if `events` at its own.
+/// Runs a timer for 20 µs, with new compare values at 7 µs; advances it at the given times, and if `events` at its own
+/// too.
 fn observe(setting: &Setting, looks: &[u64], events: bool) -> (Vec<(u64, u8, bool)>, [u32; 3]) {
     let (mut bench, mut tim) = (Bench::default(), Tim::new(12));
     let preload = if setting.preload { 8 } else { 0 };
-    // Interrupts nobody serves, so that there are events.
+    // The interrupts only make events; they are not served.
     let interrupts = if events { 7 } else { 0 };
     bench.write(&mut tim, DIER, interrupts);
     bench.write(&mut tim, CCMR1, setting.modes[0] << 4 | preload | (setting.modes[1] << 4 | preload) << 8);
@@ -590,7 +591,7 @@ fn observe(setting: &Setting, looks: &[u64], events: bool) -> (Vec<(u64, u8, boo
     (edges, [CNT, SR, CCR1].map(|offset| bench.read(&mut tim, offset)))
 }
 
-/// The same, clock by clock, as the manual's figures draw it.
+/// Reference model that computes the same clock by clock, as the manual's figures show it.
 fn reference(setting: &Setting) -> (Vec<(u64, u8, bool)>, [u32; 3]) {
     let mut compare = setting.compare;
     let (mut count, mut prescaler, mut flags) = (0, 0, 1);
@@ -617,7 +618,7 @@ fn reference(setting: &Setting) -> (Vec<(u64, u8, bool)>, [u32; 3]) {
         references[n] = output(setting.modes[n], 0, compare[n], false, false);
     }
     tell(references, 0);
-    // 20 us are 4800 clocks; 7 us come between the 1679th and the 1681st.
+    // 20 µs are 4800 clocks; 7 µs fall between the 1679th and the 1681st.
     for clock in 1..=4_800_u64 {
         let at_ns = (clock * 1_000_000_000).div_ceil(240_000_000);
         if clock == 1_681 && !setting.preload {
@@ -661,7 +662,7 @@ proptest! {
         prop_assert_eq!(observe(&setting, &[], false), reference(&setting));
     }
 
-    /// Lazily or closely watched, a timer does the same.
+    /// Lazy and frequent advances give the same results.
     #[test]
     fn looking_changes_nothing(setting in setting(), mut looks in prop::collection::vec(0..20_000_u64, 0..20)) {
         looks.sort_unstable();
@@ -670,7 +671,7 @@ proptest! {
         prop_assert_eq!(&observe(&setting, &looks, true), &once);
     }
 
-    /// A shaft that turns at random: the count is where it is, modulo the timer's range.
+    /// A shaft turns at random: the count equals its position, modulo the timer's range.
     #[test]
     fn an_encoder_follows_its_shaft(steps in prop::collection::vec(any::<bool>(), 0..500), start in 0..0x1_0000_u32) {
         let (mut bench, mut tim) = (Bench::default(), Tim::new(3));
@@ -692,7 +693,7 @@ proptest! {
 
 const TISEL: u32 = 0x68;
 
-/// TIM16 in microseconds, which captures every eighth rising edge of LSI with an interrupt.
+/// Makes a TIM16 in microseconds that captures every eighth rising edge of LSI with an interrupt.
 fn against_lsi(lsi_hz: u64) -> (Bench, Tim) {
     let (mut bench, mut tim) = microseconds(16, 0xffff);
     bench.clocks.lsi_ready_hz = lsi_hz;
@@ -715,7 +716,7 @@ fn eight_periods_of_the_low_speed_oscillator_are_captured_in_the_timer_s_own_clo
             assert_eq!(irqs(&mut bench), [(117, false)]);
         }
         for pair in captures.windows(2) {
-            // One count is 1 us; the edges fall anywhere within it.
+            // One count is 1 µs; the edges fall anywhere within it.
             assert!((expected_us..=expected_us + 1).contains(&(pair[1] - pair[0])), "{lsi_hz}: {captures:?}");
         }
         bench.assert_no_misuse();
@@ -730,7 +731,7 @@ fn an_oscillator_that_stops_or_is_not_on_is_never_captured() {
     bench.clocks.lsi_ready_hz = 32_000;
     tim.clocks_changed(&mut bench.context());
     let first_ns = tim.next_event_ns();
-    // Seven whole periods and half of one to the eighth rising edge.
+    // The eighth rising edge comes after seven whole periods and half of one.
     assert_eq!(first_ns, 10 * MS + 7_500_000_000 / 32_000);
     bench.run(&mut tim, first_ns);
     bench.clocks.lsi_ready_hz = 0;

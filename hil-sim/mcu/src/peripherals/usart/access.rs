@@ -1,4 +1,4 @@
-//! Accesses to the registers, and time.
+//! Accesses to the registers, and the progress of time.
 
 use crate::context::Context;
 use crate::peripheral::{Peripheral, Size, Unmodelled};
@@ -12,7 +12,7 @@ impl Usart {
         Unmodelled { peripheral: self.port.name, what: what.into() }
     }
 
-    /// Changes only what may be changed now; the rest stays, which is reported.
+    /// Changes only the bits that are writable now; keeps the others and reports the attempt.
     fn locked(&self, register: &str, old: u32, new: u32, locked: u32, context: &mut Context<'_>) -> u32 {
         let refused = (old ^ new) & locked;
         if !self.enabled() || refused == 0 {
@@ -46,6 +46,7 @@ impl Usart {
             return Ok(());
         }
         if turned & (cr1::UE | cr1::TE) != 0 {
+            // The transmitter sends an idle frame first after TE or UE is set.
             if self.on(cr1::TE) {
                 self.transmitter.send_idle_frame();
                 self.load(self.half_bits_from(context.now_ns), 0);
@@ -69,7 +70,7 @@ impl Usart {
         self.transmitter.cut();
     }
 
-    /// UE was cleared: what is going on is discarded, the flags are as after reset (RM0399, 51.8.1, UE).
+    /// Handles UE = 0: frames in progress are discarded, the flags are as after reset (RM0399, 51.8.1, UE).
     fn switch_off(&mut self, context: &mut Context<'_>) {
         self.cut_transmitter("UE", context);
         self.transmitter.flush();
@@ -83,6 +84,7 @@ impl Usart {
         if value & !cr2::MODELLED != 0 {
             return Err(self.unmodelled(format!("CR2 = {value:#010x}: a mode that is not modelled")));
         }
+        // While RE is 1, ADD is locked too.
         let add = if self.on(cr1::RE) { 0xFF << cr2::ADD_AT } else { 0 };
         let value = self.locked("CR2", self.cr2, value, cr2::LOCKED | add, context);
         if value & cr2::RTOEN == 0 {
@@ -127,13 +129,14 @@ impl Usart {
         }
     }
 
-    /// Everything up to now, in order of time.
+    /// Carries out all events up to now, in order of time.
     fn bring_to_now(&mut self, context: &mut Context<'_>) {
         self.kernel_hz = self.kernel_hz_of(context.clocks);
         loop {
             let sent_ns = self.transmitter.next_ns();
             let received = self.receiver_next();
             let received_ns = received.map_or(u64::MAX, |(at_ns, _)| at_ns);
+            // At the same time, the transmitter's event comes first.
             if let Some(at_ns) = sent_ns.filter(|at_ns| *at_ns <= context.now_ns && *at_ns <= received_ns) {
                 self.frame_sent(at_ns, context);
             } else if let Some((_, happens)) = received.filter(|(at_ns, _)| *at_ns <= context.now_ns) {
@@ -208,7 +211,7 @@ impl Peripheral for Usart {
     }
 
     fn stable_until_ns(&self, offset: u32, _: u64) -> Option<u64> {
-        // BUSY begins between events while something is on its way in; reading RDR takes.
+        // ISR is stable only without incoming frames: BUSY is set between events, and reading RDR has side effects.
         let quiet = self.receiver_next().is_none();
         (offset & !3 == register::ISR && quiet).then(|| self.next_event_ns())
     }

@@ -1,15 +1,18 @@
 //! USART1, 2, 3, 6 and UART4, 5, 7, 8 (RM0399, chapter 51): asynchronous, with and without FIFOs.
 //!
-//! Each frame takes the time that the kernel clock, PRESC, BRR and OVER8 give, exactly: a run of frames is counted in half
-//! bits from the start of the first, so that nothing is lost to rounding. What leaves is told to
-//! [`Outside::uart_sent`](crate::Outside::uart_sent) at the end of its stop bit; what arrives is queued by [`Usart::receive`].
+//! Each frame takes exactly the time of the kernel clock, PRESC, BRR and OVER8: a run of frames is counted in half bits
+//! from the start of the first, so that rounding errors do not accumulate. Sent bytes reach
+//! [`Outside::uart_sent`](crate::Outside::uart_sent) at the end of their stop bit; received ones are queued by
+//! [`Usart::receive`].
 //!
-//! Where the manual leaves a choice: a transmitter at rest starts a frame at the moment it is written (the chip waits for its
-//! next bit clock, less than a bit); TEACK and REACK follow at once; a byte that began before the receiver was on is lost.
-//! IDLE is detected one frame after the receiver was switched on at a silent line (51.5.10), and after each burst.
+//! Choices where the manual is open: an idle transmitter starts a frame at the moment of the write (the chip waits for
+//! its next bit clock, less than a bit); TEACK and REACK follow at once; a byte that began before the receiver was on
+//! is lost. IDLE is detected one frame after the receiver was switched on at an idle line (51.5.10), and after each
+//! burst.
 //!
-//! Not modelled, so refused: synchronous, slave, half-duplex, LIN, IrDA and Smartcard modes, mute mode, baud-rate detection,
-//! breaks, flow control, driver enable, swapped or inverted lines, nine data bits without parity.
+//! Synchronous, slave, half-duplex, LIN, IrDA and Smartcard modes, mute mode, baud-rate detection, breaks, flow
+//! control, driver enable, swapped or inverted lines, and nine data bits without parity are not modelled and end the
+//! run.
 
 mod access;
 mod receive;
@@ -32,14 +35,14 @@ const FIFO_DEPTH: usize = 16;
 /// Division of the kernel clock by PRESCALER (RM0399, 51.8.14); codes above divide by 256.
 const PRESCALER: [u64; 12] = [1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256];
 
-/// What tells one port from the next.
+/// Properties that distinguish the ports.
 #[derive(Clone, Copy, Debug)]
 struct Port {
     number: u8,
     name: &'static str,
-    /// Position in the vector table (RM0399, chapter 20).
+    /// Interrupt number (RM0399, chapter 20).
     irq: u16,
-    /// Inputs of DMAMUX1 (RM0399, table 126).
+    /// Input numbers of DMAMUX1 (RM0399, table 126).
     rx_request: u8,
     tx_request: u8,
 }
@@ -59,7 +62,7 @@ const PORTS: [Port; 8] = [
     port(8, "UART8", 83, 81),
 ];
 
-/// One of the eight ports.
+/// State of one of the eight ports.
 #[derive(Clone, Debug)]
 pub struct Usart {
     port: Port,
@@ -69,19 +72,19 @@ pub struct Usart {
     brr: u32,
     rtor: u32,
     presc: u32,
-    /// The flags of ISR that stay until they are cleared.
+    /// Flags of ISR that stay until they are cleared.
     kept: u32,
     /// TXFECF was written since the FIFO became empty.
     txfe_cleared: bool,
     kernel_hz: u64,
     transmitter: Transmitter,
     receiver: Receiver,
-    /// Interrupt, DMA for reception, DMA for transmission: as last told.
+    /// Lines as last reported: interrupt, DMA for reception, DMA for transmission.
     lines: (bool, bool, bool),
 }
 
 impl Usart {
-    /// Port `number`: 1, 2, 3, 6 are USARTs, 4, 5, 7, 8 UARTs. `None` for any other.
+    /// Makes port `number`: 1, 2, 3, 6 are USARTs, 4, 5, 7, 8 UARTs. `None` for any other number.
     #[must_use]
     pub fn new(number: u8) -> Option<Self> {
         let port = *PORTS.iter().find(|port| port.number == number)?;
@@ -102,19 +105,19 @@ impl Usart {
         })
     }
 
-    /// As in `USART1`.
+    /// Returns the name, as in `USART1`.
     #[must_use]
     pub fn name(&self) -> &'static str {
         self.port.name
     }
 
-    /// A byte arrives. To be called before its start bit, that is at least a frame before `byte.at_ns`, and in order of time:
-    /// told later, it is received just as well, but IDLE and the receiver timeout may have come before it.
+    /// Queues an incoming byte. Call it before its start bit, at least a frame before `byte.at_ns`, and in order of
+    /// time. A later call still receives the byte, but IDLE and the receiver timeout may have come before it.
     pub fn receive(&mut self, byte: UartByte) {
         self.receiver.queue(byte);
     }
 
-    /// Bits per second that both directions work at, by the clock tree as of the last access; 0 while it stands still.
+    /// Returns the baud rate of both directions by the clock tree at the last access, bit/s; 0 for a stopped clock.
     #[must_use]
     pub fn baud(&self) -> f64 {
         let half_bits = self.half_bits_from(0);
@@ -124,8 +127,8 @@ impl Usart {
         half_bits.frequency_hz as f64 / half_bits.divider as f64 / 2.0
     }
 
-    /// Nanoseconds of a frame from the start bit to the end of the last stop bit, rounded up; `u64::MAX` while the clock
-    /// stands still.
+    /// Returns the duration of a frame from the start bit to the end of the last stop bit, ns, rounded up; `u64::MAX`
+    /// for a stopped clock.
     #[must_use]
     pub fn frame_ns(&self) -> u64 {
         self.half_bits_from(0).when_ns(self.frame_half_bits())
@@ -138,21 +141,22 @@ impl Usart {
         }
     }
 
-    /// Half bits, counted from a moment on (RM0399, 51.5.7).
+    /// Returns the count of half bits from `start_ns` on (RM0399, 51.5.7).
     fn half_bits_from(&self, start_ns: u64) -> Ticks {
         let prescaler = PRESCALER[(self.presc as usize).min(PRESCALER.len() - 1)];
         let brr = u64::from(self.brr);
         let (clocks, divider) = if self.cr1 & cr1::OVER8 == 0 {
+            // Without OVER8 a bit takes BRR clocks, so a half bit takes BRR / 2.
             (2, brr)
         } else {
-            // BRR[2:0] is USARTDIV[3:0] shifted right by one.
+            // With OVER8, BRR[2:0] is USARTDIV[3:0] shifted right by one.
             (4, brr & 0xFFF0 | (brr & 7) << 1)
         };
         let frequency_hz = if divider == 0 { 0 } else { self.kernel_hz * clocks };
         Ticks { start_ns, frequency_hz, divider: divider * prescaler }
     }
 
-    /// Start bit, data with parity, stop bits.
+    /// Returns the length of a frame in half bits: start bit, data with parity, stop bits.
     fn frame_half_bits(&self) -> u64 {
         let bits = match self.cr1 & (cr1::M1 | cr1::M0) {
             cr1::M0 => 9,
@@ -163,7 +167,7 @@ impl Usart {
         2 * (1 + bits) + stop_half_bits
     }
 
-    /// What of a frame is data.
+    /// Returns the mask of the data bits in a frame.
     fn data_mask(&self) -> u8 {
         let bits = match self.cr1 & (cr1::M1 | cr1::M0) {
             cr1::M0 => 9,
@@ -186,17 +190,17 @@ impl Usart {
         self.on(cr1::FIFOEN)
     }
 
-    /// Characters that the transmitter's FIFO or TDR holds.
+    /// Returns the number of characters that the transmitter's FIFO or TDR holds.
     fn transmit_capacity(&self) -> usize {
         if self.fifo() { FIFO_DEPTH } else { 1 }
     }
 
-    /// Characters that the receiver holds: its FIFO and RDR, or RDR (RM0399, 51.8.9, RXFF).
+    /// Returns the number of characters that the receiver holds: its FIFO and RDR, or RDR alone (RM0399, 51.8.9, RXFF).
     fn receive_capacity(&self) -> usize {
         if self.fifo() { FIFO_DEPTH + 1 } else { 1 }
     }
 
-    /// ISR (RM0399, 51.8.9 and 51.8.10).
+    /// Returns the value of ISR (RM0399, 51.8.9 and 51.8.10).
     fn isr(&self, now_ns: u64) -> u32 {
         let mut value = self.kept;
         let mut set = |condition: bool, bit: u32| {
@@ -224,7 +228,7 @@ impl Usart {
         self.enabled() && self.on(cr1::RE)
     }
 
-    /// Sets the interrupt and request lines as the flags are.
+    /// Updates the interrupt and request lines from the flags.
     fn update_lines(&mut self, context: &mut Context<'_>) {
         let isr = self.isr(context.now_ns);
         let errors = isr & (isr::FE | isr::NE | isr::ORE) != 0;
@@ -245,6 +249,7 @@ impl Usart {
             ]
             .iter()
             .any(|(enabled, flag)| *enabled && *flag);
+        // With DDRE, an error masks the DMA request for reception until its flag is cleared.
         let held_back = self.cr3 & cr3::DDRE != 0 && (errors || isr & isr::PE != 0);
         let lines = (
             interrupt,
@@ -264,7 +269,7 @@ impl Usart {
     }
 }
 
-/// Characters that a threshold code stands for (RM0399, 51.8.4, TXFTCFG and RXFTCFG).
+/// Returns the number of characters for a threshold code (RM0399, 51.8.4, TXFTCFG and RXFTCFG).
 fn threshold(code: u32) -> usize {
     match code & 7 {
         0 => FIFO_DEPTH / 8,

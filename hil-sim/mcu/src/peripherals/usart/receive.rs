@@ -1,4 +1,4 @@
-//! The receiver (RM0399, 51.5.6, 51.5.16).
+//! Receiver of a USART (RM0399, 51.5.6, 51.5.16).
 
 use std::collections::VecDeque;
 
@@ -7,23 +7,23 @@ use crate::outside::UartByte;
 use super::Usart;
 use super::registers::{cr1, cr2, cr3, isr};
 
-/// What is on the line, the FIFO with RDR, and what waits for silence.
+/// Incoming bytes, the FIFO with RDR, and the pending detection of silence.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Receiver {
-    /// Not yet received, in order of time.
+    /// Bytes still to come, in order of time.
     coming: VecDeque<UartByte>,
     held: VecDeque<UartByte>,
-    /// What RDR shows when nothing is held.
+    /// Value of RDR when no byte is held.
     last: u32,
-    /// The receiver is on since then.
+    /// Time since which the receiver is on, ns.
     since_ns: u64,
-    /// When IDLE is set, if no start bit comes before.
+    /// Time at which IDLE is set, ns, if no start bit comes before.
     idle_ns: Option<u64>,
-    /// When RTOF is set, if no start bit comes before.
+    /// Time at which RTOF is set, ns, if no start bit comes before.
     timeout_ns: Option<u64>,
 }
 
-/// Something happens in the receiver.
+/// Event in the receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Happens {
     Byte,
@@ -41,7 +41,7 @@ impl Receiver {
         self.held.len()
     }
 
-    /// A frame is arriving.
+    /// Returns true while a frame is arriving.
     pub(super) fn busy(&self, now_ns: u64, frame_ns: u64) -> bool {
         self.coming.front().is_some_and(|byte| byte.at_ns.saturating_sub(frame_ns) <= now_ns && now_ns < byte.at_ns)
     }
@@ -50,14 +50,14 @@ impl Receiver {
         self.held.clear();
     }
 
-    /// RE or UE changed; a line that is silent from then on is noticed at `idle_ns`.
+    /// Handles a change of RE or UE; a line that is idle from then on is detected at `idle_ns`.
     pub(super) fn restart(&mut self, now_ns: u64, idle_ns: Option<u64>) {
         self.since_ns = now_ns;
         self.idle_ns = idle_ns;
         self.timeout_ns = None;
     }
 
-    /// As after reset; what is on the line is there nevertheless.
+    /// Resets the receiver; bytes on the line stay.
     pub(super) fn reset(&mut self, now_ns: u64) {
         *self = Self { coming: std::mem::take(&mut self.coming), since_ns: now_ns, ..Self::default() };
     }
@@ -66,19 +66,19 @@ impl Receiver {
         self.timeout_ns = None;
     }
 
-    /// Nothing is coming, and no silence is waited for.
+    /// Returns true if no byte is coming and no silence is awaited.
     pub(super) fn is_quiet(&self) -> bool {
         self.coming.is_empty() && self.idle_ns.is_none() && self.timeout_ns.is_none()
     }
 
-    /// What happens next, given how long a frame takes.
+    /// Returns the next event and its time, given the duration of a frame, ns.
     pub(super) fn next(&self, frame_ns: u64) -> Option<(u64, Happens)> {
         let byte = self.coming.front().map(|byte| byte.at_ns);
         let start_ns = byte.map_or(u64::MAX, |at_ns| at_ns.saturating_sub(frame_ns));
-        // A pause of exactly the timeout is none (51.8.9, RTOF).
+        // A pause of exactly the timeout does not count (51.8.9, RTOF).
         let idle = self.idle_ns.filter(|at_ns| *at_ns <= start_ns);
         let timeout = self.timeout_ns.filter(|at_ns| *at_ns < start_ns);
-        // At the same moment a byte comes first: told late, it has been on the line.
+        // Of simultaneous events the byte comes first: queued late, it was on the line before.
         [
             byte.map(|at_ns| (at_ns, Happens::Byte)),
             idle.map(|at_ns| (at_ns, Happens::Idle)),
@@ -91,12 +91,12 @@ impl Receiver {
 }
 
 impl Usart {
-    /// What happens next in the receiver.
+    /// Returns the next event in the receiver and its time, ns.
     pub(super) fn receiver_next(&self) -> Option<(u64, Happens)> {
         if self.receiver.is_quiet() { None } else { self.receiver.next(self.frame_ns()) }
     }
 
-    /// Something has happened in the receiver.
+    /// Carries out an event in the receiver.
     pub(super) fn receiver_event(&mut self, happens: Happens) {
         match happens {
             Happens::Byte => {
@@ -117,6 +117,7 @@ impl Usart {
 
     fn byte_arrived(&mut self, byte: UartByte) {
         let started_ns = byte.at_ns.saturating_sub(self.frame_ns());
+        // A frame that began before the receiver was on is lost.
         if !self.receiver_on() || started_ns < self.receiver.since_ns {
             return;
         }
@@ -131,6 +132,7 @@ impl Usart {
                 self.show_errors();
             }
         } else if self.cr3 & cr3::OVRDIS == 0 {
+            // On overrun the new character is lost, the held ones stay (51.8.9, ORE).
             self.kept |= isr::ORE;
             return;
         } else {
@@ -142,7 +144,7 @@ impl Usart {
         }
     }
 
-    /// The errors of the character in RDR (RM0399, 51.8.9: with FIFO they belong to the one that is read next).
+    /// Sets the errors of the character in RDR (RM0399, 51.8.9: with FIFO they belong to the next one to be read).
     fn show_errors(&mut self) {
         if let Some(byte) = self.receiver.held.front() {
             if byte.framing_error {
@@ -154,7 +156,7 @@ impl Usart {
         }
     }
 
-    /// RDR is read.
+    /// Handles a read of RDR.
     pub(super) fn take(&mut self) -> u32 {
         if let Some(byte) = self.receiver.held.pop_front() {
             self.receiver.last = u32::from(byte.value) | self.parity_of(byte.value);
@@ -163,7 +165,7 @@ impl Usart {
         self.receiver.last
     }
 
-    /// The parity bit above the data, as RDR shows it (RM0399, 51.5.12). It always arrives right.
+    /// Returns the parity bit above the data, as in RDR (RM0399, 51.5.12). It always arrives correctly.
     fn parity_of(&self, value: u8) -> u32 {
         if !self.on(cr1::PCE) {
             return 0;

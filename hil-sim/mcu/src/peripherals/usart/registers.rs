@@ -1,4 +1,4 @@
-//! Offsets and bits (RM0399, section 51.8, USART registers).
+//! Offsets and bits of the registers (RM0399, section 51.8, USART registers).
 
 pub(super) const CR1: u32 = 0x00;
 pub(super) const CR2: u32 = 0x04;
@@ -12,7 +12,7 @@ pub(super) const RDR: u32 = 0x24;
 pub(super) const TDR: u32 = 0x28;
 pub(super) const PRESC: u32 = 0x2C;
 
-/// Bits of CR1.
+/// Bits of the register CR1.
 pub(super) mod cr1 {
     pub(crate) const UE: u32 = 1 << 0;
     pub(crate) const RE: u32 = 1 << 2;
@@ -36,23 +36,23 @@ pub(super) mod cr1 {
     pub(crate) const TXFEIE: u32 = 1 << 30;
     pub(crate) const RXFFIE: u32 = 1 << 31;
 
-    /// Written only while UE is 0.
+    /// Bits that are writable only while UE is 0.
     pub(crate) const LOCKED: u32 = PS | PCE | WAKE | M0 | OVER8 | DEDT_DEAT | M1 | FIFOEN;
 }
 
-/// Bits of CR2.
+/// Bits of the register CR2.
 pub(super) mod cr2 {
     pub(crate) const STOP_AT: u32 = 12;
     pub(crate) const RTOEN: u32 = 1 << 23;
     pub(crate) const ADD_AT: u32 = 24;
-    /// What is modelled: STOP, RTOEN, ADD; the bits of synchronous, slave, LIN and inverted modes and of baud-rate
-    /// detection are not. CPHA, CPOL, LBCL, LBDL, ADDM7 and ABRMOD alone do nothing.
+    /// Modelled bits: STOP, RTOEN, ADD; the bits of synchronous, slave, LIN and inverted modes and of baud-rate
+    /// detection are not. CPHA, CPOL, LBCL, LBDL, ADDM7 and ABRMOD have no effect alone.
     pub(crate) const MODELLED: u32 = 3 << STOP_AT | RTOEN | 0xFF << ADD_AT | 0b11 << 21 | 0b111 << 8 | 0b11 << 4;
-    /// Written only while UE is 0.
+    /// Bits that are writable only while UE is 0.
     pub(crate) const LOCKED: u32 = 0x006F_FF39;
 }
 
-/// Bits of CR3.
+/// Bits of the register CR3.
 pub(super) mod cr3 {
     pub(crate) const EIE: u32 = 1 << 0;
     pub(crate) const DMAR: u32 = 1 << 6;
@@ -64,15 +64,15 @@ pub(super) mod cr3 {
     pub(crate) const RXFTCFG_AT: u32 = 25;
     pub(crate) const RXFTIE: u32 = 1 << 28;
     pub(crate) const TXFTCFG_AT: u32 = 29;
-    /// What is modelled; half duplex, IrDA, Smartcard, flow control, driver enable and wake-up are not. DEP alone does
-    /// nothing.
+    /// Modelled bits; half duplex, IrDA, Smartcard, flow control, driver enable and wake-up are not. DEP has no effect
+    /// alone.
     pub(crate) const MODELLED: u32 =
         EIE | DMAR | DMAT | ONEBIT | OVRDIS | DDRE | 1 << 15 | TXFTIE | 7 << RXFTCFG_AT | RXFTIE | 7 << TXFTCFG_AT;
-    /// Written only while UE is 0.
+    /// Bits that are writable only while UE is 0.
     pub(crate) const LOCKED: u32 = 0x0030_FB3E;
 }
 
-/// Bits of RQR.
+/// Bits of the register RQR.
 pub(super) mod rqr {
     pub(crate) const RXFRQ: u32 = 1 << 3;
     pub(crate) const TXFRQ: u32 = 1 << 4;
@@ -99,8 +99,8 @@ pub(super) mod isr {
     pub(crate) const RXFT: u32 = 1 << 26;
     pub(crate) const TXFT: u32 = 1 << 27;
 
-    /// Kept until ICR clears them; all others follow from the state.
+    /// Flags that stay until ICR clears them; all others follow from the state.
     pub(crate) const KEPT: u32 = PE | FE | NE | ORE | IDLE | TC | RTOF | CMF;
-    /// In ICR: clears TXFE.
+    /// Bit of ICR that clears TXFE.
     pub(crate) const TXFECF: u32 = 1 << 5;
 }

@@ -1,4 +1,5 @@
-//! Sequences of RM0399, 51.5, and misuse. 64 MHz / 64 gives bits of exactly 1 µs, so that frames of 10 bits end at round numbers.
+//! Tests with sequences of RM0399, 51.5, and with misuse. 64 MHz / 64 gives bits of exactly 1 µs, so that frames of 10
+//! bits end at round numbers.
 
 use proptest::prelude::*;
 
@@ -7,7 +8,7 @@ use super::*;
 use crate::peripherals::bench::Bench;
 use crate::{Peripheral, Size};
 
-/// Bits of 1 µs, frames of 10 µs.
+/// BRR for bits of 1 µs and frames of 10 µs.
 const BRR_1M: u32 = 64;
 
 fn bench(number: u8) -> Bench<Usart> {
@@ -15,7 +16,7 @@ fn bench(number: u8) -> Bench<Usart> {
     Bench::new(Usart::new(number).unwrap(), clocks)
 }
 
-/// Switched on, the idle frame and the first idle line behind it.
+/// Makes a port that is switched on, after the idle frame and the first idle line.
 fn started(number: u8, extra_cr1: u32) -> Bench<Usart> {
     let mut bench = bench(number);
     bench.write(BRR, BRR_1M);
@@ -57,7 +58,7 @@ fn the_first_frame_follows_the_idle_frame_and_then_they_are_back_to_back() {
 
 #[test]
 fn bits_take_the_time_of_the_manuals_examples() {
-    // 51.5.7, example 1: 8 MHz, 9600 baud by 16 and by 8; example 2: 48 MHz, 921.6 kbaud.
+    // Examples of 51.5.7: 1, with 8 MHz, 9600 baud by 16 and by 8; 2, with 48 MHz, 921.6 kbaud.
     for (hz, brr, over8, dividend_hz, usartdiv) in [
         (8_000_000, 0x341, false, 8_000_000_u64, 833_u64),
         (8_000_000, 0x681, true, 16_000_000, 1666),
@@ -72,7 +73,7 @@ fn bits_take_the_time_of_the_manuals_examples() {
         bench.run_until(10_000_000);
         let baud = dividend_hz as f64 / usartdiv as f64;
         assert!((bench.peripheral.baud() / baud - 1.0).abs() < 1e-12, "{}", bench.peripheral.baud());
-        // The idle frame and the byte, 20 bits, rounded up to a nanosecond once.
+        // The idle frame and the byte, 20 bits, are rounded up to a nanosecond once.
         assert_eq!(bench.wires.uart, [(6, (20_000_000_000 * usartdiv).div_ceil(dividend_hz), 1)]);
     }
 }
@@ -148,7 +149,7 @@ fn idle_comes_one_frame_after_the_last_byte_and_once() {
     bench.write(ICR, isr::IDLE);
     bench.run_until(1_000_000);
     assert!(!bench.irq(37), "not again before another byte");
-    // A pause of just less than a frame is none.
+    // A pause of just less than a frame does not count.
     bench.peripheral.receive(byte(1_100_000, 0));
     bench.peripheral.receive(byte(1_119_999, 0));
     bench.run_until(1_119_999);
@@ -178,7 +179,7 @@ fn the_receiver_timeout_counts_bits_after_the_stop_bit() {
     assert!(bench.irq(82));
     bench.write(ICR, isr::RTOF);
     assert!(!bench.irq(82));
-    // A pause of exactly 22 bits is none, of one nanosecond more it is.
+    // A pause of exactly 22 bits does not count; one nanosecond more does.
     bench.peripheral.receive(byte(300_000, 1));
     bench.peripheral.receive(byte(332_000, 1));
     bench.peripheral.receive(byte(364_001, 1));
@@ -266,7 +267,7 @@ fn thresholds_of_both_fifos() {
         assert!(!bench.irq(37));
         bench.run_until(last_ns);
         assert!(bench.irq(37), "{count} bytes are held");
-        // One goes into the shift register at once, 16 fill the FIFO; each frame makes a place.
+        // One byte moves to the shift register at once, 16 fill the FIFO; each frame makes room for one.
         for _ in 0..17 {
             bench.write(TDR, 0);
         }
@@ -400,7 +401,7 @@ fn reset_ends_everything_but_not_what_comes() {
 }
 
 proptest! {
-    /// Looking more often changes nothing.
+    /// More frequent advances change nothing.
     #[test]
     fn time_may_be_cut_anywhere(
         cuts in prop::collection::vec(0..600_000_u64, 0..20), gaps in prop::collection::vec(0..30_000_u64, 1..15), fifo: bool,

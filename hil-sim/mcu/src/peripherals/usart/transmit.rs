@@ -1,4 +1,4 @@
-//! The transmitter (RM0399, 51.5.5).
+//! Transmitter of a USART (RM0399, 51.5.5).
 
 use std::collections::VecDeque;
 
@@ -7,10 +7,10 @@ use crate::context::{Context, Ticks};
 use super::Usart;
 use super::registers::{cr1, isr};
 
-/// What the shift register sends.
+/// Frame in the shift register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Frame {
-    /// The idle frame with which a transmitter that was switched on begins.
+    /// Idle frame that a transmitter sends when it is switched on.
     Idle,
     Data(u8),
 }
@@ -19,7 +19,7 @@ enum Frame {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Transmitter {
     waiting: VecDeque<u8>,
-    /// TE was set since the last frame.
+    /// TE was set since the last frame, so an idle frame is due.
     idle_frame_due: bool,
     shifting: Option<Shifting>,
 }
@@ -29,7 +29,7 @@ struct Shifting {
     frame: Frame,
     /// Half bits of a run of frames without a gap.
     half_bits: Ticks,
-    /// When this frame ends, counted so.
+    /// End of this frame, in these half bits.
     end: u64,
 }
 
@@ -38,7 +38,7 @@ impl Transmitter {
         self.waiting.len()
     }
 
-    /// The end of the frame that is on the line.
+    /// Returns the end of the frame on the line, ns; `None` for an idle line.
     pub(super) fn next_ns(&self) -> Option<u64> {
         self.shifting.map(|shifting| shifting.half_bits.when_ns(shifting.end))
     }
@@ -51,7 +51,7 @@ impl Transmitter {
         self.waiting.clear();
     }
 
-    /// TE or UE went: what was on the line ends there.
+    /// Aborts the frame on the line, when TE or UE is cleared.
     pub(super) fn cut(&mut self) {
         self.shifting = None;
         self.idle_frame_due = false;
@@ -63,7 +63,7 @@ impl Transmitter {
 }
 
 impl Usart {
-    /// TDR is written.
+    /// Handles a write to TDR.
     pub(super) fn put(&mut self, value: u8, context: &mut Context<'_>) {
         if !self.enabled() {
             context.misuse(self.port.name, "TDR is written while UE is 0: the character is lost (RM0399, 51.5.5)");
@@ -77,6 +77,7 @@ impl Usart {
             if self.fifo() {
                 return;
             }
+            // Without FIFO the new character replaces the one in TDR.
             self.transmitter.flush();
         }
         self.transmitter.waiting.push_back(value);
@@ -85,7 +86,7 @@ impl Usart {
         self.load(self.half_bits_from(context.now_ns), 0);
     }
 
-    /// Puts the next frame into the shift register, if it is free: it starts `at` half bits.
+    /// Moves the next frame to the shift register, if that is free; the frame starts `at` half bits into the run.
     pub(super) fn load(&mut self, half_bits: Ticks, at: u64) {
         if self.transmitter.shifting.is_some() || !self.enabled() || !self.on(cr1::TE) {
             return;
@@ -100,7 +101,7 @@ impl Usart {
         self.transmitter.shifting = Some(Shifting { frame, half_bits, end: at + self.frame_half_bits() });
     }
 
-    /// The frame on the line has ended.
+    /// Handles the end of the frame on the line.
     pub(super) fn frame_sent(&mut self, at_ns: u64, context: &mut Context<'_>) {
         let Some(sent) = self.transmitter.shifting.take() else { return };
         if let Frame::Data(value) = sent.frame {
@@ -109,10 +110,11 @@ impl Usart {
                 self.kept |= isr::TC;
             }
         }
+        // The next frame follows without a gap, in the same count of half bits.
         self.load(sent.half_bits, sent.end);
     }
 
-    /// The kernel clock is another from now on: the rest of the frame takes its time by it.
+    /// Takes over a changed kernel clock for the rest of the frame.
     pub(super) fn retime(&mut self, context: &mut Context<'_>) {
         let Some(shifting) = self.transmitter.shifting else { return };
         if shifting.frame != Frame::Idle {

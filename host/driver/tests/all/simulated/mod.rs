@@ -1,6 +1,6 @@
-// A simulated bench in this process, for tests, and for the examples in the documentation: they include this file.
+// Simulated board in this process for the tests, and for the examples in the documentation, which include this file.
 
-/// The simulation's clock, as the driver wants it.
+/// Adapter from the simulation's clock to the driver's.
 #[derive(Clone)]
 pub(crate) struct VirtualClock(pub(crate) r4_sim::Clock);
 
@@ -14,7 +14,7 @@ impl r4_driver::Clock for VirtualClock {
     }
 }
 
-/// Runs `work` with the two halves of the link to a bench with a motor and an actuator.
+/// Runs `work` with both halves of the link to a simulated board with a motor and an actuator.
 #[allow(dead_code, reason = "each example uses one of the two")]
 pub(crate) fn simulated_link(
     work: impl AsyncFnOnce(r4_sim::link::Receiver, r4_sim::link::Sender, VirtualClock) -> Result<(), r4_driver::Error>,
@@ -27,7 +27,7 @@ pub(crate) fn simulated_link(
     simulation.block_on(work(port.rx, port.tx, clock)).expect("time goes on")
 }
 
-/// The same with a session.
+/// Runs `work` with an open session on that board.
 #[allow(dead_code, reason = "each example uses one of the two")]
 pub(crate) fn simulated(
     work: impl AsyncFnOnce(&r4_driver::Board<VirtualClock>) -> Result<(), r4_driver::Error>,
