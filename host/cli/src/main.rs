@@ -45,7 +45,7 @@ fn main() -> ExitCode {
         }
         Ok(_) if !session::has_physics_as_asked(&args) => {
             eprintln!(
-                "r4: --plant, --body and --blind changed nothing: this command starts no simulated board of its own"
+                "r4: --plant, --body and --blind had no effect: this command starts no simulated board of its own"
             );
             ExitCode::FAILURE
         }

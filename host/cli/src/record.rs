@@ -85,7 +85,7 @@ impl Recording {
     pub(crate) fn close<T>(self, result: anyhow::Result<T>) -> anyhow::Result<T> {
         let recording::Closed { bad_frames, result: closed } = self.recording.close();
         if let (1.., Some(path)) = (bad_frames, &self.path) {
-            eprintln!("r4: {bad_frames} frames from the board were damaged: what they said is not in {path}");
+            eprintln!("r4: {bad_frames} frames from the board were damaged: their content is missing from {path}");
         }
         match (result, closed) {
             (Ok(value), Ok(())) => Ok(value),

@@ -83,9 +83,7 @@ pub(crate) fn rig(args: &Args, default_pace: Pace) -> anyhow::Result<Rig> {
         uses_other_physics();
     }
     if let (Some(_), Target::Sim(name)) = (args.log, &args.board) {
-        bail!(
-            "a simulated board has no log: that of the firmware's image is read on a real or an emulated one, emu:{name}"
-        );
+        bail!("a simulated board has no firmware log: use a real or an emulated board, emu:{name}");
     }
     let mut rig = Rig::new(args.board.clone());
     rig.seed = args.seed;

@@ -77,7 +77,7 @@ const TELEMETRY_MS: u16 = 50;
 pub(crate) fn run(args: &Args, Bridge::LegacyUdp(bridge): &Bridge) -> anyhow::Result<bool> {
     if !bridge.listen.ip().is_loopback() && !bridge.public {
         bail!(
-            "{} can be reached from other machines, and this protocol asks nobody who they are: add --public if everybody \
+            "{} can be reached from other machines, and this protocol has no authentication: add --public if all users \
              there may move the robot",
             bridge.listen
         );
@@ -108,7 +108,7 @@ pub(crate) fn run(args: &Args, Bridge::LegacyUdp(bridge): &Bridge) -> anyhow::Re
         Ok(hosts.counts)
     })?;
     eprintln!(
-        "r4: {} packets; {} damaged, {} late or twice, {} of other hosts, {} commands not carried out",
+        "r4: {} packets; {} damaged, {} late or duplicate, {} from other hosts, {} commands failed",
         counts.packets, counts.damaged, counts.late, counts.strangers, counts.refused
     );
     Ok(true)
@@ -301,7 +301,7 @@ impl Hosts<'_> {
             match board.arm().await {
                 // The last reported state may be older than the arming.
                 Ok(()) if again => {}
-                Ok(()) => eprintln!("r4: a host is there: armed"),
+                Ok(()) => eprintln!("r4: heartbeat of a host: armed"),
                 // The board's refusal names the reason; the next heartbeat tries again.
                 Err(Error::Refused(refusal)) => {
                     self.armed = false;
@@ -343,7 +343,7 @@ impl Hosts<'_> {
             Command::Bad { bridge, channel } => {
                 self.counts.refused += 1;
                 for channel in self.meant(bridge, channel) {
-                    self.hold(channel, Why::Bad, "its command is none of this protocol").await?;
+                    self.hold(channel, Why::Bad, "its command does not conform to the protocol").await?;
                 }
                 Ok(())
             }
@@ -414,7 +414,7 @@ impl Hosts<'_> {
 
     fn say(&mut self, channel: ChannelId, why: Why, reason: &str) {
         if self.said.insert((channel, why)) {
-            eprintln!("r4: {channel} is stopped: {reason} (said once)");
+            eprintln!("r4: {channel} is stopped: {reason} (reported once)");
         }
     }
 
@@ -423,7 +423,7 @@ impl Hosts<'_> {
         board.stop().await?;
         self.waiting.clear();
         if mem::take(&mut self.armed) || board.safety().0 != SafetyState::Tripped {
-            eprintln!("r4: the host has stopped the board: end this bridge, and `r4 clear` leaves the stop behind");
+            eprintln!("r4: the host has stopped the board: end this bridge, then clear the trip with `r4 clear`");
         }
         Ok(())
     }
@@ -434,7 +434,7 @@ impl Hosts<'_> {
         if self.is_silent() && mem::take(&mut self.armed) {
             let silent_s = board.now_s() - self.heard_s;
             board.disarm().await?;
-            eprintln!("r4: no heartbeat of the host for {silent_s:.1} s: disarmed");
+            eprintln!("r4: no heartbeat from the host for {silent_s:.1} s: disarmed");
         }
         Ok(())
     }

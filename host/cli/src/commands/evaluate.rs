@@ -249,7 +249,7 @@ fn page(report: &Report, study: &Study) -> anyhow::Result<String> {
         note: Some(format!(
             "{SOURCE}. Median and worst over the plants; a share where the metric is one. Definitions of the metrics and units are \
              ours, as the paper prints none: the final value is the mean of the last 0.3 s of a set point, the rise goes from the \
-             command to 99 % of the way to it, overshoot is the share of the step beyond the set point, a limit cycle is two \
+             command to 99 % of the step, overshoot is the share of the step beyond the set point, a limit cycle is two \
              reversals of more than one count while the last set point is held for 60 s."
         )),
         columns,
@@ -272,10 +272,9 @@ fn page(report: &Report, study: &Study) -> anyhow::Result<String> {
     let ladders = Table {
         caption: "Laws of the printed rows, and of ours".into(),
         note: Some(
-            "The law with the fewest numbers among those that explain rows that were left out as well as the best."
-                .into(),
+            "The law with the fewest parameters among those that predict held-out rows as well as the best.".into(),
         ),
-        columns: ["Data", "Quantity", "Unit", "Error without a law", "Law", "Error with it", "On left-out rows"]
+        columns: ["Data", "Quantity", "Unit", "Error without a law", "Law", "Error with it", "On held-out rows"]
             .iter()
             .enumerate()
             .map(|(at, title)| column(title, if matches!(at, 3 | 5 | 6) { Align::Right } else { Align::Left }))

@@ -96,9 +96,9 @@ fn history(args: &Args) -> anyhow::Result<bool> {
         return Ok(true);
     }
     if faults.is_empty() {
-        output::line(format_args!("{} remembers no trip", args.board))?;
+        output::line(format_args!("{} has no stored trip", args.board))?;
         if args.flash.is_none() && !matches!(args.board, Target::Link(_)) {
-            eprintln!("r4: a simulated board remembers nothing from one command to the next without --flash FILE");
+            eprintln!("r4: a simulated board keeps its trips from one command to the next only with --flash FILE");
         }
         return Ok(true);
     }
@@ -114,7 +114,7 @@ fn history(args: &Args) -> anyhow::Result<bool> {
     }
     output::line(table)?;
     output::line(
-        "start counts the starts of the board, time is since that start; `r4 faults INDEX` shows what came before",
+        "start counts the starts of the board, time is since that start; `r4 faults INDEX` shows the time before a trip",
     )?;
     Ok(true)
 }
@@ -126,7 +126,7 @@ fn before(args: &Args, index: u8) -> anyhow::Result<bool> {
         let known = faults.len();
         let info = faults.get(usize::from(index)).copied();
         let info = info
-            .ok_or_else(|| anyhow!("there is no trip {index}, the board remembers {known}: `r4 faults` lists them"))?;
+            .ok_or_else(|| anyhow!("there is no trip {index}, the board has {known} stored: `r4 faults` lists them"))?;
         let of_kind = |kinds: &[ChannelKind]| -> Vec<ChannelInfo> {
             board.channels().iter().filter(|info| kinds.contains(&info.id.kind)).cloned().collect()
         };

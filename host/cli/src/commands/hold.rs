@@ -89,8 +89,8 @@ fn run(args: &Args, order: Order) -> anyhow::Result<bool> {
     if !held {
         let reached = set.like(value, unit);
         // A servo without pulses has no known angle.
-        let reached = if value.is_nan() { "nothing".to_owned() } else { reached.to_string() };
-        eprintln!("r4: {channel} had only come to {reached} after {seconds} s, on {board}: allow more time with --for");
+        let reached = if value.is_nan() { "no angle".to_owned() } else { reached.to_string() };
+        eprintln!("r4: {channel} reached only {reached} after {seconds} s, on {board}: allow more time with --for");
     }
     Ok(held)
 }

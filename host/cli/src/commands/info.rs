@@ -145,7 +145,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
     for hot in &report.hot_windings {
         output::line(format_args!("  {} winding {} %", hot.channel, hot.heat_percent))?;
     }
-    let mut table = table::new(&["channel", "takes or gives", "min", "max", "unit", "rate Hz"], 2..4);
+    let mut table = table::new(&["channel", "mode", "min", "max", "unit", "rate Hz"], 2..4);
     for channel in &report.channels {
         let rate = format!("{:.0}", channel.rate_hz);
         if channel.modes.is_empty() {

@@ -44,7 +44,7 @@ pub(crate) fn run(args: &Args, ros2: &Ros2) -> anyhow::Result<bool> {
 
     if args.pace == Some(Pace::Free) {
         anyhow::bail!(
-            "--pace max: other nodes live by the clock, and commands grow old by it; leave it out, or give a factor"
+            "--pace max: other nodes run in real time, by which commands time out; omit --pace, or give a factor"
         );
     }
     let namespace: Namespace = ros2.namespace.parse()?;

@@ -117,7 +117,7 @@ fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
         return Ok(agree);
     }
     let mut shown =
-        table::new(&["scenario", "robot", "looks", "trips", "worst, share of allowed", "differences"], 2..6);
+        table::new(&["scenario", "robot", "checkpoints", "trips", "worst, share of allowed", "differences"], 2..6);
     for row in &rows {
         shown.add_row([
             row.scenario.clone(),

@@ -273,7 +273,7 @@ fn trial(
 
 fn draw(system: &dyn System, trial: &Trial, path: &Path) -> anyhow::Result<()> {
     let name = system.about().name;
-    let figure = system.figure(trial)?.with_context(|| format!("{name} has no figure: leave --figure out"))?;
+    let figure = system.figure(trial)?.with_context(|| format!("{name} has no figure: omit --figure"))?;
     let views = system.views(trial)?;
     fs::write(path, crate::report::system(&figure, &views))
         .with_context(|| format!("cannot write {}", path.display()))?;
@@ -283,7 +283,7 @@ fn draw(system: &dyn System, trial: &Trial, path: &Path) -> anyhow::Result<()> {
 
 fn write_files(system: &dyn System, trial: &Trial, folder: &Path) -> anyhow::Result<()> {
     let files = system.files(trial)?;
-    ensure!(!files.is_empty(), "{} writes no files: leave --files out", system.about().name);
+    ensure!(!files.is_empty(), "{} writes no files: omit --files", system.about().name);
     fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     for file in files {
         let path = folder.join(file.name);
@@ -373,7 +373,7 @@ fn print(args: &Args, rows: Vec<Row>) -> anyhow::Result<bool> {
     let failed: BTreeSet<_> =
         rows.iter().filter(|row| row.failed > 0).map(|row| (&row.system, &row.arm, row.failed)).collect();
     for (system, arm, trials) in failed {
-        eprintln!("r4: {system}, arm {arm}: {trials} trials could not be run; `r4 system run` says why");
+        eprintln!("r4: {system}, arm {arm}: {trials} trials could not be run; `r4 system run` prints the reason");
     }
     Ok(met)
 }

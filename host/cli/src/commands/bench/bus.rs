@@ -151,7 +151,11 @@ fn measure(robot: &Robot, seed: u64, load: &Load, seconds: f64) -> anyhow::Resul
         let wire: Vec<_> = bench.board.world().bus.trace().cloned().collect();
         let after = bench.host.stats().await?;
         let (state, causes) = bench.host.safety();
-        anyhow::ensure!(state == SafetyState::Armed, "{}: {state} by {causes} in the middle", load.name);
+        anyhow::ensure!(
+            state == SafetyState::Armed,
+            "{}: the board is {state} ({causes}) before the end of the measurement",
+            load.name
+        );
         anyhow::ensure!(wire.iter().all(|record| record.fault.is_none()), "{}: transfers failed", load.name);
 
         let us = |ns: u64| ns as f64 / 1000.0;
@@ -340,7 +344,7 @@ fn most_ticks(group: Group, load: &Load, config: &BoardConfig) -> u64 {
 }
 
 fn print(report: &Report) -> anyhow::Result<()> {
-    let header = ["load", "occupancy", "worst tick", "late", "longest transfer", "ticks between updates, at worst", ""];
+    let header = ["load", "occupancy", "worst tick", "late", "longest transfer", "most ticks between updates", ""];
     let mut table = table::new(&header, 1..5);
     for row in &report.rows {
         let between: Vec<_> =
@@ -352,13 +356,13 @@ fn print(report: &Report) -> anyhow::Result<()> {
             row.late_ticks.to_string(),
             format!("{:.1} us", row.longest_transfer_us),
             between.join(", "),
-            if row.held { "ok".into() } else { "not held".into() },
+            if row.held { "ok".into() } else { "not met".into() },
         ]);
     }
     output::line(format_args!("I2C bus of {} (simulated, processor time not counted)", report.board))?;
     output::line(table)?;
     Ok(output::line(format_args!(
-        "each load for {} s; promised: no tick late (over {} us), no transfer over {} us, OSMC every tick, DHB and \
+        "each load for {} s; limits: no late tick (over {} us), no transfer over {} us, OSMC every tick, DHB and \
          brushless every second (more only while all bridges reverse), servos every 20 ms",
         report.seconds, report.limits.tick_us, report.limits.longest_transfer_us
     ))?)

@@ -186,7 +186,8 @@ impl Served {
         let mut served = Self { child, address, epochs: Arc::default() };
         let mut lines = BufReader::new(out.context("no pipe to the server")?).lines();
         let first = lines.next().ok_or_else(|| anyhow!("`r4 sim serve {name}` ended at once"))??;
-        let line: Line = serde_json::from_str(&first).with_context(|| format!("`r4 sim serve` says {first}"))?;
+        let line: Line = serde_json::from_str(&first)
+            .with_context(|| format!("unexpected first line of `r4 sim serve`: {first}"))?;
         let path = line.pty.as_ref().ok_or_else(|| anyhow!("`r4 sim serve` names no pseudo-terminal: {first}"))?;
         served.address = Address::Serial { path: Some(path.into()), baud: r4_links::DEFAULT_BAUD };
         let epochs = served.epochs.clone();
@@ -316,7 +317,7 @@ async fn measure(args: &Args, address: &Address, bench: &args::BenchLink, arm: b
         }
         let disarmed = board.disarm().await;
         let measured = measured?;
-        disarmed.context("cannot disarm; closing the session makes the board stop by itself")?;
+        disarmed.context("cannot disarm; the board stops when its session ends")?;
         Ok(measured)
     });
     connected.await.with_context(|| format!("cannot connect to {address}"))?
@@ -552,9 +553,9 @@ fn machine() -> String {
 fn print(report: &Report) -> anyhow::Result<()> {
     output::line(format_args!("{}, {}", report.link, if report.armed { "armed" } else { "disarmed" }))?;
     output::line(format_args!("{}, {} processors, Linux {}", report.machine, report.processors, report.kernel))?;
-    let mut table = table::new(&["what", "measured", "promised", ""], 1..3);
+    let mut table = table::new(&["what", "measured", "limit", ""], 1..3);
     for limit in &report.limits {
-        let verdict = if limit.held { "ok" } else { "not held" };
+        let verdict = if limit.held { "ok" } else { "not met" };
         table.add_row([limit.what, &limit.measured, &limit.promised, verdict]);
     }
     output::line(table)?;
@@ -563,14 +564,11 @@ fn print(report: &Report) -> anyhow::Result<()> {
         report.round_trips, report.rtt_us_p99, report.rtt_us_p999, report.rtt_us_max
     ))?;
     output::line(format_args!(
-        "{} cycles in {:.1} s, {} under way at once; set points not followed: {}",
+        "{} cycles in {:.1} s, {} in flight; set points not followed: {}",
         report.cycles, report.seconds, report.window, report.not_followed
     ))?;
     if report.clock_shifts > 0 {
-        output::line(format_args!(
-            "the machine was busy elsewhere: the board's time stood still {} times",
-            report.clock_shifts
-        ))?;
+        output::line(format_args!("the machine was busy: the board's time paused {} times", report.clock_shifts))?;
     }
     Ok(())
 }

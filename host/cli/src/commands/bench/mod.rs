@@ -48,7 +48,7 @@ pub(crate) fn run(args: &Args, what: &args::Bench) -> anyhow::Result<bool> {
 /// Robot to measure, with its name; it has every kind of output.
 fn robot(args: &Args) -> anyhow::Result<(Target, Robot)> {
     let Target::Sim(name) = &args.board else {
-        bail!("this measures simulated boards only: leave --board out, or write sim:{EVERYTHING}")
+        bail!("this measures simulated boards only: omit --board, or write sim:{EVERYTHING}")
     };
     let name = if name == DEFAULT { EVERYTHING } else { name };
     Ok((Target::Sim(name.to_owned()), with_every_output(name, "sim")?))

@@ -106,7 +106,7 @@ fn with_image(seed: u64, name: &str) -> anyhow::Result<Option<Row>> {
     let image = match emulated::image(name) {
         Ok(image) => image,
         Err(error) => {
-            eprintln!("r4: emu:{name} is left out: {error:#}");
+            eprintln!("r4: emu:{name} is skipped: {error:#}");
             return Ok(None);
         }
     };
@@ -194,7 +194,7 @@ async fn session(host: &Board<HostClock>) -> anyhow::Result<f64> {
         }
     }
     let (state, causes) = host.safety();
-    anyhow::ensure!(state == SafetyState::Armed, "{state} by {causes} in the middle");
+    anyhow::ensure!(state == SafetyState::Armed, "the board is {state} ({causes}) before the end of the measurement");
     Ok((host.now_s() - begin_s) / (processor_s()? - begin))
 }
 
@@ -214,14 +214,14 @@ fn resident_kib() -> anyhow::Result<u64> {
 }
 
 fn print(report: &Report) -> anyhow::Result<()> {
-    let header = ["board", "boards", "step", "x real time", "all boards", "MiB a board", "promised", ""];
+    let header = ["board", "boards", "step", "x real time", "all boards", "MiB a board", "limit", ""];
     let mut table = table::new(&header, 1..6);
     for row in &report.rows {
         let limits: Vec<_> = row.limits.iter().map(|limit| format!("{} {:.2}", limit.what, limit.limit)).collect();
         let verdict = match (row.limits.is_empty(), row.held) {
             (true, _) => "",
             (false, true) => "ok",
-            (false, false) => "not held",
+            (false, false) => "not met",
         };
         table.add_row([
             row.what.clone(),
@@ -234,7 +234,7 @@ fn print(report: &Report) -> anyhow::Result<()> {
             verdict.into(),
         ]);
     }
-    output::line("boards armed, all bridges turning round every 100 ms, telemetry at 100 Hz; one thread")?;
+    output::line("boards armed, all bridges reversing every 100 ms, telemetry at 100 Hz; one thread")?;
     Ok(output::line(table)?)
 }
 

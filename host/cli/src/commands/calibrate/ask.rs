@@ -26,11 +26,11 @@ impl Person for Answers {
     /// Asks on stderr. A simulated board's time stands still meanwhile; the session with a real board is kept alive.
     async fn ask(&mut self, session: &Session<'_>, question: &str) -> Result<String, NoAnswer> {
         eprintln!("{question}");
-        let nothing = || NoAnswer { why: format!("nothing was answered to: {question}") };
+        let nothing = || NoAnswer { why: format!("no answer to: {question}") };
         let answer = match self {
-            Self::Given(answers) => {
-                answers.pop_front().ok_or_else(|| NoAnswer { why: format!("--answers has none to: {question}") })?
-            }
+            Self::Given(answers) => answers
+                .pop_front()
+                .ok_or_else(|| NoAnswer { why: format!("--answers has no answer to: {question}") })?,
             Self::Typed if session.virtual_board().is_ok() => line().ok_or_else(nothing)?,
             Self::Typed => {
                 let (sender, receiver) = oneshot::channel();

@@ -115,7 +115,7 @@ struct Report {
 
 pub(crate) fn run(args: &Args, calibrate: &Calibrate) -> anyhow::Result<bool> {
     if calibrate.save {
-        ensure!(!matches!(calibrate.what, What::Wheel { .. }), "a board keeps nothing of its wheels: leave --save out");
+        ensure!(!matches!(calibrate.what, What::Wheel { .. }), "a board stores no wheel parameters: omit --save");
         config::check_keeps(args)?;
     }
     let mut answers = Answers::new(&calibrate.answers);
@@ -136,7 +136,7 @@ pub(crate) fn run(args: &Args, calibrate: &Calibrate) -> anyhow::Result<bool> {
         return Ok(true);
     }
     if !found.changes.is_empty() {
-        let mut shown = table::new(&["parameter", "is", "should be"], 1..3);
+        let mut shown = table::new(&["parameter", "present", "new"], 1..3);
         for Change { parameter, from, to } in &found.changes {
             shown.add_row([parameter.to_string(), from.to_string(), to.to_string()]);
         }
@@ -146,7 +146,7 @@ pub(crate) fn run(args: &Args, calibrate: &Calibrate) -> anyhow::Result<bool> {
     if let Some(toml) = &found.toml {
         output::line(toml.trim_end())?;
     } else {
-        output::line(if saved { "saved: holds from the next start on" } else { "not saved: add --save" })?;
+        output::line(if saved { "saved: effective after the next restart" } else { "not saved: add --save" })?;
     }
     Ok(true)
 }

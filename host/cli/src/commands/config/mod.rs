@@ -177,11 +177,11 @@ pub(crate) fn run(args: &Args, config: &Config) -> anyhow::Result<bool> {
                 let parameters = session.board.parameters().await?;
                 Ok(parameters.iter().filter(|info| info.set != info.active).count())
             })?;
-            done(args, &format!("{waiting} changes of this start of the board are"), true)
+            done(args, &format!("{waiting} parameters changed since the board's start,"), true)
         }
         Config::Reset { save } => {
             change(args, *save, async |session| Ok(session.board.reset_parameters().await?))?;
-            done(args, "all parameters are as built in,", *save)
+            done(args, "all parameters have their built-in values,", *save)
         }
         Config::Export { file } => export(args, file),
         Config::Import { file } => import(args, file),
@@ -192,7 +192,7 @@ pub(crate) fn run(args: &Args, config: &Config) -> anyhow::Result<bool> {
 pub(super) fn check_keeps(args: &Args) -> anyhow::Result<()> {
     ensure!(
         args.flash.is_some() || matches!(args.board, Target::Link(_)),
-        "{} keeps nothing from one command to the next: name a file for its flash with --flash FILE or R4_FLASH",
+        "{} loses its parameters when the command ends: name a file for its flash with --flash FILE or R4_FLASH",
         args.board
     );
     Ok(())
@@ -217,13 +217,13 @@ fn change<T>(args: &Args, save: bool, work: impl AsyncFnOnce(&Session<'_>) -> an
 
 /// Note on when a change becomes effective.
 fn outlook(saved: bool) -> &'static str {
-    if saved { "saved: holds from the next start on" } else { "not saved: add --save" }
+    if saved { "saved: effective after the next restart" } else { "not saved: add --save" }
 }
 
 /// Warns that a simulated board loses an unsaved change when the command ends.
 pub(super) fn warn_unsaved(args: &Args, saved: bool) {
     if !saved && matches!(args.board, Target::Sim(_) | Target::Emu(_)) {
-        eprintln!("r4: a simulated board forgets what is not saved when the command ends: add --save and --flash FILE");
+        eprintln!("r4: a simulated board loses unsaved changes when the command ends: add --save and --flash FILE");
     }
 }
 
@@ -271,7 +271,7 @@ fn show(args: &Args, scope: Option<Scope>) -> anyhow::Result<bool> {
     let changed = parameters.iter().filter(|info| info.active != info.built_in).count();
     let waiting = parameters.iter().filter(|info| info.set != info.active).count();
     output::line(format_args!(
-        "{} parameters, {changed} not as built in, {waiting} changed at the next restart",
+        "{} parameters, {changed} not at the built-in value, {waiting} to change at the next restart",
         parameters.len()
     ))?;
     Ok(true)
@@ -363,7 +363,7 @@ fn import(args: &Args, path: &std::path::Path) -> anyhow::Result<bool> {
         let wanted: Vec<_> = changes.iter().map(|(_, info, _)| (info.key, info.set)).collect();
         let (place, error) = match set_all(session.board, &wanted).await {
             Ok(None) => {
-                let unsure = "cannot save; after a restart `r4 config show` prints what holds";
+                let unsure = "cannot save; after a restart `r4 config show` prints the effective values";
                 session.board.save_parameters().await.context(unsure)?;
                 return Ok(changes);
             }
@@ -373,7 +373,7 @@ fn import(args: &Args, path: &std::path::Path) -> anyhow::Result<bool> {
         let before: Vec<_> = changes.iter().map(|(_, info, before)| (info.key, *before)).collect();
         match set_all(session.board, &before).await {
             Ok(None) => bail!("{place}: {error}; nothing was changed"),
-            _ => bail!("{place}: {error}; what was set before it is not saved: restart the board to be rid of it"),
+            _ => bail!("{place}: {error}; the values set before it are not saved: restart the board to discard them"),
         }
     })?;
     let changed = changed.into_iter().map(|(_, info, from)| Change { key: info.key.to_string(), from, to: info.set });

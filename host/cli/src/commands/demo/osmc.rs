@@ -221,8 +221,8 @@ fn page_table(rows: &[Row], board: &str) -> report::Table {
         caption: "Set points".into(),
         note: Some(format!(
             "Paper: Alabi, Camara, Fox, \u{201c}Evaluation of OSMC open source motor driver for reproducible robotics \
-             research\u{201d}, TAROS 2023, Tables 1 and 2, real motors. Ours: {board}, simulated motors; where the simulated \
-             output really rests. Promised: within {WITHIN_DEG} deg and {WITHIN_MM} mm."
+             research\u{201d}, TAROS 2023, Tables 1 and 2, real motors. Ours: {board}, simulated motors, true rest position of the \
+             simulated output. Limits of the error: {WITHIN_DEG} deg and {WITHIN_MM} mm."
         )),
         columns: vec![
             column("Channel", None, Align::Left),

@@ -25,7 +25,7 @@ mod with {
         pub(in super::super) fn open() -> anyhow::Result<Self> {
             let gilrs = Gilrs::new().map_err(|error| anyhow!("no gamepad can be read: {error}"))?;
             if gilrs.gamepads().next().is_none() {
-                return Err(anyhow!("there is no gamepad: connect one, and see that you may read /dev/input"));
+                return Err(anyhow!("no gamepad was found: connect one, and check that you may read /dev/input"));
             }
             Ok(Self { gilrs, id: None })
         }
@@ -61,7 +61,7 @@ mod without {
         pub(in super::super) fn open() -> anyhow::Result<Self> {
             bail!(
                 "this program was built without gamepads: build it with `--features gamepad` (it needs pkg-config and \
-                 libudev), or leave --gamepad out and drive by keys"
+                 libudev), or omit --gamepad and drive by keys"
             )
         }
 

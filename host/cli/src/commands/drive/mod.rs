@@ -139,7 +139,7 @@ impl Pair {
             },
             (Some(Geometry::Ackermann(robot)), true) => Self::steered(robot),
             (None, true) => bail!(
-                "which motors are left and which are right is not known of this robot: name them, as in --left dhb0,dhb2 \
+                "the left and right motors of this robot are unknown: name them, as in --left dhb0,dhb2 \
                  --right dhb1,dhb3"
             ),
         };

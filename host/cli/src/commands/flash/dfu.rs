@@ -45,7 +45,7 @@ mod with {
         Board(#[source] Error),
         #[error("several boards are connected: name one with --board serial:\n{}", .0.join("\n"))]
         Several(Vec<String>),
-        #[error("{0} is no board on USB: name one with --board serial:, or none where only one is plugged in")]
+        #[error("{0} is no board on USB: name one with --board serial:, or omit --board if only one is connected")]
         NotUsb(String),
         #[error(transparent)]
         Address(#[from] BadAddress),

@@ -176,20 +176,18 @@ impl Report {
             output::line(
                 "This r4 was built without USB's DFU: `cargo install --locked --path host/cli --features dfu` in the repository makes one",
             )?;
-            output::line("that does all of what follows by itself.\n")?;
+            output::line("that performs the following steps itself.\n")?;
             output::line(
                 "1. Press the board's reset button twice quickly: the green light pulses, the bootloader waits.",
             )?;
             output::line(format_args!("2. {}", command.join(" ")))?;
             output::line(
-                "   (dfu-util comes from what installs software here: `sudo apt-get install dfu-util`, `brew install dfu-util`)",
+                "   (install dfu-util with the package manager: `sudo apt-get install dfu-util`, `brew install dfu-util`)",
             )?;
             output::line(
-                "3. The board leaves for the program by itself; `r4 ports` finds it after a second. A message after",
+                "3. The board starts the program by itself; `r4 ports` finds it after a second. An error message after",
             )?;
-            output::line(
-                "   \"downloaded successfully\" is the board leaving before it could answer, and all is well.",
-            )?;
+            output::line("   \"downloaded successfully\" only means that the board left before it could answer.")?;
         }
         Ok(())
     }

@@ -44,8 +44,8 @@ mod with {
         probe.select_protocol(WireProtocol::Swd).with_context(|| format!("{name} has no SWD"))?;
         let mut session = probe.attach_under_reset(CHIP, Permissions::default()).with_context(|| {
             format!(
-                "{name} finds no {CHIP}: is the board powered, and are SWD and the reset line connected? docs/bring-up.md says what \
-                 else there is to try"
+                "{name} finds no {CHIP}: is the board powered, and are SWD and the reset line connected? docs/bring-up.md lists \
+                 other causes"
             )
         })?;
         let mut loader = session.target().flash_loader();
@@ -54,7 +54,7 @@ mod with {
         options.verify = true;
         options.progress = progress();
         loader.commit(&mut session, options).context(
-            "the flash was not written as it should be: run it again; if it fails again, see option bytes in docs/bring-up.md",
+            "the flash was not written correctly: run it again; if it fails again, see option bytes in docs/bring-up.md",
         )?;
         let mut core = session.core(0).context("written, but the processor is not reached: reset the board")?;
         core.reset().context("written, but not started: reset the board")?;

@@ -55,7 +55,7 @@ struct Report<'a> {
 }
 
 pub(super) fn run(args: &Args, check: &Check) -> anyhow::Result<bool> {
-    ensure!(args.blind.is_none(), "--blind hides what the files to compare are to tell: leave it out");
+    ensure!(args.blind.is_none(), "--blind hides effects that the compared files may contain: omit it");
     let Check { recording, channel, plant_before, plant_after, signal, body_after } = check;
     let plant = |channel, path: &Path| Physics::Plant(PlantFile { channel, path: path.to_owned() });
     let (observed, before, after, file) = match (channel, plant_after, signal, body_after) {

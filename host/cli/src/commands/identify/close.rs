@@ -105,13 +105,13 @@ pub(crate) fn closed(args: &Args, close: &Close, progress: &Shown) -> anyhow::Re
     let channel = close.channel;
     ensure!(
         close.seconds >= SHORTEST_S,
-        "recordings of less than {SHORTEST_S} s tell too little: allow more with --for"
+        "recordings shorter than {SHORTEST_S} s show no slow effects: allow more with --for"
     );
     ensure!(
         close.duty.is_none_or(|duty| duty > 0.0 && duty <= 1.0),
         "--duty takes a share of the supply above 0 and up to 1"
     );
-    ensure!(args.record.is_none(), "this makes its own recordings, in {}: leave --record out", close.out.display());
+    ensure!(args.record.is_none(), "this makes its own recordings, in {}: omit --record", close.out.display());
     let twin_args = twin(args, close.twin.as_deref())?;
     let (declared, supply_v) = declared(&twin_args, close)?;
     fs::create_dir_all(&close.out).with_context(|| format!("cannot make the folder {}", close.out.display()))?;
@@ -121,7 +121,7 @@ pub(crate) fn closed(args: &Args, close: &Close, progress: &Shown) -> anyhow::Re
     let known = (&declared, supply_v);
     let mut found = found(args, close, known, (&fitted, &fresh), progress)?;
     if tells_too_little(&found.report) {
-        eprintln!("r4: {channel} lacks what these recordings do not tell: {MORE} more, with long holds");
+        eprintln!("r4: these recordings leave an effect of {channel} open: {MORE} more follow, with long holds");
         for number in 0..MORE {
             let name = format!("train-{}.mcap", TRAIN + number + 1);
             fitted.push(recording(args, close, (TRAIN + 1 + number, name), &mut care, progress)?);
@@ -277,6 +277,6 @@ fn found(
 fn may_be_loaded(plant: &str) -> anyhow::Result<()> {
     PlantSpec::from_toml("plant.toml", plant).map(|_| ()).with_context(|| {
         let told: Vec<_> = plant.lines().filter_map(|line| line.strip_prefix("# ")).collect();
-        format!("no plant file can hold what was found, so nothing can be compared: {}", told.join(" "))
+        format!("no plant file can represent the effects found, so that no comparison is possible: {}", told.join(" "))
     })
 }

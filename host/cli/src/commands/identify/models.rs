@@ -51,7 +51,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<bool> {
         let width = |names: &mut dyn Iterator<Item = usize>| names.max().unwrap_or(0);
         let roles = width(&mut model.roles.iter().map(|role| role.name.len()));
         for Role { name, required, what } in &model.roles {
-            let need = if *required { "" } else { " (may be left out)" };
+            let need = if *required { "" } else { " (optional)" };
             output::line(format_args!("  role {name:roles$}  {what}{need}"))?;
         }
         let parameters = width(&mut model.parameters.iter().map(|parameter| parameter.name.len()));

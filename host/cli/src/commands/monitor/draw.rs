@@ -53,7 +53,7 @@ pub(super) const KEYS: [(&str, &str); 14] = [
     ("  Esc, Ctrl-U", "leave without sending; clear the line"),
     ("g", "channel onto the graph or off it: up to six"),
     ("p", "parameters, from those of the selected channel on"),
-    ("t", "trips that the board remembers"),
+    ("t", "trips stored on the board"),
     ("?", "this page"),
     ("Esc", "back to the channels"),
     ("q, Ctrl-C", "quit: stops what moves and disarms the board"),
@@ -185,7 +185,7 @@ fn parameters(state: &State, of: Option<ChannelId>) -> Vec<Line<'static>> {
 fn trips(state: &State) -> Vec<Line<'static>> {
     let Some(all) = &state.trips else { return vec![Line::styled("  not read yet", QUIET)] };
     if all.is_empty() {
-        return vec![Line::styled("  the board remembers none", QUIET)];
+        return vec![Line::styled("  none stored", QUIET)];
     }
     let line = |(index, info): (usize, &r4_protocol::FaultInfo)| {
         let seconds = info.device_us as f64 / 1e6;
@@ -252,8 +252,8 @@ fn labelled(label: &str, text: impl Into<Line<'static>>) -> Line<'static> {
 /// Causes of a trip, or hot windings, with advice to the user.
 fn words(state: &State) -> (String, String) {
     if state.link.lost.is_some() {
-        let last = format!("last heard of {}, {}", state.safety, causes(state.causes));
-        return (last, "a board that hears nothing from its host makes its outputs safe by itself".into());
+        let last = format!("last state {}, {}", state.safety, causes(state.causes));
+        return (last, "without heartbeats from its host, a board makes its outputs safe".into());
     }
     let hot: Vec<_> = state.rows.iter().filter_map(|row| watch::hot(row.sample.as_ref()?)).collect();
     if state.causes.is_empty() && !hot.is_empty() {

@@ -203,12 +203,9 @@ impl State {
                 let Some(row) = self.rows.get(self.selected) else { return };
                 // Leave the range check to the board: it stops a channel whose newer set point it refuses.
                 match Order::read(&row.info, text) {
-                    Ok(_) if self.link.lost.is_some() => *error = Some("nothing was sent: there is no link".into()),
+                    Ok(_) if self.link.lost.is_some() => *error = Some("not sent: there is no link".into()),
                     Ok(_) if self.safety != SafetyState::Armed => {
-                        *error = Some(format!(
-                            "nothing was sent: {} is {}; leave by Esc, then a arms",
-                            self.board, self.safety
-                        ));
+                        *error = Some(format!("not sent: {} is {}; press Esc, then a to arm", self.board, self.safety));
                     }
                     Ok(order) => {
                         self.prompt = None;

@@ -264,7 +264,7 @@ impl State {
         } else if self.marked.len() < MOST_MARKED {
             self.marked.push(id);
         } else {
-            let text = format!("the graph has {MOST_MARKED} signals: take one off first, by g");
+            let text = format!("the graph has {MOST_MARKED} signals: remove one first, with g");
             self.message = Some(Message { text, is_error: true });
         }
     }

@@ -257,7 +257,7 @@ fn finding(outcome: &Outcome) -> String {
             let quantity = |value| Quantity::new(value, unit);
             format!(
                 "Swing under duty ±{height:.3}: period {:.1} ms, amplitude {}. Hysteresis {}, {} cycles within {:.1} %. \
-                 Ultimate gain {:.4}, motor's phase {:.0} deg at {:.1} rad/s. Delay over the host {:.1} ms, not in these.",
+                 Ultimate gain {:.4}, motor's phase {:.0} deg at {:.1} rad/s. Delay over the host {:.1} ms, not included.",
                 oscillation.period_s * 1e3,
                 quantity(oscillation.amplitude),
                 quantity(*hysteresis),
@@ -301,7 +301,7 @@ fn verdict(outcome: &Outcome, channel: ChannelId) -> String {
         (Some(why), _) => format!("the present gains are better and stay; with the proposed ones, {why}"),
         (None, true) => format!("settles {after} instead of {before}; saved, holds from now on"),
         (None, false) => format!(
-            "settles {after} instead of {before}; not saved, {channel} has its old gains again: --save keeps the new"
+            "settles {after} instead of {before}; not saved, {channel} has its old gains again: add --save to keep the new ones"
         ),
     }
 }

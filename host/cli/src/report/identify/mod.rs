@@ -41,7 +41,7 @@ fn write_body(body: &mut String, report: &Report, figures: &Figures, files: &[(&
     }
     writeln!(body, "<section id=\"effects\">\n<h2>Effects</h2>")?;
     if report.effects.is_empty() {
-        body.push_str("<p>None: the base model leaves nothing that an effect would explain better than chance.</p>\n");
+        body.push_str("<p>None: no effect explains the base model's residual better than chance.</p>\n");
     }
     for effect in &report.effects {
         write_effect(body, effect, &scale)?;
@@ -51,8 +51,8 @@ fn write_body(body: &mut String, report: &Report, figures: &Figures, files: &[(&
     write_runs(body, figures)?;
     if !figures.causes.is_empty() {
         body.push_str(
-            "<section id=\"residual\">\n<h2>Residual against each cause</h2>\n<p>What the model leaves over, as \
-             means of bins; the bars are two standard errors. What is explained lies on zero.</p>\n",
+            "<section id=\"residual\">\n<h2>Residual against each quantity</h2>\n<p>Means of the residual \
+             in bins; the bars are two standard errors. An explained dependence lies on zero.</p>\n",
         );
         for cause in &figures.causes {
             write_figure(body, &cause_figure(cause))?;
@@ -61,8 +61,9 @@ fn write_body(body: &mut String, report: &Report, figures: &Figures, files: &[(&
     }
     write_left(body, report, &scale)?;
     body.push_str(
-        "<footer>Errors are of free runs: simulated from the first sample on, never corrected by what was measured. Held-out \
-         data were not fitted to. Long series are drawn as the extremes of short spans of time: no peak is lost.</footer>",
+        "<footer>Errors are those of free-run simulation, from the input and the initial state only, without feedback of \
+         measured outputs. Held-out data were not fitted. Long series are drawn as the extremes of short spans of time: \
+         no peak is lost.</footer>",
     );
     Ok(())
 }
@@ -75,14 +76,14 @@ fn write_head(body: &mut String, report: &Report, scale: &Scale, files: &[(&str,
         effects => effects.iter().map(|effect| effect.name.as_str()).collect::<Vec<_>>().join(", "),
     };
     let (before, after) = (report.baseline.holdout.rmse, report.last.holdout.rmse);
-    let left = if report.residual.white { "noise" } else { "structure that is not explained" };
+    let left = if report.residual.white { "noise" } else { "unexplained structure" };
     let mut facts = vec![
         (
             "Held-out error",
             format!("{} \u{2192} {}{}", scale.text(before), scale.with_unit(after), change(before, after)),
         ),
         ("Effects found", found),
-        ("What is left", left.to_owned()),
+        ("Residual", left.to_owned()),
     ];
     facts.extend(files.iter().cloned());
     write_facts(body, &facts)?;
@@ -104,7 +105,7 @@ fn write_head(body: &mut String, report: &Report, scale: &Scale, files: &[(&str,
         body.push_str("</div>\n");
     }
     let mut places = vec![("effects", "Effects"), ("model", "Model"), ("runs", "Runs")];
-    places.extend([("residual", "Residual"), ("left", "What was not taken")]);
+    places.extend([("residual", "Residual"), ("left", "Rejected effects")]);
     body.push_str("<nav><span>Below</span>");
     for (id, name) in places {
         write!(body, " <a href=\"#{id}\">{name}</a>")?;
@@ -127,9 +128,9 @@ fn scores(report: &Report, scale: &Scale) -> Table {
         rows.push(row(name, report.last.train, report.last.holdout));
     }
     Table {
-        caption: "Error of the free run".to_owned(),
+        caption: "Error of free-run simulation".to_owned(),
         note: Some(
-            "RMS over the whole run; NRMSE is its share of the standard deviation of what was measured, so 100 % is no better \
+            "RMS over the whole run; NRMSE is its share of the measured signal's standard deviation, so 100 % is no better \
              than a constant."
                 .to_owned(),
         ),
@@ -159,8 +160,8 @@ fn write_effect(body: &mut String, effect: &EffectReport, scale: &Scale) -> std:
     let (blocks_before, blocks_after) = (evidence.blocked_rmse_before, evidence.blocked_rmse_after);
     let chance = if evidence.p_value < 1e-4 { "below 0.0001".to_owned() } else { significant(evidence.p_value) };
     let away = match evidence.z {
-        z if z > 1_000.0 => "over 1000 standard deviations".to_owned(),
-        z => format!("{} standard deviations", significant(z)),
+        z if z > 1_000.0 => "over 1000 standard errors".to_owned(),
+        z => format!("{} standard errors", significant(z)),
     };
     write_facts(
         body,
@@ -173,9 +174,9 @@ fn write_effect(body: &mut String, effect: &EffectReport, scale: &Scale) -> std:
                 "Error in block cross-validation",
                 format!("{} \u{2192} {}", scale.text(blocks_before), scale.with_unit(blocks_after)),
             ),
-            ("Blocks that got better", format!("{} of {}", evidence.blocks_better[0], evidence.blocks_better[1])),
-            ("Chance of that without it", chance),
-            ("Away from no effect", away),
+            ("Blocks improved", format!("{} of {}", evidence.blocks_better[0], evidence.blocks_better[1])),
+            ("Chance of that without the effect", chance),
+            ("Distance from zero", away),
         ],
     )?;
     if !effect.parameters.is_empty() {
@@ -190,12 +191,12 @@ fn write_effect(body: &mut String, effect: &EffectReport, scale: &Scale) -> std:
             vec![Cell::Text(rival.name.clone()), error, Cell::Text(rival.experiment.clone())]
         });
         let table = Table {
-            caption: "These would explain the data as well".to_owned(),
+            caption: "Collinear effects, which explain the data as well".to_owned(),
             note: None,
             columns: vec![
                 column("Rival", None, Align::Left),
                 column("Error in block cross-validation", Some(&scale.unit), Align::Right),
-                column("Record this to tell them apart", None, Align::Left),
+                column("Recording that distinguishes them", None, Align::Left),
             ],
             rows: rows.collect(),
         };
@@ -245,11 +246,11 @@ fn estimates(caption: String, parameters: &BTreeMap<String, Estimate>) -> Table 
     let mut columns = vec![
         column("Parameter", None, Align::Left),
         column("Value", None, Align::Right),
-        column("Standard deviation", None, Align::Left),
+        column("Standard error", None, Align::Left),
         column("Unit", None, Align::Left),
     ];
     if intervals {
-        columns.push(column("95 % within", None, Align::Left));
+        columns.push(column("95 % interval", None, Align::Left));
     }
     Table {
         caption,
@@ -392,7 +393,7 @@ fn write_left(body: &mut String, report: &Report, scale: &Scale) -> std::fmt::Re
             columns: vec![
                 column("Effect", None, Align::Left),
                 column("Error in block cross-validation", Some(&scale.unit), Align::Right),
-                column("Why not", None, Align::Left),
+                column("Reason", None, Align::Left),
             ],
             rows: rows.collect(),
         };
@@ -419,11 +420,11 @@ fn write_left(body: &mut String, report: &Report, scale: &Scale) -> std::fmt::Re
     }
     let left = match (report.residual.white, unexplained.is_empty()) {
         (true, true) => {
-            "The residual is white: no correlation over time beyond chance, and it depends on nothing looked at."
+            "The residual is white: no correlation over time beyond chance, and it depends on no recorded signal."
         }
         (true, false) => "The residual is white: no correlation over time beyond chance.",
         (false, true) => {
-            "The residual is not white: it is correlated over time beyond chance, but depends on nothing looked at."
+            "The residual is not white: it is correlated over time beyond chance, but depends on no recorded signal."
         }
         (false, false) => "The residual is not white: it is correlated over time beyond chance.",
     };

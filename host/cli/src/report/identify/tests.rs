@@ -178,7 +178,7 @@ fn nothing_found_is_said() {
     report.rejected.clear();
     report.residual = ResidualReport { white: true, unexplained: vec![] };
     let page = identify(&report, &Figures::default(), &[]);
-    assert!(page.contains("leaves nothing that an effect would explain"));
+    assert!(page.contains("no effect explains the base model's residual"));
     assert!(page.contains("The residual is white") && !page.contains("<svg "));
 }
 

@@ -134,7 +134,7 @@ pub(crate) fn run(args: &Args, seconds: f64) -> anyhow::Result<bool> {
         Target::Emu(_) => args.board.clone(),
         Target::Sim(name) if name == DEFAULT => Target::Emu(name.clone()),
         Target::Sim(_) | Target::Link(_) => {
-            bail!("this measures emulated boards only: leave --board out, or write emu:{DEFAULT}")
+            bail!("this measures emulated boards only: omit --board, or write emu:{DEFAULT}")
         }
     };
     let image = Image::find(target.robot()?)?;
@@ -325,8 +325,8 @@ fn print(report: &Report) -> anyhow::Result<()> {
     output::line(table)?;
     let LoadRow { requests_per_s, refused, timed_out, late_ticks, telemetry_dropped, trips } = &report.load;
     output::line(format_args!(
-        "load: {requests_per_s:.0} requests/s ({refused} refused, {timed_out} not answered in time), every channel told \
-         every ms ({telemetry_dropped} frames dropped), CAN full of frames, raw transfers; {periods} periods, \
+        "load: {requests_per_s:.0} requests/s ({refused} refused, {timed_out} timed out), telemetry of every channel \
+         each ms ({telemetry_dropped} frames dropped), CAN at full load, raw transfers; {periods} periods, \
          {late_ticks} late; {trips} trips"
     ))?;
     Ok(output::line(format_args!(
@@ -337,5 +337,5 @@ fn print(report: &Report) -> anyhow::Result<()> {
 }
 
 fn verdict(held: bool) -> String {
-    if held { "ok".into() } else { "not held".into() }
+    if held { "ok".into() } else { "not met".into() }
 }

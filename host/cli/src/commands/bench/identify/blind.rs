@@ -147,7 +147,7 @@ fn outcomes(
         let compared = truth.first().zip(first).map(|(truth, first)| compared(&experiment, truth, first));
         let outcome = Outcome { truth, fault, noise: experiment.noise, compared: compared.unwrap_or_default(), report };
         if let Some(why) = why {
-            bench.say(&format!("r4: number {number} ({}) came to nothing: {why}", outcome.fault));
+            bench.say(&format!("r4: number {number} ({}) gave no result: {why}", outcome.fault));
         } else if bench.each {
             let seconds = started.elapsed().as_secs_f64();
             bench.say(&format!("{number:4} {}: {outcome}, {seconds:.1} s", experiment.setup));

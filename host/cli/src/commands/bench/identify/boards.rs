@@ -63,7 +63,7 @@ fn board(bench: &Bench<'_>, number: u32) -> anyhow::Result<Board> {
     let board = Board { hidden, closed: closed(&args, &close, &Shown::nowhere()) };
     bench.progress.inc(1);
     if let Err(why) = &board.closed {
-        bench.say(&format!("r4: board {number} (--blind {seed}) came to nothing: {why:#}"));
+        bench.say(&format!("r4: board {number} (--blind {seed}) gave no result: {why:#}"));
     } else if bench.each {
         let hidden = if board.hidden.is_empty() { "nothing".to_owned() } else { board.hidden.join(", ") };
         bench.say(&format!(

@@ -376,7 +376,7 @@ fn digits(value: f64) -> String {
 }
 
 fn print(report: &Report) -> anyhow::Result<()> {
-    let mut table = table::new(&["data", "metric", "before", "after", "promised", "", "found"], 2..4);
+    let mut table = table::new(&["data", "metric", "before", "after", "limit", "", "found"], 2..4);
     for row in &report.rows {
         let unit = if matches!(row.unit, "1" | "yes") { String::new() } else { format!(" {}", row.unit) };
         let said = |value: f64| match (row.unit, value) {
@@ -402,7 +402,7 @@ fn print(report: &Report) -> anyhow::Result<()> {
             row.detail.clone(),
         ]);
     }
-    output::line("Free runs over data that was not fitted to; before: the base model alone")?;
+    output::line("Errors of free-run simulation on held-out data; before: the base model alone")?;
     output::line(format_args!(
         "Simulated plants: {} with one effect, from seed {} (seeds for: {})",
         report.seeds, report.base, report.seeds_are_for

@@ -133,7 +133,7 @@ pub(super) fn run(args: &Args, asked: &BenchMotion) -> anyhow::Result<bool> {
         output::json(&report)?;
         return Ok(held);
     }
-    let mut table = table::new(&["simulated", "unit", "before", "after", "promised", "held"], 2..5);
+    let mut table = table::new(&["simulated", "unit", "before", "after", "limit", "met"], 2..5);
     for Row { what, unit, before, after, at_most, at_least, met } in &report.rows {
         let most = at_most.map(|limit| format!("at most {limit}"));
         let least = at_least.map(|limit| format!("at least {limit}"));

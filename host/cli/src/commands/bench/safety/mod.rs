@@ -388,7 +388,7 @@ pub(super) fn run(args: &Args, asked: &args::Safety) -> anyhow::Result<bool> {
     for (event, of) in measured.iter().filter(|(_, of)| of.wrong > 0) {
         right = false;
         let causes = of.wrong_causes.unwrap_or(Causes::NONE);
-        eprintln!("r4: {event}: {} times the board gave another reason, first `{causes}`", of.wrong);
+        eprintln!("r4: {event}: the board reported other causes {} times, first `{causes}`", of.wrong);
     }
     Ok(right && report.held())
 }
@@ -691,7 +691,7 @@ impl Injections<'_> {
                     Err(error) => return Err(error.into()),
                 },
                 Err(Error::Refused(Refusal::CausesPresent { causes })) if bench.clock.now_ns() > until_ns => {
-                    bail!("still {causes}, {CLEARED_WITHIN_MS} ms after it was taken away");
+                    bail!("the board still reports {causes} {CLEARED_WITHIN_MS} ms after the cause was removed");
                 }
                 Err(Error::Refused(Refusal::CausesPresent { .. })) => {}
                 // The board did not detect the event; the row reports that.
@@ -786,7 +786,7 @@ async fn check_moving(bench: &Bench<'_>) -> anyhow::Result<()> {
         None => Ok(()),
         Some(outputs) => {
             let (state, causes) = bench.host.safety();
-            bail!("`{outputs}` already before anything has happened; the board is {state}, causes {causes}")
+            bail!("`{outputs}` are safe before the injection; the board is {state}, causes {causes}")
         }
     }
 }
@@ -809,7 +809,7 @@ fn print(
         report.board, report.injections, report.seed
     ))?;
     report.print_outputs(&lines, markdown)?;
-    output::line("*  promised; the other limits follow from the board's configuration")?;
+    output::line("*  guaranteed; the other limits follow from the board's configuration")?;
     output::line("-  out of reach: the chip or the bus that would be written does not answer")?;
     output::line("times count from the event; for an object, from the end of the echo that shows it")?;
     report.print_plants(&lines, groups, markdown)

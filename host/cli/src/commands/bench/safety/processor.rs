@@ -265,7 +265,7 @@ pub(crate) fn run(args: &Args, asked: &args::Safety) -> anyhow::Result<bool> {
             report.seed
         ))?;
         report.print_outputs(&lines, asked.markdown)?;
-        output::line("*  promised; the other limits follow from:")?;
+        output::line("*  guaranteed; the other limits follow from:")?;
         let mut said = Vec::new();
         for (stopped_ms, stopped_by) in CASES.map(Case::stopped_ms) {
             if !said.contains(&stopped_by) {

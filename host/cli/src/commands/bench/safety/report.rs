@@ -164,11 +164,11 @@ impl Report {
             output::line("")?;
             let what = if brakes { "1: braked, then switched off" } else { "0: switched off at once" };
             output::line(format_args!(
-                "Plants, category {what}. Longest until off / its limit, ms; until at rest, ms; distance from where they were"
+                "Plants, category {what}. Longest time until off / its limit, ms; until at rest, ms; travel until then"
             ))?;
             output::line(if markdown { table::markdown(table) } else { table })?;
         }
-        Ok(output::line("at rest: slower than 0.05 rad/s or 0.5 mm/s; what is not after 20 s misses its limit")?)
+        Ok(output::line("at rest: slower than 0.05 rad/s or 0.5 mm/s; a plant that moves after 20 s misses its limit")?)
     }
 }
 
