@@ -37,6 +37,7 @@ pub(crate) fn check(args: &Args, command: &Command) -> Result<(), Unclear> {
 
 /// Decides as [`check`] does, with `boards` as the list of connected real boards; returns the note for stderr.
 fn decide(args: &Args, command: &Command, boards: impl FnOnce() -> Vec<PathBuf>) -> Result<Option<String>, Unclear> {
+    // Ports are listed only where the choice depends on them.
     if args.is_board_named || !opens_a_session(command) {
         return Ok(None);
     }

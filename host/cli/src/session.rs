@@ -82,6 +82,7 @@ pub(crate) fn rig(args: &Args, default_pace: Pace) -> anyhow::Result<Rig> {
     } else {
         uses_other_physics();
     }
+    // A simulated board runs the firmware's code natively, without the image's log.
     if let (Some(_), Target::Sim(name)) = (args.log, &args.board) {
         bail!("a simulated board has no firmware log: use a real or an emulated board, emu:{name}");
     }
@@ -142,6 +143,7 @@ pub(crate) fn in_memory<T>(
     };
     catch_interrupts();
     let Recorded { result, log, log_error } = rig.recorded(|output| record::tap(args, output), begun(args, work));
+    // An error of the recording counts only if the work succeeded.
     let closed = match (log_error, &args.record) {
         (Some(error), _) => Err(error.into()),
         (None, Some(path)) if !log.is_empty() => {

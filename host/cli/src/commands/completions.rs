@@ -121,6 +121,7 @@ fn channels(typed: &OsStr, kinds: &[ChannelKind]) -> Vec<CompletionCandidate> {
 /// Board that an unfinished command line names, or `R4_BOARD`, or the default board.
 fn board_of(line: impl Iterator<Item = String>) -> Option<Target> {
     let line: Vec<String> = line.collect();
+    // clap accepts `--board X` and `--board=X`; of several, take the last one.
     let after =
         line.iter().zip(line.iter().skip(1)).rev().find_map(|(option, value)| (option == "--board").then_some(value));
     let named = line.iter().rev().find_map(|word| word.strip_prefix("--board="));

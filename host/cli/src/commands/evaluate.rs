@@ -89,6 +89,7 @@ pub(crate) fn run_osmc(args: &Args, asked: &OsmcArgs) -> anyhow::Result<bool> {
         board: system::board(args, &Osmc),
         shard: Shard::default(),
     };
+    // Identification takes half a minute per seed, so that its arm runs on fewer seeds than the others.
     let driven = study(&[osmc::PAPER, osmc::OURS], asked.seeds);
     let mut records = system::records(&Osmc, &driven)?;
     let naming = asked.naming.min(asked.seeds);
@@ -97,6 +98,7 @@ pub(crate) fn run_osmc(args: &Args, asked: &OsmcArgs) -> anyhow::Result<bool> {
     }
     let study = driven;
     let failed: Vec<&Record> = records.iter().filter(|record| record.failed.is_some()).collect();
+    // Some failed trials still give rows, but no metric can be computed if all failed.
     if let Some(first) = failed.first() {
         let why = first.failed.as_deref().unwrap_or_default();
         ensure!(failed.len() < records.len(), "none of {} trials could be run; the first: {why}", records.len());
@@ -134,6 +136,7 @@ pub(crate) fn run_osmc(args: &Args, asked: &OsmcArgs) -> anyhow::Result<bool> {
 /// Motors that miss a target, by seed.
 fn failing(records: &[Record], trial: impl Fn(u64) -> Trial) -> anyhow::Result<Vec<Failing>> {
     let mut failing = Vec::new();
+    // Targets apply to the board's loops, not to the paper's PID.
     for record in records.iter().filter(|record| record.arm != osmc::PAPER) {
         let missed = osmc::missed(record);
         if missed.is_empty() {
@@ -153,6 +156,7 @@ fn failing(records: &[Record], trial: impl Fn(u64) -> Trial) -> anyhow::Result<V
             }
         }
     }
+    // Sort by motor and effect, so that effects which fail repeatedly stand together.
     failing.sort_by_key(|failing| (failing.motor, failing.hidden, failing.seed));
     Ok(failing)
 }

@@ -177,6 +177,7 @@ impl Watched {
     fn table(&self, snapshots: &[FaultSnapshot]) -> comfy_table::Table {
         let mut header = vec!["ms before".to_owned()];
         for info in &self.motors {
+            // A motor without a sensor has only its duty in a snapshot.
             let measured = info.resolution > 0.0;
             // The channel's name stands above its first column only.
             let mut name = info.id.to_string();

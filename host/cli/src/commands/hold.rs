@@ -71,6 +71,7 @@ fn run(args: &Args, order: Order) -> anyhow::Result<bool> {
     })?;
     let board = args.board.described();
     let set = asked.unwrap_or(Quantity::new(0.0, Unit::Duty));
+    // A brake has no quantity.
     let what = if asked.is_some() { set.to_string() } else { mode.to_string() };
     if args.json {
         output::json(&Outcome {

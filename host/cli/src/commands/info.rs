@@ -125,6 +125,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
         output::line(format_args!("  tripped by: {cause}"))?;
     }
     let Control { ticks, late_ticks, worst_tick_us, worst_tick_cycles, ticks_over_share } = report.control;
+    // Print counters only where they differ from a healthy board's.
     if late_ticks != 0 {
         output::line(format_args!(
             "  {late_ticks} of {ticks} control periods were late, the longest took {worst_tick_us} us"

@@ -46,6 +46,7 @@ pub(crate) fn run(args: &Args, motion: &args::Motion, mode: Mode) -> anyhow::Res
 }
 
 pub(crate) fn home(args: &Args, home: &args::Home) -> anyhow::Result<bool> {
+    // At speed 0 the search would only end by its time-out.
     ensure!(home.speed.value != 0.0, "a home switch is sought at a speed other than 0");
     let until = Until::Homed { timeout_s: home.seconds.unwrap_or(TIMEOUT_S) };
     let drive = async |session: &Session<'_>| Ok(session.drive(home.channel, Mode::Home, home.speed, until).await?);

@@ -57,6 +57,7 @@ pub(crate) fn play_on(
 ) -> anyhow::Result<bool> {
     for path in files {
         let scenario = Scenario::read(path)?;
+        // The file's robot decides; `--board` only selects simulated or emulated.
         let args = Args { board: args.board.with_robot(&scenario.robot)?, ..args.clone() };
         let outcome = outcome(&args, rig(&args)?, &scenario)?;
         if args.json {

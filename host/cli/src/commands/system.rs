@@ -131,6 +131,7 @@ pub(crate) fn bench(args: &Args, bench: BenchSystems) -> anyhow::Result<bool> {
             shard: Shard::default(),
         };
         let found = study::rows(&records(*system, &study)?)?;
+        // A target without a row would otherwise count as met.
         is_complete &= has_all_targets(*system, &found);
         rows.extend(found);
         rows.extend(system.timings(bench.quick)?);
@@ -244,6 +245,7 @@ fn trial(
         board: board(args, system),
         shard: Shard::default(),
     };
+    // A study of one arm and one seed is one trial.
     let [trial] = &study.trials(system)?[..] else { bail!("one trial has one arm") };
     let described = trial.board.described();
     if let Some(path) = figure {

@@ -144,6 +144,7 @@ impl Watched {
 }
 
 pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
+    // `session::keep` opens the live view from the common arguments.
     let args = &Args { live: watch.live.foxglove, ..args.clone() };
     let mut end_s = None;
     let lost = RefCell::new(None);
@@ -176,6 +177,7 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
         for channel in channels {
             board.subscribe(channel, period_ms).await?;
         }
+        // The duration counts from the first session and includes gaps of the link.
         end_s = end_s.or(watch.seconds.map(|seconds| board.now_s() + seconds));
         // Use the board's clock, which stamps the lines.
         let end_us = end_s.map(|end_s| board.device_us() + ((end_s - board.now_s()) * 1e6) as u64);

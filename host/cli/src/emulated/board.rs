@@ -74,6 +74,7 @@ pub(crate) fn debug(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
     let mut simulation = Simulation::new(rig.pace);
     let (board, _) = rig.power_up(&mut simulation)?;
     let state = state.take();
+    // Without gdb, which can end the run, a trace needs an end.
     let seconds = debug.seconds.or(if state.is_none() { Some(TRACED_S) } else { None });
     let until_ns = seconds.map_or(u64::MAX, |seconds| (seconds * 1e9) as u64);
     let clock = simulation.clock();
@@ -132,6 +133,7 @@ fn tracer(board: &EmuBoard<ThumbCore>, path: &Path, symbols: &[String]) -> anyho
         let file = File::create(path).with_context(|| format!("cannot write the trace {}", path.display()))?;
         Box::new(BufWriter::new(file))
     };
+    // With `--symbol`, trace only calls of those functions.
     let only_calls = !calls.is_empty();
     Ok(Tracer::new(&board.shared_machine(), out, Wanted { calls, only_calls }))
 }

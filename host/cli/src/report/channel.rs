@@ -204,6 +204,7 @@ impl Clock {
                 bands.push(Band { from_s, to_s, label, short, color });
                 let was_tripped = index > 0 && log.states[index - 1].state == SafetyState::Tripped;
                 if change.state == SafetyState::Tripped && !was_tripped {
+                    // A further cause while tripped is no further trip.
                     trips_s.push(from_s);
                 }
             }

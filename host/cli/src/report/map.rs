@@ -50,6 +50,7 @@ impl Map {
         if !low.iter().chain(&high).all(|number| number.is_finite()) {
             return String::new();
         }
+        // A margin keeps walls at the edge visible at full width.
         let (low, high) = (low.map(|number| number - MARGIN_M), high.map(|number| number + MARGIN_M));
         let scale = WIDTH / (high[0] - low[0]);
         let height = scale * (high[1] - low[1]);

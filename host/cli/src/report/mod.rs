@@ -152,6 +152,7 @@ fn write_body(
     for overlay in overlays {
         write_figure(body, &channel::overlay_figure(overlay))?;
     }
+    // A single state is the initial one: it never changed.
     if log.states.len() > 1 {
         write_table(body, &state_table(log))?;
     }
@@ -188,6 +189,7 @@ fn write_body(
 
 fn write_head(body: &mut String, log: &Log, title: &str, tables: &[Table]) -> std::fmt::Result {
     writeln!(body, "<header>\n<h1>{}</h1>", escaped(title))?;
+    // Verdicts can be in any column.
     let verdicts = tables.iter().flat_map(|table| table.rows.iter().flatten());
     let verdicts: Vec<bool> =
         verdicts.filter_map(|cell| if let Cell::Verdict { pass, .. } = cell { Some(*pass) } else { None }).collect();
@@ -291,8 +293,10 @@ fn request_table(log: &Log) -> Option<Table> {
     let asked = asked.map(|logged| (logged.time_s, logged.to_string(), String::new()));
     let refused = log.refusals.iter().map(|refused| (refused.time_s, refused.request.clone(), refused.reason.clone()));
     let mut rows: Vec<(f64, String, String)> = asked.chain(refused).collect();
+    // Refusals are recorded apart from requests; merge both by time.
     rows.sort_by(|a, b| a.0.total_cmp(&b.0));
     let left_out = rows.len().saturating_sub(MOST_REQUESTS);
+    // The column of reasons would be empty without refusals.
     let columns = if log.refusals.is_empty() { 2 } else { 3 };
     let cells = rows.into_iter().take(MOST_REQUESTS).map(|(time_s, request, reason)| {
         let time = Cell::Number { value: time_s - start_s, decimals: 3 };

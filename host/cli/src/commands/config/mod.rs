@@ -165,6 +165,7 @@ pub(crate) fn run(args: &Args, config: &Config) -> anyhow::Result<bool> {
         Config::Save | Config::Import { .. } => true,
         Config::Show { .. } | Config::Export { .. } => false,
     };
+    // Refuse before the session: a change on a board without a flash file would be lost silently.
     if saves {
         check_keeps(args)?;
     }
@@ -239,6 +240,7 @@ fn done(args: &Args, what: &str, saved: bool) -> anyhow::Result<bool> {
 
 fn show(args: &Args, scope: Option<Scope>) -> anyhow::Result<bool> {
     let (parameters, _) = session::run(args, Pace::Free, async |session| {
+        // An unknown channel is an error; a known one without parameters prints "no parameters".
         if let Some(Scope(Some(channel))) = scope {
             session.board.channel(channel)?;
         }
@@ -258,6 +260,7 @@ fn show(args: &Args, scope: Option<Scope>) -> anyhow::Result<bool> {
     }
     let mut table = table::new(&["parameter", "value", "after restart", "built in", "unit"], 1..4);
     for ParameterInfo { key, active, set, built_in } in &parameters {
+        // Print only values that differ from the active one, so that changes stand out.
         let unless = |value: &f32, same: &f32| if value == same { String::new() } else { shown(*value) };
         table.add_row([
             key.to_string(),
@@ -286,6 +289,7 @@ fn shown(value: f32) -> String {
 fn set(args: &Args, key: &str, value: f32, save: bool) -> anyhow::Result<bool> {
     let (info, units) = change(args, save, async |session| {
         let parameters = session.board.parameters().await?;
+        // Look the key up first: the board would only refuse it, without naming the nearest one.
         let known = find(&parameters, key).ok_or_else(|| anyhow!("{}", unknown(&parameters, key)))?;
         session.board.set_parameter(known.key, value).await?;
         Ok((ParameterInfo { set: value, ..*known }, Units::of(&parameters)))
@@ -360,6 +364,7 @@ fn import(args: &Args, path: &std::path::Path) -> anyhow::Result<bool> {
                 changes.push((place, ParameterInfo { set: entry.value, ..*info }, info.set));
             }
         }
+        // Set all parameters before saving, so that the file takes effect completely or not at all.
         let wanted: Vec<_> = changes.iter().map(|(_, info, _)| (info.key, info.set)).collect();
         let (place, error) = match set_all(session.board, &wanted).await {
             Ok(None) => {
@@ -370,6 +375,7 @@ fn import(args: &Args, path: &std::path::Path) -> anyhow::Result<bool> {
             Ok(Some((index, error))) => (changes[index].0.clone(), error),
             Err(error) => (path.display().to_string(), error),
         };
+        // Roll back to the values before this command.
         let before: Vec<_> = changes.iter().map(|(_, info, before)| (info.key, *before)).collect();
         match set_all(session.board, &before).await {
             Ok(None) => bail!("{place}: {error}; nothing was changed"),
@@ -407,6 +413,7 @@ async fn set_all<C: Clock>(board: &Board<C>, values: &[(ParameterKey, f32)]) -> 
                 Err(error) => return Err(error),
             }
         }
+        // A pass without progress means that no order helps.
         if still.is_empty() || still.len() == before {
             return Ok(refused);
         }

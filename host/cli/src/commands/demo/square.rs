@@ -216,6 +216,7 @@ fn rows(run: &Run) -> Vec<Row> {
     let stood_s: f64 = run
         .samples
         .windows(2)
+        // A set point of 0: waiting for a person, or after a trip.
         .filter(|pair| pair[0].known.velocity == Velocity::default())
         .map(|pair| pair[1].known.time_s - pair[0].known.time_s)
         .sum();
@@ -324,6 +325,7 @@ fn overlays(run: &Run, robot: &SkidSteer) -> Vec<Overlay> {
         let points = run.samples.iter().map(|sample| (sample.known.time_s, value(sample)));
         (name.to_owned(), points.filter(|(_, value)| value.is_finite()).collect::<Vec<_>>())
     };
+    // Slip is the rim's speed minus the ground speed beside the wheels, over one telemetry period.
     let slip = |name: &str, side: usize| {
         let points = run.samples.windows(2).map(|pair| {
             let (from, to) = (&pair[0], &pair[1]);

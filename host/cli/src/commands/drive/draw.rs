@@ -127,6 +127,7 @@ fn axis(name: &str, share: f64, [negative, positive]: [&str; 2]) -> Line<'static
 fn front_wheels(steered: &Steered) -> Line<'static> {
     let angle = |rad: f64| {
         let degrees = Quantity::new(rad.abs(), Unit::Rad).number();
+        // Judge the rounded text: "0.00 deg left" would be wrong.
         let is_straight = !degrees.contains(|digit: char| ('1'..='9').contains(&digit));
         let side = if rad < 0.0 { " right" } else { " left" };
         format!("{degrees} deg{}", if is_straight { "" } else { side })

@@ -143,6 +143,7 @@ impl Pair {
                  --right dhb1,dhb3"
             ),
         };
+        // A wheel on both sides would get two set points in every period.
         if let Some(twice) =
             pair.wheels().enumerate().find(|(at, id)| pair.wheels().take(*at).any(|before| before == *id))
         {
@@ -182,6 +183,7 @@ impl Pair {
         let steering = Steering { channel: robot.steering, law: robot.steering_law, limits: robot.steering_rad };
         let mut pair = Self { steering: Some(steering), ..Self::of(vec![robot.drive], Vec::new()) };
         if let Some(full_m_s) = robot.full_speed_m_s {
+            // The drive has no speed control: limit its duty to that of the highest speed.
             pair.most = Quantity::new((robot.speed_max_m_s / full_m_s).min(1.0), Unit::Duty);
         }
         pair
@@ -382,7 +384,9 @@ async fn steer(
             state.silent_s = Some(board.now_s() - *heard_s.borrow()).filter(|silent_s| *silent_s > SILENT_S);
             state.safety == SafetyState::Armed
         };
+        // While disarmed, the screen shows set points of zero.
         let orders = pair.orders(if is_armed { hand } else { Hand { is_held: false, ..hand } });
+        // Repeat unchanged set points to renew their lease, unless the link already has a queue of them.
         if is_armed && (orders != told || commands.len() < MOST_WAITING * orders.len()) {
             for (channel, setpoint) in &orders {
                 commands.begin("set point", board.set(*channel, *setpoint));

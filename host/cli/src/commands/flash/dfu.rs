@@ -123,6 +123,7 @@ mod with {
             (Target::Link(address @ Address::Serial { .. }), true) => Some(address.clone()),
             (other, true) => return Err(DfuError::NotUsb(other.to_string()).into()),
         };
+        // Ctrl-C must not stop between erasing and writing: `bootloader` checks for it only while waiting.
         session::catch_interrupts();
         let mut here = Here { named, key: session::key(args)?, began: Instant::now() };
         let wanted = Running { bytes: seal.bytes, crc: seal.crc };

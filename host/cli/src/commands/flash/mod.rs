@@ -102,6 +102,7 @@ pub(crate) fn run(args: &Args, flash: &Flash) -> anyhow::Result<bool> {
         command: None,
     };
     if flash.dfu {
+        // The bare image would overwrite the bootloader that has to write it.
         if place == Place::Bare {
             return Err(FlashError::NotHosted(path.to_owned()).into());
         }

@@ -93,6 +93,7 @@ pub(super) fn twins(
     observed: &Observed,
     physics: (Option<Physics>, Physics),
 ) -> anyhow::Result<Twins> {
+    // The recording's seed gives the same noise; the hidden effects of `--blind` would falsify the comparison.
     let args = Args { blind: None, record: None, seed: log::seed(args, log), ..args.clone() };
     session::catch_interrupts();
     Ok(twin::compare(&session::rig(&args, Pace::Free)?, log, observed, physics)?)

@@ -198,6 +198,7 @@ fn answer(args: &Args, question: &Question) -> anyhow::Result<bool> {
     } else {
         print::print(&found.report, &files)?;
     }
+    // An exit code of its own: a script can distinguish this result from a failure.
     if found.report.explained == Explained::Not {
         return Err(NotExplained.into());
     }

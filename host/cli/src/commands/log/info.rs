@@ -127,6 +127,7 @@ impl<'a> Info<'a> {
             start_s: log.time_span_s().map(|(start_s, _)| start_s),
             duration_s: log.duration_s(),
             samples: channels.iter().map(|channel| channel.samples).sum(),
+            // `None` for a channel without a recorded subscription.
             missing: channels.iter().filter_map(|channel| channel.missing).sum(),
             states: states.collect(),
             requests,

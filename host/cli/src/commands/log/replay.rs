@@ -117,6 +117,7 @@ pub(super) fn run(args: &Args, replay: &Replay) -> anyhow::Result<bool> {
     played.with_context(|| format!("cannot replay {}", replay.file.display()))?;
     let again = Log::from_bytes(&bytes)?;
     let shift_s = shift_s(&log, &again);
+    // With another clock, samples at both ends of the runs have no counterpart.
     let one_sided = replay.one_sided.unwrap_or(if shift_s == 0.0 { 0 } else { AT_THE_ENDS });
     let differences = compare(&log, &again, shift_s);
     let report = judge(replay, &log, &plan, differences, one_sided, (args.board.to_string(), seed))?;
@@ -173,6 +174,7 @@ fn judge(
         .into_iter()
         .map(|difference| {
             let limits = replay.within.iter().filter(|within| within.covers(&difference.name));
+            // The tightest limit applies where several cover a signal.
             let limit = limits.map(|within| within.limit).min_by(f64::total_cmp);
             let sides = difference.one_sided.iter().all(|&samples| samples <= one_sided);
             let near = |limit| difference.max.map_or(difference.unequal == 0, |max| max <= limit);
@@ -184,6 +186,7 @@ fn judge(
             Row { signal: name, samples, one_sided, compared, unequal, max, rms, limit, met }
         })
         .collect();
+    // No common sample would meet every limit.
     if signals.iter().all(|row| row.compared == 0) {
         bail!(
             "nothing was compared: no signal was recorded in both runs at the same moments; is {board} the recorded robot, \

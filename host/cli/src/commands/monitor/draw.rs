@@ -120,6 +120,7 @@ fn draw_left(frame: &mut Frame<'_>, state: &State, area: Rect) {
     let (of_selected, trips) = (parameters(state, selected), trips(state));
     let room = area.height.saturating_sub(lines(state.rows.len()));
     let room = if room < LEAST_PANEL { 0 } else { room };
+    // At most a third of the room for the trips; the parameters get the rest.
     let trips_height = lines(trips.len()).min(room / 3);
     let [list, middle, below] = Layout::vertical([
         Constraint::Fill(1),
@@ -266,6 +267,7 @@ fn words(state: &State) -> (String, String) {
         (None, SafetyState::Disarmed) => "outputs are safe",
         (None, SafetyState::Tripped) => "outputs are safe; clear it when it is safe to go on",
     };
+    // `Causes` would print "no causes", which is noise on an armed board.
     let causes = if state.causes.is_empty() { String::new() } else { causes(state.causes) };
     (causes, advice.into())
 }
@@ -337,6 +339,7 @@ fn header(width: u16) -> Line<'static> {
 
 fn draw_rows(frame: &mut Frame<'_>, state: &State, area: Rect) {
     let (all, visible) = (state.rows.len(), usize::from(area.height));
+    // Keep the selected channel in the middle of the list, except at the list's ends.
     let first = state.selected.saturating_sub(visible / 2).min(all.saturating_sub(visible));
     let rows = state.rows.iter().enumerate().skip(first).take(visible);
     let lines: Vec<Line<'static>> = rows
@@ -368,6 +371,7 @@ fn row_line(state: &State, row: &Row, mark: char, width: u16) -> Line<'static> {
         .map_or(["-".into(), String::new(), String::new()], |sample| watch::columns(&row.info, sample));
     let unit = human(row.info.unit).1;
     let speed_unit = if speed.is_empty() { "" } else { human(speed_unit(row.info.unit)).1 };
+    // The host's clock stands while the link is lost; the old rate would be shown on.
     let hz = if state.link.lost.is_some() { 0.0 } else { row.rate.hz(state.now_s) };
     let is_bad = matches!(row.sample, Some(Sample::Reading { quality, .. } | Sample::Sensor { quality, .. }) if quality != Quality::Good);
     let is_selected = mark == '\u{25b8}';

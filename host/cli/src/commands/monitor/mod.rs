@@ -224,6 +224,7 @@ pub(crate) fn run(args: &Args, monitor: &Monitor) -> anyhow::Result<bool> {
     let work = async |session: &Session<'_>| {
         let now_s = session.board.now_s();
         let (info, channels) = (session.board.info(), session.board.channels());
+        // After a reconnection the screen and its history continue.
         if let Some(seen) = seen.get() {
             seen.borrow_mut().state.reconnected(info, channels, now_s);
             return watch(session, monitor, seen).await;
@@ -242,6 +243,7 @@ pub(crate) fn run(args: &Args, monitor: &Monitor) -> anyhow::Result<bool> {
     let meanwhile = async |clock: &HostClock| loop {
         clock.sleep_until(clock.now_us() + (LOOK_EVERY_S * 1e6) as u64).await;
         let Some(mut seen) = seen.get().map(RefCell::borrow_mut) else { continue };
+        // `steer` draws while the link is up; requests are ignored without it.
         if seen.state.link.lost.is_some() && seen.look(|_| {})? {
             return Ok(());
         }
@@ -287,6 +289,7 @@ async fn measure(session: &Session<'_>, seen: &RefCell<Seen>) -> Error {
         match session.board.stats().await {
             Ok(stats) => seen.borrow_mut().state.measured(session.board.now_s() - begin_s, stats),
             Err(error @ (Error::LinkLost { .. } | Error::LinkFailed { .. })) => return error,
+            // A late answer is shown as a number; only the end of the link ends the screen.
             Err(_) => seen.borrow_mut().state.link.unanswered += 1,
         }
         session.board.sleep_s(MEASURE_EVERY_S).await;

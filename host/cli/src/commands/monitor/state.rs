@@ -170,6 +170,7 @@ impl State {
             new.selected = self.selected;
             new.marked = std::mem::take(&mut self.marked);
         }
+        // Keep the view, also for another board.
         new.view = self.view;
         *self = new;
     }
@@ -182,6 +183,7 @@ impl State {
     /// Marks the link as lost.
     pub(crate) fn lost(&mut self, why: String) {
         self.link.lost = Some(why);
+        // The longest round trip is that of the present link.
         self.link.round_trip_ms = None;
     }
 

@@ -185,12 +185,14 @@ impl Shown {
 pub(crate) fn run(args: &Args, tune: &Tune) -> anyhow::Result<bool> {
     let request = tune.request();
     request.check()?;
+    // Refuse before the experiment, which takes up to minutes.
     if tune.save {
         config::check_keeps(args)?;
     }
     let style = ProgressStyle::with_template("{spinner} {msg}").unwrap_or(ProgressStyle::default_spinner());
     let progress = ProgressBar::new_spinner().with_style(style);
     progress.enable_steady_tick(std::time::Duration::from_millis(100));
+    // Record in memory: the report page plots the experiment.
     let (result, log) = session::in_memory(args, Pace::Free, async |session| {
         Ok(r4_rig::tune::tune(session, &request, |step| progress.set_message(step.to_owned())).await?)
     });
@@ -316,6 +318,7 @@ fn rows(outcome: &Outcome) -> Vec<[String; 4]> {
     let row = |name: &str, unit: &str, of: &dyn Fn(&Response) -> Option<f64>, decimals| {
         [name.into(), unit.into(), number(of(&before), decimals), number(after.as_ref().and_then(of), decimals)]
     };
+    // E in the units below stands for the motor's length or angle.
     let of_length = if plan.motor.unit == Unit::M { "m" } else { "rad" };
     let gains = |name: &str, per: [&str; 2], of: fn(&PidGains) -> f32| {
         let [position, speed] = per.map(|per| per.replace('E', of_length));

@@ -90,6 +90,7 @@ fn write_head(body: &mut String, report: &Report, scale: &Scale, files: &[(&str,
     body.push_str("</header>\n");
     if !report.notes.is_empty() {
         body.push_str("<div class=\"warnings\"><strong>About the data</strong>\n<ul>\n");
+        // Long lists of notes are folded, so that the results stay on the first screen.
         let (first, more) = report.notes.split_at(report.notes.len().min(NOTES));
         for note in first {
             writeln!(body, "<li>{}</li>", escaped(note))?;
@@ -222,11 +223,13 @@ fn estimates(caption: String, parameters: &BTreeMap<String, Estimate>) -> Table 
     let rows = parameters.iter().map(|(name, estimate)| {
         if let Some(assumption) = &estimate.assumed {
             let note = format!("{name}: {assumption}");
+            // Several parameters can share an assumption; print it once.
             if !assumed.contains(&note) {
                 assumed.push(note);
             }
         }
         let (value, std) = match estimate.std {
+            // Two digits of the standard error fix the decimals of the value.
             Some(std) if std.is_finite() && std > 0.0 => {
                 let decimals = decimals(std, 2);
                 (fixed(estimate.value, decimals), format!("\u{b1} {}", fixed(std, decimals)))
@@ -235,6 +238,7 @@ fn estimates(caption: String, parameters: &BTreeMap<String, Estimate>) -> Table 
             None => (significant(estimate.value), "not fixed by the data".to_owned()),
         };
         let interval = estimate.interval.map_or(String::new(), |[low, high]| {
+            // A quarter of a 95 % interval is about one standard error.
             let decimals = decimals((high - low) / 4.0, 2);
             format!("{} to {}", fixed(low, decimals), fixed(high, decimals))
         });
@@ -311,6 +315,7 @@ fn run_figure(run: &Traces) -> Figure {
     };
     let (before, after) = (difference(&run.before), difference(&run.after));
     let most = extent(before.iter().chain(&after).map(|value| value.abs())).map_or(0.0, |(_, most)| most);
+    // The error is often a thousand times smaller than the signal and gets a unit prefix of its own.
     let small = Scale::of(unit, most);
     let scaled = |values: &[f64]| -> Vec<f64> { values.iter().map(|value| value * small.factor).collect() };
     let errors = vec![
@@ -340,6 +345,7 @@ fn cause_figure(cause: &Cause) -> Figure {
         cause.at.iter().zip(values).map(|(at, value)| (*at, value * scale.factor)).collect()
     };
     let error: Vec<f64> = cause.error.iter().map(|error| error * scale.factor).collect();
+    // Bars of length zero draw the marks only.
     let after_error = vec![0.0; cause.after.len()];
     let line = |label: &str, color, points, error| Line { label: label.to_owned(), color, width: MODEL, points, error };
     let ends = of(&cause.before)
@@ -368,6 +374,7 @@ fn curve_figure(curve: &Curve) -> Figure {
 fn one_panel(title: &str, over: &str, unit: &str, at: &[f64], range: (f64, f64), lines: Vec<Line>) -> Figure {
     let axis = if unit.is_empty() || unit == "1" { over.to_owned() } else { format!("{over} ({unit})") };
     let (first, last) = spread(at.iter().copied());
+    // A margin of 2 % keeps error bars at the ends off the frame.
     let margin = 0.02 * (last - first);
     let panel = Panel { title: title.to_owned(), note: String::new(), height: 170, range, lines, guides: None };
     Figure {

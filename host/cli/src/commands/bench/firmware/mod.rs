@@ -177,8 +177,10 @@ fn measure(seed: u64, robot: &str, image: &Image, seconds: f64) -> anyhow::Resul
         tormentor.mix(&mut Pcg64::new(seed.into(), 1), seconds).await?;
         tormentor.prepare_load().await?;
         let mut all = board.take_periods()?;
+        // Discard the counters of the random phase: the report is about the load.
         tormentor.take_requests();
         let before = host.stats().await?;
+        // Jitter is of the load phase only; instruction counts of a tick are of both phases.
         let (begin_ns, executed) = (clock.now_ns(), board.machine().instructions());
         progress.set_message("as much as links carry");
         tormentor.load(seconds).await?;
@@ -242,6 +244,8 @@ fn report(args: &Args, target: &Target, image: &Image, seconds: f64, measured: M
         instructions_per_s: all as f64 / whole_s,
         held: within(used, share),
     };
+    // The measured depth must leave half of the stack free; the bound, which assumes the worst nesting, may use all of
+    // it.
     stacks.push(together(TOGETHER, used, STACK_SHARE));
     stacks.push(together(AT_WORST, bound, STACK_BOUND));
     let limits = Limits {
@@ -271,6 +275,7 @@ fn report(args: &Args, target: &Target, image: &Image, seconds: f64, measured: M
         instructions_per_s,
         executes_per_s: Settings::default().instructions_per_second,
         load,
+        // Without a period under load, the jitter would be within its limit without a measurement.
         held: stack_held && tick_held && jitter.p999 <= JITTER_P999_US && periods > 0,
     }
 }

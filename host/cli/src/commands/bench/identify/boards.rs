@@ -78,6 +78,7 @@ fn board(bench: &Bench<'_>, number: u32) -> anyhow::Result<Board> {
 pub(super) fn close(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     let boards = bench.numbers(IdentifyRows::Close).into_par_iter().map(|number| board(bench, number));
     let boards = boards.collect::<anyhow::Result<Vec<Board>>>()?;
+    // A motor that no allowed duty moves cannot be identified and is not counted.
     let (immovable, movable): (Vec<&Board>, Vec<&Board>) = boards.iter().partition(|board| board.is_immovable());
     let (clean, hiding): (Vec<&Board>, Vec<&Board>) = movable.into_iter().partition(|board| board.hidden.is_empty());
     let counted =

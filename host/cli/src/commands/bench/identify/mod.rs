@@ -314,6 +314,7 @@ pub(super) fn run(args: &Args, question: &BenchIdentify) -> anyhow::Result<bool>
     let wanted = |rows: &IdentifyRows| question.only.is_empty() || question.only.contains(rows);
     let wanted: Vec<IdentifyRows> = IdentifyRows::value_variants().iter().copied().filter(wanted).collect();
     for rows in &wanted {
+        // Check all folders before the first measurement.
         if let Some(missing) = rows.folder().map(|folder| question.data.join(folder)).filter(|path| !path.is_dir()) {
             bail!(
                 "there are no recordings in {}: start this in the project's folder, or name its `data` with --data DIR",
@@ -324,6 +325,7 @@ pub(super) fn run(args: &Args, question: &BenchIdentify) -> anyhow::Result<bool>
     let all = wanted.iter().map(|rows| rows.weight(question.seeds)).sum();
     let style = ProgressStyle::with_template("{bar:30} {percent:>3} %, {elapsed}, {prefix}: {msg}");
     let progress = ProgressBar::new(all).with_style(style.unwrap_or(ProgressStyle::default_bar()));
+    // Without `--seed`, the seeds are those of the release's report.
     let base = if args.is_seed_given { args.seed } else { REPORT_BASE };
     let bench = Bench {
         args,

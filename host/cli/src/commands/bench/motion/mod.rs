@@ -239,6 +239,7 @@ async fn lag_counts(session: &Session<'_>, speed: f64, dated: bool) -> Result<f6
                     board.sleep_s(wait_us as f64 * 1e-6).await;
                     board.set(WHEEL, Setpoint { mode: Mode::Position, value }).await?;
                 }
+                // Path points are sent ahead of their time, set points at their time.
                 let next_us = at_us + (EVERY_S * 1e6) as u64 - if dated { (AHEAD_S * 1e6) as u64 } else { 0 };
                 board.sleep_s(next_us.saturating_sub(board.device_us()) as f64 * 1e-6).await;
                 while let Some(sample) = samples.try_next() {
@@ -270,6 +271,7 @@ async fn begins_s(session: &Session<'_>, later_s: f64) -> Result<Vec<f64>, Error
     session
         .armed(async || {
             let mut telemetry = board.telemetry();
+            // One time on the host's clock, converted to each board's clock.
             let ahead_us = ((BEGIN_S - board.now_s()) * 1e6).round() as u64;
             let begin_us = board.device_us() + ahead_us;
             for wheel in &wheels {

@@ -66,6 +66,7 @@ impl Row {
     /// Row of plants that were followed until rest; a plant that never rests misses the limit too.
     pub(super) fn of_group(cause: &impl fmt::Display, group: &Group, ran: &GroupRan, limit: Limit) -> Self {
         Self {
+            // Infinite where the plant was still moving after `RUN_OUT_NS`.
             held: ran.off_ms <= limit.ms && ran.rest_ms.is_finite(),
             rest_ms: Some(ran.rest_ms),
             rest_distance: Some(ran.distance),
