@@ -103,6 +103,7 @@ fn print(failure: Failure<'_>) {
 
 /// Kind of an error, and the channel that it concerns.
 fn classify(error: &anyhow::Error) -> (Kind, Option<ChannelId>) {
+    // Contexts wrap the error that decides the kind.
     for cause in error.chain() {
         if let Some(error) = cause.downcast_ref::<Error>() {
             return of_driver(error);

@@ -26,17 +26,20 @@ fn lines() -> Vec<String> {
 pub(crate) fn remember(address: &Address, channels: &[ChannelInfo]) {
     let Some(path) = path() else { return };
     let address = address.to_string();
+    // A tab or a line break would break the file's format.
     if address.contains(char::is_control) {
         return;
     }
     let ids = channels.iter().map(|info| format!("\t{}", info.id));
     let line = address.clone() + &ids.collect::<String>();
     let before = lines();
+    // Usual case: the same board again, so nothing to write.
     if before.first() == Some(&line) {
         return;
     }
     let others = before.iter().filter(|other| other.split('\t').next() != Some(&address)).take(MOST - 1);
     let text: String = [&line].into_iter().chain(others).map(|line| line.clone() + "\n").collect();
+    // Write a file of this process and rename it: shells and other commands may read meanwhile.
     let beside = path.with_extension(process::id().to_string());
     let made = path.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| fs::write(&beside, text));
     if made.and_then(|()| fs::rename(&beside, &path)).is_err() {

@@ -184,6 +184,7 @@ impl Hosts<'_> {
                         volts = Some(self.bridge.volts_at_zero + self.bridge.volts_per_unit * position);
                     }
                     if drives.contains(&channel) {
+                        // Keep the newest duty of each channel only.
                         duties.retain(|(known, _)| *known != channel);
                         duties.push((channel, duty));
                     }
@@ -191,6 +192,7 @@ impl Hosts<'_> {
             }
             let now_s = board.now_s();
             if now_s >= heartbeat_s {
+                // From the due time rather than from now, which would drift.
                 heartbeat_s += HEARTBEAT_S;
                 self.send(Packet::default().with("H", "R4-ROS2"));
             }

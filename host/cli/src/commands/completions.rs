@@ -152,6 +152,7 @@ fn boards(typed: &OsStr) -> Vec<CompletionCandidate> {
         all.extend(files.iter().map(|file| format!("{kind}:{}", file.get_value().to_string_lossy())));
     }
     all.sort();
+    // A board may be connected and known from before.
     all.dedup();
     all.into_iter().map(CompletionCandidate::new).collect()
 }

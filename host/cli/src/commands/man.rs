@@ -37,6 +37,7 @@ const EXIT_STATUS: [(&str, &str); 7] = [
 ];
 
 pub(crate) fn run(manual: &Manual, program: Command) -> anyhow::Result<bool> {
+    // `help` would get pages of its own.
     let mut program = program.disable_help_subcommand(true);
     // Building sets each verb's full name and the global options.
     program.build();

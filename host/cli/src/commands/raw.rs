@@ -76,6 +76,7 @@ pub(crate) fn uart(args: &Args, uart: &Uart) -> anyhow::Result<bool> {
             if board.now_s() >= until_s {
                 return Ok(Some(all));
             }
+            // Fetch at once while bytes are waiting: the board drops what it cannot buffer.
             if received.is_empty() {
                 board.sleep_s(FETCH_EVERY_S).await;
             }

@@ -75,6 +75,7 @@ pub(crate) fn clear(args: &Args) -> anyhow::Result<bool> {
 async fn report(args: &Args, session: &Session<'_>) -> anyhow::Result<()> {
     let Some(first) = session.board.channels().first() else { bail!("the board has no channels") };
     let mut telemetry = session.board.telemetry();
+    // Telemetry carries the state: the next frame is newer than the request before.
     session.board.subscribe(first.id, 10).await?;
     let frame = telemetry.next().await?;
     session.board.subscribe(first.id, 0).await?;

@@ -173,6 +173,7 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
         let channels: Vec<ChannelId> = infos.iter().map(|info| info.id).collect();
         let mut watched = Watched::new(infos);
         let mut telemetry = board.telemetry();
+        // Boards take periods in whole milliseconds.
         let period_ms = (1000.0 / watch.rate).round() as u16;
         for channel in channels {
             board.subscribe(channel, period_ms).await?;

@@ -72,6 +72,7 @@ impl LinkLog {
             }
             _ => {}
         }
+        // Positions count bytes modulo 2^32.
         self.behind = Some(chunk.position.wrapping_add(chunk.bytes.len() as u32));
         self.decoder.push(&chunk.bytes, now_ns, |record| print(self.from, &record));
     }

@@ -193,10 +193,12 @@ impl Figure {
         let (left, right) = (f64::from(LEFT), f64::from(WIDTH - RIGHT));
 
         text(area, (LEFT, top + TITLE - 8), HPos::Left, &panel.title, color::INK, true)?;
+        // Bold text is about 8 % wider.
         let note = LEFT + (text_width(&panel.title) * 1.08) as i32 + 10;
         text(area, (note, top + TITLE - 8), HPos::Left, &panel.note, color::MUTED, false)?;
         draw_legend(area, panel, top + TITLE - 8)?;
 
+        // About 12 labels fit the width.
         let (times, decimals) = ticks(self.span.0, self.span.1, 12);
         for time_s in times {
             let x = self.x(time_s);
@@ -329,6 +331,7 @@ fn units((x, y): (f64, f64)) -> (i32, i32) {
 
 fn stroke(area: &Area, path: &[(f64, f64)], color: RGBColor, width: u32) -> Drawn {
     let mut path: Vec<_> = path.iter().map(|&point| units(point)).collect();
+    // Points that round to the same unit draw nothing.
     path.dedup();
     if path.len() < 2 {
         return Ok(());

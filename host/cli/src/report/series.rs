@@ -10,6 +10,7 @@ const MOST_POINTS: usize = 2_000;
 pub(super) fn with_gaps(points: &[Point]) -> Vec<Point> {
     let mut periods: Vec<f64> = points.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
     periods.sort_by(f64::total_cmp);
+    // The median ignores the gaps themselves.
     let usual_s = periods.get(periods.len() / 2).copied().unwrap_or_default();
     let run_s = points.last().map_or(0.0, |last| last.0) - points.first().map_or(0.0, |first| first.0);
     let longest_s = (5.0 * usual_s).max(0.02 * run_s);
@@ -58,6 +59,7 @@ pub(super) fn decimated(points: &[Point]) -> Vec<Point> {
     if points.len() <= MOST_POINTS {
         return points.to_vec();
     }
+    // Five points at most per span: four extremes and a gap.
     let buckets = MOST_POINTS / 5;
     let per_second = buckets as f64 / (last.0 - first.0).max(f64::MIN_POSITIVE);
     let bucket_of = |point: &Point| (((point.0 - first.0) * per_second) as usize).min(buckets - 1);

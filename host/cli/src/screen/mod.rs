@@ -82,6 +82,7 @@ impl Screen {
             }));
         });
         TAKEN.store(true, Ordering::Relaxed);
+        // Created first, so that an error below restores the terminal too.
         let restore = Restore;
         enable_raw_mode().context("cannot read single keys from this terminal")?;
         execute!(stdout(), EnterAlternateScreen, Hide).context("cannot draw on this terminal")?;

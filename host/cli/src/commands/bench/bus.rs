@@ -142,6 +142,7 @@ fn measure(robot: &Robot, seed: u64, load: &Load, seconds: f64) -> anyhow::Resul
         bench.sleep_ms(100).await;
         warm_up(bench, load).await?;
         let before = bench.host.stats().await?;
+        // Measure from here on: the warm-up has other set points.
         bench.board.world().bus.set_trace(TRACE);
         bench.board.world().bus.reset_statistics();
         let begin_ns = bench.clock.now_ns();
@@ -160,6 +161,7 @@ fn measure(robot: &Robot, seed: u64, load: &Load, seconds: f64) -> anyhow::Resul
 
         let us = |ns: u64| ns as f64 / 1000.0;
         let longest_ns = wire.iter().map(|record| record.end_ns - record.start_ns).max().unwrap_or(0);
+        // The firmware counts from its start, modulo 2^32.
         let late_ticks = after.late_ticks.wrapping_sub(before.late_ticks);
         let between = ticks_between_updates(&robot.config, &wire, &turns);
         let in_turn = between.iter().all(|(group, ticks)| *ticks <= most_ticks(*group, load, &robot.config));

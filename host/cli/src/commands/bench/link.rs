@@ -174,6 +174,7 @@ impl Served {
         let program = env::current_exe().context("cannot find this program to serve the board")?;
         let mut child = Command::new(program)
             .args(["sim", "serve", &name, "--pty", "--seed", &seed.to_string()])
+            // The server must not use the board and the flash of this command.
             .env_remove("R4_BOARD")
             .env_remove("R4_FLASH")
             .stdin(Stdio::null())
@@ -359,6 +360,7 @@ async fn on_board(
     measured.cycle_bytes = scales.into_iter().map(|scale| scale.longest.get()).sum();
 
     let span = Duration::from_secs_f64(bench.seconds);
+    // The first round warms up; the second one replaces its measurements.
     for span in [WARM_UP.min(span), span] {
         (measured.round_trips, measured.stamps) = (Vec::new(), Vec::new());
         let begin = Instant::now();
@@ -366,6 +368,7 @@ async fn on_board(
             measured.one_cycle(board, &mut cycles, &rest).await?;
         }
     }
+    // The counters also contain the cycles of the round trips.
     let before = cycles.counters();
     let clock = RealClock;
     let end_us = clock.now_us() + (span + PATIENCE).as_micros() as u64;

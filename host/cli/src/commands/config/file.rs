@@ -89,6 +89,7 @@ pub(super) fn read(text: &str) -> Result<Vec<Entry>, Mistake> {
             entries.push(Entry { line, key, value: number });
         }
     }
+    // Tables are read in alphabetical order; users expect that of the file.
     entries.sort_by_key(|entry| entry.line);
     Ok(entries)
 }

@@ -166,6 +166,7 @@ async fn set_point(
     board.sleep_s(HOLD_S).await;
     let measured = measured.map(|position| position * per_si);
     let ours =
+        // Only simulated boards have a true position.
         session.true_position(channel).map(|position| (position - zero) * per_si).or(measured).unwrap_or(f64::NAN);
     let error_ours = ours - set;
     let row = Row {

@@ -32,6 +32,7 @@ mod with {
 
         /// Present input. A disconnected gamepad counts as released.
         pub(in super::super) fn hand(&mut self) -> Hand {
+            // gilrs updates its state only as events are read.
             while self.gilrs.next_event().is_some() {}
             let mut held =
                 self.gilrs.gamepads().filter(|(_, pad)| pad.is_connected() && pad.is_pressed(Button::RightTrigger));

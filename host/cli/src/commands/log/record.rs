@@ -50,6 +50,7 @@ pub(super) fn run(args: &Args, record: &Record) -> anyhow::Result<bool> {
             .unwrap_or(ProgressStyle::default_spinner()),
     );
     progress.enable_steady_tick(Duration::from_millis(200));
+    // `session::keep` writes the recording of `--record`.
     let recorded = Args { record: Some(path.clone()), ..args.clone() };
     let mut end_us = None;
     let lost = RefCell::new(None);

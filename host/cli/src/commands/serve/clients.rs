@@ -182,6 +182,7 @@ async fn receive(mut rx: Receiver, desk: &Desk, number: u64, heard: &Cell<Instan
                     let refusal = if desk.host.get().is_some() { Refusal::InUse } else { Refusal::NoSession };
                     let answer = ToHost::Response { seq, result: Err(refusal) };
                     if let Ok(answer) = encode_frame(&answer, &mut [0; MAX_FRAME])
+                        // A client that does not read its answers must not fill the memory.
                         && answers.borrow().len() < MAX_FRAME
                     {
                         answers.borrow_mut().extend_from_slice(answer);

@@ -195,6 +195,7 @@ pub(super) fn pendulum(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
 fn mean_absolute<F: Family>(family: &F, fit: &fit::Fit, runs: &[F::Run]) -> f64 {
     let of_run = |run: &F::Run| {
         let samples = family.measured(run).len();
+        // As `Protocol::FirstTenth`: a tenth, and at least 20 samples.
         let initial = fit::settle(family, &fit.structure, run, (samples / 10).max(20).min(samples));
         let residuals = fit::residuals(family, &fit.structure, &initial, run);
         let known: Vec<f64> = residuals.into_iter().filter(|residual| residual.is_finite()).map(f64::abs).collect();

@@ -36,6 +36,7 @@ const CLOSED: [&[Rung]; 4] = [
 /// Row of the number of rungs with the expected error, within half of the last digit.
 fn rungs(data: &str, ladder: &Ladder, expected: &[Rung]) -> Row {
     let off = |&(law, rmse, digit): &Rung| match ladder.step(law) {
+        // Half of the last digit, and 0.01 for the rounding of floats.
         Some(step) if (step.rmse - rmse).abs() <= 0.51 * digit => None,
         Some(step) => Some(format!("{law}: {:.3} instead of {rmse}", step.rmse)),
         None => Some(format!("{law} is missing")),

@@ -99,11 +99,13 @@ impl Sampled {
         let static_share = dice.between(0.0, 0.5);
         let stribeck_share = dice.ratio_between(0.005, 0.03);
         let has_backlash = dice.between(0.0, 3.0) < 2.0;
+        // Sampled in any case, so that the numbers after it do not depend on it.
         let backlash_deg = dice.between(0.1, 2.0);
         let dead_zone = dice.between(0.0, 0.1);
         let lines_per_turn = dice.ratio_between(50.0, 2500.0).round() as u32;
 
         let back_emf = supply_v / speed_rad_s;
+        // Viscous coefficient of the back-EMF through the winding, N m s/rad.
         let damping = back_emf * back_emf / resistance_ohm;
         let viscous = viscous_share * damping;
         let stall_nm = back_emf * supply_v / resistance_ohm;
@@ -124,6 +126,7 @@ impl Sampled {
             inductance_h: electrical_s * resistance_ohm,
             torque_constant_nm_per_a: back_emf / gear_ratio,
             gear_ratio,
+            // The mechanical time constant is J / (k² / R + B).
             inertia_kg_m2: mechanical_s * (damping + viscous),
             viscous_nm_s_per_rad: viscous,
         };
@@ -170,6 +173,7 @@ impl Sampled {
         control.profile = ProfileLimits { speed: speed as f32, acceleration: (speed / PATH_RAMP_S) as f32, jerk: 0.0 };
         control.settle = SettleConfig {
             error: SETTLE_RAD.max(SETTLE_COUNTS * count_rad) as f32,
+            // At least two counts within the settling time of 100 ms.
             speed: (0.02 * self.speed_rad_s).max(2.0 * count_rad / 0.1) as f32,
             time_ms: 100,
         };

@@ -398,6 +398,7 @@ fn measure(robot: &Robot, seed: u64, injections: u32, run_outs: u32) -> anyhow::
     let weights: f64 = EVENTS.iter().map(|event| event.weight()).sum();
     let mut chunks = Vec::new();
     for (place, event) in EVENTS.into_iter().enumerate() {
+        // At least one injection of each event, also for few in all.
         let mut left = (f64::from(injections) * event.weight() / weights).ceil() as u32;
         while left > 0 {
             let count = left.min(event.chunk());
@@ -496,6 +497,7 @@ impl Injections<'_> {
         // Alternate the direction, so that nothing reaches its end stop.
         let sign = if number.is_multiple_of(2) { 1.0 } else { -1.0 };
         let osmc: Vec<_> = bench.taking(ChannelKind::Osmc, Mode::Duty).map(|(id, _)| id).collect();
+        // A random channel, so that many injections cover all of them.
         let victim = osmc.get(self.below(osmc.len() as u64) as usize).copied();
         let Some(victim) = victim else { bail!("no OSMC") };
         Moving::All.begin(bench, victim, sign).await?;
@@ -590,6 +592,7 @@ impl Injections<'_> {
                 if heard {
                     since_ns.set(now_ns);
                     drop(world);
+                    // Positions count from the echo that shows the object.
                     plants = RunOut::new(&bench.board);
                 }
             }

@@ -378,6 +378,7 @@ fn inject_once(
             let safe = |outputs| watch.safe_since_ns(outputs).is_some_and(|safe_ns| now_ns >= safe_ns + QUIET_NS);
             Outputs::ALL.into_iter().all(safe)
         };
+        // Outputs are safe between the starts of a reset loop: watch all three.
         let least_ns = if case == Case::ResetLoop { LOOP_NS } else { 0 };
         loop {
             clock.sleep(LOOK_NS).await;
