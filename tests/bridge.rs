@@ -155,7 +155,7 @@ fn the_published_nodes_drive_the_vehicle_and_stop_it() {
     host.command("O:800,0,1");
     let said = told(&bridge, "osmc0 is stopped: the board has tripped");
     for (what, times) in
-        [("none of this protocol (said once)", 1), ("higher number (said once)", 1), ("leaves the stop behind", 1)]
+        [("conform to the protocol (reported once)", 1), ("higher number (reported once)", 1), ("clear the trip", 1)]
     {
         assert_eq!(said.iter().filter(|line| line.contains(what)).count(), times, "{what}: {said:#?}");
     }
@@ -166,7 +166,7 @@ fn a_host_that_is_silent_drives_nothing_and_may_come_back() {
     let (bridge, mut host) = bridge(&["--host", "127.0.0.1", "--for", "8"]);
     // The client is silent until the board has sent something.
     host.until(|host| !host.steering_v.is_nan());
-    told(&bridge, "a host is there: armed");
+    told(&bridge, "heartbeat of a host: armed");
     // Damaged, of no meaning to the board, and sent twice.
     host.receiver.send_to(b"O:4095,0,1;^0x1^", &host.board).expect("sent");
     host.command("O:1000,0,1");
@@ -184,12 +184,12 @@ fn a_host_that_is_silent_drives_nothing_and_may_come_back() {
     for _ in 0..30 {
         host.next();
     }
-    told(&bridge, "no heartbeat of the host for 0.7 s: disarmed");
-    let again = told(&bridge, "a host is there: armed");
+    told(&bridge, "no heartbeat from the host for 0.7 s: disarmed");
+    let again = told(&bridge, "heartbeat of a host: armed");
     assert!(again.iter().all(|line| !line.contains("disarmed")), "said once: {again:#?}");
     assert_eq!(host.duty, 0.0);
     let seen = rest(&bridge.err, bridge.begin);
-    assert!(seen.contains("1 damaged, 1 late or twice, 0 of other hosts, 1 commands not carried out"), "{seen}");
+    assert!(seen.contains("1 damaged, 1 late or duplicate, 0 from other hosts, 1 commands failed"), "{seen}");
 }
 
 #[test]

@@ -737,7 +737,7 @@ fn config_keeps_what_is_saved_and_nothing_else() {
     assert_eq!((number(&shown, "active"), number(&shown, "built_in")), (5.5, built_in));
 
     let seen = kept.r4(&["config", "set", KP, "7"]);
-    assert!(seen.code == Some(0) && seen.err.contains("forgets") && seen.out.contains("5.5 -> 7"), "{seen:?}");
+    assert!(seen.code == Some(0) && seen.err.contains("loses unsaved") && seen.out.contains("5.5 -> 7"), "{seen:?}");
     assert_eq!(number(&kept.parameter(KP), "active"), 5.5);
 
     kept.json(&["config", "name", "rover 2", "--save"]);
@@ -759,7 +759,7 @@ fn what_is_saved_is_what_the_board_works_with() {
 
 #[test]
 fn saving_without_a_flash_is_refused() {
-    let says = &["sim:osmc-bench", "keeps nothing", "--flash"][..];
+    let says = &["sim:osmc-bench", "loses its parameters", "--flash"][..];
     all_refused([
         (&["config", "save"][..], says),
         (&["config", "set", KP, "5", "--save"], says),
@@ -913,7 +913,7 @@ fn trips_are_remembered_with_what_came_before() {
     for says in ["trip 1", "stalled", "free the mechanism", "ms before", "actuator1", "mm/s", "duty", "supply1"] {
         assert!(printed.contains(says), "{says} in\n{printed}");
     }
-    kept.refused(&["faults", "2"], &["no trip 2", "remembers 2"]);
+    kept.refused(&["faults", "2"], &["no trip 2", "has 2 stored"]);
     let seen = r4(&["faults"]);
     assert!(seen.code == Some(0) && seen.out.contains("no trip") && seen.err.contains("--flash"), "{seen:?}");
 }

@@ -332,7 +332,7 @@ fn loses_and_finds(how: &str, link_kind: &str) {
     server.kill().expect("it runs");
     server.wait().expect("it ran");
     let text = screen.until(|text| state(text) == "NO" && text.contains("LOST"));
-    assert!(text.contains("last heard of armed"), "{text}");
+    assert!(text.contains("last state armed"), "{text}");
     let mut server = serve(how, &link);
     screen.until(|text| state(text) == "DISARMED" && text.contains("the link is back"));
     // Keys work without a board, too.
@@ -451,7 +451,7 @@ fn seen(args: &[&str]) -> (Option<i32>, String, String) {
 #[test]
 fn what_cannot_be_driven_is_told_before_the_screen() {
     for (args, word, code) in [
-        (["--board", "sim:osmc-bench", "drive", ""].as_slice(), "not known of this robot", 1),
+        (["--board", "sim:osmc-bench", "drive", ""].as_slice(), "of this robot are unknown", 1),
         (&["--board", "sim:openpodcar", "drive", "--speed=90%"], "takes a duty", 3),
         (&["--board", "sim:openscout", "drive", "--left=dhb0,dhb2", "--right=dhb0"], "named twice", 1),
         (&["--board", "sim:openscout", "drive", "--left=supply0", "--right=dhb0"], "cannot be commanded", 3),

@@ -221,8 +221,8 @@ fn calibration_is_kept_and_asked_for() {
     assert!((counts - 4800.0).abs() <= 6.0, "{found}");
     assert_eq!(found["parameters"][0]["to"].as_f64(), Some(counts));
     let with = &with[2..];
-    assert!(complaint(with).contains("nothing was answered"), "stdin is empty");
+    assert!(complaint(with).contains("no answer to"), "stdin is empty");
     assert!(complaint(&[with, &["--answers", ",90V"]].concat()).contains("715deg"));
-    assert!(complaint(&[with, &["--answers", ""]].concat()).contains("--answers has none"));
+    assert!(complaint(&[with, &["--answers", ""]].concat()).contains("--answers has no answer"));
     assert!(complaint(&["calibrate", "encoder", "osmc0", "--save"]).contains("--flash"));
 }

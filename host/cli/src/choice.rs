@@ -1,4 +1,4 @@
-//! Which board a verb acts on when none was named: a simulated one, and never by surprise.
+//! Choice of the board for a command that names none: a simulated board, unless a real one is connected.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use r4_links::ports::{self, Port};
 
 use crate::{args::Args, session::Target, verbs::Command};
 
-/// No board was named, and a simulated one cannot be what is meant for sure.
+/// Error of a command without `--board` while a real board is connected: either could be meant.
 #[derive(Debug, PartialEq, thiserror::Error)]
 #[error(
     "a real board is connected at {}, and no board was named: write --board serial:{} for it, or --board {simulated} for a \
@@ -23,7 +23,7 @@ fn names(paths: &[PathBuf]) -> String {
     names.join(" and ")
 }
 
-/// Checks that it is clear on which board the command acts, and says on stderr that it is a simulated one where none was named.
+/// Refuses a command whose board is ambiguous; notes on stderr when an unnamed board is the default, simulated one.
 pub(crate) fn check(args: &Args, command: &Command) -> Result<(), Unclear> {
     let boards = || {
         let found = ports::list().unwrap_or_default().into_iter().filter(Port::is_board);
@@ -35,8 +35,9 @@ pub(crate) fn check(args: &Args, command: &Command) -> Result<(), Unclear> {
     Ok(())
 }
 
-/// The same with `boards` for the real boards that are connected; returns what to say.
+/// Decides as [`check`] does, with `boards` as the list of connected real boards; returns the note for stderr.
 fn decide(args: &Args, command: &Command, boards: impl FnOnce() -> Vec<PathBuf>) -> Result<Option<String>, Unclear> {
+    // Ports are listed only where the choice depends on them.
     if args.is_board_named || !opens_a_session(command) {
         return Ok(None);
     }
@@ -47,8 +48,8 @@ fn decide(args: &Args, command: &Command, boards: impl FnOnce() -> Vec<PathBuf>)
     Ok(Some(format!("no board was named: this is {}; --board or R4_BOARD names another", args.board.described())))
 }
 
-/// Whether a verb talks to the board of `--board`, which may be a real one. Others have no board, or make simulated ones of
-/// their own and say so: `demo` without a board is meant to.
+/// True for a command that opens a session with the board of `--board`, which may be real. The others use no board, or
+/// start simulated boards of their own and print that, as `demo` does.
 fn opens_a_session(command: &Command) -> bool {
     match command {
         Command::Info

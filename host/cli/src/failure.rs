@@ -1,4 +1,4 @@
-//! What kind of failure ended a command: for scripts, as an exit code and as an object of `--json`.
+//! Kind of failure that ended a command: an exit code, and an object of `--json`, for scripts.
 
 use std::process::ExitCode;
 
@@ -10,29 +10,29 @@ use serde::Serialize;
 
 use crate::{args::Args, choice::Unclear, output};
 
-/// Kinds of failures. `docs/program.md` lists them.
+/// Kinds of failures; `docs/program.md` lists them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Kind {
-    /// What was typed was not understood.
+    /// The command line was not understood.
     Usage,
-    /// The board, or the program on its behalf, does not do this.
+    /// The board refused the request, or the program refused it for the board.
     Refused,
-    /// A real and a simulated board could be meant.
+    /// No board was named, and both a real and a simulated one could be meant.
     Unclear,
-    /// There is no board, or no right to reach it.
+    /// No board was found, or access to it is denied.
     NoBoard,
-    /// Another program has the board.
+    /// Another program uses the board.
     InUse,
-    /// The board was there and is not any more, or does not answer.
+    /// The link to the board was lost, or the board does not answer.
     LinkLost,
-    /// A motor did not arrive.
+    /// A motor did not reach its set point.
     NotReached,
     /// The board tripped or was disarmed meanwhile.
     Stopped,
-    /// Somebody pressed Ctrl-C.
+    /// The user pressed Ctrl-C.
     Interrupted,
-    /// Anything else, such as a file that cannot be read.
+    /// Any other failure, such as an unreadable file.
     Failed,
 }
 
@@ -48,7 +48,7 @@ impl Kind {
         }
     }
 
-    /// Whether it happened on the board or on the way there.
+    /// True for failures on the board or on the link to it.
     fn is_of_a_board(self) -> bool {
         !matches!(self, Self::Usage | Self::Failed)
     }
@@ -69,7 +69,7 @@ struct Failure<'a> {
     channel: Option<String>,
 }
 
-/// Prints what went wrong on stderr, with `--json` as an object on stdout too, and returns the exit code.
+/// Prints the error on stderr, and with `--json` as an object on stdout; returns the exit code.
 pub(crate) fn report(args: &Args, error: &anyhow::Error) -> ExitCode {
     let (kind, channel) = classify(error);
     let message = format!("{error:#}");
@@ -81,9 +81,9 @@ pub(crate) fn report(args: &Args, error: &anyhow::Error) -> ExitCode {
     ExitCode::from(kind.exit_code())
 }
 
-/// The same for what could not be understood, and the text of `--help` and `--version`.
+/// Prints a usage error as [`report`] does, or the text of `--help` or `--version`; returns the exit code.
 pub(crate) fn report_usage(error: &clap::Error, is_json: bool) -> ExitCode {
-    // Nothing can be done where neither output can be written.
+    // If neither output can be written, only the exit code remains.
     let _ = error.print();
     if !error.use_stderr() {
         return ExitCode::SUCCESS;
@@ -97,12 +97,13 @@ pub(crate) fn report_usage(error: &clap::Error, is_json: bool) -> ExitCode {
 }
 
 fn print(failure: Failure<'_>) {
-    // Whoever closed the output does not read it; the exit code remains.
+    // The reader may have closed the output; the exit code remains.
     let _ = output::json(&Object { error: failure });
 }
 
-/// Kind of a failure, and the channel that it is about.
+/// Kind of an error, and the channel that it concerns.
 fn classify(error: &anyhow::Error) -> (Kind, Option<ChannelId>) {
+    // Contexts wrap the error that decides the kind.
     for cause in error.chain() {
         if let Some(error) = cause.downcast_ref::<Error>() {
             return of_driver(error);

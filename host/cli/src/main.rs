@@ -31,7 +31,7 @@ fn main() -> ExitCode {
     commands::completions::answer(Typed::command);
     let Typed { args, command } = match Typed::from_command_line() {
         Ok(typed) => typed,
-        // Not understood, so neither is `--json`, but it can be seen.
+        // A usage error leaves `--json` unparsed: look for it in the words.
         Err(error) => return failure::report_usage(&error, env::args_os().any(|typed| typed == "--json")),
     };
     let result = choice::check(&args, &command)
@@ -45,15 +45,15 @@ fn main() -> ExitCode {
         }
         Ok(_) if !session::has_physics_as_asked(&args) => {
             eprintln!(
-                "r4: --plant, --body and --blind changed nothing: this command starts no simulated board of its own"
+                "r4: --plant, --body and --blind had no effect: this command starts no simulated board of its own"
             );
             ExitCode::FAILURE
         }
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::FAILURE,
-        // Whoever reads the output has seen enough.
+        // A closed pipe means that the reader has seen enough, as with `head`.
         Err(error) if error.downcast_ref::<OutputError>().is_some_and(OutputError::is_closed_pipe) => ExitCode::FAILURE,
-        // Watching ends when the person who watches says so.
+        // Ctrl-C is the usual end of these commands.
         Err(error)
             if session::was_interrupted(&error)
                 && matches!(
@@ -75,10 +75,10 @@ fn main() -> ExitCode {
     }
 }
 
-/// Exit code of an identification that explains nothing, which is a result and no failure.
+/// Exit code of an identification that explains nothing: a result rather than a failure.
 const NOT_EXPLAINED: u8 = 6;
 
-/// Refuses other physics where they cannot be had.
+/// Refuses options for other physics on a board at the other end of a link.
 fn check_physics(args: &Args, command: &Command) -> anyhow::Result<()> {
     let is_served = matches!(command, Command::Sim { .. } | Command::Identify(_));
     if let (true, false, session::Target::Link(_)) = (args.asks_for_physics(), is_served, &args.board) {
@@ -87,7 +87,7 @@ fn check_physics(args: &Args, command: &Command) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Whether what the command promises held.
+/// Runs a command; false if it ran but missed its result, for exit code 1.
 fn run(args: &Args, command: &Command) -> anyhow::Result<bool> {
     match command {
         Command::Demo(demo) => commands::demo::run(args, demo),

@@ -1,4 +1,4 @@
-//! What goes to stdout: results, and nothing else.
+//! Standard output: results only.
 
 use std::{
     fmt::Display,
@@ -7,24 +7,24 @@ use std::{
 
 use serde::Serialize;
 
-/// Standard output cannot be written.
+/// Error of writing to standard output.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write the output")]
 pub(crate) struct OutputError(#[from] io::Error);
 
 impl OutputError {
-    /// Whether the reader has simply seen enough, as `head` does.
+    /// True if the reader closed the pipe, as `head` does.
     pub(crate) fn is_closed_pipe(&self) -> bool {
         self.0.kind() == io::ErrorKind::BrokenPipe
     }
 }
 
-/// Prints one line.
+/// Prints one line to standard output.
 pub(crate) fn line(text: impl Display) -> Result<(), OutputError> {
     Ok(writeln!(io::stdout().lock(), "{text}")?)
 }
 
-/// Prints what is a text of its own, with its ends of lines.
+/// Prints a complete text with its own line ends.
 pub(crate) fn bytes(text: &[u8]) -> Result<(), OutputError> {
     Ok(io::stdout().lock().write_all(text)?)
 }

@@ -1,17 +1,17 @@
-//! `--plant`, `--body` and `--blind`: other physics for the motors and the body of a virtual board than its files say.
+//! `--plant`, `--body` and `--blind`: physics of a virtual board's motors and body that replace those of its files.
 
 use std::{path::PathBuf, str::FromStr};
 
 use r4_protocol::ChannelId;
 
-/// A plant file, for a channel of a board, or for `identify` without one.
+/// Plant file, with the channel of a board, or without for `identify`.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct OtherPlant {
     pub(crate) channel: Option<ChannelId>,
     pub(crate) file: PathBuf,
 }
 
-/// What a board needs.
+/// Syntax of `--plant` for a board, for error messages.
 pub(crate) const EXAMPLE: &str = "a channel, = and a plant file, as in osmc0=plant.toml";
 
 impl FromStr for OtherPlant {

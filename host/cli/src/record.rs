@@ -1,4 +1,4 @@
-//! `--record`: what goes over a session's link, in a file.
+//! `--record`: a file with the traffic of a session's link.
 
 use std::{
     env,
@@ -10,20 +10,20 @@ use r4_rig::recording::{self, Output, SharedTap};
 
 use crate::{args::Args, live};
 
-/// A tap for a session with the board that `args` name.
+/// Tap for a session with the board that `args` name.
 pub(crate) fn tap(args: &Args, output: Output) -> SharedTap {
     let program = concat!("r4 ", env!("CARGO_PKG_VERSION")).to_owned();
     recording::tap(&args.board, args.seed, program, typed(env::args().skip(1)), output)
 }
 
-/// The command line with these arguments, as a shell reads it.
+/// Command line of these arguments, quoted for a shell.
 fn typed(arguments: impl Iterator<Item = String>) -> String {
     let plain = |char: char| char.is_ascii_alphanumeric() || "-_./:=,@%+#".contains(char);
     let quoted = |word: String| match !word.is_empty() && word.chars().all(plain) {
         true => word,
         false => format!("'{}'", word.replace('\'', r"'\''")),
     };
-    // What a blind board has must not be told by its log.
+    // The log must not reveal the seed of a blind board.
     let mut seed_follows = false;
     let told = arguments.filter(|word| {
         let is_hidden = seed_follows || word == "--blind" || word.starts_with("--blind=");
@@ -33,28 +33,28 @@ fn typed(arguments: impl Iterator<Item = String>) -> String {
     told.map(quoted).fold("r4".to_owned(), |line, word| line + " " + &word)
 }
 
-/// A session has been recorded, or is being.
+/// True once a recording of a session was begun.
 static RECORDED: AtomicBool = AtomicBool::new(false);
 
-/// Whether a session has been recorded.
+/// Returns whether a session was recorded.
 pub(crate) fn is_recorded() -> bool {
     RECORDED.load(Ordering::Relaxed)
 }
 
-/// Notes that a session has been recorded.
+/// Marks a session as recorded.
 pub(crate) fn is_made() {
     RECORDED.store(true, Ordering::Relaxed);
 }
 
-/// The recording of one session, or of several that a lost link parts, to a file.
+/// Recording of one session to a file, or of several separated by a lost link.
 pub(crate) struct Recording {
-    /// `None` for a recording that is discarded, as of a live view without `--record`.
+    /// File name; `None` for a recording that is discarded, as of a live view without `--record`.
     path: Option<String>,
     recording: recording::Recording,
 }
 
 impl Recording {
-    /// What `--record` and `--foxglove` ask for.
+    /// Opens the recording that `--record` and `--foxglove` ask for; `None` without them.
     pub(crate) fn open(args: &Args) -> anyhow::Result<Option<Self>> {
         if args.record.is_none() && args.live.is_none() {
             return Ok(None);
@@ -81,11 +81,11 @@ impl Recording {
         self.recording.tap()
     }
 
-    /// Ends the file once the session is over. What went wrong in the session goes before what went wrong here.
+    /// Closes the file after the session. An error of the session takes precedence over one of the file.
     pub(crate) fn close<T>(self, result: anyhow::Result<T>) -> anyhow::Result<T> {
         let recording::Closed { bad_frames, result: closed } = self.recording.close();
         if let (1.., Some(path)) = (bad_frames, &self.path) {
-            eprintln!("r4: {bad_frames} frames from the board were damaged: what they said is not in {path}");
+            eprintln!("r4: {bad_frames} frames from the board were damaged: their content is missing from {path}");
         }
         match (result, closed) {
             (Ok(value), Ok(())) => Ok(value),

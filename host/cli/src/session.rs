@@ -1,4 +1,4 @@
-//! From what was typed to a session with a board.
+//! Sessions with the board that the command line names.
 
 use std::{
     fs,
@@ -25,31 +25,31 @@ use crate::{
     record::{self, Recording},
 };
 
-/// Set by Ctrl-C.
+/// Interrupt of all sessions, set by Ctrl-C.
 static INTERRUPT: LazyLock<Interrupt> = LazyLock::new(Interrupt::default);
 
-/// Ctrl-C was pressed, or [`interrupt`] was called.
+/// True after Ctrl-C or [`interrupt`].
 pub(crate) fn is_interrupted() -> bool {
     INTERRUPT.is_set()
 }
 
-/// Does what Ctrl-C does.
+/// Interrupts as Ctrl-C does.
 pub(crate) fn interrupt() {
     INTERRUPT.set();
 }
 
-/// Lets Ctrl-C end what runs in good order.
+/// Lets Ctrl-C end the running work in good order.
 pub(crate) fn catch_interrupts() {
     // A second handler cannot be set; the first one does the same.
     let _ = ctrlc::set_handler(interrupt);
 }
 
-/// Whether a command ended by Ctrl-C.
+/// True if a command was ended by Ctrl-C.
 pub(crate) fn was_interrupted(error: &anyhow::Error) -> bool {
     error.is::<Interrupted>() || matches!(error.downcast_ref(), Some(Error::Interrupted(_)))
 }
 
-/// What the driver said, where that is why a command failed.
+/// Error of the driver that made a command fail, if that is the reason.
 pub(crate) fn driver_error(error: &anyhow::Error) -> Option<&DriverError> {
     error.chain().find_map(|cause| match cause.downcast_ref().map(Error::innermost) {
         Some(Error::Board(error)) => Some(error),
@@ -57,20 +57,20 @@ pub(crate) fn driver_error(error: &anyhow::Error) -> Option<&DriverError> {
     })
 }
 
-/// Set once a board has the physics that were asked for.
+/// Set once a board has the requested physics.
 static HAS_OTHER_PHYSICS: AtomicBool = AtomicBool::new(false);
 
-/// Whether a board had the physics that were asked for, if any were.
+/// True unless physics were requested that no board had.
 pub(crate) fn has_physics_as_asked(args: &Args) -> bool {
     !args.asks_for_physics() || HAS_OTHER_PHYSICS.load(Ordering::Relaxed)
 }
 
-/// Notes that what was asked for physics is used.
+/// Notes that the requested physics are used.
 pub(crate) fn uses_other_physics() {
     HAS_OTHER_PHYSICS.store(true, Ordering::Relaxed);
 }
 
-/// The board that `args` name, with all that they say of it.
+/// Rig of the board that `args` name, with all their options.
 pub(crate) fn rig(args: &Args, default_pace: Pace) -> anyhow::Result<Rig> {
     if let Target::Link(_) = args.board {
         if args.flash.is_some() || args.pace.is_some() || args.world.is_some() {
@@ -82,10 +82,9 @@ pub(crate) fn rig(args: &Args, default_pace: Pace) -> anyhow::Result<Rig> {
     } else {
         uses_other_physics();
     }
+    // A simulated board runs the firmware's code natively, without the image's log.
     if let (Some(_), Target::Sim(name)) = (args.log, &args.board) {
-        bail!(
-            "a simulated board has no log: that of the firmware's image is read on a real or an emulated one, emu:{name}"
-        );
+        bail!("a simulated board has no firmware log: use a real or an emulated board, emu:{name}");
     }
     let mut rig = Rig::new(args.board.clone());
     rig.seed = args.seed;
@@ -104,7 +103,7 @@ pub(crate) fn rig(args: &Args, default_pace: Pace) -> anyhow::Result<Rig> {
     Ok(rig)
 }
 
-/// Connects to the board that `args` name and runs `work` in a session with it, which is recorded where `--record` says.
+/// Connects to the board that `args` name and runs `work` in a session with it, recorded if `--record` says so.
 ///
 /// Ctrl-C disarms, closes the session and is an error.
 pub(crate) fn run<T>(
@@ -115,7 +114,7 @@ pub(crate) fn run<T>(
     run_on(args, &rig(args, default_pace)?, work)
 }
 
-/// The same on a board that was made of `args`.
+/// Runs `work` as [`run`] does, on a rig that was already made from `args`.
 pub(crate) fn run_on<T>(
     args: &Args,
     rig: &Rig,
@@ -131,7 +130,8 @@ pub(crate) fn run_on<T>(
     }
 }
 
-/// The same, recorded in memory, for verbs that read their own log. `--record` gets the same bytes.
+/// Runs `work` as [`run`] does, and returns the recording, for verbs that read their own log. `--record` gets the same
+/// bytes.
 pub(crate) fn in_memory<T>(
     args: &Args,
     default_pace: Pace,
@@ -143,6 +143,7 @@ pub(crate) fn in_memory<T>(
     };
     catch_interrupts();
     let Recorded { result, log, log_error } = rig.recorded(|output| record::tap(args, output), begun(args, work));
+    // An error of the recording counts only if the work succeeded.
     let closed = match (log_error, &args.record) {
         (Some(error), _) => Err(error.into()),
         (None, Some(path)) if !log.is_empty() => {
@@ -154,7 +155,7 @@ pub(crate) fn in_memory<T>(
     (result.and_then(|value| closed.map(|()| value)), log)
 }
 
-/// `work` after what the program does at the beginning of each session.
+/// Wraps `work` with the steps at the beginning of each session.
 fn begun<T>(
     args: &Args,
     work: impl AsyncFnOnce(&Session<'_>) -> anyhow::Result<T>,
@@ -171,10 +172,11 @@ fn begin(session: &Session<'_>) {
     }
 }
 
-/// The same for what a person watches: on a board at the other end of a link `work` is run again each time that a lost link is
-/// back, and `tell` is called with both. Without a link there is `meanwhile`; where that ends, all does.
+/// Runs `work` for commands that watch: on a board at the other end of a link, again after each reconnection, and
+/// `tell` is called for each loss and return of the link. `meanwhile` runs without a link; when it ends, the command
+/// ends.
 ///
-/// A recording goes on with the next session; the time between is a gap in it.
+/// A recording continues with the next session; the time between is a gap in it.
 pub(crate) fn keep<T>(
     args: &Args,
     default_pace: Pace,
@@ -188,7 +190,7 @@ pub(crate) fn keep<T>(
     keep_on(args, &rig(args, default_pace)?, address, work, tell, meanwhile)
 }
 
-/// The same on a virtual board that this program serves at an address, with a key.
+/// Runs `work` as [`keep`] does, on a virtual board that this program serves at an address, with a key.
 pub(crate) fn keep_served<T>(
     args: &Args,
     (address, key): (&Address, &Key),
@@ -223,7 +225,7 @@ fn keep_on<T>(
     }
 }
 
-/// The key that `args` name. Its file may be a pipe, on whose writer Ctrl-C ends the wait.
+/// Key of the file that `args` name. The file may be a pipe; Ctrl-C ends the wait for its writer.
 pub(crate) fn key(args: &Args) -> anyhow::Result<Option<Key>> {
     let Some(path) = &args.key else { return Ok(None) };
     catch_interrupts();
@@ -233,7 +235,7 @@ pub(crate) fn key(args: &Args) -> anyhow::Result<Option<Key>> {
     }
 }
 
-/// What became of a link, in a line.
+/// Message about the loss or return of a link.
 pub(crate) fn told(event: &Event) -> String {
     match event {
         Event::Lost { why } => format!("{why}; trying again"),
@@ -248,7 +250,7 @@ pub(crate) fn told(event: &Event) -> String {
     }
 }
 
-/// Prints what the firmware of a board at the end of a link logs while `work` runs, where `args` ask for it.
+/// Prints the firmware log of a board at the end of a link while `work` runs, if `args` ask for it.
 async fn logged<T>(
     args: &Args,
     session: &Session<'_>,
@@ -258,7 +260,7 @@ async fn logged<T>(
     let mut log = LinkLog::open(session.board, session.clock.clone(), from).await?;
     let result = match select(pin!(work), pin!(log.follow())).await {
         Either::Left((result, _)) => result,
-        // The link ended, of which the work will say more.
+        // The link ended; the error of `work` says why.
         Either::Right(((), work)) => work.await,
     };
     log.rest();

@@ -5,7 +5,7 @@ use comfy_table::{
     presets::{ASCII_MARKDOWN, UTF8_BORDERS_ONLY},
 };
 
-/// A table of these columns; those in `numbers` are set flush right.
+/// New table with these columns; those in `numbers` are flush right.
 pub(crate) fn new(header: &[&str], numbers: std::ops::Range<usize>) -> Table {
     let mut table = Table::new();
     table.load_style(UTF8_BORDERS_ONLY).set_header(header);
@@ -17,7 +17,7 @@ pub(crate) fn new(header: &[&str], numbers: std::ops::Range<usize>) -> Table {
     table
 }
 
-/// The same for a page of documentation.
+/// Converts a table to Markdown, for a page of documentation.
 pub(crate) fn markdown(mut table: Table) -> Table {
     table.load_style(ASCII_MARKDOWN);
     table

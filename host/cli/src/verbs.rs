@@ -1,4 +1,4 @@
-//! The verbs, and what is typed as a whole.
+//! Verbs of the program, and the complete command line.
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand, parser::ValueSource};
 
@@ -10,10 +10,10 @@ use crate::{
     commands::{self, bridge::Bridge, config::Config},
 };
 
-/// Drives R4 boards, real and simulated.
+/// Drive R4 boards, real and simulated
 ///
-/// Exit code 0 only when what the command promises held; 1 when it did not; 2 when it was not understood; 3 when it was refused;
-/// 4 when there is no link to the board, or not any more; 5 when the board stopped; 130 after Ctrl-C, which disarms first.
+/// Exit codes: 0 the command achieved its result; 1 it did not; 2 usage error; 3 refused; 4 no link to the board, or
+/// the link was lost; 5 the board stopped; 130 interrupted by Ctrl-C, after disarming.
 #[derive(Clone, Debug, Parser)]
 #[command(name = "r4", version, max_term_width = 100)]
 pub(crate) struct Typed {
@@ -24,10 +24,10 @@ pub(crate) struct Typed {
 }
 
 impl Typed {
-    /// What was typed.
+    /// Parses the command line.
     ///
     /// # Errors
-    /// What clap says of it; also the text of `--help` and `--version`.
+    /// [`clap::Error`] of a usage error; also carries the text of `--help` and `--version`.
     pub(crate) fn from_command_line() -> Result<Self, clap::Error> {
         let matches = Self::command().try_get_matches()?;
         let is_given = |name| matches.value_source(name).is_some_and(|source| source != ValueSource::DefaultValue);
@@ -41,25 +41,26 @@ impl Typed {
 
 #[derive(Clone, Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Drive the set points of the OSMC evaluation and compare with the paper's results, or a robot round a room
+    /// Drive the set points of the OSMC evaluation and compare with the paper's results, or drive a robot round a room
     Demo(Demo),
-    /// What the board is and what its channels can take
+    /// Print the board's identity, state, and channels with their ranges
     Info,
     /// Arm and stay connected until Ctrl-C, or for a time
     Arm {
-        /// Disarm after this long
+        /// Disarm after this time [default: on Ctrl-C]
         #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
         seconds: Option<f64>,
     },
-    /// Make outputs safe
+    /// Disarm: make outputs safe
     Disarm,
-    /// Leave a trip behind, once its causes are gone
+    /// Clear a trip, once its causes are gone
     Clear,
-    /// Arm, send a motor or stepper to a position, wait until it rests there, disarm
+    /// Arm, move a motor or stepper to a position, wait until it rests there, disarm
     Move(Motion),
-    /// Arm, let motors follow paths from a table, all beginning at once, wait until they rest, disarm
+    /// Arm, move motors along paths from a table, all starting together, wait until they rest, disarm
     Follow {
-        /// CSV: time_s, then osmc0.position_rad and, if wanted, osmc0.speed_rad_s and osmc0.duty; for an actuator in m
+        /// CSV with the columns time_s, osmc0.position_rad, and optionally osmc0.speed_rad_s and osmc0.duty; in m for
+        /// an actuator
         #[arg(value_name = "FILE")]
         file: std::path::PathBuf,
     },
@@ -67,98 +68,98 @@ pub(crate) enum Command {
     Step(Step),
     /// Arm, seek the home switch of a motor or stepper, wait until it rests there, disarm
     Home(Home),
-    /// Arm, turn a motor or stepper at a speed for a time, disarm
+    /// Arm, run a motor or stepper at a speed for a time, disarm
     Speed(Motion),
-    /// Arm, give a motor a share of the supply for a time, disarm
+    /// Arm, run a motor at a duty (share of the supply) for a time, disarm
     Duty(Motion),
-    /// Arm, press with a motor that has a force sensor for a time, as in `r4 press dhb0 5N`, disarm
+    /// Arm, press with a force for a time, with a motor that has a force sensor, disarm; example: `r4 press dhb0 5N`
     Press(Motion),
     /// Arm, close or open a relay for a time, disarm (which opens it)
     Relay(Relay),
     /// Arm, hold a servo at an angle for a time, disarm
     Servo(Held),
-    /// Arm, drive or brake a brushless drive for a time, disarm (which stops it)
+    /// Arm, run or brake a brushless drive for a time, disarm (which stops it)
     Bldc(Bldc),
-    /// Arm, give a voltage for a time, disarm (which gives the safe voltage)
+    /// Arm, output a voltage for a time, disarm (which outputs the safe voltage)
     Dac(Held),
     /// Print channels at a steady rate, until Ctrl-C or for a time
     Watch(Watch),
-    /// Watch everything on a screen; arm, type set points, disarm, clear and stop by keys
+    /// Watch all channels on a screen; arm, type set points, disarm, clear and stop by keys
     Monitor(crate::commands::monitor::Monitor),
-    /// Drive a robot on wheels by keys, as long as the dead-man key is held
+    /// Drive a robot on wheels by keys, while the dead-man key is held
     Drive(crate::commands::drive::Drive),
-    /// Find gains for a motor's loop by an experiment on the board, compare with the present ones, disarm
+    /// Tune a motor's loop by an experiment on the board, compare with the present gains, disarm
     Tune(crate::commands::tune::Tune),
-    /// Measure what the board must know of its encoders, potentiometers, servos and wheels
+    /// Measure parameters of encoders, potentiometers, servos and wheels
     Calibrate(crate::commands::calibrate::Calibrate),
     /// Show and change the parameters of the board
     #[command(subcommand)]
     Config(Config),
-    /// Trips that the board remembers, or what it looked like before one of them
+    /// List the trips stored on the board, or its state before one of them
     Faults {
-        /// Which trip: 0 is the newest
+        /// Trip to show; 0 is the newest [default: list all]
         index: Option<u8>,
     },
-    /// Write the firmware into a board's flash, over a debug probe or USB
+    /// Write the firmware to a board's flash, over a debug probe or USB
     Flash(commands::flash::Flash),
     /// Write to a device on an external I2C connector, then read from it
     I2c(I2c),
     /// Send and receive on a UART connector
     Uart(Uart),
-    /// Play files that say what is done to a virtual board, and print or compare what came of it
+    /// Play files of timed steps on a virtual board, and print or compare the outcomes
     Scenario(Scenario),
     /// Run the firmware's image on an emulated board under a debugger or with a trace
     Debug(Debug),
-    /// A board for hosts that speak another protocol
+    /// Serve a board to hosts that speak another protocol
     Bridge {
         #[command(subcommand)]
         what: Bridge,
     },
-    /// Be the board's node in ROS 2, until Ctrl-C
+    /// Run the board as a node in ROS 2, until Ctrl-C
     Ros2(commands::ros2::Ros2),
-    /// Record runs, look at them, and play them again on a simulated board
+    /// Record runs, inspect them, and replay them on a simulated board
     #[command(subcommand)]
     Log(commands::log::Log),
     /// Make an HTML page of a log: set points, plots, states
     Report(commands::report::Report),
-    /// Fit a model to recordings, tell what it does not explain and which effect it lacks, and write the better plant
+    /// Fit a model to recordings, find its unmodelled effects, and write the better plant file
     Identify(Box<commands::identify::Identify>),
-    /// Robot systems of published papers: list them, run one, study one over seeds
+    /// List robot systems of published papers, run one, or study one over seeds
     System {
         #[command(subcommand)]
         what: commands::system::Systems,
     },
-    /// Repeat a paper's whole evaluation on blind plants, with the paper beside
+    /// Repeat a paper's whole evaluation on blind plants, beside the paper's results
     Evaluate {
         #[command(subcommand)]
         what: commands::evaluate::Evaluations,
     },
-    /// Serial ports, and which of them are boards
+    /// List serial ports, and which of them are boards
     Ports,
-    /// Share a board: one program commands it, any number watch, at tcp:127.0.0.1:4404 unless told otherwise; until Ctrl-C
+    /// Share a board until Ctrl-C: one program commands it, any number watch [default: at tcp:127.0.0.1:4404]
     Serve(Share),
-    /// Make a virtual board that other programs connect to
+    /// Serve a virtual board to other programs, or reveal its hidden effects
     Sim {
         #[command(subcommand)]
         what: Sim,
     },
-    /// Measure what the firmware promises, on simulated boards, and what `r4 identify` does, on recordings
+    /// Measure the firmware's limits on simulated boards, and the results of `r4 identify` on recordings
     Bench {
         #[command(subcommand)]
         what: Bench,
     },
-    /// Print a script with which a shell completes verbs and options
+    /// Print a script that completes verbs and options in a shell
     Completions(crate::commands::completions::Completions),
     /// Print the manual page of the program or of a verb, or write all of them
     Man(crate::commands::man::Manual),
 }
 
-/// What is made of a virtual board.
+/// Actions with a virtual board.
 #[derive(Clone, Debug, Subcommand)]
 pub(crate) enum Sim {
-    /// Serve it in real time, until Ctrl-C; the first line on stdout says where
+    /// Serve it in real time, until Ctrl-C; the first line on stdout is its address
     Serve(Serve),
-    /// What --blind hides in the motors of a robot
+    /// Print the effects that --blind hides in a robot
     Reveal(crate::commands::reveal::Reveal),
 }
 
@@ -174,7 +175,7 @@ mod tests {
         Typed::command().debug_assert();
     }
 
-    /// What a page has people type, behind a prompt or not, and `false`; the verbs that its text names, and `true`.
+    /// Commands of a page: with `false` those to type, behind a prompt or not; with `true` those that its text names.
     fn commands_of(page: &str) -> Vec<(String, bool)> {
         let is_ours = |(command, _): &(String, bool)| command.starts_with("r4 ");
         let typed = page.lines().map(|line| (line.trim_start_matches("$ ").to_owned(), false));
@@ -182,7 +183,8 @@ mod tests {
         typed.chain(named).filter(is_ours).collect()
     }
 
-    /// As a shell has them: without what follows `#`, `&`, `|`, `>` or two spaces, behind which a page says what it does.
+    /// Words of a command as a shell splits it, without what follows `#`, `&`, `|`, `>` or two spaces, after which a
+    /// page explains it.
     fn words_of(command: &str) -> Vec<String> {
         let command = command.split("  ").next().unwrap_or(command);
         let mut words = vec![String::new()];
@@ -211,7 +213,7 @@ mod tests {
             let page = std::fs::read_to_string(&path).expect("a page");
             for (command, is_named) in commands_of(&page) {
                 let words = words_of(&command);
-                // What is left out, one of several, or a name to be put in, is no command.
+                // Skip patterns: ellipses, alternatives and placeholders are no commands.
                 let stands_for = |word: &String| word.contains(['\u{2026}', '[', '|', '<']) || word == "VERB";
                 if words.iter().any(stands_for) {
                     continue;

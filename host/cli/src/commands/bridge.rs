@@ -1,4 +1,4 @@
-//! `r4 bridge legacy-udp`: a board for hosts that speak the R4 network protocol of before.
+//! `r4 bridge legacy-udp`: serves a board to hosts that speak the former R4 network protocol, text over UDP.
 
 use std::{
     collections::HashSet,
@@ -20,64 +20,64 @@ use crate::{
     session::{self, Session},
 };
 
-/// What is bridged.
+/// Protocols of `r4 bridge`.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub(crate) enum Bridge {
-    /// The text protocol over UDP that OpenPodCar's published ROS 2 nodes speak: it knows who is damaged, not who is a
-    /// stranger, so it is served to this machine alone unless --public is given
+    /// Serve the text protocol over UDP of OpenPodCar's published ROS 2 nodes. It detects damaged packets but has no
+    /// authentication, so that other machines reach it with --public only
     LegacyUdp(LegacyUdp),
 }
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct LegacyUdp {
-    /// Where commands come in
+    /// Address at which commands are received
     #[arg(long, value_name = "ADDRESS", default_value_t = SocketAddr::from(([127, 0, 0, 1], BOARD_PORT)))]
     pub(crate) listen: SocketAddr,
-    /// The port of the host to which telemetry goes
+    /// Port of the host that receives the telemetry
     #[arg(long, value_name = "PORT", default_value_t = TELEMETRY_PORT)]
     pub(crate) telemetry_port: u16,
-    /// The host to which heartbeats go before it has sent anything: the published client waits for the first one. Without it
-    /// the first packet tells
+    /// Host that receives heartbeats before it has sent a packet: the published client waits for the first one
+    /// [default: the sender of the first packet]
     #[arg(long, value_name = "IP")]
     pub(crate) host: Option<IpAddr>,
-    /// Listen on an address that other machines reach
+    /// Allow an address that other machines can reach
     #[arg(long)]
     pub(crate) public: bool,
-    /// Arm when a host's heartbeat is heard; otherwise somebody else has to
+    /// Arm when a host's heartbeat arrives [default: another program arms]
     #[arg(long)]
     pub(crate) arm: bool,
-    /// The channel that steers, told as `AINSTEER` in volts
+    /// Steering channel, reported as `AINSTEER` in volts
     #[arg(long, default_value = "dhb0")]
     pub(crate) steer: ChannelId,
-    /// Volts that are told where the steering is at 0 (the actuator of the OSMC evaluation, 5 V in all)
+    /// Volts reported at steering position 0, V (default: the actuator of the OSMC evaluation, whose full range is 5 V)
     #[arg(long, default_value_t = 0.1417, value_name = "V", allow_negative_numbers = true)]
     pub(crate) volts_at_zero: f64,
-    /// Volts a metre of the steering, or a radian
+    /// Volts per metre of steering travel, or per radian
     #[arg(long, default_value_t = 46.92, value_name = "V", allow_negative_numbers = true)]
     pub(crate) volts_per_unit: f64,
-    /// End after this long
+    /// End after this time [default: on Ctrl-C]
     #[arg(long = "for", value_name = "SECONDS")]
     pub(crate) seconds: Option<f64>,
 }
 
-/// Where it listens, on the first line of `--json`.
+/// Address of the socket: the first line of `--json`.
 #[derive(Serialize)]
 struct Listening {
     udp: SocketAddr,
 }
 
-/// How often packets are looked for, s.
+/// Polling period of received packets, s.
 const LOOK_EVERY_S: f64 = 0.002;
-/// The board's heartbeats: three in the time after which a host gives up, s.
+/// Period of the heartbeats to the host, s: three of them in the time after which a host gives up.
 const HEARTBEAT_S: f64 = 0.2;
-/// Telemetry, s and ms.
+/// Period of the telemetry packets, s, and of the board's telemetry, ms.
 const TELEMETRY_S: f64 = 0.05;
 const TELEMETRY_MS: u16 = 50;
 
 pub(crate) fn run(args: &Args, Bridge::LegacyUdp(bridge): &Bridge) -> anyhow::Result<bool> {
     if !bridge.listen.ip().is_loopback() && !bridge.public {
         bail!(
-            "{} can be reached from other machines, and this protocol asks nobody who they are: add --public if everybody \
+            "{} can be reached from other machines, and this protocol has no authentication: add --public if all users \
              there may move the robot",
             bridge.listen
         );
@@ -108,13 +108,13 @@ pub(crate) fn run(args: &Args, Bridge::LegacyUdp(bridge): &Bridge) -> anyhow::Re
         Ok(hosts.counts)
     })?;
     eprintln!(
-        "r4: {} packets; {} damaged, {} late or twice, {} of other hosts, {} commands not carried out",
+        "r4: {} packets; {} damaged, {} late or duplicate, {} from other hosts, {} commands failed",
         counts.packets, counts.damaged, counts.late, counts.strangers, counts.refused
     );
     Ok(true)
 }
 
-/// Packets, since the start.
+/// Packet counters since the start.
 #[derive(Clone, Copy, Debug, Default)]
 struct Counts {
     packets: u64,
@@ -124,30 +124,30 @@ struct Counts {
     refused: u64,
 }
 
-/// Addresses of a host whose packets are counted: the published one sends from two ports.
+/// Most addresses whose packet numbers are tracked: the published host sends from two ports.
 const SEQUENCES: usize = 8;
 
-/// A board, as hosts see it.
+/// Bridge between a board's session and the hosts on the network.
 struct Hosts<'s> {
     session: &'s Session<'s>,
     bridge: &'s LegacyUdp,
     socket: &'s UdpSocket,
-    /// Who is answered: who sent the last good packet, and while there are heartbeats nobody else.
+    /// Host that is served: the sender of the last good packet. While its heartbeats arrive, other hosts are ignored.
     host: Option<IpAddr>,
-    /// The last heartbeat of a host, on the session's clock.
+    /// Time of the host's last heartbeat, s, on the session's clock.
     heard_s: f64,
-    /// Whether this bridge has armed the board and not disarmed it since.
+    /// True after this bridge has armed the board, until it disarms it or the board trips.
     armed: bool,
     sequences: Vec<(SocketAddr, Sequence)>,
-    /// Commands that came before the host's first heartbeat, the newest of each channel, and when.
+    /// Commands received before the host's first heartbeat: the newest of each channel, with its time, s.
     waiting: Vec<(ChannelId, f32, f64)>,
-    /// Why commands were not carried out, as far as the user has been told.
+    /// Reasons for failed commands that were already reported to the user.
     said: HashSet<(ChannelId, Why)>,
     number: u32,
     counts: Counts,
 }
 
-/// Why a command was not carried out.
+/// Reason why a command was not executed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Why {
     Refused(Discriminant<Refusal>),
@@ -184,6 +184,7 @@ impl Hosts<'_> {
                         volts = Some(self.bridge.volts_at_zero + self.bridge.volts_per_unit * position);
                     }
                     if drives.contains(&channel) {
+                        // Keep the newest duty of each channel only.
                         duties.retain(|(known, _)| *known != channel);
                         duties.push((channel, duty));
                     }
@@ -191,10 +192,12 @@ impl Hosts<'_> {
             }
             let now_s = board.now_s();
             if now_s >= heartbeat_s {
+                // From the due time rather than from now, which would drift.
                 heartbeat_s += HEARTBEAT_S;
                 self.send(Packet::default().with("H", "R4-ROS2"));
             }
-            // Not before the board has said what both do: the published client reads every field of every packet.
+            // Send telemetry only after the board has reported both: the published client reads every field of every
+            // packet.
             let is_known = !duties.is_empty() && (volts.is_some() || steer.unit == Unit::Duty);
             if now_s >= telemetry_s && is_known {
                 telemetry_s += TELEMETRY_S;
@@ -212,24 +215,24 @@ impl Hosts<'_> {
         Ok(())
     }
 
-    /// To the host, if there is one.
+    /// Sends a packet to the host, if one is known.
     fn send(&mut self, packet: Packet) {
         let Some(host) = self.host else { return };
         self.number = self.number.wrapping_add(1);
         let time_ms = (self.session.board.now_s() * 1e3) as u64;
         let text = packet.with("PNum", self.number).with("T", time_ms).to_string();
-        // A host that is not there loses it, as on any network.
+        // A packet to an absent host is lost, as on any network.
         let _ = self.socket.send_to(text.as_bytes(), (host, self.bridge.telemetry_port));
     }
 
-    /// Takes every packet that has come.
+    /// Processes all received packets.
     async fn receive(&mut self) -> anyhow::Result<()> {
         let mut buffer = [0; 1024];
         loop {
             let (len, from) = match self.socket.recv_from(&mut buffer) {
                 Ok(received) => received,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(()),
-                // What was sent before has reached nobody.
+                // ICMP reported that an earlier packet reached no socket.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => continue,
                 Err(error) => return Err(error).context("cannot receive"),
             };
@@ -239,7 +242,7 @@ impl Hosts<'_> {
                 continue;
             };
             if packet.stops() {
-                // From whoever, whatever its number: a stop too many does no harm.
+                // Accept a stop from any host and with any number: a redundant stop does no harm.
                 self.stop().await?;
             }
             let now_s = self.session.board.now_s();
@@ -271,7 +274,7 @@ impl Hosts<'_> {
         }
     }
 
-    /// Numbers of the packets from one address.
+    /// Sequence of packet numbers from one address.
     fn sequence(&mut self, from: SocketAddr) -> &mut Sequence {
         let place = self.sequences.iter().position(|(known, _)| *known == from).unwrap_or_else(|| {
             if self.sequences.len() == SEQUENCES {
@@ -283,7 +286,7 @@ impl Hosts<'_> {
         &mut self.sequences[place].1
     }
 
-    /// No heartbeat of a host has come for too long.
+    /// True when no heartbeat of a host arrived within the time-out.
     fn is_silent(&self) -> bool {
         self.session.board.now_s() > self.heard_s + LOST_AFTER_S
     }
@@ -298,10 +301,10 @@ impl Hosts<'_> {
         } else if self.bridge.arm && !(self.armed && state == SafetyState::Armed) {
             let again = mem::replace(&mut self.armed, true);
             match board.arm().await {
-                // The state that was heard last may be older than the arming.
+                // The last reported state may be older than the arming.
                 Ok(()) if again => {}
-                Ok(()) => eprintln!("r4: a host is there: armed"),
-                // It says so itself, and is asked again with the next heartbeat.
+                Ok(()) => eprintln!("r4: heartbeat of a host: armed"),
+                // The board's refusal names the reason; the next heartbeat tries again.
                 Err(Error::Refused(refusal)) => {
                     self.armed = false;
                     eprintln!("r4: cannot arm: {refusal}");
@@ -319,10 +322,10 @@ impl Hosts<'_> {
         Ok(())
     }
 
-    /// Carries a command out, or stops what it was for.
+    /// Executes a command, or stops its channel where that fails.
     async fn command(&mut self, command: Command) -> anyhow::Result<()> {
         match command {
-            // Done before all others of its packet.
+            // `receive` handles a stop before the other commands of its packet.
             Command::Stop => Ok(()),
             Command::Unknown => {
                 self.counts.refused += 1;
@@ -330,8 +333,8 @@ impl Hosts<'_> {
             }
             Command::Drive { bridge, channel, duty } => {
                 let channel = channel_of(bridge, channel);
-                // Without a host's heartbeat nothing moves. The published nodes say everything once, and so perhaps before
-                // their first heartbeat, which answers ours.
+                // Nothing moves without a host's heartbeat. The published nodes send each command once, possibly before
+                // their first heartbeat, which answers ours: keep it until then.
                 if self.is_silent() {
                     self.counts.refused += self.waiting.extract_if(.., |(other, ..)| *other == channel).count() as u64;
                     self.waiting.push((channel, duty, self.session.board.now_s()));
@@ -342,14 +345,14 @@ impl Hosts<'_> {
             Command::Bad { bridge, channel } => {
                 self.counts.refused += 1;
                 for channel in self.meant(bridge, channel) {
-                    self.hold(channel, Why::Bad, "its command is none of this protocol").await?;
+                    self.hold(channel, Why::Bad, "its command does not conform to the protocol").await?;
                 }
                 Ok(())
             }
         }
     }
 
-    /// Commands a channel. What it cannot take of a duty it is not given: 4095 means as much as there is.
+    /// Sends a duty to a channel, limited to the channel's range: 4095 means full duty.
     async fn drive(&mut self, channel: ChannelId, duty: f32) -> anyhow::Result<()> {
         let board = self.session.board;
         let range = board.channel(channel).ok().and_then(|info| info.mode(Mode::Duty)).map(|info| info.range);
@@ -358,20 +361,20 @@ impl Hosts<'_> {
             Ok(()) => Ok(()),
             Err(Error::Refused(refusal)) => {
                 self.counts.refused += 1;
-                // The board has stopped the channel itself.
+                // The board itself stops a channel whose set point it refuses.
                 self.say(channel, Why::Refused(mem::discriminant(&refusal)), &refusal.to_string());
                 Ok(())
             }
             Err(error @ Error::TimedOut { .. }) => {
                 self.counts.refused += 1;
-                // It may not have come, and then the channel follows the command before.
+                // The set point may not have arrived; the channel would then follow the previous one.
                 self.hold(channel, Why::TimedOut, &error.to_string()).await
             }
             Err(error) => Err(error.into()),
         }
     }
 
-    /// Stops the channels for which `packet`, which is late, has commands: it may be a host's that began to count anew.
+    /// Stops the channels that a late packet commands: its host may have restarted its numbers.
     async fn hold_late(&mut self, packet: &Packet) -> anyhow::Result<()> {
         for command in packet.commands() {
             let (bridge, channel) = match command {
@@ -386,20 +389,20 @@ impl Hosts<'_> {
         Ok(())
     }
 
-    /// The channel with this number, or all of its kind where the number cannot be read.
+    /// Returns the channel with this number, or all channels of its kind where the number is unreadable.
     fn meant(&self, bridge: legacy::Bridge, channel: Option<u8>) -> Vec<ChannelId> {
         let kind = channel_of(bridge, 0).kind;
         let channels = self.session.board.channels().iter().map(|info| info.id).filter(|id| id.kind == kind);
         channels.filter(|id| channel.is_none_or(|channel| id.index == channel)).collect()
     }
 
-    /// Stops a channel whose command is not carried out: the host wants something else than what it did.
+    /// Stops a channel whose command failed: its previous set point is not what the host wants.
     async fn hold(&mut self, channel: ChannelId, why: Why, reason: &str) -> anyhow::Result<()> {
         self.say(channel, why, reason);
         self.waiting.retain(|(other, ..)| *other != channel);
         let board = self.session.board;
         match board.set(channel, Setpoint::NONE).await {
-            // Refused where the board is not armed, and then nothing is driven.
+            // A disarmed board refuses the set point; nothing is driven then.
             Ok(()) | Err(Error::Refused(_)) => Ok(()),
             Err(Error::TimedOut { .. }) => {
                 self.armed = false;
@@ -413,7 +416,7 @@ impl Hosts<'_> {
 
     fn say(&mut self, channel: ChannelId, why: Why, reason: &str) {
         if self.said.insert((channel, why)) {
-            eprintln!("r4: {channel} is stopped: {reason} (said once)");
+            eprintln!("r4: {channel} is stopped: {reason} (reported once)");
         }
     }
 
@@ -422,24 +425,24 @@ impl Hosts<'_> {
         board.stop().await?;
         self.waiting.clear();
         if mem::take(&mut self.armed) || board.safety().0 != SafetyState::Tripped {
-            eprintln!("r4: the host has stopped the board: end this bridge, and `r4 clear` leaves the stop behind");
+            eprintln!("r4: the host has stopped the board: end this bridge, then clear the trip with `r4 clear`");
         }
         Ok(())
     }
 
-    /// A host that is silent drives nothing any more.
+    /// Disarms the board when the host falls silent.
     async fn watch_link(&mut self) -> anyhow::Result<()> {
         let board = self.session.board;
         if self.is_silent() && mem::take(&mut self.armed) {
             let silent_s = board.now_s() - self.heard_s;
             board.disarm().await?;
-            eprintln!("r4: no heartbeat of the host for {silent_s:.1} s: disarmed");
+            eprintln!("r4: no heartbeat from the host for {silent_s:.1} s: disarmed");
         }
         Ok(())
     }
 }
 
-/// A bridge's channel.
+/// Channel of a bridge's motor by its kind and number.
 fn channel_of(bridge: legacy::Bridge, channel: u8) -> ChannelId {
     let kind = match bridge {
         legacy::Bridge::Osmc => ChannelKind::Osmc,

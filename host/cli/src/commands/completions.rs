@@ -1,7 +1,8 @@
-//! `r4 completions`, and what the shell asks for at each Tab.
+//! `r4 completions`, and the answers to a shell at each Tab.
 //!
-//! A shell runs the program with the line as it stands. Nothing is opened then: a board may be in use, and it may be slow. A virtual
-//! board's channels are in its robot's file, those of any other are as they were [last seen](crate::known).
+//! The shell runs the program with the unfinished line. The program opens no board then, since a board may be busy or
+//! slow: channels of a virtual board come from its robot's file, those of any other board from the cache of [channels
+//! last seen](crate::known).
 
 use std::{env, ffi::OsStr, path::Path};
 
@@ -19,14 +20,14 @@ use crate::{known, output, session::Target};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Completions {
-    /// The shell that is to complete them
+    /// Shell to write the completion script for
     pub(crate) shell: Shell,
 }
 
-/// Set by the shells' scripts.
+/// Environment variable that the shells' scripts set to request completions.
 const VARIABLE: &str = "R4_COMPLETE";
 
-/// bash takes `:` and `=` for ends of words, which are in the middle of boards here.
+/// Completion script for bash. bash splits words at `:` and `=`, which occur inside the names of boards.
 const BASH: &str = r#"_r4() {
     local IFS=$'\013' words candidates
     local line="${COMP_LINE:0:COMP_POINT}"
@@ -71,12 +72,12 @@ pub(crate) fn run(completions: &Completions) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// Answers a shell that completes a line, and ends the program; returns where none does.
+/// Answers a shell's request for completions and ends the program; returns if there is no request.
 pub(crate) fn answer(typed: fn() -> clap::Command) {
     CompleteEnv::with_factory(|| completed(typed(), "")).var(VARIABLE).complete();
 }
 
-/// `command` and its subcommands with a completer at each argument whose type has one.
+/// Adds a completer to each argument of `command` and its subcommands whose type has one.
 fn completed(command: clap::Command, name: &str) -> clap::Command {
     use std::any::TypeId;
     let kinds = kinds_of(name);
@@ -96,7 +97,7 @@ fn completed(command: clap::Command, name: &str) -> clap::Command {
     })
 }
 
-/// The kinds of channels that a verb takes; all where none are listed.
+/// Channel kinds that a verb accepts; empty for all kinds.
 fn kinds_of(verb: &str) -> &'static [ChannelKind] {
     use ChannelKind::{Actuator, Bldc, Dac, Dhb, Osmc, Relay, Servo, Stepper};
     match verb {
@@ -117,9 +118,10 @@ fn channels(typed: &OsStr, kinds: &[ChannelKind]) -> Vec<CompletionCandidate> {
     wanted.map(|id| id.to_string()).filter(|id| id.starts_with(&*typed)).map(CompletionCandidate::new).collect()
 }
 
-/// The board of a line that is not finished.
+/// Board that an unfinished command line names, or `R4_BOARD`, or the default board.
 fn board_of(line: impl Iterator<Item = String>) -> Option<Target> {
     let line: Vec<String> = line.collect();
+    // clap accepts `--board X` and `--board=X`; of several, take the last one.
     let after =
         line.iter().zip(line.iter().skip(1)).rev().find_map(|(option, value)| (option == "--board").then_some(value));
     let named = line.iter().rev().find_map(|word| word.strip_prefix("--board="));
@@ -143,13 +145,14 @@ fn boards(typed: &OsStr) -> Vec<CompletionCandidate> {
     let real = found.map(|port| format!("serial:{}", port.path.display()));
     let all = robots.chain(real).chain(["serial:auto".to_owned()]).chain(known::boards());
     let mut all: Vec<String> = all.filter(|board| board.starts_with(&*typed)).collect();
-    // A robot's file.
+    // Files of robots, after `sim:` or `emu:`.
     if let Some((kind @ ("sim" | "emu"), path)) = typed.split_once(':') {
         let is_robot = |path: &Path| path.is_dir() || path.extension().is_some_and(|extension| extension == "toml");
         let files = PathCompleter::any().filter(is_robot).complete(OsStr::new(path));
         all.extend(files.iter().map(|file| format!("{kind}:{}", file.get_value().to_string_lossy())));
     }
     all.sort();
+    // A board may be connected and known from before.
     all.dedup();
     all.into_iter().map(CompletionCandidate::new).collect()
 }

@@ -1,4 +1,4 @@
-//! `r4 debug`: the image on an emulated board, under gdb or with a trace.
+//! `r4 debug`: runs the firmware's image on an emulated board, under gdb or with a trace.
 
 use anyhow::bail;
 use r4_sim::Pace;
@@ -21,8 +21,8 @@ pub(crate) fn run(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
         && !debug.public
     {
         bail!(
-            "{address} can be reached from other machines, and gdb's protocol asks nobody who they are: serve it at 127.0.0.1, \
-             or add --public if everybody there may"
+            "{address} can be reached from other machines, and gdb's protocol has no authentication: serve it at 127.0.0.1, \
+             or add --public if all users there may control the board"
         );
     }
     match &debug.scenario {

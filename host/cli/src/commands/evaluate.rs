@@ -1,4 +1,4 @@
-//! `r4 evaluate`: a paper's whole evaluation, with the paper beside.
+//! `r4 evaluate`: the whole evaluation of a paper, beside the paper's results.
 
 use std::{fs, path::PathBuf};
 
@@ -24,19 +24,20 @@ use crate::{
 
 #[derive(Clone, Debug, clap::Subcommand)]
 pub(crate) enum Evaluations {
-    /// Set points and steps of the OSMC evaluation on blind plants: the paper, its plain PID, and the board's loops
+    /// Run set points and steps of the OSMC evaluation on blind plants: the paper's results, its plain PID, and the
+    /// board's loops
     Osmc(OsmcArgs),
 }
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct OsmcArgs {
-    /// How many seeds: each hides something, or nothing, in each of the three motors
+    /// Number of seeds: each hides an effect, or none, in each of the three motors
     #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     seeds: u64,
-    /// The first seed
+    /// First of the consecutive seeds
     #[arg(long, default_value_t = system::REPORTED_FROM, value_name = "SEED")]
     first_seed: u64,
-    /// In how many of these seeds to name what is hidden, which takes half a minute for each
+    /// Number of these seeds whose hidden effect is identified and named, half a minute each
     #[arg(long, default_value_t = 30, value_name = "SEEDS")]
     naming: u64,
     /// Write a page with every response to this file
@@ -50,14 +51,14 @@ impl Default for OsmcArgs {
     }
 }
 
-/// A motor of a seed in which a target is missed.
+/// Motor of a seed that misses a target.
 #[derive(Clone, Debug, Serialize)]
 struct Failing {
     seed: u64,
     motor: &'static str,
-    /// Name of what is hidden; `nothing` for nothing.
+    /// Name of the hidden effect; `nothing` for none.
     hidden: &'static str,
-    /// Size of what is hidden, in the unit of its first parameter.
+    /// Magnitude of the hidden effect, in the unit of its first parameter.
     size: Option<f64>,
     /// Metrics that miss their targets, with their values.
     missed: Vec<(String, f64)>,
@@ -79,7 +80,7 @@ pub(crate) fn run(args: &Args, what: &Evaluations) -> anyhow::Result<bool> {
     }
 }
 
-/// The evaluation of the OSMC paper; false where a target is missed or a trial could not be run.
+/// Runs the evaluation of the OSMC paper; false where a target is missed or a trial failed to run.
 pub(crate) fn run_osmc(args: &Args, asked: &OsmcArgs) -> anyhow::Result<bool> {
     let study = |arms: &[&str], seeds| Study {
         arms: arms.iter().map(|arm| (*arm).to_owned()).collect(),
@@ -88,6 +89,7 @@ pub(crate) fn run_osmc(args: &Args, asked: &OsmcArgs) -> anyhow::Result<bool> {
         board: system::board(args, &Osmc),
         shard: Shard::default(),
     };
+    // Identification takes half a minute per seed, so that its arm runs on fewer seeds than the others.
     let driven = study(&[osmc::PAPER, osmc::OURS], asked.seeds);
     let mut records = system::records(&Osmc, &driven)?;
     let naming = asked.naming.min(asked.seeds);
@@ -96,6 +98,7 @@ pub(crate) fn run_osmc(args: &Args, asked: &OsmcArgs) -> anyhow::Result<bool> {
     }
     let study = driven;
     let failed: Vec<&Record> = records.iter().filter(|record| record.failed.is_some()).collect();
+    // Some failed trials still give rows, but no metric can be computed if all failed.
     if let Some(first) = failed.first() {
         let why = first.failed.as_deref().unwrap_or_default();
         ensure!(failed.len() < records.len(), "none of {} trials could be run; the first: {why}", records.len());
@@ -133,6 +136,7 @@ pub(crate) fn run_osmc(args: &Args, asked: &OsmcArgs) -> anyhow::Result<bool> {
 /// Motors that miss a target, by seed.
 fn failing(records: &[Record], trial: impl Fn(u64) -> Trial) -> anyhow::Result<Vec<Failing>> {
     let mut failing = Vec::new();
+    // Targets apply to the board's loops, not to the paper's PID.
     for record in records.iter().filter(|record| record.arm != osmc::PAPER) {
         let missed = osmc::missed(record);
         if missed.is_empty() {
@@ -152,6 +156,7 @@ fn failing(records: &[Record], trial: impl Fn(u64) -> Trial) -> anyhow::Result<V
             }
         }
     }
+    // Sort by motor and effect, so that effects which fail repeatedly stand together.
     failing.sort_by_key(|failing| (failing.motor, failing.hidden, failing.seed));
     Ok(failing)
 }
@@ -223,7 +228,7 @@ fn cells(row: &Comparison) -> [String; 12] {
     ]
 }
 
-/// The page: the comparison, what missed its targets, the laws, and every response.
+/// Report page: comparison, missed targets, fitted laws, and every response.
 fn page(report: &Report, study: &Study) -> anyhow::Result<String> {
     let column = |title: &str, align| Column { title: title.into(), unit: None, align };
     let titles =
@@ -248,7 +253,7 @@ fn page(report: &Report, study: &Study) -> anyhow::Result<String> {
         note: Some(format!(
             "{SOURCE}. Median and worst over the plants; a share where the metric is one. Definitions of the metrics and units are \
              ours, as the paper prints none: the final value is the mean of the last 0.3 s of a set point, the rise goes from the \
-             command to 99 % of the way to it, overshoot is the share of the step beyond the set point, a limit cycle is two \
+             command to 99 % of the step, overshoot is the share of the step beyond the set point, a limit cycle is two \
              reversals of more than one count while the last set point is held for 60 s."
         )),
         columns,
@@ -271,10 +276,9 @@ fn page(report: &Report, study: &Study) -> anyhow::Result<String> {
     let ladders = Table {
         caption: "Laws of the printed rows, and of ours".into(),
         note: Some(
-            "The law with the fewest numbers among those that explain rows that were left out as well as the best."
-                .into(),
+            "The law with the fewest parameters among those that predict held-out rows as well as the best.".into(),
         ),
-        columns: ["Data", "Quantity", "Unit", "Error without a law", "Law", "Error with it", "On left-out rows"]
+        columns: ["Data", "Quantity", "Unit", "Error without a law", "Law", "Error with it", "On held-out rows"]
             .iter()
             .enumerate()
             .map(|(at, title)| column(title, if matches!(at, 3 | 5 | 6) { Align::Right } else { Align::Left }))

@@ -1,4 +1,4 @@
-//! `r4 faults`
+//! `r4 faults`: the trips stored on a board.
 
 use anyhow::{Context, anyhow};
 use r4_protocol::{Causes, ChannelInfo, ChannelKind, FaultInfo, FaultSnapshot};
@@ -19,7 +19,7 @@ struct History {
     faults: Vec<Fault>,
 }
 
-/// A trip, in SI.
+/// One trip, in SI units.
 #[derive(Serialize)]
 struct Fault {
     index: usize,
@@ -38,7 +38,7 @@ struct Before {
     before: Vec<Moment>,
 }
 
-/// What the board looked like, in SI.
+/// Snapshot of the board before a trip, in SI units.
 #[derive(Serialize)]
 struct Moment {
     before_ms: u16,
@@ -50,7 +50,7 @@ struct Moment {
 struct Motor {
     channel: String,
     unit: String,
-    /// Null where nothing measures it.
+    /// Position in rad or m; null without a sensor.
     position: Option<f64>,
     speed: f32,
     duty: f32,
@@ -75,7 +75,7 @@ impl Fault {
     }
 }
 
-/// The channels that snapshots are of.
+/// Channels that the snapshots contain.
 struct Watched {
     motors: Vec<ChannelInfo>,
     supplies: Vec<ChannelInfo>,
@@ -96,9 +96,9 @@ fn history(args: &Args) -> anyhow::Result<bool> {
         return Ok(true);
     }
     if faults.is_empty() {
-        output::line(format_args!("{} remembers no trip", args.board))?;
+        output::line(format_args!("{} has no stored trip", args.board))?;
         if args.flash.is_none() && !matches!(args.board, Target::Link(_)) {
-            eprintln!("r4: a simulated board remembers nothing from one command to the next without --flash FILE");
+            eprintln!("r4: a simulated board keeps its trips from one command to the next only with --flash FILE");
         }
         return Ok(true);
     }
@@ -114,7 +114,7 @@ fn history(args: &Args) -> anyhow::Result<bool> {
     }
     output::line(table)?;
     output::line(
-        "start counts the starts of the board, time is since that start; `r4 faults INDEX` shows what came before",
+        "start counts the starts of the board, time is since that start; `r4 faults INDEX` shows the time before a trip",
     )?;
     Ok(true)
 }
@@ -126,7 +126,7 @@ fn before(args: &Args, index: u8) -> anyhow::Result<bool> {
         let known = faults.len();
         let info = faults.get(usize::from(index)).copied();
         let info = info
-            .ok_or_else(|| anyhow!("there is no trip {index}, the board remembers {known}: `r4 faults` lists them"))?;
+            .ok_or_else(|| anyhow!("there is no trip {index}, the board has {known} stored: `r4 faults` lists them"))?;
         let of_kind = |kinds: &[ChannelKind]| -> Vec<ChannelInfo> {
             board.channels().iter().filter(|info| kinds.contains(&info.id.kind)).cloned().collect()
         };
@@ -177,8 +177,9 @@ impl Watched {
     fn table(&self, snapshots: &[FaultSnapshot]) -> comfy_table::Table {
         let mut header = vec!["ms before".to_owned()];
         for info in &self.motors {
+            // A motor without a sensor has only its duty in a snapshot.
             let measured = info.resolution > 0.0;
-            // Named above its first column.
+            // The channel's name stands above its first column only.
             let mut name = info.id.to_string();
             let units = [(human(info.unit).1, measured), (human(speed_unit(info.unit)).1, measured), ("duty", true)];
             let shown = units.iter().filter(|(_, shown)| *shown);
@@ -203,7 +204,7 @@ impl Watched {
     }
 }
 
-/// In rad or m, where something measures it.
+/// Position in rad or m; `None` without a sensor.
 fn position(info: &ChannelInfo, counts: i32) -> Option<f64> {
     (info.resolution > 0.0).then(|| f64::from(counts) * f64::from(info.resolution))
 }

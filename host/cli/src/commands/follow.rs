@@ -1,4 +1,4 @@
-//! `r4 follow`: motors along paths from a table.
+//! `r4 follow`: moves motors along paths from a table.
 
 use std::{fs, path::Path};
 
@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use crate::{args::Args, output, session, table};
 
-/// What became of a path, in SI.
+/// Result of one motor's path, in SI units.
 #[derive(Serialize)]
 struct Row {
     channel: String,
@@ -27,7 +27,7 @@ struct Report {
     board: String,
     duration_s: f64,
     rows: Vec<Row>,
-    /// Whether every motor came to rest at the end of its path.
+    /// True if every motor came to rest at the end of its path.
     held: bool,
 }
 

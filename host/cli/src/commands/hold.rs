@@ -1,4 +1,4 @@
-//! `r4 servo`, `r4 bldc`, `r4 dac`: outputs that are told one number, and tell no more than that.
+//! `r4 servo`, `r4 bldc`, `r4 dac`: outputs with a set point and without a sensor.
 
 use r4_protocol::{ChannelId, ChannelKind, Mode, Unit};
 use r4_rig::{Error, HeldOutput, Quantity, Unsuitable};
@@ -10,10 +10,10 @@ use crate::{
     output, session,
 };
 
-/// An output is held this long unless told otherwise, s.
+/// Default hold time, s.
 pub(super) const HOLD_S: f64 = 2.0;
 
-/// What became of the output, in SI.
+/// Result of holding an output, in SI units.
 #[derive(Serialize)]
 struct Outcome {
     board: String,
@@ -21,22 +21,22 @@ struct Outcome {
     mode: String,
     unit: String,
     set: f64,
-    /// Set point of the output at the end, in words; null if it has none.
+    /// Set point of the output at the end; null for a servo without pulses.
     value: f64,
     seconds: f64,
-    /// Whether that was what was asked for.
+    /// True if the output reached the requested set point.
     held: bool,
 }
 
-/// What is asked of an output, and how to tell of it.
+/// Requested output, and its description in messages.
 struct Order {
     channel: ChannelId,
     kind: ChannelKind,
     mode: Mode,
-    /// `None` for a brake.
+    /// Set point; `None` for a brake.
     value: Option<Quantity>,
     seconds: f64,
-    /// What disarming leaves.
+    /// State of the output after disarming, for the message.
     afterwards: &'static str,
 }
 
@@ -71,6 +71,7 @@ fn run(args: &Args, order: Order) -> anyhow::Result<bool> {
     })?;
     let board = args.board.described();
     let set = asked.unwrap_or(Quantity::new(0.0, Unit::Duty));
+    // A brake has no quantity.
     let what = if asked.is_some() { set.to_string() } else { mode.to_string() };
     if args.json {
         output::json(&Outcome {
@@ -88,9 +89,9 @@ fn run(args: &Args, order: Order) -> anyhow::Result<bool> {
     }
     if !held {
         let reached = set.like(value, unit);
-        // A servo without pulses is at no angle that anyone knows.
-        let reached = if value.is_nan() { "nothing".to_owned() } else { reached.to_string() };
-        eprintln!("r4: {channel} had only come to {reached} after {seconds} s, on {board}: allow more time with --for");
+        // A servo without pulses has no known angle.
+        let reached = if value.is_nan() { "no angle".to_owned() } else { reached.to_string() };
+        eprintln!("r4: {channel} reached only {reached} after {seconds} s, on {board}: allow more time with --for");
     }
     Ok(held)
 }

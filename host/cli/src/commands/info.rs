@@ -1,4 +1,4 @@
-//! `r4 info`
+//! `r4 info`: board, firmware, state and channels.
 
 use r4_protocol::{ChannelInfo, DeviceStats, Unit, message::CONTROL_SHARE};
 use r4_sim::Pace;
@@ -29,9 +29,9 @@ struct Control {
     ticks: u32,
     late_ticks: u32,
     worst_tick_us: u32,
-    /// What the control task took of the processor in one period, at most; 0 where nobody counts it.
+    /// Most processor cycles of the control task in one period; 0 where the firmware does not count them.
     worst_tick_cycles: u32,
-    /// Periods in which it took more than it is promised to.
+    /// Periods in which the control task exceeded its share of the processor.
     ticks_over_share: u32,
 }
 
@@ -42,7 +42,7 @@ impl From<&DeviceStats> for Control {
     }
 }
 
-/// What the board counted on its CAN bus since it started.
+/// Error counters of the board's CAN bus since its start.
 #[derive(Serialize)]
 struct Can {
     bus_off: u32,
@@ -125,6 +125,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
         output::line(format_args!("  tripped by: {cause}"))?;
     }
     let Control { ticks, late_ticks, worst_tick_us, worst_tick_cycles, ticks_over_share } = report.control;
+    // Print counters only where they differ from a healthy board's.
     if late_ticks != 0 {
         output::line(format_args!(
             "  {late_ticks} of {ticks} control periods were late, the longest took {worst_tick_us} us"
@@ -145,7 +146,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
     for hot in &report.hot_windings {
         output::line(format_args!("  {} winding {} %", hot.channel, hot.heat_percent))?;
     }
-    let mut table = table::new(&["channel", "takes or gives", "min", "max", "unit", "rate Hz"], 2..4);
+    let mut table = table::new(&["channel", "mode", "min", "max", "unit", "rate Hz"], 2..4);
     for channel in &report.channels {
         let rate = format!("{:.0}", channel.rate_hz);
         if channel.modes.is_empty() {
@@ -162,12 +163,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// JSON has no infinity.
+/// Limits an infinite value to the largest finite one: JSON has no infinity.
 fn finite(limit: f32) -> f32 {
     limit.clamp(-f32::MAX, f32::MAX)
 }
 
-/// Both ends and the unit, as people read them.
+/// Both ends of a range and its unit, as text.
 fn limits(min: f32, max: f32, unit: Unit) -> [String; 3] {
     let (factor, name, _) = human(unit);
     let shown = |value: f32| match value {
@@ -177,7 +178,7 @@ fn limits(min: f32, max: f32, unit: Unit) -> [String; 3] {
     [shown(min), shown(max), if name.is_empty() { unit.to_string() } else { name.to_owned() }]
 }
 
-/// Five significant digits at most, none of them noise of binary fractions.
+/// Formats at most five significant digits, which hides the rounding of binary fractions.
 fn digits(value: f32) -> String {
     let magnitude = value.abs().max(1e-9).log10().floor() as i32;
     let text = format!("{value:.*}", (4 - magnitude).clamp(0, 6) as usize);

@@ -1,4 +1,4 @@
-//! `r4 man`
+//! `r4 man`: manual pages, made from the command-line definitions.
 
 use std::{
     fs,
@@ -14,10 +14,10 @@ use clap_mangen::{
 
 use crate::output;
 
-/// A page is in the roff format: `r4 man move | man -l -` shows it.
+/// Pages are in the roff format; to read one: `r4 man move | man -l -`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Manual {
-    /// Of which verb, as in `move` or `sim serve` [default: of the program]
+    /// Verb, as in `move` or `sim serve` [default: the program]
     #[arg(conflicts_with = "out")]
     pub(crate) verb: Vec<String>,
     /// Write the pages of the program and of every verb into this folder, as r4.1, r4-move.1 and so on
@@ -25,20 +25,21 @@ pub(crate) struct Manual {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// What the program's exit code says, in every page and in `docs/program.md`.
+/// Meanings of the exit codes, for every page; `docs/program.md` has the same table.
 const EXIT_STATUS: [(&str, &str); 7] = [
-    ("0", "What the command promises held."),
-    ("1", "It did not. A message on stderr says why."),
-    ("2", "What was typed was not understood; nothing was done."),
-    ("3", "It was refused."),
-    ("4", "There is no link to the board, or not any more."),
+    ("0", "Success: the requested result was reached."),
+    ("1", "Failure; a message on stderr says why."),
+    ("2", "The command line was not understood; nothing was done."),
+    ("3", "The request was refused."),
+    ("4", "There is no link to the board."),
     ("5", "The board stopped."),
     ("130", "Ctrl-C, after which the board was disarmed."),
 ];
 
 pub(crate) fn run(manual: &Manual, program: Command) -> anyhow::Result<bool> {
+    // `help` would get pages of its own.
     let mut program = program.disable_help_subcommand(true);
-    // Gives each verb its full name and the options that all have.
+    // Building sets each verb's full name and the global options.
     program.build();
     match &manual.out {
         Some(folder) => {
@@ -69,7 +70,7 @@ fn write_all(command: &Command, folder: &Path) -> anyhow::Result<()> {
     fs::write(&file, page(command)?).with_context(|| format!("cannot write {}", file.display()))
 }
 
-/// The page of a command.
+/// Manual page of one command, as roff.
 fn page(command: &Command) -> anyhow::Result<Vec<u8>> {
     let man = Man::new(command.clone()).source(concat!("r4 ", env!("CARGO_PKG_VERSION"))).manual("R4");
     let mut page = Vec::new();

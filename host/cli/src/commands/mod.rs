@@ -1,4 +1,4 @@
-//! One module per verb, or per few verbs that are one thing.
+//! Verbs of the program: one module per verb or group of related verbs.
 
 pub(crate) mod bench;
 pub(crate) mod bridge;

@@ -1,4 +1,4 @@
-//! `r4 move`, `r4 step`, `r4 home`, `r4 speed`, `r4 duty`, `r4 press`
+//! `r4 move`, `r4 step`, `r4 home`, `r4 speed`, `r4 duty`, `r4 press`: motions of one motor or stepper.
 
 use anyhow::ensure;
 use r4_driver::Until;
@@ -13,7 +13,7 @@ use crate::{
     session::{self, Session},
 };
 
-/// What became of one command, in SI.
+/// Result of one motion, in SI units.
 #[derive(Serialize)]
 struct Outcome {
     board: String,
@@ -21,20 +21,20 @@ struct Outcome {
     mode: String,
     unit: String,
     set: f64,
-    /// Null where nothing measures it.
+    /// Final position; null without a sensor.
     position: f64,
     speed: f64,
     duty: f64,
     seconds: f64,
     settled: bool,
     homed: bool,
-    /// Whether what was asked for held at the end.
+    /// True if the requested motion was reached or held at the end.
     held: bool,
 }
 
-/// A speed, duty or force is held this long unless told otherwise, s.
+/// Default hold time of a speed, duty or force, s.
 const HOLD_S: f64 = 2.0;
-/// A position is given up after this long unless told otherwise, s.
+/// Default time-out of a position, s.
 const TIMEOUT_S: f64 = 30.0;
 pub(crate) fn run(args: &Args, motion: &args::Motion, mode: Mode) -> anyhow::Result<bool> {
     let until = match mode {
@@ -46,6 +46,7 @@ pub(crate) fn run(args: &Args, motion: &args::Motion, mode: Mode) -> anyhow::Res
 }
 
 pub(crate) fn home(args: &Args, home: &args::Home) -> anyhow::Result<bool> {
+    // At speed 0 the search would only end by its time-out.
     ensure!(home.speed.value != 0.0, "a home switch is sought at a speed other than 0");
     let until = Until::Homed { timeout_s: home.seconds.unwrap_or(TIMEOUT_S) };
     let drive = async |session: &Session<'_>| Ok(session.drive(home.channel, Mode::Home, home.speed, until).await?);
@@ -58,7 +59,7 @@ pub(crate) fn step(args: &Args, step: &args::Step) -> anyhow::Result<bool> {
     report(args, session::run(args, Pace::Free, drive)?.0)
 }
 
-/// Prints what came of it; false when it did not hold.
+/// Prints the result; false if the request was not reached or held.
 fn report(args: &Args, driven: Driven) -> anyhow::Result<bool> {
     let Driven { info, mode, set, end, held } = driven;
     let (channel, position_unit, board) = (info.id, info.unit, args.board.described());
@@ -80,7 +81,7 @@ fn report(args: &Args, driven: Driven) -> anyhow::Result<bool> {
     }
     let position = set.like(end.position, position_unit);
     let speed = set.like(end.speed, speed_unit(position_unit));
-    // A motor without a sensor has only its duty to tell, a stepper has none.
+    // A motor without a sensor reports only its duty; a stepper has none.
     let place = if end.position.is_nan() { String::new() } else { format!(" at {position}, moving at {speed},") };
     let duty = info.mode(Mode::Duty).map_or(String::new(), |_| format!(" duty {:.3},", end.duty));
     let after_s = end.after_s;

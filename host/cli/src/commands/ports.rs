@@ -1,4 +1,4 @@
-//! `r4 ports`.
+//! `r4 ports`: serial ports of this machine, and which of them are boards.
 
 use r4_links::ports::{self, Port};
 use serde::Serialize;
@@ -12,12 +12,12 @@ struct Ports {
 
 #[derive(Serialize)]
 struct Row {
-    /// As `--board` takes it.
+    /// Address, as a value for `--board`.
     board: String,
     is_board: bool,
     product: Option<String>,
     serial: Option<String>,
-    /// Vendor and product, in hex.
+    /// USB vendor and product identifiers, in hex.
     usb: Option<String>,
 }
 

@@ -1,4 +1,4 @@
-//! `r4 i2c`, `r4 uart`: the external connectors, byte by byte.
+//! `r4 i2c`, `r4 uart`: raw bytes over the external connectors.
 
 use anyhow::ensure;
 use r4_sim::Pace;
@@ -9,11 +9,11 @@ use crate::{
     output, session,
 };
 
-/// Connectors of each kind.
+/// Number of connectors of each kind.
 const CONNECTORS: u8 = 2;
-/// What a UART receives is waited for this long unless told otherwise, s.
+/// Default receive time of a UART, s.
 const RECEIVE_S: f64 = 0.5;
-/// How often received bytes are fetched, s: the board keeps 22 ms of them at 115200 baud.
+/// Period of the requests for received bytes, s: the board buffers 22 ms of them at 115200 baud.
 const FETCH_EVERY_S: f64 = 0.005;
 
 #[derive(Serialize)]
@@ -21,9 +21,9 @@ struct Transfer {
     board: String,
     bus: u8,
     address: u8,
-    /// Hex.
+    /// Bytes written, in hex.
     written: String,
-    /// Hex.
+    /// Bytes read, in hex.
     read: String,
 }
 
@@ -31,9 +31,9 @@ struct Transfer {
 struct Exchange {
     board: String,
     port: u8,
-    /// Hex.
+    /// Bytes sent, in hex.
     written: String,
-    /// Hex; null if that was not asked for.
+    /// Bytes received, in hex; null without `--read`.
     read: Option<String>,
 }
 
@@ -76,6 +76,7 @@ pub(crate) fn uart(args: &Args, uart: &Uart) -> anyhow::Result<bool> {
             if board.now_s() >= until_s {
                 return Ok(Some(all));
             }
+            // Fetch at once while bytes are waiting: the board drops what it cannot buffer.
             if received.is_empty() {
                 board.sleep_s(FETCH_EVERY_S).await;
             }

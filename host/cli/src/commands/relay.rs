@@ -1,4 +1,4 @@
-//! `r4 relay`
+//! `r4 relay`: switches a relay for a time.
 
 use r4_protocol::{Mode, Setpoint};
 use r4_rig::{Error, Unsuitable};
@@ -11,7 +11,7 @@ use crate::{
     output, session,
 };
 
-/// What became of the relay.
+/// Result of switching the relay.
 #[derive(Serialize)]
 struct Outcome {
     board: String,

@@ -1,4 +1,4 @@
-//! `r4 report`
+//! `r4 report`: an HTML page of a log.
 
 use std::{fs, path::PathBuf};
 
@@ -10,12 +10,12 @@ use crate::{args::Args, output, report};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Report {
-    /// The log
+    /// Log to plot, an MCAP file
     pub(crate) file: PathBuf,
-    /// The page
+    /// HTML page to write
     #[arg(long, default_value = "report.html", value_name = "FILE")]
     pub(crate) out: PathBuf,
-    /// What stands above it [default: the robot's name]
+    /// Heading of the page [default: the robot's name]
     #[arg(long)]
     pub(crate) title: Option<String>,
 }

@@ -1,4 +1,4 @@
-//! `r4 sim reveal`
+//! `r4 sim reveal`: the effects hidden by `--blind`.
 
 use std::collections::BTreeMap;
 
@@ -11,10 +11,10 @@ use crate::{args::Args, output, session, table};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Reveal {
-    /// What --blind was given
+    /// Seed that was given to --blind
     #[arg(value_name = "SEED")]
     pub(crate) seed: u64,
-    /// The robot's name or file, as it was behind sim: or emu: [default: that of --board]
+    /// Robot's name or file, as after sim: or emu: [default: that of --board]
     #[arg(long, value_name = "ROBOT")]
     pub(crate) robot: Option<String>,
 }
@@ -24,7 +24,7 @@ struct Report {
     robot: String,
     seed: u64,
     channels: Vec<Channel>,
-    /// Where it is hidden in the robot's body instead.
+    /// Effects hidden in the robot's body instead of its motors.
     #[serde(skip_serializing_if = "Option::is_none")]
     body: Option<Vec<Effect>>,
 }
@@ -32,7 +32,7 @@ struct Report {
 #[derive(Serialize)]
 struct Channel {
     channel: String,
-    /// Nothing is hidden where there is none.
+    /// Hidden effects; empty if nothing is hidden.
     effects: Vec<Effect>,
 }
 
@@ -41,9 +41,9 @@ struct Effect {
     name: &'static str,
     depends_on: Vec<&'static str>,
     parameters: BTreeMap<&'static str, Number>,
-    /// It is in the catalogue of effects.
+    /// True if the effect is in the catalogue.
     listed: bool,
-    /// Effects that no recording can tell from it.
+    /// Effects that no recording can distinguish from it.
     rivals: &'static [&'static str],
 }
 

@@ -2,22 +2,23 @@
 
 use crate::args::Args;
 
-/// Commands come on `cmd_vel` (`geometry_msgs/TwistStamped`), `cmd_vel_unstamped` (`Twist`) and `joint_commands` (`JointState`);
-/// `odom`, `/tf`, `joint_states`, sensors, `/diagnostics` and `~/state` are published. Nothing moves before the service `~/arm` is
-/// called; `true` on `estop` (`std_msgs/Bool`) or the service `~/estop` trips, `~/clear` leaves a trip behind. Motors stop when no
-/// command came for the board's link time-out. ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and
-/// RMW_IMPLEMENTATION are those of ROS. No ROS installation is needed. `docs/ros2.md` has the topics, frames and units.
+/// Commands come on `cmd_vel` (`geometry_msgs/TwistStamped`), `cmd_vel_unstamped` (`Twist`) and `joint_commands`
+/// (`JointState`); `odom`, `/tf`, `joint_states`, sensors, `/diagnostics` and `~/state` are published. Nothing moves
+/// before the service `~/arm` is called; `true` on `estop` (`std_msgs/Bool`) or the service `~/estop` trips the board,
+/// `~/clear` clears a trip. Motors stop when no command arrives for the board's link time-out. The environment
+/// variables ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and RMW_IMPLEMENTATION have their
+/// meanings of ROS. No ROS installation is needed. `docs/ros2.md` has the topics, frames and units.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Ros2 {
-    /// Namespace of the node, its topics and its services, as in robot1
+    /// Namespace of the node, its topics and its services; example: robot1
     #[arg(long, value_name = "NAMESPACE", default_value = "", hide_default_value = true)]
     pub(crate) namespace: String,
-    /// Leave the transform from odom to base_link to another node, as a filter is one
+    /// Do not publish the transform from odom to base_link, for example where a filter node does
     #[arg(long)]
     pub(crate) no_tf: bool,
 }
 
-/// What this program was not built with.
+/// Error of programs that are built without the feature `ros2`.
 #[cfg(not(feature = "ros2"))]
 #[derive(Debug, thiserror::Error)]
 #[error(
@@ -43,7 +44,7 @@ pub(crate) fn run(args: &Args, ros2: &Ros2) -> anyhow::Result<bool> {
 
     if args.pace == Some(Pace::Free) {
         anyhow::bail!(
-            "--pace max: other nodes live by the clock, and commands grow old by it; leave it out, or give a factor"
+            "--pace max: other nodes run in real time, by which commands time out; omit --pace, or give a factor"
         );
     }
     let namespace: Namespace = ros2.namespace.parse()?;
@@ -60,7 +61,7 @@ pub(crate) fn run(args: &Args, ros2: &Ros2) -> anyhow::Result<bool> {
             output::line(format_args!("node {} for {board}; {discovery}", name.trim_end_matches('/')))?;
             let served = node.serve(session, Door { clock, has_transform: !ros2.no_tf }).await;
             served.map_err(|error| match error {
-                // By which the exit code is found.
+                // Unwrapped, so that the exit code follows from the board's error.
                 NodeError::Board(error) => anyhow::Error::from(error),
                 error => anyhow::Error::from(error),
             })

@@ -1,5 +1,5 @@
-//! `r4 scenario`: plays files of timed steps on virtual boards and prints the outcomes, or compares them between a simulated and an
-//! emulated board.
+//! `r4 scenario`: plays files of timed steps on virtual boards and prints the outcomes, or compares them between a
+//! simulated and an emulated board.
 
 use std::path::{Path, PathBuf};
 
@@ -36,7 +36,7 @@ struct ComparedRow {
     robot: String,
     looks: usize,
     trips: usize,
-    /// Of all looks: the difference as a share of what is allowed.
+    /// Largest difference of all checkpoints, as a share of the allowed one.
     worst_share: f64,
     differences: Vec<Difference>,
 }
@@ -49,7 +49,7 @@ pub(crate) fn run(args: &Args, scenario: &args::Scenario) -> anyhow::Result<bool
     }
 }
 
-/// Plays each file on `--board`, or on a simulated board of its own robot where nothing is said.
+/// Plays each file on `--board`, or without it on a simulated board of the file's robot.
 pub(crate) fn play_on(
     args: &Args,
     rig: impl Fn(&Args) -> anyhow::Result<Rig>,
@@ -57,6 +57,7 @@ pub(crate) fn play_on(
 ) -> anyhow::Result<bool> {
     for path in files {
         let scenario = Scenario::read(path)?;
+        // The file's robot decides; `--board` only selects simulated or emulated.
         let args = Args { board: args.board.with_robot(&scenario.robot)?, ..args.clone() };
         let outcome = outcome(&args, rig(&args)?, &scenario)?;
         if args.json {
@@ -88,12 +89,12 @@ pub(crate) fn play_on(
     Ok(true)
 }
 
-/// Plays each file on both kinds of virtual board and lists what differs.
+/// Plays each file on a simulated and an emulated board and lists the differences.
 fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
     let mut rows = Vec::new();
     for path in files {
         let scenario = Scenario::read(path)?;
-        // Of two boards that are compared the emulated one has a log.
+        // Only the emulated board has a firmware log.
         let log = |board: &Target| args.log.filter(|_| matches!(board, Target::Emu(_)));
         let on = |board: Target| {
             let args = Args { log: log(&board), board, ..args.clone() };
@@ -117,7 +118,7 @@ fn compare(args: &Args, files: &[PathBuf]) -> anyhow::Result<bool> {
         return Ok(agree);
     }
     let mut shown =
-        table::new(&["scenario", "robot", "looks", "trips", "worst, share of allowed", "differences"], 2..6);
+        table::new(&["scenario", "robot", "checkpoints", "trips", "worst, share of allowed", "differences"], 2..6);
     for row in &rows {
         shown.add_row([
             row.scenario.clone(),

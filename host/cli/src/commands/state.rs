@@ -1,4 +1,4 @@
-//! `r4 arm`, `r4 disarm`, `r4 clear`
+//! `r4 arm`, `r4 disarm`, `r4 clear`: changes of the safety state.
 
 use anyhow::bail;
 use r4_protocol::{HotWinding, SafetyState};
@@ -19,7 +19,7 @@ struct State {
     hot_windings: Vec<Hot>,
 }
 
-/// A motor whose winding is close to what it withstands.
+/// Motor whose winding is close to its limit.
 #[derive(Serialize)]
 pub(crate) struct Hot {
     pub(crate) channel: String,
@@ -32,7 +32,7 @@ impl From<&HotWinding> for Hot {
     }
 }
 
-/// How often an armed board is looked at, s.
+/// Polling period of an armed board's state, s.
 const LOOK_EVERY_S: f64 = 0.05;
 
 pub(crate) fn arm(args: &Args, seconds: Option<f64>) -> anyhow::Result<bool> {
@@ -71,10 +71,11 @@ pub(crate) fn clear(args: &Args) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// Waits for the next word of the board and prints it.
+/// Waits for the board's next telemetry and prints its state.
 async fn report(args: &Args, session: &Session<'_>) -> anyhow::Result<()> {
     let Some(first) = session.board.channels().first() else { bail!("the board has no channels") };
     let mut telemetry = session.board.telemetry();
+    // Telemetry carries the state: the next frame is newer than the request before.
     session.board.subscribe(first.id, 10).await?;
     let frame = telemetry.next().await?;
     session.board.subscribe(first.id, 0).await?;

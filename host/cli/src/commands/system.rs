@@ -23,40 +23,40 @@ use crate::{
     table,
 };
 
-/// Constants are set on seeds below this one; studies report those from here on.
+/// First seed of reported results: constants are set on lower seeds only.
 pub(crate) const REPORTED_FROM: u64 = 1001;
-/// Seeds of a benchmark, and of a quick one.
+/// Number of seeds of a benchmark, and of a quick one.
 const BENCH_SEEDS: u64 = 100;
 const QUICK_SEEDS: u64 = 8;
 
 #[derive(Clone, Debug, clap::Subcommand)]
 pub(crate) enum Systems {
-    /// All systems, with their papers
+    /// List all systems with their papers
     List,
-    /// A system's question, arms, metrics and targets
+    /// Print a system's question, arms, metrics and targets
     Show {
-        /// As `list` prints it
+        /// Name of the system, from `list`
         name: String,
     },
     /// Run one trial of a system and print its metrics
     Run {
-        /// As `list` prints it
+        /// Name of the system, from `list`
         name: String,
-        /// Which of its arms [default: ours; of osmc, its whole evaluation, as `r4 evaluate osmc`]
+        /// Arm to run [default: ours; for osmc its whole evaluation, as `r4 evaluate osmc`]
         #[arg(long)]
         arm: Option<String>,
-        /// Draw curves of this seed's arms into an SVG file
+        /// Draw the arms' curves for this seed into an SVG file
         #[arg(long, value_name = "FILE")]
         figure: Option<PathBuf>,
-        /// Write what the trial found into files of this folder, for `--body` and other simulators
+        /// Write the trial's results as files into this folder, for `--body` and other simulators
         #[arg(long, value_name = "FOLDER")]
         files: Option<PathBuf>,
     },
     /// Run a system's arms over seeds and print a row for each metric
     Study(StudyArgs),
-    /// Put the records of shards together and print their rows
+    /// Merge the records of shards and print their rows
     Merge {
-        /// Files that `study --out` wrote
+        /// Files written by `study --out`
         #[arg(required = true, value_name = "FILE")]
         files: Vec<PathBuf>,
         /// Write all records to this file, in order
@@ -67,21 +67,21 @@ pub(crate) enum Systems {
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct StudyArgs {
-    /// As `list` prints it
+    /// Name of the system, from `list`
     name: String,
-    /// How many seeds
+    /// Number of consecutive seeds
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(2..=1_000_000))]
     seeds: u64,
-    /// The first seed
+    /// First of the consecutive seeds
     #[arg(long, default_value_t = REPORTED_FROM, value_name = "SEED")]
     from: u64,
-    /// Only these arms, as in paper,ours
+    /// Run only these arms; example: paper,ours
     #[arg(long, value_delimiter = ',', value_name = "ARMS")]
     arms: Vec<String>,
-    /// Run only a part of the trials, as in 3/8; `system merge` puts the parts together
+    /// Run only this part of the trials; `system merge` merges the parts; example: 3/8
     #[arg(long, default_value_t = Shard::default(), value_name = "PART/OF")]
     shard: Shard,
-    /// Write the records to this file: as JSON lines, or, if it ends in .parquet, as a table [Parquet: feature `parquet`]
+    /// Write the records to this file: JSON lines, or a table if it ends in .parquet [Parquet: feature `parquet`]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
@@ -117,7 +117,7 @@ pub(crate) fn run(args: &Args, what: &Systems) -> anyhow::Result<bool> {
     }
 }
 
-/// `r4 bench systems`: every system's study, on seeds that had no say in any constant.
+/// Runs `r4 bench systems`: every system's study, on seeds that decided no constant.
 pub(crate) fn bench(args: &Args, bench: BenchSystems) -> anyhow::Result<bool> {
     let mut rows: Vec<Row> = Vec::new();
     let mut is_complete = true;
@@ -131,6 +131,7 @@ pub(crate) fn bench(args: &Args, bench: BenchSystems) -> anyhow::Result<bool> {
             shard: Shard::default(),
         };
         let found = study::rows(&records(*system, &study)?)?;
+        // A target without a row would otherwise count as met.
         is_complete &= has_all_targets(*system, &found);
         rows.extend(found);
         rows.extend(system.timings(bench.quick)?);
@@ -148,7 +149,7 @@ pub(crate) fn bench(args: &Args, bench: BenchSystems) -> anyhow::Result<bool> {
     Ok(print(args, rows)? && is_complete)
 }
 
-/// Whether each of a system's targets has a row; says which have none.
+/// True if each of a system's targets has a row; prints those without.
 fn has_all_targets(system: &dyn System, rows: &[Row]) -> bool {
     let about = system.about();
     let targets = about.metrics.iter().flat_map(|metric| metric.targets.iter().map(move |target| (metric, target)));
@@ -161,7 +162,7 @@ fn has_all_targets(system: &dyn System, rows: &[Row]) -> bool {
     without.is_empty()
 }
 
-/// The board of `--board`, or a simulated one of the system's robot.
+/// Board of `--board`, or a simulated one of the system's robot.
 pub(super) fn board(args: &Args, system: &dyn System) -> Target {
     if args.is_board_named { args.board.clone() } else { Target::Sim(system.about().robot.to_owned()) }
 }
@@ -244,6 +245,7 @@ fn trial(
         board: board(args, system),
         shard: Shard::default(),
     };
+    // A study of one arm and one seed is one trial.
     let [trial] = &study.trials(system)?[..] else { bail!("one trial has one arm") };
     let described = trial.board.described();
     if let Some(path) = figure {
@@ -273,7 +275,7 @@ fn trial(
 
 fn draw(system: &dyn System, trial: &Trial, path: &Path) -> anyhow::Result<()> {
     let name = system.about().name;
-    let figure = system.figure(trial)?.with_context(|| format!("{name} has no figure: leave --figure out"))?;
+    let figure = system.figure(trial)?.with_context(|| format!("{name} has no figure: omit --figure"))?;
     let views = system.views(trial)?;
     fs::write(path, crate::report::system(&figure, &views))
         .with_context(|| format!("cannot write {}", path.display()))?;
@@ -283,7 +285,7 @@ fn draw(system: &dyn System, trial: &Trial, path: &Path) -> anyhow::Result<()> {
 
 fn write_files(system: &dyn System, trial: &Trial, folder: &Path) -> anyhow::Result<()> {
     let files = system.files(trial)?;
-    ensure!(!files.is_empty(), "{} writes no files: leave --files out", system.about().name);
+    ensure!(!files.is_empty(), "{} writes no files: omit --files", system.about().name);
     fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     for file in files {
         let path = folder.join(file.name);
@@ -293,7 +295,7 @@ fn write_files(system: &dyn System, trial: &Trial, folder: &Path) -> anyhow::Res
     Ok(())
 }
 
-/// Runs a study with a bar of its progress.
+/// Runs a study with a progress bar.
 pub(super) fn records(system: &dyn System, study: &Study) -> anyhow::Result<Vec<Record>> {
     let style = ProgressStyle::with_template("{msg} {bar:30} {pos}/{len}").unwrap_or(ProgressStyle::default_bar());
     let bar = ProgressBar::new(study.trials(system)?.len() as u64).with_style(style);
@@ -303,7 +305,7 @@ pub(super) fn records(system: &dyn System, study: &Study) -> anyhow::Result<Vec<
     Ok(records?)
 }
 
-/// Figures of a study's seeds, with their headings, on all cores.
+/// Figures of a study's seeds with their headings, drawn on all cores.
 pub(super) fn figures(system: &dyn System, study: &Study) -> anyhow::Result<Vec<(String, Figure)>> {
     let one_arm = Study { arms: vec!["ours".to_owned()], ..study.clone() };
     let figure = |trial: &Trial| -> anyhow::Result<Option<(String, Figure)>> {
@@ -321,7 +323,7 @@ fn run_study(args: &Args, asked: &StudyArgs) -> anyhow::Result<bool> {
         board: board(args, system),
         shard: asked.shard,
     };
-    // The rows of a part of the seeds are not the study's.
+    // Rows of one shard would not be those of the study.
     let is_whole = asked.shard == Shard::default();
     ensure!(is_whole || asked.out.is_some(), "a shard's records go to a file: name it with --out");
     let records = records(system, &study)?;
@@ -341,7 +343,7 @@ fn merge(args: &Args, files: &[PathBuf], out: Option<&Path>) -> anyhow::Result<b
     print(args, study::rows(&records)?)
 }
 
-/// Prints rows; false where a target is not met or a trial could not be run.
+/// Prints rows; false where a target is missed or a trial failed to run.
 fn print(args: &Args, rows: Vec<Row>) -> anyhow::Result<bool> {
     let met = rows.iter().all(|row| row.met != Some(false) && row.failed == 0);
     if args.json {
@@ -369,11 +371,11 @@ fn print(args: &Args, rows: Vec<Row>) -> anyhow::Result<bool> {
         ]);
     }
     output::line(shown)?;
-    // Once for each arm, not for each of its metrics.
+    // Print failures once per arm rather than per metric.
     let failed: BTreeSet<_> =
         rows.iter().filter(|row| row.failed > 0).map(|row| (&row.system, &row.arm, row.failed)).collect();
     for (system, arm, trials) in failed {
-        eprintln!("r4: {system}, arm {arm}: {trials} trials could not be run; `r4 system run` says why");
+        eprintln!("r4: {system}, arm {arm}: {trials} trials could not be run; `r4 system run` prints the reason");
     }
     Ok(met)
 }

@@ -1,4 +1,4 @@
-//! `r4 watch`
+//! `r4 watch`: prints telemetry of channels at a steady rate.
 
 use std::{cell::RefCell, collections::BTreeMap, future::pending};
 
@@ -16,7 +16,7 @@ use crate::{
 };
 use r4_rig::quantity::{Quantity, human, speed_unit};
 
-/// One line of `--json`: an object per sample time.
+/// Line of `--json`: one object per sample time.
 #[derive(Serialize)]
 struct Line {
     time_s: f64,
@@ -25,7 +25,7 @@ struct Line {
     channels: Vec<Value>,
 }
 
-/// A channel's value in SI; null before there is one.
+/// Value of a channel in SI units; null before the first sample.
 #[derive(Serialize)]
 struct Value {
     channel: String,
@@ -41,7 +41,7 @@ struct Value {
     winding: Option<WindingHeat>,
     #[serde(skip_serializing_if = "Option::is_none")]
     illegal: Option<u32>,
-    /// Of a sensor that measures several numbers together, each by its name with its unit.
+    /// All quantities of a sensor that measures several, by name with unit suffix.
     #[serde(skip_serializing_if = "Option::is_none")]
     values: Option<BTreeMap<&'static str, f32>>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -50,11 +50,11 @@ struct Value {
     quality: Option<String>,
 }
 
-/// How hot a motor's winding is.
+/// Heat of a motor's winding, % of its limit.
 #[derive(Clone, Copy, Serialize)]
 struct WindingHeat {
     heat_percent: u8,
-    /// The board's warning.
+    /// True while the board warns of it.
     hot: bool,
 }
 
@@ -108,11 +108,11 @@ impl Value {
     }
 }
 
-/// The channels watched, and the newest sample of each.
+/// Watched channels with the newest sample of each.
 struct Watched {
     infos: Vec<ChannelInfo>,
     newest: Vec<Option<Sample>>,
-    /// Not shown yet.
+    /// True for a sample that was not printed yet.
     fresh: Vec<bool>,
 }
 
@@ -121,9 +121,10 @@ impl Watched {
         Self { newest: vec![None; infos.len()], fresh: vec![false; infos.len()], infos }
     }
 
-    /// The samples of one moment, once all are there: a board sends them in as many frames as they need.
+    /// Stores a frame's samples and returns those of one moment once all channels have one: a board splits a moment
+    /// over several frames.
     ///
-    /// A channel that has a newer one before the others have theirs ends the moment too.
+    /// A second sample of a channel also ends the moment, if another channel's is missing.
     fn take(&mut self, frame: &Telemetry) -> Option<Vec<Sample>> {
         let mut moment = None;
         for sample in &frame.samples {
@@ -143,6 +144,7 @@ impl Watched {
 }
 
 pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
+    // `session::keep` opens the live view from the common arguments.
     let args = &Args { live: watch.live.foxglove, ..args.clone() };
     let mut end_s = None;
     let lost = RefCell::new(None);
@@ -150,7 +152,7 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
         eprintln!("r4: {}", session::told(&event));
         lost.replace(if let Event::Lost { why } = event { Some(why) } else { None });
     };
-    // What is over in time says so itself, but without a link.
+    // Telemetry ends the command at its time; without a link, only this does.
     let meanwhile = async |clock: &HostClock| {
         match watch.seconds {
             Some(seconds) => clock.sleep_until(clock.now_us() + ((seconds + GRACE_S) * 1e6) as u64).await,
@@ -163,7 +165,7 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
         let infos: Vec<ChannelInfo> = match watch.channels.as_slice() {
             [] => board.channels().to_vec(),
             some => {
-                // Each once, however often it is named.
+                // Remove duplicates.
                 let each = some.iter().enumerate().filter(|(at, id)| !some[..*at].contains(id));
                 each.map(|(_, id)| board.channel(*id).cloned()).collect::<Result<_, _>>()?
             }
@@ -171,12 +173,14 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
         let channels: Vec<ChannelId> = infos.iter().map(|info| info.id).collect();
         let mut watched = Watched::new(infos);
         let mut telemetry = board.telemetry();
+        // Boards take periods in whole milliseconds.
         let period_ms = (1000.0 / watch.rate).round() as u16;
         for channel in channels {
             board.subscribe(channel, period_ms).await?;
         }
+        // The duration counts from the first session and includes gaps of the link.
         end_s = end_s.or(watch.seconds.map(|seconds| board.now_s() + seconds));
-        // By the board's clock, which stamps the lines.
+        // Use the board's clock, which stamps the lines.
         let end_us = end_s.map(|end_s| board.device_us() + ((end_s - board.now_s()) * 1e6) as u64);
         let mut since_header = HEADER_EVERY;
         loop {
@@ -203,12 +207,12 @@ pub(crate) fn run(args: &Args, watch: &Watch) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// What is over in time has this long to say so itself.
+/// Time that the work has to end by itself after the requested duration, s.
 const GRACE_S: f64 = 1.0;
 
-/// The header is printed again after so many lines, about a screen.
+/// Lines between two headers, about a screen.
 const HEADER_EVERY: usize = 20;
-/// More channels than this are printed below each other.
+/// Most channels in columns; more are printed below each other.
 const MOST_COLUMNS: usize = 8;
 
 fn print_json(infos: &[ChannelInfo], frame: &Telemetry, samples: &[Sample]) -> anyhow::Result<()> {
@@ -224,7 +228,7 @@ fn time_s(frame: &Telemetry) -> f64 {
     frame.device_us as f64 / 1e6
 }
 
-/// Names and units above the columns of [`print_line()`].
+/// Header of [`print_line()`]: channels and units.
 fn header(infos: &[ChannelInfo], samples: &[Sample]) -> String {
     let mut line = format!("{:>9}  {:<8}", "s", "state");
     for (info, sample) in infos.iter().zip(samples) {
@@ -243,12 +247,12 @@ fn header(infos: &[ChannelInfo], samples: &[Sample]) -> String {
     line
 }
 
-/// A sample's value in SI, if it has one.
+/// Value of a sample in SI units, if it has one.
 pub(super) fn number(info: &ChannelInfo, sample: &Sample) -> Option<f64> {
     Value::new(info, sample).value
 }
 
-/// A sample as columns of text: value or what is wrong with it, speed, duty.
+/// Columns of a sample: value or its fault, speed, duty.
 pub(super) fn columns(info: &ChannelInfo, sample: &Sample) -> [String; 3] {
     let value = Value::new(info, sample);
     let number = match *sample {
@@ -262,7 +266,7 @@ pub(super) fn columns(info: &ChannelInfo, sample: &Sample) -> [String; 3] {
     [number, speed.unwrap_or_default(), duty.unwrap_or_default()]
 }
 
-/// What a sensor measures together with its first quantity, as text.
+/// Further quantities of a sensor after its first, as text.
 fn further(sample: &Sample) -> Vec<String> {
     let Sample::Sensor { channel, values, quality, .. } = *sample else { return Vec::new() };
     let others = channel.kind.quantities().iter().zip(values).skip(1);
@@ -273,7 +277,7 @@ fn further(sample: &Sample) -> Vec<String> {
     others.map(number).collect()
 }
 
-/// A motor of whose winding the board warns.
+/// Motor of a sample with a winding warning.
 pub(super) fn hot(sample: &Sample) -> Option<HotWinding> {
     match *sample {
         Sample::Motor { channel, winding: Some(Winding { heat_percent, hot: true }), .. } => {
@@ -283,7 +287,7 @@ pub(super) fn hot(sample: &Sample) -> Option<HotWinding> {
     }
 }
 
-/// Short enough for a column.
+/// Fault of a value, short enough for a column.
 fn fault(quality: Quality) -> &'static str {
     match quality {
         Quality::Good => "good",

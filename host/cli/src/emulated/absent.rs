@@ -1,4 +1,4 @@
-//! What stands in for the emulated processor in a program that was built without it.
+//! Placeholder for the emulated processor in programs that are built without it.
 
 use std::rc::Rc;
 
@@ -13,7 +13,7 @@ use crate::{
     session::HostClock,
 };
 
-/// There is no emulated board that could log.
+/// Does nothing: no emulated board can log.
 pub(crate) fn log(_: &Args, _: &mut Rig) {}
 
 pub(crate) fn debugged(_: &Args, _: &Debug, _: Rig) -> anyhow::Result<Rig> {
@@ -44,7 +44,7 @@ pub(crate) fn bench_safety(_: &Args, _: &Safety) -> anyhow::Result<bool> {
     Err(NotBuilt.into())
 }
 
-/// No log is ever open.
+/// Type without values: no log is ever open.
 pub(crate) enum LinkLog {}
 
 impl LinkLog {

@@ -1,4 +1,4 @@
-//! `--board emu:`: the firmware's ELF on the emulated processor.
+//! `--board emu:`: executes the firmware's ELF file on the emulated processor.
 
 use std::{
     cell::Cell,
@@ -27,15 +27,15 @@ use crate::{
     session,
 };
 
-/// Where gdb is served unless something else is said: the port that debuggers on probes use.
+/// Default address of the gdb server, with the port that debug probes use.
 const GDB: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 3333);
 
-/// How long a board is traced when nothing is said, s.
+/// Default length of a trace, s.
 const TRACED_S: f64 = 1.0;
-/// How often it is looked whether to end, ns.
+/// Polling period of the end conditions, virtual ns.
 const LOOK_EVERY_NS: u64 = 10_000_000;
 
-/// Has emulated boards print their firmware's log on stderr where `args` ask for it.
+/// Makes emulated boards print their firmware's log on stderr if `args` ask for it.
 pub(crate) fn log(args: &Args, rig: &mut Rig) {
     let Some(level) = args.log else { return };
     rig.emulated.observer = Some(Rc::new(move |board, image| Ok(attach_log(level, board, image)?)));
@@ -47,12 +47,12 @@ fn attach_log(level: LogLevel, board: &EmuBoard<ThumbCore>, image: &Image) -> an
     Ok(())
 }
 
-/// The image for a robot.
+/// Finds the image for a robot.
 pub(crate) fn image(robot: &str) -> anyhow::Result<Image> {
     Ok(Image::find(robot)?)
 }
 
-/// Powers up an emulated board that runs `image`, and nothing else with it.
+/// Powers up an emulated board that runs `image`, without a rig around it.
 pub(crate) fn start_image(
     simulation: &mut Simulation,
     robot: &Robot,
@@ -67,13 +67,14 @@ pub(crate) fn debugged(args: &Args, debug: &Debug, rig: Rig) -> anyhow::Result<R
     Ok(with_debugger(args, debug, rig).0)
 }
 
-/// Runs a board that no host is connected to, under gdb or with a trace.
+/// Runs a board without a host, under gdb or with a trace.
 pub(crate) fn debug(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
     session::catch_interrupts();
     let (rig, state) = with_debugger(args, debug, session::rig(args, Pace::Free)?);
     let mut simulation = Simulation::new(rig.pace);
     let (board, _) = rig.power_up(&mut simulation)?;
     let state = state.take();
+    // Without gdb, which can end the run, a trace needs an end.
     let seconds = debug.seconds.or(if state.is_none() { Some(TRACED_S) } else { None });
     let until_ns = seconds.map_or(u64::MAX, |seconds| (seconds * 1e9) as u64);
     let clock = simulation.clock();
@@ -93,7 +94,7 @@ pub(crate) fn debug(args: &Args, debug: &Debug) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// Where a debugging session with gdb stands, once a board is powered up, if there is one.
+/// State of the gdb session, once a board is powered up; `None` without gdb.
 type Debugging = Rc<Cell<Option<Rc<Cell<State>>>>>;
 
 fn with_debugger(args: &Args, debug: &Debug, mut rig: Rig) -> (Rig, Debugging) {
@@ -132,11 +133,12 @@ fn tracer(board: &EmuBoard<ThumbCore>, path: &Path, symbols: &[String]) -> anyho
         let file = File::create(path).with_context(|| format!("cannot write the trace {}", path.display()))?;
         Box::new(BufWriter::new(file))
     };
+    // With `--symbol`, trace only calls of those functions.
     let only_calls = !calls.is_empty();
     Ok(Tracer::new(&board.shared_machine(), out, Wanted { calls, only_calls }))
 }
 
-/// Whoever typed the command.
+/// User at the terminal.
 struct Person;
 
 impl Starter for Person {
@@ -153,7 +155,7 @@ impl Starter for Person {
     }
 }
 
-/// Prints a record of the firmware's log, if it matters as much as `from` or more.
+/// Prints a record of the firmware's log if its level is at least `from`.
 pub(super) fn print(from: LogLevel, record: &Record) {
     let level = record.level.map(|level| match level {
         Level::Trace => LogLevel::Trace,
@@ -162,7 +164,7 @@ pub(super) fn print(from: LogLevel, record: &Record) {
         Level::Warn => LogLevel::Warn,
         Level::Error => LogLevel::Error,
     });
-    // What has no level is always meant to be seen.
+    // Records without a level are always printed.
     if level.is_none_or(|level| level >= from) {
         let name = record.level.map_or("", Level::name);
         let read_s = record.read_ns as f64 * 1e-9;

@@ -1,4 +1,4 @@
-//! `--log` on a board at the other end of a link: what its firmware logs comes over the link too, and the ELF decodes it.
+//! `--log` on a board at the other end of a link: the link carries the firmware's log, and the ELF file decodes it.
 
 use std::{env, path::PathBuf, thread};
 
@@ -12,17 +12,17 @@ use r4_protocol::log::{LogChunk, fingerprint};
 use super::board::print;
 use crate::{args::LogLevel, session::HostClock};
 
-/// The log of a board, from the oldest that it still has on.
+/// Log of a board, from its oldest stored record on.
 pub(crate) struct LinkLog {
     stream: LogStream,
     decoder: Decoder,
     clock: HostClock,
     from: LogLevel,
-    /// Position behind what has come; none before the first.
+    /// Position after the last received byte; `None` before the first.
     behind: Option<u32>,
 }
 
-/// No ELF decodes what the board logs.
+/// Error: no known ELF file decodes the board's log.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "the board runs another image than {}: name the ELF file that was flashed with R4_ELF, or flash this one",
@@ -31,28 +31,28 @@ pub(crate) struct LinkLog {
 struct OtherImage(Vec<PathBuf>);
 
 impl LinkLog {
-    /// Asks for the log and finds the ELF file of the image that writes it. Records from level `from` on will be printed.
+    /// Requests the log and finds the ELF file of the board's image. Records from level `from` on are printed.
     pub(crate) async fn open(board: &Board<HostClock>, clock: HostClock, from: LogLevel) -> anyhow::Result<Self> {
         let (info, stream) = board.log().await.context("no log")?;
         let (done, decoder) = oneshot::channel();
         let robot = board.info().robot.clone();
-        // Not here: megabytes are read, and heartbeats must go on meanwhile.
+        // Read the ELF file in a thread: it has megabytes, and the heartbeat must continue.
         thread::spawn(move || {
-            // Nobody waits for it any more where the link ended meanwhile.
+            // Sending fails if the link ended meanwhile; no task waits for it then.
             let _ = done.send(decoder_of(&robot, info.image));
         });
         let decoder = decoder.await.context("reading the ELF file failed")?.context("the log cannot be decoded")?;
         Ok(Self { stream, decoder, clock, from, behind: None })
     }
 
-    /// Prints it as it comes, until the link ends.
+    /// Prints the log as it arrives, until the link ends.
     pub(crate) async fn follow(&mut self) {
         while let Ok(chunk) = self.stream.next().await {
             self.take(&chunk);
         }
     }
 
-    /// Prints what has come.
+    /// Prints what has already arrived.
     pub(crate) fn rest(&mut self) {
         while let Some(chunk) = self.stream.try_next() {
             self.take(&chunk);
@@ -62,7 +62,7 @@ impl LinkLog {
     fn take(&mut self, chunk: &LogChunk) {
         let now_ns = self.clock.now_us() * 1000;
         match self.behind {
-            // It began long ago.
+            // The log's beginning was overwritten before this session.
             None if chunk.position != 0 => self.decoder.lost(),
             Some(behind) if chunk.position != behind => {
                 let lost = chunk.position.wrapping_sub(behind);
@@ -72,12 +72,13 @@ impl LinkLog {
             }
             _ => {}
         }
+        // Positions count bytes modulo 2^32.
         self.behind = Some(chunk.position.wrapping_add(chunk.bytes.len() as u32));
         self.decoder.push(&chunk.bytes, now_ns, |record| print(self.from, &record));
     }
 }
 
-/// What decodes the log of the image that tells itself by `image`; stderr says of which file it was made.
+/// Decoder for the log of the image with fingerprint `image`; prints on stderr the ELF file it uses.
 fn decoder_of(robot: &str, image: u32) -> anyhow::Result<Decoder> {
     let image = find(robot, image)?;
     let decoder = Decoder::new(image.elf())?;
@@ -85,10 +86,10 @@ fn decoder_of(robot: &str, image: u32) -> anyhow::Result<Decoder> {
     Ok(decoder)
 }
 
-/// The ELF file of an image for `robot`: `R4_ELF`, or what was built last.
+/// Finds the ELF file of an image for `robot`: that of `R4_ELF`, or the last build.
 fn find(robot: &str, image: u32) -> anyhow::Result<Image> {
     let first = Image::find(robot);
-    // Without `R4_ELF` there may be two.
+    // Without `R4_ELF` there may be a bare and a hosted build.
     let second = if env::var_os("R4_ELF").is_some() { None } else { Image::built(robot, Place::Hosted).ok() };
     let (found, missing): (Vec<_>, Vec<_>) =
         [Some(first), second.map(Ok)].into_iter().flatten().partition(Result::is_ok);
@@ -102,7 +103,7 @@ fn find(robot: &str, image: u32) -> anyhow::Result<Image> {
     }
 }
 
-/// By what a board tells its image from others.
+/// Fingerprint of an image, by which a board identifies its own.
 fn of(image: &Image) -> Option<u32> {
     Binary::of(image.elf()).ok()?.bytes.first_chunk().map(fingerprint)
 }

@@ -1,4 +1,4 @@
-//! The emulated processor and the log of the firmware that it runs, in programs that are built with them: the feature `emu`.
+//! Emulated processor and its firmware's log, with the feature `emu`.
 
 #[cfg(not(feature = "emu"))]
 mod absent;

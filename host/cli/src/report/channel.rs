@@ -1,4 +1,4 @@
-//! What is plotted of a run.
+//! Figures of a log's channels.
 
 use r4_log::{EncoderSample, EncoderSeries, Log, MotorSample, MotorSeries, ReadingSeries, ScalarSeries};
 use r4_protocol::{ChannelInfo, ChannelKind, Mode, Quality, SafetyState, Unit};
@@ -9,11 +9,12 @@ use super::{
     series::{Point, as_steps, extent, framed, with_gaps, without_repeats},
 };
 
-/// Quarters of a pixel: measured lines lie on top of the wider set point, so that both are seen where they agree.
+/// Line widths, quarters of a pixel: measured lines lie on the wider set point, so that both are visible where they
+/// agree.
 const MEASURED: u32 = 6;
 const SETPOINT: u32 = 13;
 
-/// The figure of lines laid over each other: of `overlay`'s first a set point, of the others what is compared.
+/// Figure of lines over each other: the first of `overlay` is a set point, the others are compared with it.
 pub(super) fn overlay_figure(overlay: &Overlay) -> Figure {
     let colors = [color::ORANGE, color::BLUE, color::GREEN, color::PURPLE];
     let lines: Vec<Line> = overlay
@@ -43,7 +44,7 @@ pub(super) fn overlay_figure(overlay: &Overlay) -> Figure {
     }
 }
 
-/// In what people read angles and lengths.
+/// Units for people: mm or degrees.
 struct Human {
     per_si: f64,
     unit: &'static str,
@@ -58,14 +59,14 @@ impl Human {
         if series.is_linear() { Self::LINEAR } else { Self::ROTARY }
     }
 
-    /// A value in this unit: 1.5 mm, but 1.5°.
+    /// Value with its unit: a space before mm, none before °.
     fn text(&self, value: f64, decimals: usize) -> String {
         let space = if self.unit == "°" { "" } else { " " };
         format!("{}{space}{}", number(value, decimals), self.unit)
     }
 }
 
-/// The figure of one motor channel.
+/// Figure of one motor channel.
 pub(super) fn motor_figure(log: &Log, series: &MotorSeries) -> Figure {
     let clock = Clock::of(log);
     let human = Human::of(series);
@@ -84,7 +85,7 @@ pub(super) fn motor_figure(log: &Log, series: &MotorSeries) -> Figure {
     clock.figure(log, format!("{} against time: {}", series.info.id, names.join(", ")), panels)
 }
 
-/// The figure of the inputs that are not in the motors' figures; `None` where there are none.
+/// Figure of the inputs that are not in the motors' figures; `None` without such inputs.
 pub(super) fn input_figure(log: &Log) -> Option<Figure> {
     let clock = Clock::of(log);
     let mut panels = Vec::new();
@@ -103,7 +104,7 @@ pub(super) fn input_figure(log: &Log) -> Option<Figure> {
     (!panels.is_empty()).then(|| clock.figure(log, "Inputs against time".to_owned(), panels))
 }
 
-/// What a figure of `series` cannot show: range, resolution, rate, and how well the set point was held.
+/// Facts beside the figure of `series`: range, resolution, rate, and error while settled.
 pub(super) fn motor_facts(series: &MotorSeries) -> Vec<(&'static str, String)> {
     let human = Human::of(series);
     let info = &series.info;
@@ -132,7 +133,7 @@ pub(super) fn motor_facts(series: &MotorSeries) -> Vec<(&'static str, String)> {
     facts
 }
 
-/// Enough to tell one count from the next.
+/// Decimals that distinguish one count from the next.
 fn decimals_for(resolution: f64) -> usize {
     if resolution > 0.0 { (1.0 - resolution.log10().floor()).clamp(0.0, 6.0) as usize } else { 2 }
 }
@@ -142,7 +143,7 @@ fn position_error(sample: &MotorSample) -> f64 {
     if sample.setpoint.mode == Mode::Position { sample.setpoint.value - sample.position } else { f64::NAN }
 }
 
-/// Root mean square and largest magnitude of the error where the board says it has settled.
+/// Root mean square and largest magnitude of the error while the board reports settled.
 fn settled_error(series: &MotorSeries) -> Option<(f64, f64)> {
     let settled = series.samples.iter().filter(|sample| sample.settled);
     let errors: Vec<f64> = settled.map(position_error).filter(|error| error.is_finite()).collect();
@@ -151,7 +152,7 @@ fn settled_error(series: &MotorSeries) -> Option<(f64, f64)> {
     Some(((squares / errors.len() as f64).sqrt(), largest))
 }
 
-/// Where the time axis starts and ends.
+/// Start and length of the time axis, s.
 struct Clock {
     start_s: f64,
     duration_s: f64,
@@ -167,13 +168,13 @@ impl Clock {
         series.samples.iter().map(|sample| (sample.time_s - self.start_s, value(sample))).collect()
     }
 
-    /// A measured line.
+    /// Line of a measured quantity.
     fn measured(&self, series: &MotorSeries, label: &str, value: impl Fn(&MotorSample) -> f64) -> Line {
         let points = with_gaps(&self.points(series, value));
         Line { label: label.to_owned(), color: color::BLUE, width: MEASURED, points, error: Vec::new() }
     }
 
-    /// The set point, where it is one of `mode`.
+    /// Line of the set point while it is of `mode`.
     fn setpoint(&self, series: &MotorSeries, mode: Mode, per_si: f64) -> Line {
         let value = |sample: &MotorSample| {
             if sample.setpoint.mode == mode { sample.setpoint.value * per_si } else { f64::NAN }
@@ -203,6 +204,7 @@ impl Clock {
                 bands.push(Band { from_s, to_s, label, short, color });
                 let was_tripped = index > 0 && log.states[index - 1].state == SafetyState::Tripped;
                 if change.state == SafetyState::Tripped && !was_tripped {
+                    // A further cause while tripped is no further trip.
                     trips_s.push(from_s);
                 }
             }
@@ -221,7 +223,7 @@ fn position_panel(series: &MotorSeries, human: &Human, clock: &Clock) -> Option<
     let mut lines = vec![clock.setpoint(series, Mode::Position, human.per_si), position];
     lines.retain(|line| values([line]).is_some());
     let extent = values(&lines[..])?;
-    // ten counts fill the plot at least, so that standing still looks like it
+    // At least ten counts fill the plot, so that a motor at rest looks at rest.
     let span = 10.0 * f64::from(series.info.resolution) * human.per_si;
     Some(Panel {
         title: format!("Position ({})", human.unit),
@@ -239,7 +241,7 @@ fn error_panel(series: &MotorSeries, human: &Human, clock: &Clock) -> Option<Pan
     let (low, high) = values([&line])?;
     let largest = low.abs().max(high.abs());
     let resolution = f64::from(series.info.resolution).max(0.0) * human.per_si;
-    // What matters of an error is how it dies out: three times what is left when settled, and at least five counts.
+    // Zoom to the error's decay: three times the error while settled, and at least five counts.
     let zoom = settled_error(series).map(|(_, settled)| (3.0 * settled * human.per_si).max(5.0 * resolution));
     let shown = zoom.filter(|zoom| *zoom > 0.0 && *zoom < largest).unwrap_or(largest).max(1.5 * resolution);
     let note = if shown < largest {
@@ -275,7 +277,7 @@ fn duty_panel(series: &MotorSeries, clock: &Clock) -> Option<Panel> {
     let limits = series.info.mode(Mode::Duty).map(|mode| (f64::from(mode.range.min), f64::from(mode.range.max)));
     let mut reach = largest.max(values(&lines[..]).map_or(0.0, |(low, high)| low.abs().max(high.abs())));
     let guides = limits.filter(|(low, high)| low.is_finite() && high.is_finite()).map(|(low, high)| {
-        // a limit that is far away is named, but not worth half of the plot
+        // Draw a limit only if it leaves a third of the plot to the curve; name it in any case.
         if 3.0 * reach > high.abs().max(low.abs()) {
             reach = reach.max(high.abs()).max(low.abs());
         }
@@ -303,7 +305,7 @@ fn scalar_line(series: &ScalarSeries, clock: &Clock, color: plotters::style::RGB
     Line { label: series.info.id.to_string(), color, width: MEASURED, points, error: Vec::new() }
 }
 
-/// Only what can be relied on is drawn; the note says how much that is.
+/// Panel of a sensor: draws good values only; the note counts the others.
 fn reading_panel(series: &ReadingSeries, clock: &Clock) -> Option<Panel> {
     let good = |quality| quality == Quality::Good;
     let points = series
@@ -321,7 +323,7 @@ fn reading_panel(series: &ReadingSeries, clock: &Clock) -> Option<Panel> {
     input_panel(&series.info, line, note)
 }
 
-/// Angle and speed.
+/// Panels of an encoder's angle and speed.
 fn encoder_panels(series: &EncoderSeries, clock: &Clock) -> Vec<Panel> {
     let human = Human::ROTARY;
     let panel = |title: String, note: String, span: f64, value: fn(&EncoderSample) -> f64| {
@@ -342,12 +344,12 @@ fn encoder_panels(series: &EncoderSeries, clock: &Clock) -> Vec<Panel> {
     position.into_iter().chain(speed).collect()
 }
 
-/// A plot per rail: what they sag by is small beside what they differ by.
+/// One panel per rail: the sag of a rail is small beside the difference between rails.
 fn supply_panels(log: &Log, clock: &Clock) -> Vec<Panel> {
     let supplies = log.scalars.iter().filter(|series| series.info.id.kind == ChannelKind::Supply);
     let panel = |series: &ScalarSeries| {
         let line = scalar_line(series, clock, color::INK);
-        // half a volt fills the plot at least: less is the converter's noise
+        // At least 0.5 V fill the plot: less is the converter's noise.
         let range = framed(values([&line])?, 0.5);
         let title = format!("{} (V)", series.info.id);
         Some(Panel { title, note: "supply".to_owned(), height: 80, range, lines: vec![line], guides: None })

@@ -1,13 +1,13 @@
-//! An evaluation over seeds: tables, and a figure for each seed.
+//! Page of an evaluation over seeds: tables, and a figure for each seed.
 
 use std::fmt::Write as _;
 
 use super::{Table, document, escaped, system::drawn, write_figure, write_table};
 
-/// The page headed `title`, with `tables` above the `figures`, each with its heading.
+/// Page headed `title`, with `tables` above the `figures`, each with its heading.
 pub(crate) fn evaluation(title: &str, tables: &[Table], figures: &[(String, r4_systems::Figure)]) -> String {
     let mut body = String::new();
-    // Writing to a string does not fail.
+    // Writing to a `String` cannot fail.
     let _ = write_body(&mut body, title, tables, figures);
     document(title, &body)
 }

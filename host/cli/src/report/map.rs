@@ -1,36 +1,36 @@
-//! A picture of a robot's world from above, both axes of one scale.
+//! Map of a robot's world from above, with the same scale on both axes.
 
 use std::fmt::Write as _;
 
 use super::{escaped, plot::number};
 
-/// What is drawn from above. All places in m.
+/// Map from above; all coordinates in m.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Map {
-    /// What it shows.
+    /// Heading of the map.
     pub(crate) title: String,
-    /// From corner to corner.
+    /// Walls by their end points.
     pub(crate) walls_m: Vec<[[f64; 2]; 2]>,
-    /// Centres and radii.
+    /// Posts by centre and radius.
     pub(crate) posts_m: Vec<([f64; 2], f64)>,
-    /// People's ways, and their radii.
+    /// Paths and radii of people.
     pub(crate) people_m: Vec<(Vec<[f64; 2]>, f64)>,
-    /// Ways of the robot: name and points, at most three.
+    /// Paths of the robot: name and points, at most three.
     pub(crate) ways_m: Vec<(String, Vec<[f64; 2]>)>,
-    /// The robot's outline at some moments.
+    /// Outlines of the robot at some moments.
     pub(crate) outlines_m: Vec<Vec<[f64; 2]>>,
-    /// Where something happened, and what.
+    /// Places of events, with their texts.
     pub(crate) events_m: Vec<([f64; 2], String)>,
 }
 
-/// Pixels.
+/// Widths of map and legend, pixels.
 const WIDTH: f64 = 760.0;
 const LEGEND: f64 = 300.0;
 const MARGIN_M: f64 = 0.15;
 const WAYS: [(&str, f64, &str); 3] = [("#0072B2", 2.5, ""), ("#E69F00", 2.0, "7 5"), ("#009E73", 2.0, "2 4")];
 
 impl Map {
-    /// The corners of all that is drawn, m.
+    /// Lower left and upper right corner of everything drawn, m.
     fn extent_m(&self) -> [[f64; 2]; 2] {
         let discs = self.posts_m.iter().copied();
         let people = self.people_m.iter().flat_map(|(way, radius_m)| way.iter().map(|place| (*place, *radius_m)));
@@ -44,16 +44,17 @@ impl Map {
         })
     }
 
-    /// As an `<svg>` element.
+    /// Returns the map as an `<svg>` element; empty if there is nothing to draw.
     pub(super) fn svg(&self) -> String {
         let [low, high] = self.extent_m();
         if !low.iter().chain(&high).all(|number| number.is_finite()) {
             return String::new();
         }
+        // A margin keeps walls at the edge visible at full width.
         let (low, high) = (low.map(|number| number - MARGIN_M), high.map(|number| number + MARGIN_M));
         let scale = WIDTH / (high[0] - low[0]);
         let height = scale * (high[1] - low[1]);
-        // y of the picture goes down.
+        // The picture's y axis points down.
         let at = |[x, y]: [f64; 2]| [(x - low[0]) * scale, (high[1] - y) * scale];
         let points = |points: &[[f64; 2]]| {
             points.iter().fold(String::new(), |mut text, point| {
@@ -68,7 +69,7 @@ impl Map {
             WIDTH + LEGEND,
             escaped(&self.title)
         );
-        // Writing to a string does not fail, here and below.
+        // Writing to a `String` cannot fail, here and below.
         for metre in low[0].ceil() as i64..=high[0].floor() as i64 {
             let x = at([metre as f64, 0.0])[0];
             let _ = writeln!(svg, "<path stroke=\"#E6E9ED\" d=\"M{x:.1} 0V{height:.1}\"/>");

@@ -1,4 +1,4 @@
-//! A run as one HTML page that needs nothing else: no network, no fonts. A small script in it reads plots off and zooms.
+//! HTML page of a run, self-contained: no network, no fonts. A small script in it reads off plots and zooms.
 //!
 //! The same log and tables give the same bytes.
 
@@ -26,98 +26,98 @@ const PAGE: &str = include_str!("page.html");
 const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("plot.js");
 
-/// A table above the plots.
+/// Table above the plots.
 #[derive(Clone, Debug)]
 pub(crate) struct Table {
-    /// What it shows; nothing where a heading above says it.
+    /// Caption; empty where a heading above names the table.
     pub(crate) caption: String,
-    /// Below the table: where the numbers come from, what the limits are.
+    /// Note below the table: source of the numbers and meaning of the limits.
     pub(crate) note: Option<String>,
-    /// From left to right.
+    /// Columns from left to right.
     pub(crate) columns: Vec<Column>,
-    /// From top to bottom, each with a cell per column.
+    /// Rows from top to bottom, each with a cell per column.
     pub(crate) rows: Vec<Vec<Cell>>,
 }
 
-/// The head of a column.
+/// Head of a column.
 #[derive(Clone, Debug)]
 pub(crate) struct Column {
-    /// What is in it.
+    /// Heading of the column.
     pub(crate) title: String,
-    /// Of its numbers.
+    /// Unit of the column's numbers.
     pub(crate) unit: Option<String>,
-    /// Of its cells.
+    /// Alignment of the column's cells.
     pub(crate) align: Align,
 }
 
-/// Where the text of a column stands.
+/// Horizontal alignment of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Align {
-    /// For words.
+    /// Flush left, for text.
     Left,
-    /// For numbers.
+    /// Flush right, for numbers.
     Right,
 }
 
-/// What is in one field of a table.
+/// Cell of a table.
 #[derive(Clone, Debug)]
 pub(crate) enum Cell {
-    /// Words, or a number that is already written.
+    /// Text, or a number already formatted.
     Text(String),
-    /// A number; one that is not finite is shown as a dash.
+    /// Number; a dash if it is not finite.
     Number {
-        /// In the column's unit.
+        /// Value in the column's unit.
         value: f64,
-        /// Digits after the point.
+        /// Digits after the decimal point.
         decimals: usize,
     },
-    /// Whether something held. Counted in the head of the page.
+    /// Result of a check, counted in the head of the page.
     Verdict {
-        /// It held.
+        /// True if the check passed.
         pass: bool,
-        /// What is written, such as "passed" or "0.3 V too low".
+        /// Text of the result, such as "passed" or "0.3 V too low".
         text: String,
     },
 }
 
-/// Lines against one time axis that are to be compared.
+/// Lines on one time axis, for comparison.
 #[derive(Clone, Debug)]
 pub(crate) struct Overlay {
-    /// What the vertical axis is, with its unit.
+    /// Quantity of the vertical axis, with its unit.
     pub(crate) title: String,
-    /// Since when the time is counted, as in "the step".
+    /// Zero of the time axis, as in "the step".
     pub(crate) since: &'static str,
-    /// Names and points (s, value): first the set point, then up to three others.
+    /// Names and points (s, value): the set point first, then up to three others.
     pub(crate) lines: Vec<(String, Vec<(f64, f64)>)>,
 }
 
-/// The page for `log`, headed `title`, with `tables` above the plots.
+/// Page for `log`, headed `title`, with `tables` above the plots.
 #[must_use]
 pub(crate) fn html(log: &Log, title: &str, tables: &[Table]) -> String {
     page(log, title, tables, &[], None)
 }
 
-/// The same with a `map` below the head, and `overlays` between the tables and the plots of the log.
+/// Page as [`html`] returns it, with a `map` below the head and `overlays` between the tables and the plots of the log.
 #[must_use]
 pub(crate) fn page(log: &Log, title: &str, tables: &[Table], overlays: &[Overlay], map: Option<&Map>) -> String {
     let mut body = String::new();
-    // writing to a string does not fail
+    // Writing to a `String` cannot fail.
     let _ = write_body(&mut body, log, title, tables, overlays, map);
-    // What a browser's tab and its history show: which of many runs this is.
+    // The title in a browser's tab and history identifies the run.
     let recorded = log.header.recorded.as_ref().map(|recorded| format!(", {}", recorded.at()));
     document(&format!("{title} \u{2013} {}{}", log.header.board, recorded.unwrap_or_default()), &body)
 }
 
-/// The whole page around `body`, which is HTML.
+/// Complete page around `body`, which is HTML.
 fn document(title: &str, body: &str) -> String {
-    // escaped text holds no "<!--", so nothing that was put in is taken for a place
+    // Escaped text contains no "<!--", so that no inserted text is taken for a placeholder.
     PAGE.replace("<!--title-->", &escaped(title))
         .replace("<!--style-->", STYLE.trim_end())
         .replace("<!--script-->", SCRIPT.trim_end())
         .replace("<!--body-->", body)
 }
 
-/// `text` as it has to be written in HTML, in attributes too.
+/// Escapes `text` for HTML, attributes included.
 fn escaped(text: &str) -> String {
     let mut html = String::with_capacity(text.len());
     for character in text.chars() {
@@ -152,6 +152,7 @@ fn write_body(
     for overlay in overlays {
         write_figure(body, &channel::overlay_figure(overlay))?;
     }
+    // A single state is the initial one: it never changed.
     if log.states.len() > 1 {
         write_table(body, &state_table(log))?;
     }
@@ -188,6 +189,7 @@ fn write_body(
 
 fn write_head(body: &mut String, log: &Log, title: &str, tables: &[Table]) -> std::fmt::Result {
     writeln!(body, "<header>\n<h1>{}</h1>", escaped(title))?;
+    // Verdicts can be in any column.
     let verdicts = tables.iter().flat_map(|table| table.rows.iter().flatten());
     let verdicts: Vec<bool> =
         verdicts.filter_map(|cell| if let Cell::Verdict { pass, .. } = cell { Some(*pass) } else { None }).collect();
@@ -280,10 +282,10 @@ fn write_table(body: &mut String, table: &Table) -> std::fmt::Result {
     Ok(())
 }
 
-/// More rows than this tell a reader nothing.
+/// Most rows of the request table; more would be unreadable.
 const MOST_REQUESTS: usize = 100;
 
-/// What the host asked for and what was refused; not the set points, which are plotted, and not who listens to what.
+/// Table of requests and refusals, without set points, which are plotted, subscriptions and requests for counters.
 fn request_table(log: &Log) -> Option<Table> {
     let start_s = log.time_span_s().map_or(0.0, |(start_s, _)| start_s);
     let quiet = |request: &Request| matches!(request, Request::Set { .. } | Request::Subscribe { .. } | Request::Stats);
@@ -291,8 +293,10 @@ fn request_table(log: &Log) -> Option<Table> {
     let asked = asked.map(|logged| (logged.time_s, logged.to_string(), String::new()));
     let refused = log.refusals.iter().map(|refused| (refused.time_s, refused.request.clone(), refused.reason.clone()));
     let mut rows: Vec<(f64, String, String)> = asked.chain(refused).collect();
+    // Refusals are recorded apart from requests; merge both by time.
     rows.sort_by(|a, b| a.0.total_cmp(&b.0));
     let left_out = rows.len().saturating_sub(MOST_REQUESTS);
+    // The column of reasons would be empty without refusals.
     let columns = if log.refusals.is_empty() { 2 } else { 3 };
     let cells = rows.into_iter().take(MOST_REQUESTS).map(|(time_s, request, reason)| {
         let time = Cell::Number { value: time_s - start_s, decimals: 3 };
@@ -359,7 +363,7 @@ mod tests {
 
     const HOSTILE: &str = "<script>alert('&\"')</script><!--body-->";
 
-    /// A motor that reaches a set point of 90 degrees, and a trip.
+    /// Log of a motor that reaches a set point of 90 degrees, and a trip.
     fn log(ticks: u16) -> Log {
         let id = ChannelId::new(ChannelKind::Osmc, 0);
         let range = Range::symmetric(3.2);
@@ -425,7 +429,7 @@ mod tests {
         }
     }
 
-    /// A range sensor that stops answering halfway, and an encoder that turns and sees an illegal transition.
+    /// Log of a range sensor that stops answering halfway, and of a turning encoder with an illegal transition.
     fn input_log() -> Log {
         let channel = |kind, unit, resolution| ChannelInfo {
             id: ChannelId::new(kind, 0),
@@ -500,7 +504,7 @@ mod tests {
         assert_eq!(addresses, page.matches("http://www.w3.org/2000/svg").count(), "a name, not an address");
         let geometry = page.split("data-plot=\"").nth(1).and_then(|rest| rest.split('"').next()).expect("a plot");
         let geometry: serde_json::Value = serde_json::from_str(&geometry.replace("&quot;", "\"")).expect("JSON");
-        // The script finds lines by these colours.
+        // The page's script finds lines by their colours.
         let color = geometry["panels"][0]["lines"][0]["color"].as_str().expect("a colour");
         assert!(page.contains(&format!("stroke=\"{color}\"")), "{color}");
     }

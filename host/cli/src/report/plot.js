@@ -18,7 +18,7 @@
     return line.getAttribute("points").trim().split(/\s+/).map((pair) => pair.split(",").map(Number));
   }
 
-  // Sorts what was drawn into what moves with the axis (lines, trips, bands), what is drawn anew (ticks), and what stays.
+  // Sorts the drawn elements: those that move with the axis (lines, trips, bands), ticks, which are redrawn, and fixed ones.
   function prepare(svg, index) {
     const plot = JSON.parse(svg.dataset.plot);
     Object.assign(plot, { svg, shown: plot.span, lines: [], bands: [], ticks: [], made: [] });
@@ -79,7 +79,7 @@
     plot.shown[0] + ((x - plot.left) / (plot.right - plot.left)) * (plot.shown[1] - plot.shown[0]);
   const place = (plot, at) =>
     plot.left + ((at - plot.shown[0]) / (plot.shown[1] - plot.shown[0])) * (plot.right - plot.left);
-  // From where something was drawn to where it belongs on the axis that is shown.
+  // Maps a drawn position to its position on the present axis.
   function moved(plot, x) {
     const whole = plot.span[1] - plot.span[0];
     return place(plot, plot.span[0] + ((x - plot.left) / (plot.right - plot.left)) * whole);
@@ -130,7 +130,7 @@
     }
   }
 
-  // The value of a series at a moment, between the two drawn points around it; undefined in a gap.
+  // Interpolates a series at a time between the two drawn points around it; undefined in a gap.
   function value(plot, line, series, at) {
     const whole = plot.span[1] - plot.span[0];
     const x = plot.left + ((at - plot.span[0]) / whole) * (plot.right - plot.left);
@@ -167,7 +167,7 @@
       const at = ((event.clientX - box.left) / box.width) * plot.svg.viewBox.baseVal.width;
       return Math.min(plot.right, Math.max(plot.left, at));
     };
-    // Plots of the same run share their axis: what is done to one is done to all.
+    // Plots of the same run share their axis: zooming one zooms all.
     const together = () => plots.filter((other) => String(other.span) === String(plot.span));
     let from;
     plot.svg.addEventListener("pointerdown", (event) => {

@@ -1,4 +1,4 @@
-//! Plots above each other that share their horizontal axis, as one SVG; and names with bars.
+//! Plots: panels that share a horizontal axis, as one SVG; and bar charts.
 
 use plotters::{
     prelude::*,
@@ -9,7 +9,7 @@ use serde_json::json;
 
 use super::series::{Point, clipped, decimated, ticks};
 
-/// The SVG backend knows whole units only: four of them are one pixel at the natural size.
+/// Units per pixel at natural size: the SVG backend draws in whole units only.
 const UNITS: i32 = 4;
 const WIDTH: i32 = 1_000;
 const LEFT: i32 = 62;
@@ -20,8 +20,8 @@ const STRIP: i32 = 20;
 const FOOT: i32 = 40;
 const TEXT: i32 = 12;
 
-/// Colours as the light page shows them; the dark page finds them by these values, so each has one meaning.
-/// Lines are from the colour-blind-safe palette of Okabe and Ito (<https://jfly.uni-koeln.de/color/>).
+/// Colours of the light page; the dark page maps them by these values, so that each has one meaning. Lines are from the
+/// colour-blind-safe palette of Okabe and Ito (<https://jfly.uni-koeln.de/color/>).
 pub(super) mod color {
     use plotters::style::RGBColor;
 
@@ -29,12 +29,12 @@ pub(super) mod color {
     pub(crate) const MUTED: RGBColor = RGBColor(0x57, 0x60, 0x6A);
     pub(crate) const GRID: RGBColor = RGBColor(0xE6, 0xE9, 0xED);
     pub(crate) const FRAME: RGBColor = RGBColor(0xB1, 0xB9, 0xC2);
-    /// Dashed by the style sheet.
+    /// Guide line, dashed by the style sheet.
     pub(crate) const GUIDE: RGBColor = RGBColor(0x7B, 0x85, 0x90);
-    /// Dashed by the style sheet.
+    /// Trip line, dashed by the style sheet.
     pub(crate) const TRIP: RGBColor = RGBColor(0xD5, 0x5E, 0x00);
 
-    /// A wide line below others.
+    /// Wide line below others.
     pub(crate) const FAINT: RGBColor = RGBColor(0x9A, 0xA4, 0xAE);
     pub(crate) const BLUE: RGBColor = RGBColor(0x00, 0x72, 0xB2);
     pub(crate) const ORANGE: RGBColor = RGBColor(0xE6, 0x9F, 0x00);
@@ -48,54 +48,54 @@ pub(super) mod color {
 
 /// One line of a panel.
 pub(super) struct Line {
-    /// In the legend.
+    /// Name in the legend.
     pub(super) label: String,
     pub(super) color: RGBColor,
-    /// In quarters of a pixel.
+    /// Width, quarters of a pixel.
     pub(super) width: u32,
     pub(super) points: Vec<Point>,
-    /// Half the height of a bar at each point, as long as the points; or empty, without marks at the points either.
+    /// Half heights of the error bars, one per point; empty for a line without bars and marks.
     pub(super) error: Vec<f64>,
 }
 
-/// One plot.
+/// Panel with a vertical axis of its own.
 pub(super) struct Panel {
-    /// With its unit.
+    /// Title, with the unit.
     pub(super) title: String,
-    /// Behind the title, less prominent.
+    /// Note beside the title, less prominent.
     pub(super) note: String,
-    /// Pixels.
+    /// Height of the plot area, pixels.
     pub(super) height: i32,
-    /// What the vertical axis shows; lines are cut there.
+    /// Range of the vertical axis; lines are clipped to it.
     pub(super) range: (f64, f64),
-    /// Drawn in this order.
+    /// Lines, drawn in this order.
     pub(super) lines: Vec<Line>,
-    /// Dashed horizontal lines, and what they are.
+    /// Dashed horizontal lines, and their name.
     pub(super) guides: Option<(Vec<f64>, String)>,
 }
 
-/// A span of time with a name.
+/// Named span of time.
 pub(super) struct Band {
     pub(super) from_s: f64,
     pub(super) to_s: f64,
-    /// Drawn where it fits.
+    /// Label, drawn where it fits.
     pub(super) label: String,
-    /// Drawn where that does not.
+    /// Shorter label, drawn where `label` does not fit.
     pub(super) short: String,
     pub(super) color: RGBColor,
 }
 
 /// Panels above each other.
 pub(super) struct Figure {
-    /// For those who cannot see it.
+    /// Description for readers who cannot see the figure.
     pub(super) description: String,
     /// Ends of the horizontal axis.
     pub(super) span: (f64, f64),
-    /// What that is, below it.
+    /// Title of the horizontal axis.
     pub(super) axis: String,
-    /// Above the panels; may be empty.
+    /// Bands above the panels; may be empty.
     pub(super) bands: Vec<Band>,
-    /// Moments marked in every panel.
+    /// Times marked in every panel, s.
     pub(super) trips_s: Vec<f64>,
     pub(super) panels: Vec<Panel>,
 }
@@ -109,20 +109,20 @@ impl Figure {
         strip + self.panels.iter().map(|panel| TITLE + panel.height + GAP).sum::<i32>() - GAP + FOOT
     }
 
-    /// The figure as an `<svg>` element that takes the width it is given.
+    /// Returns the figure as an `<svg>` element that fills the available width.
     pub(super) fn svg(&self) -> String {
         let (width, height) = (WIDTH * UNITS, self.height().max(FOOT) * UNITS);
         let mut svg = String::new();
         {
             let area = SVGBackend::with_string(&mut svg, (width.unsigned_abs(), height.unsigned_abs()));
             let area = area.into_drawing_area();
-            // drawing into a string does not fail; if it did, the picture would lack what could not be drawn
+            // Drawing into a string cannot fail; an error would only leave the picture incomplete.
             let _ = self.draw(&area).and_then(|()| area.present());
         }
         described(&svg, &self.description, Some(&self.geometry()))
     }
 
-    /// Where panels and lines are, in the units of the viewBox, as JSON: what `plot.js` needs to read the plot off.
+    /// Places of panels and lines in viewBox units, as JSON: `plot.js` needs it to read off the plot.
     fn geometry(&self) -> String {
         let strip = if self.bands.is_empty() { 0 } else { TITLE + STRIP + GAP };
         let mut top = strip;
@@ -143,7 +143,7 @@ impl Figure {
             "axis": self.axis,
             "left": LEFT * UNITS,
             "right": (WIDTH - RIGHT) * UNITS,
-            // Below the ticks' labels, above the axis' title.
+            // Place of the reading: below the tick labels, above the axis title.
             "foot": (top - GAP + 26) * UNITS,
             "bandsTop": TITLE * UNITS,
             "bandsBottom": if self.bands.is_empty() { 0 } else { (TITLE + STRIP) * UNITS },
@@ -193,10 +193,12 @@ impl Figure {
         let (left, right) = (f64::from(LEFT), f64::from(WIDTH - RIGHT));
 
         text(area, (LEFT, top + TITLE - 8), HPos::Left, &panel.title, color::INK, true)?;
+        // Bold text is about 8 % wider.
         let note = LEFT + (text_width(&panel.title) * 1.08) as i32 + 10;
         text(area, (note, top + TITLE - 8), HPos::Left, &panel.note, color::MUTED, false)?;
         draw_legend(area, panel, top + TITLE - 8)?;
 
+        // About 12 labels fit the width.
         let (times, decimals) = ticks(self.span.0, self.span.1, 12);
         for time_s in times {
             let x = self.x(time_s);
@@ -208,7 +210,7 @@ impl Figure {
         if last {
             text(area, ((LEFT + WIDTH - RIGHT) / 2, end + 34), HPos::Center, &self.axis, color::INK, false)?;
         }
-        // one label per 25 px
+        // One label per 25 px.
         let (values, decimals) = ticks(low, high, (panel.height / 25).unsigned_abs().max(2));
         for value in values {
             let zero = if value == 0.0 && low < 0.0 { color::FRAME } else { color::GRID };
@@ -246,27 +248,26 @@ impl Figure {
     }
 }
 
-/// Names and numbers, each with a bar as long as its number; the first, and one that is longer than that above it, stand
-/// out.
+/// Bar chart of names and numbers. The first bar, and each one longer than the bar above it, are highlighted.
 pub(super) struct Bars {
-    /// For those who cannot see it.
+    /// Description for readers who cannot see the chart.
     pub(super) description: String,
-    /// Name, value, and the text behind the bar.
+    /// Name, value, and text after the bar.
     pub(super) rows: Vec<(String, f64, String)>,
 }
 
-/// Height of one bar with the space below it.
+/// Height of one bar and the space below it, pixels.
 const BAR: i32 = 26;
 
 impl Bars {
-    /// The bars as an `<svg>` element that takes the width it is given.
+    /// Returns the chart as an `<svg>` element that fills the available width.
     pub(super) fn svg(&self) -> String {
         let height = (BAR * self.rows.len().max(1) as i32 + GAP) * UNITS;
         let mut svg = String::new();
         {
             let area = SVGBackend::with_string(&mut svg, ((WIDTH * UNITS).unsigned_abs(), height.unsigned_abs()));
             let area = area.into_drawing_area();
-            // as above
+            // Cannot fail, as in `Figure::svg`.
             let _ = self.draw(&area).and_then(|()| area.present());
         }
         described(&svg, &self.description, None)
@@ -292,26 +293,26 @@ impl Bars {
     }
 }
 
-/// The picture with words for those who cannot see it, and its geometry for the script of the page.
+/// Adds the description and the geometry for the page's script to an SVG.
 fn described(svg: &str, description: &str, geometry: Option<&str>) -> String {
     let label = super::escaped(description);
     let geometry = geometry.map_or_else(String::new, |json| format!(" data-plot=\"{}\"", super::escaped(json)));
     svg.replacen("<svg ", &format!("<svg class=\"plot\" role=\"img\" aria-label=\"{label}\"{geometry} "), 1)
 }
 
-/// A colour as the SVG backend writes it.
+/// Formats a colour as the SVG backend does.
 fn hex(color: RGBColor) -> String {
     format!("#{:02X}{:02X}{:02X}", color.0, color.1, color.2)
 }
 
-/// At the right end of the title's line.
+/// Draws the legend at the right end of the title's line.
 fn draw_legend(area: &Area, panel: &Panel, baseline: i32) -> Drawn {
     let guides = panel.guides.iter().map(|(_, label)| (label, color::GUIDE, 5));
     let lines = panel.lines.iter().map(|line| (&line.label, line.color, line.width));
     let entries: Vec<_> = lines.chain(guides).collect();
     let several = entries.len() > 1;
     let mut right = f64::from(WIDTH - RIGHT);
-    // a single line is what the title says
+    // The title already names a single line.
     for (label, color, width) in entries.into_iter().rev().filter(|_| several) {
         right -= text_width(label);
         text(area, (right as i32, baseline), HPos::Left, label, color::MUTED, false)?;
@@ -330,6 +331,7 @@ fn units((x, y): (f64, f64)) -> (i32, i32) {
 
 fn stroke(area: &Area, path: &[(f64, f64)], color: RGBColor, width: u32) -> Drawn {
     let mut path: Vec<_> = path.iter().map(|&point| units(point)).collect();
+    // Points that round to the same unit draw nothing.
     path.dedup();
     if path.len() < 2 {
         return Ok(());
@@ -337,7 +339,7 @@ fn stroke(area: &Area, path: &[(f64, f64)], color: RGBColor, width: u32) -> Draw
     area.draw(&PathElement::new(path, color.stroke_width(width)))
 }
 
-/// `position` is on the baseline.
+/// Draws text; `position` is on its baseline.
 fn text(area: &Area, (x, y): (i32, i32), anchor: HPos, text: &str, color: RGBColor, bold: bool) -> Drawn {
     if text.is_empty() {
         return Ok(());
@@ -349,12 +351,12 @@ fn text(area: &Area, (x, y): (i32, i32), anchor: HPos, text: &str, color: RGBCol
     area.draw(&Text::new(text.to_owned(), (x * UNITS, y * UNITS + TEXT), style))
 }
 
-/// Pixels, roughly: the viewer's font is not known here.
+/// Approximate width of text, pixels: the viewer's font is not known here.
 fn text_width(text: &str) -> f64 {
     text.chars().count() as f64 * f64::from(TEXT) * 0.58
 }
 
-/// With a proper minus sign; a dash for what is not finite.
+/// Formats a number with a typographic minus sign; a dash if it is not finite.
 pub(super) fn number(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return "\u{2013}".to_owned();

@@ -1,15 +1,16 @@
-//! What has to be done to a series before it can be drawn.
+//! Preparation of series for drawing: gaps, steps, decimation, clipping and axis ticks.
 
-/// Time (s) and value. A value that is not finite is a gap in the line.
+/// Time, s, and value. A value that is not finite is a gap in the line.
 pub(super) type Point = (f64, f64);
 
-/// Most points drawn of one line: two to three per pixel of a wide screen.
+/// Most points drawn per line: two to three per pixel of a wide screen.
 const MOST_POINTS: usize = 2_000;
 
-/// `points` with a gap where samples are missing: more than five usual periods and 2 % of the run without one.
+/// Inserts a gap where samples are missing: a pause of more than five median periods and 2 % of the run.
 pub(super) fn with_gaps(points: &[Point]) -> Vec<Point> {
     let mut periods: Vec<f64> = points.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
     periods.sort_by(f64::total_cmp);
+    // The median ignores the gaps themselves.
     let usual_s = periods.get(periods.len() / 2).copied().unwrap_or_default();
     let run_s = points.last().map_or(0.0, |last| last.0) - points.first().map_or(0.0, |first| first.0);
     let longest_s = (5.0 * usual_s).max(0.02 * run_s);
@@ -23,7 +24,7 @@ pub(super) fn with_gaps(points: &[Point]) -> Vec<Point> {
     drawn
 }
 
-/// The middle of three equal values in a row is not needed.
+/// Removes the middle of three equal values in a row.
 pub(super) fn without_repeats(points: &[Point]) -> Vec<Point> {
     let same = |a: f64, b: f64| a == b || (!a.is_finite() && !b.is_finite());
     let mut kept: Vec<Point> = Vec::new();
@@ -36,7 +37,7 @@ pub(super) fn without_repeats(points: &[Point]) -> Vec<Point> {
     kept
 }
 
-/// Each value held until the next sample, as a board holds its set point.
+/// Holds each value until the next sample, as a board holds its set point.
 pub(super) fn as_steps(points: &[Point]) -> Vec<Point> {
     let mut steps: Vec<Point> = Vec::with_capacity(2 * points.len());
     for &point in points {
@@ -51,13 +52,14 @@ pub(super) fn as_steps(points: &[Point]) -> Vec<Point> {
     steps
 }
 
-/// At most [`MOST_POINTS`] points that look the same: the first, lowest, highest and last of equal spans of time, and
-/// the gap at the end of a span.
+/// Decimates to at most [`MOST_POINTS`] points that look the same: first, lowest, highest and last of equal spans of
+/// time, and the gap at the end of a span.
 pub(super) fn decimated(points: &[Point]) -> Vec<Point> {
     let (Some(first), Some(last)) = (points.first(), points.last()) else { return Vec::new() };
     if points.len() <= MOST_POINTS {
         return points.to_vec();
     }
+    // Five points at most per span: four extremes and a gap.
     let buckets = MOST_POINTS / 5;
     let per_second = buckets as f64 / (last.0 - first.0).max(f64::MIN_POSITIVE);
     let bucket_of = |point: &Point| (((point.0 - first.0) * per_second) as usize).min(buckets - 1);
@@ -83,7 +85,7 @@ pub(super) fn decimated(points: &[Point]) -> Vec<Point> {
     kept
 }
 
-/// The parts of the line that lie within `low..=high`, cut exactly at the limits.
+/// Parts of the line within `low..=high`, cut exactly at the limits.
 pub(super) fn clipped(points: &[Point], (low, high): (f64, f64)) -> Vec<Vec<Point>> {
     let mut parts: Vec<Vec<Point>> = Vec::new();
     let mut part: Vec<Point> = Vec::new();
@@ -99,7 +101,7 @@ pub(super) fn clipped(points: &[Point], (low, high): (f64, f64)) -> Vec<Vec<Poin
                 let share = (value - from.1) / (point.1 - from.1);
                 (share, (from.0 + share * (point.0 - from.0), value))
             };
-            // at most one crossing of each limit, in the order in which the line meets them
+            // A segment crosses each limit at most once; sort the crossings along the segment.
             let mut crossings: Vec<_> = [low, high]
                 .into_iter()
                 .filter(|limit| (from.1 < *limit) != (point.1 < *limit) && from.1 != *limit && point.1 != *limit)
@@ -126,7 +128,7 @@ pub(super) fn clipped(points: &[Point], (low, high): (f64, f64)) -> Vec<Vec<Poin
     parts
 }
 
-/// Lowest and highest of the values that are finite.
+/// Lowest and highest finite value; `None` without any.
 pub(super) fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     values.filter(|value| value.is_finite()).fold(None, |extent, value| {
         let (low, high) = extent.unwrap_or((value, value));
@@ -134,27 +136,27 @@ pub(super) fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     })
 }
 
-/// `extent` widened to at least `span`, with a margin so that no line runs along the frame.
+/// Range widened to at least `span`, with a margin so that no line runs along the frame.
 pub(super) fn framed((low, high): (f64, f64), span: f64) -> (f64, f64) {
     let half = ((high - low) / 2.0).max(span / 2.0) * 1.08;
     let middle = low + (high - low) / 2.0;
     (middle - half, middle + half)
 }
 
-/// About `count` round numbers within `low..=high`, and the decimals it takes to write them.
+/// About `count` round numbers within `low..=high`, and the decimals to write them.
 pub(super) fn ticks(low: f64, high: f64, count: u32) -> (Vec<f64>, usize) {
     let least = (high - low) / f64::from(count.max(1));
     if !(least.is_finite() && least > 0.0) {
         return (vec![low], 0);
     }
     let decade = 10_f64.powf(least.log10().floor());
-    // 0.999: a step that is round but for its last bit is the round one
+    // 0.999 accepts a round step that rounding made slightly too small.
     let step = [1.0, 2.0, 5.0].map(|factor| factor * decade).into_iter().find(|step| *step >= 0.999 * least);
     let step = step.unwrap_or(10.0 * decade);
     let (first, last) = ((low / step - 1e-9).ceil(), (high / step + 1e-9).floor());
     let mut ticks = Vec::new();
     let mut multiple = first;
-    // adding 0.0 makes a zero of a negative zero
+    // Adding 0.0 turns a negative zero into zero.
     while multiple <= last && ticks.len() < 100 {
         ticks.push(multiple * step + 0.0);
         multiple += 1.0;

@@ -1,4 +1,4 @@
-//! Figures of robot systems.
+//! Figures of the robot systems.
 
 use super::{
     plot::{Figure, Line, Panel, color},
@@ -6,13 +6,13 @@ use super::{
     view,
 };
 
-/// Pixels.
+/// Height of a panel, pixels.
 const HEIGHT: i32 = 170;
-/// Quarters of a pixel.
+/// Width of a line, quarters of a pixel.
 const WIDTH: u32 = 6;
 const COLORS: [plotters::style::RGBColor; 4] = [color::BLUE, color::ORANGE, color::GREEN, color::PURPLE];
 
-/// A system's figure, as it is drawn.
+/// Converts a system's figure for drawing.
 pub(super) fn drawn(figure: &r4_systems::Figure) -> Figure {
     let points = |axis: fn(&(f64, f64)) -> f64| {
         let curves = figure.panels.iter().flat_map(|panel| &panel.curves);
@@ -28,7 +28,7 @@ pub(super) fn drawn(figure: &r4_systems::Figure) -> Figure {
     }
 }
 
-/// A system's figure, below its views from above, as an SVG file that stands alone.
+/// Figure of a system below its views from above, as a self-contained SVG file.
 pub(crate) fn system(figure: &r4_systems::Figure, views: &[r4_systems::View]) -> String {
     let panels = drawn(figure).svg().replacen('>', "><rect width=\"100%\" height=\"100%\" fill=\"#FFFFFF\"/>", 1);
     if views.is_empty() { panels } else { view::above(views, &panels, &figure.description) }

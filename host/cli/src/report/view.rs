@@ -1,4 +1,4 @@
-//! Ground from above: cells in colours, paths and marks over them.
+//! Views of the ground from above: coloured cells with paths and marks.
 
 use std::fmt::Write as _;
 
@@ -10,21 +10,21 @@ use super::{
     series::{extent, ticks},
 };
 
-/// Pixels: of the figure, of a view's square, of its scale, and above and below both.
+/// Sizes in pixels: figure width, side of a view, left ends of both views, width of the scale, space above and below.
 const WIDTH: f64 = 1_000.0;
 const SIDE: f64 = 400.0;
 const LEFT: [f64; 2] = [40.0, 545.0];
 const SCALE: f64 = 14.0;
 const TOP: f64 = 30.0;
 const FOOT: f64 = 44.0;
-/// By which cells overlap, so that no line shows between them where their edges are rounded.
+/// Overlap of cells, pixels, so that rounded edges leave no gaps.
 const OVERLAP: f64 = 0.3;
-/// Colours of low to high values, from matplotlib's "viridis", and of paths on them.
+/// Colours of low to high values, from matplotlib's "viridis"; then those of paths on them.
 const COLORS: [[f64; 3]; 5] =
     [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [94.0, 201.0, 98.0], [253.0, 231.0, 37.0]];
 const PATHS: [&str; 4] = ["#FFFFFF", "#FF8A5C", "#1B1F24", "#9ADCFF"];
 
-/// Views side by side above `panels`, an `<svg>` element with a size of its own.
+/// Places views side by side above `panels`, an `<svg>` element with a size of its own.
 pub(super) fn above(views: &[View], panels: &str, description: &str) -> String {
     let size = |name: &str| {
         let value = panels.split_once(&format!(" {name}=\""))?.1.split_once('"')?.0;
@@ -40,13 +40,13 @@ pub(super) fn above(views: &[View], panels: &str, description: &str) -> String {
          <rect width=\"100%\" height=\"100%\" fill=\"#FFFFFF\"/>\n",
         escaped(description)
     );
-    // One scale for all: views are there to be compared.
+    // One colour scale for all views, so that they can be compared.
     let values = views.iter().flat_map(|view| &view.values).copied();
     let range = extent(values).unwrap_or((0.0, 1.0));
     for (index, view) in views.iter().enumerate() {
         let _ = draw(&mut svg, view, range, [LEFT[index % 2], (index / 2) as f64 * (TOP + SIDE + FOOT) + TOP]);
     }
-    // The panels keep their own units: their size is that of their place here.
+    // The panels keep their viewBox; only their size changes.
     let placed = panels.replacen(&format!(" width=\"{width}\""), &format!(" y=\"{rows}\" width=\"{WIDTH}\""), 1);
     svg.push_str(&placed.replacen(&format!(" height=\"{height}\""), &format!(" height=\"{below}\""), 1));
     svg.push_str("</svg>\n");
@@ -67,7 +67,7 @@ fn draw(svg: &mut String, view: &View, (low, high): (f64, f64), [left, top]: [f6
         let y = top + SIDE - (row + 1) as f64 * cell;
         let colors: Vec<String> = values.iter().map(|value| color((value - low) / (high - low))).collect();
         let mut column = 0;
-        // Neighbours of one colour are one rectangle.
+        // Merge neighbours of one colour into one rectangle.
         for alike in colors.chunk_by(|one, other| one == other) {
             let (x, width) = (left + column as f64 * cell, alike.len() as f64 * cell + OVERLAP);
             writeln!(
@@ -129,12 +129,12 @@ fn axes(svg: &mut String, view: &View, [left, top]: [f64; 2]) -> std::fmt::Resul
     )
 }
 
-/// Below the axis.
+/// Draws the legend below the axis.
 fn legend(svg: &mut String, view: &View, [left, top]: [f64; 2]) -> std::fmt::Result {
     let y = top + SIDE + 30.0;
     let mut x = left;
     for (path, color) in view.paths.iter().zip(PATHS) {
-        // On a dark ground, for the light colours.
+        // A dark background makes the light colours visible.
         writeln!(svg, "<rect x=\"{x}\" y=\"{}\" width=\"24\" height=\"10\" fill=\"#3B528B\"/>", y - 9.0)?;
         writeln!(svg, "<path stroke=\"{color}\" stroke-width=\"2\" d=\"M{x} {}h24\"/>", y - 4.0)?;
         writeln!(svg, "<text x=\"{}\" y=\"{y}\" fill=\"#57606A\">{}</text>", x + 30.0, escaped(path.name))?;
@@ -173,7 +173,7 @@ fn scale(svg: &mut String, view: &View, (low, high): (f64, f64), [left, top]: [f
     writeln!(svg, "<text x=\"{left}\" y=\"{}\" fill=\"#1B1F24\">{}</text>", top - 10.0, escaped(view.unit))
 }
 
-/// Colour of a share of the range.
+/// Colour for a share of the range, 0 to 1.
 fn color(share: f64) -> String {
     let place = share.clamp(0.0, 1.0) * (COLORS.len() - 1) as f64;
     let index = (place as usize).min(COLORS.len() - 2);

@@ -1,4 +1,4 @@
-//! What was asked of a board and is not answered yet.
+//! Requests to a board whose answers are outstanding.
 
 use std::{future::pending, pin::pin};
 
@@ -9,7 +9,7 @@ use futures::{
 };
 use r4_driver::Error;
 
-/// Requests under way, none of which keeps anybody from asking for the next: a stop does not wait for an arming.
+/// Outstanding requests, none of which blocks the next: a stop does not wait for an arming.
 pub(crate) struct Commands<'b, N> {
     waiting: FuturesUnordered<LocalBoxFuture<'b, (N, Result<(), Error>)>>,
 }
@@ -21,7 +21,7 @@ impl<N> Default for Commands<'_, N> {
 }
 
 impl<'b, N: 'b> Commands<'b, N> {
-    /// Begins a request, which is sent when the next are waited for.
+    /// Begins a request; it is sent when [`until`](Self::until) is awaited.
     pub(crate) fn begin(&self, name: N, request: impl Future<Output = Result<(), Error>> + 'b) {
         self.waiting.push(request.map(|result| (name, result)).boxed_local());
     }
@@ -30,7 +30,7 @@ impl<'b, N: 'b> Commands<'b, N> {
         self.waiting.len()
     }
 
-    /// The next that ends before `time` does.
+    /// Next answer that arrives before `time` ends.
     pub(crate) async fn until(&mut self, time: impl Future<Output = ()>) -> Option<(N, Result<(), Error>)> {
         let ended = async {
             match self.waiting.next().await {

@@ -1,6 +1,6 @@
-//! The whole terminal, for what a person watches and steers.
+//! Full-screen terminal for interactive commands.
 //!
-//! It is given back as it was found: when the [`Screen`] is dropped, and in a panic before that is reported.
+//! The terminal is restored when the [`Screen`] is dropped, and in a panic before its report.
 
 mod commands;
 #[cfg(test)]
@@ -30,13 +30,13 @@ use crate::{args::Args, session};
 
 pub(crate) use commands::Commands;
 
-/// The terminal, as long as this is there.
+/// Terminal in full-screen mode while this value lives.
 pub(crate) struct Screen {
     terminal: Terminal<CrosstermBackend<Stdout>>,
     _restore: Restore,
 }
 
-/// Gives the terminal back.
+/// Restores the terminal when dropped.
 struct Restore;
 
 impl Drop for Restore {
@@ -45,19 +45,19 @@ impl Drop for Restore {
     }
 }
 
-/// Whether there is something to give back. Once: the second time would put the cursor over what was printed since.
+/// True while the terminal is to be restored, once: a second restore would move the cursor over later output.
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
 fn restore() {
     if !TAKEN.swap(false, Ordering::Relaxed) {
         return;
     }
-    // Each as far as it goes: the terminal may be gone.
+    // Do as much as possible: the terminal may be gone.
     let _ = execute!(stdout(), LeaveAlternateScreen, Show);
     let _ = disable_raw_mode();
 }
 
-/// Whether a screen can be had and would not be written over, before anything is done to the board.
+/// Checks that a full-screen terminal is available and that no log would overwrite it, before the board is touched.
 pub(crate) fn check(args: &Args, verb: &str, instead: &str) -> anyhow::Result<()> {
     if args.json {
         bail!("`{verb}` draws on a terminal and prints no JSON: {instead}");
@@ -82,6 +82,7 @@ impl Screen {
             }));
         });
         TAKEN.store(true, Ordering::Relaxed);
+        // Created first, so that an error below restores the terminal too.
         let restore = Restore;
         enable_raw_mode().context("cannot read single keys from this terminal")?;
         execute!(stdout(), EnterAlternateScreen, Hide).context("cannot draw on this terminal")?;
@@ -89,15 +90,15 @@ impl Screen {
         Ok(Self { terminal, _restore: restore })
     }
 
-    /// Draws what has changed.
+    /// Draws the changes since the last frame.
     pub(crate) fn draw(&mut self, draw: impl FnOnce(&mut Frame<'_>)) -> anyhow::Result<()> {
         self.terminal.draw(draw).context("cannot draw on this terminal")?;
         Ok(())
     }
 
-    /// The next key that is pressed or repeated within `patience`.
+    /// Next key that is pressed or repeated within `patience`.
     ///
-    /// Ctrl-C, which a terminal that gives single keys takes for one of them, interrupts the session.
+    /// Ctrl-C interrupts the session: in raw mode the terminal reports it as a key.
     pub(crate) fn key(&self, patience: Duration) -> anyhow::Result<Option<KeyEvent>> {
         while event::poll(patience).context("cannot read keys")? {
             match event::read().context("cannot read keys")? {
@@ -106,7 +107,7 @@ impl Screen {
                     session::interrupt();
                 }
                 Event::Key(key) => return Ok(Some(key)),
-                // A new size is noticed by what draws.
+                // A new size takes effect with the next drawing.
                 _ => {}
             }
         }

@@ -1,12 +1,12 @@
-//! Screens compared with those in `snapshots/`, which are for people to look at.
+//! Snapshot tests of screens: they are compared with the files in `snapshots/`, which people can read.
 //!
-//! After a change that is meant, `R4_UPDATE_SCREENS=1 cargo test -p r4 --bin r4` writes them anew.
+//! After an intended change, `R4_UPDATE_SCREENS=1 cargo test -p r4 --bin r4` rewrites the files.
 
 use std::{env, fs, path::PathBuf};
 
 use ratatui::{Frame, Terminal, backend::TestBackend};
 
-/// The screen as text, without what is empty at the ends of lines.
+/// Screen as text, without trailing spaces.
 pub(crate) fn text(width: u16, height: u16, draw: impl FnOnce(&mut Frame<'_>)) -> String {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("a buffer can be drawn on");
     terminal.draw(draw).expect("a buffer can be drawn on");
@@ -15,7 +15,7 @@ pub(crate) fn text(width: u16, height: u16, draw: impl FnOnce(&mut Frame<'_>)) -
     rows.map(|row| row.iter().map(|cell| cell.symbol()).collect::<String>().trim_end().to_owned() + "\n").collect()
 }
 
-/// Fails where the screen is another than that in `snapshots/<name>-<width>x<height>.txt`.
+/// Asserts that the screen equals `snapshots/<name>-<width>x<height>.txt`.
 pub(crate) fn assert_is(name: &str, width: u16, height: u16, draw: impl FnOnce(&mut Frame<'_>)) {
     let file = format!("src/screen/snapshots/{name}-{width}x{height}.txt");
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(&file);

@@ -1,4 +1,4 @@
-//! What a screen knows of the supervisor, and how it shows that.
+//! Safety state on a screen, and styles that the screens share.
 
 use r4_protocol::SafetyState;
 use ratatui::{
@@ -6,7 +6,7 @@ use ratatui::{
     text::{Line, Span},
 };
 
-/// The supervisor's state as a badge; `None` when nobody knows.
+/// Badge of the safety state; `None` for no link.
 pub(crate) fn badge(state: Option<SafetyState>) -> Span<'static> {
     let (text, colour) = match state {
         Some(SafetyState::Disarmed) => (" DISARMED ", Color::Blue),
@@ -14,11 +14,11 @@ pub(crate) fn badge(state: Option<SafetyState>) -> Span<'static> {
         Some(SafetyState::Tripped) => (" TRIPPED ", Color::Red),
         None => (" NO LINK ", Color::Red),
     };
-    // Turned round, so that it stands out without colours too.
+    // Reversed, so that it stands out without colours too.
     Span::styled(text, Style::new().fg(colour).add_modifier(Modifier::BOLD | Modifier::REVERSED))
 }
 
-/// Text in lines of at most `width` characters, broken between words where that goes.
+/// Text in lines of at most `width` characters, broken between words where possible.
 pub(crate) fn wrapped(text: &str, width: u16, style: Style) -> Vec<Line<'static>> {
     let width = usize::from(width.max(1));
     let (mut lines, mut line) = (Vec::new(), String::new());
@@ -36,7 +36,7 @@ pub(crate) fn wrapped(text: &str, width: u16, style: Style) -> Vec<Line<'static>
     lines.into_iter().map(|line| Line::styled(line, style)).collect()
 }
 
-/// Of what is wrong.
+/// Style of faults and errors.
 pub(crate) const WRONG: Style = Style::new().fg(Color::Red).add_modifier(Modifier::BOLD);
-/// Of what is there to be read once.
+/// Style of secondary information.
 pub(crate) const QUIET: Style = Style::new().add_modifier(Modifier::DIM);

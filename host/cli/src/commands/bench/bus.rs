@@ -1,4 +1,4 @@
-//! `r4 bench bus`: how full the I2C bus is, and whether a control period ever ends late.
+//! `r4 bench bus`: occupancy of the I2C bus under load, and control periods that end late.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -14,28 +14,28 @@ use serde::Serialize;
 use super::{Bench, MS, on_board, robot};
 use crate::{args::Args, output, table};
 
-/// No transfer may take longer, µs: a stop waits for the one under way.
+/// Limit of the longest transfer, µs: a stop waits for the transfer under way.
 const LONGEST_TRANSFER_US: f64 = 450.0;
-/// A servo takes a new pulse once in 20 ms, its own period.
+/// Update period of a servo, ns: its pulse repeats every 20 ms.
 const SERVO_PERIOD_NS: u64 = 20 * MS;
-/// How often commands change.
+/// Period of new commands to the bridges and relays, ms.
 const STEP_MS: u64 = 5;
-/// Servos turn round this often, ms: on the way they go through half of their travel.
+/// Period of a servo's reversals, ms: short enough that servos reverse before they arrive and so move all the time.
 const SERVO_TURN_MS: u64 = 150;
-/// From the arming until everything is at the middle of its sweep.
+/// Time from arming until every output is at the middle of its sweep, ms.
 const WARM_UP_MS: u64 = 800;
-/// More transfers than fit 20 s of a full bus.
+/// Capacity of the wire trace, transfers: more than a full bus carries in 20 s.
 const TRACE: usize = 400_000;
-/// A sweep must not come to an end stop, s.
+/// Longest run, s: after a longer sweep, motors would reach their end stops.
 const LONGEST_S: f64 = 20.0;
 
-/// What moves.
+/// Load on the bus: the outputs that move.
 struct Load {
     name: &'static str,
     osmc: bool,
     dhb_and_bldc: bool,
     servos_and_relays: bool,
-    /// All bridges change direction at once, again and again, instead of only changing their duty.
+    /// All bridges reverse at once, repeatedly; otherwise only their duty changes.
     reversals: bool,
 }
 
@@ -62,7 +62,7 @@ const LOADS: [Load; 5] = {
     ]
 };
 
-/// Outputs that are written together.
+/// Group of outputs that the firmware writes together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 enum Group {
@@ -86,11 +86,11 @@ impl std::fmt::Display for Group {
 #[derive(Serialize)]
 struct Row {
     load: &'static str,
-    /// Share of the time for which the bus was taken.
+    /// Share of the time for which the bus is occupied, 0 to 1.
     occupancy: f64,
-    /// From the first START of a period to the last STOP, µs.
+    /// Longest control period on the bus, from its first START to its last STOP, µs.
     worst_tick_us: f64,
-    /// Counted by the firmware.
+    /// Late control periods, counted by the firmware.
     late_ticks: u32,
     longest_transfer_us: f64,
     /// Most control periods between two writes of the same output, by group.
@@ -142,6 +142,7 @@ fn measure(robot: &Robot, seed: u64, load: &Load, seconds: f64) -> anyhow::Resul
         bench.sleep_ms(100).await;
         warm_up(bench, load).await?;
         let before = bench.host.stats().await?;
+        // Measure from here on: the warm-up has other set points.
         bench.board.world().bus.set_trace(TRACE);
         bench.board.world().bus.reset_statistics();
         let begin_ns = bench.clock.now_ns();
@@ -151,11 +152,16 @@ fn measure(robot: &Robot, seed: u64, load: &Load, seconds: f64) -> anyhow::Resul
         let wire: Vec<_> = bench.board.world().bus.trace().cloned().collect();
         let after = bench.host.stats().await?;
         let (state, causes) = bench.host.safety();
-        anyhow::ensure!(state == SafetyState::Armed, "{}: {state} by {causes} in the middle", load.name);
+        anyhow::ensure!(
+            state == SafetyState::Armed,
+            "{}: the board is {state} ({causes}) before the end of the measurement",
+            load.name
+        );
         anyhow::ensure!(wire.iter().all(|record| record.fault.is_none()), "{}: transfers failed", load.name);
 
         let us = |ns: u64| ns as f64 / 1000.0;
         let longest_ns = wire.iter().map(|record| record.end_ns - record.start_ns).max().unwrap_or(0);
+        // The firmware counts from its start, modulo 2^32.
         let late_ticks = after.late_ticks.wrapping_sub(before.late_ticks);
         let between = ticks_between_updates(&robot.config, &wire, &turns);
         let in_turn = between.iter().all(|(group, ticks)| *ticks <= most_ticks(*group, load, &robot.config));
@@ -173,7 +179,8 @@ fn measure(robot: &Robot, seed: u64, load: &Load, seconds: f64) -> anyhow::Resul
     })
 }
 
-/// When outputs were told to turn round. Back at what it was last written, an output needs no write.
+/// Times at which outputs were commanded to reverse, ns. An output that returns to its last written value needs no
+/// write.
 #[derive(Default)]
 struct Turns {
     servos_ns: Vec<u64>,
@@ -181,16 +188,17 @@ struct Turns {
 }
 
 impl Turns {
-    /// Whether outputs of `group` turned round, or were still near that, at some time in between.
+    /// True where outputs of `group` reversed, or were still near a reversal, between the two times.
     fn between(&self, group: Group, from_ns: u64, to_ns: u64) -> bool {
-        // Until all commands have arrived, and from there as long as the last write was before.
+        // After a reversal, an output returns to its last written value only after as long as that write lay before
+        // the reversal. Until then it needs no write; `last_ns` includes the arrival of the commands.
         let (turns_ns, last_ns) =
             if group == Group::Servo { (&self.servos_ns, 50 * MS) } else { (&self.others_ns, 15 * MS) };
         turns_ns.iter().any(|turn_ns| *turn_ns < to_ns && from_ns < turn_ns + last_ns)
     }
 }
 
-/// Takes everything that moves to the middle of its sweep.
+/// Moves all outputs of the load to the middle of their sweeps.
 async fn warm_up(bench: &Bench<'_>, load: &Load) -> anyhow::Result<()> {
     let middle = if load.reversals { 0.0 } else { 0.5 };
     let mut commands = Vec::new();
@@ -210,10 +218,10 @@ async fn warm_up(bench: &Bench<'_>, load: &Load) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Sends everything towards one end and then the other, before it has arrived: so every output changes in every period,
-/// by its limit of change. Returns when that turned round.
+/// Sends all outputs towards one end and then the other, reversing before they arrive, so that every output changes in
+/// every period by its slew limit. Returns the times of the reversals.
 async fn sweep(bench: &Bench<'_>, load: &Load, until_ns: u64) -> anyhow::Result<Turns> {
-    // Steps towards each end; the first time half of that, from the middle.
+    // Steps from end to end. The first sweep starts in the middle and takes half of them.
     let steps = if load.reversals { 12 } else { 6 };
     let relays: Vec<_> = bench.taking(ChannelKind::Relay, Mode::Switch).collect();
     let begin_ns = bench.clock.now_ns();
@@ -258,20 +266,20 @@ async fn sweep(bench: &Bench<'_>, load: &Load, until_ns: u64) -> anyhow::Result<
     Ok(turns)
 }
 
-/// Transfers without a pause between them: those of one period, the first of which begins with the period.
+/// Groups of transfers without a pause between them: one group per control period.
 fn periods(wire: &[WireRecord]) -> impl Iterator<Item = &[WireRecord]> {
-    // Fast-mode's bus-free time is 1.3 us; a pause is more.
+    // Fast-mode requires 1.3 us of free bus between two transfers; a pause between periods is longer.
     const PAUSE_NS: u64 = 2_000;
     wire.chunk_by(|one, next| next.start_ns <= one.end_ns + PAUSE_NS)
 }
 
-/// The longest period's transfers, from the first START to the last STOP.
+/// Duration of the longest control period on the bus, ns, from its first START to its last STOP.
 fn worst_tick_ns(wire: &[WireRecord]) -> u64 {
     let spans = periods(wire).filter_map(|period| Some(period.last()?.end_ns - period.first()?.start_ns));
     spans.max().unwrap_or(0)
 }
 
-/// Most periods between two writes of the same output, in groups, while all of them change all the time.
+/// Most control periods between two writes of the same output, by group, while all outputs change continuously.
 fn ticks_between_updates(config: &BoardConfig, wire: &[WireRecord], turns: &Turns) -> BTreeMap<Group, u64> {
     let period_ns = u64::from(config.control_period_us) * 1000;
     let mut last_ns = HashMap::new();
@@ -283,7 +291,7 @@ fn ticks_between_updates(config: &BoardConfig, wire: &[WireRecord], turns: &Turn
             if turns.between(group, before_ns, begin_ns) {
                 continue;
             }
-            // The first transfer may have waited for the bus to be free.
+            // Round to the nearest period: the first transfer may have waited for a free bus.
             let ticks = (begin_ns - before_ns + period_ns / 2) / period_ns;
             let most = most.entry(group).or_insert(0);
             *most = ticks.max(*most);
@@ -292,9 +300,10 @@ fn ticks_between_updates(config: &BoardConfig, wire: &[WireRecord], turns: &Turn
     most
 }
 
-/// Which output a transfer writes: number of the bridge or of the servo's output; the DAC's are written together.
+/// Output that a transfer writes: the index of the bridge, or of the servo's PWM output. All brushless outputs share
+/// the DAC and count as one.
 fn written(config: &BoardConfig, record: &WireRecord) -> Option<(Group, usize)> {
-    /// LED0_ON_L of a PCA9685 (datasheet, table 4); four registers each.
+    /// Register LED0_ON_L of a PCA9685 (datasheet, table 4); each output has four registers.
     const LED0: u8 = 0x06;
     if !record.read.is_empty() {
         return None;
@@ -317,7 +326,7 @@ fn written(config: &BoardConfig, record: &WireRecord) -> Option<(Group, usize)> 
     Some((group, bridge))
 }
 
-/// How many control periods may pass between two updates of an output that changes all the time.
+/// Most control periods allowed between two updates of an output that changes continuously.
 fn most_ticks(group: Group, load: &Load, config: &BoardConfig) -> u64 {
     let period_ns = u64::from(config.control_period_us) * 1000;
     let bridges =
@@ -328,7 +337,7 @@ fn most_ticks(group: Group, load: &Load, config: &BoardConfig) -> u64 {
     match (group, load.reversals) {
         (Group::Osmc, false) => 1,
         (Group::Dhb | Group::Bldc, false) => 2,
-        // Two of 18 bytes fit a period; beside them one of the others fits every second, or the DAC.
+        // Two writes of 18 bytes fit a period; the remaining time carries a DHB bridge or the DAC every second period.
         (Group::Osmc, true) => rest + (bridges(true).count() as u64).div_ceil(2),
         (Group::Dhb, true) => rest + 2 * bridges(false).count() as u64,
         (Group::Bldc, true) => 4,
@@ -337,7 +346,7 @@ fn most_ticks(group: Group, load: &Load, config: &BoardConfig) -> u64 {
 }
 
 fn print(report: &Report) -> anyhow::Result<()> {
-    let header = ["load", "occupancy", "worst tick", "late", "longest transfer", "ticks between updates, at worst", ""];
+    let header = ["load", "occupancy", "worst tick", "late", "longest transfer", "most ticks between updates", ""];
     let mut table = table::new(&header, 1..5);
     for row in &report.rows {
         let between: Vec<_> =
@@ -349,13 +358,13 @@ fn print(report: &Report) -> anyhow::Result<()> {
             row.late_ticks.to_string(),
             format!("{:.1} us", row.longest_transfer_us),
             between.join(", "),
-            if row.held { "ok".into() } else { "not held".into() },
+            if row.held { "ok".into() } else { "not met".into() },
         ]);
     }
     output::line(format_args!("I2C bus of {} (simulated, processor time not counted)", report.board))?;
     output::line(table)?;
     Ok(output::line(format_args!(
-        "each load for {} s; promised: no tick late (over {} us), no transfer over {} us, OSMC every tick, DHB and \
+        "each load for {} s; limits: no late tick (over {} us), no transfer over {} us, OSMC every tick, DHB and \
          brushless every second (more only while all bridges reverse), servos every 20 ms",
         report.seconds, report.limits.tick_us, report.limits.longest_transfer_us
     ))?)

@@ -1,7 +1,7 @@
-//! `r4 bench link`: what a link to a board carries, measured over that link in real time.
+//! `r4 bench link`: throughput, latency and clock accuracy of a link to a board, measured over that link in real time.
 //!
-//! A simulated or emulated board is served on a pseudo-terminal by `r4 sim serve` in another process: bytes take the way that
-//! they take to any other program.
+//! A simulated or emulated board is served on a pseudo-terminal by `r4 sim serve` in another process: its bytes travel
+//! as to any other program.
 
 use std::{
     cell::{Cell, RefCell},
@@ -37,52 +37,53 @@ use crate::{
     table,
 };
 
-/// Has four motors, as a cycle has.
+/// Robot with four motors, the number that a cycle carries.
 const FOUR_MOTORS: &str = "openscout";
-/// Of a cycle, for both frames together.
+/// Limit of the bytes of a cycle, both frames together.
 const BYTES: usize = 66;
-/// Of a round trip over a pseudo-terminal, µs: half of them are shorter.
+/// Limit of the median round trip over a pseudo-terminal, µs.
 const ROUND_TRIP_US: f64 = 100.0;
-/// In a second, without loss.
+/// Least rate of cycles without loss, 1/s.
 const CYCLES_PER_S: f64 = 10_000.0;
-/// Of the board's clock in terms of ours, µs: 99 % are better.
+/// Limit of the clock mapping's error, µs, for 99 % of the answers.
 const CLOCK_ERROR_US: f64 = 200.0;
-/// Round trips before those that count: the map of the clocks wants some heartbeats, and caches are cold.
+/// Warm-up: the clock mapping needs some heartbeats, and caches are cold.
 const WARM_UP: Duration = Duration::from_millis(500);
 /// Round trips whose bytes are counted.
 const COUNTED: usize = 256;
-/// Set points of a stream are followed for this long.
+/// Time to live of the stream's set points, ms.
 const TTL_MS: u16 = 100;
-/// Cycles that are not answered this long after the last was sent are lost.
+/// Time after the last cycle was sent, until which answers are awaited; later ones count as lost.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 #[derive(Serialize)]
 struct Report {
     link: String,
-    /// Of both frames, on the wire, at most.
+    /// Most bytes of a cycle on the wire, both frames together.
     cycle_bytes: usize,
     rtt_us_p50: f64,
     rtt_us_p99: f64,
     rtt_us_p999: f64,
     rtt_us_max: f64,
-    /// Round trips, one after the other.
+    /// Number of sequential round trips.
     round_trips: usize,
     cycles_per_s: f64,
-    /// Cycles that came to it, with `window` under way.
+    /// Cycles answered with `window` in flight.
     cycles: u64,
     window: usize,
     seconds: f64,
-    /// Of all cycles of both kinds.
+    /// Lost cycles of both measurements.
     lost: u64,
-    /// Whether set points were followed; otherwise they were refused, and answered all the same.
+    /// True if set points were followed; otherwise the board refused them, and answered too.
     armed: bool,
-    /// Answers that say that set points were not followed.
+    /// Answers that report a set point as not followed.
     not_followed: u64,
-    /// Of the time of each answer, mapped to our clock, against the truth; `None` where only the board knows that.
+    /// Error of each answer's time, mapped to the host's clock, against the true time, µs; `None` where only the board
+    /// knows the true time.
     clock_error_us_p99: Option<f64>,
-    /// How wrong the driver thinks that it may be, at worst.
+    /// Largest uncertainty of the clock mapping that the driver reported, µs.
     clock_uncertainty_us: f64,
-    /// How often a served board's time stood still meanwhile, because the machine was busy elsewhere.
+    /// Number of pauses of a served board's time because the machine was busy.
     clock_shifts: usize,
     machine: String,
     processors: usize,
@@ -91,7 +92,7 @@ struct Report {
     held: bool,
 }
 
-/// A promise.
+/// Measured value beside its limit.
 #[derive(Serialize)]
 struct Limit {
     what: &'static str,
@@ -120,10 +121,10 @@ pub(super) fn run(args: &Args, bench: &args::BenchLink) -> anyhow::Result<bool> 
             (format!("{target} over a pseudo-terminal"), address)
         }
     };
-    // What stands at the end of somebody else's link might begin to move.
+    // Do not arm a board on another link: a connected machine might move.
     let arm = bench.arm || served.is_some();
     let measured = r4_links::block_on(measure(args, &address, bench, arm))?;
-    // An emulated board's clock starts when its firmware does, and nobody outside sees that.
+    // An emulated board's clock starts with its firmware, at a time unknown outside.
     let epochs = served.as_ref().filter(|_| matches!(args.board, Target::Sim(_))).map(|served| served.epochs());
     let report = measured.report(link, bench, epochs.as_deref());
     let held = report.held;
@@ -135,7 +136,7 @@ pub(super) fn run(args: &Args, bench: &args::BenchLink) -> anyhow::Result<bool> 
     Ok(held)
 }
 
-/// A line of `r4 sim serve`: the first has a place, later ones tell from when on the epoch is another.
+/// Line of `r4 sim serve`: the first names the pseudo-terminal, later ones a changed epoch and its beginning.
 #[derive(Deserialize)]
 struct Line {
     pty: Option<String>,
@@ -144,7 +145,7 @@ struct Line {
     from_ns: u64,
 }
 
-/// From this moment of its clock on, the board's time 0 was at `epoch_ns` of CLOCK_MONOTONIC.
+/// Epoch of the board's clock: from `from_us` of that clock on, its time 0 was at `epoch_ns` of CLOCK_MONOTONIC.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Epoch {
     from_us: u64,
@@ -157,7 +158,7 @@ impl Epoch {
     }
 }
 
-/// A board that another process serves until this is dropped.
+/// Board that another process serves until this value is dropped.
 struct Served {
     child: Child,
     address: Address,
@@ -173,6 +174,7 @@ impl Served {
         let program = env::current_exe().context("cannot find this program to serve the board")?;
         let mut child = Command::new(program)
             .args(["sim", "serve", &name, "--pty", "--seed", &seed.to_string()])
+            // The server must not use the board and the flash of this command.
             .env_remove("R4_BOARD")
             .env_remove("R4_FLASH")
             .stdin(Stdio::null())
@@ -180,12 +182,13 @@ impl Served {
             .spawn()
             .context("cannot start `r4 sim serve`")?;
         let out = child.stdout.take();
-        // From here on dropping it ends the server.
+        // From here on, dropping the value ends the server.
         let address = Address::Serial { path: None, baud: r4_links::DEFAULT_BAUD };
         let mut served = Self { child, address, epochs: Arc::default() };
         let mut lines = BufReader::new(out.context("no pipe to the server")?).lines();
         let first = lines.next().ok_or_else(|| anyhow!("`r4 sim serve {name}` ended at once"))??;
-        let line: Line = serde_json::from_str(&first).with_context(|| format!("`r4 sim serve` says {first}"))?;
+        let line: Line = serde_json::from_str(&first)
+            .with_context(|| format!("unexpected first line of `r4 sim serve`: {first}"))?;
         let path = line.pty.as_ref().ok_or_else(|| anyhow!("`r4 sim serve` names no pseudo-terminal: {first}"))?;
         served.address = Address::Serial { path: Some(path.into()), baud: r4_links::DEFAULT_BAUD };
         let epochs = served.epochs.clone();
@@ -211,18 +214,18 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 
 impl Drop for Served {
     fn drop(&mut self) {
-        // One that has ended by itself is none to end.
+        // The process may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// Lengths of frames in one direction, as they pass.
+/// Lengths of passing frames in one direction.
 #[derive(Default)]
 struct Scale {
     on: Cell<bool>,
     frame: RefCell<Vec<u8>>,
-    /// Of those that carry a cycle, at most.
+    /// Longest frame that carried a cycle, bytes.
     longest: Cell<usize>,
 }
 
@@ -235,7 +238,7 @@ impl Scale {
         for byte in bytes {
             frame.push(*byte);
             if *byte != 0 {
-                // A frame that never ends is none.
+                // Limit the buffer: bytes without an end are no frame.
                 frame.truncate(2 * MAX_FRAME);
                 continue;
             }
@@ -249,7 +252,7 @@ impl Scale {
     }
 }
 
-/// A link whose frames are weighed.
+/// Link whose frame lengths are measured.
 struct Weighed<L> {
     link: L,
     scale: Rc<Scale>,
@@ -279,7 +282,7 @@ impl<L: Write> Write for Weighed<L> {
     }
 }
 
-/// When the board answered: on its clock, and on ours as the driver thought then.
+/// Time of an answer on the board's clock, and mapped to the host's clock at that moment.
 #[derive(Clone, Copy, Debug)]
 struct Stamp {
     device_us: u64,
@@ -289,7 +292,7 @@ struct Stamp {
 #[derive(Default)]
 struct Measured {
     cycle_bytes: usize,
-    /// µs
+    /// Times of the round trips, µs.
     round_trips: Vec<f64>,
     stamps: Vec<Stamp>,
     cycles: u64,
@@ -315,13 +318,13 @@ async fn measure(args: &Args, address: &Address, bench: &args::BenchLink, arm: b
         }
         let disarmed = board.disarm().await;
         let measured = measured?;
-        disarmed.context("cannot disarm; closing the session makes the board stop by itself")?;
+        disarmed.context("cannot disarm; the board stops when its session ends")?;
         Ok(measured)
     });
     connected.await.with_context(|| format!("cannot connect to {address}"))?
 }
 
-/// Motors and what makes them rest: up to four.
+/// Up to four motors, each with a mode in which 0 means rest.
 fn motors(board: &Board<RealClock>) -> Vec<(ChannelId, Mode)> {
     let resting = |mode: Mode, info: &r4_protocol::ChannelInfo| {
         info.mode(mode).filter(|taken| taken.range.contains(0.0)).map(|_| (info.id, mode))
@@ -357,6 +360,7 @@ async fn on_board(
     measured.cycle_bytes = scales.into_iter().map(|scale| scale.longest.get()).sum();
 
     let span = Duration::from_secs_f64(bench.seconds);
+    // The first round warms up; the second one replaces its measurements.
     for span in [WARM_UP.min(span), span] {
         (measured.round_trips, measured.stamps) = (Vec::new(), Vec::new());
         let begin = Instant::now();
@@ -364,6 +368,7 @@ async fn on_board(
             measured.one_cycle(board, &mut cycles, &rest).await?;
         }
     }
+    // The counters also contain the cycles of the round trips.
     let before = cycles.counters();
     let clock = RealClock;
     let end_us = clock.now_us() + (span + PATIENCE).as_micros() as u64;
@@ -376,7 +381,7 @@ async fn on_board(
     };
     outcome.transpose()?;
     let after = cycles.counters();
-    // All have been waited for.
+    // All answers have been awaited or timed out.
     measured.lost += (after.sent - before.sent) - (after.answered - before.answered) + (after.dropped - before.dropped);
     Ok(measured)
 }
@@ -406,7 +411,7 @@ impl Measured {
         }
     }
 
-    /// As many cycles as go, with so many under way.
+    /// Sends cycles continuously for `span`, with `window` in flight.
     async fn sustain(
         &mut self,
         board: &Board<RealClock>,
@@ -416,7 +421,7 @@ impl Measured {
         window: usize,
     ) -> anyhow::Result<()> {
         let counters = cycles.counters();
-        // As the driver counts them.
+        // Continue the driver's numbering.
         let mut planned = counters.sent + counters.replaced;
         let mut answered = planned;
         let begin = Instant::now();
@@ -430,7 +435,7 @@ impl Measured {
                 return Ok(());
             }
             let report = cycles.next().await?;
-            // Those passed over are lost, which the driver counts.
+            // The driver counts skipped answers as lost.
             answered = report.number + 1;
             self.cycles += 1;
             self.seconds = begin.elapsed().as_secs_f64();
@@ -522,7 +527,7 @@ impl Measured {
 }
 
 impl Stamp {
-    /// Of our time against the truth, µs. Times before the first epoch are of none.
+    /// Error of the mapped time against the true time, µs; infinite before the first epoch.
     fn error_us(self, epochs: &[Epoch]) -> f64 {
         let epoch = epochs.iter().rfind(|epoch| epoch.from_us <= self.device_us);
         let Some(epoch) = epoch else { return f64::INFINITY };
@@ -532,7 +537,7 @@ impl Stamp {
     }
 }
 
-/// Of sorted numbers; NaN of none.
+/// Quantile of sorted numbers; NaN of none.
 fn quantile(sorted: &[f64], share: f64) -> f64 {
     r4_maths::statistics::nearest_rank(sorted, share).unwrap_or(f64::NAN)
 }
@@ -541,7 +546,7 @@ fn read(path: &str) -> String {
     fs::read_to_string(path).map_or_else(|_| "unknown".into(), |text| text.trim().to_owned())
 }
 
-/// The processor's name.
+/// Name of the processor.
 fn machine() -> String {
     let told = read("/proc/cpuinfo");
     let name = told.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
@@ -551,9 +556,9 @@ fn machine() -> String {
 fn print(report: &Report) -> anyhow::Result<()> {
     output::line(format_args!("{}, {}", report.link, if report.armed { "armed" } else { "disarmed" }))?;
     output::line(format_args!("{}, {} processors, Linux {}", report.machine, report.processors, report.kernel))?;
-    let mut table = table::new(&["what", "measured", "promised", ""], 1..3);
+    let mut table = table::new(&["what", "measured", "limit", ""], 1..3);
     for limit in &report.limits {
-        let verdict = if limit.held { "ok" } else { "not held" };
+        let verdict = if limit.held { "ok" } else { "not met" };
         table.add_row([limit.what, &limit.measured, &limit.promised, verdict]);
     }
     output::line(table)?;
@@ -562,14 +567,11 @@ fn print(report: &Report) -> anyhow::Result<()> {
         report.round_trips, report.rtt_us_p99, report.rtt_us_p999, report.rtt_us_max
     ))?;
     output::line(format_args!(
-        "{} cycles in {:.1} s, {} under way at once; set points not followed: {}",
+        "{} cycles in {:.1} s, {} in flight; set points not followed: {}",
         report.cycles, report.seconds, report.window, report.not_followed
     ))?;
     if report.clock_shifts > 0 {
-        output::line(format_args!(
-            "the machine was busy elsewhere: the board's time stood still {} times",
-            report.clock_shifts
-        ))?;
+        output::line(format_args!("the machine was busy: the board's time paused {} times", report.clock_shifts))?;
     }
     Ok(())
 }
@@ -597,13 +599,13 @@ mod tests {
             Epoch { from_us: 500_000, epoch_ns: zero_ns + 405_000_000 },
         ];
         let error = |device_us| Stamp { device_us, host_us }.error_us(&epochs);
-        // Between the two looks at the clock this thread may have waited.
+        // This thread may have been preempted between the two readings of the clock.
         assert!(error(595_000) < 100_000.0, "{}", error(595_000));
         assert!((error(495_000) - error(595_000)).abs() > 50_000.0);
         assert_eq!(Stamp { device_us: 1, host_us }.error_us(&epochs[1..]), f64::INFINITY);
     }
 
-    /// Frames are weighed with their delimiters, also when they come in parts; others are not.
+    /// Frames are measured with their delimiters, also when they arrive in parts; other messages are not counted.
     #[test]
     fn frames_of_cycles_are_weighed() {
         let mut buffer = [0; MAX_FRAME];

@@ -1,4 +1,4 @@
-//! `r4 bench`: what firmware, simulator and `r4 identify` promise, measured. Times are virtual, but for the speed of
+//! `r4 bench`: measures the limits of firmware, simulator and `r4 identify`. Times are virtual, except for the speed of
 //! programs and for links.
 
 mod bus;
@@ -26,9 +26,9 @@ use crate::{
 };
 use r4_rig::cable::{Cable, CableState};
 
-/// The robot of `--board` when nothing is said, which has too few outputs for these measurements.
+/// Default robot of `--board`, which has too few outputs for these measurements.
 const DEFAULT: &str = "osmc-bench";
-/// The one that is measured instead.
+/// Robot that is measured instead.
 const EVERYTHING: &str = "every-interface";
 const MS: u64 = 1_000_000;
 
@@ -45,16 +45,16 @@ pub(crate) fn run(args: &Args, what: &args::Bench) -> anyhow::Result<bool> {
     }
 }
 
-/// The robot to measure and how it is named; it has every kind of output.
+/// Robot to measure, with its name; it has every kind of output.
 fn robot(args: &Args) -> anyhow::Result<(Target, Robot)> {
     let Target::Sim(name) = &args.board else {
-        bail!("this measures simulated boards only: leave --board out, or write sim:{EVERYTHING}")
+        bail!("this measures simulated boards only: omit --board, or write sim:{EVERYTHING}")
     };
     let name = if name == DEFAULT { EVERYTHING } else { name };
     Ok((Target::Sim(name.to_owned()), with_every_output(name, "sim")?))
 }
 
-/// A robot that must have every kind of output; `kind` is that of its board, `sim` or `emu`.
+/// Loads a robot that must have every kind of output; `kind` is that of its board, `sim` or `emu`.
 fn with_every_output(name: &str, kind: &str) -> anyhow::Result<Robot> {
     let robot = r4_boards::load(name)?;
     match Outputs::ALL.into_iter().find(|outputs| !outputs.are_on(&robot.config)) {
@@ -67,7 +67,7 @@ fn with_every_output(name: &str, kind: &str) -> anyhow::Result<Robot> {
     }
 }
 
-/// A simulated board with a host connected to it.
+/// Simulated board with a connected host.
 struct Bench<'b> {
     host: &'b Board<HostClock>,
     board: Rc<dyn VirtualBoard>,
@@ -75,7 +75,7 @@ struct Bench<'b> {
     cable: Rc<CableState>,
 }
 
-/// Powers a board up, connects a host and runs `work`.
+/// Powers up a simulated board, connects a host and runs `work`.
 fn on_board<T>(robot: &Robot, seed: u64, work: impl AsyncFnOnce(&Bench<'_>) -> anyhow::Result<T>) -> anyhow::Result<T> {
     let mut simulation = Simulation::new(Pace::Free);
     let board: Rc<dyn VirtualBoard> = Rc::new(SimBoard::start(&mut simulation, robot, seed)?);
@@ -93,13 +93,13 @@ impl Bench<'_> {
         self.clock.sleep(ms * MS).await;
     }
 
-    /// The channels of a kind that take `mode`, with what they take.
+    /// Channels of a kind that accept `mode`, with their ranges.
     fn taking(&self, kind: ChannelKind, mode: Mode) -> impl Iterator<Item = (ChannelId, Range)> {
         let of_kind = self.host.channels().iter().filter(move |info| info.id.kind == kind);
         of_kind.filter_map(move |info| Some((info.id, info.mode(mode)?.range)))
     }
 
-    /// Sends commands, one behind the other, then waits for the answers.
+    /// Sends all set points without waiting, then awaits the answers.
     async fn set_all(
         &self,
         commands: impl IntoIterator<Item = (ChannelId, Mode, f32)>,

@@ -1,4 +1,4 @@
-//! `r4 bench sim`: how much faster than real time virtual boards run on one core, and what memory they take.
+//! `r4 bench sim`: speed of virtual boards on one core relative to real time, and their memory.
 
 use std::{fs, rc::Rc};
 
@@ -12,45 +12,45 @@ use serde::Serialize;
 
 use crate::{args::Args, emulated, output, session::HostClock, table};
 
-/// A bench of two motors, and a vehicle of four driven wheels.
+/// Robots to measure: a bench of two motors, and a vehicle with four driven wheels.
 const BENCH: &str = "osmc-bench";
 const FOUR_WHEELS: &str = "openscout";
-/// Of a board of four wheels in firmware and physics, on one core.
+/// Least real-time factor of a simulated board with four wheels, firmware and physics, on one core.
 const SIM_FACTOR: f64 = 200.0;
-/// Of an emulated board on one core.
+/// Least real-time factor of an emulated board on one core.
 const EMU_FACTOR: f64 = 5.0;
-/// Of each simulated board, MiB: 2 MB.
+/// Limit of the memory of a simulated board, MiB (2 MB).
 const MEMORY_MIB: f64 = 2e6 / 1024.0 / 1024.0;
-/// How many boards one process runs beside each other.
+/// Numbers of boards in one process.
 const FLEET: [usize; 3] = [1, 10, 100];
-/// Everything takes a new set point so often.
+/// Period of new set points for all outputs, s.
 const COMMAND_S: f64 = 0.1;
-/// All channels are told so often.
+/// Telemetry period of all channels, ms.
 const TELEMETRY_MS: u16 = 10;
-/// From arming until outputs follow.
+/// Time from arming until outputs follow, s.
 const POWER_UP_S: f64 = 0.1;
-/// Time of the processor that a measurement takes at least, s: it is not one of start-up and noise.
+/// Least processor time of a measurement, s, so that start-up and noise do not dominate.
 const LONG_ENOUGH_S: f64 = 2.0;
-/// Virtual time of one round.
+/// Virtual time of one round, s.
 const ROUND_S: f64 = 0.5;
 
 #[derive(Serialize)]
 struct Row {
     what: String,
     robots: usize,
-    /// The control period: each step of firmware and world.
+    /// Control period, s: the step of firmware and world.
     step_s: f64,
-    /// Virtual seconds, of each board, in one second that a core gives to this program.
+    /// Virtual seconds of each board per second of processor time.
     real_time_factor: f64,
-    /// The same, of all boards together.
+    /// Sum of the real-time factors of all boards.
     boards_real_time_factor: f64,
-    /// Of each board, the session of its host included; the program is not in it.
+    /// Memory per board with its host's session, MiB, without the program itself.
     memory_mib: f64,
     limits: Vec<Limit>,
     held: bool,
 }
 
-/// A promise about a row.
+/// Limit of a row.
 #[derive(Serialize)]
 struct Limit {
     what: &'static str,
@@ -94,19 +94,19 @@ fn simulated(seed: u64, name: &str, boards: usize) -> anyhow::Result<Row> {
     if name == FOUR_WHEELS && boards == 1 {
         limits.push(Limit { what: "x real time, at least", limit: SIM_FACTOR, held: factor >= SIM_FACTOR });
     }
-    // A single board's is the noise of the allocator.
+    // The memory of a single board is within the noise of the allocator.
     if boards == FLEET[FLEET.len() - 1] {
         limits.push(Limit { what: "MiB a board, at most", limit: MEMORY_MIB, held: memory_mib <= MEMORY_MIB });
     }
     Ok(row(format!("sim:{name}"), &robot, boards, factor, memory_mib, limits))
 }
 
-/// An emulated board; `None` where there is no image for the robot.
+/// Row of an emulated board; `None` without an image for the robot.
 fn with_image(seed: u64, name: &str) -> anyhow::Result<Option<Row>> {
     let image = match emulated::image(name) {
         Ok(image) => image,
         Err(error) => {
-            eprintln!("r4: emu:{name} is left out: {error:#}");
+            eprintln!("r4: emu:{name} is skipped: {error:#}");
             return Ok(None);
         }
     };
@@ -134,12 +134,12 @@ fn row(what: String, robot: &Robot, boards: usize, factor: f64, memory_mib: f64,
 }
 
 struct Measured {
-    /// Of the simulation with all its boards.
+    /// Real-time factor of the simulation with all its boards.
     factor: f64,
     memory_mib: f64,
 }
 
-/// Runs boards side by side in one simulation, each armed and moved by a host of its own.
+/// Runs boards in one simulation, each armed and moved by a host of its own.
 fn measure(
     boards: usize,
     start: impl Fn(&mut Simulation, usize) -> anyhow::Result<Rc<dyn VirtualBoard>>,
@@ -160,14 +160,14 @@ fn measure(
     let measured = sessions.ok_or_else(|| anyhow!("the simulation came to a standstill"))?;
     let measured = measured.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
     let memory_kib = resident_kib()?.saturating_sub(before_kib);
-    // What is freed would be taken by the next measurement without becoming resident.
+    // Freed memory would be reused by the next measurement without becoming resident again.
     std::mem::forget((simulation, started));
-    // All run at the same pace; the last to end has seen all others at work.
+    // All boards run at the same pace; the last one to end has run beside all others.
     let factor = measured.into_iter().fold(f64::INFINITY, f64::min);
     Ok(Measured { factor, memory_mib: memory_kib as f64 / 1024.0 / boards as f64 })
 }
 
-/// Arms, keeps everything moving, and says how much faster than the wall that went.
+/// Arms, moves all outputs, and returns the real-time factor.
 async fn session(host: &Board<HostClock>) -> anyhow::Result<f64> {
     host.arm().await?;
     for channel in host.channels() {
@@ -185,7 +185,7 @@ async fn session(host: &Board<HostClock>) -> anyhow::Result<f64> {
         let until_s = host.now_s() + ROUND_S;
         while host.now_s() < until_s {
             forth = !forth;
-            // There and back in so short a time, nothing comes to an end stop.
+            // Reversing this often keeps everything away from its end stops.
             for (channel, Range { min, max }) in &moving {
                 let value = min + (max - min) * if forth { 0.6 } else { 0.4 };
                 host.set(*channel, Setpoint { mode: Mode::Duty, value }).await?;
@@ -194,11 +194,11 @@ async fn session(host: &Board<HostClock>) -> anyhow::Result<f64> {
         }
     }
     let (state, causes) = host.safety();
-    anyhow::ensure!(state == SafetyState::Armed, "{state} by {causes} in the middle");
+    anyhow::ensure!(state == SafetyState::Armed, "the board is {state} ({causes}) before the end of the measurement");
     Ok((host.now_s() - begin_s) / (processor_s()? - begin))
 }
 
-/// Time that this thread has had a core to itself, s: what others do on the machine does not count.
+/// Processor time of this thread, s; other processes do not count.
 fn processor_s() -> anyhow::Result<f64> {
     let statistics =
         fs::read_to_string("/proc/thread-self/schedstat").context("processor time is measured on Linux only")?;
@@ -206,7 +206,7 @@ fn processor_s() -> anyhow::Result<f64> {
     Ok(ns.ok_or_else(|| anyhow!("no time in schedstat"))? as f64 * 1e-9)
 }
 
-/// Memory of this process that is in RAM.
+/// Resident memory of this process, KiB.
 fn resident_kib() -> anyhow::Result<u64> {
     let status = fs::read_to_string("/proc/self/status").context("memory is measured on Linux only")?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
@@ -214,14 +214,14 @@ fn resident_kib() -> anyhow::Result<u64> {
 }
 
 fn print(report: &Report) -> anyhow::Result<()> {
-    let header = ["board", "boards", "step", "x real time", "all boards", "MiB a board", "promised", ""];
+    let header = ["board", "boards", "step", "x real time", "all boards", "MiB a board", "limit", ""];
     let mut table = table::new(&header, 1..6);
     for row in &report.rows {
         let limits: Vec<_> = row.limits.iter().map(|limit| format!("{} {:.2}", limit.what, limit.limit)).collect();
         let verdict = match (row.limits.is_empty(), row.held) {
             (true, _) => "",
             (false, true) => "ok",
-            (false, false) => "not held",
+            (false, false) => "not met",
         };
         table.add_row([
             row.what.clone(),
@@ -234,7 +234,7 @@ fn print(report: &Report) -> anyhow::Result<()> {
             verdict.into(),
         ]);
     }
-    output::line("boards armed, all bridges turning round every 100 ms, telemetry at 100 Hz; one thread")?;
+    output::line("boards armed, all bridges reversing every 100 ms, telemetry at 100 Hz; one thread")?;
     Ok(output::line(table)?)
 }
 

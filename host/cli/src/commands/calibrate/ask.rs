@@ -1,4 +1,4 @@
-//! Questions to whoever stands at the robot.
+//! Questions to the person at the robot.
 
 use std::{collections::VecDeque, io, thread};
 
@@ -8,11 +8,11 @@ use r4_rig::{
     calibrate::{NoAnswer, Person},
 };
 
-/// Where answers come from.
+/// Source of the answers.
 pub(super) enum Answers {
-    /// From `--answers`, in the order of the questions.
+    /// Answers of `--answers`, in the order of the questions.
     Given(VecDeque<String>),
-    /// A line of standard input each.
+    /// Lines of standard input, one per answer.
     Typed,
 }
 
@@ -23,18 +23,18 @@ impl Answers {
 }
 
 impl Person for Answers {
-    /// Asks on stderr. Time stands still meanwhile on a simulated board; the session with a real one is kept.
+    /// Asks on stderr. A simulated board's time stands still meanwhile; the session with a real board is kept alive.
     async fn ask(&mut self, session: &Session<'_>, question: &str) -> Result<String, NoAnswer> {
         eprintln!("{question}");
-        let nothing = || NoAnswer { why: format!("nothing was answered to: {question}") };
+        let nothing = || NoAnswer { why: format!("no answer to: {question}") };
         let answer = match self {
-            Self::Given(answers) => {
-                answers.pop_front().ok_or_else(|| NoAnswer { why: format!("--answers has none to: {question}") })?
-            }
+            Self::Given(answers) => answers
+                .pop_front()
+                .ok_or_else(|| NoAnswer { why: format!("--answers has no answer to: {question}") })?,
             Self::Typed if session.virtual_board().is_ok() => line().ok_or_else(nothing)?,
             Self::Typed => {
                 let (sender, receiver) = oneshot::channel();
-                // The heartbeat must go on while a person thinks.
+                // Read in a thread of its own: the heartbeat must continue while a person thinks.
                 thread::spawn(move || sender.send(line()));
                 receiver.await.ok().flatten().ok_or_else(nothing)?
             }
@@ -43,7 +43,7 @@ impl Person for Answers {
     }
 }
 
-/// The next line of standard input; `None` at its end.
+/// Reads a line of standard input; `None` at its end.
 fn line() -> Option<String> {
     let mut line = String::new();
     let read = io::stdin().read_line(&mut line).ok()?;

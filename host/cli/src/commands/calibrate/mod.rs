@@ -1,4 +1,4 @@
-//! `r4 calibrate`: what a board has to be told about the robot it is in, measured.
+//! `r4 calibrate`: measures parameters that depend on the robot around the board.
 
 mod ask;
 
@@ -19,53 +19,53 @@ use ask::Answers;
 pub(crate) struct Calibrate {
     #[command(subcommand)]
     what: What,
-    /// Set what was found and keep it; holds from the next start on
+    /// Set the measured parameters and save them to the board's flash; effective after the next restart
     #[arg(long, global = true)]
     save: bool,
-    /// Answers to the questions in their order, instead of standard input, as in 10.2mm,89.7mm
+    /// Answers to the questions, in their order, instead of standard input; example: 10.2mm,89.7mm
     #[arg(long, global = true, value_delimiter = ',', value_name = "ANSWERS")]
     answers: Vec<String>,
 }
 
 #[derive(Clone, Debug, clap::Subcommand)]
 enum What {
-    /// Counts per turn of a motor's encoder or of an encoder channel
+    /// Measure counts per turn of a motor's encoder or of an encoder channel
     Encoder {
-        /// As in osmc0 or encoder1
+        /// Motor or encoder channel; examples: osmc0, encoder1
         channel: ChannelId,
-        /// Whole turns to make by hand between two looks at the same mark
+        /// Whole turns to make by hand between two sightings of the same mark
         #[arg(long, default_value_t = 1.0)]
         turns: f64,
-        /// Drive so far by what the board believes, and ask how far it really went, as in 720deg
+        /// Drive this far by the board's present calibration, and ask for the true distance; example: 720deg
         #[arg(long, allow_hyphen_values = true, conflicts_with = "turns")]
         drive: Option<Quantity>,
     },
-    /// Both calibration points of a motor's potentiometer
+    /// Measure both calibration points of a motor's potentiometer
     Potentiometer {
-        /// As in actuator1
+        /// Motor with the potentiometer; example: actuator1
         channel: ChannelId,
-        /// Drive to both places instead of having it moved by hand: a tenth from either end of the range
+        /// Drive to both points, a tenth of the range from either end [default: the motor is moved by hand]
         #[arg(long)]
         drive: bool,
     },
-    /// Oscillator of the chip that makes the servos' pulses
+    /// Measure the oscillator of the PWM chip that makes the servos' pulses
     Servo {
-        /// Any servo, as in servo0; it is held at its largest pulse while you measure
+        /// Servo that is held at its longest pulse while you measure it; example: servo0
         channel: ChannelId,
     },
-    /// Radius of wheels, and the track of a robot that steers by them; printed for the robot's file
+    /// Measure the radius of the wheels and the track of a skid-steer robot; prints both for the robot's file
     Wheel {
-        /// Motors of the left wheels, as in dhb0,dhb2; or all there are, for the radius only
+        /// Motors of the left wheels, or of all wheels to measure only the radius; example: dhb0,dhb2
         left: Side,
-        /// Motors of the right wheels, as in dhb1,dhb3
+        /// Motors of the right wheels; example: dhb1,dhb3
         right: Option<Side>,
-        /// How far every wheel turns
+        /// Angle by which every wheel turns
         #[arg(long, default_value = "2turns")]
         turn: Quantity,
     },
 }
 
-/// The motors of one side.
+/// Motors on one side of the robot.
 #[derive(Clone, Debug, PartialEq)]
 struct Side(Vec<ChannelId>);
 
@@ -96,7 +96,7 @@ impl What {
     }
 }
 
-/// A parameter that should be another.
+/// Parameter whose value should change.
 #[derive(Serialize)]
 struct Row {
     key: String,
@@ -115,7 +115,7 @@ struct Report {
 
 pub(crate) fn run(args: &Args, calibrate: &Calibrate) -> anyhow::Result<bool> {
     if calibrate.save {
-        ensure!(!matches!(calibrate.what, What::Wheel { .. }), "a board keeps nothing of its wheels: leave --save out");
+        ensure!(!matches!(calibrate.what, What::Wheel { .. }), "a board stores no wheel parameters: omit --save");
         config::check_keeps(args)?;
     }
     let mut answers = Answers::new(&calibrate.answers);
@@ -136,7 +136,7 @@ pub(crate) fn run(args: &Args, calibrate: &Calibrate) -> anyhow::Result<bool> {
         return Ok(true);
     }
     if !found.changes.is_empty() {
-        let mut shown = table::new(&["parameter", "is", "should be"], 1..3);
+        let mut shown = table::new(&["parameter", "present", "new"], 1..3);
         for Change { parameter, from, to } in &found.changes {
             shown.add_row([parameter.to_string(), from.to_string(), to.to_string()]);
         }
@@ -146,7 +146,7 @@ pub(crate) fn run(args: &Args, calibrate: &Calibrate) -> anyhow::Result<bool> {
     if let Some(toml) = &found.toml {
         output::line(toml.trim_end())?;
     } else {
-        output::line(if saved { "saved: holds from the next start on" } else { "not saved: add --save" })?;
+        output::line(if saved { "saved: effective after the next restart" } else { "not saved: add --save" })?;
     }
     Ok(true)
 }

@@ -1,4 +1,4 @@
-//! Parameters as TOML: a table per channel, and one for the board.
+//! Parameters as TOML: one table per channel, and one for the board.
 
 use std::{collections::BTreeMap, fmt, fmt::Write as _};
 
@@ -7,17 +7,17 @@ use toml::{Spanned, Value};
 
 use super::unit::Units;
 
-/// A value in a file.
+/// One value of a parameter file.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Entry {
-    /// Counts from 1.
+    /// Line of the value, counted from 1.
     pub(super) line: usize,
-    /// As in osmc0.position_kp; whether there is such a parameter is for the board to say.
+    /// Key of the parameter, as in osmc0.position_kp; the board decides whether it exists.
     pub(super) key: String,
     pub(super) value: f32,
 }
 
-/// Why a file does not say what to set.
+/// Error in a parameter file, with its line.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Mistake {
     line: usize,
@@ -25,13 +25,14 @@ pub(super) struct Mistake {
 }
 
 impl fmt::Display for Mistake {
-    /// To be put behind the name of the file.
+    /// Writes line and error, to follow the file's name.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: {}", self.line, self.what)
     }
 }
 
-/// `title` and all of `parameters`, as they are after the next restart.
+/// Returns the text of a parameter file: `title` as a comment, and the values that are effective after the next
+/// restart.
 pub(super) fn write(title: &str, parameters: &[ParameterInfo]) -> String {
     let mut text = format!("# {title}\n");
     let mut table = String::new();
@@ -41,11 +42,12 @@ pub(super) fn write(title: &str, parameters: &[ParameterInfo]) -> String {
         let key = info.key.to_string();
         let Some((scope, name)) = key.split_once('.') else { continue };
         if scope != table {
-            // Writing to a string does not fail.
+            // Writing to a `String` cannot fail.
             let _ = write!(text, "\n[{scope}]\n");
             table = scope.to_owned();
         }
-        // `{:?}` writes what TOML reads as a float, in the fewest digits that mean this number.
+        // `{:?}` writes the shortest float that reads back as the same number, with the decimal point that TOML
+        // requires.
         let _ = write!(text, "{name} = {set:?}");
         let unit = units.unit(info.key);
         let built_in = if set == built_in { String::new() } else { format!("built in: {built_in:?}") };
@@ -58,10 +60,10 @@ pub(super) fn write(title: &str, parameters: &[ParameterInfo]) -> String {
     text
 }
 
-/// What `text` says to set, from top to bottom.
+/// Reads the values of a parameter file in the order of its lines.
 ///
 /// # Errors
-/// The first [`Mistake`].
+/// The first [`Mistake`]: no TOML, not a table of numbers, or a number that is not finite.
 pub(super) fn read(text: &str) -> Result<Vec<Entry>, Mistake> {
     type Table = BTreeMap<Spanned<String>, Spanned<Value>>;
     let line = |offset: usize| 1 + text.bytes().take(offset).filter(|byte| *byte == b'\n').count();
@@ -87,6 +89,7 @@ pub(super) fn read(text: &str) -> Result<Vec<Entry>, Mistake> {
             entries.push(Entry { line, key, value: number });
         }
     }
+    // Tables are read in alphabetical order; users expect that of the file.
     entries.sort_by_key(|entry| entry.line);
     Ok(entries)
 }

@@ -1,4 +1,4 @@
-//! `r4 config`: the parameters that a board keeps.
+//! `r4 config`: the parameters stored on a board.
 
 mod file;
 mod unit;
@@ -22,55 +22,55 @@ use crate::{
 
 #[derive(Clone, Debug, clap::Subcommand)]
 pub(crate) enum Config {
-    /// Every parameter, or those of a channel
+    /// List all parameters, or those of one channel
     Show {
-        /// A channel, or `board` for what belongs to none
+        /// Channel, or `board` for parameters of no channel [default: all]
         scope: Option<Scope>,
     },
-    /// Change a parameter; it holds from the next start on, once saved
+    /// Change a parameter; effective after the next restart, once saved
     Set {
-        /// Which, as in osmc0.position_kp
+        /// Key of the parameter; example: osmc0.position_kp
         #[arg(value_name = "KEY")]
         key: String,
-        /// In the unit of the parameter
+        /// New value, in the unit that `config show` prints
         #[arg(allow_negative_numbers = true)]
         value: f32,
-        /// Save at once
+        /// Save to the board's flash at once
         #[arg(long)]
         save: bool,
     },
-    /// Change the robot's name; it holds from the next start on, once saved
+    /// Change the robot's name; effective after the next restart, once saved
     Name {
-        /// The new name
+        /// New name of the robot
         name: Name,
-        /// Save at once
+        /// Save to the board's flash at once
         #[arg(long)]
         save: bool,
     },
-    /// Keep all changes over a restart
+    /// Save all changes to the board's flash
     Save,
-    /// Go back to what the firmware was built with; holds from the next start on, once saved
+    /// Restore the values built into the firmware; effective after the next restart, once saved
     Reset {
-        /// Save at once
+        /// Save to the board's flash at once
         #[arg(long)]
         save: bool,
     },
     /// Write all parameters to a TOML file
     Export {
-        /// The file; `-` is stdout
+        /// TOML file to write; `-` for stdout
         file: PathBuf,
     },
-    /// Set the parameters in a TOML file and save them: all of them, or none
+    /// Set all parameters of a TOML file and save them; on an error, set none
     Import {
-        /// The file
+        /// TOML file to read, as `export` writes it
         file: PathBuf,
     },
 }
 
-/// What stands for the channel of the parameters that belong to none.
+/// Scope of the parameters that belong to no channel.
 const BOARD: &str = "board";
 
-/// Whose parameters: of a channel, or of the board.
+/// Owner of parameters: a channel, or `None` for the board.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Scope(Option<ChannelId>);
 
@@ -86,7 +86,7 @@ impl FromStr for Scope {
     }
 }
 
-/// A robot's name that a board can keep.
+/// Name of a robot, short enough to be stored on a board.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Name(String);
 
@@ -165,6 +165,7 @@ pub(crate) fn run(args: &Args, config: &Config) -> anyhow::Result<bool> {
         Config::Save | Config::Import { .. } => true,
         Config::Show { .. } | Config::Export { .. } => false,
     };
+    // Refuse before the session: a change on a board without a flash file would be lost silently.
     if saves {
         check_keeps(args)?;
     }
@@ -177,28 +178,28 @@ pub(crate) fn run(args: &Args, config: &Config) -> anyhow::Result<bool> {
                 let parameters = session.board.parameters().await?;
                 Ok(parameters.iter().filter(|info| info.set != info.active).count())
             })?;
-            done(args, &format!("{waiting} changes of this start of the board are"), true)
+            done(args, &format!("{waiting} parameters changed since the board's start,"), true)
         }
         Config::Reset { save } => {
             change(args, *save, async |session| Ok(session.board.reset_parameters().await?))?;
-            done(args, "all parameters are as built in,", *save)
+            done(args, "all parameters have their built-in values,", *save)
         }
         Config::Export { file } => export(args, file),
         Config::Import { file } => import(args, file),
     }
 }
 
-/// A simulated board has a flash of its own only while it runs.
+/// Refuses to save on a simulated board without a flash file, whose flash ends with the command.
 pub(super) fn check_keeps(args: &Args) -> anyhow::Result<()> {
     ensure!(
         args.flash.is_some() || matches!(args.board, Target::Link(_)),
-        "{} keeps nothing from one command to the next: name a file for its flash with --flash FILE or R4_FLASH",
+        "{} loses its parameters when the command ends: name a file for its flash with --flash FILE or R4_FLASH",
         args.board
     );
     Ok(())
 }
 
-/// Does `work`, and saves what came of it.
+/// Runs `work`, then saves the parameters if `save` is set.
 async fn and_save<T>(
     session: &Session<'_>,
     save: bool,
@@ -215,15 +216,15 @@ fn change<T>(args: &Args, save: bool, work: impl AsyncFnOnce(&Session<'_>) -> an
     Ok(session::run(args, Pace::Free, async |session| and_save(session, save, work).await)?.0)
 }
 
-/// When a change holds.
+/// Note on when a change becomes effective.
 fn outlook(saved: bool) -> &'static str {
-    if saved { "saved: holds from the next start on" } else { "not saved: add --save" }
+    if saved { "saved: effective after the next restart" } else { "not saved: add --save" }
 }
 
-/// On a simulated board a change that is not saved ends with the command.
+/// Warns that a simulated board loses an unsaved change when the command ends.
 pub(super) fn warn_unsaved(args: &Args, saved: bool) {
     if !saved && matches!(args.board, Target::Sim(_) | Target::Emu(_)) {
-        eprintln!("r4: a simulated board forgets what is not saved when the command ends: add --save and --flash FILE");
+        eprintln!("r4: a simulated board loses unsaved changes when the command ends: add --save and --flash FILE");
     }
 }
 
@@ -239,6 +240,7 @@ fn done(args: &Args, what: &str, saved: bool) -> anyhow::Result<bool> {
 
 fn show(args: &Args, scope: Option<Scope>) -> anyhow::Result<bool> {
     let (parameters, _) = session::run(args, Pace::Free, async |session| {
+        // An unknown channel is an error; a known one without parameters prints "no parameters".
         if let Some(Scope(Some(channel))) = scope {
             session.board.channel(channel)?;
         }
@@ -258,6 +260,7 @@ fn show(args: &Args, scope: Option<Scope>) -> anyhow::Result<bool> {
     }
     let mut table = table::new(&["parameter", "value", "after restart", "built in", "unit"], 1..4);
     for ParameterInfo { key, active, set, built_in } in &parameters {
+        // Print only values that differ from the active one, so that changes stand out.
         let unless = |value: &f32, same: &f32| if value == same { String::new() } else { shown(*value) };
         table.add_row([
             key.to_string(),
@@ -271,13 +274,13 @@ fn show(args: &Args, scope: Option<Scope>) -> anyhow::Result<bool> {
     let changed = parameters.iter().filter(|info| info.active != info.built_in).count();
     let waiting = parameters.iter().filter(|info| info.set != info.active).count();
     output::line(format_args!(
-        "{} parameters, {changed} not as built in, {waiting} changed at the next restart",
+        "{} parameters, {changed} not at the built-in value, {waiting} to change at the next restart",
         parameters.len()
     ))?;
     Ok(true)
 }
 
-/// The shortest text that means this number.
+/// Formats a value with the fewest digits that identify it.
 fn shown(value: f32) -> String {
     let magnitude = value.abs();
     if magnitude == 0.0 || (1e-4..1e7).contains(&magnitude) { value.to_string() } else { format!("{value:e}") }
@@ -286,6 +289,7 @@ fn shown(value: f32) -> String {
 fn set(args: &Args, key: &str, value: f32, save: bool) -> anyhow::Result<bool> {
     let (info, units) = change(args, save, async |session| {
         let parameters = session.board.parameters().await?;
+        // Look the key up first: the board would only refuse it, without naming the nearest one.
         let known = find(&parameters, key).ok_or_else(|| anyhow!("{}", unknown(&parameters, key)))?;
         session.board.set_parameter(known.key, value).await?;
         Ok((ParameterInfo { set: value, ..*known }, Units::of(&parameters)))
@@ -318,7 +322,7 @@ fn find<'p>(parameters: &'p [ParameterInfo], key: &str) -> Option<&'p ParameterI
     parameters.iter().find(|info| info.key.to_string() == key)
 }
 
-/// What to say of a key that no parameter has.
+/// Error text for an unknown key, with the nearest known one.
 fn unknown(parameters: &[ParameterInfo], key: &str) -> String {
     let keys = parameters.iter().map(|info| info.key.to_string());
     let nearest = keys.min_by_key(|known| strsim::damerau_levenshtein(known, key));
@@ -360,20 +364,22 @@ fn import(args: &Args, path: &std::path::Path) -> anyhow::Result<bool> {
                 changes.push((place, ParameterInfo { set: entry.value, ..*info }, info.set));
             }
         }
+        // Set all parameters before saving, so that the file takes effect completely or not at all.
         let wanted: Vec<_> = changes.iter().map(|(_, info, _)| (info.key, info.set)).collect();
         let (place, error) = match set_all(session.board, &wanted).await {
             Ok(None) => {
-                let unsure = "cannot save; after a restart `r4 config show` prints what holds";
+                let unsure = "cannot save; after a restart `r4 config show` prints the effective values";
                 session.board.save_parameters().await.context(unsure)?;
                 return Ok(changes);
             }
             Ok(Some((index, error))) => (changes[index].0.clone(), error),
             Err(error) => (path.display().to_string(), error),
         };
+        // Roll back to the values before this command.
         let before: Vec<_> = changes.iter().map(|(_, info, before)| (info.key, *before)).collect();
         match set_all(session.board, &before).await {
             Ok(None) => bail!("{place}: {error}; nothing was changed"),
-            _ => bail!("{place}: {error}; what was set before it is not saved: restart the board to be rid of it"),
+            _ => bail!("{place}: {error}; the values set before it are not saved: restart the board to discard them"),
         }
     })?;
     let changed = changed.into_iter().map(|(_, info, from)| Change { key: info.key.to_string(), from, to: info.set });
@@ -389,8 +395,8 @@ fn import(args: &Args, path: &std::path::Path) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// Sets all of `values`, whatever order they need: a range that moves must have its upper end moved first, or its lower.
-/// Gives the first that the board refuses in every order, and why.
+/// Sets all of `values`, retrying refused ones after the others: moving a range may need its upper end changed first,
+/// or its lower. Returns the first value that the board refuses in every order, and the refusal.
 async fn set_all<C: Clock>(board: &Board<C>, values: &[(ParameterKey, f32)]) -> Result<Option<(usize, Error)>, Error> {
     let mut left: Vec<usize> = (0..values.len()).collect();
     loop {
@@ -407,6 +413,7 @@ async fn set_all<C: Clock>(board: &Board<C>, values: &[(ParameterKey, f32)]) -> 
                 Err(error) => return Err(error),
             }
         }
+        // A pass without progress means that no order helps.
         if still.is_empty() || still.len() == before {
             return Ok(refused);
         }

@@ -1,21 +1,21 @@
-//! Units of parameters, for people.
+//! Units of parameters, as text.
 
 use r4_protocol::{ChannelId, ChannelKind, Parameter, ParameterInfo, ParameterKey};
 
-/// The units of a board's parameters.
+/// Units of a board's parameters.
 pub(crate) struct Units {
-    /// Channels that move in metres.
+    /// Channels whose positions are in metres.
     linear: Vec<ChannelId>,
 }
 
 impl Units {
-    /// From all parameters of each channel whose units are wanted: what has a potentiometer moves in metres.
+    /// Determines the units from all parameters of the channels concerned: a channel with a potentiometer is linear.
     pub(crate) fn of(parameters: &[ParameterInfo]) -> Self {
         let with_potentiometer = parameters.iter().filter(|info| info.key.parameter == Parameter::PotLowCode);
         Self { linear: with_potentiometer.filter_map(|info| info.key.channel).collect() }
     }
 
-    /// The unit of `key`'s number; nothing for a count.
+    /// Unit of the parameter `key`; empty for a count.
     pub(crate) fn unit(&self, key: ParameterKey) -> String {
         let is_linear =
             key.channel.is_some_and(|channel| channel.kind == ChannelKind::Actuator || self.linear.contains(&channel));
@@ -24,7 +24,7 @@ impl Units {
     }
 }
 
-/// The unit of `key`'s number, if its channel turns.
+/// Unit of the parameter `key` on a rotary channel.
 fn rotary(key: ParameterKey) -> &'static str {
     match key.parameter {
         Parameter::LinkTimeoutMs

@@ -1,4 +1,4 @@
-//! `r4 demo`: what a virtual robot does, looked at without knowing anything about it.
+//! `r4 demo`: a first demonstration on a virtual robot, without any set-up.
 
 mod osmc;
 mod square;
@@ -15,10 +15,11 @@ use crate::{
     session::Target,
 };
 
-/// The world of the robots that drive, where none is named.
+/// World of the driving robots where `--world` names none.
 const WORLD: &str = "square";
 
-/// Runs the demo of the robot: round a room for one that drives on a body, the set points of the OSMC evaluation for all others.
+/// Runs the demo of the robot: a drive round a room for a skid-steer robot with a body, the set points of the OSMC
+/// evaluation for all others.
 pub(crate) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
     let mut args = Cow::Borrowed(args);
     if let Some(robot) = &demo.robot {
@@ -48,7 +49,8 @@ fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Of the log as a table, which is the same for the same board and seed. `r4 log export LOG --csv - | sha256sum` prints it.
+/// SHA-256 of the log as a CSV table, the same for the same board and seed: `r4 log export LOG --csv - | sha256sum`
+/// prints it too.
 fn table_sha256(log: &Log) -> anyhow::Result<String> {
     let mut table = Vec::new();
     log.write_csv(&mut table)?;

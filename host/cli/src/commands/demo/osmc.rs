@@ -1,4 +1,4 @@
-//! The set points of the OSMC evaluation, on one board, with the paper's results beside ours.
+//! The set points of the OSMC evaluation on one board, beside the results of the paper.
 
 use std::path::PathBuf;
 
@@ -19,7 +19,7 @@ use crate::{
 };
 use r4_rig::quantity::human;
 
-/// Set points and results printed in the paper, in degrees and millimetres.
+/// Set points and printed results of the rotary motor, °, and of the linear one, mm, each with its channel.
 ///
 /// Alabi, Camara, Fox, "Evaluation of OSMC open source motor driver for reproducible robotics research", TAROS 2023,
 /// Tables 1 and 2.
@@ -27,31 +27,31 @@ const ROTARY: ([(f64, f64); 4], ChannelId) =
     ([(90.0, 91.0), (180.0, 182.0), (270.0, 272.0), (360.0, 363.0)], ChannelId::new(ChannelKind::Osmc, 0));
 const LINEAR: ([(f64, f64); 5], ChannelId) =
     ([(10.0, 7.0), (25.0, 23.0), (40.0, 39.0), (70.0, 68.0), (85.0, 83.0)], ChannelId::new(ChannelKind::Actuator, 1));
-/// What "settled" promises, in degrees and millimetres.
+/// Limits of the final error for a passed set point, ° and mm.
 const WITHIN_DEG: f64 = 1.0;
 const WITHIN_MM: f64 = 0.2;
-/// A set point that is not reached by then is not reached, s.
+/// Time limit of each set point, s.
 const TIMEOUT_S: f64 = 30.0;
-/// Each set point is held this long before it is read off, as a person with a ruler would, s.
+/// Hold time before a set point is read off, s, as for a person with a ruler.
 const HOLD_S: f64 = 0.5;
-/// How often channels are logged, ms.
+/// Telemetry period of the logged channels, ms.
 const LOG_EVERY_MS: u16 = 10;
 
-/// One set point: what was asked, what the paper got, what we got.
+/// Result of one set point: commanded, paper, and ours.
 #[derive(Clone, Debug, Serialize)]
 struct Row {
     channel: String,
     set: f64,
     unit: &'static str,
-    /// Measured in the paper.
+    /// Result in the paper.
     paper: f64,
-    /// Where the output really rests: the simulated shaft itself, as the paper's ruler and protractor saw theirs.
+    /// True rest position of the simulated output, which corresponds to the paper's ruler and protractor.
     ours: f64,
     error_paper: f64,
     error_ours: f64,
-    /// From the command until the board reports rest at the set point.
+    /// Time from the command until the board reports rest at the set point, s; `None` if it did not settle.
     settling_s: Option<f64>,
-    /// What the board's own sensor says.
+    /// Final position by the board's own sensor; `None` if the board stopped.
     measured: Option<f64>,
     within: f64,
     met: bool,
@@ -104,7 +104,7 @@ pub(super) fn run(args: &Args, demo: &Demo) -> anyhow::Result<bool> {
     Ok(met)
 }
 
-/// Drives all set points and returns a row for each that was tried.
+/// Drives all set points; returns a row for each one tried.
 async fn drive(session: &Session<'_>, progress: &ProgressBar) -> anyhow::Result<Vec<Row>> {
     let board = session.board;
     for channel in [ROTARY.1, LINEAR.1] {
@@ -113,7 +113,7 @@ async fn drive(session: &Session<'_>, progress: &ProgressBar) -> anyhow::Result<
     for channel in board.channels() {
         board.subscribe(channel.id, LOG_EVERY_MS).await?;
     }
-    // An encoder's zero is where power came on, wherever the shaft stood; a potentiometer's is its calibration.
+    // The encoder's zero is the shaft's position at power-on; the potentiometer's is its calibration.
     let zero = session.true_position(ROTARY.1).unwrap_or(0.0);
     session
         .armed(async || {
@@ -136,11 +136,11 @@ async fn drive(session: &Session<'_>, progress: &ProgressBar) -> anyhow::Result<
         .await
 }
 
-/// What to drive to, and what to compare with.
+/// One set point with its reference.
 #[derive(Clone, Copy)]
 struct SetPoint {
     channel: ChannelId,
-    /// Degrees or millimetres, both.
+    /// Set point and the paper's result, ° or mm.
     set: f64,
     paper: f64,
     /// True position of the board's zero, rad or m.
@@ -158,7 +158,7 @@ async fn set_point(
     let target = set / per_si;
     let (settling_s, measured, stopped) = match board.move_to(channel, target, TIMEOUT_S).await {
         Ok(reached) => (Some(reached.after_s), Some(reached.position), None),
-        // A row that says so, and the other set points are still tried.
+        // A set point that does not settle gets a row; the remaining set points follow.
         Err(r4_driver::Error::NotSettled { position, .. }) => (None, Some(position), None),
         Err(error @ r4_driver::Error::Stopped { .. }) => (None, None, Some(error)),
         Err(error) => return Err(error.into()),
@@ -166,6 +166,7 @@ async fn set_point(
     board.sleep_s(HOLD_S).await;
     let measured = measured.map(|position| position * per_si);
     let ours =
+        // Only simulated boards have a true position.
         session.true_position(channel).map(|position| (position - zero) * per_si).or(measured).unwrap_or(f64::NAN);
     let error_ours = ours - set;
     let row = Row {
@@ -212,7 +213,7 @@ fn print(report: &Report, elapsed: Elapsed) -> anyhow::Result<()> {
     Ok(output::line(format_args!("report {}", report.report.display()))?)
 }
 
-/// The same table for the page.
+/// Table of the report page, with the columns of the printed one.
 fn page_table(rows: &[Row], board: &str) -> report::Table {
     let column =
         |title: &str, unit: Option<&str>, align| Column { title: title.into(), unit: unit.map(Into::into), align };
@@ -221,8 +222,8 @@ fn page_table(rows: &[Row], board: &str) -> report::Table {
         caption: "Set points".into(),
         note: Some(format!(
             "Paper: Alabi, Camara, Fox, \u{201c}Evaluation of OSMC open source motor driver for reproducible robotics \
-             research\u{201d}, TAROS 2023, Tables 1 and 2, real motors. Ours: {board}, simulated motors; where the simulated \
-             output really rests. Promised: within {WITHIN_DEG} deg and {WITHIN_MM} mm."
+             research\u{201d}, TAROS 2023, Tables 1 and 2, real motors. Ours: {board}, simulated motors, true rest position of the \
+             simulated output. Limits of the error: {WITHIN_DEG} deg and {WITHIN_MM} mm."
         )),
         columns: vec![
             column("Channel", None, Align::Left),

@@ -1,7 +1,7 @@
-//! The demo of a robot that drives: [`r4_rig::round`] in a room with people, with a report.
+//! Demo of a driving robot: [`r4_rig::round`] in a room with people, with a report.
 //!
-//! The robot uses only what the board measures: wheel positions and ranges. Its true pose comes from the simulation and goes into
-//! the report only.
+//! The robot uses only measurements of the board: wheel positions and ranges. Its true pose comes from the simulation
+//! and is used in the report only.
 
 use std::path::PathBuf;
 
@@ -179,7 +179,7 @@ impl Run {
             let places = [[truth.x_m, truth.y_m], [known.place.x_m, known.place.y_m]];
             self.map.ways_m.iter_mut().zip(places).for_each(|((_, way), place)| way.push(place));
         }
-        // Of the wheels' middles, along the robot.
+        // Mean lateral distance of the wheels from the centre line.
         let half_m = body.wheels().iter().map(|wheel| wheel.place_m[1].abs()).sum::<f64>() / body.wheels().len() as f64;
         let ground_m_s = [half_m, -half_m].map(|left_m| twist.at([0.0, left_m])[0]);
         self.samples.push(Sample { known, truth, ground_m_s, person_m });
@@ -187,7 +187,7 @@ impl Run {
     }
 }
 
-/// The world as it is drawn, without the robot.
+/// Map of the world without the robot.
 fn scene(session: &Session<'_>) -> anyhow::Result<Map> {
     let board = session.virtual_board()?;
     let world = board.world();
@@ -216,6 +216,7 @@ fn rows(run: &Run) -> Vec<Row> {
     let stood_s: f64 = run
         .samples
         .windows(2)
+        // A set point of 0: waiting for a person, or after a trip.
         .filter(|pair| pair[0].known.velocity == Velocity::default())
         .map(|pair| pair[1].known.time_s - pair[0].known.time_s)
         .sum();
@@ -318,12 +319,13 @@ fn page_table(rows: &[Row]) -> report::Table {
     }
 }
 
-/// Ranges, speeds and slip over time.
+/// Plots over time: free distance, speed, slip and odometry error.
 fn overlays(run: &Run, robot: &SkidSteer) -> Vec<Overlay> {
     let line = |name: &str, value: &dyn Fn(&Sample) -> f64| {
         let points = run.samples.iter().map(|sample| (sample.known.time_s, value(sample)));
         (name.to_owned(), points.filter(|(_, value)| value.is_finite()).collect::<Vec<_>>())
     };
+    // Slip is the rim's speed minus the ground speed beside the wheels, over one telemetry period.
     let slip = |name: &str, side: usize| {
         let points = run.samples.windows(2).map(|pair| {
             let (from, to) = (&pair[0], &pair[1]);

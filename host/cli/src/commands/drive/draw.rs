@@ -1,4 +1,4 @@
-//! The screen of `r4 drive`: a function of the state and the size, and of nothing else.
+//! Screen of `r4 drive`: a pure function of the state and the size.
 
 use r4_boards::SteeringLaw;
 use r4_protocol::{Causes, ChannelId, SafetyState, Unit};
@@ -14,52 +14,52 @@ use super::hands::Hand;
 use crate::screen::state::{QUIET, WRONG, badge, wrapped};
 use r4_rig::quantity::{Quantity, human};
 
-/// All that is drawn.
+/// State that the screen shows.
 pub(super) struct State {
     pub(super) board: String,
     pub(super) robot: String,
     pub(super) safety: SafetyState,
     pub(super) causes: Causes,
-    /// What the hands ask for.
+    /// Input of the keys or the gamepad.
     pub(super) hand: Hand,
-    /// Of set points and of `most`.
+    /// Unit of `most` and of the wheels' set points.
     pub(super) unit: Unit,
-    /// The highest set point.
+    /// Highest set point, in `unit`.
     pub(super) most: f64,
     pub(super) wheels: Vec<Wheel>,
-    /// `None` where the difference of the sides steers.
+    /// Steered front wheels; `None` for skid steering.
     pub(super) steering: Option<Steered>,
-    /// How long the board has been silent, s, where that is too long.
+    /// Time without telemetry, s; `None` within the limit.
     pub(super) silent_s: Option<f64>,
-    /// Something that did not go well.
+    /// Error of the last request; empty for none.
     pub(super) message: String,
 }
 
-/// Front wheels.
+/// Steered front wheels, their set point and angle.
 pub(super) struct Steered {
     pub(super) channel: ChannelId,
     pub(super) law: SteeringLaw,
-    /// Of the motor's position, m.
+    /// Resolution of the steering motor's position, m per count.
     pub(super) resolution: f64,
-    /// `None` where they are to stay as they are.
+    /// Set point of the angle, rad; `None` while the wheels hold their angle.
     pub(super) told_rad: Option<f64>,
-    /// `None` before the board tells.
+    /// Measured angle, rad; `None` before the first telemetry.
     pub(super) at_rad: Option<f64>,
 }
 
-/// One motor.
+/// One motor of the table.
 pub(super) struct Wheel {
-    /// What it does, in a word.
+    /// Role of the motor: `left`, `right`, `drive` or `steer`.
     pub(super) side: &'static str,
     pub(super) channel: ChannelId,
-    /// Set point.
+    /// Set point that was sent last.
     pub(super) told: Quantity,
-    /// In `speed_unit`, as the board tells it; `None` before it does and where nothing measures it.
+    /// Measured speed in `speed_unit`; `None` before the first telemetry and without a sensor.
     pub(super) speed: Option<f64>,
     pub(super) speed_unit: Unit,
-    /// Share of the supply.
+    /// Duty as a share of the supply, -1 to 1.
     pub(super) duty: Option<f64>,
-    /// Share of what its winding withstands, %, while the board warns of it.
+    /// Winding heat, % of its limit, while the board warns of it.
     pub(super) hot_percent: Option<u8>,
 }
 
@@ -67,7 +67,7 @@ const HELP: [&str; 2] = [
     "W/S \u{2191}\u{2193} speed  A/D \u{2190}\u{2192} turn  x centre  hold SPACE to move, let go to stop",
     "Enter arm  Backspace disarm  c clear  Esc STOP (trips)  q quit (disarms)",
 ];
-/// Half the width of a bar.
+/// Half the width of a bar, cells.
 const HALF: usize = 20;
 
 pub(super) fn draw(frame: &mut Frame<'_>, state: &State) {
@@ -98,7 +98,7 @@ pub(super) fn draw(frame: &mut Frame<'_>, state: &State) {
         "".into(),
         Line::from(vec!["dead-man key   ".into(), dead_man]),
         axis("speed", state.hand.forwards, ["backwards", "forwards"]),
-        // Left is left: what turns to the left is drawn to the left.
+        // A positive turn is to the left, and is drawn to the left.
         axis("turn", -state.hand.turn, ["left", "right"]),
         state.steering.as_ref().map_or_else(Line::default, front_wheels),
         Line::styled(
@@ -115,7 +115,7 @@ pub(super) fn draw(frame: &mut Frame<'_>, state: &State) {
     frame.render_widget(Paragraph::new(below), foot);
 }
 
-/// A share from -1 to 1 as a bar, and in words.
+/// Line of an axis: the share from -1 to 1 as a bar and as text.
 fn axis(name: &str, share: f64, [negative, positive]: [&str; 2]) -> Line<'static> {
     let percent = format!("{:.0}", share.abs() * 100.0);
     let direction = if share < 0.0 { negative } else { positive };
@@ -123,10 +123,11 @@ fn axis(name: &str, share: f64, [negative, positive]: [&str; 2]) -> Line<'static
     Line::raw(format!("{name:<15}{} {words}", bar(share)))
 }
 
-/// Which way the front wheels point.
+/// Line of the front wheels: angle and set point.
 fn front_wheels(steered: &Steered) -> Line<'static> {
     let angle = |rad: f64| {
         let degrees = Quantity::new(rad.abs(), Unit::Rad).number();
+        // Judge the rounded text: "0.00 deg left" would be wrong.
         let is_straight = !degrees.contains(|digit: char| ('1'..='9').contains(&digit));
         let side = if rad < 0.0 { " right" } else { " left" };
         format!("{degrees} deg{}", if is_straight { "" } else { side })
@@ -149,7 +150,7 @@ fn wheel_line(wheel: &Wheel) -> Line<'static> {
     Line::from_iter([row].into_iter().chain(hot))
 }
 
-/// A bar from the middle, to the right for positive shares.
+/// Bar from the middle: positive shares to the right.
 fn bar(share: f64) -> String {
     let cells = (share.clamp(-1.0, 1.0) * HALF as f64).round() as isize;
     let left = cells.min(0).unsigned_abs();

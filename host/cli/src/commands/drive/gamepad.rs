@@ -1,4 +1,4 @@
-//! Gamepads, in programs that are built with them.
+//! Gamepads, with the feature `gamepad`.
 
 use super::hands::Hand;
 
@@ -14,10 +14,10 @@ mod with {
 
     use super::Hand;
 
-    /// A gamepad: its left stick, and the right shoulder button as dead-man key.
+    /// Gamepad: its left stick drives, its right shoulder button is the dead-man switch.
     pub(in super::super) struct Gamepad {
         gilrs: Gilrs,
-        /// Whose button was held last.
+        /// Gamepad whose button was held last.
         id: Option<GamepadId>,
     }
 
@@ -25,13 +25,14 @@ mod with {
         pub(in super::super) fn open() -> anyhow::Result<Self> {
             let gilrs = Gilrs::new().map_err(|error| anyhow!("no gamepad can be read: {error}"))?;
             if gilrs.gamepads().next().is_none() {
-                return Err(anyhow!("there is no gamepad: connect one, and see that you may read /dev/input"));
+                return Err(anyhow!("no gamepad was found: connect one, and check that you may read /dev/input"));
             }
             Ok(Self { gilrs, id: None })
         }
 
-        /// What it shows now. One that is gone shows nothing, and its button is released.
+        /// Present input. A disconnected gamepad counts as released.
         pub(in super::super) fn hand(&mut self) -> Hand {
+            // gilrs updates its state only as events are read.
             while self.gilrs.next_event().is_some() {}
             let mut held =
                 self.gilrs.gamepads().filter(|(_, pad)| pad.is_connected() && pad.is_pressed(Button::RightTrigger));
@@ -40,7 +41,7 @@ mod with {
             let Some(pad) = self.id.and_then(|id| self.gilrs.connected_gamepad(id)) else { return Hand::default() };
             Hand {
                 forwards: f64::from(pad.value(Axis::LeftStickY)),
-                // Its right is positive.
+                // gilrs counts right as positive; a positive turn is to the left.
                 turn: -f64::from(pad.value(Axis::LeftStickX)),
                 is_held: held.is_some(),
             }
@@ -54,14 +55,14 @@ mod without {
 
     use super::Hand;
 
-    /// There is none.
+    /// Type without values, for programs built without gamepads.
     pub(in super::super) enum Gamepad {}
 
     impl Gamepad {
         pub(in super::super) fn open() -> anyhow::Result<Self> {
             bail!(
                 "this program was built without gamepads: build it with `--features gamepad` (it needs pkg-config and \
-                 libudev), or leave --gamepad out and drive by keys"
+                 libudev), or omit --gamepad and drive by keys"
             )
         }
 

@@ -1,26 +1,26 @@
-//! What hands on keys mean: pure, with the time given.
+//! Meaning of key presses over time: pure functions, with the time as an argument.
 
-/// A key that is held repeats itself: sooner than this after the last time, s.
+/// Longest time between two repeats of a held key, s.
 ///
-/// Terminals tell when a key is pressed and when it repeats, never when it is let go.
+/// Terminals report presses and repeats of a key, never its release.
 pub(super) const HELD_S: f64 = 0.3;
-/// The first repeat takes longer, s: 0.66 at most with the defaults of X11 (xset r rate), less elsewhere.
+/// Longest time until the first repeat, s: 0.66 with the defaults of X11 (xset r rate), less elsewhere.
 pub(super) const FIRST_REPEAT_S: f64 = 0.7;
 
-/// What a hand asks for. Forwards and left are positive.
+/// Input of a driver. Positive is forwards and to the left.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Hand {
     /// Share of the highest speed, -1 to 1.
     pub(super) forwards: f64,
-    /// Share of the highest turn, -1 to 1.
+    /// Share of the highest turn rate, -1 to 1.
     pub(super) turn: f64,
-    /// Whether the dead-man key is held: otherwise nothing moves.
+    /// True while the dead-man key is held; otherwise nothing moves.
     pub(super) is_held: bool,
 }
 
-/// Whether a key is held, by its repeats.
+/// Dead-man key, held as long as it repeats.
 ///
-/// Pressed once it is not: whoever lets go at once must not have moved anything.
+/// A single press is not holding: a tap must move nothing.
 #[derive(Debug, Default)]
 pub(super) struct DeadMan {
     last_s: Option<f64>,
@@ -28,21 +28,21 @@ pub(super) struct DeadMan {
 }
 
 impl DeadMan {
-    /// The dead-man key was pressed, or repeated.
+    /// Registers a press or a repeat of the dead-man key.
     pub(super) fn pressed(&mut self, now_s: f64) {
         let longest_s = if self.repeats { HELD_S } else { FIRST_REPEAT_S };
         self.repeats = self.last_s.is_some_and(|last_s| (0.0..=longest_s).contains(&(now_s - last_s)));
         self.last_s = Some(now_s);
     }
 
-    /// Another key was: a hand is still there, but it does not begin anything.
+    /// Registers another key: it extends a hold but does not begin one.
     pub(super) fn other(&mut self, now_s: f64) {
         if self.is_held(now_s) {
             self.last_s = Some(now_s);
         }
     }
 
-    /// Let go, as far as anybody can tell.
+    /// Releases the key, as after arming or a stop.
     pub(super) fn release(&mut self) {
         *self = Self::default();
     }
@@ -52,12 +52,12 @@ impl DeadMan {
     }
 }
 
-/// Where the keys have put an imagined stick, in steps.
+/// Virtual stick, moved by keys in steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Stick {
     pub(super) forwards: i8,
     pub(super) turn: i8,
-    /// Steps to either end.
+    /// Steps from the middle to either end.
     pub(super) steps: i8,
 }
 
@@ -81,10 +81,10 @@ impl Stick {
     }
 }
 
-/// Shares of the highest speed for the left and the right wheels, -1 to 1.
+/// Mixes the input to shares of the highest speed for the left and the right wheels, -1 to 1.
 ///
-/// `turn_share` is what a full turn on the spot takes of it. Where both together would be more than there is, both sides
-/// become slower by the same factor: the curve stays.
+/// `turn_share` is the share that a full turn on the spot uses. Where speed and turn together exceed 1, both sides are
+/// scaled by the same factor, which keeps the curve.
 pub(super) fn mix(hand: Hand, turn_share: f64) -> [f64; 2] {
     if !hand.is_held || !hand.forwards.is_finite() || !hand.turn.is_finite() {
         return [0.0; 2];
@@ -95,9 +95,9 @@ pub(super) fn mix(hand: Hand, turn_share: f64) -> [f64; 2] {
     sides.map(|side| side / most)
 }
 
-/// The angle of steered wheels between `limits`, rad, positive to the left; `None` where they are to stay as they are.
+/// Angle of steered wheels within `limits`, rad, positive to the left; `None` to keep the present angle.
 ///
-/// A stick in the middle is straight ahead, wherever that is between the limits.
+/// The stick's middle is straight ahead, wherever that lies between the limits.
 pub(super) fn steered(hand: Hand, limits: [f64; 2]) -> Option<f64> {
     if !hand.is_held || !hand.turn.is_finite() {
         return None;
@@ -121,7 +121,7 @@ mod tests {
         }
         assert_eq!(steered(held(0.0, f64::NAN), limits), None);
         assert_eq!(steered(Hand { is_held: false, ..held(1.0, 1.0) }, limits), None);
-        // Where straight ahead is out of reach, what is nearest.
+        // Where straight ahead is out of reach, the nearest angle.
         assert_eq!(steered(held(1.0, 0.0), [0.1, 0.4]), Some(0.1));
     }
 
@@ -134,14 +134,14 @@ mod tests {
         for (forwards, turn, expected) in [
             (1.0, 0.0, [1.0, 1.0]),
             (-0.5, 0.0, [-0.5, -0.5]),
-            // Left: the right wheels go forwards.
+            // A left turn drives the right wheels forwards.
             (0.0, 1.0, [-0.5, 0.5]),
             (0.0, -1.0, [0.5, -0.5]),
             (0.5, 1.0, [0.0, 1.0]),
-            // 0.5 and 1.5, made a third slower.
+            // The sum would be 0.5 and 1.5: scaled by 2/3.
             (1.0, 1.0, [1.0 / 3.0, 1.0]),
             (-1.0, 1.0, [-1.0, -1.0 / 3.0]),
-            // A stick beyond its end, or broken.
+            // A stick beyond its end, and one that returns NaN.
             (7.0, 0.0, [1.0, 1.0]),
             (f64::NAN, 0.0, [0.0, 0.0]),
         ] {
@@ -161,7 +161,7 @@ mod tests {
             for turn_share in [0.0, 0.45, 1.0] {
                 let [left, right] = mix(held(forwards, turn), turn_share);
                 assert!(left.abs() <= 1.0 && right.abs() <= 1.0, "{forwards} {turn}: {left} {right}");
-                // The direction of the turn is what was asked for.
+                // The turn keeps its direction.
                 assert!((right - left) * turn >= 0.0, "{forwards} {turn}: {left} {right}");
             }
         }
@@ -183,7 +183,7 @@ mod tests {
         let last_s = 1.66 + 30.0 * 0.033;
         assert!(key.is_held(last_s + 0.29));
         assert!(!key.is_held(last_s + 0.301));
-        // Pressed anew, it must repeat anew.
+        // After a release the key must repeat again.
         key.pressed(last_s + 0.5);
         assert!(!key.is_held(last_s + 0.5));
         key.pressed(last_s + 0.9);

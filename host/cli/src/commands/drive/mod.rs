@@ -1,4 +1,4 @@
-//! `r4 drive`
+//! `r4 drive`: drives a robot by keys or a gamepad, with a dead-man key.
 
 mod draw;
 mod gamepad;
@@ -29,21 +29,21 @@ use draw::{State, Wheel, draw};
 use gamepad::Gamepad;
 use hands::{DeadMan, Hand, Stick, mix, steered};
 
-/// Wheels turn only while the space key is held, by its repeats; 0.3 s after the last one they are told to stand still. Tap
-/// the other keys to choose speed and turn, then hold space. `docs/program.md` has the details.
+/// Wheels turn only while the space key is held: 0.3 s after its last repeat they get set points of zero. Choose speed
+/// and turn by tapping the other keys, then hold space. `docs/program.md` has the details.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Drive {
-    /// Motors of the left wheels, as in dhb0,dhb2 [default: those of the robot, where its file is known]
+    /// Motors of the left wheels; example: dhb0,dhb2 [default: those of the robot's file]
     #[arg(long, value_delimiter = ',', value_name = "CHANNEL,..", requires = "right")]
     pub(crate) left: Vec<ChannelId>,
-    /// Motors of the right wheels
+    /// Motors of the right wheels; example: dhb1,dhb3
     #[arg(long, value_delimiter = ',', value_name = "CHANNEL,..", requires = "left")]
     pub(crate) right: Vec<ChannelId>,
-    /// Highest speed of the wheels, as in 60rpm, or 30% of the supply without control of the speed [default: the
-    /// robot's, or half of what its motors take]
+    /// Highest speed of the wheels, or highest duty without speed control; examples: 60rpm, 30% [default: the robot's,
+    /// or half of the motors' limit]
     #[arg(long, allow_hyphen_values = true)]
     pub(crate) speed: Option<Quantity>,
-    /// Taps of a key from standing still to the highest speed
+    /// Taps of a key from standstill to the highest speed
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(i8).range(1..=50))]
     pub(crate) steps: i8,
     /// Drive by the left stick of a gamepad too, while its right shoulder button is held
@@ -51,32 +51,32 @@ pub(crate) struct Drive {
     pub(crate) gamepad: bool,
 }
 
-/// Set points are sent so often, s.
+/// Period of set points, s.
 const SEND_EVERY_S: f64 = 0.02;
-/// How often is drawn.
+/// Period of the screen.
 const DRAW_EVERY: Duration = Duration::from_millis(50);
-/// How often wheels are looked at, ms.
+/// Telemetry period of the wheels, ms.
 const LOOK_EVERY_MS: u16 = 50;
-/// A board that says nothing for so long is told to be silent, s: two link timeouts of 200 ms.
+/// Time without telemetry after which the board counts as silent, s: two link time-outs of 200 ms.
 const SILENT_S: f64 = 0.4;
-/// Unanswered set points for each wheel, above which only those that are new are sent: 0.2 s of them.
+/// Unanswered set points per wheel above which only changed ones are sent: 0.2 s of them.
 const MOST_WAITING: usize = 10;
-/// Share of the supply where nothing else is known: enough to move, slow enough to walk beside.
+/// Highest duty where nothing else is known: enough to move, slow enough to walk beside.
 const CAREFUL_DUTY: f64 = 0.3;
-/// What a full turn on the spot takes of the highest speed where nothing else is known.
+/// Share of the highest speed that a full turn on the spot uses, where the robot's geometry is unknown.
 const TURN_SHARE: f64 = 0.5;
 
-/// What is driven, and how fast.
+/// Motors to drive, and their limits.
 struct Pair {
-    /// Where the front wheels steer: what drives.
+    /// Motors of the left wheels; with steered front wheels, the driving motor.
     left: Vec<ChannelId>,
-    /// Nothing then.
+    /// Motors of the right wheels; empty with steered front wheels.
     right: Vec<ChannelId>,
     mode: Mode,
-    /// The highest set point.
+    /// Highest set point, in the unit of `mode`.
     most: Quantity,
     turn_share: f64,
-    /// `None` where the difference of the sides steers.
+    /// Steered front wheels; `None` for skid steering.
     steering: Option<Steering>,
 }
 
@@ -85,7 +85,7 @@ struct Pair {
 struct Steering {
     channel: ChannelId,
     law: SteeringLaw,
-    /// Angles, rad.
+    /// Range of the steering angle, rad; positive to the left.
     limits: Interval,
 }
 
@@ -120,7 +120,7 @@ pub(crate) fn run(args: &Args, drive: &Drive) -> anyhow::Result<bool> {
             Either::Left((result, _)) => result,
             Either::Right((error, _)) => return Err(error.into()),
         };
-        // Whatever became of the steering.
+        // Disarm however the steering ended.
         let disarmed = session.board.disarm().await;
         steered?;
         Ok(disarmed?)
@@ -139,10 +139,11 @@ impl Pair {
             },
             (Some(Geometry::Ackermann(robot)), true) => Self::steered(robot),
             (None, true) => bail!(
-                "which motors are left and which are right is not known of this robot: name them, as in --left dhb0,dhb2 \
+                "the left and right motors of this robot are unknown: name them, as in --left dhb0,dhb2 \
                  --right dhb1,dhb3"
             ),
         };
+        // A wheel on both sides would get two set points in every period.
         if let Some(twice) =
             pair.wheels().enumerate().find(|(at, id)| pair.wheels().take(*at).any(|before| before == *id))
         {
@@ -165,7 +166,7 @@ impl Pair {
             bail!("the highest speed must be above 0, not {}", pair.most);
         }
         for channel in pair.wheels() {
-            // Forwards and backwards.
+            // Check both directions.
             session.setpoint(channel, pair.mode, pair.most)?;
             session.setpoint(channel, pair.mode, Quantity { value: -pair.most.value, ..pair.most })?;
         }
@@ -177,17 +178,18 @@ impl Pair {
         Ok(pair)
     }
 
-    /// A robot with steered front wheels.
+    /// Motors of a robot with steered front wheels.
     fn steered(robot: &Ackermann) -> Self {
         let steering = Steering { channel: robot.steering, law: robot.steering_law, limits: robot.steering_rad };
         let mut pair = Self { steering: Some(steering), ..Self::of(vec![robot.drive], Vec::new()) };
         if let Some(full_m_s) = robot.full_speed_m_s {
+            // The drive has no speed control: limit its duty to that of the highest speed.
             pair.most = Quantity::new((robot.speed_max_m_s / full_m_s).min(1.0), Unit::Duty);
         }
         pair
     }
 
-    /// What the hands mean for each channel.
+    /// Set points of all channels for the input `hand`.
     fn orders(&self, hand: Hand) -> Vec<(ChannelId, Setpoint)> {
         let [left, right] = match self.steering {
             Some(_) => [mix(Hand { turn: 0.0, ..hand }, 0.0)[0]; 2],
@@ -198,7 +200,7 @@ impl Pair {
         };
         let mut orders: Vec<_> = self.left.iter().map(order(left)).chain(self.right.iter().map(order(right))).collect();
         orders.extend(self.steering.map(|Steering { channel, law, limits }| {
-            // Let go, the rod stays where it is: its spindle holds without power.
+            // Released: the rod keeps its position, as its spindle holds without power.
             let setpoint = match steered(hand, [limits.min, limits.max]) {
                 Some(angle_rad) => Setpoint { mode: Mode::Position, value: law.position_m(angle_rad) as f32 },
                 None => Setpoint { mode: Mode::Duty, value: 0.0 },
@@ -213,8 +215,7 @@ impl Pair {
         Self { left, right, mode: Mode::Duty, most, turn_share: TURN_SHARE, steering: None }
     }
 
-    /// The robot's highest speed, or half of what every wheel can take; a share of the supply where one has no control of
-    /// its speed.
+    /// Highest speed of the robot, or half of what every wheel accepts; a duty where a wheel has no speed control.
     fn careful(&self, session: &Session<'_>, known_rad_s: Option<f64>) -> anyhow::Result<(Mode, Quantity)> {
         let mut half: Option<Quantity> = None;
         for channel in self.wheels() {
@@ -236,7 +237,7 @@ impl Pair {
         self.left.iter().chain(&self.right).copied()
     }
 
-    /// Wheels and steering, as [`orders`](Self::orders) has them.
+    /// Channels of the wheels and the steering, in the order of [`orders`](Self::orders).
     fn channels(&self) -> impl Iterator<Item = ChannelId> {
         self.wheels().chain(self.steering.map(|steering| steering.channel))
     }
@@ -300,7 +301,7 @@ impl State {
     }
 }
 
-/// What a key does besides moving the stick.
+/// Meaning of a key.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Key {
     DeadMan,
@@ -330,7 +331,7 @@ fn meaning(key: KeyEvent) -> Option<Key> {
     })
 }
 
-/// Reads hands, sends set points and draws, until somebody quits.
+/// Reads the input, sends set points and draws, until the user quits.
 async fn steer(
     session: &Session<'_>,
     drive: &Drive,
@@ -341,7 +342,7 @@ async fn steer(
     heard_s: &RefCell<f64>,
 ) -> anyhow::Result<()> {
     let board = session.board;
-    // A hand's time is the wall's, whatever the board's is.
+    // Hands move in wall time, whatever the pace of the board.
     let begin = Instant::now();
     let (mut stick, mut dead_man) = (Stick::new(drive.steps), DeadMan::default());
     let mut commands: Commands<'_, &str> = Commands::default();
@@ -359,7 +360,7 @@ async fn steer(
                 }
                 Some(Key::Centre) => stick.centre(),
                 Some(Key::Arm) => {
-                    // Whoever arms takes a new hold first.
+                    // After arming, the user must take hold of the dead-man key again.
                     dead_man.release();
                     commands.begin("arm", board.arm());
                 }
@@ -383,7 +384,9 @@ async fn steer(
             state.silent_s = Some(board.now_s() - *heard_s.borrow()).filter(|silent_s| *silent_s > SILENT_S);
             state.safety == SafetyState::Armed
         };
+        // While disarmed, the screen shows set points of zero.
         let orders = pair.orders(if is_armed { hand } else { Hand { is_held: false, ..hand } });
+        // Repeat unchanged set points to renew their lease, unless the link already has a queue of them.
         if is_armed && (orders != told || commands.len() < MOST_WAITING * orders.len()) {
             for (channel, setpoint) in &orders {
                 commands.begin("set point", board.set(*channel, *setpoint));

@@ -1,15 +1,15 @@
-//! The Arduino bootloader over USB, in programs that are built with it.
+//! Flashing over USB by the Arduino bootloader, with the feature `dfu`.
 
 #[cfg(feature = "dfu")]
 pub(super) use with::write;
 #[cfg(not(feature = "dfu"))]
 pub(super) use without::write;
 
-/// What became of it.
+/// Result of flashing over USB.
 pub(super) struct Written {
-    /// Flash was read back, and is the same.
+    /// Flash was read back and compared equal.
     pub(super) verified: bool,
-    /// The board came back, and says that it runs the image.
+    /// The board reconnected and reports that it runs the image.
     pub(super) confirmed: bool,
 }
 
@@ -36,7 +36,7 @@ mod with {
         session::{self, Interrupted, Target},
     };
 
-    /// Why a board is not written.
+    /// Reason why a board is not flashed.
     #[derive(Debug, thiserror::Error)]
     enum DfuError {
         #[error(transparent)]
@@ -45,7 +45,7 @@ mod with {
         Board(#[source] Error),
         #[error("several boards are connected: name one with --board serial:\n{}", .0.join("\n"))]
         Several(Vec<String>),
-        #[error("{0} is no board on USB: name one with --board serial:, or none where only one is plugged in")]
+        #[error("{0} is no board on USB: name one with --board serial:, or omit --board if only one is connected")]
         NotUsb(String),
         #[error(transparent)]
         Address(#[from] BadAddress),
@@ -53,16 +53,16 @@ mod with {
         Interrupted(#[from] Interrupted),
     }
 
-    /// This machine.
+    /// This machine: finds boards and bootloaders on its USB ports.
     struct Here {
-        /// The board that was named.
+        /// Address of the board that was named.
         named: Option<Address>,
         key: Option<Key>,
         began: Instant,
     }
 
     impl Here {
-        /// The running board that is meant; `None` where there is none.
+        /// Address of the running board; `None` where none is connected.
         fn address(&self) -> Result<Option<Address>, DfuError> {
             if let Some(named) = &self.named {
                 return Ok(Some(named.clone()));
@@ -91,7 +91,7 @@ mod with {
             let Some(address) = self.address()? else { return Ok(Asked::NoBoard) };
             let board = match Board::connect(&address, self.key.as_ref()) {
                 Ok(board) => board,
-                // Firmware of another version, or none of ours.
+                // Firmware with another protocol, or not of this project.
                 Err(ConnectError::Open(r4_links::OpenError::NoBoard)) => return Ok(Asked::NoBoard),
                 Err(error) => return Ok(Asked::Cannot(format!("{address}: {error}"))),
             };
@@ -116,13 +116,14 @@ mod with {
         }
     }
 
-    /// Writes, reads back, starts it, and asks the board which image it runs.
+    /// Writes the image, reads it back, starts it, and asks the board which image it runs.
     pub(in super::super) fn write(args: &Args, binary: &Binary, seal: Seal) -> anyhow::Result<Option<Written>> {
         let named = match (&args.board, args.is_board_named) {
             (_, false) => None,
             (Target::Link(address @ Address::Serial { .. }), true) => Some(address.clone()),
             (other, true) => return Err(DfuError::NotUsb(other.to_string()).into()),
         };
+        // Ctrl-C must not stop between erasing and writing: `bootloader` checks for it only while waiting.
         session::catch_interrupts();
         let mut here = Here { named, key: session::key(args)?, began: Instant::now() };
         let wanted = Running { bytes: seal.bytes, crc: seal.crc };
@@ -136,7 +137,7 @@ mod with {
         Ok(Some(Written { verified: flashed.verified, confirmed: flashed.confirmed }))
     }
 
-    /// One bar after the other: erasing, writing, reading back.
+    /// Progress bar of one step at a time: erasing, writing, reading back.
     struct Bar {
         bar: ProgressBar,
         step: Option<r4_dfu::Step>,
@@ -190,7 +191,7 @@ mod without {
     use super::Written;
     use crate::args::Args;
 
-    /// This program makes the file for dfu-util only.
+    /// Returns `None`: without the feature `dfu`, the program only makes the file for dfu-util.
     #[allow(clippy::unnecessary_wraps, reason = "as in programs that are built with it")]
     pub(in super::super) fn write(_: &Args, _: &Binary, _: Seal) -> anyhow::Result<Option<Written>> {
         Ok(None)

@@ -1,5 +1,5 @@
-//! `r4 flash`: the firmware's image into a board, over a debug probe or by the Arduino bootloader over USB; or what to do without
-//! either.
+//! `r4 flash`: writes a firmware image to a board over a debug probe or by the Arduino bootloader over USB; without
+//! either, prints the steps for dfu-util.
 
 mod dfu;
 mod probe;
@@ -16,33 +16,34 @@ use crate::{args::Args, output};
 #[derive(Clone, Debug, clap::Args)]
 #[command(group = ArgGroup::new("what").required(true).args(["file", "robot"]))]
 pub(crate) struct Flash {
-    /// The image: an ELF file, as `cargo xtask firmware` builds it
+    /// ELF file of the image, as built by `cargo xtask firmware`
     #[arg(value_name = "FILE")]
     pub(crate) file: Option<PathBuf>,
-    /// The image that was built last for this robot
+    /// Use the image that was built last for this robot
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) robot: Option<String>,
-    /// Which image of the robot's [default: bare; with --dfu hosted]
+    /// Image of the robot to use [default: bare; with --dfu hosted]
     #[arg(long, conflicts_with = "file")]
     pub(crate) image: Option<Kind>,
-    /// Which of several debug probes, as the message that there are several lists them
+    /// Debug probe to use, in hex; `r4 flash` lists them when there are several; example: 0483:374e
     #[arg(long, value_name = "VID:PID[:SERIAL]", conflicts_with = "dfu")]
     pub(crate) probe: Option<String>,
-    /// Over USB, by the Arduino bootloader: restart the running board into it, write, read back, start, and ask the board which image
-    /// it runs; --board serial: names one of several. A program built without `dfu` makes the file for dfu-util, and tells how
+    /// Flash over USB by the Arduino bootloader: restart the running board into it, write, read back, start, and check
+    /// which image the board runs. Several boards: name one with --board serial:. Without the feature `dfu`, write the
+    /// file for dfu-util and print its steps
     #[arg(long)]
     pub(crate) dfu: bool,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub(crate) enum Kind {
-    /// At 0x08000000, in the place of the Arduino bootloader
+    /// Image at 0x08000000, which replaces the Arduino bootloader
     Bare,
-    /// At 0x08040000, started by the Arduino bootloader
+    /// Image at 0x08040000, started by the Arduino bootloader
     Hosted,
 }
 
-/// Why nothing was written.
+/// Reason why an image is not written.
 #[derive(Debug, thiserror::Error)]
 enum FlashError {
     #[error("{} cannot be flashed", .path.display())]
@@ -58,25 +59,25 @@ enum FlashError {
 #[derive(Serialize)]
 struct Report {
     file: PathBuf,
-    /// Of the ELF file.
+    /// SHA-256 of the ELF file, in hex.
     sha256: String,
-    /// `bare` or `hosted`.
+    /// Kind of the image: `bare` or `hosted`.
     image: &'static str,
-    /// Address of the first byte.
+    /// Address of the image's first byte.
     start: u32,
-    /// As many as whole flash words have.
+    /// Length of the image, rounded up to whole flash words.
     bytes: usize,
-    /// The debug probe by which it was written, and read back.
+    /// Debug probe that wrote the image and read it back; `null` over USB.
     probe: Option<String>,
-    /// CRC-32 of what is written, as the board tells it.
+    /// CRC-32 of the image, as the board reports it.
     crc: u32,
-    /// It was written over USB: read back and the same; `null` where it was not written so.
+    /// Result of reading back over USB; `null` with a debug probe or dfu-util.
     verified: Option<bool>,
-    /// The board came back, and says that it runs this image.
+    /// The board reconnected and reports that it runs this image; `null` with a debug probe or dfu-util.
     confirmed: Option<bool>,
-    /// The file for dfu-util.
+    /// File for dfu-util, if one was written.
     binary: Option<PathBuf>,
-    /// What writes that.
+    /// Command that flashes `binary`, as words.
     command: Option<Vec<String>>,
 }
 
@@ -101,6 +102,7 @@ pub(crate) fn run(args: &Args, flash: &Flash) -> anyhow::Result<bool> {
         command: None,
     };
     if flash.dfu {
+        // The bare image would overwrite the bootloader that has to write it.
         if place == Place::Bare {
             return Err(FlashError::NotHosted(path.to_owned()).into());
         }
@@ -116,7 +118,7 @@ pub(crate) fn run(args: &Args, flash: &Flash) -> anyhow::Result<bool> {
             report.binary = Some(raw);
         }
     } else {
-        // Before it: whatever comes of it, the user knows of which file.
+        // Print the image first: the user sees which file is used even if writing fails.
         eprintln!("r4: {}", report.subject());
         report.probe = Some(probe::write(&binary, flash.probe.as_deref())?);
     }
@@ -175,20 +177,18 @@ impl Report {
             output::line(
                 "This r4 was built without USB's DFU: `cargo install --locked --path host/cli --features dfu` in the repository makes one",
             )?;
-            output::line("that does all of what follows by itself.\n")?;
+            output::line("that performs the following steps itself.\n")?;
             output::line(
                 "1. Press the board's reset button twice quickly: the green light pulses, the bootloader waits.",
             )?;
             output::line(format_args!("2. {}", command.join(" ")))?;
             output::line(
-                "   (dfu-util comes from what installs software here: `sudo apt-get install dfu-util`, `brew install dfu-util`)",
+                "   (install dfu-util with the package manager: `sudo apt-get install dfu-util`, `brew install dfu-util`)",
             )?;
             output::line(
-                "3. The board leaves for the program by itself; `r4 ports` finds it after a second. A message after",
+                "3. The board starts the program by itself; `r4 ports` finds it after a second. An error message after",
             )?;
-            output::line(
-                "   \"downloaded successfully\" is the board leaving before it could answer, and all is well.",
-            )?;
+            output::line("   \"downloaded successfully\" only means that the board left before it could answer.")?;
         }
         Ok(())
     }

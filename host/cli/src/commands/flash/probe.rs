@@ -1,4 +1,4 @@
-//! Debug probes, in programs that are built with them.
+//! Flashing over a debug probe, with the feature `probe`.
 
 #[cfg(feature = "probe")]
 pub(super) use with::write;
@@ -18,7 +18,7 @@ mod with {
     };
     use r4_image::{Binary, CHIP};
 
-    /// Why there is no probe to write by.
+    /// Reason why no debug probe can be used.
     #[derive(Debug, thiserror::Error)]
     enum NoProbe {
         #[error(
@@ -34,7 +34,7 @@ mod with {
         Name(String),
     }
 
-    /// Writes, reads back and starts it; tells by which probe.
+    /// Writes the image, reads it back and starts it; returns the probe's name.
     pub(in super::super) fn write(binary: &Binary, asked: Option<&str>) -> anyhow::Result<String> {
         let info = find(asked)?;
         let name = info.to_string();
@@ -44,8 +44,8 @@ mod with {
         probe.select_protocol(WireProtocol::Swd).with_context(|| format!("{name} has no SWD"))?;
         let mut session = probe.attach_under_reset(CHIP, Permissions::default()).with_context(|| {
             format!(
-                "{name} finds no {CHIP}: is the board powered, and are SWD and the reset line connected? docs/bring-up.md says what \
-                 else there is to try"
+                "{name} finds no {CHIP}: is the board powered, and are SWD and the reset line connected? docs/bring-up.md lists \
+                 other causes"
             )
         })?;
         let mut loader = session.target().flash_loader();
@@ -54,7 +54,7 @@ mod with {
         options.verify = true;
         options.progress = progress();
         loader.commit(&mut session, options).context(
-            "the flash was not written as it should be: run it again; if it fails again, see option bytes in docs/bring-up.md",
+            "the flash was not written correctly: run it again; if it fails again, see option bytes in docs/bring-up.md",
         )?;
         let mut core = session.core(0).context("written, but the processor is not reached: reset the board")?;
         core.reset().context("written, but not started: reset the board")?;
@@ -73,7 +73,7 @@ mod with {
         }
     }
 
-    /// One bar after the other: erasing, writing, reading back.
+    /// Progress of one step at a time: erasing, writing, reading back.
     fn progress() -> FlashProgress<'static> {
         let mut bar = ProgressBar::hidden();
         FlashProgress::new(move |event| match event {
@@ -104,7 +104,7 @@ mod with {
 mod without {
     use r4_image::{Binary, CHIP};
 
-    /// What this program was not built with.
+    /// Error of programs that are built without the feature `probe`.
     #[derive(Debug, thiserror::Error)]
     #[error(
         "this r4 was built without debug probes. Build one with them, in the repository:\n  \

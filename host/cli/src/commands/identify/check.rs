@@ -1,4 +1,4 @@
-//! `r4 identify check`
+//! `r4 identify check`: compares a simulated board with a recording, before and after a change of its physics.
 
 use std::path::{Path, PathBuf};
 
@@ -20,26 +20,26 @@ use crate::{
     session, table,
 };
 
-/// The board is simulated; its controller, loops, limits and protections are in it, and its noise is that of the recording. Either a
-/// motor is compared with another plant, or a signal with another body.
+/// Compare either a motor with another plant, or a signal with another body. The simulated board runs its own
+/// controller, loops, limits and protections, with the recording's noise seed.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Check {
-    /// The log of a run, of this board or of the real one
+    /// Log of a run on this board or on the real one
     #[arg(value_name = "LOG")]
     recording: PathBuf,
-    /// The motor whose position and speed are compared
+    /// Motor whose position and speed are compared; example: osmc0
     #[arg(long, value_name = "CHANNEL", required_unless_present = "signal", requires = "plant_after")]
     channel: Option<ChannelId>,
-    /// The motor's plant as it was [default: that of the robot's file]
+    /// Plant file of the motor before the change [default: that of the robot's file]
     #[arg(long, value_name = "FILE", requires = "channel")]
     plant_before: Option<PathBuf>,
-    /// The motor's plant as it is now
+    /// Plant file of the motor after the change
     #[arg(long, value_name = "FILE", requires = "channel")]
     plant_after: Option<PathBuf>,
-    /// The signal that is compared, as in imu0.rate_z_rad_s
+    /// Signal that is compared; example: imu0.rate_z_rad_s
     #[arg(long, value_name = "SIGNAL", conflicts_with = "channel", requires = "body_after")]
     signal: Option<String>,
-    /// The robot's body as it is now; as it was, it is that of `--body`, or of the robot's file
+    /// Body file of the robot after the change; before it, `--body` or the robot's file holds
     #[arg(long, value_name = "FILE", requires = "signal")]
     body_after: Option<PathBuf>,
 }
@@ -48,14 +48,14 @@ pub(super) struct Check {
 struct Report<'a> {
     log: &'a Path,
     board: String,
-    /// The motor, or the signal.
+    /// Motor channel or signal name.
     observed: String,
     #[serde(flatten)]
     twins: Twins,
 }
 
 pub(super) fn run(args: &Args, check: &Check) -> anyhow::Result<bool> {
-    ensure!(args.blind.is_none(), "--blind hides what the files to compare are to tell: leave it out");
+    ensure!(args.blind.is_none(), "--blind hides effects that the compared files may contain: omit it");
     let Check { recording, channel, plant_before, plant_after, signal, body_after } = check;
     let plant = |channel, path: &Path| Physics::Plant(PlantFile { channel, path: path.to_owned() });
     let (observed, before, after, file) = match (channel, plant_after, signal, body_after) {
@@ -86,19 +86,20 @@ pub(super) fn run(args: &Args, check: &Check) -> anyhow::Result<bool> {
     Ok(is_as_near)
 }
 
-/// Compares the simulated board that `args` name with a recording, with the physics as they were and as they are now.
+/// Compares the simulated board that `args` name with a recording, with the physics before and after the change.
 pub(super) fn twins(
     args: &Args,
     log: &Log,
     observed: &Observed,
     physics: (Option<Physics>, Physics),
 ) -> anyhow::Result<Twins> {
+    // The recording's seed gives the same noise; the hidden effects of `--blind` would falsify the comparison.
     let args = Args { blind: None, record: None, seed: log::seed(args, log), ..args.clone() };
     session::catch_interrupts();
     Ok(twin::compare(&session::rig(&args, Pace::Free)?, log, observed, physics)?)
 }
 
-/// Prints the errors of each quantity and the first's ratio.
+/// Prints the errors of each quantity, and the ratio of the first one's.
 pub(super) fn print_twins(twins: &Twins) -> anyhow::Result<()> {
     let Twins { differences, stopped_before, stopped_after, samples } = twins;
     let scales = || differences.iter().map(|of| of.unit.map(|unit| Scale::of(unit, of.rmse_after)));

@@ -1,4 +1,5 @@
-//! `r4 identify close`: from a board to a better plant file, and what it is worth.
+//! `r4 identify close`: excites a board's motor, fits a better plant file, and compares the simulated board before and
+//! after.
 
 use std::{
     fs,
@@ -36,33 +37,33 @@ use crate::{
 };
 
 /// The motor must be free to move. DIR gets train-1.mcap, train-2.mcap, fresh.mcap, report.json, report.html and
-/// plant.toml; where two recordings tell too little, train-3.mcap and train-4.mcap too.
+/// plant.toml; train-3.mcap and train-4.mcap too if two recordings leave an effect open.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Close {
-    /// The motor, as in osmc0; it must be free to move both ways
+    /// Motor to identify; must be free to move both ways; example: osmc0
     #[arg(long, value_name = "CHANNEL")]
     pub(crate) channel: ChannelId,
     /// Folder for the recordings and results
     #[arg(long, default_value = "r4-identify", value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// What is known of the motor [default: the plant file of the robot]
+    /// Plant file that identification starts from [default: that of the robot]
     #[arg(long, value_name = "FILE")]
     pub(crate) plant_before: Option<PathBuf>,
-    /// Robot whose simulated board is the twin: a name or a file [default: the board's own]
+    /// Robot whose simulated board is compared: a name or a file [default: the board's own]
     #[arg(long, value_name = "ROBOT")]
     pub(crate) twin: Option<String>,
-    /// Largest duty [default: just below what the board allows]
+    /// Largest duty, as a share of the supply, 0 to 1 [default: just below the board's limit]
     #[arg(long, value_name = "SHARE")]
     pub(crate) duty: Option<f64>,
-    /// How long each recording is, s
+    /// Length of each recording, s
     #[arg(long = "for", default_value = "12", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: f64,
 }
 
-/// Shortest recording that shows what is slow, s.
+/// Shortest recording that shows slow effects, s.
 const SHORTEST_S: f64 = 4.0;
 
-/// What came of it, as `--json` tells it.
+/// Result of the identification, printed by `--json`.
 #[derive(Serialize)]
 pub(crate) struct Closed {
     board: String,
@@ -70,11 +71,11 @@ pub(crate) struct Closed {
     channel: String,
     #[serde(flatten)]
     pub(crate) report: Report,
-    /// Effects that the plant had before.
+    /// Effects in the plant file before identification.
     declared: Vec<&'static str>,
     recordings: Vec<PathBuf>,
     files: [PathBuf; 3],
-    /// The simulated board against the fresh recording.
+    /// Comparison of the simulated board with the fresh recording.
     pub(crate) twin: Twins,
 }
 
@@ -99,18 +100,18 @@ pub(super) fn run(args: &Args, close: &Close) -> anyhow::Result<bool> {
     Ok(is_as_near)
 }
 
-/// Records, identifies, and compares the simulated board with the recording that was not fitted to.
+/// Records, identifies, and compares the simulated board with the held-out recording.
 pub(crate) fn closed(args: &Args, close: &Close, progress: &Shown) -> anyhow::Result<Closed> {
     let channel = close.channel;
     ensure!(
         close.seconds >= SHORTEST_S,
-        "recordings of less than {SHORTEST_S} s tell too little: allow more with --for"
+        "recordings shorter than {SHORTEST_S} s show no slow effects: allow more with --for"
     );
     ensure!(
         close.duty.is_none_or(|duty| duty > 0.0 && duty <= 1.0),
         "--duty takes a share of the supply above 0 and up to 1"
     );
-    ensure!(args.record.is_none(), "this makes its own recordings, in {}: leave --record out", close.out.display());
+    ensure!(args.record.is_none(), "this makes its own recordings, in {}: omit --record", close.out.display());
     let twin_args = twin(args, close.twin.as_deref())?;
     let (declared, supply_v) = declared(&twin_args, close)?;
     fs::create_dir_all(&close.out).with_context(|| format!("cannot make the folder {}", close.out.display()))?;
@@ -120,7 +121,7 @@ pub(crate) fn closed(args: &Args, close: &Close, progress: &Shown) -> anyhow::Re
     let known = (&declared, supply_v);
     let mut found = found(args, close, known, (&fitted, &fresh), progress)?;
     if tells_too_little(&found.report) {
-        eprintln!("r4: {channel} lacks what these recordings do not tell: {MORE} more, with long holds");
+        eprintln!("r4: these recordings leave an effect of {channel} open: {MORE} more follow, with long holds");
         for number in 0..MORE {
             let name = format!("train-{}.mcap", TRAIN + number + 1);
             fitted.push(recording(args, close, (TRAIN + 1 + number, name), &mut care, progress)?);
@@ -155,7 +156,7 @@ pub(crate) fn closed(args: &Args, close: &Close, progress: &Shown) -> anyhow::Re
     })
 }
 
-/// The same arguments for the simulated board that is to be like `--board`.
+/// Arguments for the simulated board that corresponds to `--board`.
 fn twin(args: &Args, robot: Option<&str>) -> anyhow::Result<Args> {
     let board = match (robot, &args.board) {
         (Some(robot), _) => Target::Sim(robot.to_owned()),
@@ -166,11 +167,11 @@ fn twin(args: &Args, robot: Option<&str>) -> anyhow::Result<Args> {
             Target::Sim(robot)
         }
     };
-    // The board may have other physics than its file says; the twin must not know them.
+    // The board may have other physics than its file; the simulated board must not use them.
     Ok(Args { board, blind: None, plant: Vec::new(), ..args.clone() })
 }
 
-/// The plant as it was, and the voltage of its supply.
+/// Plant before identification, and its supply voltage, V.
 fn declared(twin: &Args, close: &Close) -> anyhow::Result<(PlantSpec, f64)> {
     let name = twin.board.robot()?;
     let robot = r4_boards::load(name).with_context(|| {
@@ -185,7 +186,7 @@ fn declared(twin: &Args, close: &Close) -> anyhow::Result<(PlantSpec, f64)> {
     Ok((spec, motor.supply_v))
 }
 
-/// Makes the recordings to fit to, and the one to test on; their files.
+/// Makes the recordings to fit and the held-out one; returns their files.
 fn record(
     args: &Args,
     close: &Close,
@@ -198,7 +199,7 @@ fn record(
     Ok((fitted, [recorded(TRAIN, "fresh.mcap".to_owned())?]))
 }
 
-/// Makes the recording of plan number `index`, again with more care where the board tripped; its file.
+/// Makes recording number `index` of the plan, again with more care after a trip; returns its file.
 fn recording(
     args: &Args,
     close: &Close,
@@ -224,19 +225,21 @@ fn recording(
     }
 }
 
-/// Whether the recordings that were fitted to leave an effect open. The recording to test on has no say.
+/// True when the fitted recordings leave an effect open. The held-out recording decides nothing.
 fn tells_too_little(report: &Report) -> bool {
-    /// NRMSE of the fitted recordings above which they do. Of the tuning boards 60660000 to 60660049, most of those whose effect was found have
-    /// 0.0003 to 0.008, three of the four where it was not 0.02 or more. Other values were not compared.
+    /// NRMSE of the fitted recordings above which an effect counts as open. Of the tuning boards 60660000 to 60660049,
+    /// most of those whose effect was found have 0.0003 to 0.008, three of the four where it was not 0.02 or more.
+    /// Other values were not compared.
     const OPEN: f64 = 0.01;
-    /// The same where an effect has no name. On these boards, such effects that were learned well enough have 0.0003 to 0.0026, and the one
-    /// that was not 0.0038. Without this limit, one of the former (0.0014) came 4.7 times as near after more recordings, and 7.3 before.
+    /// The same limit for an effect without a name. On these boards, such effects that were learned well enough have
+    /// 0.0003 to 0.0026, and the one that was not 0.0038. Without this limit, one of the former (0.0014) came 4.7 times
+    /// as near after more recordings, and 7.3 before.
     const NAMELESS: f64 = 0.003;
     let left = report.last.train.nrmse;
     left > OPEN || report.effects.iter().any(|effect| effect.table.is_some()) && left > NAMELESS
 }
 
-/// What is found in the recordings.
+/// Identifies the motor from the recordings.
 fn found(
     args: &Args,
     close: &Close,
@@ -270,10 +273,10 @@ fn found(
 /// Checks that a simulated board can load the text of a plant file.
 ///
 /// # Errors
-/// What no plant file can hold, from the comments of the text.
+/// The effects that a plant file cannot represent, from the comments of the text.
 fn may_be_loaded(plant: &str) -> anyhow::Result<()> {
     PlantSpec::from_toml("plant.toml", plant).map(|_| ()).with_context(|| {
         let told: Vec<_> = plant.lines().filter_map(|line| line.strip_prefix("# ")).collect();
-        format!("no plant file can hold what was found, so nothing can be compared: {}", told.join(" "))
+        format!("no plant file can represent the effects found, so that no comparison is possible: {}", told.join(" "))
     })
 }

@@ -1,4 +1,4 @@
-//! `r4 identify`: what a model does not explain of recordings, and which effect it lacks.
+//! `r4 identify`: fits a model to recordings and finds its unmodelled effects.
 
 mod check;
 pub(crate) mod close;
@@ -39,31 +39,34 @@ pub(crate) struct Identify {
 
 #[derive(Clone, Debug, Subcommand)]
 enum What {
-    /// List every model with its roles, parameters and effects
+    /// List all models with their roles, parameters and effects
     Models,
-    /// Excite a motor of a board, find what its plant file lacks, and compare the simulated board before and after
+    /// Excite a motor of a board, find the effects missing from its plant file, and compare the simulated board before
+    /// and after
     Close(close::Close),
-    /// Send a recorded run's requests to the simulated board with two plants, and tell how far each is from the recording
+    /// Send the requests of a recorded run to the simulated board with two plants, and print the distance of each from
+    /// the recording
     Check(check::Check),
 }
 
 impl Identify {
-    /// Whether it talks to a board, and not only reads recordings.
+    /// True if it talks to a board rather than only reading recordings.
     pub(crate) fn is_on_a_board(&self) -> bool {
         matches!(self.what, Some(What::Close(_)))
     }
 }
 
-/// DIR gets report.json, report.html, and plant.toml or body.toml, which --plant or --body loads; the same `--seed` gives the same bytes.
+/// DIR gets report.json, report.html, and plant.toml or body.toml, which --plant or --body loads; the same `--seed`
+/// gives the same bytes.
 #[derive(Clone, Debug, clap::Args)]
 struct Question {
-    /// Recordings to fit to: CSV with a header that has units, or logs of `r4`; one file is one run
+    /// Recordings to fit: CSV with units in its header, or logs of `r4`; one run per file
     #[arg(required = true, value_name = "TRAIN")]
     train: Vec<PathBuf>,
-    /// Recordings to test on, which are never fitted to; or every:2, to hold out every second run of TRAIN
+    /// Held-out recordings, never fitted; or every:N to hold out every Nth run of TRAIN; example: every:2
     #[arg(long, required = true, num_args = 1.., value_name = "TEST|every:N")]
     holdout: Vec<PathBuf>,
-    /// The base model; `r4 identify models` tells what each is
+    /// Base model; `r4 identify models` describes them
     #[arg(long, value_parser = PossibleValuesParser::new(r4_identify::models().into_iter().map(|model| model.name)))]
     model: String,
     /// Column of the model's role `input`
@@ -72,22 +75,22 @@ struct Question {
     /// Column of the model's role `output`
     #[arg(long, value_name = "COLUMN")]
     output: Option<String>,
-    /// Column of another role of the model, as in yaw=yaw_rad
+    /// Column of another role of the model; example: yaw=yaw_rad
     #[arg(long, num_args = 1.., value_parser = pair, value_name = "ROLE=COLUMN")]
     map: Vec<(String, String)>,
-    /// Time column [default: one that is called so, as in t_s, time_ms or timestamp]
+    /// Time column [default: the column named like one, as t_s, time_ms or timestamp]
     #[arg(long, value_name = "COLUMN")]
     time: Option<String>,
-    /// Columns whose values tell the runs of one file apart
+    /// Columns whose values separate the runs of one file
     #[arg(long, value_delimiter = ',', value_name = "COLUMN,COLUMN")]
     run: Vec<String>,
-    /// What is known of the machine, as in supply_v=24; counts_per_turn=4096 makes angles of encoder counts
+    /// Known value of a parameter; examples: supply_v=24, or counts_per_turn=4096 to convert encoder counts to angles
     #[arg(long, num_args = 1.., value_parser = known, value_name = "NAME=VALUE")]
     param: Vec<(String, f64)>,
-    /// What the initial state of a held-out recording is fitted to; the errors are those of all of it
+    /// Part of a held-out recording that its initial state is fitted to; errors are over the whole recording
     #[arg(long, value_enum, default_value_t)]
     protocol: Protocol,
-    /// Time after which no further effect is looked for, s; what is found then depends on the machine [default: no limit]
+    /// Time after which the search for effects stops, s; the result then depends on the machine [default: no limit]
     #[arg(long, value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     budget: Option<f64>,
     /// Folder for the results
@@ -97,10 +100,10 @@ struct Question {
 
 #[derive(Clone, Copy, Debug, Default, clap::ValueEnum)]
 enum Protocol {
-    /// Its first tenth, and at least 20 samples
+    /// First tenth, and at least 20 samples
     #[default]
     FirstTenth,
-    /// Its first 20 samples, as the nonlinear benchmark on EMPS prescribes
+    /// First 20 samples, as the nonlinear benchmark on EMPS prescribes
     #[value(name = "first-20")]
     First20,
 }
@@ -114,7 +117,7 @@ impl From<Protocol> for task::Protocol {
     }
 }
 
-/// `name=value`.
+/// Parses a role and its column from `name=value`.
 fn pair(text: &str) -> Result<(String, String), String> {
     match text.split_once('=') {
         Some((name, value)) if !name.is_empty() && !value.is_empty() => Ok((name.to_owned(), value.to_owned())),
@@ -139,7 +142,7 @@ pub(crate) fn run(args: &Args, identify: &Identify) -> anyhow::Result<bool> {
     }
 }
 
-/// Where the results are, beside the report in `--json`.
+/// Report with the paths of the result files, for `--json`.
 #[derive(Serialize)]
 struct Written<'r> {
     #[serde(flatten)]
@@ -195,13 +198,14 @@ fn answer(args: &Args, question: &Question) -> anyhow::Result<bool> {
     } else {
         print::print(&found.report, &files)?;
     }
+    // An exit code of its own: a script can distinguish this result from a failure.
     if found.report.explained == Explained::Not {
         return Err(NotExplained.into());
     }
     Ok(true)
 }
 
-/// The recordings are not explained; the report has been printed, and says so.
+/// Outcome of an identification that does not explain the recordings; the printed report contains it too.
 #[derive(Debug)]
 pub(crate) struct NotExplained;
 
@@ -213,10 +217,10 @@ impl std::fmt::Display for NotExplained {
 
 impl std::error::Error for NotExplained {}
 
-/// The robot on whose channels a body stands of which no robot was named.
+/// Robot whose channels a body file uses where no robot was named.
 const USUAL_ROBOT: &str = "openscout";
 
-/// The text of a body file. Of a body that no robot was named for, the wheels are on the channels of [`USUAL_ROBOT`].
+/// Returns the text of a body file. Without a named robot, the wheels are on the channels of [`USUAL_ROBOT`].
 fn body_file(fitted: &FittedBody, channels: Option<Vec<ChannelId>>) -> anyhow::Result<String> {
     let channels = match channels {
         Some(channels) => channels,
@@ -230,7 +234,7 @@ fn body_file(fitted: &FittedBody, channels: Option<Vec<ChannelId>>) -> anyhow::R
     Ok(SimulatedBody::wheeled_toml(&fitted.wheeled, &channels, &comments))
 }
 
-/// Writes the three files; their paths.
+/// Writes the report as JSON and HTML and the plant or body file; returns their paths.
 fn write(
     out: &Path,
     (train, holdout): (&[PathBuf], &[PathBuf]),
@@ -257,7 +261,8 @@ fn write(
     Ok(files)
 }
 
-/// The robot whose body `identify` begins with, and that body: that of `--body`, or else of the robot that `--board` names.
+/// Body that `identify` starts from: that of `--body`, or of the robot that `--board` names; `None` where neither is
+/// given.
 fn known_body(args: &Args) -> anyhow::Result<Option<SimulatedBody>> {
     let robot = match (&args.body, args.is_board_named) {
         (None, false) => return Ok(None),
@@ -270,7 +275,7 @@ fn known_body(args: &Args) -> anyhow::Result<Option<SimulatedBody>> {
     Ok(Some(body))
 }
 
-/// The plant that `identify` begins with, if one is named.
+/// Plant file that `identify` starts from, if one is named.
 fn known_plant(args: &Args) -> anyhow::Result<Option<PlantSpec>> {
     let plant = match &args.plant[..] {
         [] => return Ok(None),

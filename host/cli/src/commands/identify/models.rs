@@ -1,4 +1,4 @@
-//! `r4 identify models`
+//! `r4 identify models`: lists the base models.
 
 use r4_identify::{ModelInfo, task::FileKind};
 use serde::Serialize;
@@ -17,9 +17,9 @@ struct Model {
     roles: Vec<Role>,
     parameters: Vec<Parameter>,
     effects: Vec<String>,
-    /// Of the file that is written for a simulated board.
+    /// Name of the file written for a simulated board.
     writes: &'static str,
-    /// How a board loads it.
+    /// Option by which a simulated board loads that file.
     loads: &'static str,
 }
 
@@ -51,7 +51,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<bool> {
         let width = |names: &mut dyn Iterator<Item = usize>| names.max().unwrap_or(0);
         let roles = width(&mut model.roles.iter().map(|role| role.name.len()));
         for Role { name, required, what } in &model.roles {
-            let need = if *required { "" } else { " (may be left out)" };
+            let need = if *required { "" } else { " (optional)" };
             output::line(format_args!("  role {name:roles$}  {what}{need}"))?;
         }
         let parameters = width(&mut model.parameters.iter().map(|parameter| parameter.name.len()));

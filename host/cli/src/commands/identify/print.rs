@@ -1,4 +1,4 @@
-//! The report on a terminal.
+//! Report of an identification on a terminal.
 
 use std::path::PathBuf;
 
@@ -47,7 +47,7 @@ pub(super) fn print(report: &Report, files: &[PathBuf]) -> anyhow::Result<()> {
     for (effect, rival) in
         report.effects.iter().flat_map(|effect| effect.rivals.iter().map(move |rival| (effect, rival)))
     {
-        output::line(format_args!("{} or {}? To tell: {}", effect.name, rival.name, rival.experiment))?;
+        output::line(format_args!("{} or {}? To distinguish them: {}", effect.name, rival.name, rival.experiment))?;
     }
     for file in files {
         output::line(format_args!("wrote {}", file.display()))?;

@@ -1,4 +1,4 @@
-//! How far an identification is, on stderr.
+//! Progress of an identification, on stderr.
 
 use std::{
     io::{IsTerminal, stderr},
@@ -12,7 +12,7 @@ use r4_identify::Progress;
 /// Shortest time between two lines where there is no bar: our choice, not compared.
 const BETWEEN: Duration = Duration::from_secs(5);
 
-/// A bar; where stderr is no terminal, a line every few seconds.
+/// Progress bar; where stderr is no terminal, a line every few seconds.
 pub(crate) struct Shown {
     bar: ProgressBar,
     lines: Option<Mutex<Lines>>,
@@ -20,7 +20,7 @@ pub(crate) struct Shown {
 
 struct Lines {
     begun: Instant,
-    /// Time of the last line; before the first, of the beginning.
+    /// Time of the last line; initially the start.
     last: Instant,
 }
 

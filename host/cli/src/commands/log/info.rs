@@ -1,4 +1,4 @@
-//! `r4 log info`
+//! `r4 log info`: content and gaps of a log.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::read;
 use crate::{args::Args, output, table};
 
-/// What is in a log.
+/// Content of a log.
 #[derive(Serialize)]
 pub(super) struct Info<'a> {
     log: &'a Path,
@@ -16,20 +16,20 @@ pub(super) struct Info<'a> {
     board: &'a str,
     firmware: &'a str,
     protocol: u16,
-    /// Wall clock, RFC 3339.
+    /// Wall-clock time of the recording, RFC 3339.
     recorded_at: Option<String>,
     program: Option<&'a str>,
     command: Option<&'a str>,
     seed: Option<u64>,
-    /// The board's clock at the first thing recorded.
+    /// Board's clock at the first record, s.
     start_s: Option<f64>,
     duration_s: f64,
     samples: usize,
-    /// Subscribed and not there.
+    /// Samples that were subscribed and are missing.
     missing: u64,
     channels: Vec<Channel>,
     states: Vec<State>,
-    /// How often each was sent.
+    /// Number of requests of each kind.
     requests: BTreeMap<&'static str, usize>,
     refusals: Vec<Refusal<'a>>,
     /// Times without a link.
@@ -63,7 +63,7 @@ struct Refusal<'a> {
 
 #[derive(Serialize)]
 struct Gap {
-    /// When the board was heard again.
+    /// Time at which the board was heard again, s.
     time_s: f64,
     without_link_s: f64,
     restarted: bool,
@@ -74,7 +74,7 @@ struct Gap {
 pub(super) fn run(args: &Args, file: &Path) -> anyhow::Result<bool> {
     let log = read(file)?;
     Info::of(file, &log).print(args)?;
-    // As `r4 log export`: what could not be read is missing.
+    // Fail as `r4 log export` does: unreadable parts are missing.
     Ok(log.warnings.is_empty())
 }
 
@@ -127,6 +127,7 @@ impl<'a> Info<'a> {
             start_s: log.time_span_s().map(|(start_s, _)| start_s),
             duration_s: log.duration_s(),
             samples: channels.iter().map(|channel| channel.samples).sum(),
+            // `None` for a channel without a recorded subscription.
             missing: channels.iter().filter_map(|channel| channel.missing).sum(),
             states: states.collect(),
             requests,
@@ -137,7 +138,7 @@ impl<'a> Info<'a> {
         }
     }
 
-    /// Samples that were asked for and are not there.
+    /// Number of subscribed samples that are missing.
     pub(super) fn missing(&self) -> u64 {
         self.missing
     }

@@ -1,4 +1,4 @@
-//! `r4 log`
+//! `r4 log`: records, inspects, exports and replays logs.
 
 mod info;
 mod record;
@@ -25,24 +25,24 @@ use crate::{
 pub(crate) enum Log {
     /// Record channels of a board until Ctrl-C, or for a time
     Record(record::Record),
-    /// What is in a log, and what is missing
+    /// Print the content of a log, and what is missing
     Info {
-        /// The log
+        /// Log to read, an MCAP file
         file: PathBuf,
     },
-    /// Write a log as a table: a row per moment, a column per signal, an empty cell where nothing was recorded
+    /// Write a log as a CSV table: one row per time, one column per signal, an empty cell where nothing was recorded
     Export {
-        /// The log
+        /// Log to read, an MCAP file
         file: PathBuf,
-        /// The table; `-` is stdout
+        /// Table to write; `-` for stdout
         #[arg(long, value_name = "FILE")]
         csv: PathBuf,
     },
-    /// Send a recorded run's requests to a simulated board, at their times, and compare what comes of it
+    /// Send the requests of a recorded run to a simulated board, at their times, and compare the two runs
     Replay(replay::Replay),
 }
 
-/// `r4 log`
+/// Runs a subcommand of `r4 log`.
 pub(crate) fn run(args: &Args, log: &Log) -> anyhow::Result<bool> {
     match log {
         Log::Record(record) => record::run(args, record),
@@ -52,10 +52,10 @@ pub(crate) fn run(args: &Args, log: &Log) -> anyhow::Result<bool> {
     }
 }
 
-/// Reads a log and tells on stderr what of it could not be read.
+/// Reads a log and warns on stderr of its unreadable parts.
 pub(super) fn read(path: &Path) -> anyhow::Result<r4_log::Log> {
     let log = match r4_log::Log::read(path) {
-        // This one names the file, and its source with it.
+        // This error already contains the file's name and its source.
         Err(error @ r4_log::LogError::Io { .. }) => bail!("{error}"),
         read => read.with_context(|| path.display().to_string())?,
     };

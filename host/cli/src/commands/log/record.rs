@@ -1,4 +1,4 @@
-//! `r4 log record`
+//! `r4 log record`: records telemetry of a board to a log.
 
 use std::{cell::RefCell, future::pending, path::PathBuf, pin::pin, time::Duration};
 
@@ -18,15 +18,15 @@ use crate::{
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Record {
-    /// Channels [default: all]
+    /// Channels to record [default: all]
     pub(crate) channels: Vec<ChannelId>,
-    /// The log [default: --record, or r4-1.mcap or the first such number that is free]
+    /// Log to write [default: --record, or the first free name of r4-1.mcap, r4-2.mcap ..]
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
-    /// Stop after this long
+    /// Stop after this time [default: on Ctrl-C]
     #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
-    /// Samples of each channel per second; the board has whole milliseconds between them
+    /// Samples of each channel per second; the period is rounded to whole milliseconds
     #[arg(long, default_value_t = 100.0, value_parser = rate, value_name = "HZ")]
     pub(crate) rate: f64,
 }
@@ -38,9 +38,9 @@ fn rate(text: &str) -> Result<f64, String> {
     }
 }
 
-/// After the time that was asked for, a session has this long to end by itself.
+/// Time that a session has to end by itself after the requested duration, s.
 const GRACE_S: f64 = 1.0;
-/// How often it is looked whether the recording has failed, us.
+/// Polling period for a failed recording, us.
 const LOOK_EVERY_US: u64 = 50_000;
 
 pub(super) fn run(args: &Args, record: &Record) -> anyhow::Result<bool> {
@@ -50,6 +50,7 @@ pub(super) fn run(args: &Args, record: &Record) -> anyhow::Result<bool> {
             .unwrap_or(ProgressStyle::default_spinner()),
     );
     progress.enable_steady_tick(Duration::from_millis(200));
+    // `session::keep` writes the recording of `--record`.
     let recorded = Args { record: Some(path.clone()), ..args.clone() };
     let mut end_us = None;
     let lost = RefCell::new(None);
@@ -57,7 +58,7 @@ pub(super) fn run(args: &Args, record: &Record) -> anyhow::Result<bool> {
         progress.suspend(|| eprintln!("r4: {}", session::told(&event)));
         lost.replace(if let Event::Lost { why } = event { Some(why) } else { None });
     };
-    // Without a link nothing else sees that the time is over.
+    // Without a link, no telemetry ends the recording in time.
     let meanwhile = async |clock: &HostClock| {
         match record.seconds {
             Some(seconds) => clock.sleep_until(clock.now_us() + ((seconds + GRACE_S) * 1e6) as u64).await,
@@ -69,7 +70,7 @@ pub(super) fn run(args: &Args, record: &Record) -> anyhow::Result<bool> {
     let recorded = session::keep(&recorded, Pace::RealTime(1.0), work, tell, meanwhile);
     progress.finish_and_clear();
     match recorded {
-        // Recording ends when the person who records says so.
+        // Ctrl-C is the usual end of a recording.
         Err(error) if !session::was_interrupted(&error) => return Err(error),
         Ok(()) | Err(_) => {}
     }
@@ -82,13 +83,14 @@ pub(super) fn run(args: &Args, record: &Record) -> anyhow::Result<bool> {
     Ok(info.missing() == 0 && log.warnings.is_empty())
 }
 
-/// A file that is not there yet.
+/// First free file name.
 fn free_name() -> anyhow::Result<PathBuf> {
     let names = (1..10_000).map(|number| PathBuf::from(format!("r4-{number}.mcap")));
     names.into_iter().find(|path| !path.exists()).context("there are too many logs here: name one with --out")
 }
 
-/// Asks for the channels and waits, while the tap records what comes. `end_us` is when it ends, by the first session.
+/// Subscribes to the channels and waits while the tap records. `end_us` is the end of the recording, set by the first
+/// session.
 async fn follow(
     session: &Session<'_>,
     record: &Record,
@@ -115,14 +117,14 @@ async fn follow(
     while end_us.is_none_or(|end_us| clock.now_us() < end_us) {
         let look_us = clock.now_us() + LOOK_EVERY_US;
         let until_us = end_us.map_or(look_us, |end_us| end_us.min(look_us));
-        // The end of the link ends the stream; the frames themselves are the tap's.
+        // The end of the link ends the stream; the tap records the frames.
         if let Either::Left((frame, _)) = select(pin!(telemetry.next()), pin!(clock.sleep_until(until_us))).await {
             frame?;
         }
         if let Some(tap) = &session.tap {
             let tap = tap.borrow();
             progress.set_message(format!("{} samples", tap.samples()));
-            // Told when the recording is closed.
+            // The error is reported when the recording is closed.
             if tap.failure().is_some() {
                 break;
             }

@@ -1,4 +1,4 @@
-//! `r4 log replay`
+//! `r4 log replay`: sends a recorded run's requests to a simulated board again and compares both runs.
 
 use std::{path::PathBuf, str::FromStr};
 
@@ -17,28 +17,28 @@ use crate::{args::Args, output, session, table};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Replay {
-    /// The log
+    /// Log to replay, an MCAP file
     pub(crate) file: PathBuf,
-    /// How far a signal may be off, as in osmc0.position_rad=0.02, osmc0.position=1deg, or for every channel duty=0.1;
-    /// may be given several times [default: anything]
+    /// Largest difference of a signal; examples: osmc0.position_rad=0.02, osmc0.position=1deg, or duty=0.1 for every
+    /// channel; may be given several times [default: no limit]
     #[arg(long, value_name = "SIGNAL=LIMIT")]
     pub(crate) within: Vec<Within>,
-    /// How many samples of a signal with a limit may be in one of the runs only, in each [default: 0, or 2 where the clocks
-    /// of the two are not the same]
+    /// Most samples of a signal with a limit that exist in only one of the runs, for each run [default: 0, or 2 where
+    /// the clocks of the two differ]
     #[arg(long, value_name = "N")]
     pub(crate) one_sided: Option<usize>,
-    /// Every signal must be the same to the last bit, as it is for a log of the same simulated board and seed
+    /// Require every signal to be bit-identical, as it is for a log of the same simulated board and seed
     #[arg(long, conflicts_with = "within")]
     pub(crate) exact: bool,
 }
 
-/// How far a signal may be off.
+/// Largest accepted difference of a signal.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Within {
-    /// A signal, or the part after the channel for all of them; with or without its unit.
+    /// Signal name, or its part after the channel for all channels; with or without the unit suffix.
     signal: String,
     limit: f64,
-    /// Of the limit, if it has one; that of the signal otherwise.
+    /// Unit given with the limit; `None` for the signal's own unit.
     unit: Option<Unit>,
 }
 
@@ -58,7 +58,7 @@ impl FromStr for Within {
     }
 }
 
-/// How the names of signals end, and what that is.
+/// Unit suffixes of signal names.
 const SUFFIXES: [(&str, Unit); 6] = [
     ("_rad_s", Unit::RadPerS),
     ("_m_s", Unit::MPerS),
@@ -69,7 +69,7 @@ const SUFFIXES: [(&str, Unit); 6] = [
 ];
 
 impl Within {
-    /// Whether this is about the signal of this name.
+    /// True if the limit applies to the signal of this name.
     fn covers(&self, name: &str) -> bool {
         let suffix = SUFFIXES.into_iter().find(|(suffix, _)| name.ends_with(suffix));
         let unit = suffix.map_or(Unit::Duty, |(_, unit)| unit);
@@ -85,11 +85,11 @@ struct Report {
     log: PathBuf,
     board: String,
     seed: u64,
-    /// Arming, disarming and subscriptions were not recorded, and taken from the states and samples.
+    /// True if the log has no arming, disarming or subscriptions, so that they were inferred from states and samples.
     inferred: bool,
     requests: usize,
     duration_s: f64,
-    /// Every signal is the same to the last bit.
+    /// True if every signal is bit-identical.
     identical: bool,
     met: bool,
     signals: Vec<Row>,
@@ -109,7 +109,7 @@ struct Row {
 }
 
 pub(super) fn run(args: &Args, replay: &Replay) -> anyhow::Result<bool> {
-    // A link is refused before anything is sent over it.
+    // Fails for a link, before anything is sent over it.
     args.board.robot()?;
     let log = read(&replay.file)?;
     let plan = Plan::of(&log).with_context(|| format!("{} cannot be replayed", replay.file.display()))?;
@@ -117,6 +117,7 @@ pub(super) fn run(args: &Args, replay: &Replay) -> anyhow::Result<bool> {
     played.with_context(|| format!("cannot replay {}", replay.file.display()))?;
     let again = Log::from_bytes(&bytes)?;
     let shift_s = shift_s(&log, &again);
+    // With another clock, samples at both ends of the runs have no counterpart.
     let one_sided = replay.one_sided.unwrap_or(if shift_s == 0.0 { 0 } else { AT_THE_ENDS });
     let differences = compare(&log, &again, shift_s);
     let report = judge(replay, &log, &plan, differences, one_sided, (args.board.to_string(), seed))?;
@@ -128,21 +129,21 @@ pub(super) fn run(args: &Args, replay: &Replay) -> anyhow::Result<bool> {
     Ok(report.met)
 }
 
-/// A run that was sent again.
+/// Run that was sent again.
 struct Sent {
-    /// The log of it, as far as it came.
+    /// Log of the replayed run, up to its end or failure.
     bytes: Vec<u8>,
-    /// Of the board's noise.
+    /// Seed of the simulated board's noise.
     seed: u64,
     played: anyhow::Result<()>,
 }
 
-/// Seed of the log's own noise, unless `--seed` asks for another.
+/// Seed of the log's own noise, unless `--seed` gives another.
 pub(in crate::commands) fn seed(args: &Args, log: &Log) -> u64 {
     if args.seed == 1 { log.header.seed.unwrap_or(args.seed) } else { args.seed }
 }
 
-/// Plays a run on the board that `args` name.
+/// Replays the run on the board that `args` name.
 fn send(args: &Args, log: &Log, plan: &Plan) -> Sent {
     let seed = seed(args, log);
     let seeded = Args { seed, ..args.clone() };
@@ -150,7 +151,7 @@ fn send(args: &Args, log: &Log, plan: &Plan) -> Sent {
     Sent { bytes: log, seed, played: result.map(|_| ()) }
 }
 
-/// Samples that a run may have before the other begins and after it has ended, where they are taken at other moments.
+/// Samples by which the runs may differ at either end where they are sampled at different times.
 const AT_THE_ENDS: usize = 2;
 
 fn judge(
@@ -173,6 +174,7 @@ fn judge(
         .into_iter()
         .map(|difference| {
             let limits = replay.within.iter().filter(|within| within.covers(&difference.name));
+            // The tightest limit applies where several cover a signal.
             let limit = limits.map(|within| within.limit).min_by(f64::total_cmp);
             let sides = difference.one_sided.iter().all(|&samples| samples <= one_sided);
             let near = |limit| difference.max.map_or(difference.unequal == 0, |max| max <= limit);
@@ -184,6 +186,7 @@ fn judge(
             Row { signal: name, samples, one_sided, compared, unequal, max, rms, limit, met }
         })
         .collect();
+    // No common sample would meet every limit.
     if signals.iter().all(|row| row.compared == 0) {
         bail!(
             "nothing was compared: no signal was recorded in both runs at the same moments; is {board} the recorded robot, \
@@ -203,7 +206,7 @@ fn judge(
     })
 }
 
-/// Four digits that matter.
+/// Formats a number with four significant digits; `-` for none.
 fn short(value: Option<f64>) -> String {
     match value {
         None => "-".into(),

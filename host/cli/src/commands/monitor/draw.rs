@@ -1,4 +1,4 @@
-//! The screen: a function of the state and the size, and of nothing else.
+//! Screen of `r4 monitor`: a pure function of the state and the size.
 
 use r4_protocol::{Causes, ChannelId, ChannelKind, Quality, SafetyState, Sample, Setpoint, Unit};
 use ratatui::{
@@ -20,28 +20,28 @@ use crate::{
 };
 use r4_rig::quantity::{Quantity, human, speed_unit};
 
-/// One cell of a sparkline, s.
+/// Time span of one cell of a sparkline, s.
 const CELL_S: f64 = 0.25;
-/// What the graph of the selected channel shows, s.
+/// Time span of the graph, s.
 const GRAPH_S: f64 = 30.0;
-/// Lines of a graph: fewer show nothing.
+/// Fewest lines of a graph; a shorter one is not drawn.
 const GRAPH_LINES: u16 = 6;
-/// From this height on there is always room for a graph, of so many lines.
+/// Terminal height, lines, from which a graph is always drawn, and the graph's height then.
 const TALL: (u16, u16) = (34, 12);
 
-/// From this width on the graph is beside the channels, and lists are below them.
+/// Terminal width from which the graph is beside the channels and lists are below them.
 const WIDE: u16 = 140;
-/// Width of the channels then, with 6 s of their past.
+/// Width of the channels then, with 6 s of history.
 const LIST_WIDTH: u16 = COLUMNS as u16 + 24;
-/// Lines for lists below the channels, with their titles: fewer show nothing.
+/// Fewest lines for lists below the channels, titles included; fewer are not drawn.
 const LEAST_PANEL: u16 = 9;
-/// Colours of the signals on the graph. All are of the sixteen that every terminal has, and none is what marks a fault.
+/// Colours of the signals on the graph: of the sixteen that every terminal has, without red, which marks faults.
 const COLOURS: [Color; MOST_MARKED] =
     [Color::Cyan, Color::Yellow, Color::Magenta, Color::Green, Color::LightBlue, Color::White];
 
-/// What keys do.
+/// Summary of the keys, one line.
 pub(super) const HELP: &str = "a arm  d disarm  c clear  space STOP  s set  g graph  p t lists  ? help  q quit";
-/// The same in full.
+/// Keys and their actions, for the help page.
 pub(super) const KEYS: [(&str, &str); 14] = [
     ("space", "STOP: trips the board; also while a set point is typed"),
     ("a", "arm"),
@@ -53,7 +53,7 @@ pub(super) const KEYS: [(&str, &str); 14] = [
     ("  Esc, Ctrl-U", "leave without sending; clear the line"),
     ("g", "channel onto the graph or off it: up to six"),
     ("p", "parameters, from those of the selected channel on"),
-    ("t", "trips that the board remembers"),
+    ("t", "trips stored on the board"),
     ("?", "this page"),
     ("Esc", "back to the channels"),
     ("q, Ctrl-C", "quit: stops what moves and disarms the board"),
@@ -89,7 +89,7 @@ pub(super) fn draw(frame: &mut Frame<'_>, state: &State) {
     }
 }
 
-/// Channels above a graph, where there is room for both.
+/// Draws the channels, and a graph below them where there is room.
 fn draw_narrow(frame: &mut Frame<'_>, state: &State, area: Rect) {
     let rows = u16::try_from(state.rows.len()).unwrap_or(u16::MAX);
     let room = area.height.saturating_sub(1);
@@ -106,20 +106,21 @@ fn draw_narrow(frame: &mut Frame<'_>, state: &State, area: Rect) {
     }
 }
 
-/// The header and the channels.
+/// Draws the header and the channels.
 fn draw_channels(frame: &mut Frame<'_>, state: &State, area: Rect) {
     let [head, list] = Layout::vertical([Constraint::Length(1), Constraint::Fill(1)]).areas(area);
     frame.render_widget(header(area.width), head);
     draw_rows(frame, state, list);
 }
 
-/// The channels, and below them, where there is room, what the selected one is set up with, and the trips.
+/// Draws the channels, and where there is room the parameters of the selected one and the trips.
 fn draw_left(frame: &mut Frame<'_>, state: &State, area: Rect) {
     let lines = |count: usize| u16::try_from(count + 1).unwrap_or(u16::MAX);
     let selected = state.rows.get(state.selected).map(|row| row.info.id);
     let (of_selected, trips) = (parameters(state, selected), trips(state));
     let room = area.height.saturating_sub(lines(state.rows.len()));
     let room = if room < LEAST_PANEL { 0 } else { room };
+    // At most a third of the room for the trips; the parameters get the rest.
     let trips_height = lines(trips.len()).min(room / 3);
     let [list, middle, below] = Layout::vertical([
         Constraint::Fill(1),
@@ -135,7 +136,7 @@ fn draw_left(frame: &mut Frame<'_>, state: &State, area: Rect) {
     }
 }
 
-/// A list below its title, from line `first` on; what does not fit is told in the last line.
+/// Draws a list below its title, from line `first`; the last line counts the lines that do not fit.
 fn draw_list(frame: &mut Frame<'_>, title: &str, lines: &[Line<'static>], first: usize, area: Rect) {
     let room = usize::from(area.height.saturating_sub(1));
     let first = first.min(lines.len().saturating_sub(room));
@@ -161,7 +162,7 @@ fn help(width: u16) -> Vec<Line<'static>> {
     lines
 }
 
-/// The parameters of `of`, or all.
+/// Lines of the parameters of channel `of`, or of all.
 fn parameters(state: &State, of: Option<ChannelId>) -> Vec<Line<'static>> {
     let Some(all) = &state.parameters else { return vec![Line::styled("  not read yet", QUIET)] };
     let units = Units::of(all);
@@ -185,7 +186,7 @@ fn parameters(state: &State, of: Option<ChannelId>) -> Vec<Line<'static>> {
 fn trips(state: &State) -> Vec<Line<'static>> {
     let Some(all) = &state.trips else { return vec![Line::styled("  not read yet", QUIET)] };
     if all.is_empty() {
-        return vec![Line::styled("  the board remembers none", QUIET)];
+        return vec![Line::styled("  none stored", QUIET)];
     }
     let line = |(index, info): (usize, &r4_protocol::FaultInfo)| {
         let seconds = info.device_us as f64 / 1e6;
@@ -197,7 +198,7 @@ fn trips(state: &State) -> Vec<Line<'static>> {
     all.iter().enumerate().map(line).collect()
 }
 
-/// The line in which a set point is typed, what the channel takes, and what is wrong with it.
+/// Lines of the prompt: the typed set point, the channel's range, and the error.
 fn prompt(state: &State, width: u16) -> Vec<Line<'static>> {
     let (Some(prompt), Some(row)) = (&state.prompt, state.rows.get(state.selected)) else { return Vec::new() };
     let bold = Style::new().add_modifier(Modifier::BOLD);
@@ -212,7 +213,7 @@ fn prompt(state: &State, width: u16) -> Vec<Line<'static>> {
     lines
 }
 
-/// State, causes, supply and link.
+/// Lines of state, causes, supply and link.
 fn head(state: &State, width: u16) -> Vec<Line<'static>> {
     let is_lost = state.link.lost.is_some();
     let time = format!("{:.1} s", state.device_s);
@@ -224,7 +225,7 @@ fn head(state: &State, width: u16) -> Vec<Line<'static>> {
     let badge = badge(Some(state.safety).filter(|_| !is_lost));
     let supplies = rows_of(state, ChannelKind::Supply).map(|row| format!("{} {} V", row.info.id, value(row)));
     let [first, second] = link(state, width);
-    // What was heard before the link was lost is history.
+    // After the link is lost, the last values are drawn as old.
     let inputs = Span::styled(supplies.chain(inputs(state)).collect::<Vec<_>>().join("  "), freshness(state));
     vec![
         title,
@@ -240,7 +241,7 @@ fn freshness(state: &State) -> Style {
     if state.link.lost.is_some() { QUIET } else { Style::new() }
 }
 
-/// Width of a label.
+/// Width of a label, characters.
 const LABEL: u16 = 8;
 
 fn labelled(label: &str, text: impl Into<Line<'static>>) -> Line<'static> {
@@ -249,11 +250,11 @@ fn labelled(label: &str, text: impl Into<Line<'static>>) -> Line<'static> {
     line
 }
 
-/// What trips the board, and what a person does about it.
+/// Causes of a trip, or hot windings, with advice to the user.
 fn words(state: &State) -> (String, String) {
     if state.link.lost.is_some() {
-        let last = format!("last heard of {}, {}", state.safety, causes(state.causes));
-        return (last, "a board that hears nothing from its host makes its outputs safe by itself".into());
+        let last = format!("last state {}, {}", state.safety, causes(state.causes));
+        return (last, "without heartbeats from its host, a board makes its outputs safe".into());
     }
     let hot: Vec<_> = state.rows.iter().filter_map(|row| watch::hot(row.sample.as_ref()?)).collect();
     if state.causes.is_empty() && !hot.is_empty() {
@@ -266,6 +267,7 @@ fn words(state: &State) -> (String, String) {
         (None, SafetyState::Disarmed) => "outputs are safe",
         (None, SafetyState::Tripped) => "outputs are safe; clear it when it is safe to go on",
     };
+    // `Causes` would print "no causes", which is noise on an armed board.
     let causes = if state.causes.is_empty() { String::new() } else { causes(state.causes) };
     (causes, advice.into())
 }
@@ -278,7 +280,7 @@ fn rows_of(state: &State, kind: ChannelKind) -> impl Iterator<Item = &Row> {
     state.rows.iter().filter(move |row| row.info.id.kind == kind)
 }
 
-/// The dead-man's handle and the auxiliary stop, in words.
+/// Dead-man switch and auxiliary stop, as text.
 fn inputs(state: &State) -> impl Iterator<Item = String> {
     rows_of(state, ChannelKind::DeadMan).map(|row| {
         let is_good = match row.sample {
@@ -295,7 +297,7 @@ fn inputs(state: &State) -> impl Iterator<Item = String> {
     })
 }
 
-/// How the board is heard, and what was lost.
+/// Two lines about the link: quality, and lost or damaged frames.
 fn link(state: &State, width: u16) -> [Line<'static>; 2] {
     let link = &state.link;
     if let Some(why) = &link.lost {
@@ -324,7 +326,7 @@ fn link(state: &State, width: u16) -> [Line<'static>; 2] {
     [format!("{round_trip}  {rate:.0} frames/s{unanswered}").into(), counted.into()]
 }
 
-/// Width of what is before the sparkline.
+/// Width of the columns before the sparkline.
 const COLUMNS: usize = 60;
 
 fn header(width: u16) -> Line<'static> {
@@ -337,11 +339,12 @@ fn header(width: u16) -> Line<'static> {
 
 fn draw_rows(frame: &mut Frame<'_>, state: &State, area: Rect) {
     let (all, visible) = (state.rows.len(), usize::from(area.height));
+    // Keep the selected channel in the middle of the list, except at the list's ends.
     let first = state.selected.saturating_sub(visible / 2).min(all.saturating_sub(visible));
     let rows = state.rows.iter().enumerate().skip(first).take(visible);
     let lines: Vec<Line<'static>> = rows
         .map(|(index, row)| {
-            // Where the list goes on beyond the screen.
+            // Arrows mark a list that continues beyond the screen.
             let more_above = index == first && first > 0;
             let more_below = index + 1 == first + visible && index + 1 < all;
             let mark = match (index == state.selected, more_above, more_below) {
@@ -356,7 +359,7 @@ fn draw_rows(frame: &mut Frame<'_>, state: &State, area: Rect) {
     frame.render_widget(Paragraph::new(lines), area);
 }
 
-/// The value as people read it, or what is wrong with it.
+/// Value as text, or its fault.
 fn value(row: &Row) -> String {
     row.sample.as_ref().map_or("-".into(), |sample| watch::columns(&row.info, sample)[0].clone())
 }
@@ -368,6 +371,7 @@ fn row_line(state: &State, row: &Row, mark: char, width: u16) -> Line<'static> {
         .map_or(["-".into(), String::new(), String::new()], |sample| watch::columns(&row.info, sample));
     let unit = human(row.info.unit).1;
     let speed_unit = if speed.is_empty() { "" } else { human(speed_unit(row.info.unit)).1 };
+    // The host's clock stands while the link is lost; the old rate would be shown on.
     let hz = if state.link.lost.is_some() { 0.0 } else { row.rate.hz(state.now_s) };
     let is_bad = matches!(row.sample, Some(Sample::Reading { quality, .. } | Sample::Sensor { quality, .. }) if quality != Quality::Good);
     let is_selected = mark == '\u{25b8}';
@@ -389,19 +393,19 @@ fn row_line(state: &State, row: &Row, mark: char, width: u16) -> Line<'static> {
     Line::from(vec![Span::styled(mark.to_string(), style), dot, Span::styled(text, style), line])
 }
 
-/// One of eight heights, for 0 to 1.
+/// Bar of one of eight heights, for a share of 0 to 1.
 fn bar(share: Option<f64>) -> char {
     const BARS: [char; 8] =
         ['\u{2581}', '\u{2582}', '\u{2583}', '\u{2584}', '\u{2585}', '\u{2586}', '\u{2587}', '\u{2588}'];
     share.map_or(' ', |share| BARS[((share * 8.0) as usize).min(7)])
 }
 
-/// The colour of a channel on the graph, if it was put there.
+/// Colour of a channel on the graph; `None` if it is not marked.
 fn colour(state: &State, id: ChannelId) -> Option<Color> {
     state.marked.iter().position(|marked| *marked == id).map(|at| COLOURS[at % MOST_MARKED])
 }
 
-/// What the channels on it have done: the marked ones, or the selected one.
+/// Draws the history of the marked channels, or of the selected one.
 fn draw_graph(frame: &mut Frame<'_>, state: &State, area: Rect) {
     let marked: Vec<&Row> =
         state.marked.iter().filter_map(|id| state.rows.iter().find(|row| row.info.id == *id)).collect();
@@ -413,8 +417,8 @@ fn draw_graph(frame: &mut Frame<'_>, state: &State, area: Rect) {
     }
 }
 
-/// Several signals. In one unit they share its axis; otherwise each is drawn between its own lowest and highest value, which the
-/// legend has.
+/// Draws several signals. Signals of one unit share its axis; otherwise each is scaled to its own lowest and highest
+/// value, which the legend prints.
 fn draw_signals(frame: &mut Frame<'_>, state: &State, rows: &[&Row], area: Rect) {
     let since_s = state.device_s - GRAPH_S;
     let all: Vec<[f64; 2]> = rows.iter().map(|row| row.bounds(since_s)).collect();
@@ -430,7 +434,7 @@ fn draw_signals(frame: &mut Frame<'_>, state: &State, rows: &[&Row], area: Rect)
         })
         .collect();
     let datasets = points.iter().zip(COLOURS).map(|(points, colour)| dataset(points, colour)).collect();
-    // As many lines as it takes.
+    // Break the legend into as many lines as it needs.
     let mut legend: Vec<Line<'static>> = vec![Line::raw(" ")];
     for ((row, own), colour) in rows.iter().zip(&all).zip(COLOURS) {
         let [low, high] = own.map(|value| Quantity::new(value, row.info.unit));
@@ -480,7 +484,7 @@ fn draw_chart(
     frame.render_widget(chart, area);
 }
 
-/// What one channel has done.
+/// Draws the history of one channel.
 fn draw_signal(frame: &mut Frame<'_>, state: &State, row: &Row, colour: Color, area: Rect) {
     let since_s = state.device_s - GRAPH_S;
     let points: Vec<(f64, f64)> = row

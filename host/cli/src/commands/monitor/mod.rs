@@ -1,4 +1,4 @@
-//! `r4 monitor`
+//! `r4 monitor`: all channels of a board on one screen.
 
 mod draw;
 mod order;
@@ -29,7 +29,7 @@ use draw::draw;
 use order::Order;
 use state::{Prompt, State, View};
 
-/// A board has one host at a time: while it is watched, no other program can command it, and quitting disarms it.
+/// A board has one host at a time: while this runs, no other program can command the board, and quitting disarms it.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Monitor {
     /// Samples of each channel per second
@@ -37,14 +37,14 @@ pub(crate) struct Monitor {
     pub(crate) rate: u16,
 }
 
-/// How often keys and answers are looked for, s.
+/// Polling period of keys and answers, s.
 const LOOK_EVERY_S: f64 = 0.02;
-/// How often is drawn, whatever the pace.
+/// Period of the screen, whatever the board's pace.
 const DRAW_EVERY: Duration = Duration::from_millis(50);
-/// How often the board is asked what it has counted, s.
+/// Period of the requests for the board's counters, s.
 const MEASURE_EVERY_S: f64 = 0.5;
 
-/// What a key means.
+/// Meaning of a key.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Key {
     Ask(Ask),
@@ -54,12 +54,12 @@ enum Key {
     /// Put the selected channel on the graph, or take it off.
     Mark,
     Show(View),
-    /// Back to the channels.
+    /// Return to the channels.
     Back,
     Quit,
 }
 
-/// What a board can be asked for.
+/// Request to the board.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Ask {
     Arm,
@@ -67,7 +67,7 @@ enum Ask {
     Clear,
     Stop,
     Set(Order),
-    /// For the lists on the screen.
+    /// Parameters, for the list on the screen; `Trips` likewise.
     Parameters,
     Trips,
 }
@@ -86,7 +86,7 @@ impl Ask {
     }
 }
 
-/// What a key means to who types a set point.
+/// Meaning of a key while a set point is typed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Typed {
     Character(char),
@@ -94,7 +94,7 @@ enum Typed {
     EraseAll,
     Send,
     Leave,
-    /// No number and no unit has a space, so that it stops here too.
+    /// The space key stops the board here too: no number or unit contains a space.
     Stop,
 }
 
@@ -133,7 +133,7 @@ fn meaning(key: KeyEvent) -> Option<Key> {
     })
 }
 
-/// The terminal, and what is on it.
+/// Terminal and state of its screen.
 struct Seen {
     screen: Screen,
     state: State,
@@ -141,14 +141,14 @@ struct Seen {
 }
 
 impl Seen {
-    /// Draws, and does what keys say, of the board by `ask`; whether one says to quit.
+    /// Handles keys and draws, with `ask` for requests to the board; true to quit.
     fn look(&mut self, mut ask: impl FnMut(Ask)) -> anyhow::Result<bool> {
         while let Some(key) = self.screen.key(Duration::ZERO)? {
             if self.state.press(key, &mut ask) {
                 return Ok(true);
             }
         }
-        // What changes without a key.
+        // Lists that are due without a key.
         for what in self.state.wanted() {
             ask(what);
         }
@@ -161,7 +161,7 @@ impl Seen {
 }
 
 impl State {
-    /// Does what `key` says, of the board by `ask`; whether it says to quit.
+    /// Handles one key, with `ask` for requests to the board; true to quit.
     fn press(&mut self, key: KeyEvent, mut ask: impl FnMut(Ask)) -> bool {
         if self.prompt.is_some() {
             if let Some(typed) = typed(key) {
@@ -201,14 +201,11 @@ impl State {
             }
             Typed::Send => {
                 let Some(row) = self.rows.get(self.selected) else { return };
-                // The board checks the range: it stops a channel whose newer set point it refuses.
+                // Leave the range check to the board: it stops a channel whose newer set point it refuses.
                 match Order::read(&row.info, text) {
-                    Ok(_) if self.link.lost.is_some() => *error = Some("nothing was sent: there is no link".into()),
+                    Ok(_) if self.link.lost.is_some() => *error = Some("not sent: there is no link".into()),
                     Ok(_) if self.safety != SafetyState::Armed => {
-                        *error = Some(format!(
-                            "nothing was sent: {} is {}; leave by Esc, then a arms",
-                            self.board, self.safety
-                        ));
+                        *error = Some(format!("not sent: {} is {}; press Esc, then a to arm", self.board, self.safety));
                     }
                     Ok(order) => {
                         self.prompt = None;
@@ -227,6 +224,7 @@ pub(crate) fn run(args: &Args, monitor: &Monitor) -> anyhow::Result<bool> {
     let work = async |session: &Session<'_>| {
         let now_s = session.board.now_s();
         let (info, channels) = (session.board.info(), session.board.channels());
+        // After a reconnection the screen and its history continue.
         if let Some(seen) = seen.get() {
             seen.borrow_mut().state.reconnected(info, channels, now_s);
             return watch(session, monitor, seen).await;
@@ -245,6 +243,7 @@ pub(crate) fn run(args: &Args, monitor: &Monitor) -> anyhow::Result<bool> {
     let meanwhile = async |clock: &HostClock| loop {
         clock.sleep_until(clock.now_us() + (LOOK_EVERY_S * 1e6) as u64).await;
         let Some(mut seen) = seen.get().map(RefCell::borrow_mut) else { continue };
+        // `steer` draws while the link is up; requests are ignored without it.
         if seen.state.link.lost.is_some() && seen.look(|_| {})? {
             return Ok(());
         }
@@ -253,7 +252,7 @@ pub(crate) fn run(args: &Args, monitor: &Monitor) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// Until somebody quits, or the link ends.
+/// Runs the screen until the user quits or the link ends.
 async fn watch(session: &Session<'_>, monitor: &Monitor, seen: &RefCell<Seen>) -> anyhow::Result<()> {
     let mut telemetry = session.board.telemetry();
     for channel in session.board.channels() {
@@ -274,7 +273,7 @@ async fn watch(session: &Session<'_>, monitor: &Monitor, seen: &RefCell<Seen>) -
     let (listen, measure) = (pin!(listen), pin!(measure(session, seen)));
     match select(pin!(steer(session, seen)), select(listen, measure)).await {
         Either::Left((result, _)) => {
-            // Whoever leaves the screen leaves nothing moving, whatever made them leave.
+            // Disarm however the screen ended.
             let disarmed = session.board.disarm().await;
             result?;
             Ok(disarmed?)
@@ -283,20 +282,21 @@ async fn watch(session: &Session<'_>, monitor: &Monitor, seen: &RefCell<Seen>) -
     }
 }
 
-/// Asks the board again and again what it has counted, which is a round trip too.
+/// Requests the board's counters periodically, which also measures the round trip.
 async fn measure(session: &Session<'_>, seen: &RefCell<Seen>) -> Error {
     loop {
         let begin_s = session.board.now_s();
         match session.board.stats().await {
             Ok(stats) => seen.borrow_mut().state.measured(session.board.now_s() - begin_s, stats),
             Err(error @ (Error::LinkLost { .. } | Error::LinkFailed { .. })) => return error,
+            // A late answer is shown as a number; only the end of the link ends the screen.
             Err(_) => seen.borrow_mut().state.link.unanswered += 1,
         }
         session.board.sleep_s(MEASURE_EVERY_S).await;
     }
 }
 
-/// Draws, and does what keys say, until one says to quit.
+/// Draws and handles keys until the user quits.
 async fn steer(session: &Session<'_>, seen: &RefCell<Seen>) -> anyhow::Result<()> {
     let board = session.board;
     let mut commands = Commands::default();

@@ -1,4 +1,4 @@
-//! A set point as it is typed on the screen.
+//! Set point typed on the screen.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use r4_protocol::{ChannelId, ChannelInfo, Mode, ModeInfo, Setpoint, Unit};
 
 use r4_rig::quantity::Quantity;
 
-/// What a channel is to do.
+/// Set point for one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Order {
     pub(super) channel: ChannelId,
@@ -15,7 +15,7 @@ pub(super) struct Order {
 }
 
 impl Order {
-    /// Reads `text` for `channel`; its unit says what is meant. Nothing is said of the range.
+    /// Parses `text` for `channel`; its unit selects the mode. The range is not checked.
     pub(super) fn read(channel: &ChannelInfo, text: &str) -> Result<Self, String> {
         let text = text.trim();
         let takes = takes(channel).ok_or_else(|| format!("{} takes no set points", channel.id))?;
@@ -39,7 +39,7 @@ impl Order {
     }
 }
 
-/// As it is said when the board has taken it.
+/// Text of the message after the board accepted it.
 impl fmt::Display for Order {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Setpoint { mode, value } = self.setpoint;
@@ -52,12 +52,12 @@ impl fmt::Display for Order {
     }
 }
 
-/// Whether a number with its unit means this mode. A home switch is sought by `r4 home`, which waits for it.
+/// True for modes that a number with a unit can select. `r4 home` seeks a home switch and waits for it.
 fn is_typed(mode: &ModeInfo) -> bool {
     !matches!(mode.mode, Mode::Switch | Mode::Brake | Mode::Home)
 }
 
-/// What can be typed for a channel; `None` if nothing.
+/// Set points that a channel accepts, as text; `None` for none.
 pub(super) fn takes(channel: &ChannelInfo) -> Option<String> {
     let each = channel.modes.iter().filter_map(|info| {
         let number = |value: f32| Quantity::new(value.into(), info.unit);

@@ -1,4 +1,4 @@
-//! What the screen shows, fed by telemetry; knows no terminal and no clock.
+//! State of the screen, updated by telemetry; independent of terminal and clock.
 
 use std::collections::VecDeque;
 
@@ -14,49 +14,49 @@ use super::{
 };
 use crate::commands::watch;
 
-/// How much of a channel's past is kept, s.
+/// Length of the history of each channel, s.
 pub(crate) const HISTORY_S: f64 = 60.0;
-/// Over how long rates are taken, s.
+/// Window of the rates, s.
 const RATE_OVER_S: f64 = 2.0;
-/// After a trip the board writes it into its history, s.
+/// Time from a trip until the board has stored it in its history, s.
 const TRIP_WRITTEN_S: f64 = 1.0;
-/// The graph has no more signals than colours that can be told apart.
+/// Most signals on the graph: one per distinguishable colour.
 pub(crate) const MOST_MARKED: usize = 6;
-/// A board that says nothing for so long is told to be silent, s: two link timeouts of 200 ms.
+/// Time without telemetry after which the board counts as silent, s: two link time-outs of 200 ms.
 pub(crate) const SILENT_S: f64 = 0.4;
 
-/// All that is drawn.
+/// State that the screen shows.
 pub(crate) struct State {
     pub(crate) board: String,
     pub(crate) robot: String,
     pub(crate) firmware: String,
     pub(crate) safety: SafetyState,
     pub(crate) causes: Causes,
-    /// The board's clock in the last telemetry, s.
+    /// Board's clock in the last telemetry, s.
     pub(crate) device_s: f64,
-    /// The host's clock when this is drawn, s.
+    /// Host's clock at the time of drawing, s.
     pub(crate) now_s: f64,
     pub(crate) rows: Vec<Row>,
     pub(crate) selected: usize,
     pub(crate) link: Link,
     pub(crate) message: Option<Message>,
     pub(crate) view: View,
-    /// First line of a list that is longer than the screen.
+    /// First visible line of a list that is longer than the screen.
     pub(crate) scroll: usize,
-    /// Signals on the graph; where there are none, the selected one.
+    /// Channels on the graph; empty for the selected channel alone.
     pub(crate) marked: Vec<ChannelId>,
-    /// A set point that is being typed, for the selected channel.
+    /// Prompt for a set point of the selected channel, while it is open.
     pub(crate) prompt: Option<Prompt>,
-    /// `None` before the board has told.
+    /// Parameters of the board; `None` until read.
     pub(crate) parameters: Option<Vec<ParameterInfo>>,
-    /// Newest first; `None` before the board has told.
+    /// Trips, newest first; `None` until read.
     pub(crate) trips: Option<Vec<FaultInfo>>,
     wants_parameters: bool,
-    /// When the trips are to be asked for, by the host's clock.
+    /// Time at which the trips are read again, s, on the host's clock.
     wants_trips_s: Option<f64>,
 }
 
-/// What is below the head of the screen.
+/// Content below the head of the screen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum View {
     Channels,
@@ -65,48 +65,48 @@ pub(crate) enum View {
     Help,
 }
 
-/// What has been typed, and what is wrong with it.
+/// Typed set point and its error.
 #[derive(Default)]
 pub(crate) struct Prompt {
     pub(crate) text: String,
     pub(crate) error: Option<String>,
 }
 
-/// One channel.
+/// Channel with its last sample and history.
 pub(crate) struct Row {
     pub(crate) info: ChannelInfo,
     pub(crate) sample: Option<Sample>,
-    /// Board time in s and value in SI; only finite ones.
+    /// Board time, s, and value, SI; finite values only.
     pub(crate) history: VecDeque<(f64, f64)>,
     pub(crate) rate: Rate,
 }
 
-/// How well the board is heard.
+/// Quality of the link.
 #[derive(Default)]
 pub(crate) struct Link {
-    /// Why there is none.
+    /// Reason of the lost link; `None` while it is up.
     pub(crate) lost: Option<String>,
     /// Host time of the last telemetry, s.
     pub(crate) heard_s: f64,
     pub(crate) frames: Rate,
-    /// Of the last request, and the longest, ms.
+    /// Round trip of the last request and the longest one, ms.
     pub(crate) round_trip_ms: Option<(f64, f64)>,
-    /// Requests without an answer in time.
+    /// Requests that timed out.
     pub(crate) unanswered: u64,
-    /// Damaged frames, and telemetry that this program was too slow for.
+    /// Damaged frames received; `dropped` counts telemetry that this program was too slow to read.
     pub(crate) bad: u64,
     pub(crate) dropped: u64,
-    /// The same at the board.
+    /// Counters of the board; `None` until read.
     pub(crate) stats: Option<DeviceStats>,
 }
 
-/// The last word on what was asked for.
+/// Message about the last request.
 pub(crate) struct Message {
     pub(crate) text: String,
     pub(crate) is_error: bool,
 }
 
-/// How often something happens.
+/// Times of recent events, s, for a rate.
 #[derive(Default)]
 pub(crate) struct Rate(VecDeque<f64>);
 
@@ -117,13 +117,13 @@ impl Rate {
     }
 
     fn forget(&mut self, now_s: f64) {
-        // Also what a clock that went back has left.
+        // Also drops times that lie ahead after the clock was set back.
         while self.0.front().is_some_and(|at_s| !(0.0..=RATE_OVER_S).contains(&(now_s - at_s))) {
             self.0.pop_front();
         }
     }
 
-    /// Hz; 0 when it has not happened for as long as rates are taken over.
+    /// Rate, Hz; 0 without an event in the window.
     pub(crate) fn hz(&self, now_s: f64) -> f64 {
         let (Some(first), Some(last)) = (self.0.front(), self.0.back()) else { return 0.0 };
         if now_s - last > RATE_OVER_S || last <= first {
@@ -159,7 +159,7 @@ impl State {
         }
     }
 
-    /// There is a board again: the same, or another.
+    /// Takes over a board after a reconnection: histories are kept if its channels are the same.
     pub(crate) fn reconnected(&mut self, info: &DeviceInfo, channels: &[ChannelInfo], now_s: f64) {
         let mut new = Self::new(std::mem::take(&mut self.board), info, channels, now_s);
         new.message = self.message.take();
@@ -170,25 +170,27 @@ impl State {
             new.selected = self.selected;
             new.marked = std::mem::take(&mut self.marked);
         }
+        // Keep the view, also for another board.
         new.view = self.view;
         *self = new;
     }
 
-    /// The link is there again, which `how` tells.
+    /// Shows that the link is back; `how` is the message.
     pub(crate) fn back(&mut self, how: String) {
         self.message = Some(Message { text: how, is_error: false });
     }
 
-    /// The link is gone.
+    /// Marks the link as lost.
     pub(crate) fn lost(&mut self, why: String) {
         self.link.lost = Some(why);
+        // The longest round trip is that of the present link.
         self.link.round_trip_ms = None;
     }
 
     pub(crate) fn telemetry(&mut self, frame: &Telemetry, now_s: f64) {
         let device_s = frame.device_us as f64 * 1e-6;
         if device_s < self.device_s {
-            // The board has started anew, and its time with it.
+            // A lower board time means a restart: the old history has another time base.
             self.rows.iter_mut().for_each(|row| row.history.clear());
         }
         if frame.state == SafetyState::Tripped && self.safety != SafetyState::Tripped {
@@ -204,7 +206,7 @@ impl State {
         }
     }
 
-    /// The board has answered after `round_trip_s` what it has counted.
+    /// Stores the board's counters and the round trip of their request.
     pub(crate) fn measured(&mut self, round_trip_s: f64, stats: DeviceStats) {
         let last_ms = round_trip_s * 1e3;
         let longest_ms = self.link.round_trip_ms.map_or(last_ms, |(_, longest_ms)| longest_ms.max(last_ms));
@@ -219,17 +221,17 @@ impl State {
         });
     }
 
-    /// Says something that went well.
+    /// Shows a message of success.
     pub(crate) fn say(&mut self, text: String) {
         self.message = Some(Message { text, is_error: false });
     }
 
-    /// A set point was refused, and so stops what it was for.
+    /// Shows a refusal; the board has stopped the channel of the refused set point.
     pub(crate) fn refused(&mut self, order: Order, refusal: Refusal) {
         let id = order.channel;
         let info = self.rows.iter().map(|row| &row.info).find(|info| info.id == id);
         let why = match (refusal, info.and_then(takes)) {
-            // In the units in which it was typed.
+            // The range in the units in which the set point was typed.
             (Refusal::OutOfRange { .. }, Some(takes)) => format!("it takes {takes}"),
             _ => refusal.to_string(),
         };
@@ -237,14 +239,14 @@ impl State {
         self.message = Some(Message { text, is_error: true });
     }
 
-    /// What the board is to be asked for by now, each once.
+    /// Requests that are due now; each is returned once.
     pub(crate) fn wanted(&mut self) -> Vec<Ask> {
         let parameters = std::mem::take(&mut self.wants_parameters).then_some(Ask::Parameters);
         let trips = self.wants_trips_s.take_if(|at_s| *at_s <= self.now_s).map(|_| Ask::Trips);
         parameters.into_iter().chain(trips).collect()
     }
 
-    /// Begins a set point for the selected channel, if it takes any.
+    /// Opens the prompt for the selected channel, if it accepts set points.
     pub(crate) fn open_prompt(&mut self) {
         let Some(row) = self.rows.get(self.selected) else { return };
         self.view = View::Channels;
@@ -264,12 +266,12 @@ impl State {
         } else if self.marked.len() < MOST_MARKED {
             self.marked.push(id);
         } else {
-            let text = format!("the graph has {MOST_MARKED} signals: take one off first, by g");
+            let text = format!("the graph has {MOST_MARKED} signals: remove one first, with g");
             self.message = Some(Message { text, is_error: true });
         }
     }
 
-    /// Shows `view`, or the channels where it is shown already.
+    /// Shows `view`, or the channels if it is already shown.
     pub(crate) fn show(&mut self, view: View) {
         self.view = if self.view == view { View::Channels } else { view };
         self.scroll = 0;
@@ -280,12 +282,12 @@ impl State {
         }
     }
 
-    /// How long the board has been silent, s, if that is longer than it should.
+    /// Time without telemetry, s; `None` within the limit.
     pub(crate) fn silent_s(&self) -> Option<f64> {
         Some(self.now_s - self.link.heard_s).filter(|silent_s| *silent_s > SILENT_S)
     }
 
-    /// Selects the channel so many further down, or the last one there is; in a list, goes so many lines down.
+    /// Moves the selection by `down` channels, or a list by `down` lines, limited to the last one.
     pub(crate) fn select(&mut self, down: isize) {
         let list = match self.view {
             View::Channels => None,
@@ -309,7 +311,7 @@ impl Row {
     fn take(&mut self, sample: &Sample, device_s: f64, now_s: f64) {
         self.sample = Some(*sample);
         self.rate.count(now_s);
-        // The value beside a bad quality is the last good one.
+        // A sample of bad quality repeats the last good value: keep it out of the history.
         let is_good = !matches!(sample, Sample::Reading { quality, .. } | Sample::Sensor { quality, .. } if *quality != Quality::Good);
         if let Some(value) = watch::number(&self.info, sample).filter(|_| is_good) {
             self.history.push_back((device_s, value));
@@ -319,7 +321,8 @@ impl Row {
         }
     }
 
-    /// The values between which the history is drawn: no narrower than what is noise.
+    /// Vertical range of the history since `since_s`: at least eight counts or 1 % of the value, so that noise stays
+    /// flat.
     pub(crate) fn bounds(&self, since_s: f64) -> [f64; 2] {
         let values = self.history.iter().filter(|(at_s, _)| *at_s >= since_s).map(|(_, value)| *value);
         let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
@@ -335,10 +338,11 @@ impl Row {
         [middle - half, middle + half]
     }
 
-    /// The history as `cells` values from 0 to 1, each over `cell_s` seconds and the last up to now; `None` where nothing
-    /// was measured.
+    /// Sparkline: `cells` mean values scaled to 0..1, each over `cell_s` seconds, the last one up to now; `None` where
+    /// nothing was measured.
     pub(crate) fn cells(&self, device_s: f64, cells: usize, cell_s: f64) -> Vec<Option<f64>> {
-        // Of the board's time and not counted from now, so that what is past does not change from one look to the next.
+        // Cells are aligned to the board's clock, not to now, so that past cells do not change from one drawing to the
+        // next.
         let last = (device_s / cell_s).floor();
         let [low, high] = self.bounds((last - cells as f64 + 1.0) * cell_s);
         let mut sums = vec![(0.0, 0u32); cells];

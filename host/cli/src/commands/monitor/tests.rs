@@ -1,4 +1,4 @@
-//! The screen of a board that nobody has.
+//! Tests of the screen with a simulated state: no board is involved.
 
 use std::{collections::BTreeSet, f64::consts::TAU};
 
@@ -67,7 +67,7 @@ fn many() -> Vec<ChannelInfo> {
     few().into_iter().chain(encoders).collect()
 }
 
-/// What a channel tells at a time, s.
+/// Sample of a channel at time `at_s`, s.
 fn sample(info: &ChannelInfo, at_s: f64) -> Sample {
     let channel = info.id;
     let turned = (TAU * at_s / 4.0).sin();
@@ -90,7 +90,7 @@ fn sample(info: &ChannelInfo, at_s: f64) -> Sample {
     }
 }
 
-/// A board that was listened to for so long, s.
+/// State of a board after `seconds` s of telemetry.
 fn heard(channels: &[ChannelInfo], seconds: f64, safety: SafetyState, causes: Causes) -> State {
     let mut state = State::new("serial:/dev/ttyACM0".into(), &info(), channels, 100.0);
     for tick in 0..=(seconds * HZ) as u32 {
@@ -181,7 +181,7 @@ fn a_silent_board_is_told_before_it_is_given_up() {
     assert!(screen(&state).contains("SILENT for 0.5 s"), "{}", screen(&state));
 }
 
-/// Also one of no size at all, as a terminal has that is being made smaller.
+/// Includes size 0, which a terminal has while it is being resized.
 #[test]
 fn every_size_can_be_drawn() {
     for channels in [vec![], few(), many()] {
@@ -219,7 +219,7 @@ fn a_board_that_starts_anew_begins_a_new_history() {
 #[test]
 fn rates_are_those_of_the_last_seconds() {
     let state = heard(&many(), 8.0, SafetyState::Disarmed, Causes::NONE);
-    // 48 channels are six frames.
+    // 48 channels fill six frames.
     assert!((state.link.frames.hz(108.0) - 6.0 * HZ).abs() < 3.0, "{}", state.link.frames.hz(108.0));
     assert!((state.rows[0].rate.hz(108.0) - HZ).abs() < 0.01);
     assert_eq!(state.rows[0].rate.hz(111.0), 0.0, "nothing came for three seconds");
@@ -228,12 +228,12 @@ fn rates_are_those_of_the_last_seconds() {
 #[test]
 fn a_sparkline_has_the_highest_and_the_lowest() {
     let state = heard(&few(), 10.0, SafetyState::Disarmed, Causes::NONE);
-    // A sine of four seconds, in the middle of each cell an eighth of a second off.
+    // A sine of four seconds, an eighth of a second off in the middle of each cell.
     let cells: Vec<f64> = state.rows[0].cells(11.0, 40, 0.25).into_iter().flatten().collect();
     assert_eq!(cells.len(), 40);
     let (low, high) = cells.iter().fold((1.0f64, 0.0f64), |(low, high), cell| (low.min(*cell), high.max(*cell)));
     assert!(low < 0.02 && high > 0.98, "{low} {high}");
-    // What does not change is drawn in the middle, noise or not.
+    // A constant is drawn in the middle, with or without noise.
     let flat: Vec<f64> = state.rows[5].cells(11.0, 40, 0.25).into_iter().flatten().collect();
     assert!(flat.iter().all(|cell| (cell - 0.5).abs() < 0.01), "{flat:?}");
 }
@@ -265,7 +265,7 @@ fn keys_are_those_of_the_help_page() {
     assert!(HELP.chars().count() <= 80);
 }
 
-/// Presses keys; what the board is asked for.
+/// Presses keys and returns the requests to the board.
 fn press(state: &mut State, keys: impl IntoIterator<Item = KeyCode>) -> Vec<Ask> {
     let mut asked = Vec::new();
     for key in keys {
@@ -284,7 +284,7 @@ fn a_set_point_is_typed_checked_and_sent() {
     assert_eq!(press(&mut state, [Char('s')].into_iter().chain(text("12parsec")).chain([Enter])), []);
     let error = state.prompt.as_ref().and_then(|prompt| prompt.error.clone()).unwrap_or_default();
     assert!(error.contains("units are"), "{error}");
-    // Another unit than it takes: `d` and `q` are letters here, and do nothing else.
+    // A unit that the channel does not accept: `d` and `q` are letters here and do nothing else.
     assert_eq!(press(&mut state, [Backspace; 8].into_iter().chain(text("10mm")).chain([Enter])), []);
     let error = state.prompt.as_ref().and_then(|prompt| prompt.error.clone()).unwrap_or_default();
     assert_eq!(error, "osmc0 takes position -572.96 to 572.96 deg");
@@ -294,7 +294,7 @@ fn a_set_point_is_typed_checked_and_sent() {
     assert!((f64::from(order.setpoint.value) + TAU / 4.0).abs() < 1e-6);
     assert_eq!(order.to_string(), "osmc0 position -90.00 deg");
     assert!(state.prompt.is_none());
-    // Beyond the range: the board refuses it, and stops the channel.
+    // Out of range: the board refuses it and stops the channel.
     let asked = press(&mut state, [Enter].into_iter().chain(text("9999deg")).chain([Enter]));
     let [Ask::Set(order)] = asked[..] else { panic!("{asked:?}") };
     state.refused(order, Refusal::OutOfRange { channel: order.channel, asked: 174.5, range: Range::symmetric(10.0) });
@@ -328,7 +328,7 @@ fn nothing_is_sent_to_a_board_that_is_not_armed_or_not_there() {
     state.lost("gone".into());
     assert_eq!(press(&mut state, send()), []);
     assert!(said(&state).contains("no link"));
-    // What only measures has no prompt.
+    // A channel that only measures has no prompt.
     let mut state = heard(&few(), 1.0, SafetyState::Armed, Causes::NONE);
     state.select(3);
     assert_eq!(press(&mut state, [Enter]), []);
@@ -351,13 +351,13 @@ fn switches_brakes_and_shares_are_typed() {
     let read = |text: &str| Order::read(&drive, text).map(|order| order.to_string());
     assert_eq!(read("-30%").as_deref(), Ok("bldc0 duty -0.300"));
     assert_eq!((read("brake").as_deref(), read("release").as_deref()), (Ok("bldc0 brake on"), Ok("bldc0 brake off")));
-    // Seeking a home switch is not a set point, and this is no relay.
+    // Seeking a home switch is no set point, and this channel is no relay.
     for text in ["1rad/s", "on"] {
         assert_eq!(read(text), Err("bldc0 takes duty -1.000 to 1.000, brake or release".to_owned()));
     }
 }
 
-/// With what the board was asked for at the beginning.
+/// State with parameters and trips, as after the first requests.
 fn with_lists() -> State {
     let mut state = heard(&few(), 12.0, SafetyState::Armed, Causes::NONE);
     assert_eq!((state.wanted(), state.wanted()), (vec![Ask::Parameters, Ask::Trips], vec![]), "each once");
@@ -388,7 +388,7 @@ fn several_signals_have_colours_and_a_legend() {
     let mut state = with_lists();
     press(&mut state, [Char('g'), Down, Down, Down, Char('g')]);
     for (width, height) in [(80, 24), (160, 50)] {
-        // Both in degrees: one axis.
+        // Both signals are in degrees and share one axis.
         snapshot::assert_is("monitor-signals", width, height, |frame| draw(frame, &state));
     }
     press(&mut state, [Down, Down, Char('g')]);
@@ -399,7 +399,7 @@ fn several_signals_have_colours_and_a_legend() {
     let colours: BTreeSet<String> =
         cells.iter().filter(|cell| cell.symbol() == "\u{25cf}").map(|cell| cell.fg.to_string()).collect();
     assert_eq!(colours.len(), 3, "{colours:?}");
-    // No more than there are colours, and off again.
+    // At most one mark per colour; a second press removes it.
     press(&mut state, [Home].into_iter().chain([Char('g'), Down].into_iter().cycle().take(16)));
     assert!(state.marked.len() <= 6 && !state.marked.contains(&few()[0].id), "{:?}", state.marked);
 }

@@ -22,17 +22,17 @@ use r4_protocol::{FrameDecoder, Refusal, Request, ToDevice, ToHost, encode_frame
 
 use super::Outbox;
 
-/// A client without a session, or whose heartbeats do not come, is dropped after this time: ten times as long as a board waits.
+/// Time after which a client without a session or heartbeats is dropped: ten times the board's link time-out.
 const SILENT: Duration = Duration::from_secs(2);
-/// Most clients at once. Of more, the one that has waited longest without a session goes.
+/// Most clients at once. One more replaces the client that has waited longest without a session.
 const CLIENTS: usize = 64;
 
-/// What is said of who does not have the key.
+/// Message about a client without the key.
 pub(in super::super) const TURNED_AWAY: &str = "r4: a client without the key was turned away";
-/// What is said of who is silent.
+/// Message about a silent client.
 pub(in super::super) const DROPPED: &str = "r4: a client without a session or heartbeats was dropped";
 
-/// Everyone who is connected.
+/// Connected clients of one board.
 pub(super) struct Clients {
     listener: Listener,
     connected: Vec<Client>,
@@ -42,21 +42,21 @@ pub(super) struct Clients {
 
 struct Client {
     number: u64,
-    /// All that is done with it; ready when it is gone.
+    /// Task that serves the client; completes when it has left.
     task: Pin<Box<dyn Future<Output = Left>>>,
 }
 
-/// How a client left.
+/// Reason why a client left.
 enum Left {
-    /// It closed its end, or its link failed.
+    /// The client closed its end, or its link failed.
     Gone,
-    /// It opened no session, or sent no heartbeats.
+    /// The client opened no session, or sent no heartbeats.
     Silent,
 }
 
-/// What the clients have in common.
+/// State that the clients share.
 struct Desk {
-    /// Number of the board's host.
+    /// Number of the client that is the board's host; `None` for no client.
     host: Cell<Option<u64>>,
     to_board: RefCell<Vec<u8>>,
     outbox: Rc<Outbox>,
@@ -68,10 +68,10 @@ impl Clients {
         Self { listener, connected: Vec::new(), desk: Rc::new(desk), next_number: 0 }
     }
 
-    /// What the host has sent to the board.
+    /// Waits for bytes that the host sends to the board.
     ///
     /// # Errors
-    /// The listener's.
+    /// [`io::Error`] of the listening socket.
     pub(super) async fn next(&mut self) -> io::Result<Vec<u8>> {
         poll_fn(|context| {
             while let Poll::Ready(accepted) = self.listener.poll_accept(context) {
@@ -110,7 +110,7 @@ impl Clients {
             }
             if desk.host.get() == Some(client.number) {
                 desk.host.set(None);
-                // Ends half a frame, which would take the next host's first one with it.
+                // A zero byte ends an incomplete frame, which would otherwise damage the next host's first frame.
                 desk.to_board.borrow_mut().push(0);
             }
             false
@@ -129,7 +129,7 @@ async fn served(Link { rx, mut tx }: Link, desk: Rc<Desk>, number: u64) -> Left 
                 if desk.host.get() == Some(number) {
                     bytes.extend(desk.outbox.bytes.borrow_mut().drain(..));
                 }
-                // Polled again after each run of the simulation.
+                // `poll_fn` needs no waker: the task is polled after each run of the simulation.
                 if bytes.is_empty() { Poll::Pending } else { Poll::Ready(bytes) }
             })
             .await;
@@ -138,7 +138,8 @@ async fn served(Link { rx, mut tx }: Link, desk: Rc<Desk>, number: u64) -> Left 
             }
         }
     };
-    // After the other two, so that what has come while this machine was busy elsewhere counts.
+    // The last branch of the select: bytes that arrived while this machine was busy are read before the time-out is
+    // checked.
     let silence = async {
         while heard.get().elapsed() < SILENT {
             Timer::at(heard.get() + SILENT).await;
@@ -150,7 +151,7 @@ async fn served(Link { rx, mut tx }: Link, desk: Rc<Desk>, number: u64) -> Left 
     }
 }
 
-/// Passes on what the host says, and answers who is not the host. Ends with the link.
+/// Forwards the host's bytes to the board, and refuses requests of other clients. Returns when the link ends.
 async fn receive(mut rx: Receiver, desk: &Desk, number: u64, heard: &Cell<Instant>, answers: &RefCell<Vec<u8>>) {
     let mut decoder = FrameDecoder::new();
     let mut frame = Vec::new();
@@ -162,7 +163,7 @@ async fn receive(mut rx: Receiver, desk: &Desk, number: u64, heard: &Cell<Instan
             if is_host {
                 desk.to_board.borrow_mut().push(*byte);
             } else if frame.len() < MAX_FRAME {
-                // What is longer is no frame.
+                // A longer sequence of bytes is no frame.
                 frame.push(*byte);
             }
             match message {
@@ -173,7 +174,7 @@ async fn receive(mut rx: Receiver, desk: &Desk, number: u64, heard: &Cell<Instan
                 Some(Ok(ToDevice::Request { request: Request::Hello { .. }, .. })) if desk.host.get().is_none() => {
                     heard.set(Instant::now());
                     desk.host.set(Some(number));
-                    // What the board has said to the host before.
+                    // Discard output of the board for the previous host.
                     desk.outbox.bytes.borrow_mut().clear();
                     desk.to_board.borrow_mut().append(&mut frame);
                 }
@@ -181,6 +182,7 @@ async fn receive(mut rx: Receiver, desk: &Desk, number: u64, heard: &Cell<Instan
                     let refusal = if desk.host.get().is_some() { Refusal::InUse } else { Refusal::NoSession };
                     let answer = ToHost::Response { seq, result: Err(refusal) };
                     if let Ok(answer) = encode_frame(&answer, &mut [0; MAX_FRAME])
+                        // A client that does not read its answers must not fill the memory.
                         && answers.borrow().len() < MAX_FRAME
                     {
                         answers.borrow_mut().extend_from_slice(answer);
@@ -195,7 +197,7 @@ async fn receive(mut rx: Receiver, desk: &Desk, number: u64, heard: &Cell<Instan
     }
 }
 
-/// Whether a frame ends here: COBS leaves no other 0.
+/// True for the delimiter of frames: COBS removes all other zero bytes.
 const fn message_ends(byte: u8) -> bool {
     byte == 0
 }

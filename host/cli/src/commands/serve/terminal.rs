@@ -1,4 +1,4 @@
-//! The terminal a virtual board is served on, and the name that a user chose for it.
+//! Pseudo-terminal of a served virtual board, with a symbolic link of a name that the user chose.
 
 #[cfg(not(unix))]
 pub(super) use absent::Terminal;
@@ -15,7 +15,7 @@ mod unix {
     use anyhow::Context;
     use r4_links::{Descriptor, pty::Pty};
 
-    /// Why a served board cannot have a name.
+    /// Reason why a served board cannot have a name.
     #[derive(Debug, thiserror::Error)]
     enum NameTaken {
         #[error("{} is the name of a board that another program serves: end that, or choose another name", .0.display())]
@@ -24,13 +24,13 @@ mod unix {
         Other(PathBuf, PathBuf),
     }
 
-    /// A pseudo-terminal, with a symbolic link to it if a name was given for it.
+    /// Pseudo-terminal, with a symbolic link to it if a name was given.
     pub(in super::super) struct Terminal {
         pty: Pty,
         name: Option<Name>,
     }
 
-    /// A symbolic link to a terminal, removed when it is dropped.
+    /// Symbolic link to a terminal, removed when dropped.
     struct Name {
         link: PathBuf,
         to: PathBuf,
@@ -44,7 +44,7 @@ mod unix {
             Ok(Self { pty, name })
         }
 
-        /// What a client opens.
+        /// Path that a client opens.
         pub(in super::super) fn path(&self) -> &Path {
             self.name.as_ref().map_or(self.pty.path(), |name| &name.link)
         }
@@ -55,7 +55,7 @@ mod unix {
     }
 
     impl Name {
-        /// Makes a symbolic link at `link`. It replaces one that a server left there when it was killed.
+        /// Makes a symbolic link at `link`, replacing one left by a server that was killed.
         fn take(link: &Path, to: &Path) -> anyhow::Result<Self> {
             let claim = claim(link)?;
             if let Ok(old) = fs::read_link(link) {
@@ -71,15 +71,15 @@ mod unix {
 
     impl Drop for Name {
         fn drop(&mut self) {
-            // Not one that leads elsewhere by now. What is not there any more need not be removed.
+            // Keep a link that another program has redirected; a missing link needs no removal.
             if fs::read_link(&self.link).is_ok_and(|at| at == self.to) {
                 let _ = fs::remove_file(&self.link);
             }
         }
     }
 
-    /// The right to a name: a socket in Linux's abstract namespace, which is gone with the process however that ends. A lock of
-    /// the terminal would not do: the number of a dead server's terminal is soon another's.
+    /// Right to a name: a socket in Linux's abstract namespace, which ends with the process however that ends. A lock
+    /// on the terminal would not do: the number of a dead server's terminal is soon reused.
     #[cfg(target_os = "linux")]
     type Claim = std::os::unix::net::UnixListener;
 
@@ -99,7 +99,7 @@ mod unix {
             }
             _ => anyhow::bail!("{} is no name of a file", name.display()),
         };
-        // A name of this kind has at most 107 bytes.
+        // An abstract name has at most 107 bytes; the digest has 64.
         let digest = Sha256::digest(absolute.as_os_str().as_bytes());
         let socket = digest.iter().fold("r4-served-".to_owned(), |name, byte| format!("{name}{byte:02x}"));
         let address = SocketAddr::from_abstract_name(socket).context("cannot claim a name")?;
@@ -112,7 +112,7 @@ mod unix {
     #[cfg(not(target_os = "linux"))]
     type Claim = ();
 
-    /// Elsewhere a name that leads to a terminal counts as served.
+    /// Claims a name on other systems, where a name that leads to a terminal counts as served.
     #[cfg(not(target_os = "linux"))]
     fn claim(name: &Path) -> anyhow::Result<Claim> {
         use std::os::unix::fs::FileTypeExt;
@@ -129,7 +129,7 @@ mod absent {
 
     use r4_links::Descriptor;
 
-    /// There are none on this system.
+    /// Error on systems without pseudo-terminals.
     #[derive(Debug, thiserror::Error)]
     #[error("this system has no pseudo-terminals: serve the board with --tcp 127.0.0.1:PORT")]
     struct NoTerminals;

@@ -1,4 +1,4 @@
-//! `r4 tune`: gains for a loop of a motor, from an experiment on the board.
+//! `r4 tune`: gains for a motor's loop, from an experiment on the board.
 
 mod page;
 
@@ -24,29 +24,29 @@ use crate::{args::Args, output, session, table};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Tune {
-    /// The motor, as in osmc0; it must be free to move
+    /// Motor to tune; must be free to move; example: osmc0
     channel: ChannelId,
-    /// Drive it by changing duties and fit a model, or swing it with a relay
+    /// Experiment: fit a model to runs under changing duties, or oscillate the motor with a relay
     #[arg(long, value_enum, default_value_t = Method::Step)]
     method: Method,
-    /// Which of its loops [default: the one that holds its positions]
+    /// Loop to tune [default: the one that holds the motor's positions]
     #[arg(long, value_enum)]
     mode: Option<Which>,
-    /// Keep gains and feed-forward, if they are better; holds over restarts
+    /// Save gains and feed-forward to the board's flash if they are better
     #[arg(long)]
     save: bool,
-    /// Write a page with the plots
+    /// Write a page with the plots to this file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
-    /// How far it may go from where it begins, as in 60deg or 10mm [default: 1 rad, or 200 counts of its sensor if that is
-    /// more, or a tenth of the range; for a speed what the run takes]
+    /// Largest distance from the starting position; examples: 60deg, 10mm [default: 1 rad, or 200 counts of the sensor
+    /// if that is more, or a tenth of the range; for a speed loop as far as the run takes]
     #[arg(long)]
     travel: Option<Quantity>,
-    /// Where it begins [default: where it is, or the nearest place with room]
+    /// Starting position [default: the present one, or the nearest place with room]
     #[arg(long, allow_hyphen_values = true)]
     at: Option<Quantity>,
-    /// How hard it is driven at most, as a share of the supply [default: as hard as its path needs; by a relay a position short
-    /// of a stall, a speed a third of what holds it]
+    /// Largest duty, as a share of the supply, 0 to 1 [default: what the path needs; with a relay, for a position just
+    /// below a stall, for a speed a third of the holding duty]
     #[arg(long)]
     amplitude: Option<f64>,
     /// Least phase margin, degrees
@@ -55,33 +55,33 @@ pub(crate) struct Tune {
     /// Time constant of the closed loop, s [default: the shortest with that margin that the sensor allows]
     #[arg(long, value_name = "SECONDS")]
     time_constant: Option<f64>,
-    /// Give up when it has been armed for so long, s
+    /// Longest time armed, s; then give up
     #[arg(long, default_value_t = 120.0, value_name = "SECONDS")]
     time: f64,
 }
 
-/// How the motor is asked.
+/// Experiment on the motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Method {
-    /// By a relay.
+    /// Oscillate the motor with a relay
     Relay,
-    /// By runs under changing duties.
+    /// Fit a model to runs under changing duties
     Step,
 }
 
-/// Which loop.
+/// Control loop of a motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Which {
-    /// Of the position.
+    /// Loop of the position
     Position,
-    /// Of the speed.
+    /// Loop of the speed
     Speed,
-    /// Of the speed, which holds positions too.
+    /// Loop of the speed that also holds positions
     Cascade,
 }
 
 impl Tune {
-    /// What is asked of the board.
+    /// Request to `r4-rig` with these options.
     fn request(&self) -> TuneRequest {
         TuneRequest {
             channel: self.channel,
@@ -117,7 +117,7 @@ struct Report {
     present: Shown,
     proposed: Shown,
     better: bool,
-    /// Why the proposed gains are not better.
+    /// Reason why the proposed gains are not better.
     worse: Option<String>,
     saved: bool,
 }
@@ -185,12 +185,14 @@ impl Shown {
 pub(crate) fn run(args: &Args, tune: &Tune) -> anyhow::Result<bool> {
     let request = tune.request();
     request.check()?;
+    // Refuse before the experiment, which takes up to minutes.
     if tune.save {
         config::check_keeps(args)?;
     }
     let style = ProgressStyle::with_template("{spinner} {msg}").unwrap_or(ProgressStyle::default_spinner());
     let progress = ProgressBar::new_spinner().with_style(style);
     progress.enable_steady_tick(std::time::Duration::from_millis(100));
+    // Record in memory: the report page plots the experiment.
     let (result, log) = session::in_memory(args, Pace::Free, async |session| {
         Ok(r4_rig::tune::tune(session, &request, |step| progress.set_message(step.to_owned())).await?)
     });
@@ -249,7 +251,7 @@ fn report(args: &Args, request: &TuneRequest, outcome: &Outcome) -> Report {
     }
 }
 
-/// What the experiment told, in one or two sentences.
+/// Result of the experiment, in one or two sentences.
 fn finding(outcome: &Outcome) -> String {
     let unit = outcome.plan.unit();
     match &outcome.finding {
@@ -257,7 +259,7 @@ fn finding(outcome: &Outcome) -> String {
             let quantity = |value| Quantity::new(value, unit);
             format!(
                 "Swing under duty ±{height:.3}: period {:.1} ms, amplitude {}. Hysteresis {}, {} cycles within {:.1} %. \
-                 Ultimate gain {:.4}, motor's phase {:.0} deg at {:.1} rad/s. Delay over the host {:.1} ms, not in these.",
+                 Ultimate gain {:.4}, motor's phase {:.0} deg at {:.1} rad/s. Delay over the host {:.1} ms, not included.",
                 oscillation.period_s * 1e3,
                 quantity(oscillation.amplitude),
                 quantity(*hysteresis),
@@ -285,12 +287,12 @@ fn finding(outcome: &Outcome) -> String {
     }
 }
 
-/// The rule and its margin.
+/// Tuning rule and its phase margin.
 fn rule(outcome: &Outcome) -> String {
     format!("{}, phase margin {:.0} deg", outcome.rule, outcome.margin_deg)
 }
 
-/// What to think of it.
+/// Conclusion: whether the proposed gains are better, and whether they were saved.
 fn verdict(outcome: &Outcome, channel: ChannelId) -> String {
     let settled = |of: Option<&Answer>| match of.and_then(|answer| answer.response.settling_s) {
         Some(settling_s) => format!("after {settling_s:.3} s"),
@@ -301,12 +303,12 @@ fn verdict(outcome: &Outcome, channel: ChannelId) -> String {
         (Some(why), _) => format!("the present gains are better and stay; with the proposed ones, {why}"),
         (None, true) => format!("settles {after} instead of {before}; saved, holds from now on"),
         (None, false) => format!(
-            "settles {after} instead of {before}; not saved, {channel} has its old gains again: --save keeps the new"
+            "settles {after} instead of {before}; not saved, {channel} has its old gains again: add --save to keep the new ones"
         ),
     }
 }
 
-/// Rows of present and proposed: what, in which unit, and both numbers as text.
+/// Rows of the table: name, unit, present and proposed value as text.
 fn rows(outcome: &Outcome) -> Vec<[String; 4]> {
     let plan = &outcome.plan;
     let (per_si, unit, decimals) = human(plan.unit());
@@ -316,6 +318,7 @@ fn rows(outcome: &Outcome) -> Vec<[String; 4]> {
     let row = |name: &str, unit: &str, of: &dyn Fn(&Response) -> Option<f64>, decimals| {
         [name.into(), unit.into(), number(of(&before), decimals), number(after.as_ref().and_then(of), decimals)]
     };
+    // E in the units below stands for the motor's length or angle.
     let of_length = if plan.motor.unit == Unit::M { "m" } else { "rad" };
     let gains = |name: &str, per: [&str; 2], of: fn(&PidGains) -> f32| {
         let [position, speed] = per.map(|per| per.replace('E', of_length));

@@ -1,4 +1,4 @@
-//! The page of a run.
+//! Report page of a tuning run.
 
 use r4_log::Log;
 use r4_protocol::ChannelId;
@@ -10,7 +10,7 @@ use r4_rig::{
 use super::{finding, rows, rule, verdict};
 use crate::report::{self, Align, Cell, Column, Overlay};
 
-/// The page.
+/// Returns the page as HTML.
 pub(super) fn html(log: &Log, channel: ChannelId, board: &str, outcome: &Outcome) -> String {
     let plan = &outcome.plan;
     let column = |title: &str, align| Column { title: title.into(), unit: None, align };

@@ -1,4 +1,4 @@
-//! What was found of a model and recordings, as a page of the same kind as that of a log.
+//! Page of an identification's report, in the style of a log's page.
 
 use std::{collections::BTreeMap, fmt::Write as _};
 
@@ -11,21 +11,21 @@ use super::{
     write_facts, write_figure, write_table,
 };
 
-/// Quarters of a pixel: what was measured is the widest, what models say lies on top of it.
+/// Line widths, quarters of a pixel: the measured line is the widest, models lie on it.
 const MEASURED: u32 = 14;
 const MODEL: u32 = 6;
 
-/// Runs drawn; the page says how many there are.
+/// Most runs drawn; the page states how many there are.
 const RUNS: usize = 8;
 
-/// Notes on the data shown before the others are asked for.
+/// Notes on the data that are visible at once; the others are folded.
 const NOTES: usize = 8;
 
-/// The page of `report`, with plots of `figures`, for what was read from `files`.
+/// Page of `report` with plots of `figures`; `files` are facts about the recordings, for the head.
 #[must_use]
 pub(crate) fn identify(report: &Report, figures: &Figures, files: &[(&str, String)]) -> String {
     let mut body = String::new();
-    // writing to a string does not fail
+    // Writing to a `String` cannot fail.
     let _ = write_body(&mut body, report, figures, files);
     document(&format!("{}: what the data show", report.model), &body)
 }
@@ -41,7 +41,7 @@ fn write_body(body: &mut String, report: &Report, figures: &Figures, files: &[(&
     }
     writeln!(body, "<section id=\"effects\">\n<h2>Effects</h2>")?;
     if report.effects.is_empty() {
-        body.push_str("<p>None: the base model leaves nothing that an effect would explain better than chance.</p>\n");
+        body.push_str("<p>None: no effect explains the base model's residual better than chance.</p>\n");
     }
     for effect in &report.effects {
         write_effect(body, effect, &scale)?;
@@ -51,8 +51,8 @@ fn write_body(body: &mut String, report: &Report, figures: &Figures, files: &[(&
     write_runs(body, figures)?;
     if !figures.causes.is_empty() {
         body.push_str(
-            "<section id=\"residual\">\n<h2>Residual against each cause</h2>\n<p>What the model leaves over, as \
-             means of bins; the bars are two standard errors. What is explained lies on zero.</p>\n",
+            "<section id=\"residual\">\n<h2>Residual against each quantity</h2>\n<p>Means of the residual \
+             in bins; the bars are two standard errors. An explained dependence lies on zero.</p>\n",
         );
         for cause in &figures.causes {
             write_figure(body, &cause_figure(cause))?;
@@ -61,8 +61,9 @@ fn write_body(body: &mut String, report: &Report, figures: &Figures, files: &[(&
     }
     write_left(body, report, &scale)?;
     body.push_str(
-        "<footer>Errors are of free runs: simulated from the first sample on, never corrected by what was measured. Held-out \
-         data were not fitted to. Long series are drawn as the extremes of short spans of time: no peak is lost.</footer>",
+        "<footer>Errors are those of free-run simulation, from the input and the initial state only, without feedback of \
+         measured outputs. Held-out data were not fitted. Long series are drawn as the extremes of short spans of time: \
+         no peak is lost.</footer>",
     );
     Ok(())
 }
@@ -75,20 +76,21 @@ fn write_head(body: &mut String, report: &Report, scale: &Scale, files: &[(&str,
         effects => effects.iter().map(|effect| effect.name.as_str()).collect::<Vec<_>>().join(", "),
     };
     let (before, after) = (report.baseline.holdout.rmse, report.last.holdout.rmse);
-    let left = if report.residual.white { "noise" } else { "structure that is not explained" };
+    let left = if report.residual.white { "noise" } else { "unexplained structure" };
     let mut facts = vec![
         (
             "Held-out error",
             format!("{} \u{2192} {}{}", scale.text(before), scale.with_unit(after), change(before, after)),
         ),
         ("Effects found", found),
-        ("What is left", left.to_owned()),
+        ("Residual", left.to_owned()),
     ];
     facts.extend(files.iter().cloned());
     write_facts(body, &facts)?;
     body.push_str("</header>\n");
     if !report.notes.is_empty() {
         body.push_str("<div class=\"warnings\"><strong>About the data</strong>\n<ul>\n");
+        // Long lists of notes are folded, so that the results stay on the first screen.
         let (first, more) = report.notes.split_at(report.notes.len().min(NOTES));
         for note in first {
             writeln!(body, "<li>{}</li>", escaped(note))?;
@@ -104,7 +106,7 @@ fn write_head(body: &mut String, report: &Report, scale: &Scale, files: &[(&str,
         body.push_str("</div>\n");
     }
     let mut places = vec![("effects", "Effects"), ("model", "Model"), ("runs", "Runs")];
-    places.extend([("residual", "Residual"), ("left", "What was not taken")]);
+    places.extend([("residual", "Residual"), ("left", "Rejected effects")]);
     body.push_str("<nav><span>Below</span>");
     for (id, name) in places {
         write!(body, " <a href=\"#{id}\">{name}</a>")?;
@@ -113,7 +115,7 @@ fn write_head(body: &mut String, report: &Report, scale: &Scale, files: &[(&str,
     Ok(())
 }
 
-/// Model by data, both kinds of error.
+/// Table of model by data, with both kinds of error.
 fn scores(report: &Report, scale: &Scale) -> Table {
     let cells = |score: Score| {
         [Cell::Text(scale.text(score.rmse)), Cell::Text(format!("{} %", significant(100.0 * score.nrmse)))]
@@ -127,9 +129,9 @@ fn scores(report: &Report, scale: &Scale) -> Table {
         rows.push(row(name, report.last.train, report.last.holdout));
     }
     Table {
-        caption: "Error of the free run".to_owned(),
+        caption: "Error of free-run simulation".to_owned(),
         note: Some(
-            "RMS over the whole run; NRMSE is its share of the standard deviation of what was measured, so 100 % is no better \
+            "RMS over the whole run; NRMSE is its share of the measured signal's standard deviation, so 100 % is no better \
              than a constant."
                 .to_owned(),
         ),
@@ -159,8 +161,8 @@ fn write_effect(body: &mut String, effect: &EffectReport, scale: &Scale) -> std:
     let (blocks_before, blocks_after) = (evidence.blocked_rmse_before, evidence.blocked_rmse_after);
     let chance = if evidence.p_value < 1e-4 { "below 0.0001".to_owned() } else { significant(evidence.p_value) };
     let away = match evidence.z {
-        z if z > 1_000.0 => "over 1000 standard deviations".to_owned(),
-        z => format!("{} standard deviations", significant(z)),
+        z if z > 1_000.0 => "over 1000 standard errors".to_owned(),
+        z => format!("{} standard errors", significant(z)),
     };
     write_facts(
         body,
@@ -173,9 +175,9 @@ fn write_effect(body: &mut String, effect: &EffectReport, scale: &Scale) -> std:
                 "Error in block cross-validation",
                 format!("{} \u{2192} {}", scale.text(blocks_before), scale.with_unit(blocks_after)),
             ),
-            ("Blocks that got better", format!("{} of {}", evidence.blocks_better[0], evidence.blocks_better[1])),
-            ("Chance of that without it", chance),
-            ("Away from no effect", away),
+            ("Blocks improved", format!("{} of {}", evidence.blocks_better[0], evidence.blocks_better[1])),
+            ("Chance of that without the effect", chance),
+            ("Distance from zero", away),
         ],
     )?;
     if !effect.parameters.is_empty() {
@@ -190,12 +192,12 @@ fn write_effect(body: &mut String, effect: &EffectReport, scale: &Scale) -> std:
             vec![Cell::Text(rival.name.clone()), error, Cell::Text(rival.experiment.clone())]
         });
         let table = Table {
-            caption: "These would explain the data as well".to_owned(),
+            caption: "Collinear effects, which explain the data as well".to_owned(),
             note: None,
             columns: vec![
                 column("Rival", None, Align::Left),
                 column("Error in block cross-validation", Some(&scale.unit), Align::Right),
-                column("Record this to tell them apart", None, Align::Left),
+                column("Recording that distinguishes them", None, Align::Left),
             ],
             rows: rows.collect(),
         };
@@ -214,18 +216,20 @@ fn write_model(body: &mut String, report: &Report) -> std::fmt::Result {
     Ok(())
 }
 
-/// Parameters with how well they are known.
+/// Table of parameters with standard errors and intervals.
 fn estimates(caption: String, parameters: &BTreeMap<String, Estimate>) -> Table {
     let intervals = parameters.values().any(|estimate| estimate.interval.is_some());
     let mut assumed = Vec::new();
     let rows = parameters.iter().map(|(name, estimate)| {
         if let Some(assumption) = &estimate.assumed {
             let note = format!("{name}: {assumption}");
+            // Several parameters can share an assumption; print it once.
             if !assumed.contains(&note) {
                 assumed.push(note);
             }
         }
         let (value, std) = match estimate.std {
+            // Two digits of the standard error fix the decimals of the value.
             Some(std) if std.is_finite() && std > 0.0 => {
                 let decimals = decimals(std, 2);
                 (fixed(estimate.value, decimals), format!("\u{b1} {}", fixed(std, decimals)))
@@ -234,6 +238,7 @@ fn estimates(caption: String, parameters: &BTreeMap<String, Estimate>) -> Table 
             None => (significant(estimate.value), "not fixed by the data".to_owned()),
         };
         let interval = estimate.interval.map_or(String::new(), |[low, high]| {
+            // A quarter of a 95 % interval is about one standard error.
             let decimals = decimals((high - low) / 4.0, 2);
             format!("{} to {}", fixed(low, decimals), fixed(high, decimals))
         });
@@ -245,11 +250,11 @@ fn estimates(caption: String, parameters: &BTreeMap<String, Estimate>) -> Table 
     let mut columns = vec![
         column("Parameter", None, Align::Left),
         column("Value", None, Align::Right),
-        column("Standard deviation", None, Align::Left),
+        column("Standard error", None, Align::Left),
         column("Unit", None, Align::Left),
     ];
     if intervals {
-        columns.push(column("95 % within", None, Align::Left));
+        columns.push(column("95 % interval", None, Align::Left));
     }
     Table {
         caption,
@@ -288,7 +293,7 @@ fn run_figure(run: &Traces) -> Figure {
         line("before", color::ORANGE, MODEL, points(&scaled(&run.before))),
         line("after", color::BLUE, MODEL, points(&scaled(&run.after))),
     ];
-    // A model that runs away would leave nothing to see of what was measured.
+    // Limit the range: a diverging model would flatten the measured curve.
     let range = extent(lines[0].points.iter().map(|point| point.1)).unwrap_or((0.0, 1.0));
     let widened = framed((range.0, range.1), f64::MIN_POSITIVE);
     let room = (widened.1 - widened.0) / 2.0;
@@ -310,6 +315,7 @@ fn run_figure(run: &Traces) -> Figure {
     };
     let (before, after) = (difference(&run.before), difference(&run.after));
     let most = extent(before.iter().chain(&after).map(|value| value.abs())).map_or(0.0, |(_, most)| most);
+    // The error is often a thousand times smaller than the signal and gets a unit prefix of its own.
     let small = Scale::of(unit, most);
     let scaled = |values: &[f64]| -> Vec<f64> { values.iter().map(|value| value * small.factor).collect() };
     let errors = vec![
@@ -339,6 +345,7 @@ fn cause_figure(cause: &Cause) -> Figure {
         cause.at.iter().zip(values).map(|(at, value)| (*at, value * scale.factor)).collect()
     };
     let error: Vec<f64> = cause.error.iter().map(|error| error * scale.factor).collect();
+    // Bars of length zero draw the marks only.
     let after_error = vec![0.0; cause.after.len()];
     let line = |label: &str, color, points, error| Line { label: label.to_owned(), color, width: MODEL, points, error };
     let ends = of(&cause.before)
@@ -367,6 +374,7 @@ fn curve_figure(curve: &Curve) -> Figure {
 fn one_panel(title: &str, over: &str, unit: &str, at: &[f64], range: (f64, f64), lines: Vec<Line>) -> Figure {
     let axis = if unit.is_empty() || unit == "1" { over.to_owned() } else { format!("{over} ({unit})") };
     let (first, last) = spread(at.iter().copied());
+    // A margin of 2 % keeps error bars at the ends off the frame.
     let margin = 0.02 * (last - first);
     let panel = Panel { title: title.to_owned(), note: String::new(), height: 170, range, lines, guides: None };
     Figure {
@@ -392,7 +400,7 @@ fn write_left(body: &mut String, report: &Report, scale: &Scale) -> std::fmt::Re
             columns: vec![
                 column("Effect", None, Align::Left),
                 column("Error in block cross-validation", Some(&scale.unit), Align::Right),
-                column("Why not", None, Align::Left),
+                column("Reason", None, Align::Left),
             ],
             rows: rows.collect(),
         };
@@ -419,11 +427,11 @@ fn write_left(body: &mut String, report: &Report, scale: &Scale) -> std::fmt::Re
     }
     let left = match (report.residual.white, unexplained.is_empty()) {
         (true, true) => {
-            "The residual is white: no correlation over time beyond chance, and it depends on nothing looked at."
+            "The residual is white: no correlation over time beyond chance, and it depends on no recorded signal."
         }
         (true, false) => "The residual is white: no correlation over time beyond chance.",
         (false, true) => {
-            "The residual is not white: it is correlated over time beyond chance, but depends on nothing looked at."
+            "The residual is not white: it is correlated over time beyond chance, but depends on no recorded signal."
         }
         (false, false) => "The residual is not white: it is correlated over time beyond chance.",
     };
@@ -438,7 +446,7 @@ fn column(title: &str, unit: Option<&str>, align: Align) -> Column {
     Column { title: title.to_owned(), unit: unit.filter(|unit| *unit != "1").map(str::to_owned), align }
 }
 
-/// From the least to the most; never of no width.
+/// Least and greatest value, widened if equal.
 fn spread(values: impl Iterator<Item = f64>) -> (f64, f64) {
     match extent(values) {
         Some((low, high)) if low < high => (low, high),
@@ -447,14 +455,14 @@ fn spread(values: impl Iterator<Item = f64>) -> (f64, f64) {
     }
 }
 
-/// A unit in which a number is neither long nor full of zeros.
+/// Unit prefix for numbers that are neither long nor full of zeros.
 pub(crate) struct Scale {
     factor: f64,
     unit: String,
 }
 
 impl Scale {
-    /// For numbers about as large as `size`, in `unit`.
+    /// Scale for numbers of magnitude `size` in `unit`.
     pub(crate) fn of(unit: &str, size: f64) -> Self {
         let divisible = matches!(unit, "m" | "rad" | "m/s" | "rad/s" | "V" | "A" | "N m");
         if divisible && size > 0.0 && size < 0.1 {
@@ -464,12 +472,12 @@ impl Scale {
         }
     }
 
-    /// What it is called.
+    /// Name of the scaled unit.
     pub(crate) fn unit(&self) -> &str {
         &self.unit
     }
 
-    /// A value in this unit, without it.
+    /// Value in the scaled unit, without the unit.
     pub(crate) fn text(&self, value: f64) -> String {
         significant(self.factor * value)
     }
@@ -479,7 +487,7 @@ impl Scale {
     }
 }
 
-/// The change from `before` to `after` in brackets, where it can be told.
+/// Relative change from `before` to `after`, in brackets; empty where undefined.
 fn change(before: f64, after: f64) -> String {
     let share = 100.0 * (after / before - 1.0);
     if share.is_finite() && before > 0.0 {
@@ -489,12 +497,12 @@ fn change(before: f64, after: f64) -> String {
     }
 }
 
-/// Digits behind the point for so many significant ones.
+/// Decimals that give `value` a number of significant `digits`.
 fn decimals(value: f64, digits: i32) -> i32 {
     if value == 0.0 || !value.is_finite() { 0 } else { digits - 1 - value.abs().log10().floor() as i32 }
 }
 
-/// With so many digits behind the point; by a power of ten where that is unreadable.
+/// Formats with `decimals` digits after the point, or in scientific notation where that is unreadable.
 fn fixed(value: f64, decimals: i32) -> String {
     if decimals > 8 || value.abs() >= 1e8 {
         let exponent = value.abs().log10().floor();
@@ -506,7 +514,7 @@ fn fixed(value: f64, decimals: i32) -> String {
     number(value, decimals.clamp(0, 8) as usize)
 }
 
-/// With three significant digits.
+/// Formats with three significant digits.
 pub(crate) fn significant(value: f64) -> String {
     fixed(value, decimals(value, 3))
 }

@@ -39,7 +39,7 @@ fn effect(name: &str, over: &str, parameters: &[(&str, Estimate)], rmse: [f64; 2
     }
 }
 
-/// An axis with friction and something over its position that has no name.
+/// Report of an axis with friction and an unnamed effect over its position.
 fn found() -> Report {
     let mut friction = effect(
         "coulomb-friction",
@@ -166,7 +166,7 @@ fn the_page_tells_what_was_found_and_needs_nothing_else() {
         let own = page.replace("http://www.w3.org/2000/svg", "");
         assert!(!own.contains(foreign), "{foreign}");
     }
-    // Ladder, shape of the unknown, two runs, two causes.
+    // Ladder, shape of the unknown effect, two runs, two causes.
     assert_eq!(page.matches("<svg ").count(), 6);
     assert_eq!(page, identify(&found(), &figures(), &[("Fitted to", "train_trajectory.csv".into())]));
 }
@@ -178,7 +178,7 @@ fn nothing_found_is_said() {
     report.rejected.clear();
     report.residual = ResidualReport { white: true, unexplained: vec![] };
     let page = identify(&report, &Figures::default(), &[]);
-    assert!(page.contains("leaves nothing that an effect would explain"));
+    assert!(page.contains("no effect explains the base model's residual"));
     assert!(page.contains("The residual is white") && !page.contains("<svg "));
 }
 

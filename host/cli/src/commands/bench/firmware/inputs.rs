@@ -1,4 +1,4 @@
-//! What the firmware is given while it is measured: everything a host can ask, at random; and as much as links carry.
+//! Input for the firmware while it is measured: random requests of all kinds, then as much traffic as the links carry.
 
 use std::cell::Cell;
 
@@ -18,41 +18,41 @@ use serde::Serialize;
 use crate::session::HostClock;
 
 const MS: u64 = 1_000_000;
-/// Requests that are under way at once: more than the link carries in the time of one answer.
+/// Requests in flight at once: more than the link carries in the time of one answer.
 const UNDER_WAY: usize = 8;
-/// Everything that moves turns round so often.
+/// Period of reversals of all moving outputs, ns.
 const TURN_NS: u64 = 100 * MS;
-/// Longer than contacts bounce and motors need for a start.
+/// Settling time, ms: longer than contacts bounce and motors need to start.
 const SETTLE_MS: u64 = 200;
-/// A board that cannot be armed for so long does not get well again.
+/// Time limit for arming, ms; a board that exceeds it does not recover.
 const ARMED_WITHIN_MS: u64 = 5_000;
-/// The number that images are built with.
+/// CAN node number with which the images are built.
 const NODE: Node = Node::new(0).expect("below 128");
-/// Bits of a full frame with the pause behind it and few stuff bits: the shortest, so the most of them.
+/// Bits of a full frame with its inter-frame space and few stuff bits: the shortest frame, which gives the most frames.
 const FRAME_BITS: u64 = 111;
-/// On a connector without a device nobody answers; that is an answer too.
+/// Address on a connector without a device; the missing acknowledgement is an answer too.
 const ADDRESS: u8 = 0x42;
 
-/// What came of requests.
+/// Counters of requests by outcome.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub(super) struct Requests {
-    /// That were answered.
+    /// Requests with an answer, refusals included.
     pub(super) answered: u64,
-    /// Of those, with a refusal.
+    /// Requests with a refusal.
     pub(super) refused: u64,
-    /// That were not answered in time.
+    /// Requests without an answer in time.
     pub(super) timed_out: u64,
 }
 
-/// A board, and a host that torments it.
+/// Host that stresses a board.
 pub(super) struct Tormentor<'b> {
     pub(super) host: &'b Board<HostClock>,
     pub(super) board: &'b EmuBoard<ThumbCore>,
     pub(super) clock: Clock,
     requests: Cell<Requests>,
-    /// One of those that send is arming the board again.
+    /// True while one of the concurrent senders arms the board again.
     arming: Cell<bool>,
-    /// Times that load had to be armed again.
+    /// Trips under load, after each of which the board was armed again.
     trips: Cell<u32>,
 }
 
@@ -61,12 +61,12 @@ impl<'b> Tormentor<'b> {
         Self { host, board, clock, requests: Cell::default(), arming: Cell::default(), trips: Cell::default() }
     }
 
-    /// What came of the requests since this was last asked.
+    /// Returns the counters since the last call, and resets them.
     pub(super) fn take_requests(&self) -> Requests {
         self.requests.take()
     }
 
-    /// How often the board was found not armed under load: by a watch that saw a motor against its end stop, say.
+    /// Trips under load, for example by stall monitoring of a motor at its end stop.
     pub(super) fn trips(&self) -> u32 {
         self.trips.get()
     }
@@ -75,7 +75,7 @@ impl<'b> Tormentor<'b> {
         self.clock.sleep(ms * MS).await;
     }
 
-    /// Counts; only a link that is lost is an error.
+    /// Counts a result; only a lost link is an error.
     fn note<T>(&self, result: Result<T, Error>) -> anyhow::Result<()> {
         let mut requests = self.requests.get();
         match result {
@@ -91,13 +91,13 @@ impl<'b> Tormentor<'b> {
         Ok(())
     }
 
-    /// Arms, whatever was before.
+    /// Arms the board from any state.
     async fn armed(&self) -> anyhow::Result<()> {
         let until_ns = self.clock.now_ns() + ARMED_WITHIN_MS * MS;
         while self.host.safety().0 != SafetyState::Armed {
             self.note(self.host.clear().await)?;
             self.note(self.host.arm().await)?;
-            // Heartbeats tell.
+            // The next heartbeat brings the new state.
             self.sleep_ms(60).await;
             anyhow::ensure!(
                 self.clock.now_ns() < until_ns,
@@ -109,7 +109,7 @@ impl<'b> Tormentor<'b> {
         Ok(())
     }
 
-    /// All kinds of requests and stops, as `random` has it.
+    /// Sends random requests of all kinds, stops included, for a time.
     pub(super) async fn mix(&self, random: &mut Pcg64, seconds: f64) -> anyhow::Result<()> {
         let parameters = self.host.parameters().await?;
         let until_ns = self.clock.now_ns() + (seconds * 1e9) as u64;
@@ -157,7 +157,7 @@ impl<'b> Tormentor<'b> {
         Ok(())
     }
 
-    /// A set point that the channel takes, or now and then one that it does not.
+    /// Sends a set point within the channel's range, or in one of eight cases outside it.
     async fn command(&self, random: &mut Pcg64, channel: &ChannelInfo) -> anyhow::Result<()> {
         let Some(mode) = channel.modes.get(below(random, 4) as usize % channel.modes.len().max(1)) else {
             return Ok(());
@@ -178,7 +178,7 @@ impl<'b> Tormentor<'b> {
         Ok(())
     }
 
-    /// Arms, has all channels told every millisecond, and lets that settle.
+    /// Arms, subscribes to all channels every millisecond, and lets transients settle.
     pub(super) async fn prepare_load(&self) -> anyhow::Result<()> {
         self.armed().await?;
         self.all_subscribed(1).await?;
@@ -186,7 +186,7 @@ impl<'b> Tormentor<'b> {
         Ok(())
     }
 
-    /// As many requests as the link carries, frames without end on CAN, and raw transfers.
+    /// Sends as many requests as the link carries, continuous frames on CAN, and raw transfers.
     pub(super) async fn load(&self, seconds: f64) -> anyhow::Result<()> {
         let until_ns = self.clock.now_ns() + (seconds * 1e9) as u64;
         let requests = join_all((0..UNDER_WAY).map(|first| self.commands(first, until_ns)));
@@ -195,7 +195,7 @@ impl<'b> Tormentor<'b> {
         requests.into_iter().collect()
     }
 
-    /// Set points, one behind the other: a fifth of what is there to this side of its middle and to the other.
+    /// Sends set points to all outputs in turn, 40 % or 60 % of the way through their ranges.
     async fn commands(&self, first: usize, until_ns: u64) -> anyhow::Result<()> {
         let moving: Vec<_> = self
             .host
@@ -225,7 +225,7 @@ impl<'b> Tormentor<'b> {
         Ok(())
     }
 
-    /// Transfers on the connectors.
+    /// Transfers bytes on the external connectors.
     async fn raw(&self, until_ns: u64) -> anyhow::Result<()> {
         for step in (0..=u8::MAX).cycle() {
             if self.clock.now_ns() >= until_ns {
@@ -238,20 +238,20 @@ impl<'b> Tormentor<'b> {
         Ok(())
     }
 
-    /// Frames to the board, each behind the other. What they carry is damaged: it is looked at whole, and another host's
-    /// session would end this one's.
+    /// Sends back-to-back CAN frames to the board. Their content is damaged: the firmware checks each one completely,
+    /// but no session starts that would end this one.
     async fn can(&self, until_ns: u64) {
         const FRAME_NS: u64 = FRAME_BITS * 1_000_000_000 / BITRATE as u64;
         let identifier = NODE.identifier(Direction::ToDevice);
         let (mut at_ns, mut byte) = (self.clock.now_ns(), 0_u8);
         while self.clock.now_ns() < until_ns {
-            // Frames of the next milliseconds.
+            // Queue the frames of the next two milliseconds.
             while at_ns < self.clock.now_ns() + 2 * MS {
                 at_ns += FRAME_NS;
                 let mut data = vec![0; MAX_DATA];
                 for place in &mut data {
                     byte = byte.wrapping_add(1);
-                    // A frame of the byte link ends with a zero.
+                    // A frame of the byte link ends with a zero byte.
                     *place = if byte.is_multiple_of(32) { 0 } else { byte };
                 }
                 self.board.can_receive(at_ns, identifier, data);

@@ -1,8 +1,8 @@
-//! `r4 bench firmware`: what the firmware's ELF costs the processor, and how steady its control loop is.
+//! `r4 bench firmware`: processor load of the firmware's ELF file, and jitter of its control loop.
 //!
-//! The program is executed instruction by instruction, so that stack depths and counts of instructions are those of
-//! hardware. Time is not: instructions take a time that is set, caches and wait states are not in it. Jitter is what interrupts,
-//! critical sections and priorities make of it at that speed.
+//! The program is executed instruction by instruction, so that stack depths and instruction counts are those of the
+//! hardware. Time is not: instructions take a set time, without caches and wait states. Jitter is what interrupts,
+//! critical sections and priorities cause at that speed.
 
 mod inputs;
 
@@ -32,31 +32,31 @@ use crate::{
 use inputs::{Requests, Tormentor};
 use r4_rig::cable::Cable;
 
-/// No more of the stack than this may be in use.
+/// Limit of the stack in use, as a share of the reserved stack.
 const STACK_SHARE: f64 = 0.5;
-/// Nor more than all of it, if ever each level interrupted the one below at its deepest: the thread is that during start-up,
-/// before the others run.
+/// Limit of the stack if every interrupt level preempted the one below at its deepest, as a share. The thread level
+/// reaches its deepest point during start-up, before the others run.
 const STACK_BOUND: f64 = 1.0;
-/// 99.9 % of the periods deviate no more than this under load.
+/// Limit of the control period's deviation under load, µs, for 99.9 % of the periods.
 const JITTER_P999_US: f64 = 20.0;
-/// The core's clock, Hz: what a share of it means.
+/// Core clock, Hz, for processor shares.
 const CORE_HZ: f64 = 480e6;
 
-/// Rows of the table that stand for everything at once.
+/// Names of the rows about all executors together.
 const TOGETHER: &str = "together, seen";
 const AT_WORST: &str = "together, each level at its deepest";
 
 #[derive(Serialize)]
 struct StackRow {
     executor: String,
-    /// Of 16 levels of interrupts; none for the thread and for all together.
+    /// Interrupt priority level, of 16; `null` for the thread and for all together.
     level: Option<u8>,
-    /// Of the one stack that all share.
+    /// Size of the stack, which all executors share, bytes.
     reserved: u32,
     used: u32,
-    /// Times entered, where it can be.
+    /// Number of entries; 0 where entries are not counted.
     entries: u64,
-    /// A second.
+    /// Instructions per second of virtual time.
     instructions_per_s: f64,
     held: bool,
 }
@@ -66,7 +66,7 @@ struct TickInstructions {
     median: f64,
     max: f64,
     p999: f64,
-    /// Of a core that executes one instruction in each cycle of 480 MHz; the median and the most.
+    /// Share of a core that executes one instruction per cycle at 480 MHz: median; the next field is the maximum.
     share_of_480mhz: f64,
     max_share_of_480mhz: f64,
 }
@@ -79,7 +79,7 @@ struct Jitter {
     periods: usize,
 }
 
-/// What the links carried while jitter was measured.
+/// Traffic on the links while jitter was measured.
 #[derive(Serialize)]
 struct LoadRow {
     requests_per_s: f64,
@@ -94,7 +94,7 @@ struct LoadRow {
 struct Limits {
     stack_share: f64,
     stack_bound: f64,
-    /// Instructions that 99.9 % of the control ticks may take.
+    /// Limit of the instructions of 99.9 % of the control ticks.
     tick_p999: f64,
     jitter_p999_us: f64,
 }
@@ -109,15 +109,15 @@ struct Report {
     stacks: Vec<StackRow>,
     control_tick_instructions: TickInstructions,
     jitter_us: Jitter,
-    /// Executed under load, in a second of virtual time.
+    /// Instructions per virtual second under load.
     instructions_per_s: f64,
-    /// At this many a second the processor would not sleep any more: a setting of the emulation.
+    /// Instruction rate of the emulated processor, a setting; at this rate of work it would never sleep.
     executes_per_s: u64,
     load: LoadRow,
     held: bool,
 }
 
-/// What was measured.
+/// Measurements of one board.
 struct Measured {
     stack: Stack,
     whole_s: f64,
@@ -134,7 +134,7 @@ pub(crate) fn run(args: &Args, seconds: f64) -> anyhow::Result<bool> {
         Target::Emu(_) => args.board.clone(),
         Target::Sim(name) if name == DEFAULT => Target::Emu(name.clone()),
         Target::Sim(_) | Target::Link(_) => {
-            bail!("this measures emulated boards only: leave --board out, or write emu:{DEFAULT}")
+            bail!("this measures emulated boards only: omit --board, or write emu:{DEFAULT}")
         }
     };
     let image = Image::find(target.robot()?)?;
@@ -148,7 +148,7 @@ pub(crate) fn run(args: &Args, seconds: f64) -> anyhow::Result<bool> {
     Ok(report.held)
 }
 
-/// The 99.9 % quantile of the instructions of a robot's control ticks on the emulated board, and its limit.
+/// Returns the 99.9 % quantile of instructions per control tick of an emulated robot, and its limit.
 pub(crate) fn tick(seed: u64, robot: &str, seconds: f64) -> anyhow::Result<(f64, f64)> {
     let measured = measure(seed, robot, &Image::find(robot)?, seconds)?;
     Ok((measured.instructions.p999, tick_limit(measured.period_us)))
@@ -177,8 +177,10 @@ fn measure(seed: u64, robot: &str, image: &Image, seconds: f64) -> anyhow::Resul
         tormentor.mix(&mut Pcg64::new(seed.into(), 1), seconds).await?;
         tormentor.prepare_load().await?;
         let mut all = board.take_periods()?;
+        // Discard the counters of the random phase: the report is about the load.
         tormentor.take_requests();
         let before = host.stats().await?;
+        // Jitter is of the load phase only; instruction counts of a tick are of both phases.
         let (begin_ns, executed) = (clock.now_ns(), board.machine().instructions());
         progress.set_message("as much as links carry");
         tormentor.load(seconds).await?;
@@ -216,7 +218,7 @@ fn measure(seed: u64, robot: &str, image: &Image, seconds: f64) -> anyhow::Resul
     result.ok_or_else(|| anyhow!("the simulation came to a standstill"))?.context("no session")?
 }
 
-/// What was seen, and whether it is within the limits.
+/// Report of the measurements with their limits.
 fn report(args: &Args, target: &Target, image: &Image, seconds: f64, measured: Measured) -> Report {
     let Measured { stack, whole_s, period_us, instructions, jitter, periods, instructions_per_s, load } = measured;
     let Stack { reserved, used, bound, shares } = stack;
@@ -242,6 +244,8 @@ fn report(args: &Args, target: &Target, image: &Image, seconds: f64, measured: M
         instructions_per_s: all as f64 / whole_s,
         held: within(used, share),
     };
+    // The measured depth must leave half of the stack free; the bound, which assumes the worst nesting, may use all of
+    // it.
     stacks.push(together(TOGETHER, used, STACK_SHARE));
     stacks.push(together(AT_WORST, bound, STACK_BOUND));
     let limits = Limits {
@@ -271,6 +275,7 @@ fn report(args: &Args, target: &Target, image: &Image, seconds: f64, measured: M
         instructions_per_s,
         executes_per_s: Settings::default().instructions_per_second,
         load,
+        // Without a period under load, the jitter would be within its limit without a measurement.
         held: stack_held && tick_held && jitter.p999 <= JITTER_P999_US && periods > 0,
     }
 }
@@ -325,8 +330,8 @@ fn print(report: &Report) -> anyhow::Result<()> {
     output::line(table)?;
     let LoadRow { requests_per_s, refused, timed_out, late_ticks, telemetry_dropped, trips } = &report.load;
     output::line(format_args!(
-        "load: {requests_per_s:.0} requests/s ({refused} refused, {timed_out} not answered in time), every channel told \
-         every ms ({telemetry_dropped} frames dropped), CAN full of frames, raw transfers; {periods} periods, \
+        "load: {requests_per_s:.0} requests/s ({refused} refused, {timed_out} timed out), telemetry of every channel \
+         each ms ({telemetry_dropped} frames dropped), CAN at full load, raw transfers; {periods} periods, \
          {late_ticks} late; {trips} trips"
     ))?;
     Ok(output::line(format_args!(
@@ -337,5 +342,5 @@ fn print(report: &Report) -> anyhow::Result<()> {
 }
 
 fn verdict(held: bool) -> String {
-    if held { "ok".into() } else { "not held".into() }
+    if held { "ok".into() } else { "not met".into() }
 }

@@ -1,5 +1,5 @@
-//! Simulated plants with something hidden in them that the estimator is not told, or with faults in their recordings: how often it is
-//! found, and with what intervals.
+//! Simulated plants with a hidden effect that the identifier does not know, or with faults in their recordings: how
+//! often the effect or fault is found, and how well its intervals cover the truth.
 
 use std::{collections::BTreeMap, fmt, time::Instant};
 
@@ -29,10 +29,10 @@ const NOTHING: &str = "nothing hidden";
 const OUTSIDE: &str = "effects in no catalogue";
 const BROKEN: &str = "broken recordings";
 
-/// Error of the final model over the noise, up to which an effect is explained.
+/// Ratio of the final model's RMSE to the noise up to which an effect counts as explained.
 const WITHIN: f64 = 1.15;
 
-/// What is wrong with the recordings of a plant.
+/// Fault of a plant's recordings.
 #[derive(Clone, Debug, PartialEq)]
 enum Fault {
     Timing(Timing),
@@ -51,13 +51,13 @@ impl fmt::Display for Fault {
     }
 }
 
-/// What came of one.
+/// Result of identifying one plant.
 struct Outcome {
     truth: Vec<Truth>,
     fault: Fault,
-    /// Deviation of the noise: what is left for who knows the truth.
+    /// Standard deviation of the noise: the residual of a model with the true effects.
     noise: f64,
-    /// Parameters of the first effect.
+    /// Parameters of the first effect beside their true values.
     compared: Vec<Compared>,
     report: Option<Report>,
 }
@@ -70,7 +70,8 @@ fn drawn(number: u32, draw: Draw, length: Length, first_seed: u64) -> Experiment
     experiment(setup(number), draw, length, first_seed.wrapping_add(number.into()))
 }
 
-/// With nothing hidden. Stamps are true for even numbers, off for odd ones, in each way for each setup.
+/// Plant without a hidden effect. Stamps are true for even numbers, and faulty for odd ones, in every kind for every
+/// setup.
 fn drawn_clean(number: u32, first_seed: u64) -> (Experiment, Fault) {
     let mut experiment = drawn(number, Draw::Nothing, Length::STANDARD, first_seed);
     if number.is_multiple_of(2) {
@@ -82,7 +83,8 @@ fn drawn_clean(number: u32, first_seed: u64) -> (Experiment, Fault) {
     (experiment, Fault::Timing(timing))
 }
 
-/// Broken in each way for each setup that suits, seven plants with nothing hidden, then seven with an effect of the catalogue.
+/// Plant with broken recordings, of each kind for each suitable setup; seven without a hidden effect, then seven with
+/// an effect of the catalogue.
 fn drawn_broken(number: u32, first_seed: u64, length: Length) -> (Experiment, Fault) {
     let kinds = Broken::ALL.len() as u32;
     let broken = Broken::ALL[(number % kinds) as usize];
@@ -122,7 +124,7 @@ fn identify(bench: &Bench<'_>, experiment: &Experiment) -> Result<Report, r4_ide
     let supply = [("supply_v", experiment.supply_v)];
     let (model, known) = match experiment.setup {
         Setup::MotorPosition | Setup::MotorSpeed => ("dc-motor", &supply[..]),
-        // The input is the force.
+        // The axis is driven by its force.
         Setup::AxisPosition => ("axis", &[("gain_per_unit", 1.0)][..]),
     };
     Ok(bench.identify(model, known, &train, &test)?.report)
@@ -145,18 +147,18 @@ fn outcomes(
         let compared = truth.first().zip(first).map(|(truth, first)| compared(&experiment, truth, first));
         let outcome = Outcome { truth, fault, noise: experiment.noise, compared: compared.unwrap_or_default(), report };
         if let Some(why) = why {
-            bench.say(&format!("r4: number {number} ({}) came to nothing: {why}", outcome.fault));
+            bench.say(&format!("r4: number {number} ({}) gave no result: {why}", outcome.fault));
         } else if bench.each {
             let seconds = started.elapsed().as_secs_f64();
             bench.say(&format!("{number:4} {}: {outcome}, {seconds:.1} s", experiment.setup));
         }
         outcome
     };
-    // One plant leaves a core idle here and there.
+    // Plants run in parallel too: identifying one leaves cores idle at times.
     bench.numbers(rows).into_par_iter().map(outcome).collect()
 }
 
-/// With true stamps and whole columns.
+/// Outcomes with true stamps and complete columns.
 fn outcomes_of(bench: &Bench<'_>, rows: IdentifyRows, draw: Draw) -> Vec<Outcome> {
     outcomes(bench, rows, |number, first_seed| {
         (drawn(number, draw, Length::STANDARD, first_seed), Fault::Timing(Timing::True))
@@ -204,20 +206,20 @@ impl Outcome {
         self.report.as_ref()?.effects.first()
     }
 
-    /// One of what was hidden is named first, or what no recording can tell from it.
+    /// True if the first effect found is one of the hidden ones, or indistinguishable from one.
     fn is_right(&self) -> bool {
         self.first().is_some_and(|first| {
             self.truth.iter().any(|truth| truth.name == first.name || truth.rivals.contains(&first.name.as_str()))
         })
     }
 
-    /// Not named first, but told to be as good.
+    /// True if a hidden effect is not first, but listed as a rival of the first.
     fn is_listed(&self) -> bool {
         let listed = |name: &str| self.first().is_some_and(|first| first.rivals.iter().any(|rival| rival.name == name));
         !self.is_right() && self.truth.iter().any(|truth| listed(truth.name))
     }
 
-    /// Each of what was hidden has an effect of its own, under its name or that of what no recording can tell from it.
+    /// True if each hidden effect has an effect of its own, under its name or that of an indistinguishable one.
     fn has_all(&self) -> bool {
         let effects = self.report.as_ref().map_or(&[][..], |report| &report.effects);
         let is_named = |truth: &Truth, effect: &EffectReport| {
@@ -232,29 +234,29 @@ impl Outcome {
         }
     }
 
-    /// More effects are claimed than were hidden.
+    /// True if more effects are found than are hidden.
     fn has_more(&self) -> bool {
         self.report.as_ref().is_some_and(|report| report.effects.len() > self.truth.len())
     }
 
-    /// The recordings are refused, or the report says that the model does not explain them, or that something is wrong with them.
+    /// True if the recordings are refused, or reported as unexplained or suspicious.
     fn is_flagged(&self) -> bool {
         self.report.as_ref().is_none_or(|report| report.explained == Explained::Not || !report.suspicions.is_empty())
     }
 
-    /// Nothing is claimed.
+    /// True if no effect is found.
     fn is_quiet(&self) -> bool {
         self.report.as_ref().is_some_and(|report| report.effects.is_empty())
     }
 
-    /// RMSE of the base model and of the last one, over the noise.
+    /// RMSE of the base model and of the last model, as multiples of the noise.
     fn ratios(&self) -> [f64; 2] {
         let ratio =
             |report: &Report| [report.baseline.holdout.rmse, report.last.holdout.rmse].map(|rmse| rmse / self.noise);
         self.report.as_ref().map_or([f64::INFINITY; 2], ratio)
     }
 
-    /// What the first effect is said to depend on is a part of what it does depend on.
+    /// True if the first effect's reported dependences are all among those of a hidden effect.
     fn depends_right(&self) -> bool {
         let depends = |truth: &Truth, over: &String| truth.depends_on.iter().any(|one| one.name() == over);
         self.first().is_some_and(|first| {
@@ -264,7 +266,7 @@ impl Outcome {
     }
 }
 
-/// NaN of nothing; without a number a ratio counts as the worst.
+/// Median of ratios; NaN of none. A NaN ratio counts as infinite.
 pub(super) fn median(ratios: impl Iterator<Item = f64>) -> f64 {
     let ratios: Vec<f64> = ratios.map(|ratio| if ratio.is_nan() { f64::INFINITY } else { ratio }).collect();
     statistics::median(&ratios).unwrap_or(f64::NAN)
@@ -310,7 +312,7 @@ pub(super) fn pairs(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     ])
 }
 
-/// What was found in some plants.
+/// Names of the effects found, for a list of plants.
 fn listed_names<'o>(outcomes: impl Iterator<Item = &'o Outcome>) -> String {
     let found = |outcome: &Outcome| {
         let found = outcome.report.as_ref().map_or_else(|| "no result".to_owned(), names);
@@ -373,7 +375,7 @@ pub(super) fn unlisted(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
         let [before, after] = outcome.ratios();
         after <= 0.5 * before
     };
-    // The noise can be explained by nothing.
+    // Exclude the noise, which no model can explain.
     let halved_beyond_noise = |outcome: &Outcome| {
         let [before, after] = outcome.ratios().map(|ratio| (ratio * ratio - 1.0).max(0.0).sqrt());
         after <= 0.5 * before
@@ -394,15 +396,15 @@ pub(super) fn unlisted(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
 
 /// Plants whose identification is timed.
 const TIMED: u32 = 3;
-/// Recordings that are so many times as long as others tell how the time grows with the samples.
+/// Length of the long recordings as a multiple of the short ones, to measure how time grows with samples.
 const LONGER: u32 = 4;
-/// What speed weighs for the progress bar.
+/// Weight of the speed measurement in the progress bar.
 pub(super) const TIMED_WEIGHT: u64 = (TIMED * (1 + 1 + LONGER)) as u64;
 
-/// On two cores: the slowest of one plant of each setup, and how the time grows with the samples.
+/// Measures on two threads the slowest of one plant of each setup, and the growth of the time with the samples.
 pub(super) fn speed(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
-    /// A cost that grows with the square of the samples would be four times as much; two measurements of the same differ by
-    /// less than this where nothing else runs.
+    /// Limit of the growth relative to linear. A cost that grows with the square of the samples would give 4; two
+    /// measurements of the same work differ by less than this limit on an idle machine.
     const LINEAR: f64 = 1.25;
     let cores = rayon::ThreadPoolBuilder::new().num_threads(2).build().context("no threads")?;
     let timed = |experiment: &Experiment, weight: u32| -> anyhow::Result<(f64, Report)> {
@@ -414,7 +416,7 @@ pub(super) fn speed(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     };
     let first_seed = IdentifyRows::Speed.first_seed(bench.base);
     let mut slowest = (0.0, String::new());
-    // With nothing hidden, short and long recordings take the same rounds: all effects and all curves, once.
+    // Without a hidden effect, short and long recordings take the same rounds: all effects and all curves, once.
     let (mut short_s, mut long_s) = (0.0, 0.0);
     let long = Length { seconds: f64::from(LONGER) * Length::STANDARD.seconds, ..Length::STANDARD };
     for number in 0..TIMED {
@@ -519,7 +521,7 @@ mod tests {
             ([FRICTION, LAG], &["cogging", "drive-lag", "coulomb-friction"], true),
             ([LAG, FRICTION], &["drive-lag", "sensor-lag"], false),
             ([LAG, FRICTION], &["coulomb-friction"], false),
-            // each can be either, but one effect is not both
+            // Each effect could be either, but one effect does not count twice.
             ([LAG, SENSOR], &["drive-lag"], false),
             ([LAG, SENSOR], &["drive-lag", "sensor-lag"], true),
             ([LAG, FRICTION], &[], false),
@@ -559,7 +561,7 @@ mod tests {
     fn stamps_are_off_and_recordings_broken_in_each_way_for_each_setup() {
         let mut timings = std::collections::HashSet::new();
         for number in 0..30 {
-            // by the numbers alone: simulated are only two of them
+            // Check the numbers only: simulating two plants is enough.
             let kind = TimingKind::ALL[(number / 2) as usize % TimingKind::ALL.len()];
             timings.extend((number % 2 == 1).then_some((setup(number), kind)));
         }
@@ -574,13 +576,13 @@ mod tests {
         for number in 0..42 {
             let (made, fault) = drawn_broken(number, 5, SHORT);
             let Fault::Broken(broken, _) = fault else { panic!("{fault:?}") };
-            // two seconds are too short for some effects to show
+            // Two seconds are too short for some effects to show.
             assert!(made.hidden.truth().len() <= usize::from(number / 7 % 2 == 1));
             let run = run(made.setup, String::new(), &made.train[0]);
             assert_eq!(run.values("speed").is_some(), broken == Broken::Degrees);
             pairs.insert((made.setup, broken));
         }
-        // an angle alone can be in degrees
+        // Only an angle can be in degrees.
         assert_eq!(pairs.len(), Setup::ALL.len() * Broken::ALL.len() - 2);
     }
 

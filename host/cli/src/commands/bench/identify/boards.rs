@@ -1,5 +1,5 @@
-//! `r4 identify close` on simulated boards that hide something in the physics of their motor: how much nearer the twin comes, and
-//! what is claimed where nothing is hidden.
+//! `r4 identify close` on simulated boards with a hidden effect in their motor: how much nearer the simulated board
+//! comes, and which effects are claimed where none is hidden.
 
 use anyhow::Context;
 use r4_rig::{InRobot, excite::ExciteError};
@@ -18,26 +18,26 @@ use crate::{
 const ROBOT: &str = "osmc-bench";
 const CHANNEL: &str = "osmc0";
 const BOARDS: &str = "`identify close` on blind boards";
-/// Length of each of the three recordings: what `close` takes if not told otherwise.
+/// Length of each of the three recordings, s: the default of `close`.
 const SECONDS: f64 = 12.0;
-/// Smallest ratio of the twin's error before to that after.
+/// Least ratio of the simulated board's error before to that after.
 const NEARER: f64 = 5.0;
 
-/// What came of one board.
+/// Result of one board.
 struct Board {
-    /// Effects that were hidden in the motor.
+    /// Names of the effects hidden in the motor.
     hidden: Vec<&'static str>,
     closed: anyhow::Result<Closed>,
 }
 
 impl Board {
-    /// The twin's error on the recording that was not fitted to, before over after; 0 without a result.
+    /// Ratio of the error on the held-out recording, before over after; 0 without a result.
     fn nearer(&self) -> f64 {
         let first = self.closed.as_ref().ok().and_then(|closed| closed.twin.differences.first());
         first.map_or(0.0, |first| first.rmse_before / first.rmse_after)
     }
 
-    /// Whether no duty that the board allows moves the motor, which `close` says.
+    /// True if no allowed duty moves the motor; `close` reports that as an error.
     fn is_immovable(&self) -> bool {
         let why = self.closed.as_ref().err().and_then(|why| why.downcast_ref());
         matches!(why, Some(r4_rig::Error::Excite(why)) if matches!(**why, ExciteError::Immovable { .. }))
@@ -63,7 +63,7 @@ fn board(bench: &Bench<'_>, number: u32) -> anyhow::Result<Board> {
     let board = Board { hidden, closed: closed(&args, &close, &Shown::nowhere()) };
     bench.progress.inc(1);
     if let Err(why) = &board.closed {
-        bench.say(&format!("r4: board {number} (--blind {seed}) came to nothing: {why:#}"));
+        bench.say(&format!("r4: board {number} (--blind {seed}) gave no result: {why:#}"));
     } else if bench.each {
         let hidden = if board.hidden.is_empty() { "nothing".to_owned() } else { board.hidden.join(", ") };
         bench.say(&format!(
@@ -78,6 +78,7 @@ fn board(bench: &Bench<'_>, number: u32) -> anyhow::Result<Board> {
 pub(super) fn close(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     let boards = bench.numbers(IdentifyRows::Close).into_par_iter().map(|number| board(bench, number));
     let boards = boards.collect::<anyhow::Result<Vec<Board>>>()?;
+    // A motor that no allowed duty moves cannot be identified and is not counted.
     let (immovable, movable): (Vec<&Board>, Vec<&Board>) = boards.iter().partition(|board| board.is_immovable());
     let (clean, hiding): (Vec<&Board>, Vec<&Board>) = movable.into_iter().partition(|board| board.hidden.is_empty());
     let counted =

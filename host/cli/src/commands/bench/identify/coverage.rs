@@ -1,4 +1,4 @@
-//! Whether the intervals of what was found contain the true values.
+//! Coverage: how often the intervals of found parameters contain the true values.
 
 use std::{collections::BTreeMap, fmt};
 
@@ -8,15 +8,15 @@ use r4_plants::Model;
 
 use super::Row;
 
-/// What a 95 % interval of so few parameters can be expected to cover.
+/// Expected range of the coverage of 95 % intervals, for this few parameters.
 const PROMISED: [f64; 2] = [0.93, 0.97];
-/// What the identifier writes where no winding's resistance is known: torques hold for this one.
+/// Assumption that the identifier states where a winding's resistance is unknown; torques refer to it.
 const ASSUMED: &str = "resistance_ohm = 1";
 
-/// A parameter that was hidden and found.
+/// Parameter of a hidden effect that was found.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Compared {
-    /// Of the effect, then of the parameter.
+    /// Name of the effect, then of the parameter.
     name: String,
     truth: f64,
     value: f64,
@@ -39,7 +39,7 @@ impl fmt::Display for Compared {
     }
 }
 
-/// The parameters of a found effect whose true values are known; none of an effect under another name.
+/// Parameters of a found effect with their true values; empty for an effect under another name.
 pub(super) fn compared(experiment: &Experiment, truth: &Truth, found: &EffectReport) -> Vec<Compared> {
     if truth.name != found.name {
         return Vec::new();
@@ -55,18 +55,18 @@ pub(super) fn compared(experiment: &Experiment, truth: &Truth, found: &EffectRep
     found.parameters.iter().filter_map(compared).collect()
 }
 
-/// The true value of a parameter as a report has it. `None` where the two have no number in common, and for phases, which are
-/// the same after a turn.
+/// True value of a parameter in the report's terms; `None` where the two have no number in common, and for phases,
+/// which repeat after a turn.
 fn true_value(experiment: &Experiment, truth: &Truth, name: &str, estimate: &Estimate) -> Option<f64> {
     if name.contains("phase") {
         return None;
     }
     let hidden = |name: &str| truth.parameters.iter().find(|value| value.name == name).map(|value| value.value);
     let value = match name {
-        // The plants are driven by a duty, an axis is identified from its force.
+        // Plants are driven by a duty; an axis is identified from its force.
         "input_force_n" => hidden("duty")? * experiment.input_per_duty,
         "rate_per_s" => hidden(name)? * experiment.input_per_duty,
-        // The report's base model has the gain forwards.
+        // The report's base model contains the forward gain.
         "backward_gain" => hidden(name)? / hidden("forward_gain")?,
         _ => hidden(name)?,
     };
@@ -77,11 +77,11 @@ fn true_value(experiment: &Experiment, truth: &Truth, name: &str, estimate: &Est
     }
 }
 
-/// Torques of a motor with a winding of 1 ohm over those of the true one, if both move alike for each duty.
+/// Ratio of the torques of a motor with a winding of 1 Ω to those of the true one, if both move alike for each duty.
 ///
-/// Speed per volt `k / (k² + B R)` and acceleration per volt `k / (R J)` are what is seen. With 1 ohm and all viscous friction in the
-/// constant `K` the same speed per volt takes `K = (k² + B R) / k`, and the same acceleration per volt `K R J / k` as inertia. Torques grow
-/// with the inertia.
+/// Observable are the speed per volt `k / (k² + B R)` and the acceleration per volt `k / (R J)`. With 1 Ω and all
+/// viscous friction in the constant `K`, the same speed per volt takes `K = (k² + B R) / k`, and the same acceleration
+/// per volt `K R J / k` as inertia. Torques grow with the inertia.
 fn torques_at_1_ohm(experiment: &Experiment) -> Option<f64> {
     let Model::DcGearMotor(motor) = experiment.base.model() else { return None };
     let square = (motor.gear_ratio * motor.torque_constant_nm_per_a).powi(2);
@@ -89,7 +89,7 @@ fn torques_at_1_ohm(experiment: &Experiment) -> Option<f64> {
     Some(resistance_ohm * (square + motor.viscous_nm_s_per_rad * resistance_ohm) / square)
 }
 
-/// How many of the true values are in their interval.
+/// Row of the share of true values within their intervals.
 pub(super) fn row<'c>(data: &str, compared: impl Iterator<Item = &'c Compared>) -> Row {
     let (mut inside, mut with_interval, mut without) = (0, 0, 0);
     let mut outside: BTreeMap<&str, usize> = BTreeMap::new();
@@ -166,7 +166,7 @@ mod tests {
         let (resistance_ohm, viscous, inertia) =
             (motor.resistance_ohm, motor.viscous_nm_s_per_rad, motor.inertia_kg_m2);
         let (other_k, other_inertia) = ((k * k + viscous * resistance_ohm) / k, factor * inertia);
-        // acceleration per volt, per speed and per torque over its factor
+        // Acceleration per volt, per speed, and per torque over its factor.
         let ours = [k / resistance_ohm / inertia, (k * k / resistance_ohm + viscous) / inertia, 1.0 / inertia];
         let other = [other_k / other_inertia, other_k * other_k / other_inertia, factor / other_inertia];
         assert!(ours.iter().zip(other).all(|(a, b)| (a / b - 1.0).abs() < 1e-12), "{ours:?} {other:?}");

@@ -1,5 +1,6 @@
-//! `r4 bench identify`: what `r4 identify` promises, measured on recordings of real machines, on printed tables, and on
-//! simulated plants that hide something. Errors are those of free runs over data that was not fitted to.
+//! `r4 bench identify`: results of `r4 identify` on recordings of real machines, on printed tables, and on simulated
+//! plants with hidden effects. Errors are those of free-run simulation (simulation error, as against one-step
+//! prediction error) on held-out data.
 
 mod blind;
 mod boards;
@@ -28,7 +29,7 @@ use crate::{
     output, table,
 };
 
-/// Which side of its limit a number belongs on.
+/// Side of the limit on which a number must lie.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 enum Bound {
@@ -36,7 +37,7 @@ enum Bound {
     AtLeast,
     /// From `at_least` to `at_most`.
     Between,
-    /// Nothing is promised: it is there to be compared with.
+    /// No limit: the number is for comparison only.
     Free,
 }
 
@@ -45,28 +46,28 @@ struct Row {
     data: String,
     metric: String,
     unit: &'static str,
-    /// Of the base model; `null` where the metric has no such thing.
+    /// Value of the base model; `null` where the metric has none.
     baseline: Option<f64>,
-    /// `null` where there was no result.
+    /// Value of the final model; `null` without a result.
     after: f64,
-    /// What is promised; `bound` tells the side. `null` where nothing is.
+    /// Limit, on the side that `bound` names; `null` for none.
     at_least: f64,
-    /// The upper limit where there are two.
+    /// Upper limit where there are two.
     #[serde(skip_serializing_if = "Option::is_none")]
     at_most: Option<f64>,
     bound: Bound,
     met: bool,
-    /// Nothing of it was measured on a machine.
+    /// True if no part of the data was measured on a machine.
     simulated: bool,
-    /// Of a share: 95 %, by Wilson.
+    /// 95 % confidence interval of a share, by Wilson.
     #[serde(skip_serializing_if = "Option::is_none")]
     interval: Option<[f64; 2]>,
-    /// What was found.
+    /// Details, such as the effects found.
     detail: String,
 }
 
 impl Row {
-    /// A number that is to be small.
+    /// Row of an error with an upper limit.
     fn error(data: &str, metric: &str, unit: &'static str, [baseline, after, at_most]: [f64; 3]) -> Self {
         Self {
             data: data.to_owned(),
@@ -84,7 +85,7 @@ impl Row {
         }
     }
 
-    /// A number of which nothing is promised.
+    /// Row of a number without a limit.
     fn told(data: &str, metric: &str, unit: &'static str, [baseline, after]: [f64; 2]) -> Self {
         Self {
             bound: Bound::Free,
@@ -93,7 +94,7 @@ impl Row {
         }
     }
 
-    /// Something that is to be so: 1 if it is.
+    /// Row of a claim that must hold: 1 if it does.
     fn claim(data: &str, metric: &str, holds: bool) -> Self {
         let after = f64::from(u8::from(holds));
         Self {
@@ -104,7 +105,7 @@ impl Row {
         }
     }
 
-    /// How often something is so, which is to be often.
+    /// Row of a share with a lower limit.
     fn share(data: &str, metric: &str, [good, all]: [usize; 2], at_least: f64) -> Self {
         let share = good as f64 / all as f64;
         Self {
@@ -115,13 +116,13 @@ impl Row {
         }
     }
 
-    /// How often something is so, which is to be rare.
+    /// Row of a share with an upper limit.
     fn rare(data: &str, metric: &str, [bad, all]: [usize; 2], at_most: f64) -> Self {
         let share = bad as f64 / all as f64;
         Self { interval: Some(wilson(bad, all)), ..Self::error(data, metric, "1", [f64::NAN, share, at_most]) }
     }
 
-    /// How often something is so, which is to be neither more nor less often than expected.
+    /// Row of a share with a lower and an upper limit.
     fn between(data: &str, metric: &str, [good, all]: [usize; 2], [at_least, at_most]: [f64; 2]) -> Self {
         let row = Self::share(data, metric, [good, all], at_least);
         Self { bound: Bound::Between, at_most: Some(at_most), met: row.met && row.after <= at_most, ..row }
@@ -136,20 +137,20 @@ impl Row {
     }
 }
 
-/// 95 % interval of a share.
+/// 95 % confidence interval of a share, by Wilson.
 fn wilson(good: usize, all: usize) -> [f64; 2] {
     statistics::wilson(good as u64, all as u64, 0.95).map_or([0.0, 1.0], |interval| [interval.low, interval.high])
 }
 
-/// First seed of the simulated plants that a release is measured on, new with each release and never used to tune anything: the day it was
-/// chosen, and three digits, so that no plant of another day is among those that follow.
+/// First seed of the simulated plants that a release is measured on: new with each release and never used for tuning.
+/// It is the date of its choice and three digits, so that no plant of another date is among those that follow.
 const REPORT_BASE: u64 = 20_261_127_500;
-/// First seeds below are for tuning.
+/// End of the first seeds for tuning.
 const TUNING_END: u64 = 1_000_000;
-/// Between the first seeds of two kinds of simulated plants: more than there are plants of a kind.
+/// Distance between the first seeds of two kinds of simulated plants: more than there are plants of a kind.
 const APART: u64 = 10_000_000;
 
-/// What the simulated plants that begin with a seed may be used for.
+/// Purpose of the simulated plants from first seed `base`.
 const fn purpose(base: u64) -> &'static str {
     match base {
         REPORT_BASE => "report",
@@ -171,9 +172,9 @@ struct Report {
     seconds: f64,
 }
 
-/// Set of recordings and what is measured on it.
+/// Sets of recordings and their measurements.
 impl IdentifyRows {
-    /// Its folder in that of the recordings.
+    /// Folder within that of the recordings; `None` for sets without recordings.
     const fn folder(self) -> Option<&'static str> {
         match self {
             Self::Emps => Some("emps"),
@@ -210,7 +211,7 @@ impl IdentifyRows {
         }
     }
 
-    /// Number of simulated plants of this kind where `seeds` have one effect.
+    /// Number of simulated plants of this kind where the kind with one effect has `seeds`.
     const fn plants(self, seeds: u32) -> u32 {
         match self {
             Self::Blind => seeds,
@@ -222,7 +223,7 @@ impl IdentifyRows {
         }
     }
 
-    /// First seed of its simulated plants: no two kinds have one in common.
+    /// First seed of the simulated plants; no two kinds have a seed in common.
     const fn first_seed(self, base: u64) -> u64 {
         let place = match self {
             Self::Pairs => 1,
@@ -236,7 +237,7 @@ impl IdentifyRows {
         base.wrapping_add(place * APART)
     }
 
-    /// For the progress bar: a simulated plant is 1.
+    /// Weight in the progress bar, where a simulated plant is 1.
     const fn weight(self, seeds: u32) -> u64 {
         match self {
             Self::Blind | Self::Pairs | Self::Clean | Self::Unlisted | Self::Broken | Self::Close => {
@@ -252,7 +253,7 @@ impl IdentifyRows {
     }
 }
 
-/// What measurements share.
+/// Options that the measurements share.
 struct Bench<'b> {
     args: &'b Args,
     data: &'b Path,
@@ -261,7 +262,7 @@ struct Bench<'b> {
     base: u64,
     seeds: u32,
     from: u32,
-    /// Each simulated plant is told of.
+    /// Print a line for each simulated plant.
     each: bool,
     progress: &'b ProgressBar,
 }
@@ -281,12 +282,12 @@ impl Bench<'_> {
         self.from..self.from.saturating_add(rows.plants(self.seeds))
     }
 
-    /// A line on stderr, whatever it is.
+    /// Prints a line on stderr above the progress bar.
     fn say(&self, line: &str) {
         self.progress.suspend(|| eprintln!("{line}"));
     }
 
-    /// As `r4 identify` does.
+    /// Identifies as `r4 identify` does.
     fn identify(
         &self,
         model: &str,
@@ -298,7 +299,7 @@ impl Bench<'_> {
         self.answer(&Task { model: model.to_owned(), parameters, ..self.task() }, train, holdout)
     }
 
-    /// A task about nothing yet.
+    /// Task without a model and parameters.
     fn task(&self) -> Task {
         Task { seed: self.seed, ..Task::default() }
     }
@@ -313,6 +314,7 @@ pub(super) fn run(args: &Args, question: &BenchIdentify) -> anyhow::Result<bool>
     let wanted = |rows: &IdentifyRows| question.only.is_empty() || question.only.contains(rows);
     let wanted: Vec<IdentifyRows> = IdentifyRows::value_variants().iter().copied().filter(wanted).collect();
     for rows in &wanted {
+        // Check all folders before the first measurement.
         if let Some(missing) = rows.folder().map(|folder| question.data.join(folder)).filter(|path| !path.is_dir()) {
             bail!(
                 "there are no recordings in {}: start this in the project's folder, or name its `data` with --data DIR",
@@ -323,6 +325,7 @@ pub(super) fn run(args: &Args, question: &BenchIdentify) -> anyhow::Result<bool>
     let all = wanted.iter().map(|rows| rows.weight(question.seeds)).sum();
     let style = ProgressStyle::with_template("{bar:30} {percent:>3} %, {elapsed}, {prefix}: {msg}");
     let progress = ProgressBar::new(all).with_style(style.unwrap_or(ProgressStyle::default_bar()));
+    // Without `--seed`, the seeds are those of the release's report.
     let base = if args.is_seed_given { args.seed } else { REPORT_BASE };
     let bench = Bench {
         args,
@@ -339,7 +342,7 @@ pub(super) fn run(args: &Args, question: &BenchIdentify) -> anyhow::Result<bool>
     for which in wanted {
         progress.set_prefix(which.name());
         let measured = which.measure(&bench).with_context(|| format!("no result of {}", which.name()));
-        // One that comes to nothing does not take the others with it.
+        // A failed measurement becomes a row; the others still run.
         rows.extend(
             measured.unwrap_or_else(|why| vec![Row::claim(&which.name(), "measured", false).with(format!("{why:#}"))]),
         );
@@ -365,7 +368,7 @@ pub(super) fn run(args: &Args, question: &BenchIdentify) -> anyhow::Result<bool>
     Ok(met)
 }
 
-/// Three digits, or as many as a whole number has.
+/// Formats three significant digits, or all digits of a whole number.
 fn digits(value: f64) -> String {
     if !value.is_finite() {
         return "-".to_owned();
@@ -375,7 +378,7 @@ fn digits(value: f64) -> String {
 }
 
 fn print(report: &Report) -> anyhow::Result<()> {
-    let mut table = table::new(&["data", "metric", "before", "after", "promised", "", "found"], 2..4);
+    let mut table = table::new(&["data", "metric", "before", "after", "limit", "", "found"], 2..4);
     for row in &report.rows {
         let unit = if matches!(row.unit, "1" | "yes") { String::new() } else { format!(" {}", row.unit) };
         let said = |value: f64| match (row.unit, value) {
@@ -401,7 +404,7 @@ fn print(report: &Report) -> anyhow::Result<()> {
             row.detail.clone(),
         ]);
     }
-    output::line("Free runs over data that was not fitted to; before: the base model alone")?;
+    output::line("Errors of free-run simulation on held-out data; before: the base model alone")?;
     output::line(format_args!(
         "Simulated plants: {} with one effect, from seed {} (seeds for: {})",
         report.seeds, report.base, report.seeds_are_for
@@ -422,7 +425,7 @@ mod tests {
 
     #[test]
     fn shares_know_how_few_they_are_of() {
-        // Wilson 1927, as in any table of it.
+        // Values as in any table of Wilson's interval (1927).
         for (good, all, expected) in [(9, 10, [0.596, 0.982]), (0, 10, [0.0, 0.278]), (190, 200, [0.910, 0.973])] {
             let found = wilson(good, all);
             assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 0.001), "{good} of {all}: {found:?}");

@@ -1,4 +1,4 @@
-//! Recordings of real machines, split as the page of each says.
+//! Recordings of real machines, split as the page of each recording says.
 
 use std::slice::from_ref;
 
@@ -22,7 +22,7 @@ use r4_identify::{
 use super::{Bench, Row};
 use crate::args::IdentifyRows;
 
-/// Names of what was found, in the order of adding.
+/// Names of the effects found, in the order in which they were added.
 pub(super) fn names(report: &Report) -> String {
     let name = |effect: &r4_identify::report::EffectReport| match &effect.table {
         Some(table) => format!("unknown over {}", table.over),
@@ -40,16 +40,16 @@ fn options(roles: Vec<Mapping>) -> Options {
     Options { roles, ..Options::default() }
 }
 
-/// Free runs before and after, in a unit of so many of the model's.
+/// Row of the free-run error before and after; `size` converts the model's unit to `unit`.
 fn free_runs(data: &str, metric: &str, (unit, size): (&'static str, f64), report: &Report, at_most: f64) -> Row {
     let [before, after] = [&report.baseline, &report.last].map(|scores| scores.holdout.rmse / size);
     Row::error(data, metric, unit, [before, after, at_most]).with(names(report))
 }
 
-/// The published split: one trajectory to fit, the one with pulses to test.
+/// Measures EMPS on the published split: one trajectory to fit, the one with pulses held out.
 pub(super) fn emps(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     const DATA: &str = "EMPS, axis";
-    /// Of the drive, N/V, as published with the recordings.
+    /// Gain of the drive, N/V, as published with the recordings.
     const GAIN: f64 = 35.150_651_88;
     let options = options(vec![Mapping::driving("input", "u_V"), Mapping::measured("output", "q_meas_m")]);
     let read = |name| bench.read(IdentifyRows::Emps, &[name], &options);
@@ -76,7 +76,7 @@ pub(super) fn emps(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     };
     Ok(vec![
         free_runs(DATA, "position, RMSE", ("mm", 1e-3), &report, 4.7).with(detail(&report)),
-        // As others report it.
+        // Same protocol as in other publications.
         Row::told(DATA, "the same, initial state by 20 samples", "mm", in_mm).with(detail(&published)),
         Row::claim(DATA, "Coulomb friction found", has(&report, &["coulomb-friction", "direction-friction"]))
             .with(names(&report)),
@@ -84,11 +84,11 @@ pub(super) fn emps(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     ])
 }
 
-/// Samples and seconds of a window.
+/// Length of a window: samples, s.
 const WINDOW: (usize, f64) = (40, 2.0);
 
-/// Runs of even and odd steps of the command, each of windows that follow each other. The file counts some transient windows
-/// to the step before: a step begins where a window is not steady.
+/// Runs of the even and of the odd steps of the command, each made of consecutive windows. The file counts some
+/// transient windows to the previous step: here, a step begins where a window is not steady.
 fn steps(bench: &Bench<'_>, roles: &[Mapping], steady_only: bool) -> anyhow::Result<[Vec<Run>; 2]> {
     let own = [Mapping::driving("number", "step"), Mapping::driving("steady", "steady")];
     let options = Options {
@@ -113,7 +113,7 @@ fn steps(bench: &Bench<'_>, roles: &[Mapping], steady_only: bool) -> anyhow::Res
                 for (role, signal) in &mut step.signals {
                     signal.values.extend(&window.signals[role].values);
                 }
-                // The last window's number is the step's own.
+                // The last window has the step's own number.
                 (*of, *windows) = (number, *windows + 1);
             }
             None => steps.push((number, 1, window)),
@@ -123,7 +123,7 @@ fn steps(bench: &Bench<'_>, roles: &[Mapping], steady_only: bool) -> anyhow::Res
     Ok([even, odd].map(|steps| steps.into_iter().map(|(.., run)| run).collect()))
 }
 
-/// Even steps to fit, odd ones to test.
+/// Measures the Husky: even steps to fit, odd ones held out.
 pub(super) fn husky(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     const WHEELS: &str = "Husky, wheels";
     const COMMANDS: &str = "Husky, commands";
@@ -153,10 +153,10 @@ pub(super) fn husky(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     ])
 }
 
-/// Gains 100 and 400 to fit, 200 and 800 to test.
+/// Measures the pendulum: gains 100 and 400 to fit, 200 and 800 held out.
 pub(super) fn pendulum(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     const DATA: &str = "XL330, pendulum";
-    /// Of the recordings' page: duty for each rad of error and unit of gain.
+    /// Duty per rad of error and unit of gain, from the recordings' page.
     const DUTY_PER_RAD: f64 = 651.9 / (256.0 * 885.0);
     let options = options(vec![
         Mapping::driving("input", "goal_rad"),
@@ -175,7 +175,7 @@ pub(super) fn pendulum(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     let known = [("duty_per_rad", DUTY_PER_RAD), ("arm_m", 0.1)];
     let known = known.map(|(name, value)| (name.to_owned(), value)).into_iter().collect();
     let known = Known::from_parameters(Kind::Servo, &known, None)?;
-    // The report has squares only; this is about absolute values.
+    // Fit here rather than by a report: reports have squared errors only, this metric is of absolute ones.
     let (model, train, test) = Motion::new(Kind::Servo, &known, &train, &test)?;
     let found = select::search(&model, &train, &|step| bench.progress.set_message(step.to_owned()));
     let [before, after] = [&found.base, &found.last].map(|fit| mean_absolute(&model, fit, &test));
@@ -191,10 +191,11 @@ pub(super) fn pendulum(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     ])
 }
 
-/// Mean over the runs of each one's mean absolute error; the state a run begins with is fitted to its first tenth.
+/// Mean over the runs of their mean absolute errors; each run's initial state is fitted to its first tenth.
 fn mean_absolute<F: Family>(family: &F, fit: &fit::Fit, runs: &[F::Run]) -> f64 {
     let of_run = |run: &F::Run| {
         let samples = family.measured(run).len();
+        // As `Protocol::FirstTenth`: a tenth, and at least 20 samples.
         let initial = fit::settle(family, &fit.structure, run, (samples / 10).max(20).min(samples));
         let residuals = fit::residuals(family, &fit.structure, &initial, run);
         let known: Vec<f64> = residuals.into_iter().filter(|residual| residual.is_finite()).map(f64::abs).collect();
@@ -203,7 +204,7 @@ fn mean_absolute<F: Family>(family: &F, fit: &fit::Fit, runs: &[F::Run]) -> f64 
     runs.iter().map(of_run).sum::<f64>() / runs.len() as f64
 }
 
-/// Even rows to fit, odd ones to test.
+/// Measures the micromouse: even rows to fit, odd ones held out.
 pub(super) fn micromouse(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     const RPM: f64 = std::f64::consts::TAU / 60.0;
     let mut rows = Vec::new();
@@ -240,7 +241,7 @@ pub(super) fn micromouse(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// Against what the recordings' author read from them.
+/// Measures backlash against the values published by the recordings' author.
 pub(super) fn backlash(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     let mut rows = Vec::new();
     for (servo, file, published_deg) in

@@ -1,4 +1,4 @@
-//! The printed tables of the OSMC evaluation: which laws they ask for, what they refuse, and what nothing explains.
+//! Printed tables of the OSMC evaluation: the laws they support, those they refute, and the unexplained remainder.
 
 use anyhow::Context;
 use r4_identify::statics::table::{
@@ -9,7 +9,7 @@ use r4_identify::statics::table::{
 
 use super::{Bench, Bound, Row};
 
-/// A rung of a ladder: its law, and the RMSE that others computed for it, with the last digit they wrote.
+/// Rung of a ladder: its law, the RMSE that others computed for it, and the last digit of that.
 type Rung = (&'static str, f64, f64);
 
 const ROTARY: &[Rung] =
@@ -21,7 +21,7 @@ const LINEAR: &[Rung] = &[
     ("offset and scale", 0.59, 0.01),
     ("released formula, stops beyond", 0.63, 0.01),
 ];
-/// Of the ladders of Tables 3 to 5: errors, overshoot over Ki, overshoot over Kd, rise.
+/// Expected rungs of the ladders of Tables 3 to 5: errors, overshoot over Ki, overshoot over Kd, rise.
 const CLOSED: [&[Rung]; 4] = [
     &[("none", 19.8, 0.1), ("constant", 5.7, 0.1), ("stopping duty over Kp", 1.60, 0.01)],
     &[
@@ -33,9 +33,10 @@ const CLOSED: [&[Rung]; 4] = [
     &[("constant and inverse of Kp", 0.01, 0.01)],
 ];
 
-/// How many rungs are as they should be, within half of the last digit.
+/// Row of the number of rungs with the expected error, within half of the last digit.
 fn rungs(data: &str, ladder: &Ladder, expected: &[Rung]) -> Row {
     let off = |&(law, rmse, digit): &Rung| match ladder.step(law) {
+        // Half of the last digit, and 0.01 for the rounding of floats.
         Some(step) if (step.rmse - rmse).abs() <= 0.51 * digit => None,
         Some(step) => Some(format!("{law}: {:.3} instead of {rmse}", step.rmse)),
         None => Some(format!("{law} is missing")),
@@ -48,7 +49,7 @@ fn rungs(data: &str, ladder: &Ladder, expected: &[Rung]) -> Row {
     Row { bound: Bound::AtLeast, met: good >= all, ..row }.with(detail)
 }
 
-/// The law that is chosen, beside none at all.
+/// Row of the chosen law, compared with no law.
 fn chosen(data: &str, ladder: &Ladder, law: &str, at_most: f64) -> Row {
     let rmse = |law: &str| ladder.step(law).map_or(f64::NAN, |step| step.rmse);
     let unit = if ladder.unit == "mm" { "mm" } else { "deg" };
@@ -64,7 +65,7 @@ pub(super) fn osmc(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     let (rotary, linear) = (rotary(&printed, bench.seed)?, linear(&printed, bench.seed)?);
     let short = linear.rejected.iter().find(|refused| refused.law.ends_with("stops short"));
     let mut rows = vec![
-        // As written: two digits, rounded.
+        // Limits as printed: two digits, rounded.
         chosen("OSMC Table 1", &rotary, "scale", 0.305),
         rungs("OSMC Table 1", &rotary, ROTARY),
         chosen("OSMC Table 2", &linear, "released formula, stops beyond", 0.635),
@@ -82,7 +83,7 @@ pub(super) fn osmc(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     let reasons = report.ladders.iter().filter_map(|ladder| ladder.steps.last().map(|step| step.reason.clone()));
     rows.push(Row::claim(LOOP, "static friction refused", all(&friction)).with(reasons.collect::<Vec<_>>().join("; ")));
     for ladder in &report.ladders {
-        // In the order of adding: each effect mends a column of its own.
+        // In the order of adding: each effect improves a column of its own.
         let column = |place: usize, of: fn(&r4_identify::statics::table::gains::GainsStep) -> f64| {
             let step = ladder.steps.get(place)?;
             Some((step.effect, of(ladder.steps.first()?), of(step)))

@@ -1,4 +1,5 @@
-//! `r4 bench motion`: what motion on a board promises a planner, measured on simulated boards in virtual time.
+//! `r4 bench motion`: limits of motion on a board that a planner relies on, measured on simulated boards in virtual
+//! time.
 
 mod population;
 mod speed;
@@ -17,39 +18,40 @@ use crate::{
     emulated, output, table,
 };
 
-/// The robot whose wheels are streamed, and one whose motors stand alone.
+/// Robot with the streamed wheels, and one of its wheels.
 const WHEELS: &str = "sim:openscout";
 const WHEEL: ChannelId = ChannelId::new(ChannelKind::Dhb, 0);
 /// Speeds of the streamed paths, rad/s.
 const SPEEDS_RAD_S: [f64; 3] = [2.0, 4.0, 6.0];
-/// A set point every so often, and a point so far ahead, s.
+/// Period of the set points or path points, and lead of the path points, s.
 const EVERY_S: f64 = 0.02;
 const AHEAD_S: f64 = 0.1;
-/// The paths: speeding up, and then at constant speed; the lag is that of the last second.
+/// Acceleration time and duration of the paths, s, and the last part of them in which the lag is measured.
 const SPEED_UP_S: f64 = 1.0;
 const LASTS_S: f64 = 5.0;
 const MEASURED_S: f64 = 1.0;
-/// Of a motor at constant speed, counts.
+/// Limit of the lag at constant speed, counts.
 const LAG_COUNTS: f64 = 2.0;
-/// Sampled motors that `r4 tune` must tune.
+/// Least share of sampled motors that `r4 tune` must tune.
 const LEAST_TUNED: f64 = 0.98;
-/// Swings of a motor whose speed is estimated, and what the estimate must be: within 10 %, and at most half as late as the 10 ms low-pass.
+/// Frequencies at which a motor's speed oscillates, and limits of its estimate: gain within 10 %, and at most half the
+/// delay of the 10 ms low-pass.
 const SWINGS_HZ: [f64; 3] = [2.0, 5.0, 10.0];
 const SPEED_GAIN: f64 = 0.9;
 const SPEED_DELAY_S: f64 = 0.005;
-/// Emulated robots whose control ticks are counted, and the 99.9 % quantile of their instructions (docs/performance.md) in the firmware
-/// that had no paths, jerk limits and learned friction.
+/// Emulated robots whose control ticks are counted, and the 99.9 % quantile of their instructions (docs/performance.md)
+/// in the firmware before it had paths, jerk limits and learned friction.
 const TICKS: [(&str, f64); 2] = [("osmc-bench", 6544.0), ("every-interface", 18_872.0)];
-/// As long as `r4 bench firmware` counts them unless told otherwise, s.
+/// Length of the count, s: the default of `r4 bench firmware`.
 const TICKS_S: f64 = 10.0;
-/// Channels, and boards, begin in one period of 1 ms.
+/// Limit of the spread between channels or boards that start together: one period of 1 ms.
 const TOGETHER_S: f64 = 0.001;
 
 #[derive(Serialize)]
 struct Row {
     what: String,
     unit: &'static str,
-    /// With what there was before: null where there was nothing.
+    /// Value of the previous firmware or method; null for none.
     before: Option<f64>,
     after: f64,
     at_least: Option<f64>,
@@ -61,7 +63,7 @@ struct Row {
 struct Report {
     rows: Vec<Row>,
     held: bool,
-    /// Sampled motors that are not tuned as promised.
+    /// Sampled motors that miss a limit after tuning.
     failed: Vec<Failed>,
     /// Measurements that are missing, each with its reason.
     left_out: Vec<String>,
@@ -99,7 +101,7 @@ pub(super) fn run(args: &Args, asked: &BenchMotion) -> anyhow::Result<bool> {
     let began = rig.run(None, async |session| begins_s(session, 0.0).await)?.0;
     rows.push(at_most("four wheels begin within".to_owned(), "s", None, spread(&began), TOGETHER_S));
     let fleet = Fleet::new(vec![rig.clone(), Rig { seed: args.seed.wrapping_add(1), ..rig }]);
-    // The boards are connected at moments of their own.
+    // Connect the boards at different times.
     let member = async |number: usize, session: &Session<'_>| begins_s(session, 0.037 * number as f64).await;
     let (_, began, _) = fleet.run(member, async |_| Ok::<_, Error>(()))?;
     rows.push(at_most("wheels of two boards begin within".to_owned(), "s", None, spread(&began.concat()), TOGETHER_S));
@@ -131,7 +133,7 @@ pub(super) fn run(args: &Args, asked: &BenchMotion) -> anyhow::Result<bool> {
         output::json(&report)?;
         return Ok(held);
     }
-    let mut table = table::new(&["simulated", "unit", "before", "after", "promised", "held"], 2..5);
+    let mut table = table::new(&["simulated", "unit", "before", "after", "limit", "met"], 2..5);
     for Row { what, unit, before, after, at_most, at_least, met } in &report.rows {
         let most = at_most.map(|limit| format!("at most {limit}"));
         let least = at_least.map(|limit| format!("at least {limit}"));
@@ -162,7 +164,8 @@ fn at_least(what: String, unit: &'static str, before: Option<f64>, after: f64, l
     Row { what, unit, before, after, at_least: Some(limit), at_most: None, met: after >= limit }
 }
 
-/// How many are tuned as promised, beside how many are as good with the gains that they had; and what those that are leave.
+/// Rows of one loop: share of motors tuned within the limits, beside the share that already met them with their old
+/// gains; overshoot and phase margin of the tuned ones.
 fn tuning_rows(of: Loop, tuned: &[Tuned]) -> Vec<Row> {
     let share = |good: usize| good as f64 / tuned.len().max(1) as f64;
     let good: Vec<&Tuned> = tuned.iter().filter(|tuned| tuned.fails.is_none()).collect();
@@ -191,7 +194,7 @@ fn tuning_rows(of: Loop, tuned: &[Tuned]) -> Vec<Row> {
     ]
 }
 
-/// NaN of none, which keeps no limit.
+/// Quantile of unsorted numbers; NaN of none, which meets no limit.
 fn quantile(of: &[f64], share: f64) -> f64 {
     let mut sorted = of.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -204,7 +207,7 @@ fn spread(of: &[f64]) -> f64 {
     of.iter().copied().fold(f64::NEG_INFINITY, f64::max) - least
 }
 
-/// Where a motor is to be `after_s` the beginning, rad.
+/// Position of the path `after_s` seconds from its beginning, rad.
 fn law(speed: f64, after_s: f64) -> f64 {
     if after_s < SPEED_UP_S {
         speed * after_s.max(0.0).powi(2) / (2.0 * SPEED_UP_S)
@@ -213,7 +216,8 @@ fn law(speed: f64, after_s: f64) -> f64 {
     }
 }
 
-/// The largest distance from the path at constant speed, counts; with points of a path, or with a position as set point each time.
+/// Largest distance from the path at constant speed, counts: with path points if `dated`, otherwise with position set
+/// points.
 async fn lag_counts(session: &Session<'_>, speed: f64, dated: bool) -> Result<f64, Error> {
     let board = session.board;
     let resolution = f64::from(board.channel(WHEEL)?.resolution);
@@ -235,6 +239,7 @@ async fn lag_counts(session: &Session<'_>, speed: f64, dated: bool) -> Result<f6
                     board.sleep_s(wait_us as f64 * 1e-6).await;
                     board.set(WHEEL, Setpoint { mode: Mode::Position, value }).await?;
                 }
+                // Path points are sent ahead of their time, set points at their time.
                 let next_us = at_us + (EVERY_S * 1e6) as u64 - if dated { (AHEAD_S * 1e6) as u64 } else { 0 };
                 board.sleep_s(next_us.saturating_sub(board.device_us()) as f64 * 1e-6).await;
                 while let Some(sample) = samples.try_next() {
@@ -252,8 +257,8 @@ async fn lag_counts(session: &Session<'_>, speed: f64, dated: bool) -> Result<f6
     Ok(worst.get())
 }
 
-/// When the set points of all wheels leave their places, on the host's clock, s. They are told at different moments to begin at the same
-/// one.
+/// Times at which the set points of all wheels leave 0, s, on the host's clock. The paths are sent at different times
+/// for a common start.
 async fn begins_s(session: &Session<'_>, later_s: f64) -> Result<Vec<f64>, Error> {
     const BEGIN_S: f64 = 2.0;
     let board = session.board;
@@ -266,6 +271,7 @@ async fn begins_s(session: &Session<'_>, later_s: f64) -> Result<Vec<f64>, Error
     session
         .armed(async || {
             let mut telemetry = board.telemetry();
+            // One time on the host's clock, converted to each board's clock.
             let ahead_us = ((BEGIN_S - board.now_s()) * 1e6).round() as u64;
             let begin_us = board.device_us() + ahead_us;
             for wheel in &wheels {

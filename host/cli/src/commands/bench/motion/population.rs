@@ -1,6 +1,6 @@
 //! A population of simulated gear motors with encoders, each sampled from its seed.
 //!
-//! What is sampled, each number for itself; the bench's carrier and its first bridge are around it:
+//! Sampled numbers, independent of each other; carrier and first bridge are those of the bench:
 //!
 //! | number | from | to | scale |
 //! | --- | --- | --- | --- |
@@ -18,8 +18,8 @@
 //! | dead zone of the bridge, duty | 0 | 0.1 | linear |
 //! | lines of the encoder, four counts each | 50 | 2500 | logarithmic |
 //!
-//! The robot's file says of such a motor what a data sheet says: speed, winding, encoder. Its feed-forward is 0, and its gains
-//! are safe for the slowest motor of that speed, which is poor for all others.
+//! The robot's configuration has the data-sheet values of the motor: speed, winding, encoder. Its feed-forward is 0, and
+//! its gains are safe for the slowest motor of that speed, which makes them poor for all others.
 
 use std::f64::consts::TAU;
 
@@ -39,53 +39,53 @@ use r4_protocol::{
 };
 use rand_pcg::{Pcg64, rand_core::Rng};
 
-/// Which motor of the robot it is.
+/// Channel of the sampled motor.
 pub(super) const CHANNEL: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
-/// The robot around it, whose other motor is left out.
+/// Robot around the motor; its other motor is removed.
 pub(super) const ROBOT: &str = "sim:osmc-bench";
 const RAIL: ChannelId = ChannelId::new(ChannelKind::Supply, 0);
 
-/// Tells these samples from other uses of the same seed.
+/// Stream of the random generator, which separates these samples from other uses of the same seed.
 const STREAM: u128 = 0x6d6f_746f_7273;
-/// The motor's path: so much of its speed without load, and the time to get there, s.
+/// Speed of the motor's path as a share of its speed without load, and the time to reach it, s.
 const PATH_SPEED: f64 = 0.4;
 const PATH_RAMP_S: f64 = 0.5;
-/// What its user wants of it: positions to this, rad, or to a count and a half where that is more.
+/// Accuracy of positions that the user requires: this angle, rad, or a count and a half where that is more.
 const SETTLE_RAD: f64 = 0.5 / 360.0 * TAU;
 const SETTLE_COUNTS: f64 = 1.5;
-/// A converter of the carrier reads up to 50 V.
+/// Highest supply voltage in the configuration, V: the carrier's converter reads up to 50 V.
 const MOST_V: f64 = 49.9;
 
-/// One motor.
+/// Motor sampled from a seed.
 #[derive(Clone, Debug)]
 pub(super) struct Sampled {
     supply_v: f64,
-    /// Of the output at full duty, without load and friction, rad/s.
+    /// Speed of the output at full duty without load and friction, rad/s.
     speed_rad_s: f64,
     lines_per_turn: u32,
     motor: DcGearMotor,
     effects: Vec<Effect>,
 }
 
-/// Numbers out of a seed.
+/// Random numbers from a seed.
 struct Dice(Pcg64);
 
 impl Dice {
-    /// Evenly distributed.
+    /// Uniformly distributed number.
     fn between(&mut self, low: f64, high: f64) -> f64 {
-        // 53 bits are what fits into the mantissa of an f64.
+        // An f64 has 53 bits of mantissa, so that every share is exact.
         let share = (self.0.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
         low + (high - low) * share
     }
 
-    /// Evenly distributed on a logarithmic scale.
+    /// Number uniformly distributed on a logarithmic scale.
     fn ratio_between(&mut self, low: f64, high: f64) -> f64 {
         low * (high / low).powf(self.between(0.0, 1.0))
     }
 }
 
 impl Sampled {
-    /// The motor of a seed.
+    /// Samples the motor of a seed.
     pub(super) fn new(seed: u64) -> Self {
         let mut dice = Dice(Pcg64::new(seed.into(), STREAM));
         let supply_v = dice.ratio_between(12.0, 48.0);
@@ -99,11 +99,13 @@ impl Sampled {
         let static_share = dice.between(0.0, 0.5);
         let stribeck_share = dice.ratio_between(0.005, 0.03);
         let has_backlash = dice.between(0.0, 3.0) < 2.0;
+        // Sampled in any case, so that the numbers after it do not depend on it.
         let backlash_deg = dice.between(0.1, 2.0);
         let dead_zone = dice.between(0.0, 0.1);
         let lines_per_turn = dice.ratio_between(50.0, 2500.0).round() as u32;
 
         let back_emf = supply_v / speed_rad_s;
+        // Viscous coefficient of the back-EMF through the winding, N m s/rad.
         let damping = back_emf * back_emf / resistance_ohm;
         let viscous = viscous_share * damping;
         let stall_nm = back_emf * supply_v / resistance_ohm;
@@ -124,13 +126,14 @@ impl Sampled {
             inductance_h: electrical_s * resistance_ohm,
             torque_constant_nm_per_a: back_emf / gear_ratio,
             gear_ratio,
+            // The mechanical time constant is J / (k² / R + B).
             inertia_kg_m2: mechanical_s * (damping + viscous),
             viscous_nm_s_per_rad: viscous,
         };
         Self { supply_v, speed_rad_s, lines_per_turn, motor, effects }
     }
 
-    /// Gives the robot's first motor this physics, and the rest of its configuration what a data sheet says of it.
+    /// Replaces the physics of the robot's first motor, and configures it from its data-sheet values.
     pub(super) fn put_into(&self, robot: &mut Robot, cascade_per_s: f64) -> anyhow::Result<()> {
         let source = "a sampled motor";
         let spec = PlantSpec::new(Model::DcGearMotor(self.motor), source, self.effects.clone())?;
@@ -157,7 +160,7 @@ impl Sampled {
         winding.dead_duty = 0.0;
         winding.resistance_ohm = self.motor.resistance_ohm as f32;
         winding.back_emf = (self.supply_v / self.speed_rad_s) as f32;
-        // Strong enough for what is asked of it: heat is another subject.
+        // Rated for its stall current: heating is not part of this benchmark.
         winding.rated_a = (self.supply_v / self.motor.resistance_ohm) as f32;
         let control = motor.control.as_mut().context("no feedback")?;
         let count_rad = TAU / f64::from(4 * self.lines_per_turn);
@@ -170,6 +173,7 @@ impl Sampled {
         control.profile = ProfileLimits { speed: speed as f32, acceleration: (speed / PATH_RAMP_S) as f32, jerk: 0.0 };
         control.settle = SettleConfig {
             error: SETTLE_RAD.max(SETTLE_COUNTS * count_rad) as f32,
+            // At least two counts within the settling time of 100 ms.
             speed: (0.02 * self.speed_rad_s).max(2.0 * count_rad / 0.1) as f32,
             time_ms: 100,
         };
@@ -179,7 +183,7 @@ impl Sampled {
         control.cascade_per_s = cascade_per_s as f32;
         let per_speed = 1.0 / self.speed_rad_s;
         let gains = |kp: f64, ki: f64| PidGains { kp: (kp * per_speed) as f32, ki: (ki * per_speed) as f32, kd: 0.0 };
-        // A position closes with 3/s where there is no friction; a speed by an integral of 1.5/s.
+        // Without friction, the position loop closes with 3/s, and the speed loop with an integral of 1.5/s.
         control.position_pid = gains(3.0, 1.5);
         control.speed_pid = gains(0.3, 1.5);
         robot.config.validate()?;

@@ -1,4 +1,4 @@
-//! How well a board sees a motor's speed: gain and delay of its estimate against its own positions.
+//! Quality of a board's speed estimate: gain and delay against its own positions.
 
 use std::{cell::RefCell, f64::consts::TAU, rc::Rc};
 
@@ -9,7 +9,7 @@ use r4_rig::{Error, Rig, Session};
 
 use crate::args::Args;
 
-/// A motor without friction and dead band on the bench's OSMC: 8.7 rad/s at full duty, time constant 64 ms.
+/// Motor without friction and dead band on the bench's OSMC: 8.7 rad/s at full duty, time constant 64 ms.
 const MOTOR: &str = r#"
 model = "dc-gear-motor"
 source = "synthetic: r4 bench motion"
@@ -21,28 +21,30 @@ gear_ratio = 25.0
 inertia_kg_m2 = 0.2
 viscous_nm_s_per_rad = 0.03
 "#;
-/// Its model, as its robot's file would have it: 1 / 8.7 duty s/rad, and 64 ms of that.
+/// Model of the motor for its robot's file: 1 / 8.7 duty s/rad, and 64 ms times that.
 const DUTY_PER_SPEED: f32 = 0.115;
 const TIME_CONSTANT_S: f32 = 0.064;
 const CHANNEL: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
-/// The duty swings around a steady turn, so that friction and play of the encoder's edges do not show.
+/// Mean and amplitude of the duty, which oscillates around a steady rotation so that friction and encoder edges have no
+/// influence.
 const DUTY: f64 = 0.45;
 const SWING: f64 = 0.3;
-/// Of the board's control, and of its samples, s.
+/// Period of the board's control and of its samples, s.
 const PERIOD_S: f64 = 0.001;
-/// A set point every so often, s; the first second is left out.
+/// Period of the set points, start of the evaluation, and duration, s.
 const EVERY_S: f64 = 0.002;
 const SETTLES_S: f64 = 1.0;
 const LASTS_S: f64 = 4.0;
 
-/// Gain of the speed that the board reports, 1 where it is that of its positions, and its delay behind them, s.
+/// Gain of the reported speed relative to that of the positions, and its delay behind it, s.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
     pub(super) gain: f64,
     pub(super) delay_s: f64,
 }
 
-/// Of a swing of `hz`, with the observer's model or, without, behind the low-pass of the same time constant.
+/// Measures an oscillation of `hz` with the observer's model, or without it behind the low-pass of the same time
+/// constant.
 pub(super) fn seen(args: &Args, hz: f64, has_model: bool) -> anyhow::Result<Seen> {
     let plant = PlantSpec::from_toml("motor of r4 bench motion", MOTOR)?;
     let alter = move |robot: &mut Robot| {
@@ -51,7 +53,7 @@ pub(super) fn seen(args: &Args, hz: f64, has_model: bool) -> anyhow::Result<Seen
         }
         let configured = robot.config.motors.iter_mut().filter(|motor| motor.id == CHANNEL);
         for motor in configured {
-            // Of this motor, so that its swings do not count as an overload.
+            // Winding of this motor, so that the oscillation does not count as an overload.
             if let Some(winding) = &mut motor.winding {
                 (winding.dead_duty, winding.resistance_ohm, winding.back_emf) = (0.0, 2.4, 25.0 * 0.11);
                 winding.rated_a = 5.0;
@@ -67,14 +69,14 @@ pub(super) fn seen(args: &Args, hz: f64, has_model: bool) -> anyhow::Result<Seen
     let period = (1.0 / (hz * PERIOD_S)).round() as usize;
     anyhow::ensure!(looks.len() >= 2 * period, "too few samples of {CHANNEL} for {hz} Hz: {}", looks.len());
     let [position, speed] = [0, 1].map(|of| harmonic(&looks.iter().map(|look| look[of]).collect::<Vec<_>>(), period));
-    // A swing of the position leads to one of ω times its size, a quarter of a turn earlier.
+    // The derivative of an oscillation has ω times its amplitude and leads by a quarter of a turn.
     let gain = speed.0 / (TAU * hz * position.0);
     let late = (position.1 + TAU / 4.0 - speed.1).rem_euclid(TAU);
     let late = if late > TAU / 2.0 { late - TAU } else { late };
     Ok(Seen { gain, delay_s: late / (TAU * hz) })
 }
 
-/// Position and speed of each period once it swings, rad and rad/s.
+/// Position and speed of each control period once the oscillation is steady, rad and rad/s.
 async fn swing(session: &Session<'_>, hz: f64) -> Result<Vec<[f64; 2]>, Error> {
     let board = session.board;
     let resolution = f64::from(board.channel(CHANNEL)?.resolution);
@@ -102,12 +104,13 @@ async fn swing(session: &Session<'_>, hz: f64) -> Result<Vec<[f64; 2]>, Error> {
     Ok(seen.into_inner())
 }
 
-/// Amplitude and phase, rad, of a number that swings with a period of `period` looks around a steady change, over whole periods.
+/// Amplitude and phase, rad, of an oscillation with a period of `period` samples around a linear trend, over whole
+/// periods.
 fn harmonic(values: &[f64], period: usize) -> (f64, f64) {
     let whole = values.len() / period * period;
     let values = &values[values.len() - whole..];
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-    // A period's mean has none of the swing in it.
+    // The mean over a whole period contains no oscillation, so the means of the first and last period give the trend.
     let slope = (mean(&values[whole - period..]) - mean(&values[..period])) / (whole - period) as f64;
     let (mut sin, mut cos) = (0.0f64, 0.0f64);
     for (index, value) in values.iter().enumerate() {

@@ -11,29 +11,29 @@ use rayon::prelude::*;
 
 use super::population::{CHANNEL, ROBOT, Sampled};
 
-/// Limits that a tuned loop keeps.
+/// Limits of a tuned loop: overshoot as a share of the step, and phase margin.
 pub(super) const OVERSHOOT: f64 = 0.05;
 pub(super) const MARGIN_DEG: f64 = 45.0;
-/// Cascade that the robot has before it is tuned, 1/s.
+/// Cascade gain of the robot before tuning, 1/s.
 const CASCADE_PER_S: f64 = 2.0;
-/// As long as it takes.
+/// Time limit, s: long enough for every motor.
 const TIME_S: f64 = 600.0;
 
-/// A motor and how it came out.
+/// Motor with the result of its tuning.
 pub(super) struct Tuned {
     pub(super) seed: u64,
-    /// Response with the gains it had, where there is one.
+    /// Response with the old gains; `None` if tuning failed.
     pub(super) before: Option<Response>,
     /// Response with the proposed gains.
     pub(super) after: Option<Response>,
-    /// Phase margin that they leave on the identified model.
+    /// Phase margin of the proposed gains on the identified model, degrees.
     pub(super) margin_deg: Option<f64>,
-    /// Which limit they do not keep, or why there are none.
+    /// Missed limit, or the reason why there are no proposed gains.
     pub(super) fails: Option<String>,
 }
 
 impl Tuned {
-    /// Whether the gains that it had keep the limits that a step shows.
+    /// True if the old gains meet the limits visible in a step response.
     pub(super) fn was_good(&self) -> bool {
         self.before.is_some_and(|before| before.settling_s.is_some() && before.overshoot <= OVERSHOOT)
     }
@@ -63,7 +63,7 @@ fn tuned(seed: u64, of: Loop) -> anyhow::Result<Tuned> {
     let mut rig = Rig { seed, ..Rig::new(ROBOT.parse()?) };
     sampled.put_into(&mut rig.robot()?, cascade_per_s)?;
     rig.alter = Some(Rc::new(move |robot| {
-        // The same robot took it above.
+        // The same change succeeded above.
         let _ = sampled.put_into(robot, cascade_per_s);
     }));
     let request = TuneRequest { of: Some(of), time_s: TIME_S, ..TuneRequest::new(CHANNEL) };

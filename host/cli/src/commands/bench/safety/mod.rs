@@ -1,11 +1,11 @@
 //! `r4 bench safety`: for every cause of a stop, the longest time until each kind of output is safe.
 //!
-//! Causes are injected again and again at random moments into a board on which everything moves. Times are virtual and
-//! taken by [`StopWatch`]; limits are those the project promises, or follow from the board's configuration. On further boards,
-//! on which half of the channels brake before they are switched off, [`RunOut`] follows the plants until they are at rest.
+//! Causes are injected repeatedly at random times into a board with all outputs moving. Times are virtual and measured
+//! by [`StopWatch`]; limits are guaranteed by the project or follow from the board's configuration. On further boards,
+//! where half of the channels brake before they are switched off, [`RunOut`] follows the plants until they are at rest.
 //!
-//! A simulated board meets what happens around its processor; what happens to the processor itself is injected into the
-//! exact ELF on an emulated one: `processor`.
+//! A simulated board covers events around its processor; events in the processor itself are injected into the exact ELF
+//! file on an emulated one: `processor`.
 
 #[cfg(feature = "emu")]
 pub(crate) mod processor;
@@ -47,26 +47,26 @@ use crate::{
 use report::{CONFIGURED, Limit, Line, OutOfReach, PROMISED, Report, Row};
 use run_out::{Group, GroupRan, RUN_OUT_NS, groups};
 
-/// Injections into a simulated board, where nothing is said.
+/// Default number of injections into a simulated board.
 const INJECTIONS: u32 = 10_000;
-/// From arming until motors may move (the supply's relay bounces).
+/// Time from arming until motors may move, ms (the supply's relay bounces).
 const POWER_UP_MS: u64 = 52;
-/// Everything has moved for this long before something happens: at least, and at most.
+/// Range of the time for which all outputs move before an injection, ns.
 const MOVING_NS: std::ops::Range<u64> = 100 * MS..200 * MS;
-/// Servos are sent elsewhere this often, so that they never arrive.
+/// Period of new servo positions, ms, so that they never arrive.
 const RETARGET_MS: u64 = 100;
-/// As many boards meet each cause and are followed until every plant is at rest.
+/// Boards per cause that are followed until every plant is at rest.
 const RUN_OUTS: u32 = 4;
-/// Outputs are looked at no more often than this while a stop brakes.
+/// Least polling period of the outputs while a stop brakes, ns.
 const LOOK_BRAKING_NS: u64 = 100_000;
-/// Everything stays safe for this long after the last of it became so.
+/// Time for which all outputs must stay safe after the last one became so, ns.
 const QUIET_NS: u64 = 3 * MS;
-/// A board that cannot be cleared so long after the cause is gone stays tripped.
+/// Time after removal of the cause until which clearing must succeed, ms.
 const CLEARED_WITHIN_MS: u64 = 5_000;
-/// Pings to one range sensor after another (HC-SR04 datasheet).
+/// Period of pings to successive range sensors, ms (HC-SR04 datasheet).
 const TURN_MS: f64 = 60.0;
 
-/// A chip on the board's I2C bus.
+/// Chip on the board's I2C bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Chip {
     OsmcPwm,
@@ -76,7 +76,7 @@ enum Chip {
     Expander,
 }
 
-/// What happens to the board.
+/// Event that is injected into the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Event {
     DeadMan,
@@ -152,7 +152,7 @@ impl fmt::Display for Event {
 }
 
 impl Event {
-    /// What the board must then give as its reason.
+    /// Cause that the board must report.
     const fn cause(self) -> Cause {
         match self {
             Self::DeadMan => Cause::DeadMan,
@@ -168,7 +168,7 @@ impl Event {
         }
     }
 
-    /// How often it is injected for each time that others are: those that take long in virtual time, more rarely.
+    /// Relative number of injections: events that take long in virtual time are injected less often.
     const fn weight(self) -> f64 {
         match self {
             Self::Proximity | Self::ProximityLost | Self::EncoderDead | Self::MotorBlocked => 0.25,
@@ -176,8 +176,8 @@ impl Event {
         }
     }
 
-    /// Injections that one simulated board takes one after the other. A motor that stands under duty again and again heats its
-    /// winding, which starts at 80 %, by 3 to 4 % each time: few enough that the board does not trip by overload first.
+    /// Injections per simulated board. A motor that stands under duty heats its winding, which starts at 80 %, by 3 to
+    /// 4 % each time: few enough that the board does not trip by overload first.
     const fn chunk(self) -> u32 {
         match self {
             Self::EncoderDead | Self::MotorBlocked => 5,
@@ -185,7 +185,7 @@ impl Event {
         }
     }
 
-    /// How often outputs are looked at while waiting for it.
+    /// Polling period of the outputs during the event, ns.
     const fn look_every_ns(self) -> u64 {
         match self {
             Self::ProximityLost | Self::EncoderDead | Self::MotorBlocked => 100_000,
@@ -193,33 +193,33 @@ impl Event {
         }
     }
 
-    /// The same, while a stop may brake.
+    /// Polling period of the outputs, ns, longer while a stop may brake.
     fn look_ns(self, braking: bool) -> u64 {
         self.look_every_ns().max(if braking { LOOK_BRAKING_NS } else { 0 })
     }
 
-    /// From the event until the board knows of it, at most.
+    /// Longest time from the event until the board detects it, ms.
     fn noticed_ms(self, config: &BoardConfig) -> f64 {
         let period_ms = f64::from(config.control_period_us) / 1000.0;
-        /// The supervisor looks this often.
+        /// Period of the supervisor, ms.
         const SUPERVISOR_MS: f64 = 1.0;
         match self {
-            // An edge wakes the supervisor.
+            // An edge interrupt wakes the supervisor.
             Self::DeadMan => 0.0,
             Self::AuxiliaryStop => SUPERVISOR_MS,
-            // A frame of at most 64 bytes at 1 Mbit/s, behind another one and what this host has sent just before: a new angle
-            // for each servo, in 30 bytes.
+            // Transmission of a frame of at most 64 bytes at 1 Mbit/s behind another one, and behind the requests that
+            // this host has just sent: a new angle for each servo, 30 bytes each.
             Self::HostStop => 1.3 + 0.3 * config.servos.len() as f64,
-            // Promised.
+            // A guaranteed limit.
             Self::LinkLost => f64::from(config.link_timeout_ms) + 2.0,
-            // Promised as one ranging cycle; the shortest there can be, that of a single sensor.
+            // Guaranteed as one ranging cycle; this is the shortest one, of a single sensor.
             Self::Proximity => TURN_MS,
-            // Three pings without an answer, the last of which is waited for as long as an echo can last.
+            // Three pings without an answer; the last one waits for the longest possible echo.
             Self::ProximityLost => 3.0 * TURN_MS * config.ranges.len() as f64 + 42.0,
-            // While voltages change the DAC is written every second period; three tries of three bytes.
+            // The DAC is written every second period while voltages change; three tries of three bytes.
             Self::NoAnswer(Chip::BldcDac) => 2.0 * period_ms + 1.0,
             Self::NoAnswer(_) | Self::LostSettings(_) => read_back_ms(config) + period_ms,
-            // The next transfer, and three tries that time out after 1 ms.
+            // The next transfer, with three tries that time out after 1 ms each.
             Self::BusHeldLow => period_ms + 3.2,
             Self::SupplyLow | Self::SupplyHigh => {
                 let slowest = config.supplies.iter().map(|supply| {
@@ -228,13 +228,13 @@ impl Event {
                         Self::SupplyLow => (range.max, far_below(range.min), range.min),
                         _ => (range.min, far_above(range.max), range.max),
                     };
-                    // The supply's first-order filter of 10 ms.
+                    // First-order filter of the supply voltage, 10 ms.
                     10.0 * f64::from((from_v - to_v) / (limit_v - to_v)).ln()
                 });
                 slowest.fold(0.0, f64::max) + 2.0 * period_ms
             }
             Self::EncoderJumps => 2.0 * period_ms,
-            // One that stops within a window may have covered enough before; the next window tells.
+            // A motor that stops within a window may have moved enough before; the next window detects it.
             Self::EncoderDead | Self::MotorBlocked => {
                 let windows =
                     config.motors.iter().filter_map(|motor| motor.control.map(|control| control.stall.time_ms));
@@ -243,18 +243,19 @@ impl Event {
         }
     }
 
-    /// How long its stop brakes before it switches off, ms; 0 where it switches off at once.
+    /// Braking time of the event's stop before outputs are switched off, ms; 0 for a stop that switches off at once.
     fn braked_ms(self, config: &BoardConfig) -> f64 {
         if Causes::only(self.cause()).allow_braking() { f64::from(config.stop_brake_ms()) } else { 0.0 }
     }
 
-    /// How long the plants of a group may take until nothing drives or brakes them any more; `None` out of reach.
+    /// Limit until nothing drives or brakes a group's plants any more; `None` for outputs out of reach.
     fn group_limit(self, group: &Group, config: &BoardConfig) -> Option<Limit> {
         let outputs = group.outputs();
         let limit = self.limit(outputs, config)?;
         let beside_others = self.braked_ms(config) > 0.0 && !group.brakes;
         let ms = match outputs {
-            // What does not brake beside others that do is switched off over the bus, as fast as all must be written.
+            // Beside braking channels, the others are switched off over the bus, in the time that writing all of them
+            // takes.
             Outputs::Bridges if beside_others => self.noticed_ms(config) + WRITTEN_MS + LOOK_BRAKING_NS as f64 * 1e-6,
             Outputs::Steppers if beside_others => {
                 let period_ms = f64::from(config.control_period_us) / 1000.0;
@@ -265,7 +266,7 @@ impl Event {
         Some(Limit { ms, from: CONFIGURED })
     }
 
-    /// How long `outputs` may take until they are safe; `None` when nothing can reach them any more.
+    /// Limit until `outputs` are safe; `None` for outputs out of reach.
     fn limit(self, outputs: Outputs, config: &BoardConfig) -> Option<Limit> {
         let out_of_reach = match self {
             Self::BusHeldLow => matches!(outputs, Outputs::MotorPower | Outputs::BridgeChips | Outputs::Bldcs),
@@ -277,22 +278,22 @@ impl Event {
         let period_ms = f64::from(config.control_period_us) / 1000.0;
         let braked_ms = self.braked_ms(config);
         let look_ms = self.look_ns(braked_ms > 0.0) as f64 * 1e-6;
-        // The deadline of a stop that brakes is the supervisor's, who looks each millisecond.
+        // The supervisor, which runs each millisecond, checks the deadline of a braking stop.
         let braked_ms = if braked_ms > 0.0 { braked_ms + 1.0 } else { 0.0 };
         let after_ms = match outputs {
-            // By lines, without the bus: seen at the next look.
+            // Lines switch the bridges without the bus: detected at the next poll.
             Outputs::Bridges => braked_ms + look_ms,
-            // Promised for the dead-man's edge.
+            // Guaranteed for the dead-man's edge.
             Outputs::MotorPower => braked_ms + 1.0,
             Outputs::BridgeChips => braked_ms + WRITTEN_MS,
             Outputs::Bldcs => WRITTEN_MS,
             Outputs::Steppers if braked_ms > 0.0 => braked_ms + period_ms + 2.0 * look_ms,
-            // The control loop comes to it after what it is writing; two looks see that nothing changes any more.
+            // The control loop stops them after its present write; two polls detect that nothing changes any more.
             Outputs::Steppers | Outputs::Servos | Outputs::Dacs => period_ms + 2.0 * look_ms,
         };
         let promised = match (self, outputs) {
             (Self::DeadMan, Outputs::MotorPower | Outputs::BridgeChips | Outputs::Bldcs) => true,
-            // Tripped: where nothing brakes first, the lines of the bridges follow at once.
+            // On a trip the lines of the bridges switch at once if nothing brakes first.
             (Self::LinkLost | Self::Proximity, Outputs::Bridges) => braked_ms == 0.0,
             _ => false,
         };
@@ -301,10 +302,10 @@ impl Event {
     }
 }
 
-/// Promised: all motor channels are written so long after a stop, ms.
+/// Guaranteed time after a stop until all motor channels are written, ms.
 const WRITTEN_MS: f64 = 5.0;
 
-/// A voltage well below a supply's range, and one well above.
+/// Voltages well below and well above a supply's range, V.
 fn far_below(min_v: f32) -> f32 {
     0.6 * min_v
 }
@@ -312,7 +313,7 @@ fn far_above(max_v: f32) -> f32 {
     1.35 * max_v
 }
 
-/// How long the firmware takes to read everything back once, while armed: one thing every fourth period.
+/// Period in which the firmware reads back every setting once while armed, ms: one setting every fourth control period.
 fn read_back_ms(config: &BoardConfig) -> f64 {
     let lines = config.motors.iter().map(|motor| if let BridgeConfig::Osmc(_) = motor.bridge { 4 } else { 3 });
     let modes = [config.osmc_pwm.is_some(), config.dhb_pwm.is_some(), config.servo_pwm.is_some()];
@@ -321,15 +322,15 @@ fn read_back_ms(config: &BoardConfig) -> f64 {
     (4 * things) as f64 * f64::from(config.control_period_us) / 1000.0
 }
 
-/// What became of one event.
+/// Result of one event.
 #[derive(Clone, Debug, Default)]
 struct Measured {
     injections: u32,
-    /// Longest by kind of output, ms; infinite when it was not safe by then.
+    /// Longest time by kind of output, ms; infinite if the output did not become safe.
     max_ms: [f64; Outputs::ALL.len()],
-    /// By group of plants, of the boards that were followed until all was at rest.
+    /// Results by group of plants, of the boards that were followed until rest.
     groups: Vec<GroupRan>,
-    /// Injections after which the board gave other reasons, with the first of them.
+    /// Injections after which the board reported other causes, and the first of those.
     wrong: u32,
     wrong_causes: Option<Causes>,
 }
@@ -387,16 +388,17 @@ pub(super) fn run(args: &Args, asked: &args::Safety) -> anyhow::Result<bool> {
     for (event, of) in measured.iter().filter(|(_, of)| of.wrong > 0) {
         right = false;
         let causes = of.wrong_causes.unwrap_or(Causes::NONE);
-        eprintln!("r4: {event}: {} times the board gave another reason, first `{causes}`", of.wrong);
+        eprintln!("r4: {event}: the board reported other causes {} times, first `{causes}`", of.wrong);
     }
     Ok(right && report.held())
 }
 
-/// All events, on as many boards at once as there are processors. The result depends on the seed alone.
+/// Measures all events, on as many boards in parallel as there are processors. The result depends on the seed alone.
 fn measure(robot: &Robot, seed: u64, injections: u32, run_outs: u32) -> anyhow::Result<Vec<(Event, Measured)>> {
     let weights: f64 = EVENTS.iter().map(|event| event.weight()).sum();
     let mut chunks = Vec::new();
     for (place, event) in EVENTS.into_iter().enumerate() {
+        // At least one injection of each event, also for few in all.
         let mut left = (f64::from(injections) * event.weight() / weights).ceil() as u32;
         while left > 0 {
             let count = left.min(event.chunk());
@@ -419,7 +421,7 @@ fn measure(robot: &Robot, seed: u64, injections: u32, run_outs: u32) -> anyhow::
             Injections { bench, event, random, run_out, progress }.run(count).await
         });
         let measured = measured.with_context(|| format!("{event}, seed {seed}, board {number}"))?;
-        // Nobody panics with the lock.
+        // The lock cannot be poisoned: nothing panics while holding it.
         results.lock().unwrap_or_else(std::sync::PoisonError::into_inner)[place].merge(&measured);
         Ok(())
     })?;
@@ -427,7 +429,7 @@ fn measure(robot: &Robot, seed: u64, injections: u32, run_outs: u32) -> anyhow::
     Ok(EVENTS.into_iter().zip(results).filter(|(_, of)| of.injections > 0).collect())
 }
 
-/// Does `work` with each job and its number, as many at once as there are processors, and shows how far it is.
+/// Runs `work` for each job and its number, as many in parallel as there are processors, with a progress bar.
 fn side_by_side<J: Sync>(
     jobs: &[J],
     injections: u64,
@@ -454,23 +456,23 @@ fn side_by_side<J: Sync>(
     Ok(())
 }
 
-/// The injections of one board.
+/// Injections into one board.
 #[derive(Clone, Copy)]
 struct Chunk {
-    /// The event's in [`EVENTS`].
+    /// Index of the event in [`EVENTS`].
     place: usize,
     event: Event,
     count: u32,
-    /// On a board of which half brakes, and until all is at rest.
+    /// Follow a board with braking channels until all plants are at rest.
     run_out: bool,
 }
 
-/// One event again and again on one board.
+/// Repeated injection of one event into one board.
 struct Injections<'b> {
     bench: &'b Bench<'b>,
     event: Event,
     random: Pcg64,
-    /// Each injection is followed until all is at rest, and nothing else is measured.
+    /// Follow each injection until all plants are at rest, and measure nothing else.
     run_out: bool,
     progress: &'b ProgressBar,
 }
@@ -487,14 +489,15 @@ impl Injections<'_> {
         Ok(measured)
     }
 
-    /// Arms, lets everything move, lets it happen, and waits until all is safe and the cause gone.
+    /// Arms, moves all outputs, injects the event, waits until all outputs are safe, and removes the cause.
     async fn inject_once(&mut self, number: u32) -> anyhow::Result<(Measured, Causes)> {
         let bench = self.bench;
         bench.host.arm().await?;
         bench.sleep_ms(POWER_UP_MS).await;
-        // Alternately both ways, so that nothing comes to its end stop.
+        // Alternate the direction, so that nothing reaches its end stop.
         let sign = if number.is_multiple_of(2) { 1.0 } else { -1.0 };
         let osmc: Vec<_> = bench.taking(ChannelKind::Osmc, Mode::Duty).map(|(id, _)| id).collect();
+        // A random channel, so that many injections cover all of them.
         let victim = osmc.get(self.below(osmc.len() as u64) as usize).copied();
         let Some(victim) = victim else { bail!("no OSMC") };
         Moving::All.begin(bench, victim, sign).await?;
@@ -508,7 +511,7 @@ impl Injections<'_> {
         let retarget = async {
             loop {
                 bench.sleep_ms(RETARGET_MS).await;
-                // Refused once the board has tripped.
+                // The board refuses it once it has tripped.
                 let _ = Moving::All.retarget_servos(bench).await;
             }
         };
@@ -524,12 +527,12 @@ impl Injections<'_> {
         self.random.next_u64() % end.max(1)
     }
 
-    /// Brings the event about and waits until all outputs that can be reached are safe, or until all plants are at rest.
+    /// Injects the event and waits until all reachable outputs are safe, or until all plants are at rest.
     async fn let_happen(&self, victim: ChannelId, sign: f32, chosen: u64) -> anyhow::Result<Measured> {
         let bench = self.bench;
         let at_ns = bench.clock.now_ns();
         self.inject(victim, sign, chosen)?;
-        // Bytes that are in the cable when the host falls silent still arrive.
+        // Bytes already in the cable when the host falls silent still arrive.
         let silent_ns = if self.event == Event::LinkLost { bench.cable.arrived_ns.get() } else { 0 };
         let since_ns = Cell::new(at_ns.max(silent_ns));
         let stop = async {
@@ -544,7 +547,7 @@ impl Injections<'_> {
             let max_ms = Outputs::ALL.map(|outputs| run_out::ms(watch.safe_since_ns(outputs), since_ns.get()));
             return Ok(Measured { injections: 1, max_ms, ..Measured::default() });
         }
-        // A session ends when its link is cut for long; what has tripped stays so.
+        // Remove the cause first: a session ends if its link is cut for long. A tripped board stays tripped.
         self.remedy(victim)?;
         let until_ns = at_ns + RUN_OUT_NS;
         while !plants.is_over(bench.clock.now_ns()) && bench.clock.now_ns() < until_ns {
@@ -555,9 +558,10 @@ impl Injections<'_> {
         Ok(Measured { groups: run_out::by_group(bench.board.robot(), &ran, since_ns.get()), ..Measured::default() })
     }
 
-    /// Looks until all is safe for good, or far too late. Where an echo tells of the event, `since_ns` becomes its end.
+    /// Polls until all outputs stay safe or time runs out. If an echo carries the event, `since_ns` becomes the echo's
+    /// end.
     async fn watch(&self, since_ns: &Cell<u64>) -> (StopWatch, RunOut) {
-        /// From a trigger's end to the rise of its echo, and a little more.
+        /// Time from the end of a trigger to the rise of its echo, with a margin, ns.
         const RISE_NS: u64 = 600_000;
         let bench = self.bench;
         let config = &bench.board.robot().config;
@@ -588,6 +592,7 @@ impl Injections<'_> {
                 if heard {
                     since_ns.set(now_ns);
                     drop(world);
+                    // Positions count from the echo that shows the object.
                     plants = RunOut::new(&bench.board);
                 }
             }
@@ -652,7 +657,7 @@ impl Injections<'_> {
         Ok(())
     }
 
-    /// Takes away what was injected.
+    /// Removes the injected cause.
     fn remedy(&self, victim: ChannelId) -> anyhow::Result<()> {
         let bench = self.bench;
         let now_ns = bench.clock.now_ns();
@@ -677,7 +682,7 @@ impl Injections<'_> {
         Ok(())
     }
 
-    /// Clears as soon as the board lets it; returns the causes of the trip.
+    /// Clears as soon as the board permits it; returns the causes of the trip.
     async fn clear(&self) -> anyhow::Result<Causes> {
         let bench = self.bench;
         let until_ns = bench.clock.now_ns() + CLEARED_WITHIN_MS * MS;
@@ -689,10 +694,10 @@ impl Injections<'_> {
                     Err(error) => return Err(error.into()),
                 },
                 Err(Error::Refused(Refusal::CausesPresent { causes })) if bench.clock.now_ns() > until_ns => {
-                    bail!("still {causes}, {CLEARED_WITHIN_MS} ms after it was taken away");
+                    bail!("the board still reports {causes} {CLEARED_WITHIN_MS} ms after the cause was removed");
                 }
                 Err(Error::Refused(Refusal::CausesPresent { .. })) => {}
-                // Nobody saw the event, and the row says so.
+                // The board did not detect the event; the row reports that.
                 Ok(()) => {
                     bench.host.disarm().await?;
                     return Ok(Causes::NONE);
@@ -708,7 +713,7 @@ impl Injections<'_> {
         self.bench.board.world().bus.inject(Injection { disturbance, span, address });
     }
 
-    /// Does something to the range sensor that can stop the board.
+    /// Changes the range sensor that can stop the board.
     fn guard(&self, change: impl FnOnce(&mut r4_sim::sensors::hc_sr04::HcSr04)) {
         let guard = self.bench.board.robot().config.ranges.iter().find(|range| range.stop_below_m.is_some());
         let mut world = self.bench.board.world();
@@ -718,18 +723,18 @@ impl Injections<'_> {
     }
 }
 
-/// Which channels move.
+/// Choice of the moving channels.
 #[derive(Clone, Copy)]
 enum Moving {
-    /// All.
+    /// All channels of every kind.
     All,
-    /// The first and the last of each kind: an emulated processor is too slow for all at once (docs/performance.md).
+    /// First and last channel of each kind: an emulated processor is too slow for all at once (docs/performance.md).
     #[cfg_attr(not(feature = "emu"), allow(dead_code))]
     TwoOfEach,
 }
 
 impl Moving {
-    /// Those of a kind that take `mode`, with what they take.
+    /// Moving channels of a kind that accept `mode`, with their ranges.
     fn of(self, bench: &Bench<'_>, kind: ChannelKind, mode: Mode) -> Vec<(ChannelId, Range)> {
         let mut moving: Vec<_> = bench.taking(kind, mode).collect();
         if let (Self::TwoOfEach, 3..) = (self, moving.len()) {
@@ -738,9 +743,9 @@ impl Moving {
         moving
     }
 
-    /// Sets all in motion, motors both ways by `sign`.
+    /// Moves all chosen outputs; `sign` is the motors' direction.
     async fn begin(self, bench: &Bench<'_>, victim: ChannelId, sign: f32) -> anyhow::Result<()> {
-        // A servo's first command is not slowed down: where it is, and then somewhere else.
+        // A servo's first set point is not rate-limited: send its present position first, then another one.
         let here = |id| bench.board.world().position(id).map_or(0.0, |angle| angle.clamp(-0.7, 0.7)) as f32;
         let of = |kind, mode| self.of(bench, kind, mode).into_iter();
         let servos = of(ChannelKind::Servo, Mode::Position);
@@ -748,7 +753,7 @@ impl Moving {
         let mut commands = Vec::new();
         for (id, _) in of(ChannelKind::Osmc, Mode::Duty) {
             commands.push(match (id == victim, id.index % 2 == 0) {
-                // Hard enough to count as a stall when it stops.
+                // High enough that stopping counts as a stall.
                 (true, _) => (id, Mode::Duty, 0.85 * sign),
                 (false, true) => (id, Mode::Speed, 3.0 * sign),
                 (false, false) => (id, Mode::Duty, 0.7 * sign),
@@ -757,7 +762,7 @@ impl Moving {
         commands.extend(of(ChannelKind::Dhb, Mode::Duty).map(|(id, _)| (id, Mode::Duty, 0.8 * sign)));
         commands.extend(of(ChannelKind::Bldc, Mode::Duty).map(|(id, range)| (id, Mode::Duty, range.max)));
         for (id, range) in of(ChannelKind::Stepper, Mode::Speed) {
-            // Away from the nearer end of its travel.
+            // Away from the nearer end stop.
             let way = if bench.board.world().position(id).unwrap_or(0.0) > 0.0 { -0.8 } else { 0.8 };
             commands.push((id, Mode::Speed, way * range.max));
         }
@@ -775,7 +780,7 @@ impl Moving {
     }
 }
 
-/// Nothing may be safe yet, or nothing would be measured.
+/// Checks that no output is safe before the injection, which would leave nothing to measure.
 async fn check_moving(bench: &Bench<'_>) -> anyhow::Result<()> {
     let mut watch = StopWatch::new(&bench.board);
     bench.sleep_ms(5).await;
@@ -784,7 +789,7 @@ async fn check_moving(bench: &Bench<'_>) -> anyhow::Result<()> {
         None => Ok(()),
         Some(outputs) => {
             let (state, causes) = bench.host.safety();
-            bail!("`{outputs}` already before anything has happened; the board is {state}, causes {causes}")
+            bail!("`{outputs}` are safe before the injection; the board is {state}, causes {causes}")
         }
     }
 }
@@ -807,7 +812,7 @@ fn print(
         report.board, report.injections, report.seed
     ))?;
     report.print_outputs(&lines, markdown)?;
-    output::line("*  promised; the other limits follow from the board's configuration")?;
+    output::line("*  guaranteed; the other limits follow from the board's configuration")?;
     output::line("-  out of reach: the chip or the bus that would be written does not answer")?;
     output::line("times count from the event; for an object, from the end of the echo that shows it")?;
     report.print_plants(&lines, groups, markdown)
@@ -835,7 +840,7 @@ mod tests {
         assert_eq!(times(&run()), times(&measured));
     }
 
-    /// One cause of each category: the same motors, braked and coasting.
+    /// Compares one cause of each category: the same motors, braked and coasting.
     #[test]
     fn plants_are_followed_until_they_are_at_rest() {
         let robot = run_out::robot(r4_boards::load("every-interface").unwrap());
@@ -860,7 +865,7 @@ mod tests {
                 assert!(row.held, "{event}: {group}: {ran:?}");
             }
         }
-        // Neither category makes a difference behind an open relay.
+        // Behind an open relay, the categories make no difference.
         assert!(stop[braked].rest_ms * 10.0 < stop[coasting].rest_ms, "{stop:?}");
         assert!(stop[braked].distance * 10.0 < handle[braked].distance, "{stop:?} {handle:?}");
     }

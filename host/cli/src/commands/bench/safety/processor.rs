@@ -1,8 +1,8 @@
-//! What happens to the processor itself, on the exact ELF: hangs, faults, its crystal, its supply.
+//! Events in the processor itself, on the exact ELF file: hangs, faults, crystal, supply.
 //!
-//! A fresh board is powered up for each injection, outputs of every kind move, the program is broken in the middle of its run, and
-//! outputs are watched from outside. What the next start does counts: chips on the bus keep what they were told over a reset
-//! of the processor.
+//! For each injection a fresh board is powered up, outputs of every kind move, the running program is broken, and the
+//! outputs are observed from outside. The behaviour of the next start matters: chips on the bus keep their settings
+//! over a reset of the processor.
 
 use std::{
     cell::{Cell, RefCell},
@@ -45,46 +45,46 @@ use crate::{
 };
 use r4_rig::cable::Cable;
 
-/// Injections of each fault, where nothing is said.
+/// Default number of injections of each event.
 const INJECTIONS: u32 = 4;
-/// From power-on until a host is answered, most, ms: clocks, and setting up the chips.
+/// Longest time from power-on until the board answers a host, ms: clocks, and setting up the chips.
 const BOOT_MS: u64 = 100;
-/// Everything has moved for this long before something breaks: at least, and so much more at most.
+/// Least time for which all outputs move before an injection, ns, and the random time added to it.
 const MOVING_NS: u64 = 100 * MS;
 const MOVING_SPREAD_NS: u64 = 20 * MS;
-/// Outputs are looked at this often.
+/// Polling period of the outputs, ns.
 const LOOK_NS: u64 = 20_000;
-/// What stays safe for so long is safe for good: longer than a start, at whose end the tasks begin.
+/// Time for which outputs must stay safe, ns: longer than a start, at whose end the tasks begin.
 const QUIET_NS: u64 = 150 * MS;
-/// A reset loop is watched for so long: three starts that the watchdog of the boot, 512 ms at most, ends one after the other.
+/// Observation time of a reset loop, ns: three starts, each ended by the boot's watchdog after at most 512 ms.
 const LOOP_NS: u64 = 2_000 * MS;
-/// What is not safe after this long counts as never.
+/// Time after which an output that is not safe counts as never safe, ns.
 const PATIENCE_NS: u64 = 1_000 * MS;
 
-/// The end of the watchdog's window, and the supervisor's period, in which a hang shows, ms (docs/safety.md).
+/// End of the watchdog's window, and the supervisor's period, by which a hang is detected, ms (docs/safety.md).
 const WATCHDOG_MS: f64 = 13.0;
 const SUPERVISOR_MS: f64 = 1.0;
-/// The longest that a boot may take before it (docs/safety.md).
+/// Longest boot before its watchdog resets the processor, ms (docs/safety.md).
 const BOOT_WATCHDOG_MS: f64 = 256.0;
-/// From a reset until the sweep has told all chips their safe state, ms (docs/safety.md): clearing 100 KB of memory, and
-/// 1.5 ms of transfers at 400 kHz.
+/// Time from a reset until the sweep has written the safe state to all chips, ms (docs/safety.md): clearing 100 KB of
+/// memory, and 1.5 ms of transfers at 400 kHz.
 const SWEPT_MS: f64 = 5.0;
-/// From an instruction that cannot be executed to the handler's stop lines and its reset, in the control task's next period, ms.
+/// Time from a fault that the control task executes in its next period to the handler's stop lines and its reset, ms.
 const FAULT_MS: f64 = 2.0;
-/// From what the chip's own detectors of clock and supply see to the stop lines, ms: an interrupt of a few microseconds, with
-/// room for another compiler.
+/// Time from detection by the chip's clock and supply detectors to the stop lines, ms: an interrupt of a few
+/// microseconds, with a margin for other compilers.
 const DETECTED_MS: f64 = 0.1;
-/// The 3.3 V: below the voltage detector (2.75 V) but not the brown-out level that docs/bring-up.md has set (2.7 V); below
-/// that level; and below the level that the chip has without it (1.6 V).
+/// Dips of the 3.3 V rail: below the voltage detector (2.75 V) but above the brown-out level set by docs/bring-up.md
+/// (2.7 V); below that level; and below the chip's level without it (1.6 V).
 const SAG_V: f64 = 2.72;
 const BROWN_OUT_V: f64 = 2.5;
 const COLLAPSE_V: f64 = 1.5;
-/// For so long.
+/// Duration of a dip, ms.
 const DIP_MS: f64 = 2.0;
 /// Option bytes (OPTSR, RM0399 4.9.6) as the Giga is delivered, with BOR_LEV 3.
 const OPTION_BYTES: u32 = 0x0B86_AAFC;
 
-/// What happens to the processor.
+/// Event in the processor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Case {
     SupervisorHangs,
@@ -136,14 +136,14 @@ impl fmt::Display for Case {
 }
 
 impl Case {
-    /// What the board is like before its first instruction.
+    /// Prepares the board before its first instruction.
     fn prepare(self, board: &EmuBoard<ThumbCore>) {
         if self == Self::BrownOut {
             board.machine().chip.set_option_bytes(OPTION_BYTES);
         }
     }
 
-    /// What the 3.3 V fall to.
+    /// Lowest voltage of the 3.3 V rail; `None` for events without a dip.
     const fn dips_to_v(self) -> Option<f64> {
         match self {
             Self::SupplySags => Some(SAG_V),
@@ -170,7 +170,7 @@ impl Case {
                 board.lose_crystal_at_reset();
                 (Fault::SupervisorHangs, Lasting::UntilReset)
             }
-            // The other three are dips.
+            // The other three events are dips, handled above.
             Self::CrystalStops | Self::SupplySags | Self::BrownOut | Self::SupplyCollapses => {
                 board.stop_crystal_at(now_ns);
                 return Ok(());
@@ -180,7 +180,7 @@ impl Case {
         Ok(())
     }
 
-    /// From the event until the processor is reset or its stop lines are driven, at most, ms; and what that follows from.
+    /// Longest time from the event until the processor is reset or drives its stop lines, ms, with its origin.
     const fn stopped_ms(self) -> (f64, &'static str) {
         match self {
             Self::SupervisorHangs
@@ -195,16 +195,16 @@ impl Case {
         }
     }
 
-    /// From the event until `outputs` are safe, at most.
+    /// Limit from the event until `outputs` are safe.
     fn limit(self, outputs: Outputs, config: &BoardConfig) -> Limit {
         let (stopped_ms, stopped_by) = self.stopped_ms();
-        // An output that changes no more is seen by two looks.
+        // Two polls detect an output that no longer changes.
         let look_ms = 2.0 * LOOK_NS as f64 * 1e-6;
         match outputs {
-            // Lines of a processor in reset float, and the carrier's resistors hold the bridges off; its timers stop.
+            // In reset the processor's lines float, the carrier's resistors hold the bridges off, and its timers stop.
             Outputs::Bridges => Limit { ms: stopped_ms + look_ms, from: stopped_by },
             Outputs::Steppers if self != Self::SupplySags => Limit { ms: stopped_ms + look_ms, from: stopped_by },
-            // The processor runs on, and stops as for any other cause.
+            // The processor keeps running and stops as for any other cause.
             Outputs::MotorPower if self == Self::SupplySags => Limit { ms: stopped_ms + 1.0, from: PROMISED },
             Outputs::BridgeChips | Outputs::Bldcs if self == Self::SupplySags => {
                 Limit { ms: stopped_ms + WRITTEN_MS, from: PROMISED }
@@ -226,11 +226,11 @@ impl Case {
     }
 }
 
-/// What became of one case.
+/// Result of one event.
 #[derive(Clone, Debug, Default)]
 struct Measured {
     injections: u32,
-    /// Longest by kind of output, ms; infinite when it was not safe by then.
+    /// Longest time by kind of output, ms; infinite if the output did not become safe.
     max_ms: [f64; Outputs::ALL.len()],
     groups: Vec<GroupRan>,
 }
@@ -265,7 +265,7 @@ pub(crate) fn run(args: &Args, asked: &args::Safety) -> anyhow::Result<bool> {
             report.seed
         ))?;
         report.print_outputs(&lines, asked.markdown)?;
-        output::line("*  promised; the other limits follow from:")?;
+        output::line("*  guaranteed; the other limits follow from:")?;
         let mut said = Vec::new();
         for (stopped_ms, stopped_by) in CASES.map(Case::stopped_ms) {
             if !said.contains(&stopped_by) {
@@ -295,7 +295,8 @@ fn report(board: String, seed: u64, measured: &[(Case, Measured)], robot: &Robot
     Report { board, simulated: true, seed, injections, rows, out_of_reach: Vec::new() }
 }
 
-/// `cases`, on as many boards at once as there are processors, each after `prepare`. The result depends on the seed alone.
+/// Measures `cases`, each after `prepare`, on as many boards in parallel as there are processors. The result depends on
+/// the seed alone.
 fn measure(
     robot: &Robot,
     image: &Image,
@@ -310,10 +311,10 @@ fn measure(
     side_by_side(&jobs, jobs.len() as u64, |job, (place, number), progress| {
         let case = cases[*place];
         progress.set_message(case.to_string());
-        // The first of each until all is at rest, if asked for.
+        // The first injection of each event is followed until rest, if `run_out` asks for it.
         let once = inject_once(robot, image, seed.wrapping_add(job), case, run_out && *number == 0, &prepare);
         let once = once.with_context(|| format!("{case}, seed {seed}, injection {number}"))?;
-        // Nobody panics with the lock.
+        // The lock cannot be poisoned: nothing panics while holding it.
         results.lock().unwrap_or_else(std::sync::PoisonError::into_inner)[*place].merge(&once);
         progress.inc(1);
         Ok(())
@@ -322,7 +323,7 @@ fn measure(
     Ok(cases.iter().copied().zip(results).collect())
 }
 
-/// One board from power-on until all its outputs are safe, and with `run_out` until all its plants are at rest.
+/// Runs one board from power-on until all outputs are safe, and with `run_out` until all plants are at rest.
 fn inject_once(
     robot: &Robot,
     image: &Image,
@@ -343,14 +344,14 @@ fn inject_once(
     let ready: RefCell<Option<anyhow::Result<()>>> = RefCell::new(None);
     let of_session: Rc<dyn VirtualBoard> = board.clone();
     let session_clock = clock.clone();
-    // The host goes on after the injection: a board that does not notice anything is not to be stopped by a silent host.
+    // Keep the host running after the injection: a silent host would stop a board that noticed nothing else.
     let mut session =
         Box::pin(with_board(port.rx, tx, HostClock::Virtual(clock.clone()), async |host| -> Infallible {
             let bench = Bench { host, board: of_session, clock: session_clock, cable };
             ready.replace(Some(set_in_motion(&bench, moving_ns).await));
             loop {
                 bench.sleep_ms(RETARGET_MS).await;
-                // Refused once the board has tripped.
+                // The board refuses it once it has tripped.
                 let _ = Moving::TwoOfEach.retarget_servos(&bench).await;
             }
         }));
@@ -377,6 +378,7 @@ fn inject_once(
             let safe = |outputs| watch.safe_since_ns(outputs).is_some_and(|safe_ns| now_ns >= safe_ns + QUIET_NS);
             Outputs::ALL.into_iter().all(safe)
         };
+        // Outputs are safe between the starts of a reset loop: watch all three.
         let least_ns = if case == Case::ResetLoop { LOOP_NS } else { 0 };
         loop {
             clock.sleep(LOOK_NS).await;
@@ -403,7 +405,7 @@ fn inject_once(
     let beside = async {
         match select(Box::pin(watched), session).await {
             Either::Left((result, _)) => result,
-            // The driver gives a reset board up; the watch goes on.
+            // The driver gives up on a reset board; the observation goes on.
             Either::Right((_, watched)) => watched.await,
         }
     };
@@ -415,7 +417,7 @@ fn inject_once(
     measured.take().ok_or_else(|| anyhow!("nothing was measured"))
 }
 
-/// Waits for the board, arms it, and lets everything move.
+/// Waits for the board, arms it, and moves all outputs.
 async fn set_in_motion(bench: &Bench<'_>, moving_ns: u64) -> anyhow::Result<()> {
     bench.sleep_ms(BOOT_MS).await;
     bench.host.arm().await?;
@@ -460,7 +462,7 @@ mod tests {
         assert!(over.is_empty(), "{over:#?}");
     }
 
-    /// An image whose starts do not make outputs safe first: its tasks do, too late.
+    /// Image without the start-up sweep: its tasks make outputs safe, but too late.
     #[test]
     fn an_image_without_the_sweep_misses_the_limits() {
         let report = report_of(&[Case::HardFault], |board| {

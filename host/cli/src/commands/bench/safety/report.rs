@@ -1,4 +1,4 @@
-//! What was measured beside its limits: the rows of `--json`, and the printed tables.
+//! Report of the measured times beside their limits: the rows of `--json` and the printed tables.
 
 use std::fmt;
 
@@ -8,16 +8,16 @@ use serde::Serialize;
 use super::run_out::{Group, GroupRan};
 use crate::{output, table};
 
-/// How long something may take, and what says so.
+/// Limit of a time, and its origin.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limit {
     pub(super) ms: f64,
     pub(super) from: &'static str,
 }
 
-/// A limit that the project promises.
+/// Origin of a limit that the project guarantees.
 pub(super) const PROMISED: &str = "promised";
-/// One that follows from the board's configuration.
+/// Origin of a limit that follows from the board's configuration.
 pub(super) const CONFIGURED: &str = "configuration";
 
 #[derive(Debug, Serialize)]
@@ -27,19 +27,20 @@ pub(super) struct Row {
     max_ms: f64,
     limit_ms: f64,
     injections: u32,
-    /// Whether the limit is promised.
+    /// True if the project guarantees the limit.
     promised: bool,
     pub(super) held: bool,
-    /// What the limit follows from.
+    /// Origin of the limit.
     limit_from: &'static str,
-    /// Of plants: when they came to rest, and how far from where they were, in `rest_unit`.
+    /// Time until the plants were at rest, ms, and their distance until then, in `rest_unit`; `null` in rows about
+    /// outputs.
     rest_ms: Option<f64>,
     rest_distance: Option<f64>,
     rest_unit: Option<&'static str>,
 }
 
 impl Row {
-    /// A kind of output.
+    /// Row of one kind of output.
     pub(super) fn new(
         cause: &impl fmt::Display,
         outputs: &impl fmt::Display,
@@ -62,9 +63,10 @@ impl Row {
         }
     }
 
-    /// Plants that were followed until they were at rest; one that never is misses the row's limit too.
+    /// Row of plants that were followed until rest; a plant that never rests misses the limit too.
     pub(super) fn of_group(cause: &impl fmt::Display, group: &Group, ran: &GroupRan, limit: Limit) -> Self {
         Self {
+            // Infinite where the plant was still moving after `RUN_OUT_NS`.
             held: ran.off_ms <= limit.ms && ran.rest_ms.is_finite(),
             rest_ms: Some(ran.rest_ms),
             rest_distance: Some(ran.distance),
@@ -73,13 +75,13 @@ impl Row {
         }
     }
 
-    /// `OVER ` where it misses its limit.
+    /// `OVER ` for a missed limit.
     const fn verdict(&self) -> &'static str {
         if self.held { "" } else { "OVER " }
     }
 }
 
-/// Outputs that a cause leaves without a way to tell them.
+/// Outputs that cannot be commanded any more after a cause.
 #[derive(Serialize)]
 pub(super) struct OutOfReach {
     pub(super) cause: String,
@@ -96,16 +98,16 @@ pub(super) struct Report {
     pub(super) out_of_reach: Vec<OutOfReach>,
 }
 
-/// A line of the printed tables.
+/// Line of the printed tables.
 pub(super) struct Line {
     pub(super) cause: String,
     pub(super) injections: u32,
-    /// Whether its stop is of category 1 for channels that brake.
+    /// True if the cause's stop is of category 1 for channels that brake.
     pub(super) brakes: bool,
 }
 
 impl Report {
-    /// Whether every row is within its limit.
+    /// True if every row is within its limit.
     pub(super) fn held(&self) -> bool {
         self.rows.iter().all(|row| row.held)
     }
@@ -115,7 +117,7 @@ impl Report {
         self.rows.iter().find(|row| row.cause == cause && row.outputs == outputs)
     }
 
-    /// One line for each cause: how long each kind of output took.
+    /// Prints one line per cause: longest time of each kind of output.
     pub(super) fn print_outputs(&self, lines: &[Line], markdown: bool) -> anyhow::Result<()> {
         let mut header = vec!["cause", "times"];
         header.extend(Outputs::ALL.map(short));
@@ -136,7 +138,7 @@ impl Report {
         Ok(output::line(meanings.join("; "))?)
     }
 
-    /// A table for each stop category: when each kind of plants was off, when it was at rest and how far from where it was.
+    /// Prints a table per stop category: for each kind of plant, time until off, time until rest, and distance.
     pub(super) fn print_plants(&self, lines: &[Line], groups: &[Group], markdown: bool) -> anyhow::Result<()> {
         for brakes in [true, false] {
             let groups: Vec<_> = groups.iter().filter(|group| group.brakes == brakes).collect();
@@ -147,7 +149,7 @@ impl Report {
             let mut header = vec!["cause"];
             header.extend(heads.iter().map(String::as_str));
             let mut table = table::new(&header, 1..header.len());
-            // Other causes switch off at once what would brake: see the table of category 0.
+            // Other causes switch off at once the channels that would brake: see the table of category 0.
             for line in lines.iter().filter(|line| line.brakes || !brakes) {
                 let mut cells = vec![line.cause.clone()];
                 cells.extend(groups.iter().map(|group| {
@@ -163,15 +165,15 @@ impl Report {
             output::line("")?;
             let what = if brakes { "1: braked, then switched off" } else { "0: switched off at once" };
             output::line(format_args!(
-                "Plants, category {what}. Longest until off / its limit, ms; until at rest, ms; distance from where they were"
+                "Plants, category {what}. Longest time until off / its limit, ms; until at rest, ms; travel until then"
             ))?;
             output::line(if markdown { table::markdown(table) } else { table })?;
         }
-        Ok(output::line("at rest: slower than 0.05 rad/s or 0.5 mm/s; what is not after 20 s misses its limit")?)
+        Ok(output::line("at rest: slower than 0.05 rad/s or 0.5 mm/s; a plant that moves after 20 s misses its limit")?)
     }
 }
 
-/// For the head of a column.
+/// Column heading of a kind of output.
 const fn short(outputs: Outputs) -> &'static str {
     match outputs {
         Outputs::MotorPower => "power",
@@ -184,7 +186,7 @@ const fn short(outputs: Outputs) -> &'static str {
     }
 }
 
-/// Three digits are enough to compare.
+/// Formats about three digits, enough for a comparison.
 pub(super) fn digits(ms: f64) -> String {
     match ms {
         ms if ms < 10.0 => format!("{ms:.2}"),

@@ -1,4 +1,4 @@
-//! Plants after a stop, until they are at rest: those of one kind that stop by the same category, taken together.
+//! Plants after a stop, followed until they are at rest; plants of one kind and stop category form a group.
 
 use std::fmt;
 
@@ -11,12 +11,12 @@ use r4_sim::stop::{Outputs, Ran};
 
 use super::MS;
 
-/// Plants are followed no longer than this: what then still moves did not come to rest.
+/// Longest time for which plants are followed, ns; one that still moves then did not come to rest.
 pub(super) const RUN_OUT_NS: u64 = 20_000 * MS;
-/// How long a stop brakes what this bench lets brake, ms: as `osmc0` of `osmc-bench`.
+/// Braking time of the channels that this bench lets brake, ms: that of `osmc0` of `osmc-bench`.
 const BRAKE_MS: u16 = 500;
 
-/// The robot with brakes on every second channel of each kind, or as it is where its file says which channels brake.
+/// Adds braking to every second channel of each kind, unless the robot's file already configures it.
 pub(super) fn robot(mut robot: Robot) -> Robot {
     let config = &mut robot.config;
     if config.stop_brake_ms() == 0 {
@@ -30,20 +30,20 @@ pub(super) fn robot(mut robot: Robot) -> Robot {
 /// Channels of one kind and one stop category.
 pub(super) struct Group {
     pub(super) kind: ChannelKind,
-    /// Whether a controlled stop brakes them: category 1 of IEC 60204-1, otherwise 0.
+    /// True for category 1 of IEC 60204-1, where a controlled stop brakes; false for category 0.
     pub(super) brakes: bool,
-    /// Of their motion.
+    /// Unit of the motion, rad or m.
     pub(super) unit: &'static str,
     channels: Vec<ChannelId>,
 }
 
 impl Group {
-    /// Their kind alone.
+    /// Name of the plants' kind.
     pub(super) fn plants(&self) -> String {
         format!("{}{}", self.kind.name(), if self.unit == "m" { " (linear)" } else { "" })
     }
 
-    /// What must be safe for its plants to be off.
+    /// Outputs that must be safe before the plants are off.
     pub(super) const fn outputs(&self) -> Outputs {
         match self.kind {
             ChannelKind::Bldc => Outputs::Bldcs,
@@ -59,7 +59,7 @@ impl fmt::Display for Group {
     }
 }
 
-/// How a group ran out: the longest of its plants and of all runs, ms and rad or m.
+/// Result of a group: maxima over its plants and all runs, ms and rad or m.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct GroupRan {
     pub(super) runs: u32,
@@ -77,7 +77,7 @@ impl GroupRan {
     }
 }
 
-/// Adds the runs of `more`, which has none or as many groups.
+/// Adds the runs of `more`, which has no groups or the same ones.
 pub(super) fn merge(groups: &mut Vec<GroupRan>, more: &[GroupRan]) {
     if groups.is_empty() {
         groups.extend_from_slice(more);
@@ -86,7 +86,7 @@ pub(super) fn merge(groups: &mut Vec<GroupRan>, more: &[GroupRan]) {
     }
 }
 
-/// The groups of a robot, in the order of its configuration.
+/// Groups of a robot, in the order of its configuration.
 pub(super) fn groups(robot: &Robot) -> Vec<Group> {
     let config = &robot.config;
     let unit = |motor: &MotorConfig| match motor.control.map(|control| control.feedback) {
@@ -108,12 +108,12 @@ pub(super) fn groups(robot: &Robot) -> Vec<Group> {
     groups
 }
 
-/// From `since_ns` to a moment, ms; infinite when it has not come.
+/// Time from `since_ns` to `at_ns`, ms; infinite for `None`.
 pub(super) fn ms(at_ns: Option<u64>, since_ns: u64) -> f64 {
     at_ns.map_or(f64::INFINITY, |at_ns| at_ns.saturating_sub(since_ns) as f64 * 1e-6)
 }
 
-/// One run, by group; times count from `since_ns`.
+/// Results of one run by group, with times counted from `since_ns`.
 pub(super) fn by_group(robot: &Robot, ran: &[Ran], since_ns: u64) -> Vec<GroupRan> {
     let of_group = |group: Group| {
         let mut all = GroupRan { runs: 1, ..GroupRan::default() };
