@@ -411,11 +411,11 @@ enum r4_unit {
     R4_UNIT_M = 2, /* Position of a rod or distance, metres. */
     R4_UNIT_MPER_S = 3, /* Speed of a rod, metres per second. */
     R4_UNIT_DUTY = 4, /* Duty as a share of the supply, -1..=1. */
-    R4_UNIT_V = 5, /* Voltage in volts. */
+    R4_UNIT_V = 5, /* Voltage of a rail, input or output, volts. */
     R4_UNIT_BOOL = 6, /* Boolean: 1 for on, 0 for off. */
     R4_UNIT_MPER_S2 = 7, /* Acceleration, metres per second squared. */
-    R4_UNIT_A = 8, /* Current in amperes. */
-    R4_UNIT_N = 9, /* Force in newtons. */
+    R4_UNIT_A = 8, /* Current through a shunt, amperes. */
+    R4_UNIT_N = 9, /* Force at a sensor or set point, newtons. */
 };
 
 /* Range: Closed interval of `f32`.

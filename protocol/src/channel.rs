@@ -180,15 +180,15 @@ pub enum Unit {
     MPerS,
     /// Duty as a share of the supply, -1..=1.
     Duty,
-    /// Voltage in volts.
+    /// Voltage of a rail, input or output, volts.
     V,
     /// Boolean: 1 for on, 0 for off.
     Bool,
     /// Acceleration, metres per second squared.
     MPerS2,
-    /// Current in amperes.
+    /// Current through a shunt, amperes.
     A,
-    /// Force in newtons.
+    /// Force at a sensor or set point, newtons.
     N,
 }
 
