@@ -18,11 +18,11 @@ use r4_firmware::{
 
 use crate::{
     chips::ili9488::ScreenWiring,
+    environment::{Environment, Light, SimError, VirtualBoard},
     executor::{Simulation, TaskId},
     flash::Flash,
     io::{BoardBus, FlashPort, UartReceiver, UartTransmitter},
     lines::{InputLine, OutputLine},
-    surroundings::{Light, SimError, Surroundings, VirtualBoard},
     world::{Controller, Processor, World},
 };
 
@@ -31,17 +31,17 @@ const SCREEN_SPI_HZ: u32 = 20_000_000;
 
 /// A board that runs the firmware's own tasks in a [`Simulation`].
 pub struct SimBoard {
-    surroundings: Surroundings,
+    environment: Environment,
     shared: RefCell<Rc<Shared<NoopRawMutex>>>,
     tasks: RefCell<Vec<TaskId>>,
     screen: RefCell<Option<ScreenWiring>>,
 }
 
 impl Deref for SimBoard {
-    type Target = Surroundings;
+    type Target = Environment;
 
-    fn deref(&self) -> &Surroundings {
-        &self.surroundings
+    fn deref(&self) -> &Environment {
+        &self.environment
     }
 }
 
@@ -75,12 +75,12 @@ impl SimBoard {
     /// # Errors
     /// As [`SimBoard::start`].
     pub fn start_with(simulation: &mut Simulation, robot: &Robot, seed: u64, flash: Flash) -> Result<Self, SimError> {
-        let surroundings = Surroundings::new(simulation.clock(), robot, seed, flash)?;
+        let environment = Environment::new(simulation.clock(), robot, seed, flash)?;
         let config = robot.config.clone();
         let shared = || Rc::new(Shared::new(config.clone(), config.clone(), ResetCause::Normal));
         let board = Self {
-            shared: RefCell::new(surroundings.clock().enter(shared)),
-            surroundings,
+            shared: RefCell::new(environment.clock().enter(shared)),
+            environment,
             tasks: RefCell::default(),
             screen: RefCell::default(),
         };

@@ -8,7 +8,7 @@ use r4_protocol::{
     config::{BoardConfig, RelayRole},
 };
 
-use crate::{chips::pca9685::Pca9685, surroundings::Surroundings, world::World};
+use crate::{chips::pca9685::Pca9685, environment::Environment, world::World};
 
 /// Number of outputs of a PCA9685.
 const PWM_OUTPUTS: u8 = 16;
@@ -88,14 +88,14 @@ pub struct StopWatch {
 impl StopWatch {
     /// Starts with a first sample.
     #[must_use]
-    pub fn new(board: &Surroundings) -> Self {
+    pub fn new(board: &Environment) -> Self {
         let mut watch = Self { safe_since_ns: [None; Outputs::ALL.len()], steps: Vec::new(), pulses: Vec::new() };
         watch.look(board);
         watch
     }
 
     /// Samples all outputs at the present time.
-    pub fn look(&mut self, board: &Surroundings) {
+    pub fn look(&mut self, board: &Environment) {
         let config = &board.robot().config;
         let mut world = board.world();
         let now_ns = world.clock().now_ns();
@@ -196,7 +196,7 @@ pub struct Ran {
 impl RunOut {
     /// Starts at the present time and positions.
     #[must_use]
-    pub fn new(board: &Surroundings) -> Self {
+    pub fn new(board: &Environment) -> Self {
         let config = &board.robot().config;
         let mut world = board.world();
         let now_ns = world.clock().now_ns();
@@ -212,7 +212,7 @@ impl RunOut {
     }
 
     /// Samples all plants at the present time.
-    pub fn look(&mut self, board: &Surroundings) {
+    pub fn look(&mut self, board: &Environment) {
         let config = &board.robot().config;
         let full_scale_v = config.bldc_dac.map_or(0.0, |chip| f64::from(chip.full_scale_v));
         let mut world = board.world();
@@ -242,7 +242,7 @@ impl RunOut {
 
     /// Result for each plant, at the last sample, taken at `now_ns`.
     #[must_use]
-    pub fn ran(&self, board: &Surroundings, now_ns: u64) -> Vec<Ran> {
+    pub fn ran(&self, board: &Environment, now_ns: u64) -> Vec<Ran> {
         let mut world = board.world();
         let ran = self.plants.iter().map(|plant| Ran {
             channel: plant.channel,

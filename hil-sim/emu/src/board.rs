@@ -12,7 +12,7 @@ use r4_mcu::{
     LoadError, Machine, MachineError, Reason, ResetCause, Settings, UartByte, cpu::Core, peripherals::rcc::Oscillators,
     soc::Soc,
 };
-use r4_sim::{Clock, SimError, Simulation, Surroundings, VirtualBoard, flash::Flash, link::Receiver};
+use r4_sim::{Clock, Environment, SimError, Simulation, VirtualBoard, flash::Flash, link::Receiver};
 
 use crate::{
     flash::Cells,
@@ -36,7 +36,7 @@ pub type BoardSoc = Soc<Wiring, Cells>;
 pub enum EmuError {
     /// The environment cannot be simulated.
     #[error(transparent)]
-    Surroundings(#[from] SimError),
+    Environment(#[from] SimError),
     /// The processor cannot run, or not go on.
     #[error(transparent)]
     Machine(#[from] MachineError),
@@ -47,7 +47,7 @@ pub enum EmuError {
 
 /// Board with an emulated processor.
 pub struct EmuBoard<C> {
-    surroundings: Surroundings,
+    environment: Environment,
     machine: Rc<RefCell<Machine<C, BoardSoc>>>,
     failure: Rc<RefCell<Option<MachineError>>>,
     from_host: Rc<RefCell<Receiver>>,
@@ -71,10 +71,10 @@ impl<C: Core + 'static> EmuBoard<C> {
     ) -> Result<Self, EmuError> {
         let clock = simulation.clock();
         let kept = kept.unwrap_or_else(|| Flash::new(KEPT_SECTORS));
-        let surroundings = Surroundings::new(clock.clone(), robot, seed, kept)?;
-        let link = surroundings.new_link();
-        let wiring = Wiring::new(&surroundings, link.tx);
-        let mut soc = Soc::new(wiring, Oscillators::default(), Cells::new(surroundings.shared_flash()));
+        let environment = Environment::new(clock.clone(), robot, seed, kept)?;
+        let link = environment.new_link();
+        let wiring = Wiring::new(&environment, link.tx);
+        let mut soc = Soc::new(wiring, Oscillators::default(), Cells::new(environment.shared_flash()));
         if let Some(start) = image.start() {
             soc.set_boot_address(start);
         }
@@ -83,7 +83,7 @@ impl<C: Core + 'static> EmuBoard<C> {
         // After loading, because the reset reads the vector table.
         machine.reset(ResetCause::PowerOn)?;
         let board = Self {
-            surroundings,
+            environment,
             machine: Rc::new(RefCell::new(machine)),
             failure: Rc::default(),
             from_host: Rc::new(RefCell::new(link.rx)),
@@ -132,10 +132,10 @@ impl<C: Core + 'static> EmuBoard<C> {
 }
 
 impl<C> Deref for EmuBoard<C> {
-    type Target = Surroundings;
+    type Target = Environment;
 
-    fn deref(&self) -> &Surroundings {
-        &self.surroundings
+    fn deref(&self) -> &Environment {
+        &self.environment
     }
 }
 
@@ -204,7 +204,7 @@ impl<C: Core + 'static> VirtualBoard for EmuBoard<C> {
     }
 
     fn restart(&self, _simulation: &mut Simulation, cause: r4_firmware::ResetCause) {
-        let link = self.surroundings.new_link();
+        let link = self.environment.new_link();
         // The old cable's bytes end with the session that the restart ends.
         self.from_host.replace(link.rx);
         let mut machine = self.machine.borrow_mut();

@@ -9,7 +9,7 @@ use std::{
 use r4_boards::Carrier;
 use r4_mcu::{CanFrame, CanOutcome, Edge, I2cResponse, Level, Outside, Pin};
 use r4_sim::{
-    Clock, Light, Surroundings,
+    Clock, Environment, Light,
     i2c::Response,
     lines::Line,
     link::Sender,
@@ -76,7 +76,7 @@ pub struct Wiring {
 }
 
 impl Wiring {
-    pub(crate) fn new(around: &Surroundings, to_host: Sender) -> Self {
+    pub(crate) fn new(around: &Environment, to_host: Sender) -> Self {
         let carrier = &around.robot().carrier;
         let light = |light| -> Box<dyn FnMut(bool)> { Box::new(around.light_line(light)) };
         let roles = Roles::new(carrier);

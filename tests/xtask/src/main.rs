@@ -98,7 +98,8 @@ usage: cargo xtask <task>
   release       the program with manual pages, completions and udev rules in an archive, for the system that this runs on:
                 target/release-archives; [--program FILE] packs that and builds none
   pictures      docs/pictures, of what the program makes now; needs Chromium: [--program FILE] one that is built already
-  prose         counts of comments and pages that are hard to read, by the words of docs/glossary.md: [--json]
+  prose         counts of comments and pages that are hard to read, by the words of docs/glossary.md: [--json];
+                --check fails where they exceed their limits
   mutants       changes to firmware/core, protocol and host/links that no test notices, by cargo-mutants, and how each is judged
                 (tests/mutants.toml); fails for one that is not. Hours: [--package r4-firmware|r4-protocol|r4-links]
                 [--file FILE]... [--shard K/N] [--tests FILTER] (nextest's)";

@@ -21,11 +21,18 @@ const GLOSSARY: &str = "docs/glossary.md";
 const TABLE: &str = "| not | but |";
 /// Files that are listed with the most findings.
 const WORST: usize = 15;
+/// Largest share of fragments among doc comments, %.
+const FRAGMENTS_PERCENT: f64 = 2.0;
+/// Largest share of doc comments without a noun in front, %.
+const NOUNLESS_PERCENT: f64 = 2.0;
+/// Least share of comments among lines inside function bodies, %. It was 3.2 % when counting began.
+const BODY_COMMENTS_PERCENT: f64 = 3.9;
 
 /// Options of `cargo xtask prose`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Prose {
     json: bool,
+    check: bool,
 }
 
 /// Counts over all files.
@@ -57,6 +64,7 @@ impl Prose {
         for word in words {
             match *word {
                 "--json" => prose.json = true,
+                "--check" => prose.check = true,
                 other => return Err(format!("`prose` takes no `{other}`")),
             }
         }
@@ -77,11 +85,50 @@ impl Prose {
         } else {
             print!("{}", counts.text());
         }
-        ExitCode::SUCCESS
+        let problems = if self.check { counts.problems() } else { Vec::new() };
+        for problem in &problems {
+            eprintln!("error: {problem}");
+        }
+        if problems.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
     }
 }
 
+/// Compares the counts with their limits.
+///
+/// # Errors
+/// Every limit that is exceeded, a line each.
+pub(crate) fn check(root: &Path) -> Result<(), String> {
+    let problems = count(root)?.problems();
+    if problems.is_empty() { Ok(()) } else { Err(problems.join("\n") + "\n`cargo xtask prose` lists the files") }
+}
+
 impl Counts {
+    /// Returns what exceeds its limit, a sentence each.
+    fn problems(&self) -> Vec<String> {
+        let fragments = percent(self.fragments, self.docs);
+        let nounless = percent(self.nounless, self.docs);
+        let comments = percent(self.body_comments, self.body_lines);
+        let words: usize = self.idioms.values().sum();
+        let mut problems = Vec::new();
+        if fragments > FRAGMENTS_PERCENT {
+            problems.push(format!(
+                "{fragments:.1} % of doc comments have at most {FRAGMENT_WORDS} words; limit {FRAGMENTS_PERCENT} %"
+            ));
+        }
+        if nounless > NOUNLESS_PERCENT {
+            problems.push(format!("{nounless:.1} % of doc comments begin without a noun; limit {NOUNLESS_PERCENT} %"));
+        }
+        if comments < BODY_COMMENTS_PERCENT {
+            problems.push(format!(
+                "{comments:.1} % of the lines inside functions are comments; at least {BODY_COMMENTS_PERCENT} %"
+            ));
+        }
+        if words > 0 {
+            problems.push(format!("{words} occurrences of words that {GLOSSARY} says to avoid; limit 0"));
+        }
+        problems
+    }
+
     fn json(&self) -> serde_json::Value {
         json!({
             "doc_comments": self.docs,
@@ -287,12 +334,16 @@ fn is_function(line: &str) -> bool {
 mod tests {
     use super::*;
 
-    const CODE: &str = "//! A file about\n//! two things.\n\n/// Short.\nfn one() -> u8 {\n    // Because of the datasheet.\n    let a = 1;\n\n    a\n}\n\n\
-        /// What is not said with a noun first.\nconst B: u8 = 1;\nimpl A {\n    /// Returns the value of B, in volts.\n    pub(crate) async fn two(\n        &self,\n    ) -> u8 {\n        B // for ever\n    }\n    fn three();\n}\n";
+    /// Returns a Rust file, whose comments here begin with § so that they do not count as this file's own.
+    fn code() -> String {
+        "§! A file about\n§! two things.\n\n§/ Short.\nfn one() -> u8 {\n    § Because of the datasheet.\n    let a = 1;\n\n    a\n}\n\n\
+        §/ What is not said with a noun first.\nconst B: u8 = 1;\nimpl A {\n    §/ Returns the value of B, in volts.\n    pub(crate) async fn two(\n        &self,\n    ) -> u8 {\n        B § for ever\n    }\n    fn three();\n}\n"
+            .replace('§', "//")
+    }
 
     #[test]
     fn a_comment_of_several_lines_is_one() {
-        let comments = doc_comments(CODE);
+        let comments = doc_comments(&code());
         assert_eq!(comments.len(), 4);
         assert_eq!(comments[0], " A file about\n two things.");
         assert_eq!(comments[3], " Returns the value of B, in volts.");
@@ -301,7 +352,7 @@ mod tests {
     #[test]
     fn only_lines_of_bodies_count() {
         // Three lines of `one` and one of `two`, whose comment shares its line with code.
-        assert_eq!(body_lines(CODE), (4, 1));
+        assert_eq!(body_lines(&code()), (4, 1));
     }
 
     #[test]
@@ -310,11 +361,21 @@ mod tests {
             idioms("# Words\n\n| not | but |\n| --- | --- |\n| for ever, befalls | until stopped |\n\nrest").unwrap();
         assert_eq!(idioms, ["for ever", "befalls"]);
         let mut counts = Counts::default();
-        counts.add_code(Path::new("a.rs"), CODE, &idioms);
+        counts.add_code(Path::new("a.rs"), &code(), &idioms);
         counts.add_page(Path::new("a.md"), "For ever and whatever befalls it; not forever.", &idioms);
         assert_eq!((counts.docs, counts.fragments, counts.nounless), (4, 1, 1));
         assert_eq!(counts.idioms, BTreeMap::from([("befalls".into(), 1), ("for ever".into(), 2)]));
         assert_eq!(counts.files, BTreeMap::from([("a.rs".into(), 3), ("a.md".into(), 2)]));
+    }
+
+    #[test]
+    fn limits_are_compared() {
+        let good =
+            Counts { docs: 100, fragments: 2, nounless: 2, body_lines: 100, body_comments: 4, ..Counts::default() };
+        assert_eq!(good.problems(), Vec::<String>::new());
+        let idioms = BTreeMap::from([("befalls".to_owned(), 1)]);
+        let bad = Counts { docs: 100, fragments: 3, nounless: 3, body_lines: 100, body_comments: 3, idioms, ..good };
+        assert_eq!(bad.problems().len(), 4);
     }
 
     #[test]

@@ -14,7 +14,7 @@ use crate::{
     meter::Meter,
     package,
     peers::Peers,
-    programs,
+    programs, prose,
     python::Python,
     release::Release,
     summary::{Outcome, Summary},
@@ -55,6 +55,8 @@ enum Run {
     Tests(&'static [&'static str]),
     /// Compares the page of the protocol and the files beside it with the output of the protocol's types.
     Protocol,
+    /// Compares counts of comments and pages with their limits.
+    Prose,
     /// Compares licences and sources of what is linked in with the permitted ones.
     Licences,
     /// Packages the crates and compiles the program from the packages.
@@ -96,6 +98,7 @@ const FULL: &[Step] = &[
     FORMAT_GIGA,
     FORMAT_PROBE,
     PROTOCOL,
+    step("prose", Run::Prose),
     step("licences", Run::Licences),
     // With the features that are off by default and need nothing beyond the usual tools.
     step(
@@ -241,6 +244,7 @@ fn execute(step: &Step, root: &Path, images: &mut Option<Background>) -> Result<
         Run::Images => images.take().map_or_else(|| images::build(root), Background::finish),
         Run::Peers => Peers::of_tests(root)?.test(root),
         Run::Protocol => Wire::Check.go(root),
+        Run::Prose => prose::check(root),
         Run::Licences => licences::check(root),
         Run::Packages => package::check(root),
         Run::Release => Release::of_tests(root)?.make(root),
@@ -285,6 +289,7 @@ impl Step {
             }
             Run::Tests(arguments) => command_line(".", SAME_CASES, arguments),
             Run::Protocol => "cargo xtask protocol --check".into(),
+            Run::Prose => "cargo xtask prose --check".into(),
             Run::Licences => "cargo xtask licences".into(),
             Run::Packages => "cargo xtask package".into(),
             Run::Release => "cargo xtask release --program target/debug/r4".into(),
@@ -314,10 +319,13 @@ mod tests {
             executed.push(step.name);
             if step.name == "lints" { Err("a warning".into()) } else { Ok(()) }
         });
-        assert_eq!(executed, ["toolchain", "format", "format, giga", "format, probe", "protocol", "licences", "lints"]);
+        assert_eq!(
+            executed,
+            ["toolchain", "format", "format, giga", "format, probe", "protocol", "prose", "licences", "lints"]
+        );
         assert_eq!(summary.failed(), Some("lints"));
         assert_eq!(problem, "a warning");
-        assert_eq!(summary.to_string().matches("not run").count(), FULL.len() - 7, "{summary}");
+        assert_eq!(summary.to_string().matches("not run").count(), FULL.len() - 8, "{summary}");
     }
 
     #[test]

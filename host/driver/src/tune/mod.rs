@@ -11,10 +11,10 @@
 //!   oscillation, from the first harmonics of duty and measurement. A position loop is designed through that point
 //!   ([`position_through`]); other loops treat the motor as an integrator with a delay there ([`Point::integrator`]).
 //! - Runs with varying duty ([`Fit`]): gain, lag, delay and friction by least squares, with the models that the
-//!   recording does not exclude. Gains follow the SIMC rules ([`Surroundings::design`]), as fast as the phase margin on
+//!   recording does not exclude. Gains follow the SIMC rules ([`LoopConditions::design`]), as fast as the phase margin on
 //!   all these models and the sensor's resolution allow, with a feed-forward ([`feed_forward`]).
 //!
-//! Phase margins are those of the loop as the board closes it ([`Surroundings::phase_margin`]), with its delay and its
+//! Phase margins are those of the loop as the board closes it ([`LoopConditions::phase_margin`]), with its delay and its
 //! speed estimate.
 //!
 //! Sources: Åström, Hägglund, *Automatic tuning of simple regulators with specifications on phase and amplitude margins*,
@@ -31,7 +31,7 @@ pub use fit::{Fit, FitError, Friction, Model, Run};
 pub use relay::{Oscillation, Point, Relay, RelayError};
 pub use response::Response;
 pub use rule::{
-    Design, Gains, RuleError, SpeedEstimate, Surroundings, feed_forward, position_for, position_through, speed_for,
+    Design, Gains, LoopConditions, RuleError, SpeedEstimate, feed_forward, position_for, position_through, speed_for,
 };
 
 /// Sample of an experiment: duty and measurement at one moment.

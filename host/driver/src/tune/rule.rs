@@ -63,7 +63,7 @@ pub enum SpeedEstimate {
 
 /// Properties of the board that closes a motor's loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Surroundings {
+pub struct LoopConditions {
     /// Control period of the loops, s.
     pub period_s: f64,
     /// Estimator that provides the speed.
@@ -150,7 +150,7 @@ impl SpeedEstimate {
     }
 }
 
-impl Surroundings {
+impl LoopConditions {
     /// Frequency response from the position to the duty of `gains` at `omega`, rad/s, without the negative sign of the
     /// feedback.
     fn controller(&self, gains: Gains, omega: f64) -> Complex {
@@ -404,13 +404,13 @@ mod tests {
         }
     }
 
-    fn around(filter_s: f64) -> Surroundings {
+    fn around(filter_s: f64) -> LoopConditions {
         let estimate = SpeedEstimate::LowPass { time_s: filter_s };
-        Surroundings { period_s: 1e-3, estimate, resolution: 1e-4, speeds: (1.0, 2.0) }
+        LoopConditions { period_s: 1e-3, estimate, resolution: 1e-4, speeds: (1.0, 2.0) }
     }
 
     /// Board without delay, filter and counts.
-    const BARE: Surroundings = Surroundings {
+    const BARE: LoopConditions = LoopConditions {
         period_s: 0.0,
         estimate: SpeedEstimate::LowPass { time_s: 0.0 },
         resolution: 0.0,
@@ -491,7 +491,7 @@ mod tests {
             let scale = model.gain / 9.0;
             for estimate in [SpeedEstimate::LowPass { time_s: 0.01 }, SpeedEstimate::Observer { time_s: 0.01 }] {
                 let board =
-                    Surroundings { estimate, resolution: 1e-4 * scale, speeds: (scale, 2.0 * scale), ..around(0.0) };
+                    LoopConditions { estimate, resolution: 1e-4 * scale, speeds: (scale, 2.0 * scale), ..around(0.0) };
                 for of in [Loop::Position, Loop::Speed, Loop::Cascade] {
                     let design = board.design(of, &fit, MARGIN_RAD, None, 1.0).expect("a design");
                     for model in [&model, &other] {
@@ -501,7 +501,7 @@ mod tests {
                     let slower = board.design(of, &fit, MARGIN_RAD, None, 2.0).expect("a design");
                     assert!((slower.closed_s / design.closed_s - 2.0).abs() < 1e-9);
                     // A board with less delay does not get a slower loop.
-                    let free = Surroundings { period_s: 1e-5, ..board };
+                    let free = LoopConditions { period_s: 1e-5, ..board };
                     assert!(
                         free.design(of, &fit, MARGIN_RAD, None, 1.0).expect("a design").closed_s <= design.closed_s
                     );
@@ -514,7 +514,7 @@ mod tests {
     fn a_coarse_sensor_slows_the_loop_down_until_none_is_left() {
         let fit = fit(Model { gain: 9.0, lag_s: 0.1, delay_s: 0.003 });
         let design = |resolution| {
-            let board = Surroundings { resolution, ..around(0.01) };
+            let board = LoopConditions { resolution, ..around(0.01) };
             board.design(Loop::Position, &fit, MARGIN_RAD, None, 1.0)
         };
         let (fine, coarse) = (design(1e-4).expect("a design"), design(0.2).expect("a design"));

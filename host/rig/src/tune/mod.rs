@@ -20,7 +20,7 @@ mod experiment;
 mod plan;
 
 use r4_driver::tune::{
-    Fit, Friction, Gains, Loop, Response, SpeedEstimate, Surroundings, feed_forward, position_through,
+    Fit, Friction, Gains, Loop, LoopConditions, Response, SpeedEstimate, feed_forward, position_through,
 };
 use r4_protocol::{
     ChannelId, Parameter, ParameterKey,
@@ -358,7 +358,7 @@ fn propose(request: &TuneRequest, plan: &Plan, finding: &Finding, slower: f64) -
     let (fit, tuning, board) = match (finding, plan.of) {
         (Finding::Swing(_), Loop::Position) if slower != 1.0 => return Ok(None),
         (Finding::Swing(swing), Loop::Position) => {
-            let Surroundings { estimate, period_s, .. } = plan.surroundings();
+            let LoopConditions { estimate, period_s, .. } = plan.conditions();
             let filter_s = match estimate {
                 SpeedEstimate::LowPass { time_s } => time_s,
                 SpeedEstimate::Observer { .. } => 0.0,
@@ -375,15 +375,15 @@ fn propose(request: &TuneRequest, plan: &Plan, finding: &Finding, slower: f64) -
             let friction = Friction { up: 0.0, down: 0.0 };
             let model = point.integrator();
             let fit = Fit { model, friction, residual: 0.0, residual_rms: 0.0, plausible: Vec::new() };
-            let board = plan.surroundings();
+            let board = plan.conditions();
             // The swing of a speed is measured behind the board's estimate, whose lag it therefore contains already.
             let seen = of == Loop::Speed;
             let estimate = if seen { SpeedEstimate::LowPass { time_s: 0.0 } } else { board.estimate };
-            (fit, present, Surroundings { estimate, ..board })
+            (fit, present, LoopConditions { estimate, ..board })
         }
         (Finding::Fit(fit), _) => {
             let tuning = Tuning { feed_forward: feed_forward(fit, plan.motor.duty_max), ..present };
-            (fit.clone(), tuning, plan.surroundings())
+            (fit.clone(), tuning, plan.conditions())
         }
     };
     let design = board.design(plan.of, &fit, margin_rad, request.time_constant_s, slower).map_err(TuneError::from)?;

@@ -1,6 +1,6 @@
 //! Plan of a run, checked before anything moves.
 
-use r4_driver::tune::{Loop, SpeedEstimate, Surroundings};
+use r4_driver::tune::{Loop, LoopConditions, SpeedEstimate};
 use r4_protocol::{
     ChannelInfo, ChannelKind, Mode, Parameter, Unit,
     config::{FeedForward, PidGains, Tuning},
@@ -295,10 +295,10 @@ impl Plan {
     /// The speed is assumed to be low-pass filtered, even though a board with a model of the motor knows it sooner: an
     /// angle sensor has no model, and a board does not report which sensor a motor has. Such loops are slower than they
     /// could be.
-    pub(crate) fn surroundings(&self) -> Surroundings {
+    pub(crate) fn conditions(&self) -> LoopConditions {
         let Motor { period_s, speed_filter_s: time_s, resolution, speed, .. } = self.motor;
         let estimate = SpeedEstimate::LowPass { time_s };
-        Surroundings { period_s, estimate, resolution, speeds: (SPEEDS.0 * speed, speed) }
+        LoopConditions { period_s, estimate, resolution, speeds: (SPEEDS.0 * speed, speed) }
     }
 
     /// Speed error that the sensor's counts alone cause in a mean over `mean_s`.

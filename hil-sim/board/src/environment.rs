@@ -57,7 +57,7 @@ pub enum SimError {
 
 /// A board in a [`Simulation`], for programs and tests that do not depend on what runs on its processor: the firmware's
 /// own tasks ([`SimBoard`](crate::SimBoard)) or an emulated chip.
-pub trait VirtualBoard: Deref<Target = Surroundings> {
+pub trait VirtualBoard: Deref<Target = Environment> {
     /// Resets the processor, as a watchdog or a request to restart does: the world and the chips keep their state, the
     /// firmware starts anew. Hosts have to connect again.
     fn restart(&self, simulation: &mut Simulation, cause: ResetCause);
@@ -98,7 +98,7 @@ pub enum Light {
 }
 
 /// Environment of a processor, see the module. A board owns one, and shares parts of it with its processor.
-pub struct Surroundings {
+pub struct Environment {
     robot: Robot,
     clock: Clock,
     world: Rc<RefCell<World>>,
@@ -111,7 +111,7 @@ pub struct Surroundings {
     link_baud: Cell<u32>,
 }
 
-impl Surroundings {
+impl Environment {
     /// The environment of a board for `robot`, on `clock`, which must be at 0: the dead-man's handle is held, no stop
     /// is pressed, lights are off, no host is connected.
     ///
