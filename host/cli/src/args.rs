@@ -1,4 +1,4 @@
-//! Options of all verbs, and arguments of those that are a few lines.
+//! Options of all commands, and the arguments of short commands.
 
 use std::{net::SocketAddr, path::PathBuf};
 
@@ -9,7 +9,7 @@ use r4_rig::{BadTarget, PlantFile, Quantity, Target};
 
 use crate::plants::{EXAMPLE, OtherPlant};
 
-/// What can be said of every verb: the board, its surroundings, and where results go.
+/// Options of every command: the board, its physics and world, and the form of the output.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
     /// The board: `sim:` and a robot's name or file, as in sim:osmc-bench or sim:my-robot.toml; or where it is:
@@ -17,7 +17,7 @@ pub(crate) struct Args {
     /// can:slcan:/dev/ttyACM1 (#NODE behind them for another board than 0)
     #[arg(long, global = true, env = "R4_BOARD", default_value = "sim:osmc-bench")]
     pub(crate) board: Target,
-    /// Whether `--board` or `R4_BOARD` named it
+    /// True if `--board` or `R4_BOARD` named the board
     #[arg(skip)]
     pub(crate) is_board_named: bool,
     /// Print the result as one JSON object on stdout (`watch`: one per line); messages stay on stderr
@@ -26,7 +26,7 @@ pub(crate) struct Args {
     /// Seed of a simulated board's noise
     #[arg(long, global = true, default_value_t = 1)]
     pub(crate) seed: u64,
-    /// Whether `--seed` gave it
+    /// True if `--seed` was given
     #[arg(skip)]
     pub(crate) is_seed_given: bool,
     /// File with a simulated board's flash, which holds parameters and trips; made if there is none
@@ -89,7 +89,7 @@ pub(crate) struct Foxglove {
 }
 
 impl Args {
-    /// Whether other physics are asked for.
+    /// Returns true if the caller asks for other physics.
     pub(crate) fn asks_for_physics(&self) -> bool {
         self.blind.is_some() || self.body.is_some() || !self.plant.is_empty()
     }
@@ -104,22 +104,22 @@ impl Args {
     }
 }
 
-/// How much a record of the firmware's log matters; in order.
+/// Level of a record of the firmware's log, in ascending order of importance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
 pub(crate) enum LogLevel {
-    /// Everything.
+    /// All records, including single steps
     Trace,
-    /// For whoever develops the firmware.
+    /// Details for developers of the firmware
     Debug,
-    /// What goes as it should.
+    /// Normal events
     Info,
-    /// What should not be.
+    /// Unexpected conditions that the firmware handles
     Warn,
-    /// What fails.
+    /// Failures of an operation
     Error,
 }
 
-/// Where `serve` serves a board if not told otherwise.
+/// Default address of `serve`.
 const SERVED_AT: &str = "127.0.0.1:4404";
 
 #[derive(Clone, Debug, clap::Args)]
@@ -189,13 +189,13 @@ pub(crate) struct Debug {
     /// Halt at the reset and serve gdb at this address, as in 127.0.0.1:3333
     #[arg(long, value_name = "ADDRESS")]
     pub(crate) gdb: Option<SocketAddr>,
-    /// Serve gdb at an address that other machines reach: whoever does may read and change all of the emulated board
+    /// Serve gdb at an address that other machines reach: gdb has no password, and may read and change all of the emulated board
     #[arg(long, requires = "gdb")]
     pub(crate) public: bool,
-    /// Run freely and halt for gdb after so many virtual seconds
+    /// Run freely for this virtual time, s, then halt for gdb
     #[arg(long, value_parser = seconds, value_name = "SECONDS", requires = "gdb")]
     pub(crate) attach_at: Option<f64>,
-    /// The same in virtual nanoseconds, as failures tell them; serves gdb at 127.0.0.1:3333 unless --gdb names another address
+    /// The same in virtual nanoseconds, as failure messages state it; serves gdb at 127.0.0.1:3333 unless --gdb names another address
     #[arg(long, value_name = "NS", conflicts_with = "attach_at")]
     pub(crate) until: Option<u64>,
     /// Write exceptions, misuses and I2C transfers to a file, one a line; `-` is stdout
@@ -204,17 +204,17 @@ pub(crate) struct Debug {
     /// Trace only the calls of this function, with their arguments; may be given several times
     #[arg(long, value_name = "NAME", requires = "trace")]
     pub(crate) symbol: Vec<String>,
-    /// Play this scenario meanwhile; otherwise no host is connected
+    /// Play this scenario during the run; without it no host is connected
     #[arg(long, value_name = "FILE")]
     pub(crate) scenario: Option<PathBuf>,
-    /// End after so many virtual seconds [default: with gdb, when it goes; otherwise 1]
+    /// End after this virtual time, s [default: when gdb leaves, or 1 without gdb]
     #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", conflicts_with = "scenario")]
     pub(crate) seconds: Option<f64>,
 }
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Safety {
-    /// How often causes are injected: on sim: 10000 in all, on emu: 4 each
+    /// Number of injected faults [default: on sim: 10000 in all, on emu: 4 for each cause]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     pub(crate) injections: Option<u32>,
     /// Print the tables as Markdown, as docs/safety.md has them
@@ -227,7 +227,7 @@ pub(crate) struct Safety {
 pub(crate) enum Bench {
     /// Bus occupancy and late control periods under growing load
     Bus {
-        /// How long each load lasts
+        /// Duration of each load
         #[arg(long, default_value = "5", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
         seconds: f64,
     },
@@ -236,7 +236,7 @@ pub(crate) enum Bench {
     Safety(Safety),
     /// Stack, instructions and jitter of the firmware's ELF on an emulated board, emu:osmc-bench unless `--board` says
     Firmware {
-        /// How long it is given everything at random, and then for how long as much as links carry
+        /// Duration of random requests, and then of full load on the links
         #[arg(long, default_value = "10", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
         seconds: f64,
     },
@@ -245,9 +245,9 @@ pub(crate) enum Bench {
     Link(BenchLink),
     /// Speed and memory of simulated boards, and of emulated ones where there are images for them
     Sim,
-    /// How closely motors follow paths, together and on two boards, beside set points without dates, on simulated boards
+    /// Path-following error, synchronisation and tuning of motors on simulated boards
     Motion(BenchMotion),
-    /// What `r4 identify` finds in recordings of real machines and in simulated plants that hide something
+    /// Results of `r4 identify` on recordings of real machines and on simulated plants with a hidden effect
     Identify(BenchIdentify),
     /// Every robot system's study: metrics with intervals and targets
     Systems(BenchSystems),
@@ -282,22 +282,22 @@ pub(crate) struct BenchIdentify {
     /// report's, which nothing is tuned on; seeds below 1000000 are for tuning
     #[arg(long, default_value_t = 0, value_name = "NUMBER")]
     pub(crate) from: u32,
-    /// Say of each simulated plant what was hidden and what was found, on stderr
+    /// Print hidden and found effects of each simulated plant on stderr
     #[arg(long)]
     pub(crate) each: bool,
-    /// Only these rows
+    /// Run only this group of rows
     #[arg(long, num_args = 1.., value_name = "ROW")]
     pub(crate) only: Vec<IdentifyRows>,
 }
 
-/// Rows that belong together.
+/// Group of rows of `bench identify`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum IdentifyRows {
-    /// Linear axis, recorded
+    /// Recordings of a linear axis (EMPS)
     Emps,
-    /// Skid-steer robot, recorded
+    /// Recordings of a skid-steer robot (Husky)
     Husky,
-    /// Servo that lifts a pendulum, recorded
+    /// Recordings of a servo with a pendulum (XL330)
     Pendulum,
     /// Gear motors on an H-bridge, recorded
     Micromouse,
@@ -323,20 +323,20 @@ pub(crate) enum IdentifyRows {
 
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct BenchSystems {
-    /// Few seeds: whether everything runs, not whether it is as good as promised
+    /// Run few seeds, as a check that everything runs; targets are not meaningful
     #[arg(long)]
     pub(crate) quick: bool,
-    /// How many seeds [default: 100, quick 8]
+    /// Number of seeds [default: 100, quick 8]
     #[arg(long, value_parser = clap::value_parser!(u64).range(2..=1_000_000))]
     pub(crate) seeds: Option<u64>,
 }
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct BenchLink {
-    /// How long round trips are made, and then as many cycles as go
+    /// Duration of the round-trip test, and then of the throughput test
     #[arg(long, default_value = "5", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: f64,
-    /// Cycles under way at once, where as many as go are sent
+    /// Cycles in flight during the throughput test
     #[arg(long, default_value_t = 32, value_parser = window, value_name = "CYCLES")]
     pub(crate) window: usize,
     /// Arm a board at the end of a link, with motors at rest; otherwise it refuses set points, and answers all the same. A
@@ -367,7 +367,7 @@ pub(crate) struct Motion {
     /// A number with its unit: 90deg 1.57rad 0.25turn 25mm 0.025m | 60rpm 2rad/s 10mm/s | 0.3 or 30%
     #[arg(allow_hyphen_values = true)]
     pub(crate) value: Quantity,
-    /// How long: to hold a speed or duty [default: 2], to wait for a position [default: 30]
+    /// Duration of a speed or duty [default: 2], or time limit for a position [default: 30]
     #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
 }
@@ -376,10 +376,10 @@ pub(crate) struct Motion {
 pub(crate) struct Step {
     /// The stepper, as in stepper0
     pub(crate) channel: ChannelId,
-    /// How many steps from where it is; negative is backwards
+    /// Number of steps from the present position; negative is backwards
     #[arg(allow_negative_numbers = true)]
     pub(crate) steps: i32,
-    /// How long to wait [default: 30]
+    /// Time limit [default: 30]
     #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
 }
@@ -388,10 +388,10 @@ pub(crate) struct Step {
 pub(crate) struct Home {
     /// The channel, as in osmc0 or stepper0
     pub(crate) channel: ChannelId,
-    /// How fast to seek, as in 1rad/s or -30deg/s; the sign is the direction
+    /// Speed of the search, as in 1rad/s or -30deg/s; the sign is the direction
     #[arg(long, allow_hyphen_values = true)]
     pub(crate) speed: Quantity,
-    /// How long to wait [default: 30]
+    /// Time limit [default: 30]
     #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
 }
@@ -403,7 +403,7 @@ pub(crate) struct Held {
     /// A number with its unit: 30deg 0.5rad | 1.2V 1200mV
     #[arg(allow_hyphen_values = true)]
     pub(crate) value: Quantity,
-    /// How long to stay armed [default: 2]
+    /// Time to stay armed [default: 2]
     #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
 }
@@ -418,7 +418,7 @@ pub(crate) struct Bldc {
     /// Apply the brake instead
     #[arg(long, conflicts_with = "value")]
     pub(crate) brake: bool,
-    /// How long to stay armed [default: 2]
+    /// Time to stay armed [default: 2]
     #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
 }
@@ -434,7 +434,7 @@ pub(crate) struct I2c {
     /// Bytes to write, in hex, as in 00ff or "00 ff"
     #[arg(long, value_name = "HEX", value_parser = hex)]
     pub(crate) write: Option<Bytes>,
-    /// How many bytes to read then
+    /// Number of bytes to read after writing
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=MAX_RAW as i64))]
     pub(crate) read: Option<u8>,
 }
@@ -444,18 +444,18 @@ pub(crate) struct I2c {
 pub(crate) struct Uart {
     /// The connector, 0 or 1
     pub(crate) port: u8,
-    /// What to send; \r \n \t \\ and \xHH stand for bytes
+    /// Text to send; \r \n \t \\ and \xHH stand for bytes
     #[arg(long, value_name = "TEXT", value_parser = escaped)]
     pub(crate) write: Option<Bytes>,
     /// Print what is received
     #[arg(long)]
     pub(crate) read: bool,
-    /// How long to receive [default: 0.5]
+    /// Duration of receiving [default: 0.5]
     #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", requires = "read")]
     pub(crate) seconds: Option<f64>,
 }
 
-/// What goes out of a connector.
+/// Data to write to a connector.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Bytes(pub(crate) Vec<u8>);
 
@@ -463,27 +463,27 @@ pub(crate) struct Bytes(pub(crate) Vec<u8>);
 pub(crate) struct Relay {
     /// The relay, as in relay1
     pub(crate) channel: ChannelId,
-    /// Closed or open
+    /// Position of the relay's contact
     pub(crate) state: Contact,
-    /// How long to stay armed [default: 2]
+    /// Time to stay armed [default: 2]
     #[arg(long = "for", value_parser = seconds, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
 }
 
-/// A relay's contact.
+/// State of a relay's contact.
 #[derive(Clone, Copy, Debug, PartialEq, clap::ValueEnum)]
 pub(crate) enum Contact {
-    /// Closed.
+    /// Contact closed, load on
     On,
-    /// Open.
+    /// Contact open, load off
     Off,
 }
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Watch {
-    /// Channels [default: all]
+    /// Channels to print [default: all]
     pub(crate) channels: Vec<ChannelId>,
-    /// Lines per second
+    /// Output lines per second
     #[arg(long, default_value_t = 5.0, value_parser = rate)]
     pub(crate) rate: f64,
     /// Stop after this long
