@@ -31,8 +31,9 @@ def parts(asked: dict[str, Any]) -> list[analysis.Study]:
         raise ModuleNotFoundError("engine=\"ray\" needs Ray: pip install 'r4[ray]'", name="ray") from error
     if not ray.is_initialized():
         ray.init()
+    processors = int(ray.cluster_resources().get("CPU", 1))  # type: ignore[no-untyped-call]
     # At most one part per seed, so that no part is empty.
-    count = max(1, min(asked["seeds"], PARTS_PER_CPU * int(ray.cluster_resources().get("CPU", 1))))
+    count = max(1, min(asked["seeds"], PARTS_PER_CPU * processors))
     task = ray.remote(run_part).options(
         # Without end: a part is run again for lost workers only. An exception of the study itself ends it at once.
         max_retries=-1,
