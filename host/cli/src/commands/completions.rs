@@ -122,10 +122,10 @@ fn channels(typed: &OsStr, kinds: &[ChannelKind]) -> Vec<CompletionCandidate> {
 fn board_of(line: impl Iterator<Item = String>) -> Option<Target> {
     let line: Vec<String> = line.collect();
     // clap accepts `--board X` and `--board=X`; of several, take the last one.
-    let after =
-        line.iter().zip(line.iter().skip(1)).rev().find_map(|(option, value)| (option == "--board").then_some(value));
-    let named = line.iter().rev().find_map(|word| word.strip_prefix("--board="));
-    let named = after.map(String::as_str).or(named).map(str::to_owned);
+    let named = line.iter().enumerate().rev().find_map(|(at, word)| match word.strip_prefix("--board=") {
+        Some(board) => Some(board.to_owned()),
+        None => (word == "--board").then(|| line.get(at + 1).cloned()).flatten(),
+    });
     let named = named.or_else(|| env::var("R4_BOARD").ok());
     named.unwrap_or_else(|| "sim:osmc-bench".to_owned()).parse().ok()
 }
@@ -168,6 +168,8 @@ mod tests {
             "r4 move --board sim:openscout",
             "r4 --board=sim:openscout move",
             "r4 --board x --board sim:openscout move ",
+            "r4 --board x --board=sim:openscout move",
+            "r4 --board=x --board sim:openscout move",
         ] {
             assert_eq!(board(line).as_deref(), Some("sim:openscout"), "{line}");
         }

@@ -26,13 +26,14 @@ pub(crate) struct Manual {
 }
 
 /// Meanings of the exit codes, for every page; `docs/program.md` has the same table.
-const EXIT_STATUS: [(&str, &str); 7] = [
+const EXIT_STATUS: [(&str, &str); 8] = [
     ("0", "Success: the requested result was reached."),
     ("1", "Failure; a message on stderr says why."),
     ("2", "The command line was not understood; nothing was done."),
     ("3", "The request was refused."),
     ("4", "There is no link to the board."),
     ("5", "The board stopped."),
+    ("6", "`identify` finished, and no model explains the recordings."),
     ("130", "Ctrl-C, after which the board was disarmed."),
 ];
 

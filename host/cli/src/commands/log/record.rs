@@ -1,6 +1,6 @@
 //! `r4 log record`: records telemetry of a board to a log.
 
-use std::{cell::RefCell, future::pending, path::PathBuf, pin::pin, time::Duration};
+use std::{cell::RefCell, collections::BTreeSet, future::pending, path::PathBuf, pin::pin, time::Duration};
 
 use anyhow::{Context, anyhow};
 use futures::future::{Either, select};
@@ -102,7 +102,9 @@ async fn follow(
         [] => board.channels().iter().map(|info| info.id).collect(),
         some => some.to_vec(),
     };
-    channels.dedup();
+    // A channel named twice is subscribed to once.
+    let mut seen = BTreeSet::new();
+    channels.retain(|channel| seen.insert(*channel));
     for channel in &channels {
         board.channel(*channel)?;
     }
