@@ -82,6 +82,18 @@ impl<'b, C: Clock> Broker<'b, C> {
         }
     }
 
+    /// Whether a client commands the board.
+    #[must_use]
+    pub fn is_commanded(&self) -> bool {
+        self.shared.borrow().command.holder().is_some()
+    }
+
+    /// Frames from the board that were damaged and dropped, since its session was opened.
+    #[must_use]
+    pub fn bad_frames(&self) -> u64 {
+        self.board.bad_frames()
+    }
+
     /// Passes on what the board says, and looks after the client that commands. Ends with the board's link, and says why.
     pub async fn run(&self) -> Error {
         let (mut telemetry, mut cycles) = (self.board.telemetry(), self.board.cycle_answers());

@@ -3,6 +3,7 @@
 use std::{cell::Cell, convert::Infallible, pin::pin, rc::Rc};
 
 use futures::future::{Either, select};
+use r4_boards::Robot;
 use r4_driver::Board;
 use r4_protocol::{
     ChannelId, Mode,
@@ -68,15 +69,20 @@ impl Session<'_> {
         self.target
     }
 
-    /// How the robot drives over the ground, if its file is known: a board does not describe that. At the end of a link it is known for
-    /// the name of a built-in robot.
+    /// The robot's file, if it is known: a board does not describe that. At the end of a link it is known for the name of a built-in robot.
     #[must_use]
-    pub fn ground_drive(&self) -> Option<GroundDrive> {
+    pub fn robot(&self) -> Option<Robot> {
         let name = match self.target {
             Target::Sim(name) | Target::Emu(name) => name,
             Target::Link(_) => r4_boards::names().find(|name| *name == self.board.info().robot.as_str())?,
         };
-        r4_boards::load(name).ok()?.drive.map(GroundDrive::new)
+        r4_boards::load(name).ok()
+    }
+
+    /// How the robot drives over the ground, if [its file](Self::robot) is known.
+    #[must_use]
+    pub fn ground_drive(&self) -> Option<GroundDrive> {
+        self.robot()?.drive.map(GroundDrive::new)
     }
 
     /// True position of a motor's output, rad or m: of a virtual board only.
