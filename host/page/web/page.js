@@ -150,7 +150,8 @@ function showBoard(board) {
   page.board = board;
   page.lost = null;
   $("robot").textContent = board.robot || "unnamed robot";
-  $("address").textContent = `${board.address}, firmware ${board.firmware}`;
+  $("address").textContent = board.address;
+  $("firmware").textContent = `, firmware ${board.firmware}`;
   $("kind").textContent = board.kind;
   $("kind").hidden = false;
   $("timeout").textContent = `${board.link_timeout_ms} ms`;
@@ -261,7 +262,7 @@ function takeLook(look) {
       keep(one, look.board_s, numbers[index]);
       showValue(one, numbers[index], fault, isBad);
     });
-    row.follows.textContent = follows ?? "";
+    row.follows.textContent = look.state === "armed" ? (follows ?? "") : "";
   }
   if (look.place && page.floor) {
     page.floor.add(look.place);

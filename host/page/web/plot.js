@@ -60,7 +60,8 @@ function drawChart(canvas, series, nowS) {
   const ticks = [];
   for (let tick = Math.ceil(low / step); tick * step <= high; tick++) ticks.push(tick * step);
   const label = (value) => (isSwitch ? series[0].words[value] : text(value + 0, decimals));
-  const left = Math.max(34, ...ticks.map((tick) => Math.ceil(context.measureText(label(tick)).width) + 12));
+  // At least as wide as most labels, so that the plots of one page begin below one another.
+  const left = Math.max(54, ...ticks.map((tick) => Math.ceil(context.measureText(label(tick)).width) + 12));
   const [right, top, bottom] = [width - 10, 8, height - 24];
   const x = (timeS) => right - ((nowS - timeS) / SPAN_S) * (right - left);
   const y = (value) => bottom - ((value - low) / (high - low)) * (bottom - top);
@@ -96,8 +97,10 @@ function drawChart(canvas, series, nowS) {
   context.clip();
   context.lineWidth = 1.75;
   context.lineJoin = "round";
-  for (const one of series) {
+  for (const [index, one] of series.entries()) {
     context.strokeStyle = colour(one.colour);
+    // Wheels of one side turn alike: a line below is seen through the gaps of the one above it.
+    context.setLineDash(index >= 2 ? [9, 7] : []);
     context.beginPath();
     let before = null;
     const { times, values } = one;
@@ -116,6 +119,7 @@ function drawChart(canvas, series, nowS) {
     context.stroke();
   }
   context.restore();
+  context.setLineDash([]);
   context.lineWidth = 1;
   context.strokeStyle = css("--frame");
   context.strokeRect(left + 0.5, top + 0.5, right - left - 1, bottom - top - 1);
