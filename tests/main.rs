@@ -12,6 +12,7 @@ mod identify;
 mod identify_close;
 mod links;
 mod logs;
+mod page;
 mod program;
 mod protocol;
 mod screen;

@@ -84,6 +84,18 @@ impl<'b, C: Clock> Broker<'b, C> {
         }
     }
 
+    /// Returns true while a client commands the board.
+    #[must_use]
+    pub fn is_commanded(&self) -> bool {
+        self.shared.borrow().command.holder().is_some()
+    }
+
+    /// Returns the number of damaged frames from the board that were dropped since its session was opened.
+    #[must_use]
+    pub fn bad_frames(&self) -> u64 {
+        self.board.bad_frames()
+    }
+
     /// Passes on what the board sends, and supervises the client that commands. Returns the error that ended the
     /// board's link.
     pub async fn run(&self) -> Error {

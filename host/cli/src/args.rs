@@ -133,6 +133,16 @@ pub(crate) struct Share {
     /// Let other machines connect; needs --key, which is then what clients must have
     #[arg(long, requires = "key_file")]
     pub(crate) public: bool,
+    /// Serve a page for browsers too, at this address [default: 127.0.0.1:8404]; port 0 is any that is free
+    #[arg(
+        long,
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "127.0.0.1:8404",
+        hide_default_value = true,
+        value_name = "ADDRESS"
+    )]
+    pub(crate) http: Option<SocketAddr>,
     #[command(flatten)]
     pub(crate) live: Foxglove,
 }

@@ -158,12 +158,22 @@ impl Key {
         (digits.len() == 64).then(|| bytes.try_into().ok()).flatten().map(Self)
     }
 
+    /// Derives a token for a service beside links with this key, such as a page: HMAC-SHA-256 of `purpose` by this key. The
+    /// token reveals neither the key nor the token of another purpose.
+    #[must_use]
+    pub fn token(&self, purpose: &str) -> [u8; 32] {
+        self.mac(&[b"r4 token, ", purpose.as_bytes()])
+    }
+
     /// Derives the key of the handshake, HMAC-SHA-256 of this one, so that the same file may serve other purposes too.
     fn of_handshake(&self) -> [u8; 32] {
+        self.mac(&[PATTERN.as_bytes(), PROLOGUE])
+    }
+
+    fn mac(&self, parts: &[&[u8]]) -> [u8; 32] {
         #[expect(clippy::expect_used, reason = "HMAC takes keys of any length")]
         let mut mac = <Hmac<Sha256> as KeyInit>::new_from_slice(&self.0).expect("any length");
-        mac.update(PATTERN.as_bytes());
-        mac.update(PROLOGUE);
+        parts.iter().for_each(|part| mac.update(part));
         mac.finalize().into_bytes().into()
     }
 }
@@ -481,6 +491,19 @@ mod tests {
     #[test]
     fn a_key_is_not_printed() {
         assert_eq!(format!("{:?}", Key::new([0x5a; 32])), "Key(..)");
+    }
+
+    #[test]
+    fn a_token_is_made_of_the_key_and_its_purpose() {
+        // By Python: hmac.new(b"\x5a" * 32, b"r4 token, page", hashlib.sha256).
+        let page = [
+            0x12, 0xc0, 0x09, 0x2c, 0x81, 0x8b, 0x48, 0x5f, 0xc7, 0xc7, 0x6e, 0xb3, 0x3c, 0xa2, 0x9c, 0x9f, 0x3a, 0x14,
+            0x5b, 0xc0, 0xd6, 0x52, 0xa1, 0x23, 0x34, 0x72, 0x09, 0x69, 0x68, 0x07, 0x6d, 0x95,
+        ];
+        let key = Key::new([0x5a; 32]);
+        assert_eq!(key.token("page"), page);
+        assert_ne!(key.token("other"), page);
+        assert_ne!(key.of_handshake(), page);
     }
 
     #[test]

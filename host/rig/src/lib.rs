@@ -18,6 +18,7 @@
 //!
 //! Frames are those of REP-103: x forwards, y to the left, angles counterclockwise; SI units.
 
+mod advice;
 mod board_thread;
 pub mod cable;
 pub mod calibrate;
@@ -52,6 +53,7 @@ pub mod tune;
 pub mod twin;
 pub mod watch;
 
+pub use advice::next_step;
 pub use board_thread::{BoardThread, Call, Desk};
 pub use clock::HostClock;
 pub use error::Error;

@@ -3,6 +3,7 @@
 use std::{cell::Cell, convert::Infallible, pin::pin, rc::Rc};
 
 use futures::future::{Either, select};
+use r4_boards::Robot;
 use r4_driver::Board;
 use r4_protocol::{
     ChannelId, Mode,
@@ -68,15 +69,21 @@ impl Session<'_> {
         self.target
     }
 
-    /// Drive of the robot over the ground, from its file; `None` when the file is not known. A board does not report
-    /// it: for a board on a link it is known by the name of a built-in robot.
+    /// Robot's file; `None` when it is not known. A board does not report it: for a board on a link it is known by the name of
+    /// a built-in robot.
     #[must_use]
-    pub fn ground_drive(&self) -> Option<GroundDrive> {
+    pub fn robot(&self) -> Option<Robot> {
         let name = match self.target {
             Target::Sim(name) | Target::Emu(name) => name,
             Target::Link(_) => r4_boards::names().find(|name| *name == self.board.info().robot.as_str())?,
         };
-        r4_boards::load(name).ok()?.drive.map(GroundDrive::new)
+        r4_boards::load(name).ok()
+    }
+
+    /// Drive of the robot over the ground, from [its file](Self::robot); `None` when the file is not known.
+    #[must_use]
+    pub fn ground_drive(&self) -> Option<GroundDrive> {
+        self.robot()?.drive.map(GroundDrive::new)
     }
 
     /// True position of a motor's output, rad or m; `None` unless the board is virtual.

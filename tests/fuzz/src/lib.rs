@@ -10,6 +10,7 @@
 //! | [`host`] | `driver`: messages of any board to the driver; `tap`: any traffic of a link to a recording |
 //! | [`files`] | `log`, `flash`, `robot`, `carrier`, `plant`, `key`, `recording`: the files that the program reads |
 //! | [`config`], [`scenario`] | files that only the program itself can read |
+//! | [`page`] | `page`: messages of browsers to the page of a board |
 //! | [`text`] | `slcan`, `legacy`: lines of a CAN adapter, packets of the old firmware's hosts |
 //! | [`secure`] | `secure`: an attacker between the two ends of an encrypted link |
 //!
@@ -25,6 +26,7 @@ pub mod files;
 pub mod frames;
 pub mod host;
 pub mod mutate;
+pub mod page;
 pub mod scenario;
 pub mod script;
 pub mod secure;
@@ -34,7 +36,7 @@ pub mod text;
 pub type Target = fn(&[u8]) -> bool;
 
 /// Targets by name, which is also the name of their corpus and of their fuzzer.
-pub const TARGETS: [(&str, Target); 17] = [
+pub const TARGETS: [(&str, Target); 18] = [
     ("carrier", files::carrier),
     ("config", config::config),
     ("dispatcher", board::dispatcher),
@@ -45,6 +47,7 @@ pub const TARGETS: [(&str, Target); 17] = [
     ("legacy", text::legacy),
     ("link", board::link),
     ("log", files::log),
+    ("page", page::page),
     ("plant", files::plant),
     ("recording", files::recording),
     ("robot", files::robot),

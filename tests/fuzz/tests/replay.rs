@@ -106,6 +106,7 @@ replays! {
     legacy 20000
     link 800
     log 5000
+    page 20000
     plant 8000
     recording 3000
     robot 2000

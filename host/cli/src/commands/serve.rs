@@ -209,7 +209,13 @@ fn place(args: &Args, serve: &Serve) -> anyhow::Result<(Place, Where)> {
 
 /// Listens for clients at an address: one of this machine's own, or any with `public` and a key. Returns the address with the port that a 0
 /// became.
-pub(super) fn listen(args: &Args, address: SocketAddr, public: bool) -> anyhow::Result<(Listener, SocketAddr)> {
+fn listen(args: &Args, address: SocketAddr, public: bool) -> anyhow::Result<(Listener, SocketAddr)> {
+    let (socket, at) = bind(args, address, public)?;
+    Ok((Listener::new(socket, session::key(args)?), at))
+}
+
+/// The same without the key, for those who ask for it in another way.
+pub(super) fn bind(args: &Args, address: SocketAddr, public: bool) -> anyhow::Result<(Async<TcpListener>, SocketAddr)> {
     let only_for_some = public && args.key.is_some();
     if !address.ip().is_loopback() && !only_for_some {
         bail!(
@@ -219,7 +225,7 @@ pub(super) fn listen(args: &Args, address: SocketAddr, public: bool) -> anyhow::
     }
     let socket = Async::<TcpListener>::bind(address).with_context(|| format!("cannot listen at {address}"))?;
     let at = socket.get_ref().local_addr().context("cannot listen")?;
-    Ok((Listener::new(socket, session::key(args)?), at))
+    Ok((socket, at))
 }
 
 #[cfg(target_os = "linux")]

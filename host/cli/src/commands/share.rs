@@ -1,5 +1,7 @@
 //! `r4 serve`: one board for several programs.
 
+mod page;
+
 use std::{
     convert::Infallible,
     future::{pending, poll_fn},
@@ -14,15 +16,16 @@ use futures::{
     future::{Either, select},
     stream::FuturesUnordered,
 };
+use page::{CONNECTIONS, Door};
 use r4_broker::{Broker, Left};
 use r4_links::{Accepted, Listener};
+use r4_page::{FAREWELL_S, Page};
 use r4_sim::Pace;
 use serde::Serialize;
 
 use super::serve::{
-    Background,
+    Background, bind,
     clients::{DROPPED, TURNED_AWAY},
-    listen,
 };
 use crate::{
     args::{Args, Share},
@@ -40,6 +43,9 @@ const LIVE_MS: u16 = 50;
 #[derive(Serialize)]
 struct FirstLine {
     tcp: String,
+    /// Address of the page, where there is one; without what has to be behind it where a key is asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    http: Option<String>,
 }
 
 pub(crate) fn run(args: &Args, share: &Share) -> anyhow::Result<bool> {
@@ -47,12 +53,16 @@ pub(crate) fn run(args: &Args, share: &Share) -> anyhow::Result<bool> {
     let args = Args { board, live: share.live.foxglove, ..args.clone() };
     session::catch_interrupts();
     // Before the board, which takes longer: a port that is taken is reported at once.
-    let listening = listen(&args, share.tcp, share.public)?;
+    let (socket, at) = bind(&args, share.tcp, share.public)?;
+    // Once: it may come through a pipe.
+    let key = session::key(&args)?;
+    let door = share.http.map(|address| Door::open(&args, address, share.public, key.as_ref())).transpose()?;
+    let listening = (Listener::new(socket, key), at);
     let virtual_board = match args.board {
         Target::Link(_) => None,
         Target::Sim(_) | Target::Emu(_) => Some(Background::start(&args)?),
     };
-    let served = serve(&args, virtual_board.as_ref(), listening);
+    let served = serve(&args, virtual_board.as_ref(), listening, door);
     let ended = virtual_board.map_or(Ok(()), Background::end);
     // A failure of a virtual board goes first: it is why the link to it ended.
     ended.and(served).map(|never| match never {})
@@ -62,15 +72,19 @@ fn serve(
     args: &Args,
     virtual_board: Option<&Background>,
     (mut listener, at): (Listener, SocketAddr),
+    mut door: Option<Door>,
 ) -> anyhow::Result<Infallible> {
     let mut is_told = false;
     let work = async |session: &Session<'_>| {
         if !mem::replace(&mut is_told, true) {
-            output::json(&FirstLine { tcp: at.to_string() })?;
+            output::json(&FirstLine { tcp: at.to_string(), http: door.as_ref().map(Door::address) })?;
             let key = args.key.as_ref().map_or_else(String::new, |path| format!(" --key {}", path.display()));
             eprintln!("r4: {} is served at tcp:{at}; for example: r4 monitor --board tcp:{at}{key}", args.board);
+            if let Some(door) = &door {
+                eprintln!("r4: open {} in a browser", door.to_be_opened());
+            }
         }
-        serve_clients(session, &mut listener, args.live.is_some()).await
+        serve_clients(session, &mut listener, door.as_mut(), args.live.is_some()).await
     };
     let tell = |event| eprintln!("r4: {}", session::told(&event));
     let meanwhile = async |_: &HostClock| pending().await;
@@ -81,13 +95,23 @@ fn serve(
 }
 
 /// Serves clients until the board's link ends.
-async fn serve_clients(session: &Session<'_>, listener: &mut Listener, is_live: bool) -> anyhow::Result<Infallible> {
+async fn serve_clients(
+    session: &Session<'_>,
+    listener: &mut Listener,
+    door: Option<&mut Door>,
+    is_live: bool,
+) -> anyhow::Result<Infallible> {
     let broker = Broker::new(session.board);
     if is_live {
         for channel in session.board.channels() {
             broker.watch(channel.id, LIVE_MS).await?;
         }
     }
+    let facts = page::facts(session);
+    let (mut door, page) = door.map_or((None, None), |Door { listener, guard, .. }| {
+        (Some(listener), Some(Page::new(&broker, session.clock.clone(), &facts, guard)))
+    });
+    let mut browsers = FuturesUnordered::new();
     let mut clients = FuturesUnordered::new();
     let serving = poll_fn(|context| {
         while let Poll::Ready(accepted) = listener.poll_accept(context) {
@@ -107,10 +131,34 @@ async fn serve_clients(session: &Session<'_>, listener: &mut Listener, is_live: 
                 Left::Slow => eprintln!("r4: a client that does not read was dropped"),
             }
         }
+        if let (Some(door), Some(page)) = (&mut door, &page) {
+            while let Poll::Ready(accepted) = door.poll_accept(context) {
+                match accepted {
+                    // One more than there is room for finds no answer, and tries again.
+                    Ok(Accepted::Client(link)) if browsers.len() < CONNECTIONS => {
+                        browsers.push(page.serve(link.rx, link.tx));
+                    }
+                    Ok(_) => {}
+                    Err(error) => return Poll::Ready(error),
+                }
+            }
+            while let Poll::Ready(Some(left)) = Pin::new(&mut browsers).poll_next(context) {
+                if let Some(told) = page::told(&left) {
+                    eprintln!("{told}");
+                }
+            }
+        }
         Poll::Pending
     });
-    match select(pin!(serving), pin!(broker.run())).await {
+    let mut serving = pin!(serving);
+    match select(serving.as_mut(), pin!(broker.run())).await {
         Either::Left((error, _)) => Err(anyhow::Error::from(error).context("cannot accept clients")),
-        Either::Right((error, _)) => Err(error.into()),
+        Either::Right((error, _)) => {
+            if let Some(page) = &page {
+                page.lose(error.to_string());
+                select(serving, pin!(session.board.sleep_s(FAREWELL_S))).await;
+            }
+            Err(error.into())
+        }
     }
 }

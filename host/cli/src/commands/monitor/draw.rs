@@ -1,6 +1,6 @@
 //! Screen of `r4 monitor`: a pure function of the state and the size.
 
-use r4_protocol::{Causes, ChannelId, ChannelKind, Quality, SafetyState, Sample, Setpoint, Unit};
+use r4_protocol::{Causes, ChannelId, ChannelKind, Quality, Sample, Setpoint, Unit};
 use ratatui::{
     Frame,
     layout::{Constraint, Layout, Rect},
@@ -261,12 +261,7 @@ fn words(state: &State) -> (String, String) {
         let windings: Vec<_> = hot.iter().map(r4_rig::heat::words).collect();
         return (windings.join(", "), "drive it less, or let it cool; at 100 % the board trips".into());
     }
-    let advice = match (state.causes.iter().next(), state.safety) {
-        (Some(cause), _) => cause.advice(),
-        (None, SafetyState::Armed) => "outputs follow set points",
-        (None, SafetyState::Disarmed) => "outputs are safe",
-        (None, SafetyState::Tripped) => "outputs are safe; clear it when it is safe to go on",
-    };
+    let advice = r4_rig::next_step(state.safety, state.causes);
     // `Causes` would print "no causes", which is noise on an armed board.
     let causes = if state.causes.is_empty() { String::new() } else { causes(state.causes) };
     (causes, advice.into())

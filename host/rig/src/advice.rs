@@ -1,0 +1,30 @@
+//! What a person does next about a board.
+
+use r4_protocol::{Causes, SafetyState};
+
+/// What a person does about the first cause, or what the state means where there is none.
+#[must_use]
+pub fn next_step(state: SafetyState, causes: Causes) -> &'static str {
+    match (causes.iter().next(), state) {
+        (Some(cause), _) => cause.advice(),
+        (None, SafetyState::Armed) => "outputs follow what they are told",
+        (None, SafetyState::Disarmed) => "outputs are safe",
+        (None, SafetyState::Tripped) => "outputs are safe; clear it when it is safe to go on",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use r4_protocol::Cause;
+
+    use super::*;
+
+    #[test]
+    fn a_cause_goes_before_the_state() {
+        for state in [SafetyState::Disarmed, SafetyState::Armed, SafetyState::Tripped] {
+            assert_eq!(next_step(state, Causes::only(Cause::DeadMan)), Cause::DeadMan.advice());
+            assert!(next_step(state, Causes::NONE).starts_with("outputs "));
+        }
+        assert!(next_step(SafetyState::Tripped, Causes::NONE).contains("clear it"));
+    }
+}
