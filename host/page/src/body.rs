@@ -68,7 +68,7 @@ impl Body {
     }
 }
 
-/// How the robot is drawn.
+/// Outline of the robot for the drawing.
 #[derive(Debug, Serialize)]
 pub(crate) struct Shape<'a> {
     pub(crate) outline_m: &'a [[f64; 2]],
@@ -76,14 +76,14 @@ pub(crate) struct Shape<'a> {
     pub(crate) wheel_radius_m: f64,
 }
 
-/// Where the robot is, from where it was when the page was opened.
+/// Pose of the robot, relative to its pose when the page was opened.
 #[derive(Debug, PartialEq, Serialize)]
 pub(crate) struct Place {
     pub(crate) x_m: f64,
     pub(crate) y_m: f64,
-    /// Counterclockwise from +x.
+    /// Heading, counterclockwise from +x, rad.
     pub(crate) yaw_rad: f64,
-    /// Of range sensors that see something, body frame.
+    /// Points where range sensors detect something, m, in the body frame.
     pub(crate) rays_m: Vec<[f64; 4]>,
 }
 

@@ -24,16 +24,16 @@ use crate::{
     view::{Channel, Values},
 };
 
-/// How often a page is sent how the board is, and how often channels are sampled for it, ms: 20 a second are smooth to the eye.
+/// Period of the page's state messages and of its channels' samples, ms: 20 a second are smooth to the eye.
 pub const LOOK_MS: u16 = 50;
-/// A page sends so many beats within the board's link time-out, as a driver does heartbeats.
+/// Heartbeats of a page within the board's link time-out, as many as a driver sends.
 pub const BEATS_PER_TIMEOUT: u32 = 4;
 /// A beat counts while the newest look that the page has is not older than this, ms: five link time-outs of 200 ms, in which a user sees
 /// that something is wrong. With half of it a page on a busy phone would lose beats.
 pub const STALE_MS: u64 = 1000;
 /// A page without beats is let go after this time, µs: browsers let hidden pages run each second, at first.
 const SILENT_US: u64 = 10_000_000;
-/// How often the counters are asked for, s.
+/// Period of requests for the counters, s.
 const COUNT_EVERY_S: f64 = 1.0;
 /// Bytes that may wait for a page, before it is sent no further looks: half a second of them.
 const MOST_WAITING: usize = 64 * 1024;
@@ -42,15 +42,15 @@ const MOST_WAITING: usize = 64 * 1024;
 pub(crate) struct Browser<'p, 'b, C> {
     pub(crate) page: &'p Page<'p, 'b, C>,
     socket: RefCell<Socket>,
-    /// Of what sends.
+    /// Waker of the sending task.
     sender: RefCell<Option<Waker>>,
-    /// When the page was last heard, by this program's clock, µs.
+    /// Time of the page's last message, on this program's clock, µs.
     heard_us: Cell<u64>,
-    /// Whether this page commands the board.
+    /// True while this page commands the board.
     pub(crate) is_seated: Cell<bool>,
 }
 
-/// Where what the page says goes.
+/// Destinations of the page's messages.
 struct Orders {
     seat: UnboundedSender<ToSeat>,
     stops: UnboundedSender<()>,

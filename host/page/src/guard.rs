@@ -1,4 +1,4 @@
-//! Who may see the page and use it: pure checks of a request's head and of a token.
+//! Access to the page and its use: pure checks of a request's head and of a token.
 //!
 //! | against | how |
 //! | --- | --- |
@@ -19,7 +19,7 @@ use crate::http::Head;
 /// Field with the token in a request that is posted. Other sites cannot send it: browsers ask first, and are not allowed.
 pub const TOKEN_FIELD: &str = "x-r4-token";
 
-/// What the page must know to be served: 32 bytes, 64 hex digits in texts.
+/// Secret that the page must know to be served: 32 bytes, 64 hex digits in texts.
 #[derive(Clone)]
 pub struct Token([u8; 32]);
 
@@ -42,7 +42,7 @@ impl Token {
         HEXLOWER_PERMISSIVE.encode(&self.0)
     }
 
-    /// Whether `text` is this token, in a time that does not depend on where they differ.
+    /// Returns true if `text` is this token, in a time that does not depend on where they differ.
     #[must_use]
     pub fn is(&self, text: &str) -> bool {
         HEXLOWER_PERMISSIVE.decode(text.trim().as_bytes()).is_ok_and(|bytes| self.0[..].ct_eq(&bytes[..]).into())
@@ -78,7 +78,7 @@ pub enum Denied {
 #[derive(Clone, Debug)]
 pub struct Guard {
     token: Token,
-    /// Whether whoever can open the page has the token by that.
+    /// True if the page contains the token, so that opening it is enough.
     is_in_page: bool,
 }
 
@@ -107,7 +107,7 @@ impl Guard {
         (!self.is_in_page).then(|| self.token.hex())
     }
 
-    /// Whether the page may be sent.
+    /// Checks that the page may be sent.
     ///
     /// # Errors
     /// [`Denied::NoHost`], [`Denied::ForeignHost`]
@@ -119,7 +119,7 @@ impl Guard {
         Ok(())
     }
 
-    /// Whether this is the page itself, by where the request says that it comes from.
+    /// Checks that the request comes from the page itself, by its origin.
     ///
     /// # Errors
     /// As [`Guard::reads`]; [`Denied::ForeignOrigin`]
@@ -134,7 +134,7 @@ impl Guard {
         }
     }
 
-    /// Whether a token that the page has sent is the right one.
+    /// Checks the token that the page has sent.
     ///
     /// # Errors
     /// [`Denied::WrongToken`]
@@ -143,7 +143,7 @@ impl Guard {
     }
 }
 
-/// Whether a `Host` is this machine by an address of its own, or by the name that browsers never ask the network for.
+/// Returns true if a `Host` is this machine by an address of its own, or by the name that browsers never ask the network for.
 fn is_this_machine(host: &str) -> bool {
     let name = match host.rsplit_once(':') {
         Some((name, port)) if !port.is_empty() && port.bytes().all(|digit| digit.is_ascii_digit()) => name,

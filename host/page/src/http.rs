@@ -10,7 +10,7 @@ use sha1::{Digest, Sha1};
 pub const MOST_HEAD: usize = 8 * 1024;
 /// Most header fields. Browsers send about 20.
 const MOST_FIELDS: usize = 64;
-/// What the key of a WebSocket's handshake is hashed with: RFC 6455, 1.3.
+/// Constant that the key of a WebSocket's handshake is hashed with: RFC 6455, 1.3.
 const HANDSHAKE: &str = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11";
 
 /// A request that cannot be answered.
@@ -93,17 +93,17 @@ impl Head {
 /// Status of an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
-    /// 200
+    /// Status 200: the page or a part of it follows.
     Ok,
-    /// 400
+    /// Status 400: the request is malformed.
     BadRequest,
-    /// 403
+    /// Status 403: host, origin or token are refused.
     Forbidden,
-    /// 404
+    /// Status 404: there is no such path.
     NotFound,
-    /// 405
+    /// Status 405: the path exists, but not for this method.
     MethodNotAllowed,
-    /// 503
+    /// Status 503: too many browsers are connected.
     Unavailable,
 }
 

@@ -58,9 +58,9 @@ use socket::SocketError;
 pub const MOST_BROWSERS: usize = 16;
 /// A connection has sent the head of its request, and a page its token, within this time, s.
 const HEAD_S: f64 = 5.0;
-/// What is sent has left within this time, s: a browser that does not read is let go.
+/// Time limit for sending a message, s: a browser that does not read is dropped.
 const ANSWER_S: f64 = 10.0;
-/// How long it takes a browser to hear why the board's link has ended, s: two looks.
+/// Time for a browser to receive the reason why the board's link ended, s: two state messages.
 pub const FAREWELL_S: f64 = 0.1;
 /// Bytes under way between the broker and a client in this program. A message has some hundred at most.
 const PIPE: usize = 4096;
@@ -71,29 +71,29 @@ const STYLE: &str = include_str!("../web/style.css");
 const SCRIPTS: [&str; 3] =
     [include_str!("../web/plot.js"), include_str!("../web/floor.js"), include_str!("../web/page.js")];
 
-/// What the board is.
+/// Kind of board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// A simulated one.
+    /// Board simulated by this program.
     Simulated,
     /// One with an emulated processor.
     Emulated,
-    /// A real one.
+    /// Real board on a link.
     Real,
 }
 
-/// What the page shows of the board that the board itself does not say.
+/// Facts about the board that the page shows and the board does not report.
 #[derive(Clone, Debug)]
 pub struct Facts {
     /// Its name, as `--board` takes it.
     pub address: String,
-    /// What it is.
+    /// Kind of the board.
     pub kind: Kind,
-    /// How it stands on the floor; `None` where that is not known, and the page has no view of it.
+    /// Body of the robot on the floor; `None` if it is unknown, and the page then shows no floor.
     pub body: Option<Body>,
 }
 
-/// How a connection ended.
+/// End of a connection.
 #[derive(Debug)]
 pub enum Left {
     /// A request was answered.
@@ -110,7 +110,7 @@ pub enum Left {
     Denied(Denied),
     /// Its request is none.
     Malformed(HttpError),
-    /// What it sends on its socket is none of the page's messages.
+    /// Messages on its socket that are not the page's.
     Broken(SocketError),
     /// It sends something that the page does not say.
     Unknown,
@@ -127,7 +127,7 @@ pub struct Page<'p, 'b, C> {
     lost: OnceCell<String>,
 }
 
-/// What the first of two futures ends with.
+/// Returns the result of the first of two futures that ends.
 async fn first<T>(one: impl Future<Output = T>, other: impl Future<Output = T>) -> T {
     select(pin!(one), pin!(other)).await.factor_first().0
 }
@@ -139,7 +139,7 @@ impl<'p, 'b, C: Clock> Page<'p, 'b, C> {
         Self { broker, clock, facts, guard, open: Cell::new(0), lost: OnceCell::new() }
     }
 
-    /// Tells all browsers why the board's link has ended, with their next look: serve them for [`FAREWELL_S`] longer.
+    /// Sends all browsers the reason why the board's link ended, with their next state message: serve them for [`FAREWELL_S`] longer.
     pub fn lose(&self, why: String) {
         // The first reason is the one.
         let _ = self.lost.set(why);

@@ -1,4 +1,4 @@
-//! What a page and this program say to each other on the page's socket, as JSON.
+//! Messages between a page and this program on the page's socket, as JSON.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,13 +7,13 @@ use crate::{
     view::{Channel, Values},
 };
 
-/// What a page says.
+/// Message of a page.
 #[derive(Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(crate) enum FromPage {
     /// First: the token that it was served with, or that its user has entered.
     Hello {
-        /// 64 hex digits.
+        /// Token, 64 hex digits.
         token: String,
     },
     /// "I am alive, and I have shown this".
@@ -21,44 +21,44 @@ pub(crate) enum FromPage {
         /// [`Look::tick_ms`] of the newest look that it has.
         tick_ms: u64,
     },
-    /// A button.
+    /// Press of a button.
     Ask(Ask),
 }
 
-/// What a user asks of the board.
+/// Request of a user to the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Ask {
-    /// Lets outputs move.
+    /// Arms the board: outputs may move.
     Arm,
-    /// Makes outputs safe.
+    /// Disarms the board: outputs are safe.
     Disarm,
     /// Leaves a trip behind.
     Clear,
-    /// Trips the board.
+    /// Stops the board: it trips.
     Stop,
 }
 
-/// What a page is sent.
+/// Message to a page.
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum ToPage<'a> {
     /// First: which board it is.
     Board(Card<'a>),
-    /// How the board is now.
+    /// State of the board at present.
     Look(Look<'a>),
-    /// What has been counted.
+    /// Counters of board and link.
     Counters(Vec<Counter>),
-    /// What came of a request.
+    /// Result of a request.
     Answer {
-        /// Of which.
+        /// Request that this answers.
         ask: Ask,
         /// `None` where it was done.
         error: Option<String>,
     },
     /// The board's link has ended.
     Lost {
-        /// Why.
+        /// Reason for the end, in words.
         why: &'a str,
     },
     /// The page is not let in.
@@ -77,30 +77,30 @@ pub(crate) struct Card<'a> {
     pub(crate) robot: &'a str,
     pub(crate) firmware: &'a str,
     pub(crate) link_timeout_ms: u16,
-    /// How often the page has to send a beat, ms.
+    /// Period in which the page has to send heartbeats, ms.
     pub(crate) beat_ms: u32,
     pub(crate) channels: &'a [Channel],
     /// `None` where there is no view of the floor.
     pub(crate) shape: Option<Shape<'a>>,
 }
 
-/// How the board is now.
+/// State of the board at present.
 #[derive(Debug, Serialize)]
 pub(crate) struct Look<'a> {
     /// The program's clock, ms: the page's beats carry it back.
     pub(crate) tick_ms: u64,
     /// The board's clock in its last telemetry, s.
     pub(crate) board_s: f64,
-    /// How long the board has said nothing, ms.
+    /// Time since the board's last message, ms.
     pub(crate) silent_ms: u64,
     /// `disarmed`, `armed` or `tripped`.
     pub(crate) state: String,
     pub(crate) causes: Vec<Reason>,
-    /// What a person does next.
+    /// Next step for the user.
     pub(crate) next: &'static str,
     /// Windings that are hot, in words.
     pub(crate) hot: Vec<String>,
-    /// Who commands: `this page`, `another program` or nobody.
+    /// Client that commands: `this page` or `another program`; absent without one.
     pub(crate) commands: Option<&'static str>,
     pub(crate) values: &'a [Values],
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -119,7 +119,7 @@ pub(crate) struct Reason {
 pub(crate) struct Counter {
     pub(crate) name: &'static str,
     pub(crate) value: String,
-    /// Whether it should be something else.
+    /// True if the value indicates a problem.
     pub(crate) is_bad: bool,
 }
 

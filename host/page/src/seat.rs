@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!          arm, disarm, clear               done, and not armed; tripped; no beats
-//! nobody ────────────────────▶ a client ──────────────────────────────────────────▶ goodbye: others may command
+//! free ──────────────────────▶ a client ──────────────────────────────────────────▶ goodbye: others may command
 //!                               │ each beat of the page is a heartbeat, and there is no other
 //! ```
 
@@ -14,16 +14,16 @@ use r4_protocol::SafetyState;
 
 use crate::{Left, browser::Browser, message::Ask};
 
-/// What the page wants of the client that commands.
+/// Order of the page to the client that commands.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum ToSeat {
     /// To send a heartbeat.
     Beat,
-    /// A request.
+    /// Request of the user.
     Ask(Ask),
 }
 
-/// What happens to the client that commands.
+/// Event of the client that commands.
 enum Event {
     Page(ToSeat),
     Done(Ask, Result<(), Error>),

@@ -14,7 +14,7 @@ use tungstenite::{
 /// Most bytes of a message from a page: its longest, the one with the token, has about 90.
 pub const MOST_MESSAGE: usize = 1024;
 
-/// What ends a WebSocket.
+/// Reason for the end of a WebSocket.
 #[derive(Debug, thiserror::Error)]
 pub enum SocketError {
     /// The other end has closed it.
@@ -26,7 +26,7 @@ pub enum SocketError {
     /// A message is no text.
     #[error("a message of the page is no text")]
     NoText,
-    /// What comes is no WebSocket.
+    /// Bytes that are no WebSocket frame.
     #[error("what comes is no WebSocket: {0}")]
     Broken(#[source] Box<Error>),
 }
@@ -99,12 +99,12 @@ impl Socket {
         ended
     }
 
-    /// Sends a text. After the end there is nobody to send it to.
+    /// Sends a text. After the end of the socket it has no effect.
     pub fn send(&mut self, text: String) {
         let _ = self.0.send(Message::text(text));
     }
 
-    /// Says goodbye.
+    /// Sends the closing frame.
     pub fn close(&mut self) {
         let _ = self.0.close(Some(CloseFrame { code: CloseCode::Policy, reason: "".into() }));
         let _ = self.0.flush();

@@ -14,12 +14,12 @@ pub(crate) struct Channel {
 /// One number of a channel.
 #[derive(Debug, PartialEq, Serialize)]
 pub(crate) struct Series {
-    /// Such as `position`.
+    /// Name of the quantity, such as `position`.
     pub(crate) name: String,
     /// As it is shown; empty for a share or a switch.
     pub(crate) unit: &'static str,
     pub(crate) decimals: usize,
-    /// What 0 and 1 mean, where it is one of them.
+    /// Words for 0 and 1 of a binary value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) words: Option<[&'static str; 2]>,
     /// Shown for one SI unit.
@@ -37,9 +37,9 @@ pub(crate) struct Values {
     /// Why there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) fault: Option<String>,
-    /// Whether that is a fault: nothing in range, or nothing measured yet, is none.
+    /// True for a fault: nothing in range, or nothing measured yet, is none.
     pub(crate) is_bad: bool,
-    /// What the channel follows.
+    /// Set point that the channel follows.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) follows: Option<String>,
 }
@@ -58,7 +58,7 @@ impl Series {
     }
 }
 
-/// What 0 and 1 of a switch mean.
+/// Words for 0 and 1 of a switch.
 const fn words(id: ChannelId) -> [&'static str; 2] {
     match (id.kind, id.index) {
         (ChannelKind::DeadMan, 0) => ["RELEASED", "held"],

@@ -4,7 +4,7 @@
 const KEPT_S = 60;
 // The program sends a look every 50 ms. Without one for so long the page says so, ms.
 const STALE_MS = 500;
-// A stop that nobody has confirmed for so long is sent once more, by another way, ms.
+// A stop without confirmation for this time is sent once more, by another way, ms.
 const CONFIRM_MS = 400;
 const AGAIN_MS = 1000;
 const MOST_LINES = 8;
@@ -26,7 +26,7 @@ const page = {
 // Whether the program has put its token of this run into the page.
 const HAS_OWN_TOKEN = Boolean(page.token);
 
-// The key is behind the # of the address, or was entered; it leaves the address so that nobody reads it there.
+// The key is behind the # of the address, or was entered; it leaves the address so that it cannot be read there.
 if (!page.token) {
   if (location.hash.length > 1) {
     sessionStorage.setItem("r4-token", location.hash.slice(1));
@@ -312,7 +312,7 @@ function showState() {
   }
   $("next").hidden = !isOld && look.causes.length > 0;
   const link = isOld ? "no connection to r4: trying again" : isSilent ? `board silent for ${(look.silent_ms / 1000).toFixed(1)} s`
-    : look.commands ? `connected; ${look.commands} commands` : "connected; nobody commands";
+    : look.commands ? `connected; ${look.commands} commands` : "connected; no program commands";
   $("link").textContent = link;
   $("link").dataset.link = isOld || isSilent ? "bad" : "good";
   $("arm").disabled = state !== "disarmed";

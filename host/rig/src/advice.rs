@@ -1,13 +1,13 @@
-//! What a person does next about a board.
+//! Next step of a person for a board in some state.
 
 use r4_protocol::{Causes, SafetyState};
 
-/// What a person does about the first cause, or what the state means where there is none.
+/// Returns the remedy for the first cause; without a cause, the meaning of the state.
 #[must_use]
 pub fn next_step(state: SafetyState, causes: Causes) -> &'static str {
     match (causes.iter().next(), state) {
         (Some(cause), _) => cause.advice(),
-        (None, SafetyState::Armed) => "outputs follow what they are told",
+        (None, SafetyState::Armed) => "outputs follow set points",
         (None, SafetyState::Disarmed) => "outputs are safe",
         (None, SafetyState::Tripped) => "outputs are safe; clear it when it is safe to go on",
     }

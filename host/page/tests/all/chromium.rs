@@ -8,6 +8,7 @@ use std::{
     net::TcpListener,
     path::{Path, PathBuf},
     pin::{Pin, pin},
+    rc::Rc,
     sync::mpsc,
     task::Poll,
     thread::{self, JoinHandle},
@@ -38,8 +39,9 @@ use crate::{
 const REQUIRED: &str = "R4_CHROMIUM_REQUIRED";
 const DESKTOP: Screen = Screen { width: 1280, height: 800, is_phone: false, is_dark: false };
 const PHONE: Screen = Screen { width: 390, height: 844, is_phone: true, is_dark: true };
-/// A machine that is busy lets a page be late with its beats, and the board trips: it is armed again so many times.
-const TRIES: usize = 10;
+/// Link time-out of the board, ms. A browser on a busy machine may be late by more than the 200 ms of the robot's file; what happens
+/// within these is tested in virtual time, in `main.rs`.
+const LINK_TIMEOUT_MS: u16 = 1000;
 
 /// Wheels of openscout, left and right, with speeds of a curve, rad/s.
 const WHEELS: [(u8, f32); 4] = [(0, 4.0), (2, 4.0), (1, 7.0), (3, 7.0)];
@@ -47,7 +49,7 @@ const WHEELS: [(u8, f32); 4] = [(0, 4.0), (2, 4.0), (1, 7.0), (3, 7.0)];
 /// A served openscout on an empty floor, in real time, on a thread of its own until it is dropped.
 struct Served {
     http: String,
-    /// What another program does: it arms and drives with the first share of its speeds, changes to the second, and leaves.
+    /// Work of another program: it arms and drives with the first share of its speeds, changes to the second, and leaves.
     drive: UnboundedSender<f32>,
     interrupt: Interrupt,
     thread: Option<JoinHandle<()>>,
@@ -61,6 +63,7 @@ impl Served {
             move || {
                 let mut rig = Rig::new("sim:openscout".parse().expect("a board"));
                 (rig.pace, rig.interrupt) = (Pace::RealTime(1.0), interrupt);
+                rig.alter = Some(Rc::new(|robot| robot.config.link_timeout_ms = LINK_TIMEOUT_MS));
                 let ended = rig.run(None, async |session| {
                     let socket = Async::<TcpListener>::bind(([127, 0, 0, 1], 0)).expect("a port that is free");
                     let at = socket.get_ref().local_addr().expect("bound");
@@ -162,21 +165,14 @@ impl Browser {
         }
     }
 
-    /// Arms by the page, as often as it takes on a machine that is busy.
+    /// Clears a trip, if there is one, and arms by the page: the relay in the motors' supply closes.
     fn arm(&mut self, tab: &Tab) {
-        for _ in 0..TRIES {
-            self.wait(tab, "!document.getElementById('arm').disabled || !document.getElementById('clear').disabled");
-            if self.value(tab, "document.body.dataset.state") == "tripped" {
-                self.click(tab, "clear");
-                self.wait(tab, "document.body.dataset.state !== 'tripped'");
-            }
-            self.click(tab, "arm");
-            if self.is_soon(tab, &format!("{} === 'on'", chip("relay0")), 3.0) {
-                return;
-            }
+        if self.value(tab, "document.body.dataset.state") == "tripped" {
+            self.click(tab, "clear");
         }
-        let says = self.value(tab, "document.getElementById('message').textContent");
-        panic!("not armed in {TRIES} tries: {says}");
+        self.wait(tab, "!document.getElementById('arm').disabled");
+        self.click(tab, "arm");
+        self.wait(tab, &format!("{} === 'on'", chip("relay0")));
     }
 
     /// Nothing is wider than the screen, and what is touched is as large as a finger.
@@ -227,7 +223,7 @@ fn a_page_shows_arms_and_stops_a_board() {
     browser.photograph(&tab, "desktop-moving-dark");
     browser.show(&tab, DESKTOP);
     served.drives(0.0);
-    browser.wait(&tab, "document.getElementById('link').textContent.includes('nobody commands')");
+    browser.wait(&tab, "document.getElementById('link').textContent.includes('no program commands')");
 
     // The page arms: the relay in the motors' supply closes. A tab that is killed trips the board.
     browser.arm(&tab);
@@ -238,7 +234,7 @@ fn a_page_shows_arms_and_stops_a_board() {
     browser.wait(&phone, IS_TRIPPED);
     let causes = browser.value(&phone, CAUSES);
     assert!(causes.as_str().is_some_and(|causes| causes.contains("link lost: keep one host connected")), "{causes}");
-    browser.wait(&phone, "document.getElementById('link').textContent.includes('nobody commands')");
+    browser.wait(&phone, "document.getElementById('link').textContent.includes('no program commands')");
     browser.check_layout(&phone);
     browser.photograph(&phone, "phone-tripped");
 

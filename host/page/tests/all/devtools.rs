@@ -25,9 +25,9 @@ pub(crate) struct Browser {
     to: ChildStdin,
     from: Receiver<Value>,
     next_id: u64,
-    /// Whether the page that was opened last is there.
+    /// True once the page that was opened last is loaded.
     has_loaded: bool,
-    /// What pages have complained of: exceptions, and what the browser has logged.
+    /// Complaints of pages: exceptions, and what the browser has logged.
     pub(crate) complaints: Vec<String>,
     _profile: TempDir,
 }
@@ -38,7 +38,7 @@ pub(crate) struct Tab {
     session: String,
 }
 
-/// What a tab is shown on.
+/// Screen of a tab.
 #[derive(Clone, Copy)]
 pub(crate) struct Screen {
     pub(crate) width: u32,

@@ -28,9 +28,9 @@ use simulated::VirtualClock;
 use tab::{Connection, HOST, Receiver, Sender, Tab, connection, upgrade};
 use tungstenite::Message;
 
-/// Of the built-in boards, ms.
+/// Link time-out of the built-in boards, ms.
 const LINK_TIMEOUT_MS: u64 = 200;
-/// Of a link between a driver and the broker: about that of USB at full speed.
+/// Delay of a link between a driver and the broker: about that of USB at full speed.
 const BAUD: u32 = 12_000_000;
 
 /// Connects browsers and drivers to a board.
@@ -51,7 +51,7 @@ impl Door<'_, '_> {
         here
     }
 
-    /// What is answered to these bytes.
+    /// Returns the answer to these bytes.
     async fn fetched(&self, request: &str) -> String {
         let mut connection = self.connect();
         connection.send(request.as_bytes()).await;
@@ -68,7 +68,7 @@ impl Door<'_, '_> {
         }
     }
 
-    /// How the only connection that has ended did so.
+    /// Returns the end of the only connection that has ended.
     fn left(&self) -> Left {
         let mut left = self.left.borrow_mut();
         assert!(left.len() == 1, "{left:?}");
@@ -314,7 +314,7 @@ fn a_tab_that_is_gone_trips_the_board() {
         other.listen(0.4, true).await;
         assert_eq!((other.state(), other.causes()), ("tripped", vec!["link lost"]));
         assert!(matches!(door.left(), Left::Gone));
-        // And nobody commands any more.
+        // And no client commands any more.
         other.listen(0.5, true).await;
         assert_eq!(other.look["commands"], Value::Null);
         assert_eq!(other.order("clear").await, None);
@@ -486,7 +486,7 @@ fn a_robot_that_drives_is_seen_on_the_floor() {
         driven.expect("driven");
         tab.until("a place", |tab| tab.look["place"].is_object()).await;
         let place = &tab.look["place"];
-        // Wheels of 56 mm, 10 rad: as far as their settling within 0.005 rad tells, and what start and stop make of four of them.
+        // Wheels of 56 mm, 10 rad: as far as their settling within 0.005 rad shows, and what start and stop make of four of them.
         let (x_m, y_m) = (place["x_m"].as_f64().expect("a number"), place["y_m"].as_f64().expect("a number"));
         assert!((x_m - 0.56).abs() < 0.01 && y_m.abs() < 0.01, "{place}");
     });

@@ -52,7 +52,7 @@ impl Write for Sender {
     }
 }
 
-/// The browser's end.
+/// Browser's end of the link.
 pub(crate) struct Connection {
     from: Wire,
     to: Wire,
@@ -75,7 +75,7 @@ impl Connection {
         }
     }
 
-    /// What comes within `seconds`; `None` where nothing does.
+    /// Returns the message that comes within `seconds`; `None` without one.
     async fn receive(&mut self, seconds: f64) -> Option<Vec<u8>> {
         let mut buffer = vec![0; 4096];
         let until_us = self.clock.now_us() + (seconds * 1e6) as u64;
@@ -147,7 +147,7 @@ pub(crate) fn upgrade(host: &str, origin: &str) -> String {
 pub(crate) struct Tab {
     pub(crate) connection: Connection,
     web: WebSocket<Bytes>,
-    /// The newest look.
+    /// Returns the newest state message.
     pub(crate) look: Value,
     /// The board, as it was described first.
     pub(crate) board: Value,
