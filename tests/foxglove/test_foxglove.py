@@ -3,6 +3,7 @@
 The protocol: https://github.com/foxglove/ws-protocol, docs/spec.md. `r4` is the program that R4_PROGRAM names, built with the feature `live`.
 """
 
+import contextlib
 import json
 import os
 import re
@@ -48,8 +49,8 @@ class Served:
 class Viewer:
     """A client that subscribes to topics by their names."""
 
-    def __init__(self, url):
-        self.socket = connect(url, subprotocols=[SUBPROTOCOL])
+    def __init__(self, socket):
+        self.socket = socket
         self.info = None
         self.channels = {}
         self.topics = {}
@@ -98,47 +99,62 @@ def served():
     assert served.end() == 0
 
 
+@contextlib.contextmanager
+def viewing(served):
+    with connect(served.url, subprotocols=[SUBPROTOCOL]) as socket:
+        yield Viewer(socket)
+
+
+def drives(served, seconds):
+    """Starts another program, which drives a wheel."""
+    arguments = [PROGRAM, "--board", served.board, "duty", "dhb0", "40%", "--for", seconds]
+    return subprocess.Popen(arguments, stdout=subprocess.DEVNULL)
+
+
 def test_topics_come_with_schemas_that_their_messages_keep(served):
-    viewer = Viewer(served.url)
-    viewer.subscribe("/state", "/dhb0")
-    assert viewer.info["name"].startswith("r4 ")
-    for channel in viewer.channels.values():
-        assert (channel["encoding"], channel["schemaEncoding"]) == ("json", "jsonschema"), channel
-    # A topic that is sent on change only comes again for viewers that connect later.
-    viewer.read_until(lambda: len(viewer.messages["/state"]) >= 2 and len(viewer.messages["/dhb0"]) >= 10)
-    assert viewer.messages["/state"][0][1]["state"] == "disarmed"
-    for topic, messages in viewer.messages.items():
-        fields = json.loads(viewer.channels[topic]["schema"])["properties"]
-        for _, message in messages:
-            assert message.keys() <= fields.keys(), topic
-        times = [time_ns for time_ns, _ in messages]
-        assert times == sorted(times), topic
+    with viewing(served) as viewer:
+        viewer.subscribe("/state", "/dhb0")
+        assert viewer.info["name"].startswith("r4 ")
+        for channel in viewer.channels.values():
+            assert (channel["encoding"], channel["schemaEncoding"]) == ("json", "jsonschema"), channel
+        # A topic that is sent on change only comes again for viewers that connect later.
+        viewer.read_until(lambda: len(viewer.messages["/state"]) >= 2 and len(viewer.messages["/dhb0"]) >= 10)
+        assert viewer.messages["/state"][0][1]["state"] == "disarmed"
+        for topic, messages in viewer.messages.items():
+            fields = json.loads(viewer.channels[topic]["schema"])["properties"]
+            for _, message in messages:
+                assert message.keys() <= fields.keys(), topic
+            times = [time_ns for time_ns, _ in messages]
+            assert times == sorted(times), topic
 
 
 def test_a_viewer_sees_what_another_program_commands(served):
-    viewer = Viewer(served.url)
-    viewer.subscribe("/state", "/dhb0", "/command", "/request")
-    mover = subprocess.Popen(
-        [PROGRAM, "--board", served.board, "duty", "dhb0", "40%", "--for", "1"],
-        stdout=subprocess.DEVNULL,
-    )
-    states = lambda: [message["state"] for _, message in viewer.messages["/state"]]
-    viewer.read_until(lambda: "armed" in states() and states()[-1] == "disarmed")
-    assert mover.wait(timeout=PATIENCE_S) == 0
-    assert max(message["speed_rad_s"] for _, message in viewer.messages["/dhb0"]) > 0.5
-    assert {message["setpoint_duty"] for _, message in viewer.messages["/command"]} == {0.4}
-    requests = [message["request"] for _, message in viewer.messages["/request"]]
-    assert requests.index("arm") < requests.index("disarm"), requests
+    # Topics of commands are offered from the first command on.
+    assert drives(served, "0.1").wait(timeout=PATIENCE_S) == 0
+    with viewing(served) as viewer:
+        viewer.subscribe("/state", "/dhb0", "/command", "/request")
+        mover = drives(served, "1")
+
+        def states():
+            return [message["state"] for _, message in viewer.messages["/state"]]
+
+        viewer.read_until(lambda: "armed" in states() and states()[-1] == "disarmed")
+        assert mover.wait(timeout=PATIENCE_S) == 0
+        assert max(message["speed_rad_s"] for _, message in viewer.messages["/dhb0"]) > 0.5
+        commanded = [message["setpoint_duty"] for _, message in viewer.messages["/command"]]
+        assert commanded == pytest.approx([0.4] * len(commanded)) and commanded
+        requests = [message["request"] for _, message in viewer.messages["/request"]]
+        assert requests.index("arm") < requests.index("disarm"), requests
 
 
 def test_two_viewers_have_the_same(served):
-    first, second = Viewer(served.url), Viewer(served.url)
-    for viewer in (first, second):
-        viewer.subscribe("/dhb0")
-    # Turn by turn: what one has while the other is read waits in its socket.
-    for viewer in (first, second):
-        viewer.read_for(1.0)
-    both = [dict(viewer.messages["/dhb0"]) for viewer in (first, second)]
+    with viewing(served) as first, viewing(served) as second:
+        for viewer in (first, second):
+            viewer.subscribe("/dhb0")
+        # Turn by turn: what one has while the other is read waits in its socket.
+        for viewer in (first, second):
+            viewer.read_for(1.0)
+        both = [dict(viewer.messages["/dhb0"]) for viewer in (first, second)]
     common = both[0].keys() & both[1].keys()
     assert len(common) >= 5, [len(seen) for seen in both]
     assert all(both[0][time_ns] == both[1][time_ns] for time_ns in common)
