@@ -178,7 +178,7 @@ mod tests {
         {
             assert_eq!(parsed(&EXAMPLE.replace(broken, "")).websocket_accept(), None, "without {broken}");
         }
-        for (from, to) in [("GET", "POST"), ("Version: 13", "Version: 8"), ("bm9uY2U=", "bm9uY2"), ("dGhl", "")] {
+        for (from, to) in [("GET", "POST"), ("Version: 13", "Version: 8"), ("b25jZQ==", "b25jZQ"), ("dGhl", "")] {
             assert_eq!(parsed(&EXAMPLE.replace(from, to)).websocket_accept(), None, "{to} for {from}");
         }
     }
