@@ -214,7 +214,7 @@ mod tests {
             for (command, is_named) in commands_of(&page) {
                 let words = words_of(&command);
                 // Skip patterns: ellipses, alternatives and placeholders are no commands.
-                let stands_for = |word: &String| word.contains(['\u{2026}', '[', '|', '<']) || word == "VERB";
+                let stands_for = |word: &String| word.contains(['\u{2026}', '[', '|', '<']) || word == "COMMAND";
                 if words.iter().any(stands_for) {
                     continue;
                 }

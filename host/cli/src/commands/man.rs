@@ -57,7 +57,7 @@ fn find<'c>(program: &'c Command, verb: &[String]) -> anyhow::Result<&'c Command
     for name in verb {
         match found.find_subcommand(name) {
             Some(inner) => found = inner,
-            None => bail!("there is no verb `{}`: `r4 help` lists them", verb.join(" ")),
+            None => bail!("there is no command `{}`: `r4 help` lists them", verb.join(" ")),
         }
     }
     Ok(found)
