@@ -19,7 +19,7 @@ fn fetched(http: &str, host: &str) -> String {
     answer
 }
 
-/// Starts a server of a page. Returns it with the page's address, and what it tells people to open.
+/// Starts a server of a page. Returns it with the page's address, and the address that it prints for people.
 fn served(more: &[&str]) -> (Running, String, String) {
     let arguments = ["serve", "sim:osmc-bench", "--tcp", "127.0.0.1:0", "--http=127.0.0.1:0"];
     let server = start(command(&[&arguments, more].concat()));

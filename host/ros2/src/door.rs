@@ -90,7 +90,7 @@ const TICK_S: f64 = 0.01;
 const DIAGNOSE_EVERY_S: f64 = 1.0;
 
 impl Door {
-    /// Serves `orders` until nobody can give any more. `report` publishes, and returns whether it could.
+    /// Serves `orders` until all senders are gone. `report` publishes, and returns whether it could.
     ///
     /// # Errors
     /// When the link ends, or the board refuses subscriptions.
@@ -319,7 +319,7 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
 
     /// Takes the board's answer to a command.
     fn answered(&mut self, report: &CycleReport, command: Option<Echo>) {
-        // What brings motors to rest is nobody's command.
+        // Bringing motors to rest is no client's command.
         let Some(echo) = command else { return };
         match report.outcome {
             CycleOutcome::Taken => {

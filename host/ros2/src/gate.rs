@@ -54,7 +54,7 @@ pub enum Refused {
         /// How far it may be, s.
         limit_s: f64,
     },
-    /// The robot does not drive, or nobody knows how.
+    /// The robot does not drive, or its geometry is unknown.
     #[error("velocities need a robot whose file has [drive] (boards/README.md): use joint_commands")]
     NoDrive,
     /// Names and numbers do not go together.

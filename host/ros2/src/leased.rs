@@ -1,4 +1,4 @@
-//! Set points that end by themselves when nobody repeats them: one stream of cycles, bound anew when other joints are commanded.
+//! Set points that end by themselves unless they are repeated: one stream of cycles, bound anew when other joints are commanded.
 //!
 //! The board stops a channel whose set point is older than the stream's time-to-live, whatever became of this node or of the publisher.
 

@@ -15,7 +15,7 @@
 //! | [`gate`] | which commands go through |
 //! | [`convert`] | readings of a board as ROS messages |
 //! | [`diagnose`] | `/diagnostics` |
-//! | [`leased`] | set points that end by themselves when nobody repeats them |
+//! | [`leased`] | set points that end by themselves unless they are repeated |
 //! | [`door`] | the node in a session |
 //! | [`names`] | names of topics and services |
 

@@ -66,7 +66,7 @@ enum Where {
 struct FirstLine {
     #[serde(flatten)]
     place: Where,
-    /// What CLOCK_MONOTONIC shows at virtual time 0, when a simulated board's clock starts: so whoever talks to the board can
+    /// Reading of CLOCK_MONOTONIC at virtual time 0, when a simulated board's clock starts: so a client of the board can
     /// tell how well it knows that clock.
     epoch_ns: u64,
 }
@@ -420,7 +420,7 @@ async fn send(outbox: &Outbox, tx: &mut Transmitter) -> io::Error {
     loop {
         let bytes: Vec<u8> = outbox.bytes.borrow_mut().drain(..).collect();
         if bytes.is_empty() {
-            // Whoever polls this does so after each run of the simulation.
+            // The caller polls this after each run of the simulation.
             let mut looked = false;
             poll_fn(|_| if std::mem::replace(&mut looked, true) { Poll::Ready(()) } else { Poll::Pending }).await;
             continue;

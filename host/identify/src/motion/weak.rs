@@ -346,7 +346,7 @@ impl Model for Weak<'_> {
 }
 
 impl Motion {
-    /// Whether what is recorded is the motion itself, or tells it at each moment, and nothing but the model's pushes makes it.
+    /// Returns true if the recorded output is the motion itself, or determines it at each moment, and only the model's forces cause it.
     fn is_seen(&self, structure: &Structure) -> bool {
         const BEHIND: [Effect; 6] = [
             Effect::Backlash,

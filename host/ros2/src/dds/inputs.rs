@@ -105,7 +105,7 @@ async fn hand_over<M: DeserializeOwned + 'static>(
             Ok((message, _)) => order(message),
             Err(error) => Order::Unreadable { topic, why: error.to_string() },
         };
-        // Where the session has ended nobody takes it.
+        // After the end of the session there is no receiver.
         if orders.unbounded_send(order).is_err() {
             return;
         }
@@ -115,7 +115,7 @@ async fn hand_over<M: DeserializeOwned + 'static>(
 async fn answer(request: Request, server: &Server<TriggerRequest, TriggerResponse>, orders: &UnboundedSender<Order>) {
     let mut calls = server.receive_request_stream();
     while let Some(call) = calls.next().await {
-        // A call that cannot be read has nobody to be answered to.
+        // A call that cannot be read has no client that could be answered.
         let Ok((id, _)) = call else { continue };
         let (answer, answered) = oneshot::channel();
         let response = match orders.unbounded_send(Order::Call { request, answer }) {

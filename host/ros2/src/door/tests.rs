@@ -219,7 +219,7 @@ fn joints_and_velocities_take_turns() {
         let wheels = wheels.expect("joints");
         let speed = |name: &str| wheels.velocity[wheels.name.iter().position(|of| of == name).expect(name)];
         assert!(speed("dhb0") > 2.0, "{wheels:?}");
-        // Whatever the ground does to a wheel that is braked: nobody drives it.
+        // The ground may turn a braked wheel, but no command drives it.
         assert!(speed("dhb1").abs() < 1.0, "{wheels:?}");
         ros.drive(0.2, 1.0).await;
         assert!((ros.speed_m_s() - 0.2).abs() < 0.05, "{}", ros.speed_m_s());

@@ -62,7 +62,7 @@ pub(super) fn facts(session: &Session<'_>) -> Facts {
     Facts { address: target.to_string(), kind, body: session.robot().as_ref().and_then(Body::of) }
 }
 
-/// What a person is told of a browser that has left; `None` for one that just closed the page.
+/// Returns the message about a browser that has left; `None` for one that just closed the page.
 pub(super) fn told(left: &Left) -> Option<String> {
     let why = match left {
         Left::Answered | Left::Gone | Left::Silent => return None,
