@@ -915,7 +915,7 @@ fn trips_are_remembered_with_what_came_before() {
     }
     kept.refused(&["faults", "2"], &["no trip 2", "has 2 stored"]);
     let seen = r4(&["faults"]);
-    assert!(seen.code == Some(0) && seen.out.contains("no trip") && seen.err.contains("--flash"), "{seen:?}");
+    assert!(seen.code == Some(0) && seen.out.contains("no stored trip") && seen.err.contains("--flash"), "{seen:?}");
 }
 
 // r4 i2c, uart

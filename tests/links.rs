@@ -131,7 +131,7 @@ fn a_simulated_board_has_no_log() {
     let served = Served::new("osmc-bench", "--pty");
     for board in [&served.board, "sim:osmc-bench"] {
         let seen = r4(&["--board", board, "--log", "info"]);
-        let told = seen.err.contains("simulated board has no firmware log") && seen.err.contains("emu:osmc-bench");
+        let told = seen.err.contains("simulated board has no") && seen.err.contains("emu:osmc-bench");
         assert!(matches!(seen.code, Some(1 | 3)) && seen.out.is_empty() && told, "{board}: {seen:?}");
     }
 }

@@ -420,7 +420,7 @@ fn drive_steers_front_wheels_while_space_is_held() {
         front(text).is_some_and(|angle| (angle + 15.0).abs() < 1.0)
             && duty(text).is_some_and(|duty| (duty - 0.039).abs() < 0.002)
     });
-    assert!(text.contains("HELD") && text.contains("told 14.99 deg right"), "{text}");
+    assert!(text.contains("HELD") && text.contains("set point 14.99 deg right"), "{text}");
     let text = screen.until(|text| text.contains("released") && duty(text).is_some_and(|duty| duty.abs() < 0.001));
     assert!(text.contains("stay as they are") && front(&text).is_some_and(|angle| angle < -10.0), "{text}");
     screen.press("q");
@@ -603,5 +603,5 @@ fn every_verb_has_a_page() {
     assert_eq!(seen(&["man"]).1, program);
     assert_eq!(seen(&["man", "sim", "serve"]).1, page("r4-sim-serve.1"));
     let (code, _, err) = seen(&["man", "fly"]);
-    assert!(code == Some(1) && err.contains("no verb `fly`"), "{err}");
+    assert!(code == Some(1) && err.contains("no command `fly`"), "{err}");
 }

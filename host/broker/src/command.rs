@@ -96,6 +96,11 @@ impl Command {
         if let Holder::Client(number) = self.holder { Some(number) } else { None }
     }
 
+    /// Returns true unless the next client could command: one commands, or the board is not disarmed yet after the last one.
+    pub(crate) fn is_taken(&self) -> bool {
+        self.holder != Holder::Nobody
+    }
+
     /// Gives the command to client `number` if no client has it. Returns whether `number` has it now.
     pub(crate) fn claim(&mut self, number: u64) -> bool {
         if self.holder == Holder::Nobody {
@@ -206,10 +211,10 @@ mod tests {
         command.lose(1);
         let lost = |command: &mut Command, now_us| command.look(now_us, TIMEOUT_US, SafetyState::Armed, None);
         assert_eq!(lost(&mut command, 2 * TIMEOUT_US), Look { keeps_heartbeat: false, disarms: false });
-        assert!(!command.claim(2));
+        assert!(!command.claim(2) && command.is_taken());
         assert_eq!(lost(&mut command, 2 * TIMEOUT_US + 1), Look { keeps_heartbeat: false, disarms: true });
         command.ended();
-        assert!(command.claim(2));
+        assert!(!command.is_taken() && command.claim(2));
     }
 
     #[test]

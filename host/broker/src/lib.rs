@@ -84,10 +84,10 @@ impl<'b, C: Clock> Broker<'b, C> {
         }
     }
 
-    /// Returns true while a client commands the board.
+    /// Returns true while a client commands the board, and until the board is disarmed after it.
     #[must_use]
     pub fn is_commanded(&self) -> bool {
-        self.shared.borrow().command.holder().is_some()
+        self.shared.borrow().command.is_taken()
     }
 
     /// Returns the number of damaged frames from the board that were dropped since its session was opened.

@@ -167,6 +167,8 @@ impl Browser {
 
     /// Clears a trip, if there is one, and arms by the page: the relay in the motors' supply closes.
     fn arm(&mut self, tab: &Tab) {
+        // A board is free once it is disarmed after the program that commanded it.
+        self.wait(tab, "document.getElementById('link').textContent.includes('no program commands')");
         if self.value(tab, "document.body.dataset.state") == "tripped" {
             self.click(tab, "clear");
         }
