@@ -171,8 +171,8 @@ fn observed(recording: &Recording) -> Vec<f64> {
 /// Runs a trial: records a loop with at most one effect, and searches for it.
 ///
 /// # Errors
-/// [`Error::Unsuitable`](crate::Error::Unsuitable) when the board does not fit; [`Error::Rig`](crate::Error::Rig) when
-/// the session fails; [`Error::Effects`](crate::Error::Effects) when the base model cannot be fitted.
+/// [`Error::Unsuitable`] when the board does not fit; [`Error::Rig`] when
+/// the session fails; [`Error::Effects`] when the base model cannot be fitted.
 pub fn run(trial: &Trial, hidden: Hidden) -> Result<Values, Error> {
     let (mut rig, setup, case) = prepared(trial)?;
     let mut sampler = Sampler::new(trial.seed, OF_HIDDEN);
