@@ -11,7 +11,7 @@
 //!   commanding program does.
 //! - A stop is taken from every page, by its socket or, where that is gone, by a request of its own. It needs no heartbeats.
 //! - Nothing arms by itself. A page commands from its `arm` to the disarming, or to the trip, and leaves the board to others then.
-//! - Who may do all that is [`Guard`]'s rule.
+//! - [`Guard`] decides which requests may do that.
 //!
 //! What is shown in words is the program's own: [`r4_rig::next_step`], causes and refusals as the protocol describes them.
 //!

@@ -53,7 +53,7 @@ impl Background {
         let failed = |error: std::io::Error| format!("{}: {error}", log.display());
         fs::create_dir_all(log.parent().unwrap_or(root)).map_err(failed)?;
         let file = File::create(&log).map_err(failed)?;
-        let program = std::env::current_exe().map_err(failed)?;
+        let program = std::env::current_exe().map_err(|error| format!("this program's file is not known: {error}"))?;
         let mut build = Command::new(program);
         build.arg("images").current_dir(root).stdin(Stdio::null());
         build.stdout(file.try_clone().map_err(failed)?).stderr(file);

@@ -143,10 +143,10 @@ impl Counts {
     fn text(&self) -> String {
         let mut text = format!(
             "doc comments                      {:>6}\n\
-             of at most {FRAGMENT_WORDS} words                {:>6}  {:.1} %, wanted at most 2 %\n\
-             that begin without a noun         {:>6}  {:.1} %\n\
+             of at most {FRAGMENT_WORDS} words                {:>6}  {:.1} %, at most {FRAGMENTS_PERCENT} %\n\
+             that begin without a noun         {:>6}  {:.1} %, at most {NOUNLESS_PERCENT} %\n\
              lines inside of functions         {:>6}\n\
-             of which comments                 {:>6}  {:.1} %, wanted at least 4 %\n\
+             of which comments                 {:>6}  {:.1} %, at least {BODY_COMMENTS_PERCENT} %\n\
              words of {GLOSSARY} not to use {:>4}\n",
             self.docs,
             self.fragments,

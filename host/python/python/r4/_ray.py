@@ -9,7 +9,8 @@ from typing import Any
 from . import _native, analysis
 from .errors import NotStudied
 
-#: Parts per processor of the cluster. More make a lost worker cheaper and the end of a study fuller; each costs a task's overhead of some ms.
+#: Parts per processor of the cluster, not tuned. More parts lose less work with a worker and balance the end of a study better; each costs a
+#: task's overhead.
 PARTS_PER_CPU = 4
 
 
