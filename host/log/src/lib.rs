@@ -66,6 +66,7 @@ pub use compare::{Difference, compare};
 pub use coverage::Coverage;
 pub use header::{Header, Recorded};
 pub use live::{Live, LiveTopic};
+pub use mcap::records::MessageHeader as McapMessage;
 pub use message::quality_name;
 pub use read::{
     EncoderSample, EncoderSeries, Gap, Log, LogError, Logged, LoggedCommand, LoggedRefusal, LoggedRequest, MotorSample,
@@ -75,3 +76,4 @@ pub use record::{RecordError, Recorder};
 pub use request::request_name;
 pub use signal::{Kind, Signal, Value};
 pub use tap::{About, Tap, Wall};
+pub use write::{McapTopic, McapWriter};

@@ -19,7 +19,7 @@ use crate::{
     },
     read::Gap,
     request::{self, RequestMessage},
-    write::FileWriter,
+    write::{McapTopic, McapWriter},
 };
 
 /// Error that ends a recording.
@@ -51,6 +51,9 @@ pub enum RecordError {
     Encode(#[from] serde_json::Error),
 }
 
+/// Name of this library, which a log states in its header.
+const LIBRARY: &str = concat!("r4-log/", env!("CARGO_PKG_VERSION"));
+
 /// Topic of the file, with the number of its messages so far.
 #[derive(Clone, Copy)]
 struct Topic {
@@ -62,7 +65,7 @@ struct Topic {
 ///
 /// A recorder that is dropped also finishes its file, but cannot report an error: call [`finish`](Self::finish).
 pub struct Recorder<W: Write> {
-    mcap: FileWriter<W>,
+    mcap: McapWriter<W>,
     channels: Vec<ChannelInfo>,
     /// Log time minus publish time, ns.
     offset_ns: i64,
@@ -80,7 +83,7 @@ impl<W: Write> Recorder<W> {
     /// [`RecordError::Write`] if `writer` fails.
     pub fn new(writer: W, header: &Header) -> Result<Self, RecordError> {
         let metadata = Metadata { name: header::RECORD_NAME.to_owned(), metadata: header.to_metadata()? };
-        let mcap = FileWriter::new(writer, concat!("r4-log/", env!("CARGO_PKG_VERSION")), metadata)?;
+        let mcap = McapWriter::new(writer, "", LIBRARY, Some(metadata))?;
         let offset_ns = header.recorded.as_ref().and_then(|recorded| recorded.clock_offset_ns).unwrap_or_default();
         let channels = header.channels.clone();
         Ok(Self { mcap, channels, offset_ns, shift_us: 0, topics: BTreeMap::new(), state: None, live: None })
@@ -260,7 +263,14 @@ impl<W: Write> Recorder<W> {
             Some(topic) => topic,
             None => {
                 let schema = schema();
-                let id = self.mcap.channel(name, &schema)?;
+                let id = self.mcap.topic(&McapTopic {
+                    name,
+                    schema: &schema.name,
+                    schema_encoding: "jsonschema",
+                    schema_text: &schema.json,
+                    encoding: "json",
+                    metadata: &[],
+                })?;
                 if let Some(live) = &mut self.live {
                     live.topic(&LiveTopic { number: id, name, schema: &schema.name, json_schema: &schema.json });
                 }

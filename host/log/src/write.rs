@@ -18,7 +18,7 @@ use mcap::{
     },
 };
 
-use crate::{container::LZ4, message::Schema};
+use crate::container::LZ4;
 
 /// Size at which a chunk is closed: 256 KiB are about 0.4 s of four motors at 1 kHz. The demo's log compresses 4 %
 /// worse in chunks of 64 KiB, and 0.5 % better in chunks of 1 MiB.
@@ -51,8 +51,27 @@ struct Chunk {
     indexes: BTreeMap<u16, Vec<MessageIndexEntry>>,
 }
 
-/// Writes a file from its beginning to its end without going back, so `out` need not be seekable.
-pub(crate) struct FileWriter<W: Write> {
+/// Topic of an MCAP file with its schema.
+#[derive(Clone, Copy, Debug)]
+pub struct McapTopic<'a> {
+    /// Name of the topic, which begins with a slash.
+    pub name: &'a str,
+    /// Name of its schema; topics with the same schema name share the schema of the first.
+    pub schema: &'a str,
+    /// Encoding of the schema as MCAP's registry names it: `jsonschema`, `ros2msg`.
+    pub schema_encoding: &'a str,
+    /// Text of the schema.
+    pub schema_text: &'a str,
+    /// Encoding of the messages: `json`, `cdr`.
+    pub encoding: &'a str,
+    /// Keys and values that readers of the profile look for.
+    pub metadata: &'a [(&'a str, &'a str)],
+}
+
+/// Writer of an MCAP file with LZ4 chunks of at most a second each.
+///
+/// It writes from the beginning to the end without going back, so `out` need not be seekable.
+pub struct McapWriter<W: Write> {
     /// Destination; `None` once it is returned.
     out: Option<W>,
     /// Number of bytes written.
@@ -71,9 +90,14 @@ pub(crate) struct FileWriter<W: Write> {
     statistics: Statistics,
 }
 
-impl<W: Write> FileWriter<W> {
-    /// Starts a file with the metadata record.
-    pub(crate) fn new(out: W, library: &str, metadata: Metadata) -> io::Result<Self> {
+impl<W: Write> McapWriter<W> {
+    /// Starts a file with at most one metadata record.
+    ///
+    /// `profile` is MCAP's name of the file's conventions (empty for none), `library` the name of the writing library.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn new(out: W, profile: &str, library: &str, metadata: Option<Metadata>) -> io::Result<Self> {
         let mut writer = Self {
             out: Some(out),
             position: 0,
@@ -85,41 +109,50 @@ impl<W: Write> FileWriter<W> {
             chunk: Chunk::default(),
             chunk_indexes: Vec::new(),
             metadata_indexes: Vec::new(),
-            statistics: Statistics { metadata_count: 1, ..Statistics::default() },
+            statistics: Statistics::default(),
         };
         let mut bytes = MAGIC.to_vec();
-        push(&mut bytes, op::HEADER, &Header { profile: String::new(), library: library.to_owned() }, &[])?;
-        let offset = bytes.len() as u64;
-        push(&mut bytes, op::METADATA, &metadata, &[])?;
-        let length = bytes.len() as u64 - offset;
-        writer.metadata_indexes.push(MetadataIndex { offset, length, name: metadata.name });
+        push(&mut bytes, op::HEADER, &Header { profile: profile.to_owned(), library: library.to_owned() }, &[])?;
+        if let Some(metadata) = metadata {
+            let offset = bytes.len() as u64;
+            push(&mut bytes, op::METADATA, &metadata, &[])?;
+            let length = bytes.len() as u64 - offset;
+            writer.metadata_indexes.push(MetadataIndex { offset, length, name: metadata.name });
+            writer.statistics.metadata_count = 1;
+        }
         writer.emit(&bytes)?;
         writer.flush()?;
         Ok(writer)
     }
 
-    /// Declares a topic of JSON messages and returns its number.
-    pub(crate) fn channel(&mut self, topic: &str, schema: &Schema) -> io::Result<u16> {
+    /// Declares a topic and returns its number.
+    ///
+    /// # Errors
+    /// More than 65535 topics or schemas.
+    pub fn topic(&mut self, topic: &McapTopic<'_>) -> io::Result<u16> {
         let full = || io::Error::other("a log holds 65535 topics");
-        let schema_id = match self.schema_ids.get(&schema.name) {
+        let schema_id = match self.schema_ids.get(topic.schema) {
             Some(id) => *id,
             None => {
                 // Schema number 0 means "no schema" in MCAP.
                 let id = u16::try_from(self.schema_ids.len() + 1).map_err(|_| full())?;
-                let header = SchemaHeader { id, name: schema.name.clone(), encoding: "jsonschema".to_owned() };
-                let data = [&(schema.json.len() as u32).to_le_bytes(), schema.json.as_bytes()].concat();
+                let (name, encoding) = (topic.schema.to_owned(), topic.schema_encoding.to_owned());
+                let text = topic.schema_text.as_bytes();
+                let data = [&(text.len() as u32).to_le_bytes(), text].concat();
                 let begin = self.schemas.len();
-                push(&mut self.schemas, op::SCHEMA, &header, &data)?;
+                push(&mut self.schemas, op::SCHEMA, &SchemaHeader { id, name, encoding }, &data)?;
                 // A reader needs the schema before the first message that refers to it.
                 self.chunk.records.extend(&self.schemas[begin..]);
-                self.schema_ids.insert(schema.name.clone(), id);
+                self.schema_ids.insert(topic.schema.to_owned(), id);
                 self.statistics.schema_count += 1;
                 id
             }
         };
         let id = u16::try_from(self.statistics.channel_count).map_err(|_| full())?;
-        let (topic, message_encoding) = (topic.to_owned(), "json".to_owned());
-        let channel = Channel { id, schema_id, topic, message_encoding, metadata: BTreeMap::new() };
+        let owned = |(key, value): &(&str, &str)| ((*key).to_owned(), (*value).to_owned());
+        let metadata = topic.metadata.iter().map(owned).collect();
+        let (topic, message_encoding) = (topic.name.to_owned(), topic.encoding.to_owned());
+        let channel = Channel { id, schema_id, topic, message_encoding, metadata };
         let begin = self.channels.len();
         push(&mut self.channels, op::CHANNEL, &channel, &[])?;
         // Likewise the topic.
@@ -128,8 +161,11 @@ impl<W: Write> FileWriter<W> {
         Ok(id)
     }
 
-    /// Writes a message of a topic that [`channel`](Self::channel) has declared.
-    pub(crate) fn message(&mut self, header: &MessageHeader, data: &[u8]) -> io::Result<()> {
+    /// Writes a message of a topic that [`topic`](Self::topic) has declared.
+    ///
+    /// # Errors
+    /// Those of the writer; after one nothing more is written.
+    pub fn message(&mut self, header: &MessageHeader, data: &[u8]) -> io::Result<()> {
         let time = header.log_time;
         if self.chunk.times.is_some_and(|(first, _)| time.saturating_sub(first) >= CHUNK_NS) {
             self.end_chunk()?;
@@ -196,7 +232,10 @@ impl<W: Write> FileWriter<W> {
     }
 
     /// Writes the last chunk and the summary, and returns the writer.
-    pub(crate) fn finish(mut self) -> io::Result<W> {
+    ///
+    /// # Errors
+    /// Those of the writer.
+    pub fn finish(mut self) -> io::Result<W> {
         self.end()?;
         self.out.take().ok_or_else(|| io::ErrorKind::BrokenPipe.into())
     }
@@ -268,7 +307,7 @@ impl<W: Write> FileWriter<W> {
 }
 
 /// Finishes a recording that is dropped, as far as possible.
-impl<W: Write> Drop for FileWriter<W> {
+impl<W: Write> Drop for McapWriter<W> {
     fn drop(&mut self) {
         if self.out.is_some() {
             let _ = self.end();
