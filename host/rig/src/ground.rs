@@ -2,7 +2,9 @@
 
 use r4_boards::{Ackermann, Drive, SkidSteer};
 use r4_driver::{Board, Clock};
-use r4_protocol::{ChannelId, Mode, Sample, Setpoint};
+use r4_protocol::{ChannelId, ChannelInfo, Mode, Sample, Setpoint};
+
+use crate::Target;
 
 /// Velocity of a robot over the ground, in its own frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -41,6 +43,14 @@ impl GroundDrive {
         Self { drive }
     }
 
+    /// Drive of a board's robot; `None` where no file says how the robot drives.
+    ///
+    /// The board reports the name `robot` but not its drive: see [`Target::robot`].
+    #[must_use]
+    pub fn of_board(target: &Target, robot: &str) -> Option<Self> {
+        target.robot(robot)?.drive.map(Self::new)
+    }
+
     /// Description that the drive was created from.
     #[must_use]
     pub fn drive(&self) -> &Drive {
@@ -63,9 +73,16 @@ impl GroundDrive {
 /// Mean positions of the left and the right wheels in a telemetry frame, rad; `None` unless it has all of them.
 #[must_use]
 pub fn sides_rad<C: Clock>(board: &Board<C>, drive: &SkidSteer, samples: &[Sample]) -> Option<[f64; 2]> {
+    recorded_sides_rad(board.channels(), drive, samples)
+}
+
+/// As [`sides_rad`], for a board of which only the description is there, as in a log.
+#[must_use]
+pub fn recorded_sides_rad(channels: &[ChannelInfo], drive: &SkidSteer, samples: &[Sample]) -> Option<[f64; 2]> {
     of_sides(drive, samples, |sample| match *sample {
         Sample::Motor { channel, position, .. } => {
-            Some(f64::from(position) * f64::from(board.channel(channel).ok()?.resolution))
+            let info = channels.iter().find(|info| info.id == channel)?;
+            Some(f64::from(position) * f64::from(info.resolution))
         }
         _ => None,
     })

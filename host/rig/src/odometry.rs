@@ -58,6 +58,12 @@ impl Odometry {
         self.covariance
     }
 
+    /// Starts to count from the present pose again, for wheels whose positions begin at 0 anew, as after a restart of the
+    /// board. Motion between the last update and the next is not counted.
+    pub fn count_anew(&mut self) {
+        self.last_rad = None;
+    }
+
     /// Updates the pose by the mean angles of the left and the right wheels, rad. The first call defines the start;
     /// angles that are not finite are ignored.
     pub fn look(&mut self, left_rad: f64, right_rad: f64) {
@@ -176,6 +182,19 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_count_that_starts_again_moves_nothing() {
+        let robot = robot();
+        let mut odometry = rolled(&robot, 1.0, 1.5, 10);
+        let before = odometry.place();
+        odometry.count_anew();
+        odometry.look(0.0, 0.0);
+        assert_eq!(odometry.place(), before);
+        odometry.look(1.0, 1.0);
+        let way_m = (odometry.place().x_m - before.x_m).hypot(odometry.place().y_m - before.y_m);
+        assert!((way_m - robot.wheel_radius_m).abs() < 1e-12, "{way_m}");
     }
 
     #[test]

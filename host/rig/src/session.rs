@@ -69,15 +69,10 @@ impl Session<'_> {
         self.target
     }
 
-    /// Robot's file; `None` when it is not known. A board does not report it: for a board on a link it is known by the name of
-    /// a built-in robot.
+    /// Robot's file; `None` when it is not known: see [`Target::robot`].
     #[must_use]
     pub fn robot(&self) -> Option<Robot> {
-        let name = match self.target {
-            Target::Sim(name) | Target::Emu(name) => name,
-            Target::Link(_) => r4_boards::names().find(|name| *name == self.board.info().robot.as_str())?,
-        };
-        r4_boards::load(name).ok()
+        self.target.robot(self.board.info().robot.as_str())
     }
 
     /// Drive of the robot over the ground, from [its file](Self::robot); `None` when the file is not known.

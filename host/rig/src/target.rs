@@ -51,6 +51,19 @@ impl Target {
         }
     }
 
+    /// File of the robot; `None` when it is not known.
+    ///
+    /// A board on a link does not report its robot's description, so `named`, the name that it reports, is looked up among
+    /// the built-in robots.
+    #[must_use]
+    pub fn robot(&self, named: &str) -> Option<Robot> {
+        let name = match self {
+            Self::Sim(name) | Self::Emu(name) => name,
+            Self::Link(_) => r4_boards::names().find(|name| *name == named)?,
+        };
+        r4_boards::load(name).ok()
+    }
+
     /// Name of the board, followed by `(simulated)` or `(emulated)` unless it is on a link.
     #[must_use]
     pub fn described(&self) -> String {

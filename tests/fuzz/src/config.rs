@@ -3,8 +3,6 @@
 #[allow(dead_code, reason = "the program uses the rest")]
 #[path = "../../../host/cli/src/commands/config/file.rs"]
 mod file;
-#[path = "../../../host/cli/src/commands/config/unit.rs"]
-mod unit;
 
 use std::collections::BTreeMap;
 

@@ -3,9 +3,8 @@
 use std::{collections::BTreeMap, fmt, fmt::Write as _};
 
 use r4_protocol::ParameterInfo;
+use r4_rig::ParameterUnits;
 use toml::{Spanned, Value};
-
-use super::unit::Units;
 
 /// One value of a parameter file.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,7 +35,7 @@ impl fmt::Display for Mistake {
 pub(super) fn write(title: &str, parameters: &[ParameterInfo]) -> String {
     let mut text = format!("# {title}\n");
     let mut table = String::new();
-    let units = Units::of(parameters);
+    let units = ParameterUnits::of(parameters);
     for info in parameters {
         let ParameterInfo { set, built_in, .. } = info;
         let key = info.key.to_string();

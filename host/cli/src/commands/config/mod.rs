@@ -1,17 +1,15 @@
 //! `r4 config`: the parameters stored on a board.
 
 mod file;
-mod unit;
 
 use std::{fs, path::PathBuf, str::FromStr};
 
 use anyhow::{Context, anyhow, bail, ensure};
 use r4_driver::{Board, Clock, Error};
 use r4_protocol::{ChannelId, ParameterInfo, ParameterKey, Refusal, config::MAX_NAME};
+use r4_rig::ParameterUnits;
 use r4_sim::Pace;
 use serde::Serialize;
-
-pub(crate) use unit::Units;
 
 use crate::{
     args::Args,
@@ -118,7 +116,7 @@ struct Parameter {
 }
 
 impl Parameter {
-    fn new(info: &ParameterInfo, units: &Units) -> Self {
+    fn new(info: &ParameterInfo, units: &ParameterUnits) -> Self {
         let ParameterInfo { key, active, set, built_in } = *info;
         Self { key: key.to_string(), unit: units.unit(key), active, set, built_in }
     }
@@ -248,7 +246,7 @@ fn show(args: &Args, scope: Option<Scope>) -> anyhow::Result<bool> {
         parameters.retain(|info| scope.is_none_or(|Scope(of)| info.key.channel == of));
         Ok(parameters)
     })?;
-    let units = Units::of(&parameters);
+    let units = ParameterUnits::of(&parameters);
     if args.json {
         let parameters = parameters.iter().map(|info| Parameter::new(info, &units)).collect();
         output::json(&Shown { board: args.board.to_string(), parameters })?;
@@ -292,7 +290,7 @@ fn set(args: &Args, key: &str, value: f32, save: bool) -> anyhow::Result<bool> {
         // Look the key up first: the board would only refuse it, without naming the nearest one.
         let known = find(&parameters, key).ok_or_else(|| anyhow!("{}", unknown(&parameters, key)))?;
         session.board.set_parameter(known.key, value).await?;
-        Ok((ParameterInfo { set: value, ..*known }, Units::of(&parameters)))
+        Ok((ParameterInfo { set: value, ..*known }, ParameterUnits::of(&parameters)))
     })?;
     if args.json {
         let parameter = Parameter::new(&info, &units);

@@ -15,10 +15,13 @@ use super::{
     state::{MOST_MARKED, Row, State, View},
 };
 use crate::{
-    commands::{config::Units, watch},
+    commands::watch,
     screen::state::{QUIET, WRONG, badge, wrapped},
 };
-use r4_rig::quantity::{Quantity, human, speed_unit};
+use r4_rig::{
+    ParameterUnits,
+    quantity::{Quantity, human, speed_unit},
+};
 
 /// Time span of one cell of a sparkline, s.
 const CELL_S: f64 = 0.25;
@@ -165,7 +168,7 @@ fn help(width: u16) -> Vec<Line<'static>> {
 /// Lines of the parameters of channel `of`, or of all.
 fn parameters(state: &State, of: Option<ChannelId>) -> Vec<Line<'static>> {
     let Some(all) = &state.parameters else { return vec![Line::styled("  not read yet", QUIET)] };
-    let units = Units::of(all);
+    let units = ParameterUnits::of(all);
     let shown = all.iter().filter(|info| of.is_none() || info.key.channel == of);
     let lines: Vec<Line<'static>> = shown
         .map(|info| {

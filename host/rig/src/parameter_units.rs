@@ -3,20 +3,23 @@
 use r4_protocol::{ChannelId, ChannelKind, Parameter, ParameterInfo, ParameterKey};
 
 /// Units of a board's parameters.
-pub(crate) struct Units {
+#[derive(Clone, Debug)]
+pub struct ParameterUnits {
     /// Channels whose positions are in metres.
     linear: Vec<ChannelId>,
 }
 
-impl Units {
+impl ParameterUnits {
     /// Determines the units from all parameters of the channels concerned: a channel with a potentiometer is linear.
-    pub(crate) fn of(parameters: &[ParameterInfo]) -> Self {
+    #[must_use]
+    pub fn of(parameters: &[ParameterInfo]) -> Self {
         let with_potentiometer = parameters.iter().filter(|info| info.key.parameter == Parameter::PotLowCode);
         Self { linear: with_potentiometer.filter_map(|info| info.key.channel).collect() }
     }
 
     /// Unit of the parameter `key`; empty for a count.
-    pub(crate) fn unit(&self, key: ParameterKey) -> String {
+    #[must_use]
+    pub fn unit(&self, key: ParameterKey) -> String {
         let is_linear =
             key.channel.is_some_and(|channel| channel.kind == ChannelKind::Actuator || self.linear.contains(&channel));
         let rotary = rotary(key);
@@ -92,7 +95,7 @@ mod tests {
     fn an_actuator_moves_in_metres() {
         let key = |key: &str| -> ParameterKey { key.parse().expect("a key") };
         let pot = ParameterInfo { key: key("dhb1.pot_low_code"), active: 0.0, set: 0.0, built_in: 0.0 };
-        let of = |text: &str| Units::of(&[pot]).unit(key(text));
+        let of = |text: &str| ParameterUnits::of(&[pot]).unit(key(text));
         assert_eq!(of("dhb0.position_kp"), "duty/rad");
         assert_eq!(of("dhb1.position_kp"), "duty/m");
         assert_eq!(of("osmc0.position_ki"), "duty/(rad s)");

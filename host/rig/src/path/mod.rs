@@ -1,14 +1,20 @@
 //! Paths of motors over time: read from a table, sent ahead of time, followed together, and graded by the distance of
 //! the motors from them.
 
+mod feed;
+mod limits;
+
 use std::collections::BTreeMap;
 
 use r4_driver::Error as DriverError;
-use r4_protocol::{ChannelId, ChannelInfo, Mode, PathPoint, SafetyState, Sample, Unit, message::PATH_POINTS};
+use r4_protocol::{ChannelId, ChannelInfo, Mode, SafetyState, Sample, Unit, message::PATH_POINTS};
 
 use crate::{Error, Session, Unsuitable};
 
-/// A point of a path.
+pub use feed::Feed;
+pub use limits::{BeyondLimit, check};
+
+/// Point of a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Waypoint {
     /// Time since the start of the path, s.
@@ -19,6 +25,14 @@ pub struct Waypoint {
     pub speed: Option<f64>,
     /// Feed-forward duty on the way to the point, added to the board's own.
     pub feed_forward: f64,
+}
+
+impl Waypoint {
+    /// Point of which only the time, s, and the position, rad or m, are given.
+    #[must_use]
+    pub fn at(time_s: f64, position: f64) -> Self {
+        Self { time_s, position, speed: None, feed_forward: 0.0 }
+    }
 }
 
 /// Paths of several channels over a common time.
@@ -96,8 +110,6 @@ const ROUNDING_S: f64 = 1e-9;
 const LEAD_S: f64 = 0.3;
 /// Period at which points are sent, s.
 const SEND_EVERY_S: f64 = 0.02;
-/// Age up to which a passed point may still occupy a place on the board, µs.
-const STILL_KEPT_US: u64 = 5_000;
 /// Telemetry period of the motors, ms.
 const LOOK_EVERY_MS: u16 = 5;
 /// Time for a motor to settle after its last point, s.
@@ -211,7 +223,8 @@ fn number_of(text: &str) -> Result<f64, String> {
 }
 
 /// Removes points closer than [`THIN_S`] to the one before; the last is kept.
-fn thinned(points: Vec<Waypoint>) -> Vec<Waypoint> {
+#[must_use]
+pub fn thinned(points: Vec<Waypoint>) -> Vec<Waypoint> {
     let mut kept: Vec<Waypoint> = Vec::new();
     let last = points.last().copied();
     for point in points {
@@ -254,9 +267,8 @@ pub struct Followed {
 struct Sending<'p> {
     info: ChannelInfo,
     points: &'p [Waypoint],
-    sent: usize,
-    /// Times of the points on the board's clock, µs.
-    dates_us: Vec<u64>,
+    /// Points on their way to the board; empty until the board's clock at the start of the path is known.
+    feed: Feed,
     /// Reference, position and time, µs, of each sample.
     seen: Vec<(f64, f64, u64)>,
     end: Option<(f64, bool, Mode)>,
@@ -295,7 +307,7 @@ impl Session<'_> {
                 let why = "follows no path: only motors with feedback do".to_owned();
                 return Err(Unsuitable { channel: *channel, why }.into());
             }
-            sending.push(Sending { info, points, sent: 0, dates_us: Vec::new(), seen: Vec::new(), end: None });
+            sending.push(Sending { info, points, feed: Feed::default(), seen: Vec::new(), end: None });
         }
         // Only after all channels were checked: an unsuitable one changes nothing.
         for path in &sending {
@@ -330,23 +342,22 @@ impl Session<'_> {
         // A table may start at any time: its earliest point is the start of all paths.
         let first_s = sending.iter().map(|path| path.points[0].time_s).fold(f64::INFINITY, f64::min);
         for path in sending.iter_mut() {
-            let date = |point: &Waypoint| begin_us + ((point.time_s - first_s) * 1e6).round() as u64;
-            path.dates_us = path.points.iter().map(date).collect();
+            path.feed = Feed::new(path.points, first_s, begin_us);
         }
         loop {
             for path in sending.iter_mut() {
-                let (channel, points) = (path.info.id, path.next(board.device_us()));
+                let (channel, points) = (path.info.id, path.feed.next(board.device_us(), PATH_POINTS));
                 if !points.is_empty() {
                     board.follow(channel, &points).await?;
                 }
             }
             look(sending);
-            if sending.iter().all(|path| path.sent == path.points.len()) {
+            if sending.iter().all(|path| path.feed.is_sent()) {
                 break;
             }
             board.sleep_s(SEND_EVERY_S).await;
         }
-        let end_us = sending.iter().filter_map(|path| path.dates_us.last()).max().copied().unwrap_or_default();
+        let end_us = sending.iter().filter_map(|path| path.feed.end_us()).max().unwrap_or_default();
         let give_up_us = end_us + (SETTLE_S * 1e6) as u64;
         while board.device_us() < give_up_us {
             board.sleep_s(SEND_EVERY_S).await;
@@ -373,25 +384,8 @@ impl Sending<'_> {
         4.5 * (self.points[0].position - position).abs() / fastest
     }
 
-    /// Returns the points for which the board has room now, and counts them as sent.
-    fn next(&mut self, now_us: u64) -> Vec<PathPoint> {
-        // Refused points stop the channel, so that only places that are surely free count.
-        let kept = self.dates_us[..self.sent].iter().filter(|date_us| **date_us + STILL_KEPT_US > now_us).count();
-        let count = (PATH_POINTS - kept).min(self.points.len() - self.sent);
-        let range = self.sent..self.sent + count;
-        self.sent += count;
-        let points = self.points[range.clone()].iter().zip(&self.dates_us[range]);
-        let point = |(point, at_us): (&Waypoint, &u64)| PathPoint {
-            at_us: *at_us,
-            position: point.position as f32,
-            speed: point.speed.map(|speed| speed as f32),
-            feed_forward: point.feed_forward as f32,
-        };
-        points.map(point).collect()
-    }
-
     fn judged(self) -> Followed {
-        let begin_us = self.dates_us.first().copied().unwrap_or_default();
+        let begin_us = self.feed.begin_us().unwrap_or_default();
         // The move to the first point is not part of the path.
         let on_path: Vec<_> = self.seen.iter().filter(|(.., at_us)| *at_us >= begin_us).collect();
         let errors = on_path.iter().map(|(reference, position, _)| reference - position);
@@ -409,7 +403,7 @@ impl Sending<'_> {
             self.end.map_or((f64::NAN, false), |(end, settled, mode)| (end, settled && mode == Mode::Position));
         // A path without motion does not determine a lag.
         let lag_s = if square > 0.0 { product / square } else { 0.0 };
-        Followed { info: self.info, points: self.sent, worst, rms, lag_s, end, settled }
+        Followed { points: self.feed.sent(), info: self.info, worst, rms, lag_s, end, settled }
     }
 }
 
