@@ -89,6 +89,27 @@ fn every_verb_is_recorded_and_played_again_to_the_last_bit() {
 }
 
 #[test]
+fn a_bag_of_ros_2_is_made_once_beside_a_table() {
+    let folder = folder();
+    let log = recorded(&folder);
+    let export = |args: &[&str]| r4(&folder, &[&["log", "export", log], args].concat());
+    let made = export(&["--ros2", "bag", "--csv", "table.csv", "--json"]);
+    assert_eq!(code(&made), Some(0), "{}", stderr(&made));
+    assert!(stderr(&made).contains("the bag has no odom"), "a bench does not drive: {}", stderr(&made));
+    let told = json(&made);
+    let topics: Vec<_> = told["ros2"]["topics"].as_array().expect("topics").iter().map(|each| &each["topic"]).collect();
+    assert_eq!(topics, ["/diagnostics", "/joint_states", "/r4/state"]);
+    assert!(bytes(&folder, "bag/bag_0.mcap").len() > 1000 && bytes(&folder, "table.csv").starts_with(b"time_s,"));
+    assert!(bytes(&folder, "bag/metadata.yaml").starts_with(b"rosbag2_bagfile_information:\n"));
+    let again = export(&["--ros2", "bag"]);
+    assert!(code(&again) == Some(1) && stderr(&again).contains("exists already"), "{}", stderr(&again));
+    // Where to is needed, and the table cannot share stdout.
+    assert_eq!(code(&export(&[])), Some(2));
+    let mixed = export(&["--ros2", "other", "--csv", "-"]);
+    assert!(code(&mixed) == Some(1) && stderr(&mixed).contains("stdout"), "{}", stderr(&mixed));
+}
+
+#[test]
 fn another_run_is_told_apart_and_held_to_limits() {
     let folder = folder();
     let log = recorded(&folder);

@@ -17,6 +17,15 @@ pub struct Health {
     pub state: SafetyState,
     /// Why it tripped.
     pub causes: Causes,
+    /// Windings that are close to what they withstand.
+    pub hot: Vec<HotWinding>,
+    /// State of the node; `None` for a log, which has none.
+    pub node: Option<NodeHealth>,
+}
+
+/// State of the node and of its link, in diagnostics.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NodeHealth {
     /// Whether the e-stop topic says so.
     pub is_estop_engaged: bool,
     /// After this long without a command motors stop, s.
@@ -31,8 +40,6 @@ pub struct Health {
     pub unpublished: u64,
     /// Frames from the board that were damaged.
     pub bad_frames: u64,
-    /// Windings that are close to what they withstand.
-    pub hot: Vec<HotWinding>,
 }
 
 /// The state of the supervisor, in a line, as `~/state` has it: `armed`, `disarmed`, `tripped: link lost`.
@@ -45,10 +52,11 @@ pub fn state(state: SafetyState, causes: Causes) -> String {
 }
 
 impl Health {
-    /// The message. One status for the supervisor, one for commands, one for motors.
+    /// The message. One status for the supervisor, one for commands (not of a log), one for motors.
     #[must_use]
     pub fn diagnostics(&self, stamp: Time) -> DiagnosticArray {
-        let status = vec![self.supervisor(), self.commands(), self.motors()];
+        let commands = self.node.as_ref().map(|node| self.commands(node));
+        let status = [Some(self.supervisor()), commands, Some(self.motors())].into_iter().flatten().collect();
         DiagnosticArray { header: Header::new(stamp, ""), status }
     }
 
@@ -70,25 +78,26 @@ impl Health {
                 let advice: Vec<_> = self.causes.iter().map(|cause| cause.advice()).collect();
                 (Level::Error, format!("{at}; {}; then ~/clear", advice.join("; ")))
             }
-            _ if self.is_estop_engaged => (Level::Warn, format!("{at}; the e-stop topic is engaged")),
+            _ if self.node.as_ref().is_some_and(|node| node.is_estop_engaged) => {
+                (Level::Warn, format!("{at}; the e-stop topic is engaged"))
+            }
             SafetyState::Disarmed => (Level::Ok, format!("{at}; ~/arm lets it move")),
             SafetyState::Armed => (Level::Ok, at),
         };
-        self.status(
-            "supervisor",
-            said,
-            &[
-                ("state", self.state.to_string()),
-                ("causes", self.causes.to_string()),
-                ("e-stop topic", if self.is_estop_engaged { "engaged" } else { "released" }.to_owned()),
-                ("firmware", self.firmware.clone()),
-                ("damaged frames", self.bad_frames.to_string()),
-            ],
-        )
+        let mut values = vec![
+            ("state", self.state.to_string()),
+            ("causes", self.causes.to_string()),
+            ("firmware", self.firmware.clone()),
+        ];
+        if let Some(NodeHealth { is_estop_engaged, bad_frames, .. }) = &self.node {
+            values.push(("e-stop topic", if *is_estop_engaged { "engaged" } else { "released" }.to_owned()));
+            values.push(("damaged frames", bad_frames.to_string()));
+        }
+        self.status("supervisor", said, &values)
     }
 
-    fn commands(&self) -> DiagnosticStatus {
-        let said = match &self.refusal {
+    fn commands(&self, node: &NodeHealth) -> DiagnosticStatus {
+        let said = match &node.refusal {
             Some(why) => (Level::Warn, format!("the newest command was refused: {why}")),
             None => (Level::Ok, "taken".to_owned()),
         };
@@ -96,10 +105,10 @@ impl Health {
             "commands",
             said,
             &[
-                ("taken", self.taken.to_string()),
-                ("refused", self.refused.to_string()),
-                ("motors stop without a command after, s", self.timeout_s.to_string()),
-                ("messages not published", self.unpublished.to_string()),
+                ("taken", node.taken.to_string()),
+                ("refused", node.refused.to_string()),
+                ("motors stop without a command after, s", node.timeout_s.to_string()),
+                ("messages not published", node.unpublished.to_string()),
             ],
         )
     }
@@ -123,13 +132,8 @@ mod tests {
 
     use super::*;
 
-    fn health() -> Health {
-        Health {
-            robot: "openscout".into(),
-            board: "sim:openscout".into(),
-            firmware: "0.1.0".into(),
-            state: SafetyState::Armed,
-            causes: Causes::NONE,
+    fn node() -> NodeHealth {
+        NodeHealth {
             is_estop_engaged: false,
             timeout_s: 0.2,
             taken: 3,
@@ -137,7 +141,18 @@ mod tests {
             refusal: None,
             unpublished: 0,
             bad_frames: 0,
+        }
+    }
+
+    fn health() -> Health {
+        Health {
+            robot: "openscout".into(),
+            board: "sim:openscout".into(),
+            firmware: "0.1.0".into(),
+            state: SafetyState::Armed,
+            causes: Causes::NONE,
             hot: Vec::new(),
+            node: Some(node()),
         }
     }
 
@@ -156,7 +171,8 @@ mod tests {
     #[test]
     fn what_someone_should_look_at_is_a_warning() {
         let hot = vec![HotWinding { channel: ChannelId::new(ChannelKind::Dhb, 1), heat_percent: 93 }];
-        let warned = Health { hot, refusal: Some("too old".into()), is_estop_engaged: true, ..health() };
+        let node = NodeHealth { refusal: Some("too old".into()), is_estop_engaged: true, ..node() };
+        let warned = Health { hot, node: Some(node), ..health() };
         let status = warned.diagnostics(Time::default()).status;
         assert_eq!(status.iter().map(|status| status.level).collect::<Vec<_>>(), [1, 1, 1]);
         assert!(status[2].message.contains("dhb1 at 93 %") && status[1].message.ends_with("too old"));

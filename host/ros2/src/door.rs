@@ -1,10 +1,22 @@
 //! The node in a session: orders from ROS to the board, readings of the board to ROS. It never arms and never clears by itself.
 
+mod commands;
+mod managed;
+mod order;
+mod parameters;
 mod reports;
 #[cfg(test)]
 mod tests;
+mod trajectories;
 
-use std::{future::poll_fn, pin::pin, task::Poll};
+use std::{
+    cell::Cell,
+    collections::{BTreeSet, VecDeque},
+    future::poll_fn,
+    pin::pin,
+    rc::Rc,
+    task::Poll,
+};
 
 use futures::{
     FutureExt, StreamExt,
@@ -12,68 +24,23 @@ use futures::{
     future::LocalBoxFuture,
     stream::FuturesUnordered,
 };
-use r4_boards::{Drive, SkidSteer};
 use r4_driver::{Clock as _, CycleReport, Error as DriverError, TelemetryStream};
-use r4_protocol::{Causes, ChannelId, CycleOutcome, SafetyState, Setpoint, Telemetry};
-use r4_rig::{Error, GroundDrive, Odometry, Session, Velocity};
+use r4_protocol::{Causes, SafetyState, Telemetry};
+use r4_rig::{Error, GroundDrive, Session, Velocity};
 
 use crate::{
-    BASE_FRAME,
-    gate::{self, Gate, Refused},
-    leased::{Binding, Bound, CYCLE_CHANNELS, Leased, Setpoints},
-    message::{Header, JointState, TriggerResponse, Twist, TwistStamped, Vector3},
+    frames::Frames,
+    gate::{Gate, Refused},
+    leased::{Binding, Bound, Leased},
+    message::{TriggerResponse, TwistStamped},
+    parameters::{ParameterCall, ParameterStore},
     time::{RosClock, Stamp},
 };
 
+pub use managed::Ended;
+pub use order::{Order, Request};
 pub use reports::Report;
-
-/// What a service does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Request {
-    /// `~/arm`: lets outputs move.
-    Arm,
-    /// `~/disarm`: makes outputs safe.
-    Disarm,
-    /// `~/clear`: leaves a trip behind.
-    Clear,
-    /// `~/estop`: trips.
-    Stop,
-}
-
-/// Something from ROS.
-#[derive(Debug)]
-pub enum Order {
-    /// A velocity over the ground.
-    Velocity {
-        /// When it was decided; `None` for a stamp that is no time.
-        stamp: Option<Stamp>,
-        /// The velocity.
-        twist: Twist,
-    },
-    /// Set points of joints.
-    Joints {
-        /// When they were decided; `None` for a stamp that is no time.
-        stamp: Option<Stamp>,
-        /// The set points.
-        joints: JointState,
-    },
-    /// The e-stop topic: engaged or released.
-    Estop(bool),
-    /// A message that cannot be read. Whatever it was, the commands before it end.
-    Unreadable {
-        /// Name of the topic.
-        topic: &'static str,
-        /// What is wrong with it.
-        why: String,
-    },
-    /// A service call.
-    Call {
-        /// Of which.
-        request: Request,
-        /// Where its answer goes.
-        answer: oneshot::Sender<TriggerResponse>,
-    },
-}
+use trajectories::{Following, Positions};
 
 /// A board's side of a node.
 #[derive(Clone, Copy, Debug)]
@@ -82,6 +49,8 @@ pub struct Door {
     pub clock: RosClock,
     /// Whether `/tf` gets the transform from `odom` to `base_link`; off where something else, as a filter, gives it.
     pub has_transform: bool,
+    /// Whether the node is managed: it is armed and disarmed by its lifecycle, and not by `~/arm`.
+    pub is_managed: bool,
 }
 
 /// How often simulated time is published, and the supervisor's state is looked at, s.
@@ -90,7 +59,8 @@ const TICK_S: f64 = 0.01;
 const DIAGNOSE_EVERY_S: f64 = 1.0;
 
 impl Door {
-    /// Serves `orders` until all senders are gone. `report` publishes, and returns whether it could.
+    /// Serves `orders` until all senders are gone, or until a managed node ends its session. `report` publishes, and
+    /// returns whether it could.
     ///
     /// # Errors
     /// When the link ends, or the board refuses subscriptions.
@@ -99,7 +69,7 @@ impl Door {
         session: &'b Session<'b>,
         mut orders: UnboundedReceiver<Order>,
         report: impl FnMut(Report) -> bool,
-    ) -> Result<(), Error> {
+    ) -> Result<Ended, Error> {
         let mut telemetry = session.board.telemetry();
         let mut serving = Serving::new(*self, session, report);
         serving.subscribe().await?;
@@ -112,14 +82,27 @@ impl Door {
                     serving.take(|serving| serving.velocity(stamp, &twist))
                 }
                 Event::Order(Order::Joints { stamp, joints }) => serving.take(|serving| serving.joints(stamp, &joints)),
+                Event::Order(Order::Trajectory { stamp, trajectory }) => {
+                    serving.take(|serving| serving.trajectory(stamp, &trajectory));
+                }
                 Event::Order(Order::Estop(is_engaged)) => serving.estop(is_engaged),
                 Event::Order(Order::Unreadable { topic, why }) => {
                     serving.take(|_| Err(Refused::Unreadable { topic, why }));
                 }
                 Event::Order(Order::Call { request, answer }) => serving.call(request, Some(answer)),
-                Event::Ended => return Ok(()),
+                Event::Order(Order::Parameters(call)) => serving.parameter_call(call),
+                Event::Order(Order::Change(change)) => {
+                    if let Some(ended) = serving.change(change).await {
+                        return Ok(ended);
+                    }
+                }
+                Event::Ended => return Ok(Ended::Orders),
                 Event::Done(Done::Called { request, result, answer }) => serving.called(request, result, answer),
                 Event::Done(Done::Bound(binding)) => serving.take(|serving| serving.bound(binding)),
+                Event::Done(Done::Fed { has_ended, result }) => serving.fed(&has_ended, result),
+                Event::Done(Done::Changed { to_active, result, answer }) => serving.changed(to_active, result, answer),
+                Event::Done(Done::Parameters(store)) => serving.next_parameter_call(store),
+                Event::Done(Done::Rested(result)) => serving.take(|_| result.map_err(Refused::Board)),
                 Event::Frame(frame) => serving.frame(&frame?),
                 Event::Answer(answer) => {
                     let (report, command) = answer?;
@@ -152,8 +135,27 @@ enum Event<'b> {
 
 /// What was asked of the board, done.
 enum Done<'b> {
-    Called { request: Request, result: Result<(), DriverError>, answer: Option<oneshot::Sender<TriggerResponse>> },
+    Called {
+        request: Request,
+        result: Result<(), DriverError>,
+        answer: Option<oneshot::Sender<TriggerResponse>>,
+    },
     Bound(Result<Bound<'b>, DriverError>),
+    /// Points of a trajectory were sent, which may have ended since.
+    Fed {
+        has_ended: Rc<Cell<bool>>,
+        result: Result<(), DriverError>,
+    },
+    /// A managed node was to be armed or disarmed.
+    Changed {
+        to_active: bool,
+        result: Result<(), DriverError>,
+        answer: oneshot::Sender<bool>,
+    },
+    /// A call of a parameter service was carried out.
+    Parameters(ParameterStore),
+    /// Joints of a trajectory that ended were brought to rest.
+    Rested(Result<(), DriverError>),
 }
 
 /// What is published when the board has taken a command.
@@ -164,14 +166,21 @@ struct Serving<'b, R> {
     session: &'b Session<'b>,
     report: R,
     drive: Option<GroundDrive>,
-    odometry: Option<(SkidSteer, Odometry)>,
+    frames: Frames,
     gate: Gate,
     leased: Leased<'b, Echo>,
+    following: Option<Following>,
+    positions: Positions,
+    /// `None` while a call works on it.
+    parameters: Option<ParameterStore>,
+    parameter_calls: VecDeque<ParameterCall>,
     work: FuturesUnordered<LocalBoxFuture<'b, Done<'b>>>,
     /// As published last.
     safety: (SafetyState, Causes),
     is_estop_engaged: bool,
     is_stopping: bool,
+    /// Whether a managed node is active.
+    is_active: bool,
     taken: u64,
     refused: u64,
     refusal: Option<String>,
@@ -182,23 +191,25 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
     fn new(door: Door, session: &'b Session<'b>, report: R) -> Self {
         let board = session.board;
         let drive = session.ground_drive();
-        let odometry = match drive.as_ref().map(GroundDrive::drive) {
-            Some(Drive::SkidSteer(robot)) => Some((robot.clone(), Odometry::new(robot))),
-            Some(Drive::Ackermann(_)) | None => None,
-        };
+        let frames = Frames::new(board.channels(), drive.as_ref(), door.has_transform);
         let timeout_ms = board.info().link_timeout_ms;
         Self {
             door,
             session,
             report,
             drive,
-            odometry,
+            frames,
             gate: Gate::new(f64::from(timeout_ms) * 1e-3),
             leased: Leased::new(board, timeout_ms),
+            following: None,
+            positions: Positions::new(),
+            parameters: Some(ParameterStore::default()),
+            parameter_calls: VecDeque::new(),
             work: FuturesUnordered::new(),
             safety: board.safety(),
             is_estop_engaged: false,
             is_stopping: false,
+            is_active: false,
             taken: 0,
             refused: 0,
             refusal: None,
@@ -256,6 +267,7 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
     fn take(&mut self, command: impl FnOnce(&mut Self) -> Result<(), Refused>) {
         if let Err(refused) = command(self) {
             self.leased.rest();
+            self.end_trajectory(&BTreeSet::new());
             self.refuse(refused.to_string());
         }
     }
@@ -268,87 +280,13 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
         }
     }
 
-    fn velocity(&mut self, stamp: Option<Stamp>, twist: &Twist) -> Result<(), Refused> {
-        let drive = self.drive.as_ref().ok_or(Refused::NoDrive)?;
-        let velocity = gate::velocity(twist)?;
-        let setpoints = drive.setpoints(velocity);
-        let now = self.now();
-        if !self.gate.pass(stamp, now)? {
-            return Ok(());
-        }
-        let stamp = stamp.filter(|stamp| !stamp.is_none()).unwrap_or(now);
-        let echo = self.echo(stamp, &setpoints);
-        self.command(setpoints, echo)
-    }
-
-    /// The velocity that set points of wheels make, slowed down to what the robot may be asked for.
-    fn echo(&self, stamp: Stamp, setpoints: &[(ChannelId, Setpoint)]) -> Echo {
-        let (robot, _) = self.odometry.as_ref()?;
-        let speed = |side: &[ChannelId]| {
-            let wheel = setpoints.iter().find(|(channel, _)| side.first() == Some(channel));
-            wheel.map(|(_, setpoint)| f64::from(setpoint.value))
-        };
-        let Velocity { forward_m_s, yaw_rad_s } =
-            Velocity::of_sides(robot, [speed(&robot.left)?, speed(&robot.right)?]);
-        let twist = Twist {
-            linear: Vector3 { x: forward_m_s, ..Vector3::default() },
-            angular: Vector3 { z: yaw_rad_s, ..Vector3::default() },
-        };
-        Some(TwistStamped { header: Header::new(stamp.to_time(), BASE_FRAME), twist })
-    }
-
-    fn joints(&mut self, stamp: Option<Stamp>, joints: &JointState) -> Result<(), Refused> {
-        let setpoints = gate::joints(joints, self.session.board.channels(), CYCLE_CHANNELS)?;
-        if !self.gate.pass(stamp, self.now())? || setpoints.is_empty() {
-            return Ok(());
-        }
-        self.command(setpoints, None)
-    }
-
-    fn command(&mut self, setpoints: Setpoints, echo: Echo) -> Result<(), Refused> {
-        let binding = self.leased.command(setpoints, echo).map_err(Refused::Board)?;
-        self.push(binding);
-        Ok(())
-    }
-
-    fn bound(&mut self, binding: Result<Bound<'b>, DriverError>) -> Result<(), Refused> {
-        let next = self.leased.bound(binding).map_err(Refused::Board)?;
-        self.push(next);
-        Ok(())
-    }
-
-    /// Takes the board's answer to a command.
-    fn answered(&mut self, report: &CycleReport, command: Option<Echo>) {
-        // Bringing motors to rest is no client's command.
-        let Some(echo) = command else { return };
-        match report.outcome {
-            CycleOutcome::Taken => {
-                self.taken += 1;
-                let was_refused = self.refusal.take().is_some();
-                if let Some(echo) = echo {
-                    self.publish(Report::Commanded(echo));
-                }
-                if was_refused {
-                    self.diagnose();
-                }
-            }
-            CycleOutcome::Refused if report.state != SafetyState::Armed => {
-                self.refuse(format!("the board is {}: call ~/arm first", report.state));
-            }
-            CycleOutcome::Refused => self.refuse("the board refused it: `r4 info` lists what its channels take".into()),
-            CycleOutcome::Stale => {
-                self.refuse("it came to the board too late: the link or this machine is busy".into())
-            }
-            CycleOutcome::Unbound => self.refuse("the board has no stream for it: start the node again".into()),
-        }
-    }
-
     /// The e-stop topic. Released it lets others arm and clear again, and does neither.
     fn estop(&mut self, is_engaged: bool) {
         let has_changed = self.is_estop_engaged != is_engaged;
         self.is_estop_engaged = is_engaged;
         if is_engaged {
             self.leased.rest();
+            self.drop_trajectory();
             self.stop();
         }
         if has_changed {
@@ -370,8 +308,16 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
             respond(answer, TriggerResponse { success: false, message });
             return;
         }
+        if self.door.is_managed && request == Request::Arm {
+            let message = "this node is managed: activate it (ros2 lifecycle set NODE activate)".into();
+            respond(answer, TriggerResponse { success: false, message });
+            return;
+        }
         if request == Request::Stop {
             self.leased.rest();
+        }
+        if matches!(request, Request::Stop | Request::Disarm) {
+            self.drop_trajectory();
         }
         let board = self.session.board;
         let work = async move {
@@ -411,6 +357,10 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
         }
         if safety != self.safety {
             self.safety = safety;
+            if safety.0 != SafetyState::Armed {
+                self.drop_trajectory();
+                self.deactivated();
+            }
             self.publish_state();
             self.diagnose();
         }

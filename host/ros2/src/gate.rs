@@ -10,6 +10,7 @@ use r4_rig::Velocity;
 use crate::{
     message::{JointState, Twist},
     time::Stamp,
+    trajectory::BadTrajectory,
 };
 
 /// Why a command did not go through.
@@ -101,6 +102,9 @@ pub enum Refused {
         /// How many can be.
         most: usize,
     },
+    /// A trajectory cannot be followed.
+    #[error("the trajectory is not followed: {0}")]
+    Trajectory(#[from] BadTrajectory),
     /// The board or the driver refused it.
     #[error(transparent)]
     Board(DriverError),
@@ -119,6 +123,12 @@ impl Gate {
     #[must_use]
     pub fn new(limit_s: f64) -> Self {
         Self { limit_s, newest: None }
+    }
+
+    /// How old a command may be, and how far ahead, s.
+    #[must_use]
+    pub fn limit_s(&self) -> f64 {
+        self.limit_s
     }
 
     /// Whether a command of this stamp goes through `now`: `false` for one that is older than one that did. A stamp of 0 counts as now,

@@ -1,5 +1,7 @@
 //! Names of the node, its topics and services.
 
+use std::borrow::Cow;
+
 use r4_protocol::{ChannelId, ChannelKind};
 
 /// Name of the node.
@@ -37,6 +39,12 @@ impl std::str::FromStr for Namespace {
 }
 
 impl Namespace {
+    /// The root: names in it have no prefix.
+    #[must_use]
+    pub fn root() -> Self {
+        Self(Vec::new())
+    }
+
     /// As nodes have it: `/`, or `/fleet/robot1`.
     #[must_use]
     pub fn absolute(&self) -> String {
@@ -56,20 +64,57 @@ impl Namespace {
     }
 }
 
+/// A topic that the node publishes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Topic {
+    /// Name, to be resolved by [`Namespace::resolve`].
+    pub name: Cow<'static, str>,
+    /// Type of its messages, as in `sensor_msgs/Imu`.
+    pub kind: &'static str,
+    /// Whether readers that come later get the last message.
+    pub is_latched: bool,
+}
+
+impl Topic {
+    const fn new(name: &'static str, kind: &'static str) -> Self {
+        Self { name: Cow::Borrowed(name), kind, is_latched: false }
+    }
+
+    const fn latched(name: &'static str, kind: &'static str) -> Self {
+        Self { name: Cow::Borrowed(name), kind, is_latched: true }
+    }
+}
+
+/// Odometry.
+pub const ODOMETRY: Topic = Topic::new("odom", "nav_msgs/Odometry");
+/// Transforms between frames.
+pub const TRANSFORM: Topic = Topic::new("/tf", "tf2_msgs/TFMessage");
+/// Motors, steppers and encoders.
+pub const JOINTS: Topic = Topic::new("joint_states", "sensor_msgs/JointState");
+/// State of the board, with advice.
+pub const DIAGNOSTICS: Topic = Topic::new("/diagnostics", "diagnostic_msgs/DiagnosticArray");
+/// State of the supervisor.
+pub const STATE: Topic = Topic::latched("~/state", "std_msgs/String");
+/// Velocities that the board has taken.
+pub const COMMANDED: Topic = Topic::new("~/cmd_vel_out", "geometry_msgs/TwistStamped");
+/// Simulated time.
+pub const CLOCK: Topic = Topic::new("/clock", "rosgraph_msgs/Clock");
+
 /// Topic of a channel's readings: the first of its kind has the name that programs look for. `None` for a channel that is in
 /// `joint_states`, or that is not published.
 #[must_use]
-pub fn topic(channel: ChannelId) -> Option<String> {
+pub fn topic(channel: ChannelId) -> Option<Topic> {
     let ChannelId { kind, index } = channel;
-    Some(match (kind, index) {
-        (ChannelKind::Imu, 0) => "imu/data".to_owned(),
-        (ChannelKind::Imu, _) => format!("imu{index}/data"),
+    let (name, kind) = match (kind, index) {
+        (ChannelKind::Imu, 0) => ("imu/data".to_owned(), "sensor_msgs/Imu"),
+        (ChannelKind::Imu, _) => (format!("imu{index}/data"), "sensor_msgs/Imu"),
         // A part of a name cannot begin with a digit, as in range/0.
-        (ChannelKind::Range | ChannelKind::Distance, _) => channel.to_string(),
-        (ChannelKind::Supply, 0) => "battery_state".to_owned(),
-        (ChannelKind::Supply, _) => format!("supply{index}/battery_state"),
+        (ChannelKind::Range | ChannelKind::Distance, _) => (channel.to_string(), "sensor_msgs/Range"),
+        (ChannelKind::Supply, 0) => ("battery_state".to_owned(), "sensor_msgs/BatteryState"),
+        (ChannelKind::Supply, _) => (format!("supply{index}/battery_state"), "sensor_msgs/BatteryState"),
         _ => return None,
-    })
+    };
+    Some(Topic { name: Cow::Owned(name), kind, is_latched: false })
 }
 
 #[cfg(test)]
@@ -89,8 +134,9 @@ mod tests {
             let namespace: Namespace = namespace.parse().expect(namespace);
             assert_eq!(namespace.resolve(name), resolved);
         }
-        assert_eq!(topic("range1".parse().expect("a channel")).as_deref(), Some("range1"));
-        assert_eq!(topic("imu0".parse().expect("a channel")).as_deref(), Some("imu/data"));
+        for (channel, name) in [("range1", "range1"), ("imu0", "imu/data"), ("supply1", "supply1/battery_state")] {
+            assert_eq!(topic(channel.parse().expect("a channel")).expect("a topic").name, name);
+        }
         assert_eq!("a/b".parse::<Namespace>().expect("a namespace").absolute(), "/a/b");
         assert_eq!("".parse::<Namespace>().expect("the root").absolute(), "/");
     }

@@ -15,6 +15,12 @@ impl Stamp {
         Self(ns)
     }
 
+    /// The moment, ns.
+    #[must_use]
+    pub fn as_ns(self) -> i64 {
+        self.0
+    }
+
     /// Time of this machine's clock now.
     #[must_use]
     pub fn of_machine() -> Self {

@@ -16,6 +16,9 @@ pub(crate) struct Ros2 {
     /// Do not publish the transform from odom to base_link, for example where a filter node does
     #[arg(long)]
     pub(crate) no_tf: bool,
+    /// Be a managed node: configuring it opens a session with the board, activating it arms the board
+    #[arg(long)]
+    pub(crate) lifecycle: bool,
 }
 
 /// Error of programs that are built without the feature `ros2`.
@@ -33,40 +36,137 @@ pub(crate) fn run(_: &Args, _: &Ros2) -> anyhow::Result<bool> {
 }
 
 #[cfg(feature = "ros2")]
-pub(crate) fn run(args: &Args, ros2: &Ros2) -> anyhow::Result<bool> {
+pub(crate) use node::run;
+
+#[cfg(feature = "ros2")]
+mod node {
+    use std::time::Duration;
+
+    use anyhow::{bail, ensure};
     use r4_ros2::{
-        Discovery, Door, Namespace, RosClock, Stamp,
-        dds::{Node, NodeError},
+        Discovery, Door, Ended, Namespace, RosClock, Stamp,
+        dds::{Graph, Lifecycle, Node, NodeError},
+        lifecycle::{Change, Transition, Unasked},
     };
     use r4_sim::Pace;
 
-    use crate::{output, session};
+    use super::Ros2;
+    use crate::{
+        args::Args,
+        output,
+        session::{self, Interrupted, Session},
+    };
 
-    if args.pace == Some(Pace::Free) {
-        anyhow::bail!(
-            "--pace max: other nodes run in real time, by which commands time out; omit --pace, or give a factor"
-        );
+    /// Period of the check for Ctrl-C while there is no session.
+    const LOOK_EVERY: Duration = Duration::from_millis(50);
+    /// Time that the answer to a shutdown needs to leave this machine: DDS sends it on a thread of its own.
+    const FAREWELL: Duration = Duration::from_millis(200);
+
+    pub(crate) fn run(args: &Args, ros2: &Ros2) -> anyhow::Result<bool> {
+        if args.pace == Some(Pace::Free) {
+            bail!(
+                "--pace max: other nodes run in real time, by which commands time out; omit --pace, or give a factor"
+            );
+        }
+        let namespace: Namespace = ros2.namespace.parse()?;
+        let discovery = Discovery::from_environment()?;
+        if ros2.lifecycle {
+            ensure!(
+                args.record.is_none(),
+                "--record and --lifecycle: each `configure` would overwrite the file; record with ros2 bag"
+            );
+            return managed(args, ros2, &namespace, discovery);
+        }
+        let served = session::run(args, Pace::RealTime(1.0), async |session| {
+            let door = door(session, ros2);
+            let mut graph = Graph::join(discovery, &namespace)?;
+            let node = Node::open(session, &mut graph)?;
+            announce(args, &namespace, discovery, "")?;
+            node.serve(session, door).await.map_err(of_board)
+        });
+        served.map(|_| true)
     }
-    let namespace: Namespace = ros2.namespace.parse()?;
-    let discovery = Discovery::from_environment()?;
-    let served = session::run(args, Pace::RealTime(1.0), async |session| {
+
+    fn door(session: &Session<'_>, ros2: &Ros2) -> Door {
         let clock = if session.target().is_virtual() {
             RosClock::Simulated { start: Stamp::of_machine() }
         } else {
             RosClock::Machine
         };
-        let serve = async {
-            let node = Node::open(session, discovery, &namespace)?;
-            let (name, board) = (namespace.resolve("~/"), args.board.described());
-            output::line(format_args!("node {} for {board}; {discovery}", name.trim_end_matches('/')))?;
-            let served = node.serve(session, Door { clock, has_transform: !ros2.no_tf }).await;
-            served.map_err(|error| match error {
-                // Unwrapped, so that the exit code follows from the board's error.
-                NodeError::Board(error) => anyhow::Error::from(error),
-                error => anyhow::Error::from(error),
-            })
-        };
-        serve.await
-    });
-    served.map(|_| true)
+        Door { clock, has_transform: !ros2.no_tf, is_managed: ros2.lifecycle }
+    }
+
+    fn announce(args: &Args, namespace: &Namespace, discovery: Discovery, how: &str) -> anyhow::Result<()> {
+        let (name, board) = (namespace.resolve("~/"), args.board.described());
+        Ok(output::line(format_args!("node {} for {board}; {discovery}{how}", name.trim_end_matches('/')))?)
+    }
+
+    /// Unwraps the board's error, so that the exit code follows from it.
+    fn of_board(error: NodeError) -> anyhow::Error {
+        match error {
+            NodeError::Board(error) => error.into(),
+            error => error.into(),
+        }
+    }
+
+    /// Serves a managed node: a session lasts from each transition `configure` to the next `cleanup`, or until it fails.
+    fn managed(args: &Args, ros2: &Ros2, namespace: &Namespace, discovery: Discovery) -> anyhow::Result<bool> {
+        session::catch_interrupts();
+        let mut graph = Graph::join(discovery, namespace)?;
+        let mut lifecycle = Lifecycle::open(&mut graph)?;
+        announce(args, namespace, discovery, "; managed, unconfigured")?;
+        loop {
+            let Change { transition, answer } = r4_links::block_on(asked(&mut lifecycle))?;
+            if transition == Transition::Shutdown {
+                farewell(answer);
+                return Ok(true);
+            }
+            let mut asked = Some(answer);
+            let served = session::run(args, Pace::RealTime(1.0), async |session| {
+                let door = door(session, ros2);
+                let node = Node::open(session, &mut graph)?;
+                if let Some(answer) = asked.take() {
+                    // The caller may be gone by now.
+                    let _ = answer.send(true);
+                }
+                node.serve_managed(session, door, &mut lifecycle).await.map_err(of_board)
+            });
+            match served {
+                Ok((Ended::Session(Change { transition: Transition::Shutdown, answer }), _)) => {
+                    farewell(answer);
+                    return Ok(true);
+                }
+                Ok((Ended::Session(Change { answer, .. }), _)) => drop(answer.send(true)),
+                Ok((Ended::Orders, _)) => return Ok(true),
+                Err(error) if session::was_interrupted(&error) => return Err(error),
+                Err(error) => {
+                    eprintln!("r4: {error:#}; the node is unconfigured");
+                    match asked {
+                        // There was no session: it is not configured.
+                        Some(answer) => drop(answer.send(false)),
+                        None => lifecycle.note(Unasked::Failed),
+                    }
+                }
+            }
+        }
+    }
+
+    /// Waits for the next requested transition, or for Ctrl-C.
+    async fn asked(lifecycle: &mut Lifecycle) -> anyhow::Result<Change> {
+        use futures::future::{Either, select};
+
+        loop {
+            let look = std::pin::pin!(async_io::Timer::after(LOOK_EVERY));
+            match select(std::pin::pin!(lifecycle.change()), look).await {
+                Either::Left((change, _)) => return Ok(change),
+                Either::Right(_) if session::is_interrupted() => return Err(Interrupted.into()),
+                Either::Right(_) => {}
+            }
+        }
+    }
+
+    fn farewell(answer: futures::channel::oneshot::Sender<bool>) {
+        let _ = answer.send(true);
+        std::thread::sleep(FAREWELL);
+    }
 }

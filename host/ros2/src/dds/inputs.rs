@@ -5,16 +5,21 @@ use std::pin::pin;
 use futures::{
     FutureExt, StreamExt,
     channel::{mpsc::UnboundedSender, oneshot},
-    future::{join, join_all, select},
+    future::{join_all, join3, select},
 };
-use ros2_client::{Message, Node as RosNode, QosProfile, Server, ServiceTypeName, Subscription};
+use ros2_client::{Message, Node as RosNode, QosProfile, Server, Subscription};
 use serde::de::DeserializeOwned;
 
-use super::{NodeError, best_effort, latched, mapping, name, steady, type_name};
+use super::{
+    NodeError, best_effort, latched, name,
+    parameters::ParameterServers,
+    services::{Maker, answer},
+    steady, type_name,
+};
 use crate::{
     Order, Request, Stamp,
     environment::Services,
-    message::{Bool, JointState, TriggerRequest, TriggerResponse, Twist, TwistStamped},
+    message::{Bool, JointState, JointTrajectory, TriggerRequest, TriggerResponse, Twist, TwistStamped},
     names::Namespace,
 };
 
@@ -29,9 +34,11 @@ pub(super) struct Inputs {
     stamped: Subscription<TwistStamped>,
     unstamped: Subscription<Twist>,
     joints: Subscription<JointState>,
+    trajectories: Subscription<JointTrajectory>,
     /// Of publishers that latch, and of others: a reader that asks for the last value is not matched with a publisher without one.
     estop: [Subscription<Bool>; 2],
     services: Vec<(Request, Server<TriggerRequest, TriggerResponse>)>,
+    parameters: ParameterServers,
 }
 
 impl Inputs {
@@ -39,21 +46,20 @@ impl Inputs {
         let stamped = topic(node, namespace, "cmd_vel", "geometry_msgs/TwistStamped", steady())?;
         let unstamped = topic(node, namespace, "cmd_vel_unstamped", "geometry_msgs/Twist", steady())?;
         let joints = topic(node, namespace, "joint_commands", "sensor_msgs/JointState", steady())?;
+        let trajectories = topic(node, namespace, "joint_trajectory", "trajectory_msgs/JointTrajectory", steady())?;
         let estop = [latched(), best_effort()].map(|qos| topic(node, namespace, "estop", "std_msgs/Bool", qos));
         let [of_latching, of_others] = estop;
-        let services = SERVICES.map(|(service, request)| {
-            let absolute = namespace.resolve(service);
-            let kind = ServiceTypeName::new("std_srvs", "Trigger");
-            let made = node.create_server(mapping(services), &name(&absolute)?, &kind, steady(), steady());
-            Ok((request, made.map_err(|source| NodeError::Create { name: absolute, source })?))
-        });
+        let mut make = Maker { node, namespace, services };
+        let services = SERVICES.map(|(service, request)| Ok((request, make.server(service, "std_srvs", "Trigger")?)));
         let services = services.into_iter().collect::<Result<_, NodeError>>()?;
-        Ok(Self { stamped, unstamped, joints, estop: [of_latching?, of_others?], services })
+        let parameters = ParameterServers::new(&mut make)?;
+        Ok(Self { stamped, unstamped, joints, trajectories, estop: [of_latching?, of_others?], services, parameters })
     }
 
     /// Hands over what comes, until `ended` is.
     pub(super) async fn run(self, orders: &UnboundedSender<Order>, ended: oneshot::Receiver<()>) {
-        let Self { stamped, unstamped, joints, estop: [of_latching, of_others], services } = &self;
+        let Self { stamped, unstamped, joints, trajectories, estop: [of_latching, of_others], services, parameters } =
+            &self;
         let topics = vec![
             hand_over(stamped, orders, "cmd_vel", |TwistStamped { header, twist }| Order::Velocity {
                 stamp: Stamp::from_time(header.stamp),
@@ -71,11 +77,23 @@ impl Inputs {
                 joints,
             })
             .boxed_local(),
+            hand_over(trajectories, orders, "joint_trajectory", |trajectory| Order::Trajectory {
+                stamp: Stamp::from_time(trajectory.header.stamp),
+                trajectory,
+            })
+            .boxed_local(),
             hand_over(of_latching, orders, "estop", |Bool { data }| Order::Estop(data)).boxed_local(),
             hand_over(of_others, orders, "estop", |Bool { data }| Order::Estop(data)).boxed_local(),
         ];
-        let services = services.iter().map(|(request, server)| answer(*request, server, orders));
-        select(pin!(join(join_all(topics), join_all(services))), ended).await;
+        let services = services.iter().map(|(request, server)| {
+            let order = |_: TriggerRequest, answer| Order::Call { request: *request, answer };
+            answer(server, orders, order, || TriggerResponse {
+                success: false,
+                message: "the session with the board has ended".into(),
+            })
+        });
+        let all = join3(join_all(topics), join_all(services), parameters.run(orders));
+        select(pin!(all), ended).await;
     }
 }
 
@@ -109,21 +127,5 @@ async fn hand_over<M: DeserializeOwned + 'static>(
         if orders.unbounded_send(order).is_err() {
             return;
         }
-    }
-}
-
-async fn answer(request: Request, server: &Server<TriggerRequest, TriggerResponse>, orders: &UnboundedSender<Order>) {
-    let mut calls = server.receive_request_stream();
-    while let Some(call) = calls.next().await {
-        // A call that cannot be read has no client that could be answered.
-        let Ok((id, _)) = call else { continue };
-        let (answer, answered) = oneshot::channel();
-        let response = match orders.unbounded_send(Order::Call { request, answer }) {
-            Ok(()) => answered.await.ok(),
-            Err(_) => None,
-        };
-        let ended = || TriggerResponse { success: false, message: "the session with the board has ended".into() };
-        // The caller may be gone by now.
-        let _ = server.async_send_response(id, response.unwrap_or_else(ended)).await;
     }
 }

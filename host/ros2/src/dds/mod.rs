@@ -1,13 +1,23 @@
 //! The node on DDS: topics, services and discovery by `ros2-client` on RustDDS.
 
 mod inputs;
+mod lifecycle;
 mod outputs;
+mod parameters;
+mod services;
 
-use std::thread::{self, JoinHandle};
+use std::{
+    convert::Infallible,
+    pin::pin,
+    thread::{self, JoinHandle},
+};
 
-use futures::channel::{
-    mpsc::{UnboundedReceiver, unbounded},
-    oneshot,
+use futures::{
+    channel::{
+        mpsc::{UnboundedReceiver, UnboundedSender, unbounded},
+        oneshot,
+    },
+    future::{Either, select},
 };
 use r4_rig::Session;
 use ros2_client::{
@@ -17,11 +27,13 @@ use ros2_client::{
 };
 
 use crate::{
-    Discovery, Door, Order,
+    Discovery, Door, Ended, Order, Report,
     environment::Services,
+    lifecycle::Unasked,
     names::{NODE, Namespace},
 };
 use inputs::Inputs;
+pub use lifecycle::Lifecycle;
 use outputs::Outputs;
 
 /// The node could not be made, or its session ended.
@@ -54,22 +66,19 @@ pub enum NodeError {
     Board(#[from] r4_rig::Error),
 }
 
-/// A node that can be found.
-pub struct Node {
-    // Dropped before the node, so that its entities are gone from the graph first.
-    outputs: Outputs,
-    orders: Option<UnboundedReceiver<Order>>,
-    end: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
-    _node: RosNode,
+/// A name in ROS's graph that can be found, without topics and services yet.
+pub struct Graph {
+    node: RosNode,
+    namespace: Namespace,
+    services: Services,
 }
 
-impl Node {
-    /// Makes the node for the board of a session.
+impl Graph {
+    /// Joins a domain as the node `r4` of a namespace.
     ///
     /// # Errors
     /// [`NodeError`]
-    pub fn open(session: &Session<'_>, discovery: Discovery, namespace: &Namespace) -> Result<Self, NodeError> {
+    pub fn join(discovery: Discovery, namespace: &Namespace) -> Result<Self, NodeError> {
         let join = |why: String| NodeError::Join { discovery, why };
         let mut participant = DomainParticipantBuilder::new(discovery.domain);
         if let Some(networks) = discovery.only_networks() {
@@ -78,18 +87,39 @@ impl Node {
         let participant = participant.build().map_err(|error| join(error.to_string()))?;
         let context = Context::from_domain_participant(participant).map_err(|error| join(error.to_string()))?;
         let name = NodeName::new(&namespace.absolute(), NODE).map_err(|error| join(error.to_string()))?;
-        // Parameters are the board's, and `/rosout` has its place in diagnostics.
+        // Parameters are the board's, with services of our own, and `/rosout` has its place in diagnostics.
         let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
-        let mut node = context.new_node(name, options).map_err(NodeError::Node)?;
-        let outputs = Outputs::new(&mut node, namespace, session)?;
-        let inputs = Inputs::new(&mut node, namespace, discovery.services)?;
+        let node = context.new_node(name, options).map_err(NodeError::Node)?;
+        Ok(Self { node, namespace: namespace.clone(), services: discovery.services })
+    }
+}
+
+/// Topics and services of a board, for one session with it. Dropped before its [`Graph`].
+pub struct Node {
+    outputs: Outputs,
+    sender: UnboundedSender<Order>,
+    orders: Option<UnboundedReceiver<Order>>,
+    end: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Node {
+    /// Makes the topics and services for the board of a session.
+    ///
+    /// # Errors
+    /// [`NodeError`]
+    pub fn open(session: &Session<'_>, graph: &mut Graph) -> Result<Self, NodeError> {
+        let Graph { node, namespace, services } = graph;
+        let outputs = Outputs::new(node, namespace, session)?;
+        let inputs = Inputs::new(node, namespace, *services)?;
         let (sender, orders) = unbounded();
         let (end, ended) = oneshot::channel();
+        let to_board = sender.clone();
         let thread = thread::Builder::new()
             .name("r4-ros2".into())
-            .spawn(move || r4_links::block_on(inputs.run(&sender, ended)))
+            .spawn(move || r4_links::block_on(inputs.run(&to_board, ended)))
             .map_err(NodeError::Thread)?;
-        Ok(Self { outputs, orders: Some(orders), end: Some(end), thread: Some(thread), _node: node })
+        Ok(Self { outputs, sender, orders: Some(orders), end: Some(end), thread: Some(thread) })
     }
 
     /// Serves until the session ends.
@@ -99,7 +129,40 @@ impl Node {
     pub async fn serve<'b>(mut self, session: &'b Session<'b>, door: Door) -> Result<(), NodeError> {
         let Some(orders) = self.orders.take() else { return Ok(()) };
         let outputs = &self.outputs;
-        Ok(door.serve(session, orders, |report| outputs.publish(report)).await?)
+        door.serve(session, orders, |report| outputs.publish(report)).await?;
+        Ok(())
+    }
+
+    /// Serves a managed node until it is cleaned up or shut down.
+    ///
+    /// # Errors
+    /// Why it ended otherwise.
+    pub async fn serve_managed<'b>(
+        mut self,
+        session: &'b Session<'b>,
+        door: Door,
+        lifecycle: &mut Lifecycle,
+    ) -> Result<Ended, NodeError> {
+        let Some(orders) = self.orders.take() else { return Ok(Ended::Orders) };
+        let (outputs, sender) = (&self.outputs, &self.sender);
+        let unasked = lifecycle.notes();
+        let serve = door.serve(session, orders, |report| match report {
+            Report::Deactivated => unasked.unbounded_send(Unasked::Disarmed).is_ok(),
+            report => outputs.publish(report),
+        });
+        match select(pin!(serve), pin!(hand_over(lifecycle, sender))).await {
+            Either::Left((ended, _)) => Ok(ended?),
+            Either::Right((never, _)) => match never {},
+        }
+    }
+}
+
+/// Hands over transitions that are asked for.
+async fn hand_over(lifecycle: &mut Lifecycle, sender: &UnboundedSender<Order>) -> Infallible {
+    loop {
+        let change = lifecycle.change().await;
+        // The other end is served beside this.
+        let _ = sender.unbounded_send(Order::Change(change));
     }
 }
 

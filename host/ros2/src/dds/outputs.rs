@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 
 use r4_protocol::{ChannelId, ChannelKind};
 use r4_rig::Session;
-use ros2_client::{Node as RosNode, Publisher, QosProfile};
+use ros2_client::{Node as RosNode, Publisher};
 use serde::Serialize;
 
 use super::{NodeError, latched, name, steady, type_name};
 use crate::{
     Report,
     message::{BatteryState, Clock, DiagnosticArray, Imu, JointState, Odometry, Range, TFMessage, Text, TwistStamped},
-    names::{self, Namespace},
+    names::{self, Namespace, Topic},
 };
 
 pub(super) struct Outputs {
@@ -35,25 +35,23 @@ impl Outputs {
         for channel in session.board.channels().iter().map(|info| info.id) {
             let Some(topic) = names::topic(channel) else { continue };
             match channel.kind {
-                ChannelKind::Imu => drop(imus.insert(channel, make.topic(&topic, "sensor_msgs/Imu", steady())?)),
-                ChannelKind::Supply => {
-                    drop(batteries.insert(channel, make.topic(&topic, "sensor_msgs/BatteryState", steady())?));
-                }
-                _ => drop(ranges.insert(channel, make.topic(&topic, "sensor_msgs/Range", steady())?)),
+                ChannelKind::Imu => drop(imus.insert(channel, make.topic(&topic)?)),
+                ChannelKind::Supply => drop(batteries.insert(channel, make.topic(&topic)?)),
+                _ => drop(ranges.insert(channel, make.topic(&topic)?)),
             }
         }
         let is_virtual = session.target().is_virtual();
         Ok(Self {
-            odometry: make.topic("odom", "nav_msgs/Odometry", steady())?,
-            transform: make.topic("/tf", "tf2_msgs/TFMessage", steady())?,
-            joints: make.topic("joint_states", "sensor_msgs/JointState", steady())?,
+            odometry: make.topic(&names::ODOMETRY)?,
+            transform: make.topic(&names::TRANSFORM)?,
+            joints: make.topic(&names::JOINTS)?,
             imus,
             ranges,
             batteries,
-            diagnostics: make.topic("/diagnostics", "diagnostic_msgs/DiagnosticArray", steady())?,
-            state: make.topic("~/state", "std_msgs/String", latched())?,
-            commanded: make.topic("~/cmd_vel_out", "geometry_msgs/TwistStamped", steady())?,
-            clock: is_virtual.then(|| make.topic("/clock", "rosgraph_msgs/Clock", steady())).transpose()?,
+            diagnostics: make.topic(&names::DIAGNOSTICS)?,
+            state: make.topic(&names::STATE)?,
+            commanded: make.topic(&names::COMMANDED)?,
+            clock: is_virtual.then(|| make.topic(&names::CLOCK)).transpose()?,
         })
     }
 
@@ -70,6 +68,8 @@ impl Outputs {
             Report::State(message) => self.state.publish(message).is_ok(),
             Report::Commanded(message) => self.commanded.publish(message).is_ok(),
             Report::Clock(message) => self.clock.as_ref().is_none_or(|clock| clock.publish(message).is_ok()),
+            // The lifecycle's.
+            Report::Deactivated => true,
         }
     }
 }
@@ -84,10 +84,11 @@ struct Maker<'n> {
 }
 
 impl Maker<'_> {
-    fn topic<M: Serialize>(&mut self, topic: &str, of: &str, qos: QosProfile) -> Result<Publisher<M>, NodeError> {
-        let absolute = self.namespace.resolve(topic);
+    fn topic<M: Serialize>(&mut self, topic: &Topic) -> Result<Publisher<M>, NodeError> {
+        let Topic { name: relative, kind, is_latched } = topic;
+        let (absolute, qos) = (self.namespace.resolve(relative), if *is_latched { latched() } else { steady() });
         let topic = name(&absolute)?;
-        let made = self.node.create_topic(&topic, type_name(of), &qos);
+        let made = self.node.create_topic(&topic, type_name(kind), &qos);
         let made = made.and_then(|topic| self.node.create_publisher(&topic, Some(qos)));
         made.map_err(|source| NodeError::Create { name: absolute, source })
     }

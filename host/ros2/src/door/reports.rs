@@ -1,14 +1,15 @@
 //! What the node publishes.
 
 use r4_driver::Clock as _;
-use r4_protocol::{ChannelId, ChannelKind, Sample, Telemetry};
-use r4_rig::{Error, inertial_reading, sides_rad, sides_rad_s};
+use r4_protocol::{ChannelId, ChannelKind, Telemetry};
+use r4_rig::Error;
 
 use super::Serving;
 use crate::{
-    convert,
-    diagnose::{self, Health},
+    diagnose::{self, Health, NodeHealth},
+    frames::MOTION_EVERY_MS,
     message::{BatteryState, Clock, DiagnosticArray, Imu, JointState, Odometry, Range, TFMessage, Text, TwistStamped},
+    names::{self, Topic},
 };
 
 /// Something for ROS.
@@ -38,10 +39,28 @@ pub enum Report {
     Clock(Clock),
     /// `~/cmd_vel_out`: a velocity that the board has taken, with the stamp of its command.
     Commanded(TwistStamped),
+    /// A managed node is no longer active, and nobody asked for that: for its lifecycle.
+    Deactivated,
 }
 
-/// Period of motors' and encoders' samples, ms.
-const MOTION_EVERY_MS: u16 = 20;
+impl Report {
+    /// Topic of the message; `None` of a channel that has none.
+    #[must_use]
+    pub fn topic(&self) -> Option<Topic> {
+        Some(match self {
+            Self::Odometry(_) => names::ODOMETRY,
+            Self::Transform(_) => names::TRANSFORM,
+            Self::Joints(_) => names::JOINTS,
+            Self::Imu(channel, _) | Self::Range(channel, _) | Self::Battery(channel, _) => names::topic(*channel)?,
+            Self::Diagnostics(_) => names::DIAGNOSTICS,
+            Self::State(_) => names::STATE,
+            Self::Clock(_) => names::CLOCK,
+            Self::Commanded(_) => names::COMMANDED,
+            Self::Deactivated => return None,
+        })
+    }
+}
+
 /// Period of inertial samples, ms: as often as the sensors of the built-in robots measure.
 const INERTIAL_EVERY_MS: u16 = 10;
 /// Period of distances, ms: a little less than the time between two pings, 60 ms.
@@ -89,17 +108,13 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
             self.publish(Report::Clock(Clock { clock: self.now().to_time() }));
         }
         self.look_at_safety();
+        self.feed();
     }
 
     pub(super) fn diagnose(&mut self) {
         let board = self.session.board;
         let (state, causes) = self.safety;
-        let health = Health {
-            robot: board.info().robot.to_string(),
-            board: self.session.target().to_string(),
-            firmware: board.info().firmware.to_string(),
-            state,
-            causes,
+        let node = NodeHealth {
             is_estop_engaged: self.is_estop_engaged,
             timeout_s: f64::from(board.info().link_timeout_ms) * 1e-3,
             taken: self.taken,
@@ -107,7 +122,15 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
             refusal: self.refusal.clone(),
             unpublished: self.unpublished,
             bad_frames: board.bad_frames(),
+        };
+        let health = Health {
+            robot: board.info().robot.to_string(),
+            board: self.session.target().to_string(),
+            firmware: board.info().firmware.to_string(),
+            state,
+            causes,
             hot: board.hot_windings(),
+            node: Some(node),
         };
         let stamp = self.now().to_time();
         self.publish(Report::Diagnostics(health.diagnostics(stamp)));
@@ -115,44 +138,13 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
 
     pub(super) fn frame(&mut self, frame: &Telemetry) {
         let board = self.session.board;
-        let samples = &frame.samples[..];
+        self.note_positions(&frame.samples);
         let stamp = self.door.clock.at(board.host_us(frame.device_us), self.session.clock.now_us());
-        if let Some((robot, odometry)) = &mut self.odometry
-            && let Some([left_rad, right_rad]) = sides_rad(board, robot, samples)
-            && let Some(sides_rad_s) = sides_rad_s(robot, samples)
-        {
-            odometry.look(left_rad, right_rad);
-            let velocity = r4_rig::Velocity::of_sides(robot, sides_rad_s);
-            let period_s = f64::from(MOTION_EVERY_MS) * 1e-3;
-            let message = convert::odometry(stamp.to_time(), robot, odometry, velocity, period_s);
-            if self.door.has_transform {
-                self.publish(Report::Transform(convert::transform(&message)));
+        let Self { frames, report, unpublished, .. } = self;
+        frames.convert(stamp, frame.device_us, &frame.samples, |message| {
+            if !report(message) {
+                *unpublished += 1;
             }
-            self.publish(Report::Odometry(message));
-        }
-        if let Some(joints) = convert::joint_states(stamp.to_time(), board.channels(), samples) {
-            self.publish(Report::Joints(joints));
-        }
-        for sample in samples {
-            let Ok(info) = board.channel(sample.channel()) else { continue };
-            // Sensors measure at a time of their own.
-            let measured = |age_ms: u16| stamp.plus_us(-1000 * i64::from(age_ms)).to_time();
-            match *sample {
-                Sample::Sensor { channel, age_ms, .. } if channel.kind == ChannelKind::Imu => {
-                    if let Some(reading) = inertial_reading(channel, std::slice::from_ref(sample)) {
-                        self.publish(Report::Imu(channel, convert::imu(measured(age_ms), channel, &reading)));
-                    }
-                }
-                Sample::Reading { channel, age_ms, .. } | Sample::Sensor { channel, age_ms, .. } => {
-                    if let Some(range) = convert::range(measured(age_ms), info, sample) {
-                        self.publish(Report::Range(channel, range));
-                    }
-                }
-                Sample::Scalar { channel, value } if channel.kind == ChannelKind::Supply => {
-                    self.publish(Report::Battery(channel, convert::battery(stamp.to_time(), channel, value)));
-                }
-                _ => {}
-            }
-        }
+        });
     }
 }

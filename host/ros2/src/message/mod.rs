@@ -5,16 +5,30 @@
 
 mod diagnostic;
 mod geometry;
+mod lifecycle;
+mod parameter;
 mod sensor;
 mod service;
+mod trajectory;
 
 pub use diagnostic::{DiagnosticArray, DiagnosticStatus, KeyValue, Level};
 pub use geometry::{
     Odometry, Pose, PoseWithCovariance, Quaternion, TFMessage, Transform, TransformStamped, Twist, TwistStamped,
     TwistWithCovariance, Vector3,
 };
+pub use lifecycle::{
+    ChangeStateRequest, ChangeStateResponse, EmptyRequest, GetAvailableStatesResponse, GetAvailableTransitionsResponse,
+    GetStateResponse, LifecycleState, LifecycleTransition, TransitionDescription, TransitionEvent,
+};
+pub use parameter::{
+    DescribeParametersResponse, FloatingPointRange, GetParameterTypesResponse, GetParametersResponse, IntegerRange,
+    ListParametersRequest, ListParametersResponse, ListParametersResult, NamesRequest, Parameter, ParameterDescriptor,
+    ParameterValue, SetParametersAtomicallyResponse, SetParametersRequest, SetParametersResponse, SetParametersResult,
+    parameter_type,
+};
 pub use sensor::{BatteryState, Imu, JointState, Range};
 pub use service::{TriggerRequest, TriggerResponse};
+pub use trajectory::{Duration, JointTrajectory, JointTrajectoryPoint};
 
 use serde::{Deserialize, Serialize};
 

@@ -1,5 +1,9 @@
 //! The node in virtual time, without DDS: what ROS would send and see.
 
+mod managed;
+mod parameters;
+mod trajectories;
+
 use std::{cell::RefCell, pin::pin};
 
 use futures::{
@@ -9,7 +13,7 @@ use futures::{
 use r4_rig::{Rig, Session};
 
 use super::*;
-use crate::message::{Odometry as OdometryMessage, Time, Twist};
+use crate::message::{JointState, JointTrajectory, Odometry as OdometryMessage, Time, Twist, Vector3};
 
 /// ROS time when the simulation begins, s.
 const START_S: i32 = 1_000;
@@ -23,12 +27,17 @@ struct Ros<'s> {
 
 /// Runs a node on a simulated board beside `script`.
 fn beside(board: &str, script: impl AsyncFnOnce(&Ros<'_>)) {
+    beside_node(board, false, script);
+}
+
+/// The same; the node may be managed.
+fn beside_node(board: &str, is_managed: bool, script: impl AsyncFnOnce(&Ros<'_>)) {
     let rig = Rig::new(board.parse().expect("a board"));
     let served = rig.run(None, async |session| {
         let (orders, queue) = futures::channel::mpsc::unbounded();
         let reports = RefCell::new(Vec::new());
         let start = Stamp::from_time(Time { sec: START_S, nanosec: 0 }).expect("a moment");
-        let door = Door { clock: RosClock::Simulated { start }, has_transform: true };
+        let door = Door { clock: RosClock::Simulated { start }, has_transform: true, is_managed };
         let serve = door.serve(session, queue, |report| {
             reports.borrow_mut().push(report);
             true
@@ -97,6 +106,18 @@ impl Ros<'_> {
             _ => None,
         });
         state.expect("a state")
+    }
+
+    /// Position (rad) and speed (rad/s) of a joint.
+    fn joint(&self, name: &str) -> (f64, f64) {
+        let joints = self.last(|report| match report {
+            Report::Joints(joints) => {
+                let at = joints.name.iter().position(|of| of == name)?;
+                Some((joints.position[at], joints.velocity[at]))
+            }
+            _ => None,
+        });
+        joints.expect("joint states")
     }
 
     /// What diagnostics say of commands.

@@ -1,0 +1,96 @@
+//! Velocities and set points of joints, which hold as long as they are repeated.
+
+use r4_driver::{CycleReport, Error as DriverError};
+use r4_protocol::{ChannelId, CycleOutcome, SafetyState, Setpoint};
+use r4_rig::Velocity;
+
+use super::{Echo, Report, Serving};
+use crate::{
+    BASE_FRAME,
+    gate::{self, Refused},
+    leased::{Bound, CYCLE_CHANNELS, Setpoints},
+    message::{Header, JointState, Twist, TwistStamped, Vector3},
+    time::Stamp,
+};
+
+impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
+    pub(super) fn velocity(&mut self, stamp: Option<Stamp>, twist: &Twist) -> Result<(), Refused> {
+        let drive = self.drive.as_ref().ok_or(Refused::NoDrive)?;
+        let velocity = gate::velocity(twist)?;
+        let setpoints = drive.setpoints(velocity);
+        let now = self.now();
+        if !self.gate.pass(stamp, now)? {
+            return Ok(());
+        }
+        let stamp = stamp.filter(|stamp| !stamp.is_none()).unwrap_or(now);
+        let echo = self.echo(stamp, &setpoints);
+        self.command(setpoints, echo)
+    }
+
+    /// The velocity that set points of wheels make, slowed down to what the robot may be asked for.
+    fn echo(&self, stamp: Stamp, setpoints: &[(ChannelId, Setpoint)]) -> Echo {
+        let robot = self.frames.robot()?;
+        let speed = |side: &[ChannelId]| {
+            let wheel = setpoints.iter().find(|(channel, _)| side.first() == Some(channel));
+            wheel.map(|(_, setpoint)| f64::from(setpoint.value))
+        };
+        let Velocity { forward_m_s, yaw_rad_s } =
+            Velocity::of_sides(robot, [speed(&robot.left)?, speed(&robot.right)?]);
+        let twist = Twist {
+            linear: Vector3 { x: forward_m_s, ..Vector3::default() },
+            angular: Vector3 { z: yaw_rad_s, ..Vector3::default() },
+        };
+        Some(TwistStamped { header: Header::new(stamp.to_time(), BASE_FRAME), twist })
+    }
+
+    pub(super) fn joints(&mut self, stamp: Option<Stamp>, joints: &JointState) -> Result<(), Refused> {
+        let setpoints = gate::joints(joints, self.session.board.channels(), CYCLE_CHANNELS)?;
+        if !self.gate.pass(stamp, self.now())? || setpoints.is_empty() {
+            return Ok(());
+        }
+        self.command(setpoints, None)
+    }
+
+    fn command(&mut self, setpoints: Setpoints, echo: Echo) -> Result<(), Refused> {
+        self.end_trajectory(&setpoints.iter().map(|(channel, _)| *channel).collect());
+        let binding = self.leased.command(setpoints, echo).map_err(Refused::Board)?;
+        self.push(binding);
+        Ok(())
+    }
+
+    pub(super) fn bound(&mut self, binding: Result<Bound<'b>, DriverError>) -> Result<(), Refused> {
+        let next = self.leased.bound(binding).map_err(Refused::Board)?;
+        self.push(next);
+        Ok(())
+    }
+
+    /// Takes the board's answer to a command.
+    pub(super) fn answered(&mut self, report: &CycleReport, command: Option<Echo>) {
+        // What brings motors to rest is nobody's command.
+        let Some(echo) = command else { return };
+        match report.outcome {
+            CycleOutcome::Taken => {
+                if let Some(echo) = echo {
+                    self.publish(Report::Commanded(echo));
+                }
+                self.note_taken();
+            }
+            CycleOutcome::Refused if report.state != SafetyState::Armed => {
+                self.refuse(format!("the board is {}: call ~/arm first", report.state));
+            }
+            CycleOutcome::Refused => self.refuse("the board refused it: `r4 info` lists what its channels take".into()),
+            CycleOutcome::Stale => {
+                self.refuse("it came to the board too late: the link or this machine is busy".into())
+            }
+            CycleOutcome::Unbound => self.refuse("the board has no stream for it: start the node again".into()),
+        }
+    }
+
+    /// Counts a command that the board has taken, which ends the warning about one before it.
+    pub(super) fn note_taken(&mut self) {
+        self.taken += 1;
+        if self.refusal.take().is_some() {
+            self.diagnose();
+        }
+    }
+}

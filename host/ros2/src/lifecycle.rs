@@ -1,0 +1,246 @@
+//! A managed node: configured it has a session with its board, active the board is armed.
+//!
+//! # Source
+//! States, transitions and their numbers: `lifecycle_msgs` 2.0.3 and the article "Managed nodes" of the ROS 2 design pages.
+
+use futures::channel::oneshot;
+
+use crate::message::{LifecycleState, LifecycleTransition, TransitionDescription};
+
+/// Where a managed node stands between transitions.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum State {
+    /// No session with the board.
+    #[default]
+    Unconfigured,
+    /// A session; the board is not armed for this node.
+    Inactive,
+    /// The board was armed, and nothing has ended that.
+    Active,
+    /// Shut down for good.
+    Finalized,
+}
+
+/// What a caller can ask a managed node for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Transition {
+    /// Opens a session with the board.
+    Configure,
+    /// Closes it.
+    Cleanup,
+    /// Arms the board.
+    Activate,
+    /// Disarms the board.
+    Deactivate,
+    /// Ends the node.
+    Shutdown,
+}
+
+/// A transition that was asked for and can be made from the node's state.
+#[derive(Debug)]
+pub struct Change {
+    /// Which.
+    pub transition: Transition,
+    /// Where it is said whether it was made.
+    pub answer: oneshot::Sender<bool>,
+}
+
+/// A transition that nobody asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unasked {
+    /// The board of an active node is no longer armed: it tripped, or was disarmed.
+    Disarmed,
+    /// The session has ended with an error.
+    Failed,
+}
+
+/// Number and name of `ErrorProcessing`.
+const ERROR_PROCESSING: (u8, &str) = (15, "errorprocessing");
+
+impl State {
+    /// All states.
+    pub const ALL: [Self; 4] = [Self::Unconfigured, Self::Inactive, Self::Active, Self::Finalized];
+
+    fn named(self) -> (u8, &'static str) {
+        match self {
+            Self::Unconfigured => (1, "unconfigured"),
+            Self::Inactive => (2, "inactive"),
+            Self::Active => (3, "active"),
+            Self::Finalized => (4, "finalized"),
+        }
+    }
+
+    /// As messages have it.
+    #[must_use]
+    pub fn message(self) -> LifecycleState {
+        state(self.named())
+    }
+
+    /// Transitions that can be asked for in this state.
+    #[must_use]
+    pub fn transitions(self) -> &'static [Transition] {
+        match self {
+            Self::Unconfigured => &[Transition::Configure, Transition::Shutdown],
+            Self::Inactive => &[Transition::Cleanup, Transition::Activate, Transition::Shutdown],
+            Self::Active => &[Transition::Deactivate, Transition::Shutdown],
+            Self::Finalized => &[],
+        }
+    }
+
+    /// The transition that is asked for, if it can be made now: by its label, or by its number where it has none.
+    #[must_use]
+    pub fn asked(self, LifecycleTransition { id, label }: &LifecycleTransition) -> Option<Transition> {
+        let is_meant = |transition: &&Transition| match label.as_str() {
+            "" => transition.id(self) == *id,
+            label => transition.label() == label,
+        };
+        self.transitions().iter().find(is_meant).copied()
+    }
+
+    /// Descriptions of the transitions that can be asked for.
+    #[must_use]
+    pub fn descriptions(self) -> Vec<TransitionDescription> {
+        let describe = |transition: &Transition| TransitionDescription {
+            transition: transition.message(self),
+            start_state: self.message(),
+            goal_state: transition.goal().message(),
+        };
+        self.transitions().iter().map(describe).collect()
+    }
+}
+
+impl Transition {
+    fn id(self, from: State) -> u8 {
+        match self {
+            Self::Configure => 1,
+            Self::Cleanup => 2,
+            Self::Activate => 3,
+            Self::Deactivate => 4,
+            // 5 from unconfigured, 6 from inactive, 7 from active.
+            Self::Shutdown => 4 + from.named().0,
+        }
+    }
+
+    fn label(self) -> &'static str {
+        match self {
+            Self::Configure => "configure",
+            Self::Cleanup => "cleanup",
+            Self::Activate => "activate",
+            Self::Deactivate => "deactivate",
+            Self::Shutdown => "shutdown",
+        }
+    }
+
+    /// State that it leads to.
+    #[must_use]
+    pub fn goal(self) -> State {
+        match self {
+            Self::Configure | Self::Deactivate => State::Inactive,
+            Self::Cleanup => State::Unconfigured,
+            Self::Activate => State::Active,
+            Self::Shutdown => State::Finalized,
+        }
+    }
+
+    /// State while it is being made.
+    #[must_use]
+    pub fn under_way(self) -> LifecycleState {
+        state(match self {
+            Self::Configure => (10, "configuring"),
+            Self::Cleanup => (11, "cleaningup"),
+            Self::Shutdown => (12, "shuttingdown"),
+            Self::Activate => (13, "activating"),
+            Self::Deactivate => (14, "deactivating"),
+        })
+    }
+
+    /// As messages have it.
+    #[must_use]
+    pub fn message(self, from: State) -> LifecycleTransition {
+        LifecycleTransition { id: self.id(from), label: self.label().to_owned() }
+    }
+
+    /// The end of it, as messages have it.
+    #[must_use]
+    pub fn ended(self, is_made: bool) -> LifecycleTransition {
+        // 10 to 52 in steps of ten for each, and of one for success, failure, error.
+        let tens = match self {
+            Self::Configure => 10,
+            Self::Cleanup => 20,
+            Self::Activate => 30,
+            Self::Deactivate => 40,
+            Self::Shutdown => 50,
+        };
+        let (ones, label) = if is_made { (0, "transition_success") } else { (1, "transition_failure") };
+        LifecycleTransition { id: tens + ones, label: label.to_owned() }
+    }
+}
+
+impl Unasked {
+    /// Steps of it, each with the state before and after; and the state that it leads to.
+    #[must_use]
+    pub fn steps(self, from: State) -> (Vec<(LifecycleTransition, LifecycleState, LifecycleState)>, State) {
+        match self {
+            Self::Disarmed => {
+                let transition = Transition::Deactivate;
+                let during = transition.under_way();
+                let begun = (transition.message(from), from.message(), during.clone());
+                (vec![begun, (transition.ended(true), during, State::Inactive.message())], State::Inactive)
+            }
+            Self::Failed => {
+                let during = state(ERROR_PROCESSING);
+                let named = |id, label: &str| LifecycleTransition { id, label: label.to_owned() };
+                let begun = (named(99, "transition_error"), from.message(), during.clone());
+                let ended = (named(60, "transition_success"), during, State::Unconfigured.message());
+                (vec![begun, ended], State::Unconfigured)
+            }
+        }
+    }
+}
+
+fn state((id, label): (u8, &str)) -> LifecycleState {
+    LifecycleState { id, label: label.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The whole table, of `lifecycle_msgs/msg/Transition`: what can be asked for where, and where it leads.
+    #[test]
+    fn each_state_takes_its_transitions_and_no_others() {
+        use State::{Active, Finalized, Inactive, Unconfigured};
+        let table = [
+            (Unconfigured, 1, "configure", Inactive),
+            (Unconfigured, 5, "shutdown", Finalized),
+            (Inactive, 2, "cleanup", Unconfigured),
+            (Inactive, 3, "activate", Active),
+            (Inactive, 6, "shutdown", Finalized),
+            (Active, 4, "deactivate", Inactive),
+            (Active, 7, "shutdown", Finalized),
+        ];
+        for from in State::ALL {
+            for id in 0..=u8::MAX {
+                let asked = from.asked(&LifecycleTransition { id, label: String::new() });
+                let expected = table.iter().find(|(state, number, ..)| (*state, *number) == (from, id));
+                assert_eq!(asked.map(Transition::goal), expected.map(|(.., goal)| *goal), "{from:?} {id}");
+            }
+            for label in ["configure", "cleanup", "activate", "deactivate", "shutdown", "create"] {
+                // The label counts, whatever the number is.
+                let asked = from.asked(&LifecycleTransition { id: 1, label: label.into() });
+                let expected = table.iter().find(|(state, _, named, _)| (*state, *named) == (from, label));
+                assert_eq!(asked.map(Transition::goal), expected.map(|(.., goal)| *goal), "{from:?} {label}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_nobody_asked_for_is_told_in_steps_that_follow_each_other() {
+        for (unasked, from) in [(Unasked::Disarmed, State::Active), (Unasked::Failed, State::Inactive)] {
+            let (steps, to) = unasked.steps(from);
+            assert_eq!(steps.first().map(|(_, start, _)| start.clone()), Some(from.message()));
+            assert_eq!(steps.last().map(|(.., goal)| goal.clone()), Some(to.message()));
+            assert!(steps.windows(2).all(|pair| pair[0].2 == pair[1].1));
+        }
+    }
+}

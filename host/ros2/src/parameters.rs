@@ -1,0 +1,310 @@
+//! A board's configuration as parameters of a node, under its keys: `osmc0.position_kp`, `board.link_timeout_ms`.
+//!
+//! A board takes gains and feed-forward at once; they hold until it restarts. All else it works with from its next start on, if it was
+//! saved: that is `r4 config`'s, and a set of it is refused.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use futures::channel::oneshot;
+use r4_driver::{Board, Clock, Error};
+use r4_protocol::{
+    ChannelId, Mode, Parameter as Number, ParameterInfo, ParameterKey,
+    config::{FeedForward, PidGains, Tuning},
+};
+use r4_rig::ParameterUnits;
+
+use crate::message::{
+    DescribeParametersResponse, GetParameterTypesResponse, GetParametersResponse, ListParametersRequest,
+    ListParametersResponse, ListParametersResult, NamesRequest, Parameter, ParameterDescriptor, ParameterValue,
+    SetParametersAtomicallyResponse, SetParametersRequest, SetParametersResponse, SetParametersResult, parameter_type,
+};
+
+/// A call of a parameter service, with where its answer goes.
+#[derive(Debug)]
+pub enum ParameterCall {
+    /// `~/list_parameters`
+    List(ListParametersRequest, oneshot::Sender<ListParametersResponse>),
+    /// `~/get_parameters`
+    Get(NamesRequest, oneshot::Sender<GetParametersResponse>),
+    /// `~/get_parameter_types`
+    Types(NamesRequest, oneshot::Sender<GetParameterTypesResponse>),
+    /// `~/describe_parameters`
+    Describe(NamesRequest, oneshot::Sender<DescribeParametersResponse>),
+    /// `~/set_parameters`
+    Set(SetParametersRequest, oneshot::Sender<SetParametersResponse>),
+    /// `~/set_parameters_atomically`
+    SetAtomically(SetParametersRequest, oneshot::Sender<SetParametersAtomicallyResponse>),
+}
+
+/// Why a parameter is not set.
+#[derive(Debug, thiserror::Error)]
+enum NotSet {
+    #[error("the board has no parameter {0}: `ros2 param list` has them")]
+    Unknown(String),
+    #[error("{0} is a number")]
+    Type(String),
+    #[error("{0} must be a finite number that a board's single precision holds")]
+    NotFinite(String),
+    #[error("{key} holds from the board's next start on: `r4 config set {key} {value} --save`, then restart it")]
+    AtStart { key: ParameterKey, value: f32 },
+    #[error(transparent)]
+    Board(#[from] Error),
+}
+
+/// Numbers that a board changes together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Group {
+    Position(ChannelId),
+    Speed(ChannelId),
+    Tuning(ChannelId),
+}
+
+impl Group {
+    /// Group of a number that a board takes at once; `None` for others.
+    fn of(key: ParameterKey) -> Option<Self> {
+        let channel = key.channel?;
+        match key.parameter {
+            Number::PositionKp | Number::PositionKi | Number::PositionKd => Some(Self::Position(channel)),
+            Number::SpeedKp | Number::SpeedKi | Number::SpeedKd => Some(Self::Speed(channel)),
+            Number::StaticDuty | Number::DutyPerSpeed | Number::DutyPerAcceleration | Number::Cascade => {
+                Some(Self::Tuning(channel))
+            }
+            _ => None,
+        }
+    }
+}
+
+/// A board's parameters, asked for when somebody first wants them.
+#[derive(Debug, Default)]
+pub struct ParameterStore {
+    /// As the board started with them, in its order.
+    known: Option<Vec<ParameterInfo>>,
+    /// Values that were set since.
+    changed: BTreeMap<ParameterKey, f32>,
+}
+
+impl ParameterStore {
+    /// Carries a call out and answers it. Where the board cannot be asked, it has no parameters.
+    pub async fn handle<C: Clock>(&mut self, board: &Board<C>, call: ParameterCall) {
+        if self.known.is_none() {
+            // Its next caller asks again.
+            self.known = board.parameters().await.ok();
+        }
+        // A caller that is gone by now gets no answer.
+        match call {
+            ParameterCall::List(request, answer) => drop(answer.send(self.list(&request))),
+            ParameterCall::Get(request, answer) => {
+                let values = request.names.iter().map(|name| self.value(name)).collect();
+                drop(answer.send(GetParametersResponse { values }));
+            }
+            ParameterCall::Types(request, answer) => {
+                let types = request.names.iter().map(|name| self.value(name).kind).collect();
+                drop(answer.send(GetParameterTypesResponse { types }));
+            }
+            ParameterCall::Describe(request, answer) => {
+                let descriptors = request.names.iter().map(|name| self.describe(name)).collect();
+                drop(answer.send(DescribeParametersResponse { descriptors }));
+            }
+            ParameterCall::Set(request, answer) => {
+                let mut results = Vec::new();
+                for parameter in &request.parameters {
+                    results.push(result(self.set(board, std::slice::from_ref(parameter)).await));
+                }
+                drop(answer.send(SetParametersResponse { results }));
+            }
+            ParameterCall::SetAtomically(request, answer) => {
+                let result = result(self.set(board, &request.parameters).await);
+                drop(answer.send(SetParametersAtomicallyResponse { result }));
+            }
+        }
+    }
+
+    fn infos(&self) -> impl Iterator<Item = &ParameterInfo> {
+        self.known.iter().flatten()
+    }
+
+    fn info(&self, name: &str) -> Option<&ParameterInfo> {
+        let key: ParameterKey = name.parse().ok()?;
+        self.infos().find(|info| info.key == key)
+    }
+
+    /// Number that the board works with.
+    fn number(&self, key: ParameterKey) -> Option<f32> {
+        let known = || self.infos().find(|info| info.key == key).map(|info| info.active);
+        self.changed.get(&key).copied().or_else(known)
+    }
+
+    fn value(&self, name: &str) -> ParameterValue {
+        let number = self.info(name).and_then(|info| self.number(info.key));
+        number.map_or_else(ParameterValue::default, |number| ParameterValue::double(shortest(number)))
+    }
+
+    fn describe(&self, name: &str) -> ParameterDescriptor {
+        let Some(ParameterInfo { key, built_in, .. }) = self.info(name) else {
+            return ParameterDescriptor { name: name.to_owned(), ..ParameterDescriptor::default() };
+        };
+        let all: Vec<_> = self.infos().copied().collect();
+        let unit = match ParameterUnits::of(&all).unit(*key) {
+            unit if unit.is_empty() => "a count".to_owned(),
+            unit => format!("in {unit}"),
+        };
+        let read_only = Group::of(*key).is_none();
+        let constraints = if read_only {
+            format!("holds from the board's next start on: r4 config set {key} VALUE --save")
+        } else {
+            format!("holds until the board restarts; to keep it: r4 config set {key} VALUE --save")
+        };
+        ParameterDescriptor {
+            name: name.to_owned(),
+            kind: parameter_type::DOUBLE,
+            description: format!("{unit}; built in: {built_in}"),
+            additional_constraints: constraints,
+            read_only,
+            ..ParameterDescriptor::default()
+        }
+    }
+
+    /// Names as `rclcpp` lists them: those that are a prefix or begin with it and a dot, with fewer than `depth` dots behind it.
+    fn list(&self, ListParametersRequest { prefixes, depth }: &ListParametersRequest) -> ListParametersResponse {
+        let is_near = |rest: &str| *depth == 0 || (rest.matches('.').count() as u64) < *depth;
+        let is_listed = |name: &String| {
+            prefixes.is_empty() && is_near(name)
+                || prefixes.iter().any(|prefix| {
+                    name == prefix
+                        || name
+                            .strip_prefix(prefix.as_str())
+                            .is_some_and(|rest| rest.strip_prefix('.').is_some_and(is_near))
+                })
+        };
+        let names: Vec<String> = self.infos().map(|info| info.key.to_string()).filter(is_listed).collect();
+        let scopes: BTreeSet<_> =
+            names.iter().filter_map(|name| name.rsplit_once('.')).map(|(scope, _)| scope).collect();
+        let prefixes = scopes.into_iter().map(str::to_owned).collect();
+        ListParametersResponse { result: ListParametersResult { names, prefixes } }
+    }
+
+    /// Sets all of these or none: what a loop takes together is sent together, and taken back where another loop's are refused.
+    async fn set<C: Clock>(&mut self, board: &Board<C>, parameters: &[Parameter]) -> Result<(), NotSet> {
+        let before = self.changed.clone();
+        let mut groups: BTreeSet<Group> = BTreeSet::new();
+        let mut wanted = before.clone();
+        for Parameter { name, value } in parameters {
+            let info = self.info(name).ok_or_else(|| NotSet::Unknown(name.clone()))?;
+            let number = value.number().ok_or_else(|| NotSet::Type(name.clone()))? as f32;
+            if !number.is_finite() {
+                return Err(NotSet::NotFinite(name.clone()));
+            }
+            let group = Group::of(info.key).ok_or(NotSet::AtStart { key: info.key, value: number })?;
+            groups.insert(group);
+            wanted.insert(info.key, number);
+        }
+        let mut sent = Vec::new();
+        for group in groups {
+            self.changed.clone_from(&wanted);
+            let result = self.send(board, group).await;
+            sent.push(group);
+            if let Err(error) = result {
+                self.changed.clone_from(&before);
+                for group in sent {
+                    // The first refusal is what the caller has to know.
+                    let _ = self.send(board, group).await;
+                }
+                return Err(error.into());
+            }
+        }
+        self.changed = wanted;
+        Ok(())
+    }
+
+    /// Sends the numbers of a group.
+    async fn send<C: Clock>(&self, board: &Board<C>, group: Group) -> Result<(), Error> {
+        // A board that lists some of a group and not others works with 0 for those.
+        let number =
+            |channel, parameter| self.number(ParameterKey { channel: Some(channel), parameter }).unwrap_or_default();
+        let gains = |channel, [kp, ki, kd]: [Number; 3]| PidGains {
+            kp: number(channel, kp),
+            ki: number(channel, ki),
+            kd: number(channel, kd),
+        };
+        match group {
+            Group::Position(channel) => {
+                let gains = gains(channel, [Number::PositionKp, Number::PositionKi, Number::PositionKd]);
+                board.set_gains(channel, Mode::Position, gains).await
+            }
+            Group::Speed(channel) => {
+                let gains = gains(channel, [Number::SpeedKp, Number::SpeedKi, Number::SpeedKd]);
+                board.set_gains(channel, Mode::Speed, gains).await
+            }
+            Group::Tuning(channel) => {
+                let feed_forward = FeedForward {
+                    static_duty: number(channel, Number::StaticDuty),
+                    duty_per_speed: number(channel, Number::DutyPerSpeed),
+                    duty_per_acceleration: number(channel, Number::DutyPerAcceleration),
+                };
+                let cascade_per_s = number(channel, Number::Cascade);
+                board.set_tuning(channel, Tuning { feed_forward, cascade_per_s }).await
+            }
+        }
+    }
+}
+
+fn result(result: Result<(), NotSet>) -> SetParametersResult {
+    let reason = result.err().map(|error| error.to_string());
+    SetParametersResult { successful: reason.is_none(), reason: reason.unwrap_or_default() }
+}
+
+/// The number of fewest decimals that is this one in single precision: 0.1 and not 0.10000000149.
+fn shortest(number: f32) -> f64 {
+    number.to_string().parse().unwrap_or(f64::from(number))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn store(keys: &[&str]) -> ParameterStore {
+        let info =
+            |key: &&str| ParameterInfo { key: key.parse().expect("a key"), active: 0.144, set: 1.0, built_in: 0.5 };
+        ParameterStore { known: Some(keys.iter().map(info).collect()), changed: BTreeMap::new() }
+    }
+
+    #[test]
+    fn names_are_listed_by_prefix_and_depth() {
+        let store = store(&["board.link_timeout_ms", "osmc0.position_kp", "osmc0.speed_kp", "osmc1.position_kp"]);
+        let list = |prefixes: &[&str], depth| {
+            let prefixes = prefixes.iter().map(|prefix| (*prefix).to_owned()).collect();
+            store.list(&ListParametersRequest { prefixes, depth }).result
+        };
+        assert_eq!((list(&[], 0).names.len(), list(&[], 1).names.len(), list(&[], 2).names.len()), (4, 0, 4));
+        assert_eq!(list(&["osmc0"], 1).names, ["osmc0.position_kp", "osmc0.speed_kp"]);
+        assert_eq!(list(&["osmc0.speed_kp", "board"], 0).names, ["board.link_timeout_ms", "osmc0.speed_kp"]);
+        assert_eq!(list(&["osm"], 0), ListParametersResult::default());
+        assert_eq!(list(&[], 0).prefixes, ["board", "osmc0", "osmc1"]);
+    }
+
+    #[test]
+    fn values_are_what_the_board_works_with_in_its_units() {
+        let store = store(&["osmc0.position_kp", "board.link_timeout_ms"]);
+        assert_eq!(store.value("osmc0.position_kp"), ParameterValue::double(0.144));
+        for unknown in ["osmc1.position_kp", "osmc0.colour", "use_sim_time", ""] {
+            assert_eq!(store.value(unknown).kind, parameter_type::NOT_SET, "{unknown}");
+        }
+        let gain = store.describe("osmc0.position_kp");
+        assert_eq!((gain.kind, gain.read_only, gain.description.as_str()), (3, false, "in duty/rad; built in: 0.5"));
+        let timeout = store.describe("board.link_timeout_ms");
+        assert!(timeout.read_only && timeout.additional_constraints.contains("next start"), "{timeout:?}");
+        assert_eq!(store.describe("elbow").kind, parameter_type::NOT_SET);
+    }
+
+    proptest! {
+        #[test]
+        fn a_number_in_double_precision_is_the_same_in_single(bits in any::<u32>()) {
+            let number = f32::from_bits(bits);
+            if number.is_finite() {
+                prop_assert_eq!(shortest(number) as f32, number);
+            }
+        }
+    }
+}

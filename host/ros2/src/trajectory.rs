@@ -1,0 +1,245 @@
+//! Trajectories of joints as paths of motors: pure.
+
+use r4_protocol::{ChannelInfo, Mode};
+use r4_rig::path::{BeyondLimit, Waypoint, thinned};
+
+use crate::message::{Duration, JointTrajectory};
+
+/// Why a trajectory is not followed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum BadTrajectory {
+    /// Points without names.
+    #[error("it has points and no joint_names: name the joints, or send neither to cancel what is followed")]
+    NoNames,
+    /// The board has no such joint.
+    #[error("{name:?} is no joint of this board: joint_states has their names")]
+    UnknownJoint {
+        /// The name.
+        name: String,
+    },
+    /// A joint is named twice.
+    #[error("{name} is named twice: give each joint one path")]
+    Twice {
+        /// The name.
+        name: String,
+    },
+    /// A point does not have a number for each joint.
+    #[error("point {index} has {numbers} {what} for {names} joints: give one for each")]
+    Lengths {
+        /// Of the point, from 0.
+        index: usize,
+        /// Of which.
+        what: &'static str,
+        /// How many joints.
+        names: usize,
+        /// How many numbers.
+        numbers: usize,
+    },
+    /// A number is NaN or infinite.
+    #[error("point {index} has a number for {name} that is not finite: check the publisher")]
+    NotFinite {
+        /// Of the point, from 0.
+        index: usize,
+        /// The joint.
+        name: String,
+    },
+    /// Times do not rise.
+    #[error("time_from_start of point {index} is negative, no time, or not later than that of the point before")]
+    Time {
+        /// Of the point, from 0.
+        index: usize,
+    },
+    /// Efforts are asked for.
+    #[error("point {index} has efforts: boards follow positions and velocities; leave effort empty")]
+    Effort {
+        /// Of the point, from 0.
+        index: usize,
+    },
+    /// Nobody knows where the joint is.
+    #[error("{name} has not sent its position yet: wait for it in joint_states")]
+    Unseen {
+        /// The joint.
+        name: String,
+    },
+    /// It cannot begin then.
+    #[error(
+        "it begins {late_s:.3} s ago and {limit_s} s are allowed: leave its stamp 0, or synchronise the clocks of both machines; where the \
+         board is simulated, set use_sim_time of the publisher"
+    )]
+    Begun {
+        /// How long ago, s.
+        late_s: f64,
+        /// How long that may be, s.
+        limit_s: f64,
+    },
+    /// It begins too late.
+    #[error("it begins in {ahead_s:.3} s and at most {limit_s} s are allowed: send it later")]
+    FarAhead {
+        /// How far ahead, s.
+        ahead_s: f64,
+        /// How far that may be, s.
+        limit_s: f64,
+    },
+    /// A joint cannot do that.
+    #[error("{name}: {source}")]
+    Beyond {
+        /// The joint.
+        name: String,
+        /// What is beyond which limit.
+        source: BeyondLimit,
+    },
+}
+
+/// The paths in a trajectory, in the order of its joints: points at their times from the trajectory's beginning on, those closer than
+/// [`THIN_S`](r4_rig::path::THIN_S) to the one before left out. Without velocities the last point is one at rest. Accelerations are passed
+/// over: the board's cubic has its own.
+///
+/// # Errors
+/// [`BadTrajectory`], for the first thing that is wrong.
+pub fn paths(
+    message: &JointTrajectory,
+    channels: &[ChannelInfo],
+) -> Result<Vec<(ChannelInfo, Vec<Waypoint>)>, BadTrajectory> {
+    if message.joint_names.is_empty() {
+        return Err(BadTrajectory::NoNames);
+    }
+    let mut joints: Vec<(ChannelInfo, Vec<Waypoint>)> = Vec::new();
+    for name in &message.joint_names {
+        let known = channels.iter().find(|info| info.id.to_string() == *name);
+        let info = known.ok_or_else(|| BadTrajectory::UnknownJoint { name: name.clone() })?;
+        if info.mode(Mode::Follow).is_none() {
+            return Err(BadTrajectory::Beyond { name: name.clone(), source: BeyondLimit::FollowsNone });
+        }
+        if joints.iter().any(|(other, _)| other.id == info.id) {
+            return Err(BadTrajectory::Twice { name: name.clone() });
+        }
+        joints.push((info.clone(), Vec::new()));
+    }
+    let mut before_s = f64::NEG_INFINITY;
+    for (index, point) in message.points.iter().enumerate() {
+        let names = joints.len();
+        let lengths = [("positions", &point.positions, true), ("velocities", &point.velocities, false)];
+        for (what, numbers, is_needed) in lengths {
+            if numbers.len() != names && (is_needed || !numbers.is_empty()) {
+                return Err(BadTrajectory::Lengths { index, what, names, numbers: numbers.len() });
+            }
+        }
+        if !point.effort.is_empty() {
+            return Err(BadTrajectory::Effort { index });
+        }
+        let time_s = seconds(point.time_from_start).filter(|time_s| *time_s >= 0.0 && *time_s > before_s);
+        let time_s = time_s.ok_or(BadTrajectory::Time { index })?;
+        before_s = time_s;
+        let is_last = index + 1 == message.points.len();
+        for (at, (info, points)) in joints.iter_mut().enumerate() {
+            let (position, speed) = (point.positions[at], point.velocities.get(at).copied());
+            if !position.is_finite() || speed.is_some_and(|speed| !speed.is_finite()) {
+                return Err(BadTrajectory::NotFinite { index, name: info.id.to_string() });
+            }
+            let speed = if is_last { Some(speed.unwrap_or(0.0)) } else { speed };
+            points.push(Waypoint { speed, ..Waypoint::at(time_s, position) });
+        }
+    }
+    Ok(joints.into_iter().map(|(info, points)| (info, thinned(points))).collect())
+}
+
+/// A duration, s; `None` where its nanoseconds are a second or more.
+fn seconds(duration: Duration) -> Option<f64> {
+    (duration.nanosec < 1_000_000_000).then(|| f64::from(duration.sec) + f64::from(duration.nanosec) * 1e-9)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use r4_protocol::{ChannelId, ChannelKind, ModeInfo, Range, Unit};
+
+    use super::*;
+    use crate::message::JointTrajectoryPoint;
+
+    fn channels() -> Vec<ChannelInfo> {
+        let range = Range::new(-1.0, 1.0);
+        let channel = |index, modes: &[Mode]| ChannelInfo {
+            id: ChannelId::new(ChannelKind::Osmc, index),
+            unit: Unit::Rad,
+            range,
+            rate_hz: 1000.0,
+            resolution: 0.001,
+            modes: modes.iter().map(|mode| ModeInfo { mode: *mode, unit: Unit::Rad, range }).collect(),
+        };
+        vec![channel(0, &[Mode::Follow]), channel(1, &[Mode::Follow]), channel(2, &[Mode::Duty])]
+    }
+
+    fn point(ms: u32, positions: &[f64], velocities: &[f64]) -> JointTrajectoryPoint {
+        let time_from_start = Duration { sec: (ms / 1000) as i32, nanosec: ms % 1000 * 1_000_000 };
+        let (positions, velocities) = (positions.to_vec(), velocities.to_vec());
+        JointTrajectoryPoint { positions, velocities, time_from_start, ..JointTrajectoryPoint::default() }
+    }
+
+    fn trajectory(names: &[&str], points: &[JointTrajectoryPoint]) -> JointTrajectory {
+        let joint_names = names.iter().map(|name| (*name).to_owned()).collect();
+        JointTrajectory { joint_names, points: points.to_vec(), ..JointTrajectory::default() }
+    }
+
+    #[test]
+    fn each_joint_gets_its_points_and_rests_at_the_last() {
+        let message = trajectory(&["osmc1", "osmc0"], &[point(500, &[0.1, 0.2], &[]), point(1500, &[0.3, 0.4], &[])]);
+        let [(first, of_first), (second, of_second)] = &paths(&message, &channels()).expect("paths")[..] else {
+            panic!("two")
+        };
+        assert_eq!((first.id.to_string(), second.id.to_string()), ("osmc1".into(), "osmc0".into()));
+        let rest = |time_s, position| Waypoint { speed: Some(0.0), ..Waypoint::at(time_s, position) };
+        assert_eq!(of_first[..], [Waypoint::at(0.5, 0.1), rest(1.5, 0.3)]);
+        assert_eq!(of_second[..], [Waypoint::at(0.5, 0.2), rest(1.5, 0.4)]);
+        let moving = trajectory(&["osmc0"], &[point(500, &[0.1], &[0.2])]);
+        assert_eq!(paths(&moving, &channels()).expect("paths")[0].1[0].speed, Some(0.2));
+    }
+
+    #[test]
+    fn each_thing_that_is_wrong_has_its_reason() {
+        let good = point(500, &[0.1], &[]);
+        let effort = JointTrajectoryPoint { effort: vec![1.0], ..good.clone() };
+        let no_time =
+            JointTrajectoryPoint { time_from_start: Duration { sec: 0, nanosec: 1_000_000_000 }, ..good.clone() };
+        let early = JointTrajectoryPoint { time_from_start: Duration { sec: -1, nanosec: 0 }, ..good.clone() };
+        for (names, points, says) in [
+            (&[][..], vec![good.clone()], "no joint_names"),
+            (&["elbow"], vec![good.clone()], "\"elbow\" is no joint"),
+            (&["osmc2"], vec![good.clone()], "osmc2: it follows no paths"),
+            (&["osmc0", "osmc0"], vec![point(500, &[0.1, 0.1], &[])], "named twice"),
+            (&["osmc0"], vec![point(500, &[], &[])], "point 0 has 0 positions for 1 joints"),
+            (&["osmc0"], vec![good.clone(), point(600, &[0.1], &[0.1, 0.2])], "point 1 has 2 velocities"),
+            (&["osmc0"], vec![good.clone(), point(500, &[0.1], &[])], "time_from_start of point 1"),
+            (&["osmc0"], vec![no_time], "time_from_start of point 0"),
+            (&["osmc0"], vec![early], "time_from_start of point 0"),
+            (&["osmc0"], vec![effort], "point 0 has efforts"),
+            (&["osmc0"], vec![point(500, &[f64::NAN], &[])], "point 0 has a number for osmc0"),
+            (&["osmc0"], vec![point(500, &[0.1], &[f64::INFINITY])], "not finite"),
+        ] {
+            let refused = paths(&trajectory(names, &points), &channels()).expect_err(says).to_string();
+            assert!(refused.contains(says), "{refused}");
+        }
+    }
+
+    proptest! {
+        /// Any message is a path with rising times and finite numbers, or refused.
+        #[test]
+        fn any_message_is_followed_or_refused(
+            points in prop::collection::vec((any::<i32>(), any::<u32>(), prop::collection::vec(any::<f64>(), 0..3)), 1..20),
+            speeds in prop::collection::vec(any::<f64>(), 0..3),
+        ) {
+            let points: Vec<_> = points.into_iter().map(|(sec, nanosec, positions)| JointTrajectoryPoint {
+                positions,
+                velocities: speeds.clone(),
+                time_from_start: Duration { sec, nanosec },
+                ..JointTrajectoryPoint::default()
+            }).collect();
+            if let Ok(joints) = paths(&trajectory(&["osmc0", "osmc1"], &points), &channels()) {
+                for (_, points) in joints {
+                    prop_assert!(!points.is_empty());
+                    prop_assert!(points.windows(2).all(|pair| pair[0].time_s < pair[1].time_s));
+                    prop_assert!(points.iter().all(|point| point.position.is_finite() && point.time_s >= 0.0));
+                }
+            }
+        }
+    }
+}
