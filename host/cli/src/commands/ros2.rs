@@ -1,5 +1,6 @@
 //! `r4 ros2`: the board as a ROS 2 node, in programs that are built with it.
 
+#[cfg(not(feature = "ros2"))]
 use crate::args::Args;
 
 /// Commands come on `cmd_vel` (`geometry_msgs/TwistStamped`), `cmd_vel_unstamped` (`Twist`) and `joint_commands`
