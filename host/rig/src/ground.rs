@@ -45,10 +45,10 @@ impl GroundDrive {
 
     /// Drive of a board's robot; `None` where no file says how the robot drives.
     ///
-    /// The board reports the name `robot` but not its drive: see [`Target::robot`].
+    /// The board reports the name `robot` but not its drive: see [`Target::description`].
     #[must_use]
     pub fn of_board(target: &Target, robot: &str) -> Option<Self> {
-        target.robot(robot)?.drive.map(Self::new)
+        target.description(robot)?.drive.map(Self::new)
     }
 
     /// Description that the drive was created from.

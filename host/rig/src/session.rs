@@ -69,10 +69,10 @@ impl Session<'_> {
         self.target
     }
 
-    /// Robot's file; `None` when it is not known: see [`Target::robot`].
+    /// Robot's file; `None` when it is not known: see [`Target::description`].
     #[must_use]
     pub fn robot(&self) -> Option<Robot> {
-        self.target.robot(self.board.info().robot.as_str())
+        self.target.description(self.board.info().robot.as_str())
     }
 
     /// Drive of the robot over the ground, from [its file](Self::robot); `None` when the file is not known.

@@ -2,6 +2,7 @@
 
 use std::{fmt, str::FromStr};
 
+use r4_boards::Robot;
 use r4_links::{Address, BadAddress};
 
 /// A board, by its name or by its address.
@@ -56,7 +57,7 @@ impl Target {
     /// A board on a link does not report its robot's description, so `named`, the name that it reports, is looked up among
     /// the built-in robots.
     #[must_use]
-    pub fn robot(&self, named: &str) -> Option<Robot> {
+    pub fn description(&self, named: &str) -> Option<Robot> {
         let name = match self {
             Self::Sim(name) | Self::Emu(name) => name,
             Self::Link(_) => r4_boards::names().find(|name| *name == named)?,
