@@ -12,12 +12,21 @@ use r4_protocol::{
     config::{FeedForward, PidGains, Tuning},
 };
 use r4_rig::ParameterUnits;
+use serde::Serialize;
 
+use crate::bag::cdr;
 use crate::message::{
     DescribeParametersResponse, GetParameterTypesResponse, GetParametersResponse, ListParametersRequest,
     ListParametersResponse, ListParametersResult, NamesRequest, Parameter, ParameterDescriptor, ParameterValue,
     SetParametersAtomicallyResponse, SetParametersRequest, SetParametersResponse, SetParametersResult, parameter_type,
 };
+
+/// Longest answer that other nodes receive, bytes of CDR with its header of 4.
+///
+/// RustDDS 0.15.1 splits answers of more than 1372 bytes (an Ethernet frame without its headers) into fragments, and writes
+/// a stray byte before the inline QoS of each, which holds the caller's number: other nodes cannot read such a fragment, and
+/// a debug build panics. Rounded down, because the limit follows from its sizes of headers.
+const LONGEST_ANSWER_BYTES: usize = 1300;
 
 /// A call of a parameter service, with where its answer goes.
 #[derive(Debug)]
@@ -92,25 +101,30 @@ impl ParameterStore {
         }
         // A caller that is gone by now gets no answer.
         match call {
-            ParameterCall::List(request, answer) => drop(answer.send(self.list(&request))),
+            ParameterCall::List(request, answer) => drop(answer.send(self.short_list(&request))),
             ParameterCall::Get(request, answer) => {
                 let values = request.names.iter().map(|name| self.value(name)).collect();
-                drop(answer.send(GetParametersResponse { values }));
+                drop(answer.send(short(GetParametersResponse { values })));
             }
             ParameterCall::Types(request, answer) => {
                 let types = request.names.iter().map(|name| self.value(name).kind).collect();
-                drop(answer.send(GetParameterTypesResponse { types }));
+                drop(answer.send(short(GetParameterTypesResponse { types })));
             }
             ParameterCall::Describe(request, answer) => {
                 let descriptors = request.names.iter().map(|name| self.describe(name)).collect();
-                drop(answer.send(DescribeParametersResponse { descriptors }));
+                drop(answer.send(short(DescribeParametersResponse { descriptors })));
             }
             ParameterCall::Set(request, answer) => {
                 let mut results = Vec::new();
                 for parameter in &request.parameters {
                     results.push(result(self.set(board, std::slice::from_ref(parameter)).await));
                 }
-                drop(answer.send(SetParametersResponse { results }));
+                let mut response = SetParametersResponse { results };
+                if !fits(&response) {
+                    // Which of them were set must reach the caller; only the reasons can be left out.
+                    response.results.iter_mut().for_each(|result| result.reason.clear());
+                }
+                drop(answer.send(short(response)));
             }
             ParameterCall::SetAtomically(request, answer) => {
                 let result = result(self.set(board, &request.parameters).await);
@@ -183,6 +197,15 @@ impl ParameterStore {
         ListParametersResponse { result: ListParametersResult { names, prefixes } }
     }
 
+    /// The list, or only its prefixes where the names are too many for an answer: each prefix can be listed by itself.
+    fn short_list(&self, request: &ListParametersRequest) -> ListParametersResponse {
+        let mut list = self.list(request);
+        if !fits(&list) {
+            list.result.names.clear();
+        }
+        short(list)
+    }
+
     /// Sets all of these or none: what a loop takes together is sent together, and taken back where another loop's are refused.
     async fn set<C: Clock>(&mut self, board: &Board<C>, parameters: &[Parameter]) -> Result<(), NotSet> {
         let before = self.changed.clone();
@@ -248,6 +271,16 @@ impl ParameterStore {
     }
 }
 
+/// Returns whether other nodes can receive an answer.
+fn fits<A: Serialize>(answer: &A) -> bool {
+    cdr(answer).is_ok_and(|bytes| bytes.len() <= LONGEST_ANSWER_BYTES)
+}
+
+/// Replaces an answer that is too long by an empty one, by which ROS says that a call failed.
+fn short<A: Serialize + Default>(answer: A) -> A {
+    if fits(&answer) { answer } else { A::default() }
+}
+
 fn result(result: Result<(), NotSet>) -> SetParametersResult {
     let reason = result.err().map(|error| error.to_string());
     SetParametersResult { successful: reason.is_none(), reason: reason.unwrap_or_default() }
@@ -282,6 +315,21 @@ mod tests {
         assert_eq!(list(&["osmc0.speed_kp", "board"], 0).names, ["board.link_timeout_ms", "osmc0.speed_kp"]);
         assert_eq!(list(&["osm"], 0), ListParametersResult::default());
         assert_eq!(list(&[], 0).prefixes, ["board", "osmc0", "osmc1"]);
+    }
+
+    /// Channels of the largest built-in board have 38 parameters, with names of up to 25 letters.
+    #[test]
+    fn what_is_too_long_for_an_answer_is_asked_for_in_parts() {
+        let keys: Vec<String> = (0..4).map(|at| format!("osmc{at}.duty_per_acceleration")).collect();
+        let all: Vec<&str> = keys.iter().map(String::as_str).cycle().take(60).collect();
+        let store = store(&all);
+        let whole = store.short_list(&ListParametersRequest::default()).result;
+        assert_eq!((whole.names.len(), whole.prefixes.len()), (0, 4));
+        let part = store.short_list(&ListParametersRequest { prefixes: vec!["osmc0".into()], depth: 0 }).result;
+        assert_eq!(part.names.len(), 15);
+        let values = |count| short(GetParametersResponse { values: vec![ParameterValue::double(1.0); count] }).values;
+        // A value takes 48 bytes or 52, by its alignment.
+        assert_eq!([values(24).len(), values(28).len()], [24, 0]);
     }
 
     #[test]

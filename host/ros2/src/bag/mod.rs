@@ -209,7 +209,8 @@ fn to_cdr(report: &Report) -> cdr_encoding::Result<Vec<u8>> {
     }
 }
 
-fn cdr<M: Serialize>(message: &M) -> cdr_encoding::Result<Vec<u8>> {
+/// Encodes a message as CDR with its encapsulation header.
+pub(crate) fn cdr<M: Serialize>(message: &M) -> cdr_encoding::Result<Vec<u8>> {
     let mut bytes = ENCAPSULATION.to_vec();
     // What comes is aligned from behind the encapsulation on.
     cdr_encoding::to_writer::<M, LittleEndian, _>(&mut bytes, message)?;
