@@ -276,6 +276,7 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
 
     fn refuse(&mut self, why: String) {
         self.refused += 1;
+        // Only the first of several refusals is published at once: a faulty publisher must not flood `/diagnostics`.
         let was_well = self.refusal.replace(why).is_none();
         if was_well {
             self.diagnose();
@@ -298,6 +299,7 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
 
     /// Trips the board for the e-stop topic, unless a stop is already under way.
     fn stop(&mut self) {
+        // One request at a time: while the topic is engaged and the board armed, each tick comes here.
         if !self.is_stopping {
             self.is_stopping = true;
             self.call(Request::Stop, None);
@@ -315,6 +317,7 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
             respond(answer, TriggerResponse { success: false, message });
             return;
         }
+        // Waiting set points are dropped, so that none reaches the board after the stop.
         if request == Request::Stop {
             self.leased.rest();
         }

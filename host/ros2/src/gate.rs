@@ -208,6 +208,7 @@ pub fn joints(
         }
         setpoints.push((info.id, Setpoint { mode, value: value as f32 }));
     }
+    // Counted without NaN entries: ros2_control names all joints in each message.
     if setpoints.len() > most {
         return Err(Refused::TooMany { asked: setpoints.len(), most });
     }

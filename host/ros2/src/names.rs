@@ -29,6 +29,7 @@ impl std::str::FromStr for Namespace {
             "" => Vec::new(),
             names => names.split('/').map(str::to_owned).collect(),
         };
+        // The rules of ROS 2 for names, which also forbid repeated underscores.
         let is_name = |token: &String| {
             token.starts_with(|first: char| first.is_ascii_alphabetic())
                 && token.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '_')

@@ -196,6 +196,7 @@ impl ParameterStore {
         let mut wanted = before.clone();
         for Parameter { name, value } in parameters {
             let info = self.info(name).ok_or_else(|| NotSet::Unknown(name.clone()))?;
+            // The board computes in single precision; a double beyond its range becomes infinite and is refused.
             let number = value.number().ok_or_else(|| NotSet::Type(name.clone()))? as f32;
             if !number.is_finite() {
                 return Err(NotSet::NotFinite(name.clone()));

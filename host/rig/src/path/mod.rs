@@ -1,5 +1,5 @@
-//! Paths of motors over time: read from a table, sent ahead of time, followed together, and graded by the distance of
-//! the motors from them.
+//! Paths of motors over time: parsed from a table, sent ahead of time, followed together, and graded by the motors'
+//! tracking error.
 
 mod feed;
 mod limits;
@@ -14,7 +14,7 @@ use crate::{Error, Session, Unsuitable};
 pub use feed::Feed;
 pub use limits::{BeyondLimit, check};
 
-/// Point of a path.
+/// Point of a motor's path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Waypoint {
     /// Time since the start of the path, s.
@@ -23,12 +23,12 @@ pub struct Waypoint {
     pub position: f64,
     /// Speed, rad/s or m/s; `None` lets the board compute it from the neighbouring points.
     pub speed: Option<f64>,
-    /// Feed-forward duty on the way to the point, added to the board's own.
+    /// Feed-forward duty from the point before to this one, added to the board's own.
     pub feed_forward: f64,
 }
 
 impl Waypoint {
-    /// Point of which only the time, s, and the position, rad or m, are given.
+    /// Creates a point from its time, s, and position, rad or m, with a derived speed and no feed-forward.
     #[must_use]
     pub fn at(time_s: f64, position: f64) -> Self {
         Self { time_s, position, speed: None, feed_forward: 0.0 }
@@ -42,7 +42,7 @@ pub struct Paths {
     pub channels: Vec<(ChannelId, Vec<Waypoint>)>,
 }
 
-/// Reason why a table is no path.
+/// Error of a table or of points that are no valid path.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PathError {
     /// The first line does not name valid columns.
@@ -101,12 +101,12 @@ impl Column {
     }
 }
 
-/// Least distance of points, s; closer ones are left out. The board keeps 32 points, which must last longer than a
+/// Minimum time between points, s; closer ones are omitted. The board keeps 32 points, which must last longer than a
 /// transfer takes.
 pub const THIN_S: f64 = 0.008;
 /// Rounding of times in s with three decimals or more.
 const ROUNDING_S: f64 = 1e-9;
-/// Lead of the first point over the board's clock, s; longer where the motor must first move to it.
+/// Time from sending a path to its first point, s; longer when the motor must first move to that point.
 const LEAD_S: f64 = 0.3;
 /// Period at which points are sent, s.
 const SEND_EVERY_S: f64 = 0.02;
@@ -123,6 +123,7 @@ impl Paths {
     /// # Errors
     /// [`PathError`] for a table that is not valid.
     pub fn parse(text: &str) -> Result<Self, PathError> {
+        // Numbered before blank lines are removed: errors name the line as an editor shows it.
         let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
         let header = lines.next().map_or("", |(_, line)| line);
         let columns: Result<Vec<_>, _> = header.split(',').map(|name| Column::parse(name.trim())).collect();
@@ -181,7 +182,7 @@ impl Paths {
     }
 
     /// Creates paths from points: at least two for each channel, each later than the one before, all numbers finite.
-    /// Points closer than [`THIN_S`] to the one before are left out, as from a table.
+    /// Points closer than [`THIN_S`] to the one before are omitted, as from a table.
     ///
     /// # Errors
     /// [`PathError::Points`] for a point that is not valid; [`PathError::Short`] for fewer than two.
@@ -222,7 +223,7 @@ fn number_of(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| format!("`{text}` is not a number"))
 }
 
-/// Removes points closer than [`THIN_S`] to the one before; the last is kept.
+/// Removes points closer than [`THIN_S`] to the one before; the last point is kept.
 #[must_use]
 pub fn thinned(points: Vec<Waypoint>) -> Vec<Waypoint> {
     let mut kept: Vec<Waypoint> = Vec::new();
@@ -251,9 +252,9 @@ pub struct Followed {
     pub info: ChannelInfo,
     /// Number of points that were sent.
     pub points: usize,
-    /// Largest distance from the path, rad or m, by the motor's own sensor.
+    /// Largest tracking error, rad or m, without a sign, by the motor's own sensor.
     pub worst: f64,
-    /// RMS distance from the path, rad or m.
+    /// RMS tracking error, rad or m.
     pub rms: f64,
     /// Lag of the motion behind the path, s, by least squares; 0 for a path without motion.
     pub lag_s: f64,
@@ -263,14 +264,15 @@ pub struct Followed {
     pub settled: bool,
 }
 
-/// A path while it is sent to the board.
+/// Path while it is sent to the board.
 struct Sending<'p> {
     info: ChannelInfo,
     points: &'p [Waypoint],
     /// Points on their way to the board; empty until the board's clock at the start of the path is known.
     feed: Feed,
-    /// Reference, position and time, µs, of each sample.
+    /// Set point (rad or m), measured position (rad or m) and time on the board's clock (µs) of each sample.
     seen: Vec<(f64, f64, u64)>,
+    /// Last measured position (rad or m), whether the motor is settled, and its mode; `None` before the first sample.
     end: Option<(f64, bool, Mode)>,
 }
 
@@ -332,11 +334,11 @@ impl Session<'_> {
                 }
             }
         };
-        // The motors' supply is on by then, and each motor has been sampled.
+        // After 0.1 s the motors' supply is on, and each motor has been sampled.
         board.sleep_s(0.1).await;
         look(sending);
         let ways_s = sending.iter().map(|path| path.way_s());
-        // Without a common start, the motor with the longest way to its first point sets the lead.
+        // Without a common start, the motor with the longest move to its first point determines the lead.
         let lead_s = begin_s.map_or_else(|| ways_s.fold(LEAD_S, f64::max), |begin_s| begin_s - board.now_s());
         let begin_us = board.device_us() + (lead_s * 1e6) as u64;
         // A table may start at any time: its earliest point is the start of all paths.
@@ -361,6 +363,7 @@ impl Session<'_> {
         let give_up_us = end_us + (SETTLE_S * 1e6) as u64;
         while board.device_us() < give_up_us {
             board.sleep_s(SEND_EVERY_S).await;
+            // Without this check a trip would only show as a motor that does not settle.
             if let (SafetyState::Tripped | SafetyState::Disarmed, causes) = board.safety() {
                 return Err(DriverError::Stopped { causes }.into());
             }
@@ -391,7 +394,7 @@ impl Sending<'_> {
         let errors = on_path.iter().map(|(reference, position, _)| reference - position);
         let worst = errors.clone().fold(0.0, |worst: f64, error| worst.max(error.abs()));
         let rms = (errors.map(|error| error * error).sum::<f64>() / on_path.len().max(1) as f64).sqrt();
-        // A lag causes a distance of speed times lag: regression of the distance on the speed.
+        // A lag causes an error of speed times lag, so it is the regression coefficient of the error on the speed.
         let (mut product, mut square) = (0.0, 0.0);
         for pair in on_path.windows(2) {
             let [(before, _, before_us), (reference, position, at_us)] = pair else { continue };

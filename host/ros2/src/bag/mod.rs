@@ -84,6 +84,7 @@ pub fn write_bag(log: &Log, drive: Option<&GroundDrive>, folder: &Path) -> Resul
     let name = folder.file_name().and_then(|name| name.to_str());
     let name = name.ok_or_else(|| BagError::NoName { path: folder.to_owned() })?;
     let file = format!("{name}_0.mcap");
+    // `create_dir` fails for an existing folder, so no bag is ever overwritten.
     fs::create_dir(folder).map_err(|source| match source.kind() {
         io::ErrorKind::AlreadyExists => BagError::Exists { path: folder.to_owned() },
         _ => BagError::Io { path: folder.to_owned(), source },
@@ -161,6 +162,7 @@ fn write_message<W: io::Write>(
     stamp: Stamp,
     report: &Report,
 ) -> Result<u64, WriteError> {
+    // MCAP has no times before 1970; they become 0.
     let time_ns = u64::try_from(stamp.as_ns()).unwrap_or_default();
     // Not expected: each report from a log has a topic and a listed type, which the tests check for all of them.
     let unknown = |topic: &str| WriteError::Encode { topic: topic.to_owned(), why: "no such topic".into() };

@@ -172,6 +172,7 @@ impl Drop for Node {
             // The thread may have ended by itself.
             let _ = end.send(());
         }
+        // The thread owns the readers and servers, which must be gone before the graph is dropped.
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }

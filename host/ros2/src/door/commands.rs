@@ -19,6 +19,7 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
         let velocity = gate::velocity(twist)?;
         let setpoints = drive.setpoints(velocity);
         let now = self.now();
+        // Checked last, because an accepted stamp counts as the newest: that of a refused velocity must not.
         if !self.gate.pass(stamp, now)? {
             return Ok(());
         }
