@@ -1,4 +1,4 @@
-"""Parameters by rclpy's own client."""
+"""Parameters, accessed by rclpy's own client."""
 
 import pytest
 from rclpy.parameter import Parameter
@@ -20,7 +20,7 @@ def parameters(peer):
 
 def test_the_configuration_is_listed_read_and_described(parameters):
     names = parameters("list_parameters").result.names
-    # openscout.toml
+    # Keys and values of openscout.toml.
     assert {"board.link_timeout_ms", "dhb0.speed_kp", "dhb3.position_max"} <= set(names)
     of_wheel = parameters("list_parameters", prefixes=["dhb0"], depth=1).result
     assert of_wheel.names and all(name.startswith("dhb0.") for name in of_wheel.names)
