@@ -82,7 +82,7 @@ impl Health {
             _ if self.node.as_ref().is_some_and(|node| node.is_estop_engaged) => {
                 (Level::Warn, format!("{at}; the e-stop topic is engaged"))
             }
-            SafetyState::Disarmed => (Level::Ok, format!("{at}; ~/arm lets it move")),
+            SafetyState::Disarmed => (Level::Ok, format!("{at}; ~/arm permits motion")),
             SafetyState::Armed => (Level::Ok, at),
         };
         let mut values = vec![
@@ -120,7 +120,7 @@ impl Health {
             [] => (Level::Ok, "windings are cool".to_owned()),
             some => {
                 let names = some.iter().map(hot).collect::<Vec<_>>().join(", ");
-                (Level::Warn, format!("hot windings: {names} of what they withstand; ask less of them"))
+                (Level::Warn, format!("hot windings: {names} of the thermal limit; reduce the load"))
             }
         };
         self.status("motors", said, &[])

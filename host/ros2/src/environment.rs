@@ -45,21 +45,21 @@ pub struct Discovery {
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EnvironmentError {
     /// The domain is no number from 0 to 232.
-    #[error("ROS_DOMAIN_ID={value:?} is no domain: set it to a number from 0 to {DOMAIN_MAX}, or unset it for 0")]
+    #[error("ROS_DOMAIN_ID={value:?} is not a domain: set it to a number from 0 to {DOMAIN_MAX}, or unset it for 0")]
     Domain {
         /// Value of the variable.
         value: String,
     },
     /// The range of discovery is unknown.
     #[error(
-        "ROS_AUTOMATIC_DISCOVERY_RANGE={value:?} is no range: set it to SUBNET or LOCALHOST, or unset it for SUBNET"
+        "ROS_AUTOMATIC_DISCOVERY_RANGE={value:?} is not a range: set it to SUBNET or LOCALHOST, or unset it for SUBNET"
     )]
     Range {
         /// Value of the variable.
         value: String,
     },
     /// Discovery is switched off, but this node can be found in no other way.
-    #[error("ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: this node is found by discovery only; set it to SUBNET or LOCALHOST")]
+    #[error("ROS_AUTOMATIC_DISCOVERY_RANGE=OFF hides this node from all others: set it to SUBNET or LOCALHOST")]
     Off,
     /// The flag is neither 0 nor 1.
     #[error("ROS_LOCALHOST_ONLY={value:?} is neither 0 nor 1: set it to one of them, or unset it for 0")]
@@ -71,14 +71,14 @@ pub enum EnvironmentError {
     #[error("ROS_LOCALHOST_ONLY=1 and ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET contradict each other: unset the first")]
     Contradiction,
     /// Peers are named, which this node does not support.
-    #[error("ROS_STATIC_PEERS={value:?}: this node cannot look for named peers; unset it and use the same network")]
+    #[error("ROS_STATIC_PEERS={value:?}: named peers are not supported; unset it, and use one network for all nodes")]
     StaticPeers {
         /// Value of the variable.
         value: String,
     },
     /// The other nodes do not use DDS, or their mapping of services is unknown.
     #[error(
-        "RMW_IMPLEMENTATION={value:?}: this node speaks to rmw_fastrtps_cpp, rmw_connextdds and rmw_cyclonedds_cpp; set it to one of them, or \
+        "RMW_IMPLEMENTATION={value:?}: supported are rmw_fastrtps_cpp, rmw_connextdds and rmw_cyclonedds_cpp; set it to one of them, or \
          unset it for the first"
     )]
     Middleware {
@@ -86,7 +86,7 @@ pub enum EnvironmentError {
         value: String,
     },
     /// The value of a variable is not valid Unicode.
-    #[error("{name} is no text: set it anew")]
+    #[error("{name} is not valid Unicode: set it again")]
     NotText {
         /// Name of the variable.
         name: &'static str,
@@ -166,7 +166,7 @@ impl fmt::Display for Discovery {
             Services::Enhanced => "Fast DDS",
             Services::Cyclone => "Cyclone DDS",
         };
-        write!(to, "ROS domain {}, {reach}, services as {services} has them", self.domain)
+        write!(to, "ROS domain {}, {reach}, services as in {services}", self.domain)
     }
 }
 
@@ -195,7 +195,7 @@ mod tests {
             assert_eq!(of(variables), Ok(Discovery { domain, reach, services }), "{variables:?}");
         }
         let cyclone = of(&[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp"), ("ROS_LOCALHOST_ONLY", "1")]).expect("known");
-        assert_eq!(cyclone.to_string(), "ROS domain 0, this machine only, services as Cyclone DDS has them");
+        assert_eq!(cyclone.to_string(), "ROS domain 0, this machine only, services as in Cyclone DDS");
         assert!(of(&[]).expect("nothing").only_networks().is_none() && cyclone.only_networks().is_some());
     }
 

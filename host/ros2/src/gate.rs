@@ -23,7 +23,7 @@ pub enum Refused {
         what: String,
     },
     /// A message cannot be decoded as its topic's type.
-    #[error("a message on {topic} cannot be read ({why}): check its type")]
+    #[error("a message on {topic} cannot be decoded ({why}): check its type")]
     Unreadable {
         /// Name of the topic.
         topic: &'static str,
@@ -31,12 +31,12 @@ pub enum Refused {
         why: String,
     },
     /// The stamp is invalid: its nanoseconds are a second or more.
-    #[error("the stamp has a second or more in its nanoseconds: check the publisher")]
+    #[error("the nanoseconds of the stamp are a second or more: check the publisher")]
     BadStamp,
     /// The command is too old.
     #[error(
-        "its stamp is {age_s:.3} s old and {limit_s} s are allowed: synchronise the clocks of both machines; where the board is \
-         simulated, set use_sim_time of the publisher"
+        "its stamp is {age_s:.3} s old and at most {limit_s} s are allowed: synchronise the clocks of both machines; for a simulated \
+         board, set use_sim_time of the publisher"
     )]
     Stale {
         /// Age of the stamp, s.
@@ -46,8 +46,8 @@ pub enum Refused {
     },
     /// The stamp lies too far in the future.
     #[error(
-        "its stamp is {ahead_s:.3} s ahead and {limit_s} s are allowed: synchronise the clocks of both machines; where the board \
-         is simulated, set use_sim_time of the publisher"
+        "its stamp is {ahead_s:.3} s ahead and at most {limit_s} s are allowed: synchronise the clocks of both machines; for a \
+         simulated board, set use_sim_time of the publisher"
     )]
     Ahead {
         /// Time until the stamp, s.
@@ -59,7 +59,7 @@ pub enum Refused {
     #[error("velocities need a robot whose file has [drive] (boards/README.md): use joint_commands")]
     NoDrive,
     /// A message has a different number of names and values.
-    #[error("{names} names and {numbers} numbers of {what}: give one for each name, or none at all")]
+    #[error("{names} names but {numbers} values of {what}: give one value for each name, or none")]
     Lengths {
         /// Field of the values: `position` or `velocity`.
         what: &'static str,
@@ -69,7 +69,7 @@ pub enum Refused {
         numbers: usize,
     },
     /// The board has no joint of this name.
-    #[error("{name:?} is no joint of this board: joint_states has their names")]
+    #[error("this board has no joint {name:?}: joint_states lists the names")]
     UnknownJoint {
         /// Name in the message.
         name: String,
@@ -103,7 +103,7 @@ pub enum Refused {
         most: usize,
     },
     /// A trajectory cannot be followed.
-    #[error("the trajectory is not followed: {0}")]
+    #[error("the trajectory was refused: {0}")]
     Trajectory(#[from] BadTrajectory),
     /// The board or the driver refused the command.
     #[error(transparent)]
@@ -236,7 +236,7 @@ mod tests {
         assert!(matches!(gate.pass(Some(at(10.25)), at(10.0)), Err(Refused::Ahead { .. })));
         assert_eq!(gate.pass(None, at(10.0)), Err(Refused::BadStamp));
         let said = gate.pass(Some(at(7.0)), at(10.0)).expect_err("stale").to_string();
-        assert!(said.starts_with("its stamp is 3.000 s old and 0.2 s are allowed"), "{said}");
+        assert!(said.starts_with("its stamp is 3.000 s old and at most 0.2 s are allowed"), "{said}");
     }
 
     #[test]
@@ -329,9 +329,9 @@ mod tests {
         let refused = |name: &[&str], position: &[f64], velocity: &[f64]| {
             joints(&message(name, position, velocity), &channels(), 1).expect_err("refused").to_string()
         };
-        assert!(refused(&["osmc0", "osmc1"], &[0.1], &[]).starts_with("2 names and 1 numbers of position"));
+        assert!(refused(&["osmc0", "osmc1"], &[0.1], &[]).starts_with("2 names but 1 values of position"));
         assert!(refused(&["osmc0"], &[0.1], &[0.1]).contains("a position and a velocity"));
-        assert!(refused(&["osmc0", "elbow"], &[0.1, 0.1], &[]).contains("\"elbow\" is no joint"));
+        assert!(refused(&["osmc0", "elbow"], &[0.1, 0.1], &[]).contains("no joint \"elbow\""));
         assert!(refused(&["osmc2"], &[0.1], &[]).contains("cannot be commanded by position"));
         assert!(refused(&["osmc0", "osmc0"], &[0.1, 0.1], &[]).contains("named twice"));
         assert!(refused(&["osmc0"], &[f64::INFINITY], &[]).contains("not a finite number"));

@@ -10,8 +10,8 @@ pub const NODE: &str = "r4";
 /// Error of a text that is no valid namespace of ROS.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{asked:?} is no namespace: give names of letters, digits and single underscores that begin with a letter, with slashes between \
-     them, as in robot1 or fleet/robot1"
+    "{asked:?} is not a namespace: give names of letters, digits and single underscores that begin with a letter, separated by \
+     slashes, as in robot1 or fleet/robot1"
 )]
 pub struct NotANamespace {
     asked: String,

@@ -39,13 +39,13 @@ pub enum ParameterCall {
 /// Reason why a parameter was not set.
 #[derive(Debug, thiserror::Error)]
 enum NotSet {
-    #[error("the board has no parameter {0}: `ros2 param list` has them")]
+    #[error("the board has no parameter {0}: `ros2 param list` lists them")]
     Unknown(String),
-    #[error("{0} is a number")]
+    #[error("{0} is a number: set a double or an integer")]
     Type(String),
-    #[error("{0} must be a finite number that a board's single precision holds")]
+    #[error("{0} must be a finite number in single precision")]
     NotFinite(String),
-    #[error("{key} holds from the board's next start on: `r4 config set {key} {value} --save`, then restart it")]
+    #[error("{key} takes effect at the board's next start: `r4 config set {key} {value} --save`, then restart it")]
     AtStart { key: ParameterKey, value: f32 },
     #[error(transparent)]
     Board(#[from] Error),
@@ -151,9 +151,9 @@ impl ParameterStore {
         };
         let read_only = Group::of(*key).is_none();
         let constraints = if read_only {
-            format!("holds from the board's next start on: r4 config set {key} VALUE --save")
+            format!("takes effect at the board's next start: r4 config set {key} VALUE --save")
         } else {
-            format!("holds until the board restarts; to keep it: r4 config set {key} VALUE --save")
+            format!("lasts until the board restarts; to keep it: r4 config set {key} VALUE --save")
         };
         ParameterDescriptor {
             name: name.to_owned(),

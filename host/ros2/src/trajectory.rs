@@ -9,10 +9,10 @@ use crate::message::{Duration, JointTrajectory};
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum BadTrajectory {
     /// The message has points but no names of joints.
-    #[error("it has points and no joint_names: name the joints, or send neither to cancel what is followed")]
+    #[error("it has points but no joint_names: name the joints, or send neither to cancel the current trajectory")]
     NoNames,
     /// The board has no joint of this name.
-    #[error("{name:?} is no joint of this board: joint_states has their names")]
+    #[error("this board has no joint {name:?}: joint_states lists the names")]
     UnknownJoint {
         /// Name in the message.
         name: String,
@@ -44,7 +44,7 @@ pub enum BadTrajectory {
         name: String,
     },
     /// The times of the points do not increase, or one is invalid.
-    #[error("time_from_start of point {index} is negative, no time, or not later than that of the point before")]
+    #[error("time_from_start of point {index} is negative, invalid, or not later than that of the point before")]
     Time {
         /// Index of the point, from 0.
         index: usize,
@@ -63,8 +63,8 @@ pub enum BadTrajectory {
     },
     /// The start of the trajectory lies too far in the past.
     #[error(
-        "it begins {late_s:.3} s ago and {limit_s} s are allowed: leave its stamp 0, or synchronise the clocks of both machines; where the \
-         board is simulated, set use_sim_time of the publisher"
+        "its start is {late_s:.3} s ago and at most {limit_s} s are allowed: set its stamp to 0, or synchronise the clocks of both \
+         machines; for a simulated board, set use_sim_time of the publisher"
     )]
     Begun {
         /// Time since the start, s.
@@ -73,7 +73,7 @@ pub enum BadTrajectory {
         limit_s: f64,
     },
     /// The start of the trajectory lies too far in the future.
-    #[error("it begins in {ahead_s:.3} s and at most {limit_s} s are allowed: send it later")]
+    #[error("it starts in {ahead_s:.3} s and at most {limit_s} s are allowed: send it later")]
     FarAhead {
         /// Time until the start, s.
         ahead_s: f64,
@@ -204,8 +204,8 @@ mod tests {
         let early = JointTrajectoryPoint { time_from_start: Duration { sec: -1, nanosec: 0 }, ..good.clone() };
         for (names, points, says) in [
             (&[][..], vec![good.clone()], "no joint_names"),
-            (&["elbow"], vec![good.clone()], "\"elbow\" is no joint"),
-            (&["osmc2"], vec![good.clone()], "osmc2: it follows no paths"),
+            (&["elbow"], vec![good.clone()], "no joint \"elbow\""),
+            (&["osmc2"], vec![good.clone()], "osmc2: it cannot follow a path"),
             (&["osmc0", "osmc0"], vec![point(500, &[0.1, 0.1], &[])], "named twice"),
             (&["osmc0"], vec![point(500, &[], &[])], "point 0 has 0 positions for 1 joints"),
             (&["osmc0"], vec![good.clone(), point(600, &[0.1], &[0.1, 0.2])], "point 1 has 2 velocities"),

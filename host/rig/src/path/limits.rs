@@ -8,10 +8,10 @@ use super::Waypoint;
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum BeyondLimit {
     /// The channel cannot follow paths.
-    #[error("it follows no paths: only motors with feedback do")]
+    #[error("it cannot follow a path: only motors with feedback can")]
     FollowsNone,
     /// A position is out of range.
-    #[error("point {index} is at {asked:.6}, and it takes {} to {}", range.min, range.max)]
+    #[error("point {index} is at {asked:.6}, outside the range {} to {}", range.min, range.max)]
     Position {
         /// Index of the point, from 0.
         index: usize,
@@ -21,7 +21,7 @@ pub enum BeyondLimit {
         range: Range,
     },
     /// The motion to a point is too fast.
-    #[error("the way to point {index} is {asked:.6} fast, and it does at most {limit}: give it more time")]
+    #[error("point {index} needs a speed of {asked:.6}, and at most {limit} is allowed: give it more time")]
     Speed {
         /// Index of the point, from 0.
         index: usize,

@@ -47,7 +47,7 @@ pub struct Paths {
 pub enum PathError {
     /// The first line does not name valid columns.
     #[error(
-        "the first line names the columns: time_s, then osmc0.position_rad and, if wanted, osmc0.speed_rad_s and osmc0.duty; {0}"
+        "the first line must name the columns: time_s, osmc0.position_rad and optionally osmc0.speed_rad_s and osmc0.duty; {0}"
     )]
     Header(String),
     /// A line cannot be parsed.
@@ -69,7 +69,7 @@ pub enum PathError {
         why: &'static str,
     },
     /// A path has fewer than two points.
-    #[error("a path has two points at least")]
+    #[error("a path needs at least two points")]
     Short,
 }
 
@@ -87,7 +87,7 @@ impl Column {
         if name == "time_s" {
             return Ok(Self::Time);
         }
-        let unknown = || format!("`{name}` is none of them");
+        let unknown = || format!("unknown column `{name}`");
         let (channel, field) = name.split_once('.').ok_or_else(unknown)?;
         let channel = channel.parse().map_err(|_| unknown())?;
         Ok(match field {
@@ -132,7 +132,8 @@ impl Paths {
         // A repeated column would silently replace the first one.
         let twice = columns.iter().enumerate().any(|(place, column)| columns[..place].contains(column));
         let time = columns.iter().position(|column| *column == Column::Time);
-        let time = time.filter(|_| !twice).ok_or_else(|| header("time_s must be there, and each only once"))?;
+        let time =
+            time.filter(|_| !twice).ok_or_else(|| header("time_s is required, and each column may occur only once"))?;
         let positions = columns.iter().filter_map(|column| match column {
             Column::Position(channel, unit) => Some((*channel, *unit)),
             _ => None,
@@ -145,7 +146,7 @@ impl Paths {
             Column::Time | Column::Position(..) => false,
         });
         if alone || units.is_empty() {
-            return Err(header("each channel has a position, and its speed in the same unit"));
+            return Err(header("each channel needs a position column, and its speed the same unit"));
         }
         let mut paths: BTreeMap<ChannelId, Vec<Waypoint>> = BTreeMap::new();
         let mut last_s = f64::NEG_INFINITY;
@@ -154,12 +155,12 @@ impl Paths {
             let values: Result<Vec<f64>, _> = line.split(',').map(|value| number_of(value.trim())).collect();
             let values = values.map_err(wrong)?;
             if values.len() != columns.len() {
-                return Err(wrong(format!("it has {} values, and there are {} columns", values.len(), columns.len())));
+                return Err(wrong(format!("it has {} values for {} columns", values.len(), columns.len())));
             }
             let time_s = values[time];
             // The board interpolates between points, which needs a positive duration.
             if time_s <= last_s {
-                return Err(wrong("each time is later than the one before".to_owned()));
+                return Err(wrong("its time must be later than the one before".to_owned()));
             }
             last_s = time_s;
             for channel in units.keys() {
@@ -193,7 +194,7 @@ impl Paths {
             for (index, point) in points.iter().enumerate() {
                 let numbers = [point.time_s, point.position, point.speed.unwrap_or(0.0), point.feed_forward];
                 let why = match numbers.iter().all(|number| number.is_finite()) {
-                    false => "a number of it is not finite",
+                    false => "it has a number that is not finite",
                     true if point.time_s <= last_s => "its time is not later than the one before",
                     true => {
                         last_s = point.time_s;
@@ -306,7 +307,7 @@ impl Session<'_> {
         for (channel, points) in &paths.channels {
             let info = self.board.channel(*channel)?.clone();
             if info.mode(Mode::Follow).is_none() {
-                let why = "follows no path: only motors with feedback do".to_owned();
+                let why = "cannot follow a path: only motors with feedback can".to_owned();
                 return Err(Unsuitable { channel: *channel, why }.into());
             }
             sending.push(Sending { info, points, feed: Feed::default(), seen: Vec::new(), end: None });
@@ -436,22 +437,22 @@ mod tests {
         for (text, says) in [
             (
                 "",
-                "the first line names the columns: time_s, then osmc0.position_rad and, if wanted, osmc0.speed_rad_s and osmc0.duty; `` is none of them",
+                "the first line must name the columns: time_s, osmc0.position_rad and optionally osmc0.speed_rad_s and osmc0.duty; unknown column ``",
             ),
-            ("time_s\n0\n1\n", "each channel has a position, and its speed in the same unit"),
-            ("osmc0.position_rad\n0\n1\n", "time_s must be there, and each only once"),
-            ("time_s,time_s,osmc0.position_rad\n", "time_s must be there, and each only once"),
-            ("time_s,osmc0.position_deg\n", "`osmc0.position_deg` is none of them"),
-            ("time_s,wheel0.position_rad\n", "`wheel0.position_rad` is none of them"),
+            ("time_s\n0\n1\n", "each channel needs a position column, and its speed the same unit"),
+            ("osmc0.position_rad\n0\n1\n", "time_s is required, and each column may occur only once"),
+            ("time_s,time_s,osmc0.position_rad\n", "time_s is required, and each column may occur only once"),
+            ("time_s,osmc0.position_deg\n", "unknown column `osmc0.position_deg`"),
+            ("time_s,wheel0.position_rad\n", "unknown column `wheel0.position_rad`"),
             (
                 "time_s,osmc0.position_rad,osmc0.speed_m_s\n",
-                "each channel has a position, and its speed in the same unit",
+                "each channel needs a position column, and its speed the same unit",
             ),
-            ("time_s,osmc0.position_rad\n0,0\n", "a path has two points at least"),
+            ("time_s,osmc0.position_rad\n0,0\n", "a path needs at least two points"),
             ("time_s,osmc0.position_rad\n0,0\n1,x\n", "line 3: `x` is not a number"),
             ("time_s,osmc0.position_rad\n0,0\n1,nan\n", "line 3: `nan` is not a number"),
-            ("time_s,osmc0.position_rad\n0,0\n1\n", "line 3: it has 1 values, and there are 2 columns"),
-            ("time_s,osmc0.position_rad\n1,0\n1,0\n", "line 3: each time is later than the one before"),
+            ("time_s,osmc0.position_rad\n0,0\n1\n", "line 3: it has 1 values for 2 columns"),
+            ("time_s,osmc0.position_rad\n1,0\n1,0\n", "line 3: its time must be later than the one before"),
         ] {
             let error = Paths::parse(text).expect_err(text).to_string();
             assert!(error.ends_with(says), "{text:?}: {error}");

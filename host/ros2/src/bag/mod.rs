@@ -31,13 +31,13 @@ const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 #[derive(Debug, thiserror::Error)]
 pub enum BagError {
     /// The path has no last component that is a name in Unicode.
-    #[error("{} names no folder: give one that is to be made, as in run", path.display())]
+    #[error("{} is no folder name: give the name of a new folder, such as run", path.display())]
     NoName {
         /// Path as the caller gave it.
         path: PathBuf,
     },
     /// The folder exists already.
-    #[error("{} exists already: name a folder that is to be made, or remove it", path.display())]
+    #[error("{} exists already: give the name of a new folder, or remove it", path.display())]
     Exists {
         /// Path of the folder.
         path: PathBuf,
@@ -51,7 +51,7 @@ pub enum BagError {
         source: io::Error,
     },
     /// The log has no sample and no state that a bag can hold.
-    #[error("nothing in the log has a topic of ROS 2: record motors, encoders, an IMU, ranges or supplies")]
+    #[error("the log has no data for a ROS 2 topic: record motors, encoders, an IMU, range sensors or supplies")]
     Empty,
     /// A message could not be encoded as CDR.
     #[error("cannot encode a message of {topic} ({why}): report this as a defect")]

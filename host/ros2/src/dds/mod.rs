@@ -40,7 +40,7 @@ use outputs::Outputs;
 #[derive(Debug, thiserror::Error)]
 pub enum NodeError {
     /// The node cannot join the DDS domain.
-    #[error("cannot join {discovery}: {why}; is there a network interface that is up?")]
+    #[error("cannot join {discovery}: {why}; check that a network interface is up")]
     Join {
         /// Settings with which the node tried to join.
         discovery: Discovery,
@@ -48,10 +48,10 @@ pub enum NodeError {
         why: String,
     },
     /// The node could not be created.
-    #[error("cannot make the ROS node")]
+    #[error("cannot create the ROS node")]
     Node(#[source] NodeCreateError),
     /// A topic or a service could not be created.
-    #[error("cannot make {name}")]
+    #[error("cannot create {name}")]
     Create {
         /// Name of the topic or service.
         name: String,

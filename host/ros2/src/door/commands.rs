@@ -80,11 +80,13 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
             CycleOutcome::Refused if report.state != SafetyState::Armed => {
                 self.refuse(format!("the board is {}: call ~/arm first", report.state));
             }
-            CycleOutcome::Refused => self.refuse("the board refused it: `r4 info` lists what its channels take".into()),
-            CycleOutcome::Stale => {
-                self.refuse("it came to the board too late: the link or this machine is busy".into())
+            CycleOutcome::Refused => {
+                self.refuse("the board refused the set point: `r4 info` lists modes and ranges".into())
             }
-            CycleOutcome::Unbound => self.refuse("the board has no stream for it: start the node again".into()),
+            CycleOutcome::Stale => {
+                self.refuse("the command reached the board too late: the link or this machine is busy".into())
+            }
+            CycleOutcome::Unbound => self.refuse("the board has no stream for the command: restart the node".into()),
         }
     }
 

@@ -22,7 +22,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
         let board = self.session.board;
         match transition {
             Transition::Activate if self.is_estop_engaged => {
-                self.refuse("it is not activated: the e-stop topic is engaged; release it first".into());
+                self.refuse("the node is not activated: the e-stop topic is engaged; release it first".into());
                 let _ = answer.send(false);
             }
             Transition::Activate => {
@@ -52,7 +52,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
         let is_made = result.is_ok();
         if let Err(error) = result {
             let what = if to_active { "activated" } else { "deactivated" };
-            self.refuse(format!("it is not {what}: {error}"));
+            self.refuse(format!("the node is not {what}: {error}"));
         }
         self.is_active = to_active && is_made;
         // The caller may be gone by now.

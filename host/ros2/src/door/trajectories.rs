@@ -172,8 +172,8 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
             Err(error) => {
                 self.end_trajectory(&BTreeSet::new());
                 match self.session.board.safety().0 {
-                    SafetyState::Armed => self.refuse(format!("the trajectory ends: {error}")),
-                    state => self.refuse(format!("the trajectory ends, the board is {state}: call ~/arm first")),
+                    SafetyState::Armed => self.refuse(format!("the trajectory was ended: {error}")),
+                    state => self.refuse(format!("the trajectory was ended, the board is {state}: call ~/arm first")),
                 }
             }
         }
