@@ -68,7 +68,7 @@ impl Frames {
         }
         for sample in samples {
             let Some(info) = self.channels.iter().find(|info| info.id == sample.channel()) else { continue };
-            // A sensor measures at its own rate: its sample is up to one period older than the frame.
+            // A sensor measures at its own rate: its reading is `age_ms` older than the frame.
             let measured = |age_ms: u16| stamp.plus_us(-1000 * i64::from(age_ms)).to_time();
             match *sample {
                 Sample::Sensor { channel, age_ms, .. } if channel.kind == ChannelKind::Imu => {

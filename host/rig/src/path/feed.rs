@@ -152,7 +152,7 @@ mod tests {
             let inner = (points[1].time_s, points[points.len() - 2].time_s);
             let at_s = inner.0 + share * (inner.1 - inner.0);
             let (position, speed) = feed.at((at_s * 1e6) as u64).expect("on the path");
-            // Tolerances of 32-bit positions and of dates in whole µs, at up to 40 rad/s.
+            // Tolerances of 32-bit positions and of dates in whole µs, for at most 10 s and 40 rad/s.
             prop_assert!((position - curve * at_s * at_s).abs() < 1e-3, "{position}");
             prop_assert!((speed - 2.0 * curve * at_s).abs() < 2e-2, "{speed}");
         }
