@@ -271,10 +271,10 @@ fn a_table_that_cannot_be_followed_moves_nothing() {
     let folder = TempDir::new().expect("a temporary folder");
     let file = folder.path().join("path.csv");
     for (text, exit, said) in [
-        ("time_s,osmc0.position_deg\n0,0\n1,1\n", 1, "`osmc0.position_deg` is none of them"),
+        ("time_s,osmc0.position_deg\n0,0\n1,1\n", 1, "unknown column `osmc0.position_deg`"),
         ("time_s,osmc0.position_rad\n0,0\n1,x\n", 1, "line 3: `x` is not a number"),
         ("time_s,servo0.position_rad\n0,0\n1,1\n", 3, "the board has no channel servo0"),
-        ("time_s,relay1.position_rad\n0,0\n1,1\n", 3, "relay1 follows no path"),
+        ("time_s,relay1.position_rad\n0,0\n1,1\n", 3, "relay1 cannot follow a path"),
         ("time_s,osmc0.position_rad\n0,0\n0.1,1\n", 3, "give it more time"),
         ("time_s,osmc0.position_rad\n0,0\n20,70\n", 3, "osmc0 takes"),
     ] {

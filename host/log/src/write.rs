@@ -20,8 +20,8 @@ use mcap::{
 
 use crate::container::LZ4;
 
-/// Size at which a chunk is closed: 256 KiB are about 0.4 s of four motors at 1 kHz. The demo's log compresses 4 %
-/// worse in chunks of 64 KiB, and 0.5 % better in chunks of 1 MiB.
+/// Size at which a chunk is closed, bytes: 256 KiB are about 0.4 s of four motors at 1 kHz. The demo's log compresses
+/// 4 % worse in chunks of 64 KiB, and 0.5 % better in chunks of 1 MiB.
 const CHUNK_BYTES: usize = 256 * 1024;
 /// Duration at which a chunk is closed, ns: the most that is lost when the recording program is killed. Without a
 /// limit the demo's log compresses 2 % better.
@@ -31,6 +31,7 @@ const CHUNK_NS: u64 = 1_000_000_000;
 fn push(bytes: &mut Vec<u8>, opcode: u8, body: &impl for<'a> BinWrite<Args<'a> = ()>, tail: &[u8]) -> io::Result<()> {
     bytes.push(opcode);
     let length_at = bytes.len();
+    // Placeholder of the length, which is known only after the body is encoded.
     bytes.extend([0; 8]);
     let mut cursor = Cursor::new(&mut *bytes);
     cursor.set_position((length_at + 8) as u64);
@@ -41,7 +42,7 @@ fn push(bytes: &mut Vec<u8>, opcode: u8, body: &impl for<'a> BinWrite<Args<'a> =
     Ok(())
 }
 
-/// Chunk that is being filled.
+/// Chunk that is being filled with records.
 #[derive(Default)]
 struct Chunk {
     records: Vec<u8>,
@@ -56,7 +57,7 @@ struct Chunk {
 pub struct McapTopic<'a> {
     /// Name of the topic, which begins with a slash.
     pub name: &'a str,
-    /// Name of its schema; topics with the same schema name share the schema of the first.
+    /// Name of the schema; topics with the same schema name share the schema of the first.
     pub schema: &'a str,
     /// Encoding of the schema as MCAP's registry names it: `jsonschema`, `ros2msg`.
     pub schema_encoding: &'a str,
@@ -64,7 +65,7 @@ pub struct McapTopic<'a> {
     pub schema_text: &'a str,
     /// Encoding of the messages: `json`, `cdr`.
     pub encoding: &'a str,
-    /// Keys and values that readers of the profile look for.
+    /// Keys and values for readers of the file's profile.
     pub metadata: &'a [(&'a str, &'a str)],
 }
 
@@ -96,7 +97,7 @@ impl<W: Write> McapWriter<W> {
     /// `profile` is MCAP's name of the file's conventions (empty for none), `library` the name of the writing library.
     ///
     /// # Errors
-    /// Those of `out`.
+    /// Errors of `out`, and of encoding the records.
     pub fn new(out: W, profile: &str, library: &str, metadata: Option<Metadata>) -> io::Result<Self> {
         let mut writer = Self {
             out: Some(out),
@@ -141,7 +142,7 @@ impl<W: Write> McapWriter<W> {
                 let data = [&(text.len() as u32).to_le_bytes(), text].concat();
                 let begin = self.schemas.len();
                 push(&mut self.schemas, op::SCHEMA, &SchemaHeader { id, name, encoding }, &data)?;
-                // A reader needs the schema before the first message that refers to it.
+                // A reader needs the schema before the first topic that refers to it.
                 self.chunk.records.extend(&self.schemas[begin..]);
                 self.schema_ids.insert(topic.schema.to_owned(), id);
                 self.statistics.schema_count += 1;
@@ -155,7 +156,7 @@ impl<W: Write> McapWriter<W> {
         let channel = Channel { id, schema_id, topic, message_encoding, metadata };
         let begin = self.channels.len();
         push(&mut self.channels, op::CHANNEL, &channel, &[])?;
-        // Likewise the topic.
+        // A reader needs the topic before its first message.
         self.chunk.records.extend(&self.channels[begin..]);
         self.statistics.channel_count += 1;
         Ok(id)
@@ -164,7 +165,7 @@ impl<W: Write> McapWriter<W> {
     /// Writes a message of a topic that [`topic`](Self::topic) has declared.
     ///
     /// # Errors
-    /// Those of the writer; after one nothing more is written.
+    /// Errors of the writer; after the first one nothing more is written.
     pub fn message(&mut self, header: &MessageHeader, data: &[u8]) -> io::Result<()> {
         let time = header.log_time;
         if self.chunk.times.is_some_and(|(first, _)| time.saturating_sub(first) >= CHUNK_NS) {
@@ -178,6 +179,7 @@ impl<W: Write> McapWriter<W> {
         chunk.times = Some((first.min(time), last.max(time)));
         let of_all = &mut self.statistics;
         let whole_file = (of_all.message_start_time.min(time), of_all.message_end_time.max(time));
+        // Before the first message the statistics hold zeros, which are no times.
         let none_before = of_all.message_count == 0;
         (of_all.message_start_time, of_all.message_end_time) = if none_before { (time, time) } else { whole_file };
         of_all.message_count += 1;
@@ -191,7 +193,7 @@ impl<W: Write> McapWriter<W> {
         if records.is_empty() {
             return Ok(());
         }
-        // Compressed in memory, because the header needs the compressed size.
+        // The chunk is compressed in memory, because its header contains the compressed size.
         let mut encoder = FrameEncoder::new(Vec::with_capacity(records.len() / 4));
         encoder.write_all(&records)?;
         let compressed = encoder.finish().map_err(io::Error::other)?;
@@ -234,12 +236,13 @@ impl<W: Write> McapWriter<W> {
     /// Writes the last chunk and the summary, and returns the writer.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// Errors of the writer, also an earlier one.
     pub fn finish(mut self) -> io::Result<W> {
         self.end()?;
         self.out.take().ok_or_else(|| io::ErrorKind::BrokenPipe.into())
     }
 
+    /// Writes the last chunk, the end of the data, and the summary.
     fn end(&mut self) -> io::Result<()> {
         self.end_chunk()?;
         let mut bytes = Vec::new();
@@ -300,7 +303,7 @@ impl<W: Write> McapWriter<W> {
         if let Some(kind) = self.failed {
             return Err(kind.into());
         }
-        // The writer was returned already.
+        // `None` means that `finish` has returned the writer already.
         let Some(out) = &mut self.out else { return Err(io::ErrorKind::BrokenPipe.into()) };
         write(out).inspect_err(|error| self.failed = Some(error.kind()))
     }
@@ -310,6 +313,7 @@ impl<W: Write> McapWriter<W> {
 impl<W: Write> Drop for McapWriter<W> {
     fn drop(&mut self) {
         if self.out.is_some() {
+            // A drop cannot report an error; the file then lacks its summary, and readers scan its chunks.
             let _ = self.end();
         }
     }

@@ -1,4 +1,4 @@
-//! Units of parameters, as text.
+//! Units of a board's parameters, as text.
 
 use r4_protocol::{ChannelId, ChannelKind, Parameter, ParameterInfo, ParameterKey};
 
@@ -17,7 +17,7 @@ impl ParameterUnits {
         Self { linear: with_potentiometer.filter_map(|info| info.key.channel).collect() }
     }
 
-    /// Unit of the parameter `key`; empty for a count.
+    /// Returns the unit of the parameter `key`; empty for a count.
     #[must_use]
     pub fn unit(&self, key: ParameterKey) -> String {
         let is_linear =
@@ -27,7 +27,7 @@ impl ParameterUnits {
     }
 }
 
-/// Unit of the parameter `key` on a rotary channel.
+/// Returns the unit of the parameter `key` on a rotary channel.
 fn rotary(key: ParameterKey) -> &'static str {
     match key.parameter {
         Parameter::LinkTimeoutMs

@@ -1,4 +1,4 @@
-//! Readings of a board as ROS messages: frames by REP-103 and REP-105, SI units.
+//! Conversion of a board's readings to ROS messages: frames by REP-103 and REP-105, SI units.
 
 use r4_boards::SkidSteer;
 use r4_protocol::{ChannelId, ChannelInfo, ChannelKind, Quality, Sample};
@@ -12,18 +12,19 @@ use crate::{
     },
 };
 
-/// Variance of what wheels do not measure: height, roll, pitch, and sideways speed. Far above what any filter would take for a reading.
+/// Variance of quantities that wheels do not measure: height, roll, pitch, and sideways speed. It is so large that a filter gives them
+/// no weight.
 pub const NOT_MEASURED: f64 = 1e6;
 
-/// Angle in which an HC-SR04 may hear a target: 15° to either side (ElecFreaks sheet: measuring angle 15 degrees), rad.
+/// Full angle of the cone in which an HC-SR04 detects a target, rad: 15° to either side (ElecFreaks sheet: measuring angle 15 degrees).
 const ULTRASOUND_FIELD_RAD: f32 = 0.524;
-/// Angle of an optical distance sensor, of which the board says nothing: as good as a ray, rad.
+/// Full angle of an optical distance sensor, rad: a ray, because the board does not report the angle.
 const OPTICAL_FIELD_RAD: f32 = 0.0;
 
-/// Places of x, y and yaw among x, y, z, roll, pitch, yaw.
+/// Indices of x, y and yaw in the order x, y, z, roll, pitch, yaw.
 const PLANAR: [usize; 3] = [0, 1, 5];
 
-/// A covariance of x, y and yaw as one of x, y, z, roll, pitch, yaw, row by row.
+/// Expands a covariance of x, y and yaw to one of x, y, z, roll, pitch, yaw, row by row; the variance of the others is [`NOT_MEASURED`].
 #[must_use]
 pub fn covariance(planar: [[f64; 3]; 3]) -> [f64; 36] {
     let mut full = [0.0; 36];
@@ -38,10 +39,11 @@ pub fn covariance(planar: [[f64; 3]; 3]) -> [f64; 36] {
     full
 }
 
-/// Covariance of forward speed, sideways speed and turn rate, each over `period_s`: each side's way has the variance
-/// [`WHEEL_VARIANCE_M`] for each metre.
+/// Returns the covariance of forward speed, sideways speed and turn rate, averaged over `period_s`. The travel of each side has the
+/// variance [`WHEEL_VARIANCE_M`] per metre.
 #[must_use]
 pub fn velocity_covariance(robot: &SkidSteer, velocity: Velocity, period_s: f64) -> [[f64; 3]; 3] {
+    // Both results are linear in the sides' speeds, (left + right) / 2 and (right - left) / track, whose errors are independent.
     let across_m_s = velocity.yaw_rad_s * robot.track_m / 2.0;
     let [left, right] = [velocity.forward_m_s - across_m_s, velocity.forward_m_s + across_m_s]
         .map(|side_m_s| WHEEL_VARIANCE_M * side_m_s.abs() / period_s);
@@ -50,7 +52,8 @@ pub fn velocity_covariance(robot: &SkidSteer, velocity: Velocity, period_s: f64)
     [[(left + right) / 4.0, 0.0, both], [0.0, NOT_MEASURED, 0.0], [both, 0.0, turn]]
 }
 
-/// `odom`: where the robot is in [`ODOM_FRAME`] and how it moves in [`BASE_FRAME`]. `period_s` is the time over which `velocity` is.
+/// Returns the message of `odom`: pose in [`ODOM_FRAME`], velocity in [`BASE_FRAME`]. `period_s` is the time over which `velocity` was
+/// measured, s.
 #[must_use]
 pub fn odometry(
     stamp: Time,
@@ -76,7 +79,7 @@ pub fn odometry(
     }
 }
 
-/// `/tf`: the same place as a transform from [`ODOM_FRAME`] to [`BASE_FRAME`].
+/// Returns the message of `/tf`: the pose of `odometry` as a transform from [`ODOM_FRAME`] to [`BASE_FRAME`].
 #[must_use]
 pub fn transform(odometry: &message::Odometry) -> TFMessage {
     let Pose { position, orientation } = odometry.pose.pose;
@@ -90,8 +93,8 @@ pub fn transform(odometry: &message::Odometry) -> TFMessage {
     }
 }
 
-/// `joint_states`: motors, steppers and encoders in a telemetry frame under their channels' names; `None` without any. Where nothing
-/// measures a position or a speed it is NaN.
+/// Returns the message of `joint_states`: motors, steppers and encoders of a telemetry frame under their channels' names; `None` without
+/// any. A position or speed without a sensor is NaN.
 #[must_use]
 pub fn joint_states(stamp: Time, channels: &[ChannelInfo], samples: &[Sample]) -> Option<JointState> {
     let mut joints = JointState { header: Header::new(stamp, ""), ..JointState::default() };
@@ -104,6 +107,7 @@ pub fn joint_states(stamp: Time, channels: &[ChannelInfo], samples: &[Sample]) -
         };
         let resolution = channels.iter().find(|info| info.id == channel).map_or(0.0, |info| info.resolution);
         joints.name.push(channel.to_string());
+        // A resolution of 0 marks a channel without a position sensor.
         let position = if resolution > 0.0 { f64::from(counts) * f64::from(resolution) } else { f64::NAN };
         joints.position.push(position);
         joints.velocity.push(speed.into());
@@ -111,11 +115,12 @@ pub fn joint_states(stamp: Time, channels: &[ChannelInfo], samples: &[Sample]) -
     (!joints.name.is_empty()).then_some(joints)
 }
 
-/// `imu/data`: in the sensor's own axes, whose frame has the channel's name. It has no orientation.
+/// Returns the message of `imu/data`, in the sensor's own axes, whose frame has the channel's name, and without an orientation.
 #[must_use]
 pub fn imu(stamp: Time, channel: ChannelId, reading: &InertialReading) -> Imu {
     let vector = |[x, y, z]: [f64; 3]| Vector3 { x, y, z };
     let mut orientation_covariance = [0.0; 9];
+    // By the definition of sensor_msgs/Imu, -1 marks an orientation that is not measured.
     orientation_covariance[0] = -1.0;
     Imu {
         header: Header::new(stamp, &channel.to_string()),
@@ -127,7 +132,8 @@ pub fn imu(stamp: Time, channel: ChannelId, reading: &InertialReading) -> Imu {
     }
 }
 
-/// `rangeN`, `distanceN`: a distance by sound or light. Nothing in range is infinite (REP-117); `None` for a sensor that says nothing.
+/// Returns the message of `rangeN` or `distanceN`. The distance is infinite when nothing is in range (REP-117); `None` while the sensor
+/// fails, and for other channels.
 #[must_use]
 pub fn range(stamp: Time, info: &ChannelInfo, sample: &Sample) -> Option<Range> {
     let (value, quality) = match *sample {
@@ -150,7 +156,8 @@ pub fn range(stamp: Time, info: &ChannelInfo, sample: &Sample) -> Option<Range> 
     Some(Range { header, radiation_type, field_of_view, min_range, max_range, range, variance: 0.0 })
 }
 
-/// `battery_state`: the voltage of a supply rail, in the frame of the channel's name; the rest is not known.
+/// Returns the message of `battery_state` with the voltage of a supply rail, V; other quantities are unknown. The frame has the channel's
+/// name.
 #[must_use]
 pub fn battery(stamp: Time, channel: ChannelId, voltage: f32) -> BatteryState {
     let name = channel.to_string();
@@ -167,7 +174,7 @@ mod tests {
 
     use super::*;
 
-    /// Read once: a property is tried on it some hundred times.
+    /// Geometry of OpenScout, loaded once, since the property tests use it some hundred times.
     static OPENSCOUT: LazyLock<SkidSteer> = LazyLock::new(|| {
         let drive = r4_boards::load("openscout").expect("built in").drive;
         let Some(Drive::SkidSteer(robot)) = drive else { panic!("it steers by its sides") };
@@ -186,17 +193,17 @@ mod tests {
     }
 
     proptest! {
-        /// A filter inverts it: never below 0 in any direction of forward speed and turn rate.
+        /// The covariance is positive semidefinite in forward speed and turn rate, since filters invert it.
         #[test]
         fn a_velocity_has_a_covariance(forward_m_s in -2.0..2.0f64, yaw_rad_s in -3.0..3.0f64) {
             let [[forward, _, both], _, [_, _, turn]] =
                 velocity_covariance(&OPENSCOUT, Velocity { forward_m_s, yaw_rad_s }, 0.02);
             prop_assert!(forward >= 0.0 && turn >= 0.0);
-            // Rounding of products of these sizes.
+            // Allowance for the rounding of products of this magnitude.
             prop_assert!(forward * turn - both * both >= -1e-12);
         }
 
-        /// The quaternion turns x to where the yaw says.
+        /// The quaternion rotates the x axis by the yaw angle.
         #[test]
         fn a_yaw_is_a_rotation_about_z(yaw_rad in -20.0..20.0f64) {
             let Quaternion { x, y, z, w } = Quaternion::of_yaw(yaw_rad);
@@ -210,7 +217,7 @@ mod tests {
     fn one_side_that_turns_is_a_curve_around_the_other() {
         let velocity = Velocity::of_sides(&OPENSCOUT, [0.0, 2.0]);
         let [[forward, _, both], _, [_, _, turn]] = velocity_covariance(&OPENSCOUT, velocity, 0.5);
-        // By hand: the right side's 0.112 m/s, over 0.5 s, with 1e-4 m: 2.24e-5 m²/s².
+        // Calculated by hand: 0.112 m/s of the right side over 0.5 s, with a variance of 1e-4 m per metre: 2.24e-5 m²/s².
         let side = 1e-4 * 0.112 / 0.5;
         for (is, expected) in [(forward, side / 4.0), (both, side / 0.7), (turn, side / 0.35 / 0.35)] {
             assert!((is - expected).abs() < 1e-12, "{is} {expected}");
@@ -227,7 +234,7 @@ mod tests {
         assert_eq!((message.header.frame_id.as_str(), message.child_frame_id.as_str()), ("odom", "base_link"));
         assert_eq!(message.twist.twist.linear.x, 0.2);
         assert_eq!(message.twist.twist.angular.z, 0.1);
-        // 2 rad of 0.056 m apart, over 0.35 m.
+        // The sides' travels differ by 2 rad at a radius of 0.056 m; the track is 0.35 m.
         let yaw_rad = 2.0 * 0.056 / 0.35;
         assert!((message.pose.pose.orientation.z - f64::sin(yaw_rad / 2.0)).abs() < 1e-12);
         let TFMessage { transforms } = transform(&message);
@@ -257,7 +264,7 @@ mod tests {
         };
         let joints = joint_states(Time::default(), &[info(id, 0.002)], &[sample]).expect("a joint");
         assert_eq!((&joints.name[..], joints.velocity[0]), (&["dhb2".to_owned()][..], 1.5));
-        // f32 of the resolution.
+        // The resolution is a 32-bit float.
         assert!((joints.position[0] + 2.0).abs() < 1e-6);
         let unmeasured = joint_states(Time::default(), &[info(id, 0.0)], &[sample]).expect("a joint");
         assert!(unmeasured.position[0].is_nan());

@@ -1,23 +1,23 @@
-//! `/diagnostics`: how the board is, why it stopped and what to do about it.
+//! Messages of `/diagnostics`: state of the board, causes of a trip, and advice.
 
 use r4_protocol::{Causes, HotWinding, SafetyState};
 
 use crate::message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, Level, Time};
 
-/// What diagnostics are about.
+/// State of a board and its node, as diagnostics report it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Health {
-    /// Name of the robot, as the board says it.
+    /// Name of the robot, as the board reports it.
     pub robot: String,
     /// Name of the board, as it was opened.
     pub board: String,
     /// Version of the board's firmware.
     pub firmware: String,
-    /// Where the supervisor stands.
+    /// State of the board's safety supervisor.
     pub state: SafetyState,
-    /// Why it tripped.
+    /// Causes of the trip; none unless tripped.
     pub causes: Causes,
-    /// Windings that are close to what they withstand.
+    /// Windings close to their thermal limit.
     pub hot: Vec<HotWinding>,
     /// State of the node; `None` for a log, which has none.
     pub node: Option<NodeHealth>,
@@ -26,23 +26,23 @@ pub struct Health {
 /// State of the node and of its link, in diagnostics.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NodeHealth {
-    /// Whether the e-stop topic says so.
+    /// True while the e-stop topic is engaged.
     pub is_estop_engaged: bool,
-    /// After this long without a command motors stop, s.
+    /// Lease of a command, s: without another one the board brings the motors to rest.
     pub timeout_s: f64,
-    /// Commands that the board took.
+    /// Number of commands that the board accepted.
     pub taken: u64,
-    /// Commands that were refused.
+    /// Number of commands that the node or the board refused.
     pub refused: u64,
-    /// Why the newest command was refused; `None` when it was not.
+    /// Reason for the refusal of the newest command; `None` when it was accepted.
     pub refusal: Option<String>,
-    /// Messages that could not be published.
+    /// Number of messages that could not be published.
     pub unpublished: u64,
-    /// Frames from the board that were damaged.
+    /// Number of damaged frames from the board.
     pub bad_frames: u64,
 }
 
-/// The state of the supervisor, in a line, as `~/state` has it: `armed`, `disarmed`, `tripped: link lost`.
+/// Returns the supervisor's state as `~/state` publishes it: `armed`, `disarmed`, `tripped: link lost`.
 #[must_use]
 pub fn state(state: SafetyState, causes: Causes) -> String {
     match state {
@@ -52,7 +52,7 @@ pub fn state(state: SafetyState, causes: Causes) -> String {
 }
 
 impl Health {
-    /// The message. One status for the supervisor, one for commands (not of a log), one for motors.
+    /// Returns the message with one status for the supervisor, one for commands (not for a log), and one for motors.
     #[must_use]
     pub fn diagnostics(&self, stamp: Time) -> DiagnosticArray {
         let commands = self.node.as_ref().map(|node| self.commands(node));
@@ -72,6 +72,7 @@ impl Health {
     }
 
     fn supervisor(&self) -> DiagnosticStatus {
+        // A trip is an error and comes first; an engaged e-stop topic, which usually caused it, is only a warning.
         let at = state(self.state, self.causes);
         let said = match self.state {
             SafetyState::Tripped => {
@@ -81,7 +82,7 @@ impl Health {
             _ if self.node.as_ref().is_some_and(|node| node.is_estop_engaged) => {
                 (Level::Warn, format!("{at}; the e-stop topic is engaged"))
             }
-            SafetyState::Disarmed => (Level::Ok, format!("{at}; ~/arm lets it move")),
+            SafetyState::Disarmed => (Level::Ok, format!("{at}; ~/arm permits motion")),
             SafetyState::Armed => (Level::Ok, at),
         };
         let mut values = vec![
@@ -119,7 +120,7 @@ impl Health {
             [] => (Level::Ok, "windings are cool".to_owned()),
             some => {
                 let names = some.iter().map(hot).collect::<Vec<_>>().join(", ");
-                (Level::Warn, format!("hot windings: {names} of what they withstand; ask less of them"))
+                (Level::Warn, format!("hot windings: {names} of the thermal limit; reduce the load"))
             }
         };
         self.status("motors", said, &[])

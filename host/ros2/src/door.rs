@@ -1,4 +1,5 @@
-//! The node in a session: orders from ROS to the board, readings of the board to ROS. It never arms and never clears by itself.
+//! Session of the node with a board: it passes orders from ROS to the board, and readings of the board to ROS. It never arms and never
+//! clears by itself.
 
 mod commands;
 mod managed;
@@ -42,28 +43,28 @@ pub use order::{Order, Request};
 pub use reports::Report;
 use trajectories::{Following, Positions};
 
-/// A board's side of a node.
+/// Settings of a node for a session with a board.
 #[derive(Clone, Copy, Debug)]
 pub struct Door {
-    /// ROS time.
+    /// Source of ROS time for stamps and the age of commands.
     pub clock: RosClock,
-    /// Whether `/tf` gets the transform from `odom` to `base_link`; off where something else, as a filter, gives it.
+    /// True publishes the transform from `odom` to `base_link` on `/tf`; false where another node publishes it, for example a filter.
     pub has_transform: bool,
-    /// Whether the node is managed: it is armed and disarmed by its lifecycle, and not by `~/arm`.
+    /// True for a managed node: its lifecycle arms the board, and `~/arm` is refused.
     pub is_managed: bool,
 }
 
-/// How often simulated time is published, and the supervisor's state is looked at, s.
+/// Period at which simulated time is published and the supervisor's state is checked, s.
 const TICK_S: f64 = 0.01;
-/// How often diagnostics are published where nothing changes, s.
+/// Period of diagnostics while nothing changes, s.
 const DIAGNOSE_EVERY_S: f64 = 1.0;
 
 impl Door {
-    /// Serves `orders` until all senders are gone, or until a managed node ends its session. `report` publishes, and
-    /// returns whether it could.
+    /// Serves `orders` until all senders are gone, or until a managed node ends its session. `report` publishes a message, and
+    /// returns false when it could not.
     ///
     /// # Errors
-    /// When the link ends, or the board refuses subscriptions.
+    /// The error of the link when it ends; the board's refusal of a subscription.
     pub async fn serve<'b>(
         &self,
         session: &'b Session<'b>,
@@ -110,7 +111,7 @@ impl Door {
                 }
                 Event::Tick => {
                     let now_s = session.board.now_s();
-                    // From now on, also where the machine was busy elsewhere.
+                    // Counted from now: after a stall of the machine, missed ticks are not made up.
                     tick_s = now_s + TICK_S;
                     serving.tick();
                     if now_s >= diagnose_s {
@@ -123,7 +124,7 @@ impl Door {
     }
 }
 
-/// What ends a wait.
+/// Event for which the session waits.
 enum Event<'b> {
     Order(Order),
     Ended,
@@ -133,7 +134,7 @@ enum Event<'b> {
     Tick,
 }
 
-/// What was asked of the board, done.
+/// Completion of a request to the board, with its result.
 enum Done<'b> {
     Called {
         request: Request,
@@ -141,26 +142,27 @@ enum Done<'b> {
         answer: Option<oneshot::Sender<TriggerResponse>>,
     },
     Bound(Result<Bound<'b>, DriverError>),
-    /// Points of a trajectory were sent, which may have ended since.
+    /// Points of a trajectory were sent; the trajectory may have ended since.
     Fed {
         has_ended: Rc<Cell<bool>>,
         result: Result<(), DriverError>,
     },
-    /// A managed node was to be armed or disarmed.
+    /// A managed node's board was armed or disarmed, or refused it.
     Changed {
         to_active: bool,
         result: Result<(), DriverError>,
         answer: oneshot::Sender<bool>,
     },
-    /// A call of a parameter service was carried out.
+    /// A call of a parameter service was answered.
     Parameters(ParameterStore),
-    /// Joints of a trajectory that ended were brought to rest.
+    /// Joints of an ended trajectory were brought to rest.
     Rested(Result<(), DriverError>),
 }
 
-/// What is published when the board has taken a command.
+/// Message that is published once the board accepts a command; `None` for commands to joints.
 type Echo = Option<TwistStamped>;
 
+/// State of a node during a session with a board.
 struct Serving<'b, R> {
     door: Door,
     session: &'b Session<'b>,
@@ -171,15 +173,15 @@ struct Serving<'b, R> {
     leased: Leased<'b, Echo>,
     following: Option<Following>,
     positions: Positions,
-    /// `None` while a call works on it.
+    /// Parameters of the board; `None` while a call works on them.
     parameters: Option<ParameterStore>,
     parameter_calls: VecDeque<ParameterCall>,
     work: FuturesUnordered<LocalBoxFuture<'b, Done<'b>>>,
-    /// As published last.
+    /// Supervisor's state and causes as last published.
     safety: (SafetyState, Causes),
     is_estop_engaged: bool,
     is_stopping: bool,
-    /// Whether a managed node is active.
+    /// True while a managed node is active.
     is_active: bool,
     taken: u64,
     refused: u64,
@@ -221,7 +223,7 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
         self.door.clock.now(self.session.clock.now_us())
     }
 
-    /// Binds the wheels, so that the first velocity does not wait for it.
+    /// Binds the stream to the wheels, so that the first velocity need not wait for the binding.
     fn prepare(&mut self) {
         let Some(drive) = &self.drive else { return };
         let channels = drive.setpoints(Velocity::default()).iter().map(|(channel, set)| (*channel, set.mode)).collect();
@@ -233,7 +235,7 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
         self.work.extend(binding.map(|binding| binding.map(Done::Bound).boxed_local()));
     }
 
-    /// Waits for what comes first. Orders go before the rest, an e-stop is one of them.
+    /// Waits for the next event. Orders have priority, because an e-stop is one of them.
     async fn event(
         &mut self,
         orders: &mut UnboundedReceiver<Order>,
@@ -248,7 +250,7 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
             if let Poll::Ready(order) = orders.poll_next_unpin(context) {
                 return Poll::Ready(order.map_or(Event::Ended, Event::Order));
             }
-            // None when nothing is under way.
+            // `None` when no request is under way: such a queue must not end the wait.
             if let Poll::Ready(Some(done)) = work.poll_next_unpin(context) {
                 return Poll::Ready(Event::Done(done));
             }
@@ -263,7 +265,7 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
         .await
     }
 
-    /// Tries to carry out a command. Where it is refused, those before it end.
+    /// Runs a command. A refusal also ends the commands before it.
     fn take(&mut self, command: impl FnOnce(&mut Self) -> Result<(), Refused>) {
         if let Err(refused) = command(self) {
             self.leased.rest();
@@ -274,13 +276,14 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
 
     fn refuse(&mut self, why: String) {
         self.refused += 1;
+        // Only the first of several refusals is published at once: a faulty publisher must not flood `/diagnostics`.
         let was_well = self.refusal.replace(why).is_none();
         if was_well {
             self.diagnose();
         }
     }
 
-    /// The e-stop topic. Released it lets others arm and clear again, and does neither.
+    /// Handles a message on the e-stop topic. A release permits arming and clearing again, but does neither.
     fn estop(&mut self, is_engaged: bool) {
         let has_changed = self.is_estop_engaged != is_engaged;
         self.is_estop_engaged = is_engaged;
@@ -294,8 +297,9 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
         }
     }
 
-    /// Trips the board for the e-stop topic, unless that is under way.
+    /// Trips the board for the e-stop topic, unless a stop is already under way.
     fn stop(&mut self) {
+        // One request at a time: while the topic is engaged and the board armed, each tick comes here.
         if !self.is_stopping {
             self.is_stopping = true;
             self.call(Request::Stop, None);
@@ -313,6 +317,7 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
             respond(answer, TriggerResponse { success: false, message });
             return;
         }
+        // Waiting set points are dropped, so that none reaches the board after the stop.
         if request == Request::Stop {
             self.leased.rest();
         }
@@ -348,8 +353,8 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
         self.look_at_safety();
     }
 
-    /// Publishes what changed in the supervisor, and stops a board that moves while the e-stop topic is engaged: one whose stop got lost,
-    /// or was under way to be armed.
+    /// Publishes changes of the supervisor's state, and stops a board that is armed while the e-stop topic is engaged: its stop was lost,
+    /// or it was being armed when the stop arrived.
     fn look_at_safety(&mut self) {
         let safety = self.session.board.safety();
         if self.is_estop_engaged && safety.0 == SafetyState::Armed {
@@ -367,9 +372,10 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
     }
 }
 
-/// Answers a service call. A caller that is gone by now gets none.
+/// Answers a service call, unless the caller is gone.
 fn respond(answer: Option<oneshot::Sender<TriggerResponse>>, response: TriggerResponse) {
     if let Some(answer) = answer {
+        // The caller may have given up; then the answer is dropped.
         let _ = answer.send(response);
     }
 }

@@ -1,4 +1,4 @@
-//! The environment by which ROS nodes find each other, which `ros2-client` does not read.
+//! Environment variables by which ROS nodes find each other. The library `ros2-client` does not read them.
 //!
 //! # Source
 //! ROS 2 documentation (Jazzy), *The ROS_DOMAIN_ID* and *Improved Dynamic Discovery*: variables, ranges, defaults.
@@ -9,59 +9,59 @@ use std::{
     net::{IpAddr, Ipv4Addr, Ipv6Addr},
 };
 
-/// Highest domain whose ports are below 65 536: 7400 + 250 · 232.
+/// Highest domain whose UDP ports are below 65 536: 7400 + 250 · 232.
 const DOMAIN_MAX: u16 = 232;
 
-/// How far the node looks for others.
+/// Range of discovery: the networks on which the node looks for others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reach {
-    /// The networks of this machine's interfaces.
+    /// All networks of this machine's interfaces.
     Subnet,
-    /// This machine.
+    /// The loopback interface of this machine only.
     Localhost,
 }
 
-/// How calls of services are DDS messages: implementations differ.
+/// Mapping of service calls to DDS messages, in which implementations differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Services {
-    /// As Fast DDS and Connext have it, by the DDS-RPC specification.
+    /// Mapping of Fast DDS and Connext, by the DDS-RPC specification.
     Enhanced,
-    /// As Cyclone DDS has it.
+    /// Mapping of Cyclone DDS.
     Cyclone,
 }
 
-/// By what the node is found.
+/// Settings by which nodes find each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Discovery {
-    /// Nodes of other domains are not seen: 0 to 232.
+    /// Number of the ROS domain, 0 to 232; nodes of different domains do not see each other.
     pub domain: u16,
-    /// How far it looks.
+    /// Networks on which the node looks for others.
     pub reach: Reach,
-    /// With whom it speaks services.
+    /// Mapping of services, which must be that of the other nodes.
     pub services: Services,
 }
 
-/// A variable has a value that cannot be kept.
+/// Error of a variable whose value is invalid or not supported.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EnvironmentError {
-    /// The domain is none.
-    #[error("ROS_DOMAIN_ID={value:?} is no domain: set it to a number from 0 to {DOMAIN_MAX}, or unset it for 0")]
+    /// The domain is no number from 0 to 232.
+    #[error("ROS_DOMAIN_ID={value:?} is not a domain: set it to a number from 0 to {DOMAIN_MAX}, or unset it for 0")]
     Domain {
         /// Value of the variable.
         value: String,
     },
-    /// The range is none.
+    /// The range of discovery is unknown.
     #[error(
-        "ROS_AUTOMATIC_DISCOVERY_RANGE={value:?} is no range: set it to SUBNET or LOCALHOST, or unset it for SUBNET"
+        "ROS_AUTOMATIC_DISCOVERY_RANGE={value:?} is not a range: set it to SUBNET or LOCALHOST, or unset it for SUBNET"
     )]
     Range {
         /// Value of the variable.
         value: String,
     },
-    /// Discovery is off, and this node has no other way to be found.
-    #[error("ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: this node is found by discovery only; set it to SUBNET or LOCALHOST")]
+    /// Discovery is switched off, but this node can be found in no other way.
+    #[error("ROS_AUTOMATIC_DISCOVERY_RANGE=OFF hides this node from all others: set it to SUBNET or LOCALHOST")]
     Off,
-    /// The flag is none.
+    /// The flag is neither 0 nor 1.
     #[error("ROS_LOCALHOST_ONLY={value:?} is neither 0 nor 1: set it to one of them, or unset it for 0")]
     LocalhostOnly {
         /// Value of the variable.
@@ -70,23 +70,23 @@ pub enum EnvironmentError {
     /// The two variables contradict each other.
     #[error("ROS_LOCALHOST_ONLY=1 and ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET contradict each other: unset the first")]
     Contradiction,
-    /// Peers are named, of which the node knows nothing.
-    #[error("ROS_STATIC_PEERS={value:?}: this node cannot look for named peers; unset it and use the same network")]
+    /// Peers are named, which this node does not support.
+    #[error("ROS_STATIC_PEERS={value:?}: named peers are not supported; unset it, and use one network for all nodes")]
     StaticPeers {
         /// Value of the variable.
         value: String,
     },
-    /// The other nodes do not speak DDS, or their services are not known.
+    /// The other nodes do not use DDS, or their mapping of services is unknown.
     #[error(
-        "RMW_IMPLEMENTATION={value:?}: this node speaks to rmw_fastrtps_cpp, rmw_connextdds and rmw_cyclonedds_cpp; set it to one of them, or \
+        "RMW_IMPLEMENTATION={value:?}: supported are rmw_fastrtps_cpp, rmw_connextdds and rmw_cyclonedds_cpp; set it to one of them, or \
          unset it for the first"
     )]
     Middleware {
         /// Value of the variable.
         value: String,
     },
-    /// A variable is no text.
-    #[error("{name} is no text: set it anew")]
+    /// The value of a variable is not valid Unicode.
+    #[error("{name} is not valid Unicode: set it again")]
     NotText {
         /// Name of the variable.
         name: &'static str,
@@ -94,10 +94,10 @@ pub enum EnvironmentError {
 }
 
 impl Discovery {
-    /// What this process's environment asks for.
+    /// Reads the settings from this process's environment.
     ///
     /// # Errors
-    /// [`EnvironmentError`], which names the variable.
+    /// [`EnvironmentError`] for an invalid or unsupported value; its message names the variable.
     pub fn from_environment() -> Result<Self, EnvironmentError> {
         Self::from_variables(|name| match std::env::var(name) {
             Ok(value) => Ok(Some(value)),
@@ -106,10 +106,10 @@ impl Discovery {
         })
     }
 
-    /// The same with `variable` in place of the environment. A variable that is empty counts as one that is not set.
+    /// Reads the settings from `variable` in place of the environment. An empty variable counts as not set.
     ///
     /// # Errors
-    /// [`EnvironmentError`], which names the variable.
+    /// [`EnvironmentError`] for an invalid or unsupported value, and the errors of `variable`.
     pub fn from_variables(
         variable: impl Fn(&'static str) -> Result<Option<String>, EnvironmentError>,
     ) -> Result<Self, EnvironmentError> {
@@ -128,6 +128,7 @@ impl Discovery {
             Some("1") => true,
             Some(value) => return Err(EnvironmentError::LocalhostOnly { value: value.to_owned() }),
         };
+        // A contradiction is refused, because a node that is visible on more networks than intended can be commanded from there.
         let reach = match set("ROS_AUTOMATIC_DISCOVERY_RANGE")?.as_deref() {
             Some("SUBNET") if is_localhost_only => return Err(EnvironmentError::Contradiction),
             None | Some("SYSTEM_DEFAULT") if is_localhost_only => Reach::Localhost,
@@ -147,7 +148,7 @@ impl Discovery {
         }
     }
 
-    /// Addresses of the interfaces that may be used; `None` is all of them.
+    /// Returns the addresses of the interfaces that may be used; `None` for all interfaces.
     #[must_use]
     pub fn only_networks(self) -> Option<[IpAddr; 2]> {
         let localhost = [IpAddr::V4(Ipv4Addr::LOCALHOST), IpAddr::V6(Ipv6Addr::LOCALHOST)];
@@ -165,7 +166,7 @@ impl fmt::Display for Discovery {
             Services::Enhanced => "Fast DDS",
             Services::Cyclone => "Cyclone DDS",
         };
-        write!(to, "ROS domain {}, {reach}, services as {services} has them", self.domain)
+        write!(to, "ROS domain {}, {reach}, services as in {services}", self.domain)
     }
 }
 
@@ -194,7 +195,7 @@ mod tests {
             assert_eq!(of(variables), Ok(Discovery { domain, reach, services }), "{variables:?}");
         }
         let cyclone = of(&[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp"), ("ROS_LOCALHOST_ONLY", "1")]).expect("known");
-        assert_eq!(cyclone.to_string(), "ROS domain 0, this machine only, services as Cyclone DDS has them");
+        assert_eq!(cyclone.to_string(), "ROS domain 0, this machine only, services as in Cyclone DDS");
         assert!(of(&[]).expect("nothing").only_networks().is_none() && cyclone.only_networks().is_some());
     }
 

@@ -1,4 +1,4 @@
-//! Telemetry frames as ROS messages: the same for the node and for the bag of a log.
+//! Conversion of telemetry frames to ROS messages, shared by the node and the bag of a log.
 
 use r4_boards::{Drive, SkidSteer};
 use r4_protocol::{ChannelInfo, ChannelKind, Sample};
@@ -6,10 +6,10 @@ use r4_rig::{GroundDrive, Odometry, Velocity, inertial_reading, recorded_sides_r
 
 use crate::{Report, convert, message, time::Stamp};
 
-/// Period of motors' and encoders' samples that the node asks for, ms.
+/// Telemetry period of motors and encoders that the node subscribes to, ms.
 pub const MOTION_EVERY_MS: u16 = 20;
 
-/// Converter of a board's telemetry, with its odometry.
+/// Converter of a board's telemetry frames, with the robot's odometry.
 #[derive(Clone, Debug)]
 pub struct Frames {
     channels: Vec<ChannelInfo>,
@@ -17,18 +17,18 @@ pub struct Frames {
     has_transform: bool,
 }
 
-/// Odometry of a robot that steers by its sides.
+/// Odometry of a skid-steer robot, with the time of its last frame.
 #[derive(Clone, Debug)]
 struct Counted {
     robot: SkidSteer,
     odometry: Odometry,
-    /// Of the frame before that had all wheels, on the board's clock, µs.
+    /// Time of the last frame with all wheels, µs on the board's clock; `None` before the first and after a restart.
     last_us: Option<u64>,
 }
 
 impl Frames {
-    /// Converter of frames of a board with these channels; odometry is that of a robot that steers by its sides, and `has_transform` says
-    /// whether it is given as a transform, too.
+    /// Creates a converter for a board with these channels. Only a skid-steer robot has odometry; `has_transform` adds its transform for
+    /// `/tf`.
     #[must_use]
     pub fn new(channels: &[ChannelInfo], drive: Option<&GroundDrive>, has_transform: bool) -> Self {
         let odometry = match drive.map(GroundDrive::drive) {
@@ -40,13 +40,13 @@ impl Frames {
         Self { channels: channels.to_vec(), odometry, has_transform }
     }
 
-    /// The robot, where it steers by its sides.
+    /// Returns the geometry of a skid-steer robot; `None` for other robots.
     #[must_use]
     pub fn robot(&self) -> Option<&SkidSteer> {
         self.odometry.as_ref().map(|counted| &counted.robot)
     }
 
-    /// Takes note that the board has restarted: its wheels count from 0 again, and odometry goes on where it was.
+    /// Handles a restart of the board: its wheels count from 0 again, and odometry continues at its last pose.
     pub fn restarted(&mut self) {
         if let Some(counted) = &mut self.odometry {
             counted.odometry.count_anew();
@@ -54,7 +54,7 @@ impl Frames {
         }
     }
 
-    /// Gives the messages of a frame, whose samples were taken at `stamp`, when the board's clock showed `device_us`.
+    /// Passes the messages of a frame to `give`. Its samples were taken at `stamp`, when the board's clock showed `device_us`.
     pub fn convert(&mut self, stamp: Stamp, device_us: u64, samples: &[Sample], mut give: impl FnMut(Report)) {
         let counted = self.odometry.as_mut();
         if let Some(message) = counted.and_then(|counted| counted.look(stamp, device_us, &self.channels, samples)) {
@@ -68,7 +68,7 @@ impl Frames {
         }
         for sample in samples {
             let Some(info) = self.channels.iter().find(|info| info.id == sample.channel()) else { continue };
-            // Sensors measure at a time of their own.
+            // A sensor measures at its own rate: its reading is `age_ms` older than the frame.
             let measured = |age_ms: u16| stamp.plus_us(-1000 * i64::from(age_ms)).to_time();
             match *sample {
                 Sample::Sensor { channel, age_ms, .. } if channel.kind == ChannelKind::Imu => {
@@ -91,7 +91,7 @@ impl Frames {
 }
 
 impl Counted {
-    /// Odometry of a frame; `None` unless it has all wheels.
+    /// Returns the odometry after a frame; `None` unless the frame has all wheels.
     fn look(
         &mut self,
         stamp: Stamp,
@@ -104,7 +104,7 @@ impl Counted {
         self.odometry.look(left_rad, right_rad);
         let before_us = self.last_us.replace(device_us);
         let since_us = before_us.and_then(|before_us| device_us.checked_sub(before_us)).filter(|us| *us > 0);
-        // The first frame has none before it.
+        // The first frame has no predecessor: the nominal period takes its place in the covariance of the velocity.
         let period_s = since_us.map_or(f64::from(MOTION_EVERY_MS) * 1e-3, |us| us as f64 * 1e-6);
         Some(convert::odometry(stamp.to_time(), &self.robot, &self.odometry, velocity, period_s))
     }

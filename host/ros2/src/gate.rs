@@ -1,7 +1,7 @@
-//! Which commands go through: pure, with the time given.
+//! Acceptance of commands, as pure functions with the time as an argument.
 //!
-//! A command that is refused ends the set points before it, and a command that is older than one that went through changes nothing: what
-//! the publisher wanted before is never taken for what it wants.
+//! A refused command ends the set points before it, and a command older than an accepted one changes nothing: an outdated command never
+//! replaces a newer one.
 
 use r4_driver::Error as DriverError;
 use r4_protocol::{ChannelId, ChannelInfo, Mode, Setpoint};
@@ -13,129 +13,129 @@ use crate::{
     trajectory::BadTrajectory,
 };
 
-/// Why a command did not go through.
+/// Reason for the refusal of a command.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Refused {
     /// A number is NaN or infinite.
     #[error("{what} is not a finite number: check the publisher")]
     NotFinite {
-        /// Which number, as the message has it.
+        /// Field of the number, or name of its joint.
         what: String,
     },
-    /// A message is none of its topic's type.
-    #[error("a message on {topic} cannot be read ({why}): check its type")]
+    /// A message cannot be decoded as its topic's type.
+    #[error("a message on {topic} cannot be decoded ({why}): check its type")]
     Unreadable {
         /// Name of the topic.
         topic: &'static str,
-        /// What is wrong with it.
+        /// Error of the decoder.
         why: String,
     },
-    /// The stamp is no time.
-    #[error("the stamp has a second or more in its nanoseconds: check the publisher")]
+    /// The stamp is invalid: its nanoseconds are a second or more.
+    #[error("the nanoseconds of the stamp are a second or more: check the publisher")]
     BadStamp,
-    /// It was decided too long ago.
+    /// The command is too old.
     #[error(
-        "its stamp is {age_s:.3} s old and {limit_s} s are allowed: synchronise the clocks of both machines; where the board is \
-         simulated, set use_sim_time of the publisher"
+        "its stamp is {age_s:.3} s old and at most {limit_s} s are allowed: synchronise the clocks of both machines; for a simulated \
+         board, set use_sim_time of the publisher"
     )]
     Stale {
-        /// How old it is, s.
+        /// Age of the stamp, s.
         age_s: f64,
-        /// How old it may be, s.
+        /// Maximum age of a stamp, s.
         limit_s: f64,
     },
-    /// It will be decided.
+    /// The stamp lies too far in the future.
     #[error(
-        "its stamp is {ahead_s:.3} s ahead and {limit_s} s are allowed: synchronise the clocks of both machines; where the board \
-         is simulated, set use_sim_time of the publisher"
+        "its stamp is {ahead_s:.3} s ahead and at most {limit_s} s are allowed: synchronise the clocks of both machines; for a \
+         simulated board, set use_sim_time of the publisher"
     )]
     Ahead {
-        /// How far, s.
+        /// Time until the stamp, s.
         ahead_s: f64,
-        /// How far it may be, s.
+        /// Maximum time until a stamp, s.
         limit_s: f64,
     },
-    /// The robot does not drive, or its geometry is unknown.
+    /// The robot cannot drive, or its geometry is unknown.
     #[error("velocities need a robot whose file has [drive] (boards/README.md): use joint_commands")]
     NoDrive,
-    /// Names and numbers do not go together.
-    #[error("{names} names and {numbers} numbers of {what}: give one for each name, or none at all")]
+    /// A message has a different number of names and values.
+    #[error("{names} names but {numbers} values of {what}: give one value for each name, or none")]
     Lengths {
-        /// Of which.
+        /// Field of the values: `position` or `velocity`.
         what: &'static str,
-        /// How many names.
+        /// Number of names in the message.
         names: usize,
-        /// How many numbers.
+        /// Number of values in the field.
         numbers: usize,
     },
-    /// The board has no such joint, or it cannot be commanded.
-    #[error("{name:?} is no joint of this board: joint_states has their names")]
+    /// The board has no joint of this name.
+    #[error("this board has no joint {name:?}: joint_states lists the names")]
     UnknownJoint {
-        /// The name.
+        /// Name in the message.
         name: String,
     },
-    /// A joint is named twice.
+    /// A joint has two set points.
     #[error("{name} is named twice: give each joint one set point")]
     Twice {
-        /// The name.
+        /// Name of the joint.
         name: String,
     },
-    /// A joint has a position and a speed.
+    /// A joint has both a position and a speed.
     #[error("{name} has a position and a velocity: give one, and NaN or nothing for the other")]
     Both {
-        /// The name.
+        /// Name of the joint.
         name: String,
     },
-    /// A joint does not take this.
+    /// A joint does not accept set points of this mode.
     #[error("{name} cannot be commanded by {mode}: `r4 info` lists what it can take")]
     NoMode {
-        /// The name.
+        /// Name of the joint.
         name: String,
-        /// By what it was commanded.
+        /// Mode of the set point.
         mode: Mode,
     },
-    /// More joints than a stream has.
+    /// The command has more joints than a stream.
     #[error("{asked} joints in one command: at most {most} can be commanded together")]
     TooMany {
-        /// How many were.
+        /// Number of joints in the command.
         asked: usize,
-        /// How many can be.
+        /// Maximum number of joints in a command.
         most: usize,
     },
     /// A trajectory cannot be followed.
-    #[error("the trajectory is not followed: {0}")]
+    #[error("the trajectory was refused: {0}")]
     Trajectory(#[from] BadTrajectory),
-    /// The board or the driver refused it.
+    /// The board or the driver refused the command.
     #[error(transparent)]
     Board(DriverError),
 }
 
-/// The check of stamps, and the newest one that went through.
+/// Check of commands' stamps, with the newest accepted one.
 #[derive(Clone, Debug)]
 pub struct Gate {
-    /// How old a command may be, and how far ahead, s.
+    /// Maximum age of a command, and maximum time by which its stamp may lie ahead, s.
     limit_s: f64,
     newest: Option<Stamp>,
 }
 
 impl Gate {
-    /// Commands may be `limit_s` old: the board's time-out of its link.
+    /// Creates a check with a maximum age of `limit_s`, which is the board's link time-out.
     #[must_use]
     pub fn new(limit_s: f64) -> Self {
         Self { limit_s, newest: None }
     }
 
-    /// How old a command may be, and how far ahead, s.
+    /// Returns the maximum age of a command, which is also the maximum time by which its stamp may lie ahead, s.
     #[must_use]
     pub fn limit_s(&self) -> f64 {
         self.limit_s
     }
 
-    /// Whether a command of this stamp goes through `now`: `false` for one that is older than one that did. A stamp of 0 counts as now,
-    /// as it does with other controllers of ROS.
+    /// Returns true when a command with this stamp is accepted at `now`, and false when it is to be ignored because it is older than an
+    /// accepted one. A stamp of 0 counts as now, as in other controllers of ROS. `None` is an invalid stamp.
     ///
     /// # Errors
-    /// [`Refused::BadStamp`], [`Refused::Stale`], [`Refused::Ahead`].
+    /// [`Refused::BadStamp`] for an invalid stamp, [`Refused::Stale`] and [`Refused::Ahead`] beyond the limit.
     pub fn pass(&mut self, stamp: Option<Stamp>, now: Stamp) -> Result<bool, Refused> {
         let stamp = stamp.ok_or(Refused::BadStamp)?;
         let stamp = if stamp.is_none() { now } else { stamp };
@@ -146,7 +146,7 @@ impl Gate {
         if -age_s > limit_s {
             return Err(Refused::Ahead { ahead_s: -age_s, limit_s });
         }
-        // A clock that was set back by more than is allowed lets commands through again.
+        // After a clock was set back by more than the limit, for example by a new simulation, the newest stamp no longer counts.
         let before = self.newest.filter(|newest| newest.since_s(now) <= limit_s);
         if before.is_some_and(|before| stamp < before) {
             return Ok(false);
@@ -156,10 +156,10 @@ impl Gate {
     }
 }
 
-/// The velocity over the ground in a twist. A robot on wheels has no other parts: they are passed over, if they are finite.
+/// Returns the velocity over the ground of a twist. A wheeled robot ignores its other components, which must be finite.
 ///
 /// # Errors
-/// [`Refused::NotFinite`]
+/// [`Refused::NotFinite`] for the first component that is NaN or infinite.
 pub fn velocity(twist: &Twist) -> Result<Velocity, Refused> {
     let parts = [("linear", twist.linear), ("angular", twist.angular)];
     let numbers = parts.iter().flat_map(|(part, of)| [(part, "x", of.x), (part, "y", of.y), (part, "z", of.z)]);
@@ -171,10 +171,10 @@ pub fn velocity(twist: &Twist) -> Result<Velocity, Refused> {
     Ok(Velocity { forward_m_s: twist.linear.x, yaw_rad_s: twist.angular.z })
 }
 
-/// Set points in a message about joints. NaN is a joint that this message does not command by that, as ros2_control publishes it.
+/// Returns the set points of a message about joints. NaN means no set point of this mode, as ros2_control publishes it.
 ///
 /// # Errors
-/// [`Refused`], for the first joint that does not go through: then none does.
+/// [`Refused`] for the first joint that is not accepted; then the whole command is refused.
 pub fn joints(
     message: &JointState,
     channels: &[ChannelInfo],
@@ -208,6 +208,7 @@ pub fn joints(
         }
         setpoints.push((info.id, Setpoint { mode, value: value as f32 }));
     }
+    // Counted without NaN entries: ros2_control names all joints in each message.
     if setpoints.len() > most {
         return Err(Refused::TooMany { asked: setpoints.len(), most });
     }
@@ -235,7 +236,7 @@ mod tests {
         assert!(matches!(gate.pass(Some(at(10.25)), at(10.0)), Err(Refused::Ahead { .. })));
         assert_eq!(gate.pass(None, at(10.0)), Err(Refused::BadStamp));
         let said = gate.pass(Some(at(7.0)), at(10.0)).expect_err("stale").to_string();
-        assert!(said.starts_with("its stamp is 3.000 s old and 0.2 s are allowed"), "{said}");
+        assert!(said.starts_with("its stamp is 3.000 s old and at most 0.2 s are allowed"), "{said}");
     }
 
     #[test]
@@ -245,12 +246,12 @@ mod tests {
         assert_eq!(gate.pass(Some(at(9.99)), at(10.01)), Ok(false));
         assert_eq!(gate.pass(Some(Stamp::default()), at(10.02)), Ok(true));
         assert_eq!(gate.pass(Some(at(10.01)), at(10.03)), Ok(false));
-        // A simulation that begins again.
+        // A simulation that starts again.
         assert_eq!(gate.pass(Some(at(1.0)), at(1.0)), Ok(true));
     }
 
     proptest! {
-        /// No sequence of stamps lets one through that is older than the limit, or older than one before it.
+        /// In any sequence, an accepted stamp is within the limit and not older than the accepted one before it.
         #[test]
         fn what_goes_through_is_fresh_and_in_order(steps in prop::collection::vec((0.0..0.05f64, -0.5..0.5f64), 1..200)) {
             let (mut gate, mut now_s, mut newest_s) = (Gate::new(0.2), 100.0, f64::NEG_INFINITY);
@@ -258,7 +259,7 @@ mod tests {
                 now_s += step_s;
                 let stamp_s = now_s + offset_s;
                 if gate.pass(Some(at(stamp_s)), at(now_s)) == Ok(true) {
-                    // 1 ns: what seconds are rounded to.
+                    // Stamps are rounded to 1 ns, twice in each difference.
                     prop_assert!((stamp_s - now_s).abs() <= 0.2 + 2e-9);
                     prop_assert!(stamp_s >= newest_s - 2e-9);
                     newest_s = stamp_s;
@@ -267,7 +268,7 @@ mod tests {
         }
     }
 
-    /// One of the numbers of a twist.
+    /// Access to one component of a twist.
     type Number = fn(&mut Twist) -> &mut f64;
 
     #[test]
@@ -328,9 +329,9 @@ mod tests {
         let refused = |name: &[&str], position: &[f64], velocity: &[f64]| {
             joints(&message(name, position, velocity), &channels(), 1).expect_err("refused").to_string()
         };
-        assert!(refused(&["osmc0", "osmc1"], &[0.1], &[]).starts_with("2 names and 1 numbers of position"));
+        assert!(refused(&["osmc0", "osmc1"], &[0.1], &[]).starts_with("2 names but 1 values of position"));
         assert!(refused(&["osmc0"], &[0.1], &[0.1]).contains("a position and a velocity"));
-        assert!(refused(&["osmc0", "elbow"], &[0.1, 0.1], &[]).contains("\"elbow\" is no joint"));
+        assert!(refused(&["osmc0", "elbow"], &[0.1, 0.1], &[]).contains("no joint \"elbow\""));
         assert!(refused(&["osmc2"], &[0.1], &[]).contains("cannot be commanded by position"));
         assert!(refused(&["osmc0", "osmc0"], &[0.1, 0.1], &[]).contains("named twice"));
         assert!(refused(&["osmc0"], &[f64::INFINITY], &[]).contains("not a finite number"));

@@ -1,6 +1,6 @@
-//! Set points that end by themselves unless they are repeated: one stream of cycles, bound anew when other joints are commanded.
+//! Leased set points, which expire unless they are repeated: one stream of cycles, which is bound again when other joints are commanded.
 //!
-//! The board stops a channel whose set point is older than the stream's time-to-live, whatever became of this node or of the publisher.
+//! The board stops a channel whose set point is older than the stream's time to live, also after a failure of this node or the publisher.
 
 use std::collections::VecDeque;
 
@@ -9,48 +9,48 @@ use r4_driver::{Board, CycleReport, Cycles, Error};
 use r4_protocol::{ChannelId, Mode, Setpoint};
 use r4_rig::HostClock;
 
-/// Most channels in one command.
+/// Maximum number of channels in one command.
 pub use r4_protocol::cycle::CYCLE_CHANNELS;
 
-/// Set points for channels, in one command.
+/// Set points of one command, by channel.
 pub type Setpoints = Vec<(ChannelId, Setpoint)>;
 
-/// A stream that is open, and the channels that it is bound to.
+/// Open stream with the channels that it is bound to.
 pub struct Bound<'b> {
     channels: Vec<(ChannelId, Mode)>,
     cycles: Cycles<'b, HostClock>,
-    /// Number of the next cycle: the driver counts them from 0.
+    /// Number of the next cycle; the driver counts cycles from 0.
     next: u64,
     last: Setpoints,
 }
 
-/// The binding of a stream to other channels, to be awaited and handed to [`Leased::bound`].
+/// Future that binds a stream to channels, whose result goes to [`Leased::bound`].
 pub type Binding<'b> = LocalBoxFuture<'b, Result<Bound<'b>, Error>>;
 
-/// Leased set points. `E` is what their caller wants to have back with the answers to them.
+/// Leased set points. `E` is a tag of the caller that is returned with the answer to a command.
 pub struct Leased<'b, E> {
     board: &'b Board<HostClock>,
     ttl_ms: u16,
     bound: Option<Bound<'b>>,
     is_binding: bool,
-    /// What is commanded once the stream is bound: set points, when they were decided on our clock in s, and what goes with them.
+    /// Command that waits for the binding of the stream: set points, time of the command on the driver's clock, s, and the caller's tag.
     waiting: Option<(Setpoints, f64, E)>,
-    /// Commands without an answer, by their number.
+    /// Commands that await an answer: number of the cycle and the caller's tag.
     under_way: VecDeque<(u64, E)>,
 }
 
 impl<'b, E> Leased<'b, E> {
-    /// Nothing is commanded. Set points hold for `ttl_ms`.
+    /// Creates leased set points with a time to live of `ttl_ms`, without a command yet.
     #[must_use]
     pub fn new(board: &'b Board<HostClock>, ttl_ms: u16) -> Self {
         Self { board, ttl_ms, bound: None, is_binding: false, waiting: None, under_way: VecDeque::new() }
     }
 
-    /// Commands channels; those that were commanded before and are not in it come to rest. Returns what has to be awaited first where
-    /// the stream is bound to others.
+    /// Sends set points to channels; channels of the last command that are not among them come to rest. Returns a binding to await when the
+    /// stream is bound to other channels.
     ///
     /// # Errors
-    /// A set point that a channel does not take: then all of them come to rest, and `with` is not answered.
+    /// The driver's refusal of a set point, for example out of a channel's range: all channels come to rest, and `with` is not returned.
     pub fn command(&mut self, setpoints: Setpoints, with: E) -> Result<Option<Binding<'b>>, Error> {
         let channels: Vec<_> = setpoints.iter().map(|(channel, setpoint)| (*channel, setpoint.mode)).collect();
         if let Some(bound) = self.bound.as_mut().filter(|bound| bound.channels == channels) {
@@ -58,11 +58,12 @@ impl<'b, E> Leased<'b, E> {
             self.under_way.push_back((number, with));
             return Ok(None);
         }
+        // Only the newest command waits: an older one would be overwritten at once.
         self.waiting = Some((setpoints, self.board.now_s(), with));
         Ok(self.prepare(channels))
     }
 
-    /// Binds the stream to channels before they are commanded; `None` while it is being bound.
+    /// Starts to bind the stream to channels before they are commanded; `None` while a binding is under way.
     pub fn prepare(&mut self, channels: Vec<(ChannelId, Mode)>) -> Option<Binding<'b>> {
         if self.is_binding {
             return None;
@@ -72,7 +73,7 @@ impl<'b, E> Leased<'b, E> {
         let (board, ttl_ms, before) = (self.board, self.ttl_ms, self.bound.take());
         let binding = async move {
             if let Some(Bound { mut cycles, last, .. }) = before {
-                // What it commanded must not hold until its lease is over. Where this fails, the lease ends it.
+                // The old set points must not hold until their lease expires. If this fails, the lease still ends them.
                 let _ = cycles.cycle(&values(&at_rest(&last))).await;
             }
             let cycles = board.stream(&channels, ttl_ms).await?;
@@ -81,10 +82,11 @@ impl<'b, E> Leased<'b, E> {
         Some(binding.boxed_local())
     }
 
-    /// Takes a stream that is bound, and commands what waited for it if that is not too old. Returns what has to be awaited next.
+    /// Handles the result of a binding, and sends the command that waited for it unless its lease has expired. Returns the next binding to
+    /// await, if the command is for other channels.
     ///
     /// # Errors
-    /// Why it is not bound; as [`Leased::command`].
+    /// The error of the binding; the errors of [`Leased::command`].
     pub fn bound(&mut self, binding: Result<Bound<'b>, Error>) -> Result<Option<Binding<'b>>, Error> {
         self.is_binding = false;
         let waiting = self.waiting.take();
@@ -97,24 +99,26 @@ impl<'b, E> Leased<'b, E> {
         }
     }
 
-    /// Brings what is commanded to rest: speeds and duties to 0, positions stay.
+    /// Brings the commanded channels to rest: speeds and duties become 0, positions are kept.
     pub fn rest(&mut self) {
         self.waiting = None;
         self.under_way.clear();
         if let Some(bound) = &mut self.bound {
             let setpoints = at_rest(&bound.last);
-            // Where the driver does not take them, it has stopped the channels.
+            // If the driver refuses them, it has stopped the channels itself.
             let _ = bound.set(setpoints);
         }
     }
 
-    /// The next answer of the board, with what its command was given. Never ready where nothing is commanded.
+    /// Waits for the next answer of the board and returns it with the tag of its command; `None` for set points that bring channels to
+    /// rest. Never ready without a stream.
     ///
     /// # Errors
-    /// Why the link ended.
+    /// The error of the link when it ends.
     pub async fn answer(&mut self) -> Result<(CycleReport, Option<E>), Error> {
         let Some(bound) = &mut self.bound else { return std::future::pending().await };
         let report = bound.cycles.next().await?;
+        // A cycle that was lost, or replaced by a newer one before it was sent, never gets an answer.
         while self.under_way.front().is_some_and(|(number, _)| *number < report.number) {
             self.under_way.pop_front();
         }
@@ -124,7 +128,7 @@ impl<'b, E> Leased<'b, E> {
 }
 
 impl Bound<'_> {
-    /// Sends set points for all of its channels; their number.
+    /// Sends set points for all bound channels and returns the number of their cycle.
     fn set(&mut self, setpoints: Setpoints) -> Result<u64, Error> {
         if setpoints.is_empty() {
             return Ok(self.next);
@@ -141,6 +145,7 @@ fn values(setpoints: &[(ChannelId, Setpoint)]) -> Vec<f64> {
     setpoints.iter().map(|(_, setpoint)| f64::from(setpoint.value)).collect()
 }
 
+/// Returns set points that bring the channels to rest: a position is at rest already, other modes get 0.
 fn at_rest(setpoints: &[(ChannelId, Setpoint)]) -> Setpoints {
     let rest = |(channel, setpoint): &(ChannelId, Setpoint)| match setpoint.mode {
         Mode::Position => (*channel, *setpoint),

@@ -1,24 +1,24 @@
 //! A board as a ROS 2 node.
 //!
-//! A [`Door`] is a session's side: it takes [`Order`]s, which are messages and service calls from ROS, and gives [`Report`]s, which are
-//! messages for ROS. It decides only what may go through ([`Gate`]); velocities to wheels, odometry and stopping are those of
-//! [`r4_rig`] and of the board. The other side is `dds`, with the feature of that name: topics, services and discovery by RustDDS,
-//! without a ROS installation. A log becomes a [`bag`] by the same conversions, without that feature.
+//! A [`Door`] is the node's side towards the board's session: it receives [`Order`]s, which are messages and service calls from ROS, and
+//! returns [`Report`]s, which are messages for ROS. It decides only which commands are accepted ([`Gate`]); the kinematics of the wheels,
+//! odometry and stopping belong to [`r4_rig`] and to the board. The side towards ROS is `dds`, with the feature of that name: topics,
+//! services and discovery by RustDDS, without a ROS installation. [`bag`] converts a log with the same conversions, without that feature.
 //!
-//! Frames are those of REP-103 and REP-105, units SI.
+//! Frames follow REP-103 and REP-105; units are SI.
 //!
 //! | module | subject |
 //! | --- | --- |
-//! | [`message`] | the ROS messages that cross, as their `.msg` files have them |
-//! | [`environment`] | `ROS_DOMAIN_ID` and the discovery variables, and what of them can be kept |
+//! | [`message`] | ROS messages with the fields of their `.msg` files |
+//! | [`environment`] | `ROS_DOMAIN_ID` and the discovery variables: supported values, errors for others |
 //! | [`time`] | stamps |
-//! | [`gate`] | which commands go through |
+//! | [`gate`] | acceptance of commands |
 //! | [`convert`] | readings of a board as ROS messages |
-//! | [`frames`] | telemetry frames as the messages of all topics |
-//! | [`bag`] | a log as a bag of rosbag2 |
+//! | [`frames`] | conversion of telemetry frames to the messages of all topics |
+//! | [`bag`] | conversion of a log to a bag of rosbag2 |
 //! | [`diagnose`] | `/diagnostics` |
-//! | [`leased`] | set points that end by themselves unless they are repeated |
-//! | [`trajectory`] | trajectories of joints as paths |
+//! | [`leased`] | set points that expire unless they are repeated |
+//! | [`trajectory`] | conversion of joint trajectories to paths of motors |
 //! | [`parameters`] | the board's configuration as parameters |
 //! | [`lifecycle`] | states and transitions of a managed node |
 //! | [`door`] | the node in a session |
@@ -47,7 +47,7 @@ pub use gate::{Gate, Refused};
 pub use names::Namespace;
 pub use time::{RosClock, Stamp};
 
-/// Frame in which odometry counts (REP-105).
+/// Frame of odometry, fixed to the floor where it started (REP-105).
 pub const ODOM_FRAME: &str = "odom";
 /// Frame of the robot's body (REP-105).
 pub const BASE_FRAME: &str = "base_link";

@@ -1,4 +1,4 @@
-//! A managed node: configured it has a session with its board, active the board is armed.
+//! States and transitions of a managed node: a configured node has a session with its board, and an active node's board is armed.
 //!
 //! # Source
 //! States, transitions and their numbers: `lifecycle_msgs` 2.0.3 and the article "Managed nodes" of the ROS 2 design pages.
@@ -7,58 +7,58 @@ use futures::channel::oneshot;
 
 use crate::message::{LifecycleState, LifecycleTransition, TransitionDescription};
 
-/// Where a managed node stands between transitions.
+/// State of a managed node between transitions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum State {
-    /// No session with the board.
+    /// The node has no session with the board.
     #[default]
     Unconfigured,
-    /// A session; the board is not armed for this node.
+    /// The node has a session, but has not armed the board.
     Inactive,
-    /// The board was armed, and nothing has ended that.
+    /// The node has armed the board, and the board is still armed.
     Active,
-    /// Shut down for good.
+    /// The node is shut down for good.
     Finalized,
 }
 
-/// What a caller can ask a managed node for.
+/// Transition that a caller can request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transition {
     /// Opens a session with the board.
     Configure,
-    /// Closes it.
+    /// Disarms the board and closes the session.
     Cleanup,
-    /// Arms the board.
+    /// Arms the session's board.
     Activate,
-    /// Disarms the board.
+    /// Disarms the session's board.
     Deactivate,
-    /// Ends the node.
+    /// Disarms the board, if there is a session, and ends the node.
     Shutdown,
 }
 
-/// A transition that was asked for and can be made from the node's state.
+/// Requested transition that is possible in the node's state.
 #[derive(Debug)]
 pub struct Change {
-    /// Which.
+    /// Transition to carry out.
     pub transition: Transition,
-    /// Where it is said whether it was made.
+    /// Sender of the answer: true when the transition has succeeded.
     pub answer: oneshot::Sender<bool>,
 }
 
-/// A transition that nobody asked for.
+/// Transition that the node makes by itself, without a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unasked {
-    /// The board of an active node is no longer armed: it tripped, or was disarmed.
+    /// The board of an active node is no longer armed: it has tripped or was disarmed.
     Disarmed,
     /// The session has ended with an error.
     Failed,
 }
 
-/// Number and name of `ErrorProcessing`.
+/// Number and label of the transition state `ErrorProcessing`.
 const ERROR_PROCESSING: (u8, &str) = (15, "errorprocessing");
 
 impl State {
-    /// All states.
+    /// All states between transitions.
     pub const ALL: [Self; 4] = [Self::Unconfigured, Self::Inactive, Self::Active, Self::Finalized];
 
     fn named(self) -> (u8, &'static str) {
@@ -70,13 +70,13 @@ impl State {
         }
     }
 
-    /// As messages have it.
+    /// Returns the state as a message.
     #[must_use]
     pub fn message(self) -> LifecycleState {
         state(self.named())
     }
 
-    /// Transitions that can be asked for in this state.
+    /// Returns the transitions that can be requested in this state.
     #[must_use]
     pub fn transitions(self) -> &'static [Transition] {
         match self {
@@ -87,7 +87,8 @@ impl State {
         }
     }
 
-    /// The transition that is asked for, if it can be made now: by its label, or by its number where it has none.
+    /// Returns the transition that a request names by its label, or by its number if the label is empty; `None` when it is not possible in
+    /// this state.
     #[must_use]
     pub fn asked(self, LifecycleTransition { id, label }: &LifecycleTransition) -> Option<Transition> {
         let is_meant = |transition: &&Transition| match label.as_str() {
@@ -97,7 +98,7 @@ impl State {
         self.transitions().iter().find(is_meant).copied()
     }
 
-    /// Descriptions of the transitions that can be asked for.
+    /// Returns descriptions of the transitions that can be requested in this state.
     #[must_use]
     pub fn descriptions(self) -> Vec<TransitionDescription> {
         let describe = |transition: &Transition| TransitionDescription {
@@ -131,7 +132,7 @@ impl Transition {
         }
     }
 
-    /// State that it leads to.
+    /// Returns the state after a successful transition.
     #[must_use]
     pub fn goal(self) -> State {
         match self {
@@ -142,7 +143,7 @@ impl Transition {
         }
     }
 
-    /// State while it is being made.
+    /// Returns the state during the transition, as a message.
     #[must_use]
     pub fn under_way(self) -> LifecycleState {
         state(match self {
@@ -154,16 +155,16 @@ impl Transition {
         })
     }
 
-    /// As messages have it.
+    /// Returns the transition from the state `from` as a message.
     #[must_use]
     pub fn message(self, from: State) -> LifecycleTransition {
         LifecycleTransition { id: self.id(from), label: self.label().to_owned() }
     }
 
-    /// The end of it, as messages have it.
+    /// Returns the end of the transition as a message: success, or failure when `is_made` is false.
     #[must_use]
     pub fn ended(self, is_made: bool) -> LifecycleTransition {
-        // 10 to 52 in steps of ten for each, and of one for success, failure, error.
+        // lifecycle_msgs numbers the ends 10 to 52: tens for the transition, ones for success, failure and error.
         let tens = match self {
             Self::Configure => 10,
             Self::Cleanup => 20,
@@ -177,7 +178,7 @@ impl Transition {
 }
 
 impl Unasked {
-    /// Steps of it, each with the state before and after; and the state that it leads to.
+    /// Returns the steps of the transition, each with the states before and after it, and the final state.
     #[must_use]
     pub fn steps(self, from: State) -> (Vec<(LifecycleTransition, LifecycleState, LifecycleState)>, State) {
         match self {
@@ -206,7 +207,7 @@ fn state((id, label): (u8, &str)) -> LifecycleState {
 mod tests {
     use super::*;
 
-    /// The whole table, of `lifecycle_msgs/msg/Transition`: what can be asked for where, and where it leads.
+    /// Compares all states and numbers with the table of `lifecycle_msgs/msg/Transition`.
     #[test]
     fn each_state_takes_its_transitions_and_no_others() {
         use State::{Active, Finalized, Inactive, Unconfigured};
@@ -226,7 +227,7 @@ mod tests {
                 assert_eq!(asked.map(Transition::goal), expected.map(|(.., goal)| *goal), "{from:?} {id}");
             }
             for label in ["configure", "cleanup", "activate", "deactivate", "shutdown", "create"] {
-                // The label counts, whatever the number is.
+                // A label has priority over any number.
                 let asked = from.asked(&LifecycleTransition { id: 1, label: label.into() });
                 let expected = table.iter().find(|(state, _, named, _)| (*state, *named) == (from, label));
                 assert_eq!(asked.map(Transition::goal), expected.map(|(.., goal)| *goal), "{from:?} {label}");

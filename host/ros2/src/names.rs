@@ -1,4 +1,4 @@
-//! Names of the node, its topics and services.
+//! Names of the node, its topics and its services.
 
 use std::borrow::Cow;
 
@@ -7,17 +7,17 @@ use r4_protocol::{ChannelId, ChannelKind};
 /// Name of the node.
 pub const NODE: &str = "r4";
 
-/// A namespace cannot be one of ROS.
+/// Error of a text that is no valid namespace of ROS.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{asked:?} is no namespace: give names of letters, digits and single underscores that begin with a letter, with slashes between \
-     them, as in robot1 or fleet/robot1"
+    "{asked:?} is not a namespace: give names of letters, digits and single underscores that begin with a letter, separated by \
+     slashes, as in robot1 or fleet/robot1"
 )]
 pub struct NotANamespace {
     asked: String,
 }
 
-/// A namespace, from the root.
+/// Namespace of ROS as a list of names from the root.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Namespace(Vec<String>);
 
@@ -29,6 +29,7 @@ impl std::str::FromStr for Namespace {
             "" => Vec::new(),
             names => names.split('/').map(str::to_owned).collect(),
         };
+        // The rules of ROS 2 for names, which also forbid repeated underscores.
         let is_name = |token: &String| {
             token.starts_with(|first: char| first.is_ascii_alphabetic())
                 && token.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '_')
@@ -39,19 +40,20 @@ impl std::str::FromStr for Namespace {
 }
 
 impl Namespace {
-    /// The root: names in it have no prefix.
+    /// Returns the root, in which names have no prefix.
     #[must_use]
     pub fn root() -> Self {
         Self(Vec::new())
     }
 
-    /// As nodes have it: `/`, or `/fleet/robot1`.
+    /// Returns the namespace as an absolute name: `/`, or `/fleet/robot1`.
     #[must_use]
     pub fn absolute(&self) -> String {
         format!("/{}", self.0.join("/"))
     }
 
-    /// The absolute name of a topic or service: one with a slash in front is that already, one behind `~/` is the node's own.
+    /// Returns the absolute name of a topic or service. A leading slash marks a name that is absolute already, `~/` one below the node's
+    /// own name.
     #[must_use]
     pub fn resolve(&self, name: &str) -> String {
         let tokens = self.0.iter().map(String::as_str);
@@ -64,14 +66,14 @@ impl Namespace {
     }
 }
 
-/// A topic that the node publishes.
+/// Topic that the node publishes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Topic {
-    /// Name, to be resolved by [`Namespace::resolve`].
+    /// Relative or absolute name, for [`Namespace::resolve`].
     pub name: Cow<'static, str>,
     /// Type of its messages, as in `sensor_msgs/Imu`.
     pub kind: &'static str,
-    /// Whether readers that come later get the last message.
+    /// True when readers that subscribe later receive the last message.
     pub is_latched: bool,
 }
 
@@ -85,30 +87,30 @@ impl Topic {
     }
 }
 
-/// Odometry.
+/// Topic of the odometry.
 pub const ODOMETRY: Topic = Topic::new("odom", "nav_msgs/Odometry");
-/// Transforms between frames.
+/// Topic of transforms between frames.
 pub const TRANSFORM: Topic = Topic::new("/tf", "tf2_msgs/TFMessage");
-/// Motors, steppers and encoders.
+/// Topic of motors, steppers and encoders.
 pub const JOINTS: Topic = Topic::new("joint_states", "sensor_msgs/JointState");
-/// State of the board, with advice.
+/// Topic of the board's state with advice.
 pub const DIAGNOSTICS: Topic = Topic::new("/diagnostics", "diagnostic_msgs/DiagnosticArray");
-/// State of the supervisor.
+/// Topic of the supervisor's state.
 pub const STATE: Topic = Topic::latched("~/state", "std_msgs/String");
-/// Velocities that the board has taken.
+/// Topic of velocities that the board has accepted.
 pub const COMMANDED: Topic = Topic::new("~/cmd_vel_out", "geometry_msgs/TwistStamped");
-/// Simulated time.
+/// Topic of simulated time.
 pub const CLOCK: Topic = Topic::new("/clock", "rosgraph_msgs/Clock");
 
-/// Topic of a channel's readings: the first of its kind has the name that programs look for. `None` for a channel that is in
-/// `joint_states`, or that is not published.
+/// Returns the topic of a channel's readings. The first IMU and the first supply have the names that programs expect. `None` for a
+/// channel that is in `joint_states` or not published.
 #[must_use]
 pub fn topic(channel: ChannelId) -> Option<Topic> {
     let ChannelId { kind, index } = channel;
     let (name, kind) = match (kind, index) {
         (ChannelKind::Imu, 0) => ("imu/data".to_owned(), "sensor_msgs/Imu"),
         (ChannelKind::Imu, _) => (format!("imu{index}/data"), "sensor_msgs/Imu"),
-        // A part of a name cannot begin with a digit, as in range/0.
+        // ROS refuses a part of a name that begins with a digit, as in range/0.
         (ChannelKind::Range | ChannelKind::Distance, _) => (channel.to_string(), "sensor_msgs/Range"),
         (ChannelKind::Supply, 0) => ("battery_state".to_owned(), "sensor_msgs/BatteryState"),
         (ChannelKind::Supply, _) => (format!("supply{index}/battery_state"), "sensor_msgs/BatteryState"),

@@ -1,7 +1,7 @@
-//! A board's configuration as parameters of a node, under its keys: `osmc0.position_kp`, `board.link_timeout_ms`.
+//! Configuration of a board as parameters of a node, under its keys: `osmc0.position_kp`, `board.link_timeout_ms`.
 //!
-//! A board takes gains and feed-forward at once; they hold until it restarts. All else it works with from its next start on, if it was
-//! saved: that is `r4 config`'s, and a set of it is refused.
+//! A board applies gains and feed-forward at once, and keeps them until it restarts. Other parameters must be saved and apply from its
+//! next start; that is the task of `r4 config`, and setting them here is refused.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -28,39 +28,39 @@ use crate::message::{
 /// a debug build panics. Rounded down, because the limit follows from its sizes of headers.
 const LONGEST_ANSWER_BYTES: usize = 1300;
 
-/// A call of a parameter service, with where its answer goes.
+/// Call of a parameter service, with the sender of its answer.
 #[derive(Debug)]
 pub enum ParameterCall {
-    /// `~/list_parameters`
+    /// Call of `~/list_parameters`, which lists names.
     List(ListParametersRequest, oneshot::Sender<ListParametersResponse>),
-    /// `~/get_parameters`
+    /// Call of `~/get_parameters`, which reads values.
     Get(NamesRequest, oneshot::Sender<GetParametersResponse>),
-    /// `~/get_parameter_types`
+    /// Call of `~/get_parameter_types`, which reads types.
     Types(NamesRequest, oneshot::Sender<GetParameterTypesResponse>),
-    /// `~/describe_parameters`
+    /// Call of `~/describe_parameters`, which reads units and constraints.
     Describe(NamesRequest, oneshot::Sender<DescribeParametersResponse>),
-    /// `~/set_parameters`
+    /// Call of `~/set_parameters`, which sets each parameter by itself.
     Set(SetParametersRequest, oneshot::Sender<SetParametersResponse>),
-    /// `~/set_parameters_atomically`
+    /// Call of `~/set_parameters_atomically`, which sets all parameters or none.
     SetAtomically(SetParametersRequest, oneshot::Sender<SetParametersAtomicallyResponse>),
 }
 
-/// Why a parameter is not set.
+/// Reason why a parameter was not set.
 #[derive(Debug, thiserror::Error)]
 enum NotSet {
-    #[error("the board has no parameter {0}: `ros2 param list` has them")]
+    #[error("the board has no parameter {0}: `ros2 param list` lists them")]
     Unknown(String),
-    #[error("{0} is a number")]
+    #[error("{0} is a number: set a double or an integer")]
     Type(String),
-    #[error("{0} must be a finite number that a board's single precision holds")]
+    #[error("{0} must be a finite number in single precision")]
     NotFinite(String),
-    #[error("{key} holds from the board's next start on: `r4 config set {key} {value} --save`, then restart it")]
+    #[error("{key} takes effect at the board's next start: `r4 config set {key} {value} --save`, then restart it")]
     AtStart { key: ParameterKey, value: f32 },
     #[error(transparent)]
     Board(#[from] Error),
 }
 
-/// Numbers that a board changes together.
+/// Group of parameters that a board changes with one request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Group {
     Position(ChannelId),
@@ -69,7 +69,7 @@ enum Group {
 }
 
 impl Group {
-    /// Group of a number that a board takes at once; `None` for others.
+    /// Returns the group of a parameter that a board applies at once; `None` for others.
     fn of(key: ParameterKey) -> Option<Self> {
         let channel = key.channel?;
         match key.parameter {
@@ -83,23 +83,23 @@ impl Group {
     }
 }
 
-/// A board's parameters, asked for when somebody first wants them.
+/// Parameters of a board, read from it at the first call.
 #[derive(Debug, Default)]
 pub struct ParameterStore {
-    /// As the board started with them, in its order.
+    /// Parameters as the board started with them, in its order; `None` until they were read.
     known: Option<Vec<ParameterInfo>>,
-    /// Values that were set since.
+    /// Values that this node has set since.
     changed: BTreeMap<ParameterKey, f32>,
 }
 
 impl ParameterStore {
-    /// Carries a call out and answers it. Where the board cannot be asked, it has no parameters.
+    /// Carries out a call and answers it. If the board does not answer, the call sees no parameters.
     pub async fn handle<C: Clock>(&mut self, board: &Board<C>, call: ParameterCall) {
         if self.known.is_none() {
-            // Its next caller asks again.
+            // After an error the next call reads them again.
             self.known = board.parameters().await.ok();
         }
-        // A caller that is gone by now gets no answer.
+        // The caller may be gone by now; then the answer is dropped.
         match call {
             ParameterCall::List(request, answer) => drop(answer.send(self.short_list(&request))),
             ParameterCall::Get(request, answer) => {
@@ -142,7 +142,7 @@ impl ParameterStore {
         self.infos().find(|info| info.key == key)
     }
 
-    /// Number that the board works with.
+    /// Returns the value that the board works with; `None` for an unknown key.
     fn number(&self, key: ParameterKey) -> Option<f32> {
         let known = || self.infos().find(|info| info.key == key).map(|info| info.active);
         self.changed.get(&key).copied().or_else(known)
@@ -157,6 +157,7 @@ impl ParameterStore {
         let Some(ParameterInfo { key, built_in, .. }) = self.info(name) else {
             return ParameterDescriptor { name: name.to_owned(), ..ParameterDescriptor::default() };
         };
+        // A channel's unit, rad or m, follows from its other parameters.
         let all: Vec<_> = self.infos().copied().collect();
         let unit = match ParameterUnits::of(&all).unit(*key) {
             unit if unit.is_empty() => "a count".to_owned(),
@@ -164,9 +165,9 @@ impl ParameterStore {
         };
         let read_only = Group::of(*key).is_none();
         let constraints = if read_only {
-            format!("holds from the board's next start on: r4 config set {key} VALUE --save")
+            format!("takes effect at the board's next start: r4 config set {key} VALUE --save")
         } else {
-            format!("holds until the board restarts; to keep it: r4 config set {key} VALUE --save")
+            format!("lasts until the board restarts; to keep it: r4 config set {key} VALUE --save")
         };
         ParameterDescriptor {
             name: name.to_owned(),
@@ -178,7 +179,8 @@ impl ParameterStore {
         }
     }
 
-    /// Names as `rclcpp` lists them: those that are a prefix or begin with it and a dot, with fewer than `depth` dots behind it.
+    /// Lists names by the rules of `rclcpp`: a name must be equal to a prefix, or begin with it and a dot and have fewer than `depth` dots
+    /// behind that.
     fn list(&self, ListParametersRequest { prefixes, depth }: &ListParametersRequest) -> ListParametersResponse {
         let is_near = |rest: &str| *depth == 0 || (rest.matches('.').count() as u64) < *depth;
         let is_listed = |name: &String| {
@@ -206,13 +208,18 @@ impl ParameterStore {
         short(list)
     }
 
-    /// Sets all of these or none: what a loop takes together is sent together, and taken back where another loop's are refused.
+    /// Sets all of `parameters` or none. Each group is sent with one request; if the board refuses a group, the groups sent before it get
+    /// their old values again.
+    ///
+    /// # Errors
+    /// [`NotSet`] for the first parameter that is invalid, before anything is sent; the board's refusal of a group.
     async fn set<C: Clock>(&mut self, board: &Board<C>, parameters: &[Parameter]) -> Result<(), NotSet> {
         let before = self.changed.clone();
         let mut groups: BTreeSet<Group> = BTreeSet::new();
         let mut wanted = before.clone();
         for Parameter { name, value } in parameters {
             let info = self.info(name).ok_or_else(|| NotSet::Unknown(name.clone()))?;
+            // The board computes in single precision; a double beyond its range becomes infinite and is refused.
             let number = value.number().ok_or_else(|| NotSet::Type(name.clone()))? as f32;
             if !number.is_finite() {
                 return Err(NotSet::NotFinite(name.clone()));
@@ -225,11 +232,12 @@ impl ParameterStore {
         for group in groups {
             self.changed.clone_from(&wanted);
             let result = self.send(board, group).await;
+            // The refused group is restored, too: the board may have applied it although its answer was lost.
             sent.push(group);
             if let Err(error) = result {
                 self.changed.clone_from(&before);
                 for group in sent {
-                    // The first refusal is what the caller has to know.
+                    // The caller gets the first error; one of these would only hide it.
                     let _ = self.send(board, group).await;
                 }
                 return Err(error.into());
@@ -239,9 +247,9 @@ impl ParameterStore {
         Ok(())
     }
 
-    /// Sends the numbers of a group.
+    /// Sends the values of a group to the board.
     async fn send<C: Clock>(&self, board: &Board<C>, group: Group) -> Result<(), Error> {
-        // A board that lists some of a group and not others works with 0 for those.
+        // A parameter of the group that the board does not list counts as 0.
         let number =
             |channel, parameter| self.number(ParameterKey { channel: Some(channel), parameter }).unwrap_or_default();
         let gains = |channel, [kp, ki, kd]: [Number; 3]| PidGains {
@@ -286,7 +294,7 @@ fn result(result: Result<(), NotSet>) -> SetParametersResult {
     SetParametersResult { successful: reason.is_none(), reason: reason.unwrap_or_default() }
 }
 
-/// The number of fewest decimals that is this one in single precision: 0.1 and not 0.10000000149.
+/// Returns the shortest decimal number that is `number` in single precision: 0.1 instead of 0.10000000149.
 fn shortest(number: f32) -> f64 {
     number.to_string().parse().unwrap_or(f64::from(number))
 }

@@ -1,85 +1,85 @@
-//! Stamps of ROS messages.
+//! Time stamps of ROS messages.
 
 use crate::message::Time;
 
 const NS_PER_S: i64 = 1_000_000_000;
 
-/// A moment of ROS time, ns since 1970 (UTC), or of simulated time.
+/// Point in ROS time, ns since 1970 (UTC), or in simulated time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Stamp(i64);
 
 impl Stamp {
-    /// A moment, ns.
+    /// Creates a stamp from its time, ns.
     #[must_use]
     pub fn from_ns(ns: i64) -> Self {
         Self(ns)
     }
 
-    /// The moment, ns.
+    /// Returns the time of the stamp, ns.
     #[must_use]
     pub fn as_ns(self) -> i64 {
         self.0
     }
 
-    /// Time of this machine's clock now.
+    /// Returns the current time of this machine's clock.
     #[must_use]
     pub fn of_machine() -> Self {
-        // A clock before 1970 is taken for 1970: nothing is older then.
+        // A clock before 1970 counts as 1970; then no stamp appears too old.
         let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
         Self(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
     }
 
-    /// The moment in a message; `None` where its nanoseconds are a second or more, which no clock says.
+    /// Converts the time in a message; `None` when its nanoseconds are a second or more, which is invalid.
     #[must_use]
     pub fn from_time(time: Time) -> Option<Self> {
         let ns = i64::from(time.nanosec);
         (ns < NS_PER_S).then(|| Self(i64::from(time.sec) * NS_PER_S + ns))
     }
 
-    /// As messages have it; after 2038 and before 1901 the last and the first that they have.
+    /// Converts the stamp to the time in a message, limited to what its 32-bit seconds hold: 1901 to 2038.
     #[must_use]
     pub fn to_time(self) -> Time {
         match i32::try_from(self.0.div_euclid(NS_PER_S)) {
-            // Below 10⁹ by what a remainder is.
+            // The remainder is below 10⁹, so it fits.
             Ok(sec) => Time { sec, nanosec: self.0.rem_euclid(NS_PER_S) as u32 },
             Err(_) if self.0 < 0 => Time { sec: i32::MIN, nanosec: 0 },
             Err(_) => Time { sec: i32::MAX, nanosec: 999_999_999 },
         }
     }
 
-    /// Whether it is 0, by which a message says that it has no stamp.
+    /// Returns true for 0, which in a message means no stamp.
     #[must_use]
     pub fn is_none(self) -> bool {
         self.0 == 0
     }
 
-    /// How long this is after `other`, s.
+    /// Returns the time from `other` to this stamp, s; negative when this one is earlier.
     #[must_use]
     pub fn since_s(self, other: Self) -> f64 {
         self.0.saturating_sub(other.0) as f64 * 1e-9
     }
 
-    /// This, later by µs.
+    /// Returns the stamp `us` later, µs.
     #[must_use]
     pub fn plus_us(self, us: i64) -> Self {
         Self(self.0.saturating_add(us.saturating_mul(1000)))
     }
 }
 
-/// ROS time in terms of a session's clock.
+/// Source of ROS time, with its relation to a session's clock.
 #[derive(Clone, Copy, Debug)]
 pub enum RosClock {
-    /// This machine's: what other nodes stamp by.
+    /// This machine's clock, which other nodes stamp by, too.
     Machine,
-    /// A simulated board's: its time 0 is this moment. Published as `/clock`.
+    /// Clock of a simulated board, which is published on `/clock`.
     Simulated {
-        /// ROS time when the simulation began.
+        /// ROS time at the start of the simulation.
         start: Stamp,
     },
 }
 
 impl RosClock {
-    /// ROS time now, when the session's clock shows `now_us`.
+    /// Returns the current ROS time, when the session's clock shows `now_us`.
     #[must_use]
     pub fn now(self, now_us: u64) -> Stamp {
         match self {
@@ -88,7 +88,7 @@ impl RosClock {
         }
     }
 
-    /// ROS time when the session's clock showed `at_us`; it shows `now_us` now.
+    /// Returns the ROS time at which the session's clock showed `at_us`, when it shows `now_us` now.
     #[must_use]
     pub fn at(self, at_us: u64, now_us: u64) -> Stamp {
         self.now(now_us).plus_us(at_us.cast_signed().saturating_sub(now_us.cast_signed()))

@@ -1,101 +1,101 @@
-//! Trajectories of joints as paths of motors: pure.
+//! Conversion of joint trajectories to paths of motors, as pure functions.
 
 use r4_protocol::{ChannelInfo, Mode};
 use r4_rig::path::{BeyondLimit, Waypoint, thinned};
 
 use crate::message::{Duration, JointTrajectory};
 
-/// Why a trajectory is not followed.
+/// Reason for the refusal of a trajectory.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum BadTrajectory {
-    /// Points without names.
-    #[error("it has points and no joint_names: name the joints, or send neither to cancel what is followed")]
+    /// The message has points but no names of joints.
+    #[error("it has points but no joint_names: name the joints, or send neither to cancel the current trajectory")]
     NoNames,
-    /// The board has no such joint.
-    #[error("{name:?} is no joint of this board: joint_states has their names")]
+    /// The board has no joint of this name.
+    #[error("this board has no joint {name:?}: joint_states lists the names")]
     UnknownJoint {
-        /// The name.
+        /// Name in the message.
         name: String,
     },
-    /// A joint is named twice.
+    /// A joint has two paths.
     #[error("{name} is named twice: give each joint one path")]
     Twice {
-        /// The name.
+        /// Name of the joint.
         name: String,
     },
-    /// A point does not have a number for each joint.
+    /// A point has a different number of values and joints.
     #[error("point {index} has {numbers} {what} for {names} joints: give one for each")]
     Lengths {
-        /// Of the point, from 0.
+        /// Index of the point, from 0.
         index: usize,
-        /// Of which.
+        /// Field of the values: `positions` or `velocities`.
         what: &'static str,
-        /// How many joints.
+        /// Number of joints in the message.
         names: usize,
-        /// How many numbers.
+        /// Number of values in the point.
         numbers: usize,
     },
     /// A number is NaN or infinite.
     #[error("point {index} has a number for {name} that is not finite: check the publisher")]
     NotFinite {
-        /// Of the point, from 0.
+        /// Index of the point, from 0.
         index: usize,
-        /// The joint.
+        /// Name of the joint.
         name: String,
     },
-    /// Times do not rise.
-    #[error("time_from_start of point {index} is negative, no time, or not later than that of the point before")]
+    /// The times of the points do not increase, or one is invalid.
+    #[error("time_from_start of point {index} is negative, invalid, or not later than that of the point before")]
     Time {
-        /// Of the point, from 0.
+        /// Index of the point, from 0.
         index: usize,
     },
-    /// Efforts are asked for.
+    /// A point has efforts, which a board cannot follow.
     #[error("point {index} has efforts: boards follow positions and velocities; leave effort empty")]
     Effort {
-        /// Of the point, from 0.
+        /// Index of the point, from 0.
         index: usize,
     },
-    /// Nobody knows where the joint is.
+    /// The joint has not sent a position yet.
     #[error("{name} has not sent its position yet: wait for it in joint_states")]
     Unseen {
-        /// The joint.
+        /// Name of the joint.
         name: String,
     },
-    /// It cannot begin then.
+    /// The start of the trajectory lies too far in the past.
     #[error(
-        "it begins {late_s:.3} s ago and {limit_s} s are allowed: leave its stamp 0, or synchronise the clocks of both machines; where the \
-         board is simulated, set use_sim_time of the publisher"
+        "its start is {late_s:.3} s ago and at most {limit_s} s are allowed: set its stamp to 0, or synchronise the clocks of both \
+         machines; for a simulated board, set use_sim_time of the publisher"
     )]
     Begun {
-        /// How long ago, s.
+        /// Time since the start, s.
         late_s: f64,
-        /// How long that may be, s.
+        /// Maximum time since the start, s.
         limit_s: f64,
     },
-    /// It begins too late.
-    #[error("it begins in {ahead_s:.3} s and at most {limit_s} s are allowed: send it later")]
+    /// The start of the trajectory lies too far in the future.
+    #[error("it starts in {ahead_s:.3} s and at most {limit_s} s are allowed: send it later")]
     FarAhead {
-        /// How far ahead, s.
+        /// Time until the start, s.
         ahead_s: f64,
-        /// How far that may be, s.
+        /// Maximum time until the start, s.
         limit_s: f64,
     },
-    /// A joint cannot do that.
+    /// The path of a joint exceeds its limits.
     #[error("{name}: {source}")]
     Beyond {
-        /// The joint.
+        /// Name of the joint.
         name: String,
-        /// What is beyond which limit.
+        /// Exceeded limit, with the requested value.
         source: BeyondLimit,
     },
 }
 
-/// The paths in a trajectory, in the order of its joints: points at their times from the trajectory's beginning on, those closer than
-/// [`THIN_S`](r4_rig::path::THIN_S) to the one before left out. Without velocities the last point is one at rest. Accelerations are passed
-/// over: the board's cubic has its own.
+/// Converts a trajectory to one path for each joint, in the order of its names. Times count from the start of the trajectory. Points
+/// closer than [`THIN_S`](r4_rig::path::THIN_S) to the one before are omitted. Without velocities, the last point is at rest.
+/// Accelerations are ignored, since those of the board's cubic follow from positions and speeds.
 ///
 /// # Errors
-/// [`BadTrajectory`], for the first thing that is wrong.
+/// [`BadTrajectory`] for the first error in the message.
 pub fn paths(
     message: &JointTrajectory,
     channels: &[ChannelInfo],
@@ -125,6 +125,7 @@ pub fn paths(
             }
         }
         if !point.effort.is_empty() {
+            // Efforts cannot be ignored like accelerations: a publisher that gives them expects a force.
             return Err(BadTrajectory::Effort { index });
         }
         let time_s = seconds(point.time_from_start).filter(|time_s| *time_s >= 0.0 && *time_s > before_s);
@@ -143,7 +144,7 @@ pub fn paths(
     Ok(joints.into_iter().map(|(info, points)| (info, thinned(points))).collect())
 }
 
-/// A duration, s; `None` where its nanoseconds are a second or more.
+/// Returns a duration, s; `None` when its nanoseconds are a second or more, which is invalid.
 fn seconds(duration: Duration) -> Option<f64> {
     (duration.nanosec < 1_000_000_000).then(|| f64::from(duration.sec) + f64::from(duration.nanosec) * 1e-9)
 }
@@ -203,8 +204,8 @@ mod tests {
         let early = JointTrajectoryPoint { time_from_start: Duration { sec: -1, nanosec: 0 }, ..good.clone() };
         for (names, points, says) in [
             (&[][..], vec![good.clone()], "no joint_names"),
-            (&["elbow"], vec![good.clone()], "\"elbow\" is no joint"),
-            (&["osmc2"], vec![good.clone()], "osmc2: it follows no paths"),
+            (&["elbow"], vec![good.clone()], "no joint \"elbow\""),
+            (&["osmc2"], vec![good.clone()], "osmc2: it cannot follow a path"),
             (&["osmc0", "osmc0"], vec![point(500, &[0.1, 0.1], &[])], "named twice"),
             (&["osmc0"], vec![point(500, &[], &[])], "point 0 has 0 positions for 1 joints"),
             (&["osmc0"], vec![good.clone(), point(600, &[0.1], &[0.1, 0.2])], "point 1 has 2 velocities"),
@@ -221,7 +222,7 @@ mod tests {
     }
 
     proptest! {
-        /// Any message is a path with rising times and finite numbers, or refused.
+        /// Any message either gives paths with increasing times and finite numbers, or is refused.
         #[test]
         fn any_message_is_followed_or_refused(
             points in prop::collection::vec((any::<i32>(), any::<u32>(), prop::collection::vec(any::<f64>(), 0..3)), 1..20),

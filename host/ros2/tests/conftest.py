@@ -1,4 +1,4 @@
-"""A stock rclpy node beside `r4 ros2`, which is started for the whole session of tests."""
+"""Fixtures: `r4 ros2` as a process for the whole test session, and stock rclpy nodes as its peers."""
 
 import os
 import re
@@ -19,16 +19,16 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 PROGRAM = os.environ["R4_PROGRAM"]
-# Discovery of two processes on one machine, under load.
+# Time limit for discovery between two processes on one machine under load.
 DISCOVERY_S = 30.0
-# One that no other run on this machine is likely to have; below 102, above which Linux has ports of its own.
+# ROS domain that other runs on this machine are unlikely to use. Domains above 101 collide with the ephemeral ports of Linux.
 DOMAIN = 20 + os.getpid() % 30
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class Served:
-    """`r4 ros2` as a process, and what it said."""
+    """`r4 ros2` as a process, with its first line of output."""
 
     def __init__(self, *arguments, domain, **variables):
         environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), **variables}
@@ -44,7 +44,7 @@ class Served:
 
 
 class Peer:
-    """A node of rclpy with everything that `r4 ros2` has."""
+    """A node of rclpy with readers, publishers and clients for the topics and services of `r4 ros2`."""
 
     def __init__(self, namespace="", **options):
         self.context = rclpy.Context()
@@ -87,7 +87,7 @@ class Peer:
         return take
 
     def until(self, holds, timeout_s=DISCOVERY_S):
-        """Spins until it holds; whether it did."""
+        """Spins until `holds()` is true; returns False after `timeout_s`."""
         end = time.monotonic() + timeout_s
         while not holds():
             if time.monotonic() > end:
@@ -118,7 +118,7 @@ class Peer:
         return message
 
     def drive(self, forward_m_s, yaw_rad_s, seconds, every_s=0.02):
-        """Publishes a velocity again and again, in simulated time."""
+        """Publishes a velocity every `every_s` for `seconds` of simulated time."""
         begin = self.node.get_clock().now()
         while (self.node.get_clock().now() - begin).nanoseconds * 1e-9 < seconds:
             self.cmd_vel.publish(self.twist(forward_m_s, yaw_rad_s))
@@ -131,7 +131,7 @@ class Peer:
 
 
 def simulated_time():
-    """Options of a node that goes by /clock."""
+    """Returns the options of a node that uses the time of /clock."""
     return {"parameter_overrides": [rclpy.parameter.Parameter("use_sim_time", value=True)]}
 
 

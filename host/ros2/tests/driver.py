@@ -1,4 +1,4 @@
-"""A publisher of velocities that does nothing else, to be killed."""
+"""Publisher of velocities, which a test kills."""
 
 import rclpy
 from geometry_msgs.msg import TwistStamped
@@ -9,7 +9,7 @@ publisher = node.create_publisher(TwistStamped, "cmd_vel", 10)
 
 
 def publish():
-    # A stamp of 0: as of now.
+    # A stamp of 0 counts as now.
     message = TwistStamped()
     message.twist.linear.x = 0.3
     publisher.publish(message)

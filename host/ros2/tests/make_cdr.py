@@ -1,4 +1,4 @@
-"""Writes data/cdr.txt: messages as CDR by `rosbags`, whose types and serialisers share nothing with ours.
+"""Writes data/cdr.txt: messages encoded as CDR by `rosbags`, whose types and serialisers are independent of ours.
 
     python3 -m venv /tmp/rosbags && /tmp/rosbags/bin/pip install rosbags==0.11.9
     /tmp/rosbags/bin/python make_cdr.py
@@ -27,7 +27,7 @@ def vector(x, y, z):
 
 
 def planar(first):
-    """36 numbers that count up from the first."""
+    """Returns a 6 x 6 covariance as 36 ascending numbers that start at `first`."""
     return np.arange(first, first + 36, dtype=np.float64)
 
 
@@ -43,7 +43,7 @@ MESSAGES = {
     "sensor_msgs/msg/JointState": make(
         "sensor_msgs/msg/JointState",
         header(""),
-        # Of lengths that make gaps before the numbers behind them.
+        # Lengths that need padding before the numbers that follow.
         texts("dhb0", "encoder10"),
         np.array([0.5, -1.0]),
         np.array([3.25, nan]),
@@ -108,7 +108,7 @@ MESSAGES = {
 
 
 def text():
-    """The file."""
+    """Returns the text of data/cdr.txt."""
     lines = [
         f"# CDR of ROS 2 messages with its encapsulation header, and their definitions, by rosbags {version('rosbags')} (Apache-2.0)",
         "# and its store of ROS 2 Jazzy's types. Made by ../make_cdr.py, which has the values too.",

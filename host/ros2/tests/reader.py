@@ -1,4 +1,4 @@
-"""A reliable reader of odometry that does nothing else, to be killed."""
+"""Reliable reader of odometry, which a test kills."""
 
 import rclpy
 from nav_msgs.msg import Odometry

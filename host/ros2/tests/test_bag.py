@@ -1,4 +1,4 @@
-"""A log as a bag of rosbag2: read by `rosbags`, which shares no code with what wrote it, beside the log's table and what rclpy saw."""
+"""A bag of rosbag2 from a log, read by `rosbags`, an independent implementation, and compared with the log's table and rclpy's messages."""
 
 import csv
 import json
@@ -31,7 +31,7 @@ def ns(stamp):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """A session of the node, driven by rclpy and recorded; its log as a bag and as a table."""
+    """Records a session of the node that rclpy drives, and exports its log as a bag and as a table."""
     folder = tmp_path_factory.mktemp("bag")
     log, bag, table = folder / "run.mcap", folder / "run", folder / "run.csv"
     domain = DOMAIN + 47
@@ -71,13 +71,13 @@ def recorded(tmp_path_factory):
 
 
 def of_table(recorded, column):
-    """Times, ns of the board's clock, and values of a column."""
+    """Returns the times, ns of the board's clock, and the values of a column."""
     rows = [row for row in recorded.rows if row[column] != ""]
     return [round(float(row["time_s"]) * 1e9) for row in rows], [float(row[column]) for row in rows]
 
 
 def begin_ns(recorded):
-    """Of the board's clock, in the bag's time."""
+    """Returns time 0 of the board's clock in the bag's time, ns."""
     times, _ = of_table(recorded, "dhb0.position_rad")
     return recorded.messages["/joint_states"][0][0] - times[0]
 
@@ -100,7 +100,7 @@ def test_topics_types_and_counts(recorded):
 
 
 def test_definitions_are_those_of_ros(recorded):
-    """By the hash of REP-2016 over names, types and order of all fields, nested ones too."""
+    """Compares the hashes of REP-2016, which cover names, types and order of all fields, also nested ones."""
     jazzy = get_typestore(Stores.ROS2_JAZZY)
     for connection in recorded.connections.values():
         of_bag = recorded.definitions.hash_rihs01(connection.msgtype)
@@ -120,13 +120,13 @@ def test_stamps_rise_and_are_of_the_recordings_date(recorded):
             continue
         for time_ns, message in of_topic:
             header = message.transforms[0].header if topic == "/tf" else message.header
-            # Sensors measure before they are sent; a range that nobody measures again grows old.
+            # Sensors measure before their sample is sent; the sample of a range sensor that fails becomes old.
             most_ns = 10_000_000_000 if topic.startswith("/range") else 200_000_000
             assert 0 <= time_ns - ns(header.stamp) < most_ns, topic
         stamps = [ns((m.transforms[0] if topic == "/tf" else m).header.stamp) for _, m in of_topic]
         assert stamps == sorted(stamps), topic
     recorded_at = np.datetime64(recorded.info["recorded_at"].removesuffix("Z"), "ns").astype(int)
-    # The date is told in whole seconds.
+    # The date has whole seconds.
     assert 0 <= begin_ns(recorded) - recorded_at < 1_000_000_000
     assert recorded.metadata.custom["robot"] == "openscout"
 
@@ -139,7 +139,7 @@ def test_joints_are_those_of_the_table(recorded):
         found = [(t, m.position[m.name.index(wheel)], m.velocity[m.name.index(wheel)]) for t, m in joints]
         assert [t for t, _, _ in found] == [begin_ns(recorded) + t for t in times]
         assert [p for _, p, _ in found] == positions
-        # Single precision on the wire.
+        # Speeds have single precision on the wire.
         assert [np.float32(v) for _, _, v in found] == [np.float32(v) for v in speeds]
     assert max(abs(position) for position in positions) > 1.0, "it has driven"
 
@@ -156,7 +156,7 @@ def test_sensors_are_those_of_the_table(recorded):
         ("imu0.rate_z_rad_s", lambda m: m.angular_velocity.z),
     ]:
         assert [np.float32(value(m)) for m in imu] == [np.float32(row[column]) for row in good], column
-    # Nothing while a sensor fails; infinite where nothing reflects.
+    # No message while a sensor fails; infinite when nothing reflects.
     told = [row for row in recorded.rows if row["range0.quality"] in ("good", "out-of-range")]
     ranges = [message.range for _, message in recorded.messages.get("/range0", [])]
     expected = [row["range0.distance_m"] if row["range0.quality"] == "good" else "inf" for row in told]

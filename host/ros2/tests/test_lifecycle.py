@@ -1,4 +1,4 @@
-"""A managed node: `r4 ros2 --lifecycle` beside rclpy."""
+"""A managed node, `r4 ros2 --lifecycle`, with rclpy as its peer."""
 
 import pytest
 from conftest import DISCOVERY_S, DOMAIN, Peer, Served, simulated_time
@@ -52,7 +52,7 @@ def test_it_is_configured_activated_and_back(managed):
     assert (managed.state().id, managed.state().label) == (State.PRIMARY_STATE_UNCONFIGURED, "unconfigured")
     states = managed.ask("get_available_states", GetAvailableStates.Request()).available_states
     assert [state.label for state in states] == ["unconfigured", "inactive", "active", "finalized"]
-    # Nothing of the board before it is configured, and no arming without.
+    # An unconfigured node has no topics of the board and cannot be activated.
     assert not managed.change(Transition.TRANSITION_ACTIVATE)
     assert "joint_states" not in peer.seen
     assert managed.change(Transition.TRANSITION_CONFIGURE)
@@ -67,7 +67,7 @@ def test_it_is_configured_activated_and_back(managed):
     assert managed.change(Transition.TRANSITION_DEACTIVATE)
     assert peer.until(lambda: peer.state() == "disarmed", 5.0), peer.state()
     assert managed.change(Transition.TRANSITION_CLEANUP) and managed.state().label == "unconfigured"
-    # Once more, and to the end.
+    # Configure again and shut down.
     peer.seen.clear()
     assert managed.change(Transition.TRANSITION_CONFIGURE)
     assert peer.until(lambda: "joint_states" in peer.seen)

@@ -1,4 +1,4 @@
-"""`r4 ros2` beside stock rclpy: nothing here shares code with the node."""
+"""`r4 ros2` with stock rclpy as its peer, which shares no code with the node."""
 
 import math
 import os
@@ -14,7 +14,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
-# The board's link time-out (openscout.toml), and what a loaded machine may add between the board and here.
+# The board's link time-out (openscout.toml), and the delay that a loaded machine may add between the board and this test.
 TIMEOUT_S = 0.2
 LOAD_S = 0.5
 
@@ -40,7 +40,7 @@ def test_a_square_ends_where_it_began(armed):
     armed.drive(0.0, 0.0, 0.5)
     end = armed.seen["odom"]
     at = [(o.pose.pose.position.x, o.pose.pose.position.y) for o in (begin, *corners, end)]
-    # Where the wheels say it is. Sides of 0.5 m less what it takes to accelerate, and commands are as long as this machine makes them.
+    # Positions by the wheels. The sides are 0.5 m less the acceleration, and the duration of a command varies with the machine's load.
     x0, y0 = at[0]
     assert max(math.hypot(x - x0, y - y0) for x, y in at) > 0.4, at
     assert math.hypot(at[-1][0] - x0, at[-1][1] - y0) < 0.25, at
@@ -62,7 +62,7 @@ def test_joints_sensors_and_diagnostics_are_seen(armed):
     assert all(2.5 < wheel < 4.5 for wheel in wheels), wheels
     imu = armed.seen["imu/data"]
     assert imu.orientation_covariance[0] == -1.0 and imu.header.frame_id == "imu0"
-    # It lies flat: 1 g, its bias and what driving adds.
+    # The board is level: 1 g, the sensor's bias, and the acceleration of driving.
     assert abs(imu.linear_acceleration.z - 9.81) < 2.0
     sonar = armed.seen["range0"]
     assert (sonar.radiation_type, sonar.header.frame_id) == (sonar.ULTRASOUND, "range0")
@@ -72,7 +72,7 @@ def test_joints_sensors_and_diagnostics_are_seen(armed):
     supervisor, commands, _ = armed.seen["/diagnostics"].status
     assert supervisor.hardware_id == "sim:openscout" and supervisor.name == "openscout: supervisor"
     assert commands.level == b"\0", commands.message
-    # Stamps are simulated time, which this node goes by.
+    # Stamps are simulated time, which this test node uses, too.
     age_s = (armed.node.get_clock().now() - Time.from_msg(armed.seen["odom"].header.stamp)).nanoseconds * 1e-9
     assert -0.5 < age_s < LOAD_S, age_s
 
@@ -91,7 +91,7 @@ def test_twists_without_a_stamp_drive_too(armed):
 
 
 def test_a_killed_publisher_stops_the_robot(armed):
-    """By SIGKILL, at speed: neither the publisher nor its middleware can say goodbye."""
+    """SIGKILL at speed: neither the publisher nor its middleware can announce its end."""
     script = Path(__file__).with_name("driver.py")
     driver = subprocess.Popen([sys.executable, script], env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)})
     try:
@@ -104,7 +104,7 @@ def test_a_killed_publisher_stops_the_robot(armed):
         after_s = (Time.from_msg(slow.header.stamp) - killed).nanoseconds * 1e-9
         print(f"slows down {after_s:.3f} s after the publisher was killed")
         assert after_s < TIMEOUT_S + LOAD_S
-        # Nobody tripped: the next publisher goes on.
+        # The board did not trip, so the next publisher can continue.
         assert armed.state() == "armed"
     finally:
         driver.kill()
@@ -168,7 +168,7 @@ def test_the_topic_stops_and_its_release_does_not_go_on(armed, latched):
 
 
 def test_a_latched_stop_is_seen_by_a_node_that_comes_later(served, peer):
-    """The e-stop is there before the node: the node is told, and does not arm."""
+    """The e-stop is published before the node starts: the node receives it and does not arm."""
     domain = DOMAIN + 41
     early = Peer(domain=domain, **simulated_time())
     early.estop.publish(Bool(data=True))
@@ -197,15 +197,15 @@ def test_joints_are_commanded_one_by_one(armed):
     def rests():
         return all(abs(rate) < 0.2 for rate in armed.seen["joint_states"].velocity)
 
-    # Nobody repeats it.
+    # The command is not repeated, so its lease expires.
     assert armed.until(rests, 5.0), armed.seen["joint_states"].velocity
-    # And velocities go again.
+    # Velocities are accepted again.
     armed.drive(0.2, 0.0, 1.0)
     assert speed(armed) > 0.1
 
 
 def test_no_message_is_lost(armed):
-    """From a command here to the board's answer to it here: 1000 of 1000."""
+    """Each of 1000 commands is answered; measures the time from publishing a command to receiving the board's answer."""
     took_ms = []
     for number in range(1000):
         armed.seen.pop("r4/cmd_vel_out", None)
@@ -264,7 +264,7 @@ def test_the_graph_names_the_node_and_its_types(peer):
 
 
 def test_odometry_goes_on_where_another_reader_was_killed(peer):
-    """A reader that never says goodbye holds up nobody: its place is kept for longer than a test lasts."""
+    """A killed reader does not block the others, although DDS keeps its entry for longer than the test lasts."""
     script = Path(__file__).with_name("reader.py")
     environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)}
     reader = subprocess.Popen([sys.executable, script], env=environment, stdout=subprocess.PIPE, text=True)
@@ -273,5 +273,5 @@ def test_odometry_goes_on_where_another_reader_was_killed(peer):
     reader.wait()
     peer.every["odom"] = []
     peer.spin(3.0)
-    # 50 in a second, on a machine that does other things too.
+    # 50 per second, with an allowance for a loaded machine.
     assert len(peer.every["odom"]) > 75, len(peer.every["odom"])

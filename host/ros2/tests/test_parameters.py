@@ -1,4 +1,4 @@
-"""Parameters by rclpy's own client."""
+"""Parameters, accessed by rclpy's own client."""
 
 import pytest
 from rclpy.parameter import Parameter
@@ -23,7 +23,7 @@ def test_the_configuration_is_listed_read_and_described(parameters):
     listed = parameters("list_parameters").result
     assert list(listed.names) == [] and {"board", "dhb0", "dhb3", "supply0"} <= set(listed.prefixes)
     names = [name for prefix in listed.prefixes for name in parameters("list_parameters", prefixes=[prefix]).result.names]
-    # openscout.toml
+    # Keys of openscout.toml.
     assert len(names) == 151 and {"board.link_timeout_ms", "dhb0.speed_kp", "dhb3.position_max"} <= set(names)
     assert len(parameters("get_parameters", names[:20]).values) == 20
     assert len(parameters("get_parameters", names).values) == 0

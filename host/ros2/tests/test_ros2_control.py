@@ -1,4 +1,4 @@
-"""Files for ros2_control beside the node: names, topics, geometry. ros2_control itself is not run."""
+"""Files for ros2_control compared with the node and the robot's file: names, topics, geometry. ros2_control itself is not run."""
 
 import math
 import tomllib
@@ -46,7 +46,7 @@ def test_geometry_and_limits_are_the_robots(control, controllers):
     assert sorted(joint.get("name") for joint in control.findall("joint")) == sorted(commanded)
     links = {link.get("name") for link in control.findall("link")}
     assert {joint.find(end).get("link") for joint in control.findall("joint") for end in ("parent", "child")} == links
-    # Commands are leased: each has to be sent, also the same one again.
+    # Commands are leased, so the interface must publish each of them, also an unchanged one.
     assert float(parameter(control, "trigger_joint_command_threshold")) < 0
     rate = controllers["controller_manager"]["ros__parameters"]["update_rate"]
     assert 1.0 / rate < ROBOT["link_timeout_ms"] * 1e-3 / 2
@@ -78,7 +78,7 @@ def test_the_interface_finds_its_topics_and_turns_the_wheels(control):
             states = peer.seen["joint_states"]
             return all(states.velocity[states.name.index(joint)] > 2.0 for joint in joints)
 
-        # Before a controller is active its commands are NaN, which command nothing and are no error.
+        # Before a controller is active its commands are NaN: no set point, and no error.
         for _ in range(10):
             command(math.nan)
             peer.spin(0.02)

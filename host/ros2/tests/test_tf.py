@@ -1,4 +1,4 @@
-"""`/tf` with Cyclone DDS, a second implementation: rclpy's wheels have no tf2_msgs. The types are written from tf2_msgs' interface files."""
+"""`/tf` read by Cyclone DDS, a second implementation, since rclpy's wheels lack tf2_msgs. The types follow its interface files."""
 
 import os
 import subprocess
@@ -9,7 +9,7 @@ from conftest import DISCOVERY_S, DOMAIN
 
 
 def test_the_transform_is_where_odometry_says(armed):
-    """In a process of its own: two implementations of DDS in one would share its symbols."""
+    """The reader is a process of its own: two implementations of DDS in one process would share symbols."""
     armed.drive(0.2, 0.5, 1.0)
     script = Path(__file__).with_name("tf_reader.py")
     environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)}

@@ -1,4 +1,4 @@
-"""A trajectory on a simulated bench, sent once by rclpy."""
+"""Trajectories on a simulated bench, each sent once by rclpy."""
 
 import math
 
@@ -8,11 +8,12 @@ from rclpy.duration import Duration
 from rclpy.time import Time
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-# rad; rad/s. Half of a cosine's swing, so that it begins and ends at rest: 1.57 rad/s at most, of 2.5 (osmc-bench.toml).
+# Amplitude in rad and angular frequency in rad/s of (1 - cos) / 2, which starts and ends at rest. Its highest speed is 1.57 rad/s, below the
+# limit of 2.5 rad/s (osmc-bench.toml).
 SWING = 1.0
 RATE = math.pi
-# The joint's own sensor against the path at the same stamp. In virtual time it is 0.036 off, where it turns around at rest and its friction
-# is not learned yet; the node's map of the board's clock may add some ms at 1.57 rad/s.
+# Limit of the tracking error by the joint's own sensor. In virtual time the largest is 0.036 rad, at a reversal before the friction is
+# learned; the node's estimate of the board's clock may add some ms at 1.57 rad/s.
 TOLERANCE_RAD = 0.06
 
 
@@ -42,7 +43,7 @@ def rate(message):
 
 
 def wanted(time_s):
-    """Angle and rate."""
+    """Returns the angle (rad) and rate (rad/s) of the trajectory at `time_s`."""
     return SWING * (1.0 - math.cos(RATE * time_s)) / 2.0, SWING * RATE * math.sin(RATE * time_s) / 2.0
 
 
@@ -87,12 +88,12 @@ def test_what_ends_a_trajectory(bench):
 
     bench.trajectory.publish(sine(20.0))
     assert bench.until(moving, 10.0)
-    # An empty one cancels.
+    # An empty trajectory cancels.
     bench.trajectory.publish(JointTrajectory())
     assert bench.until(resting, 5.0)
     bench.spin(1.0)
     assert resting() and bench.state() == "armed"
-    # One that cannot be followed: the way to its point is too fast.
+    # A trajectory that is too fast is refused, and ends the one before.
     bench.trajectory.publish(sine(20.0))
     assert bench.until(moving, 10.0)
     fast = sine(1.0)
@@ -101,7 +102,7 @@ def test_what_ends_a_trajectory(bench):
     assert bench.until(resting, 5.0)
     assert bench.until(lambda: bench.seen["/diagnostics"].status[1].level == b"\1", 5.0)
     assert "at most" in bench.seen["/diagnostics"].status[1].message
-    # Disarming.
+    # Disarming ends a trajectory for good.
     bench.trajectory.publish(sine(20.0))
     assert bench.until(moving, 10.0)
     assert bench.call("disarm").success

@@ -1,4 +1,4 @@
-"""Prints one transform of `/tf`, read by Cyclone DDS."""
+"""Prints one transform of `/tf`, received by Cyclone DDS."""
 
 import os
 import sys

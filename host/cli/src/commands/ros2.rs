@@ -1,4 +1,4 @@
-//! `r4 ros2`: the board as a ROS 2 node, in programs that are built with it.
+//! Command `r4 ros2`: a board as a ROS 2 node, in programs that are built with the feature `ros2`.
 
 #[cfg(not(feature = "ros2"))]
 use crate::args::Args;
@@ -82,6 +82,7 @@ mod node {
             let door = door(session, ros2);
             let mut graph = Graph::join(discovery, &namespace)?;
             let node = Node::open(session, &mut graph)?;
+            // Announced once topics and services exist, so that a script can use them from this line on.
             announce(args, &namespace, discovery, "")?;
             node.serve(session, door).await.map_err(of_board)
         });
@@ -122,12 +123,13 @@ mod node {
                 farewell(answer);
                 return Ok(true);
             }
+            // Answered once: by the session when it has started, or below when it could not start.
             let mut asked = Some(answer);
             let served = session::run(args, Pace::RealTime(1.0), async |session| {
                 let door = door(session, ros2);
                 let node = Node::open(session, &mut graph)?;
                 if let Some(answer) = asked.take() {
-                    // The caller may be gone by now.
+                    // Only now, with a session and its topics, is the node configured. The caller may be gone by now.
                     let _ = answer.send(true);
                 }
                 node.serve_managed(session, door, &mut lifecycle).await.map_err(of_board)
@@ -143,7 +145,7 @@ mod node {
                 Err(error) => {
                     eprintln!("r4: {error:#}; the node is unconfigured");
                     match asked {
-                        // There was no session: it is not configured.
+                        // The session never started, so the requested `configure` has failed.
                         Some(answer) => drop(answer.send(false)),
                         None => lifecycle.note(Unasked::Failed),
                     }
@@ -167,6 +169,7 @@ mod node {
     }
 
     fn farewell(answer: futures::channel::oneshot::Sender<bool>) {
+        // The caller may be gone by now.
         let _ = answer.send(true);
         std::thread::sleep(FAREWELL);
     }

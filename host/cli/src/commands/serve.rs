@@ -1,4 +1,4 @@
-//! `r4 sim serve`: a virtual board in real time, for programs that connect to it as to a real one.
+//! Command `r4 sim serve`: runs a virtual board in real time, for programs that connect to it as to a real one.
 
 pub(super) mod clients;
 mod terminal;
@@ -40,17 +40,17 @@ use crate::{
     session::{self, Target},
 };
 
-/// As fast as bytes go on a simulated board's link: it is no UART but USB.
+/// Baud rate of a simulated board's link without a delay for its bytes: the served link is USB and no UART.
 const NO_TIME: u32 = u32::MAX;
-/// Real time that the simulation may fall behind, for which it hurries afterwards. What is more than that is left out: a
-/// machine that was busy elsewhere must not make the board believe that its host was silent.
+/// Delay behind real time that the simulation makes up by running faster. Longer delays are skipped: a busy machine must
+/// not make the board believe that its host was silent.
 const HURRY: Duration = Duration::from_millis(20);
-/// How often Ctrl-C is looked for.
+/// Period of the check for Ctrl-C.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// Bytes for a client that does not read, before they are dropped.
+/// Capacity for bytes that no client has read yet; further ones are dropped.
 const OUTBOX: usize = 16 * 1024;
 
-/// Where the board is.
+/// Address of a served board, in JSON.
 #[derive(Serialize)]
 #[serde(rename_all = "snake_case")]
 enum Where {
@@ -61,28 +61,28 @@ enum Where {
     Can(String),
 }
 
-/// The first line.
+/// First line of the output, in JSON.
 #[derive(Serialize)]
 struct FirstLine {
     #[serde(flatten)]
     place: Where,
-    /// Reading of CLOCK_MONOTONIC at virtual time 0, when a simulated board's clock starts: so a client of the board can
-    /// tell how well it knows that clock.
+    /// Reading of CLOCK_MONOTONIC at virtual time 0, when a simulated board's clock starts, ns. With it a client on this
+    /// machine can check its estimate of that clock.
     epoch_ns: u64,
 }
 
-/// A later line: from a moment of virtual time on the epoch is another, because time was left out.
+/// Later line of the output: from the virtual time `from_ns` on, the epoch is `epoch_ns`, because real time was skipped.
 #[derive(Serialize)]
 struct Shifted {
     epoch_ns: u64,
     from_ns: u64,
 }
 
-/// What the board is connected to.
+/// Connection of a served board.
 enum Place {
-    /// One client, or none, all the time.
+    /// Port with at most one client.
     Port(Option<Terminal>, Receiver, Transmitter),
-    /// Clients come and go.
+    /// Listener for clients that connect and disconnect.
     Listener(Listener),
 }
 
@@ -94,7 +94,10 @@ pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
     power_up(&args, place, Until { ends: &session::is_interrupted, reports_shifts: true }, told).map(|()| true)
 }
 
-/// The arguments of a virtual board that is served.
+/// Returns the arguments for a served virtual board.
+///
+/// # Errors
+/// An error for `--pace`, which a served board does not have.
 fn virtual_board(args: &Args, board: &Target) -> anyhow::Result<Args> {
     if args.pace.is_some() {
         bail!("a served board runs in real time, as its clients do: leave --pace out");
@@ -102,16 +105,17 @@ fn virtual_board(args: &Args, board: &Target) -> anyhow::Result<Args> {
     Ok(Args { board: board.clone(), ..args.clone() })
 }
 
-/// How long a virtual board is served, and for whom.
+/// End of serving a virtual board, and reports while it lasts.
 #[derive(Clone, Copy)]
 struct Until<'s> {
-    /// Asked every [`LOOK_EVERY`].
+    /// Returns true when serving is to end; called every [`LOOK_EVERY`].
     ends: &'s dyn Fn() -> bool,
-    /// Whether each [`Shifted`] is a line on stdout.
+    /// True prints each [`Shifted`] as a line on stdout.
     reports_shifts: bool,
 }
 
-/// Powers a virtual board up and serves it. `ready` is called once that begins, with the real time at virtual time 0.
+/// Powers a virtual board up and serves it. `ready` is called once, before the first client, with the real time at virtual
+/// time 0.
 fn power_up(
     args: &Args,
     place: Place,
@@ -126,13 +130,14 @@ fn power_up(
     let served = Served::new(&mut simulation, board.clone(), until)?;
     ready(served.origin)?;
     let served = r4_links::block_on(served.run(place));
+    // Written after an error, too: the board's writes until then would be lost otherwise.
     if let Some(file) = file {
         file.write(&board.flash())?;
     }
     served
 }
 
-/// A virtual board that a thread of this program serves, for this program alone.
+/// Virtual board that a thread of this program serves, for this program alone.
 pub(super) struct Background {
     pub(super) address: Address,
     pub(super) key: Key,
@@ -141,12 +146,13 @@ pub(super) struct Background {
 }
 
 impl Background {
-    /// Powers the board up on a thread of its own, and returns when it can be connected to.
+    /// Powers the board up on a thread of its own, and returns when clients can connect to it.
     ///
     /// # Errors
-    /// Why the board does not start: an unknown robot, a wrong plant or flash file, `--pace`.
+    /// The error of the start: an unknown robot, a wrong plant or flash file, `--pace`.
     pub(super) fn start(args: &Args) -> anyhow::Result<Self> {
         let args = virtual_board(args, &args.board)?;
+        // The random key keeps other programs of this machine away from the board.
         let key = Key::random().context("cannot make a key")?;
         let socket = Async::<TcpListener>::bind(([127, 0, 0, 1], 0)).context("cannot listen on this machine")?;
         let at = socket.get_ref().local_addr().context("cannot listen on this machine")?;
@@ -160,6 +166,7 @@ impl Background {
                 let place = Place::Listener(Listener::new(socket, Some(key)));
                 let until = Until { ends: &|| ends.load(Ordering::Relaxed), reports_shifts: false };
                 match power_up(&args, place, until, told) {
+                    // `end` stops the board as Ctrl-C would, which is no error here.
                     Err(error) if error.is::<session::Interrupted>() => Ok(()),
                     ended => ended,
                 }
@@ -168,7 +175,7 @@ impl Background {
         let started = Self { address, key, ends, thread: thread.context("cannot start a thread")? };
         match ready.recv() {
             Ok(()) => Ok(started),
-            // It has ended, and says why.
+            // The thread has ended without a signal; its result says why.
             Err(_) => Err(started.end().err().unwrap_or_else(|| anyhow!("the board did not start"))),
         }
     }
@@ -176,14 +183,14 @@ impl Background {
     /// Switches the board off, which writes its flash.
     ///
     /// # Errors
-    /// What went wrong with the board.
+    /// The error with which serving ended.
     pub(super) fn end(self) -> anyhow::Result<()> {
         self.ends.store(true, Ordering::Relaxed);
         self.thread.join().unwrap_or_else(|_| Err(anyhow!("the simulated board failed")))
     }
 }
 
-/// Makes what the board is served on, and where that is.
+/// Opens the connection on which the board is served, and returns it with its address.
 fn place(args: &Args, serve: &Serve) -> anyhow::Result<(Place, Where)> {
     let end = || {
         let node = Node::new(serve.node).ok_or_else(|| anyhow!("a node's number is at most {}", Node::COUNT - 1));
@@ -207,19 +214,19 @@ fn place(args: &Args, serve: &Serve) -> anyhow::Result<(Place, Where)> {
     Ok((Place::Listener(listener), Where::Tcp(at.to_string())))
 }
 
-/// Listens for clients at an address: one of this machine's own, or any with `public` and a key. Returns the address with the port that a 0
-/// became.
+/// Listens for clients at an address: a loopback address, or any with `public` and a key. Returns the actual address, in
+/// which a port of 0 is replaced.
 fn listen(args: &Args, address: SocketAddr, public: bool) -> anyhow::Result<(Listener, SocketAddr)> {
     let (socket, at) = bind(args, address, public)?;
     Ok((Listener::new(socket, session::key(args)?), at))
 }
 
-/// The same without the key, for those who ask for it in another way.
+/// Binds a socket as [`listen`] does, for callers that check the key in another way.
 pub(super) fn bind(args: &Args, address: SocketAddr, public: bool) -> anyhow::Result<(Async<TcpListener>, SocketAddr)> {
     let only_for_some = public && args.key.is_some();
     if !address.ip().is_loopback() && !only_for_some {
         bail!(
-            "{address} can be reached from other machines, and whoever reaches it moves the robot: serve it on 127.0.0.1, or \
+            "{address} can be reached from other machines, and any program that reaches it can move the robot: serve it on 127.0.0.1, or \
              with --public and a --key that only those have who may"
         );
     }
@@ -243,7 +250,7 @@ fn bytes(descriptor: &Descriptor) -> (Receiver, Transmitter) {
     (Receiver::Bytes(descriptor.clone()), Transmitter::Bytes(descriptor.clone()))
 }
 
-/// What the board has sent and no client has taken.
+/// Bytes from the board that no client has read yet.
 #[derive(Default)]
 struct Outbox {
     bytes: RefCell<VecDeque<u8>>,
@@ -255,7 +262,7 @@ impl Outbox {
         let mut waiting = self.bytes.borrow_mut();
         let room = OUTBOX - waiting.len();
         if bytes.len() > room {
-            // A part of a frame would be no use to anybody.
+            // All or nothing: clients cannot decode a part of a frame.
             self.dropped.set(self.dropped.get() + bytes.len() as u64);
             return;
         }
@@ -263,15 +270,15 @@ impl Outbox {
     }
 }
 
-/// A board that is served.
+/// Board that is being served.
 struct Served<'s> {
     simulation: &'s mut Simulation,
     board: Rc<dyn VirtualBoard>,
     to_board: r4_sim::link::Sender,
     outbox: Rc<Outbox>,
-    /// Real time at virtual time 0; later by what was left out.
+    /// Real time at virtual time 0, later by the skipped time.
     origin: Instant,
-    /// The board asks to be restarted.
+    /// Set when the board requests a restart.
     restart: Rc<Cell<bool>>,
     until: Until<'s>,
 }
@@ -302,7 +309,7 @@ impl<'s> Served<'s> {
         }
     }
 
-    /// Carries bytes until the client goes.
+    /// Transfers bytes in both directions until the client is gone.
     async fn with_client(&mut self, rx: &mut Receiver, tx: &mut Transmitter) -> anyhow::Result<()> {
         let mut buffer = [0; 4096];
         let outbox = self.outbox.clone();
@@ -320,21 +327,21 @@ impl<'s> Served<'s> {
             };
             match len {
                 Ok(len) if len > 0 => self.receive(&buffer[..len])?,
-                // A client that is gone.
+                // A read of 0 bytes means that the client is gone.
                 Ok(_) => return Err(Gone(None).into()),
                 Err(error) => return Err(Gone(Some(error)).into()),
             }
         }
     }
 
-    /// What a client has sent arrives now.
+    /// Passes bytes from a client to the board at the current virtual time.
     fn receive(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
         let to_board = &mut self.to_board;
         let written = self.simulation.block_on(async { to_board.write_all(bytes).await });
         written.map(|_| ()).ok_or_else(|| anyhow!("the simulation came to a standstill"))
     }
 
-    /// Waits for something outside, while the board runs in real time.
+    /// Waits for a future outside the simulation, while the board runs in real time.
     async fn meanwhile<T>(&mut self, outside: impl Future<Output = T>) -> anyhow::Result<T> {
         let mut outside = pin!(outside);
         loop {
@@ -342,27 +349,30 @@ impl<'s> Served<'s> {
             if (self.until.ends)() {
                 return Err(session::Interrupted.into());
             }
+            // Sleep until the board's next event, but no longer than the period of the check for Ctrl-C.
             let next = self.simulation.clock().next_wake().map(|next_ns| self.origin + Duration::from_nanos(next_ns));
             let latest = Instant::now() + LOOK_EVERY;
             let timer = Timer::at(next.map_or(latest, |next| next.min(latest)));
             if let Either::Left((value, _)) = select(outside.as_mut(), timer).await {
-                // At the time at which it came.
+                // The caller acts on the result at the virtual time of its arrival.
                 self.catch_up()?;
                 return Ok(value);
             }
         }
     }
 
-    /// Lets the board run to now.
+    /// Runs the simulation up to the current real time.
     fn catch_up(&mut self) -> anyhow::Result<()> {
+        // Read once: the real time that this run takes is made up by the next one.
         let begin = Instant::now();
         let behind =
             begin.saturating_duration_since(self.origin + Duration::from_nanos(self.simulation.clock().now_ns()));
+        // A delay of LOOK_EVERY is normal, since the wait between two calls takes up to that long.
         if behind > LOOK_EVERY + HURRY {
             let too_much = behind - HURRY;
             self.origin += too_much;
             eprintln!("r4: this machine was busy for {} ms; the board's clock stood still", too_much.as_millis());
-            // Only for who listens.
+            // A closed stdout is no reason to stop the board.
             let from_ns = self.simulation.clock().now_ns();
             if self.until.reports_shifts {
                 let _ = output::json(&Shifted { epoch_ns: monotonic_ns(self.origin), from_ns });
@@ -386,12 +396,12 @@ impl<'s> Served<'s> {
     }
 }
 
-/// A client is gone.
+/// Error when the client has closed the connection.
 #[derive(Debug, thiserror::Error)]
 #[error("the client is gone")]
 struct Gone(#[source] Option<io::Error>);
 
-/// Connects to a board that has started: tasks in the simulation take what it sends, and note that it wants to restart.
+/// Connects to a board that has started, with tasks in the simulation that store its output and detect a requested restart.
 fn connect(
     simulation: &mut Simulation,
     board: &Rc<dyn VirtualBoard>,
@@ -415,7 +425,7 @@ fn connect(
     Ok(tx)
 }
 
-/// Sends what is in the outbox, as long as that goes.
+/// Sends the bytes of the outbox until an error, which is returned.
 async fn send(outbox: &Outbox, tx: &mut Transmitter) -> io::Error {
     loop {
         let bytes: Vec<u8> = outbox.bytes.borrow_mut().drain(..).collect();

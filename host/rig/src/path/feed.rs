@@ -1,15 +1,15 @@
-//! Points of a motor's path on their way to the board, which keeps only the next few.
+//! Queue of a motor's path points for the board, which keeps only the next few.
 
 use r4_protocol::{PathPoint, message::PATH_POINTS};
 
 use super::Waypoint;
 
-/// A point that passed less than this ago may still take room on the board, µs.
+/// Time after its date for which a point may still take room on the board, µs.
 const STILL_KEPT_US: u64 = 5_000;
-/// Points are sent at most this far ahead of their dates, µs: a board refuses those beyond 60 s.
+/// Maximum time by which points are sent ahead of their dates, µs: a board refuses points beyond 60 s.
 const AHEAD_US: u64 = 30_000_000;
 
-/// Points with their dates on the board's clock, of which some have been sent.
+/// Points with their dates on the board's clock, and the number of those already sent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Feed {
     points: Vec<PathPoint>,
@@ -17,7 +17,7 @@ pub struct Feed {
 }
 
 impl Feed {
-    /// Points of a path, none of which was sent. The moment `zero_s` of their time is `begin_us` of the board's clock.
+    /// Creates a queue of a path's points, none of them sent. The path's time `zero_s`, s, is `begin_us` on the board's clock, µs.
     #[must_use]
     pub fn new(points: &[Waypoint], zero_s: f64, begin_us: u64) -> Self {
         let point = |point: &Waypoint| PathPoint {
@@ -29,7 +29,7 @@ impl Feed {
         Self { points: points.iter().map(point).collect(), sent: 0 }
     }
 
-    /// The next points, at most `most`, for which the board has room at `now_us` of its clock; they count as sent.
+    /// Returns the next points for which the board has room at `now_us` on its clock, at most `most`, and counts them as sent.
     pub fn next(&mut self, now_us: u64, most: usize) -> Vec<PathPoint> {
         let kept = self.points[..self.sent].iter().filter(|point| point.at_us + STILL_KEPT_US > now_us).count();
         let near = self.points[self.sent..].iter().take_while(|point| point.at_us <= now_us + AHEAD_US);
@@ -39,32 +39,32 @@ impl Feed {
         self.points[begin..self.sent].to_vec()
     }
 
-    /// How many were sent.
+    /// Returns the number of sent points.
     #[must_use]
     pub fn sent(&self) -> usize {
         self.sent
     }
 
-    /// Whether all were.
+    /// Returns true when all points were sent.
     #[must_use]
     pub fn is_sent(&self) -> bool {
         self.sent == self.points.len()
     }
 
-    /// Date of the first point on the board's clock, µs; `None` without points.
+    /// Returns the date of the first point on the board's clock, µs; `None` without points.
     #[must_use]
     pub fn begin_us(&self) -> Option<u64> {
         self.points.first().map(|point| point.at_us)
     }
 
-    /// Date of the last point on the board's clock, µs; `None` without points.
+    /// Returns the date of the last point on the board's clock, µs; `None` without points.
     #[must_use]
     pub fn end_us(&self) -> Option<u64> {
         self.points.last().map(|point| point.at_us)
     }
 
-    /// Position (rad or m) and speed (rad/s or m/s) of the path at a moment of the board's clock, by the cubic that the board follows;
-    /// `None` before the first point and after the last.
+    /// Returns the position (rad or m) and speed (rad/s or m/s) of the path at `at_us` on the board's clock, µs, by the cubic that the
+    /// board follows; `None` before the first point and after the last.
     #[must_use]
     pub fn at(&self, at_us: u64) -> Option<(f64, f64)> {
         let next = self.points.iter().position(|point| point.at_us >= at_us)?;
@@ -76,7 +76,7 @@ impl Feed {
         let from = &self.points[before];
         let span_s = (to.at_us - from.at_us) as f64 * 1e-6;
         let share = (at_us - from.at_us) as f64 * 1e-6 / span_s;
-        // Hermite's cubic in the share of the span.
+        // Cubic Hermite polynomial in the share of the segment's duration.
         let (from_position, to_position) = (f64::from(from.position), f64::from(to.position));
         let (start, end) = (self.speed(before) * span_s, self.speed(next) * span_s);
         let way = to_position - from_position;
@@ -85,8 +85,8 @@ impl Feed {
         Some((position, (start + share * (2.0 * square + share * 3.0 * cube)) / span_s))
     }
 
-    /// Speed at a point: as given, or the slope there of the parabola through it and its neighbours; at an end that of the way to the
-    /// neighbour.
+    /// Returns the speed at a point, rad/s or m/s: as given, or else the slope of the parabola through it and its two neighbours; at an end
+    /// of the path, the mean speed to its neighbour.
     fn speed(&self, index: usize) -> f64 {
         let slope = |from: usize, to: usize| {
             let (from, to) = (self.points.get(from)?, self.points.get(to)?);
@@ -96,6 +96,7 @@ impl Feed {
         let given = self.points.get(index).and_then(|point| point.speed).map(f64::from);
         given.unwrap_or_else(|| {
             match (index.checked_sub(1).and_then(|before| slope(before, index)), slope(index, index + 1)) {
+                // Weights are the durations of the opposite segments, which is exact for a parabola.
                 (Some((before, before_s)), Some((after, after_s))) => {
                     (before * after_s + after * before_s) / (before_s + after_s)
                 }
@@ -122,14 +123,14 @@ mod tests {
         assert_eq!(feed.next(500_000, 4).len(), 4);
         assert_eq!(feed.next(500_000, 100).len(), PATH_POINTS - 4);
         assert_eq!(feed.next(500_000, 100), []);
-        // Two have passed, the second less than 5 ms ago.
+        // Two points have passed, the second less than 5 ms ago, so only one has made room.
         assert_eq!(feed.next(1_100_001, 100).len(), 1);
         assert_eq!(feed.next(2_000_000, 100).len(), 7);
         assert!(feed.is_sent() && feed.sent() == 40);
         assert_eq!((feed.begin_us(), feed.end_us()), (Some(1_000_000), Some(4_900_000)));
     }
 
-    /// A board refuses dates that are a minute ahead.
+    /// Points more than 30 s ahead wait, since a board refuses dates more than 60 s ahead.
     #[test]
     fn points_far_ahead_wait() {
         let mut feed = Feed::new(&points(20, 5.0), 0.0, 0);
@@ -138,7 +139,7 @@ mod tests {
     }
 
     proptest! {
-        /// Of a parabola sampled anywhere the derived speeds are exact, and so is the cubic between points that have neighbours.
+        /// For a parabola with any sampling, the derived speeds are exact, and so is the cubic between points with two neighbours.
         #[test]
         fn a_parabola_is_followed(spans in prop::collection::vec(0.01..0.5f64, 4..12), share in 0.0..1.0f64, curve in -2.0..2.0f64) {
             let mut time_s = 0.0;
@@ -151,7 +152,7 @@ mod tests {
             let inner = (points[1].time_s, points[points.len() - 2].time_s);
             let at_s = inner.0 + share * (inner.1 - inner.0);
             let (position, speed) = feed.at((at_s * 1e6) as u64).expect("on the path");
-            // Positions are f32, dates whole µs: of 10 s at 40 rad/s.
+            // Tolerances of 32-bit positions and of dates in whole µs, for at most 10 s and 40 rad/s.
             prop_assert!((position - curve * at_s * at_s).abs() < 1e-3, "{position}");
             prop_assert!((speed - 2.0 * curve * at_s).abs() < 2e-2, "{speed}");
         }

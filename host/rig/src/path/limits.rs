@@ -1,44 +1,45 @@
-//! Checks of a path against its channel's limits, before anything of it is sent: the board checks each point again as it comes.
+//! Check of a path against its channel's limits before any point is sent. The board checks each point again on arrival.
 
 use r4_protocol::{ChannelInfo, Mode, Range};
 
 use super::Waypoint;
 
-/// A path asks for more than its channel has.
+/// Error of a path that exceeds the limits of its channel.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum BeyondLimit {
-    /// The channel follows no paths.
-    #[error("it follows no paths: only motors with feedback do")]
+    /// The channel cannot follow paths.
+    #[error("it cannot follow a path: only motors with feedback can")]
     FollowsNone,
     /// A position is out of range.
-    #[error("point {index} is at {asked:.6}, and it takes {} to {}", range.min, range.max)]
+    #[error("point {index} is at {asked:.6}, outside the range {} to {}", range.min, range.max)]
     Position {
-        /// From 0.
+        /// Index of the point, from 0.
         index: usize,
-        /// rad or m
+        /// Requested position, rad or m.
         asked: f64,
-        /// rad or m
+        /// Allowed positions, rad or m.
         range: Range,
     },
-    /// The way to a point is too fast.
-    #[error("the way to point {index} is {asked:.6} fast, and it does at most {limit}: give it more time")]
+    /// The motion to a point is too fast.
+    #[error("point {index} needs a speed of {asked:.6}, and at most {limit} is allowed: give it more time")]
     Speed {
-        /// From 0.
+        /// Index of the point, from 0.
         index: usize,
-        /// rad/s or m/s
+        /// Requested speed, rad/s or m/s, without a sign.
         asked: f64,
-        /// rad/s or m/s
+        /// Speed limit of the channel, rad/s or m/s.
         limit: f64,
     },
 }
 
-/// Share by which a speed may be above its limit: the board's own allowance for roundings.
+/// Share by which a speed may exceed its limit: the board's own allowance for rounding.
 const ROUNDING: f64 = 1e-4;
 
-/// Checks the points of a path of a channel that is at `from`, at a moment of the points' time.
+/// Checks the points of a path for a channel that starts from `from`, in the same time as the points.
 ///
 /// # Errors
-/// The first point that is out of range, or too far from the one before for its time.
+/// [`BeyondLimit::FollowsNone`] for a channel that cannot follow paths; [`BeyondLimit::Position`] or [`BeyondLimit::Speed`] for the first
+/// point that is out of range, or too far from the one before for the time between them.
 pub fn check(info: &ChannelInfo, from: Waypoint, points: &[Waypoint]) -> Result<(), BeyondLimit> {
     let follow = info.mode(Mode::Follow).ok_or(BeyondLimit::FollowsNone)?;
     let limit = info.mode(Mode::Speed).map_or(f64::INFINITY, |mode| f64::from(mode.range.max));
@@ -56,16 +57,17 @@ pub fn check(info: &ChannelInfo, from: Waypoint, points: &[Waypoint]) -> Result<
     Ok(())
 }
 
-/// Highest speed between two points: of the cubic where both speeds are given, else of the straight line and the given one. Infinite where
-/// there is no time between them.
+/// Returns the highest speed between two points, without a sign: that of the cubic when both speeds are given, otherwise the larger of
+/// the mean speed and the given one. Infinite when no time lies between them.
 fn fastest(from: &Waypoint, to: &Waypoint) -> f64 {
     if to.time_s <= from.time_s {
         return f64::INFINITY;
     }
     let chord = (to.position - from.position) / (to.time_s - from.time_s);
     let ends = from.speed.unwrap_or(0.0).abs().max(to.speed.unwrap_or(0.0).abs());
+    // Without both speeds the cubic depends on further neighbours; the mean speed is a lower bound of its highest speed.
     let (Some(start), Some(end)) = (from.speed, to.speed) else { return chord.abs().max(ends) };
-    // The cubic's speed over the share s of the time is a parabola, start + linear s + square s².
+    // The speed of the cubic over the share s of the time is a parabola, start + linear s + square s².
     let square = 3.0 * (start + end) - 6.0 * chord;
     let linear = 6.0 * chord - 4.0 * start - 2.0 * end;
     let share = -linear / (2.0 * square);
@@ -102,7 +104,7 @@ mod tests {
         assert_eq!(check(&[at(1.0, 2.0, None)]), Ok(()));
         assert_eq!(check(&[at(1.0, -2.5, None)]), Err(BeyondLimit::Speed { index: 0, asked: 2.5, limit: 2.0 }));
         assert_eq!(check(&[at(1.0, 0.0, Some(-3.0))]), Err(BeyondLimit::Speed { index: 0, asked: 3.0, limit: 2.0 }));
-        // 1.5 rad/s of chord between two rests are 2.25 in the middle.
+        // A mean of 1.5 rad/s between two points at rest has its peak of 2.25 rad/s in the middle.
         let rests = [at(1.0, 0.0, Some(0.0)), at(2.0, 1.5, Some(0.0))];
         assert_eq!(check(&rests), Err(BeyondLimit::Speed { index: 1, asked: 2.25, limit: 2.0 }));
         let far = check(&[at(6.0, 10.0, None), at(7.0, 10.5, None)]).expect_err("out of range");
@@ -112,7 +114,7 @@ mod tests {
     }
 
     proptest! {
-        /// No moment of the cubic is faster than its highest speed, and some moment is as fast.
+        /// The highest speed is an upper bound of the cubic's speed, and the cubic reaches it.
         #[test]
         fn the_highest_speed_is_that_of_the_cubic(way in -3.0..3.0f64, start in -2.0..2.0f64, end in -2.0..2.0f64) {
             let ends = [
@@ -122,7 +124,7 @@ mod tests {
             let feed = Feed::new(&ends, 0.0, 0);
             let speeds = (0..=1000u64).map(|ms| feed.at(ms * 1000).expect("on it").1.abs());
             let (seen, told) = (speeds.fold(0.0, f64::max), fastest(&ends[0], &ends[1]));
-            // Between samples 1 ms apart, of a second derivative up to 60, and f32 of positions.
+            // Allowance for samples 1 ms apart at a second derivative of up to 60, and for 32-bit positions.
             prop_assert!(seen <= told + 1e-4 && told <= seen + 1e-4, "{seen} {told}");
         }
     }

@@ -1,5 +1,5 @@
-//! Paths of motors over time: read from a table, sent ahead of time, followed together, and graded by the distance of
-//! the motors from them.
+//! Paths of motors over time: parsed from a table, sent ahead of time, followed together, and graded by the motors'
+//! tracking error.
 
 mod feed;
 mod limits;
@@ -14,7 +14,7 @@ use crate::{Error, Session, Unsuitable};
 pub use feed::Feed;
 pub use limits::{BeyondLimit, check};
 
-/// Point of a path.
+/// Point of a motor's path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Waypoint {
     /// Time since the start of the path, s.
@@ -23,12 +23,12 @@ pub struct Waypoint {
     pub position: f64,
     /// Speed, rad/s or m/s; `None` lets the board compute it from the neighbouring points.
     pub speed: Option<f64>,
-    /// Feed-forward duty on the way to the point, added to the board's own.
+    /// Feed-forward duty from the point before to this one, added to the board's own.
     pub feed_forward: f64,
 }
 
 impl Waypoint {
-    /// Point of which only the time, s, and the position, rad or m, are given.
+    /// Creates a point from its time, s, and position, rad or m, with a derived speed and no feed-forward.
     #[must_use]
     pub fn at(time_s: f64, position: f64) -> Self {
         Self { time_s, position, speed: None, feed_forward: 0.0 }
@@ -42,12 +42,12 @@ pub struct Paths {
     pub channels: Vec<(ChannelId, Vec<Waypoint>)>,
 }
 
-/// Reason why a table is no path.
+/// Error of a table or of points that are no valid path.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PathError {
     /// The first line does not name valid columns.
     #[error(
-        "the first line names the columns: time_s, then osmc0.position_rad and, if wanted, osmc0.speed_rad_s and osmc0.duty; {0}"
+        "the first line must name the columns: time_s, osmc0.position_rad and optionally osmc0.speed_rad_s and osmc0.duty; {0}"
     )]
     Header(String),
     /// A line cannot be parsed.
@@ -69,7 +69,7 @@ pub enum PathError {
         why: &'static str,
     },
     /// A path has fewer than two points.
-    #[error("a path has two points at least")]
+    #[error("a path needs at least two points")]
     Short,
 }
 
@@ -87,7 +87,7 @@ impl Column {
         if name == "time_s" {
             return Ok(Self::Time);
         }
-        let unknown = || format!("`{name}` is none of them");
+        let unknown = || format!("unknown column `{name}`");
         let (channel, field) = name.split_once('.').ok_or_else(unknown)?;
         let channel = channel.parse().map_err(|_| unknown())?;
         Ok(match field {
@@ -101,12 +101,12 @@ impl Column {
     }
 }
 
-/// Least distance of points, s; closer ones are left out. The board keeps 32 points, which must last longer than a
+/// Minimum time between points, s; closer ones are omitted. The board keeps 32 points, which must last longer than a
 /// transfer takes.
 pub const THIN_S: f64 = 0.008;
 /// Rounding of times in s with three decimals or more.
 const ROUNDING_S: f64 = 1e-9;
-/// Lead of the first point over the board's clock, s; longer where the motor must first move to it.
+/// Time from sending a path to its first point, s; longer when the motor must first move to that point.
 const LEAD_S: f64 = 0.3;
 /// Period at which points are sent, s.
 const SEND_EVERY_S: f64 = 0.02;
@@ -123,6 +123,7 @@ impl Paths {
     /// # Errors
     /// [`PathError`] for a table that is not valid.
     pub fn parse(text: &str) -> Result<Self, PathError> {
+        // Numbered before blank lines are removed: errors name the line as an editor shows it.
         let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
         let header = lines.next().map_or("", |(_, line)| line);
         let columns: Result<Vec<_>, _> = header.split(',').map(|name| Column::parse(name.trim())).collect();
@@ -131,7 +132,8 @@ impl Paths {
         // A repeated column would silently replace the first one.
         let twice = columns.iter().enumerate().any(|(place, column)| columns[..place].contains(column));
         let time = columns.iter().position(|column| *column == Column::Time);
-        let time = time.filter(|_| !twice).ok_or_else(|| header("time_s must be there, and each only once"))?;
+        let time =
+            time.filter(|_| !twice).ok_or_else(|| header("time_s is required, and each column may occur only once"))?;
         let positions = columns.iter().filter_map(|column| match column {
             Column::Position(channel, unit) => Some((*channel, *unit)),
             _ => None,
@@ -144,7 +146,7 @@ impl Paths {
             Column::Time | Column::Position(..) => false,
         });
         if alone || units.is_empty() {
-            return Err(header("each channel has a position, and its speed in the same unit"));
+            return Err(header("each channel needs a position column, and its speed the same unit"));
         }
         let mut paths: BTreeMap<ChannelId, Vec<Waypoint>> = BTreeMap::new();
         let mut last_s = f64::NEG_INFINITY;
@@ -153,12 +155,12 @@ impl Paths {
             let values: Result<Vec<f64>, _> = line.split(',').map(|value| number_of(value.trim())).collect();
             let values = values.map_err(wrong)?;
             if values.len() != columns.len() {
-                return Err(wrong(format!("it has {} values, and there are {} columns", values.len(), columns.len())));
+                return Err(wrong(format!("it has {} values for {} columns", values.len(), columns.len())));
             }
             let time_s = values[time];
             // The board interpolates between points, which needs a positive duration.
             if time_s <= last_s {
-                return Err(wrong("each time is later than the one before".to_owned()));
+                return Err(wrong("its time must be later than the one before".to_owned()));
             }
             last_s = time_s;
             for channel in units.keys() {
@@ -181,7 +183,7 @@ impl Paths {
     }
 
     /// Creates paths from points: at least two for each channel, each later than the one before, all numbers finite.
-    /// Points closer than [`THIN_S`] to the one before are left out, as from a table.
+    /// Points closer than [`THIN_S`] to the one before are omitted, as from a table.
     ///
     /// # Errors
     /// [`PathError::Points`] for a point that is not valid; [`PathError::Short`] for fewer than two.
@@ -192,7 +194,7 @@ impl Paths {
             for (index, point) in points.iter().enumerate() {
                 let numbers = [point.time_s, point.position, point.speed.unwrap_or(0.0), point.feed_forward];
                 let why = match numbers.iter().all(|number| number.is_finite()) {
-                    false => "a number of it is not finite",
+                    false => "it has a number that is not finite",
                     true if point.time_s <= last_s => "its time is not later than the one before",
                     true => {
                         last_s = point.time_s;
@@ -222,7 +224,7 @@ fn number_of(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| format!("`{text}` is not a number"))
 }
 
-/// Removes points closer than [`THIN_S`] to the one before; the last is kept.
+/// Removes points closer than [`THIN_S`] to the one before; the last point is kept.
 #[must_use]
 pub fn thinned(points: Vec<Waypoint>) -> Vec<Waypoint> {
     let mut kept: Vec<Waypoint> = Vec::new();
@@ -251,9 +253,9 @@ pub struct Followed {
     pub info: ChannelInfo,
     /// Number of points that were sent.
     pub points: usize,
-    /// Largest distance from the path, rad or m, by the motor's own sensor.
+    /// Largest tracking error, rad or m, without a sign, by the motor's own sensor.
     pub worst: f64,
-    /// RMS distance from the path, rad or m.
+    /// RMS tracking error, rad or m.
     pub rms: f64,
     /// Lag of the motion behind the path, s, by least squares; 0 for a path without motion.
     pub lag_s: f64,
@@ -263,14 +265,15 @@ pub struct Followed {
     pub settled: bool,
 }
 
-/// A path while it is sent to the board.
+/// Path while it is sent to the board.
 struct Sending<'p> {
     info: ChannelInfo,
     points: &'p [Waypoint],
     /// Points on their way to the board; empty until the board's clock at the start of the path is known.
     feed: Feed,
-    /// Reference, position and time, µs, of each sample.
+    /// Set point (rad or m), measured position (rad or m) and time on the board's clock (µs) of each sample.
     seen: Vec<(f64, f64, u64)>,
+    /// Last measured position (rad or m), whether the motor is settled, and its mode; `None` before the first sample.
     end: Option<(f64, bool, Mode)>,
 }
 
@@ -304,7 +307,7 @@ impl Session<'_> {
         for (channel, points) in &paths.channels {
             let info = self.board.channel(*channel)?.clone();
             if info.mode(Mode::Follow).is_none() {
-                let why = "follows no path: only motors with feedback do".to_owned();
+                let why = "cannot follow a path: only motors with feedback can".to_owned();
                 return Err(Unsuitable { channel: *channel, why }.into());
             }
             sending.push(Sending { info, points, feed: Feed::default(), seen: Vec::new(), end: None });
@@ -332,11 +335,11 @@ impl Session<'_> {
                 }
             }
         };
-        // The motors' supply is on by then, and each motor has been sampled.
+        // After 0.1 s the motors' supply is on, and each motor has been sampled.
         board.sleep_s(0.1).await;
         look(sending);
         let ways_s = sending.iter().map(|path| path.way_s());
-        // Without a common start, the motor with the longest way to its first point sets the lead.
+        // Without a common start, the motor with the longest move to its first point determines the lead.
         let lead_s = begin_s.map_or_else(|| ways_s.fold(LEAD_S, f64::max), |begin_s| begin_s - board.now_s());
         let begin_us = board.device_us() + (lead_s * 1e6) as u64;
         // A table may start at any time: its earliest point is the start of all paths.
@@ -361,6 +364,7 @@ impl Session<'_> {
         let give_up_us = end_us + (SETTLE_S * 1e6) as u64;
         while board.device_us() < give_up_us {
             board.sleep_s(SEND_EVERY_S).await;
+            // Without this check a trip would only show as a motor that does not settle.
             if let (SafetyState::Tripped | SafetyState::Disarmed, causes) = board.safety() {
                 return Err(DriverError::Stopped { causes }.into());
             }
@@ -391,7 +395,7 @@ impl Sending<'_> {
         let errors = on_path.iter().map(|(reference, position, _)| reference - position);
         let worst = errors.clone().fold(0.0, |worst: f64, error| worst.max(error.abs()));
         let rms = (errors.map(|error| error * error).sum::<f64>() / on_path.len().max(1) as f64).sqrt();
-        // A lag causes a distance of speed times lag: regression of the distance on the speed.
+        // A lag causes an error of speed times lag, so it is the regression coefficient of the error on the speed.
         let (mut product, mut square) = (0.0, 0.0);
         for pair in on_path.windows(2) {
             let [(before, _, before_us), (reference, position, at_us)] = pair else { continue };
@@ -433,22 +437,22 @@ mod tests {
         for (text, says) in [
             (
                 "",
-                "the first line names the columns: time_s, then osmc0.position_rad and, if wanted, osmc0.speed_rad_s and osmc0.duty; `` is none of them",
+                "the first line must name the columns: time_s, osmc0.position_rad and optionally osmc0.speed_rad_s and osmc0.duty; unknown column ``",
             ),
-            ("time_s\n0\n1\n", "each channel has a position, and its speed in the same unit"),
-            ("osmc0.position_rad\n0\n1\n", "time_s must be there, and each only once"),
-            ("time_s,time_s,osmc0.position_rad\n", "time_s must be there, and each only once"),
-            ("time_s,osmc0.position_deg\n", "`osmc0.position_deg` is none of them"),
-            ("time_s,wheel0.position_rad\n", "`wheel0.position_rad` is none of them"),
+            ("time_s\n0\n1\n", "each channel needs a position column, and its speed the same unit"),
+            ("osmc0.position_rad\n0\n1\n", "time_s is required, and each column may occur only once"),
+            ("time_s,time_s,osmc0.position_rad\n", "time_s is required, and each column may occur only once"),
+            ("time_s,osmc0.position_deg\n", "unknown column `osmc0.position_deg`"),
+            ("time_s,wheel0.position_rad\n", "unknown column `wheel0.position_rad`"),
             (
                 "time_s,osmc0.position_rad,osmc0.speed_m_s\n",
-                "each channel has a position, and its speed in the same unit",
+                "each channel needs a position column, and its speed the same unit",
             ),
-            ("time_s,osmc0.position_rad\n0,0\n", "a path has two points at least"),
+            ("time_s,osmc0.position_rad\n0,0\n", "a path needs at least two points"),
             ("time_s,osmc0.position_rad\n0,0\n1,x\n", "line 3: `x` is not a number"),
             ("time_s,osmc0.position_rad\n0,0\n1,nan\n", "line 3: `nan` is not a number"),
-            ("time_s,osmc0.position_rad\n0,0\n1\n", "line 3: it has 1 values, and there are 2 columns"),
-            ("time_s,osmc0.position_rad\n1,0\n1,0\n", "line 3: each time is later than the one before"),
+            ("time_s,osmc0.position_rad\n0,0\n1\n", "line 3: it has 1 values for 2 columns"),
+            ("time_s,osmc0.position_rad\n1,0\n1,0\n", "line 3: its time must be later than the one before"),
         ] {
             let error = Paths::parse(text).expect_err(text).to_string();
             assert!(error.ends_with(says), "{text:?}: {error}");

@@ -1,42 +1,42 @@
-//! `metadata.yaml`: the contents of a bag as rosbag2 wants them beside its files.
+//! Writer of `metadata.yaml`, which lists the contents of a bag for rosbag2.
 //!
 //! # Source
 //! `rosbag2_storage`: `yaml.hpp` and `qos.cpp`, version 9 of the metadata, which Jazzy writes.
 
 use std::fmt::Write as _;
 
-/// Version of the metadata's keys.
+/// Version of the metadata's format.
 const VERSION: u32 = 9;
 
-/// Messages of one topic.
+/// Topic of a bag with its number of messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BagTopic {
-    /// Absolute name.
+    /// Absolute name of the topic.
     pub name: String,
-    /// Type, as in `sensor_msgs/msg/Imu`.
+    /// Type of its messages, as in `sensor_msgs/msg/Imu`.
     pub kind: String,
-    /// Whether readers that come later get the last message.
+    /// True when readers that subscribe later receive the last message.
     pub is_latched: bool,
-    /// How many.
+    /// Number of messages in the bag.
     pub messages: u64,
 }
 
-/// Contents of a bag of one file.
+/// Contents of a bag with a single file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Contents<'a> {
-    /// Name of the file, in the folder of the metadata.
+    /// Name of the file, relative to the folder of the metadata.
     pub(super) file: &'a str,
-    /// Of the first message, ns since 1970.
+    /// Time of the first message, ns since 1970.
     pub(super) begin_ns: u64,
-    /// From the first to the last, ns.
+    /// Time from the first message to the last, ns.
     pub(super) duration_ns: u64,
     pub(super) topics: &'a [BagTopic],
-    /// What was recorded, for people.
+    /// Facts about the recording, as keys and values for people.
     pub(super) about: &'a [(&'a str, &'a str)],
 }
 
 impl Contents<'_> {
-    /// The file's text.
+    /// Returns the text of `metadata.yaml`.
     pub(super) fn to_yaml(&self) -> String {
         let Self { file, begin_ns, duration_ns, topics, about } = self;
         let messages: u64 = topics.iter().map(|topic| topic.messages).sum();
@@ -69,9 +69,9 @@ impl Contents<'_> {
     }
 }
 
-/// Quality of service that a topic is offered with, as a list in YAML: reliable, as the node offers it.
+/// Returns the quality of service with which the node offers a topic, as a YAML list with one element: reliable.
 pub(super) fn qos(is_latched: bool) -> String {
-    // Times that never end, as rosbag2 writes them.
+    // rosbag2 writes an infinite duration as i64::MAX nanoseconds.
     let infinite = "\n    sec: 9223372036\n    nsec: 854775807";
     let (durability, depth) = if is_latched { ("transient_local", 1) } else { ("volatile", 10) };
     format!(
@@ -85,7 +85,7 @@ fn indented(text: &str, by: &str) -> String {
     text.lines().map(|line| format!("{by}{line}\n")).collect()
 }
 
-/// A text as YAML's double-quoted scalar.
+/// Returns a text as a double-quoted scalar of YAML.
 fn quoted(text: &str) -> String {
     let escaped = text.chars().map(|letter| match letter {
         '"' | '\\' => format!("\\{letter}"),

@@ -1,5 +1,5 @@
-//! A log as a bag of rosbag2: a folder with an MCAP file of profile `ros2` and `metadata.yaml`, which `ros2 bag play` takes. Messages are
-//! those of the node, by the same conversions.
+//! Conversion of a log to a bag of rosbag2: a folder with an MCAP file of the profile `ros2` and `metadata.yaml`, for `ros2 bag play`. The
+//! messages are those of the node, by the same conversions.
 
 mod definition;
 mod metadata;
@@ -27,62 +27,64 @@ pub use metadata::BagTopic;
 /// First bytes of a message: CDR in little-endian order, without options (OMG DDSI-RTPS 2.3, 10.2).
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
-/// Why a log did not become a bag.
+/// Reason why a log could not be converted to a bag.
 #[derive(Debug, thiserror::Error)]
 pub enum BagError {
-    /// The folder's name ends in what is no name.
-    #[error("{} names no folder: give one that is to be made, as in run", path.display())]
+    /// The path has no last component that is a name in Unicode.
+    #[error("{} is no folder name: give the name of a new folder, such as run", path.display())]
     NoName {
-        /// As it was given.
+        /// Path as the caller gave it.
         path: PathBuf,
     },
-    /// There is such a folder.
-    #[error("{} exists already: name a folder that is to be made, or remove it", path.display())]
+    /// The folder exists already.
+    #[error("{} exists already: give the name of a new folder, or remove it", path.display())]
     Exists {
-        /// Which.
+        /// Path of the folder.
         path: PathBuf,
     },
     /// A file or folder cannot be written.
     #[error("cannot write {}: {source}", path.display())]
     Io {
-        /// Which.
+        /// Path of the file or folder.
         path: PathBuf,
-        /// What the operating system says.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// There is nothing to write.
-    #[error("nothing in the log has a topic of ROS 2: record motors, encoders, an IMU, ranges or supplies")]
+    /// The log has no sample and no state that a bag can hold.
+    #[error("the log has no data for a ROS 2 topic: record motors, encoders, an IMU, range sensors or supplies")]
     Empty,
-    /// A message could not be turned into CDR.
+    /// A message could not be encoded as CDR.
     #[error("cannot encode a message of {topic} ({why}): report this as a defect")]
     Encode {
-        /// Its topic.
+        /// Topic of the message.
         topic: String,
-        /// What is wrong.
+        /// Error of the encoder.
         why: String,
     },
 }
 
-/// A bag that was written.
+/// Summary of a written bag.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bag {
-    /// Its folder.
+    /// Folder of the bag.
     pub folder: PathBuf,
-    /// Its topics, in the order of their names.
+    /// Topics of the bag, sorted by name.
     pub topics: Vec<BagTopic>,
-    /// From the first message to the last, s.
+    /// Time from the first message to the last, s.
     pub duration_s: f64,
 }
 
-/// Writes a log as the bag `folder`, which is made. `drive` is how the robot drives: without, or of a robot that does not steer by its
-/// sides, the bag has no `odom` and no `/tf`.
+/// Writes a log as a bag to the new folder `folder`. `drive` is the robot's drive: without one, and for robots that are not skid-steer,
+/// the bag has no `odom` and no `/tf`.
 ///
 /// # Errors
-/// [`BagError`]; what is there of the folder then stays.
+/// [`BagError::NoName`] and [`BagError::Exists`] before anything is written; [`BagError::Io`], [`BagError::Encode`] and
+/// [`BagError::Empty`] may leave an incomplete folder behind.
 pub fn write_bag(log: &Log, drive: Option<&GroundDrive>, folder: &Path) -> Result<Bag, BagError> {
     let name = folder.file_name().and_then(|name| name.to_str());
     let name = name.ok_or_else(|| BagError::NoName { path: folder.to_owned() })?;
     let file = format!("{name}_0.mcap");
+    // `create_dir` fails for an existing folder, so no bag is ever overwritten.
     fs::create_dir(folder).map_err(|source| match source.kind() {
         io::ErrorKind::AlreadyExists => BagError::Exists { path: folder.to_owned() },
         _ => BagError::Io { path: folder.to_owned(), source },
@@ -123,11 +125,11 @@ enum WriteError {
 
 struct Written {
     topics: Vec<BagTopic>,
-    /// Of the first message and the last, ns since 1970.
+    /// Times of the first and the last message, ns since 1970; `None` without messages.
     span_ns: Option<(u64, u64)>,
 }
 
-/// Writes the MCAP file.
+/// Writes the messages of a log as an MCAP file.
 fn write_messages(log: &Log, drive: Option<&GroundDrive>, out: impl io::Write) -> Result<Written, WriteError> {
     let library = concat!("r4-ros2/", env!("CARGO_PKG_VERSION"));
     let mut mcap = McapWriter::new(out, "ros2", library, None).map_err(WriteError::Io)?;
@@ -153,15 +155,16 @@ fn write_messages(log: &Log, drive: Option<&GroundDrive>, out: impl io::Write) -
     Ok(Written { topics: topics.into_values().map(|(_, topic)| topic).collect(), span_ns })
 }
 
-/// Writes a message; its time, ns since 1970.
+/// Writes a message and returns its time, ns since 1970. The first message of a topic also declares the topic.
 fn write_message<W: io::Write>(
     mcap: &mut McapWriter<W>,
     topics: &mut BTreeMap<String, (u16, BagTopic)>,
     stamp: Stamp,
     report: &Report,
 ) -> Result<u64, WriteError> {
+    // MCAP has no times before 1970; they become 0.
     let time_ns = u64::try_from(stamp.as_ns()).unwrap_or_default();
-    // Each report that a log gives has a topic and a type that is listed; the tests go through all.
+    // Not expected: each report from a log has a topic and a listed type, which the tests check for all of them.
     let unknown = |topic: &str| WriteError::Encode { topic: topic.to_owned(), why: "no such topic".into() };
     let Topic { name, kind, is_latched } = report.topic().ok_or_else(|| unknown("a channel"))?;
     let name = Namespace::root().resolve(&name);
@@ -183,7 +186,7 @@ fn write_message<W: io::Write>(
             topics.entry(name).or_insert((id.map_err(WriteError::Io)?, topic))
         }
     };
-    // Of so many messages of a topic the number begins again.
+    // The sequence number of a topic wraps to 0 after 2^32 messages.
     let sequence = topic.messages as u32;
     topic.messages += 1;
     let header = McapMessage { channel_id: *id, sequence, log_time: time_ns, publish_time: time_ns };
@@ -191,7 +194,7 @@ fn write_message<W: io::Write>(
     Ok(time_ns)
 }
 
-/// A message as CDR, with its encapsulation in front.
+/// Encodes a message as CDR behind its encapsulation header.
 fn to_cdr(report: &Report) -> cdr_encoding::Result<Vec<u8>> {
     match report {
         Report::Odometry(message) => cdr(message),
@@ -204,7 +207,7 @@ fn to_cdr(report: &Report) -> cdr_encoding::Result<Vec<u8>> {
         Report::State(message) => cdr(message),
         Report::Clock(message) => cdr(message),
         Report::Commanded(message) => cdr(message),
-        // It has no topic, so that it does not come here.
+        // It has no topic, so `write_message` has refused it already.
         Report::Deactivated => Ok(Vec::new()),
     }
 }
@@ -212,7 +215,7 @@ fn to_cdr(report: &Report) -> cdr_encoding::Result<Vec<u8>> {
 /// Encodes a message as CDR with its encapsulation header.
 pub(crate) fn cdr<M: Serialize>(message: &M) -> cdr_encoding::Result<Vec<u8>> {
     let mut bytes = ENCAPSULATION.to_vec();
-    // What comes is aligned from behind the encapsulation on.
+    // CDR aligns numbers relative to the end of the encapsulation header, not to the start of the buffer.
     cdr_encoding::to_writer::<M, LittleEndian, _>(&mut bytes, message)?;
     Ok(bytes)
 }

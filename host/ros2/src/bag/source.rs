@@ -1,4 +1,4 @@
-//! A log as the messages that the node would have published, in the order of time.
+//! Conversion of a log to the messages that the node would have published, in the order of time.
 
 use std::collections::BTreeMap;
 
@@ -14,16 +14,16 @@ use crate::{
     time::Stamp,
 };
 
-/// Diagnostics are given so often where nothing changes, µs of the log: as the node does.
+/// Period of diagnostics while nothing changes, µs of the log: that of the node.
 const DIAGNOSE_EVERY_US: u64 = 1_000_000;
-/// Heat at which a board begins to warn of a winding, and at which it ends, shares of what the winding withstands: those of
-/// [`Winding::hot`], which a log does not have.
+/// Heat above which a board warns of a winding, and below which the warning ends, as shares of the winding's thermal limit. The
+/// thresholds are those of [`Winding::hot`], which a log does not contain.
 const HOT_FROM: f64 = 0.90;
 const HOT_UNTIL: f64 = 0.85;
 
-/// Something of a log at one moment. Their order is that of things at the same moment.
+/// Entry of a log. At the same time, entries are in the order of the variants.
 enum Item {
-    /// The link is back.
+    /// The link is back after a gap.
     Back {
         restarted: bool,
     },
@@ -31,8 +31,8 @@ enum Item {
     Sample(Sample),
 }
 
-/// Gives the messages of a log with their times. Stamps of a board in real time are its log's wall-clock times; those of a virtual board
-/// are the board's time from the date of the recording on, as the node counts it.
+/// Passes the messages of a log to `give`, with their times. A board in real time has stamps in wall-clock time. A virtual board has its
+/// own clock, which starts at the date of the recording, as in the node.
 pub(super) fn reports(log: &Log, drive: Option<&GroundDrive>, mut give: impl FnMut(Stamp, Report)) {
     let mut frames = Frames::new(&log.header.channels, drive, true);
     let mut health = Health {
@@ -60,7 +60,7 @@ pub(super) fn reports(log: &Log, drive: Option<&GroundDrive>, mut give: impl FnM
             }
             Item::Sample(first) => {
                 let mut samples = vec![first];
-                // A second sample of a channel at this moment is of another frame.
+                // Samples with the same time form a frame; a second sample of a channel starts another one.
                 while let Some((_, Item::Sample(next))) = items.next_if(|(next_us, item)| {
                     let is_new = |next: &Sample| samples.iter().all(|sample| sample.channel() != next.channel());
                     *next_us == at_us && matches!(item, Item::Sample(next) if is_new(next))
@@ -80,14 +80,14 @@ pub(super) fn reports(log: &Log, drive: Option<&GroundDrive>, mut give: impl FnM
     }
 }
 
-/// ROS time at 0 of the log's times.
+/// Returns the ROS time at time 0 of the log.
 fn begin(log: &Log) -> Stamp {
     let Some(recorded) = &log.header.recorded else { return Stamp::default() };
     let unix_ns = i64::try_from(recorded.unix_ns).unwrap_or(i64::MAX);
     Stamp::from_ns(recorded.clock_offset_ns.unwrap_or(unix_ns))
 }
 
-/// Updates the list of hot windings by a sample; whether one became hot or is no longer.
+/// Updates the list of hot windings by a sample, and returns true when a winding was added or removed.
 fn note_heat(hot: &mut Vec<HotWinding>, sample: &Sample) -> bool {
     let Sample::Motor { channel, winding: Some(Winding { heat_percent, .. }), .. } = *sample else { return false };
     let heat = f64::from(heat_percent) / 100.0;
@@ -104,8 +104,9 @@ fn note_heat(hot: &mut Vec<HotWinding>, sample: &Sample) -> bool {
     true
 }
 
+/// Returns the entries of a log with their times, µs, sorted by time.
 fn items(log: &Log) -> Vec<(u64, Item)> {
-    // The board counts whole microseconds, and a log has them in s: 2^53 µs are 285 years.
+    // A log has the board's whole microseconds as seconds in double precision. Rounding restores them: 2^53 µs are 285 years.
     let us = |time_s: f64| (time_s * 1e6).round() as u64;
     let mut items: Vec<(u64, Item)> = Vec::new();
     items.extend(log.gaps.iter().map(|gap| (us(gap.time_s), Item::Back { restarted: gap.restarted })));
@@ -150,12 +151,12 @@ fn items(log: &Log) -> Vec<(u64, Item)> {
             series.samples.iter().map(|(time_s, value)| (*time_s, Sample::Scalar { channel, value: *value as f32 })),
         );
     }
-    // In the order of the board's channels, which is that of its frames.
+    // A board sends the samples of a frame in the order of its channels.
     for info in &log.header.channels {
         let of_channel = samples.remove(&info.id).unwrap_or_default();
         items.extend(of_channel.into_iter().map(|(time_s, sample)| (us(time_s), Item::Sample(sample))));
     }
-    // Stable: things of one moment stay in that order.
+    // The sort is stable: entries with the same time keep the order above.
     items.sort_by_key(|(at_us, _)| *at_us);
     items
 }

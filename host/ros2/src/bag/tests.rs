@@ -1,4 +1,4 @@
-//! Bags beside an independent implementation's bytes, and beside the node itself.
+//! Comparison of bags with the bytes of an independent implementation, and with the messages of the node itself.
 
 use std::{cell::RefCell, collections::BTreeMap, pin::pin};
 
@@ -18,10 +18,10 @@ use crate::{
     },
 };
 
-/// Messages by `rosbags`; the file says how they were made.
+/// Messages encoded by `rosbags`; the file says how it was made.
 const FIXTURES: &str = include_str!("../../tests/data/cdr.txt");
 
-/// Bytes and definition of a type.
+/// Expected bytes and definition of a type.
 #[derive(Default)]
 struct Fixture {
     cdr: Vec<u8>,
@@ -54,7 +54,7 @@ fn vector(x: f64, y: f64, z: f64) -> Vector3 {
     Vector3 { x, y, z }
 }
 
-/// The messages of `make_cdr.py`.
+/// Returns the messages of `make_cdr.py`.
 fn messages() -> Vec<Report> {
     let turned = Quaternion { x: 0.0, y: 0.0, z: 0.6, w: 0.8 };
     let pose = Pose { position: vector(1.5, -2.25, 0.0), orientation: turned };
@@ -149,7 +149,7 @@ fn definitions_are_those_of_ros_with_all_that_is_inside_them() {
     assert_eq!(definition("sensor_msgs/LaserScan"), None);
 }
 
-/// What a node published while it drove a simulated robot, and the log of the same session.
+/// Drives a simulated robot through a node for `seconds`, and returns the node's messages and the log of the same session.
 fn driven(board: &str, seconds: f64) -> (Vec<Report>, Log) {
     let target: Target = board.parse().expect("a board");
     let rig = Rig::new(target.clone());
@@ -186,7 +186,7 @@ fn drive_of(log: &Log) -> Option<GroundDrive> {
     GroundDrive::of_board(&log.header.board.parse().expect("a board"), &log.header.robot)
 }
 
-/// Stamps of the node go by its map of the board's clock, those of a bag by the board's clock itself.
+/// Removes the stamp: the node's stamps come from its estimate of the board's clock, those of a bag from the board's clock itself.
 fn without_stamp(mut report: Report) -> Report {
     let header = match &mut report {
         Report::Odometry(message) => &mut message.header,
@@ -201,7 +201,7 @@ fn without_stamp(mut report: Report) -> Report {
     report
 }
 
-/// Messages of telemetry frames by topic, as bytes: NaN is no different from NaN.
+/// Returns the messages of telemetry frames by topic, as bytes, in which NaN equals NaN.
 fn of_frames(reports: impl IntoIterator<Item = Report>) -> BTreeMap<String, Vec<Vec<u8>>> {
     let mut topics: BTreeMap<String, Vec<Vec<u8>>> = BTreeMap::new();
     for report in reports {
@@ -227,7 +227,7 @@ fn a_bag_has_what_the_node_published() {
     assert_eq!(published.keys().collect::<Vec<_>>(), exported.keys().collect::<Vec<_>>());
     for (topic, published) in &published {
         let exported = &exported[topic];
-        // The session's last frames come when the node has ended.
+        // The log also has the session's last frames, which arrive after the node has ended.
         assert!(published.len() >= 10 && exported.len() - published.len() < 10, "{topic}: {}", published.len());
         assert_eq!(published[..], exported[..published.len()], "{topic}");
     }
@@ -246,7 +246,7 @@ fn times_are_those_of_the_recording_and_rise() {
     let of_virtual = times(&log);
     assert!(of_virtual.is_sorted());
     assert_eq!(of_virtual[0], recorded.unix_ns as i64 + first_ns(&log));
-    // As of a board in real time, whose log has wall-clock times.
+    // A board in real time has a log with wall-clock times.
     log.header.recorded = Some(r4_log::Recorded { clock_offset_ns: Some(1_700_000_000_000_000_000), ..recorded });
     assert_eq!(times(&log)[0], 1_700_000_000_000_000_000 + first_ns(&log));
     log.header.recorded = None;

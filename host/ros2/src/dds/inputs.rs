@@ -1,4 +1,4 @@
-//! Topics and services by which the node is commanded, on a thread of their own.
+//! Topics and services by which the node is commanded. They run on their own thread.
 
 use std::pin::pin;
 
@@ -26,16 +26,18 @@ use crate::{
 impl Message for TriggerRequest {}
 impl Message for TriggerResponse {}
 
-/// The services, and what they do.
+/// Services of the type `std_srvs/Trigger` with their requests.
 const SERVICES: [(&str, Request); 4] =
     [("~/arm", Request::Arm), ("~/disarm", Request::Disarm), ("~/clear", Request::Clear), ("~/estop", Request::Stop)];
 
+/// Readers and servers of a node.
 pub(super) struct Inputs {
     stamped: Subscription<TwistStamped>,
     unstamped: Subscription<Twist>,
     joints: Subscription<JointState>,
     trajectories: Subscription<JointTrajectory>,
-    /// Of publishers that latch, and of others: a reader that asks for the last value is not matched with a publisher without one.
+    /// Readers of the e-stop topic: one for publishers that latch and one for others. DDS does not match a reader that requests the last
+    /// value with a publisher that does not keep it.
     estop: [Subscription<Bool>; 2],
     services: Vec<(Request, Server<TriggerRequest, TriggerResponse>)>,
     parameters: ParameterServers,
@@ -56,7 +58,7 @@ impl Inputs {
         Ok(Self { stamped, unstamped, joints, trajectories, estop: [of_latching?, of_others?], services, parameters })
     }
 
-    /// Hands over what comes, until `ended` is.
+    /// Passes messages and calls on as orders until `ended` is signalled.
     pub(super) async fn run(self, orders: &UnboundedSender<Order>, ended: oneshot::Receiver<()>) {
         let Self { stamped, unstamped, joints, trajectories, estop: [of_latching, of_others], services, parameters } =
             &self;
@@ -66,7 +68,7 @@ impl Inputs {
                 twist,
             })
             .boxed_local(),
-            // Without a stamp it counts as of now.
+            // A velocity without a stamp counts as decided now.
             hand_over(unstamped, orders, "cmd_vel_unstamped", |twist| Order::Velocity {
                 stamp: Some(Stamp::default()),
                 twist,
@@ -123,7 +125,7 @@ async fn hand_over<M: DeserializeOwned + 'static>(
             Ok((message, _)) => order(message),
             Err(error) => Order::Unreadable { topic, why: error.to_string() },
         };
-        // After the end of the session there is no receiver.
+        // After the end of the session, orders have no receiver.
         if orders.unbounded_send(order).is_err() {
             return;
         }

@@ -1,4 +1,4 @@
-//! Lifecycle services of a managed node, on a thread of their own: they are there without a session, too.
+//! Lifecycle services of a managed node. They run on their own thread, because they exist without a session, too.
 
 use std::{
     cell::Cell,
@@ -33,7 +33,7 @@ impl Message for ChangeStateResponse {}
 impl Message for GetAvailableStatesResponse {}
 impl Message for GetAvailableTransitionsResponse {}
 
-/// Side of the node of its lifecycle.
+/// Handle of the node to its lifecycle services.
 pub struct Lifecycle {
     changes: UnboundedReceiver<Change>,
     unasked: UnboundedSender<Unasked>,
@@ -42,10 +42,10 @@ pub struct Lifecycle {
 }
 
 impl Lifecycle {
-    /// Offers the services of a managed node, which is unconfigured.
+    /// Offers the lifecycle services of a node, which starts unconfigured.
     ///
     /// # Errors
-    /// [`NodeError`]
+    /// [`NodeError::Create`] for a topic or service, [`NodeError::Thread`] for the thread.
     pub fn open(graph: &mut Graph) -> Result<Self, NodeError> {
         let servers = Servers::new(graph)?;
         let (to_node, changes) = unbounded();
@@ -58,7 +58,7 @@ impl Lifecycle {
         Ok(Self { changes, unasked, end: Some(end), thread: Some(thread) })
     }
 
-    /// The next transition that somebody asks for and that can be made; never ready where the services have ended.
+    /// Waits for the next requested transition that is possible in the current state. Never ready after the services have ended.
     pub async fn change(&mut self) -> Change {
         match self.changes.next().await {
             Some(change) => change,
@@ -66,14 +66,14 @@ impl Lifecycle {
         }
     }
 
-    /// Where transitions that nobody asked for are noted.
+    /// Returns a sender for transitions that the node makes by itself.
     pub(super) fn notes(&self) -> UnboundedSender<Unasked> {
         self.unasked.clone()
     }
 
-    /// Makes a transition that nobody asked for.
+    /// Makes a transition without a request.
     pub fn note(&self, unasked: Unasked) {
-        // The services end with the node only.
+        // The receiver exists until the node is dropped.
         let _ = self.unasked.unbounded_send(unasked);
     }
 }
@@ -89,6 +89,7 @@ impl Drop for Lifecycle {
     }
 }
 
+/// Servers of the lifecycle services, with the publisher of transitions.
 struct Servers {
     get: Server<EmptyRequest, GetStateResponse>,
     change: Server<ChangeStateRequest, ChangeStateResponse>,
@@ -138,7 +139,7 @@ impl Servers {
     }
 }
 
-/// Answers a service that only asks.
+/// Answers the calls of a service that only queries.
 async fn ask<A: Message + 'static>(server: &Server<EmptyRequest, A>, now: impl Fn() -> A) {
     let mut calls = server.receive_request_stream();
     while let Some(call) = calls.next().await {
@@ -148,13 +149,14 @@ async fn ask<A: Message + 'static>(server: &Server<EmptyRequest, A>, now: impl F
     }
 }
 
+/// State machine of a managed node.
 struct Machine<'e> {
     state: Cell<State>,
     events: &'e Publisher<TransitionEvent>,
 }
 
 impl Machine<'_> {
-    /// Carries transitions out, one after the other, and those that nobody asked for between them.
+    /// Carries out requested transitions one after the other, and the node's own transitions between them.
     async fn serve(
         &self,
         server: &Server<ChangeStateRequest, ChangeStateResponse>,
@@ -185,6 +187,7 @@ impl Machine<'_> {
         let from = self.state.get();
         let Some(transition) = from.asked(&request.transition) else { return false };
         self.tell(transition.message(from), from.message(), transition.under_way());
+        // The node carries the transition out; without a node to answer, the transition fails.
         let (answer, answered) = oneshot::channel();
         let is_sent = to_node.unbounded_send(Change { transition, answer }).is_ok();
         let is_made = is_sent && answered.await.unwrap_or(false);
@@ -195,7 +198,7 @@ impl Machine<'_> {
     }
 
     fn make(&self, unasked: Unasked) {
-        // What was asked for meanwhile may have led away from there.
+        // A requested transition may have changed the state since the note was sent.
         let from = self.state.get();
         if unasked == Unasked::Disarmed && from != State::Active
             || matches!(from, State::Unconfigured | State::Finalized)
@@ -211,7 +214,7 @@ impl Machine<'_> {
 
     fn tell(&self, transition: LifecycleTransition, start_state: LifecycleState, goal_state: LifecycleState) {
         let timestamp = u64::try_from(Stamp::of_machine().as_ns()).unwrap_or_default();
-        // Whoever wants to know asks for the state, too.
+        // A lost event is harmless: clients can query the state.
         let _ = self.events.publish(TransitionEvent { timestamp, transition, start_state, goal_state });
     }
 }

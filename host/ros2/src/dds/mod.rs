@@ -1,4 +1,4 @@
-//! The node on DDS: topics, services and discovery by `ros2-client` on RustDDS.
+//! Node on DDS: topics, services and discovery by `ros2-client` on RustDDS.
 
 mod inputs;
 mod lifecycle;
@@ -36,37 +36,37 @@ use inputs::Inputs;
 pub use lifecycle::Lifecycle;
 use outputs::Outputs;
 
-/// The node could not be made, or its session ended.
+/// Error of creating the node, or of its session.
 #[derive(Debug, thiserror::Error)]
 pub enum NodeError {
-    /// There is no DDS.
-    #[error("cannot join {discovery}: {why}; is there a network interface that is up?")]
+    /// The node cannot join the DDS domain.
+    #[error("cannot join {discovery}: {why}; check that a network interface is up")]
     Join {
-        /// What was to be joined.
+        /// Settings with which the node tried to join.
         discovery: Discovery,
-        /// What RustDDS says.
+        /// Error of RustDDS or `ros2-client`, as text.
         why: String,
     },
-    /// The node could not be made.
-    #[error("cannot make the ROS node")]
+    /// The node could not be created.
+    #[error("cannot create the ROS node")]
     Node(#[source] NodeCreateError),
-    /// A topic or a service could not be made.
-    #[error("cannot make {name}")]
+    /// A topic or a service could not be created.
+    #[error("cannot create {name}")]
     Create {
         /// Name of the topic or service.
         name: String,
-        /// Why not.
+        /// Error that `ros2-client` reported.
         source: CreateError,
     },
-    /// The operating system gives no thread for what comes in.
+    /// The operating system cannot start the thread that reads topics and services.
     #[error("cannot start a thread for the ROS node: {0}")]
     Thread(#[source] std::io::Error),
-    /// The session with the board ended.
+    /// The session with the board ended with an error.
     #[error(transparent)]
     Board(#[from] r4_rig::Error),
 }
 
-/// A name in ROS's graph that can be found, without topics and services yet.
+/// Node in the ROS graph, which other nodes can discover, without topics and services yet.
 pub struct Graph {
     node: RosNode,
     namespace: Namespace,
@@ -74,10 +74,10 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// Joins a domain as the node `r4` of a namespace.
+    /// Joins a domain as the node `r4` in a namespace.
     ///
     /// # Errors
-    /// [`NodeError`]
+    /// [`NodeError::Join`] without a usable network interface or for an invalid name, [`NodeError::Node`] when the node cannot be created.
     pub fn join(discovery: Discovery, namespace: &Namespace) -> Result<Self, NodeError> {
         let join = |why: String| NodeError::Join { discovery, why };
         let mut participant = DomainParticipantBuilder::new(discovery.domain);
@@ -87,14 +87,14 @@ impl Graph {
         let participant = participant.build().map_err(|error| join(error.to_string()))?;
         let context = Context::from_domain_participant(participant).map_err(|error| join(error.to_string()))?;
         let name = NodeName::new(&namespace.absolute(), NODE).map_err(|error| join(error.to_string()))?;
-        // Parameters are the board's, with services of our own, and `/rosout` has its place in diagnostics.
+        // The parameters are the board's, with servers of this crate, and diagnostics take the place of `/rosout`.
         let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
         let node = context.new_node(name, options).map_err(NodeError::Node)?;
         Ok(Self { node, namespace: namespace.clone(), services: discovery.services })
     }
 }
 
-/// Topics and services of a board, for one session with it. Dropped before its [`Graph`].
+/// Topics and services of a board for one session. They must be dropped before their [`Graph`].
 pub struct Node {
     outputs: Outputs,
     sender: UnboundedSender<Order>,
@@ -104,10 +104,10 @@ pub struct Node {
 }
 
 impl Node {
-    /// Makes the topics and services for the board of a session.
+    /// Creates the topics and services for the board of a session.
     ///
     /// # Errors
-    /// [`NodeError`]
+    /// [`NodeError::Create`] for a topic or service, [`NodeError::Thread`] for the thread.
     pub fn open(session: &Session<'_>, graph: &mut Graph) -> Result<Self, NodeError> {
         let Graph { node, namespace, services } = graph;
         let outputs = Outputs::new(node, namespace, session)?;
@@ -122,10 +122,10 @@ impl Node {
         Ok(Self { outputs, sender, orders: Some(orders), end: Some(end), thread: Some(thread) })
     }
 
-    /// Serves until the session ends.
+    /// Serves the board until its session ends.
     ///
     /// # Errors
-    /// Why it ended.
+    /// [`NodeError::Board`] when the link ends or the board refuses a subscription.
     pub async fn serve<'b>(mut self, session: &'b Session<'b>, door: Door) -> Result<(), NodeError> {
         let Some(orders) = self.orders.take() else { return Ok(()) };
         let outputs = &self.outputs;
@@ -133,10 +133,10 @@ impl Node {
         Ok(())
     }
 
-    /// Serves a managed node until it is cleaned up or shut down.
+    /// Serves the board of a managed node until the node is cleaned up or shut down.
     ///
     /// # Errors
-    /// Why it ended otherwise.
+    /// [`NodeError::Board`] when the link ends or the board refuses a subscription.
     pub async fn serve_managed<'b>(
         mut self,
         session: &'b Session<'b>,
@@ -157,11 +157,11 @@ impl Node {
     }
 }
 
-/// Hands over transitions that are asked for.
+/// Passes requested transitions on as orders; never ends.
 async fn hand_over(lifecycle: &mut Lifecycle, sender: &UnboundedSender<Order>) -> Infallible {
     loop {
         let change = lifecycle.change().await;
-        // The other end is served beside this.
+        // The receiver exists: it is served concurrently with this future.
         let _ = sender.unbounded_send(Order::Change(change));
     }
 }
@@ -169,48 +169,50 @@ async fn hand_over(lifecycle: &mut Lifecycle, sender: &UnboundedSender<Order>) -
 impl Drop for Node {
     fn drop(&mut self) {
         if let Some(end) = self.end.take() {
-            // It may have ended by itself.
+            // The thread may have ended by itself.
             let _ = end.send(());
         }
+        // The thread owns the readers and servers, which must be gone before the graph is dropped.
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
     }
 }
 
-/// A name that has been resolved.
+/// Converts an absolute name to a name of `ros2-client`.
 fn name(absolute: &str) -> Result<Name, NodeError> {
     let bad = |error: ros2_client::names::NameError| CreateError::BadParameter { reason: error.to_string() };
     Name::parse(absolute).map_err(|error| NodeError::Create { name: absolute.to_owned(), source: bad(error) })
 }
 
-/// Kept for readers that are a little behind.
+/// Number of messages that are kept for slow readers.
 const DEPTH: usize = 10;
 
-/// Reliable, which readers of both kinds can have, and never waiting: a reader that is gone must not hold up the board.
+/// Returns the quality of service of most topics: reliable, which matches reliable and best-effort readers, and without waiting, since a
+/// dead reader must not block the board.
 fn steady() -> QosProfile {
     QosProfile::publisher_default()
         .reliability(Reliability::Reliable { when_full: WhenFull::Fail })
         .history(History::KeepLast { depth: DEPTH })
 }
 
-/// The same, and the last one for readers that come later.
+/// Returns the quality of service of latched topics: as [`steady`], with the last message for readers that subscribe later.
 fn latched() -> QosProfile {
     steady().durability(Durability::TransientLocal).history(History::KeepLast { depth: 1 })
 }
 
-/// For readers of publishers that are not reliable, too.
+/// Returns the quality of service of readers that also match best-effort publishers.
 fn best_effort() -> QosProfile {
     QosProfile::subscription_default().history(History::KeepLast { depth: DEPTH })
 }
 
-/// `std_msgs/Bool` in `package/Name`.
+/// Converts a type in the form `package/Name`, such as `std_msgs/Bool`.
 fn type_name(text: &str) -> MessageTypeName {
     let (package, name) = text.split_once('/').unwrap_or(("", text));
     MessageTypeName::new(package, name)
 }
 
-/// Which mapping of services to DDS `services` stands for.
+/// Returns the mapping of services to DDS in terms of `ros2-client`.
 fn mapping(services: Services) -> ros2_client::ServiceMapping {
     match services {
         Services::Enhanced => ros2_client::ServiceMapping::Enhanced,

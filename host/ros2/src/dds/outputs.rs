@@ -14,6 +14,7 @@ use crate::{
     names::{self, Namespace, Topic},
 };
 
+/// Publishers of a node.
 pub(super) struct Outputs {
     odometry: Publisher<Odometry>,
     transform: Publisher<TFMessage>,
@@ -24,7 +25,7 @@ pub(super) struct Outputs {
     diagnostics: Publisher<DiagnosticArray>,
     state: Publisher<Text>,
     commanded: Publisher<TwistStamped>,
-    /// Of a simulated board only: nodes that use simulated time follow every publisher of it.
+    /// Publisher of simulated time; `None` for a real board, since nodes on simulated time follow every publisher of `/clock`.
     clock: Option<Publisher<Clock>>,
 }
 
@@ -55,7 +56,7 @@ impl Outputs {
         })
     }
 
-    /// Publishes; whether it could.
+    /// Publishes a message, and returns false when it could not.
     pub(super) fn publish(&self, report: Report) -> bool {
         match report {
             Report::Odometry(message) => self.odometry.publish(message).is_ok(),
@@ -68,7 +69,7 @@ impl Outputs {
             Report::State(message) => self.state.publish(message).is_ok(),
             Report::Commanded(message) => self.commanded.publish(message).is_ok(),
             Report::Clock(message) => self.clock.as_ref().is_none_or(|clock| clock.publish(message).is_ok()),
-            // The lifecycle's.
+            // A notice for the lifecycle, which has no topic.
             Report::Deactivated => true,
         }
     }
@@ -78,6 +79,7 @@ fn of<M: Serialize>(publishers: &BTreeMap<ChannelId, Publisher<M>>, channel: Cha
     publishers.get(&channel).is_some_and(|publisher| publisher.publish(message).is_ok())
 }
 
+/// Creates the publishers of a node.
 struct Maker<'n> {
     node: &'n mut RosNode,
     namespace: &'n Namespace,

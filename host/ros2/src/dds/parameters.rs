@@ -1,4 +1,4 @@
-//! Parameter services.
+//! Servers of the parameter services.
 
 use futures::{
     FutureExt,
@@ -31,6 +31,7 @@ impl Message for SetParametersRequest {}
 impl Message for SetParametersResponse {}
 impl Message for SetParametersAtomicallyResponse {}
 
+/// Servers of the parameter services of a node.
 pub(super) struct ParameterServers {
     list: Server<ListParametersRequest, ListParametersResponse>,
     get: Server<NamesRequest, GetParametersResponse>,
@@ -53,7 +54,7 @@ impl ParameterServers {
         })
     }
 
-    /// Hands over the calls and answers them; never ready.
+    /// Passes calls on as orders and answers them; never ends.
     pub(super) async fn run(&self, orders: &UnboundedSender<Order>) {
         join_all([
             call(&self.list, orders, ParameterCall::List).boxed_local(),
@@ -67,7 +68,7 @@ impl ParameterServers {
     }
 }
 
-/// Where the session has ended there are no parameters any more.
+/// Passes the calls of one service on and answers them. After the end of the session the answer is empty: there are no parameters.
 async fn call<Q: Message + Clone + 'static, A: Message + Default + 'static>(
     server: &Server<Q, A>,
     orders: &UnboundedSender<Order>,

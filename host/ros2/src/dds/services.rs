@@ -1,4 +1,4 @@
-//! Services: made by name, and their calls handed over and answered.
+//! Creation of service servers by name, and answers to their calls.
 
 use futures::{
     StreamExt,
@@ -9,7 +9,7 @@ use ros2_client::{Message, Node as RosNode, Server, ServiceTypeName};
 use super::{NodeError, mapping, name, steady};
 use crate::{environment::Services, names::Namespace};
 
-/// Maker of the services of a node.
+/// Creates the service servers of a node.
 pub(super) struct Maker<'n> {
     pub(super) node: &'n mut RosNode,
     pub(super) namespace: &'n Namespace,
@@ -17,7 +17,7 @@ pub(super) struct Maker<'n> {
 }
 
 impl Maker<'_> {
-    /// A service of a type of `package`.
+    /// Creates a server for the service `service` with the type `package/kind`.
     pub(super) fn server<Q: Message + Clone + 'static, A: Message + 'static>(
         &mut self,
         service: &str,
@@ -31,7 +31,8 @@ impl Maker<'_> {
     }
 }
 
-/// Hands calls over as orders and answers them, one after the other; `ended` is the answer where nobody takes orders any more.
+/// Passes calls on as orders and answers them one after the other. `ended` creates the answer after the end of the session, when orders
+/// have no receiver.
 pub(super) async fn answer<Q: Message + Clone + 'static, A: Message + 'static, O>(
     server: &Server<Q, A>,
     orders: &UnboundedSender<O>,
@@ -40,7 +41,7 @@ pub(super) async fn answer<Q: Message + Clone + 'static, A: Message + 'static, O
 ) {
     let mut calls = server.receive_request_stream();
     while let Some(call) = calls.next().await {
-        // A call that cannot be read has nobody to be answered to.
+        // A call that cannot be decoded has no sender to answer.
         let Ok((id, request)) = call else { continue };
         let (answer, answered) = oneshot::channel();
         let response = match orders.unbounded_send(order(request, answer)) {

@@ -1,4 +1,4 @@
-//! Velocities and set points of joints, which hold as long as they are repeated.
+//! Commands of velocities and of joints' set points, which are leased: they expire unless they are repeated.
 
 use r4_driver::{CycleReport, Error as DriverError};
 use r4_protocol::{ChannelId, CycleOutcome, SafetyState, Setpoint};
@@ -19,6 +19,7 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
         let velocity = gate::velocity(twist)?;
         let setpoints = drive.setpoints(velocity);
         let now = self.now();
+        // Checked last, because an accepted stamp counts as the newest: that of a refused velocity must not.
         if !self.gate.pass(stamp, now)? {
             return Ok(());
         }
@@ -27,7 +28,8 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
         self.command(setpoints, echo)
     }
 
-    /// The velocity that set points of wheels make, slowed down to what the robot may be asked for.
+    /// Returns the message with the velocity that the wheels' set points amount to, after the robot's limits; `None` for a robot that does
+    /// not steer by its sides.
     fn echo(&self, stamp: Stamp, setpoints: &[(ChannelId, Setpoint)]) -> Echo {
         let robot = self.frames.robot()?;
         let speed = |side: &[ChannelId]| {
@@ -64,9 +66,9 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
         Ok(())
     }
 
-    /// Takes the board's answer to a command.
+    /// Handles the board's answer to a command.
     pub(super) fn answered(&mut self, report: &CycleReport, command: Option<Echo>) {
-        // What brings motors to rest is nobody's command.
+        // Set points that bring motors to rest come from the node, not from a publisher: they are not counted.
         let Some(echo) = command else { return };
         match report.outcome {
             CycleOutcome::Taken => {
@@ -78,15 +80,17 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
             CycleOutcome::Refused if report.state != SafetyState::Armed => {
                 self.refuse(format!("the board is {}: call ~/arm first", report.state));
             }
-            CycleOutcome::Refused => self.refuse("the board refused it: `r4 info` lists what its channels take".into()),
-            CycleOutcome::Stale => {
-                self.refuse("it came to the board too late: the link or this machine is busy".into())
+            CycleOutcome::Refused => {
+                self.refuse("the board refused the set point: `r4 info` lists modes and ranges".into())
             }
-            CycleOutcome::Unbound => self.refuse("the board has no stream for it: start the node again".into()),
+            CycleOutcome::Stale => {
+                self.refuse("the command reached the board too late: the link or this machine is busy".into())
+            }
+            CycleOutcome::Unbound => self.refuse("the board has no stream for the command: restart the node".into()),
         }
     }
 
-    /// Counts a command that the board has taken, which ends the warning about one before it.
+    /// Counts a command that the board has accepted, and ends the warning about an earlier refusal.
     pub(super) fn note_taken(&mut self) {
         self.taken += 1;
         if self.refusal.take().is_some() {

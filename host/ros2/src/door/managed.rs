@@ -1,4 +1,4 @@
-//! Transitions of a managed node that has a session.
+//! Transitions of a managed node during a session.
 
 use futures::{FutureExt, channel::oneshot};
 use r4_driver::Error as DriverError;
@@ -6,23 +6,23 @@ use r4_driver::Error as DriverError;
 use super::{Done, Report, Serving};
 use crate::lifecycle::{Change, Transition};
 
-/// Why a node is no longer served, where nothing failed.
+/// Reason why a session ended without an error.
 #[derive(Debug)]
 pub enum Ended {
-    /// Nobody can give orders any more.
+    /// All senders of orders are gone.
     Orders,
-    /// A managed node ends its session, whose board is disarmed, by this transition.
+    /// This transition of a managed node ended the session; the board is disarmed.
     Session(Change),
 }
 
 impl<R: FnMut(Report) -> bool> Serving<'_, R> {
-    /// Begins a transition; returns the one that ends the session, once the board is disarmed.
+    /// Starts a transition. A transition that ends the session disarms the board first and is returned; `None` for the others.
     pub(super) async fn change(&mut self, change: Change) -> Option<Ended> {
         let Change { transition, answer } = change;
         let board = self.session.board;
         match transition {
             Transition::Activate if self.is_estop_engaged => {
-                self.refuse("it is not activated: the e-stop topic is engaged; release it first".into());
+                self.refuse("the node is not activated: the e-stop topic is engaged; release it first".into());
                 let _ = answer.send(false);
             }
             Transition::Activate => {
@@ -37,30 +37,30 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
             }
             Transition::Cleanup | Transition::Shutdown => {
                 self.drop_trajectory();
-                // Where this fails, the board trips as soon as the session's heartbeats end.
+                // If this fails, the board trips as soon as the session's heartbeats end.
                 let _ = board.disarm().await;
                 return Some(Ended::Session(Change { transition, answer }));
             }
-            // It has a session.
+            // A session exists: the node is configured already.
             Transition::Configure => drop(answer.send(false)),
         }
         None
     }
 
-    /// Takes what the board says to being armed or disarmed.
+    /// Handles the board's answer to arming or disarming.
     pub(super) fn changed(&mut self, to_active: bool, result: Result<(), DriverError>, answer: oneshot::Sender<bool>) {
         let is_made = result.is_ok();
         if let Err(error) = result {
             let what = if to_active { "activated" } else { "deactivated" };
-            self.refuse(format!("it is not {what}: {error}"));
+            self.refuse(format!("the node is not {what}: {error}"));
         }
         self.is_active = to_active && is_made;
-        // Who asked may be gone by now.
+        // The caller may be gone by now.
         let _ = answer.send(is_made);
         self.look_at_safety();
     }
 
-    /// Takes note that the board is no longer armed.
+    /// Reports once that the board is no longer armed.
     pub(super) fn deactivated(&mut self) {
         if std::mem::take(&mut self.is_active) {
             self.publish(Report::Deactivated);

@@ -1,4 +1,4 @@
-//! What comes from ROS.
+//! Messages and calls from ROS.
 
 use futures::channel::oneshot;
 
@@ -9,61 +9,61 @@ use crate::{
     time::Stamp,
 };
 
-/// What a service does.
+/// Request of a service of the type `std_srvs/Trigger`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
-    /// `~/arm`: lets outputs move.
+    /// Service `~/arm`: permits outputs to move.
     Arm,
-    /// `~/disarm`: makes outputs safe.
+    /// Service `~/disarm`: takes outputs to their safe state.
     Disarm,
-    /// `~/clear`: leaves a trip behind.
+    /// Service `~/clear`: clears a trip.
     Clear,
-    /// `~/estop`: trips.
+    /// Service `~/estop`: trips the board.
     Stop,
 }
 
-/// Something from ROS.
+/// Message or call from ROS.
 #[derive(Debug)]
 pub enum Order {
-    /// A velocity over the ground.
+    /// Velocity over the ground.
     Velocity {
-        /// When it was decided; `None` for a stamp that is no time.
+        /// Time of the decision; `None` for an invalid stamp.
         stamp: Option<Stamp>,
-        /// The velocity.
+        /// Velocity of `base_link`, m/s and rad/s.
         twist: Twist,
     },
     /// Set points of joints.
     Joints {
-        /// When they were decided; `None` for a stamp that is no time.
+        /// Time of the decision; `None` for an invalid stamp.
         stamp: Option<Stamp>,
-        /// The set points.
+        /// Positions or speeds by joint.
         joints: JointState,
     },
-    /// Paths of joints.
+    /// Paths of joints over time.
     Trajectory {
-        /// When it begins, 0 for at once; `None` for a stamp that is no time.
+        /// Start time, 0 for at once; `None` for an invalid stamp.
         stamp: Option<Stamp>,
-        /// The paths.
+        /// Points of the paths.
         trajectory: JointTrajectory,
     },
-    /// The e-stop topic: engaged or released.
+    /// State of the e-stop topic: true for engaged, false for released.
     Estop(bool),
-    /// A message that cannot be read. Whatever it was, the commands before it end.
+    /// Message that cannot be decoded. It ends the commands before it, since it may have been meant to replace them.
     Unreadable {
         /// Name of the topic.
         topic: &'static str,
-        /// What is wrong with it.
+        /// Error of the decoder.
         why: String,
     },
-    /// A service call.
+    /// Call of a service of the type `std_srvs/Trigger`.
     Call {
-        /// Of which.
+        /// Request of the service.
         request: Request,
-        /// Where its answer goes.
+        /// Sender of the answer.
         answer: oneshot::Sender<TriggerResponse>,
     },
-    /// A call of a parameter service.
+    /// Call of a parameter service.
     Parameters(ParameterCall),
-    /// A transition of a managed node that has a session.
+    /// Transition of a managed node that has a session.
     Change(Change),
 }

@@ -1,4 +1,4 @@
-//! Calls of parameter services, one after the other: each works on what the one before has left.
+//! Calls of parameter services. They run one after the other, because each may change the values that the next one reads.
 
 use futures::FutureExt;
 
@@ -6,7 +6,7 @@ use super::{Done, Report, Serving};
 use crate::parameters::{ParameterCall, ParameterStore};
 
 impl<R: FnMut(Report) -> bool> Serving<'_, R> {
-    /// Takes a call, which waits for those before it.
+    /// Queues a call behind those before it.
     pub(super) fn parameter_call(&mut self, call: ParameterCall) {
         self.parameter_calls.push_back(call);
         if let Some(store) = self.parameters.take() {
@@ -14,7 +14,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
         }
     }
 
-    /// Carries out the next call that waits.
+    /// Starts the next queued call, or returns the store to its place when none is queued.
     pub(super) fn next_parameter_call(&mut self, mut store: ParameterStore) {
         let Some(call) = self.parameter_calls.pop_front() else {
             self.parameters = Some(store);

@@ -1,4 +1,4 @@
-//! What the node publishes.
+//! Messages that the node publishes.
 
 use r4_driver::Clock as _;
 use r4_protocol::{ChannelId, ChannelKind, Telemetry};
@@ -12,39 +12,39 @@ use crate::{
     names::{self, Topic},
 };
 
-/// Something for ROS.
+/// Message for ROS, or a notice for the node's lifecycle.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(
     clippy::large_enum_variant,
     reason = "each is handed on at once, none is kept: a box would be an allocation for each odometry"
 )]
 pub enum Report {
-    /// `odom`
+    /// Message on `odom`: pose and velocity by the wheels.
     Odometry(Odometry),
-    /// `/tf`
+    /// Message on `/tf`: transform from `odom` to `base_link`.
     Transform(TFMessage),
-    /// `joint_states`
+    /// Message on `joint_states`: motors, steppers and encoders.
     Joints(JointState),
-    /// `imu/data`, of this channel.
+    /// Message on `imu/data` for the first IMU, with its channel.
     Imu(ChannelId, Imu),
-    /// `rangeN` or `distanceN`, of this channel.
+    /// Message on `rangeN` or `distanceN`, with its channel.
     Range(ChannelId, Range),
-    /// `battery_state`, of this channel.
+    /// Message on `battery_state` for the first supply, with its channel.
     Battery(ChannelId, BatteryState),
-    /// `/diagnostics`
+    /// Message on `/diagnostics`: state of the board and of commands.
     Diagnostics(DiagnosticArray),
-    /// `~/state`, latched.
+    /// Message on `~/state`, which is latched.
     State(Text),
-    /// `/clock`, of a simulated board.
+    /// Message on `/clock` for a simulated board.
     Clock(Clock),
-    /// `~/cmd_vel_out`: a velocity that the board has taken, with the stamp of its command.
+    /// Message on `~/cmd_vel_out`: velocity that the board has accepted, with the stamp of its command.
     Commanded(TwistStamped),
-    /// A managed node is no longer active, and nobody asked for that: for its lifecycle.
+    /// Notice for the lifecycle that a managed node is no longer active without a requested transition.
     Deactivated,
 }
 
 impl Report {
-    /// Topic of the message; `None` of a channel that has none.
+    /// Returns the topic of the message; `None` for a channel without a topic and for [`Report::Deactivated`].
     #[must_use]
     pub fn topic(&self) -> Option<Topic> {
         Some(match self {
@@ -61,14 +61,14 @@ impl Report {
     }
 }
 
-/// Period of inertial samples, ms: as often as the sensors of the built-in robots measure.
+/// Period of inertial samples, ms: the period at which the sensors of the built-in robots measure.
 const INERTIAL_EVERY_MS: u16 = 10;
-/// Period of distances, ms: a little less than the time between two pings, 60 ms.
+/// Period of distances, ms: below the 60 ms between two pings, so that none is missed.
 const RANGE_EVERY_MS: u16 = 50;
-/// Period of supplies, ms.
+/// Period of supply voltages, ms.
 const SUPPLY_EVERY_MS: u16 = 200;
 
-/// How often a channel is published, ms; `None` for one that is not.
+/// Returns the telemetry period of a channel, ms; `None` for a channel that is not published.
 fn period_ms(kind: ChannelKind) -> Option<u16> {
     match kind {
         ChannelKind::Osmc | ChannelKind::Actuator | ChannelKind::Dhb | ChannelKind::Stepper | ChannelKind::Encoder => {
@@ -105,6 +105,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
 
     pub(super) fn tick(&mut self) {
         if self.session.target().is_virtual() {
+            // A second publisher of `/clock` would confuse nodes on simulated time, so a real board has none.
             self.publish(Report::Clock(Clock { clock: self.now().to_time() }));
         }
         self.look_at_safety();
@@ -141,6 +142,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
         self.note_positions(&frame.samples);
         let stamp = self.door.clock.at(board.host_us(frame.device_us), self.session.clock.now_us());
         let Self { frames, report, unpublished, .. } = self;
+        // The stamp is the time of the measurement, mapped from the board's clock, and not that of its arrival.
         frames.convert(stamp, frame.device_us, &frame.samples, |message| {
             if !report(message) {
                 *unpublished += 1;

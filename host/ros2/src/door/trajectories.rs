@@ -1,7 +1,7 @@
-//! Trajectories that a board follows: its points are sent as the board has room for them.
+//! Trajectories that a board follows: points are sent as the board has room for them.
 //!
-//! A trajectory is not leased: once it is taken it goes on to its end, whatever becomes of its publisher. What ends it earlier is listed in
-//! `docs/ros2.md`; where this node or its link ends, the board trips.
+//! A trajectory is not leased: once accepted it continues to its end, even without its publisher. `docs/ros2.md` lists what ends it
+//! earlier; when this node or its link ends, the board trips.
 
 use std::{
     cell::Cell,
@@ -22,28 +22,28 @@ use crate::{
     trajectory::{self, BadTrajectory},
 };
 
-/// A trajectory begins at least so long after it came, s: its first points have to be on the board before, or the board refuses them as
-/// late. Our choice: the link time-out of the built-in robots, within which a link that is alive answers.
+/// Least time from the arrival of a trajectory to its start, s: its first points must reach the board before their dates, or the board
+/// refuses them as late. Our choice: the link time-out of the built-in robots, within which a link that works answers.
 const LEAD_S: f64 = 0.2;
-/// A trajectory may begin at most so far ahead, s: its points wait here until then.
+/// Longest time from the arrival of a trajectory to its start, s: until then its points wait in this node.
 const AHEAD_S: f64 = 60.0;
 
-/// The trajectory that is followed.
+/// Trajectory that the board is following.
 pub(super) struct Following {
     joints: BTreeMap<ChannelId, Feed>,
-    /// Whether points are on their way.
+    /// True while sent points await the board's answer.
     is_sending: bool,
-    /// Whether the board has taken any.
+    /// True once the board has accepted points.
     is_taken: bool,
-    /// Set when the trajectory ends before its time: nothing more of it is sent.
+    /// Set when the trajectory is ended early: no further points are sent.
     has_ended: Rc<Cell<bool>>,
 }
 
-/// Where motors were when they were heard of last, rad or m.
+/// Last measured position of each motor, rad or m.
 pub(super) type Positions = BTreeMap<ChannelId, f64>;
 
 impl<R: FnMut(Report) -> bool> Serving<'_, R> {
-    /// Notes where motors are.
+    /// Stores the motors' measured positions.
     pub(super) fn note_positions(&mut self, samples: &[Sample]) {
         for sample in samples {
             if let Sample::Motor { channel, position, .. } = *sample
@@ -54,7 +54,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
         }
     }
 
-    /// Begins to follow a trajectory in place of what was commanded; one without points cancels the one that is followed.
+    /// Starts a trajectory in place of earlier commands. A trajectory without points cancels the current one.
     pub(super) fn trajectory(&mut self, stamp: Option<Stamp>, message: &JointTrajectory) -> Result<(), Refused> {
         if message.points.is_empty() {
             self.end_trajectory(&BTreeSet::new());
@@ -72,13 +72,13 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
             let here = self.positions.get(&info.id).copied();
             let here = here.ok_or_else(|| BadTrajectory::Unseen { name: name.clone() })?;
             let before = self.following.as_ref().and_then(|following| following.joints.get(&info.id));
-            // The path before is left at the first moment that this one can be on the board; one that has not begun, or is over, where
-            // the motor stands.
+            // The new path branches off the current one at the earliest time at which its points can be on the board. If the current one
+            // has not started or is over, it branches off the measured position, at rest.
             let left = before.map(|feed| feed.at(earliest_us).unwrap_or((here, 0.0)));
             let checked = match left {
                 Some((position, speed)) => {
                     let left = Waypoint { speed: Some(speed), ..Waypoint::at(time_s(earliest_us), position) };
-                    // A point at the very beginning says where the planner has it begin.
+                    // A point at time 0 is the planner's idea of the start; the joint is already moving elsewhere, so it is dropped.
                     if points.len() > 1 && points[0].time_s <= left.time_s {
                         points.remove(0);
                     }
@@ -86,7 +86,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
                     check(&info, left, &points[1..])
                 }
                 None => {
-                    // Until it begins the joint stays.
+                    // The joint stays at its measured position until the start.
                     if points[0].time_s > 0.0 {
                         points.insert(0, Waypoint { speed: Some(0.0), ..Waypoint::at(0.0, here) });
                     }
@@ -96,6 +96,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
             checked.map_err(|source| BadTrajectory::Beyond { name, source })?;
             feeds.insert(info.id, Feed::new(&points, 0.0, begin_us));
         }
+        // After all checks, so that a trajectory that is refused starts no joint.
         self.leased.rest();
         self.end_trajectory(&feeds.keys().copied().collect());
         let has_ended = Rc::default();
@@ -104,7 +105,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
         Ok(())
     }
 
-    /// When a trajectory of this stamp begins on the board's clock, µs, which shows `now_us`; 0 for at once.
+    /// Returns the start of a trajectory with this stamp on the board's clock, µs; 0 for at once. `now_us` is the board's clock now.
     fn begin_us(&self, stamp: Option<Stamp>, now_us: u64) -> Result<u64, Refused> {
         let stamp = stamp.ok_or(Refused::BadStamp)?;
         if stamp.is_none() {
@@ -121,7 +122,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
         Ok(now_us.saturating_add_signed((ahead_s * 1e6) as i64))
     }
 
-    /// Sends the points for which the board has room, a message for each joint, and notes the trajectory's end.
+    /// Sends the points for which the board has room, one message for each joint, and detects the end of the trajectory.
     pub(super) fn feed(&mut self) {
         let board = self.session.board;
         let Some(following) = self.following.as_mut().filter(|following| !following.is_sending) else { return };
@@ -133,6 +134,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
             .filter(|(_, points)| !points.is_empty())
             .collect();
         if batch.is_empty() {
+            // Nothing to send means no room, points too far ahead, or the end.
             let is_over = |feed: &Feed| feed.is_sent() && feed.end_us().is_none_or(|end_us| end_us < now_us);
             if following.joints.values().all(is_over) {
                 self.following = None;
@@ -143,6 +145,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
         let has_ended = following.has_ended.clone();
         let work = async move {
             for (channel, points) in batch {
+                // A command may end the trajectory between two messages.
                 if has_ended.get() {
                     break;
                 }
@@ -155,7 +158,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
         self.work.push(work.boxed_local());
     }
 
-    /// Takes the board's answer to points of a trajectory.
+    /// Handles the board's answer to points of a trajectory.
     pub(super) fn fed(&mut self, has_ended: &Cell<bool>, result: Result<(), DriverError>) {
         let Some(following) = self.following.as_mut().filter(|_| !has_ended.get()) else { return };
         following.is_sending = false;
@@ -169,21 +172,21 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
             Err(error) => {
                 self.end_trajectory(&BTreeSet::new());
                 match self.session.board.safety().0 {
-                    SafetyState::Armed => self.refuse(format!("the trajectory ends: {error}")),
-                    state => self.refuse(format!("the trajectory ends, the board is {state}: call ~/arm first")),
+                    SafetyState::Armed => self.refuse(format!("the trajectory was ended: {error}")),
+                    state => self.refuse(format!("the trajectory was ended, the board is {state}: call ~/arm first")),
                 }
             }
         }
     }
 
-    /// Ends the trajectory that is followed. Its joints come to rest, except those that are commanded anew.
+    /// Ends the current trajectory. Its joints come to rest, except those in `anew`, which a new command takes over.
     pub(super) fn end_trajectory(&mut self, anew: &BTreeSet<ChannelId>) {
         let Some(following) = self.drop_trajectory() else { return };
         let board = self.session.board;
         let channels: Vec<_> = following.joints.into_keys().filter(|channel| !anew.contains(channel)).collect();
         let work = async move {
             for channel in channels {
-                // As the board stops a motor itself. A board that is not armed has nothing to stop.
+                // A speed of 0 stops a motor by its profile, as the board does itself. A board that is not armed has nothing to stop.
                 match board.set(channel, Setpoint { mode: Mode::Speed, value: 0.0 }).await {
                     Err(error) if board.safety().0 == SafetyState::Armed => return Done::Rested(Err(error)),
                     _ => {}
@@ -194,7 +197,7 @@ impl<R: FnMut(Report) -> bool> Serving<'_, R> {
         self.work.push(work.boxed_local());
     }
 
-    /// Forgets the trajectory that is followed, on a board that stops by itself.
+    /// Discards the current trajectory without stopping its joints: for a board that stops them itself.
     pub(super) fn drop_trajectory(&mut self) -> Option<Following> {
         let following = self.following.take()?;
         following.has_ended.set(true);

@@ -1,50 +1,50 @@
-//! How things are.
+//! Messages of the topic `/diagnostics`.
 
 use serde::{Deserialize, Serialize};
 
 use super::Header;
 
-/// `diagnostic_msgs/msg/DiagnosticArray`
+/// Message `diagnostic_msgs/msg/DiagnosticArray`: state of all parts of a board.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DiagnosticArray {
-    /// When.
+    /// Time of the diagnosis; no frame.
     pub header: Header,
-    /// One for each part.
+    /// One status for each part of the board.
     pub status: Vec<DiagnosticStatus>,
 }
 
-/// `diagnostic_msgs/msg/DiagnosticStatus`
+/// Message `diagnostic_msgs/msg/DiagnosticStatus`: state of one part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DiagnosticStatus {
-    /// A [`Level`].
+    /// Severity, one of [`Level`].
     pub level: u8,
-    /// Of the part.
+    /// Name of the robot and of its part, as in `openscout: motors`.
     pub name: String,
-    /// How it is, and what to do about it.
+    /// State of the part, with advice where it is not as it should be.
     pub message: String,
-    /// The board.
+    /// Name by which the board was opened.
     pub hardware_id: String,
-    /// Details.
+    /// Details as keys and values.
     pub values: Vec<KeyValue>,
 }
 
-/// `diagnostic_msgs/msg/KeyValue`
+/// Message `diagnostic_msgs/msg/KeyValue`: one detail of a status.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeyValue {
-    /// Of what.
+    /// Name of the detail.
     pub key: String,
-    /// As text.
+    /// Value of the detail, as text.
     pub value: String,
 }
 
-/// How bad it is.
+/// Severity of a status, as `diagnostic_msgs/msg/DiagnosticStatus` numbers it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub enum Level {
-    /// As it should be.
+    /// The part works as it should.
     Ok = 0,
-    /// Someone should look at it.
+    /// The part works, but needs attention.
     Warn = 1,
-    /// It does not work.
+    /// The part does not work.
     Error = 2,
 }

@@ -1,8 +1,8 @@
-//! Managed nodes.
+//! Messages and services of managed nodes.
 
 use serde::{Deserialize, Serialize};
 
-/// `lifecycle_msgs/msg/State`
+/// Message `lifecycle_msgs/msg/State`: state of a managed node.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LifecycleState {
     /// Number of the state.
@@ -11,77 +11,77 @@ pub struct LifecycleState {
     pub label: String,
 }
 
-/// `lifecycle_msgs/msg/Transition`
+/// Message `lifecycle_msgs/msg/Transition`: transition between two states.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LifecycleTransition {
-    /// Number of the transition; passed over where there is a label.
+    /// Number of the transition; ignored in a request with a label.
     pub id: u8,
     /// Name of the transition.
     pub label: String,
 }
 
-/// `lifecycle_msgs/msg/TransitionEvent`
+/// Message `lifecycle_msgs/msg/TransitionEvent`: one step of a transition.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TransitionEvent {
-    /// When, ns.
+    /// Time of the step on the machine's clock, ns since 1970.
     pub timestamp: u64,
-    /// What happened.
+    /// Transition of the step.
     pub transition: LifecycleTransition,
-    /// State before.
+    /// State before the step.
     pub start_state: LifecycleState,
-    /// State after.
+    /// State after the step.
     pub goal_state: LifecycleState,
 }
 
-/// `lifecycle_msgs/msg/TransitionDescription`
+/// Message `lifecycle_msgs/msg/TransitionDescription`: transition with its two states.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TransitionDescription {
-    /// The transition.
+    /// Transition with its number and label.
     pub transition: LifecycleTransition,
-    /// State before.
+    /// State from which the transition starts.
     pub start_state: LifecycleState,
-    /// State after, where it succeeds.
+    /// State to which the transition leads when it succeeds.
     pub goal_state: LifecycleState,
 }
 
-/// Request of the services that only ask: empty, which in IDL is one byte.
+/// Request of the services that only query: it has no fields, which IDL encodes as one byte.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EmptyRequest {
-    /// Means nothing.
+    /// Placeholder of IDL, without meaning.
     pub structure_needs_at_least_one_member: u8,
 }
 
-/// `lifecycle_msgs/srv/GetState_Response`
+/// Response `lifecycle_msgs/srv/GetState_Response` of `~/get_state`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GetStateResponse {
-    /// State now.
+    /// Current state of the node.
     pub current_state: LifecycleState,
 }
 
-/// `lifecycle_msgs/srv/ChangeState_Request`
+/// Request `lifecycle_msgs/srv/ChangeState_Request` of `~/change_state`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ChangeStateRequest {
-    /// What is wanted.
+    /// Requested transition, by label or number.
     pub transition: LifecycleTransition,
 }
 
-/// `lifecycle_msgs/srv/ChangeState_Response`
+/// Response `lifecycle_msgs/srv/ChangeState_Response` of `~/change_state`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ChangeStateResponse {
-    /// Whether the node is in the state that was wanted.
+    /// True when the node has reached the goal state of the requested transition.
     pub success: bool,
 }
 
-/// `lifecycle_msgs/srv/GetAvailableStates_Response`
+/// Response `lifecycle_msgs/srv/GetAvailableStates_Response` of `~/get_available_states`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GetAvailableStatesResponse {
-    /// All states.
+    /// All states between transitions.
     pub available_states: Vec<LifecycleState>,
 }
 
-/// `lifecycle_msgs/srv/GetAvailableTransitions_Response`
+/// Response `lifecycle_msgs/srv/GetAvailableTransitions_Response` of `~/get_available_transitions`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GetAvailableTransitionsResponse {
-    /// Those that can be asked for now.
+    /// Transitions that can be requested in the current state.
     pub available_transitions: Vec<TransitionDescription>,
 }

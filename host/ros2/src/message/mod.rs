@@ -1,4 +1,4 @@
-//! ROS messages, field by field as the `.msg` files of ROS 2 Jazzy have them: serialised in that order they are CDR.
+//! ROS messages with the fields of the `.msg` files of ROS 2 Jazzy, in their order: serialised in that order, they are CDR.
 //!
 //! # Source
 //! The interface files of `common_interfaces` 5.3.6, `rcl_interfaces` 2.0.3 and `geometry2`, Apache-2.0 and BSD: names, order and types.
@@ -32,54 +32,54 @@ pub use trajectory::{Duration, JointTrajectory, JointTrajectoryPoint};
 
 use serde::{Deserialize, Serialize};
 
-/// `builtin_interfaces/msg/Time`
+/// Message `builtin_interfaces/msg/Time`: ROS time since 1970 or since the start of a simulation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Time {
-    /// Whole seconds, downwards, s.
+    /// Whole seconds, rounded downwards, s.
     pub sec: i32,
-    /// What is above them, ns: below 10⁹.
+    /// Remainder above the whole seconds, ns: below 10⁹.
     pub nanosec: u32,
 }
 
-/// `std_msgs/msg/Header`
+/// Message `std_msgs/msg/Header`: time and frame of a message.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Header {
-    /// When it was measured or decided.
+    /// Time of the measurement, or of the decision on a command; 0 for no stamp.
     pub stamp: Time,
-    /// Frame of the numbers.
+    /// Name of the frame of the message's numbers; empty for none.
     pub frame_id: String,
 }
 
 impl Header {
-    /// Header of a message.
+    /// Creates the header of a message.
     #[must_use]
     pub fn new(stamp: Time, frame: &str) -> Self {
         Self { stamp, frame_id: frame.to_owned() }
     }
 }
 
-/// `std_msgs/msg/String`
+/// Message `std_msgs/msg/String`: a text.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Text {
-    /// The text.
+    /// Text of the message.
     pub data: String,
 }
 
-/// `std_msgs/msg/Bool`
+/// Message `std_msgs/msg/Bool`: a switch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bool {
-    /// The value.
+    /// State of the switch.
     pub data: bool,
 }
 
-/// `rosgraph_msgs/msg/Clock`
+/// Message `rosgraph_msgs/msg/Clock`: time of a simulation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Clock {
-    /// Simulated time.
+    /// Simulated time of the board.
     pub clock: Time,
 }
 
-/// Arrays of more than 32 numbers, which serde does not have: a fixed array is its elements without a length.
+/// Serde implementation for arrays of more than 32 numbers, which serde lacks. CDR writes the elements of a fixed array without a length.
 pub(crate) mod array {
     use std::fmt;
 

@@ -1,21 +1,21 @@
-//! Parameters of a node.
+//! Messages and services for the parameters of a node.
 
 use serde::{Deserialize, Serialize};
 
-/// `rcl_interfaces/msg/ParameterType`, of those that a board has.
+/// Type numbers of `rcl_interfaces/msg/ParameterType`, as far as a board's parameters need them.
 pub mod parameter_type {
-    /// There is no such parameter.
+    /// Type of a parameter that does not exist.
     pub const NOT_SET: u8 = 0;
-    /// A whole number.
+    /// Type of a 64-bit integer.
     pub const INTEGER: u8 = 2;
-    /// A number.
+    /// Type of a number in double precision.
     pub const DOUBLE: u8 = 3;
 }
 
-/// `rcl_interfaces/msg/ParameterValue`
+/// Message `rcl_interfaces/msg/ParameterValue`: value of one of several types.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ParameterValue {
-    /// Which of the fields counts: one of [`parameter_type`].
+    /// Type of the value, which selects the field to read: one of [`parameter_type`].
     pub kind: u8,
     /// Value of type 1.
     pub bool_value: bool,
@@ -38,13 +38,13 @@ pub struct ParameterValue {
 }
 
 impl ParameterValue {
-    /// A number.
+    /// Creates a value in double precision.
     #[must_use]
     pub fn double(double_value: f64) -> Self {
         Self { kind: parameter_type::DOUBLE, double_value, ..Self::default() }
     }
 
-    /// The number; `None` of another type.
+    /// Returns the number of a double or an integer; `None` for other types.
     #[must_use]
     pub fn number(&self) -> Option<f64> {
         match self.kind {
@@ -55,137 +55,137 @@ impl ParameterValue {
     }
 }
 
-/// `rcl_interfaces/msg/Parameter`
+/// Message `rcl_interfaces/msg/Parameter`: parameter with its value.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Parameter {
-    /// Name.
+    /// Name of the parameter.
     pub name: String,
-    /// Value.
+    /// Value of the parameter.
     pub value: ParameterValue,
 }
 
-/// `rcl_interfaces/msg/FloatingPointRange`
+/// Message `rcl_interfaces/msg/FloatingPointRange`: range of a number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FloatingPointRange {
-    /// Least.
+    /// Lower limit, which is allowed.
     pub from_value: f64,
-    /// Most.
+    /// Upper limit, which is allowed.
     pub to_value: f64,
-    /// 0: any between.
+    /// Step between allowed values; 0 allows any value in the range.
     pub step: f64,
 }
 
-/// `rcl_interfaces/msg/IntegerRange`
+/// Message `rcl_interfaces/msg/IntegerRange`: range of an integer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IntegerRange {
-    /// Least.
+    /// Lower limit, which is allowed.
     pub from_value: i64,
-    /// Most.
+    /// Upper limit, which is allowed.
     pub to_value: i64,
-    /// 0: any between.
+    /// Step between allowed values; 0 allows any value in the range.
     pub step: u64,
 }
 
-/// `rcl_interfaces/msg/ParameterDescriptor`
+/// Message `rcl_interfaces/msg/ParameterDescriptor`: description of a parameter.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ParameterDescriptor {
-    /// Name.
+    /// Name of the parameter.
     pub name: String,
-    /// One of [`parameter_type`].
+    /// Type, one of [`parameter_type`].
     pub kind: u8,
-    /// Unit and meaning.
+    /// Unit and built-in value, as text.
     pub description: String,
-    /// How it can be changed.
+    /// Command that changes the parameter for good, as text.
     pub additional_constraints: String,
-    /// Whether it cannot be set through the node.
+    /// True for a parameter that cannot be set through the node.
     pub read_only: bool,
-    /// Whether its type can change.
+    /// True for a parameter whose type can change.
     pub dynamic_typing: bool,
-    /// At most one.
+    /// Range of a number in double precision; empty or one element.
     pub floating_point_range: Vec<FloatingPointRange>,
-    /// At most one.
+    /// Range of an integer; empty or one element.
     pub integer_range: Vec<IntegerRange>,
 }
 
-/// `rcl_interfaces/msg/SetParametersResult`
+/// Message `rcl_interfaces/msg/SetParametersResult`: result of setting parameters.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SetParametersResult {
-    /// Whether it was set.
+    /// True when the parameter was set.
     pub successful: bool,
-    /// Why not.
+    /// Reason for a refusal; empty after success.
     pub reason: String,
 }
 
-/// `rcl_interfaces/srv/ListParameters_Request`
+/// Request `rcl_interfaces/srv/ListParameters_Request` of `~/list_parameters`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ListParametersRequest {
-    /// Names in front of a dot; none for all.
+    /// Prefixes of the names to list, without the dot behind them; an empty list asks for all names.
     pub prefixes: Vec<String>,
-    /// So many parts of names behind the prefix; 0 for any number.
+    /// Maximum number of parts of a name behind its prefix; 0 for no limit.
     pub depth: u64,
 }
 
-/// `rcl_interfaces/msg/ListParametersResult`
+/// Message `rcl_interfaces/msg/ListParametersResult`: names of parameters.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ListParametersResult {
-    /// Names.
+    /// Names of the listed parameters.
     pub names: Vec<String>,
-    /// What stands in front of their last dots.
+    /// Prefixes of these names, up to the last dot, each once.
     pub prefixes: Vec<String>,
 }
 
-/// `rcl_interfaces/srv/ListParameters_Response`
+/// Response `rcl_interfaces/srv/ListParameters_Response` of `~/list_parameters`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ListParametersResponse {
-    /// What there is.
+    /// Names that match the request.
     pub result: ListParametersResult,
 }
 
 /// Request of `GetParameters`, `GetParameterTypes` and `DescribeParameters` of `rcl_interfaces/srv`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NamesRequest {
-    /// Names.
+    /// Names of the queried parameters.
     pub names: Vec<String>,
 }
 
-/// `rcl_interfaces/srv/GetParameters_Response`
+/// Response `rcl_interfaces/srv/GetParameters_Response` of `~/get_parameters`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GetParametersResponse {
-    /// One for each name.
+    /// Values in the order of the requested names.
     pub values: Vec<ParameterValue>,
 }
 
-/// `rcl_interfaces/srv/GetParameterTypes_Response`
+/// Response `rcl_interfaces/srv/GetParameterTypes_Response` of `~/get_parameter_types`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GetParameterTypesResponse {
-    /// One for each name, of [`parameter_type`].
+    /// Types in the order of the requested names, of [`parameter_type`].
     pub types: Vec<u8>,
 }
 
-/// `rcl_interfaces/srv/DescribeParameters_Response`
+/// Response `rcl_interfaces/srv/DescribeParameters_Response` of `~/describe_parameters`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DescribeParametersResponse {
-    /// One for each name.
+    /// Descriptions in the order of the requested names.
     pub descriptors: Vec<ParameterDescriptor>,
 }
 
 /// Request of `SetParameters` and `SetParametersAtomically` of `rcl_interfaces/srv`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SetParametersRequest {
-    /// What to set.
+    /// Parameters to set, with their new values.
     pub parameters: Vec<Parameter>,
 }
 
-/// `rcl_interfaces/srv/SetParameters_Response`
+/// Response `rcl_interfaces/srv/SetParameters_Response` of `~/set_parameters`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SetParametersResponse {
-    /// One for each parameter.
+    /// Results in the order of the requested parameters.
     pub results: Vec<SetParametersResult>,
 }
 
-/// `rcl_interfaces/srv/SetParametersAtomically_Response`
+/// Response `rcl_interfaces/srv/SetParametersAtomically_Response` of `~/set_parameters_atomically`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SetParametersAtomicallyResponse {
-    /// Of all of them.
+    /// Common result of all parameters: all are set, or none.
     pub result: SetParametersResult,
 }

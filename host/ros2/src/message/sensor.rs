@@ -1,103 +1,103 @@
-//! What sensors and joints say.
+//! Messages of sensors and joints.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Header, Quaternion, Vector3};
 
-/// `sensor_msgs/msg/JointState`: rad and rad/s of what turns, m and m/s of what slides.
+/// Message `sensor_msgs/msg/JointState`: state or set points of joints, in rad and rad/s for rotary joints, m and m/s for linear ones.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct JointState {
-    /// When.
+    /// Time of the measurement or the decision; no frame.
     pub header: Header,
     /// Names of the joints.
     pub name: Vec<String>,
-    /// One for each name, or none.
+    /// Positions in the order of the names, rad or m; empty without positions.
     pub position: Vec<f64>,
-    /// One for each name, or none.
+    /// Speeds in the order of the names, rad/s or m/s; empty without speeds.
     pub velocity: Vec<f64>,
-    /// One for each name, or none: N m or N.
+    /// Efforts in the order of the names, N m or N; empty without efforts.
     pub effort: Vec<f64>,
 }
 
-/// `sensor_msgs/msg/Imu`
+/// Message `sensor_msgs/msg/Imu`: turn rate and acceleration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Imu {
-    /// Frame of the numbers.
+    /// Time of the measurement, and the frame of the sensor's axes.
     pub header: Header,
-    /// Where it is turned to.
+    /// Orientation of the sensor; without meaning where its covariance begins with -1.
     pub orientation: Quaternion,
-    /// Begins with -1 where there is no orientation.
+    /// Covariance of the orientation, rad²; it begins with -1 where there is no orientation.
     pub orientation_covariance: [f64; 9],
-    /// rad/s
+    /// Turn rate about each axis, rad/s.
     pub angular_velocity: Vector3,
-    /// All 0: not known.
+    /// Covariance of the turn rate, rad²/s²; all 0 when unknown.
     pub angular_velocity_covariance: [f64; 9],
-    /// Acceleration less that of free fall, m/s².
+    /// Acceleration less that of free fall, m/s²: +9.81 upwards at rest.
     pub linear_acceleration: Vector3,
-    /// All 0: not known.
+    /// Covariance of the acceleration, m²/s⁴; all 0 when unknown.
     pub linear_acceleration_covariance: [f64; 9],
 }
 
-/// `sensor_msgs/msg/Range`
+/// Message `sensor_msgs/msg/Range`: distance measured by sound or light.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Range {
-    /// Its x axis is where the sensor looks.
+    /// Time of the measurement, and the sensor's frame, whose x axis is the line of sight.
     pub header: Header,
-    /// [`Range::ULTRASOUND`] or [`Range::INFRARED`].
+    /// Kind of sensor: [`Range::ULTRASOUND`] or [`Range::INFRARED`].
     pub radiation_type: u8,
-    /// rad
+    /// Full angle of the sensor's cone, rad.
     pub field_of_view: f32,
-    /// m
+    /// Shortest distance that the sensor measures, m.
     pub min_range: f32,
-    /// m
+    /// Longest distance that the sensor measures, m.
     pub max_range: f32,
-    /// m; infinite where nothing reflects.
+    /// Measured distance, m; infinite where nothing reflects (REP-117).
     pub range: f32,
-    /// 0: not known, m².
+    /// Variance of the distance, m²; 0 when unknown.
     pub variance: f32,
 }
 
 impl Range {
-    /// Sound.
+    /// Value of `radiation_type` for ultrasound.
     pub const ULTRASOUND: u8 = 0;
-    /// Light.
+    /// Value of `radiation_type` for optical sensors.
     pub const INFRARED: u8 = 1;
 }
 
-/// `sensor_msgs/msg/BatteryState`: NaN for what nothing measures.
+/// Message `sensor_msgs/msg/BatteryState`: state of a supply. Quantities without a sensor are NaN.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BatteryState {
-    /// When.
+    /// Time of the measurement, and the name of the channel as frame.
     pub header: Header,
-    /// V
+    /// Voltage of the supply, V.
     pub voltage: f32,
-    /// °C
+    /// Temperature of the battery, °C.
     pub temperature: f32,
-    /// Negative when discharging, A.
+    /// Current, A; negative when discharging.
     pub current: f32,
-    /// A h
+    /// Remaining charge, A h.
     pub charge: f32,
-    /// A h
+    /// Capacity at the last full charge, A h.
     pub capacity: f32,
-    /// A h
+    /// Capacity by design, A h.
     pub design_capacity: f32,
-    /// 0 to 1.
+    /// State of charge, 0 to 1.
     pub percentage: f32,
-    /// 0: not known.
+    /// State of charging; 0 when unknown.
     pub power_supply_status: u8,
-    /// 0: not known, 1: good, 4: over-voltage.
+    /// Health: 0 for unknown, 1 for good, 4 for over-voltage.
     pub power_supply_health: u8,
-    /// 0: not known.
+    /// Chemistry of the cells; 0 when unknown.
     pub power_supply_technology: u8,
-    /// Whether there is one.
+    /// True when a battery is present.
     pub present: bool,
-    /// V
+    /// Voltage of each cell, V; empty when unknown.
     pub cell_voltage: Vec<f32>,
-    /// °C
+    /// Temperature of each cell, °C; empty when unknown.
     pub cell_temperature: Vec<f32>,
-    /// Which of several.
+    /// Place of the battery: the channel's name.
     pub location: String,
-    /// Nothing where it has none.
+    /// Serial number; empty where there is none.
     pub serial_number: String,
 }
 

@@ -1,19 +1,19 @@
-//! Calls.
+//! Messages of the service type `std_srvs/srv/Trigger`.
 
 use serde::{Deserialize, Serialize};
 
-/// `std_srvs/srv/Trigger_Request`: empty, which in IDL is one byte.
+/// Request `std_srvs/srv/Trigger_Request`: it has no fields, which IDL encodes as one byte.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TriggerRequest {
-    /// Means nothing.
+    /// Placeholder of IDL, without meaning.
     pub structure_needs_at_least_one_member: u8,
 }
 
-/// `std_srvs/srv/Trigger_Response`
+/// Response `std_srvs/srv/Trigger_Response` to a call.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TriggerResponse {
-    /// Whether it was done.
+    /// True when the board has carried the request out.
     pub success: bool,
-    /// Why not.
+    /// Reason for a refusal; empty after success.
     pub message: String,
 }

@@ -1,4 +1,4 @@
-//! `r4 log export`
+//! Command `r4 log export`: converts a log to a table or to a bag of ROS 2.
 
 use std::{
     fs::File,
@@ -19,11 +19,11 @@ use crate::{
     table,
 };
 
-/// A table has a row per moment and a column per signal, and an empty cell where nothing was recorded. A bag is a folder with an MCAP file
-/// and `metadata.yaml`, for `ros2 bag play`: the messages that `r4 ros2` publishes, at the log's times.
+/// A table has a row for each time with a record and a column for each signal; cells without a value are empty. A bag is a folder with an
+/// MCAP file and `metadata.yaml`, for `ros2 bag play`: the messages that `r4 ros2` publishes, at the log's times.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Export {
-    /// The log
+    /// Log to export, an MCAP file
     file: PathBuf,
     #[command(flatten)]
     to: Destinations,
@@ -32,14 +32,15 @@ pub(crate) struct Export {
 #[derive(Clone, Debug, clap::Args)]
 #[group(required = true, multiple = true)]
 struct Destinations {
-    /// The table; `-` is stdout
+    /// Write a table in CSV to this file; `-` is stdout
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// The bag, a folder that is made
+    /// Write a bag of ROS 2 to this folder, which must not exist yet
     #[arg(long, value_name = "FOLDER")]
     ros2: Option<PathBuf>,
 }
 
+/// Result of an export, in JSON.
 #[derive(Serialize)]
 struct Exported<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -51,6 +52,7 @@ struct Exported<'a> {
     warnings: Vec<String>,
 }
 
+/// Summary of a written bag, in JSON.
 #[derive(Serialize)]
 struct Ros2Bag {
     folder: PathBuf,
@@ -58,6 +60,7 @@ struct Ros2Bag {
     topics: Vec<Topic>,
 }
 
+/// Topic of a bag, in JSON.
 #[derive(Serialize)]
 struct Topic {
     topic: String,
@@ -106,6 +109,7 @@ pub(super) fn run(args: &Args, Export { file, to }: &Export) -> anyhow::Result<b
 
 fn write_table(log: &Log, csv: &Path) -> anyhow::Result<()> {
     if csv == Path::new("-") {
+        // Flushed by hand: an error in the writer's drop would be lost.
         let mut out = BufWriter::new(io::stdout().lock());
         return Ok(log.write_csv(&mut out).and_then(|()| out.flush()).map_err(OutputError::from)?);
     }
@@ -114,6 +118,7 @@ fn write_table(log: &Log, csv: &Path) -> anyhow::Result<()> {
 }
 
 fn write_bag(log: &Log, folder: &Path) -> anyhow::Result<Bag> {
+    // A log may come from a board whose file is not on this machine; then only the odometry is missing from the bag.
     let target: Option<Target> = log.header.board.parse().ok();
     let drive = target.and_then(|target| GroundDrive::of_board(&target, &log.header.robot));
     if drive.is_none() {

@@ -1,4 +1,4 @@
-//! A managed node's session in virtual time.
+//! Tests of a managed node's session in virtual time.
 
 use super::*;
 use crate::lifecycle::{Change, Transition};

@@ -1,4 +1,4 @@
-//! The node in virtual time, without DDS: what ROS would send and see.
+//! Tests of the node in virtual time, without DDS: the tests send orders as ROS would, and check the reports.
 
 mod managed;
 mod parameters;
@@ -18,19 +18,19 @@ use crate::message::{JointState, JointTrajectory, Odometry as OdometryMessage, T
 /// ROS time when the simulation begins, s.
 const START_S: i32 = 1_000;
 
-/// What a script has of a node.
+/// Access of a test script to a node.
 struct Ros<'s> {
     session: &'s Session<'s>,
     orders: UnboundedSender<Order>,
     reports: &'s RefCell<Vec<Report>>,
 }
 
-/// Runs a node on a simulated board beside `script`.
+/// Runs a node on a simulated board, and `script` with access to it.
 fn beside(board: &str, script: impl AsyncFnOnce(&Ros<'_>)) {
     beside_node(board, false, script);
 }
 
-/// The same; the node may be managed.
+/// Runs a node as [`beside`] does; `is_managed` selects a managed node.
 fn beside_node(board: &str, is_managed: bool, script: impl AsyncFnOnce(&Ros<'_>)) {
     let rig = Rig::new(board.parse().expect("a board"));
     let served = rig.run(None, async |session| {
@@ -76,7 +76,7 @@ impl Ros<'_> {
         self.send(Order::Velocity { stamp: Some(Stamp::default()), twist });
     }
 
-    /// Sends a velocity every 20 ms.
+    /// Sends a velocity every 20 ms for `seconds`.
     async fn drive(&self, forward_m_s: f64, seconds: f64) {
         for _ in 0..(seconds / 0.02) as u32 {
             self.velocity(forward_m_s);
@@ -108,7 +108,7 @@ impl Ros<'_> {
         state.expect("a state")
     }
 
-    /// Position (rad) and speed (rad/s) of a joint.
+    /// Returns the last position (rad) and speed (rad/s) of a joint.
     fn joint(&self, name: &str) -> (f64, f64) {
         let joints = self.last(|report| match report {
             Report::Joints(joints) => {
@@ -120,7 +120,7 @@ impl Ros<'_> {
         joints.expect("joint states")
     }
 
-    /// What diagnostics say of commands.
+    /// Returns the message of the last status about commands.
     fn of_commands(&self) -> String {
         let said = self.last(|report| match report {
             Report::Diagnostics(array) => Some(array.status[1].message.clone()),
@@ -140,10 +140,10 @@ fn a_robot_drives_while_it_is_told_to_and_stops_by_its_lease() {
         let fast = ros.odometry();
         assert!((fast.twist.twist.linear.x - 0.3).abs() < 0.05, "{fast:?}");
         assert!(fast.pose.pose.position.x > 0.15 && fast.pose.covariance[0] > 0.0);
-        // The last command was up to 20 ms ago, and its lease is 200 ms: it holds so long and no longer.
+        // The last command is up to 20 ms old and its lease is 200 ms: after another 150 ms it still holds.
         ros.sleep_s(0.15).await;
         assert!((ros.speed_m_s() - 0.3).abs() < 0.05, "{}", ros.speed_m_s());
-        // From 0.3 m/s at 1 m/s² (openscout.toml: 17.9 rad/s²).
+        // The lease has expired, and stopping from 0.3 m/s takes 0.3 s at 1 m/s² (openscout.toml: 17.9 rad/s²).
         ros.sleep_s(0.5).await;
         assert!(ros.speed_m_s().abs() < 0.01, "{}", ros.speed_m_s());
         assert_eq!(ros.state(), "armed");
@@ -166,7 +166,7 @@ fn a_refused_command_ends_the_one_before_at_once() {
             ros.drive(0.3, 1.0).await;
             ros.velocity(0.3);
             ros.send(bad);
-            // Well before the lease would have ended it, and after a round trip and a sample.
+            // After a round trip and a sample, but well before the lease of the last command would have expired.
             ros.sleep_s(0.15).await;
             assert!(ros.speed_m_s() < 0.25, "{says}: {}", ros.speed_m_s());
             assert!(ros.of_commands().contains(says), "{says}: {}", ros.of_commands());
@@ -202,7 +202,7 @@ fn the_estop_topic_trips_and_its_release_neither_clears_nor_arms() {
         assert_eq!(ros.state(), "tripped: host stop");
         assert!(!ros.call(Request::Arm).await.success);
         assert!(ros.call(Request::Clear).await.success);
-        // Heartbeats tell of the state.
+        // The node learns the state from the next heartbeat.
         ros.sleep_s(0.2).await;
         assert_eq!(ros.state(), "disarmed");
         ros.armed().await;
@@ -217,6 +217,7 @@ fn an_estop_behind_a_call_to_arm_wins() {
     beside("sim:openscout", async |ros| {
         let (answer, _armed) = oneshot::channel();
         ros.send(Order::Call { request: Request::Arm, answer });
+        // The arming request is already under way when the e-stop arrives, which cannot recall it.
         ros.send(Order::Estop(true));
         ros.sleep_s(0.3).await;
         assert_ne!(ros.session.board.safety().0, SafetyState::Armed);
@@ -240,7 +241,7 @@ fn joints_and_velocities_take_turns() {
         let wheels = wheels.expect("joints");
         let speed = |name: &str| wheels.velocity[wheels.name.iter().position(|of| of == name).expect(name)];
         assert!(speed("dhb0") > 2.0, "{wheels:?}");
-        // The ground may turn a braked wheel, but no command drives it.
+        // The moving robot may turn a braked wheel, but no command drives it.
         assert!(speed("dhb1").abs() < 1.0, "{wheels:?}");
         ros.drive(0.2, 1.0).await;
         assert!((ros.speed_m_s() - 0.2).abs() < 0.05, "{}", ros.speed_m_s());
@@ -275,11 +276,11 @@ fn stamps_are_simulated_time() {
             Report::Clock(clock) => Some(clock.clock),
             _ => None,
         });
-        // Connecting takes a little of the simulated time before.
+        // Connecting takes some simulated time before the script starts.
         assert!((START_S + 2..START_S + 4).contains(&clock.expect("a clock").sec), "{clock:?}");
         let (clock, stamp) = (Stamp::from_time(clock.expect("a clock")), Stamp::from_time(ros.odometry().header.stamp));
         let behind_s = clock.expect("a moment").since_s(stamp.expect("a moment"));
-        // A period, the link, and a tick.
+        // The age is at most a telemetry period, the delay of the link, and a tick of the clock.
         assert!((-0.01..0.06).contains(&behind_s), "{behind_s}");
     });
 }

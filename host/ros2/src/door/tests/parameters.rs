@@ -1,4 +1,4 @@
-//! Parameters in virtual time.
+//! Tests of parameters in virtual time.
 
 use super::*;
 use crate::{
@@ -42,7 +42,7 @@ fn parameters_are_the_keys_of_the_configuration() {
         names.sort();
         keys.sort();
         assert_eq!(names, keys);
-        // osmc-bench.toml
+        // Values of osmc-bench.toml.
         assert_eq!(ros.parameter("osmc0.position_kp").await, 4.0);
         assert_eq!(ros.parameter("board.link_timeout_ms").await, 200.0);
     });
@@ -61,7 +61,7 @@ fn numbers_that_hold_from_the_next_start_on_are_refused() {
     });
 }
 
-/// A wheel whose loop has no gains and no feed-forward does not turn; it does with those of its file (openscout.toml).
+/// A wheel with zero gains and no feed-forward does not turn; with the values of openscout.toml it does.
 #[test]
 fn gains_are_set_at_once() {
     let names =
@@ -95,11 +95,12 @@ fn gains_are_set_at_once() {
 #[test]
 fn parameters_are_set_together_or_not_at_all() {
     beside("sim:osmc-bench", async |ros| {
-        // The board takes no negative gain: the position loop's were sent by then, and are taken back.
+        // The board refuses the negative gain of the speed loop after it has accepted that of the position loop, which is then restored.
         let half = wanted(&[("osmc0.position_kp", 1.0), ("osmc0.speed_kp", -1.0)]);
         let result = ros.ask(ParameterCall::SetAtomically, half).await.result;
         assert!(!result.successful && !result.reason.is_empty(), "{result:?}");
         assert_eq!((ros.parameter("osmc0.position_kp").await, ros.parameter("osmc0.speed_kp").await), (4.0, 0.144));
+        // Type 4 is a text.
         let text = Parameter {
             name: "osmc0.position_kp".into(),
             value: ParameterValue { kind: 4, ..ParameterValue::default() },

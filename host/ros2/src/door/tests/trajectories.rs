@@ -1,10 +1,9 @@
-//! Trajectories in virtual time.
+//! Tests of trajectories in virtual time.
 
 use super::*;
 use crate::message::{Duration, JointTrajectoryPoint};
 
-/// Points of a sine of `amplitude_rad` about where the joint begins, every 50 ms, with velocities; it begins and ends at rest after a whole
-/// number of periods of its squared envelope.
+/// Returns a trajectory by [`of_sine`] with a point and its velocity every 50 ms. It ends at rest after a whole number of periods.
 fn sine(joint: &str, amplitude_rad: f64, rate_rad_s: f64, seconds: f64) -> JointTrajectory {
     let points = (1..=(seconds / 0.05) as u32).map(|at| {
         let time_s = f64::from(at) * 0.05;
@@ -20,7 +19,7 @@ fn sine(joint: &str, amplitude_rad: f64, rate_rad_s: f64, seconds: f64) -> Joint
     JointTrajectory { joint_names: vec![joint.into()], points, ..JointTrajectory::default() }
 }
 
-/// A (1 - cos w t) / 2 and its speed: at rest at both ends of each period.
+/// Returns A (1 - cos w t) / 2 and its speed, which starts and ends each period at rest.
 fn of_sine(amplitude_rad: f64, rate_rad_s: f64, time_s: f64) -> (f64, f64) {
     let phase = rate_rad_s * time_s;
     (amplitude_rad * (1.0 - phase.cos()) / 2.0, amplitude_rad * rate_rad_s * phase.sin() / 2.0)
@@ -32,6 +31,7 @@ impl Ros<'_> {
     }
 }
 
+/// Angular frequency of the tests' sines, rad/s: a period of 2 s.
 const PERIOD_RAD_S: f64 = std::f64::consts::TAU / 2.0;
 
 #[test]
@@ -41,7 +41,7 @@ fn a_trajectory_is_followed_to_its_end_without_being_repeated() {
         ros.sleep_s(0.1).await;
         ros.reports.borrow_mut().clear();
         let sent_ns = ros.session.clock.now_us() as i64 * 1000;
-        // 3 periods of 2 s: longer than the 32 points that a board keeps, and than any lease.
+        // Three periods of 2 s: more points than the 32 that a board keeps, and longer than any lease.
         ros.follow(&sine("osmc0", 1.0, PERIOD_RAD_S, 6.0));
         ros.sleep_s(7.0).await;
         let start_ns = i64::from(START_S) * 1_000_000_000;
@@ -51,15 +51,15 @@ fn a_trajectory_is_followed_to_its_end_without_being_repeated() {
             let Report::Joints(joints) = report else { continue };
             let Some(at) = joints.name.iter().position(|name| name == "osmc0") else { continue };
             let stamp = Stamp::from_time(joints.header.stamp).expect("a moment");
-            // It begins 0.2 s after it came.
+            // A trajectory without a stamp starts 0.2 s after its arrival.
             let time_s = (stamp.as_ns() - start_ns - sent_ns) as f64 * 1e-9 - 0.2;
             let (wanted, _) = of_sine(1.0, PERIOD_RAD_S, time_s.clamp(0.0, 6.0));
             worst_rad = worst_rad.max((joints.position[at] - wanted).abs());
             seen += 1;
         }
         assert!(seen > 300, "{seen}");
-        // Measured: 0.036, where it turns around at rest and its friction is not learned yet. A path that is a sample late is 0.031 off
-        // at the highest speed, one that is the lead late 0.3.
+        // Measured: 0.036 rad, at a reversal, before the friction is learned. A path that is late by a sample would be off by 0.031 rad
+        // at the highest speed, one that is late by the lead by 0.3 rad.
         assert!(worst_rad < 0.05, "{worst_rad}");
         assert_eq!((ros.session.board.safety().0, ros.of_commands().as_str()), (SafetyState::Armed, "taken"));
         assert!(ros.joint("osmc0").1.abs() < 0.01, "it rests");
@@ -100,7 +100,7 @@ fn an_empty_trajectory_cancels_and_so_does_a_command() {
         ros.follow(&JointTrajectory::default());
         ros.sleep_s(0.5).await;
         assert!(ros.joint("osmc0").1.abs() < 0.05, "{:?}", ros.joint("osmc0"));
-        // And by set points of its own joint, which count from then on.
+        // A set point of the same joint also ends the trajectory, and is followed from then on.
         ros.follow(&sine("osmc0", 1.0, PERIOD_RAD_S, 6.0));
         ros.sleep_s(0.7).await;
         let joints = JointState { name: vec!["osmc0".into()], velocity: vec![-1.0], ..JointState::default() };
@@ -144,7 +144,7 @@ fn a_newer_trajectory_takes_over_without_a_jump() {
                 _ => None,
             })
             .collect();
-        // 1.57 rad/s at most, samples every 20 ms: what jumps moves further.
+        // At most 1.57 rad/s and samples every 20 ms give 0.031 rad per sample; a jump would exceed 0.06 rad.
         assert!(positions.windows(2).all(|pair| (pair[1] - pair[0]).abs() < 0.06), "{positions:?}");
         assert_eq!(ros.of_commands(), "taken");
     });
