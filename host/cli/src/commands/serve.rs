@@ -131,10 +131,9 @@ fn power_up(
     ready(served.origin)?;
     let served = r4_links::block_on(served.run(place));
     // Written after an error, too: the board's writes until then would be lost otherwise.
-    if let Some(file) = file {
-        file.write(&board.flash())?;
-    }
-    served
+    let written = file.map_or(Ok(()), |file| file.write(&board.flash()));
+    // The board's own error comes first: it is the cause, where both fail.
+    served.and(written.map_err(Into::into))
 }
 
 /// Virtual board that a thread of this program serves, for this program alone.

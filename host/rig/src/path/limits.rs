@@ -11,24 +11,34 @@ pub enum BeyondLimit {
     #[error("it cannot follow a path: only motors with feedback can")]
     FollowsNone,
     /// A position is out of range.
-    #[error("point {index} is at {asked:.6}, outside the range {} to {}", range.min, range.max)]
+    #[error("its point at {time_s:.3} s is at {asked:.6}, outside the range {} to {}", range.min, range.max)]
     Position {
-        /// Index of the point, from 0.
-        index: usize,
+        /// Time of the point, s.
+        time_s: f64,
         /// Requested position, rad or m.
         asked: f64,
         /// Allowed positions, rad or m.
         range: Range,
     },
     /// The motion to a point is too fast.
-    #[error("point {index} needs a speed of {asked:.6}, and at most {limit} is allowed: give it more time")]
+    #[error(
+        "its point at {time_s:.3} s needs a speed of {asked:.6}, and at most {limit} is allowed: give it more time"
+    )]
     Speed {
-        /// Index of the point, from 0.
-        index: usize,
+        /// Time of the point, s.
+        time_s: f64,
         /// Requested speed, rad/s or m/s, without a sign.
         asked: f64,
         /// Speed limit of the channel, rad/s or m/s.
         limit: f64,
+    },
+    /// A point is not later than the start, or than the point before.
+    #[error("its point at {time_s:.3} s is too early: the motion towards it starts at {start_s:.3} s")]
+    Early {
+        /// Time of the point, s.
+        time_s: f64,
+        /// Time of the start or of the point before, s.
+        start_s: f64,
     },
 }
 
@@ -38,19 +48,24 @@ const ROUNDING: f64 = 1e-4;
 /// Checks the points of a path for a channel that starts from `from`, in the same time as the points.
 ///
 /// # Errors
-/// [`BeyondLimit::FollowsNone`] for a channel that cannot follow paths; [`BeyondLimit::Position`] or [`BeyondLimit::Speed`] for the first
-/// point that is out of range, or too far from the one before for the time between them.
+/// [`BeyondLimit::FollowsNone`] for a channel that cannot follow paths; otherwise for the first point that is out of range
+/// ([`BeyondLimit::Position`]), not later than the one before ([`BeyondLimit::Early`]), or too far from it for the time
+/// between them ([`BeyondLimit::Speed`]).
 pub fn check(info: &ChannelInfo, from: Waypoint, points: &[Waypoint]) -> Result<(), BeyondLimit> {
     let follow = info.mode(Mode::Follow).ok_or(BeyondLimit::FollowsNone)?;
     let limit = info.mode(Mode::Speed).map_or(f64::INFINITY, |mode| f64::from(mode.range.max));
     let mut before = from;
-    for (index, point) in points.iter().enumerate() {
+    for point in points {
+        let time_s = point.time_s;
         if !follow.range.contains(point.position as f32) {
-            return Err(BeyondLimit::Position { index, asked: point.position, range: follow.range });
+            return Err(BeyondLimit::Position { time_s, asked: point.position, range: follow.range });
+        }
+        if time_s <= before.time_s {
+            return Err(BeyondLimit::Early { time_s, start_s: before.time_s });
         }
         let asked = fastest(&before, point);
         if asked > limit * (1.0 + ROUNDING) {
-            return Err(BeyondLimit::Speed { index, asked, limit });
+            return Err(BeyondLimit::Speed { time_s, asked, limit });
         }
         before = *point;
     }
@@ -58,11 +73,8 @@ pub fn check(info: &ChannelInfo, from: Waypoint, points: &[Waypoint]) -> Result<
 }
 
 /// Returns the highest speed between two points, without a sign: that of the cubic when both speeds are given, otherwise the larger of
-/// the mean speed and the given one. Infinite when no time lies between them.
+/// the mean speed and the given one. `to` is later than `from`.
 fn fastest(from: &Waypoint, to: &Waypoint) -> f64 {
-    if to.time_s <= from.time_s {
-        return f64::INFINITY;
-    }
     let chord = (to.position - from.position) / (to.time_s - from.time_s);
     let ends = from.speed.unwrap_or(0.0).abs().max(to.speed.unwrap_or(0.0).abs());
     // Without both speeds the cubic depends on further neighbours; the mean speed is a lower bound of its highest speed.
@@ -102,13 +114,14 @@ mod tests {
         let at = |time_s, position, speed| Waypoint { speed, ..Waypoint::at(time_s, position) };
         let check = |points: &[Waypoint]| check(&info(), Waypoint::at(0.0, 0.0), points);
         assert_eq!(check(&[at(1.0, 2.0, None)]), Ok(()));
-        assert_eq!(check(&[at(1.0, -2.5, None)]), Err(BeyondLimit::Speed { index: 0, asked: 2.5, limit: 2.0 }));
-        assert_eq!(check(&[at(1.0, 0.0, Some(-3.0))]), Err(BeyondLimit::Speed { index: 0, asked: 3.0, limit: 2.0 }));
+        assert_eq!(check(&[at(1.0, -2.5, None)]), Err(BeyondLimit::Speed { time_s: 1.0, asked: 2.5, limit: 2.0 }));
+        assert_eq!(check(&[at(1.0, 0.0, Some(-3.0))]), Err(BeyondLimit::Speed { time_s: 1.0, asked: 3.0, limit: 2.0 }));
         // A mean of 1.5 rad/s between two points at rest has its peak of 2.25 rad/s in the middle.
         let rests = [at(1.0, 0.0, Some(0.0)), at(2.0, 1.5, Some(0.0))];
-        assert_eq!(check(&rests), Err(BeyondLimit::Speed { index: 1, asked: 2.25, limit: 2.0 }));
+        assert_eq!(check(&rests), Err(BeyondLimit::Speed { time_s: 2.0, asked: 2.25, limit: 2.0 }));
         let far = check(&[at(6.0, 10.0, None), at(7.0, 10.5, None)]).expect_err("out of range");
-        assert!(matches!(far, BeyondLimit::Position { index: 1, .. }), "{far}");
+        assert!(matches!(far, BeyondLimit::Position { time_s: 7.0, .. }), "{far}");
+        assert_eq!(check(&[at(0.0, 0.0, None)]), Err(BeyondLimit::Early { time_s: 0.0, start_s: 0.0 }));
         let none = ChannelInfo { modes: Default::default(), ..info() };
         assert_eq!(super::check(&none, Waypoint::at(0.0, 0.0), &[at(1.0, 0.0, None)]), Err(BeyondLimit::FollowsNone));
     }
