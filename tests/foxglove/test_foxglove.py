@@ -4,8 +4,10 @@ The protocol: https://github.com/foxglove/ws-protocol, docs/spec.md. `r4` is the
 """
 
 import contextlib
+import datetime
 import json
 import os
+import pathlib
 import re
 import signal
 import struct
@@ -14,9 +16,14 @@ import threading
 import time
 
 import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf import json_format
 from websockets.sync.client import connect
 
 PROGRAM = os.environ["R4_PROGRAM"]
+LAYOUTS = pathlib.Path(__file__).parents[2] / "docs/foxglove"
 SUBPROTOCOL = "foxglove.sdk.v1"
 # Operation code of a binary frame with a message: then subscription, log time in ns, payload.
 MESSAGE_DATA = 1
@@ -25,11 +32,11 @@ PATIENCE_S = 30.0
 
 
 class Served:
-    """`r4 serve sim:openscout --foxglove` as a process."""
+    """`r4 serve BOARD --foxglove` as a process."""
 
-    def __init__(self):
+    def __init__(self, board):
         self.process = subprocess.Popen(
-            [PROGRAM, "serve", "sim:openscout", "--tcp=127.0.0.1:0", "--foxglove=127.0.0.1:0"],
+            [PROGRAM, "serve", board, "--tcp=127.0.0.1:0", "--foxglove=127.0.0.1:0"],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -94,7 +101,7 @@ class Viewer:
 
 @pytest.fixture(scope="module")
 def served():
-    served = Served()
+    served = Served("sim:openscout")
     yield served
     assert served.end() == 0
 
@@ -158,6 +165,74 @@ def test_two_viewers_have_the_same(served):
     common = both[0].keys() & both[1].keys()
     assert len(common) >= 5, [len(seen) for seen in both]
     assert all(both[0][time_ns] == both[1][time_ns] for time_ns in common)
+
+
+def as_protobuf(kind, message):
+    """Reads a JSON message as Foxglove's own definition of it: unknown fields and wrong types raise."""
+
+    def times(value):
+        # protobuf writes times as text in JSON, Foxglove as two numbers.
+        if isinstance(value, list):
+            return [times(item) for item in value]
+        if not isinstance(value, dict):
+            return value
+        fields = {key: times(item) for key, item in value.items()}
+        for key in fields.keys() & {"timestamp", "lifetime"}:
+            seconds, nanoseconds = value[key]["sec"], value[key]["nsec"]
+            if key == "lifetime":
+                fields[key] = f"{seconds}.{nanoseconds:09d}s"
+            else:
+                moment = datetime.datetime.fromtimestamp(seconds, datetime.UTC)
+                fields[key] = f"{moment:%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
+        return fields
+
+    return json_format.ParseDict(times(message), kind())
+
+
+def test_the_view_keeps_the_definitions_of_foxglove(served):
+    kinds = {"/tf": FrameTransforms, "/path": PosesInFrame, "/scene": SceneUpdate}
+    with viewing(served) as viewer:
+        viewer.subscribe(*kinds)
+        mover = drives(served, "1")
+        viewer.read_until(lambda: all(len(viewer.messages[topic]) >= 3 for topic in kinds))
+        assert mover.wait(timeout=PATIENCE_S) == 0
+        for topic, kind in kinds.items():
+            assert viewer.channels[topic]["schemaName"] == f"foxglove.{kind.DESCRIPTOR.name}"
+            for time_ns, message in viewer.messages[topic]:
+                read = as_protobuf(kind, message)
+                if topic == "/tf":
+                    frames = [(one.parent_frame_id, one.child_frame_id) for one in read.transforms]
+                    assert frames == [("odom", "base_link"), ("world", "odom")]
+                    assert read.transforms[0].timestamp.ToNanoseconds() == time_ns
+        # A viewer that has just connected gets all entities within a second.
+        entities = {entity["id"] for _, message in viewer.messages["/scene"] for entity in message["entities"]}
+        assert {"robot", "ranges", "movable"} <= entities
+
+
+def paths_of(layout):
+    """Message paths of all panels."""
+    for panel in layout["configById"].values():
+        yield from (path["value"] for path in panel.get("paths", []))
+        yield from panel.get("topics", {})
+
+
+@pytest.mark.parametrize("robot", ["openscout", "osmc-bench"])
+def test_layouts_show_what_their_board_sends(robot):
+    layout = json.loads((LAYOUTS / f"{robot}.json").read_text())
+
+    def leaves(node):
+        return [node] if isinstance(node, str) else leaves(node["first"]) + leaves(node["second"])
+
+    assert sorted(leaves(layout["layout"])) == sorted(layout["configById"])
+    served = Served(f"sim:{robot}")
+    with viewing(served) as viewer:
+        topics = {path.split(".")[0] for path in paths_of(layout)}
+        viewer.read_until(lambda: topics <= viewer.channels.keys())
+        for path in paths_of(layout):
+            topic, _, field = path.partition(".")
+            fields = json.loads(viewer.channels[topic]["schema"])["properties"]
+            assert not field or field in fields, path
+    assert served.end() == 0
 
 
 def test_only_this_machine_is_served():

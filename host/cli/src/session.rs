@@ -15,7 +15,7 @@ use futures::future::{Either, select};
 use r4_driver::Error as DriverError;
 use r4_links::{Address, Event, Key, Restart};
 pub(crate) use r4_rig::{Elapsed, HostClock, Interrupted, Session, Target};
-use r4_rig::{Error, Interrupt, Notice, Recorded, Rig, recording::SharedTap};
+use r4_rig::{Error, Interrupt, Notice, Recorded, Rig, recording::SharedTap, view::SharedLook};
 use r4_sim::Pace;
 
 use crate::{
@@ -193,13 +193,14 @@ pub(crate) fn keep<T>(
 /// Runs `work` as [`keep`] does, on a virtual board that this program serves at an address, with a key.
 pub(crate) fn keep_served<T>(
     args: &Args,
-    (address, key): (&Address, &Key),
+    (address, key, look): (&Address, &Key, &SharedLook),
     work: impl AsyncFnMut(&Session<'_>) -> anyhow::Result<T>,
     tell: impl FnMut(Event),
     meanwhile: impl AsyncFnOnce(&HostClock) -> anyhow::Result<T>,
 ) -> anyhow::Result<T> {
     let mut rig = rig(args, Pace::RealTime(1.0))?;
     rig.key = Some(key.clone());
+    rig.look = Some(look.clone());
     keep_on(args, &rig, address, work, tell, meanwhile)
 }
 

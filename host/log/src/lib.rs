@@ -52,6 +52,7 @@ mod compare;
 mod container;
 mod coverage;
 mod csv;
+mod derive;
 mod header;
 mod live;
 mod message;
@@ -64,6 +65,7 @@ mod write;
 
 pub use compare::{Difference, compare};
 pub use coverage::Coverage;
+pub use derive::{Derive, DerivedTopic};
 pub use header::{Header, Recorded};
 pub use live::{Live, LiveTopic};
 pub use mcap::records::MessageHeader as McapMessage;

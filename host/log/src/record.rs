@@ -10,6 +10,7 @@ use r4_protocol::{Causes, ChannelId, ChannelInfo, Refusal, Request, SafetyState,
 use serde::Serialize;
 
 use crate::{
+    derive::DerivedTopic,
     header::{self, Header},
     live::{Live, LiveTopic},
     message::{
@@ -246,6 +247,15 @@ impl<W: Write> Recorder<W> {
         Ok(self.mcap.finish()?)
     }
 
+    /// Records a message that was derived from the frame of `device_us`.
+    ///
+    /// # Errors
+    /// Any [`RecordError`].
+    pub fn derived(&mut self, device_us: u64, topic: DerivedTopic, json: Vec<u8>) -> Result<(), RecordError> {
+        let schema = || Schema { name: topic.schema.to_owned(), json: (topic.json_schema)() };
+        self.write_json(device_us, topic.name, schema, json)
+    }
+
     fn write(
         &mut self,
         device_us: u64,
@@ -253,12 +263,28 @@ impl<W: Write> Recorder<W> {
         schema: impl FnOnce() -> Schema,
         message: &impl Serialize,
     ) -> Result<(), RecordError> {
+        let data = serde_json::to_vec(message)?;
+        self.write_json(device_us, name, schema, data)
+    }
+
+    /// Publish and log time of a moment on the board's clock, ns.
+    pub(crate) fn times_ns(&self, device_us: u64) -> Result<(u64, u64), RecordError> {
         let out_of_range = RecordError::TimeOutOfRange { device_us };
         // Publish times continue across a restart of the board's clock.
         let publish_us = device_us.checked_add_signed(self.shift_us);
         let Some(publish_time) = publish_us.and_then(|us| us.checked_mul(1_000)) else { return Err(out_of_range) };
         let Some(log_time) = publish_time.checked_add_signed(self.offset_ns) else { return Err(out_of_range) };
-        let data = serde_json::to_vec(message)?;
+        Ok((publish_time, log_time))
+    }
+
+    fn write_json(
+        &mut self,
+        device_us: u64,
+        name: &str,
+        schema: impl FnOnce() -> Schema,
+        data: Vec<u8>,
+    ) -> Result<(), RecordError> {
+        let (publish_time, log_time) = self.times_ns(device_us)?;
         let topic = match self.topics.get_mut(name) {
             Some(topic) => topic,
             None => {

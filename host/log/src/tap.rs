@@ -3,11 +3,11 @@
 use std::{collections::BTreeMap, io::Write};
 
 use r4_protocol::{
-    ChannelInfo, Cycle, CycleChannel, DeviceInfo, FrameDecoder, Mode, PathPoint, Reply, Request, Setpoint, ToDevice,
-    ToHost, VERSION,
+    ChannelInfo, Cycle, CycleChannel, DeviceInfo, FrameDecoder, Mode, PathPoint, Reply, Request, Setpoint, Telemetry,
+    ToDevice, ToHost, VERSION,
 };
 
-use crate::{Gap, Header, Live, RecordError, Recorded, Recorder};
+use crate::{Derive, Gap, Header, Live, RecordError, Recorded, Recorder};
 
 /// Facts about a run which the bytes of its link do not contain.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -68,6 +68,7 @@ pub struct Tap<W: Write> {
     bad_frames: u64,
     /// Listener that also gets what is recorded; held here only until the board has described itself.
     live: Option<Box<dyn Live>>,
+    derive: Option<Box<dyn Derive>>,
 }
 
 /// State of the file that is being recorded.
@@ -102,12 +103,24 @@ impl<W: Write> Tap<W> {
             samples: 0,
             bad_frames: 0,
             live: None,
+            derive: None,
         }
     }
 
     /// Also sends all that is recorded to `live`. Must be called before the board has described itself.
     pub fn tell(&mut self, live: Box<dyn Live>) {
         self.live = Some(live);
+    }
+
+    /// Returns true when something is derived already, as after a lost link.
+    #[must_use]
+    pub fn is_deriving(&self) -> bool {
+        self.derive.is_some()
+    }
+
+    /// Also records what `derive` derives from each frame from now on.
+    pub fn derive(&mut self, derive: Box<dyn Derive>) {
+        self.derive = Some(derive);
     }
 
     /// Notes that all further bytes come from a link that was opened anew. Once the board has described itself on it,
@@ -298,9 +311,22 @@ impl<W: Write> Tap<W> {
                 let Some(recorder) = self.recorder() else { return Ok(()) };
                 recorder.telemetry(&telemetry)?;
                 self.samples += telemetry.samples.len() as u64;
-                Ok(())
+                self.derived(&telemetry)
             }
         }
+    }
+
+    /// Records what is derived from a frame.
+    fn derived(&mut self, telemetry: &Telemetry) -> Result<(), RecordError> {
+        let (File::Open(recorder), Some(derive)) = (&mut self.file, &mut self.derive) else { return Ok(()) };
+        let (_, log_time_ns) = recorder.times_ns(telemetry.device_us)?;
+        let mut recorded = Ok(());
+        derive.derive(&self.channels, telemetry, log_time_ns, &mut |topic, json| {
+            if recorded.is_ok() {
+                recorded = recorder.derived(telemetry.device_us, topic, json);
+            }
+        });
+        recorded
     }
 
     /// Begins the file once the last channel is described, or continues it after a lost link.

@@ -14,10 +14,10 @@ use futures::{
 };
 use r4_driver::{Board, Clock, Error};
 use r4_protocol::{ChannelId, Sample};
-use r4_rig::{heat, next_step};
+use r4_rig::{Odometry, heat, next_step};
 
 use crate::{
-    HEAD_S, Left, MOST_BROWSERS, Page, first,
+    HEAD_S, Left, MOST_BROWSERS, Page, first, floor,
     message::{Ask, Card, Counter, FromPage, Look, Reason, ToPage},
     seat::ToSeat,
     socket::Socket,
@@ -226,7 +226,7 @@ impl<C: Clock> Browser<'_, '_, C> {
             link_timeout_ms: info.link_timeout_ms,
             beat_ms: u32::from(info.link_timeout_ms) / BEATS_PER_TIMEOUT,
             channels,
-            shape: facts.body.as_ref().map(crate::Body::shape),
+            shape: facts.footprint.as_ref().map(floor::shape),
         }
     }
 
@@ -238,7 +238,7 @@ impl<C: Clock> Browser<'_, '_, C> {
                 return error;
             }
         }
-        let mut odometry = self.page.facts.body.as_ref().map(crate::Body::odometry);
+        let mut odometry = self.page.facts.footprint.as_ref().map(|footprint| Odometry::new(&footprint.drive));
         let mut newest = BTreeMap::<ChannelId, Sample>::new();
         let (mut board_us, mut heard_us) = (board.device_us(), self.page.clock.now_us());
         loop {
@@ -254,8 +254,8 @@ impl<C: Clock> Browser<'_, '_, C> {
             let has_news = !fresh.is_empty();
             newest.extend(&fresh);
             let samples: Vec<Sample> = newest.values().copied().collect();
-            let place = self.page.facts.body.as_ref().zip(odometry.as_mut()).filter(|_| has_news);
-            let place = place.and_then(|(body, odometry)| body.place(board, odometry, &samples));
+            let place = self.page.facts.footprint.as_ref().zip(odometry.as_mut()).filter(|_| has_news);
+            let place = place.and_then(|(footprint, odometry)| floor::place(footprint, board, odometry, &samples));
             if self.socket.borrow().waiting() <= MOST_WAITING {
                 let infos = board.channels().iter().zip(channels).enumerate();
                 let values: Vec<Values> = infos

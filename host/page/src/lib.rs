@@ -22,14 +22,14 @@
 //! | [`socket`] | the WebSocket without its link |
 //! | `message` | what page and program say to each other |
 //! | `view` | channels and samples as a person reads them |
-//! | `body` | the robot on the floor: outline, odometry, ranges |
+//! | `floor` | the robot on the floor: outline, odometry, ranges |
 //! | `browser` | one browser that has the page open |
 //! | `seat` | the client that commands for a browser |
 //!
 //! Nothing here knows what the links are or whether time is real. `web/` has the page itself: plain HTML, CSS and JavaScript.
 
-mod body;
 mod browser;
+mod floor;
 pub mod guard;
 pub mod http;
 mod message;
@@ -47,8 +47,8 @@ use embedded_io_async::{Read, Write};
 use futures::future::{Either, select};
 use r4_broker::{Broker, Left as LeftBroker};
 use r4_driver::{Board, Clock, Error, with_board};
+use r4_rig::Footprint;
 
-pub use body::Body;
 pub use browser::{BEATS_PER_TIMEOUT, LOOK_MS, STALE_MS};
 pub use guard::{Denied, Guard, Token};
 use http::{Head, HttpError, MOST_HEAD, Status, answer, switching};
@@ -89,8 +89,8 @@ pub struct Facts {
     pub address: String,
     /// Kind of the board.
     pub kind: Kind,
-    /// Body of the robot on the floor; `None` if it is unknown, and the page then shows no floor.
-    pub body: Option<Body>,
+    /// Footprint of the robot; `None` if it is unknown, and the page then shows no floor.
+    pub footprint: Option<Footprint>,
 }
 
 /// End of a connection.

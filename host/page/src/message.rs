@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    body::{Place, Shape},
+    floor::{Place, Shape},
     view::{Channel, Values},
 };
 

@@ -16,6 +16,7 @@ use crate::{
     plant_file::{InRobot, hidden, replace_body, replace_plants},
     recording::{self, Listened, Output, RecordingError, SharedTap},
     session::AtEnd,
+    view::{LookAtWorld, SharedLook, WorldLook},
 };
 
 /// Period of the check for an [`Interrupt`], µs on the session's clock.
@@ -56,6 +57,8 @@ pub struct Rig {
     pub alter: Option<Alter>,
     /// Key of a board on a link; `None` for a board without one.
     pub key: Option<Key>,
+    /// World of a virtual board that another thread of this program serves on a link, for the view in recordings.
+    pub look: Option<SharedLook>,
     /// Request to end a session in good order.
     pub interrupt: Interrupt,
     /// Callback for notices to the user; the default discards them.
@@ -128,6 +131,7 @@ impl Rig {
             hidden: None,
             alter: None,
             key: None,
+            look: None,
             interrupt: Interrupt::default(),
             notify: Rc::new(|_| {}),
             #[cfg(feature = "emu")]
@@ -308,13 +312,23 @@ impl Rig {
         let host_clock = HostClock::Virtual(clock.clone());
         let (rx, tx) =
             (Listened::new(port.rx, tap.as_ref(), &host_clock), Listened::new(tx, tap.as_ref(), &host_clock));
-        let environment = Some((board, cable));
+        let environment = Some((board.clone(), cable));
+        // Weak, because the recording may outlive the board.
+        let board = Rc::downgrade(&board);
+        let look = move || board.upgrade().map(|board| WorldLook::of(&board.world()));
         let connected = with_board(rx, tx, host_clock.clone(), async |connected| {
             let session =
                 Session::new(connected, &self.target, host_clock.clone(), tap, self.notify.clone(), environment);
+            session.record_view(Box::new(look));
             self.unless_interrupted(&session, work(&session)).await
         });
         connected.await.map_err(|source| Error::Connect { board: self.target.to_string(), source })?
+    }
+
+    /// Look at the world of a board on a link: there is one only where this program serves the board.
+    fn look(&self) -> LookAtWorld {
+        let look = self.look.clone();
+        Box::new(move || look.as_ref().and_then(SharedLook::get))
     }
 
     fn run_on_link<T, E: From<Error>>(
@@ -330,6 +344,7 @@ impl Rig {
             let (rx, tx) = (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(link.tx, tap.as_ref(), &clock));
             let connected = with_board(rx, tx, clock.clone(), async |connected| {
                 let session = Session::new(connected, &self.target, clock.clone(), tap, self.notify.clone(), None);
+                session.record_view(self.look());
                 self.unless_interrupted(&session, work(&session)).await
             });
             connected.await.map_err(|source| Error::Connect { board: self.target.to_string(), source })?
@@ -372,6 +387,7 @@ impl Rig {
             async |board| {
                 has_session.set(true);
                 let session = Session::new(board, &self.target, clock.clone(), tap.clone(), self.notify.clone(), None);
+                session.record_view(self.look());
                 let result = self.unless_interrupted(&session, work(&session)).await.map_err(Ended::Work);
                 has_session.set(false);
                 result

@@ -12,8 +12,12 @@ use r4_protocol::{
 use r4_sim::VirtualBoard;
 
 use crate::{
-    Error, GroundDrive, HostClock, NotVirtual, Notice, Place, Target, cable::CableState, heat::Warned,
-    recording::SharedTap, rig::Notify,
+    Error, Footprint, GroundDrive, HostClock, NotVirtual, Notice, Place, Target,
+    cable::CableState,
+    heat::Warned,
+    recording::SharedTap,
+    rig::Notify,
+    view::{LookAtWorld, View},
 };
 
 /// Period of the check for hot windings, s: that of the heartbeats, which report them.
@@ -67,6 +71,15 @@ impl Session<'_> {
     #[must_use]
     pub fn target(&self) -> &Target {
         self.target
+    }
+
+    /// Lets the recording hold a [`View`] of a robot that drives, in the world that `look` returns.
+    pub(crate) fn record_view(&self, look: LookAtWorld) {
+        // After a lost link the view goes on where it was.
+        let Some(tap) = self.tap.as_ref().filter(|tap| !tap.borrow().is_deriving()) else { return };
+        if let Some(footprint) = self.robot().as_ref().and_then(Footprint::of) {
+            tap.borrow_mut().derive(Box::new(View::new(footprint, look)));
+        }
     }
 
     /// Robot's file; `None` when it is not known: see [`Target::description`].

@@ -29,6 +29,7 @@ use embedded_io_async::{Read, Write};
 use futures::future::{Either, select};
 use r4_links::{Address, Descriptor, Key, Listener, Receiver, Transmitter, bus::End, monotonic_ns, slcan};
 use r4_protocol::can::Node;
+use r4_rig::view::{SharedLook, WorldLook};
 use r4_sim::ResetCause;
 use r4_sim::{Pace, Simulation, VirtualBoard, link::Port};
 use serde::Serialize;
@@ -91,7 +92,8 @@ pub(crate) fn run(args: &Args, serve: &Serve) -> anyhow::Result<bool> {
     session::catch_interrupts();
     let (place, address) = place(&args, serve)?;
     let told = |origin| output::json(&FirstLine { place: address, epoch_ns: monotonic_ns(origin) });
-    power_up(&args, place, Until { ends: &session::is_interrupted, reports_shifts: true }, told).map(|()| true)
+    power_up(&args, place, Until { ends: &session::is_interrupted, reports_shifts: true, look: None }, told)
+        .map(|()| true)
 }
 
 /// Returns the arguments for a served virtual board.
@@ -112,6 +114,8 @@ struct Until<'s> {
     ends: &'s dyn Fn() -> bool,
     /// True prints each [`Shifted`] as a line on stdout.
     reports_shifts: bool,
+    /// Where other threads look at the board's world; `None` where none does.
+    look: Option<&'s SharedLook>,
 }
 
 /// Powers a virtual board up and serves it. `ready` is called once, before the first client, with the real time at virtual
@@ -140,6 +144,8 @@ fn power_up(
 pub(super) struct Background {
     pub(super) address: Address,
     pub(super) key: Key,
+    /// World around the board.
+    pub(super) look: SharedLook,
     ends: Arc<AtomicBool>,
     thread: JoinHandle<anyhow::Result<()>>,
 }
@@ -156,14 +162,14 @@ impl Background {
         let socket = Async::<TcpListener>::bind(([127, 0, 0, 1], 0)).context("cannot listen on this machine")?;
         let at = socket.get_ref().local_addr().context("cannot listen on this machine")?;
         let address = Address::Tcp { host: at.ip().to_string(), port: at.port() };
-        let ends = Arc::<AtomicBool>::default();
+        let (ends, look) = (Arc::<AtomicBool>::default(), SharedLook::default());
         let (is_ready, ready) = mpsc::channel();
         let thread = thread::Builder::new().name(args.board.to_string()).spawn({
-            let (key, ends) = (key.clone(), ends.clone());
+            let (key, ends, look) = (key.clone(), ends.clone(), look.clone());
             move || {
                 let told = |_| is_ready.send(()).context("no task waits for the board");
                 let place = Place::Listener(Listener::new(socket, Some(key)));
-                let until = Until { ends: &|| ends.load(Ordering::Relaxed), reports_shifts: false };
+                let until = Until { ends: &|| ends.load(Ordering::Relaxed), reports_shifts: false, look: Some(&look) };
                 match power_up(&args, place, until, told) {
                     // `end` stops the board as Ctrl-C would, which is no error here.
                     Err(error) if error.is::<session::Interrupted>() => Ok(()),
@@ -171,7 +177,7 @@ impl Background {
                 }
             }
         });
-        let started = Self { address, key, ends, thread: thread.context("cannot start a thread")? };
+        let started = Self { address, key, look, ends, thread: thread.context("cannot start a thread")? };
         match ready.recv() {
             Ok(()) => Ok(started),
             // The thread has ended without a signal; its result says why.
@@ -279,6 +285,8 @@ struct Served<'s> {
     origin: Instant,
     /// Set when the board requests a restart.
     restart: Rc<Cell<bool>>,
+    /// Time of the last look at the world; `None` before the first.
+    looked: Option<Instant>,
     until: Until<'s>,
 }
 
@@ -287,7 +295,7 @@ impl<'s> Served<'s> {
         let outbox = Rc::<Outbox>::default();
         let restart = Rc::<Cell<bool>>::default();
         let to_board = connect(simulation, &board, &outbox, &restart)?;
-        Ok(Self { simulation, board, to_board, outbox, origin: Instant::now(), restart, until })
+        Ok(Self { simulation, board, to_board, outbox, origin: Instant::now(), restart, looked: None, until })
     }
 
     async fn run(mut self, place: Place) -> anyhow::Result<()> {
@@ -386,6 +394,12 @@ impl<'s> Served<'s> {
         }
         if let Some(failure) = self.board.failure() {
             bail!("the emulated board stopped: {failure}");
+        }
+        if let Some(look) = self.until.look
+            && self.looked.is_none_or(|looked| begin.duration_since(looked) >= LOOK_EVERY)
+        {
+            self.looked = Some(begin);
+            look.set(WorldLook::of(&self.board.world()));
         }
         if self.restart.take() {
             self.board.restart(self.simulation, ResetCause::Normal);

@@ -90,7 +90,9 @@ fn serve(
     let meanwhile = async |_: &HostClock| pending().await;
     match virtual_board {
         None => session::keep(args, Pace::RealTime(1.0), work, tell, meanwhile),
-        Some(Background { address, key, .. }) => session::keep_served(args, (address, key), work, tell, meanwhile),
+        Some(Background { address, key, look, .. }) => {
+            session::keep_served(args, (address, key, look), work, tell, meanwhile)
+        }
     }
 }
 

@@ -25,7 +25,7 @@ use futures::{
 use r4_broker::Broker;
 use r4_driver::with_board;
 use r4_links::{Accepted, Listener};
-use r4_page::{Body, Facts, Guard, Kind, Page};
+use r4_page::{Facts, Guard, Kind, Page};
 use r4_protocol::{ChannelId, ChannelKind, Mode, Setpoint};
 use r4_rig::{Error, HostClock, Interrupt, Pace, Rig, Session};
 use serde_json::Value;
@@ -91,8 +91,8 @@ impl Drop for Served {
 }
 
 async fn serve(session: &Session<'_>, mut listener: Listener, guard: &Guard, shares: UnboundedReceiver<f32>) {
-    let body = session.robot().as_ref().and_then(Body::of);
-    let facts = Facts { address: session.target().to_string(), kind: Kind::Simulated, body };
+    let footprint = session.robot().as_ref().and_then(r4_rig::Footprint::of);
+    let facts = Facts { address: session.target().to_string(), kind: Kind::Simulated, footprint };
     let broker = Broker::new(session.board);
     let page = Page::new(&broker, session.clock.clone(), &facts, guard);
     let mut browsers = FuturesUnordered::new();

@@ -17,7 +17,7 @@ use futures::{
 use r4_broker::Broker;
 use r4_driver::{Board, Error, with_board};
 use r4_page::{
-    Body, Denied, FAREWELL_S, Facts, Guard, Kind, Left, MOST_BROWSERS, Page, STALE_MS, Token,
+    Denied, FAREWELL_S, Facts, Guard, Kind, Left, MOST_BROWSERS, Page, STALE_MS, Token,
     http::{HttpError, MOST_HEAD},
     socket::{MOST_MESSAGE, SocketError},
 };
@@ -87,7 +87,7 @@ fn served(robot: &str, guard: &Guard, work: impl AsyncFnOnce(&Door<'_, '_>)) {
     let board = SimBoard::start(&mut simulation, &robot, 1).expect("the robot has a world");
     let port = board.connect().expect("nobody is connected yet");
     let clock = VirtualClock(simulation.clock());
-    let facts = Facts { address: "sim:test".into(), kind: Kind::Simulated, body: Body::of(&robot) };
+    let facts = Facts { address: "sim:test".into(), kind: Kind::Simulated, footprint: r4_rig::Footprint::of(&robot) };
     let session = with_board(port.rx, port.tx, clock.clone(), async |board| {
         let broker = Broker::new(board);
         let page = Page::new(&broker, clock.clone(), &facts, guard);

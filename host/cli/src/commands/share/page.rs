@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 
 use anyhow::Context as _;
 use r4_links::{Key, Listener};
-use r4_page::{Body, Facts, Guard, Kind, Left, MOST_BROWSERS, Token};
+use r4_page::{Facts, Guard, Kind, Left, MOST_BROWSERS, Token};
 
 use super::super::serve::bind;
 use crate::{
@@ -59,7 +59,7 @@ pub(super) fn facts(session: &Session<'_>) -> Facts {
         Target::Emu(_) => Kind::Emulated,
         Target::Link(_) => Kind::Real,
     };
-    Facts { address: target.to_string(), kind, body: session.robot().as_ref().and_then(Body::of) }
+    Facts { address: target.to_string(), kind, footprint: session.robot().as_ref().and_then(r4_rig::Footprint::of) }
 }
 
 /// Returns the message about a browser that has left; `None` for one that just closed the page.
