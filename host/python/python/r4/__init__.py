@@ -18,7 +18,7 @@ from ._channels import Channels
 from ._native import Channel as ChannelInfo
 from ._native import Cycle, Info, Mode, Motion, PathReport, Port, Sample, find, robots
 from ._session import Session
-from .analysis import Identified, Log, Signal, Study, identify, merge, models, read_log, study, systems
+from .analysis import Identified, Log, Signal, Study, identify, merge, models, read_log, read_study, study, systems
 from .blocking import BlockingBoard, BlockingChannel
 from .board import Board, Channel
 from .errors import (
@@ -72,6 +72,7 @@ __all__ = [
     "models",
     "open",
     "read_log",
+    "read_study",
     "robots",
     "sim",
     "study",

@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias, Union
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _native
+from . import _native, _store
 
 File: TypeAlias = Union[str, "os.PathLike[str]"]
 
@@ -131,6 +131,19 @@ class Study:
 
     rows: list[dict[str, Any]]
     records: list[dict[str, Any]]
+
+    def to_parquet(self, url: str, **options: Any) -> None:
+        """Writes the records as Parquet to any object store: ``s3://``, ``gs://``, ``az://``, ``https://`` or ``file:///``.
+
+        Credentials come from the environment, as the tools of the store take them. ``options`` go to ``obstore.store.from_url``.
+        Needs ``pip install 'r4[store]'``.
+        """
+        _store.write(url, self.records, options)
+
+
+def read_study(url: str, **options: Any) -> Study:
+    """Reads records that :meth:`Study.to_parquet` wrote. The result has no rows: :func:`merge` combines all parts and makes them."""
+    return Study([], _store.read(url, options))
 
 
 def study(
