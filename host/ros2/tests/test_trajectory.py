@@ -47,14 +47,14 @@ def wanted(time_s):
     return SWING * (1.0 - math.cos(RATE * time_s)) / 2.0, SWING * RATE * math.sin(RATE * time_s) / 2.0
 
 
-def sine(seconds, begin=None):
+def sine(seconds, begin=None, start_rad=0.0):
     message = JointTrajectory(joint_names=["osmc0"])
     if begin:
         message.header.stamp = begin.to_msg()
     for number in range(1, round(seconds / 0.05) + 1):
         at_s = number * 0.05
         position, velocity = wanted(at_s)
-        point = JointTrajectoryPoint(positions=[position], velocities=[velocity])
+        point = JointTrajectoryPoint(positions=[start_rad + position], velocities=[velocity])
         point.time_from_start = Duration(seconds=at_s).to_msg()
         message.points.append(point)
     return message
@@ -86,16 +86,19 @@ def test_what_ends_a_trajectory(bench):
     def resting():
         return abs(rate(bench.seen["joint_states"])) < 0.02
 
-    bench.trajectory.publish(sine(20.0))
-    assert bench.until(moving, 10.0)
+    def start():
+        # From where the joint rests: a trajectory that begins elsewhere would be too fast at once.
+        bench.trajectory.publish(sine(20.0, start_rad=angle(bench.seen["joint_states"])))
+        assert bench.until(moving, 10.0)
+
+    start()
     # An empty trajectory cancels.
     bench.trajectory.publish(JointTrajectory())
     assert bench.until(resting, 5.0)
     bench.spin(1.0)
     assert resting() and bench.state() == "armed"
     # A trajectory that is too fast is refused, and ends the one before.
-    bench.trajectory.publish(sine(20.0))
-    assert bench.until(moving, 10.0)
+    start()
     fast = sine(1.0)
     fast.points[0].positions = [30.0]
     bench.trajectory.publish(fast)
@@ -103,8 +106,7 @@ def test_what_ends_a_trajectory(bench):
     assert bench.until(lambda: bench.seen["/diagnostics"].status[1].level == b"\1", 5.0)
     assert "at most" in bench.seen["/diagnostics"].status[1].message
     # Disarming ends a trajectory for good.
-    bench.trajectory.publish(sine(20.0))
-    assert bench.until(moving, 10.0)
+    start()
     assert bench.call("disarm").success
     assert bench.until(resting, 5.0)
     assert bench.call("arm").success
