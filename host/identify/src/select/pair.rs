@@ -19,22 +19,22 @@ use crate::{
 const FIRSTS: usize = 3;
 /// Number of pairs that are fitted by free-run simulation. Our choice as well.
 const PAIRS: usize = 4;
-/// Number of first effects among those that only free-run simulation can tell, and number of pairs with each that are fitted by it. Before there
-/// were any, a lag of the sensor beside friction over position was called a delay, and cogging beside a spring was lost (tuning pairs 10700005
+/// Number of first effects without a guess, which only free-run simulation can evaluate, and number of pairs with each that are fitted by it.
+/// Without any, a sensor lag beside friction over position was called a delay, and cogging beside a compliance was lost (tuning pairs 10700005
 /// and 10700026: 4.0 and 11.3 times the noise; 1.0 with these). Other values were not compared.
 const UNSEEN: usize = 2;
 const PAIRS_UNSEEN: usize = 3;
 
-/// Effects to which a second one is added.
+/// First effects, to each of which a second one is added.
 pub(super) struct Firsts {
-    /// Those with a guess, with its values; best first.
+    /// Structures with a guess, best first.
     guessed: Vec<Structure>,
-    /// Those without a guess, each fitted by free-run simulation; best first.
+    /// Fits of effects without a guess by free-run simulation, best first.
     unseen: Vec<Fit>,
 }
 
 impl Firsts {
-    /// First effects by their guesses, and the best of the trials that have none.
+    /// Collects the guessed first effects, and the best of the trials that have no guess.
     pub(super) fn of(guessed: Vec<Structure>, trials: &[Trial]) -> Self {
         let unguessed = trials.iter().filter(|trial| trial.guess.is_infinite() && trial.fit.cost.is_finite());
         let mut unseen: Vec<Fit> = unguessed.map(|trial| trial.fit.clone()).collect();
@@ -45,9 +45,9 @@ impl Firsts {
 }
 
 impl<F: Family> Search<'_, F> {
-    /// Two effects at once that explain clearly more than the best one alone: what two effects do together can look like
-    /// neither of them. They are sought without free runs, where what is missing does not add up. Where such pairs leave more than noise, the
-    /// first effect may also be one that only free runs can tell, such as a lag of the sensor.
+    /// Returns two effects that together explain clearly more than the best one alone; their combination can resemble neither of them. The
+    /// search is in the weak form, where missing effects do not accumulate. If its pairs leave more than noise, effects without a guess there,
+    /// such as a sensor lag, are first effects as well. `None` if no pair passes every test.
     pub(super) fn pair(
         &self,
         current: &Fit,
@@ -68,8 +68,15 @@ impl<F: Family> Search<'_, F> {
             let joined = |first| self.joined(std::slice::from_ref(first), None, PAIRS_UNSEEN);
             best = least(firsts.unseen.iter().flat_map(joined).chain(best).collect());
         }
-        let best = best?;
-        let best = fit(self.family, &self.runs, best.structure, best.initial, Effort::COMPARE);
+        // Where the pair of lowest cost fails a test, none of higher cost is taken: with that one, the wrong pair of a guess came back (tuning
+        // pair 10700005).
+        self.passing(best?, alone, before)
+    }
+
+    /// Returns the two last terms of a model with the evidence for each, and the model fitted further, if it passes every test beside `alone`,
+    /// the best model with one of its terms or another one.
+    fn passing(&self, model: Fit, alone: &Fit, before: &Blocked) -> Option<([Step; 2], Fit)> {
+        let best = fit(self.family, &self.runs, model.structure, model.initial, Effort::COMPARE);
         let samples = independent(self.family, &self.runs, &best);
         let [first, second] = [best.structure.terms.len() - 2, best.structure.terms.len() - 1];
         if price(samples, best.cost, numbers(&best)) + TOLD_APART >= price(samples, alone.cost, numbers(alone)) {
@@ -86,7 +93,8 @@ impl<F: Family> Search<'_, F> {
         Some(([step(first)?, step(second)?], best))
     }
 
-    /// A term of a model with the evidence for it beside the others; `None` where that is too little. `blocked` has the errors of the model.
+    /// Returns a term of a model with the evidence for it beside the others, `None` if that is too little; `blocked` is the model's
+    /// cross-validation.
     fn worth_it(&self, model: &Fit, blocked: &Blocked, deviations: &[Option<f64>], place: usize) -> Option<Step> {
         let without = model.structure.without(place);
         let without = fit(self.family, &self.runs, without, model.initial.clone(), Effort::SCREEN);
@@ -111,7 +119,8 @@ impl<F: Family> Search<'_, F> {
         })
     }
 
-    /// The most promising of second effects beside each of some first ones, fitted with it; `current` has neither, where they are guessed.
+    /// Returns the `count` most promising pairs of one of `firsts` and a second effect, fitted. With `current`, which has neither, both are
+    /// guessed; otherwise the first keeps its fit.
     fn joined(&self, firsts: &[Fit], current: Option<&Fit>, count: usize) -> Vec<Fit> {
         let mut pairs: Vec<(f64, Structure, usize)> = (0..firsts.len())
             .flat_map(|place| {
@@ -141,7 +150,7 @@ impl<F: Family> Search<'_, F> {
     }
 }
 
-/// The structures of the best guesses, best first.
+/// Returns the structures of the best guesses, best first.
 pub(super) fn best_guesses(begun: &[Begun]) -> Vec<Structure> {
     let mut guessed: Vec<&Begun> = begun.iter().filter(|one| one.guess.is_finite()).collect();
     guessed.sort_by(|a, b| a.guess.total_cmp(&b.guess));
