@@ -354,7 +354,7 @@ impl Motion {
     }
 
     /// Returns true if the recorded output of a model is not the motion itself.
-    fn hides_motion(&self, structure: &Structure) -> bool {
+    pub(super) fn hides_motion(&self, structure: &Structure) -> bool {
         self.behind().any(|index| structure.of(index).is_some())
     }
 
