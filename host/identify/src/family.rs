@@ -407,6 +407,11 @@ pub trait Family: Model {
         None
     }
 
+    /// Returns whether guesses beside a model are rough, so that they exclude nothing: neither an effect nor another start of its fit.
+    fn guesses_roughly(&self, _structure: &Structure) -> bool {
+        false
+    }
+
     /// Returns the series that the residual is compared with.
     fn drivers(&self, structure: &Structure, initial: &[f64], run: &Self::Run) -> Vec<Driver>;
 

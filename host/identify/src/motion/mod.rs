@@ -530,6 +530,10 @@ impl Family for Motion {
         self.weakly(starts, current, runs, effort)
     }
 
+    fn guesses_roughly(&self, structure: &Structure) -> bool {
+        self.hides_motion(structure)
+    }
+
     fn time_s<'r>(&self, run: &'r MotionRun) -> &'r [f64] {
         &run.all.time_s[run.from..run.to]
     }

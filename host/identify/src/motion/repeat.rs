@@ -125,7 +125,8 @@ impl Motion {
     }
 
     fn carriers(&self, current: &Fit, acts: &[Acts], runs: &[&MotionRun]) -> Option<Vec<Carrier>> {
-        let Rest { fit, seen, left, .. } = self.left_in_windows(current, runs)?;
+        let Rest { fit, seen, left, .. } =
+            self.shows_curves(current).then(|| self.left_in_windows(current, runs))??;
         let carrier = |((seen, left), initial): ((Seen, Vec<f64>), &Vec<f64>)| {
             let straight = seen.accelerations(self, &fit.structure, initial);
             let ones = |&acts: &Acts| {

@@ -1267,6 +1267,23 @@ pub(super) fn simulate(
     }
 }
 
+/// Returns the difference between the sensor's value and the motion in a model's free run, one value per sample, in the output's unit:
+/// backlash, compliance, lag and hold, without the eccentricity.
+pub(super) fn sensed(motion: &Motion, structure: &Structure, initial: &[f64], run: &MotionRun) -> Vec<f64> {
+    let mut plan = Plan::of(motion, structure, initial, run);
+    plan.sensor.eccentricity = None;
+    let mut observed = Observed::default();
+    let mut told = vec![0.0; run.to - run.from];
+    plan.simulate(run, &mut told, Some(&mut observed));
+    let moving: Vec<f64> = if motion.of_speed {
+        observed.speed
+    } else {
+        // What is observed is the position at the end of a sample's step.
+        std::iter::once(plan.mechanics.position).chain(observed.position).collect()
+    };
+    told.iter().zip(moving).map(|(told, moving)| told - moving).collect()
+}
+
 /// Free runs over one recording that differ little from one that is known: what they have in common is done once, and what
 /// moves is simulated side by side.
 pub(super) fn simulate_each(

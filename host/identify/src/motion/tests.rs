@@ -534,6 +534,56 @@ fn what_is_found_of_the_duty_comes_before_what_the_plant_file_has_of_the_bridge(
     assert_eq!(names, ["slew-limit", "dead-zone", "gain-curve"]);
 }
 
+/// A ripple behind a sensor that lags: the free run of a model with the lag says what the motion was.
+#[test]
+fn a_guess_sees_the_motion_behind_a_lag() {
+    const INERTIA_KG_M2: f64 = 0.065;
+    const TORQUE_NM: f64 = 1.2;
+    const LAG_S: f64 = 0.08;
+    let text = format!(
+        "model = \"dc-gear-motor\"\n[parameters]\nresistance_ohm = 0.6\ninductance_h = 0.0\n\
+         torque_constant_nm_per_a = 0.0293\ngear_ratio = 25.0\ninertia_kg_m2 = {INERTIA_KG_M2}\n\
+         viscous_nm_s_per_rad = 0.03\n[[effects]]\neffect = \"cogging\"\ntorque_nm = {TORQUE_NM}\n\
+         periods_per_turn = 5.0\nphase_rad = 0.7\n[[effects]]\neffect = \"sensor-lag\"\ntime_constant_s = {LAG_S}\n"
+    );
+    let spec = PlantSpec::from_toml("hidden.toml", &text).expect("a plant file");
+    let recorded = |seed: u32| {
+        let (mut plant, mut input, mut output) = (Plant::new(&spec, 0), vec![], vec![]);
+        for sample in 0..2400_u32 {
+            let step = (sample / 100 + seed).wrapping_mul(2_654_435_761) >> 24;
+            input.push(0.6 * (f64::from(step) / 127.5 - 1.0));
+            // Counts of 1 mrad.
+            output.push((plant.sensed_position() * 1e3).round() * 1e-3);
+            plant.advance(Drive::with_brake(input[input.len() - 1]), 12.0, 5e-3);
+        }
+        run((Quantity::Number, input), (Quantity::Angle, output), 5e-3)
+    };
+    let known = Known { supply_v: Some(12.0), ..Known::default() };
+    let (model, runs, _) = Motion::new(Kind::DcMotor, &known, &[recorded(1), recorded(7)], &[]).expect("a model");
+    let runs: Vec<&MotionRun> = runs.iter().collect();
+    let index = |name: &str| model.catalogue().iter().position(|candidate| candidate.name == name).expect("an effect");
+    let structure = Structure {
+        base: model.starts(&runs).remove(0),
+        terms: vec![Term::Known(index("sensor-lag"))],
+        added: vec![vec![LAG_S]],
+    };
+    let current = fit(&model, &runs, structure, guessed(&model, &runs), Effort::SCREEN);
+    let start = |values: &Vec<f64>| {
+        let mut with = current.structure.clone();
+        with.terms.push(Term::Known(index("cogging")));
+        with.added.push(values.clone());
+        with
+    };
+    let starts = model.catalogue()[index("cogging")].starts.iter().map(start).collect();
+    let (guess, _) = model.guess(starts, &current, &runs, Effort::SCREEN).expect("a guess");
+    let [amplitude, _, periods] = guess.added[1][..] else { panic!("three numbers") };
+    // A place to begin from: within a quarter of a wave over a turn.
+    assert!((periods - 5.0).abs() < 0.25, "{periods} periods");
+    // The free run has no ripple that the lag could weaken; what the sensor shows of it at 5 rad/s, 25 rad/s of the ripple, is 0.45.
+    let share = amplitude * INERTIA_KG_M2 / TORQUE_NM;
+    assert!((0.3..1.2).contains(&share), "{share} of the torque");
+}
+
 /// A force that is commanded is no push: the mass does not multiply it.
 #[test]
 fn a_dead_zone_of_a_force_is_told_as_it_is_commanded() {

@@ -30,7 +30,7 @@ use crate::{
 use super::{
     Dynamics, Kind, Motion, MotionRun,
     effect::Effect,
-    simulate::{Moved, accelerations, accelerations_each, is_placed},
+    simulate::{Moved, accelerations, accelerations_each, is_placed, sensed},
     smooth::Smooth,
 };
 
@@ -346,8 +346,20 @@ impl Model for Weak<'_> {
 }
 
 impl Motion {
-    /// Returns true if the recorded output is the motion itself, or determines it at each moment, and only the model's forces cause it.
-    fn is_seen(&self, structure: &Structure) -> bool {
+    /// Returns true if the windows can see the motion of a structure that adds to `current`: only the model's forces cause it, and any effect
+    /// between the motion and the recording is in `current` too, whose free run gives its contribution.
+    fn is_seen(&self, structure: &Structure, current: &Fit) -> bool {
+        let has = |structure: &Structure, index: usize| structure.of(index).is_some();
+        self.stops.is_none() && !self.behind().any(|index| has(structure, index) && !has(&current.structure, index))
+    }
+
+    /// Returns true if the recorded output of a model is not the motion itself.
+    pub(super) fn hides_motion(&self, structure: &Structure) -> bool {
+        self.behind().any(|index| structure.of(index).is_some())
+    }
+
+    /// Indices of the effects between the motion and the recording.
+    fn behind(&self) -> impl Iterator<Item = usize> + '_ {
         const BEHIND: [Effect; 6] = [
             Effect::Backlash,
             Effect::Compliance,
@@ -356,20 +368,23 @@ impl Motion {
             Effect::EncoderScale,
             Effect::EncoderOffset,
         ];
-        let is_behind = |effect: &Effect| self.index(*effect).is_some_and(|index| structure.of(index).is_some());
-        self.stops.is_none() && !BEHIND.iter().any(is_behind)
+        BEHIND.into_iter().filter_map(|effect| self.index(effect))
     }
 
-    /// The recordings that runs are parts of; without what a sensor's eccentricity by `structure` adds to them.
-    fn seen(&self, structure: &Structure, initial: &[Vec<f64>], runs: &[&MotionRun]) -> Option<Vec<Seen>> {
+    /// Returns the recordings that runs are parts of, without the contributions of `current` between the motion and the recording, and
+    /// without a sensor's eccentricity as in `structure`.
+    fn seen(&self, structure: &Structure, current: &Fit, runs: &[&MotionRun]) -> Option<Vec<Seen>> {
         let eccentricity = self.index(Effect::Eccentricity).and_then(|index| structure.of(index));
         let mut recordings: Vec<(&MotionRun, &Vec<f64>)> = Vec::new();
-        for (run, initial) in runs.iter().zip(initial) {
+        for (run, initial) in runs.iter().zip(&current.initial) {
             if !recordings.iter().any(|(other, _)| Arc::ptr_eq(&other.all, &run.all)) {
                 recordings.push((run, initial));
             }
         }
+        let hides_motion = self.hides_motion(&current.structure);
         let seen = |(run, initial): &(&MotionRun, &Vec<f64>)| {
+            let uncovered = hides_motion.then(|| self.uncovered(run, current, runs));
+            let run = uncovered.as_ref().unwrap_or(run);
             let centred = match eccentricity {
                 Some(&[amplitude_rad, phase_rad]) => Some(centred(run, amplitude_rad, phase_rad)?),
                 _ => None,
@@ -381,6 +396,19 @@ impl Motion {
             Some(Seen { run, windows, began })
         };
         recordings.iter().map(seen).collect()
+    }
+
+    /// Returns a recording without the contribution of a model's backlash, compliance, lag or hold in its free runs, which cover the recording
+    /// or parts of it. To first order that is right even where a free run has diverged, because it depends on the velocity, not on the position.
+    fn uncovered(&self, run: &MotionRun, current: &Fit, runs: &[&MotionRun]) -> MotionRun {
+        let mut measured = run.all.measured.clone();
+        for (part, initial) in runs.iter().zip(&current.initial).filter(|(part, _)| Arc::ptr_eq(&part.all, &run.all)) {
+            let added = sensed(self, &current.structure, initial, part);
+            for (value, added) in measured[part.from..part.to].iter_mut().zip(added) {
+                *value -= if added.is_finite() { added } else { 0.0 };
+            }
+        }
+        run.measuring(measured)
     }
 
     /// Of all of the recording that a run is a part of.
@@ -402,8 +430,7 @@ impl Motion {
 
     /// Returns the measured motion of recordings with its times; `None` if a model hides it.
     pub(super) fn moved(&self, current: &Fit, runs: &[&MotionRun]) -> Option<Vec<(Moved, f64)>> {
-        let seen =
-            self.is_seen(&current.structure).then(|| self.seen(&current.structure, &current.initial, runs))??;
+        let seen = self.shows_curves(current).then(|| self.seen(&current.structure, current, runs))??;
         let timed = |seen: Seen| -> Vec<(Moved, f64)> {
             let there = |moved: &Moved| Moved {
                 position: moved.position + seen.began,
@@ -415,10 +442,15 @@ impl Motion {
         Some(seen.into_iter().flat_map(timed).collect())
     }
 
+    /// Returns true if windows can place the knots of curves. A free run's estimate of the motion behind a gap or a lag is too rough for that.
+    pub(super) fn shows_curves(&self, current: &Fit) -> bool {
+        self.stops.is_none() && !self.hides_motion(&current.structure)
+    }
+
     /// How many windows say as much as all that there are: of those that overlap, one.
     pub(super) fn independent_windows(&self, current: &Fit, runs: &[&MotionRun]) -> Option<f64> {
         let all: usize =
-            self.seen(&current.structure, &current.initial, runs)?.iter().map(|seen| seen.windows.windows.len()).sum();
+            self.seen(&current.structure, current, runs)?.iter().map(|seen| seen.windows.windows.len()).sum();
         Some((all as f64 / OVERLAP).max(2.0))
     }
 
@@ -442,7 +474,7 @@ impl Motion {
     /// Returns the weak form for structures of the same terms that extend `current`, and the recordings; `None` if
     /// the motion is not visible.
     fn weak(&self, structure: &Structure, current: &Fit, runs: &[&MotionRun]) -> Option<(Weak<'_>, Vec<Seen>)> {
-        let seen = self.is_seen(structure).then(|| self.seen(structure, &current.initial, runs))??;
+        let seen = self.is_seen(structure, current).then(|| self.seen(structure, current, runs))??;
         let began = if !self.of_speed || !is_placed(self, structure) {
             Began::Anywhere
         } else if is_placed(self, &current.structure) {
@@ -455,7 +487,7 @@ impl Motion {
 
     /// Returns the approximate cost in windows of a structure that extends `current`.
     pub(super) fn left_over_windows(&self, structure: Structure, current: &Fit, runs: &[&MotionRun]) -> Option<f64> {
-        let (weak, seen) = self.weak(&structure, current, runs)?;
+        let (weak, seen) = self.shows_curves(current).then(|| self.weak(&structure, current, runs))??;
         Some(weak.best(vec![self.movable(structure)], &seen, Effort::SCREEN, 1).pop()?.cost)
     }
 
@@ -512,6 +544,9 @@ impl Motion {
         let eccentric = self.index(Effect::Eccentricity).map(Term::Known);
         if eccentric.is_some() && starts.first()?.terms.last() == eccentric.as_ref() {
             return self.by_eccentricity(starts, current, runs);
+        }
+        if matches!(starts.first()?.terms.last(), Some(Term::Curve(_))) && !self.shows_curves(current) {
+            return None;
         }
         let (weak, seen) = self.weak(starts.first()?, current, runs)?;
         let is_coarse = |start: &Structure| {

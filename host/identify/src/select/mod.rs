@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use self::{
     judge::{CURVE_WORTH, WORTH, rmse},
-    pair::best_guesses,
+    pair::{Firsts, best_guesses},
 };
 use crate::{
     evidence::{independent, price},
@@ -330,8 +330,10 @@ impl<F: Family> Search<'_, F> {
             begun
         };
         let tried = begun.len();
-        let firsts = best_guesses(&begun);
-        let judged = self.judge(self.tried(begun));
+        let guessed = best_guesses(&begun);
+        let trials = self.tried(begun);
+        let firsts = Firsts::of(guessed, &trials);
+        let judged = self.judge(trials);
         if self.is_over() {
             // Not every effect was tried, so the best of them may not be the best of all.
             return false;
