@@ -110,11 +110,10 @@ impl Source {
 }
 
 /// Transmitter that presents tokens: before the first byte, and again when half of a token's life is over.
-#[derive(Debug)]
 pub struct Presenter<W> {
     tx: W,
     source: Option<Source>,
-    now_ms: fn() -> u64,
+    now_ms: Box<dyn Fn() -> u64>,
     /// Time of the next token, Unix ms; `None` when there is none.
     next_ms: Option<u64>,
     /// The last byte ended a frame.
@@ -122,10 +121,10 @@ pub struct Presenter<W> {
 }
 
 impl<W> Presenter<W> {
-    /// Wraps a transmitter; without a source it changes nothing. `now_ms` is the system's clock, Unix ms.
-    pub fn new(tx: W, source: Option<Source>, now_ms: fn() -> u64) -> Self {
+    /// Wraps a transmitter; without a source it changes nothing. `now_ms` is the client's clock, Unix ms.
+    pub fn new(tx: W, source: Option<Source>, now_ms: impl Fn() -> u64 + 'static) -> Self {
         let next_ms = source.as_ref().map(|_| 0);
-        Self { tx, source, now_ms, next_ms, is_between: true }
+        Self { tx, source, now_ms: Box::new(now_ms), next_ms, is_between: true }
     }
 
     /// Token that is due now.

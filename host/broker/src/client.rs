@@ -342,13 +342,13 @@ impl<'s, C: Clock> Served<'s, '_, C> {
 
     fn cycle(&self, cycle: Cycle) {
         let board = self.broker.board;
-        let is_denied = || self.bind.borrow().as_ref().is_some_and(|bind| !self.permits(bind));
         let commands = self.commands();
-        if commands && is_denied() {
+        let is_denied = commands && self.bind.borrow().as_ref().is_some_and(|bind| !self.permits(bind));
+        if is_denied {
             // The board follows the cycle before until its time to live: a newer one that is refused ends it at once.
             drop(board.pass_on(Request::Disarm));
         }
-        if commands && !is_denied() {
+        if commands && !is_denied {
             board.pass_on_cycle(cycle);
         } else {
             let motors = [CycleMotor::NONE; CYCLE_CHANNELS];
