@@ -161,6 +161,12 @@ impl Credential {
         public_digits(&self.key.verifying_key())
     }
 
+    /// Private key that signs the tokens.
+    #[must_use]
+    pub const fn signing_key(&self) -> &SigningKey {
+        &self.key
+    }
+
     /// Makes a token with a new nonce that is valid from `now_ms` on, Unix ms.
     ///
     /// # Errors

@@ -145,12 +145,16 @@ impl Guard {
     }
 
     fn accepted(&mut self, token: &str, now_ms: u64) -> Result<(Claims, u64), TokenError> {
-        let Policy { name, life_ms, skew_ms, subjects, .. } = &self.policy;
-        let claims = Claims::verified(token, |subject| subjects.get(subject).map(|subject| subject.key))?;
-        claims.check(name, *life_ms, *skew_ms, now_ms)?;
+        let Policy { name, life_ms, skew_ms, .. } = &self.policy;
+        let claims = self.policy.verified(token)?;
+        let checked = claims.check(name, *life_ms, *skew_ms, now_ms);
+        if !matches!(checked, Ok(()) | Err(TokenError::NotYet)) {
+            checked?;
+        }
         let until_ms = claims.expires_ms.saturating_add(*skew_ms);
+        // A token that came too early is used up as well: who has read it must not present it when its time has come.
         match self.replay.admit(&claims.subject, claims.nonce, until_ms, now_ms) {
-            Admission::New => Ok((claims, until_ms)),
+            Admission::New => checked.map(|()| (claims, until_ms)),
             Admission::Seen => Err(TokenError::Replayed),
             Admission::Full => Err(TokenError::TooMany),
         }

@@ -46,3 +46,9 @@ pub fn unix_ms() -> u64 {
     let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
 }
+
+/// Ed25519 key of a secret's bytes, for scripts and tests that need the same key each time.
+#[must_use]
+pub fn signing_key(secret: [u8; 32]) -> ed25519_dalek::SigningKey {
+    ed25519_dalek::SigningKey::from_bytes(&secret)
+}

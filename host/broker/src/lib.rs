@@ -31,6 +31,7 @@ use std::{
     collections::BTreeMap,
     future::poll_fn,
     pin::pin,
+    rc::Rc,
     task::{Poll, Waker},
 };
 
@@ -52,7 +53,7 @@ pub struct Broker<'b, C> {
     board: &'b Board<C>,
     shared: RefCell<Shared>,
     /// `None` where every client may do everything.
-    guard: Option<Guarded>,
+    guard: Option<Rc<Guarded>>,
 }
 
 /// State that all clients share.
@@ -78,9 +79,10 @@ impl<'b, C: Clock> Broker<'b, C> {
         Self { board, shared: RefCell::default(), guard: None }
     }
 
-    /// Creates a broker for `board` that asks a guard about each request of its clients.
+    /// Creates a broker for `board` that asks a guard about each request of its clients. The guard outlives the
+    /// broker where the board's link is lost and comes back.
     #[must_use]
-    pub fn guarded(board: &'b Board<C>, guard: Guarded) -> Self {
+    pub fn guarded(board: &'b Board<C>, guard: Rc<Guarded>) -> Self {
         Self { guard: Some(guard), ..Self::new(board) }
     }
 

@@ -8,7 +8,11 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use ed25519_dalek::VerifyingKey;
 
-use crate::{Action, digest::Digest};
+use crate::{
+    Action,
+    digest::Digest,
+    token::{Claims, TokenError},
+};
 
 pub use problem::{PolicyError, Problem};
 
@@ -134,6 +138,14 @@ impl Policy {
     #[must_use]
     pub const fn break_glass(&self) -> Option<&BreakGlass> {
         self.break_glass.as_ref()
+    }
+
+    /// Reads a token and checks its signature with the key of its subject; times and nonce are left to the caller.
+    ///
+    /// # Errors
+    /// [`TokenError::Malformed`], [`TokenError::UnknownSubject`] and [`TokenError::WrongSignature`].
+    pub fn verified(&self, token: &str) -> Result<Claims, TokenError> {
+        Claims::verified(token, |subject| self.subjects.get(subject).map(|subject| subject.key))
     }
 
     /// Subjects in the order of their names.

@@ -158,6 +158,15 @@ fn tokens_that_are_not_valid_are_rejected_by_their_reason() {
 }
 
 #[test]
+fn a_token_that_came_too_early_is_used_up() {
+    let mut bench = Bench::new();
+    let token = credential("alice").token(false, BEGIN_MS + 20_000).expect("random");
+    assert_eq!(bench.guard.present(1, &token, BEGIN_MS), Err(TokenError::NotYet));
+    // Somebody who has read it presents it again in its time.
+    assert_eq!(bench.guard.present(2, &token, BEGIN_MS + 20_000), Err(TokenError::Replayed));
+}
+
+#[test]
 fn an_emergency_is_granted_flagged_and_ends_though_its_flag_stays_on() {
     let mut bench = Bench::new();
     let nora = credential("nora");

@@ -86,7 +86,7 @@ fn guarded(work: impl AsyncFnOnce(&Door, &Board<VirtualClock>) -> Result<(), Err
             let key = SigningKey::from_bytes(&LOG_KEY);
             let guard = Guard::new(policy(), store, key, &Verified::default(), now_ms(&clock));
             let of_guard = clock.clone();
-            let broker = Broker::guarded(board, Guarded::new(guard, move || now_ms(&of_guard)));
+            let broker = Broker::guarded(board, Rc::new(Guarded::new(guard, move || now_ms(&of_guard))));
             serve(&broker, board, clock, work).await
         })
         .await?
