@@ -51,7 +51,7 @@ pub(super) fn run(args: &Args, log: &Log) -> anyhow::Result<()> {
         shown.add_row([entry.number.to_string(), time(entry.at_ms), link, event]);
     }
     output::line(shown)?;
-    eprintln!("r4: {} entries, unaltered and complete", verified.entries.len());
+    output::line(format_args!("{} entries, unaltered and complete", verified.entries.len()))?;
     Ok(())
 }
 
