@@ -72,7 +72,7 @@ struct Content {
 #[derive(Debug, thiserror::Error)]
 pub enum CredentialError {
     /// The file cannot be read or written.
-    #[error("{path}: {source}")]
+    #[error("{path}")]
     File {
         /// Path of the file.
         path: PathBuf,

@@ -118,7 +118,7 @@ impl Store for std::rc::Rc<std::cell::RefCell<Memory>> {
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// A file of the log cannot be read or written.
-    #[error("access log {path}: {source}")]
+    #[error("access log {path}")]
     File {
         /// Path of the file.
         path: PathBuf,
@@ -126,7 +126,7 @@ pub enum LogError {
         source: io::Error,
     },
     /// The log is not as it was written.
-    #[error("access log {path}: {source}; keep its files as evidence, and move them away before a new log can begin")]
+    #[error("access log {path} is damaged; keep its files as evidence, and move them away before a new log can begin")]
     Chain {
         /// Path of the log.
         path: PathBuf,

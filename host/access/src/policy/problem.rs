@@ -8,7 +8,7 @@ use crate::{NotAResource, Resource};
 #[derive(Debug, thiserror::Error)]
 pub enum PolicyError {
     /// The file cannot be read.
-    #[error("cannot read the policy {path}: {source}")]
+    #[error("cannot read the policy {path}")]
     Read {
         /// Path of the file.
         path: PathBuf,
