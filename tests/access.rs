@@ -42,7 +42,7 @@ fn a_policy_decides_who_moves_the_board() {
     let on_board = |arguments: &[&str]| r4(&[&["--board", &board], arguments].concat());
     let moved = on_board(&["--token", &key, "move", "osmc0", "5deg"]);
     assert_eq!(moved.code, Some(0), "{moved:?}");
-    // Another channel, and nobody: refused with the next step. Disarming needs no token.
+    // Another channel, and no token: refused with the next step. Disarming needs no token.
     for arguments in [&["--token", &key, "move", "actuator1", "10mm"][..], &["move", "osmc0", "5deg"], &["faults"]] {
         let refused = on_board(arguments);
         assert!(refused.code == Some(3) && refused.err.contains("--token or R4_TOKEN"), "{arguments:?}: {refused:?}");

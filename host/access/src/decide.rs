@@ -170,7 +170,7 @@ impl fmt::Display for Facts {
     }
 }
 
-/// Decides about a request of `asker` (`None`: nobody is authenticated) at `now_ms`; a retention without a date counts
+/// Decides about a request of `asker` (`None`: without a valid token) at `now_ms`; a retention without a date counts
 /// from `start_ms`, both Unix ms.
 ///
 /// An item covers the resource that it names, and all of a class if it names that. Where several cover a resource, all
@@ -184,8 +184,8 @@ pub fn decide(policy: &Policy, asker: Option<&Asker<'_>>, request: &Request, sta
     let Request { action, resource } = request;
     let asked = [Digest::of(&resource.to_string()), Digest::of(resource.class().name())];
     let covers = |of: &Digest| of.is(&asked[0]) | of.is(&asked[1]);
-    let nobody = BTreeSet::new();
-    let roles = asker.map_or(&nobody, |asker| &asker.subject.roles);
+    let no_roles = BTreeSet::new();
+    let roles = asker.map_or(&no_roles, |asker| &asker.subject.roles);
     let purpose = Digest::of(asker.map_or("", |asker| asker.purpose));
 
     let (yes, no) = (Choice::from(1), Choice::from(0));

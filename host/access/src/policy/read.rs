@@ -222,7 +222,7 @@ fn subject(person: Person) -> Result<Subject, Found> {
 fn item(thing: Thing, resource: &Resource) -> Result<Item, Found> {
     let purposes = filled("purposes", thing.purposes)?;
     let known = names(&purposes)?;
-    // An item that concerns nobody needs no consent: without the key its purposes are enough.
+    // An item that concerns no person needs no consent: without the key its purposes are enough.
     let consent = thing.consent.as_ref().unwrap_or(&purposes);
     if let Some(other) = consent.iter().find(|word| !known.contains(word.get_ref())) {
         return Err((other.span(), Problem::ConsentWithoutPurpose(other.get_ref().clone())));

@@ -15,7 +15,7 @@ enum Damage {
     Altered,
 }
 
-/// Damages a log in every way, a few times each. Returns the number of attempts, and of those that nobody would notice.
+/// Damages a log in every way, a few times each. Returns the number of attempts, and of those that stay unnoticed.
 pub(super) fn attempts(seed: u64, log: &Memory, is_intact: impl Fn(&str, &chain::Head) -> bool) -> (u64, u64) {
     let mut sampler = Sampler::new(seed, 3);
     let Some(head) = &log.head else { return (0, 0) };

@@ -74,7 +74,7 @@ fn words(event: &Event) -> (Option<u64>, String) {
         }
         Event::Rejected { link, why } => (Some(*link), format!("token rejected: {why}")),
         Event::Decided { link, subject, action, resource, facts, basis, repeats } => {
-            let who = if subject.is_empty() { "nobody" } else { subject };
+            let who = if subject.is_empty() { "no token" } else { subject };
             let outcome = match basis {
                 Some(Basis::Rule) => "granted".to_owned(),
                 Some(Basis::BreakGlass) => "granted by BREAK-GLASS".to_owned(),
