@@ -5,7 +5,7 @@
 #ifndef R4_H
 #define R4_H
 
-#define R4_SCHEMA_HASH 0x2fcc40f32856d804ULL
+#define R4_SCHEMA_HASH 0xedd7792cd1fe369fULL
 /* CRC-16/IBM-SDLC, in 2 bytes, low byte first. */
 #define R4_CRC16_POLYNOMIAL 0x1021UL
 #define R4_CRC16_REFLECTED 0x8408UL
@@ -95,7 +95,7 @@
 /* Maximum number of switches. */
 #define R4_SWITCHES 4
 /* Version of the messages in this crate, the newest that it speaks. */
-#define R4_VERSION 13
+#define R4_VERSION 14
 
 /* Message from a host to a board. */
 enum r4_to_device {
@@ -538,6 +538,7 @@ enum r4_refusal {
  *     f32 asked: Speed that the path needs, rad/s or m/s.
  *     f32 limit: Speed limit of the channel, rad/s or m/s. */
     R4_REFUSAL_UNKNOWN_MESSAGE = 32, /* The board does not know this request, although it is undamaged: it came with a later version. */
+    R4_REFUSAL_DENIED = 33, /* The guard of a shared board denies the request. It gives no reason, so that the answer does not say whether the channel, parameter or trip exists. Boards themselves never send it. */
 };
 
 /* HotWinding: Motor with a hot winding: see `Winding::hot`.

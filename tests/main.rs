@@ -1,5 +1,6 @@
 //! Tests of the program as a user runs it: `cargo test -p r4 --test all`, and `--test all cli::` for one file of these.
 
+mod access;
 mod bench_link;
 mod blind;
 mod bridge;

@@ -571,6 +571,9 @@ pub enum Refusal {
     },
     /// The board does not know this request, although it is undamaged: it came with a later version.
     UnknownMessage,
+    /// The guard of a shared board denies the request. It gives no reason, so that the answer does not say whether the
+    /// channel, parameter or trip exists. Boards themselves never send it.
+    Denied,
 }
 
 impl fmt::Display for Refusal {
@@ -585,6 +588,10 @@ impl fmt::Display for Refusal {
             ),
             Self::UnknownMessage => f.write_str("the board's firmware does not know this request: flash that of this release"),
             Self::NoSession => f.write_str("no session is open: connect again"),
+            Self::Denied => f.write_str(
+                "access denied: present a valid token of a subject who may do this, by --token or R4_TOKEN; who serves the board \
+                 finds the reason by `r4 access log`",
+            ),
             Self::InUse => f.write_str("another host commands this board: end its session first"),
             Self::UnknownChannel { channel } => {
                 write!(f, "the board has no channel {channel}: `r4 info` lists those it has")

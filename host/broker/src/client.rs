@@ -13,10 +13,11 @@ use futures::{
     channel::mpsc::{UnboundedSender, unbounded},
     future::{LocalBoxFuture, select},
 };
+use r4_access::{Piece, Splitter};
 use r4_driver::{Clock, Error};
 use r4_protocol::{
-    ChannelId, Cycle, CycleOutcome, CycleState, DeviceInfo, FrameDecoder, FrameError, Refusal, Reply, Request, Spoken,
-    ToDevice, ToHost,
+    ChannelId, Cycle, CycleOutcome, CycleState, DeviceInfo, FrameDecoder, FrameError, Refusal, Reply, Request,
+    SafetyState, Setpoint, Spoken, ToDevice, ToHost,
     cycle::{CYCLE_CHANNELS, CycleMotor},
     version::{REPEATS, SPOKEN, accept},
 };
@@ -24,6 +25,7 @@ use r4_protocol::{
 use crate::{
     Broker,
     command::{Role, role},
+    guard::needs,
     log::LogReader,
     outbox::Outbox,
     subscriptions::{Subscriptions, common_ms},
@@ -74,6 +76,8 @@ struct Served<'s, 'b, C: Clock> {
     version: Cell<u16>,
     /// Requests that must be executed only once, newest last, with their answers where these have come.
     once: RefCell<VecDeque<Once>>,
+    /// Last binding that the guard permitted: each cycle needs the same permissions.
+    bind: RefCell<Option<Request>>,
 }
 
 /// A request that is executed once, however often the client sends it.
@@ -98,6 +102,7 @@ impl<C: Clock> Broker<'_, C> {
             under_way: Cell::new(0),
             version: Cell::new(0),
             once: RefCell::default(),
+            bind: RefCell::default(),
         };
         let (later, answers) = unbounded();
         // Answers are awaited concurrently: a slow one must not delay a stop.
@@ -181,18 +186,32 @@ impl<'s, C: Clock> Served<'s, '_, C> {
     /// Decodes and handles everything that the client sends, until its link ends.
     async fn receive(&self, mut rx: impl Read, later: &UnboundedSender<Later<'s>>) -> Left {
         let mut decoder = FrameDecoder::new();
+        let mut splitter = Splitter::default();
         let mut buffer = [0; 4096];
         while let Ok(len @ 1..) = rx.read(&mut buffer).await {
-            for byte in &buffer[..len] {
-                match decoder.push(*byte) {
-                    Some(Ok(message)) => self.message(message, later),
-                    Some(Err(FrameError::NotAMessage { seq: Some(seq) })) => self.unknown(seq, later),
-                    // A damaged frame is ignored, as a board ignores it: the client repeats its request.
-                    Some(Err(_)) | None => {}
+            let Some(guard) = &self.broker.guard else {
+                self.bytes(&buffer[..len], &mut decoder, later);
+                continue;
+            };
+            for piece in splitter.push(&buffer[..len]) {
+                match piece {
+                    Piece::Bytes(bytes) => self.bytes(&bytes, &mut decoder, later),
+                    Piece::Token(token) => guard.present(self.number, &token),
                 }
             }
         }
         Left::Gone
+    }
+
+    fn bytes(&self, bytes: &[u8], decoder: &mut FrameDecoder, later: &UnboundedSender<Later<'s>>) {
+        for byte in bytes {
+            match decoder.push(*byte) {
+                Some(Ok(message)) => self.message(message, later),
+                Some(Err(FrameError::NotAMessage { seq: Some(seq) })) => self.unknown(seq, later),
+                // A damaged frame is ignored, as a board ignores it: the client repeats its request.
+                Some(Err(_)) | None => {}
+            }
+        }
     }
 
     /// Returns whether the client has sent this request before, and repeats the answer if there is one, as a board
@@ -266,6 +285,11 @@ impl<'s, C: Clock> Served<'s, '_, C> {
             return;
         }
         if self.commands() {
+            // Who may no longer command leaves nothing moving. The heartbeat goes on, so that the board stops in its
+            // orderly way instead of tripping.
+            if board.safety().0 == SafetyState::Armed && !self.broker.is_welcome(self.number) {
+                drop(board.pass_on(Request::Disarm));
+            }
             let relayed = Some((board.send_heartbeat(), host_us));
             self.state(|client| client.relayed = relayed);
             return;
@@ -275,9 +299,56 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         self.tell(&ToHost::Heartbeat { host_us, device_us: board.device_us(), state, causes, hot });
     }
 
+    /// Asks the guard about a request; without a guard every client may do everything.
+    fn permits(&self, request: &Request) -> bool {
+        self.broker.guard.as_ref().is_none_or(|guard| guard.permits(self.number, &needs(request)))
+    }
+
+    /// Ends at the board what a denied request was to replace: a refused newer set point never leaves the older one in
+    /// force.
+    fn withdraw(&self, request: Request) -> Option<impl Future<Output = ()> + use<C>> {
+        // The board refuses these and withdraws the channel's set points up to that date, as for any refused one.
+        let refused = match request {
+            Request::Set { channel, setpoint, sent_us, ttl_ms } => {
+                Request::Set { channel, setpoint: Setpoint { value: f32::NAN, ..setpoint }, sent_us, ttl_ms }
+            }
+            Request::Follow { channel, sent_us, .. } => {
+                Request::Follow { channel, sent_us, points: heapless::Vec::new() }
+            }
+            // An empty binding ends that in force.
+            Request::Bind { ttl_ms, .. } => Request::Bind { channels: heapless::Vec::new(), ttl_ms },
+            _ => return None,
+        };
+        let ended = self.commands().then(|| self.broker.board.pass_on(refused))?;
+        Some(async move {
+            // If the link to the board is lost, heartbeats are lost too, and the board trips by itself.
+            let _ = ended.await;
+        })
+    }
+
+    /// Answers a denied request once the board has ended what it was to replace.
+    fn denied(&self, seq: u16, request: Request) -> Option<Later<'s>> {
+        let refused = ToHost::Response { seq, result: Err(Refusal::Denied) };
+        let Some(ended) = self.withdraw(request) else {
+            self.answered(refused);
+            return None;
+        };
+        let answer = async move {
+            ended.await;
+            Some(refused)
+        };
+        Some(answer.boxed_local())
+    }
+
     fn cycle(&self, cycle: Cycle) {
         let board = self.broker.board;
-        if self.commands() {
+        let commands = self.commands();
+        let is_denied = commands && self.bind.borrow().as_ref().is_some_and(|bind| !self.permits(bind));
+        if is_denied {
+            // The board follows the cycle before until its time to live: a newer one that is refused ends it at once.
+            drop(board.pass_on(Request::Disarm));
+        }
+        if commands && !is_denied {
             board.pass_on_cycle(cycle);
         } else {
             let motors = [CycleMotor::NONE; CYCLE_CHANNELS];
@@ -308,10 +379,20 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         let (broker, board) = (self.broker, self.broker.board);
         let has_session = self.state(|client| client.session.is_some()) == Some(true);
         let role = role(&request);
+        // Before all that depends on what the board has: a denial does not say whether the resource exists.
+        if has_session && !self.permits(&request) {
+            return self.denied(seq, request);
+        }
+        if let Request::Bind { .. } = request {
+            *self.bind.borrow_mut() = Some(request.clone());
+        }
+        // Anybody may disarm, but a client without a valid token does not get the command by that.
+        let is_guest = matches!(request, Request::Disarm) && !broker.is_welcome(self.number);
         let refusal = match role {
             // A stop is never refused for load.
             Role::Watch | Role::Command | Role::Session if self.under_way.get() >= UNDER_WAY => Some(Refusal::Busy),
             Role::Watch | Role::Command if !has_session => Some(Refusal::NoSession),
+            Role::Command if is_guest && broker.shared.borrow().command.holder().is_none() => None,
             Role::Command if !broker.shared.borrow_mut().command.claim(self.number) => Some(Refusal::InUse),
             _ => None,
         };
@@ -464,6 +545,9 @@ impl<C: Clock> Drop for Served<'_, '_, C> {
             let shared = &mut *self.broker.shared.borrow_mut();
             shared.command.lose(self.number);
             shared.clients.remove(&self.number);
+        }
+        if let Some(guard) = &self.broker.guard {
+            guard.leave(self.number);
         }
         self.broker.wake();
     }

@@ -14,10 +14,14 @@
 //!   connected to it directly. Clients that only watch cannot delay that.
 //! - A client that commands and closes its session leaves the board disarmed.
 //!
+//! With a guard ([`Broker::guarded`]) each request of a client is authorised anew by `r4-access`, and a denied one gets
+//! [`Denied`](r4_protocol::Refusal::Denied). Stops and disarming never are. A denied set point stops its channel.
+//!
 //! The broker does not depend on the kind of the links, nor on whether time is real or simulated.
 
 mod client;
 mod command;
+mod guard;
 mod log;
 mod outbox;
 mod subscriptions;
@@ -27,6 +31,7 @@ use std::{
     collections::BTreeMap,
     future::poll_fn,
     pin::pin,
+    rc::Rc,
     task::{Poll, Waker},
 };
 
@@ -38,6 +43,7 @@ use r4_protocol::{ChannelId, CycleState, LogChunk, Request, Telemetry, ToHost};
 use subscriptions::Periods;
 
 pub use client::Left;
+pub use guard::Guarded;
 
 /// Number of checks of the commanding client per link time-out of the board.
 const LOOKS_PER_TIMEOUT: f64 = 4.0;
@@ -46,6 +52,8 @@ const LOOKS_PER_TIMEOUT: f64 = 4.0;
 pub struct Broker<'b, C> {
     board: &'b Board<C>,
     shared: RefCell<Shared>,
+    /// `None` where every client may do everything.
+    guard: Option<Rc<Guarded>>,
 }
 
 /// State that all clients share.
@@ -68,7 +76,19 @@ impl<'b, C: Clock> Broker<'b, C> {
     /// Creates a broker for `board`. No other code may use the session of `board` to command it.
     #[must_use]
     pub fn new(board: &'b Board<C>) -> Self {
-        Self { board, shared: RefCell::default() }
+        Self { board, shared: RefCell::default(), guard: None }
+    }
+
+    /// Creates a broker for `board` that asks a guard about each request of its clients. The guard outlives the
+    /// broker where the board's link is lost and comes back.
+    #[must_use]
+    pub fn guarded(board: &'b Board<C>, guard: Rc<Guarded>) -> Self {
+        Self { guard: Some(guard), ..Self::new(board) }
+    }
+
+    /// True if a client may have what goes on between its requests: samples, the firmware's log, motion.
+    fn is_welcome(&self, client: u64) -> bool {
+        self.guard.as_ref().is_none_or(|guard| guard.is_authenticated(client))
     }
 
     /// Subscribes to a channel beside the clients, for a caller that reads the board's own session, such as a
@@ -133,16 +153,20 @@ impl<'b, C: Clock> Broker<'b, C> {
 
     fn telemetry(&self, frame: &Telemetry) {
         let Shared { clients, periods, .. } = &mut *self.shared.borrow_mut();
-        for client in clients.values_mut() {
-            if let Some(frame) = client.subscriptions.due(frame, periods) {
+        for (number, client) in clients {
+            if let Some(frame) = client.subscriptions.due(frame, periods)
+                && self.is_welcome(*number)
+            {
                 client.outbox.push_if_room(&ToHost::Telemetry(frame));
             }
         }
     }
 
     fn log(&self, chunk: &LogChunk) {
-        for client in self.shared.borrow_mut().clients.values_mut() {
-            if let Some(chunk) = client.log.as_mut().and_then(|reader| reader.unread(chunk)) {
+        for (number, client) in &mut self.shared.borrow_mut().clients {
+            if let Some(chunk) = client.log.as_mut().and_then(|reader| reader.unread(chunk))
+                && self.is_welcome(*number)
+            {
                 client.outbox.push_if_room(&ToHost::Log(chunk));
             }
         }

@@ -48,6 +48,9 @@ pub(crate) struct Args {
     /// File with the key of a board that is served with one at tcp:
     #[arg(id = "key_file", long = "key", global = true, env = "R4_KEY", value_name = "FILE")]
     pub(crate) key: Option<PathBuf>,
+    /// File with a credential or a token for a board that is served with --policy, as `access key` and `access grant` make it
+    #[arg(long, global = true, env = "R4_TOKEN", hide_env_values = true, value_name = "FILE")]
+    pub(crate) token: Option<PathBuf>,
     /// Simulated seconds per real one, for commands a person watches; `max` is as fast as the machine can
     #[arg(long, global = true, value_parser = parse_pace, value_name = "FACTOR|max", allow_negative_numbers = true)]
     pub(crate) pace: Option<r4_sim::Pace>,
@@ -133,6 +136,9 @@ pub(crate) struct Share {
     /// Let other machines connect; needs --key, which is then what clients must have
     #[arg(long, requires = "key_file")]
     pub(crate) public: bool,
+    /// Authorise every request of clients by this policy, as docs/access.md describes it; the log is FILE.log
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["http", "foxglove"])]
+    pub(crate) policy: Option<PathBuf>,
     /// Serve a page for browsers too, at this address [default: 127.0.0.1:8404]; port 0 is any that is free
     #[arg(
         long,
@@ -331,8 +337,11 @@ pub(crate) enum IdentifyRows {
     Close,
 }
 
-#[derive(Clone, Copy, Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct BenchSystems {
+    /// Run only this system, from `system list`
+    #[arg(long, value_name = "NAME")]
+    pub(crate) only: Option<String>,
     /// Run few seeds, as a check that everything runs; targets are not meaningful
     #[arg(long)]
     pub(crate) quick: bool,

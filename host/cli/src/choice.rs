@@ -89,6 +89,7 @@ fn opens_a_session(command: &Command) -> bool {
         | Command::Report(_)
         | Command::System { .. }
         | Command::Evaluate { .. }
+        | Command::Access { .. }
         | Command::Ports
         | Command::Sim { .. }
         | Command::Bench { .. }

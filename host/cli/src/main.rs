@@ -126,6 +126,7 @@ fn run(args: &Args, command: &Command) -> anyhow::Result<bool> {
         Command::System { what } => commands::system::run(args, what),
         Command::Evaluate { what } => commands::evaluate::run(args, what),
         Command::Ports => commands::ports::run(args),
+        Command::Access { what } => commands::access::run(args, what),
         Command::Serve(share) => commands::share::run(args, share),
         Command::Sim { what: Sim::Serve(serve) } => commands::serve::run(args, serve),
         Command::Sim { what: Sim::Reveal(reveal) } => commands::reveal::run(args, reveal),

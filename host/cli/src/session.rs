@@ -12,6 +12,7 @@ use std::{
 
 use anyhow::{Context, bail};
 use futures::future::{Either, select};
+use r4_access::Source;
 use r4_driver::Error as DriverError;
 use r4_links::{Address, Event, Key, Restart};
 pub(crate) use r4_rig::{Elapsed, HostClock, Interrupted, Session, Target};
@@ -98,6 +99,7 @@ pub(crate) fn rig(args: &Args, default_pace: Pace) -> anyhow::Result<Rig> {
     rig.notify = Rc::new(|notice: &Notice| eprintln!("r4: {notice}"));
     if let Target::Link(_) = args.board {
         rig.key = key(args)?;
+        rig.token = args.token.as_deref().map(Source::read).transpose()?;
     }
     emulated::log(args, &mut rig);
     Ok(rig)

@@ -138,6 +138,11 @@ pub(crate) enum Command {
     Ports,
     /// Share a board until Ctrl-C: one program commands it, any number watch [default: at tcp:127.0.0.1:4404]
     Serve(Share),
+    /// Make keys and tokens for a board that is served with a policy, check the policy, verify its log
+    Access {
+        #[command(subcommand)]
+        what: crate::commands::access::Access,
+    },
     /// Serve a virtual board to other programs, or reveal its hidden effects
     Sim {
         #[command(subcommand)]

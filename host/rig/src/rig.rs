@@ -3,6 +3,7 @@
 use std::{cell::Cell, io::Cursor, path::PathBuf, pin::pin, rc::Rc, time::Instant};
 
 use futures::future::{Either, select};
+use r4_access::{Presenter, Source, unix_ms};
 use r4_boards::Robot;
 use r4_driver::{Clock as _, Error as DriverError, with_board};
 use r4_links::{Address, Event, Key, OpenError, RealClock, is_of_link, with_reconnect};
@@ -59,6 +60,8 @@ pub struct Rig {
     pub key: Option<Key>,
     /// World of a virtual board that another thread of this program serves on a link, for the view in recordings.
     pub look: Option<SharedLook>,
+    /// Tokens for the guard of a shared board on a link; `None` for a board without one.
+    pub token: Option<Source>,
     /// Request to end a session in good order.
     pub interrupt: Interrupt,
     /// Callback for notices to the user; the default discards them.
@@ -132,6 +135,7 @@ impl Rig {
             alter: None,
             key: None,
             look: None,
+            token: None,
             interrupt: Interrupt::default(),
             notify: Rc::new(|_| {}),
             #[cfg(feature = "emu")]
@@ -341,7 +345,9 @@ impl Rig {
         let value = r4_links::block_on(async {
             let link = r4_links::open(address, self.key.as_ref()).await.map_err(Error::from)?;
             let clock = HostClock::Real(RealClock);
-            let (rx, tx) = (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(link.tx, tap.as_ref(), &clock));
+            // Outside of the recording, which must not have a token.
+            let tx = Presenter::new(link.tx, self.token.clone(), unix_ms);
+            let (rx, tx) = (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(tx, tap.as_ref(), &clock));
             let connected = with_board(rx, tx, clock.clone(), async |connected| {
                 let session = Session::new(connected, &self.target, clock.clone(), tap, self.notify.clone(), None);
                 session.record_view(self.look());
@@ -382,7 +388,8 @@ impl Rig {
                     // Marks the gap in the recording.
                     tap.borrow_mut().reopened();
                 }
-                (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(link.tx, tap.as_ref(), &clock))
+                let tx = Presenter::new(link.tx, self.token.clone(), unix_ms);
+                (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(tx, tap.as_ref(), &clock))
             },
             async |board| {
                 has_session.set(true);

@@ -11,6 +11,7 @@
 
 mod about;
 pub mod absim;
+pub mod access;
 pub mod berry;
 pub mod cloop;
 pub mod effects;
@@ -117,6 +118,7 @@ pub fn all() -> &'static [&'static dyn System] {
         &absim::Absim,
         &gasmap::Gasmap,
         &tail::Tail,
+        &access::Access,
     ]
 }
 

@@ -485,6 +485,7 @@ fn refusals() -> Vec<(&'static str, Refusal)> {
         ("refused-too-many-subscriptions", Refusal::TooManySubscriptions),
         ("refused-clock-ahead", Refusal::ClockAhead { ahead_ms: u32::MAX }),
         ("refused-unknown-message", Refusal::UnknownMessage),
+        ("refused-denied", Refusal::Denied),
     ]
 }
 

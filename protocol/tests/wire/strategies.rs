@@ -196,7 +196,8 @@ fn refusal() -> BoxedStrategy<Refusal> {
             Refusal::NoLog,
             Refusal::NoImage,
             Refusal::NoBootloader,
-            Refusal::UnknownMessage
+            Refusal::UnknownMessage,
+            Refusal::Denied
         ]),
         any::<u8>().prop_map(|address| Refusal::NoAcknowledge { address }),
         channel().prop_map(|channel| Refusal::BadBinding { channel }),

@@ -21,6 +21,7 @@ fn a_refusal_says_what_is_wrong_with_what_was_asked() {
     for refusal in refusals() {
         let text = refusal.to_string();
         let named = match refusal {
+            Refusal::Denied => vec!["--token".into()],
             Refusal::UnknownMessage => vec!["does not know".into()],
             Refusal::ProtocolMismatch { version, schema } => vec![version.to_string(), format!("{schema:016x}")],
             Refusal::UnknownChannel { channel }

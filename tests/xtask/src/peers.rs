@@ -28,7 +28,8 @@ struct Suite {
     pinned: &'static str,
 }
 
-const SUITES: [Suite; 3] = [
+const SUITES: [Suite; 4] = [
+    Suite { name: "access", tests: "tests/access", pinned: "pinned.txt" },
     Suite { name: "foxglove", tests: "tests/foxglove", pinned: "pinned.txt" },
     Suite { name: "jazzy", tests: "host/ros2/tests", pinned: "jazzy.txt" },
     Suite { name: "kilted", tests: "host/ros2/tests", pinned: "kilted.txt" },

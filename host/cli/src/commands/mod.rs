@@ -1,5 +1,6 @@
 //! Verbs of the program: one module per verb or group of related verbs.
 
+pub(crate) mod access;
 pub(crate) mod bench;
 pub(crate) mod bridge;
 pub(crate) mod calibrate;

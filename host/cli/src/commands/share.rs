@@ -7,22 +7,27 @@ use std::{
     future::{pending, poll_fn},
     mem,
     net::SocketAddr,
+    path::Path,
     pin::{Pin, pin},
+    rc::Rc,
     task::Poll,
 };
 
+use anyhow::Context;
 use futures::{
     Stream as _,
     future::{Either, select},
     stream::FuturesUnordered,
 };
 use page::{CONNECTIONS, Door};
-use r4_broker::{Broker, Left};
+use r4_access::{Guard, Policy, log::Files, unix_ms};
+use r4_broker::{Broker, Guarded, Left};
 use r4_links::{Accepted, Listener};
 use r4_page::{FAREWELL_S, Page};
 use r4_sim::Pace;
 use serde::Serialize;
 
+use super::access;
 use super::serve::{
     Background, bind,
     clients::{DROPPED, TURNED_AWAY},
@@ -52,6 +57,7 @@ pub(crate) fn run(args: &Args, share: &Share) -> anyhow::Result<bool> {
     let board = share.board.clone().unwrap_or_else(|| args.board.clone());
     let args = Args { board, live: share.live.foxglove, ..args.clone() };
     session::catch_interrupts();
+    let guard = share.policy.as_deref().map(guard).transpose()?;
     // Before the board, which takes longer: a port that is taken is reported at once.
     let (socket, at) = bind(&args, share.tcp, share.public)?;
     // Once: it may come through a pipe.
@@ -62,7 +68,7 @@ pub(crate) fn run(args: &Args, share: &Share) -> anyhow::Result<bool> {
         Target::Link(_) => None,
         Target::Sim(_) | Target::Emu(_) => Some(Background::start(&args)?),
     };
-    let served = serve(&args, virtual_board.as_ref(), listening, door);
+    let served = serve(&args, virtual_board.as_ref(), listening, door, guard.as_ref());
     let ended = virtual_board.map_or(Ok(()), Background::end);
     // A failure of a virtual board goes first: it is why the link to it ended.
     ended.and(served).map(|never| match never {})
@@ -73,6 +79,7 @@ fn serve(
     virtual_board: Option<&Background>,
     (mut listener, at): (Listener, SocketAddr),
     mut door: Option<Door>,
+    guard: Option<&Rc<Guarded>>,
 ) -> anyhow::Result<Infallible> {
     let mut is_told = false;
     let work = async |session: &Session<'_>| {
@@ -84,7 +91,11 @@ fn serve(
                 eprintln!("r4: open {} in a browser", door.to_be_opened());
             }
         }
-        serve_clients(session, &mut listener, door.as_mut(), args.live.is_some()).await
+        let broker = match guard {
+            Some(guard) => Broker::guarded(session.board, guard.clone()),
+            None => Broker::new(session.board),
+        };
+        serve_clients(session, &broker, &mut listener, door.as_mut(), args.live.is_some()).await
     };
     let tell = |event| eprintln!("r4: {}", session::told(&event));
     let meanwhile = async |_: &HostClock| pending().await;
@@ -96,14 +107,27 @@ fn serve(
     }
 }
 
+/// Makes the guard of a policy, with its log beside it.
+fn guard(path: &Path) -> anyhow::Result<Rc<Guarded>> {
+    let policy = Policy::read(path).with_context(|| path.display().to_string())?;
+    let log = access::log_of(path);
+    let opened = Files::open(&log)?;
+    if opened.verified.unsigned > 0 {
+        eprintln!("r4: {} entries follow the signed head of {}", opened.verified.unsigned, log.display());
+    }
+    eprintln!("r4: requests are authorised by the policy {}; log: {}", policy.name(), log.display());
+    let guard = Guard::new(policy, Box::new(opened.files), opened.key, &opened.verified, unix_ms());
+    Ok(Rc::new(Guarded::new(guard, unix_ms)))
+}
+
 /// Serves clients until the board's link ends.
 async fn serve_clients(
     session: &Session<'_>,
+    broker: &Broker<'_, HostClock>,
     listener: &mut Listener,
     door: Option<&mut Door>,
     is_live: bool,
 ) -> anyhow::Result<Infallible> {
-    let broker = Broker::new(session.board);
     if is_live {
         for channel in session.board.channels() {
             broker.watch(channel.id, LIVE_MS).await?;
@@ -111,7 +135,7 @@ async fn serve_clients(
     }
     let facts = page::facts(session);
     let (mut door, page) = door.map_or((None, None), |Door { listener, guard, .. }| {
-        (Some(listener), Some(Page::new(&broker, session.clock.clone(), &facts, guard)))
+        (Some(listener), Some(Page::new(broker, session.clock.clone(), &facts, guard)))
     });
     let mut browsers = FuturesUnordered::new();
     let mut clients = FuturesUnordered::new();

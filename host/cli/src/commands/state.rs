@@ -1,7 +1,8 @@
 //! `r4 arm`, `r4 disarm`, `r4 clear`: changes of the safety state.
 
 use anyhow::bail;
-use r4_protocol::{HotWinding, SafetyState};
+use r4_driver::Error;
+use r4_protocol::{HotWinding, Refusal, SafetyState};
 use r4_sim::Pace;
 use serde::Serialize;
 
@@ -76,21 +77,33 @@ async fn report(args: &Args, session: &Session<'_>) -> anyhow::Result<()> {
     let Some(first) = session.board.channels().first() else { bail!("the board has no channels") };
     let mut telemetry = session.board.telemetry();
     // Telemetry carries the state: the next frame is newer than the request before.
-    session.board.subscribe(first.id, 10).await?;
-    let frame = telemetry.next().await?;
-    session.board.subscribe(first.id, 0).await?;
+    let (safety, causes) = match session.board.subscribe(first.id, 10).await {
+        Ok(()) => {
+            let frame = telemetry.next().await?;
+            session.board.subscribe(first.id, 0).await?;
+            (frame.state, frame.causes)
+        }
+        // Who may not watch may disarm all the same. The second heartbeat from now on was sent after the request.
+        Err(Error::Refused(Refusal::Denied)) => {
+            let mut answers = session.board.heartbeat_answers();
+            answers.next().await?;
+            let answer = answers.next().await?;
+            (answer.state, answer.causes)
+        }
+        Err(error) => return Err(error.into()),
+    };
     let hot = session.board.hot_windings();
     let state = State {
         board: args.board.to_string(),
-        state: frame.state.to_string(),
-        causes: frame.causes.iter().map(|cause| cause.to_string()).collect(),
+        state: safety.to_string(),
+        causes: causes.iter().map(|cause| cause.to_string()).collect(),
         hot_windings: hot.iter().map(Hot::from).collect(),
     };
     if args.json {
         return output::json(&state);
     }
     output::line(format_args!("{} is {}", args.board.described(), state.state))?;
-    for cause in frame.causes.iter() {
+    for cause in causes.iter() {
         output::line(format_args!("  {cause}: {}", cause.advice()))?;
     }
     for hot in &hot {

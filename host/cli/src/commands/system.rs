@@ -118,10 +118,12 @@ pub(crate) fn run(args: &Args, what: &Systems) -> anyhow::Result<bool> {
 }
 
 /// Runs `r4 bench systems`: every system's study, on seeds that decided no constant.
-pub(crate) fn bench(args: &Args, bench: BenchSystems) -> anyhow::Result<bool> {
+pub(crate) fn bench(args: &Args, bench: &BenchSystems) -> anyhow::Result<bool> {
     let mut rows: Vec<Row> = Vec::new();
     let mut is_complete = true;
-    for system in r4_systems::all() {
+    let only = bench.only.as_deref().map(r4_systems::find).transpose()?;
+    let chosen = only.map_or_else(|| r4_systems::all().to_vec(), |system| vec![system]);
+    for system in &chosen {
         let seeds = bench.seeds.unwrap_or(if bench.quick { QUICK_SEEDS } else { BENCH_SEEDS });
         let study = Study {
             arms: Vec::new(),

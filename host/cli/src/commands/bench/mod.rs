@@ -41,7 +41,7 @@ pub(crate) fn run(args: &Args, what: &args::Bench) -> anyhow::Result<bool> {
         args::Bench::Sim => sim::run(args),
         args::Bench::Motion(asked) => motion::run(args, asked),
         args::Bench::Identify(what) => identify::run(args, what),
-        args::Bench::Systems(what) => super::system::bench(args, *what),
+        args::Bench::Systems(what) => super::system::bench(args, what),
     }
 }
 
