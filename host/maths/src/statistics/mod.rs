@@ -16,9 +16,9 @@ use thiserror::Error;
 
 pub use bootstrap::{Bootstrap, Estimate, bca_interval, percentile_interval};
 pub use hypothesis::{Alternative, TTest, Wilcoxon, mcnemar_exact, paired_t, welch_t, wilcoxon_signed_rank};
+pub use interval::{Interval, mean_interval, wilson};
 #[cfg(feature = "matrices")]
 pub(crate) use interval::{student_quantile, two_sided_p};
-pub use interval::{Interval, mean_interval, wilson};
 pub use moments::{mean, standard_deviation, standard_error, variance};
 pub use multiple::holm;
 pub use order::{

@@ -1,0 +1,143 @@
+//! Rates at which analyses of synthetic studies claim a difference: with the paper's differences, and without any.
+
+use r4_maths::statistics::{Alternative, holm, paired_t};
+
+use super::{
+    PEOPLE,
+    analysis::{self, Comparison, PAIRS, Person},
+    synthetic::Population,
+};
+use crate::{Curve, Error, Figure, Panel, Sampler, participants::ParticipantsError};
+
+/// Purpose of the random numbers: the shares of the variance.
+const OF_SHARES: u64 = 1_730;
+/// Number of studies with a difference, and without, in a trial. A share of 0.8 has a standard deviation of 0.028; rows are
+/// means of many trials.
+const STUDIES: u64 = 200;
+/// Level of all tests.
+const LEVEL: f64 = 0.05;
+
+/// Way to analyse a study.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Analysis {
+    /// The paper's: Welch's t-test between persons, uncorrected, of other people in each modality, as it assumes.
+    Independent,
+    /// The same test of the same people in all modalities, as the paper's trials were.
+    Welch,
+    /// Pairs within persons with the order as covariate, Holm's correction.
+    Paired,
+    /// Paired t-test without the order, Holm's correction.
+    Unordered,
+    /// Wilcoxon's signed ranks without the order, Holm's correction.
+    Wilcoxon,
+}
+
+/// Rates of claims.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Rates {
+    /// Share of studies that claim the difference of haptic to visual, and to auditory.
+    pub(super) powers: [f64; 2],
+    /// Share of studies without any difference that claim at least one.
+    pub(super) false_alarms: f64,
+}
+
+/// Rates of a population whose shares are sampled from `seed`.
+pub(super) fn sampled(seed: u64, analysis: Analysis) -> Result<Rates, Error> {
+    let mut sampler = Sampler::new(seed, OF_SHARES);
+    let (person_share, order_share) = (sampler.uniform(0.6, 0.8), sampler.uniform(0.0, 0.1));
+    of(seed, &Population::of_paper(person_share, order_share), analysis)
+}
+
+/// Rates of a population.
+fn of(seed: u64, population: &Population, analysis: Analysis) -> Result<Rates, Error> {
+    let none = population.without_difference();
+    let mut rates = Rates { powers: [0.0; 2], false_alarms: 0.0 };
+    for number in 0..STUDIES {
+        let claims = |people: &[Person]| claims(people, analysis).map_err(|why| Error::Effects(why.to_string()));
+        let sample = |population: &Population, number: u64| match analysis {
+            Analysis::Independent => strangers(population, seed, number),
+            _ => population.study(seed, number, PEOPLE),
+        };
+        let found = claims(&sample(population, number))?;
+        for (power, found) in rates.powers.iter_mut().zip(found) {
+            *power += f64::from(u8::from(found)) / STUDIES as f64;
+        }
+        // Other people than those with a difference.
+        let alarms = claims(&sample(&none, STUDIES + number))?;
+        rates.false_alarms += f64::from(u8::from(alarms.contains(&true))) / STUDIES as f64;
+    }
+    Ok(rates)
+}
+
+/// Samples a study in which other people do each modality.
+fn strangers(population: &Population, seed: u64, number: u64) -> Vec<Person> {
+    // Numbers beyond those of the other studies: nobody is in two of them.
+    let studies = [0, 1, 2].map(|modality| population.study(seed, (1 + modality) * 1_000_000 + number, PEOPLE));
+    let person = |at: usize| Person {
+        places: studies[0][at].places,
+        values: std::array::from_fn(|modality| studies[modality][at].values[modality]),
+    };
+    (0..PEOPLE).map(person).collect()
+}
+
+/// Claims of one study, in the order of [`PAIRS`].
+fn claims(people: &[Person], analysis: Analysis) -> Result<[bool; 3], ParticipantsError> {
+    let p_values = if analysis == Analysis::Unordered {
+        let values = |at: usize| people.iter().map(|person| person.values[at]).collect::<Vec<f64>>();
+        let mut p_values = [1.0; 3];
+        for (p, [first, second]) in p_values.iter_mut().zip(PAIRS) {
+            *p = paired_t(&values(first), &values(second), Alternative::TwoSided)?.p_value;
+        }
+        corrected(p_values)?
+    } else {
+        let compared = analysis::compare(people)?;
+        let p = |of: &dyn Fn(&Comparison) -> f64| [of(&compared[0]), of(&compared[1]), of(&compared[2])];
+        match analysis {
+            Analysis::Independent | Analysis::Welch => p(&|comparison| comparison.welch.map_or(1.0, |welch| welch.p_value)),
+            Analysis::Wilcoxon => corrected(p(&|comparison| comparison.wilcoxon_p))?,
+            _ => p(&|comparison| comparison.holm_p),
+        }
+    };
+    Ok(p_values.map(|p| p <= LEVEL))
+}
+
+fn corrected(p_values: [f64; 3]) -> Result<[f64; 3], ParticipantsError> {
+    let corrected = holm(&p_values)?;
+    Ok([corrected[0], corrected[1], corrected[2]])
+}
+
+/// Rates over the person's share of the variance, with 5 % for the order.
+pub(super) fn figure(seed: u64) -> Result<Figure, Error> {
+    const SHARES: usize = 19;
+    const ORDER: f64 = 0.05;
+    let mut powers = [Vec::new(), Vec::new(), Vec::new()];
+    let mut alarms = [Vec::new(), Vec::new(), Vec::new()];
+    let analyses = [Analysis::Paired, Analysis::Unordered, Analysis::Welch];
+    for step in 0..SHARES {
+        let share = step as f64 * 0.05;
+        for (place, analysis) in analyses.into_iter().enumerate() {
+            // Five seeds: a thousand studies a point.
+            let mut sum = [0.0; 2];
+            for part in 0..5 {
+                let rates = of(seed * 5 + part, &Population::of_paper(share, ORDER), analysis)?;
+                sum = [sum[0] + rates.powers[0] / 5.0, sum[1] + rates.false_alarms / 5.0];
+            }
+            powers[place].push((share, sum[0]));
+            alarms[place].push((share, sum[1]));
+        }
+    }
+    let curves = |points: [Vec<(f64, f64)>; 3]| {
+        let names = ["paired, order as covariate, Holm", "paired, Holm", "Welch of the same people"];
+        names.into_iter().zip(points).map(|(name, points)| Curve { name, points }).collect()
+    };
+    Ok(Figure {
+        description: format!(
+            "how often studies of {PEOPLE} synthetic people claim a difference, over the person's share of the variance, seed {seed}"
+        ),
+        axis: "Person's share of the variance",
+        panels: vec![
+            Panel { title: "Power, haptic against visual, d = 1.02", curves: curves(powers) },
+            Panel { title: "False alarms, no difference at all", curves: curves(alarms) },
+        ],
+    })
+}
