@@ -36,6 +36,62 @@ pub struct Comparison {
     pub welch: Option<TTest>,
 }
 
+/// Comparisons of one measured quantity.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measure {
+    /// Name of the quantity: `time_s`, `mistakes` or `sus`.
+    pub name: &'static str,
+    /// Number of participants with the quantity in all modalities.
+    pub people: usize,
+    /// Comparisons in the order of [`PAIRS`].
+    pub comparisons: [Comparison; 3],
+}
+
+/// Reason why tables of trials cannot be analysed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum AnalysisError {
+    /// A participant has two complete trials of a modality.
+    #[error("{participant} has two complete {modality} trials: leave the one out that does not count")]
+    Twice {
+        /// Code of the participant.
+        participant: String,
+        /// Name of the modality.
+        modality: &'static str,
+    },
+    /// A quantity cannot be compared.
+    #[error("{measure}: {why}")]
+    Measure {
+        /// Name of the quantity.
+        measure: &'static str,
+        /// Reason, such as too few participants.
+        why: ParticipantsError,
+    },
+}
+
+/// Compares trial times, mistakes and, where there are answers, usability scores.
+///
+/// # Errors
+/// [`AnalysisError`] for a trial that is there twice, or for too few participants.
+pub fn measures(rows: &[TrialRow]) -> Result<Vec<Measure>, AnalysisError> {
+    for (at, row) in rows.iter().enumerate() {
+        if rows[..at].iter().any(|other| other.participant == row.participant && other.modality == row.modality) {
+            let (participant, modality) = (row.participant.clone(), row.modality.name());
+            return Err(AnalysisError::Twice { participant, modality });
+        }
+    }
+    let measure = |name: &'static str, of: &dyn Fn(&TrialRow) -> Option<f64>| {
+        let people = people(rows, of);
+        let comparisons = compare(&people).map_err(|why| AnalysisError::Measure { measure: name, why })?;
+        Ok(Measure { name, people: people.len(), comparisons })
+    };
+    let mut measures =
+        vec![measure("time_s", &|row| Some(row.time_s))?, measure("mistakes", &|row| Some(row.mistakes))?];
+    if rows.iter().any(|row| row.sus.is_some()) {
+        measures.push(measure("sus", &|row| row.sus)?);
+    }
+    Ok(measures)
+}
+
 /// Values of the participants who have a complete trial in each modality, by `value`; the first trial of a modality
 /// counts. A trial without the value is as none.
 #[must_use]
@@ -86,4 +142,49 @@ pub fn compare(people: &[Person]) -> Result<[Comparison; 3], ParticipantsError> 
         comparison.holm_p = p;
     }
     Ok(compared)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::xrhmi::synthetic::Population;
+
+    fn rows(persons: usize) -> Vec<TrialRow> {
+        let people = Population::of_paper(0.7, 0.1).study(5, 1, persons);
+        let rows = people.iter().enumerate().flat_map(|(number, person)| {
+            Modality::ALL.map(|modality| TrialRow {
+                participant: format!("P{number:03}"),
+                place: person.places[modality as usize] as usize,
+                modality,
+                time_s: person.values[modality as usize],
+                mistakes: 0.0,
+                sus: (number > 2).then_some(50.0 + person.values[modality as usize] / 10.0),
+            })
+        });
+        rows.collect()
+    }
+
+    #[test]
+    fn tables_are_compared_by_quantity() {
+        let measures = measures(&rows(10)).expect("ten people");
+        let names: Vec<_> = measures.iter().map(|measure| (measure.name, measure.people)).collect();
+        assert_eq!(names, [("time_s", 10), ("mistakes", 10), ("sus", 7)]);
+        let [time, mistakes, _] = &measures[..] else { panic!("{measures:?}") };
+        for (comparison, pair) in time.comparisons.iter().zip(PAIRS) {
+            assert_eq!(comparison.pair, pair.map(|at| Modality::ALL[at]));
+            assert!(comparison.holm_p >= comparison.paired.p_value, "{comparison:?}");
+        }
+        // Nobody made a mistake: nothing differs, and nothing is claimed.
+        assert!(mistakes.comparisons.iter().all(|none| none.holm_p == 1.0 && none.wilcoxon_p == 1.0));
+    }
+
+    #[test]
+    fn tables_that_say_nothing_are_refused() {
+        let mut twice = rows(5);
+        twice.push(twice[0].clone());
+        let error = measures(&twice).expect_err("a trial twice").to_string();
+        assert_eq!(error, "P000 has two complete visual trials: leave the one out that does not count");
+        let error = measures(&rows(3)).expect_err("three people").to_string();
+        assert!(error.starts_with("time_s: 3 participants have both conditions"), "{error}");
+    }
 }

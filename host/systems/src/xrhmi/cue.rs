@@ -92,7 +92,7 @@ pub fn commands(seed: u64, place: usize) -> [Command; COMMANDS] {
     let mut sampler = Sampler::new(seed, OF_COMMANDS + place as u64);
     let mut last = Zone::Centre;
     std::array::from_fn(|number| {
-        let is_pick = number % 2 == 0;
+        let is_pick = number.is_multiple_of(2);
         let choices: Vec<Zone> =
             Zone::ALL.into_iter().filter(|zone| *zone != last && !(is_pick && *zone == Zone::Discard)).collect();
         let choice = sampler.uniform(0.0, choices.len() as f64) as usize;

@@ -237,7 +237,7 @@ mod tests {
 
     fn log() -> SessionLog {
         let command = |number: usize, reached_s| CommandLog {
-            command: Command { is_pick: number % 2 == 0, zone: Zone::ALL[number % 3] },
+            command: Command { is_pick: number.is_multiple_of(2), zone: Zone::ALL[number % 3] },
             cued_s: vec![number as f64 + 0.25],
             mistakes: if number == 1 { vec![(Zone::Discard, 1.75)] } else { Vec::new() },
             reached_s,

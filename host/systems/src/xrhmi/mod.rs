@@ -351,4 +351,6 @@ fn course(outcome: &Outcome) -> Figure {
 }
 
 #[cfg(test)]
+mod oracle;
+#[cfg(test)]
 mod tests;

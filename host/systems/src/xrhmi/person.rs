@@ -160,13 +160,7 @@ impl Person {
             }
             self.reach(&mut hand, now_s, shared);
             let ranges_m = PLACES_M.map(|place_m| if is_near(place_m, hand.now_m) { self.reach_m } else { DESK_M });
-            let mut world = session.virtual_board()?.world();
-            for (zone, range_m) in ranges_m.iter().enumerate() {
-                if let Some(sensor) = world.range_sensor(zone as u8) {
-                    sensor.set_distance_m(Some(*range_m));
-                }
-            }
-            drop(world);
+            put_under(session, &ranges_m)?;
             let over = Zone::ALL.into_iter().find(|zone| is_near(PLACES_M[*zone as usize], hand.now_m));
             if over != hand.zone {
                 hand.zone = over;
@@ -225,6 +219,17 @@ impl Person {
             shared.wrong_stays.set(shared.wrong_stays.get() + usize::from(target.is_wrong));
         }
     }
+}
+
+/// Puts hand or desk under the zones' sensors, m from them.
+fn put_under(session: &Session<'_>, ranges_m: &[f64; ZONES]) -> Result<(), Error> {
+    let mut world = session.virtual_board()?.world();
+    for (zone, range_m) in ranges_m.iter().enumerate() {
+        if let Some(sensor) = world.range_sensor(zone as u8) {
+            sensor.set_distance_m(Some(*range_m));
+        }
+    }
+    Ok(())
 }
 
 fn is_near(place_m: [f64; 2], hand_m: [f64; 2]) -> bool {

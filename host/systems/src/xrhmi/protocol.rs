@@ -43,6 +43,13 @@ pub struct Outcome {
     pub stopped: Option<String>,
 }
 
+/// Order of the modalities for participant `number`: a Williams design, balanced over six successive numbers.
+#[must_use]
+pub fn order(number: u64) -> Vec<Modality> {
+    // The remainder keeps the number within a machine word; the design repeats after six.
+    williams_order((number % 6) as usize, 3).into_iter().map(|at| Modality::ALL[at]).collect()
+}
+
 /// Runs the session of participant `number`: the seed decides zones, orders and, on a virtual board, a synthetic person.
 ///
 /// A stop of the board in the middle of a trial ends the session: outputs are safe, the trial is marked as stopped and
@@ -71,10 +78,10 @@ pub async fn run(session: &Session<'_>, number: u64, period_ms: u16) -> Result<O
             .armed(async || {
                 let mut run =
                     Run { session, zones: &mut zones, desk: Desk::new(session), shared: &shared, outcome: &outcome };
-                for (place, modality) in williams_order(number as usize, 3).into_iter().enumerate() {
-                    run.trial(Modality::ALL[modality], place, &cue::commands(number, place)).await?;
+                for (place, modality) in order(number).into_iter().enumerate() {
+                    run.trial(modality, place, &cue::commands(number, place)).await?;
                     if is_virtual && let Some(trial) = outcome.borrow_mut().log.trials.last_mut() {
-                        trial.answers = Some(person.borrow_mut().answers(Modality::ALL[modality]));
+                        trial.answers = Some(person.borrow_mut().answers(modality));
                     }
                 }
                 Ok(())

@@ -9,8 +9,9 @@ use super::{
 };
 use crate::{Curve, Error, Figure, Panel, Sampler, participants::ParticipantsError};
 
-/// Purpose of the random numbers: the shares of the variance.
+/// Purposes of the random numbers: the shares of the variance, and the places of people who do one modality only.
 const OF_SHARES: u64 = 1_730;
+const OF_PLACES: u64 = 1_740 << 32;
 /// Number of studies with a difference, and without, in a trial. A share of 0.8 has a standard deviation of 0.028; rows are
 /// means of many trials.
 const STUDIES: u64 = 200;
@@ -69,15 +70,25 @@ fn of(seed: u64, population: &Population, analysis: Analysis) -> Result<Rates, E
     Ok(rates)
 }
 
-/// Samples a study in which other people do each modality.
+/// Samples a study in which other people do each modality, each at a place of their own.
 fn strangers(population: &Population, seed: u64, number: u64) -> Vec<Person> {
+    /// Number of people over which a Williams design has each modality at each place equally often.
+    const BLOCK: usize = 6;
+    let mut sampler = Sampler::new(seed, OF_PLACES + number);
     // Numbers beyond those of the other studies: nobody is in two of them.
-    let studies = [0, 1, 2].map(|modality| population.study(seed, (1 + modality) * 1_000_000 + number, PEOPLE));
-    let person = |at: usize| Person {
-        places: studies[0][at].places,
-        values: std::array::from_fn(|modality| studies[modality][at].values[modality]),
+    let studies = [0, 1, 2].map(|modality| population.study(seed, (1 + modality) * 1_000_000 + number, BLOCK * PEOPLE));
+    let mut person = |at: usize| {
+        // One of six, so that the place is random: a design that balances the places would take their variance away.
+        let chosen = studies.each_ref().map(|study| {
+            let place = sampler.uniform(0.0, BLOCK as f64) as usize;
+            study[BLOCK * at + place.min(BLOCK - 1)]
+        });
+        Person {
+            places: std::array::from_fn(|modality| chosen[modality].places[modality]),
+            values: std::array::from_fn(|modality| chosen[modality].values[modality]),
+        }
     };
-    (0..PEOPLE).map(person).collect()
+    (0..PEOPLE).map(&mut person).collect()
 }
 
 /// Claims of one study, in the order of [`PAIRS`].
@@ -93,7 +104,9 @@ fn claims(people: &[Person], analysis: Analysis) -> Result<[bool; 3], Participan
         let compared = analysis::compare(people)?;
         let p = |of: &dyn Fn(&Comparison) -> f64| [of(&compared[0]), of(&compared[1]), of(&compared[2])];
         match analysis {
-            Analysis::Independent | Analysis::Welch => p(&|comparison| comparison.welch.map_or(1.0, |welch| welch.p_value)),
+            Analysis::Independent | Analysis::Welch => {
+                p(&|comparison| comparison.welch.map_or(1.0, |welch| welch.p_value))
+            }
             Analysis::Wilcoxon => corrected(p(&|comparison| comparison.wilcoxon_p))?,
             _ => p(&|comparison| comparison.holm_p),
         }
