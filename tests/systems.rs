@@ -103,7 +103,7 @@ fn the_osmc_evaluation_has_the_paper_beside_ours() {
 fn sessions_are_recorded_and_compared() {
     let folder = TempDir::new().expect("a folder");
     let out = folder.path().to_str().expect("text");
-    let record = |number: &str| ["evaluate", "xrhmi", "--record", number, "--out", out].map(str::to_owned);
+    let record = |number: &str| ["evaluate", "xrhmi", "--session", number, "--out", out].map(str::to_owned);
     let mut tables = Vec::new();
     for number in 1..=5 {
         let number = number.to_string();

@@ -174,7 +174,7 @@ mod tests {
             assert_eq!(comparison.pair, pair.map(|at| Modality::ALL[at]));
             assert!(comparison.holm_p >= comparison.paired.p_value, "{comparison:?}");
         }
-        // Nobody made a mistake: nothing differs, and nothing is claimed.
+        // No one made a mistake: nothing differs, and nothing is claimed.
         assert!(mistakes.comparisons.iter().all(|none| none.holm_p == 1.0 && none.wilcoxon_p == 1.0));
     }
 

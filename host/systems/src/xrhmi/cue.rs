@@ -23,11 +23,11 @@ pub const BUZZ_DUTY: f64 = 0.6;
 /// Zone of the desk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Zone {
-    /// Left zone.
+    /// Zone at the left hand.
     Left,
-    /// Zone in the middle.
+    /// Zone in the middle, before the person.
     Centre,
-    /// Right zone.
+    /// Zone at the right hand.
     Right,
     /// Zone for discarded objects, behind the centre.
     Discard,
@@ -52,11 +52,11 @@ impl Zone {
 /// Sense that a cue addresses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Modality {
-    /// Lamps.
+    /// Lamps at the zones.
     Visual,
-    /// Tones.
+    /// Tones from left, right or both sides.
     Auditory,
-    /// Buzzes on the wrists.
+    /// Buzzes on one wrist or both.
     Haptic,
 }
 

@@ -176,7 +176,7 @@ impl Person {
     /// Plans the movement that follows a cue: to the zone meant, or to another by mistake.
     fn decide(&mut self, hand: &mut Hand, modality: Modality, meant: Zone) {
         let is_new = hand.meant.replace(meant) != Some(meant);
-        // A cue that is presented again is understood: mistakes do not last for ever.
+        // A cue that is presented again is understood: no mistake lasts indefinitely.
         let mistaken = if is_new { [0.01, 0.02, 0.06][modality as usize] } else { 0.0 };
         let mut zone = meant;
         if self.sampler.uniform(0.0, 1.0) < mistaken {

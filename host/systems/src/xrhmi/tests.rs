@@ -66,7 +66,7 @@ fn printed_numbers_are_reproduced() {
     assert_eq!([paper["sus_visual"], paper["sus_auditory"], paper["sus_haptic"]], [78.25, 76.5, 54.25]);
 }
 
-/// Rates over 4000 studies: the paired analysis has the power; the paper's has what it prints where its people are
+/// Rates over 4000 studies with a difference and 40 000 without: the paired analysis has the power; the paper's has what it prints where its people are
 /// strangers. The same test of the same people hardly ever claims too much: its standard error is too large.
 #[test]
 fn pairs_have_the_power_that_welchs_test_lacks() {
@@ -76,9 +76,9 @@ fn pairs_have_the_power_that_welchs_test_lacks() {
         let mean = |of: &dyn Fn(&Rates) -> f64| all.iter().map(of).sum::<f64>() / all.len() as f64;
         [mean(&|rates| rates.powers[0]), mean(&|rates| rates.powers[1]), mean(&|rates| rates.false_alarms)]
     };
-    // Standard deviations: 0.008 for a rate of 0.5, 0.0035 for one of 0.05; four of them.
+    // Standard errors: 0.008 of a power of 0.5, four of them; 0.001 of the alarms.
     let ours = rates(Analysis::Paired);
-    assert!(ours[0] >= 0.8 && ours[1] >= 0.8 && ours[2] <= 0.05 + 0.014, "{ours:?}");
+    assert!(ours[0] >= 0.8 && ours[1] >= 0.8 && ours[2] <= 0.05, "{ours:?}");
     let paper = rates(Analysis::Independent);
     assert!((paper[0] - 0.58).abs() < 0.032 && (paper[1] - 0.53).abs() < 0.032, "{paper:?}");
     // Three tests at 5 % each, uncorrected.

@@ -3,7 +3,7 @@
     python3 -m venv /tmp/oracle && /tmp/oracle/bin/pip install scipy==1.17.1 numpy==2.4.6 statsmodels==0.15.0
     /tmp/oracle/bin/python host/systems/tests/oracle/xrhmi_statsmodels.py
 
-The table is one as `r4 evaluate xrhmi --record` writes it, with other numbers than the program's own synthetic people.
+The table is one as `r4 evaluate xrhmi --session` writes it, with other numbers than the program's own synthetic people.
 """
 
 import csv

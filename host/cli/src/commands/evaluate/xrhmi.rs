@@ -24,12 +24,12 @@ use crate::{args::Args, output, report, table};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct XrhmiArgs {
-    /// Tables of trials to compare, one or more of each person: what --record wrote, with the answers filled in
-    #[arg(required_unless_present = "record", conflicts_with = "record", value_name = "TRIALS.csv")]
+    /// Tables of trials to compare, one or more of each person: what --session wrote, with the answers filled in
+    #[arg(required_unless_present = "session", conflicts_with = "session", value_name = "TRIALS.csv")]
     tables: Vec<PathBuf>,
     /// Record the session of this participant, whose number also decides the order of the modalities
     #[arg(long, value_name = "NUMBER", value_parser = clap::value_parser!(u64).range(0..=999_999))]
-    record: Option<u64>,
+    session: Option<u64>,
     /// Folder for the recorded files
     #[arg(long, default_value = ".", value_name = "FOLDER")]
     out: PathBuf,
@@ -69,7 +69,7 @@ struct Report {
 
 /// Records a session or compares tables; false where a session was stopped.
 pub(super) fn run(args: &Args, asked: &XrhmiArgs) -> anyhow::Result<bool> {
-    match asked.record {
+    match asked.session {
         Some(number) => record(args, number, &asked.out),
         None => compare(args, &asked.tables),
     }
