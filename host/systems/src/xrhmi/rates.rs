@@ -1,10 +1,10 @@
 //! Rates at which analyses of synthetic studies claim a difference: with the paper's differences, and without any.
 
-use r4_maths::statistics::{Alternative, holm, paired_t};
+use r4_maths::statistics::{Alternative, StatisticsError, holm, paired_t, welch_t, wilcoxon_signed_rank};
 
 use super::{
     PEOPLE,
-    analysis::{self, Comparison, PAIRS, Person},
+    analysis::{self, PAIRS, Person},
     synthetic::Population,
 };
 use crate::{Curve, Error, Figure, Panel, Sampler, participants::ParticipantsError};
@@ -94,25 +94,25 @@ fn strangers(population: &Population, seed: u64, number: u64) -> Vec<Person> {
     (0..PEOPLE).map(&mut person).collect()
 }
 
+/// Two-sided p-value of a test of two samples.
+type Test = dyn Fn(&[f64], &[f64]) -> Result<f64, StatisticsError>;
+
 /// Claims of one study, in the order of [`PAIRS`].
 fn claims(people: &[Person], analysis: Analysis) -> Result<[bool; 3], ParticipantsError> {
-    let p_values = if analysis == Analysis::Unordered {
-        let values = |at: usize| people.iter().map(|person| person.values[at]).collect::<Vec<f64>>();
+    let values = |at: usize| people.iter().map(|person| person.values[at]).collect::<Vec<f64>>();
+    // By the tests alone where the order does not matter: places sampled for strangers may all be equally far apart.
+    let each = |test: &Test| {
         let mut p_values = [1.0; 3];
         for (p, [first, second]) in p_values.iter_mut().zip(PAIRS) {
-            *p = paired_t(&values(first), &values(second), Alternative::TwoSided)?.p_value;
+            *p = test(&values(first), &values(second))?;
         }
-        corrected(p_values)?
-    } else {
-        let compared = analysis::compare(people)?;
-        let p = |of: &dyn Fn(&Comparison) -> f64| [of(&compared[0]), of(&compared[1]), of(&compared[2])];
-        match analysis {
-            Analysis::Independent | Analysis::Welch => {
-                p(&|comparison| comparison.welch.map_or(1.0, |welch| welch.p_value))
-            }
-            Analysis::Wilcoxon => corrected(p(&|comparison| comparison.wilcoxon_p))?,
-            _ => p(&|comparison| comparison.holm_p),
-        }
+        Ok::<_, StatisticsError>(p_values)
+    };
+    let p_values = match analysis {
+        Analysis::Paired => analysis::compare(people)?.map(|comparison| comparison.holm_p),
+        Analysis::Independent | Analysis::Welch => each(&|a, b| Ok(welch_t(a, b, Alternative::TwoSided)?.p_value))?,
+        Analysis::Unordered => corrected(each(&|a, b| Ok(paired_t(a, b, Alternative::TwoSided)?.p_value))?)?,
+        Analysis::Wilcoxon => corrected(each(&|a, b| Ok(wilcoxon_signed_rank(a, b, Alternative::TwoSided)?.p_value))?)?,
     };
     Ok(p_values.map(|p| p <= LEVEL))
 }
