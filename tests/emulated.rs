@@ -137,6 +137,18 @@ fn berries_are_picked_on_an_emulated_board() {
     assert!(emulated <= 1.0 && (emulated - simulated).abs() <= 0.02, "{emulated} s, {simulated} s");
 }
 
+/// XRHMI on the real image shows every cue, within 20 ms of the echo that ended a dwell.
+#[test]
+#[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]
+fn cues_are_in_time_on_an_emulated_board() {
+    let [emulated, simulated] = trials("xrhmi", "cue-desk");
+    assert_eq!([emulated("cues_shown"), emulated("cues_measured"), emulated("mistakes_missed")], [1.0, 42.0, 0.0]);
+    assert!(emulated("cue_latency_p99_s") <= 0.020, "{} s", emulated("cue_latency_p99_s"));
+    // The board polls an echo every millisecond and sends every second one: phases differ, and so does the link's speed.
+    let apart_s = emulated("cue_latency_s") - simulated("cue_latency_s");
+    assert!(apart_s.abs() < 0.005, "{apart_s} s");
+}
+
 /// SUCTION on the real image detaches without a burst, at the simulated board's pressure.
 #[test]
 #[cfg_attr(not(feature = "emu"), ignore = "emulated boards are in programs built with --features emu")]

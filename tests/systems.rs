@@ -96,3 +96,36 @@ fn the_osmc_evaluation_has_the_paper_beside_ours() {
         page.len()
     );
 }
+
+/// Sessions of synthetic participants as a study with people would record them. Too few people are refused, and a
+/// second session under the same number.
+#[test]
+fn sessions_are_recorded_and_compared() {
+    let folder = TempDir::new().expect("a folder");
+    let out = folder.path().to_str().expect("text");
+    let record = |number: &str| ["evaluate", "xrhmi", "--session", number, "--out", out].map(str::to_owned);
+    let mut tables = Vec::new();
+    for number in 1..=5 {
+        let number = number.to_string();
+        let arguments = record(&number);
+        let arguments: Vec<&str> = arguments.iter().map(String::as_str).chain(["--json"]).collect();
+        let recorded = good_json(&arguments);
+        assert_eq!((recorded["complete_trials"].as_u64(), recorded["stopped"].is_null()), (Some(3), true));
+        tables.push(recorded["trials"].as_str().expect("a path").to_owned());
+    }
+    let compare = |tables: &[String]| {
+        let mut arguments = vec!["evaluate", "xrhmi"];
+        arguments.extend(tables.iter().map(String::as_str));
+        arguments.push("--json");
+        r4(&arguments)
+    };
+    let rows = object(&compare(&tables).out)["rows"].as_array().expect("rows").clone();
+    let named: Vec<_> = rows.iter().map(|row| row["measure"].as_str().expect("a name").to_owned()).collect();
+    assert_eq!(named, ["time_s", "time_s", "time_s", "mistakes", "mistakes", "mistakes", "sus", "sus", "sus"]);
+    assert!(rows.iter().all(|row| row["people"] == 5), "{rows:?}");
+    let told = compare(&tables[..3]);
+    assert!(told.code == Some(1) && told.err.contains("a comparison needs four"), "{told:?}");
+    let again = record("1");
+    let told = r4(&again.iter().map(String::as_str).collect::<Vec<_>>());
+    assert!(told.code == Some(1) && told.err.contains("cannot create"), "{told:?}");
+}

@@ -31,7 +31,7 @@ pub use robot::{
 };
 use source::{Folder, Source};
 
-const ROBOTS: [&str; 14] = [
+const ROBOTS: [&str; 15] = [
     "osmc-bench",
     "osmc-evaluation",
     "openscout",
@@ -46,6 +46,7 @@ const ROBOTS: [&str; 14] = [
     "gas-scout",
     "field-rover",
     "deformobot",
+    "cue-desk",
 ];
 const WORLDS: [&str; 5] = ["square", "stand", "factory", "open-field", "gate"];
 const CARRIERS: [&str; 1] = ["r4-carrier"];

@@ -18,7 +18,7 @@ use toml::{
 use crate::error::{BoardError, Location};
 
 /// Files that are part of the program: path below `boards/`, text.
-const BUILT_IN: [(&str, &str); 28] = [
+const BUILT_IN: [(&str, &str); 30] = [
     ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
     ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
     ("osmc-evaluation.toml", include_str!("../osmc-evaluation.toml")),
@@ -46,6 +46,8 @@ const BUILT_IN: [(&str, &str); 28] = [
     ("worlds/open-field.toml", include_str!("../worlds/open-field.toml")),
     ("suction-pad.toml", include_str!("../suction-pad.toml")),
     ("deformobot.toml", include_str!("../deformobot.toml")),
+    ("cue-desk.toml", include_str!("../cue-desk.toml")),
+    ("plants/vibration-motor.toml", include_str!("../plants/vibration-motor.toml")),
     ("worlds/gate.toml", include_str!("../worlds/gate.toml")),
 ];
 

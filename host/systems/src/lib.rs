@@ -26,6 +26,7 @@ mod parquet;
 #[cfg(not(feature = "parquet"))]
 #[path = "no_parquet.rs"]
 mod parquet;
+pub mod participants;
 pub mod rover;
 mod row;
 mod sampler;
@@ -35,6 +36,7 @@ pub mod study;
 pub mod suction;
 pub mod tail;
 pub mod whisker;
+pub mod xrhmi;
 
 pub use about::{About, Arm, Limit, Metric, Paper, Source, Target};
 pub use error::Error;
@@ -114,6 +116,7 @@ pub fn all() -> &'static [&'static dyn System] {
         &inhand::Inhand,
         &berry::BerryPicking,
         &suction::Suction,
+        &xrhmi::Xrhmi,
         &fieldmap::Fieldmap,
         &absim::Absim,
         &gasmap::Gasmap,

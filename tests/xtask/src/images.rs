@@ -9,7 +9,7 @@ use std::{
 use crate::firmware::{self, Firmware};
 
 /// Robots and images that tests name.
-const IMAGES: [(&str, &str); 12] = [
+const IMAGES: [(&str, &str); 13] = [
     ("osmc-bench", "bare"),
     ("osmc-bench", "hosted"),
     ("openscout", "bare"),
@@ -22,6 +22,7 @@ const IMAGES: [(&str, &str); 12] = [
     ("berry-picker", "bare"),
     ("suction-pad", "bare"),
     ("deformobot", "bare"),
+    ("cue-desk", "bare"),
 ];
 
 /// Builds all images, one after the other.

@@ -97,6 +97,8 @@ pub struct HcSr04 {
     interference: Option<Followed>,
     /// Level of the line, interference included.
     high: bool,
+    /// Time of the line's last falling edge, ns.
+    fell_ns: Option<u64>,
     edges: VecDeque<EchoEdge>,
     misuse: MisuseLog,
 }
@@ -123,6 +125,7 @@ impl HcSr04 {
             arrivals_ns: Vec::new(),
             interference: None,
             high: false,
+            fell_ns: None,
             edges: VecDeque::new(),
             misuse: MisuseLog::new(),
         }
@@ -224,6 +227,13 @@ impl HcSr04 {
         self.edges.drain(..)
     }
 
+    /// Time of the last falling edge of the echo line up to the time already seen, ns, whether or not it was taken: with
+    /// it a reading can be measured for its age. `None` before the first.
+    #[must_use]
+    pub const fn echo_fell_ns(&self) -> Option<u64> {
+        self.fell_ns
+    }
+
     /// Time of the next known change of the echo line, ns; a sound of another module can end an echo earlier.
     #[must_use]
     pub fn next_edge_ns(&self) -> Option<u64> {
@@ -285,6 +295,9 @@ impl HcSr04 {
     }
 
     fn push_edge(&mut self, at_ns: u64, high: bool) {
+        if !high {
+            self.fell_ns = Some(at_ns);
+        }
         if self.edges.len() == EDGES_KEPT {
             self.edges.pop_front();
         }
@@ -378,6 +391,7 @@ mod tests {
         pulse(module, at_ns, 10_000).expect("ping");
         let edges = edges(module, at_ns + 1_000 * MS);
         assert_eq!(edges.iter().map(|(_, high)| *high).collect::<Vec<_>>(), [true, false]);
+        assert_eq!(module.echo_fell_ns(), Some(edges[1].0));
         edges[1].0 - edges[0].0
     }
 

@@ -1,4 +1,6 @@
-//! `r4 evaluate`: the whole evaluation of a paper, beside the paper's results.
+//! `r4 evaluate`: the whole evaluation of a paper, beside the paper's results; and studies with people.
+
+mod xrhmi;
 
 use std::{fs, path::PathBuf};
 
@@ -27,6 +29,8 @@ pub(crate) enum Evaluations {
     /// Run set points and steps of the OSMC evaluation on blind plants: the paper's results, its plain PID, and the
     /// board's loops
     Osmc(OsmcArgs),
+    /// Record a person's session of picking and placing by cues, or compare the modalities of recorded sessions
+    Xrhmi(xrhmi::XrhmiArgs),
 }
 
 #[derive(Clone, Debug, clap::Args)]
@@ -77,6 +81,7 @@ struct Report {
 pub(crate) fn run(args: &Args, what: &Evaluations) -> anyhow::Result<bool> {
     match what {
         Evaluations::Osmc(osmc) => run_osmc(args, osmc),
+        Evaluations::Xrhmi(xrhmi) => xrhmi::run(args, xrhmi),
     }
 }
 

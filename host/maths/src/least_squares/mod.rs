@@ -9,7 +9,7 @@ use nalgebra::{DMatrix, DVector};
 pub use nonlinear::nonlinear;
 use thiserror::Error;
 
-use crate::statistics::{Interval, StatisticsError, student_quantile};
+use crate::statistics::{Interval, StatisticsError, student_quantile, two_sided_p};
 
 /// Reason why data or a model cannot be fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
@@ -151,6 +151,23 @@ impl Fit {
         let times = student_quantile(self.degrees_of_freedom as f64, f64::midpoint(1.0, level));
         let around = |(value, error): (&f64, f64)| Interval { low: value - times * error, high: value + times * error };
         Ok(self.parameters.iter().zip(self.standard_errors()).map(around).collect())
+    }
+
+    /// Returns the two-sided p-value of "this parameter is 0" for each parameter, by Student's t; NaN for a parameter
+    /// that fits without any error.
+    ///
+    /// # Source
+    /// As [`Fit::intervals`].
+    ///
+    /// ```
+    /// use nalgebra::DMatrix;
+    /// let fit = r4_maths::least_squares::linear(&DMatrix::repeat(4, 1, 1.0), &[1.0, 2.0, -1.0, -2.0]).unwrap();
+    /// assert!((fit.p_values()[0] - 1.0).abs() < 1e-12);
+    /// ```
+    #[must_use]
+    pub fn p_values(&self) -> Vec<f64> {
+        let of = |(value, error): (&f64, f64)| two_sided_p(value / error, self.degrees_of_freedom as f64);
+        self.parameters.iter().zip(self.standard_errors()).map(of).collect()
     }
 }
 

@@ -103,3 +103,12 @@ pub(super) fn normal_probability(value: f64) -> f64 {
 pub(crate) fn student_quantile(degrees_of_freedom: f64, probability: f64) -> f64 {
     StudentsT::new(0.0, 1.0, degrees_of_freedom).map_or(f64::NAN, |student| student.inverse_cdf(probability))
 }
+
+/// Returns the probability of a Student's t at least as far from 0; NaN for a NaN or without a degree of freedom.
+#[cfg(feature = "matrices")]
+pub(crate) fn two_sided_p(t: f64, degrees_of_freedom: f64) -> f64 {
+    if t.is_nan() {
+        return f64::NAN;
+    }
+    StudentsT::new(0.0, 1.0, degrees_of_freedom).map_or(f64::NAN, |student| (2.0 * student.cdf(-t.abs())).min(1.0))
+}

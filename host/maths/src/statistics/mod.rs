@@ -7,20 +7,24 @@ mod bootstrap;
 mod hypothesis;
 mod interval;
 mod moments;
+mod multiple;
 mod order;
+mod power;
 mod residuals;
 
 use thiserror::Error;
 
 pub use bootstrap::{Bootstrap, Estimate, bca_interval, percentile_interval};
 pub use hypothesis::{Alternative, TTest, Wilcoxon, mcnemar_exact, paired_t, welch_t, wilcoxon_signed_rank};
-#[cfg(feature = "matrices")]
-pub(crate) use interval::student_quantile;
 pub use interval::{Interval, mean_interval, wilson};
+#[cfg(feature = "matrices")]
+pub(crate) use interval::{student_quantile, two_sided_p};
 pub use moments::{mean, standard_deviation, standard_error, variance};
+pub use multiple::holm;
 pub use order::{
     MAD_TO_DEVIATION, QuantileRule, median, median_absolute_deviation, nearest_rank, quantile, robust_deviation,
 };
+pub use power::{paired_power, two_sample_power};
 pub use residuals::{RootMeanSquare, nrmse, rms, rmse};
 
 /// Error of input for which a statistic is not defined.

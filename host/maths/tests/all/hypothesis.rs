@@ -1,6 +1,9 @@
 //! Comparison of two-sample tests with SciPy's and statsmodels'.
 
-use r4_maths::statistics::{Alternative, StatisticsError, mcnemar_exact, paired_t, welch_t, wilcoxon_signed_rank};
+use r4_maths::statistics::{
+    Alternative, StatisticsError, holm, mcnemar_exact, paired_power, paired_t, two_sample_power, welch_t,
+    wilcoxon_signed_rank,
+};
 use serde::Deserialize;
 
 use crate::oracle::{SUMS, cases, close};
@@ -83,4 +86,45 @@ fn mcnemars_test_is_that_of_statsmodels() {
     for Discordant { only_first, only_second, p } in cases::<Discordant>("mcnemar") {
         close(mcnemar_exact(only_first, only_second), p, CHANCES);
     }
+}
+
+#[derive(Deserialize)]
+struct Power {
+    effect: f64,
+    counts: [usize; 2],
+    level: f64,
+    two_sample: f64,
+    paired: f64,
+}
+
+/// Absolute error: Simpson's rule, and SciPy's noncentral t itself where the power is close to the level.
+const POWERS: f64 = 1e-8;
+
+#[test]
+fn powers_are_those_of_statsmodels() {
+    for case in cases::<Power>("powers") {
+        let found = two_sample_power(case.effect, case.counts, case.level).unwrap();
+        assert!((found - case.two_sample).abs() < POWERS, "{found}, {}", case.two_sample);
+        let found = paired_power(case.effect, case.counts[0], case.level).unwrap();
+        assert!((found - case.paired).abs() < POWERS, "{found}, {}", case.paired);
+    }
+    assert_eq!(two_sample_power(1.0, [1, 5], 0.05), Err(StatisticsError::TooFew { got: 1, need: 2 }));
+    assert_eq!(paired_power(f64::NAN, 5, 0.05), Err(StatisticsError::NotANumber { index: 0 }));
+    assert_eq!(paired_power(1.0, 5, 1.0), Err(StatisticsError::Probability(1.0)));
+}
+
+#[derive(Deserialize)]
+struct Correction {
+    p_values: Vec<f64>,
+    holm: Vec<f64>,
+}
+
+#[test]
+fn corrected_p_values_are_those_of_statsmodels() {
+    for case in cases::<Correction>("corrections") {
+        let found = holm(&case.p_values).unwrap();
+        found.iter().zip(&case.holm).for_each(|(found, expected)| close(*found, *expected, SUMS));
+    }
+    assert_eq!(holm(&[0.1, 1.5]), Err(StatisticsError::Probability(1.5)));
+    assert_eq!(holm(&[]), Ok(Vec::new()));
 }

@@ -16,6 +16,8 @@ import statsmodels
 import statsmodels.api as sm
 from scipy import interpolate, optimize, sparse, stats
 from statsmodels.stats.contingency_tables import mcnemar
+from statsmodels.stats.multitest import multipletests
+from statsmodels.stats.power import TTestIndPower, TTestPower
 from statsmodels.stats.proportion import proportion_confint
 
 rng = np.random.default_rng(18)
@@ -193,6 +195,7 @@ def linear_fit(design, observed, deviations):
         "residuals": found.resid,
         "residual_variance": found.scale,
         "intervals": found.conf_int(0.1),
+        "p_values": found.pvalues,
         "level": 0.9,
     }
 
@@ -330,6 +333,28 @@ def kalman():
     }
 
 
+def powers():
+    """Where SciPy's noncentral t is a number; far from 0 it is NaN."""
+    for effect in [0.0, 0.2, 0.96, 1.02, -1.02, 2.5]:
+        for n, m in [(2, 2), (10, 10), (17, 17), (5, 40), (40, 40)]:
+            for level in [0.05, 0.05 / 3, 0.001]:
+                two_sample = TTestIndPower().power(effect, n, level, ratio=m / n)
+                paired = TTestPower().power(effect, n, level)
+                if np.isfinite(two_sample) and np.isfinite(paired):
+                    yield {
+                        "effect": effect,
+                        "counts": [n, m],
+                        "level": level,
+                        "two_sample": two_sample,
+                        "paired": paired,
+                    }
+
+
+def corrections():
+    for p in [[0.01, 0.04, 0.03], [0.5, 0.5, 0.9], [0.001], [0.02, 0.02, 0.02, 0.2], [0.0, 1.0], np.random.default_rng(7).uniform(size=12)]:
+        yield {"p_values": list(p), "holm": multipletests(p, method="holm")[1].tolist()}
+
+
 def plain(value):
     """Only what JSON has, numbers with all their digits."""
     if isinstance(value, dict):
@@ -366,6 +391,8 @@ def main():
         "minima": list(minima()),
         "grids": list(grids()),
         "kalman": list(kalman()),
+        "powers": list(powers()),
+        "corrections": list(corrections()),
     }
     path = pathlib.Path(__file__).with_name("oracle.json")
     path.write_text(json.dumps(plain(oracle)) + "\n")

@@ -1,6 +1,6 @@
 //! Logger and paired statistics for trials in which people pick with several tools, one after the other.
 //!
-//! [`Recorder`] detects picks in the handle's switch as a board reports it, [`to_csv`] writes them, [`order`]
+//! [`Recorder`] detects picks in the handle's switch as a board reports it, [`to_csv`] writes them, [`williams_order`](crate::participants::williams_order)
 //! counterbalances the sequence of the tools over participants, and [`compare`] tests two tools against each other: one
 //! difference per participant, with the order of the two as covariate, after removal of the trend over picks.
 //!
@@ -45,9 +45,11 @@ use std::fmt::Write;
 
 use nalgebra::DMatrix;
 use r4_maths::{
-    least_squares::{Fit, FitError, linear},
-    statistics::{Alternative, Interval, StatisticsError, mean, paired_t, wilcoxon_signed_rank},
+    least_squares::{Fit, linear},
+    statistics::{Alternative, Interval, mean, paired_t, wilcoxon_signed_rank},
 };
+
+use crate::participants::{OrderCorrected, ParticipantsError, csv_field};
 
 /// Result of one pick, noted by the observer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -132,13 +134,6 @@ impl Recorder {
 /// Formats picks as a CSV file with a header (RFC 4180).
 #[must_use]
 pub fn to_csv(picks: &[Pick]) -> String {
-    let quoted = |text: &str| {
-        if text.contains([',', '"', '\n', '\r']) {
-            format!("\"{}\"", text.replace('"', "\"\""))
-        } else {
-            text.to_owned()
-        }
-    };
     let mut text = String::from("participant,gripper,order,number,pressed_s,released_s,result\r\n");
     for pick in picks {
         let Pick { participant, gripper, order, number, pressed_s, released_s, result } = pick;
@@ -146,28 +141,12 @@ pub fn to_csv(picks: &[Pick]) -> String {
         let _ = write!(
             text,
             "{},{},{order},{number},{pressed_s:.6},{released_s:.6},{}\r\n",
-            quoted(participant),
-            quoted(gripper),
+            csv_field(participant),
+            csv_field(gripper),
             result.name()
         );
     }
     text
-}
-
-/// Sequence in which participant number `participant` uses `tools`: a Williams design. Over 2 `tools` participants, or
-/// `tools` where that is even, each tool comes equally often at each place and after each other tool.
-#[must_use]
-pub fn order(participant: usize, tools: usize) -> Vec<usize> {
-    if tools == 0 {
-        return Vec::new();
-    }
-    // First row of a Williams design: 0, 1, n-1, 2, n-2, ...
-    let zigzag = |place: usize| if place % 2 == 1 { place.div_ceil(2) } else { (tools - place / 2) % tools };
-    let mut row: Vec<usize> = (0..tools).map(|place| (zigzag(place) + participant) % tools).collect();
-    if tools % 2 == 1 && (participant / tools) % 2 == 1 {
-        row.reverse();
-    }
-    row
 }
 
 /// Comparison of two tools over the participants who used both.
@@ -193,28 +172,8 @@ pub struct Comparison {
     pub learning_p: f64,
 }
 
-/// Reason why two tools cannot be compared.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum TrialsError {
-    /// Fewer than four participants used both tools.
-    #[error("{with_both} participants used both tools at least three times: a comparison needs four")]
-    TooFew {
-        /// Number of participants who used both tools.
-        with_both: usize,
-    },
-    /// All participants used the tools in the same order.
-    #[error("all participants used the tools in the same order: order and tool cannot be separated; see `order`")]
-    OneOrder,
-    /// A statistic cannot be computed.
-    #[error(transparent)]
-    Statistics(#[from] StatisticsError),
-    /// A line cannot be fitted.
-    #[error(transparent)]
-    Fit(#[from] FitError),
-}
-
 /// Straight line through the times of successive picks, centred: `[level, slope]`, s and s per pick.
-fn trend(times_s: &[f64]) -> Result<[f64; 2], TrialsError> {
+fn trend(times_s: &[f64]) -> Result<[f64; 2], ParticipantsError> {
     let middle = 0.5 * (times_s.len() as f64 - 1.0);
     let design = DMatrix::from_fn(times_s.len(), 2, |row, column| if column == 0 { 1.0 } else { row as f64 - middle });
     let Fit { parameters, .. } = linear(&design, times_s)?;
@@ -224,9 +183,9 @@ fn trend(times_s: &[f64]) -> Result<[f64; 2], TrialsError> {
 /// Compares the times per pick, from one press to the next, of two tools.
 ///
 /// # Errors
-/// [`TrialsError::TooFew`] for fewer than four participants with both tools; [`TrialsError::OneOrder`] when all used
+/// [`ParticipantsError::TooFew`] for fewer than four participants with both tools; [`ParticipantsError::OneOrder`] when all used
 /// them in the same order; otherwise the error of a fit or statistic.
-pub fn compare(picks: &[Pick], first: &str, second: &str) -> Result<Comparison, TrialsError> {
+pub fn compare(picks: &[Pick], first: &str, second: &str) -> Result<Comparison, ParticipantsError> {
     let mut people: Vec<&str> = picks.iter().map(|pick| pick.participant.as_str()).collect();
     people.sort_unstable();
     people.dedup();
@@ -249,22 +208,15 @@ pub fn compare(picks: &[Pick], first: &str, second: &str) -> Result<Comparison, 
         signs.push(if one_order > two_order { 1.0 } else { -1.0 });
     }
     let participants = signs.len();
-    if participants < 4 {
-        return Err(TrialsError::TooFew { with_both: participants });
-    }
-    if signs.iter().all(|sign| *sign == signs[0]) {
-        return Err(TrialsError::OneOrder);
-    }
     let differences_s: Vec<f64> = levels[0].iter().zip(&levels[1]).map(|(one, two)| one - two).collect();
-    let design = DMatrix::from_fn(participants, 2, |row, column| if column == 0 { 1.0 } else { signs[row] });
-    let fit = linear(&design, &differences_s)?;
+    let corrected = OrderCorrected::of(&differences_s, &signs)?;
     let none = vec![0.0; participants];
     Ok(Comparison {
         participants,
-        difference_s: fit.parameters[0],
-        interval_s: fit.intervals(0.95)?[0],
+        difference_s: corrected.difference,
+        interval_s: corrected.interval,
         // The two orders are two units of the contrast apart.
-        order_s: -2.0 * fit.parameters[1],
+        order_s: -2.0 * corrected.per_place,
         t_p: paired_t(&levels[0], &levels[1], Alternative::TwoSided)?.p_value,
         wilcoxon_p: wilcoxon_signed_rank(&levels[0], &levels[1], Alternative::TwoSided)?.p_value,
         learning_s_per_pick: mean(&slopes)?,
@@ -275,7 +227,7 @@ pub fn compare(picks: &[Pick], first: &str, second: &str) -> Result<Comparison, 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Sampler;
+    use crate::{Sampler, participants::williams_order};
 
     /// Synthetic participants: each has a pace of their own, learns over 34 picks and from tool to tool, and scatters.
     fn picks(seed: u64, participants: usize, slower_s: f64) -> Vec<Pick> {
@@ -284,7 +236,7 @@ mod tests {
         for participant in 0..participants {
             let pace_s = 2.2 + sampler.normal(0.4);
             let own_s = sampler.normal(0.2);
-            for (place, tool) in order(participant, 2).into_iter().enumerate() {
+            for (place, tool) in williams_order(participant, 2).into_iter().enumerate() {
                 let mut at_s = 0.0;
                 for number in 1..=34 {
                     let learnt_s = -0.008 * number as f64 - 0.2 * place as f64;
@@ -334,28 +286,10 @@ mod tests {
 
     #[test]
     fn what_says_nothing_is_refused() {
-        assert_eq!(compare(&picks(1, 3, 0.4), "soft", "hard"), Err(TrialsError::TooFew { with_both: 3 }));
+        assert_eq!(compare(&picks(1, 3, 0.4), "soft", "hard"), Err(ParticipantsError::TooFew { with_both: 3 }));
         let mut same = picks(1, 6, 0.4);
         same.iter_mut().for_each(|pick| pick.order = usize::from(pick.gripper == "hard"));
-        assert_eq!(compare(&same, "soft", "hard"), Err(TrialsError::OneOrder));
-    }
-
-    /// Every tool comes equally often at each place, and after each other tool.
-    #[test]
-    fn orders_are_balanced() {
-        for (tools, participants) in [(2, 2), (3, 6), (4, 4)] {
-            let rows: Vec<_> = (0..participants).map(|participant| order(participant, tools)).collect();
-            for tool in 0..tools {
-                for place in 0..tools {
-                    let there = rows.iter().filter(|row| row[place] == tool).count();
-                    assert_eq!(there * tools, participants, "{rows:?}");
-                }
-                for other in (0..tools).filter(|other| *other != tool) {
-                    let behind = rows.iter().filter(|row| row.windows(2).any(|pair| pair == [tool, other])).count();
-                    assert_eq!(behind * tools, participants, "{rows:?}");
-                }
-            }
-        }
+        assert_eq!(compare(&same, "soft", "hard"), Err(ParticipantsError::OneOrder));
     }
 
     #[test]
