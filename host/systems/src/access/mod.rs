@@ -4,9 +4,9 @@
 //! checklist in a block diagram (authentication, availability, role, normal or emergency, appropriateness) and a log.
 //! It prints no numbers, and leaves open how tokens end, how an emergency ends, and how the log is kept.
 //!
-//! The method is the crate `r4-access`, which guards the board of `r4 serve --policy`. This system measures it: [`space`]
-//! walks an exhaustive space of policies and requests, [`day`] scripts a day with forgotten emergencies, clocks that are
-//! off and intruders, [`tamper`] damages the log, [`timing`] measures times and what they say. No board takes part.
+//! The method is the crate `r4-access`, which guards the board of `r4 serve --policy`. This system measures it: `space`
+//! walks an exhaustive space of policies and requests, `day` scripts a day with forgotten emergencies, clocks that are
+//! off and intruders, `tamper` damages the log, `timing` measures times and what they say. No board takes part.
 
 mod day;
 mod space;
