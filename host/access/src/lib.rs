@@ -7,11 +7,11 @@
 //!
 //! - [`decide`] is a pure function from a policy and a request to [`Facts`], and from those to a grant. Everything that
 //!   no rule allows is denied.
-//! - A [token](token) is signed by its subject (Ed25519), lives for minutes, names one policy, and opens one link: a
+//! - A [token] is signed by its subject (Ed25519), lives for minutes, names one policy, and opens one link: a
 //!   nonce that came before is refused ([`Replay`]).
 //! - An [`Emergency`] grants what the rules do not, to roles that may break glass; it is flagged in the log and ends by
 //!   itself, also when its flag is left on.
-//! - The [log](log) is a hash chain with a signed head, so that altered, moved, removed and cut entries are detected.
+//! - The [log] is a hash chain with a signed head, so that altered, moved, removed and cut entries are detected.
 //!
 //! Time comes from the caller as Unix time in ms. The crate knows no board, no protocol and no link.
 //!
