@@ -45,10 +45,11 @@ const WORLD: &str = "world";
 const MOVING_EVERY_NS: u64 = 50_000_000;
 /// Time after which all is repeated, for viewers that connect later, ns.
 const REPEAT_NS: u64 = 1_000_000_000;
-/// Distance between two poses of the way, m: a tenth of a small robot. Halving it doubles the messages of `/path`.
+/// Distance between two poses of a short way, m: a tenth of a small robot. Not tuned.
 const STEP_M: f64 = 0.05;
-/// Longest way that is shown, in poses of [`STEP_M`]: 100 m. Older ones are dropped, so that messages stay below 0.4 MB.
-const MOST_POSES: usize = 2000;
+/// Most poses of the way, which is sent as a whole each second: 512 are about 70 kB of JSON. When there are more, every
+/// second one is dropped and the distance doubles, so that a long drive is shown from its start on.
+const MOST_POSES: usize = 512;
 
 const ROBOT: Color = Color { r: 0.18, g: 0.45, b: 0.80, a: 1.0 };
 const TRUTH: Color = Color { r: 0.25, g: 0.65, b: 0.35, a: 1.0 };
@@ -75,8 +76,10 @@ pub struct View {
     world: LookAtWorld,
     /// Pose of `odom` in `world`: that of the robot at its first frame; `None` before it, and for boards on a link.
     origin: Option<Place>,
-    /// Poses of the way, at least [`STEP_M`] apart.
+    /// Poses of the way, at least `step_m` apart when they were added.
     way: Vec<Pose>,
+    /// Least distance of the next pose from the last, m.
+    step_m: f64,
     /// Place of the last of them.
     last: Option<Place>,
     /// Newest ray of each range sensor that detects something, in the body's frame, m.
@@ -103,6 +106,7 @@ impl View {
             wheels: BTreeMap::new(),
             origin: None,
             way: Vec::new(),
+            step_m: STEP_M,
             last: None,
             rays_m: Vec::new(),
             device_us: 0,
@@ -111,18 +115,22 @@ impl View {
         }
     }
 
-    /// Adds the place to the way; returns false for one that is near the last.
-    fn advance(&mut self, place: Place) -> bool {
+    /// Adds the place to the way, unless it is near the last one.
+    fn advance(&mut self, place: Place) {
         let moved_m = self.last.map(|last| (place.x_m - last.x_m).hypot(place.y_m - last.y_m));
-        if moved_m.is_some_and(|moved_m| moved_m < STEP_M) {
-            return false;
+        if moved_m.is_some_and(|moved_m| moved_m < self.step_m) {
+            return;
+        }
+        if self.way.len() == MOST_POSES {
+            let mut is_kept = false;
+            self.way.retain(|_| {
+                is_kept = !is_kept;
+                is_kept
+            });
+            self.step_m *= 2.0;
         }
         self.last = Some(place);
-        if self.way.len() == MOST_POSES {
-            self.way.remove(0);
-        }
         self.way.push(pose(place, 0.0));
-        true
     }
 
     fn transforms(&self, timestamp: Time, place: Place) -> FrameTransforms {
@@ -220,7 +228,8 @@ impl Derive for View {
         }
         let timestamp = Time::of_ns(log_time_ns);
         give(TRANSFORMS, json(&self.transforms(timestamp, place)));
-        if self.advance(place) || all {
+        self.advance(place);
+        if all {
             give(PATH, json(&PosesInFrame { timestamp, frame_id: ODOM, poses: &self.way }));
         }
         give(SCENE, json(&self.scene(timestamp, all, world.as_ref())));

@@ -6,7 +6,8 @@ use r4_log::{Live, LiveTopic};
 use r4_protocol::{Mode, Setpoint};
 use serde_json::Value;
 
-use crate::{Error, Rig, Target, recording};
+use super::View;
+use crate::{Error, Footprint, Place, Rig, Target, recording};
 
 /// Messages by topic with their log times, ns.
 type Seen = BTreeMap<String, Vec<(u64, Value)>>;
@@ -55,7 +56,7 @@ fn keeps(message: &Value, schema: &Value, at: &str) {
 }
 
 /// Drives both sides of a simulated OpenScout at this speed for 2 s; returns what was seen live, and the true pose at the end.
-fn driven(robot: &str, left_rad_s: f32, right_rad_s: f32) -> (Seen, Option<crate::Place>) {
+fn driven(robot: &str, left_rad_s: f32, right_rad_s: f32) -> (Seen, Option<Place>) {
     let rig = Rig::new(Target::Sim(robot.to_owned()));
     let seen = Rc::<RefCell<Seen>>::default();
     let tap = |output| {
@@ -108,11 +109,13 @@ fn a_drive_is_seen_as_it_was() {
     let seen_m = x_m(to_base) + x_m(to_odom);
     // Straight ahead the wheels slip by little: 1 % of 1 m, and a frame of 50 ms at 0.6 m/s.
     assert!(seen_m > 0.5 && (seen_m - place.x_m).abs() < 0.04, "{seen_m} {}", place.x_m);
-    let way = &seen["/path"].last().expect("a way").1;
+    let (way_ns, way) = seen["/path"].last().expect("a way");
     let poses = way["poses"].as_array().expect("poses");
     let last_m = poses[poses.len() - 1]["position"]["x"].as_f64().expect("x");
-    // Poses are 5 cm apart, looked for every 50 ms.
-    assert!(poses.len() > 5 && (last_m - x_m(to_base)).abs() < 0.09, "{} {last_m}", poses.len());
+    let then = times.iter().position(|ns| ns == way_ns).expect("a transform of that frame");
+    let then_m = x_m(&transforms[then]["transforms"][0]);
+    // The next pose is added at 5 cm; 20 samples a second at 0.6 m/s are 3 cm apart.
+    assert!(poses.len() > 5 && (0.0..0.09).contains(&(then_m - last_m)), "{} {then_m} {last_m}", poses.len());
     // The robot is drawn at once and then each second, rays and the true outline always.
     let scenes: Vec<&Value> = seen["/scene"].iter().map(|(_, message)| message).collect();
     let with = |id: &str| scenes.iter().filter(|scene| entity(scene, id).is_some()).count();
@@ -120,6 +123,20 @@ fn a_drive_is_seen_as_it_was() {
     assert_eq!(with("robot"), 2);
     let truth = &entity(scenes[scenes.len() - 1], "movable").expect("there")["lines"][0]["pose"]["position"];
     assert!((truth["x"].as_f64().expect("x") - place.x_m).abs() < 0.04, "{truth}");
+}
+
+#[test]
+fn a_long_way_is_shown_from_its_start_in_a_bounded_message() {
+    let footprint = Footprint::of(&r4_boards::load("openscout").expect("built in")).expect("it drives");
+    let mut view = View::new(footprint, Box::new(|| None));
+    for centimetre in 0..100_000 {
+        view.advance(Place { x_m: f64::from(centimetre) * 0.01, y_m: 0.0, yaw_rad: 0.0 });
+    }
+    let way_m: Vec<f64> = view.way.iter().map(|pose| pose.position.x).collect();
+    let longest_m = way_m.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
+    // 1000 m in at most 512 poses: 0.05 m and up to one sample of 1 cm, both doubled six times.
+    assert!(way_m.len() <= 512 && way_m.len() > 256 && longest_m <= 3.84 + 1e-9, "{} {longest_m}", way_m.len());
+    assert!(way_m[0] == 0.0 && way_m[way_m.len() - 1] > 1000.0 - 3.85, "{way_m:?}");
 }
 
 #[test]
