@@ -27,6 +27,22 @@ fn ward(folder: &TempDir) -> (String, String) {
     (policy, key)
 }
 
+/// The policy of docs/access.md with keys in place of its ellipses, and the file of alice's.
+fn of_the_page(folder: &TempDir) -> (String, String) {
+    let file = |name: &str| path(&folder.path().join(name)).to_owned();
+    let page = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/access.md")).expect("a page");
+    let block = page.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next()).expect("a policy");
+    let mut policy = block.to_owned();
+    for (name, purpose) in [("alice", "operation"), ("nora", "care")] {
+        let key = file(&format!("{name}.toml"));
+        let table = printed(&["access", "key", name, "--policy", "ward-3", "--purpose", purpose, "--out", &key]);
+        let digits = table.split("key = \"").nth(1).and_then(|rest| rest.split('"').next()).expect("a key");
+        policy = policy.replacen('\u{2026}', digits, 1);
+    }
+    fs::write(file("ward-3.toml"), policy).expect("written");
+    (file("ward-3.toml"), file("alice.toml"))
+}
+
 fn served(policy: &str) -> (Running, String) {
     let server = start(command(&["serve", "sim:osmc-bench", "--tcp", "127.0.0.1:0", "--policy", policy]));
     let first = object(&next(server.out.as_ref().expect("stdout"), server.begin).expect("a first line"));
@@ -63,6 +79,20 @@ fn a_policy_decides_who_moves_the_board() {
 }
 
 /// Checks the log of the test above, and that a cut one is found.
+/// A reader of docs/access.md who copies its policy moves a motor.
+#[test]
+fn the_policy_of_the_page_is_one() {
+    let folder = TempDir::new().expect("a folder");
+    let (policy, key) = of_the_page(&folder);
+    let asked = ["access", "check", &policy, "set", "channel/osmc0", "--as", "alice", "--purpose", "operation"];
+    assert!(printed(&asked).contains("granted"));
+    let (server, board) = served(&policy);
+    let moved = r4(&["move", "osmc0", "90deg", "--board", &board, "--token", &key]);
+    assert_eq!(moved.code, Some(0), "{moved:?}");
+    printed(&["access", "grant", path(&folder.path().join("nora.toml")), "--emergency"]);
+    drop(server);
+}
+
 fn the_log_is_verified(policy: &Path) {
     let log = format!("{}.log", policy.display());
     let shown = good(&["access", "log", &log]);

@@ -54,7 +54,7 @@ impl fmt::Display for Action {
     }
 }
 
-/// Class of resources.
+/// Class of resources, of which rules and items may name all or one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Class {
     /// The board as a whole: arming, clearing, restarting.
@@ -63,7 +63,7 @@ pub enum Class {
     Channel,
     /// Stored parameter, gain or name.
     Configuration,
-    /// History of trips.
+    /// History of trips that the board has stored.
     Faults,
     /// Log of the firmware.
     Log,
@@ -76,7 +76,7 @@ pub enum Class {
 }
 
 impl Class {
-    /// All classes.
+    /// All classes, in the order in which they are declared.
     pub const ALL: [Self; 8] = [
         Self::Board,
         Self::Channel,

@@ -11,13 +11,13 @@ use crate::{
     policy::{Item, Rule, Subject},
 };
 
-/// Hour, ms.
+/// Length of an hour, ms.
 const HOUR_MS: u64 = 3_600_000;
 
 /// Request as a policy sees it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Request {
-    /// Kind of use.
+    /// Kind of use that is asked for.
     pub action: Action,
     /// Resource that is used.
     pub resource: Resource,
@@ -69,7 +69,7 @@ pub enum Basis {
 /// First fact that was missing, for administrators only: a client gets no reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reason {
-    /// No valid token.
+    /// The link has no valid token.
     NotAuthenticated,
     /// No such item, or its retention is over.
     NotAvailable,
@@ -99,7 +99,7 @@ impl fmt::Display for Reason {
 /// Decision about one request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Decision {
-    /// Facts that decided.
+    /// Facts by which the request was decided.
     pub facts: Facts,
     /// Ground of the grant; `None` if the request is denied.
     pub basis: Option<Basis>,

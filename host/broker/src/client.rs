@@ -17,7 +17,7 @@ use r4_access::{Piece, Splitter};
 use r4_driver::{Clock, Error};
 use r4_protocol::{
     ChannelId, Cycle, CycleOutcome, CycleState, DeviceInfo, FrameDecoder, FrameError, Refusal, Reply, Request,
-    SafetyState, Setpoint, Spoken, ToDevice, ToHost,
+    Setpoint, Spoken, ToDevice, ToHost,
     cycle::{CYCLE_CHANNELS, CycleMotor},
     version::{REPEATS, SPOKEN, accept},
 };
@@ -284,12 +284,10 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         if is_known != Some(true) {
             return;
         }
+        if self.commands() && !self.broker.is_welcome(self.number) {
+            self.dismiss();
+        }
         if self.commands() {
-            // Who may no longer command leaves nothing moving. The heartbeat goes on, so that the board stops in its
-            // orderly way instead of tripping.
-            if board.safety().0 == SafetyState::Armed && !self.broker.is_welcome(self.number) {
-                drop(board.pass_on(Request::Disarm));
-            }
             let relayed = Some((board.send_heartbeat(), host_us));
             self.state(|client| client.relayed = relayed);
             return;
@@ -297,6 +295,14 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         let (state, causes) = board.safety();
         let hot = board.hot_windings().into_iter().collect();
         self.tell(&ToHost::Heartbeat { host_us, device_us: board.device_us(), state, causes, hot });
+    }
+
+    /// Ends the command of a client that may no longer have it, as if it had closed its session: the broker disarms the
+    /// board at once, so that it stops in its orderly way instead of tripping, and others may command after that.
+    fn dismiss(&self) {
+        // The receiver is for clients that wait for the end.
+        drop(self.broker.shared.borrow_mut().command.end(self.number));
+        self.broker.wake();
     }
 
     /// Asks the guard about a request; without a guard every client may do everything.
@@ -346,7 +352,7 @@ impl<'s, C: Clock> Served<'s, '_, C> {
         let is_denied = commands && self.bind.borrow().as_ref().is_some_and(|bind| !self.permits(bind));
         if is_denied {
             // The board follows the cycle before until its time to live: a newer one that is refused ends it at once.
-            drop(board.pass_on(Request::Disarm));
+            self.dismiss();
         }
         if commands && !is_denied {
             board.pass_on_cycle(cycle);

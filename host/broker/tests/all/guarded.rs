@@ -242,6 +242,12 @@ fn the_end_of_a_token_ends_motion_and_samples() {
         assert!((LIFE_S as f64 - 0.2..LIFE_S as f64 + 0.2).contains(&armed_s), "{armed_s}");
         assert_eq!(board.safety().0, SafetyState::Disarmed);
         assert!(samples > 150 && late_samples == 0, "{samples} {late_samples}");
+        // The client goes on beating and does not keep others out.
+        client.send(&ToDevice::Heartbeat { session, host_us: 240 }).await;
+        let mut next = Raw::new(door);
+        next.hello().await;
+        next.present(&token(door)).await;
+        assert_eq!(next.request(Request::Arm).await, Ok(Reply::Done));
         Ok(())
     });
 }

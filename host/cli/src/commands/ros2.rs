@@ -60,7 +60,8 @@ mod node {
 
     /// Period of the check for Ctrl-C while there is no session.
     const LOOK_EVERY: Duration = Duration::from_millis(50);
-    /// Time that the answer to a shutdown needs to leave this machine: DDS sends it on a thread of its own.
+    /// Time for DDS to send the answer to a shutdown, which it does on a thread that ends with this program. Our choice, not
+    /// tuned.
     const FAREWELL: Duration = Duration::from_millis(200);
 
     pub(crate) fn run(args: &Args, ros2: &Ros2) -> anyhow::Result<bool> {

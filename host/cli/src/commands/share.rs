@@ -86,7 +86,8 @@ fn serve(
         if !mem::replace(&mut is_told, true) {
             output::json(&FirstLine { tcp: at.to_string(), http: door.as_ref().map(Door::address) })?;
             let key = args.key.as_ref().map_or_else(String::new, |path| format!(" --key {}", path.display()));
-            eprintln!("r4: {} is served at tcp:{at}; for example: r4 monitor --board tcp:{at}{key}", args.board);
+            let token = if guard.is_some() { " --token FILE" } else { "" };
+            eprintln!("r4: {} is served at tcp:{at}; for example: r4 monitor --board tcp:{at}{key}{token}", args.board);
             if let Some(door) = &door {
                 eprintln!("r4: open {} in a browser", door.to_be_opened());
             }
