@@ -78,10 +78,10 @@ pub struct View {
     origin: Option<Place>,
     /// Poses of the way, at least `step_m` apart when they were added.
     way: Vec<Pose>,
+    /// Place of the last pose that was added; `None` before the first.
+    last: Option<Place>,
     /// Least distance of the next pose from the last, m.
     step_m: f64,
-    /// Place of the last of them.
-    last: Option<Place>,
     /// Newest ray of each range sensor that detects something, in the body's frame, m.
     rays_m: Vec<(ChannelId, [f64; 4])>,
     /// Newest sample of each motor: a frame has those that are due, and periods may differ.
@@ -130,7 +130,7 @@ impl View {
             self.step_m *= 2.0;
         }
         self.last = Some(place);
-        self.way.push(pose(place, 0.0));
+        self.way.push(pose(place));
     }
 
     fn transforms(&self, timestamp: Time, place: Place) -> FrameTransforms {
@@ -165,7 +165,7 @@ impl View {
             movable.cylinders.extend(people.map(|(place_m, radius_m)| cylinder(*place_m, *radius_m, PERSON_M, PERSON)));
             if let Some(truth) = world.body {
                 let mut outline = lines(ring(&self.footprint.outline_m), TRUTH);
-                outline.pose = pose(truth, 0.0);
+                outline.pose = pose(truth);
                 movable.lines.push(outline);
             }
             entities.push(movable);
@@ -241,8 +241,9 @@ fn json(message: &impl Serialize) -> Vec<u8> {
     serde_json::to_vec(message).unwrap_or_default()
 }
 
-fn pose(place: Place, height_m: f64) -> Pose {
-    Pose::new(Vector3::new(place.x_m, place.y_m, height_m), place.yaw_rad)
+/// Pose on the floor.
+fn pose(place: Place) -> Pose {
+    Pose::new(Vector3::new(place.x_m, place.y_m, 0.0), place.yaw_rad)
 }
 
 /// Pose of the frame in which the robot is at `place`, when it is at `truth` in the world.
@@ -271,7 +272,7 @@ fn cube([a, b, c, _]: &[[f64; 2]; 4]) -> Cube {
 fn lines(points_m: impl Iterator<Item = (f64, f64)>, color: Color) -> Line {
     Line {
         kind: LINE_LIST,
-        pose: pose(Place::default(), 0.0),
+        pose: pose(Place::default()),
         thickness: 0.02,
         scale_invariant: false,
         points: points_m.map(|(x, y)| Vector3::new(x, y, OUTLINE_M)).collect(),
