@@ -1,5 +1,7 @@
 //! Conversion of a velocity over the ground to set points of wheels.
 
+use std::collections::BTreeMap;
+
 use r4_boards::{Ackermann, Drive, SkidSteer};
 use r4_driver::{Board, Clock};
 use r4_protocol::{ChannelId, ChannelInfo, Mode, Sample, Setpoint};
@@ -137,6 +139,29 @@ fn ackermann(robot: &Ackermann, asked: Velocity) -> Vec<(ChannelId, Setpoint)> {
     vec![(robot.steering, steering), (robot.drive, drive)]
 }
 
+/// Newest samples of a robot's motors. A telemetry frame has the channels that are due, so that wheels with different
+/// periods, or behind a broker that other clients use, come in different frames.
+#[derive(Clone, Debug, Default)]
+pub struct NewestMotors(BTreeMap<ChannelId, Sample>);
+
+impl NewestMotors {
+    /// Takes a frame, and returns the newest sample of each motor so far; `None` for a frame without motors.
+    pub fn take(&mut self, frame: &[Sample]) -> Option<Vec<Sample>> {
+        let motors = frame.iter().filter(|sample| matches!(sample, Sample::Motor { .. }));
+        let mut is_new = false;
+        for sample in motors {
+            self.0.insert(sample.channel(), *sample);
+            is_new = true;
+        }
+        is_new.then(|| self.0.values().copied().collect())
+    }
+
+    /// Forgets all samples, as after a restart of the board, whose wheels then count from 0.
+    pub fn clear(&mut self) {
+        self.0.clear();
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -173,6 +198,32 @@ mod tests {
             // f32 at 10 rad/s: 1e-6 rad/s times 0.056 m over 0.175 m.
             assert!((back.forward_m_s - forward_m_s).abs() < 1e-6 && (back.yaw_rad_s - yaw_rad_s).abs() < 1e-6);
         }
+    }
+
+    #[test]
+    fn wheels_that_come_in_different_frames_are_put_together() {
+        let openscout = robot("openscout");
+        let Drive::SkidSteer(drive) = openscout.drive() else { panic!() };
+        let sample = |channel: &ChannelId, speed| Sample::Motor {
+            channel: *channel,
+            setpoint: Setpoint { mode: Mode::Speed, value: 0.0 },
+            position: 0,
+            speed,
+            duty: 0.0,
+            settled: false,
+            homed: false,
+            winding: None,
+        };
+        let side = |wheels: &[ChannelId], speed| wheels.iter().map(|wheel| sample(wheel, speed)).collect::<Vec<_>>();
+        let mut motors = NewestMotors::default();
+        let seen = |motors: &mut NewestMotors, frame: &[Sample]| sides_rad_s(drive, &motors.take(frame)?);
+        assert_eq!(seen(&mut motors, &side(&drive.left, 1.0)), None);
+        assert_eq!(seen(&mut motors, &side(&drive.right, 2.0)), Some([1.0, 2.0]));
+        assert_eq!(seen(&mut motors, &side(&drive.left, 3.0)), Some([3.0, 2.0]));
+        // A frame of other channels has no news of them.
+        assert_eq!(seen(&mut motors, &[]), None);
+        motors.clear();
+        assert_eq!(seen(&mut motors, &side(&drive.right, 2.0)), None);
     }
 
     #[test]

@@ -63,7 +63,7 @@ pub use error::Error;
 pub use flash_file::{FlashFile, FlashFileError};
 pub use fleet::Fleet;
 pub use footprint::Footprint;
-pub use ground::{GroundDrive, Velocity, recorded_sides_rad, sides_rad, sides_rad_s};
+pub use ground::{GroundDrive, NewestMotors, Velocity, recorded_sides_rad, sides_rad, sides_rad_s};
 pub use inertial::{InertialReading, inertial_reading, inertial_sensor};
 pub use interrupt::{Interrupt, Interrupted};
 pub use motion::{Driven, HeldOutput, NotReached, Unsuitable};

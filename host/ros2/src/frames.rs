@@ -2,7 +2,7 @@
 
 use r4_boards::{Drive, SkidSteer};
 use r4_protocol::{ChannelInfo, ChannelKind, Sample};
-use r4_rig::{GroundDrive, Odometry, Velocity, inertial_reading, recorded_sides_rad, sides_rad_s};
+use r4_rig::{GroundDrive, NewestMotors, Odometry, Velocity, inertial_reading, recorded_sides_rad, sides_rad_s};
 
 use crate::{Report, convert, message, time::Stamp};
 
@@ -22,7 +22,8 @@ pub struct Frames {
 struct Counted {
     robot: SkidSteer,
     odometry: Odometry,
-    /// Time of the last frame with all wheels, µs on the board's clock; `None` before the first and after a restart.
+    motors: NewestMotors,
+    /// Time of the last frame with a motor, µs on the board's clock; `None` before the first and after a restart.
     last_us: Option<u64>,
 }
 
@@ -33,7 +34,8 @@ impl Frames {
     pub fn new(channels: &[ChannelInfo], drive: Option<&GroundDrive>, has_transform: bool) -> Self {
         let odometry = match drive.map(GroundDrive::drive) {
             Some(Drive::SkidSteer(robot)) => {
-                Some(Counted { robot: robot.clone(), odometry: Odometry::new(robot), last_us: None })
+                let (odometry, motors) = (Odometry::new(robot), NewestMotors::default());
+                Some(Counted { robot: robot.clone(), odometry, motors, last_us: None })
             }
             Some(Drive::Ackermann(_)) | None => None,
         };
@@ -50,6 +52,7 @@ impl Frames {
     pub fn restarted(&mut self) {
         if let Some(counted) = &mut self.odometry {
             counted.odometry.count_anew();
+            counted.motors.clear();
             counted.last_us = None;
         }
     }
@@ -91,7 +94,7 @@ impl Frames {
 }
 
 impl Counted {
-    /// Returns the odometry after a frame; `None` unless the frame has all wheels.
+    /// Returns the odometry after a frame; `None` for a frame without motors, and before all wheels were seen.
     fn look(
         &mut self,
         stamp: Stamp,
@@ -99,8 +102,9 @@ impl Counted {
         channels: &[ChannelInfo],
         samples: &[Sample],
     ) -> Option<message::Odometry> {
-        let [left_rad, right_rad] = recorded_sides_rad(channels, &self.robot, samples)?;
-        let velocity = Velocity::of_sides(&self.robot, sides_rad_s(&self.robot, samples)?);
+        let motors = self.motors.take(samples)?;
+        let [left_rad, right_rad] = recorded_sides_rad(channels, &self.robot, &motors)?;
+        let velocity = Velocity::of_sides(&self.robot, sides_rad_s(&self.robot, &motors)?);
         self.odometry.look(left_rad, right_rad);
         let before_us = self.last_us.replace(device_us);
         let since_us = before_us.and_then(|before_us| device_us.checked_sub(before_us)).filter(|us| *us > 0);

@@ -13,19 +13,17 @@ mod message;
 mod schema;
 mod world;
 
-use std::collections::BTreeMap;
-
 use message::{
     Color, Cube, Cylinder, Entity, FrameTransform, FrameTransforms, LINE_LIST, Line, Pose, PosesInFrame, Quaternion,
     SceneUpdate, Time, Vector3,
 };
 use r4_log::{Derive, DerivedTopic};
-use r4_protocol::{ChannelId, ChannelInfo, ChannelKind, Sample, Telemetry};
+use r4_protocol::{ChannelId, ChannelInfo, ChannelKind, Telemetry};
 use serde::Serialize;
 
 pub use world::{SharedLook, WorldLook};
 
-use crate::{Footprint, Odometry, Place, recorded_sides_rad};
+use crate::{Footprint, NewestMotors, Odometry, Place, recorded_sides_rad};
 
 const TRANSFORMS: DerivedTopic =
     DerivedTopic { name: "/tf", schema: "foxglove.FrameTransforms", json_schema: schema::frame_transforms };
@@ -84,8 +82,7 @@ pub struct View {
     step_m: f64,
     /// Newest ray of each range sensor that detects something, in the body's frame, m.
     rays_m: Vec<(ChannelId, [f64; 4])>,
-    /// Newest sample of each motor: a frame has those that are due, and periods may differ.
-    wheels: BTreeMap<ChannelId, Sample>,
+    motors: NewestMotors,
     /// Time of the board at the last frame, µs.
     device_us: u64,
     /// Log time of the last transforms, ns.
@@ -103,7 +100,7 @@ impl View {
             footprint,
             odometry,
             world,
-            wheels: BTreeMap::new(),
+            motors: NewestMotors::default(),
             origin: None,
             way: Vec::new(),
             step_m: STEP_M,
@@ -194,21 +191,19 @@ impl Derive for View {
         if telemetry.device_us < self.device_us {
             // The board has restarted: its wheels count from 0 again.
             self.odometry.count_anew();
-            self.wheels.clear();
+            self.motors.clear();
         }
         self.device_us = telemetry.device_us;
         for sample in &telemetry.samples {
             let channel = sample.channel();
-            if matches!(sample, Sample::Motor { .. }) {
-                self.wheels.insert(channel, *sample);
-            } else if channel.kind == ChannelKind::Range {
+            if channel.kind == ChannelKind::Range {
                 // A sensor that detects nothing has no ray.
                 self.rays_m.retain(|(of, _)| *of != channel);
                 self.rays_m.extend(self.footprint.ray_m(sample).map(|ray_m| (channel, ray_m)));
             }
         }
-        let wheels: Vec<Sample> = self.wheels.values().copied().collect();
-        let sides = recorded_sides_rad(channels, &self.footprint.drive, &wheels);
+        let motors = self.motors.take(&telemetry.samples);
+        let sides = motors.and_then(|motors| recorded_sides_rad(channels, &self.footprint.drive, &motors));
         let Some([left_rad, right_rad]) = sides else { return };
         self.odometry.look(left_rad, right_rad);
         let since = |then_ns: Option<u64>| then_ns.map_or(u64::MAX, |then_ns| log_time_ns.abs_diff(then_ns));
