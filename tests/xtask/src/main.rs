@@ -19,7 +19,7 @@
 //! | `summary` | outcome of each step, as a table |
 //! | `meter` | wall-clock time and processor time |
 //! | `wire` | `cargo xtask protocol`: the wire protocol as a page, a schema, a header and a dissector |
-//! | `licences` | `cargo xtask licences`: whether what is linked in may be passed on |
+//! | `licences` | `cargo xtask licences`: licences, sources and second versions of what is linked in |
 //! | `package` | `cargo xtask package`: the crates as they are published, and the program built of them |
 //! | `release` | `cargo xtask release`: the program in an archive, with what goes with it |
 //! | `pictures` | `cargo xtask pictures`: the pictures on the first page |
@@ -93,7 +93,7 @@ usage: cargo xtask <task>
                 400 s of processor time. --dist: as it is given to others; fails over 15 MB of program. [--json]
   protocol      docs/protocol.md and what is beside protocol/src, from the protocol's types, comments and constants;
                 --check fails for a file that is not what they make now
-  licences      licences and sources of all that is linked in, by deny.toml
+  licences      licences and sources of all that is linked in, and second versions in the default build, by deny.toml
   package       the crates as crates.io would get them, and the program compiled of these
   release       the program with manual pages, completions and udev rules in an archive, for the system that this runs on:
                 target/release-archives; [--program FILE] packs that and builds none
