@@ -38,7 +38,7 @@ use std::{
 };
 
 use embedded_io_async::{ErrorType, Read, Write};
-use hmac::{Hmac, KeyInit, Mac};
+use hmac::{Hmac, Mac};
 use sha2::Sha256;
 use snow::{Builder, HandshakeState, TransportState};
 
@@ -172,7 +172,7 @@ impl Key {
 
     fn mac(&self, parts: &[&[u8]]) -> [u8; 32] {
         #[expect(clippy::expect_used, reason = "HMAC takes keys of any length")]
-        let mut mac = <Hmac<Sha256> as KeyInit>::new_from_slice(&self.0).expect("any length");
+        let mut mac = <Hmac<Sha256> as Mac>::new_from_slice(&self.0).expect("any length");
         parts.iter().for_each(|part| mac.update(part));
         mac.finalize().into_bytes().into()
     }
@@ -433,7 +433,7 @@ mod tests {
         // Test case 2 of RFC 4231 has a key of 4 bytes, which zeros at its end do not change (RFC 2104, section 2).
         let mut key = [0; 32];
         key[..4].copy_from_slice(b"Jefe");
-        let mut mac = <Hmac<Sha256> as KeyInit>::new_from_slice(&key).expect("any length");
+        let mut mac = <Hmac<Sha256> as Mac>::new_from_slice(&key).expect("any length");
         mac.update(b"what do ya want for nothing?");
         assert!(mac.finalize().into_bytes().starts_with(&[0x5b, 0xdc, 0xc1, 0x46, 0xbf, 0x60, 0x75, 0x4e]));
         assert_ne!(Key::new(key).of_handshake(), key, "the file's key itself is not used");

@@ -1,19 +1,25 @@
-//! Task `cargo xtask licences`: checks that every package linked in may be distributed, by `deny.toml`, and comes from
-//! the right registry.
+//! Task `cargo xtask licences`: checks that every package linked in may be distributed, by `deny.toml`, comes from
+//! the right registry, and is not compiled in two versions without a reason.
 //!
 //! It reads the lists that cargo-deny reads, so that each test run can check them without a program that takes minutes
 //! to build.
 
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::Path,
+};
 
 use serde::Deserialize;
 use spdx::{Expression, ParseMode};
 
-use crate::toolchain;
+use crate::toolchain::{self, Node};
 
 /// Only registry that packages may come from.
 const REGISTRY: &str = "registry+https://github.com/rust-lang/crates.io-index";
 const POLICY: &str = "deny.toml";
+/// Package whose default build has every dependency once.
+const PROGRAM: &str = "r4";
 /// Syntax of licences in manifests. It includes the one from before SPDX: `MIT/Apache-2.0`.
 const WRITTEN: ParseMode = ParseMode {
     allow_deprecated: true,
@@ -26,6 +32,20 @@ const WRITTEN: ParseMode = ParseMode {
 #[derive(Deserialize)]
 struct Policy {
     licenses: Licences,
+    bans: Bans,
+}
+
+#[derive(Deserialize)]
+struct Bans {
+    /// Versions that are compiled beside another version of the same package.
+    skip: Vec<Skip>,
+}
+
+#[derive(Deserialize)]
+struct Skip {
+    /// Name and version, as in `bitflags@1.3.2`.
+    #[serde(rename = "crate")]
+    version: String,
 }
 
 #[derive(Deserialize)]
@@ -56,9 +76,14 @@ pub(crate) fn check(root: &Path) -> Result<(), String> {
     let policy: Policy = toml::from_str(&policy).map_err(|error| format!("{POLICY}: {error}"))?;
     let packages: Vec<Package> = toolchain::packages(root, true)?;
     let others: Vec<&Package> = packages.iter().filter(|package| package.source.is_some()).collect();
-    let problems = problems(&policy.licenses, &others);
+    let mut problems = problems(&policy.licenses, &others);
+    problems.extend(doubled(&policy.bans.skip, &toolchain::tree(root, PROGRAM)?));
     if problems.is_empty() {
-        println!("{} packages of others, all under licences of {POLICY}", others.len());
+        println!(
+            "{} packages of others, all under licences of {POLICY}; {} are in the default build in a second version",
+            others.len(),
+            policy.bans.skip.len()
+        );
         Ok(())
     } else {
         Err(problems.join("\n"))
@@ -76,6 +101,30 @@ fn problems(policy: &Licences, packages: &[&Package]) -> Vec<String> {
         Some(format!("{} {}: {problem}", package.name, package.version))
     });
     of_packages.chain(unused).collect()
+}
+
+/// Returns packages that are built in more versions than `skip` permits, and entries of `skip` without effect.
+fn doubled(skip: &[Skip], built: &[Node]) -> Vec<String> {
+    let mut versions: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for node in built {
+        versions.entry(&node.name).or_default().insert(&node.version);
+    }
+    let is_skipped = |name: &str, version: &str| skip.iter().any(|skip| skip.version == format!("{name}@{version}"));
+    let too_many = versions.iter().filter_map(|(name, versions)| {
+        let left: Vec<&str> = versions.iter().copied().filter(|version| !is_skipped(name, version)).collect();
+        (left.len() > 1).then(|| {
+            let left = left.join(" and ");
+            format!(
+                "{name} is compiled as {left}: let its users agree on one (`cargo tree --duplicates`), or list one in {POLICY} with the reason"
+            )
+        })
+    });
+    let unused = skip.iter().filter_map(|skip| {
+        let (name, version) = skip.version.split_once('@').unwrap_or((&skip.version, ""));
+        let is_doubled = versions.get(name).is_some_and(|versions| versions.len() > 1 && versions.contains(version));
+        (!is_doubled).then(|| format!("{}: is listed in {POLICY} and is no second version: remove that", skip.version))
+    });
+    too_many.chain(unused).collect()
 }
 
 fn problem(package: &Package, allowed: &[&str]) -> Option<String> {
@@ -127,5 +176,22 @@ mod tests {
         let exception = Exception { name: "gone".into(), allow: vec!["MPL-2.0".into()] };
         let policy = Licences { allow: vec!["MIT".into()], exceptions: vec![exception] };
         assert_eq!(problems(&policy, &[]).len(), 1);
+    }
+
+    #[test]
+    fn a_second_version_needs_an_entry_and_an_entry_a_second_version() {
+        let built: Vec<Node> = ["0r4 v0.1.0", "1syn v2.0.1", "2syn v3.0.9", "1libm v1.0.0"]
+            .iter()
+            .filter_map(|line| Node::read(line))
+            .collect();
+        let skip = |versions: &[&str]| -> Vec<Skip> {
+            versions.iter().map(|version| Skip { version: (*version).to_owned() }).collect()
+        };
+        assert_eq!(doubled(&skip(&["syn@2.0.1"]), &built), Vec::<String>::new());
+        assert!(doubled(&[], &built)[0].starts_with("syn is compiled as 2.0.1 and 3.0.9"));
+        for stale in ["libm@1.0.0", "syn@1.0.0", "gone"] {
+            let problems = doubled(&skip(&["syn@2.0.1", stale]), &built);
+            assert!(problems.len() == 1 && problems[0].starts_with(stale), "{problems:?}");
+        }
     }
 }

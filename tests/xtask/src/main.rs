@@ -14,12 +14,13 @@
 //! | `images` | `cargo xtask images`: the images that tests run |
 //! | `image` | sizes and symbols of an ELF file |
 //! | `mutants` | `cargo xtask mutants`: changes that no test notices, against a list of those that are judged |
+//! | `miri` | `cargo xtask miri`: tests of what runs on the board, interpreted by Miri |
 //! | `toolchain` | the parts of the Rust toolchain the steps need |
 //! | `programs` | the test programs, and the slowest tests in them |
 //! | `summary` | outcome of each step, as a table |
 //! | `meter` | wall-clock time and processor time |
 //! | `wire` | `cargo xtask protocol`: the wire protocol as a page, a schema, a header and a dissector |
-//! | `licences` | `cargo xtask licences`: whether what is linked in may be passed on |
+//! | `licences` | `cargo xtask licences`: licences, sources and second versions of what is linked in |
 //! | `package` | `cargo xtask package`: the crates as they are published, and the program built of them |
 //! | `release` | `cargo xtask release`: the program in an archive, with what goes with it |
 //! | `pictures` | `cargo xtask pictures`: the pictures on the first page |
@@ -32,6 +33,7 @@ mod image;
 mod images;
 mod licences;
 mod meter;
+mod miri;
 mod mutants;
 mod package;
 mod peers;
@@ -55,6 +57,7 @@ use std::{env, path::PathBuf, process::ExitCode};
 
 use firmware::Firmware;
 use flash::Flash;
+use miri::Miri;
 use mutants::Mutants;
 use peers::Peers;
 use pictures::Pictures;
@@ -93,7 +96,7 @@ usage: cargo xtask <task>
                 400 s of processor time. --dist: as it is given to others; fails over 15 MB of program. [--json]
   protocol      docs/protocol.md and what is beside protocol/src, from the protocol's types, comments and constants;
                 --check fails for a file that is not what they make now
-  licences      licences and sources of all that is linked in, by deny.toml
+  licences      licences and sources of all that is linked in, and second versions in the default build, by deny.toml
   package       the crates as crates.io would get them, and the program compiled of these
   release       the program with manual pages, completions and udev rules in an archive, for the system that this runs on:
                 target/release-archives; [--program FILE] packs that and builds none
@@ -102,7 +105,9 @@ usage: cargo xtask <task>
                 --check fails where they exceed their limits
   mutants       changes to firmware/core, protocol and host/links that no test notices, by cargo-mutants, and how each is judged
                 (tests/mutants.toml); fails for one that is not. Hours: [--package r4-firmware|r4-protocol|r4-links]
-                [--file FILE]... [--shard K/N] [--tests FILTER] (nextest's)";
+                [--file FILE]... [--shard K/N] [--tests FILTER] (nextest's)
+  miri          unit tests of firmware/core and protocol under Miri, which reports undefined behaviour, with a nightly Rust that
+                it installs by rustup: [--tests FILTER]";
 
 /// Exit code for a command line that has no meaning here.
 const USAGE_ERROR: u8 = 2;
@@ -120,6 +125,7 @@ enum Task {
     Size(Size),
     Protocol { json: bool },
     Mutants(Mutants),
+    Miri(Miri),
     Weight(Weight),
     Wire(Wire),
     Licences,
@@ -150,6 +156,7 @@ fn main() -> ExitCode {
         Ok(Task::Size(size)) => size.run(&root()),
         Ok(Task::Protocol { json }) => protocol::run(&root(), json),
         Ok(Task::Mutants(mutants)) => mutants.run(&root()),
+        Ok(Task::Miri(miri)) => ended(miri.test(&root())),
         Ok(Task::Weight(weight)) => weight.run(&root()),
         Ok(Task::Wire(wire)) => wire.run(&root()),
         Ok(Task::Licences) => ended(licences::check(&root())),
@@ -181,7 +188,7 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
         ["help" | "--help" | "-h"]
         | [
             "test" | "python" | "peers" | "firmware" | "flash" | "size" | "weight" | "pictures" | "prose" | "mutants"
-            | "protocol" | "release",
+            | "protocol" | "release" | "miri",
             "--help" | "-h",
         ] => Ok(Task::Help),
         ["test"] => Ok(Task::Test(Extent::Full)),
@@ -197,6 +204,7 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
         ["weight", ref words @ ..] => Weight::parse(words).map(Task::Weight),
         ["pictures", ref words @ ..] => Pictures::parse(words).map(Task::Pictures),
         ["prose", ref words @ ..] => Prose::parse(words).map(Task::Prose),
+        ["miri", ref words @ ..] => Miri::parse(words).map(Task::Miri),
         ["size", ref words @ ..] => Size::parse(words).map(Task::Size),
         ["mutants", ref words @ ..] => Mutants::parse(words).map(Task::Mutants),
         [] => Err("no task given".into()),

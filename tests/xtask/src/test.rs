@@ -1,7 +1,7 @@
 //! Task `cargo xtask test`: the steps that check a change.
 
 use std::{
-    env,
+    env, fs,
     io::{self, Write},
     path::Path,
     process::{Command, ExitCode},
@@ -195,9 +195,19 @@ pub(crate) fn run(root: &Path, extent: Extent) -> ExitCode {
         Extent::Full => FULL,
         Extent::Quick => QUICK,
     };
+    let summary = match Summary::compared(root) {
+        Ok(summary) => summary,
+        Err(problem) => {
+            eprintln!("error: {problem}");
+            return ExitCode::FAILURE;
+        }
+    };
     let mut images = None;
-    let (summary, problem) = run_all(steps, |step| execute(step, root, &mut images));
+    let (summary, problem) = run_all(steps, summary, |step| execute(step, root, &mut images));
     println!("\n{summary}");
+    if let Err(problem) = keep(root, extent, &summary) {
+        eprintln!("warning: {problem}");
+    }
     // Flushed, so that the message on stderr comes last.
     let _ = io::stdout().flush();
     match summary.failed() {
@@ -209,9 +219,21 @@ pub(crate) fn run(root: &Path, extent: Extent) -> ExitCode {
     }
 }
 
-/// Returns the summary, and the message of the failed step.
-fn run_all(steps: &[Step], mut execute: impl FnMut(&Step) -> Result<(), String>) -> (Summary, String) {
-    let mut summary = Summary::default();
+/// Writes the figures of a full run without failure below the target folder, to be committed in place of the older ones.
+fn keep(root: &Path, extent: Extent, summary: &Summary) -> Result<(), String> {
+    if extent == Extent::Quick || summary.failed().is_some() {
+        return Ok(());
+    }
+    let file = firmware::target_folder(root)?.join("figures.toml");
+    fs::write(&file, summary.figures()).map_err(|error| format!("{}: {error}", file.display()))
+}
+
+/// Returns the filled summary, and the message of the failed step.
+fn run_all(
+    steps: &[Step],
+    mut summary: Summary,
+    mut execute: impl FnMut(&Step) -> Result<(), String>,
+) -> (Summary, String) {
     let mut problem = String::new();
     for step in steps {
         // Later steps are listed, so that the summary shows what was not tested.
@@ -315,7 +337,7 @@ mod tests {
     #[test]
     fn the_first_failure_ends_the_run() {
         let mut executed = Vec::new();
-        let (summary, problem) = run_all(FULL, |step| {
+        let (summary, problem) = run_all(FULL, Summary::default(), |step| {
             executed.push(step.name);
             if step.name == "lints" { Err("a warning".into()) } else { Ok(()) }
         });
@@ -331,7 +353,7 @@ mod tests {
     #[test]
     fn a_run_without_failure_has_every_step() {
         for steps in [FULL, QUICK] {
-            let (summary, _) = run_all(steps, |_| Ok(()));
+            let (summary, _) = run_all(steps, Summary::default(), |_| Ok(()));
             assert_eq!(summary.failed(), None);
             assert_eq!(summary.to_string().matches("  ok\n").count(), steps.len(), "{summary}");
         }

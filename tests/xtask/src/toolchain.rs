@@ -42,6 +42,40 @@ pub(crate) fn packages<P: DeserializeOwned>(root: &Path, with_others: bool) -> R
     read.map(|metadata| metadata.packages).map_err(|error| format!("cargo metadata: {error}"))
 }
 
+/// Line of `cargo tree`: a package that another one needs.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Node {
+    /// Number of dependencies between the program and the package.
+    pub(crate) depth: usize,
+    pub(crate) name: String,
+    pub(crate) version: String,
+}
+
+impl Node {
+    /// Reads a line like `2rustix v1.1.6`, or `None` for one that is no package.
+    pub(crate) fn read(line: &str) -> Option<Self> {
+        let digits = line.find(|letter: char| !letter.is_ascii_digit())?;
+        let mut words = line[digits..].split(' ');
+        let (name, version) = (words.next()?.to_owned(), words.next()?.trim_start_matches('v').to_owned());
+        Some(Self { depth: line[..digits].parse().ok()?, name, version })
+    }
+}
+
+/// Returns the packages that a package of this repository is built from with its default features, in the order and
+/// with the depths of `cargo tree`.
+pub(crate) fn tree(root: &Path, package: &str) -> Result<Vec<Node>, String> {
+    let arguments = ["tree", "--locked", "--package", package, "--edges", "normal,build", "--prefix", "depth"];
+    let output = Command::new(cargo())
+        .args(arguments)
+        .current_dir(root)
+        .output()
+        .map_err(|error| format!("cargo cannot be started: {error}"))?;
+    if !output.status.success() {
+        return Err(format!("cargo tree: {}", String::from_utf8_lossy(&output.stderr)));
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).lines().filter_map(Node::read).collect())
+}
+
 /// Runs a command, which prints its own output and errors.
 pub(crate) fn call(command: &mut Command) -> Result<(), String> {
     let status = command.status();
@@ -164,6 +198,26 @@ fn output(command: &mut Command, folder: &Path) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_tests_run_with_the_oldest_supported_rust() {
+        let text = |file: &str| std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(file));
+        let read = |file| text(file).expect("it is there").parse::<toml::Table>().expect("it is TOML");
+        let pinned = &read("rust-toolchain.toml")["toolchain"]["channel"];
+        let promised = &read("Cargo.toml")["workspace"]["package"]["rust-version"];
+        let promised = promised.as_str().expect("a version");
+        assert_eq!(pinned.as_str(), Some(format!("{promised}.0").as_str()), "what CI runs is what manifests promise");
+    }
+
+    #[test]
+    fn lines_of_a_tree_are_packages() {
+        let node =
+            |depth, name: &str, version: &str| Some(Node { depth, name: name.to_owned(), version: version.to_owned() });
+        assert_eq!(Node::read("0r4 v0.1.0 (/r/host/cli)"), node(0, "r4", "0.1.0"));
+        assert_eq!(Node::read("12syn v2.0.119 (*)"), node(12, "syn", "2.0.119"));
+        assert_eq!(Node::read(""), None);
+        assert_eq!(Node::read("[build-dependencies]"), None);
+    }
 
     #[test]
     fn the_advice_names_every_missing_part_and_its_command() {

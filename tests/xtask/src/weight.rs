@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use crate::{
     firmware::target_folder,
     meter::{Cost, Meter},
-    toolchain,
+    toolchain::{self, Node},
 };
 
 /// Budget of processor time for the build for `r4 demo`, s.
@@ -114,7 +114,7 @@ impl Weight {
         let program = target.join(profile).join(format!("{PROGRAM}{}", env::consts::EXE_SUFFIX));
         let size = fs::metadata(&program).map_err(|error| format!("{}: {error}", program.display()))?.len();
         let times = fs::read_to_string(&times).map_err(|error| format!("{}: {error}", times.display()))?;
-        let parents = parents(&dependencies(root)?);
+        let parents = parents(&toolchain::tree(root, PROGRAM)?);
         let mut crates: Vec<Crate> = sum(&times)
             .into_iter()
             .map(|(name, seconds)| Crate { chain: chain(&name, &parents), name, seconds })
@@ -192,33 +192,12 @@ fn sum(times: &str) -> BTreeMap<String, f64> {
     sums
 }
 
-/// Returns the packages that the program is built from, with their depths, as cargo lists them.
-fn dependencies(root: &Path) -> Result<Vec<(usize, String)>, String> {
-    let arguments = ["tree", "--locked", "--package", PROGRAM, "--edges", "normal,build", "--prefix", "depth"];
-    let output = Command::new(toolchain::cargo())
-        .args(arguments)
-        .current_dir(root)
-        .output()
-        .map_err(|error| format!("cargo cannot be started: {error}"))?;
-    if !output.status.success() {
-        return Err(format!("cargo tree: {}", String::from_utf8_lossy(&output.stderr)));
-    }
-    Ok(String::from_utf8_lossy(&output.stdout).lines().filter_map(depth_and_name).collect())
-}
-
-/// Reads depth and name from a line like `2rustix v1.1.6`.
-fn depth_and_name(line: &str) -> Option<(usize, String)> {
-    let digits = line.find(|letter: char| !letter.is_ascii_digit())?;
-    let name = line[digits..].split(' ').next()?;
-    Some((line[..digits].parse().ok()?, name.to_owned()))
-}
-
 /// Returns for each package the one that needs it on the shortest path from the program.
-fn parents(tree: &[(usize, String)]) -> BTreeMap<String, String> {
+fn parents(tree: &[Node]) -> BTreeMap<String, String> {
     // Cargo prints a tree by depth: the parent of a line is the last one above it with a lower depth.
     let mut edges: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     let mut path: Vec<&str> = Vec::new();
-    for (depth, name) in tree {
+    for Node { depth, name, .. } in tree {
         path.truncate(*depth);
         if let Some(parent) = path.last() {
             edges.entry(parent).or_default().push(name);
@@ -268,8 +247,7 @@ mod tests {
     #[test]
     fn a_package_is_there_because_of_the_shortest_way_to_it() {
         let tree = "0r4 v0.1.0 (/r/host/cli)\n1r4-log v0.1.0\n2mcap v0.26.0\n3syn v2.0.119 (proc-macro)\n1clap v4\n2syn v2.0.119\n";
-        let tree: Vec<_> = tree.lines().filter_map(depth_and_name).collect();
-        assert_eq!(tree[3], (3, "syn".into()));
+        let tree: Vec<Node> = tree.lines().filter_map(Node::read).collect();
         let parents = parents(&tree);
         assert_eq!(chain("syn", &parents), ["r4", "clap", "syn"]);
         assert_eq!(chain("mcap", &parents), ["r4", "r4-log", "mcap"]);
