@@ -29,27 +29,7 @@ pub use robot::{
     SimulatedRange, SimulatedRotor, SimulatedSensor, SimulatedServo, SimulatedStepper, SimulatedSwitch, SimulatedUart,
     Simulation, SkidSteer, SteeringLaw, SwitchedBy, TruePoint, UartDevice, World,
 };
-use source::{Folder, Source};
-
-const ROBOTS: [&str; 15] = [
-    "osmc-bench",
-    "osmc-evaluation",
-    "openscout",
-    "openpodcar",
-    "openagribot",
-    "balance-tail",
-    "every-interface",
-    "two-finger-gripper",
-    "cable-loop",
-    "berry-picker",
-    "suction-pad",
-    "gas-scout",
-    "field-rover",
-    "deformobot",
-    "cue-desk",
-];
-const WORLDS: [&str; 5] = ["square", "stand", "factory", "open-field", "gate"];
-const CARRIERS: [&str; 1] = ["r4-carrier"];
+use source::{CARRIERS, Folder, ROBOTS, Source, WORLDS};
 
 /// Iterates over the names of the built-in robots.
 pub fn names() -> impl ExactSizeIterator<Item = &'static str> {

@@ -17,39 +17,59 @@ use toml::{
 
 use crate::error::{BoardError, Location};
 
-/// Files that are part of the program: path below `boards/`, text.
-const BUILT_IN: [(&str, &str); 30] = [
-    ("r4-carrier.toml", include_str!("../r4-carrier.toml")),
-    ("osmc-bench.toml", include_str!("../osmc-bench.toml")),
-    ("osmc-evaluation.toml", include_str!("../osmc-evaluation.toml")),
-    ("openscout.toml", include_str!("../openscout.toml")),
-    ("openpodcar.toml", include_str!("../openpodcar.toml")),
-    ("openagribot.toml", include_str!("../openagribot.toml")),
-    ("balance-tail.toml", include_str!("../balance-tail.toml")),
-    ("berry-picker.toml", include_str!("../berry-picker.toml")),
-    ("every-interface.toml", include_str!("../every-interface.toml")),
-    ("two-finger-gripper.toml", include_str!("../two-finger-gripper.toml")),
-    ("worlds/stand.toml", include_str!("../worlds/stand.toml")),
-    ("worlds/square.toml", include_str!("../worlds/square.toml")),
-    ("plants/osmc-bench-rotary.toml", include_str!("../plants/osmc-bench-rotary.toml")),
-    ("plants/osmc-bench-actuator.toml", include_str!("../plants/osmc-bench-actuator.toml")),
-    ("plants/osmc-evaluation-small.toml", include_str!("../plants/osmc-evaluation-small.toml")),
-    ("plants/openscout-wheel.toml", include_str!("../plants/openscout-wheel.toml")),
-    ("plants/openpodcar-drive.toml", include_str!("../plants/openpodcar-drive.toml")),
-    ("plants/openagribot-wheel.toml", include_str!("../plants/openagribot-wheel.toml")),
-    ("plants/openagribot-implement.toml", include_str!("../plants/openagribot-implement.toml")),
-    ("cable-loop.toml", include_str!("../cable-loop.toml")),
-    ("plants/cable-loop-spool.toml", include_str!("../plants/cable-loop-spool.toml")),
-    ("gas-scout.toml", include_str!("../gas-scout.toml")),
-    ("field-rover.toml", include_str!("../field-rover.toml")),
-    ("worlds/factory.toml", include_str!("../worlds/factory.toml")),
-    ("worlds/open-field.toml", include_str!("../worlds/open-field.toml")),
-    ("suction-pad.toml", include_str!("../suction-pad.toml")),
-    ("deformobot.toml", include_str!("../deformobot.toml")),
-    ("cue-desk.toml", include_str!("../cue-desk.toml")),
-    ("plants/vibration-motor.toml", include_str!("../plants/vibration-motor.toml")),
-    ("worlds/gate.toml", include_str!("../worlds/gate.toml")),
-];
+/// Makes the list of the files that are part of the program (path below `boards/`, text), and the lists of their names that users type.
+macro_rules! built_in {
+    (
+        $($names:ident: $folder:literal [$($name:literal),+ $(,)?];)+
+        + plants: [$($plant:literal),+ $(,)?];
+    ) => {
+        $(pub(crate) const $names: [&str; [$($name),+].len()] = [$($name),+];)+
+
+        const BUILT_IN: &[(&str, &str)] = &[
+            $($((concat!($folder, $name, ".toml"), include_str!(concat!("../", $folder, $name, ".toml"))),)+)+
+            $((concat!("plants/", $plant, ".toml"), include_str!(concat!("../plants/", $plant, ".toml"))),)+
+        ];
+    };
+}
+
+built_in! {
+    CARRIERS: "" ["r4-carrier"];
+    ROBOTS: "" [
+        "osmc-bench",
+        "osmc-evaluation",
+        "openscout",
+        "openpodcar",
+        "openagribot",
+        "balance-tail",
+        "every-interface",
+        "two-finger-gripper",
+        "cable-loop",
+        "berry-picker",
+        "suction-pad",
+        "gas-scout",
+        "field-rover",
+        "deformobot",
+        "cue-desk",
+    ];
+    WORLDS: "worlds/" [
+        "square",
+        "stand",
+        "factory",
+        "open-field",
+        "gate",
+    ];
+    + plants: [
+        "osmc-bench-rotary",
+        "osmc-bench-actuator",
+        "osmc-evaluation-small",
+        "openscout-wheel",
+        "openpodcar-drive",
+        "openagribot-wheel",
+        "openagribot-implement",
+        "cable-loop-spool",
+        "vibration-motor",
+    ];
+}
 
 /// Folder in which the files that a file names are looked up.
 pub(crate) enum Folder {
@@ -94,7 +114,7 @@ pub(crate) struct Source {
 
 impl Source {
     pub(crate) fn built_in(path: &str) -> Option<Self> {
-        let (path, text) = BUILT_IN.into_iter().find(|(known, _)| *known == path)?;
+        let (path, text) = BUILT_IN.iter().find(|(known, _)| *known == path)?;
         Some(Self { name: format!("boards/{path}"), text: Cow::Borrowed(text) })
     }
 

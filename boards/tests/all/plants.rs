@@ -2,7 +2,7 @@
 //! simulation.
 
 use r4_boards::{Robot, SimulatedMotor, SimulatedSensor, load, names};
-use r4_plants::{Drive, Plant, PlantKind, PlantSpec};
+use r4_plants::{Drive, Plant, PlantKind, PlantSpec, catalogue};
 
 fn plant(motor: &SimulatedMotor) -> Plant {
     let spec = PlantSpec::from_toml(&motor.plant.name, &motor.plant.text).expect("a plant file");
@@ -28,6 +28,14 @@ fn every_plant_is_one_of_its_motors_kind() {
             let expected = if slides { PlantKind::Linear } else { PlantKind::Rotary };
             assert_eq!(plant(motor).kind(), expected, "{} of {}", motor.channel, robot.file);
         }
+    }
+}
+
+#[test]
+fn the_page_names_every_effect() {
+    let page = include_str!("../../README.md");
+    for effect in catalogue() {
+        assert!(page.contains(&format!("`{}`", effect.name)), "boards/README.md lacks {}", effect.name);
     }
 }
 

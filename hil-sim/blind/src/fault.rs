@@ -338,6 +338,8 @@ fn another_plant(experiment: &mut Experiment, dice: &mut Dice) -> Vec<Value> {
 
 #[cfg(test)]
 mod tests {
+    use r4_maths::statistics::RootMeanSquare;
+
     use super::*;
 
     const SHORT: Length = Length { train: 2, holdout: 1, seconds: 8.0 };
@@ -355,9 +357,8 @@ mod tests {
         runs(before).zip(runs(after)).collect()
     }
 
-    fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
-        let count = values.len() as f64;
-        (values.map(|value| value * value).sum::<f64>() / count).sqrt()
+    fn rms(values: impl Iterator<Item = f64>) -> f64 {
+        values.collect::<RootMeanSquare>().value().unwrap()
     }
 
     #[test]

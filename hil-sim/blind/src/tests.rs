@@ -1,3 +1,4 @@
+use r4_maths::statistics::{RootMeanSquare, rms};
 use r4_plants::{DcGearMotor, Drive, EffectInfo, Model, PlantKind, PlantSpec};
 
 use crate::{
@@ -93,9 +94,8 @@ fn against(made: &Experiment, parts: &Parts) -> (f64, f64) {
     let outputs =
         |parts: &Parts| -> Vec<Vec<f64>> { plans.iter().map(|plan| parts.outputs(plan, supply_v, output)).collect() };
     let (with, without) = (outputs(&made.hidden.parts), outputs(parts));
-    let squares = with.iter().flatten().zip(without.iter().flatten()).map(|(a, b)| (a - b) * (a - b));
-    let samples = with.iter().map(Vec::len).sum::<usize>() as f64;
-    ((squares.sum::<f64>() / samples).sqrt(), left(&with, parts, &scale, &plans, output))
+    let apart: RootMeanSquare = with.iter().flatten().zip(without.iter().flatten()).map(|(a, b)| a - b).collect();
+    (apart.value().unwrap(), left(&with, parts, &scale, &plans, output))
 }
 
 fn plan(made: &Experiment, run: &Recording) -> Plan {
@@ -123,7 +123,7 @@ fn nothing_hidden_is_the_bare_plant_and_its_noise() {
             }
             errors.extend(run.output.iter().zip(&run.clean).map(|(measured, clean)| measured - clean));
         }
-        let deviation = (errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64).sqrt();
+        let deviation = rms(&errors).unwrap();
         // With 4800 samples the standard deviation is known to 1 %.
         assert!((deviation / made.noise - 1.0).abs() < 0.05, "{setup:?}: {deviation} of {}", made.noise);
     }

@@ -6,6 +6,7 @@
 
 use std::collections::BTreeMap;
 
+use r4_maths::statistics::nearest_rank;
 use r4_mcu::{CanFrame, CanOutcome, Chip, Moment, Size, StackArea, cpu::Core};
 
 use crate::board::EmuBoard;
@@ -211,10 +212,8 @@ impl Spread {
     #[must_use]
     pub fn of(mut values: Vec<f64>) -> Self {
         values.sort_by(f64::total_cmp);
-        let Some(last) = values.len().checked_sub(1) else { return Self::default() };
-        // Nearest-rank quantile: the smallest value that at least this share does not exceed.
-        let rank = |share: f64| values[((share * values.len() as f64).ceil() as usize).clamp(1, last + 1) - 1];
-        Self { median: rank(0.5), p999: rank(0.999), max: values[last] }
+        let rank = |share| nearest_rank(&values, share).unwrap_or_default();
+        Self { median: rank(0.5), p999: rank(0.999), max: rank(1.0) }
     }
 }
 

@@ -218,6 +218,8 @@ pub(crate) fn write_secret(path: &Path, text: &str) -> io::Result<()> {
     file.sync_all()
 }
 
+/// Returns true if group or others have any permission. As `r4-links` judges the file of a link's key; a copy, because this crate
+/// depends on no other of the project.
 #[cfg(unix)]
 fn is_open_to_others(metadata: &fs::Metadata) -> bool {
     std::os::unix::fs::PermissionsExt::mode(&metadata.permissions()) & 0o077 != 0

@@ -4,6 +4,7 @@ use std::{net::SocketAddr, path::PathBuf};
 
 use anyhow::bail;
 use clap::{ArgGroup, Subcommand};
+use r4_links::LinkKind;
 use r4_protocol::{ChannelId, message::MAX_RAW};
 use r4_rig::{BadTarget, PlantFile, Quantity, Target};
 
@@ -12,10 +13,8 @@ use crate::plants::{EXAMPLE, OtherPlant};
 /// Options of every command: the board, its physics and world, and the form of the output.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The board: `sim:` and a robot's name or file, as in sim:osmc-bench or sim:my-robot.toml; or where it is:
-    /// serial:/dev/ttyACM0 (@BAUD behind it for another rate), serial:auto, tcp:HOST:PORT, can:can0 and
-    /// can:slcan:/dev/ttyACM1 (#NODE behind them for another board than 0)
-    #[arg(long, global = true, env = "R4_BOARD", default_value = "sim:osmc-bench")]
+    /// Board of the command
+    #[arg(long, global = true, env = "R4_BOARD", default_value = "sim:osmc-bench", help = board_help())]
     pub(crate) board: Target,
     /// True if `--board` or `R4_BOARD` named the board
     #[arg(skip)]
@@ -74,6 +73,16 @@ pub(crate) struct Args {
     /// Address at which a live view of what would be recorded is served, from [`Foxglove`]
     #[arg(skip)]
     pub(crate) live: Option<SocketAddr>,
+}
+
+/// Help of `--board`.
+fn board_help() -> String {
+    let of_links = LinkKind::all_forms();
+    format!(
+        "The board: sim: and a robot's name or file, as in sim:osmc-bench or sim:my-robot.toml; emu: for the same with the firmware's \
+         image on an emulated processor; or its address: {of_links}. Parts in brackets are optional; without a node it is board 0 of \
+         the bus"
+    )
 }
 
 /// Option of the verbs that have a live view.

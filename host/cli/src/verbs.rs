@@ -236,6 +236,33 @@ mod tests {
         assert!(seen > 150, "{seen} commands found");
     }
 
+    /// Pages with lists of what the code has in a table: verbs, links, robots, systems.
+    #[test]
+    fn pages_list_what_there_is() {
+        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let names = |page: &str, what: &str| {
+            let text = std::fs::read_to_string(root.join(page)).unwrap_or_else(|error| panic!("{page}: {error}"));
+            assert!(text.contains(what), "{page} lacks {what}");
+        };
+        for verb in Typed::command().get_subcommands() {
+            names("docs/program.md", &format!("r4 {} ", verb.get_name()));
+        }
+        for kind in &r4_links::LINK_KINDS {
+            for page in ["README.md", "docs/program.md", "docs/python.md", "host/python/python/r4/__init__.py"] {
+                names(page, &format!("`{}:", kind.prefix));
+            }
+        }
+        for robot in r4_boards::names() {
+            names("docs/program.md", &format!("`{robot}`"));
+            names("boards/README.md", &format!("| `{robot}` |"));
+        }
+        for system in r4_systems::all() {
+            let name = system.about().name;
+            names("README.md", &format!("(docs/systems/{name}.md)"));
+            names(&format!("docs/systems/{name}.md"), name);
+        }
+    }
+
     #[test]
     fn a_log_has_a_level_only_behind_an_equals_sign() {
         let parsed = |typed: &[&str]| Typed::try_parse_from([&["r4"], typed].concat()).map(|typed| typed.args.log).ok();

@@ -12,6 +12,7 @@ use r4_identify::{
     select::{self, Found},
     statics::map::{MapRun, StaticMap, alternate_rows},
 };
+use r4_maths::statistics::RootMeanSquare;
 
 /// Angular speed of 1 rpm, rad/s.
 const RPM: f64 = std::f64::consts::TAU / 60.0;
@@ -55,9 +56,8 @@ fn close(fitted: &[MapRun], held_out: &[(&str, &MapRun)]) -> Result<(), Box<dyn 
     let scores = |fit: &fit::Fit| {
         for (name, run) in held_out {
             let residuals = fit::residuals(&map, &fit.structure, &[], run);
-            let known: Vec<f64> = residuals.into_iter().filter(|residual| residual.is_finite()).collect();
-            let square: f64 = known.iter().map(|residual| residual * residual).sum();
-            print!("  {name} {:.1} rpm", (square / known.len() as f64).sqrt() / RPM);
+            let known: RootMeanSquare = residuals.into_iter().filter(|residual| residual.is_finite()).collect();
+            print!("  {name} {:.1} rpm", known.value().unwrap_or(f64::NAN) / RPM);
         }
         println!();
     };

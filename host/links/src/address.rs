@@ -51,13 +51,46 @@ pub enum CanInterface {
     },
 }
 
+/// Kind of links, as users write its addresses.
+#[derive(Clone, Copy, Debug)]
+pub struct LinkKind {
+    /// Text before the first colon of an address.
+    pub prefix: &'static str,
+    /// Forms of an address, for messages and help; optional parts are in brackets.
+    pub forms: &'static [&'static str],
+    /// Reads the text after the colon; `whole` makes the complete text, for errors.
+    read: fn(&str, whole: &dyn Fn() -> String) -> Result<Address, BadAddress>,
+}
+
+/// All kinds of links.
+pub static LINK_KINDS: [LinkKind; 3] = [
+    LinkKind { prefix: "serial", forms: &["serial:auto", "serial:/dev/ttyACM0[@BAUD]"], read: serial },
+    LinkKind { prefix: "tcp", forms: &["tcp:HOST:PORT"], read: tcp },
+    LinkKind { prefix: "can", forms: &["can:can0[#NODE]", "can:slcan:/dev/ttyACM1[@KBIT][#NODE]"], read: can },
+];
+
+impl LinkKind {
+    /// Returns the kind of an address by its prefix; `None` for text that is no address of a link.
+    #[must_use]
+    pub fn of(text: &str) -> Option<(&'static Self, &str)> {
+        let (prefix, rest) = text.split_once(':')?;
+        Some((LINK_KINDS.iter().find(|kind| kind.prefix == prefix)?, rest))
+    }
+
+    /// Lists the forms of all kinds, for messages and help.
+    #[must_use]
+    pub fn all_forms() -> String {
+        let forms: Vec<_> = LINK_KINDS.iter().flat_map(|kind| kind.forms).copied().collect();
+        let (last, others) = forms.split_last().unwrap_or((&"", &[]));
+        format!("{} or {last}", others.join(", "))
+    }
+}
+
 /// Error of a text that is no [`Address`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BadAddress {
     /// The text has none of the known forms.
-    #[error(
-        "`{0}`: write serial:/dev/ttyACM0, serial:auto, tcp:HOST:PORT, can:can0[#NODE] or can:slcan:/dev/ttyACM0[@KBIT][#NODE]"
-    )]
+    #[error("`{0}`: write {forms}", forms = LinkKind::all_forms())]
     Kind(String),
     /// The text after `@` is no baud rate.
     #[error("`{0}`: after @ comes a rate in bits per second, as in serial:/dev/ttyUSB0@1000000")]
@@ -78,53 +111,58 @@ impl FromStr for Address {
 
     fn from_str(text: &str) -> Result<Self, BadAddress> {
         let whole = || text.to_owned();
-        match text.split_once(':') {
-            Some(("serial", rest)) if !rest.is_empty() => {
-                // From the right, because a path may contain `@`.
-                let (path, baud) = match rest.rsplit_once('@') {
-                    Some((path, baud)) => {
-                        (path, baud.parse().ok().filter(|baud| *baud > 0).ok_or(BadAddress::Baud(whole()))?)
-                    }
-                    None => (rest, DEFAULT_BAUD),
-                };
-                Ok(Self::Serial { path: (path != "auto").then(|| path.into()), baud })
-            }
-            Some(("tcp", rest)) => {
-                let (host, port) = rest.rsplit_once(':').ok_or(BadAddress::Port(whole()))?;
-                // An IPv6 address is in brackets, because it contains colons.
-                let host = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
-                let port = port.parse().ok().filter(|port| *port > 0);
-                match port {
-                    Some(port) if !host.is_empty() => Ok(Self::Tcp { host: host.to_owned(), port }),
-                    _ => Err(BadAddress::Port(whole())),
-                }
-            }
-            Some(("can", rest)) => {
-                let (name, node) = match rest.rsplit_once('#') {
-                    Some((name, node)) => (name, node.parse().ok()),
-                    None => (rest, Some(0)),
-                };
-                let interface = match name.strip_prefix("slcan:") {
-                    Some(port) if !port.is_empty() => {
-                        let (path, kbit_per_s) = match port.rsplit_once('@') {
-                            // A board's bus has one of these rates only.
-                            Some((path, rate)) => {
-                                let known = |rate: &u16| BITRATES_KBIT.contains(rate);
-                                (path, rate.parse().ok().filter(known).ok_or(BadAddress::CanRate(whole()))?)
-                            }
-                            None => (port, DEFAULT_KBIT_PER_S),
-                        };
-                        CanInterface::Slcan { path: path.into(), kbit_per_s }
-                    }
-                    None if is_interface(name) => CanInterface::Socket(name.to_owned()),
-                    _ => return Err(BadAddress::Kind(whole())),
-                };
-                let node = node.and_then(Node::new).ok_or(BadAddress::Node(whole()))?;
-                Ok(Self::Can { interface, node })
-            }
-            _ => Err(BadAddress::Kind(whole())),
-        }
+        let (kind, rest) = LinkKind::of(text).ok_or_else(|| BadAddress::Kind(whole()))?;
+        (kind.read)(rest, &whole)
     }
+}
+
+fn serial(rest: &str, whole: &dyn Fn() -> String) -> Result<Address, BadAddress> {
+    if rest.is_empty() {
+        return Err(BadAddress::Kind(whole()));
+    }
+    // From the right, because a path may contain `@`.
+    let (path, baud) = match rest.rsplit_once('@') {
+        Some((path, baud)) => {
+            (path, baud.parse().ok().filter(|baud| *baud > 0).ok_or_else(|| BadAddress::Baud(whole()))?)
+        }
+        None => (rest, DEFAULT_BAUD),
+    };
+    Ok(Address::Serial { path: (path != "auto").then(|| path.into()), baud })
+}
+
+fn tcp(rest: &str, whole: &dyn Fn() -> String) -> Result<Address, BadAddress> {
+    let (host, port) = rest.rsplit_once(':').ok_or_else(|| BadAddress::Port(whole()))?;
+    // An IPv6 address is in brackets, because it contains colons.
+    let host = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
+    let port = port.parse().ok().filter(|port| *port > 0);
+    match port {
+        Some(port) if !host.is_empty() => Ok(Address::Tcp { host: host.to_owned(), port }),
+        _ => Err(BadAddress::Port(whole())),
+    }
+}
+
+fn can(rest: &str, whole: &dyn Fn() -> String) -> Result<Address, BadAddress> {
+    let (name, node) = match rest.rsplit_once('#') {
+        Some((name, node)) => (name, node.parse().ok()),
+        None => (rest, Some(0)),
+    };
+    let interface = match name.strip_prefix("slcan:") {
+        Some(port) if !port.is_empty() => {
+            let (path, kbit_per_s) = match port.rsplit_once('@') {
+                // A board's bus has one of these rates only.
+                Some((path, rate)) => {
+                    let known = |rate: &u16| BITRATES_KBIT.contains(rate);
+                    (path, rate.parse().ok().filter(known).ok_or_else(|| BadAddress::CanRate(whole()))?)
+                }
+                None => (port, DEFAULT_KBIT_PER_S),
+            };
+            CanInterface::Slcan { path: path.into(), kbit_per_s }
+        }
+        None if is_interface(name) => CanInterface::Socket(name.to_owned()),
+        _ => return Err(BadAddress::Kind(whole())),
+    };
+    let node = node.and_then(Node::new).ok_or_else(|| BadAddress::Node(whole()))?;
+    Ok(Address::Can { interface, node })
 }
 
 /// Returns true for a valid name of a network interface (`dev_valid_name` in the kernel's net/core/dev.c). `slcan`
@@ -182,6 +220,22 @@ mod tests {
         let socket =
             Address::Can { interface: CanInterface::Socket("vcan0".into()), node: Node::new(0).expect("in range") };
         assert_eq!("can:vcan0".parse(), Ok(socket));
+    }
+
+    /// The forms of messages and help are addresses, with and without what is in brackets.
+    #[test]
+    fn what_messages_advise_is_read() {
+        let filled = |form: &str| {
+            let parts = [("[", ""), ("]", ""), ("HOST", "host"), ("PORT", "1"), ("BAUD", "9600"), ("KBIT", "500")];
+            let text = parts.iter().fold(form.to_owned(), |text, (from, to)| text.replace(from, to));
+            text.replace("NODE", "5")
+        };
+        for form in LINK_KINDS.iter().flat_map(|kind| kind.forms) {
+            let short = form.split('[').next().expect("the first part").replace("HOST:PORT", "host:1");
+            for text in [short, filled(form)] {
+                assert!(text.parse::<Address>().is_ok(), "{text}");
+            }
+        }
     }
 
     #[test]

@@ -40,7 +40,7 @@ pub mod secure;
 mod serial;
 pub mod slcan;
 
-pub use address::{Address, BadAddress, CanInterface, DEFAULT_BAUD};
+pub use address::{Address, BadAddress, CanInterface, DEFAULT_BAUD, LINK_KINDS, LinkKind};
 pub use async_io::block_on;
 pub use clock::{RealClock, monotonic_ns};
 pub use descriptor::Descriptor;

@@ -129,14 +129,14 @@ impl<W: Write> McapWriter<W> {
     /// Declares a topic and returns its number.
     ///
     /// # Errors
-    /// More than 65535 topics or schemas.
+    /// More than 65536 topics, which are numbered from 0, or more than 65535 schemas, from 1.
     pub fn topic(&mut self, topic: &McapTopic<'_>) -> io::Result<u16> {
-        let full = || io::Error::other("a log holds 65535 topics");
+        let full = |most: u32, what: &str| io::Error::other(format!("a log holds at most {most} {what}"));
         let schema_id = match self.schema_ids.get(topic.schema) {
             Some(id) => *id,
             None => {
                 // Schema number 0 means "no schema" in MCAP.
-                let id = u16::try_from(self.schema_ids.len() + 1).map_err(|_| full())?;
+                let id = u16::try_from(self.schema_ids.len() + 1).map_err(|_| full(65_535, "schemas"))?;
                 let (name, encoding) = (topic.schema.to_owned(), topic.schema_encoding.to_owned());
                 let text = topic.schema_text.as_bytes();
                 let data = [&(text.len() as u32).to_le_bytes(), text].concat();
@@ -149,7 +149,7 @@ impl<W: Write> McapWriter<W> {
                 id
             }
         };
-        let id = u16::try_from(self.statistics.channel_count).map_err(|_| full())?;
+        let id = u16::try_from(self.statistics.channel_count).map_err(|_| full(65_536, "topics"))?;
         let owned = |(key, value): &(&str, &str)| ((*key).to_owned(), (*value).to_owned());
         let metadata = topic.metadata.iter().map(owned).collect();
         let (topic, message_encoding) = (topic.name.to_owned(), topic.encoding.to_owned());

@@ -3,7 +3,7 @@
 use std::{fmt, str::FromStr};
 
 use r4_boards::Robot;
-use r4_links::{Address, BadAddress};
+use r4_links::{Address, BadAddress, LinkKind};
 
 /// A board, by its name or by its address.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,8 +29,8 @@ pub enum BadTarget {
     Address(#[from] BadAddress),
     /// The kind is neither a virtual board nor a link.
     #[error(
-        "`{text}` names no board: write sim: and a robot's name or file, or serial:, tcp: or can: and where it is; \
-         built in: {}",
+        "`{text}` names no board: write sim: and a robot's name or file, or {}; built in: {}",
+        LinkKind::all_forms(),
         r4_boards::names().map(|name| format!("sim:{name}")).collect::<Vec<_>>().join(" ")
     )]
     UnknownKind {
@@ -100,7 +100,7 @@ impl FromStr for Target {
         match text.split_once(':') {
             Some(("sim", robot)) if !robot.is_empty() => Ok(Self::Sim(robot.to_owned())),
             Some(("emu", robot)) if !robot.is_empty() => Ok(Self::Emu(robot.to_owned())),
-            Some(("serial" | "can" | "tcp", _)) => Ok(Self::Link(text.parse()?)),
+            _ if LinkKind::of(text).is_some() => Ok(Self::Link(text.parse()?)),
             _ => Err(BadTarget::UnknownKind { text: text.to_owned() }),
         }
     }

@@ -3,7 +3,10 @@
 //! A board applies gains and feed-forward at once, and keeps them until it restarts. Other parameters must be saved and apply from its
 //! next start; that is the task of `r4 config`, and setting them here is refused.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fmt,
+};
 
 use futures::channel::oneshot;
 use r4_driver::{Board, Clock, Error};
@@ -58,6 +61,11 @@ enum NotSet {
     AtStart { key: ParameterKey, value: f32 },
     #[error(transparent)]
     Board(#[from] Error),
+    /// The board has refused a group and then the old values of another, whose present values are unknown.
+    #[error(
+        "{refused}; after that {group} could not be restored ({source}) and may have the new values: set them again"
+    )]
+    NotRestored { refused: Error, group: Group, source: Error },
 }
 
 /// Group of parameters that a board changes with one request.
@@ -66,6 +74,16 @@ enum Group {
     Position(ChannelId),
     Speed(ChannelId),
     Tuning(ChannelId),
+}
+
+impl fmt::Display for Group {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Position(channel) => write!(f, "the position gains of {channel}"),
+            Self::Speed(channel) => write!(f, "the speed gains of {channel}"),
+            Self::Tuning(channel) => write!(f, "the feed-forward and cascade of {channel}"),
+        }
+    }
 }
 
 impl Group {
@@ -212,7 +230,8 @@ impl ParameterStore {
     /// their old values again.
     ///
     /// # Errors
-    /// [`NotSet`] for the first parameter that is invalid, before anything is sent; the board's refusal of a group.
+    /// [`NotSet`] for the first parameter that is invalid, before anything is sent; the board's refusal of a group, with the first
+    /// group that could not be restored after it.
     async fn set<C: Clock>(&mut self, board: &Board<C>, parameters: &[Parameter]) -> Result<(), NotSet> {
         let before = self.changed.clone();
         let mut groups: BTreeSet<Group> = BTreeSet::new();
@@ -234,13 +253,18 @@ impl ParameterStore {
             let result = self.send(board, group).await;
             // The refused group is restored, too: the board may have applied it although its answer was lost.
             sent.push(group);
-            if let Err(error) = result {
+            if let Err(refused) = result {
                 self.changed.clone_from(&before);
+                let mut lost = None;
+                // The others are restored all the same.
                 for group in sent {
-                    // The caller gets the first error; one of these would only hide it.
-                    let _ = self.send(board, group).await;
+                    let result = self.send(board, group).await;
+                    lost = lost.or(result.err().map(|source| (group, source)));
                 }
-                return Err(error.into());
+                return Err(match lost {
+                    Some((group, source)) => NotSet::NotRestored { refused, group, source },
+                    None => NotSet::Board(refused),
+                });
             }
         }
         self.changed = wanted;
@@ -302,6 +326,7 @@ fn shortest(number: f32) -> f64 {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use r4_rig::Rig;
 
     use super::*;
 
@@ -323,6 +348,28 @@ mod tests {
         assert_eq!(list(&["osmc0.speed_kp", "board"], 0).names, ["board.link_timeout_ms", "osmc0.speed_kp"]);
         assert_eq!(list(&["osm"], 0), ListParametersResult::default());
         assert_eq!(list(&[], 0).prefixes, ["board", "osmc0", "osmc1"]);
+    }
+
+    #[test]
+    fn a_group_that_is_not_restored_is_named() {
+        let set = |active: f32| {
+            let known = ["osmc0.position_kp", "osmc0.speed_kp"].map(|key| ParameterInfo {
+                key: key.parse().expect("a key"),
+                active,
+                set: 1.0,
+                built_in: 1.0,
+            });
+            let mut store = ParameterStore { known: Some(known.to_vec()), changed: BTreeMap::new() };
+            let wanted = [("osmc0.position_kp", 1.0), ("osmc0.speed_kp", -1.0)]
+                .map(|(name, value)| Parameter { name: name.into(), value: ParameterValue::double(value) });
+            let rig = Rig::new("sim:osmc-bench".parse().expect("a board"));
+            let set = rig.run(None, async |session| Ok::<_, r4_rig::Error>(store.set(session.board, &wanted).await));
+            set.expect("a session").0.expect_err("no board takes a negative gain").to_string()
+        };
+        let [restored, lost] = [1.0, -2.0].map(set);
+        assert!(!restored.contains("restored"), "{restored}");
+        // The board refuses these old values, too.
+        assert!(lost.starts_with(&restored) && lost.contains("the position gains of osmc0 could not be"), "{lost}");
     }
 
     /// Channels of the largest built-in board have 38 parameters, with names of up to 25 letters.

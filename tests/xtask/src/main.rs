@@ -24,9 +24,11 @@
 //! | `package` | `cargo xtask package`: the crates as they are published, and the program built of them |
 //! | `release` | `cargo xtask release`: the program in an archive, with what goes with it |
 //! | `pictures` | `cargo xtask pictures`: the pictures on the first page |
+//! | `browser` | Chromium on this machine |
 //! | `prose` | `cargo xtask prose`: counts that show how readable comments and pages are |
 //! | `weight` | `cargo xtask weight`: what a build of `r4` takes, and what it is spent on |
 
+mod browser;
 mod firmware;
 mod flash;
 mod image;

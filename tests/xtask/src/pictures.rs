@@ -7,14 +7,13 @@ use std::{
 };
 
 use crate::{
+    browser::chromium,
     firmware::target_folder,
     toolchain::{self, call},
 };
 
 /// Folder of the pictures in the repository.
 const PICTURES: &str = "docs/pictures";
-/// Names of a browser that is looked for, unless `CHROMIUM` names one.
-const BROWSERS: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
 /// Width and height of the picture of the report, pixels: its title and its map.
 const SIZE: &str = "1100,1040";
 
@@ -66,7 +65,7 @@ impl Pictures {
 
 /// Writes what a browser shows of `page` to `picture`. The browser keeps its own files in `profile`.
 fn photograph(page: &Path, picture: &Path, profile: &Path) -> Result<(), String> {
-    let mut browser = Command::new(browser()?);
+    let mut browser = Command::new(chromium()?);
     browser.args([
         "--headless",
         "--no-sandbox",
@@ -79,20 +78,6 @@ fn photograph(page: &Path, picture: &Path, profile: &Path) -> Result<(), String>
     call(browser.arg(format!("file://{}", page.display())).stderr(Stdio::null()))?;
     // It ends well also where it could not write.
     if picture.exists() { Ok(()) } else { Err(format!("the browser wrote no {}", picture.display())) }
-}
-
-fn browser() -> Result<PathBuf, String> {
-    if let Some(named) = env::var_os("CHROMIUM") {
-        return Ok(named.into());
-    }
-    let folders: Vec<PathBuf> = env::var_os("PATH").map(|path| env::split_paths(&path).collect()).unwrap_or_default();
-    BROWSERS
-        .into_iter()
-        .flat_map(|name| folders.iter().map(move |folder| folder.join(name)))
-        .find(|program| program.exists())
-        .ok_or_else(|| {
-            format!("none of {} is in PATH; install Chromium, or name a browser with CHROMIUM", BROWSERS.join(", "))
-        })
 }
 
 #[cfg(test)]

@@ -55,7 +55,8 @@ impl Release {
                 built(&target, "dist")
             }
         };
-        let name = format!("r4-{}-{}", env!("CARGO_PKG_VERSION"), host()?);
+        let system = toolchain::host(root).ok_or("rustc does not say for what it compiles")?;
+        let name = format!("r4-{}-{system}", env!("CARGO_PKG_VERSION"));
         let releases = target.join("release-archives");
         let folder = releases.join(&name);
         // Files of an earlier run would be taken for this one's.
@@ -97,15 +98,6 @@ fn fill(root: &Path, program: &Path, folder: &Path) -> Result<(), String> {
         fs::write(completions.join(file), script.stdout).map_err(failed(&completions))?;
     }
     Ok(())
-}
-
-/// Returns the host's system in the compiler's notation.
-fn host() -> Result<String, String> {
-    let version =
-        Command::new("rustc").arg("-vV").output().map_err(|error| format!("rustc cannot be started: {error}"))?;
-    let said = String::from_utf8_lossy(&version.stdout).into_owned();
-    let host = said.lines().find_map(|line| line.strip_prefix("host: "));
-    host.map(Into::into).ok_or_else(|| format!("rustc does not say for what it compiles: {said}"))
 }
 
 #[cfg(test)]

@@ -22,6 +22,11 @@ pub(crate) fn cargo() -> OsString {
     env::var_os("CARGO").unwrap_or_else(|| "cargo".into())
 }
 
+/// Returns the compiler of the toolchain that runs this task; cargo and rustup name it or put it first into `PATH`.
+fn rustc() -> OsString {
+    env::var_os("RUSTC").unwrap_or_else(|| "rustc".into())
+}
+
 /// Returns packages as `cargo metadata` reports them: those of this repository, or with others those of every feature.
 pub(crate) fn packages<P: DeserializeOwned>(root: &Path, with_others: bool) -> Result<Vec<P>, String> {
     #[derive(Deserialize)]
@@ -104,8 +109,7 @@ impl Part {
             Self::Rustfmt => output(Command::new(cargo()).args(["fmt", "--version"]), root).is_some(),
             Self::Clippy => output(Command::new(cargo()).args(["clippy", "--version"]), root).is_some(),
             Self::Target(target) => {
-                let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-                output(Command::new(rustc).args(["--print", "target-libdir", "--target", target]), root)
+                output(Command::new(rustc()).args(["--print", "target-libdir", "--target", target]), root)
                     .is_some_and(|folder| Path::new(folder.trim()).is_dir())
             }
         }
@@ -127,8 +131,13 @@ impl Part {
 
 /// Returns the folder of the toolchain that builds in `root`.
 pub(crate) fn sysroot(root: &Path) -> Option<PathBuf> {
-    let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-    output(Command::new(rustc).args(["--print", "sysroot"]), root).map(|folder| folder.trim().into())
+    output(Command::new(rustc()).args(["--print", "sysroot"]), root).map(|folder| folder.trim().into())
+}
+
+/// Returns the system for which the toolchain that builds in `root` compiles, in the compiler's notation.
+pub(crate) fn host(root: &Path) -> Option<String> {
+    let said = output(Command::new(rustc()).arg("-vV"), root)?;
+    said.lines().find_map(|line| line.strip_prefix("host: ")).map(Into::into)
 }
 
 /// Adds missing parts, including those of `targets` besides the board's.

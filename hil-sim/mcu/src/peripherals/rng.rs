@@ -196,7 +196,7 @@ impl Rng {
         self.line = level;
     }
 
-    /// Refuses accesses other than words, which are bus errors (36.1).
+    /// Refuses accesses other than words, which are bus errors (36.2).
     fn words_only(size: Size) -> Result<(), Unmodelled> {
         match size {
             Size::Word => Ok(()),

@@ -36,13 +36,13 @@ pub(crate) enum Evaluations {
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct OsmcArgs {
     /// Number of seeds: each hides an effect, or none, in each of the three motors
-    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    #[arg(long, default_value_t = OsmcArgs::default().seeds, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     seeds: u64,
     /// First of the consecutive seeds
-    #[arg(long, default_value_t = system::REPORTED_FROM, value_name = "SEED")]
+    #[arg(long, default_value_t = OsmcArgs::default().first_seed, value_name = "SEED")]
     first_seed: u64,
     /// Number of these seeds whose hidden effect is identified and named, half a minute each
-    #[arg(long, default_value_t = 30, value_name = "SEEDS")]
+    #[arg(long, default_value_t = OsmcArgs::default().naming, value_name = "SEEDS")]
     naming: u64,
     /// Write a page with every response to this file
     #[arg(long, value_name = "FILE")]

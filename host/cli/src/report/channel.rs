@@ -1,6 +1,7 @@
 //! Figures of a log's channels.
 
 use r4_log::{EncoderSample, EncoderSeries, Log, MotorSample, MotorSeries, ReadingSeries, ScalarSeries};
+use r4_maths::statistics::rms;
 use r4_protocol::{ChannelInfo, ChannelKind, Mode, Quality, SafetyState, Unit};
 
 use super::{
@@ -147,9 +148,8 @@ fn position_error(sample: &MotorSample) -> f64 {
 fn settled_error(series: &MotorSeries) -> Option<(f64, f64)> {
     let settled = series.samples.iter().filter(|sample| sample.settled);
     let errors: Vec<f64> = settled.map(position_error).filter(|error| error.is_finite()).collect();
-    let squares: f64 = errors.iter().map(|error| error * error).sum();
     let largest = extent(errors.iter().map(|error| error.abs()))?.1;
-    Some(((squares / errors.len() as f64).sqrt(), largest))
+    Some((rms(&errors).ok()?, largest))
 }
 
 /// Start and length of the time axis, s.

@@ -1,6 +1,6 @@
 //! Effects that a moving axis may show, as the estimator models them.
 
-use r4_plants::Dependence::{self, Direction, History, Input, Position, Speed, Supply, Time};
+use r4_plants::Dependence;
 
 use crate::family::{Candidate, Parameter, Range};
 
@@ -16,179 +16,100 @@ const WORST_CLOCK: f64 = 2e-3;
 /// Share of friction in the damping from which fits begin.
 const LITTLE_VISCOUS: f64 = 0.1;
 
-/// Effects of a moving axis, in the order of the catalogue.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Effect {
-    ClockDrift,
-    InputSign,
-    InputDelay,
-    InputHold,
-    DeadZone,
-    GainCurve,
-    DirectionAsymmetry,
-    Saturation,
-    SlewLimit,
-    DriveLag,
-    SupplySag,
-    WindingHeating,
-    Coulomb,
-    Static,
-    DirectionFriction,
-    DirectionViscous,
-    LoadFriction,
-    PositionFriction,
-    WarmUp,
-    Drag,
-    ConstantLoad,
-    Gravity,
-    Cogging,
-    Backlash,
-    Compliance,
-    SensorLag,
-    SensorHold,
-    Eccentricity,
-    EncoderScale,
-    EncoderOffset,
+/// Defines the effects and their entries from one table, so that none can lack an entry: name in reports and plant files,
+/// quantities that it depends on, and advice for a recording that separates it from similar ones.
+macro_rules! effects {
+    ($($variant:ident, $name:literal, [$($dependence:ident),+], $experiment:literal;)+) => {
+        /// Effects of a moving axis, in the order of the catalogue.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub(super) enum Effect {
+            $($variant,)+
+        }
+
+        impl Effect {
+            pub(super) const ALL: [Self; [$($name),+].len()] = [$(Self::$variant),+];
+
+            /// Returns the name in reports and plant files.
+            pub(super) const fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name,)+ }
+            }
+
+            const fn depends_on(self) -> &'static [Dependence] {
+                match self { $(Self::$variant => &[$(Dependence::$dependence),+],)+ }
+            }
+
+            /// Returns the advice for a recording that separates the effect from similar ones.
+            const fn experiment(self) -> &'static str {
+                match self { $(Self::$variant => $experiment,)+ }
+            }
+        }
+    };
+}
+
+effects! {
+    ClockDrift, "clock-drift", [Time],
+        "input and output stamped by one clock";
+    InputSign, "input-sign", [Input],
+        "one step each way with the sensor's direction checked by eye";
+    InputDelay, "input-delay", [Input, History],
+        "steps of several sizes from rest at a high rate: a delay shifts them all alike, a lag rounds them";
+    InputHold, "input-hold", [Input, History],
+        "a fast triangle as command: a held command shows as stairs";
+    DeadZone, "dead-zone", [Input],
+        "slow ramps of the command through zero from rest and in motion: a dead zone also acts in motion";
+    GainCurve, "gain-curve", [Input],
+        "steady speeds at ten commands of each sign";
+    DirectionAsymmetry, "direction-asymmetry", [Input, Direction],
+        "the same steps both ways at three sizes: a gain scales with the size, a friction does not";
+    Saturation, "saturation", [Input],
+        "steady speeds at commands up to full scale";
+    SlewLimit, "slew-limit", [Input, History],
+        "steps of several sizes: a slew limit takes longer for larger ones, a lag does not";
+    DriveLag, "drive-lag", [Input, History],
+        "steps of several sizes at a high rate, and coasting after a cut";
+    SupplySag, "supply-sag", [Supply, Input, Speed],
+        "the voltage of the supply, recorded beside the rest";
+    WindingHeating, "winding-heating", [Time, History],
+        "a minute of hard driving, then the first steps again after a rest";
+    Coulomb, "coulomb-friction", [Direction],
+        "coasting down from several speeds, and slow ramps through zero";
+    Static, "static-friction", [Speed, Direction],
+        "very slow ramps from rest, each way, several times";
+    DirectionFriction, "direction-friction", [Direction],
+        "constant speeds both ways, slow and fast";
+    DirectionViscous, "direction-viscous", [Speed, Direction],
+        "constant speeds both ways, slow and fast";
+    LoadFriction, "load-friction", [Direction, Input],
+        "the same motion with two different loads on the output";
+    PositionFriction, "position-friction", [Position, Direction],
+        "slow constant speed over several turns, both ways";
+    WarmUp, "friction-warm-up", [Time, Direction],
+        "the same cycle repeated for some minutes from a cold start";
+    Drag, "quadratic-drag", [Speed],
+        "steady speeds at ten commands up to the highest";
+    ConstantLoad, "constant-load", [Time],
+        "holding at rest with the axis turned over";
+    Gravity, "gravity-load", [Position],
+        "slow constant speed over several turns, both ways: a load pulls alike both ways, friction does not";
+    Cogging, "cogging", [Position],
+        "slow constant speed over several turns at a high rate";
+    Backlash, "backlash", [History, Direction],
+        "small reversals, with sensors at the motor and at the output";
+    Compliance, "compliance", [Acceleration, History],
+        "a sweep of frequencies through the resonance, at two amplitudes";
+    SensorLag, "sensor-lag", [Speed, History],
+        "a second sensor, or the current beside the position";
+    SensorHold, "sensor-hold", [Speed, History],
+        "a steady motion recorded at a higher rate: a held value shows as stairs";
+    Eccentricity, "eccentricity", [Position],
+        "constant speed over several turns at two speeds: an error of the sensor does not change with speed";
+    EncoderScale, "encoder-scale", [Position],
+        "ten whole turns against a mark";
+    EncoderOffset, "encoder-offset", [Position],
+        "rest at a mark";
 }
 
 impl Effect {
-    pub(super) const ALL: [Self; 30] = [
-        Self::ClockDrift,
-        Self::InputSign,
-        Self::InputDelay,
-        Self::InputHold,
-        Self::DeadZone,
-        Self::GainCurve,
-        Self::DirectionAsymmetry,
-        Self::Saturation,
-        Self::SlewLimit,
-        Self::DriveLag,
-        Self::SupplySag,
-        Self::WindingHeating,
-        Self::Coulomb,
-        Self::Static,
-        Self::DirectionFriction,
-        Self::DirectionViscous,
-        Self::LoadFriction,
-        Self::PositionFriction,
-        Self::WarmUp,
-        Self::Drag,
-        Self::ConstantLoad,
-        Self::Gravity,
-        Self::Cogging,
-        Self::Backlash,
-        Self::Compliance,
-        Self::SensorLag,
-        Self::SensorHold,
-        Self::Eccentricity,
-        Self::EncoderScale,
-        Self::EncoderOffset,
-    ];
-
-    /// Returns the name in reports and plant files.
-    pub(super) const fn name(self) -> &'static str {
-        match self {
-            Self::ClockDrift => "clock-drift",
-            Self::InputSign => "input-sign",
-            Self::InputDelay => "input-delay",
-            Self::InputHold => "input-hold",
-            Self::DeadZone => "dead-zone",
-            Self::GainCurve => "gain-curve",
-            Self::DirectionAsymmetry => "direction-asymmetry",
-            Self::Saturation => "saturation",
-            Self::SlewLimit => "slew-limit",
-            Self::DriveLag => "drive-lag",
-            Self::SupplySag => "supply-sag",
-            Self::WindingHeating => "winding-heating",
-            Self::Coulomb => "coulomb-friction",
-            Self::Static => "static-friction",
-            Self::DirectionFriction => "direction-friction",
-            Self::DirectionViscous => "direction-viscous",
-            Self::LoadFriction => "load-friction",
-            Self::PositionFriction => "position-friction",
-            Self::WarmUp => "friction-warm-up",
-            Self::Drag => "quadratic-drag",
-            Self::ConstantLoad => "constant-load",
-            Self::Gravity => "gravity-load",
-            Self::Cogging => "cogging",
-            Self::Backlash => "backlash",
-            Self::Compliance => "compliance",
-            Self::SensorLag => "sensor-lag",
-            Self::SensorHold => "sensor-hold",
-            Self::Eccentricity => "eccentricity",
-            Self::EncoderScale => "encoder-scale",
-            Self::EncoderOffset => "encoder-offset",
-        }
-    }
-
-    const fn depends_on(self) -> &'static [Dependence] {
-        match self {
-            Self::InputSign | Self::DeadZone | Self::GainCurve | Self::Saturation => &[Input],
-            Self::InputDelay | Self::InputHold | Self::SlewLimit | Self::DriveLag => &[Input, History],
-            Self::DirectionAsymmetry => &[Input, Direction],
-            Self::SupplySag => &[Supply, Input, Speed],
-            Self::WindingHeating => &[Time, History],
-            Self::Coulomb | Self::DirectionFriction => &[Direction],
-            Self::Static | Self::DirectionViscous => &[Speed, Direction],
-            Self::LoadFriction => &[Direction, Input],
-            Self::PositionFriction => &[Position, Direction],
-            Self::WarmUp => &[Time, Direction],
-            Self::Drag => &[Speed],
-            Self::ConstantLoad | Self::ClockDrift => &[Time],
-            Self::Gravity | Self::Cogging | Self::Eccentricity | Self::EncoderScale | Self::EncoderOffset => {
-                &[Position]
-            }
-            Self::Backlash => &[History, Direction],
-            Self::Compliance => &[Dependence::Acceleration, History],
-            Self::SensorLag | Self::SensorHold => &[Speed, History],
-        }
-    }
-
-    /// Returns the advice for a recording that separates the effect from similar ones.
-    const fn experiment(self) -> &'static str {
-        match self {
-            Self::ClockDrift => "input and output stamped by one clock",
-            Self::InputSign => "one step each way with the sensor's direction checked by eye",
-            Self::InputDelay => {
-                "steps of several sizes from rest at a high rate: a delay shifts them all alike, a lag rounds them"
-            }
-            Self::InputHold => "a fast triangle as command: a held command shows as stairs",
-            Self::DeadZone => {
-                "slow ramps of the command through zero from rest and in motion: a dead zone also acts in motion"
-            }
-            Self::GainCurve => "steady speeds at ten commands of each sign",
-            Self::DirectionAsymmetry => {
-                "the same steps both ways at three sizes: a gain scales with the size, a friction does not"
-            }
-            Self::Saturation => "steady speeds at commands up to full scale",
-            Self::SlewLimit => "steps of several sizes: a slew limit takes longer for larger ones, a lag does not",
-            Self::DriveLag => "steps of several sizes at a high rate, and coasting after a cut",
-            Self::SupplySag => "the voltage of the supply, recorded beside the rest",
-            Self::WindingHeating => "a minute of hard driving, then the first steps again after a rest",
-            Self::Coulomb => "coasting down from several speeds, and slow ramps through zero",
-            Self::Static => "very slow ramps from rest, each way, several times",
-            Self::DirectionFriction | Self::DirectionViscous => "constant speeds both ways, slow and fast",
-            Self::LoadFriction => "the same motion with two different loads on the output",
-            Self::PositionFriction => "slow constant speed over several turns, both ways",
-            Self::WarmUp => "the same cycle repeated for some minutes from a cold start",
-            Self::Drag => "steady speeds at ten commands up to the highest",
-            Self::ConstantLoad => "holding at rest with the axis turned over",
-            Self::Gravity => {
-                "slow constant speed over several turns, both ways: a load pulls alike both ways, friction does not"
-            }
-            Self::Cogging => "slow constant speed over several turns at a high rate",
-            Self::Backlash => "small reversals, with sensors at the motor and at the output",
-            Self::Compliance => "a sweep of frequencies through the resonance, at two amplitudes",
-            Self::SensorLag => "a second sensor, or the current beside the position",
-            Self::SensorHold => "a steady motion recorded at a higher rate: a held value shows as stairs",
-            Self::Eccentricity => {
-                "constant speed over several turns at two speeds: an error of the sensor does not change with speed"
-            }
-            Self::EncoderScale => "ten whole turns against a mark",
-            Self::EncoderOffset => "rest at a mark",
-        }
-    }
-
     const fn excludes(self) -> &'static [&'static str] {
         match self {
             Self::Coulomb => &["direction-friction"],

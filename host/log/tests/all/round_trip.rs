@@ -6,7 +6,7 @@ use std::{fs, io::Cursor};
 use crate::common::{ACTUATOR, DHB, ENCODER, IMU, OSMC, RANGE, SUPPLY, SWITCH, header, messages, run};
 use mcap::records::op;
 use proptest::{collection::vec, prelude::*};
-use r4_log::{Log, RecordError, Recorder};
+use r4_log::{Log, McapTopic, McapWriter, RecordError, Recorder};
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelKind, Mode, Quality, SafetyState, Sample, Setpoint, Telemetry, Winding,
 };
@@ -305,4 +305,29 @@ proptest! {
             prop_assert!(same(read.speed, logged(speed)));
         }
     }
+}
+
+/// Numbers of topics have 16 bits and begin at 0; those of schemas begin at 1, because 0 means "no schema" (MCAP
+/// specification, Channel).
+#[test]
+fn a_log_takes_as_many_topics_and_schemas_as_their_numbers_allow() {
+    let declared = |is_schema_each: bool| {
+        let mut log = McapWriter::new(std::io::sink(), "", "", None).unwrap();
+        let mut declare = |number: u32| {
+            let name = number.to_string();
+            let schema: &str = if is_schema_each { &name } else { "one" };
+            log.topic(&McapTopic {
+                name: &name,
+                schema,
+                schema_encoding: "jsonschema",
+                schema_text: "{}",
+                encoding: "json",
+                metadata: &[],
+            })
+        };
+        let taken = (0..=70_000).map_while(|number| declare(number).ok()).count();
+        (taken, declare(70_000).unwrap_err().to_string())
+    };
+    assert_eq!(declared(false), (65_536, "a log holds at most 65536 topics".to_owned()));
+    assert_eq!(declared(true), (65_535, "a log holds at most 65535 schemas".to_owned()));
 }

@@ -1,7 +1,6 @@
 //! Headless Chromium by its DevTools protocol: JSON over two pipes, each message with a 0 behind it.
 
 use std::{
-    env,
     io::{BufRead, BufReader, Write},
     process::{Child, ChildStdin, Command, Stdio},
     sync::mpsc::{Receiver, channel},
@@ -13,11 +12,10 @@ use data_encoding::BASE64;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
+use crate::browser::chromium;
+
 /// A browser that has not answered by then hangs.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Programs by which Chromium goes, and the variable that names another.
-const PROGRAMS: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
-const PROGRAM: &str = "CHROMIUM";
 
 /// A started browser; ended when dropped.
 pub(crate) struct Browser {
@@ -50,16 +48,13 @@ pub(crate) struct Screen {
 impl Browser {
     /// Starts Chromium; `None` on a machine without it.
     pub(crate) fn start() -> Option<Self> {
-        let named = env::var(PROGRAM).ok();
-        let asked = |program: &&str| {
-            Command::new(program).arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status()
-        };
-        let program = named.as_deref().or_else(|| PROGRAMS.into_iter().find(|program| asked(program).is_ok()))?;
+        let program = chromium().ok()?;
         let profile = TempDir::new().expect("a folder");
         let mut command = Command::new("sh");
         // Chromium listens on descriptor 3, and speaks on 4.
         command
-            .args(["-c", "exec \"$0\" \"$@\" 3<&0 4>&1 </dev/null >/dev/null 2>/dev/null", program])
+            .args(["-c", "exec \"$0\" \"$@\" 3<&0 4>&1 </dev/null >/dev/null 2>/dev/null"])
+            .arg(program)
             .args([
                 "--headless",
                 "--no-sandbox",

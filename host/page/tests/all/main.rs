@@ -1,5 +1,7 @@
 //! The page of a simulated board behind a broker, with browsers and drivers as clients. All time is virtual.
 
+#[path = "../../../../tests/xtask/src/browser.rs"]
+mod browser;
 #[path = "../../../driver/tests/all/simulated/mod.rs"]
 mod simulated;
 

@@ -8,6 +8,7 @@ use r4_maps::{
     grid::{Cell, Grid},
     pose::{Point, distance_m},
 };
+use r4_maths::statistics::RootMeanSquare;
 use r4_rig::{Follower, Limits, Place, Velocity};
 
 use super::{
@@ -325,11 +326,7 @@ pub fn replayed(
 /// Root mean square difference of two maps over the cells that both have, in their unit.
 #[must_use]
 pub fn rmse(map: &Grid<Option<f64>>, truth: &Grid<Option<f64>>) -> f64 {
-    let pairs = map
-        .values()
-        .iter()
-        .zip(truth.values())
-        .filter_map(|(map, truth)| Some((map.as_ref()? - truth.as_ref()?).powi(2)));
-    let (sum, count) = pairs.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
-    (sum / count).sqrt()
+    let pairs = map.values().iter().zip(truth.values());
+    let errors = pairs.filter_map(|(map, truth)| Some(map.as_ref()? - truth.as_ref()?));
+    errors.collect::<RootMeanSquare>().value().unwrap_or(f64::NAN)
 }

@@ -2,6 +2,8 @@
 
 use std::{collections::BTreeMap, path::Path};
 
+use r4_maths::statistics::RootMeanSquare;
+
 use super::{Declared, Geometry, Model, Output, SkidRun, SkidSteer, run};
 use crate::{
     data::Run,
@@ -83,8 +85,8 @@ fn split(roles: &[(&'static str, &str)], average_s: Option<f64>, output: Output,
 /// Returns the RMSE of a free-run simulation, and the number of values in it.
 fn rmse(family: &SkidSteer, runs: &[SkidRun], structure: &Structure) -> (f64, usize) {
     let residuals = runs.iter().flat_map(|run| residuals(family, structure, &[], run));
-    let known: Vec<f64> = residuals.filter(|residual| residual.is_finite()).collect();
-    ((known.iter().map(|residual| residual * residual).sum::<f64>() / known.len() as f64).sqrt(), known.len())
+    let known: RootMeanSquare = residuals.filter(|residual| residual.is_finite()).collect();
+    (known.value().unwrap_or(f64::NAN), known.count())
 }
 
 const WHEELS: [(&str, &str); 3] = [("left", "wheel_left_rad_s"), ("right", "wheel_right_rad_s"), ("yaw", "yaw_rad")];

@@ -1,5 +1,6 @@
 //! Tests with a simulated robot on four tyres, whose equations are independent of the model's.
 
+use r4_maths::statistics::rms;
 use rand_distr::{Distribution, Normal, Uniform};
 use rand_pcg::Pcg64Mcg;
 
@@ -144,8 +145,7 @@ fn outcome(seed: u64, body: &dyn Fn(&[[f64; 2]]) -> Vec<f64>) -> Outcome {
 }
 
 fn rmse(family: &SkidSteer, structure: &Structure, run: &SkidRun) -> f64 {
-    let residuals = residuals(family, structure, &[], run);
-    (residuals.iter().map(|residual| residual * residual).sum::<f64>() / residuals.len() as f64).sqrt()
+    rms(&residuals(family, structure, &[], run)).unwrap()
 }
 
 #[test]

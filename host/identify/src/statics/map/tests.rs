@@ -1,5 +1,7 @@
 use std::collections::BTreeMap;
 
+use r4_maths::statistics::RootMeanSquare;
+
 use super::*;
 use crate::data::{Quantity, Signal};
 
@@ -233,8 +235,8 @@ fn search(fitted: &[MapRun], held_out: &[&MapRun]) -> (Vec<&'static str>, Vec<f6
     };
     let rmse = |run: &&MapRun| {
         let residuals = crate::fit::residuals(&map, &found.last.structure, &[], run);
-        let known: Vec<f64> = residuals.into_iter().filter(|residual| residual.is_finite()).collect();
-        (known.iter().map(|residual| residual * residual).sum::<f64>() / known.len() as f64).sqrt()
+        let known: RootMeanSquare = residuals.into_iter().filter(|residual| residual.is_finite()).collect();
+        known.value().unwrap()
     };
     (found.steps.iter().map(name).collect(), held_out.iter().map(rmse).collect())
 }

@@ -8,6 +8,7 @@ mod tuning;
 use std::cell::Cell;
 
 use r4_driver::tune::Loop;
+use r4_maths::statistics::{self, QuantileRule};
 use r4_protocol::{ChannelId, ChannelKind, Mode, PathPoint, Sample, Setpoint};
 use r4_rig::{Error, Fleet, Rig, Session};
 use serde::Serialize;
@@ -196,10 +197,7 @@ fn tuning_rows(of: Loop, tuned: &[Tuned]) -> Vec<Row> {
 
 /// Quantile of unsorted numbers; NaN of none, which meets no limit.
 fn quantile(of: &[f64], share: f64) -> f64 {
-    let mut sorted = of.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let last = sorted.len().saturating_sub(1);
-    sorted.get((share * last as f64).round() as usize).copied().unwrap_or(f64::NAN)
+    statistics::quantile(of, share, QuantileRule::NearestPosition).unwrap_or(f64::NAN)
 }
 
 fn spread(of: &[f64]) -> f64 {
