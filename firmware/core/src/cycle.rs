@@ -14,7 +14,7 @@ use r4_protocol::{
 };
 
 use crate::{
-    dispatch::{check_setpoint, modes_of, place},
+    channel::{check_setpoint, modes_of, place},
     shared::{MotorStatus, Shared, Status},
 };
 
@@ -45,7 +45,7 @@ impl Bound {
         let mut bound = Vec::new();
         for asked in channels {
             let CycleChannel { channel, mode, .. } = *asked;
-            let place = place(shared, channel)?;
+            let place = place(shared.config(), channel)?;
             let moves = matches!(place, Place::Motor(_) | Place::Stepper(_) | Place::Bldc(_));
             let known = modes_of(shared.config(), place).iter().any(|info| info.mode == mode);
             if !moves || !known || asked.scale(mode).is_none() {
@@ -124,17 +124,6 @@ impl Bound {
 /// Error: a set point of the cycle is refused. The reason is not part of the answer; the same set point as a single
 /// command returns it.
 struct Refused;
-
-/// Set point that stops a motor, by the mode that it followed.
-pub(crate) const fn at_rest(mode: Mode) -> Setpoint {
-    match mode {
-        // A motor in force mode stays in its place, and so holds the object.
-        Mode::Position | Mode::Speed | Mode::Home | Mode::Follow | Mode::Force => {
-            Setpoint { mode: Mode::Speed, value: 0.0 }
-        }
-        _ => Setpoint::NONE,
-    }
-}
 
 fn told(status: Status, speed_scale: f32) -> CycleMotor {
     match status {

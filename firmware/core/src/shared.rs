@@ -19,8 +19,7 @@ use r4_protocol::{
 };
 
 use crate::{
-    control::motor::resolution,
-    cycle::at_rest,
+    channel::resolution,
     log::Log,
     passthrough::Passthrough,
     path::{Leg, Limits, Path},
@@ -883,6 +882,17 @@ impl<M: RawMutex> Shared<M> {
             let _ = self.request(Event::Disarm);
             self.with(|s| s.session = None);
         }
+    }
+}
+
+/// Set point that stops a motor, by the mode that it followed.
+const fn at_rest(mode: Mode) -> Setpoint {
+    match mode {
+        // A motor in force mode stays in its place, and so holds the object.
+        Mode::Position | Mode::Speed | Mode::Home | Mode::Follow | Mode::Force => {
+            Setpoint { mode: Mode::Speed, value: 0.0 }
+        }
+        _ => Setpoint::NONE,
     }
 }
 

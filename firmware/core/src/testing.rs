@@ -32,10 +32,9 @@ use r4_protocol::config::{BoardConfig, MAX_MOTORS, STEPPERS, SWITCHES};
 
 use crate::{
     platform::{
-        AnalogInputs, AnalogOutputs, Bus, ControlCycles, EdgeInputs, Encoders, KeptWords, PulseInputs, StepAction,
-        StepEvent, Steppers, SwitchInputs,
+        AnalogInputs, AnalogOutputs, Bus, ControlCycles, EdgeInputs, Encoders, KeptWords, Pulse, PulseInputs,
+        StepAction, StepEvent, Steppers, SwitchInputs,
     },
-    sensing::pulse::Pulse,
     shared::{ResetCause, Shared},
 };
 

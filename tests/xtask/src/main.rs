@@ -24,8 +24,11 @@
 //! | `release` | `cargo xtask release`: the program in an archive, with what goes with it |
 //! | `pictures` | `cargo xtask pictures`: the pictures on the first page |
 //! | `prose` | `cargo xtask prose`: counts that show how readable comments and pages are |
+//! | `arrows` | test: the source files of a crate use each other one way |
 //! | `weight` | `cargo xtask weight`: what a build of `r4` takes, and what it is spent on |
 
+#[cfg(test)]
+mod arrows;
 mod firmware;
 mod flash;
 mod image;

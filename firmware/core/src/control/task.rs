@@ -30,7 +30,13 @@ use crate::{
     },
     outputs::{Order, OutputFault, Outputs, bldc::Command as DriveCommand, dac_code, rest_dacs},
     platform::{Bus, Peripherals, PulseInputs},
-    sensing::{analog::Supply, angle::Reading, on_bus::Sensors, pulse, storm::IllegalRate},
+    sensing::{
+        analog::Supply,
+        angle::Reading,
+        on_bus::{Sensors, Values},
+        pulse,
+        storm::IllegalRate,
+    },
     shared::{Commanded, MotorStatus, SafetyView, Shared, Status},
     storage::faults::SNAPSHOT_MS,
 };
@@ -592,7 +598,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         while !self.bad_configuration && Instant::now() < until && is_missing(&self.bus_sensors, &mut self.peripherals)
         {
             self.outputs.begin_tick();
-            self.bus_sensors.ask(shared, self.outputs.bus(), || false).await;
+            self.bus_sensors.ask(self.outputs.bus(), || false, publish_to(shared)).await;
             Timer::after(Duration::from_millis(1)).await;
             shared.control_tick(Instant::now());
         }
@@ -691,7 +697,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         if self.bus_sensors.is_empty() || is_taken || self.fault.is_some() {
             return;
         }
-        self.bus_sensors.ask(shared, self.outputs.bus(), || shared.safety() != view).await;
+        self.bus_sensors.ask(self.outputs.bus(), || shared.safety() != view, publish_to(shared)).await;
     }
 
     async fn check(&mut self) {
@@ -709,6 +715,13 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         causes.set(Cause::ReadBackMismatch, self.fault == Some(OutputFault::Mismatch));
         causes.set(Cause::BadConfiguration, self.bad_configuration);
         causes
+    }
+}
+
+/// Returns the function that publishes the values of sensors on the bus.
+fn publish_to<M: RawMutex>(shared: &Shared<M>) -> impl FnMut(usize, Values) {
+    |index, Values { values, quality, taken }| {
+        shared.publish(Place::Sensor(index), Status::Sensor { values, quality, taken });
     }
 }
 

@@ -14,9 +14,10 @@ use r4_protocol::{
 use super::{BoardIo, run};
 use crate::{
     ResetCause,
-    safety::{Event, SafetyPins, supervise},
+    safety::Event,
     sensing::range::RangeReading,
     shared::{MotorStatus, Status},
+    supervisor::{SafetyPins, supervise},
     testing::{Board, Line, Peripherals, Registers, Tasks, board, robot},
 };
 

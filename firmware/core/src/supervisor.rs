@@ -126,3 +126,6 @@ where
 fn light<O: OutputPin>(line: &mut O, on: bool) -> Result<(), O::Error> {
     if on { line.set_low() } else { line.set_high() }
 }
+
+#[cfg(test)]
+mod tests;

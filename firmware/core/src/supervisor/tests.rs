@@ -6,9 +6,10 @@ use r4_protocol::{
     config::{BoardConfig, Place},
 };
 
-use super::{Event, Safety, SafetyPins, supervise};
+use super::{SafetyPins, supervise};
 use crate::{
     ResetCause,
+    safety::{Event, Safety},
     sensing::range::RangeReading,
     shared::Status,
     testing::{Board, Line, Tasks, board, robot},
