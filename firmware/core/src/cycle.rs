@@ -1,7 +1,7 @@
 //! Cycles: set points for the channels that the host of one link has bound, and the answer with these channels' state.
 //!
 //! A cycle is accepted as a whole or not at all, by the same checks as a single command, and always answered. Its set
-//! points are leased: [`Shared`](crate::shared::Shared) stops the channels whose lease has run out. A refused cycle
+//! points are leased: the control loop stops the channels whose lease has run out. A refused cycle
 //! stops the channels that it has set points for, unless they follow a newer one.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
@@ -15,7 +15,7 @@ use r4_protocol::{
 
 use crate::{
     channel::{check_setpoint, modes_of, place},
-    shared::{MotorStatus, Shared, Status},
+    shared::{HostSide, MotorStatus, ReportSide, Status},
 };
 
 /// Channels bound to the cycles of one link.
@@ -38,7 +38,7 @@ impl Bound {
     /// given twice or without scales.
     pub(crate) fn bind<M: RawMutex>(
         &mut self,
-        shared: &Shared<M>,
+        shared: HostSide<'_, M>,
         channels: &[CycleChannel],
         ttl_ms: u16,
     ) -> Result<(), Refusal> {
@@ -63,20 +63,21 @@ impl Bound {
     }
 
     /// Carries out `cycle` if it is accepted, and returns the answer with the channels' state.
-    pub(crate) fn answer<M: RawMutex>(&self, shared: &Shared<M>, link: u8, cycle: Cycle, now: Instant) -> ToHost {
+    pub(crate) fn answer<M: RawMutex>(&self, shared: HostSide<'_, M>, link: u8, cycle: Cycle, now: Instant) -> ToHost {
         let outcome = self.outcome(shared, link, cycle, now);
         if outcome != CycleOutcome::Taken {
             shared.count(|stats| stats.cycles_refused = stats.cycles_refused.wrapping_add(1));
         }
         let mut motors = [CycleMotor::NONE; CYCLE_CHANNELS];
+        let report = ReportSide::of(&shared);
         for (motor, (channel, place)) in motors.iter_mut().zip(&self.channels) {
-            *motor = told(shared.status(*place), channel.speed_scale);
+            *motor = told(report.status(*place), channel.speed_scale);
         }
         let view = shared.safety();
         ToHost::Cycle(CycleState::new(cycle.seq, outcome, now.as_micros(), (view.state, view.causes), motors))
     }
 
-    fn outcome<M: RawMutex>(&self, shared: &Shared<M>, link: u8, cycle: Cycle, now: Instant) -> CycleOutcome {
+    fn outcome<M: RawMutex>(&self, shared: HostSide<'_, M>, link: u8, cycle: Cycle, now: Instant) -> CycleOutcome {
         if self.channels.is_empty() || !shared.has_session(link) {
             return CycleOutcome::Unbound;
         }
@@ -107,7 +108,7 @@ impl Bound {
 
     fn setpoints<M: RawMutex>(
         &self,
-        shared: &Shared<M>,
+        shared: HostSide<'_, M>,
         cycle: Cycle,
     ) -> Result<Vec<(Place, Setpoint), CYCLE_CHANNELS>, Refused> {
         let all_in = cycle.mode().map_err(|_| Refused)?;

@@ -15,7 +15,7 @@ use crate::{
     cycle::Bound,
     log::Feed,
     safety::Event,
-    shared::{Restart, Shared, at},
+    shared::{HostSide, ReportSide, Restart, at},
     storage::{Done, Job, parameters::Changes},
     telemetry::Subscriptions,
 };
@@ -56,7 +56,7 @@ impl Host {
     /// Answers a request; a repeated one gets the same answer again, without being carried out again.
     fn answer<M: RawMutex>(
         &mut self,
-        shared: &Shared<M>,
+        shared: HostSide<'_, M>,
         link: u8,
         (seq, request): (u16, Request),
         now: Instant,
@@ -76,13 +76,13 @@ impl Host {
 }
 
 /// Carries out `message`, which came over `link`, or defers it.
-pub(crate) fn dispatch<M: RawMutex>(shared: &Shared<M>, link: u8, host: &mut Host, message: ToDevice) -> Outcome {
+pub(crate) fn dispatch<M: RawMutex>(shared: HostSide<'_, M>, link: u8, host: &mut Host, message: ToDevice) -> Outcome {
     let now = Instant::now();
     match message {
         ToDevice::Heartbeat { session, host_us } if shared.heartbeat(link, session, now) => {
             let view = shared.safety();
             let device_us = now.as_micros();
-            let hot = shared.hot_windings();
+            let hot = ReportSide::of(&shared).hot_windings();
             Outcome::Answer(ToHost::Heartbeat { host_us, device_us, state: view.state, causes: view.causes, hot })
         }
         ToDevice::Heartbeat { .. } => Outcome::Nothing,
@@ -99,7 +99,7 @@ pub(crate) fn dispatch<M: RawMutex>(shared: &Shared<M>, link: u8, host: &mut Hos
 
 /// Refuses an undamaged request of a later version. It may be a set point of an unknown kind, so all set points in
 /// force end.
-pub(crate) fn unknown<M: RawMutex>(shared: &Shared<M>, link: u8, seq: u16, now: Instant) -> ToHost {
+pub(crate) fn unknown<M: RawMutex>(shared: HostSide<'_, M>, link: u8, seq: u16, now: Instant) -> ToHost {
     if shared.has_session(link) {
         for (_, place) in shared.config().channels() {
             shared.withdraw(place, now.as_micros(), false);
@@ -122,7 +122,7 @@ fn takes_time(request: &Request) -> bool {
 }
 
 /// Carries out a request that [`dispatch`] has deferred, and returns the answer.
-pub(crate) async fn carry_out<M: RawMutex>(shared: &Shared<M>, seq: u16, request: Request) -> ToHost {
+pub(crate) async fn carry_out<M: RawMutex>(shared: HostSide<'_, M>, seq: u16, request: Request) -> ToHost {
     let result = match request {
         Request::SaveParameters => save(shared).await,
         Request::Fault { index } => shared.storage.request(Job::Fault { index }).await.map(stored),
@@ -143,20 +143,20 @@ fn stored(done: Done) -> Reply {
 }
 
 /// Saves the parameters that hosts have changed. A sector may have to be erased, so not while the board is armed.
-async fn save<M: RawMutex>(shared: &Shared<M>) -> Result<Reply, Refusal> {
+async fn save<M: RawMutex>(shared: HostSide<'_, M>) -> Result<Reply, Refusal> {
     let _held = shared.hold_arming()?;
     let changes = Changes::between(shared.built_in(), &shared.pending());
     shared.storage.request(Job::Save(changes.map_err(|_| Refusal::StorageFailed)?)).await.map(stored)
 }
 
-fn response<M: RawMutex>(shared: &Shared<M>, seq: u16, result: Result<Reply, Refusal>) -> ToHost {
+fn response<M: RawMutex>(shared: HostSide<'_, M>, seq: u16, result: Result<Reply, Refusal>) -> ToHost {
     if result.is_err() {
         shared.count(|stats| stats.refused = stats.refused.wrapping_add(1));
     }
     ToHost::Response { seq, result }
 }
 
-fn describe_parameter<M: RawMutex>(shared: &Shared<M>, index: usize) -> Result<ParameterInfo, Refusal> {
+fn describe_parameter<M: RawMutex>(shared: HostSide<'_, M>, index: usize) -> Result<ParameterInfo, Refusal> {
     let end = Refusal::NoSuchIndex { index: u8::try_from(index).unwrap_or(u8::MAX) };
     let key = shared.config().parameters().nth(index).ok_or(end)?;
     let active = shared.config().parameter(key).ok_or(end)?;
@@ -166,7 +166,7 @@ fn describe_parameter<M: RawMutex>(shared: &Shared<M>, index: usize) -> Result<P
 }
 
 fn answer<M: RawMutex>(
-    shared: &Shared<M>,
+    shared: HostSide<'_, M>,
     link: u8,
     host: &mut Host,
     request: Request,
@@ -194,7 +194,7 @@ fn answer<M: RawMutex>(
         Request::Describe { index } => {
             return channel::info(shared.config(), usize::from(index)).map(Reply::Channel);
         }
-        Request::Stats => return Ok(Reply::Stats(shared.stats())),
+        Request::Stats => return Ok(Reply::Stats(ReportSide::of(&shared).stats())),
         Request::Arm => shared.request(Event::Arm)?,
         Request::Disarm => shared.request(Event::Disarm)?,
         Request::Clear => shared.request(Event::Clear)?,
@@ -293,7 +293,7 @@ fn check_age(sent_us: u64, ttl_ms: u16, now: Instant) -> Result<(), Refusal> {
     }
 }
 
-fn device_info<M: RawMutex>(shared: &Shared<M>, session: u16, now: Instant) -> DeviceInfo {
+fn device_info<M: RawMutex>(shared: HostSide<'_, M>, session: u16, now: Instant) -> DeviceInfo {
     let config = shared.config();
     let view = shared.safety();
     DeviceInfo {

@@ -708,7 +708,7 @@ proptest! {
 proptest! {
     #[test]
     fn whole_numbers_become_the_nearest(whole: u64) {
-        prop_assert_eq!(super::to_f64(whole), whole as f64);
-        prop_assert_eq!(super::to_f64(whole >> 32), (whole >> 32) as f64);
+        prop_assert_eq!(super::numbers::to_f64(whole), whole as f64);
+        prop_assert_eq!(super::numbers::to_f64(whole >> 32), (whole >> 32) as f64);
     }
 }
