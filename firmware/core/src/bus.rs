@@ -9,11 +9,9 @@ use core::task::Context;
 use embassy_time::Duration;
 use embedded_hal_async::i2c::{Error, ErrorKind};
 use r4_protocol::config::BoardConfig;
-pub(crate) use r4_protocol::config::bus_bits as bits;
 
 use crate::{
     chips::{ChipError, sensor::Exchange},
-    outputs::OutputFault,
     platform::{Bus, Write},
 };
 
@@ -22,6 +20,15 @@ pub(crate) const TRIES: u32 = 3;
 /// Share of a control period that transfers may take: the rest is for the processor and for a repeat. A processor that
 /// is slow in a period reduces it: see [`Scheduler::leave_time`].
 const BUS_SHARE: f32 = 0.95;
+
+/// Cause of a fault of the outputs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OutputFault {
+    /// Transfers fail, even after repeats and after freeing the bus.
+    Bus,
+    /// A chip does not hold what was written.
+    Mismatch,
+}
 
 /// Reason why a sensor's transfer failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 //! Cycles: set points for the channels that the host of one link has bound, and the answer with these channels' state.
 //!
 //! A cycle is accepted as a whole or not at all, by the same checks as a single command, and always answered. Its set
-//! points are leased: [`Shared`](crate::shared::Shared) stops the channels whose lease has run out. A refused cycle
+//! points are leased: the control loop stops the channels whose lease has run out. A refused cycle
 //! stops the channels that it has set points for, unless they follow a newer one.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
@@ -14,8 +14,8 @@ use r4_protocol::{
 };
 
 use crate::{
-    dispatch::{check_setpoint, modes_of, place},
-    shared::{MotorStatus, Shared, Status},
+    channel::{check_setpoint, modes_of, place},
+    shared::{HostSide, MotorStatus, ReportSide, Status},
 };
 
 /// Channels bound to the cycles of one link.
@@ -38,14 +38,14 @@ impl Bound {
     /// given twice or without scales.
     pub(crate) fn bind<M: RawMutex>(
         &mut self,
-        shared: &Shared<M>,
+        shared: HostSide<'_, M>,
         channels: &[CycleChannel],
         ttl_ms: u16,
     ) -> Result<(), Refusal> {
         let mut bound = Vec::new();
         for asked in channels {
             let CycleChannel { channel, mode, .. } = *asked;
-            let place = place(shared, channel)?;
+            let place = place(shared.config(), channel)?;
             let moves = matches!(place, Place::Motor(_) | Place::Stepper(_) | Place::Bldc(_));
             let known = modes_of(shared.config(), place).iter().any(|info| info.mode == mode);
             if !moves || !known || asked.scale(mode).is_none() {
@@ -63,20 +63,21 @@ impl Bound {
     }
 
     /// Carries out `cycle` if it is accepted, and returns the answer with the channels' state.
-    pub(crate) fn answer<M: RawMutex>(&self, shared: &Shared<M>, link: u8, cycle: Cycle, now: Instant) -> ToHost {
+    pub(crate) fn answer<M: RawMutex>(&self, shared: HostSide<'_, M>, link: u8, cycle: Cycle, now: Instant) -> ToHost {
         let outcome = self.outcome(shared, link, cycle, now);
         if outcome != CycleOutcome::Taken {
             shared.count(|stats| stats.cycles_refused = stats.cycles_refused.wrapping_add(1));
         }
         let mut motors = [CycleMotor::NONE; CYCLE_CHANNELS];
+        let report = ReportSide::of(&shared);
         for (motor, (channel, place)) in motors.iter_mut().zip(&self.channels) {
-            *motor = told(shared.status(*place), channel.speed_scale);
+            *motor = told(report.status(*place), channel.speed_scale);
         }
         let view = shared.safety();
         ToHost::Cycle(CycleState::new(cycle.seq, outcome, now.as_micros(), (view.state, view.causes), motors))
     }
 
-    fn outcome<M: RawMutex>(&self, shared: &Shared<M>, link: u8, cycle: Cycle, now: Instant) -> CycleOutcome {
+    fn outcome<M: RawMutex>(&self, shared: HostSide<'_, M>, link: u8, cycle: Cycle, now: Instant) -> CycleOutcome {
         if self.channels.is_empty() || !shared.has_session(link) {
             return CycleOutcome::Unbound;
         }
@@ -107,7 +108,7 @@ impl Bound {
 
     fn setpoints<M: RawMutex>(
         &self,
-        shared: &Shared<M>,
+        shared: HostSide<'_, M>,
         cycle: Cycle,
     ) -> Result<Vec<(Place, Setpoint), CYCLE_CHANNELS>, Refused> {
         let all_in = cycle.mode().map_err(|_| Refused)?;
@@ -124,17 +125,6 @@ impl Bound {
 /// Error: a set point of the cycle is refused. The reason is not part of the answer; the same set point as a single
 /// command returns it.
 struct Refused;
-
-/// Set point that stops a motor, by the mode that it followed.
-pub(crate) const fn at_rest(mode: Mode) -> Setpoint {
-    match mode {
-        // A motor in force mode stays in its place, and so holds the object.
-        Mode::Position | Mode::Speed | Mode::Home | Mode::Follow | Mode::Force => {
-            Setpoint { mode: Mode::Speed, value: 0.0 }
-        }
-        _ => Setpoint::NONE,
-    }
-}
 
 fn told(status: Status, speed_scale: f32) -> CycleMotor {
     match status {

@@ -2,26 +2,20 @@
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Instant;
-use heapless::{String, Vec};
+use heapless::String;
 use r4_protocol::{
-    ChannelId, ChannelInfo, DeviceInfo, LogInfo, Mode, ModeInfo, ParameterInfo, PathPoint, Range, Refusal, Reply,
-    Request, SetError, Setpoint, Spoken, ToDevice, ToHost, Unit,
-    channel::MAX_MODES,
-    config::{
-        BoardConfig, ControlConfig, DAC_FULL_SCALE_V, HomingConfig, MotorConfig, Place, RelayRole, Reverse,
-        SensorDescription, StepperConfig,
-    },
+    DeviceInfo, LogInfo, Mode, ParameterInfo, Refusal, Reply, Request, SetError, Spoken, ToDevice, ToHost,
+    config::{BoardConfig, MotorConfig, Place},
     version::{REPEATS, SPOKEN, accept},
 };
 
 use crate::{
     FIRMWARE_VERSION,
-    control::motor,
+    channel::{self, check_points, check_setpoint, modes_of, place},
     cycle::Bound,
     log::Feed,
-    ranging,
     safety::Event,
-    shared::{Restart, Shared, at},
+    shared::{HostSide, ReportSide, Restart, at},
     storage::{Done, Job, parameters::Changes},
     telemetry::Subscriptions,
 };
@@ -62,7 +56,7 @@ impl Host {
     /// Answers a request; a repeated one gets the same answer again, without being carried out again.
     fn answer<M: RawMutex>(
         &mut self,
-        shared: &Shared<M>,
+        shared: HostSide<'_, M>,
         link: u8,
         (seq, request): (u16, Request),
         now: Instant,
@@ -82,13 +76,13 @@ impl Host {
 }
 
 /// Carries out `message`, which came over `link`, or defers it.
-pub(crate) fn dispatch<M: RawMutex>(shared: &Shared<M>, link: u8, host: &mut Host, message: ToDevice) -> Outcome {
+pub(crate) fn dispatch<M: RawMutex>(shared: HostSide<'_, M>, link: u8, host: &mut Host, message: ToDevice) -> Outcome {
     let now = Instant::now();
     match message {
         ToDevice::Heartbeat { session, host_us } if shared.heartbeat(link, session, now) => {
             let view = shared.safety();
             let device_us = now.as_micros();
-            let hot = shared.hot_windings();
+            let hot = ReportSide::of(&shared).hot_windings();
             Outcome::Answer(ToHost::Heartbeat { host_us, device_us, state: view.state, causes: view.causes, hot })
         }
         ToDevice::Heartbeat { .. } => Outcome::Nothing,
@@ -105,7 +99,7 @@ pub(crate) fn dispatch<M: RawMutex>(shared: &Shared<M>, link: u8, host: &mut Hos
 
 /// Refuses an undamaged request of a later version. It may be a set point of an unknown kind, so all set points in
 /// force end.
-pub(crate) fn unknown<M: RawMutex>(shared: &Shared<M>, link: u8, seq: u16, now: Instant) -> ToHost {
+pub(crate) fn unknown<M: RawMutex>(shared: HostSide<'_, M>, link: u8, seq: u16, now: Instant) -> ToHost {
     if shared.has_session(link) {
         for (_, place) in shared.config().channels() {
             shared.withdraw(place, now.as_micros(), false);
@@ -128,7 +122,7 @@ fn takes_time(request: &Request) -> bool {
 }
 
 /// Carries out a request that [`dispatch`] has deferred, and returns the answer.
-pub(crate) async fn carry_out<M: RawMutex>(shared: &Shared<M>, seq: u16, request: Request) -> ToHost {
+pub(crate) async fn carry_out<M: RawMutex>(shared: HostSide<'_, M>, seq: u16, request: Request) -> ToHost {
     let result = match request {
         Request::SaveParameters => save(shared).await,
         Request::Fault { index } => shared.storage.request(Job::Fault { index }).await.map(stored),
@@ -149,20 +143,20 @@ fn stored(done: Done) -> Reply {
 }
 
 /// Saves the parameters that hosts have changed. A sector may have to be erased, so not while the board is armed.
-async fn save<M: RawMutex>(shared: &Shared<M>) -> Result<Reply, Refusal> {
+async fn save<M: RawMutex>(shared: HostSide<'_, M>) -> Result<Reply, Refusal> {
     let _held = shared.hold_arming()?;
     let changes = Changes::between(shared.built_in(), &shared.pending());
     shared.storage.request(Job::Save(changes.map_err(|_| Refusal::StorageFailed)?)).await.map(stored)
 }
 
-fn response<M: RawMutex>(shared: &Shared<M>, seq: u16, result: Result<Reply, Refusal>) -> ToHost {
+fn response<M: RawMutex>(shared: HostSide<'_, M>, seq: u16, result: Result<Reply, Refusal>) -> ToHost {
     if result.is_err() {
         shared.count(|stats| stats.refused = stats.refused.wrapping_add(1));
     }
     ToHost::Response { seq, result }
 }
 
-fn describe_parameter<M: RawMutex>(shared: &Shared<M>, index: usize) -> Result<ParameterInfo, Refusal> {
+fn describe_parameter<M: RawMutex>(shared: HostSide<'_, M>, index: usize) -> Result<ParameterInfo, Refusal> {
     let end = Refusal::NoSuchIndex { index: u8::try_from(index).unwrap_or(u8::MAX) };
     let key = shared.config().parameters().nth(index).ok_or(end)?;
     let active = shared.config().parameter(key).ok_or(end)?;
@@ -172,7 +166,7 @@ fn describe_parameter<M: RawMutex>(shared: &Shared<M>, index: usize) -> Result<P
 }
 
 fn answer<M: RawMutex>(
-    shared: &Shared<M>,
+    shared: HostSide<'_, M>,
     link: u8,
     host: &mut Host,
     request: Request,
@@ -198,14 +192,14 @@ fn answer<M: RawMutex>(
         }
         _ if !shared.has_session(link) => return Err(Refusal::NoSession),
         Request::Describe { index } => {
-            return channel_info(shared, usize::from(index)).map(Reply::Channel);
+            return channel::info(shared.config(), usize::from(index)).map(Reply::Channel);
         }
-        Request::Stats => return Ok(Reply::Stats(shared.stats())),
+        Request::Stats => return Ok(Reply::Stats(ReportSide::of(&shared).stats())),
         Request::Arm => shared.request(Event::Arm)?,
         Request::Disarm => shared.request(Event::Disarm)?,
         Request::Clear => shared.request(Event::Clear)?,
         Request::Set { channel, setpoint, sent_us, ttl_ms } => {
-            let place = place(shared, channel)?;
+            let place = place(shared.config(), channel)?;
             let taken = check_age(sent_us, ttl_ms, now)
                 .and_then(|()| check_setpoint(channel, &modes_of(shared.config(), place), setpoint))
                 .and_then(|()| match setpoint.mode {
@@ -220,7 +214,7 @@ fn answer<M: RawMutex>(
             }
         }
         Request::Follow { channel, sent_us, points } => {
-            let place = place(shared, channel)?;
+            let place = place(shared.config(), channel)?;
             let taken = check_points(shared.config(), channel, place, &points)
                 .and_then(|()| shared.follow(place, &points, sent_us));
             if let Err(refusal) = taken {
@@ -229,7 +223,7 @@ fn answer<M: RawMutex>(
             }
         }
         Request::SetGains { channel, mode, gains } => {
-            let place = place(shared, channel)?;
+            let place = place(shared.config(), channel)?;
             let known = modes_of(shared.config(), place).iter().any(|info| info.mode == mode);
             let (Place::Motor(index), Mode::Position | Mode::Speed, true) = (place, mode, known) else {
                 return Err(Refusal::WrongMode { channel, mode });
@@ -240,7 +234,7 @@ fn answer<M: RawMutex>(
             shared.change_gains(index, mode, gains);
         }
         Request::SetTuning { channel, tuning } => {
-            let place = place(shared, channel)?;
+            let place = place(shared.config(), channel)?;
             let motor = if let Place::Motor(index) = place { shared.config().motors.get(index) } else { None };
             let (Place::Motor(index), Some(MotorConfig { duty_max, control: Some(_), .. })) = (place, motor) else {
                 return Err(Refusal::WrongMode { channel, mode: Mode::Position });
@@ -251,7 +245,7 @@ fn answer<M: RawMutex>(
             shared.change_tuning(index, tuning);
         }
         Request::Subscribe { channel, period_ms } => {
-            place(shared, channel)?;
+            place(shared.config(), channel)?;
             host.subscriptions.set(channel, period_ms, now).map_err(|_| Refusal::TooManySubscriptions)?;
         }
         Request::DescribeParameter { index } => {
@@ -288,10 +282,6 @@ fn answer<M: RawMutex>(
     Ok(Reply::Done)
 }
 
-pub(crate) fn place<M: RawMutex>(shared: &Shared<M>, channel: ChannelId) -> Result<Place, Refusal> {
-    shared.config().place(channel).ok_or(Refusal::UnknownChannel { channel })
-}
-
 /// Checks that a set point decided at `sent_us` is neither too old nor dated too far ahead.
 fn check_age(sent_us: u64, ttl_ms: u16, now: Instant) -> Result<(), Refusal> {
     let ms = |us: u64| u32::try_from(us / 1000).unwrap_or(u32::MAX);
@@ -303,42 +293,7 @@ fn check_age(sent_us: u64, ttl_ms: u16, now: Instant) -> Result<(), Refusal> {
     }
 }
 
-pub(crate) fn check_setpoint(channel: ChannelId, modes: &[ModeInfo], setpoint: Setpoint) -> Result<(), Refusal> {
-    let Setpoint { mode, value: asked } = setpoint;
-    if !asked.is_finite() {
-        return Err(Refusal::NotFinite { channel });
-    }
-    let info = modes.iter().find(|info| info.mode == mode).ok_or(Refusal::WrongMode { channel, mode })?;
-    let nowhere = mode == Mode::Home && asked == 0.0;
-    let half_switched = info.unit == Unit::Bool && asked != 0.0 && asked != 1.0;
-    if info.range.contains(asked) && !half_switched && !nowhere {
-        Ok(())
-    } else {
-        Err(Refusal::OutOfRange { channel, asked, range: info.range })
-    }
-}
-
-/// Checks the values of a path's points against the channel's ranges; their times and speeds are checked against the
-/// stored points.
-fn check_points(config: &BoardConfig, channel: ChannelId, place: Place, points: &[PathPoint]) -> Result<(), Refusal> {
-    let modes = modes_of(config, place);
-    let limit = |mode| modes.iter().find(|info| info.mode == mode).map(|info| info.range);
-    let (Some(_), Some(duties)) = (limit(Mode::Follow), limit(Mode::Duty)) else {
-        return Err(Refusal::WrongMode { channel, mode: Mode::Follow });
-    };
-    for PathPoint { position, speed, feed_forward, .. } in points {
-        check_setpoint(channel, &modes, Setpoint { mode: Mode::Follow, value: *position })?;
-        if !feed_forward.is_finite() || speed.is_some_and(|speed| !speed.is_finite()) {
-            return Err(Refusal::NotFinite { channel });
-        }
-        if !duties.contains(*feed_forward) {
-            return Err(Refusal::OutOfRange { channel, asked: *feed_forward, range: duties });
-        }
-    }
-    Ok(())
-}
-
-fn device_info<M: RawMutex>(shared: &Shared<M>, session: u16, now: Instant) -> DeviceInfo {
+fn device_info<M: RawMutex>(shared: HostSide<'_, M>, session: u16, now: Instant) -> DeviceInfo {
     let config = shared.config();
     let view = shared.safety();
     DeviceInfo {
@@ -352,113 +307,6 @@ fn device_info<M: RawMutex>(shared: &Shared<M>, session: u16, now: Instant) -> D
         state: view.state,
         causes: view.causes,
     }
-}
-
-/// Description of channel `index` of the board's list.
-fn channel_info<M: RawMutex>(shared: &Shared<M>, index: usize) -> Result<ChannelInfo, Refusal> {
-    let config = shared.config();
-    let (id, place) = config.channels().nth(index).ok_or(Refusal::NoSuchIndex { index: index as u8 })?;
-    let modes = modes_of(config, place);
-    let (unit, range) = quantity(config, place, &modes);
-    Ok(ChannelInfo { id, unit, range, rate_hz: rate_hz(config, place), resolution: resolution(config, place), modes })
-}
-
-/// Range of a switched output: 0 is off, 1 is on.
-const SWITCH: Range = Range::new(0.0, 1.0);
-
-/// Unit and range of a channel's measurement or, for a pure output, of its set point.
-fn quantity(config: &BoardConfig, place: Place, modes: &[ModeInfo]) -> (Unit, Range) {
-    const FULL_CODE: f32 = 65_535.0;
-    match (place, modes.first()) {
-        (Place::Encoder(_), _) => (Unit::Rad, Range::symmetric(f32::MAX)),
-        (Place::Range(index), _) => (Unit::M, config.ranges[index].range_m),
-        (Place::Analog(index), _) => {
-            let analog = &config.analogs[index];
-            (Unit::V, Range::new(analog.offset_v, analog.offset_v + FULL_CODE * analog.volts_per_code))
-        }
-        (Place::Supply(index), _) => (Unit::V, config.supplies[index].range_v),
-        (Place::Sensor(index), _) => {
-            let SensorDescription { kind, range, .. } = config.sensors[index].chip.description();
-            // Every kind of sensor on the bus has quantities.
-            (kind.quantities().first().map_or(Unit::Bool, |first| first.unit), range)
-        }
-        // The first mode of a motor is its own quantity.
-        (_, Some(first)) => (first.unit, first.range),
-        (_, None) => (Unit::Bool, SWITCH),
-    }
-}
-
-/// Rate at which a channel is measured or driven, Hz.
-fn rate_hz(config: &BoardConfig, place: Place) -> f32 {
-    match place {
-        Place::Range(_) => 1e6 / ranging::cycle(config.ranges.len()).as_micros() as f32,
-        Place::Sensor(index) => config.sensors[index].rate_hz.into(),
-        Place::Servo(_) => config.servo_pwm.map_or(0.0, |chip| chip.frequency_hz),
-        _ => 1e6 / config.control_period_us as f32,
-    }
-}
-
-/// Size of one count of a channel's position, rad or m; 0 without a position.
-fn resolution(config: &BoardConfig, place: Place) -> f32 {
-    const TURN: f32 = core::f32::consts::TAU;
-    match place {
-        Place::Motor(index) => config.motors[index].control.map_or(0.0, |control| motor::resolution(control.feedback)),
-        Place::Stepper(index) => TURN / config.steppers[index].steps_per_turn as f32,
-        Place::Encoder(index) => TURN / config.encoders[index].counts_per_turn as f32,
-        _ => 0.0,
-    }
-}
-
-/// Modes in which an output can be commanded: a motor's own quantity first; none for the relay in the motors' supply.
-pub(crate) fn modes_of(config: &BoardConfig, place: Place) -> Vec<ModeInfo, MAX_MODES> {
-    let mode = |mode, unit, range| ModeInfo { mode, unit, range };
-    match place {
-        Place::Motor(index) => motor_modes(&config.motors[index]),
-        Place::Stepper(index) => {
-            let StepperConfig { position, speed_max, homing, .. } = config.steppers[index];
-            let moves = [
-                mode(Mode::Position, Unit::Rad, position),
-                mode(Mode::Speed, Unit::RadPerS, Range::symmetric(speed_max)),
-            ];
-            moves.into_iter().chain(home_mode(homing)).collect()
-        }
-        Place::Servo(index) => [mode(Mode::Position, Unit::Rad, config.servos[index].position())].into_iter().collect(),
-        Place::Bldc(index) => {
-            let bldc = &config.bldcs[index];
-            let backwards = if bldc.reverse == Reverse::None { 0.0 } else { -1.0 };
-            let speed = mode(Mode::Duty, Unit::Duty, Range::new(backwards, 1.0));
-            let brake = bldc.brake.map(|_| mode(Mode::Brake, Unit::Bool, SWITCH));
-            [speed].into_iter().chain(brake).collect()
-        }
-        Place::Relay(index) if config.relays[index].role == RelayRole::General => {
-            [mode(Mode::Switch, Unit::Bool, SWITCH)].into_iter().collect()
-        }
-        Place::Dac(index) => {
-            let Range { min, max } = config.dacs[index].range_v;
-            let range = Range::new(min.max(0.0), max.min(DAC_FULL_SCALE_V));
-            [mode(Mode::Voltage, Unit::V, range)].into_iter().collect()
-        }
-        _ => Vec::new(),
-    }
-}
-
-fn motor_modes(motor: &MotorConfig) -> Vec<ModeInfo, MAX_MODES> {
-    let duty = ModeInfo { mode: Mode::Duty, unit: Unit::Duty, range: Range::symmetric(motor.duty_max) };
-    let Some(ControlConfig { feedback, position, speed_max, homing, force, .. }) = motor.control else {
-        return [duty].into_iter().collect();
-    };
-    let (position_unit, speed_unit) =
-        if feedback.turns() { (Unit::Rad, Unit::RadPerS) } else { (Unit::M, Unit::MPerS) };
-    let position = ModeInfo { mode: Mode::Position, unit: position_unit, range: position };
-    let speed = ModeInfo { mode: Mode::Speed, unit: speed_unit, range: Range::symmetric(speed_max) };
-    let follow = ModeInfo { mode: Mode::Follow, ..position };
-    let force = force.map(|force| force.mode());
-    [position, speed, duty, follow].into_iter().chain(home_mode(homing)).chain(force).collect()
-}
-
-fn home_mode(homing: Option<HomingConfig>) -> Option<ModeInfo> {
-    let range = Range::symmetric(homing?.speed_max);
-    Some(ModeInfo { mode: Mode::Home, unit: Unit::RadPerS, range })
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@
 //!
 //! | task | does |
 //! | --- | --- |
-//! | [`safety::supervise`] | watches every trip cause, owns the state machine and the hardware stop lines |
+//! | [`supervisor::supervise`] | watches every trip cause, owns the state machine and the hardware stop lines |
 //! | [`control::run`] | each period: sense, close the loops, queue step pulses, write the outputs; owns the board's I2C bus |
 //! | [`ranging::run`] | pings the range sensors in turn, where there are any |
 //! | [`link::serve`] | one per link: frames in, requests dispatched, telemetry and log out |
@@ -20,6 +20,7 @@
 #![no_std]
 
 mod bus;
+mod channel;
 pub mod chips;
 pub mod control;
 mod cycle;
@@ -38,6 +39,7 @@ pub mod screen;
 pub mod sensing;
 mod shared;
 pub mod storage;
+pub mod supervisor;
 mod telemetry;
 #[cfg(test)]
 mod testing;

@@ -11,7 +11,7 @@ use r4_protocol::{FrameDecoder, FrameError, Refusal, Request, ToDevice, ToHost, 
 
 use crate::{
     dispatch::{Host, Outcome, carry_out, dispatch, unknown},
-    shared::Shared,
+    shared::{HostSide, ReportSide, Shared},
 };
 
 /// Maximum number of answers waiting for the transmitter; a host that sends requests faster than its link carries is
@@ -29,6 +29,7 @@ const START_POLL: Duration = Duration::from_millis(1);
 /// Waits for the outputs to be in a known state before it takes the first message, and sends nothing before its first
 /// answer.
 pub async fn serve<M: RawMutex, R: Read, W: Write>(shared: &Shared<M>, number: u8, rx: R, tx: W) {
+    let shared = HostSide::of(shared);
     while !shared.has_started() {
         Timer::after(START_POLL).await;
     }
@@ -52,7 +53,7 @@ type Waiting = Channel<NoopRawMutex, (u16, Request), WAITING>;
 type SharedHost = Mutex<NoopRawMutex, core::cell::RefCell<Host>>;
 
 async fn receive<M: RawMutex, R: Read>(
-    shared: &Shared<M>,
+    shared: HostSide<'_, M>,
     number: u8,
     mut rx: R,
     answers: &Channel<NoopRawMutex, ToHost, ANSWERS>,
@@ -91,7 +92,7 @@ async fn receive<M: RawMutex, R: Read>(
 }
 
 async fn transmit<M: RawMutex, W: Write>(
-    shared: &Shared<M>,
+    shared: HostSide<'_, M>,
     mut tx: W,
     answers: &Channel<NoopRawMutex, ToHost, ANSWERS>,
     host: &SharedHost,
@@ -103,9 +104,9 @@ async fn transmit<M: RawMutex, W: Write>(
         // The first that is ready, in this order of priority: the log gets only the time that remains.
         let message = match select3(answers.receive(), Timer::at(due), Timer::at(log_due)).await {
             Either3::First(answer) => Some(answer),
-            Either3::Second(()) => {
-                host.lock(|host| host.borrow_mut().subscriptions.telemetry(shared)).map(ToHost::Telemetry)
-            }
+            Either3::Second(()) => host
+                .lock(|host| host.borrow_mut().subscriptions.telemetry(ReportSide::of(&shared)))
+                .map(ToHost::Telemetry),
             Either3::Third(()) => {
                 shared.log().and_then(|log| host.lock(|host| host.borrow_mut().log.chunk(log))).map(ToHost::Log)
             }
@@ -227,8 +228,8 @@ mod tests {
         let mut bench = Bench::new();
         bench.ask(1, Request::Hello { version: VERSION, schema: SCHEMA_HASH });
         bench.tasks.advance(Duration::from_millis(100));
-        assert!(bench.to_host.take().is_empty() && !bench.board.has_session(1));
-        bench.board.set_started();
+        assert!(bench.to_host.take().is_empty() && !bench.board.as_host().has_session(1));
+        bench.board.as_control().set_started();
         bench.tasks.advance(START_POLL);
         let bytes = bench.to_host.take();
         assert_eq!((bytes[0], bytes.iter().filter(|byte| **byte == 0).count()), (0, 2));

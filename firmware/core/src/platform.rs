@@ -7,8 +7,6 @@ use core::{
 
 use embedded_hal_async::i2c::I2c;
 
-use crate::sensing::pulse::Pulse;
-
 /// Bytes for one chip, to be sent in one transfer.
 // Aligned to words, which are copied without a call: a period copies up to 25 writes.
 #[repr(align(4))]
@@ -129,6 +127,17 @@ pub trait EdgeInputs {
     /// or was until a moment ago, so that edges are lost. Unmasks lines whose time has come. Called once in a control
     /// period.
     fn storm(&mut self) -> bool;
+}
+
+/// Newest pulse on a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pulse {
+    /// Width of the high level, tenths of a µs.
+    pub high: u32,
+    /// Time from the previous rising edge to the pulse's own, tenths of a µs.
+    pub period: u32,
+    /// Time since its rising edge, µs.
+    pub age_us: u32,
 }
 
 /// Echo inputs of range connectors 0 and 1, used for devices that send pulses on their own.

@@ -5,7 +5,7 @@ use embassy_time::{Duration, Instant};
 use heapless::Vec;
 use r4_protocol::{ChannelId, Sample, Telemetry};
 
-use crate::shared::{MotorStatus, Shared, Status};
+use crate::shared::{MotorStatus, ReportSide, Status};
 
 #[derive(Clone, Copy)]
 struct Subscription {
@@ -51,7 +51,7 @@ impl Subscriptions {
     }
 
     /// Samples that are due now, if any: as many as a frame holds, and the rest with the next call.
-    pub(crate) fn telemetry<M: RawMutex>(&mut self, shared: &Shared<M>) -> Option<Telemetry> {
+    pub(crate) fn telemetry<M: RawMutex>(&mut self, shared: ReportSide<'_, M>) -> Option<Telemetry> {
         let now = Instant::now();
         let dated = Instant::from_ticks(shared.measured(now).as_ticks().max(self.dated));
         let mut samples = Vec::new();
@@ -80,7 +80,7 @@ impl Subscriptions {
     }
 }
 
-fn sample<M: RawMutex>(shared: &Shared<M>, channel: ChannelId, now: Instant) -> Option<Sample> {
+fn sample<M: RawMutex>(shared: ReportSide<'_, M>, channel: ChannelId, now: Instant) -> Option<Sample> {
     let place = shared.config().place(channel)?;
     Some(match shared.status(place) {
         Status::Motor(MotorStatus { setpoint, position, speed, duty, settled, homed, winding }) => {
@@ -123,7 +123,7 @@ mod tests {
 
     /// Channels of the samples that are due now.
     fn told(subscriptions: &mut Subscriptions, board: Board) -> List<ChannelId> {
-        let telemetry = subscriptions.telemetry(board);
+        let telemetry = subscriptions.telemetry(board.report());
         let samples = telemetry.into_iter().flat_map(|telemetry| telemetry.samples);
         samples.map(|sample| sample.channel()).collect()
     }
@@ -154,7 +154,7 @@ mod tests {
                 assert_eq!(told(&mut subscriptions, board), []);
                 tasks.advance(Duration::from_micros(1));
             }
-            assert_eq!(board.stats().telemetry_dropped, 0);
+            assert_eq!(board.report().stats().telemetry_dropped, 0);
         }
     }
 
@@ -171,13 +171,13 @@ mod tests {
         // Six samples of 10 ms and two of 25 ms are due: of each channel the newest is sent.
         tasks.advance(MS * 69);
         assert_eq!(told(&mut subscriptions, board).len(), 3);
-        assert_eq!(board.stats().telemetry_dropped, 5 + 5 + 1);
+        assert_eq!(board.report().stats().telemetry_dropped, 5 + 5 + 1);
         assert_eq!(subscriptions.next_due(), begin + MS * 70);
         tasks.advance(MS);
         assert_eq!(told(&mut subscriptions, board).len(), 2);
         tasks.advance(MS * 5);
         assert_eq!(told(&mut subscriptions, board), [channels[2].0]);
-        assert_eq!(board.stats().telemetry_dropped, 11);
+        assert_eq!(board.report().stats().telemetry_dropped, 11);
     }
 
     #[test]
@@ -248,7 +248,7 @@ mod tests {
         // An age beyond the field's range is reported as the greatest value.
         for (age_ms, told_ms) in [(0, 0), (1, 1), (65_535, 65_535), (65_536, 65_535)] {
             tasks.advance_to(taken + MS * age_ms);
-            let telemetry = subscriptions.telemetry(board).expect("due");
+            let telemetry = subscriptions.telemetry(board.report()).expect("due");
             assert_eq!(telemetry.device_us, Instant::now().as_micros());
             assert_eq!((telemetry.state, telemetry.causes), (SafetyState::Tripped, Causes::only(Cause::Stalled)));
             let MotorStatus { setpoint, position, speed, duty, settled, homed, winding } = motor;

@@ -21,7 +21,7 @@ use std::{
     vec::Vec,
 };
 
-use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_sync::blocking_mutex::raw::{NoopRawMutex, RawMutex};
 use embassy_time::{Duration, Instant};
 use embedded_hal::{
     digital::{ErrorKind, ErrorType, InputPin, OutputPin},
@@ -32,12 +32,30 @@ use r4_protocol::config::{BoardConfig, MAX_MOTORS, STEPPERS, SWITCHES};
 
 use crate::{
     platform::{
-        AnalogInputs, AnalogOutputs, Bus, ControlCycles, EdgeInputs, Encoders, KeptWords, PulseInputs, StepAction,
-        StepEvent, Steppers, SwitchInputs,
+        AnalogInputs, AnalogOutputs, Bus, ControlCycles, EdgeInputs, Encoders, KeptWords, Pulse, PulseInputs,
+        StepAction, StepEvent, Steppers, SwitchInputs,
     },
-    sensing::pulse::Pulse,
-    shared::{ResetCause, Shared},
+    shared::{ControlSide, HostSide, ReportSide, ResetCause, Shared, SupervisorSide},
 };
+
+/// Sides of the shared state, as the tasks take them.
+impl<M: RawMutex> Shared<M> {
+    pub(crate) fn as_host(&self) -> HostSide<'_, M> {
+        HostSide::of(self)
+    }
+
+    pub(crate) fn as_control(&self) -> ControlSide<'_, M> {
+        ControlSide::of(self)
+    }
+
+    pub(crate) fn as_supervisor(&self) -> SupervisorSide<'_, M> {
+        SupervisorSide::of(self)
+    }
+
+    pub(crate) fn report(&self) -> ReportSide<'_, M> {
+        ReportSide::of(self)
+    }
+}
 
 /// State of a board that lives as long as its test.
 pub(crate) type Board = &'static Shared<NoopRawMutex>;

@@ -32,9 +32,9 @@ use r4_firmware::{
     link::serve,
     outputs::{OutputFault, rest_dacs},
     passthrough::PassthroughIo,
-    safety::{SafetyPins, supervise},
     screen::{self, ScreenPins},
     storage::parameters::{Saved, load},
+    supervisor::{SafetyPins, supervise},
 };
 use r4_protocol::{ImageInfo, config::BoardConfig};
 use static_cell::{ConstStaticCell, StaticCell};

@@ -1,10 +1,9 @@
 //! Peripherals of the processor that the control loop uses, in one type.
 
 use r4_firmware::platform::{
-    AnalogInputs, AnalogOutputs, ControlCycles, EdgeInputs, Encoders, KeptWords, PulseInputs, StepEvent, Steppers,
-    SwitchInputs,
+    AnalogInputs, AnalogOutputs, ControlCycles, EdgeInputs, Encoders, KeptWords, Pulse, PulseInputs, StepEvent,
+    Steppers, SwitchInputs,
 };
-use r4_firmware::sensing::pulse::Pulse;
 
 use crate::{
     analog::{Inputs, Outputs},

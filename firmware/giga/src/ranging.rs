@@ -23,10 +23,9 @@ use embassy_stm32::{
     peripherals,
 };
 use r4_firmware::{
-    platform::{EchoState, Ranging},
+    platform::{EchoState, Pulse, Ranging},
     sensing::{
         echo::Echo,
-        pulse::Pulse,
         storm::{ECHO_EDGES_PER_MS, EdgeBudget},
     },
 };

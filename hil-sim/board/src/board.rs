@@ -11,9 +11,9 @@ use r4_firmware::{
     link::serve,
     passthrough::PassthroughIo,
     ranging,
-    safety::{SafetyPins, supervise},
     screen::{self, ScreenPins},
     storage,
+    supervisor::{SafetyPins, supervise},
 };
 
 use crate::{

@@ -20,7 +20,8 @@
 //! | [`error`] | errors in a plant's description |
 //! | [`kind`] | [`PlantKind`]: rotary or linear output |
 //!
-//! A module uses those below it in this table, never one above; `tests::arrows` reads the sources and holds them to it.
+//! A module uses those below it in this table, never one above; a test of `tests/xtask` reads the sources and holds
+//! them to it.
 //!
 //! An effect is one small type that the simulator steps; the identifier uses its name in plant files, but has formulas
 //! of its own. Effects act at seven *insertion points*, in the order of the picture; several at one point act in the

@@ -26,8 +26,11 @@
 //! | `pictures` | `cargo xtask pictures`: the pictures on the first page |
 //! | `browser` | Chromium on this machine |
 //! | `prose` | `cargo xtask prose`: counts that show how readable comments and pages are |
+//! | `arrows` | test: the source files of a crate use each other one way |
 //! | `weight` | `cargo xtask weight`: what a build of `r4` takes, and what it is spent on |
 
+#[cfg(test)]
+mod arrows;
 mod browser;
 mod firmware;
 mod flash;

@@ -1,5 +1,6 @@
 //! Drivers of the board's chips, on `embedded-hal-async` I2C.
 
+pub mod any;
 pub mod as5600;
 pub mod icm20948;
 pub mod ina226;

@@ -17,7 +17,7 @@ use crate::{
         encoder::Encoder,
         switch::Switch,
     },
-    shared::{Shared, Status},
+    shared::{ControlSide, Status},
 };
 
 /// Time constant of the speed filter of an encoder that no motor uses, s.
@@ -51,7 +51,11 @@ impl Inputs {
     }
 
     /// Reads all inputs and publishes them; returns the causes that they show.
-    pub(super) fn sense<M: RawMutex>(&mut self, shared: &Shared<M>, peripherals: &mut impl Peripherals) -> Causes {
+    pub(super) fn sense<M: RawMutex>(
+        &mut self,
+        shared: ControlSide<'_, M>,
+        peripherals: &mut impl Peripherals,
+    ) -> Causes {
         let mut causes = Causes::NONE;
         let switches = self.switches.iter_mut().map(|(number, switch)| {
             let closed = switch.update(peripherals.is_high(*number));
@@ -145,10 +149,10 @@ mod tests {
         for low in [true, false] {
             peripherals.low[3].set(low);
             for _ in 0..5 {
-                inputs.sense(board, &mut peripherals);
+                inputs.sense(board.as_control(), &mut peripherals);
             }
             assert_eq!((inputs.is_closed(3), inputs.is_closed(0)), (Some(low), None));
-            assert_eq!(board.status(Place::Switch(0)), Status::Scalar(low.into()));
+            assert_eq!(board.report().status(Place::Switch(0)), Status::Scalar(low.into()));
         }
     }
 
@@ -159,9 +163,9 @@ mod tests {
         peripherals.illegal[2].set(7);
         for counts in 0..1000 {
             peripherals.counts[2].set(counts);
-            inputs.sense(board, &mut peripherals);
+            inputs.sense(board.as_control(), &mut peripherals);
         }
-        let Status::Encoder { position, speed, illegal } = board.status(Place::Encoder(0)) else {
+        let Status::Encoder { position, speed, illegal } = board.report().status(Place::Encoder(0)) else {
             panic!("an encoder")
         };
         assert_eq!((position, illegal), (999, 7));
@@ -170,9 +174,9 @@ mod tests {
         // Backward Euler of 20 ms: 1 - (1 + 1/20)^-20 of the step to twice that.
         for counts in 0..20 {
             peripherals.counts[2].set(1001 + 2 * counts);
-            inputs.sense(board, &mut peripherals);
+            inputs.sense(board.as_control(), &mut peripherals);
         }
-        let Status::Encoder { speed, .. } = board.status(Place::Encoder(0)) else { panic!("an encoder") };
+        let Status::Encoder { speed, .. } = board.report().status(Place::Encoder(0)) else { panic!("an encoder") };
         assert!((speed / expected - 1.623).abs() < 2e-3, "{speed} rad/s");
     }
 
@@ -184,28 +188,28 @@ mod tests {
         let analog = board.config().analogs[0];
         assert_eq!(inputs.analog_v(1), None);
         peripherals.codes[1].set(0);
-        inputs.sense(board, &mut peripherals);
+        inputs.sense(board.as_control(), &mut peripherals);
         // The greatest age that can be reported.
         let never = Instant::now() - Duration::from_millis(u16::MAX.into());
         let never = Status::Reading { value: 0.0, quality: Quality::Low, taken: never };
-        assert_eq!(board.status(Place::Analog(0)), never);
+        assert_eq!(board.report().status(Place::Analog(0)), never);
         peripherals.codes[1].set(20_000);
         for _ in 0..20 {
             tasks.advance(Duration::from_millis(1));
-            inputs.sense(board, &mut peripherals);
+            inputs.sense(board.as_control(), &mut peripherals);
         }
         let (good, volts) = (Instant::now(), 20_000.0 * analog.volts_per_code + analog.offset_v);
         assert_eq!((inputs.analog_v(1), inputs.analog_v(0)), (Some(volts), None));
         let shown = Status::Reading { value: volts, quality: Quality::Good, taken: good };
-        assert_eq!(board.status(Place::Analog(0)), shown);
+        assert_eq!(board.report().status(Place::Analog(0)), shown);
         peripherals.codes[1].set(0);
         for _ in 0..20 {
             tasks.advance(Duration::from_millis(1));
-            inputs.sense(board, &mut peripherals);
+            inputs.sense(board.as_control(), &mut peripherals);
         }
         assert_eq!(inputs.analog_v(1), None);
         let shown = Status::Reading { value: volts, quality: Quality::Low, taken: good };
-        assert_eq!(board.status(Place::Analog(0)), shown);
+        assert_eq!(board.report().status(Place::Analog(0)), shown);
     }
 
     /// Each supply raises the cause on its own, and is shown to hosts.
@@ -213,13 +217,13 @@ mod tests {
     fn every_supply_is_watched() {
         for (low, volts) in [(0, [12.0, 12.0]), (1, [24.0, 5.0])] {
             let (board, mut inputs, mut peripherals) = bench();
-            assert_eq!(inputs.sense(board, &mut peripherals), Causes::NONE);
+            assert_eq!(inputs.sense(board.as_control(), &mut peripherals), Causes::NONE);
             let (_, mut inputs, _) = bench();
             peripherals.codes[4 + low].set(code(board, low, volts[low]));
-            assert_eq!(inputs.sense(board, &mut peripherals), Causes::only(Cause::SupplyOutOfRange));
+            assert_eq!(inputs.sense(board.as_control(), &mut peripherals), Causes::only(Cause::SupplyOutOfRange));
             for (index, (shown, volts)) in inputs.supplies_v().zip(volts).enumerate() {
                 assert!((shown - volts).abs() < 0.01, "{shown} V");
-                assert_eq!(board.status(Place::Supply(index)), Status::Scalar(shown));
+                assert_eq!(board.report().status(Place::Supply(index)), Status::Scalar(shown));
                 assert_eq!(inputs.supply(index).map(Supply::volts), Some(shown));
             }
             assert!(inputs.supply(2).is_none());

@@ -1,6 +1,6 @@
 //! Landing: the last counts of a motor whose path has ended, to its target against friction and backlash.
 
-use super::model::Model;
+use super::model::{Aim, Model};
 
 /// Time without motion after which a motor counts as standing, s. Half of it pushes a motor that creeps by a count in
 /// 40 ms; twice of it makes each step of one that sticks 50 ms longer.
@@ -27,27 +27,6 @@ pub(super) struct Landing {
     side: f32,
     /// Duty added to break away.
     pushed: f32,
-}
-
-/// Direction in which a motor is to move, and its drive shares.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Aim {
-    /// Sign of the direction; 0 for none.
-    pub(super) sign: f32,
-    /// True at the target: the motor is then only braked.
-    pub(super) rests: bool,
-    /// Duty added to break away.
-    pub(super) pushed: f32,
-    /// Shares of the loop's output, and of the friction duty, that it gets towards its target.
-    pub(super) share: f32,
-    pub(super) threshold: f32,
-}
-
-impl Aim {
-    /// Aim along a path that moves to the sign of `sign`, or rests where it is 0.
-    pub(super) fn along(sign: f32) -> Self {
-        Self { sign, rests: false, pushed: 0.0, share: 1.0, threshold: 1.0 }
-    }
 }
 
 impl Landing {

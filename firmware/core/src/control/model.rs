@@ -2,8 +2,11 @@
 
 use r4_protocol::config::{ControlConfig, Feedback};
 
-use super::{drive_curve::DriveCurve, landing::Aim, pid::OutputLimits};
-use crate::sensing::{encoder::Encoder, observer::Observer};
+use super::{drive_curve::DriveCurve, pid::OutputLimits};
+use crate::{
+    channel,
+    sensing::{encoder::Encoder, observer::Observer},
+};
 
 /// First-order motor behind a steady curve: `T v' = w(u) - v`, where `w` is the speed at which the motor settles with
 /// the duty `u`.
@@ -33,6 +36,27 @@ pub(super) struct Model {
     period_s: f32,
 }
 
+/// Direction in which a motor is to move, and its drive shares.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Aim {
+    /// Sign of the direction; 0 for none.
+    pub(super) sign: f32,
+    /// True at the target: the motor is then only braked.
+    pub(super) rests: bool,
+    /// Duty added to break away.
+    pub(super) pushed: f32,
+    /// Shares of the loop's output, and of the friction duty, that it gets towards its target.
+    pub(super) share: f32,
+    pub(super) threshold: f32,
+}
+
+impl Aim {
+    /// Aim along a path that moves to the sign of `sign`, or rests where it is 0.
+    pub(super) fn along(sign: f32) -> Self {
+        Self { sign, rests: false, pushed: 0.0, share: 1.0, threshold: 1.0 }
+    }
+}
+
 /// Share of the last breakaway duty that a standing motor gets at once; the rest is added gradually.
 const STICTION_SHARE: f32 = 0.8;
 /// Time constant with which the curve is learned, s.
@@ -52,7 +76,7 @@ impl Model {
             (None, Feedback::Angle { .. } | Feedback::Pulses { .. }) => return None,
             // A smaller displacement is noise.
             (None, Feedback::Potentiometer { .. }) => control.settle.error,
-            (None, feedback) => super::motor::resolution(feedback),
+            (None, feedback) => channel::resolution(feedback),
         };
         let turn = match (control.motor_side, control.feedback) {
             (Some(side), _) => side.index,

@@ -3,20 +3,21 @@
 use embassy_time::Instant;
 use r4_protocol::{
     Cause, Causes, Mode, Setpoint,
-    config::{AS5600_COUNTS, ControlConfig, FeedForward, Feedback, PidGains, Tuning},
+    config::{ControlConfig, FeedForward, Feedback, PidGains, Tuning},
 };
 
 use super::{
     follower::{Follower, Reference},
     force::{Force, Press},
-    landing::{Aim, Landing},
-    model::Model,
+    landing::Landing,
+    model::{Aim, Model},
     motor_side::MotorSide,
     pid::{BadPeriod, OutputLimits, Pid},
     profile::{Moment, Profile, Ramp},
     watch::{Seen, Watch},
 };
 use crate::{
+    channel::resolution,
     path::Leg,
     root::sqrtf,
     sensing::{
@@ -29,18 +30,6 @@ use crate::{
     shared::MotorStatus,
     within::Within,
 };
-
-/// Count of a potentiometer channel's position on the wire, m.
-pub(crate) const POT_RESOLUTION_M: f32 = 1e-6;
-
-/// Returns the size of one count of the channel's position on the wire, rad or m.
-pub(crate) fn resolution(feedback: Feedback) -> f32 {
-    match feedback {
-        Feedback::Encoder { counts_per_turn, .. } => core::f32::consts::TAU / counts_per_turn as f32,
-        Feedback::Potentiometer { .. } => POT_RESOLUTION_M,
-        Feedback::Angle { .. } | Feedback::Pulses { .. } => core::f32::consts::TAU / AS5600_COUNTS as f32,
-    }
-}
 
 enum Sensor {
     Encoder(Encoder),

@@ -2,8 +2,7 @@
 
 use r4_protocol::config::{Feedback, MotorSideConfig};
 
-use super::motor::resolution;
-use crate::sensing::encoder::Encoder;
+use crate::{channel::resolution, sensing::encoder::Encoder};
 
 /// Encoder on the motor's side of the backlash, beside the sensor at the output.
 ///

@@ -30,8 +30,14 @@ use crate::{
     },
     outputs::{Order, OutputFault, Outputs, bldc::Command as DriveCommand, dac_code, rest_dacs},
     platform::{Bus, Peripherals, PulseInputs},
-    sensing::{analog::Supply, angle::Reading, on_bus::Sensors, pulse, storm::IllegalRate},
-    shared::{Commanded, MotorStatus, SafetyView, Shared, Status},
+    sensing::{
+        analog::Supply,
+        angle::Reading,
+        on_bus::{Sensors, Values},
+        pulse,
+        storm::IllegalRate,
+    },
+    shared::{Commanded, ControlSide, MotorStatus, SafetyView, Shared, Status},
     storage::faults::SNAPSHOT_MS,
 };
 
@@ -66,6 +72,7 @@ pub struct BoardIo<B, P> {
 
 /// Runs the control loop indefinitely, with the second highest priority.
 pub async fn run<M: RawMutex, B: Bus, P: Peripherals>(shared: &Shared<M>, io: BoardIo<B, P>) -> ! {
+    let shared = ControlSide::of(shared);
     let config = shared.config();
     let mut control = Control::new(config, io);
     control.initialise(shared).await;
@@ -216,7 +223,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     /// Runs the period that was to begin at `due`.
-    async fn tick<M: RawMutex>(&mut self, shared: &Shared<M>, due: Instant) {
+    async fn tick<M: RawMutex>(&mut self, shared: ControlSide<'_, M>, due: Instant) {
         self.tick = self.tick.wrapping_add(1);
         self.outputs.begin_tick();
         self.sense(shared);
@@ -243,7 +250,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     /// Takes snapshots for the fault history, and hands a trip over to it.
-    fn record<M: RawMutex>(&mut self, shared: &Shared<M>) {
+    fn record<M: RawMutex>(&mut self, shared: ControlSide<'_, M>) {
         let now_us = Instant::now().as_micros();
         // One period later, when the causes that came with the first are known too.
         if let Some(tripped_us) = self.tripped_us.take() {
@@ -263,7 +270,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
     }
 
-    fn publish_outputs<M: RawMutex>(&self, shared: &Shared<M>) {
+    fn publish_outputs<M: RawMutex>(&self, shared: ControlSide<'_, M>) {
         let windings = self.windings.iter().map(|winding| winding.as_ref().map(|(overload, _)| overload.status()));
         let motors = self.motors.iter().zip(windings);
         let motors = motors.map(|(motor, winding)| Status::Motor(MotorStatus { winding, ..motor.status() }));
@@ -294,7 +301,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         shared.publish_each(Place::Stepper(0), steppers);
     }
 
-    fn sense<M: RawMutex>(&mut self, shared: &Shared<M>) {
+    fn sense<M: RawMutex>(&mut self, shared: ControlSide<'_, M>) {
         self.sensed = Instant::now();
         let mut causes = self.inputs.sense(shared, &mut self.peripherals);
         causes.set(Cause::InterruptStorm, self.peripherals.storm());
@@ -373,7 +380,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
 
     /// Runs one period of every loop, for the arming in `view`. Outputs are written in the order of how much a late one
     /// matters.
-    async fn drive<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) {
+    async fn drive<M: RawMutex>(&mut self, shared: ControlSide<'_, M>, view: SafetyView) {
         if view.epoch != self.epoch {
             if !self.safe {
                 // Stopped and armed again before this loop could see it: the last arming still ends here.
@@ -394,7 +401,11 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
     }
 
-    async fn write_outputs<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> Result<(), OutputFault> {
+    async fn write_outputs<M: RawMutex>(
+        &mut self,
+        shared: ControlSide<'_, M>,
+        view: SafetyView,
+    ) -> Result<(), OutputFault> {
         let now = Instant::now();
         shared.end_leases(now);
         let commanded = shared.commanded();
@@ -429,7 +440,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
 
     /// Returns true if no stop has come in this period. A stop is carried out at once: it must not wait for the
     /// remaining writes.
-    async fn may_go_on<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) -> bool {
+    async fn may_go_on<M: RawMutex>(&mut self, shared: ControlSide<'_, M>, view: SafetyView) -> bool {
         let goes_on = shared.safety() == view;
         if !goes_on {
             self.stop(shared).await;
@@ -440,7 +451,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     /// Steps the motors in the order `motors`; their bridges are written with the next [`Outputs::flush`].
     fn step_motors<M: RawMutex>(
         &mut self,
-        shared: &Shared<M>,
+        shared: ControlSide<'_, M>,
         view: SafetyView,
         commanded: Commanded,
         powered: bool,
@@ -481,7 +492,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     /// Takes the commands of all outputs except motors, and advances their rules by one step.
     fn take_commands<M: RawMutex>(
         &mut self,
-        shared: &Shared<M>,
+        shared: ControlSide<'_, M>,
         view: SafetyView,
         commanded: Commanded,
         powered: bool,
@@ -547,7 +558,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     /// Queues the pulses of the coming periods in the step generators, or only counts the pulses made.
-    fn step_steppers<M: RawMutex>(&mut self, shared: &Shared<M>) {
+    fn step_steppers<M: RawMutex>(&mut self, shared: ControlSide<'_, M>) {
         let Some(bank) = &mut self.steppers else { return };
         let inputs = &self.inputs;
         let mut causes = Causes::NONE;
@@ -567,7 +578,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         causes.iter().for_each(|cause| shared.trip(cause));
     }
 
-    async fn initialise<M: RawMutex>(&mut self, shared: &Shared<M>) {
+    async fn initialise<M: RawMutex>(&mut self, shared: ControlSide<'_, M>) {
         // Known causes are published before the set-up, which takes longer than a loop may hang.
         shared.set_control_causes(self.causes());
         shared.control_pauses();
@@ -580,7 +591,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
 
     /// Waits until each motor with an angle sensor has a position, at most [`FIRST_ANGLES`]: hosts then find a board
     /// that can be armed, or that reports the cause.
-    async fn find_angles<M: RawMutex>(&mut self, shared: &Shared<M>) {
+    async fn find_angles<M: RawMutex>(&mut self, shared: ControlSide<'_, M>) {
         let config = shared.config();
         let until = Instant::now() + FIRST_ANGLES;
         let is_missing = |sensors: &Sensors, peripherals: &mut P| {
@@ -592,13 +603,13 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         while !self.bad_configuration && Instant::now() < until && is_missing(&self.bus_sensors, &mut self.peripherals)
         {
             self.outputs.begin_tick();
-            self.bus_sensors.ask(shared, self.outputs.bus(), || false).await;
+            self.bus_sensors.ask(self.outputs.bus(), || false, publish_to(shared)).await;
             Timer::after(Duration::from_millis(1)).await;
             shared.control_tick(Instant::now());
         }
     }
 
-    fn rest_dacs<M: RawMutex>(&mut self, shared: &Shared<M>) {
+    fn rest_dacs<M: RawMutex>(&mut self, shared: ControlSide<'_, M>) {
         rest_dacs(shared.config(), &mut self.peripherals);
         for (index, dac) in shared.config().dacs.iter().enumerate() {
             shared.publish(Place::Dac(index), Status::Scalar(dac.safe_v));
@@ -607,7 +618,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
 
     /// Brakes, or makes safe at once, as the supervisor has begun, and only once. A stop within a period is carried out
     /// there, and requested again behind it.
-    async fn stop<M: RawMutex>(&mut self, shared: &Shared<M>) {
+    async fn stop<M: RawMutex>(&mut self, shared: ControlSide<'_, M>) {
         let view = shared.safety();
         if view.braking {
             self.brake(shared, view.epoch).await;
@@ -617,7 +628,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
     }
 
     /// Begins to brake, once for the stop of each arming.
-    async fn brake<M: RawMutex>(&mut self, shared: &Shared<M>, epoch: u16) {
+    async fn brake<M: RawMutex>(&mut self, shared: ControlSide<'_, M>, epoch: u16) {
         if self.braked == Some(epoch) {
             return;
         }
@@ -637,7 +648,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
     }
 
-    async fn make_safe<M: RawMutex>(&mut self, shared: &Shared<M>) {
+    async fn make_safe<M: RawMutex>(&mut self, shared: ControlSide<'_, M>) {
         self.braked = None;
         // Without the bus first: pulses and voltages of the processor itself end at once.
         if let Some(bank) = &mut self.steppers {
@@ -652,7 +663,7 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         }
     }
 
-    async fn hold_safe<M: RawMutex>(&mut self, shared: &Shared<M>) {
+    async fn hold_safe<M: RawMutex>(&mut self, shared: ControlSide<'_, M>) {
         self.motors.iter_mut().for_each(Axis::stop);
         let view = shared.safety();
         if view.braking {
@@ -685,13 +696,13 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
 
     /// Gives the sensors the bus time that the outputs have left in this period, unless a stop has come: that is
     /// carried out next.
-    async fn ask_sensors<M: RawMutex>(&mut self, shared: &Shared<M>, view: SafetyView) {
+    async fn ask_sensors<M: RawMutex>(&mut self, shared: ControlSide<'_, M>, view: SafetyView) {
         // The safe state and the DAC's read-back take the whole period.
         let is_taken = view.state != SafetyState::Armed && self.tick.is_multiple_of(REASSERT_EVERY / 2);
         if self.bus_sensors.is_empty() || is_taken || self.fault.is_some() {
             return;
         }
-        self.bus_sensors.ask(shared, self.outputs.bus(), || shared.safety() != view).await;
+        self.bus_sensors.ask(self.outputs.bus(), || shared.safety() != view, publish_to(shared)).await;
     }
 
     async fn check(&mut self) {
@@ -709,6 +720,13 @@ impl<B: Bus, P: Peripherals> Control<B, P> {
         causes.set(Cause::ReadBackMismatch, self.fault == Some(OutputFault::Mismatch));
         causes.set(Cause::BadConfiguration, self.bad_configuration);
         causes
+    }
+}
+
+/// Returns the function that publishes the values of sensors on the bus.
+fn publish_to<M: RawMutex>(shared: ControlSide<'_, M>) -> impl FnMut(usize, Values) {
+    move |index, Values { values, quality, taken }| {
+        shared.publish(Place::Sensor(index), Status::Sensor { values, quality, taken });
     }
 }
 

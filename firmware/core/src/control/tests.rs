@@ -14,9 +14,10 @@ use r4_protocol::{
 use super::{BoardIo, run};
 use crate::{
     ResetCause,
-    safety::{Event, SafetyPins, supervise},
+    safety::Event,
     sensing::range::RangeReading,
     shared::{MotorStatus, Status},
+    supervisor::{SafetyPins, supervise},
     testing::{Board, Line, Peripherals, Registers, Tasks, board, robot},
 };
 
@@ -115,7 +116,7 @@ impl Bench {
 
     fn drive(&self, motor: usize, duty: f32) {
         let setpoint = Setpoint { mode: Mode::Duty, value: duty };
-        assert_eq!(self.shared.command(Place::Motor(motor), setpoint, Instant::now().as_micros()), Ok(()));
+        assert_eq!(self.shared.as_host().command(Place::Motor(motor), setpoint, Instant::now().as_micros()), Ok(()));
     }
 }
 
@@ -126,7 +127,7 @@ fn three_failures_in_a_row_are_an_i2c_fault() {
     bench.bus.fail(2);
     bench.advance(20);
     bench.is_armed();
-    assert_eq!((bench.bus.recoveries(), bench.shared.stats().bus_retries), (2, 2));
+    assert_eq!((bench.bus.recoveries(), bench.shared.report().stats().bus_retries), (2, 2));
     let mut bench = Bench::armed();
     bench.bus.fail(3);
     bench.advance(20);
@@ -313,19 +314,19 @@ fn ten_late_periods_in_a_row_are_an_overrun() {
     let mut bench = Bench::armed();
     bench.drive(0, 0.1);
     bench.bus.slow_down(Duration::from_micros(2100));
-    let before = bench.shared.stats().late_ticks;
+    let before = bench.shared.report().stats().late_ticks;
     let begin = Instant::now();
     while bench.shared.safety().state == SafetyState::Armed && begin.elapsed() < MS * 1000 {
         bench.advance(1);
         // A set point in each period, so that there is something to write.
-        let _ = bench.shared.command(
+        let _ = bench.shared.as_host().command(
             Place::Motor(0),
             Setpoint { mode: Mode::Duty, value: 0.1 + begin.elapsed().as_millis() as f32 * 1e-3 },
             Instant::now().as_micros(),
         );
     }
     bench.is_tripped_by(Cause::ControlOverrun);
-    assert_eq!(bench.shared.stats().late_ticks - before, 10);
+    assert_eq!(bench.shared.report().stats().late_ticks - before, 10);
 }
 
 #[test]
@@ -399,7 +400,7 @@ fn what_a_period_takes_of_the_processor_is_counted() {
     bench.inputs.cycles.set(u32::MAX - 50);
     bench.advance(20);
     let counted = |bench: &Bench| {
-        let stats = bench.shared.stats();
+        let stats = bench.shared.report().stats();
         (stats.worst_tick_cycles, stats.ticks_over_share)
     };
     assert_eq!(counted(&bench), (0, 0));
@@ -431,7 +432,7 @@ impl Bench {
     #[track_caller]
     fn set(&self, place: Place, mode: Mode, value: f32) {
         assert_eq!(
-            self.shared.command(place, Setpoint { mode, value }, Instant::now().as_micros()),
+            self.shared.as_host().command(place, Setpoint { mode, value }, Instant::now().as_micros()),
             Ok(()),
             "{place:?}"
         );
@@ -477,7 +478,7 @@ fn every_output_follows_its_commands() {
     assert!(bench.inputs.steppers_enabled.get() && bench.inputs.told[1].get() > 0);
     assert_eq!([0, 2, 3].map(|index| bench.inputs.told[index].get()), [0; 3]);
     // The statuses show the same.
-    let motor = |place| match bench.shared.status(place) {
+    let motor = |place| match bench.shared.report().status(place) {
         Status::Motor(status) => (status.setpoint.mode, status.setpoint.value, status.duty),
         other => panic!("{other:?}"),
     };
@@ -492,17 +493,17 @@ fn every_output_follows_its_commands() {
         (Place::Relay(2), 0.0),
         (Place::Dac(1), 2.5),
     ] {
-        assert_eq!(bench.shared.status(place), Status::Scalar(value), "{place:?}");
+        assert_eq!(bench.shared.report().status(place), Status::Scalar(value), "{place:?}");
     }
-    assert!(matches!(bench.shared.status(Place::Servo(0)), Status::Scalar(angle) if angle.is_nan()));
+    assert!(matches!(bench.shared.report().status(Place::Servo(0)), Status::Scalar(angle) if angle.is_nan()));
     // A stop ends all of it; these servos are held.
     bench.shared.trip(Cause::HostStop);
     bench.advance(2);
     assert_eq!([chips[0], chips[1], servos].map(|chip| bench.pulsing(chip)), [0, 0, 1]);
     assert_eq!((bench.pins(), bench.inputs.steppers_enabled.get()), (before, false));
     assert_eq!(bench.inputs.dacs[1].get(), (1.65f32 / 3.3 * 4096.0).round() as u16);
-    assert_eq!(bench.shared.status(Place::Dac(1)), Status::Scalar(1.65));
-    let Status::Motor(stopped) = bench.shared.status(Place::Motor(0)) else { panic!("a motor") };
+    assert_eq!(bench.shared.report().status(Place::Dac(1)), Status::Scalar(1.65));
+    let Status::Motor(stopped) = bench.shared.report().status(Place::Motor(0)) else { panic!("a motor") };
     assert_eq!((stopped.setpoint, stopped.duty), (Setpoint::NONE, 0.0));
 }
 
@@ -536,7 +537,9 @@ fn a_supply_that_is_full_is_not_fed() {
             bench.advance(1);
         }
         bench.is_armed();
-        let Status::Motor(MotorStatus { duty, .. }) = bench.shared.status(Place::Motor(0)) else { panic!("a motor") };
+        let Status::Motor(MotorStatus { duty, .. }) = bench.shared.report().status(Place::Motor(0)) else {
+            panic!("a motor")
+        };
         // Ripple of the measured speed, in whole counts per period.
         assert!((duty - expected).abs() < 0.02, "{duty}, not {expected}, at {volts} V");
     }
@@ -570,7 +573,7 @@ fn every_trip_is_handed_to_the_fault_history() {
     let mut bench = Bench::armed();
     for lost in [0, 0, 1, 2] {
         // A trip before the first session, which no host could have armed, is not recorded.
-        assert!(bench.shared.open_session(1, Instant::now()).is_ok());
+        assert!(bench.shared.as_host().open_session(1, Instant::now()).is_ok());
         bench.shared.trip(Cause::HostStop);
         bench.advance(20);
         assert_eq!(bench.shared.storage.lost(), lost);
@@ -590,15 +593,15 @@ impl Bench {
 
     /// Advances to the beginning of the next period, whose work is then done: the bus takes no time.
     fn advance_to_period(&mut self) {
-        let before = self.shared.stats().ticks;
-        while self.shared.stats().ticks == before {
+        let before = self.shared.report().stats().ticks;
+        while self.shared.report().stats().ticks == before {
             self.tasks.advance(Duration::from_micros(50));
         }
     }
 
     #[track_caller]
     fn motor(&self, place: Place) -> MotorStatus {
-        match self.shared.status(place) {
+        match self.shared.report().status(place) {
             Status::Motor(status) => status,
             other => panic!("{other:?}"),
         }
@@ -613,9 +616,9 @@ fn a_period_that_takes_just_its_time_is_not_late() {
     // The duty takes 45 periods to arrive: a write in each.
     bench.drive(0, 0.9);
     bench.bus.slow_down(MS);
-    let (begin, before) = (Instant::now(), bench.shared.stats());
+    let (begin, before) = (Instant::now(), bench.shared.report().stats());
     let since = |bench: &Bench| {
-        let stats = bench.shared.stats();
+        let stats = bench.shared.report().stats();
         (stats.ticks - before.ticks, stats.late_ticks - before.late_ticks)
     };
     while since(&bench).0 < 16 {
@@ -683,7 +686,7 @@ fn a_stop_that_brakes_goes_by_its_order() {
     assert_eq!(bench.shared.request(Event::Disarm), Ok(()));
     bench.advance(2);
     assert_eq!(bench.pins(), powered);
-    assert_eq!(bench.shared.status(Place::Dac(1)), Status::Scalar(1.65));
+    assert_eq!(bench.shared.report().status(Place::Dac(1)), Status::Scalar(1.65));
     bench.advance((0.9 * ramp_ms) as u32 - 2);
     assert_eq!(pulsing(&bench), [3, 0]);
     bench.advance((0.1 * ramp_ms) as u32 + 5);

@@ -3,8 +3,9 @@
 extern crate std;
 
 use r4_protocol::{
-    Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, SCHEMA_HASH, SafetyState, VERSION,
-    config::{FeedForward, Tuning},
+    ChannelId, ChannelInfo, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState, ModeInfo, PathPoint, Range,
+    SCHEMA_HASH, SafetyState, Setpoint, Unit, VERSION,
+    config::{DAC_FULL_SCALE_V, FeedForward, Reverse, Tuning},
     cycle::NOTHING,
 };
 use std::vec::Vec as List;
@@ -54,14 +55,14 @@ impl Bench {
     }
 
     fn ask_as(&mut self, seq: u16, link: u8, request: Request) -> Result<Reply, Refusal> {
-        match dispatch(self.board, link, &mut self.host, ToDevice::Request { seq, request }) {
+        match dispatch(self.board.as_host(), link, &mut self.host, ToDevice::Request { seq, request }) {
             Outcome::Answer(ToHost::Response { result, .. }) => result,
             _ => panic!("answered at once"),
         }
     }
 
     fn cycle(&mut self, cycle: Cycle) -> CycleState {
-        match dispatch(self.board, LINK, &mut self.host, ToDevice::Cycle(cycle)) {
+        match dispatch(self.board.as_host(), LINK, &mut self.host, ToDevice::Cycle(cycle)) {
             Outcome::Answer(ToHost::Cycle(state)) => state,
             _ => panic!("answered at once"),
         }
@@ -79,11 +80,11 @@ impl Bench {
     fn taken(&self, place: Place) -> Option<Setpoint> {
         let epoch = self.board.safety().epoch;
         let brake = match place {
-            Place::Bldc(index) => self.board.take_brake(index, epoch),
+            Place::Bldc(index) => self.board.as_control().take_brake(index, epoch),
             _ => None,
         };
         let brake = brake.map(|on| Setpoint { mode: Mode::Brake, value: on.into() });
-        self.board.take_command(place, epoch).or(brake)
+        self.board.as_control().take_command(place, epoch).or(brake)
     }
 }
 
@@ -216,7 +217,7 @@ fn a_duplicate_stops_nothing() {
 fn a_date_ahead_of_the_clock_counts_as_now() {
     let mut bench = Bench::armed();
     let channel = ChannelId::new(r4_protocol::ChannelKind::Osmc, 0);
-    let place = place(bench.board, channel).expect("a motor");
+    let place = place(bench.board.config(), channel).expect("a motor");
     let setpoint = Setpoint { mode: Mode::Duty, value: 0.5 };
     assert_eq!(bench.set(LINK, channel, setpoint, now_us() + 49_000), Ok(Reply::Done));
     bench.pass_ms(1);
@@ -252,7 +253,7 @@ fn a_refused_cycle_stops_what_it_has_set_points_for() {
         ChannelId::new(r4_protocol::ChannelKind::Stepper, 0),
         ChannelId::new(r4_protocol::ChannelKind::Osmc, 1),
     ];
-    let places = channels.map(|channel| place(bench.board, channel).expect("bound"));
+    let places = channels.map(|channel| place(bench.board.config(), channel).expect("bound"));
     let bound =
         channels.map(|channel| CycleChannel { channel, mode: Mode::Speed, position_scale: 1e-3, speed_scale: 1e-3 });
     let bind = Request::Bind { channels: bound.into_iter().collect(), ttl_ms: TTL_MS };
@@ -379,7 +380,7 @@ fn what_an_output_cannot_do_is_not_described() {
         let of = modes_of(&config, config.place(id(name)).expect("it has it"));
         of.into_iter().map(|info| (info.mode, info.range)).collect()
     };
-    assert_eq!(modes("bldc0"), [(Mode::Duty, Range::new(0.0, 1.0)), (Mode::Brake, SWITCH)]);
+    assert_eq!(modes("bldc0"), [(Mode::Duty, Range::new(0.0, 1.0)), (Mode::Brake, Range::new(0.0, 1.0))]);
     assert_eq!(modes("bldc1"), [(Mode::Duty, Range::new(-1.0, 1.0))]);
     // The converter cannot give the whole range of the device behind it.
     config.dacs[0].range_v = Range::new(-1.0, 5.0);
@@ -505,7 +506,7 @@ fn a_cycle_carries_points_of_paths() {
         if outcome == CycleOutcome::Taken {
             assert_eq!(taken, [0.1, -0.1].map(|value| Some(Setpoint { mode: Mode::Follow, value })));
             bench.pass_ms(500);
-            bench.board.end_leases(Instant::now());
+            bench.board.as_control().end_leases(Instant::now());
             assert_eq!(places.map(|place| bench.taken(place)), [None; 2], "a path ends by itself");
         } else {
             assert_eq!(taken, stopped, "{steps:?} {after_us:?}");
@@ -517,7 +518,7 @@ fn a_cycle_carries_points_of_paths() {
 #[test]
 fn a_request_of_a_later_version_is_refused_and_ends_what_is_in_force() {
     let mut bench = Bench::armed();
-    let unknown = |bench: &Bench, link| unknown(bench.board, link, 9, Instant::now());
+    let unknown = |bench: &Bench, link| unknown(bench.board.as_host(), link, 9, Instant::now());
     let refused = ToHost::Response { seq: 9, result: Err(Refusal::UnknownMessage) };
     let runs = Setpoint { mode: Mode::Speed, value: 0.5 };
     bench.set(LINK, id("osmc0"), runs, now_us()).expect("taken");
@@ -528,7 +529,7 @@ fn a_request_of_a_later_version_is_refused_and_ends_what_is_in_force() {
     assert_eq!(bench.taken(Place::Motor(0)), None, "nothing new");
     assert_eq!(unknown(&bench, LINK), refused);
     assert_eq!(bench.taken(Place::Motor(0)), Some(Setpoint { mode: Mode::Speed, value: 0.0 }));
-    assert_eq!(bench.board.stats().refused, 2);
+    assert_eq!(bench.board.report().stats().refused, 2);
 }
 
 /// Before a greeting a board reports its version, ends nothing, and stops; it answers nothing else, neither now nor
@@ -554,12 +555,12 @@ fn without_a_greeting_a_board_only_stops() {
     assert_eq!(usize::from(info.channels), config.channels().count());
     assert_eq!((info.firmware.as_str(), info.device_us), (FIRMWARE_VERSION, now_us()));
     assert_eq!((info.state, info.causes), (r4_protocol::SafetyState::Disarmed, r4_protocol::Causes::NONE));
-    assert_eq!(bench.board.stats().refused, 7);
-    assert_eq!(bench.ask(LINK, Request::Stats), Ok(Reply::Stats(bench.board.stats())));
+    assert_eq!(bench.board.report().stats().refused, 7);
+    assert_eq!(bench.ask(LINK, Request::Stats), Ok(Reply::Stats(bench.board.report().stats())));
     // A heartbeat is answered to the host that has the session, and to no other.
     let mut beat = |link, session| {
         let heartbeat = ToDevice::Heartbeat { session, host_us: 7 };
-        match dispatch(bench.board, link, &mut bench.host, heartbeat) {
+        match dispatch(bench.board.as_host(), link, &mut bench.host, heartbeat) {
             Outcome::Answer(ToHost::Heartbeat { host_us, device_us, .. }) => Some((host_us, device_us)),
             _ => None,
         }
@@ -596,14 +597,14 @@ fn what_takes_time_is_answered_later() {
         Request::UartRead { port: 0 },
     ] {
         let message = ToDevice::Request { seq: 3, request: request.clone() };
-        match dispatch(bench.board, LINK, &mut bench.host, message) {
+        match dispatch(bench.board.as_host(), LINK, &mut bench.host, message) {
             Outcome::Later { seq: 3, request: later } => assert_eq!(later, request),
             _ => panic!("{request:?} is put off"),
         }
         assert_eq!(bench.ask(OTHER_LINK, request), Err(Refusal::NoSession));
     }
     // A sector may have to be erased.
-    let saved = embassy_futures::block_on(carry_out(bench.board, 4, Request::SaveParameters));
+    let saved = embassy_futures::block_on(carry_out(bench.board.as_host(), 4, Request::SaveParameters));
     let armed = Refusal::NotWhile { state: r4_protocol::SafetyState::Armed };
     assert_eq!(saved, ToHost::Response { seq: 4, result: Err(armed) });
 }
@@ -616,7 +617,7 @@ fn gains_are_taken_for_the_loops_of_motors() {
     let set = |channel: &str, mode, gains| Request::SetGains { channel: id(channel), mode, gains };
     for mode in [Mode::Position, Mode::Speed] {
         assert_eq!(bench.ask(LINK, set("osmc2", mode, gains)), Ok(Reply::Done));
-        assert_eq!(bench.board.take_gains(), Some((2, mode, gains)));
+        assert_eq!(bench.board.as_control().take_gains(), Some((2, mode, gains)));
     }
     for (channel, mode) in [
         ("osmc2", Mode::Duty),
@@ -634,7 +635,7 @@ fn gains_are_taken_for_the_loops_of_motors() {
         bench.ask(LINK, set("osmc7", Mode::Speed, gains)),
         Err(Refusal::UnknownChannel { channel: id("osmc7") })
     );
-    assert_eq!(bench.board.take_gains(), None);
+    assert_eq!(bench.board.as_control().take_gains(), None);
 }
 
 /// A tuning is accepted for a motor with loops, within the rules of its configuration.
@@ -645,7 +646,7 @@ fn a_tuning_is_taken_for_a_motor_with_loops() {
     let good = Tuning { feed_forward, cascade_per_s: 8.0 };
     let set = |channel: &str, tuning| Request::SetTuning { channel: id(channel), tuning };
     assert_eq!(bench.ask(LINK, set("osmc2", good)), Ok(Reply::Done));
-    assert_eq!(bench.board.take_tuning(), Some((2, good)));
+    assert_eq!(bench.board.as_control().take_tuning(), Some((2, good)));
     for channel in ["dhb0", "stepper0", "servo0"] {
         let wrong = Refusal::WrongMode { channel: id(channel), mode: Mode::Position };
         assert_eq!(bench.ask(LINK, set(channel, good)), Err(wrong));
@@ -659,7 +660,7 @@ fn a_tuning_is_taken_for_a_motor_with_loops() {
     ] {
         assert_eq!(bench.ask(LINK, set("osmc2", bad)), Err(Refusal::BadGains { channel: id("osmc2") }));
     }
-    assert_eq!(bench.board.take_tuning(), None);
+    assert_eq!(bench.board.as_control().take_tuning(), None);
 }
 
 /// Changed parameters take effect at the next start; until then they are reported beside the active ones.
@@ -688,10 +689,10 @@ fn parameters_are_changed_for_the_next_start() {
     assert_eq!(bench.ask(LINK, Request::SetParameter { key, value: 0.5 }), Err(unknown));
     let robot = String::try_from("renamed").expect("short");
     assert_eq!(bench.ask(LINK, Request::SetName { robot }), Ok(Reply::Done));
-    let pending = bench.board.pending();
+    let pending = bench.board.as_host().pending();
     assert_eq!((pending.robot.as_str(), pending.link_timeout_ms), ("renamed", 300));
     assert_eq!(bench.ask(LINK, Request::ResetParameters), Ok(Reply::Done));
-    assert_eq!(&bench.board.pending(), bench.board.built_in());
+    assert_eq!(&bench.board.as_host().pending(), bench.board.as_host().built_in());
 }
 
 /// Subscriptions, bound channels and the log end with the session, at its end and where another begins.
@@ -712,7 +713,7 @@ fn what_a_host_asked_for_ends_with_its_session() {
         assert!(bench.ask(LINK, last).is_ok());
         assert_eq!(bench.host.subscriptions.next_due(), Instant::MAX);
         assert_eq!([0; 2].map(|_| cycle(&mut bench)), [CycleOutcome::Unbound; 2]);
-        assert_eq!(bench.board.stats().cycles_refused, 2);
+        assert_eq!(bench.board.report().stats().cycles_refused, 2);
     }
 }
 
@@ -768,7 +769,7 @@ fn a_cycle_answers_what_its_channels_do() {
 
     let channels = [of("osmc1", Mode::Position), of("bldc2", Mode::Duty), of("stepper3", Mode::Speed)];
     assert_eq!(bench.ask(LINK, bind(&channels)), Ok(Reply::Done));
-    let places = channels.map(|channel| place(bench.board, channel.channel).expect("bound"));
+    let places = channels.map(|channel| place(bench.board.config(), channel.channel).expect("bound"));
     let status = MotorStatus { position: -77, speed: 2.0, duty: -1.0, settled: true, ..MotorStatus::IDLE };
     bench.board.publish(places[0], Status::Motor(status));
     bench.board.publish(places[1], Status::Scalar(0.5));
@@ -787,9 +788,9 @@ fn a_cycle_answers_what_its_channels_do() {
     ];
     assert_eq!(places.map(|place| bench.taken(place)), expected.map(Some));
     // The set points are followed for the rest of their time, and then stopped.
-    bench.board.end_leases(Instant::from_micros(sent_us + 50_000));
+    bench.board.as_control().end_leases(Instant::from_micros(sent_us + 50_000));
     assert_eq!(places.map(|place| bench.taken(place)), [None; 3]);
-    bench.board.end_leases(Instant::from_micros(sent_us + 50_001));
+    bench.board.as_control().end_leases(Instant::from_micros(sent_us + 50_001));
     let rest = Setpoint { mode: Mode::Speed, value: 0.0 };
     assert_eq!(places.map(|place| bench.taken(place)), [Some(rest), Some(Setpoint::NONE), Some(rest)]);
     // Limits to the µs, in both directions.
@@ -806,9 +807,9 @@ fn a_cycle_answers_what_its_channels_do() {
     }
     // Another link has no session, whatever it has bound.
     let mut other = Host::default();
-    assert_eq!(other.bound.bind(bench.board, &channels, TTL_MS), Ok(()));
+    assert_eq!(other.bound.bind(bench.board.as_host(), &channels, TTL_MS), Ok(()));
     let cycle = ToDevice::Cycle(Cycle::new(1, None, None, [0; 4]));
-    let Outcome::Answer(ToHost::Cycle(state)) = dispatch(bench.board, OTHER_LINK, &mut other, cycle) else {
+    let Outcome::Answer(ToHost::Cycle(state)) = dispatch(bench.board.as_host(), OTHER_LINK, &mut other, cycle) else {
         panic!("answered at once")
     };
     assert_eq!(state.outcome(), CycleOutcome::Unbound);

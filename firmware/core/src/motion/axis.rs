@@ -7,13 +7,15 @@
 use core::f64::consts::TAU;
 
 use heapless::Vec;
-use r4_protocol::Range;
+use r4_protocol::{
+    Range,
+    config::{HomingConfig, StepperConfig},
+};
 
 use super::{
-    StepperConfig,
+    numbers::to_f64,
     scurve::{Limits, Motion, Path},
     steps::{DriverTiming, Pulses, TickTiming},
-    to_f64,
 };
 use crate::platform::{StepAction, StepEvent, Steppers};
 
@@ -508,7 +510,7 @@ fn check(config: &StepperConfig, steps_per_rad: f64, rate_max_hz: f64) -> Result
     if [min, max].into_iter().any(|end| end.is_nan() || (end.is_finite() && !countable(end))) || min > max {
         return Err(BadStepper::Position);
     }
-    let bad_homing = |homing: super::Homing| {
+    let bad_homing = |homing: HomingConfig| {
         !countable(homing.position) || !positive(homing.speed_max) || homing.speed_max > config.speed_max
     };
     if config.homing.is_some_and(bad_homing) {

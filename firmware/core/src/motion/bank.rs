@@ -1,9 +1,9 @@
 //! Bank of steppers that share an enable line.
 
 use heapless::Vec;
+use r4_protocol::config::StepperConfig;
 
 use super::{
-    StepperConfig,
     axis::{Axis, AxisStatus, BadStepper, Command, CommandError, Fault},
     steps::{DriverTiming, TickTiming},
 };

@@ -8,7 +8,7 @@
 //!
 //! Paths are functions of time and are not stepped: a new command starts a new path from a point of the old one.
 
-use super::{rounded, to_f64};
+use super::numbers::{rounded, to_f64};
 use crate::{root::sqrt, within::Within};
 use heapless::Vec;
 

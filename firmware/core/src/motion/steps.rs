@@ -5,8 +5,8 @@
 //! adds up.
 
 use super::{
+    numbers::to_f64,
     scurve::{Path, Piece},
-    to_f64,
 };
 use crate::{
     platform::{StepAction, StepEvent, Steppers},

@@ -7,10 +7,13 @@ use core::f64::consts::TAU;
 use std::{collections::VecDeque, vec, vec::Vec};
 
 use proptest::prelude::*;
-use r4_protocol::Range;
+use r4_protocol::{
+    Range,
+    config::{HomingConfig, StepperConfig},
+};
 
 use super::{
-    Bank, Homing, NotTaken, StepperConfig,
+    Bank, NotTaken,
     axis::{Axis, AxisStatus, BACK_OFF, BadStepper, Command, CommandError, Fault},
     steps::DriverTiming,
 };
@@ -416,7 +419,7 @@ fn hardware_that_loses_a_pulse_or_has_no_room_is_noticed() {
     rig.check_books();
 }
 
-const HOMING: Homing = Homing { switch: 0, position: -2.0, speed_max: 30.0 };
+const HOMING: HomingConfig = HomingConfig { switch: 0, position: -2.0, speed_max: 30.0 };
 
 /// Homes at a switch that is closed within `zone`, steps from where the board's motor began.
 fn home(rig: &mut Rig, speed: f32, zone: core::ops::RangeInclusive<i64>) -> Result<(), Fault> {
@@ -525,7 +528,7 @@ fn bad_commands_are_refused_and_bad_configurations_named() {
         (4.217e6, 30.0, Some(BadStepper::Homing)),
         (f32::NAN, 30.0, Some(BadStepper::Homing)),
     ] {
-        let homing = Some(Homing { position, speed_max, ..HOMING });
+        let homing = Some(HomingConfig { position, speed_max, ..HOMING });
         assert_eq!(why(StepperConfig { homing, ..config() }), expected, "{position}, {speed_max}");
     }
     let slow = DriverTiming { direction_setup_s: 1e-3, ..DRIVER };
@@ -705,7 +708,7 @@ proptest! {
 proptest! {
     #[test]
     fn whole_numbers_become_the_nearest(whole: u64) {
-        prop_assert_eq!(super::to_f64(whole), whole as f64);
-        prop_assert_eq!(super::to_f64(whole >> 32), (whole >> 32) as f64);
+        prop_assert_eq!(super::numbers::to_f64(whole), whole as f64);
+        prop_assert_eq!(super::numbers::to_f64(whole >> 32), (whole >> 32) as f64);
     }
 }

@@ -15,10 +15,12 @@ use embassy_time::{Duration, Instant};
 use heapless::Vec;
 use r4_protocol::config::{
     BoardConfig, BridgeConfig, DAC_FULL_SCALE_V, DacConfig, MAX_MOTORS, MAX_SERVOS, MotorConfig, PwmConfig,
+    bus_bits as bits,
 };
 
+pub use crate::bus::OutputFault;
 use crate::{
-    bus::{Scheduler, bits},
+    bus::Scheduler,
     chips::{
         ChipError,
         mcp4728::{Mcp4728, OUTPUTS as DAC_OUTPUTS},
@@ -31,15 +33,6 @@ use bridge::{Bridge, Plan, Planned};
 use expander::Expander;
 use servo::{Pulse, Servos};
 use slew::towards;
-
-/// Cause of a fault of the outputs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum OutputFault {
-    /// Transfers fail, even after repeats and after freeing the bus.
-    Bus,
-    /// A chip does not hold what was written.
-    Mismatch,
-}
 
 /// Writes of one control period: one for each motor and each servo, and one for the brushless drives. Further writes
 /// wait.
@@ -299,7 +292,7 @@ impl<B: Bus> Outputs<B> {
     /// state.
     ///
     /// # Errors
-    /// [`OutputFault::Bus`], after all were tried; the lines of [`crate::safety::SafetyPins`] still hold the bridges.
+    /// [`OutputFault::Bus`], after all were tried; the lines of [`crate::supervisor::SafetyPins`] still hold the bridges.
     pub async fn make_safe(&mut self) -> Result<(), OutputFault> {
         self.forget_queue();
         let mut result =

@@ -1,10 +1,6 @@
-//! Safety: the state machine ([`machine`], pure) and the task that feeds it ([`supervise`]).
+//! Safety as pure functions: the state machine, and stops that brake. [`supervise`](crate::supervisor::supervise) feeds them.
 
 pub mod machine;
 pub mod stop;
-mod task;
-#[cfg(test)]
-mod tests;
 
 pub use machine::{Event, Safety};
-pub use task::{SafetyPins, supervise};

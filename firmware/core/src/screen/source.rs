@@ -5,18 +5,19 @@ use embassy_time::{Duration, Instant};
 use r4_protocol::config::{BoardConfig, Place};
 
 use super::view::{Bar, Link, Source, Supply, View};
-use crate::shared::{MotorStatus, Shared, Status};
+use crate::shared::{MotorStatus, ReportSide, Shared, Status};
 
 impl<M: RawMutex> Source for Shared<M> {
     fn view(&self) -> View<'_> {
+        let report = ReportSide::of(self);
         let config = self.config();
         let safety = self.safety();
-        let stats = self.stats();
+        let stats = report.stats();
         let volts =
-            |index| if let Status::Scalar(volts) = self.status(Place::Supply(index)) { volts } else { f32::NAN };
+            |index| if let Status::Scalar(volts) = report.status(Place::Supply(index)) { volts } else { f32::NAN };
         let supplies = config.supplies.iter().enumerate();
         let bars = config.channels().filter_map(|(id, place)| {
-            let (value, moving) = bar(config, place, self.status(place))?;
+            let (value, moving) = bar(config, place, report.status(place))?;
             Some(Bar { id, value, moving })
         });
         View {
@@ -26,7 +27,7 @@ impl<M: RawMutex> Source for Shared<M> {
             supplies: supplies
                 .map(|(index, supply)| Supply { id: supply.id, volts: volts(index), range_v: supply.range_v })
                 .collect(),
-            link: match self.heartbeat_age() {
+            link: match report.heartbeat_age() {
                 None => Link::NoHost,
                 Some(age) => {
                     let age_ms = age.as_millis() as u32;
@@ -114,7 +115,7 @@ mod tests {
         let shared = one_of_each();
         let mut tasks = Tasks::default();
         assert_eq!(shared.view().link, Link::NoHost);
-        shared.open_session(0, Instant::now()).expect("nobody has one");
+        shared.as_host().open_session(0, Instant::now()).expect("nobody has one");
         for (after_us, link) in [
             (0, Link::Alive { age_ms: 0 }),
             (200_000, Link::Alive { age_ms: 200 }),

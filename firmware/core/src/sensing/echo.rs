@@ -1,7 +1,7 @@
 //! Evaluation of an echo's edges in a capture unit.
 
-use super::pulse::{Pulse, Pulses};
-use crate::platform::EchoState;
+use super::pulse::Pulses;
+use crate::platform::{EchoState, Pulse};
 
 /// Echo line since it was cleared, built from its levels and the times of their changes.
 ///

@@ -3,21 +3,22 @@
 //! Each sensor gets at most one transfer per period. A failed transfer is not repeated in its period, and a sensor that
 //! has failed is left alone for a while: the outputs' share of the bus does not depend on the sensors.
 
-use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant};
 use heapless::Vec;
 use r4_protocol::{
     ChannelId, ChannelKind, Quality,
     channel::MAX_QUANTITIES,
-    config::{AS5600_COUNTS, MAX_SENSORS, Place, SensorConfig},
+    config::{AS5600_COUNTS, MAX_SENSORS, SensorConfig},
 };
 
 use crate::{
     bus::{ExchangeFault, Scheduler, TRIES},
-    chips::sensor::{AnyDriver, Driver, MAX_READ, Outcome},
+    chips::{
+        any::AnyDriver,
+        sensor::{Driver, MAX_READ, Outcome},
+    },
     platform::Bus,
     sensing::angle::Reading,
-    shared::{Shared, Status},
 };
 
 /// Pause before a failed sensor is tried again. One that holds the bus blocks it for up to 2 ms each time, until the
@@ -33,6 +34,17 @@ pub(crate) struct Sensors {
     sensors: Vec<Sensor, MAX_SENSORS>,
     /// Index of the sensor that comes first in the next period.
     first: usize,
+}
+
+/// Present values of one sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Values {
+    /// Values in SI units, in the order of the channel's quantities.
+    pub(crate) values: [f32; MAX_QUANTITIES],
+    /// Quality of all values.
+    pub(crate) quality: Quality,
+    /// Time of the transfer that read them.
+    pub(crate) taken: Instant,
 }
 
 /// Last reading of a load cell.
@@ -113,12 +125,13 @@ impl Sensors {
     }
 
     /// Carries out one transfer with each sensor that is due, while the bus has room in this period and until `stops`,
-    /// called before each, returns true. The first sensor that had to wait comes first in the next period.
-    pub(crate) async fn ask<M: RawMutex, B: Bus>(
+    /// called before each, returns true. The first sensor that had to wait comes first in the next period. Changed
+    /// values are passed to `publish`, with the sensor's place in the configuration.
+    pub(crate) async fn ask<B: Bus>(
         &mut self,
-        shared: &Shared<M>,
         bus: &mut Scheduler<B>,
         mut stops: impl FnMut() -> bool,
+        mut publish: impl FnMut(usize, Values),
     ) {
         let count = self.sensors.len();
         let first = self.first;
@@ -141,7 +154,7 @@ impl Sensors {
             }
             if changed {
                 let Sensor { values, quality, taken, .. } = *sensor;
-                shared.publish(Place::Sensor(index), Status::Sensor { values, quality, taken });
+                publish(index, Values { values, quality, taken });
             }
         }
         self.first = waiting.unwrap_or(first);

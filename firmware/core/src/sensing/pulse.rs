@@ -5,6 +5,8 @@
 
 use r4_protocol::config::AS5600_COUNTS;
 
+use crate::platform::Pulse;
+
 /// Clock periods of a frame, and of the high part before the angle.
 const FRAME: f32 = 4351.0;
 const HEAD: f32 = 128.0;
@@ -22,17 +24,6 @@ pub struct Pulses {
     period: Option<u32>,
     /// Newest complete pulse: time of its rising edge, and width, in ticks.
     pulse: Option<(u32, u32)>,
-}
-
-/// Newest pulse on a line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Pulse {
-    /// Width of the high level, tenths of a µs.
-    pub high: u32,
-    /// Time from the previous rising edge to the pulse's own, tenths of a µs.
-    pub period: u32,
-    /// Time since its rising edge, µs.
-    pub age_us: u32,
 }
 
 impl Pulses {

@@ -18,7 +18,10 @@ use r4_protocol::{
     config::{MAX_MOTORS, MAX_SUPPLIES},
 };
 
-use super::{StorageError, fault_log, words::DATA_BYTES};
+use super::{
+    log::{StorageError, fault_log},
+    words::DATA_BYTES,
+};
 
 /// Maximum number of trips that a host can read.
 pub const HISTORY: u16 = 32;

@@ -28,6 +28,19 @@ impl From<Error<WordError>> for StorageError {
     }
 }
 
+/// Sectors of one log: while one is erased, the other holds the latest items.
+pub(super) const SECTORS: usize = 2;
+
+/// Log of the parameters.
+pub(super) fn parameter_log<F: NorFlash>(flash: &mut F) -> Log<'_, F> {
+    Log::new(flash, 0, SECTORS)
+}
+
+/// Log of the trips.
+pub(super) fn fault_log<F: NorFlash>(flash: &mut F) -> Log<'_, F> {
+    Log::new(flash, SECTORS, SECTORS)
+}
+
 /// Log in some sectors of a flash.
 pub(super) struct Log<'f, F>(Words<'f, F>);
 

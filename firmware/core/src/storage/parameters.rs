@@ -13,7 +13,10 @@ use embedded_storage_async::nor_flash::NorFlash;
 use heapless::{String, Vec};
 use r4_protocol::{ParameterKey, config::BoardConfig};
 
-use super::{StorageError, parameter_log, words::DATA_BYTES};
+use super::{
+    log::{StorageError, parameter_log},
+    words::DATA_BYTES,
+};
 
 /// Maximum number of changed values.
 pub const MAX_CHANGES: usize = 192;

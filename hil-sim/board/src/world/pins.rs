@@ -6,9 +6,11 @@ use r4_boards::{
     BodyReading, RangeView, Robot, SimulatedMotor, SimulatedPulses, SimulatedSensor, SimulatedSwitch, SwitchedBy,
 };
 use r4_firmware::{
-    platform::{AnalogInputs, AnalogOutputs, ControlCycles, EchoState, KeptWords, PulseInputs, Ranging, SwitchInputs},
+    platform::{
+        AnalogInputs, AnalogOutputs, ControlCycles, EchoState, KeptWords, Pulse, PulseInputs, Ranging, SwitchInputs,
+    },
     sensing::{
-        pulse::{Pulse, Pulses},
+        pulse::Pulses,
         storm::{ECHO_EDGES_PER_MS, EdgeBudget},
     },
 };

@@ -10,7 +10,10 @@ use std::{
 
 use embedded_hal::i2c::Operation;
 use r4_boards::{Robot, SimulatedDistance, SimulatedForce};
-use r4_firmware::chips::sensor::{AnyDriver, Driver, Outcome};
+use r4_firmware::chips::{
+    any::AnyDriver,
+    sensor::{Driver, Outcome},
+};
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelKind, Mode, Quality, SafetyState, Sample,
     config::{As5600Config, Icm20948Config, Ina226Config, Nau7802Config, SensorChip, SensorConfig, Vl6180xConfig},

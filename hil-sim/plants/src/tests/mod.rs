@@ -1,7 +1,6 @@
 //! Whole plants against closed forms. The single effects' formulas are tested beside them.
 
 mod actuator;
-mod arrows;
 mod bridge;
 mod effects;
 mod files;

@@ -30,19 +30,9 @@ mod stretch;
 #[cfg(test)]
 mod tests;
 
-use stretch::{blank, pulses};
+pub use stretch::{ERROR, IDLE, LONGEST, MOST, SHORTEST};
+use stretch::{blank, pulses, until};
 
-/// Largest deviation of a pulse from the tick of its event, in either direction, if events are queued [`LEAD`] ticks
-/// before.
-pub const ERROR: u32 = 8;
-/// Shortest period, ticks. Events closer than this are made this far apart.
-pub const SHORTEST: u32 = 100;
-/// Longest period of a timer, ticks.
-pub const LONGEST: u32 = 1024;
-/// Blank period without events, ticks, and the least after a pulse without a near successor.
-pub const IDLE: u32 = 256;
-/// Maximum number of periods in a stretch of pulses: bounds the duration of the interrupt.
-pub const MOST: u32 = 16;
 /// Ticks by which events must be queued ahead to be made in time: the rest of a period after [`Generator::stop`], an
 /// idle one, and the wait for the pulse.
 pub const LEAD: u32 = LONGEST + IDLE + SHORTEST + BEFORE;
@@ -111,11 +101,6 @@ struct Plan {
     /// Number of events that it carries out.
     events: usize,
     turn: Option<(u32, bool)>,
-}
-
-/// Ticks from `now` until `tick`, negative when that is over.
-const fn until(tick: u32, now: u32) -> i32 {
-    tick.wrapping_sub(now).cast_signed()
 }
 
 /// Step generator of one axis, with room for `ROOM` events.

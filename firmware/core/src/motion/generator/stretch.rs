@@ -1,7 +1,23 @@
 //! Length of a stretch: the wait for a pulse, and pulses of equal spacing.
 
-use super::{ERROR, IDLE, LONGEST, MOST, SHORTEST, until};
 use crate::platform::{StepAction, StepEvent};
+
+/// Largest deviation of a pulse from the tick of its event, in either direction, if events are queued [`LEAD`](super::LEAD) ticks
+/// before.
+pub const ERROR: u32 = 8;
+/// Shortest period, ticks. Events closer than this are made this far apart.
+pub const SHORTEST: u32 = 100;
+/// Longest period of a timer, ticks.
+pub const LONGEST: u32 = 1024;
+/// Blank period without events, ticks, and the least after a pulse without a near successor.
+pub const IDLE: u32 = 256;
+/// Maximum number of periods in a stretch of pulses: bounds the duration of the interrupt.
+pub const MOST: u32 = 16;
+
+/// Ticks from `now` until `tick`, negative when that is over.
+pub(super) const fn until(tick: u32, now: u32) -> i32 {
+    tick.wrapping_sub(now).cast_signed()
+}
 
 /// Number and length of the blank periods that begin a wait: the whole wait, or all but one more period.
 pub(super) fn blank(wait: u32) -> (u32, u32) {

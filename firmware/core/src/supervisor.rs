@@ -9,7 +9,7 @@ use embedded_hal::digital::{InputPin, OutputPin};
 use embedded_hal_async::digital::Wait;
 use r4_protocol::{Cause, Causes, SafetyState, config::Place};
 
-use crate::shared::{Shared, Status};
+use crate::shared::{Shared, Status, SupervisorSide};
 
 /// Interval of checking the causes that have no line of their own.
 const PERIOD: Duration = Duration::from_millis(1);
@@ -63,6 +63,7 @@ where
     I: InputPin + Wait,
     O: OutputPin,
 {
+    let shared = SupervisorSide::of(shared);
     let mut ticker = Ticker::every(PERIOD);
     let (mut dead_man, mut auxiliary) = (StopInput::default(), StopInput::default());
     let has_auxiliary = shared.config().auxiliary_stop;
@@ -126,3 +127,6 @@ where
 fn light<O: OutputPin>(line: &mut O, on: bool) -> Result<(), O::Error> {
     if on { line.set_low() } else { line.set_high() }
 }
+
+#[cfg(test)]
+mod tests;

@@ -6,9 +6,10 @@ use r4_protocol::{
     config::{BoardConfig, Place},
 };
 
-use super::{Event, Safety, SafetyPins, supervise};
+use super::{SafetyPins, supervise};
 use crate::{
     ResetCause,
+    safety::{Event, Safety},
     sensing::range::RangeReading,
     shared::Status,
     testing::{Board, Line, Tasks, board, robot},
@@ -254,7 +255,7 @@ fn a_board_without_a_stop_button_ignores_its_line() {
 #[test]
 fn the_stops_are_channels() {
     let mut bench = Bench::armed();
-    let shown = |bench: &Bench| [0, 1].map(|stop| bench.shared.status(Place::DeadMan(stop)));
+    let shown = |bench: &Bench| [0, 1].map(|stop| bench.shared.report().status(Place::DeadMan(stop)));
     let [high, low] = [Status::Scalar(1.0), Status::Scalar(0.0)];
     assert_eq!(shown(&bench), [high, high]);
     bench.dead_man.set(false);
@@ -278,20 +279,20 @@ fn a_silent_host_is_lost_after_the_timeout_exactly() {
     for (heard_after, looks) in [(Duration::MIN, 101), (US, 101), (MS - US, 101)] {
         let mut bench = Bench::armed();
         // Opening a session disarms.
-        let session = bench.shared.open_session(LINK, Instant::now()).expect("nobody else is here");
+        let session = bench.shared.as_host().open_session(LINK, Instant::now()).expect("nobody else is here");
         bench.arm();
         let tick = Instant::now();
         bench.advance(heard_after);
-        assert!(bench.shared.heartbeat(LINK, session, Instant::now()));
+        assert!(bench.shared.as_host().heartbeat(LINK, session, Instant::now()));
         let bench = bench.trips_at(tick + MS * looks, Cause::LinkLost);
         // After a new heartbeat the cause is gone with the next pass.
-        assert!(bench.shared.heartbeat(LINK, session, Instant::now()));
+        assert!(bench.shared.as_host().heartbeat(LINK, session, Instant::now()));
         bench.clears_at(tick + MS * (looks + 1), Cause::LinkLost);
     }
     // A tick before a pass: at that pass 100 ms and 1 µs have passed.
     let mut bench = Bench::armed();
     bench.advance(MS - US);
-    bench.shared.open_session(LINK, Instant::now()).expect("nobody else is here");
+    bench.shared.as_host().open_session(LINK, Instant::now()).expect("nobody else is here");
     bench.arm();
     let tick = Instant::now() + US;
     bench.trips_at(tick + MS * 100, Cause::LinkLost);
@@ -314,7 +315,7 @@ fn without_a_host_no_link_is_lost() {
 fn the_blue_light_shows_a_host() {
     let mut bench = Bench::armed();
     assert!(bench.blue.level());
-    bench.shared.open_session(LINK, Instant::now()).expect("nobody else is here");
+    bench.shared.as_host().open_session(LINK, Instant::now()).expect("nobody else is here");
     bench.advance(MS);
     assert!(!bench.blue.level());
     bench.advance(MS * 99);
@@ -330,7 +331,7 @@ fn a_dead_control_loop_is_an_overrun() {
         let mut bench = Bench::armed();
         let tick = bench.tick(1);
         bench.advance_to(tick - before);
-        bench.shared.control_tick(Instant::now());
+        bench.shared.as_control().control_tick(Instant::now());
         bench.advance_to(tick);
         bench.trips_at(tick + MS * looks, Cause::ControlOverrun);
     }
@@ -339,10 +340,10 @@ fn a_dead_control_loop_is_an_overrun() {
     bench.advance(MS);
     bench.arm();
     let tick = Instant::now();
-    bench.shared.control_tick(tick);
+    bench.shared.as_control().control_tick(tick);
     let bench = bench.trips_at(tick + MS * 11, Cause::ControlOverrun);
     // A loop that sets up its chips is not dead.
-    bench.shared.control_pauses();
+    bench.shared.as_control().control_pauses();
     bench.clears_at(tick + MS * 12, Cause::ControlOverrun);
 }
 
@@ -404,19 +405,19 @@ fn what_control_sees_stops_at_once() {
     for cause in Cause::ALL {
         let mut bench = Bench::armed();
         bench.advance(Duration::from_micros(300));
-        bench.shared.set_control_causes(Causes::only(cause));
+        bench.shared.as_control().set_control_causes(Causes::only(cause));
         bench.settle();
         assert_eq!(bench.tripped_by(), Causes::only(cause));
         // A second cause arrives while the first one is present.
         let other = Cause::ALL[(cause as usize + 1) % Cause::ALL.len()];
         let both = Causes::only(cause).union(Causes::only(other));
-        bench.shared.set_control_causes(both);
+        bench.shared.as_control().set_control_causes(both);
         bench.settle();
         assert_eq!(bench.tripped_by(), both);
         let tick = Instant::now() + Duration::from_micros(700);
-        bench.shared.set_control_causes(Causes::only(cause));
+        bench.shared.as_control().set_control_causes(Causes::only(cause));
         bench.advance_to(tick);
-        bench.shared.set_control_causes(Causes::NONE);
+        bench.shared.as_control().set_control_causes(Causes::NONE);
         bench.clears_at(tick + MS, cause);
     }
 }
@@ -499,20 +500,20 @@ fn all_causes_together_are_what_each_is_alone() {
     for set in 0u16..1 << WATCHED.len() {
         let holds = |cause| WATCHED.iter().position(|watched| *watched == cause).is_some_and(|bit| set & 1 << bit != 0);
         let mut bench = Bench::new();
-        let session = bench.shared.open_session(LINK, Instant::now()).expect("nobody else is here");
+        let session = bench.shared.as_host().open_session(LINK, Instant::now()).expect("nobody else is here");
         bench.dead_man.set(!holds(Cause::DeadMan));
         bench.auxiliary_stop.set(!holds(Cause::AuxiliaryStop));
         let now = Instant::now();
         let long_ago = now - MS * 150;
         let heard = if holds(Cause::LinkLost) { long_ago } else { now };
-        assert!(bench.shared.heartbeat(LINK, session, heard));
-        bench.shared.control_tick(if holds(Cause::ControlOverrun) { long_ago } else { now });
+        assert!(bench.shared.as_host().heartbeat(LINK, session, heard));
+        bench.shared.as_control().control_tick(if holds(Cause::ControlOverrun) { long_ago } else { now });
         let reading = RangeReading { stop: holds(Cause::Proximity), updated: now, ..RangeReading::NONE };
         bench.shared.publish_range(0, reading);
         for (control, before) in by_control().flat_map(|control| states.map(|before| (control, before))) {
             for event in events {
                 bench.shared.set_safety(before);
-                bench.shared.set_control_causes(control);
+                bench.shared.as_control().set_control_causes(control);
                 bench.shared.supervisor.signal(());
                 bench.settle();
                 let watched = WATCHED.into_iter().filter(|cause| holds(*cause)).map(Causes::only);
@@ -565,7 +566,7 @@ fn the_lines_follow_at_the_deadline_whatever_the_control_loop_does() {
             bench.tasks.settle();
             assert!(bench.shared.safety().braking && bench.lines_are(false));
             if written {
-                bench.shared.brakes_written(bench.shared.safety().epoch);
+                bench.shared.as_control().brakes_written(bench.shared.safety().epoch);
             }
             bench.shared.make_safe.reset();
             bench.tasks.advance_to(from + limit - US);
@@ -585,7 +586,7 @@ fn a_cause_that_forbids_braking_ends_it_at_once() {
     for cause in Cause::ALL {
         let mut bench = Bench::braking();
         assert_eq!(bench.shared.request(Event::Disarm), Ok(()));
-        bench.shared.brakes_written(bench.shared.safety().epoch);
+        bench.shared.as_control().brakes_written(bench.shared.safety().epoch);
         bench.tasks.advance(20 * MS);
         assert!(bench.lines_are(false));
         bench.shared.trip(cause);
@@ -603,7 +604,7 @@ fn brakes_of_an_earlier_arming_do_not_count() {
     assert_eq!(bench.shared.request(Event::Arm), Ok(()));
     assert!(!bench.shared.safety().braking, "armed");
     assert_eq!(bench.shared.request(Event::Disarm), Ok(()));
-    bench.shared.brakes_written(before);
+    bench.shared.as_control().brakes_written(before);
     bench.tasks.advance(WRITTEN + MS);
     assert!(bench.lines_are(true));
 }
