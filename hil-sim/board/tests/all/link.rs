@@ -502,8 +502,8 @@ fn frames_of_commands_move_nothing_when_they_come_again() {
         let frames = [
             request(5000, Request::Arm),
             request(5001, Request::Follow { channel: ROTARY, sent_us: now_us(device), points }),
-            request(5002, set(device, ROTARY, Mode::Duty, 0.3)),
             frame(&ToDevice::Cycle(cycle)),
+            request(5002, set(device, ROTARY, Mode::Duty, 0.3)),
         ];
         // answers to the requests in their order, and the outcome of the cycle
         let played = async |host: &mut RawHost| {
@@ -519,7 +519,8 @@ fn frames_of_commands_move_nothing_when_they_come_again() {
             (results, outcomes)
         };
         assert_eq!(played(host).await, (vec![Ok(Reply::Done); 3], vec![CycleOutcome::Taken]));
-        host.listen(20).await;
+        // the motors' supply comes 50 ms after arming
+        wait(host, session, 110).await;
         assert!(device.duty(ROTARY) > 0.0, "they move the motor when they are new");
         for (case, expected) in [
             ("disarmed", vec![Ok(Reply::Done); 3]),
