@@ -17,7 +17,10 @@ use std::{
 
 use crate::program::*;
 use r4_links::{Address, blocking, pty::Pty};
-use r4_protocol::{ChannelId, ChannelKind, Sample};
+use r4_protocol::{
+    Cause, Causes, ChannelId, ChannelKind, FrameDecoder, Mode, Refusal, Reply, Request, SafetyState, Sample, Setpoint,
+    ToDevice, ToHost, encode_frame, frame::MAX_FRAME,
+};
 use rand_pcg::{
     Pcg32,
     rand_core::{Rng, SeedableRng},
@@ -515,6 +518,56 @@ fn clients_of_a_socket_do_not_disturb_each_other() {
     watching.out = None;
     drop(watching);
     served.good(&["info"]);
+}
+
+/// A stop needs no session, neither before there is one nor beside that of another client, whose answers stay its own.
+#[test]
+fn any_client_of_a_socket_stops_the_board() {
+    let served = Served::new("osmc-bench", "--tcp");
+    let asked = |request, seq| {
+        let mut stranger = TcpStream::connect(served.board.trim_start_matches("tcp:")).expect("connects");
+        let message = ToDevice::Request { seq, request };
+        stranger.write_all(encode_frame(&message, &mut [0; MAX_FRAME]).expect("it fits")).expect("written");
+        let mut decoder = FrameDecoder::new();
+        let mut byte = [0];
+        let answer = loop {
+            stranger.read_exact(&mut byte).expect("an answer");
+            if let Some(message) = decoder.push::<ToHost>(byte[0]) {
+                break message.expect("a whole frame");
+            }
+        };
+        let ToHost::Response { seq: of, result } = answer else { panic!("{answer:?}") };
+        assert_eq!(of, seq);
+        result
+    };
+    let stopped = Causes::only(Cause::HostStop);
+    assert_eq!(asked(Request::Arm, 1), Err(Refusal::NoSession));
+    assert_eq!(asked(Request::Stop, 2), Ok(Reply::Done));
+
+    let address: Address = served.board.parse().expect("an address");
+    let board = blocking::Board::connect(&address, None).expect("connects");
+    assert_eq!((board.info().state, board.info().causes), (SafetyState::Tripped, stopped));
+    let motor = ChannelId::new(ChannelKind::Osmc, 0);
+    let mut samples = board.samples(&[motor], 10).expect("subscribes");
+    board.clear().expect("clears");
+    board.arm().expect("arms");
+    board.set(motor, Setpoint { mode: Mode::Speed, value: 1.0 }).expect("accepted");
+    let mut duty = || match samples.next().expect("a sample").expect("the link lasts").1 {
+        Sample::Motor { duty, .. } => duty,
+        other => panic!("{other:?}"),
+    };
+    assert!((0..500).any(|_| duty() != 0.0), "it turns");
+    assert_eq!(asked(Request::Disarm, 3), Err(Refusal::InUse));
+    assert_eq!(asked(Request::Bye, 4), Ok(Reply::Done));
+    assert_ne!(duty(), 0.0, "neither ends what the host does");
+    // A number that is the host's own as well.
+    for seq in 0..20 {
+        assert_eq!(asked(Request::Stop, seq), Ok(Reply::Done));
+    }
+    assert!((0..500).any(|_| duty() == 0.0), "it is switched off");
+    assert_eq!(board.arm(), Err(r4_driver::Error::Refused(Refusal::Tripped { causes: stopped })));
+    board.clear().expect("clears");
+    board.arm().expect("arms");
 }
 
 /// A board behind a pseudo-terminal, which only one program can open, is shared among three.

@@ -1,9 +1,10 @@
-//! Tests of a client on served boards. It was written from `docs/protocol.md` and `protocol/schema.json` alone, without
-//! a look at the sources.
+//! Tests of a client on served boards, which was written from `docs/protocol.md` and `protocol/schema.json` alone, without
+//! a look at the sources; and of the files for C and Wireshark beside the schema.
 
 use std::{
     fmt::Write as _,
     fs,
+    path::Path,
     process::{Command, Stdio},
 };
 
@@ -13,6 +14,7 @@ use serde_json::Value;
 
 const CLIENT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/protocol/client.py");
 const DISSECTOR: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../protocol/r4.lua");
+const FRAME_C: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/protocol/frame.c");
 const SCHEMA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../protocol/schema.json");
 
 /// Runs the client and returns its output; `None` on a machine without Python, where nothing is tested.
@@ -37,19 +39,20 @@ fn a_codec_by_the_page_reads_and_writes_every_golden_frame() {
     assert_eq!(seen["vectors"], vectors.iter().sum::<usize>());
 }
 
-/// Runs over each kind of link, and through a broker; also with a version that does not exist yet.
+/// Runs over each kind of link, on each of which it negotiates from a version that does not exist yet, and through a
+/// broker.
 #[test]
 fn a_client_by_the_page_moves_a_motor() {
     let first = VERSION + 1;
     let newer = ["--first-version", &first.to_string()];
     let sim = |link| ["sim", "serve", "osmc-bench", link];
     let shared = ["serve", "sim:osmc-bench", "--tcp", "127.0.0.1:0"];
-    let known: (&[&str], &[u16]) = (&[], &[]);
+    let negotiated: (&[&str], &[u16]) = (&newer, &[first]);
     for (serve, kind, scheme, (options, refused)) in [
-        (&sim("--tcp")[..], "tcp", "", (&newer[..], &[first][..])),
-        (&sim("--pty"), "pty", "serial:", known),
-        (&sim("--slcan"), "slcan", "slcan:", known),
-        (&shared, "tcp", "", known),
+        (&sim("--tcp")[..], "tcp", "", negotiated),
+        (&sim("--pty"), "pty", "serial:", negotiated),
+        (&sim("--slcan"), "slcan", "slcan:", negotiated),
+        (&shared, "tcp", "", (&[], &[])),
     ] {
         let mut server = start(command(serve));
         let place = object(&next(server.out.as_ref().expect("stdout"), server.begin).expect("a first line"));
@@ -69,6 +72,27 @@ fn a_client_by_the_page_moves_a_motor() {
         let (target, end) = (number(&seen, "target_rad"), number(&seen, "to_rad"));
         assert!(target - number(&seen, "from_rad") > 0.29 && (target - end).abs() < 0.006, "{seen}");
     }
+}
+
+/// The header is C99 without a warning, and its numbers make a golden frame.
+#[test]
+fn a_c_program_by_the_header_makes_a_golden_frame() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let program = folder.path().join("frame");
+    let header = Path::new(SCHEMA).parent().expect("a folder");
+    let compiled = Command::new("cc")
+        .args(["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
+        .args([header, Path::new(FRAME_C), Path::new("-o"), &program])
+        .output();
+    let Ok(compiled) = compiled else {
+        eprintln!("not run: cc cannot be started");
+        return;
+    };
+    assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
+    let printed = Command::new(program).output().expect("it starts").stdout;
+    let schema = object(&fs::read_to_string(SCHEMA).expect("it is there"));
+    let bye = array(&schema["vectors"], "to_device").iter().find(|vector| vector["name"] == "bye").expect("a vector");
+    assert_eq!(String::from_utf8_lossy(&printed), text(bye, "frame"));
 }
 
 /// Returns the dissector's name of a message: its variant, and that of the request or answer in it.

@@ -266,6 +266,31 @@ fn monitor_arms_stops_and_clears_by_keys() {
     screen.ends_well(0);
 }
 
+/// The board is shared: the screen shows what another program does with it, and goes on whatever becomes of that program.
+#[test]
+fn monitor_goes_on_whoever_commands() {
+    let server = program::start(program::command(&["serve", "sim:osmc-bench", "--tcp", "127.0.0.1:0"]));
+    let first = program::next(server.out.as_ref().expect("stdout"), server.begin).expect("a first line");
+    let board = format!("tcp:{}", program::text(&program::object(&first), "tcp"));
+    let mut screen = OnTerminal::start(&["--board", &board, "monitor"]);
+    screen.until(|text| state(text) == "DISARMED" && text.contains("osmc0"));
+    let arguments = ["--board", &board, "speed", "osmc0", "1rad/s", "--for", "30"];
+    let driving = program::start(program::command(&arguments));
+    screen.until(|text| state(text) == "ARMED");
+    screen.press("d");
+    screen.until_shows("another host commands");
+    assert_eq!(state(&screen.grid.text()), "ARMED");
+    // The commanding program is killed: the board trips, and the keys of the screen count.
+    drop(driving);
+    screen.until(|text| state(text) == "TRIPPED" && text.contains("link lost"));
+    screen.press("c");
+    screen.until(|text| state(text) == "DISARMED");
+    screen.press("a");
+    screen.until(|text| state(text) == "ARMED");
+    screen.press("q");
+    screen.ends_well(0);
+}
+
 #[test]
 fn monitor_uses_a_larger_screen() {
     let mut screen = OnTerminal::start(&["--board", "sim:every-interface", "monitor"]);

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+import threading
+import time
+
 import gymnasium
 import numpy as np
 import pytest
@@ -53,6 +57,36 @@ def test_a_vector_is_its_environments_side_by_side(fidelity: r4.gym.Fidelity) ->
             alone, alone_reward, *_ = single.step(actions[number])
             np.testing.assert_array_equal(alone, seen[number])
             assert alone_reward == reward[number]
+
+
+def test_other_threads_run_while_boards_do() -> None:
+    vector = r4.gym.make("openscout-goto", num_envs=16)
+    vector.reset(seed=1)
+    actions = np.zeros((16, 2), dtype=np.float32)
+    ran, over = [0], threading.Event()
+
+    def other() -> None:
+        while not over.is_set():
+            ran[0] += 1
+            time.sleep(0.0)
+
+    interval = sys.getswitchinterval()
+    # Longer than the test: a thread gets the interpreter only where another one gives it away.
+    sys.setswitchinterval(1000.0)
+    thread = threading.Thread(target=other)
+    thread.start()
+    try:
+        # A step is 1.6 s of simulated boards: several turns of the system's scheduler, even on a busy machine.
+        for _ in range(20):
+            before = ran[0]
+            vector.step(actions)
+            if ran[0] > before:
+                break
+        assert ran[0] > before
+    finally:
+        sys.setswitchinterval(interval)
+        over.set()
+        thread.join()
 
 
 def test_an_environment_of_a_vector_begins_anew_after_its_end() -> None:

@@ -19,10 +19,16 @@ PROGRAM = Path(os.environ.get("R4_PROGRAM", ROOT / "target" / "debug" / "r4"))
 pytestmark = pytest.mark.skipif(not PROGRAM.exists(), reason=f"not run: no program {PROGRAM}; `cargo build -p r4` makes it")
 
 
+SHARED = "shared"
+
+
 @contextlib.contextmanager
 def served(how: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Serves a simulated bench; yields its address and the process."""
-    command = [PROGRAM, "sim", "serve", "osmc-bench", how]
+    """Serves a simulated bench, as a board for one program or ``SHARED``; yields its address and the process."""
+    command: list[str | Path] = [PROGRAM, "sim", "serve", "osmc-bench", how]
+    if how == SHARED:
+        how = "--tcp=127.0.0.1:0"
+        command = [PROGRAM, "serve", "sim:osmc-bench", how]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as program:
         try:
             assert program.stdout is not None
@@ -33,7 +39,7 @@ def served(how: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
             program.terminate()
 
 
-@pytest.fixture(params=["--tcp=127.0.0.1:0", "--pty", "--slcan"])
+@pytest.fixture(params=["--tcp=127.0.0.1:0", "--pty", "--slcan", SHARED])
 def address(request: pytest.FixtureRequest) -> Iterator[str]:
     """Address of a served simulated bench."""
     with served(request.param) as (address, _):
@@ -74,3 +80,20 @@ def test_a_board_has_one_host_and_a_lost_link_is_an_error_of_the_call() -> None:
         with pytest.raises(r4.LinkError, match="connect again"):
             board.run_for(1.0)
             board.arm()
+
+
+def test_one_commands_a_shared_board_while_another_watches() -> None:
+    with served(SHARED) as (address, _), r4.open(address).blocking as first, r4.open(address).blocking as second:
+        first.arm()
+        # Four heartbeats, with which each learns the state.
+        second.run_for(0.2)
+        assert second.state()[0] == "armed"
+        with pytest.raises(r4.Refused) as refused:
+            second.osmc[0].set_speed(1.0)
+        assert refused.value.reason == "in-use"
+        moved = first.osmc[0].move_to(0.3)
+        # The motor rests: both see it within two counts of 2.6 mrad.
+        assert second.osmc[0].query().position == pytest.approx(moved.position, abs=0.0065)
+        second.estop()
+        first.run_for(0.2)
+        assert first.state() == ("tripped", ["host stop"])

@@ -3,11 +3,15 @@
 //!
 //! It reads the lists that cargo-deny reads, so that each test run can check them without a program that takes minutes
 //! to build.
+//!
+//! [`notices`] collects the licences' texts for the archive of a release: most demand that they go with the program.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
+    fmt::Write as _,
     fs,
-    path::Path,
+    path::{Path, PathBuf},
+    process::Command,
 };
 
 use serde::Deserialize;
@@ -68,6 +72,83 @@ struct Package {
     license: Option<String>,
     /// Registry of the package; `None` for packages of this repository.
     source: Option<String>,
+}
+
+/// Package with the place of its sources.
+#[derive(Deserialize)]
+struct Sources {
+    name: String,
+    version: String,
+    license: Option<String>,
+    authors: Vec<String>,
+    source: Option<String>,
+    manifest_path: PathBuf,
+}
+
+/// Beginnings of the names of files with a licence's text, in capitals.
+const TEXTS: [&str; 5] = ["LICENSE", "LICENCE", "COPYING", "NOTICE", "UNLICENSE"];
+
+/// Returns the licences of all packages of others that `program` with these features links on this system, each text once
+/// with the packages that have it. A package without a text is listed with its licence's name and its authors.
+pub(crate) fn notices(root: &Path, program: &str, features: &str) -> Result<String, String> {
+    let linked = linked(root, program, features)?;
+    let packages: Vec<Sources> = toolchain::packages(root, true)?;
+    let is_linked = |package: &&Sources| {
+        package.source.is_some() && linked.contains(&format!("{} v{}", package.name, package.version))
+    };
+    let mut by_text: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    let mut without = String::new();
+    for package in packages.iter().filter(is_linked) {
+        let licence = package.license.as_deref().unwrap_or_default();
+        let name = format!("{} {} ({licence})", package.name, package.version);
+        let texts = texts(package.manifest_path.parent().unwrap_or(root))?;
+        if texts.is_empty() {
+            let _ = writeln!(without, "{name}: {}", package.authors.join(", "));
+        }
+        texts.into_iter().for_each(|text| {
+            by_text.entry(text).or_default().insert(name.clone());
+        });
+    }
+    let mut notices = "The program r4 is linked with the packages listed here, each under the licence behind its name. Their sources are on \
+                       crates.io.\n\nPackages that contain no text of their licence, with their authors:\n\n"
+        .to_owned();
+    notices += &without;
+    for (text, names) in by_text {
+        let names: Vec<String> = names.into_iter().collect();
+        let _ = write!(notices, "\n{}\n\n{}\n\n{}\n", "=".repeat(80), names.join("\n"), text.trim_end());
+    }
+    Ok(notices)
+}
+
+/// Returns the packages that a program links, as `name vVERSION`.
+fn linked(root: &Path, program: &str, features: &str) -> Result<BTreeSet<String>, String> {
+    let tree = ["tree", "--locked", "--edges", "normal", "--prefix", "none", "--format", "{p}"];
+    let listed = Command::new(toolchain::cargo())
+        .args(tree)
+        .args(["--package", program, "--features", features])
+        .current_dir(root)
+        .output()
+        .map_err(|error| format!("cargo cannot be started: {error}"))?;
+    if !listed.status.success() {
+        return Err(String::from_utf8_lossy(&listed.stderr).into_owned());
+    }
+    let words = |line: &str| line.split_whitespace().take(2).collect::<Vec<_>>().join(" ");
+    Ok(String::from_utf8_lossy(&listed.stdout).lines().map(words).collect())
+}
+
+/// Returns the texts of licences in the folder of a package.
+fn texts(folder: &Path) -> Result<Vec<String>, String> {
+    let failed = |error: std::io::Error| format!("{}: {error}", folder.display());
+    let mut texts = Vec::new();
+    for entry in fs::read_dir(folder).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().to_uppercase();
+        if path.is_file() && TEXTS.iter().any(|begin| name.starts_with(begin)) {
+            let text = fs::read(&path).map_err(failed)?;
+            texts.push(String::from_utf8_lossy(&text).replace("\r\n", "\n"));
+        }
+    }
+    Ok(texts)
 }
 
 /// Checks every package that any feature of the workspace links.

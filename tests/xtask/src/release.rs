@@ -1,5 +1,5 @@
 //! Task `cargo xtask release`: packs the program with manual pages, completions, udev rules and licences into one
-//! archive.
+//! archive, and tries what is in it.
 
 use std::{
     fs,
@@ -9,6 +9,7 @@ use std::{
 
 use crate::{
     firmware::target_folder,
+    licences,
     toolchain::{self, call},
 };
 
@@ -19,6 +20,8 @@ const FEATURES: &str = "dfu,emu,live,parquet,probe";
 const SHELLS: [(&str, &str); 4] = [("bash", "r4.bash"), ("zsh", "_r4"), ("fish", "r4.fish"), ("powershell", "r4.ps1")];
 /// Files that are copied as they are.
 const FILES: [&str; 4] = ["README.md", "LICENSE-MIT", "LICENSE-APACHE", "host/udev/70-r4.rules"];
+/// File with the licences of packages of others that the program is linked with.
+const NOTICES: &str = "THIRD-PARTY.txt";
 
 /// Options of `cargo xtask release`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -64,7 +67,11 @@ impl Release {
         fill(root, &program, &folder)?;
         let archive = releases.join(format!("{name}.tar.gz"));
         call(Command::new("tar").arg("-czf").arg(&archive).arg("-C").arg(&releases).arg(&name))?;
-        println!("{}", archive.display());
+        try_out(&archive, &releases.join("tried"), &name)?;
+        let bytes = |path: &Path| {
+            fs::metadata(path).map(|file| file.len()).map_err(|error| format!("{}: {error}", path.display()))
+        };
+        println!("{}: {} bytes; the program in it: {} bytes", archive.display(), bytes(&archive)?, bytes(&program)?);
         Ok(())
     }
 }
@@ -88,6 +95,8 @@ fn fill(root: &Path, program: &Path, folder: &Path) -> Result<(), String> {
         let to = folder.join(file.file_name().unwrap_or_default());
         fs::copy(file, to).map_err(failed(file))?;
     }
+    let notices = folder.join(NOTICES);
+    fs::write(&notices, licences::notices(root, "r4", FEATURES)?).map_err(failed(&notices))?;
     call(Command::new(program).args(["man", "--out"]).arg(&manual).stdout(std::process::Stdio::null()))?;
     for (shell, file) in SHELLS {
         // Run from the archive's own program, so that both always fit each other.
@@ -98,6 +107,25 @@ fn fill(root: &Path, program: &Path, folder: &Path) -> Result<(), String> {
         fs::write(completions.join(file), script.stdout).map_err(failed(&completions))?;
     }
     Ok(())
+}
+
+/// Unpacks an archive into a folder and moves a simulated motor with the program from there, as its user does.
+fn try_out(archive: &Path, folder: &Path, name: &str) -> Result<(), String> {
+    let failed = |error: std::io::Error| format!("{}: {error}", folder.display());
+    // Files of an earlier run would be taken for this archive's.
+    let _ = fs::remove_dir_all(folder);
+    fs::create_dir_all(folder).map_err(failed)?;
+    call(Command::new("tar").arg("-xzf").arg(archive).arg("-C").arg(folder))?;
+    let unpacked = folder.join(name);
+    let pages = fs::read_dir(unpacked.join("man/man1")).map_err(failed)?.count();
+    if pages == 0 {
+        return Err(format!("{} has no manual page", archive.display()));
+    }
+    for file in FILES.iter().chain([&NOTICES]).map(|file| Path::new(file).file_name().unwrap_or_default()) {
+        fs::metadata(unpacked.join(file)).map_err(|error| format!("{file:?} in {}: {error}", archive.display()))?;
+    }
+    let program = built(&unpacked, "");
+    call(Command::new(program).args(["--board", "sim:osmc-bench", "move", "osmc0", "10deg"]).current_dir(&unpacked))
 }
 
 #[cfg(test)]
@@ -129,5 +157,7 @@ mod tests {
         assert!(
             workflow.contains("target/release-archives/*.tar.gz") && workflow.contains("target/python/wheels/*.whl")
         );
+        let container = fs::read_to_string(root.join("Containerfile")).expect("it is there");
+        assert!(container.contains(&format!("--profile dist --features {FEATURES}\n")), "{container}");
     }
 }

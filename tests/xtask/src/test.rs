@@ -61,7 +61,7 @@ enum Run {
     Licences,
     /// Packages the crates and compiles the program from the packages.
     Packages,
-    /// Makes the archive of a release, with the program that the tests have built.
+    /// Makes the archive of a release, with the program that the tests have built, and tries it.
     Release,
     /// Builds the Python package, installs it and runs its tests.
     Python,

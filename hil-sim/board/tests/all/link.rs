@@ -8,8 +8,8 @@ use proptest::prelude::*;
 use r4_boards::Robot;
 use r4_protocol::{
     Cause, Causes, ChannelId, ChannelInfo, ChannelKind, Cycle, CycleChannel, CycleMotor, CycleOutcome, CycleState,
-    Mode, ModeInfo, Range, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry, ToDevice,
-    ToHost, VERSION, config::PidGains, cycle::NOTHING, frame::MAX_FRAME,
+    Mode, ModeInfo, PathPoint, Range, Refusal, Reply, Request, SCHEMA_HASH, SafetyState, Sample, Setpoint, Telemetry,
+    ToDevice, ToHost, VERSION, config::PidGains, cycle::NOTHING, frame::MAX_FRAME,
 };
 use r4_sim::{Simulation, uart::LineNoise};
 
@@ -482,6 +482,84 @@ fn commands_are_refused_unless_armed() {
         host.ask(Request::Arm).await.unwrap();
         host.listen(20).await;
         nothing_moved(device);
+    });
+}
+
+/// Frames of commands that come again, as a recording that is played back or from a link that repeats them: in their own
+/// session, disarmed and armed, and in a later one. What was decided for another moment moves nothing.
+#[test]
+fn frames_of_commands_move_nothing_when_they_come_again() {
+    raw_bench(&osmc_bench(), async |host, device| {
+        let request = |seq, request| frame(&ToDevice::Request { seq, request });
+        let position = || device.board.world().position(ROTARY).expect("the bench has the channel");
+        // no command is accepted before the board has started
+        host.listen(100).await;
+        let mut session = host.hello().await.session;
+        host.ask(bind(50)).await.unwrap();
+        let cycle = Cycle::new(1, None, Some(now_us(device)), steps(2000, NOTHING));
+        let point = PathPoint { at_us: now_us(device) + 40_000, position: 0.01, speed: None, feed_forward: 0.0 };
+        let points = [point].into_iter().collect();
+        let frames = [
+            request(5000, Request::Arm),
+            request(5001, Request::Follow { channel: ROTARY, sent_us: now_us(device), points }),
+            frame(&ToDevice::Cycle(cycle)),
+            request(5002, set(device, ROTARY, Mode::Duty, 0.3)),
+        ];
+        // answers to the requests in their order, and the outcome of the cycle
+        let played = async |host: &mut RawHost| {
+            host.send_bytes(&frames.concat()).await;
+            let (mut results, mut outcomes) = (Vec::new(), Vec::new());
+            for message in host.listen(10).await {
+                match message {
+                    ToHost::Response { result, .. } => results.push(result),
+                    ToHost::Cycle(state) => outcomes.push(state.outcome()),
+                    _ => {}
+                }
+            }
+            (results, outcomes)
+        };
+        assert_eq!(played(host).await, (vec![Ok(Reply::Done); 3], vec![CycleOutcome::Taken]));
+        // the motors' supply comes 50 ms after arming
+        wait(host, session, 110).await;
+        assert!(device.duty(ROTARY) > 0.0, "they move the motor when they are new");
+        for (case, expected) in [
+            ("disarmed", vec![Ok(Reply::Done); 3]),
+            ("armed", vec![Ok(Reply::Done); 3]),
+            ("in another session", Vec::new()),
+        ] {
+            host.ask(Request::Disarm).await.unwrap();
+            wait(host, session, 2000).await;
+            if case == "armed" {
+                host.ask(Request::Arm).await.unwrap();
+            }
+            if expected.is_empty() {
+                session = host.hello().await.session;
+                host.ask(bind(50)).await.unwrap();
+            }
+            let begin = position();
+            let (results, outcomes) = played(host).await;
+            assert_eq!(outcomes, [CycleOutcome::Stale], "{case}");
+            if expected.is_empty() {
+                let late = matches!(
+                    results[..],
+                    [Ok(Reply::Done), Err(Refusal::Late { .. }), Err(Refusal::Expired { ttl_ms: 50, .. })]
+                );
+                assert!(late, "{case}: {results:?}");
+            } else {
+                // each is taken for a repeat of itself, and answered as it was then
+                assert_eq!(results, expected, "{case}");
+            }
+            for _ in 0..100 {
+                host.listen(1).await;
+                assert_eq!(device.duty(ROTARY), 0.0, "{case}");
+            }
+            // a tenth of its encoder's count
+            assert!((position() - begin).abs() < 2.6e-4, "{case}");
+            host.send(&ToDevice::Heartbeat { session, host_us: 7 }).await;
+            let expected = if case == "disarmed" { SafetyState::Disarmed } else { SafetyState::Armed };
+            let heard = host.listen(2).await;
+            assert!(matches!(heard[..], [ToHost::Heartbeat { state, .. }] if state == expected), "{case}: {heard:?}");
+        }
     });
 }
 

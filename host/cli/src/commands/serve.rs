@@ -28,7 +28,7 @@ use clients::Clients;
 use embedded_io_async::{Read, Write};
 use futures::future::{Either, select};
 use r4_links::{Address, Descriptor, Key, Listener, Receiver, Transmitter, bus::End, monotonic_ns, slcan};
-use r4_protocol::can::Node;
+use r4_protocol::{FrameDecoder, Refusal, Reply, ToHost, can::Node, frame::MAX_FRAME};
 use r4_rig::view::{SharedLook, WorldLook};
 use r4_sim::ResetCause;
 use r4_sim::{Pace, Simulation, VirtualBoard, link::Port};
@@ -255,23 +255,72 @@ fn bytes(descriptor: &Descriptor) -> (Receiver, Transmitter) {
     (Receiver::Bytes(descriptor.clone()), Transmitter::Bytes(descriptor.clone()))
 }
 
-/// Bytes from the board that no client has read yet.
+/// Frames from the board that no client has read yet.
 #[derive(Default)]
 struct Outbox {
     bytes: RefCell<VecDeque<u8>>,
     dropped: Cell<u64>,
+    /// Beginning of a frame whose end has not come yet.
+    partial: RefCell<Vec<u8>>,
+    /// Requests of clients that are not the board's host, until their answers are fetched.
+    asides: RefCell<Vec<Aside>>,
+}
+
+/// Request of a client that is not the board's host. The board answers it among its answers to the host.
+struct Aside {
+    client: u64,
+    /// Sequence number that the client chose.
+    seq: u16,
+    /// Sequence number towards the board, which the host does not use at present.
+    board_seq: u16,
+    result: Option<Result<Reply, Refusal>>,
 }
 
 impl Outbox {
+    /// Takes bytes of the board as they come, and keeps whole frames.
     fn push(&self, bytes: &[u8]) {
+        for part in bytes.split_inclusive(|byte| *byte == 0) {
+            let mut frame = self.partial.take();
+            frame.extend_from_slice(part);
+            if frame.last() != Some(&0) && frame.len() < MAX_FRAME {
+                self.partial.replace(frame);
+            } else if !self.is_aside(&frame) {
+                self.keep(&frame);
+            }
+        }
+    }
+
+    fn keep(&self, frame: &[u8]) {
         let mut waiting = self.bytes.borrow_mut();
         let room = OUTBOX - waiting.len();
-        if bytes.len() > room {
+        if frame.len() > room {
             // All or nothing: clients cannot decode a part of a frame.
-            self.dropped.set(self.dropped.get() + bytes.len() as u64);
+            self.dropped.set(self.dropped.get() + frame.len() as u64);
             return;
         }
-        waiting.extend(bytes);
+        waiting.extend(frame);
+    }
+
+    /// Keeps a frame's result apart and returns true if the frame answers an aside.
+    fn is_aside(&self, frame: &[u8]) -> bool {
+        let mut asides = self.asides.borrow_mut();
+        if asides.is_empty() {
+            return false;
+        }
+        let mut decoder = FrameDecoder::new();
+        let message = frame.iter().find_map(|byte| decoder.push::<ToHost>(*byte));
+        let Some(Ok(ToHost::Response { seq, result })) = message else { return false };
+        let Some(aside) = asides.iter_mut().find(|aside| aside.board_seq == seq && aside.result.is_none()) else {
+            return false;
+        };
+        aside.result = Some(result);
+        true
+    }
+
+    /// Forgets what the board had begun when it restarted: it will not go on with that.
+    fn restart(&self) {
+        self.partial.borrow_mut().clear();
+        self.asides.borrow_mut().retain(|aside| aside.result.is_some());
     }
 }
 
@@ -403,6 +452,7 @@ impl<'s> Served<'s> {
         }
         if self.restart.take() {
             self.board.restart(self.simulation, ResetCause::Normal);
+            self.outbox.restart();
             self.to_board = connect(self.simulation, &self.board, &self.outbox, &self.restart)?;
         }
         Ok(())
