@@ -9,14 +9,14 @@
 //! | `tunings` | new gains and tunings | dispatch | control loop |
 //! | `statuses` | present status of each channel | control loop, supervisor, ranging | telemetry, cycles, screen |
 //! | `ranges` | newest readings of the range sensors | ranging | supervisor |
-//! | `supervision` | safety state, causes, trips | supervisor, whoever trips or asks | all |
+//! | `supervision` | safety state, causes, trips | supervisor; every task may trip, and the host may clear | all |
 //! | `sessions` | session of the board's host | dispatch | supervisor, screen |
 //! | `start` | causes of a start, kinds of a restart | – | – |
 //!
 //! `state` puts them behind one lock, as [`Shared`], with what every task may do: read the safety state, trip, publish,
 //! count. The rest is only on the side of the task that needs it, so that a module's imports show what it can reach:
 //! [`HostSide`] of links, dispatch and cycles, [`ControlSide`] of the control loop, [`SupervisorSide`] of the supervisor,
-//! [`ReportSide`] of all that tells a person or a host about the board.
+//! [`ReportSide`] of the tasks that report the board to a person or a host.
 
 mod commands;
 mod control_side;

@@ -1,4 +1,4 @@
-//! Side of what tells a host or a person about the board: telemetry, answers, screen.
+//! Side of the tasks that report the board to a host or a person: telemetry, answers, screen.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant};

@@ -1,4 +1,4 @@
-//! Safety state with its causes and trips: kept by the supervisor, changed by whoever trips or asks, read by all.
+//! Safety state with its causes and trips: kept by the supervisor, changed by any task that trips, read by all.
 
 use embassy_time::{Duration, Instant};
 use r4_protocol::{Cause, Causes, Refusal, SafetyState, config::BoardConfig};
