@@ -19,7 +19,7 @@
 //!
 //! Not modelled: current sense output CT, current limit, heat, dead time between the FETs of a leg.
 
-use super::osmc::BridgeOutput;
+use super::{osmc::BridgeOutput, reversal::Reversals};
 use crate::chips::{COUNTS, Line, stretches};
 use crate::misuse::{Misuse, MisuseKind, MisuseLog};
 
@@ -105,12 +105,6 @@ impl Supply {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Direction {
-    Forward,
-    Reverse,
-}
-
 /// Bridge of one motor, with its last direction and the misuses so far.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DhbMotor {
@@ -118,9 +112,8 @@ pub struct DhbMotor {
     inputs: DhbInputs,
     supply: Supply,
     output: BridgeOutput,
-    direction: Option<Direction>,
-    /// Start of the time without an enabled input at high level, ns; `None` while one is high at some time of a cycle.
-    idle_since_ns: Option<u64>,
+    /// It pauses without an enabled input at high level.
+    reversals: Reversals,
     misuse: MisuseLog,
 }
 
@@ -136,8 +129,7 @@ impl DhbMotor {
             inputs: DhbInputs { in1: Line::Low, in2: Line::Low, en: Line::Low },
             supply: Supply::Low,
             output: BridgeOutput::COAST,
-            direction: None,
-            idle_since_ns: Some(0),
+            reversals: Reversals::new(),
             misuse: MisuseLog::new(),
         }
     }
@@ -183,7 +175,9 @@ impl DhbMotor {
         // without a good supply it behaves as with EN low
         let shares = if self.supply == Supply::Good { Shares::of(&self.inputs) } else { Shares::default() };
         self.output = shares.output();
-        self.check_reversal(at_ns, &shares, pwm_period_ns);
+        if let Some(idle_ns) = self.reversals.too_short(at_ns, shares.forward, shares.reverse, pwm_period_ns) {
+            self.report(at_ns, MisuseKind::ReversalWithoutPause { idle_ns, needed_ns: pwm_period_ns });
+        }
         if shares.both_high > 0 {
             self.report(at_ns, MisuseKind::InputsOverlap { counts: shares.both_high });
         }
@@ -191,26 +185,7 @@ impl DhbMotor {
         if counts > DUTY_LIMIT_COUNTS {
             self.report(at_ns, MisuseKind::DutyAboveLimit { counts, limit_counts: DUTY_LIMIT_COUNTS });
         }
-        if shares.forward + shares.reverse + shares.both_high > 0 {
-            self.idle_since_ns = None;
-        } else {
-            self.idle_since_ns.get_or_insert(at_ns);
-        }
-    }
-
-    /// Reports a reversal without a pause, also if both directions occur in one cycle.
-    fn check_reversal(&mut self, at_ns: u64, shares: &Shares, needed_ns: u64) {
-        let idle_ns = self.idle_since_ns.map_or(0, |since_ns| at_ns.saturating_sub(since_ns));
-        let (next, reversed, idle_ns) = match (shares.forward > 0, shares.reverse > 0) {
-            (false, false) => return,
-            (true, true) => (None, true, 0),
-            (true, false) => (Some(Direction::Forward), self.direction == Some(Direction::Reverse), idle_ns),
-            (false, true) => (Some(Direction::Reverse), self.direction == Some(Direction::Forward), idle_ns),
-        };
-        self.direction = next;
-        if reversed && idle_ns < needed_ns {
-            self.report(at_ns, MisuseKind::ReversalWithoutPause { idle_ns, needed_ns });
-        }
+        self.reversals.set_idle(at_ns, shares.forward + shares.reverse + shares.both_high == 0);
     }
 
     #[cold]

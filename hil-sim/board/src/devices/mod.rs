@@ -16,6 +16,7 @@ pub mod bldc_drive;
 pub mod dhb;
 pub mod osmc;
 pub mod rc_servo;
+mod reversal;
 pub mod stepper_driver;
 
 #[cfg(test)]

@@ -20,6 +20,7 @@
 //! The dead time between the two FETs of a leg (set by resistors, below a microsecond) is shorter than a count and not
 //! modelled; neither are the 400 ns for which both low FETs turn on at power-up (Intersil AN9404).
 
+use super::reversal::Reversals;
 use crate::chips::{COUNTS, Line, stretches};
 use crate::misuse::{Leg, Misuse, MisuseKind, MisuseLog};
 
@@ -137,12 +138,6 @@ pub fn average(inputs: &BridgeInputs) -> BridgeOutput {
     if inputs.disabled { BridgeOutput::COAST } else { Sweep::of(inputs).output() }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Direction {
-    Forward,
-    Reverse,
-}
-
 /// One bridge, with its supply lock-out, last direction, and the misuses so far.
 #[derive(Clone, Debug)]
 pub struct OsmcBridge {
@@ -150,9 +145,8 @@ pub struct OsmcBridge {
     powered: bool,
     inputs: BridgeInputs,
     output: BridgeOutput,
-    direction: Option<Direction>,
-    /// Start of the time with both low FETs off, ns; `None` while one is on at some time of a cycle.
-    lows_off_since_ns: Option<u64>,
+    /// It pauses with both low FETs off.
+    reversals: Reversals,
     misuse: MisuseLog,
 }
 
@@ -169,8 +163,7 @@ impl OsmcBridge {
             powered: false,
             inputs,
             output: BridgeOutput::COAST,
-            direction: None,
-            lows_off_since_ns: Some(0),
+            reversals: Reversals::new(),
             misuse: MisuseLog::new(),
         }
     }
@@ -223,35 +216,19 @@ impl OsmcBridge {
     fn change(&mut self, at_ns: u64, pwm_period_ns: u64) {
         if !self.powered || self.inputs.disabled {
             self.output = BridgeOutput::COAST;
-            self.lows_off_since_ns.get_or_insert(at_ns);
+            self.reversals.set_idle(at_ns, true);
             return;
         }
         let sweep = Sweep::of(&self.inputs);
         self.output = sweep.output();
-        self.check_reversal(at_ns, &sweep, pwm_period_ns);
+        // Also if both directions occur in one cycle.
+        if let Some(off_ns) = self.reversals.too_short(at_ns, sweep.forward, sweep.reverse, pwm_period_ns) {
+            self.report(at_ns, MisuseKind::ReversalWithoutDeadTime { off_ns, needed_ns: pwm_period_ns });
+        }
         let BridgeInputs { ahi, ali, bhi, bli, .. } = self.inputs;
         self.check_leg(at_ns, Leg::A, ahi, ali, sweep.both_a);
         self.check_leg(at_ns, Leg::B, bhi, bli, sweep.both_b);
-        if is_ever_high(ali) || is_ever_high(bli) {
-            self.lows_off_since_ns = None;
-        } else {
-            self.lows_off_since_ns.get_or_insert(at_ns);
-        }
-    }
-
-    /// Reports a reversal without dead time, also if both directions occur in one cycle.
-    fn check_reversal(&mut self, at_ns: u64, sweep: &Sweep, needed_ns: u64) {
-        let off_ns = self.lows_off_since_ns.map_or(0, |since_ns| at_ns.saturating_sub(since_ns));
-        let (next, reversed, off_ns) = match (sweep.forward > 0, sweep.reverse > 0) {
-            (false, false) => return,
-            (true, true) => (None, true, 0),
-            (true, false) => (Some(Direction::Forward), self.direction == Some(Direction::Reverse), off_ns),
-            (false, true) => (Some(Direction::Reverse), self.direction == Some(Direction::Forward), off_ns),
-        };
-        self.direction = next;
-        if reversed && off_ns < needed_ns {
-            self.report(at_ns, MisuseKind::ReversalWithoutDeadTime { off_ns, needed_ns });
-        }
+        self.reversals.set_idle(at_ns, !is_ever_high(ali) && !is_ever_high(bli));
     }
 
     fn check_leg(&mut self, at_ns: u64, leg: Leg, high: Line, low: Line, both: u16) {
