@@ -21,7 +21,7 @@ pub(crate) fn place(config: &BoardConfig, channel: ChannelId) -> Result<Place, R
 }
 
 /// Count of a potentiometer channel's position on the wire, m.
-pub(crate) const POT_RESOLUTION_M: f32 = 1e-6;
+const POT_RESOLUTION_M: f32 = 1e-6;
 
 /// Returns the size of one count of the channel's position on the wire, rad or m.
 pub(crate) fn resolution(feedback: Feedback) -> f32 {

@@ -33,7 +33,7 @@ fn read(folder: &Path, module: &[String], files: &mut BTreeMap<String, syn::File
         if path.is_dir() {
             read(&path, &inner, files);
         } else if path.extension().is_some_and(|extension| extension == "rs") {
-            let module = if stem == "mod" || stem == "lib" && module.is_empty() { module } else { &inner };
+            let module = if stem == "mod" || stem == "lib" && module.is_empty() { module } else { &inner[..] };
             files.insert(module.join("::"), syn::parse_file(&fs::read_to_string(&path).unwrap()).unwrap());
         }
     }
