@@ -3,7 +3,7 @@
 use super::{ARPE, CEN, CMS, DIR, MOE, Source, Tim, UDE, UIF, UIFREMAP};
 use crate::context::{Context, Ticks};
 use crate::peripheral::{Size, Unmodelled};
-use crate::peripherals::width;
+use crate::peripherals::access;
 
 const CR1: u32 = 0x00;
 const CR2: u32 = 0x04;
@@ -114,10 +114,10 @@ impl Tim {
                 return self.refuse(format!("a byte written to offset {offset:#x}"));
             }
             // Unwritten bits must have no effect.
-            (Size::Half, EGR) => width::merge(0, offset, size, value),
-            (Size::Half, SR) => width::merge(u32::MAX, offset, size, value),
+            (Size::Half, EGR) => access::merged(0, offset, size, value),
+            (Size::Half, SR) => access::merged(u32::MAX, offset, size, value),
             (Size::Half, DMAR) => value,
-            (Size::Half, _) => width::merge(self.peek(register)?, offset, size, value),
+            (Size::Half, _) => access::merged(self.peek(register)?, offset, size, value),
         };
         self.write_register(register, value, context)
     }
