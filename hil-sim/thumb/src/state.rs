@@ -1,5 +1,6 @@
 //! Processor state, and bookkeeping during a run.
 
+use r4_mcu::cpu::exceptions::PRIORITY_MASK;
 use r4_mcu::cpu::{CoreBus, CoreError, Limits, Register};
 
 use crate::float::{self, Float};
@@ -12,6 +13,11 @@ const THUMB: u32 = 1 << 24;
 pub(crate) const PROCESS_STACK: u32 = 1 << 1;
 /// Bit CONTROL.FPCA: a floating-point context is active.
 pub(crate) const FLOAT_ACTIVE: u32 = 1 << 2;
+
+/// Returns the bits of a priority that the chip has (B1.4.3: in BASEPRI too, the others are zero).
+pub(crate) fn priority(value: u32) -> u32 {
+    value & u32::from(PRIORITY_MASK)
+}
 
 /// Condition flags, stored as the values that they are derived from.
 #[derive(Clone, Copy, Debug, Default)]
@@ -224,7 +230,7 @@ impl State {
                 self.select_stack();
             }
             Register::Primask => self.primask = value & 1,
-            Register::Basepri => self.basepri = value & 0xFF,
+            Register::Basepri => self.basepri = priority(value),
             Register::Faultmask => self.faultmask = value & 1,
             Register::Control => self.set_control(value),
             Register::Fpscr => self.float.set_fpscr(value),

@@ -142,6 +142,24 @@ fn a_store_to_another_address_than_the_claimed_one_fails() {
 }
 
 #[test]
+fn basepri_has_the_bits_of_a_priority() {
+    // msr basepri,r0; mrs r1,basepri; msr basepri_max,r2; mrs r3,basepri; msr basepri_max,r4; mrs r5,basepri; wfi
+    let code = [0xF380, 0x8811, 0xF3EF, 0x8111, 0xF382, 0x8812, 0xF3EF, 0x8311, 0xF384, 0x8812, 0xF3EF, 0x8511, 0xBF30];
+    let (mut core, _) = core(&code);
+    // 16 levels: the low half of the byte does not exist, so 0x2F is 0x20, and 0x0F is 0, which
+    // BASEPRI_MAX ignores.
+    core.set(Register::R(0), 0x1FF);
+    core.set(Register::R(2), 0x2F);
+    core.set(Register::R(4), 0x0F);
+    assert_eq!(run(&mut core), (7, Why::Wfi, 26));
+    let values = registers(&core);
+    assert_eq!((values[1], values[3], values[5]), (0xF0, 0x20, 0x20));
+    // A debugger's write is no other.
+    core.set(Register::Basepri, 0x3F);
+    assert_eq!(core.get(Register::Basepri), 0x30);
+}
+
+#[test]
 fn a_literal_follows_a_change_of_the_flash() {
     // ldr r0,[pc,#0]; wfi; .word
     let (mut core, memory) = core(&[0x4800, 0xBF30, 0x5678, 0x1234]);

@@ -62,7 +62,7 @@ impl Peripheral for Crs {
             CFGR if self.control & 1 << 5 != 0 && value != self.configuration => {
                 context.misuse("CRS", "CFGR is written while the counter is on; the chip ignores it (CRS_CFGR)");
             }
-            CFGR => self.configuration = value,
+            CFGR => self.configuration = value & 0xB7FF_FFFF,
             _ => {}
         }
         Ok(())

@@ -10,7 +10,7 @@
 use crate::context::Context;
 use crate::outside::Pin;
 use crate::peripheral::{Peripheral, Size, Unmodelled};
-use crate::peripherals::width;
+use crate::peripherals::access;
 
 const NAME: &str = "DAC1";
 /// Interrupt number, shared with TIM6.
@@ -203,15 +203,15 @@ impl Dac {
 
 impl Peripheral for Dac {
     fn read(&mut self, offset: u32, size: Size, _context: &mut Context<'_>) -> Result<u32, Unmodelled> {
-        Ok(width::part(self.register(offset & !3)?, offset, size))
+        Ok(access::part(self.register(offset & !3)?, offset, size))
     }
 
     fn write(&mut self, offset: u32, size: Size, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
         let register = offset & !3;
         let value = match register {
             // Unwritten bits are 0: they trigger nothing and clear nothing.
-            0x04 | 0x34 => width::merge(0, offset, size, value),
-            _ => width::merge(self.register(register)?, offset, size, value),
+            0x04 | 0x34 => access::merged(0, offset, size, value),
+            _ => access::merged(self.register(register)?, offset, size, value),
         };
         match register {
             0x00 => self.write_control(value, context)?,

@@ -11,6 +11,9 @@ const CR: u32 = 0x04;
 /// Offset of APB3FZ1, the first of the freeze registers.
 const FREEZE: u32 = 0x34;
 const FREEZE_END: u32 = 0x5C;
+/// Bits that exist, of APB3FZ1, APB1LFZ1, APB1HFZ1, APB2FZ1 and APB4FZ1, each followed by the one for the Cortex-M4.
+const FREEZE_BITS: [u32; ((FREEZE_END - FREEZE) / 4) as usize] =
+    [1 << 6, 1 << 6, 0x00E0_0BFF, 0x00E0_0BFF, 1 << 8, 1 << 8, 0x2007_0003, 0x2007_0003, 0x000D_1E80, 0x000D_1E80];
 
 /// Identity: device 0x450, revision V.
 const IDENTITY: u32 = 0x2003_6450;
@@ -58,7 +61,10 @@ impl Peripheral for Dbgmcu {
         match at {
             IDC => {}
             CR => self.control = value & CR_BITS,
-            _ => self.freeze[((at - FREEZE) / 4) as usize] = value,
+            _ => {
+                let index = ((at - FREEZE) / 4) as usize;
+                self.freeze[index] = value & FREEZE_BITS[index];
+            }
         }
         Ok(())
     }

@@ -11,6 +11,8 @@ use crate::{
 const BCR1: u32 = 0x00;
 /// Reset value of BCR1: MBKEN, MTYP = NOR, MWID = 16 bits, WREN, WAITEN and others.
 const BCR1_AT_RESET: u32 = 0x0000_30DB;
+/// Bits of BCR1 that exist.
+const BCR1_BITS: u32 = 0x833F_FB7F;
 const MBKEN: u32 = 1;
 
 /// Registers of the FMC.
@@ -52,7 +54,7 @@ impl Peripheral for Fmc {
         if value & MBKEN != 0 && !self.bank_1_on() {
             return Err(Unmodelled { peripheral: "FMC", what: "external memory (BCR1.MBKEN)".into() });
         }
-        self.bcr1 = value;
+        self.bcr1 = value & BCR1_BITS;
         Ok(())
     }
 

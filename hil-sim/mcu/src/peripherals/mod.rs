@@ -24,7 +24,6 @@ pub mod tim;
 #[cfg(test)]
 mod together;
 pub mod usart;
-mod width;
 
 #[cfg(test)]
 mod bench;

@@ -337,8 +337,8 @@ impl Peripheral for Pwr {
                 self.cr3 = self.cr3 & !OTHERS | value & OTHERS;
             }
             // CSSF clears the flags of Stop and Standby, which are never set; it reads as 0.
-            CPUCR => self.cpucr = value & 0x0000_0807,
-            CPU2CR => self.cpu2cr = value & 0x0000_0807,
+            CPUCR => self.cpucr = value & 0x0000_0C07,
+            CPU2CR => self.cpu2cr = value & 0x0000_0C07,
             D3CR => {
                 let vos = value >> 14 & 3;
                 if vos != self.vos && !self.supply_written {

@@ -136,6 +136,12 @@ pub(super) fn names() -> [String; Id::COUNT] {
     names
 }
 
+/// Returns the address of each word in the map, in no order.
+#[cfg(test)]
+pub(super) fn words() -> impl Iterator<Item = u32> {
+    MAP.iter().flat_map(|(base, count, _)| (*base..base + (count << 10)).step_by(4))
+}
+
 /// Fast map from an address to a peripheral: one byte for each KiB of peripheral space.
 pub(super) struct AddressMap(Box<[u8]>);
 

@@ -8,6 +8,8 @@ mod activity;
 mod cells;
 mod inspect;
 mod map;
+#[cfg(test)]
+mod reference;
 
 pub use activity::{Accesses, Activity};
 
@@ -224,7 +226,10 @@ impl<O: Outside, F: FlashCells> Soc<O, F> {
     /// accesses no others of `cells`.
     #[must_use]
     pub fn new(outside: O, oscillators: Oscillators, cells: F) -> Self {
-        let memory = Memory::new();
+        Self::with_memory(outside, oscillators, cells, Memory::new())
+    }
+
+    fn with_memory(outside: O, oscillators: Oscillators, cells: F, memory: Memory) -> Self {
         let devices = Devices::new(oscillators, Cells::new(&memory, cells));
         let mut soc = Self {
             clocks: devices.rcc.clocks(),

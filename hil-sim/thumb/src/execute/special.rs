@@ -1,6 +1,6 @@
 //! Execution of accesses to special registers (DDI0403E B5.2).
 
-use crate::state::{FLOAT_ACTIVE, PROCESS_STACK, State};
+use crate::state::{FLOAT_ACTIVE, PROCESS_STACK, State, priority};
 
 /// Bit CONTROL.nPRIV: thread mode is unprivileged.
 const UNPRIVILEGED: u32 = 1;
@@ -61,10 +61,10 @@ impl State {
             number::MSP => self.set_stack(false, value),
             number::PSP => self.set_stack(true, value),
             number::PRIMASK => self.primask = value & 1,
-            number::BASEPRI => self.basepri = value & 0xFF,
+            number::BASEPRI => self.basepri = priority(value),
             // BASEPRI_MAX only raises the priority: a lower number, or any while BASEPRI is 0 (off).
             number::BASEPRI_MAX => {
-                let value = value & 0xFF;
+                let value = priority(value);
                 if value != 0 && (value < self.basepri || self.basepri == 0) {
                     self.basepri = value;
                 }

@@ -11,6 +11,8 @@ mod decode;
 mod fast;
 mod format;
 mod integer;
+#[cfg(test)]
+mod oracle;
 mod status;
 #[cfg(test)]
 mod tests;

@@ -11,7 +11,7 @@ use super::*;
 const MODES: [u32; 4] = [0, 1 << 22, 2 << 22, 3 << 22];
 
 #[derive(Default)]
-struct Core {
+pub(super) struct Core {
     r: [u32; 16],
     flags: u32,
 }

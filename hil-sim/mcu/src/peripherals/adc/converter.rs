@@ -403,9 +403,14 @@ impl Converter {
             0x14 | 0x18 => self.smpr[(offset as usize - 0x14) / 4] = value & 0x3fff_ffff,
             0x1c => self.pcsel = value & 0xf_ffff,
             0x20 | 0x24 => self.thresholds[(offset as usize - 0x20) / 4] = value & 0x03ff_ffff,
-            0x30..=0x3c => self.sqr[(offset as usize - 0x30) / 4] = value & 0x1f7d_f7df,
+            0x30..=0x3c => {
+                const BITS: [u32; 4] = [0x1f7d_f7cf, 0x1f7d_f7df, 0x1f7d_f7df, 0x07df];
+                let index = (offset as usize - 0x30) / 4;
+                self.sqr[index] = value & BITS[index];
+            }
             0xb0..=0xbc => self.thresholds[2 + (offset as usize - 0xb0) / 4] = value & 0x03ff_ffff,
-            0xc4 | 0xc8 => self.calibration[(offset as usize - 0xc4) / 4] = value & 0x3fff_ffff,
+            0xc4 => self.calibration[0] = value & 0x07ff_07ff,
+            0xc8 => self.calibration[1] = value & 0x3fff_ffff,
             0x40 => {}
             // Offsets, watchdogs 2 and 3 and differential inputs are modelled in their off state only.
             0x60..=0x6c | 0xa0 | 0xa4 | 0xc0 if value == 0 => {}
@@ -430,7 +435,7 @@ impl Converter {
         if (value ^ self.cfgr) & 3 != 0 {
             self.dma_over = false;
         }
-        self.cfgr = value;
+        self.cfgr = value & 0xffff_7fff;
         Ok(())
     }
 

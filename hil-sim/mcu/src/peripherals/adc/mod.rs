@@ -17,7 +17,7 @@ use converter::Converter;
 
 use crate::context::{Clocks, Context};
 use crate::peripheral::{Peripheral, Size, Unmodelled};
-use crate::peripherals::width;
+use crate::peripherals::access;
 
 const IRQ: u16 = 18;
 /// Clock source and divider fields of CCR, the only ones with an effect in the model.
@@ -134,7 +134,7 @@ impl Peripheral for Adc12 {
         self.enter(context);
         let value = self.read_register(offset & !3)?;
         self.leave(context);
-        Ok(width::part(value, offset, size))
+        Ok(access::part(value, offset, size))
     }
 
     fn write(&mut self, offset: u32, size: Size, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {

@@ -4,7 +4,7 @@ use super::mux::{DMAMUX2, Mux};
 use super::{Access, Beat, BusError, Patience, size_of_code};
 use crate::context::Context;
 use crate::peripheral::{Peripheral, Size, Unmodelled};
-use crate::peripherals::width;
+use crate::peripherals::access;
 
 const CHANNELS: usize = 8;
 const FIRST_IRQ: u16 = 129;
@@ -177,7 +177,7 @@ impl Bdma {
         }
         self.current = Some((number, access));
         let access = match access {
-            Access::Write(value) => Access::Write(width::part(value, 0, size)),
+            Access::Write(value) => Access::Write(access::part(value, 0, size)),
             Access::Read => Access::Read,
         };
         Some(Beat { channel: number as u8, address, size, access })
@@ -312,12 +312,12 @@ impl Bdma {
 
 impl Peripheral for Bdma {
     fn read(&mut self, offset: u32, size: Size, _context: &mut Context<'_>) -> Result<u32, Unmodelled> {
-        Ok(width::part(self.register(offset & !3)?, offset, size))
+        Ok(access::part(self.register(offset & !3)?, offset, size))
     }
 
     fn write(&mut self, offset: u32, size: Size, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
         self.advance(context);
-        let value = width::merge(self.register(offset & !3)?, offset, size, value);
+        let value = access::merged(self.register(offset & !3)?, offset, size, value);
         let offset = offset & !3;
         match offset {
             0x00 => Ok(()),

@@ -6,7 +6,7 @@ use super::stream::Wanted;
 use super::{Beat, BusError};
 use crate::context::Context;
 use crate::peripheral::{Peripheral, Size, Unmodelled};
-use crate::peripherals::width;
+use crate::peripherals::access;
 
 /// Part of [`Dma12`] with its own reset bit in RCC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -129,7 +129,7 @@ impl Dma12 {
 
 impl Peripheral for Dma12 {
     fn read(&mut self, offset: u32, size: Size, _context: &mut Context<'_>) -> Result<u32, Unmodelled> {
-        Ok(width::part(self.register(offset & !3)?, offset, size))
+        Ok(access::part(self.register(offset & !3)?, offset, size))
     }
 
     fn write(&mut self, offset: u32, size: Size, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
@@ -141,7 +141,7 @@ impl Peripheral for Dma12 {
                 "DMA",
                 format!("register at offset {offset:#05x} written in less than a word (RM0399, DMA, main features)"),
             );
-            width::merge(self.register(offset & !3)?, offset, size, value)
+            access::merged(self.register(offset & !3)?, offset, size, value)
         };
         let offset = offset & !3;
         match offset {

@@ -15,7 +15,7 @@ const FW: u32 = 1 << 6;
 const START: u32 = 1 << 7;
 pub(super) const CRC_EN: u32 = 1 << 15;
 pub(super) const CR_AT_RESET: u32 = 0x31;
-const CR_WRITABLE: u32 = 0x0FEF_0F7F | START;
+const CR_WRITABLE: u32 = 0x1FEF_077F | START;
 
 /// Bits of the status register SR.
 const BSY: u32 = 1;

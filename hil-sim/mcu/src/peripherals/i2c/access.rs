@@ -126,7 +126,7 @@ impl I2c {
             self.misuse("TIMEOUTA or TIDLE changes while TIMOUTEN is 1 (RM0399, 50.7.6)", context);
             return Ok(());
         }
-        self.timeoutr = value;
+        self.timeoutr = value & timeoutr::ALL;
         Ok(())
     }
 

@@ -60,6 +60,8 @@ pub(super) mod timeoutr {
     pub(crate) const TIDLE: u32 = 1 << 12;
     pub(crate) const TIMOUTEN: u32 = 1 << 15;
     pub(crate) const TEXTEN: u32 = 1 << 31;
+    /// All bits that exist.
+    pub(crate) const ALL: u32 = 0x8FFF_9FFF;
 }
 
 /// Bits of ISR; those of ICR are at the same places.

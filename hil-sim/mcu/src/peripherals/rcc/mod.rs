@@ -165,7 +165,7 @@ enum State {
 const PLAIN: [(u32, u32, u32); 17] = [
     (offset::HSICFGR, 0x4000_0000, 0x7F00_0000),
     (offset::CSICFGR, 0x2000_0000, 0x3F00_0000),
-    (offset::CFGR, 0, 0xFFFF_FFC7),
+    (offset::CFGR, 0, 0xFFFC_FFC7),
     (offset::D1CFGR, 0, 0xF7F),
     (offset::D2CFGR, 0, 0x770),
     (offset::D3CFGR, 0, 0x70),
@@ -694,7 +694,8 @@ impl Rcc {
 
 fn sleep_enables() -> [u32; enable::GROUPS] {
     let mut bits = enable::ENABLES;
-    bits[3] |= 1 << 29; // SRAM4 has no enable bit, only this one.
+    // SRAM4 has no enable bit, only this one; the hardware semaphores have no bit here.
+    bits[3] = bits[3] & !(1 << 25) | 1 << 29;
     bits
 }
 

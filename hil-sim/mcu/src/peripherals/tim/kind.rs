@@ -158,6 +158,37 @@ impl Kind {
         KINDS.iter().find(|kind| kind.number == number)
     }
 
+    /// Returns the bits of CR2 that exist: CCPC, CCUS, CCDS, MMS, TI1S, OISx, MMS2.
+    pub(super) fn cr2_bits(&self) -> u32 {
+        match self.number {
+            1 | 8 => 0x00f5_7ffd,
+            2..=5 => 0x00f8,
+            15 => 0x07fd,
+            16 | 17 => 0x030d,
+            12 => 0x00f0,
+            _ => 0x0070,
+        }
+    }
+
+    /// Returns the bits of SMCR that exist: SMS, TS, MSM, and of timers with the input ETR its settings.
+    pub(super) fn smcr_bits(&self) -> u32 {
+        if self.has_encoder { 0x0031_fff7 } else { 0x0031_00f7 }
+    }
+
+    /// Returns the bits of AF1 that exist: the sources of the break input, ETRSEL.
+    pub(super) fn af1_bits(&self) -> u32 {
+        match self.number {
+            1 | 8 => 0x0003_cf07,
+            2..=5 => 0x0003_c000,
+            _ => 0x0f07,
+        }
+    }
+
+    /// Returns the bits of BDTR that exist; a second break input has only a timer with an encoder interface.
+    pub(super) fn bdtr_bits(&self) -> u32 {
+        if self.has_encoder { 0x03ff_ffff } else { 0x000f_ffff }
+    }
+
     pub(super) fn hz(&self, clocks: &Clocks) -> u64 {
         if self.apb2 { clocks.tim_apb2_hz } else { clocks.tim_apb1_hz }
     }

@@ -35,7 +35,7 @@ use source::Source;
 
 use crate::context::{Context, Signal, Ticks};
 use crate::peripheral::{Peripheral, Size, Unmodelled};
-use crate::peripherals::width;
+use crate::peripherals::access;
 
 /// Largest delay in the report of an output's edge that follows another one within this time, ns.
 pub const OUTPUT_BATCH_NS: u64 = 20_000;
@@ -287,7 +287,7 @@ impl Peripheral for Tim {
         if self.crossed || sr != self.sr {
             self.leave(context);
         }
-        Ok(width::part(value, offset, size))
+        Ok(access::part(value, offset, size))
     }
 
     fn write(&mut self, offset: u32, size: Size, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {

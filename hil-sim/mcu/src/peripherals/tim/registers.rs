@@ -3,7 +3,7 @@
 use super::{ARPE, CEN, CMS, DIR, MOE, Source, Tim, UDE, UIF, UIFREMAP};
 use crate::context::{Context, Ticks};
 use crate::peripheral::{Size, Unmodelled};
-use crate::peripherals::width;
+use crate::peripherals::access;
 
 const CR1: u32 = 0x00;
 const CR2: u32 = 0x04;
@@ -114,10 +114,10 @@ impl Tim {
                 return self.refuse(format!("a byte written to offset {offset:#x}"));
             }
             // Unwritten bits must have no effect.
-            (Size::Half, EGR) => width::merge(0, offset, size, value),
-            (Size::Half, SR) => width::merge(u32::MAX, offset, size, value),
+            (Size::Half, EGR) => access::merged(0, offset, size, value),
+            (Size::Half, SR) => access::merged(u32::MAX, offset, size, value),
             (Size::Half, DMAR) => value,
-            (Size::Half, _) => width::merge(self.peek(register)?, offset, size, value),
+            (Size::Half, _) => access::merged(self.peek(register)?, offset, size, value),
         };
         self.write_register(register, value, context)
     }
@@ -159,8 +159,8 @@ impl Tim {
                 let target = self.burst_target(context);
                 return self.write_register(target, value, context);
             }
-            AF1 => self.af[0] = value,
-            AF2 => self.af[1] = value,
+            AF1 => self.af[0] = value & self.kind.af1_bits(),
+            AF2 => self.af[1] = value & 0xf07,
             _ if value == 0 => self.source = None,
             _ => match Source::new(self.kind.number, value, self.now_ns, context.clocks) {
                 Some(source) if self.source.is_none_or(|before| before.select() != value) => self.source = Some(source),
@@ -221,12 +221,13 @@ impl Tim {
         if value & 0x40 != 0 || value & 0x00f0_0000 != 0 {
             return self.refuse("a trigger output other than reset, enable, update and compare pulse (MMS, MMS2)");
         }
-        self.cr2 = value & 0x7f78;
+        self.cr2 = value & self.kind.cr2_bits();
         self.tell_outputs(self.now_ns, context);
         Ok(())
     }
 
     fn write_smcr(&mut self, value: u32, context: &mut Context<'_>) -> Result<(), Unmodelled> {
+        let value = value & self.kind.smcr_bits();
         let mode = value & 7 | (value >> 16 & 1) << 3;
         if mode > 3 || mode > 0 && !self.kind.has_encoder {
             return self.refuse(format!("slave mode {mode} (SMS)"));
@@ -247,7 +248,7 @@ impl Tim {
     fn write_dier(&mut self, value: u32, context: &mut Context<'_>) {
         let channels = (1_u32 << self.kind.channels) - 1;
         let mut mask = 1 | channels << 1;
-        if self.kind.has_smcr || self.kind.has_break() {
+        if self.kind.has_smcr {
             mask |= 0x40;
         }
         if self.kind.has_break() {
@@ -255,8 +256,11 @@ impl Tim {
         }
         if self.kind.update_request != 0 {
             mask |= UDE | channels << 9;
-            if self.kind.channels > 0 {
-                mask |= 0x6000;
+            if self.kind.has_smcr {
+                mask |= 0x4000;
+            }
+            if self.kind.has_break() {
+                mask |= 0x2000;
             }
         }
         let value = value & mask;
@@ -367,7 +371,7 @@ impl Tim {
             context
                 .misuse(self.kind.name, "a break input is enabled (BKE, BK2E); here it is ignored (RM0399, TIMx_BDTR)");
         }
-        self.bdtr = value & 0x03ff_ffff;
+        self.bdtr = value & self.kind.bdtr_bits();
         self.tell_outputs(self.now_ns, context);
     }
 

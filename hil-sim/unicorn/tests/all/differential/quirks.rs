@@ -35,6 +35,7 @@ const QUIRKS: &[Quirk] = &[
     ("rounding from fixed point", rounding),
     ("masks of an unprivileged program", masks),
     ("low bits of SP", low_bits),
+    ("low bits of BASEPRI", low_priority),
     ("IT state that skipped instructions", skipped),
     ("IT state left behind", left_behind),
     ("an even address without code", even_address),
@@ -130,6 +131,11 @@ fn low_bits(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
     let applies =
         stacks.into_iter().any(|register| matches!(theirs.register(register) ^ ours.register(register), 1..=3));
     dropped(applies, ours, theirs)
+}
+
+/// The chip's priorities have four bits, and so has BASEPRI (B1.4.3); the translator's has eight.
+fn low_priority(_: &Case, ours: &Outcome, theirs: &mut Outcome) -> bool {
+    dropped(theirs.register(Register::Basepri) & 0xF != 0, ours, theirs)
 }
 
 /// README.md: an access leaves the state of an IT block behind. The following block of code was taken for conditional.
