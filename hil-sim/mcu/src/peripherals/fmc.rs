@@ -54,7 +54,8 @@ impl Peripheral for Fmc {
         if value & MBKEN != 0 && !self.bank_1_on() {
             return Err(Unmodelled { peripheral: "FMC", what: "external memory (BCR1.MBKEN)".into() });
         }
-        self.bcr1 = value & BCR1_BITS;
+        // Bit 7 is reserved and reads as 1.
+        self.bcr1 = value & BCR1_BITS | BCR1_AT_RESET & !BCR1_BITS;
         Ok(())
     }
 
