@@ -26,7 +26,8 @@ use crate::{rover::Program, sampler::Sampler};
 /// of length √2 s.
 pub const EXPECTED: Kernel =
     Kernel { place_deviation: 40.0, length_m: 200.0, time_deviation: 30.0, time_s: 150.0, noise: 5.0 };
-/// Uncertainty at which the mission ends: root mean square deviation of the pattern at all sites, V/m.
+/// Uncertainty at which the mission ends: root mean square deviation of the pattern at all sites, V/m. Half of the
+/// spatial part's prior one.
 pub const ENOUGH_V_PER_M: f64 = 20.0;
 /// Averaging time of a reading, s: 13 m of travel.
 pub const PERIOD_S: f64 = 30.0;
@@ -189,8 +190,11 @@ impl Member {
         let process = Process::of(EXPECTED, &samples).ok()?;
         let base = self.base.borrow();
         let covariance = process.pattern_covariance(&base.sites);
+        // A reading at the goal contains a drift that is not known yet. Without it, readings at sites that were measured
+        // at other times seem to be worth as much as those at new ones, and the robots stay at a few sites.
+        let unknown = EXPECTED.time_deviation.powi(2) + EXPECTED.noise.powi(2);
         let worth = |site: &usize| {
-            let gain = covariance.column(*site).norm_squared() / (covariance[(*site, *site)] + EXPECTED.noise.powi(2));
+            let gain = covariance.column(*site).norm_squared() / (covariance[(*site, *site)] + unknown);
             gain / (from_m(at, base.sites[*site]) / speeds().speed_m_s + OVERHEAD_S)
         };
         let far_enough = |site: &usize| from_m(at, base.sites[*site]) > 2.0 * speeds().reached_m;
