@@ -14,7 +14,9 @@ pub const PERIOD_S: f64 = 2.0;
 /// Distance of the lawn-mower's rows, m: the size of the smallest space charge. Our choice; other values were not
 /// compared.
 const SPACING_M: f64 = 5.0;
-/// Number of rows, and of columns, that cross each other, and their distance from the border, m.
+/// Number of rows, and of columns, that cross each other, and their distance from the border, m. On tuning seeds 1 to 6
+/// (`sim:`) the map's error was 8.6 V/m, with the lawn-mower's rows 9.4. By the expected variance, four of each leave 8 %
+/// more error than five, in 830 s in place of 1000 s.
 const CROSSING: usize = 5;
 const MARGIN_M: f64 = 4.0;
 /// Number of laps round the loop. A drift that wanders leaves an independent error in each lap, so that n laps leave at
