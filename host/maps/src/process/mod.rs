@@ -269,6 +269,25 @@ impl Process {
         })
     }
 
+    /// Returns the covariance of the pattern at places, unit², given the samples: of the spatial part less its mean over
+    /// these places.
+    ///
+    /// A constant can belong to either part, so that the samples never determine the spatial part's mean. Its variance
+    /// keeps that of every place up; a reader of a map asks how places differ, which this covariance describes.
+    #[must_use]
+    pub fn pattern_covariance(&self, places: &[Point]) -> DMatrix<f64> {
+        let mut covariance = self.place_covariance(places);
+        // The matrix is symmetric: means of rows are those of columns.
+        let means = covariance.row_mean();
+        let mean = means.mean();
+        for ((i, j), value) in
+            (0..places.len()).flat_map(|j| (0..places.len()).map(move |i| (i, j))).zip(covariance.iter_mut())
+        {
+            *value += mean - means[i] - means[j];
+        }
+        covariance
+    }
+
     /// Returns the natural logarithm of the samples' probability density under the kernel.
     #[must_use]
     pub fn log_likelihood(&self) -> f64 {

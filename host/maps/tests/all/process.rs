@@ -118,6 +118,21 @@ fn on_one_drive_place_and_time_are_confounded_and_coming_back_parts_them() {
     assert!(after.time.variance < 0.7 * before.time.variance, "{before:?} {after:?}");
 }
 
+/// The pattern's covariance is that of differences: a contrast, whose weights sum to 0, has the same variance by both.
+#[test]
+fn a_pattern_has_the_contrasts_of_the_places_and_no_constant() {
+    let (kernel, samples, _) = cases().swap_remove(0);
+    let process = Process::of(kernel, &samples).unwrap();
+    let places: Vec<[f64; 2]> = (0..6).map(|index| [1.5 * f64::from(index), 4.0]).collect();
+    let (places_only, pattern) = (process.place_covariance(&places), process.pattern_covariance(&places));
+    let contrast = DMatrix::from_row_slice(1, 6, &[1.0, -2.0, 0.5, 0.5, 3.0, -3.0]);
+    let variance = |covariance: &DMatrix<f64>| (&contrast * covariance * contrast.transpose())[(0, 0)];
+    assert!((variance(&pattern) / variance(&places_only) - 1.0).abs() < 1e-12);
+    let constant = DMatrix::from_element(1, 6, 1.0);
+    assert!((&constant * &pattern).amax() < 1e-12 * places_only.amax());
+    assert!(pattern.trace() < 0.9 * places_only.trace());
+}
+
 #[test]
 fn sites_are_those_of_the_definition() {
     let kernel = Kernel { place_deviation: 3.0, length_m: 1.5, time_deviation: 0.5, time_s: 60.0, noise: 0.3 };

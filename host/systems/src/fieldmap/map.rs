@@ -8,15 +8,16 @@ use r4_maps::{
 use r4_maths::minimise::Effort;
 
 /// Bounds of the kernel's parameters on a plot of 40 m: half again as wide as the sampled ranges of `About::sampled`.
-/// The noise covers the displacement within a reading and a cloud's changes over the plot.
-const LEAST: Kernel = Kernel { place_deviation: 10.0, length_m: 3.0, time_deviation: 10.0, time_s: 40.0, noise: 0.5 };
+/// Bells of a size s at random places have a covariance of length √2 s. The noise covers the displacement within a
+/// reading and a cloud's changes over the plot.
+const LEAST: Kernel = Kernel { place_deviation: 10.0, length_m: 3.5, time_deviation: 10.0, time_s: 40.0, noise: 0.5 };
 const GREATEST: Kernel =
-    Kernel { place_deviation: 60.0, length_m: 12.0, time_deviation: 60.0, time_s: 2000.0, noise: 8.0 };
+    Kernel { place_deviation: 60.0, length_m: 19.0, time_deviation: 60.0, time_s: 2000.0, noise: 8.0 };
 /// Bounds of a kernel without a time term, for which all changes are noise.
 const NO_TIME: f64 = 1e-3;
 const NOISE_WITHOUT_TIME: f64 = 80.0;
-/// Effort of the fit: our choice for speed; other values were not compared.
-const EFFORT: Effort = Effort { points: 8, generations: 6, simplex: 60 };
+/// Effort of the fit.
+const EFFORT: Effort = Effort { points: 10, generations: 10, simplex: 180 };
 const FIT_SEED: u64 = 14;
 /// Largest number of readings for the kernel's fit: every n-th is used, since the time of a fit grows with their cube.
 const FITTED: usize = 220;
@@ -32,7 +33,7 @@ pub struct Map {
     pub kernel: Kernel,
     /// Temporal part every `AVERAGED_S`: time, s, and difference from the readings' mean, V/m.
     pub time_part: Vec<(f64, f64)>,
-    /// Standard deviation of the spatial part in each cell, V/m.
+    /// Standard deviation of the pattern in each cell, the spatial part less its mean over the map, V/m.
     pub deviation: Grid<f64>,
 }
 
@@ -64,10 +65,12 @@ pub fn by_process(frame: Frame, readings: &[Sample], until_s: f64, has_time: boo
     let time_mean = time_part.iter().map(|(_, mean)| mean).sum::<f64>() / steps as f64;
     let mut mean = Grid::filled(frame, 0.0);
     let mut deviation = Grid::filled(frame, 0.0);
-    for index in 0..frame.cells() {
-        let place = process.predict(frame.centre(frame.cell(index)), 0.0).place;
-        mean.values_mut()[index] = offset + time_mean + place.mean;
-        deviation.values_mut()[index] = place.variance.sqrt();
+    let places: Vec<Point> = (0..frame.cells()).map(|index| frame.centre(frame.cell(index))).collect();
+    let covariance = process.pattern_covariance(&places);
+    for (index, place) in places.into_iter().enumerate() {
+        mean.values_mut()[index] = offset + time_mean + process.predict(place, 0.0).place.mean;
+        // Rounding may make a variance of nearly nothing negative.
+        deviation.values_mut()[index] = covariance[(index, index)].max(0.0).sqrt();
     }
     Ok(Map { mean, kernel, time_part, deviation })
 }

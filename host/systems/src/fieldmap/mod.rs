@@ -38,6 +38,7 @@ const NAME: &str = "fieldmap";
 const PRINTED: &str = "paper";
 const OURS: &str = "ours";
 const PERFECT: &str = "ablation:perfect-actuators";
+const ROWS: &str = "ablation:rows";
 const SITES: &str = "ablation:sites";
 const SWARM: &str = "ours:swarm";
 const SWARM_PERFECT: &str = "ablation:perfect-swarm";
@@ -91,8 +92,9 @@ static ABOUT: About = About {
         "blind arms: form factor 5 to 15 % off either way, wheels add 0.02 to 0.06 V/m a radian, lag of 0.5 to 2 s",
     ],
     arms: &[
-        board(PRINTED, "a loop of 20 m by 20 m driven three times, means of cells"),
-        board(OURS, "row by row and back to the start, map by place and time, calibrated mill"),
+        board(PRINTED, "a loop of 20 m by 20 m driven six times, means of cells"),
+        board(OURS, "rows, then columns that cross them, map by place and time, calibrated mill"),
+        board(ROWS, "row by row and back to the start, in place of crossing rows"),
         board(SITES, "from site to site by mutual information in the same time"),
         perfect(PERFECT, "ours on actuators that move as commanded, with a pose that is true, a mill without noise"),
         board(SWARM, "six robots on 1 km2, and one, until the map is known to 20 V/m; each on its board, on one clock"),

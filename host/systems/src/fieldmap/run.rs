@@ -9,7 +9,7 @@ use r4_rig::{Fleet, Place, Rig, Session};
 use r4_world::{ElectricSpec, Person};
 
 use super::{
-    PRINTED, SITES, is_kinematic, kinematic, map,
+    PRINTED, ROWS, SITES, is_kinematic, kinematic, map,
     mill::{self, Calibration, NO_FIELD, REFERENCES_V_PER_M, Reads, Turns},
     missing::{self, Change, Crossings},
     scene::{Mill, OPEN, PLOT, Scene},
@@ -22,7 +22,7 @@ use crate::{
     rover::{self, Driven, Program, Setup},
 };
 
-/// Side of the squares of the per-cell means, m: the distance of the rows. Our choice; other values were not compared.
+/// Side of the squares of the per-cell means, m: the distance of the lawn-mower's rows. Our choice; other values were not compared.
 pub(super) const SQUARE_M: f64 = 5.0;
 /// Half-width of a 95 % interval, in standard deviations.
 const WIDTH: f64 = 1.96;
@@ -96,11 +96,12 @@ pub(super) fn surveyed(
     let strategy = match trial.arm {
         PRINTED => Strategy::Loop,
         SITES => Strategy::Sites,
-        _ => Strategy::LawnMower,
+        ROWS => Strategy::LawnMower,
+        _ => Strategy::Crossing,
     };
-    let until_s = survey::mission_s(scene.plot.side_m);
+    let until_s = survey::mission_s(strategy, scene.plot.side_m);
     let mut survey = Survey::new(strategy, scene.plot.side_m, until_s, calibration).map_err(failed(trial))?;
-    let start = scene.start();
+    let start = survey::start(strategy, scene.plot.side_m);
     if is_kinematic(trial.arm) {
         let path = kinematic::run(scene, &[start], &mut [&mut survey]).remove(0);
         return Ok(Surveyed { taken: survey.taken().to_vec(), path, driven: None });
@@ -180,7 +181,7 @@ fn maps(
 /// Share of cells whose true pattern lies within the map's 95 % interval.
 fn covered(map: &map::Map, truth: &Grid<f64>) -> f64 {
     let mean = |grid: &Grid<f64>| grid.values().iter().sum::<f64>() / grid.values().len() as f64;
-    // The interval is that of the spatial part: a difference of the means belongs to the temporal one.
+    // The interval is that of the pattern: a difference of the means belongs to the temporal part.
     let shift = mean(&map.mean) - mean(truth);
     let cells = map.mean.values().iter().zip(map.deviation.values()).zip(truth.values());
     let inside = cells.filter(|((mean, deviation), truth)| (*mean - shift - *truth).abs() <= WIDTH * *deviation);

@@ -171,13 +171,6 @@ impl Scene {
         Field { name: NAME.to_owned(), kind: FieldKind::Electric(Box::new(self.electric.clone())) }
     }
 
-    /// Start of a single robot: in the south-western corner, facing east.
-    #[must_use]
-    pub fn start(&self) -> Place {
-        let middle_m = super::survey::SPACING_M / 2.0;
-        Place { x_m: middle_m, y_m: middle_m, yaw_rad: 0.0 }
-    }
-
     /// Mean of the field from time 0 to `until_s` in the middle of each cell, V/m.
     ///
     /// # Errors

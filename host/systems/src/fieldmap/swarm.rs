@@ -2,7 +2,8 @@
 //! heard over an intermittent link.
 //!
 //! When the link is up, a robot sends its samples to a base and hears of the others' samples and goals. The base ends
-//! the mission when the spatial part is known well enough. All robots share one time: samples at many positions at one
+//! the mission when the pattern, the spatial part less its mean, is known well enough: a constant belongs to drift as
+//! well as to place, whatever is measured. All robots share one time: samples at many positions at one
 //! moment separate drift from position.
 
 use std::{cell::RefCell, rc::Rc};
@@ -21,10 +22,12 @@ use super::{
 };
 use crate::{rover::Program, sampler::Sampler};
 
-/// Prior kernel of the open field: the middle of the sampled ranges.
+/// Prior kernel of the open field: the middle of the sampled ranges. Bells of a size s at random places have a covariance
+/// of length √2 s.
 pub const EXPECTED: Kernel =
-    Kernel { place_deviation: 40.0, length_m: 130.0, time_deviation: 30.0, time_s: 150.0, noise: 5.0 };
-/// Uncertainty at which the mission ends: root mean square deviation of the spatial part, V/m. Half of the prior one.
+    Kernel { place_deviation: 40.0, length_m: 200.0, time_deviation: 30.0, time_s: 150.0, noise: 5.0 };
+/// Uncertainty at which the mission ends: root mean square deviation of the pattern at all sites, V/m. Half of the
+/// spatial part's prior one.
 pub const ENOUGH_V_PER_M: f64 = 20.0;
 /// Averaging time of a reading, s: 13 m of travel.
 pub const PERIOD_S: f64 = 30.0;
@@ -52,7 +55,7 @@ pub struct Base {
     claims: Vec<Option<Point>>,
     sites: Vec<Point>,
     looked_s: f64,
-    /// Time, s, and root mean square deviation of the spatial part, V/m.
+    /// Time, s, and root mean square deviation of the pattern, V/m.
     pub deviation: Vec<(f64, f64)>,
     /// Time at which the deviation was low enough, s; `None` before.
     pub reached_s: Option<f64>,
@@ -87,8 +90,7 @@ impl Base {
             return;
         }
         self.looked_s = time_s;
-        let squares: f64 = self.sites.iter().map(|site| self.process.predict(*site, time_s).place.variance).sum();
-        let deviation = (squares / self.sites.len() as f64).sqrt();
+        let deviation = (self.process.pattern_covariance(&self.sites).trace() / self.sites.len() as f64).sqrt();
         self.deviation.push((time_s, deviation));
         if deviation <= ENOUGH_V_PER_M {
             self.reached_s = Some(time_s);
@@ -178,8 +180,8 @@ impl Member {
         self.heard.clone_from(&base.claims);
     }
 
-    /// Site that reduces the variance of all sites most per second of its time, with the others' goals as if they were
-    /// measured already.
+    /// Site that reduces the pattern's variance at all sites most per second of its time, with the others' goals as if
+    /// they were measured already.
     fn next(&self, time_s: f64, at: Place) -> Option<Point> {
         let others = self.heard.iter().enumerate().filter(|(number, _)| *number != self.number);
         // Their values are unknown and have no effect: only the covariance is used below.
@@ -187,9 +189,12 @@ impl Member {
         let samples: Vec<Sample> = self.known.iter().chain(&self.waiting).copied().chain(claimed).collect();
         let process = Process::of(EXPECTED, &samples).ok()?;
         let base = self.base.borrow();
-        let covariance = process.place_covariance(&base.sites);
+        let covariance = process.pattern_covariance(&base.sites);
+        // A reading at the goal contains a drift that is not known yet. Without it, readings at sites that were measured
+        // at other times seem to be worth as much as those at new ones, and the robots stay at a few sites.
+        let unknown = EXPECTED.time_deviation.powi(2) + EXPECTED.noise.powi(2);
         let worth = |site: &usize| {
-            let gain = covariance.column(*site).norm_squared() / (covariance[(*site, *site)] + EXPECTED.noise.powi(2));
+            let gain = covariance.column(*site).norm_squared() / (covariance[(*site, *site)] + unknown);
             gain / (from_m(at, base.sites[*site]) / speeds().speed_m_s + OVERHEAD_S)
         };
         let far_enough = |site: &usize| from_m(at, base.sites[*site]) > 2.0 * speeds().reached_m;

@@ -23,7 +23,7 @@ const SOUND: Calibration = Calibration { offset_v: 2.5, form: 1.4, per_rad: 0.04
 
 /// A person who stands in the first row, 5 m from the start, from 7 s to 40 s.
 fn person() -> Person {
-    let (beside, before) = ([7.5, 6.0], [7.5, 2.5]);
+    let (beside, before) = ([9.0, 7.5], [9.0, 4.0]);
     Person { radius_m: 0.25, path: vec![(4.0, beside), (7.0, before), (40.0, before), (43.0, beside)] }
 }
 
@@ -106,6 +106,46 @@ fn positions_become_metres_and_damaged_sentences_none() {
         // 1e-6 minutes of arc are 2 mm.
         assert!(distance_m(at, [100.0, -200.0]) < 0.005, "{at:?}");
     }
+}
+
+/// Expected errors need no readings: they follow from the places and times of a path. Rows that columns cross leave at
+/// least a tenth less than rows alone.
+#[test]
+fn paths_that_come_back_tell_place_from_time() {
+    use r4_maps::process::Process;
+    let side_m = scene::PLOT.side_m;
+    let path = |strategy| {
+        let ends = survey::ends_m(strategy, side_m);
+        let mut samples = Vec::new();
+        let (mut since_s, mut left_s) = (0.0, 0.0);
+        for leg in ends.windows(2) {
+            let (length_m, speed_m_s) = (distance_m(leg[0], leg[1]), survey::limits().speed_m_s);
+            while left_s * speed_m_s < length_m {
+                let share = left_s * speed_m_s / length_m;
+                let at = [0, 1].map(|axis| leg[0][axis] + share * (leg[1][axis] - leg[0][axis]));
+                samples.push(Sample { at, at_s: since_s + left_s, value: 0.0 });
+                left_s += survey::PERIOD_S;
+            }
+            since_s += length_m / speed_m_s;
+            left_s -= length_m / speed_m_s;
+        }
+        samples
+    };
+    let deviation = |samples: &[Sample], places: &[[f64; 2]]| {
+        let process = Process::of(survey::EXPECTED, samples).expect("a kernel");
+        (process.pattern_covariance(places).trace() / places.len() as f64).sqrt()
+    };
+    let cells: Vec<[f64; 2]> =
+        (0..100).map(|cell| [cell % 10, cell / 10].map(|number| (f64::from(number) + 0.5) * side_m / 10.0)).collect();
+    let [crossing, rows] =
+        [survey::Strategy::Crossing, survey::Strategy::LawnMower].map(|of| deviation(&path(of), &cells));
+    assert!(crossing < 0.9 * rows, "{crossing} {rows} V/m");
+    // The first lap, three and all of them: three cannot leave half of the first lap's error, since 1/√3 is 0.58.
+    let laps = path(survey::Strategy::Loop);
+    let lap = laps.len() / survey::LAPS;
+    let along: Vec<[f64; 2]> = laps[..lap].iter().step_by(4).map(|sample| sample.at).collect();
+    let [one, three, all] = [lap, 3 * lap, laps.len()].map(|count| deviation(&laps[..count], &along));
+    assert!(three > 0.5 * one && all < 0.5 * one, "{one} {three} {all} V/m");
 }
 
 #[test]

@@ -2,8 +2,8 @@
 //! standing boxes.
 //!
 //! The narrow robot drives up to the boxes and back, each recording at another speed, and touches them with its whiskers only. The base
-//! model is geometry, with the near face `f`, the inner corner `y` and the magnet's zero: `d = f - x`, and the bend is the larger of
-//! `acos(d / l)`, the tip on the face, and `atan2(y, d)`, the corner, less the bearing at rest. Each candidate adds one effect.
+//! model is geometry, with the near face `f`, the inner corner `y` and the magnet's zero: `d = f - x`, and the bend is `acos(d / l)`, the
+//! tip on the face, before the face's plane and `atan2(y, d)`, the corner, past it, less the bearing at rest. Each candidate adds one effect.
 //!
 //! | candidate | prediction | size |
 //! | --- | --- | --- |
@@ -130,10 +130,11 @@ fn predict(effect: Option<usize>, parameters: &[f64], recording: &Recording, set
     let size = added.first().copied().unwrap_or(0.0);
     let (length_m, rest_rad) = (setup.whiskers.length_m, setup.whiskers.rest_rad);
     let at = |ahead_m: f64| {
-        let on_face_rad = (ahead_m / length_m).clamp(-1.0, 1.0).acos();
-        let is_near = ahead_m.hypot(corner_m) < length_m;
-        let at_corner_rad = if is_near { corner_m.atan2(ahead_m) } else { 0.0 };
-        (on_face_rad.max(at_corner_rad) - rest_rad).max(0.0)
+        // Past the face the corner counts for any length of the whisker. If it counted within reach only, a base model of
+        // late samples would put the corner a whisker's length aside, where the slope jumps, and the fit would go to and
+        // fro across this crease without an end.
+        let bearing_rad = if ahead_m > 0.0 { (ahead_m / length_m).min(1.0).acos() } else { corner_m.atan2(ahead_m) };
+        (bearing_rad - rest_rad).max(0.0)
     };
     let bend = |x_m: f64| match effect {
         Some(2) => at(face_m + size * at(face_m - x_m) - x_m),
