@@ -357,6 +357,10 @@ pub(crate) struct BenchSystems {
     /// Number of seeds [default: 100, quick 8]
     #[arg(long, value_parser = clap::value_parser!(u64).range(2..=1_000_000))]
     pub(crate) seeds: Option<u64>,
+    /// Keep each system's rows in this folder, and do not run a system again whose rows this very program left there with the
+    /// same board and seeds. Interrupted runs continue, and runs with --only add up
+    #[arg(long, value_name = "FOLDER")]
+    pub(crate) out: Option<PathBuf>,
 }
 
 #[derive(Clone, Debug, clap::Args)]

@@ -1,5 +1,7 @@
 //! `r4 system` and `r4 bench systems`: the robot systems of `r4-systems`, their trials and studies.
 
+mod part;
+
 use std::{
     collections::BTreeSet,
     fs,
@@ -123,6 +125,11 @@ pub(crate) fn bench(args: &Args, bench: &BenchSystems) -> anyhow::Result<bool> {
     let mut is_complete = true;
     let only = bench.only.as_deref().map(r4_systems::find).transpose()?;
     let chosen = only.map_or_else(|| r4_systems::all().to_vec(), |system| vec![system]);
+    let kept = bench.out.as_ref().map(|folder| {
+        fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        Ok::<_, anyhow::Error>((part::program()?, folder))
+    });
+    let kept = kept.transpose()?;
     for system in &chosen {
         let seeds = bench.seeds.unwrap_or(if bench.quick { QUICK_SEEDS } else { BENCH_SEEDS });
         let study = Study {
@@ -132,11 +139,27 @@ pub(crate) fn bench(args: &Args, bench: &BenchSystems) -> anyhow::Result<bool> {
             board: board(args, *system),
             shard: Shard::default(),
         };
-        let found = study::rows(&records(*system, &study)?)?;
+        let run = || -> anyhow::Result<part::Found> {
+            let rows = study::rows(&records(*system, &study)?)?;
+            Ok(part::Found { rows, timings: system.timings(bench.quick)? })
+        };
+        let part::Found { rows: found, timings } = match &kept {
+            Some((program, folder)) => {
+                let made = part::Made {
+                    program: program.clone(),
+                    board: study.board.to_string(),
+                    first_seed: study.first_seed,
+                    seeds: study.seeds,
+                    is_quick: bench.quick,
+                };
+                part::kept(folder, system.about().name, made, run)?
+            }
+            None => run()?,
+        };
         // A target without a row would otherwise count as met.
         is_complete &= has_all_targets(*system, &found);
         rows.extend(found);
-        rows.extend(system.timings(bench.quick)?);
+        rows.extend(timings);
     }
     let targets = rows.iter().filter(|row| row.target.is_some()).count();
     let missed: Vec<&Row> = rows.iter().filter(|row| row.met == Some(false)).collect();

@@ -48,7 +48,7 @@ const BLIND: [(&str, Hidden); 5] = [
     ("blind:zero-offset", Hidden::ZeroOffset),
     (CLEAN, Hidden::Nothing),
 ];
-/// Number of repetitions of both motions in blind arms; the last is held out.
+/// Number of repetitions in blind arms, of the gauge's pivot and of the object's both motions; the last is held out.
 const BLIND_REPEATS: usize = 4;
 
 const fn board(name: &'static str, does: &'static str) -> Arm {
@@ -81,6 +81,7 @@ static ABOUT: About = About {
         "zeros of the encoders wrong by 0.5 mrad, normal; noise of encoders and analog inputs",
         "blind arms: square with sharp edges, 25 to 45 mm, and one of: radius 0.15 to 0.4 of its size; creep 1.5 to 4 /s; play of the \
          rack 1 to 2.5 mm; left zero wrong by 20 to 35 mrad",
+        "gauge of the blind arms: rod of 30 mm, 0 to 13 um thinner (h6), placed and gripped within the objects' ranges",
     ],
     arms: &[
         board(PAPER, "four-bar linkage with constant links, encoders as they are, both motions"),
@@ -140,10 +141,18 @@ impl System for Inhand {
     }
 
     fn run(&self, trial: &Trial) -> Result<Values, Error> {
-        let (case, setup, stops) = recorded(trial)?;
         match hidden(trial.arm) {
-            Some(hidden) => found(hidden, &setup, &stops),
-            None => Ok(evaluate(trial.arm, &case, &setup, &stops)),
+            Some(hidden) => {
+                let case = Case::hiding(trial.seed, hidden);
+                let (_, gauge) = recorded(trial, &case.gauging(), &[Motion::Pivot], BLIND_REPEATS)?;
+                let (setup, stops) = recorded(trial, &case, &Motion::BOTH, BLIND_REPEATS)?;
+                found(hidden, &setup, &gauge, &stops)
+            }
+            None => {
+                let case = Case::of(trial.seed);
+                let (setup, stops) = recorded(trial, &case, &Motion::BOTH, 1)?;
+                Ok(evaluate(trial.arm, &case, &setup, &stops))
+            }
         }
     }
 
@@ -157,21 +166,18 @@ fn hidden(arm: &str) -> Option<Hidden> {
     BLIND.iter().find(|(name, _)| *name == arm).map(|(_, hidden)| *hidden)
 }
 
-/// Runs a trial's manipulation. Returns the object, the values that the program knows of the gripper, and the readings.
-fn recorded(trial: &Trial) -> Result<(Case, Setup, Vec<Stop>), Error> {
+/// Manipulates a case's object on the trial's board. Returns the values that the program knows of the gripper, and the
+/// readings.
+fn recorded(trial: &Trial, case: &Case, motions: &[Motion], repeats: usize) -> Result<(Setup, Vec<Stop>), Error> {
     let unsuitable = |why: String| Error::Unsuitable { system: NAME, board: trial.board.to_string(), why };
-    let (case, repeats) = match hidden(trial.arm) {
-        Some(hidden) => (Case::hiding(trial.seed, hidden), BLIND_REPEATS),
-        None => (Case::of(trial.seed), 1),
-    };
     let mut rig = Rig::new(trial.board.clone());
-    rig.seed = trial.seed;
+    rig.seed = case.seed;
     let nominal = rig.robot()?;
     let setup = Setup::of(&nominal).map_err(unsuitable)?;
     rig.alter = Some(case.altered(&nominal).map_err(unsuitable)?);
-    let work = async |session: &Session<'_>| protocol::manipulate(session, &setup, case.palm_m, repeats).await;
+    let work = async |session: &Session<'_>| protocol::manipulate(session, &setup, case.palm_m, motions, repeats).await;
     let (stops, _) = rig.run(None, work)?;
-    Ok((case, setup, stops))
+    Ok((setup, stops))
 }
 
 /// Stops that an arm uses: those of one motion in the baselines, all otherwise.
@@ -237,9 +243,9 @@ fn evaluate(arm: &str, case: &Case, setup: &Setup, stops: &[Stop]) -> Values {
 }
 
 /// Computes the metrics of a search for the hidden effect.
-fn found(hidden: Hidden, setup: &Setup, stops: &[Stop]) -> Result<Values, Error> {
+fn found(hidden: Hidden, setup: &Setup, gauge: &[Stop], stops: &[Stop]) -> Result<Values, Error> {
     // A base model that cannot be fitted, as when the object was lost, identifies nothing, and is no clean run either.
-    let (found, was_searched) = match missing::find(setup, stops) {
+    let (found, was_searched) = match missing::find(setup, gauge, stops) {
         Err(Error::Effects(_)) => (None, false),
         found => (found?, true),
     };
@@ -258,7 +264,8 @@ fn found(hidden: Hidden, setup: &Setup, stops: &[Stop]) -> Result<Values, Error>
 
 /// Figure of the contacts over a manipulation, and of the estimates of both methods.
 fn figure(trial: &Trial) -> Result<Figure, Error> {
-    let (case, setup, stops) = recorded(&Trial { arm: OURS, ..trial.clone() })?;
+    let case = Case::of(trial.seed);
+    let (setup, stops) = recorded(trial, &case, &Motion::BOTH, 1)?;
     let w_m = setup.finger.half_width_m;
     let plain: Vec<Observation> = stops.iter().map(|stop| stop.plain(&setup)).collect();
     let corrected: Vec<Observation> = stops.iter().map(|stop| stop.corrected(&setup)).collect();

@@ -14,7 +14,7 @@ const PIVOT_M: f64 = 0.015;
 const ROLL_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 /// Stops of a motion, as shares of its travel: from the middle to one end, to the other, and back. Each position is
 /// approached from both sides.
-const SHARES: [f64; 21] =
+pub(super) const SHARES: [f64; 21] =
     [0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2, 0.0, -0.2, -0.4, -0.6, -0.8, -1.0, -0.8, -0.6, -0.4, -0.2, 0.0];
 /// Lead of the set point over the shaft that holds the grip, rad: 0.3 N m with a servo of 6 N m/rad. Our choice: no
 /// trial was run with another one.
@@ -43,6 +43,18 @@ pub enum Motion {
     Pivot,
     /// Roll: both fingers turn the same way.
     Roll,
+}
+
+impl Motion {
+    /// Motions of the paper, in their order.
+    pub const BOTH: [Self; 2] = [Self::Pivot, Self::Roll];
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Pivot => "pivot",
+            Self::Roll => "roll",
+        }
+    }
 }
 
 /// Readings at one stop.
@@ -133,33 +145,39 @@ struct Hand<'h, 'b> {
     palm_direction: f64,
 }
 
-/// Grips the object with a palm width of `palm_m`, and performs both motions `repeats` times.
+/// Grips the object with a palm width of `palm_m`, and performs the motions in their order, `repeats` times.
 ///
 /// # Errors
 /// The error of the board when it is not virtual, does not arm, or stops; [`Error::StateTimedOut`] when a state takes
 /// too long because there is nothing to grip.
-pub async fn manipulate(session: &Session<'_>, setup: &Setup, palm_m: f64, repeats: usize) -> Result<Vec<Stop>, Error> {
+pub async fn manipulate(
+    session: &Session<'_>,
+    setup: &Setup,
+    palm_m: f64,
+    motions: &[Motion],
+    repeats: usize,
+) -> Result<Vec<Stop>, Error> {
     for joint in &setup.joints {
         session.board.subscribe(joint.encoder, READ_EVERY_MS).await?;
     }
     let mut hand =
         Hand { session, setup, telemetry: session.board.telemetry(), set_rad: [0.0; 3], palm_direction: 1.0 };
-    session.armed(async || hand.manipulate(palm_m, repeats).await).await
+    session.armed(async || hand.manipulate(palm_m, motions, repeats).await).await
 }
 
 impl Hand<'_, '_> {
-    async fn manipulate(&mut self, palm_m: f64, repeats: usize) -> Result<Vec<Stop>, Error> {
+    async fn manipulate(&mut self, palm_m: f64, motions: &[Motion], repeats: usize) -> Result<Vec<Stop>, Error> {
         let mut sequence = Sequence::new(self.session);
         sequence.state("open", 4.0, self.open(palm_m)).await?;
         sequence.state("grip", 4.0, self.grip()).await?;
         let begin_s = self.session.board.now_s();
         let mut stops = Vec::new();
         for repeat in 0..repeats {
-            for (name, motion) in [("pivot", Motion::Pivot), ("roll", Motion::Roll)] {
+            for &motion in motions {
                 let (left_rad, palm_rad) = (self.set_rad[0], self.set_rad[2]);
                 for share in SHARES {
                     let stop = self.stop(motion, share, left_rad, palm_rad);
-                    let (read_rad, truth) = sequence.state(name, 2.0, stop).await?;
+                    let (read_rad, truth) = sequence.state(motion.name(), 2.0, stop).await?;
                     let time_s = self.session.board.now_s() - begin_s;
                     let (set_rad, palm_direction) = ([self.set_rad[0], self.set_rad[1]], self.palm_direction);
                     stops.push(Stop { motion, repeat, time_s, read_rad, set_rad, palm_direction, truth });

@@ -9,9 +9,14 @@ use r4_world::{AnyBody, Encoders, Finger, Held, Pads, Palm, TwoFingers};
 
 use crate::sampler::Sampler;
 
-/// Purposes of the random numbers: objects, and hidden effects.
+/// Purposes of the random numbers: objects, hidden effects, and the gauge.
 const OF_CASE: u64 = 1;
 const OF_HIDDEN: u64 = 2;
+const OF_GAUGE: u64 = 3;
+
+/// Nominal diameter of the gauge, a rod, m; and the most by which a rod of tolerance h6 (ISO 286) is thinner.
+pub const GAUGE_M: f64 = 0.030;
+const GAUGE_THINNER_M: f64 = 13e-6;
 
 /// Radius of edges that practically do not roll, m: in blind trials without hidden migration.
 const SHARP_M: f64 = 5e-5;
@@ -55,7 +60,8 @@ pub struct Case {
     rack_m: Option<f64>,
     /// Size of the hidden effect, in SI units.
     pub hidden: f64,
-    seed: u64,
+    /// Seed of the noise.
+    pub(super) seed: u64,
 }
 
 impl Case {
@@ -118,6 +124,18 @@ impl Case {
                 case.encoder_rad[0] += case.hidden;
             }
         }
+        case
+    }
+
+    /// Samples the same gripper with the gauge in place of the object.
+    #[must_use]
+    pub fn gauging(&self) -> Self {
+        let mut sampler = Sampler::new(self.seed, OF_GAUGE);
+        let across_m = GAUGE_M - sampler.uniform(0.0, GAUGE_THINNER_M);
+        let place_m = [sampler.uniform(-0.002, 0.002), sampler.uniform(0.068, 0.088)];
+        // Another sequence of noise than that of the object's session.
+        let mut case = Self { edge_m: 0.5 * across_m, place_m, seed: !self.seed, ..*self };
+        case.resize(across_m, sampler.uniform(0.06, 0.12));
         case
     }
 

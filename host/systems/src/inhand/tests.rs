@@ -60,7 +60,7 @@ fn a_released_dead_man_leaves_the_object_in_the_grip() {
             session.virtual_board()?.dead_man().set(false);
             std::future::pending::<Result<(), r4_rig::Error>>().await
         };
-        let manipulation = protocol::manipulate(session, &setup, case.palm_m, 1);
+        let manipulation = protocol::manipulate(session, &setup, case.palm_m, &Motion::BOTH, 1);
         let Either::Left((ended, _)) = select(pin!(manipulation), pin!(release)).await else { panic!("it ends") };
         session.board.sleep_s(0.2).await;
         let held = protocol::look(session)?;
