@@ -57,6 +57,8 @@ impl Axis {
         }
     }
 
+    // Not inlined into the control tick, which has to fit into ITCM: a tuning comes from a person.
+    #[inline(never)]
     pub(super) fn set_tuning(&mut self, tuning: Tuning) {
         if let Self::Measured(motor) = self {
             motor.set_tuning(tuning);

@@ -346,6 +346,8 @@ impl Axis {
         to_f64(tick.saturating_sub(self.path_start)) / self.tick_hz
     }
 
+    // Not inlined, like `turn_to` and `go_on`: what only some periods execute would make the control tick too long for ITCM.
+    #[inline(never)]
     fn search_on(&mut self, switch_closed: Option<bool>) -> Result<(), Fault> {
         let (Some(search), Some(homing)) = (self.search, self.config.homing) else { return Ok(()) };
         let Some(closed) = switch_closed else { return self.give_up(Fault::SwitchUnknown) };
@@ -420,6 +422,7 @@ impl Axis {
     }
 
     /// Replaces the path by that of an order, starting from a state of motion.
+    #[inline(never)]
     fn turn_to(&mut self, order: Order, motion: Motion) {
         let Self { path, limits, .. } = self;
         match order {
@@ -444,6 +447,7 @@ impl Axis {
     /// Records the speed at [`Axis::told_to`], whether the path rests there, and the highest speed since `from`. The
     /// path's extremes are at the ends of pieces, except in a piece that begins with acceleration of the other sign:
     /// there the extreme lies between earlier speeds.
+    #[inline(never)]
     fn go_on(&mut self, from: u64) {
         let (from_s, to_s) = (self.path_time_s(from), self.path_time_s(self.told_to));
         self.path.go_on_to(from_s);

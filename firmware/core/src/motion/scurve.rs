@@ -313,6 +313,8 @@ impl Path {
     }
 
     /// State of motion `time_s` after the start.
+    // Not inlined: several times in the control tick, which has to fit into ITCM.
+    #[inline(never)]
     #[must_use]
     pub fn at(&self, time_s: f64) -> Motion {
         let piece = self.piece_at(time_s);
