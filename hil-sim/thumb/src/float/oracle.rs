@@ -161,10 +161,7 @@ impl Reference {
         self.finish(exact, apply(basic, [a, b, c], self.round()))
     }
 
-    fn convert<F: Real, G: Real>(&mut self, value: F) -> G
-    where
-        F: FloatConvert<G>,
-    {
+    fn convert<F: Real + FloatConvert<G>, G: Real>(&mut self, value: F) -> G {
         let value = self.operand(value);
         if value.is_nan() {
             let StatusAnd { status, value } = value.convert_r(Round::TowardZero, &mut false);
@@ -194,7 +191,7 @@ impl Reference {
         value
     }
 
-    fn from_fixed<F: Real>(&mut self, value: u32, fixed: Fixed, round: Round) -> F {
+    fn widened<F: Real>(&mut self, value: u32, fixed: Fixed, round: Round) -> F {
         let number: i128 = match (fixed.signed, fixed.bits) {
             (true, 16) => (value as i16).into(),
             (false, 16) => (value as u16).into(),
@@ -364,12 +361,12 @@ fn check<F: Real>(double: bool, [old, a, b]: [u64; 3], fpscr: u32) -> Result<(),
         let got = execute(Float::ToFixed { double, d: 0, fixed }, double, [a, a, b], fpscr);
         prop_assert_eq!(got, expected(reference, value), "VCVT {:?} {:#x} {:#x}", fixed, a, fpscr);
         let mut reference = Reference { fpscr };
-        let value = bits(reference.from_fixed::<F>(a as u32, fixed, Round::NearestTiesToEven));
+        let value = bits(reference.widened::<F>(a as u32, fixed, Round::NearestTiesToEven));
         let got = execute(Float::FromFixed { double, d: 0, fixed }, double, [a, a, b], fpscr);
         prop_assert_eq!(got, expected(reference, value), "VCVT from {:?} {:#x} {:#x}", fixed, a, fpscr);
         let mut reference = Reference { fpscr };
         let integer = Fixed { signed, bits: 32, fraction: 0 };
-        let value = bits(reference.from_fixed::<F>(a as u32, integer, reference.round()));
+        let value = bits(reference.widened::<F>(a as u32, integer, reference.round()));
         let got = execute(Float::FromInteger { double, signed, d: 0, m: 2 }, double, [old, a, b], fpscr);
         prop_assert_eq!(got, expected(reference, value), "VCVT from {} {:#x} {:#x}", signed, a as u32, fpscr);
     }
