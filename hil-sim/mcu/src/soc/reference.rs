@@ -32,7 +32,7 @@ struct Register {
     name: String,
     reset: u32,
     readable: bool,
-    /// Bits that keep what is written, as far as the source tells.
+    /// Bits that keep what is written, as far as the source has them.
     kept: u32,
 }
 

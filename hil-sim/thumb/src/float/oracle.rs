@@ -1,7 +1,7 @@
 //! Instructions beside an independent implementation of IEEE 754: LLVM's APFloat, as the crate `rustc_apfloat`.
 //!
 //! The standard leaves open, and DDI0403E A2.5 defines: which NaN results, the default NaN, flush to zero, that
-//! underflow is detected before rounding, and that overflow is told in each rounding mode. [`Reference`] adds these to
+//! underflow is detected before rounding, and that overflow is reported in each rounding mode. [`Reference`] adds these to
 //! APFloat, from the manual. To tell underflow and overflow it computes a second time in quadruple precision, whose
 //! exponents hold every result here. The alternative half precision is not in IEEE 754, nor here.
 
