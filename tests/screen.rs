@@ -266,9 +266,9 @@ fn monitor_arms_stops_and_clears_by_keys() {
     screen.ends_well(0);
 }
 
-/// The board is shared: the screen shows what another program does with it, and goes on whatever becomes of that program.
+/// The board is shared: the screen shows what another program does with it, and goes on when that program dies.
 #[test]
-fn monitor_goes_on_whoever_commands() {
+fn monitor_goes_on_when_the_commanding_program_dies() {
     let server = program::start(program::command(&["serve", "sim:osmc-bench", "--tcp", "127.0.0.1:0"]));
     let first = program::next(server.out.as_ref().expect("stdout"), server.begin).expect("a first line");
     let board = format!("tcp:{}", program::text(&program::object(&first), "tcp"));

@@ -75,7 +75,7 @@ pub(crate) struct Args {
     pub(crate) live: Option<SocketAddr>,
 }
 
-/// Help of `--board`.
+/// Returns the help of `--board`, which lists the forms of addresses as `r4-links` parses them.
 fn board_help() -> String {
     let of_links = LinkKind::all_forms();
     format!(

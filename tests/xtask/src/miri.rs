@@ -1,7 +1,7 @@
 //! Task `cargo xtask miri`: the tests of what runs on the board, under Miri, which reports undefined behaviour.
 //!
 //! Of the two packages only the firmware has `unsafe` code (`root.rs`), but both rely on that of their dependencies. Miri
-//! interprets the program, so a test takes about a thousand times as long: CI does not run it.
+//! interprets the program, which is far slower than running it: CI does not run it, and not all tests were run under it yet.
 
 use std::{path::Path, process::Command};
 

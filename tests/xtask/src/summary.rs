@@ -14,8 +14,8 @@ pub(crate) enum Outcome {
 
 /// File with the committed figures: processor time of each step in s, from an empty target folder.
 const FIGURES: &str = "tests/xtask/figures.toml";
-/// A step whose processor time exceeds its figure by this factor is named. The same step of two runs from an empty
-/// folder differs by up to a fifth.
+/// A step whose processor time exceeds its figure by this factor is named. Our choice: how much two runs of one step differ
+/// was not measured.
 const FACTOR: f64 = 1.3;
 /// Shorter steps are not compared, s.
 const SHORT_S: f64 = 10.0;

@@ -26,6 +26,9 @@ use super::{Aside, Outbox};
 
 /// Time after which a client without a session or heartbeats is dropped: ten times the board's link time-out.
 const SILENT: Duration = Duration::from_secs(2);
+/// Maximum number of stops that wait for the board's answer. The oldest is forgotten when there are more, so that a client
+/// cannot fill the memory; the stop itself is passed on.
+const MAX_ASIDES: usize = 64;
 /// Most clients at once. One more replaces the client that has waited longest without a session.
 const CLIENTS: usize = 64;
 
@@ -111,7 +114,11 @@ impl Desk {
         let stop = ToDevice::Request { seq: board_seq, request: Request::Stop };
         if let Ok(frame) = encode_frame(&stop, &mut [0; MAX_FRAME]) {
             self.to_board.borrow_mut().extend_from_slice(frame);
-            self.outbox.asides.borrow_mut().push(Aside { client, seq, board_seq, result: None });
+            let mut asides = self.outbox.asides.borrow_mut();
+            if asides.len() == MAX_ASIDES {
+                asides.remove(0);
+            }
+            asides.push(Aside { client, seq, board_seq, result: None });
         }
     }
 
