@@ -16,7 +16,7 @@ use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use futures::future::{Either, select};
 use r4_driver::{Clock, Error};
 use r4_links::Event;
-use r4_protocol::SafetyState;
+use r4_protocol::{Refusal, SafetyState};
 use r4_sim::Pace;
 
 use crate::{
@@ -29,7 +29,8 @@ use draw::draw;
 use order::Order;
 use state::{Prompt, State, View};
 
-/// A board has one host at a time: while this runs, no other program can command the board, and quitting disarms it.
+/// A board has one host at a time: while this runs, no other program can command the board, and quitting disarms it. Of a shared board
+/// (`r4 serve`) that another program commands, it is a view that changes nothing by quitting.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Monitor {
     /// Samples of each channel per second
@@ -276,7 +277,11 @@ async fn watch(session: &Session<'_>, monitor: &Monitor, seen: &RefCell<Seen>) -
             // Disarm however the screen ended.
             let disarmed = session.board.disarm().await;
             result?;
-            Ok(disarmed?)
+            match disarmed {
+                // Another program commands the shared board: nothing of this one is in force.
+                Err(Error::Refused(Refusal::InUse)) => Ok(()),
+                disarmed => Ok(disarmed?),
+            }
         }
         Either::Right((Either::Left((error, _)) | Either::Right((error, _)), _)) => Err(error.into()),
     }
