@@ -159,12 +159,14 @@ fn hidden_effects_are_named_and_clean_whiskers_show_none() {
     }
 }
 
-/// The base model of late samples has a minimum with the corner at any distance. On this seed a corner that counted within
-/// the whisker's reach only left the fit without a minimum.
+/// The base model of late samples has a minimum with the corner at any distance. On the first seed a corner that counted within
+/// the whisker's reach only left the fit without a minimum; on the second one fold converges from another guess only.
 #[test]
 fn late_samples_leave_the_base_model_a_minimum() {
-    let found = values(BLIND_DEAD_TIME, 220_039);
-    assert_eq!(found["effect_named"], 1.0, "{found:?}");
+    for seed in [220_039, 230_028] {
+        let found = values(BLIND_DEAD_TIME, seed);
+        assert_eq!(found["effect_named"], 1.0, "{seed}: {found:?}");
+    }
 }
 
 /// Search for the coefficients of the paper's form: 200 sampled sets on seeds 1 to 20, heavy boxes, perfect actuators.
