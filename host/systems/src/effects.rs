@@ -139,7 +139,7 @@ impl Search<'_> {
             };
             runs.iter().flat_map(of).collect()
         };
-        let from = |factor: f64| nonlinear(&start.iter().map(|guess| guess * factor).collect::<Vec<_>>(), &residuals);
+        let from = |factor: f64| nonlinear(&start.iter().map(|guess| guess * factor).collect::<Vec<_>>(), residuals);
         let fit = RESTARTS.iter().fold(from(1.0), |fit, factor| match fit {
             Err(FitError::NotConverged { .. }) => from(*factor),
             ended => ended,

@@ -12,6 +12,7 @@
 //! | `size` | `cargo xtask size`: the size of that image, against its budgets |
 //! | `protocol` | `cargo xtask size --protocol`: the size of encoding and decoding frames |
 //! | `images` | `cargo xtask images`: the images that tests run |
+//! | `background` | tasks beside the steps of `cargo xtask test` |
 //! | `image` | sizes and symbols of an ELF file |
 //! | `mutants` | `cargo xtask mutants`: changes that no test notices, against a list of those that are judged |
 //! | `miri` | `cargo xtask miri`: tests of what runs on the board, interpreted by Miri |
@@ -31,6 +32,7 @@
 
 #[cfg(test)]
 mod arrows;
+mod background;
 mod browser;
 mod firmware;
 mod flash;
@@ -58,7 +60,11 @@ mod wire;
 
 mod probe;
 
-use std::{env, path::PathBuf, process::ExitCode};
+use std::{
+    env,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
 
 use firmware::Firmware;
 use flash::Flash;
@@ -86,6 +92,7 @@ usage: cargo xtask <task>
                 WebSocket client for Foxglove's protocol, stock rclpy of ROS 2 Jazzy and Kilted; skipped where their packages
                 cannot be had, an error instead with R4_PEERS_REQUIRED=1: [--only foxglove|jazzy|kilted],
                 [--program FILE] one that is built already
+  environments  the Python environments of `python` and `peers` alone
   firmware      the image for the Arduino Giga, into target/firmware:
                 [--robot NAME|FILE.toml] (default osmc-bench), [--image bare|hosted] (default bare)
   images        the images that tests run on the emulated board
@@ -125,6 +132,7 @@ enum Task {
     Python(Python),
     Peers(Peers),
     Images,
+    Environments,
     Firmware(Firmware),
     Flash(Flash),
     Size(Size),
@@ -156,6 +164,7 @@ fn main() -> ExitCode {
         Ok(Task::Python(python)) => ended(python.test(&root())),
         Ok(Task::Peers(peers)) => ended(peers.test(&root())),
         Ok(Task::Images) => ended(images::build(&root())),
+        Ok(Task::Environments) => ended(environments(&root())),
         Ok(Task::Firmware(firmware)) => firmware.run(&root()),
         Ok(Task::Flash(flash)) => flash.run(&root()),
         Ok(Task::Size(size)) => size.run(&root()),
@@ -174,6 +183,12 @@ fn main() -> ExitCode {
             ExitCode::from(USAGE_ERROR)
         }
     }
+}
+
+/// Makes the Python environments of `python` and `peers`.
+fn environments(root: &Path) -> Result<(), String> {
+    Python::environment(root)?;
+    Peers::default().environments(root).map(drop)
 }
 
 /// Prints a problem, if there is one, and returns the exit code of the task.
@@ -201,6 +216,7 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
         ["python", ref words @ ..] => Python::parse(words).map(Task::Python),
         ["peers", ref words @ ..] => Peers::parse(words).map(Task::Peers),
         ["images"] => Ok(Task::Images),
+        ["environments"] => Ok(Task::Environments),
         ["firmware", ref words @ ..] => Firmware::parse(words).map(Task::Firmware),
         ["flash", ref words @ ..] => Flash::parse(words).map(Task::Flash),
         ["size", "--protocol"] => Ok(Task::Protocol { json: false }),

@@ -20,7 +20,7 @@ const REQUIRED: &str = "R4_PEERS_REQUIRED";
 
 /// Tests beside one peer.
 #[derive(Debug, PartialEq)]
-struct Suite {
+pub(crate) struct Suite {
     name: &'static str,
     /// Folder of the tests in the repository.
     tests: &'static str,
@@ -28,7 +28,7 @@ struct Suite {
     pinned: &'static str,
 }
 
-const SUITES: [Suite; 4] = [
+static SUITES: [Suite; 4] = [
     Suite { name: "access", tests: "tests/access", pinned: "pinned.txt" },
     Suite { name: "foxglove", tests: "tests/foxglove", pinned: "pinned.txt" },
     Suite { name: "jazzy", tests: "host/ros2/tests", pinned: "jazzy.txt" },
@@ -59,7 +59,7 @@ impl Peers {
                     let asked = value()?;
                     let known = SUITES.iter().map(|suite| suite.name).find(|name| name == asked);
                     peers.only = Some(known.ok_or_else(|| {
-                        let names = SUITES.map(|suite| suite.name).join(", ");
+                        let names = SUITES.each_ref().map(|suite| suite.name).join(", ");
                         format!("`--only` takes one of {names}, not `{asked}`")
                     })?);
                 }
@@ -78,11 +78,11 @@ impl Peers {
         Ok(Self { only: None, program: Some(firmware::target_folder(root)?.join("debug").join("r4")) })
     }
 
-    /// Builds the program and runs the suites whose packages can be installed.
+    /// Makes the environments of the suites, and returns those whose packages can be installed.
     ///
     /// # Errors
-    /// The first suite that fails, or whose packages are missing where that is an error.
-    pub(crate) fn test(&self, root: &Path) -> Result<(), String> {
+    /// A suite's packages are missing where that is an error.
+    pub(crate) fn environments(&self, root: &Path) -> Result<Vec<(&'static Suite, Venv)>, String> {
         let target = firmware::target_folder(root)?;
         let mut ready = Vec::new();
         for suite in SUITES.iter().filter(|suite| self.only.is_none_or(|only| only == suite.name)) {
@@ -97,6 +97,16 @@ impl Peers {
                 }
             }
         }
+        Ok(ready)
+    }
+
+    /// Builds the program and runs the suites whose packages can be installed.
+    ///
+    /// # Errors
+    /// The first suite that fails, or whose packages are missing where that is an error.
+    pub(crate) fn test(&self, root: &Path) -> Result<(), String> {
+        let target = firmware::target_folder(root)?;
+        let ready = self.environments(root)?;
         if ready.is_empty() {
             return Ok(());
         }
@@ -143,7 +153,7 @@ mod tests {
     #[test]
     fn pinned_packages_are_there() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-        for suite in SUITES {
+        for suite in &SUITES {
             assert!(root.join(suite.tests).join(suite.pinned).is_file(), "{suite:?}");
         }
     }

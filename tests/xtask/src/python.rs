@@ -44,10 +44,16 @@ impl Python {
         Ok(python)
     }
 
-    /// Builds, installs and tests the package.
-    pub(crate) fn test(&self, root: &Path) -> Result<(), String> {
+    /// Returns the folder of all that this task makes, and the environment in it.
+    pub(crate) fn environment(root: &Path) -> Result<(PathBuf, Venv), String> {
         let folder = firmware::target_folder(root)?.join("python");
         let tools = Venv::with(root, &folder, PINNED)?;
+        Ok((folder, tools))
+    }
+
+    /// Builds, installs and tests the package.
+    pub(crate) fn test(&self, root: &Path) -> Result<(), String> {
+        let (folder, tools) = Self::environment(root)?;
         let wheel = self.wheel(root, &folder, &tools)?;
         println!("{}", wheel.display());
         if self.only_wheel {

@@ -8,9 +8,8 @@ use std::{
 };
 
 use crate::{
-    firmware,
-    images::{self, Background},
-    licences,
+    background::Background,
+    firmware, images, licences,
     meter::Meter,
     package,
     peers::Peers,
@@ -49,6 +48,10 @@ enum Run {
     ImagesBegin,
     /// Waits for these images.
     Images,
+    /// Begins to make the Python environments of later steps.
+    EnvironmentsBegin,
+    /// Waits for these environments.
+    Environments,
     /// Tests the program beside programs of others.
     Peers,
     /// Runs the test programs that these arguments of cargo build, and lists the slowest tests.
@@ -117,8 +120,6 @@ const FULL: &[Step] = &[
             ],
         ),
     ),
-    // Only the program differs without these features.
-    step("lints, default", cargo(".", &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"])),
     step(
         "lints, probe",
         cargo(
@@ -144,13 +145,21 @@ const FULL: &[Step] = &[
             ],
         ),
     ),
+    step("environments, begin", Run::EnvironmentsBegin),
     step("images, begin", Run::ImagesBegin),
-    // Checked and not linked, so that it needs no tools of those systems.
-    step("other systems", cargo(".", &["check", "--package", "r4", "--target", SYSTEMS[0], "--target", SYSTEMS[1]])),
+    // With the default features alone. Checked and not linked, so that it needs no tools of those systems.
+    step(
+        "lints, other systems",
+        cargo(
+            ".",
+            &["clippy", "--package", "r4", "--target", SYSTEMS[0], "--target", SYSTEMS[1], "--", "-D", "warnings"],
+        ),
+    ),
     step("packages", Run::Packages),
     step("build tests", cargo(".", &["test", "--workspace", "--features", TESTED, "--no-run"])),
     step("images", Run::Images),
     step("tests", Run::Tests(&["test", "--workspace", "--features", TESTED])),
+    step("environments", Run::Environments),
     step("peers", Run::Peers),
     step("python", Run::Python),
     step("archive", Run::Release),
@@ -202,8 +211,8 @@ pub(crate) fn run(root: &Path, extent: Extent) -> ExitCode {
             return ExitCode::FAILURE;
         }
     };
-    let mut images = None;
-    let (summary, problem) = run_all(steps, summary, |step| execute(step, root, &mut images));
+    let mut begun = Begun::default();
+    let (summary, problem) = run_all(steps, summary, |step| execute(step, root, &mut begun));
     println!("\n{summary}");
     if let Err(problem) = keep(root, extent, &summary) {
         eprintln!("warning: {problem}");
@@ -251,8 +260,15 @@ fn run_all(
     (summary, problem)
 }
 
-/// Carries out a step. `images` is the build of images that was begun and not waited for.
-fn execute(step: &Step, root: &Path, images: &mut Option<Background>) -> Result<(), String> {
+/// Tasks that were begun and not waited for.
+#[derive(Default)]
+struct Begun {
+    images: Option<Background>,
+    environments: Option<Background>,
+}
+
+/// Carries out a step.
+fn execute(step: &Step, root: &Path, begun: &mut Begun) -> Result<(), String> {
     match &step.run {
         Run::Toolchain(Extent::Quick) => toolchain::complete(root, &[]),
         Run::Toolchain(Extent::Full) => {
@@ -260,10 +276,20 @@ fn execute(step: &Step, root: &Path, images: &mut Option<Background>) -> Result<
             toolchain::emulator(root)
         }
         Run::ImagesBegin => {
-            *images = Some(Background::start(root)?);
+            begun.images = Some(Background::start(root, "images")?);
             Ok(())
         }
-        Run::Images => images.take().map_or_else(|| images::build(root), Background::finish),
+        Run::Images => begun.images.take().map_or_else(|| images::build(root), Background::finish),
+        Run::EnvironmentsBegin => {
+            begun.environments = Some(Background::start(root, "environments")?);
+            Ok(())
+        }
+        Run::Environments => {
+            // What could not be installed is tried again by the step that needs it, which decides whether that is an error.
+            let made = begun.environments.take().map_or(Ok(()), Background::finish);
+            made.unwrap_or_else(|problem| println!("{problem}"));
+            Ok(())
+        }
         Run::Peers => Peers::of_tests(root)?.test(root),
         Run::Protocol => Wire::Check.go(root),
         Run::Prose => prose::check(root),
@@ -318,6 +344,8 @@ impl Step {
             Run::Python => "cargo xtask python".into(),
             Run::ImagesBegin => "cargo xtask images, beside the next steps".into(),
             Run::Images => "the end of cargo xtask images".into(),
+            Run::EnvironmentsBegin => "cargo xtask environments, beside the next steps".into(),
+            Run::Environments => "the end of cargo xtask environments".into(),
             Run::Peers => "cargo xtask peers --program target/debug/r4".into(),
             Run::Cargo { folder, arguments, environment } => command_line(folder, environment, arguments),
         }

@@ -110,7 +110,7 @@ mod unix {
     }
 
     #[cfg(not(target_os = "linux"))]
-    type Claim = ();
+    struct Claim;
 
     /// Claims a name on other systems, where a name that leads to a terminal counts as served.
     #[cfg(not(target_os = "linux"))]
@@ -118,7 +118,7 @@ mod unix {
         use std::os::unix::fs::FileTypeExt;
         match fs::metadata(name).is_ok_and(|found| found.file_type().is_char_device()) {
             true => Err(NameTaken::Served(name.to_owned()).into()),
-            false => Ok(()),
+            false => Ok(Claim),
         }
     }
 }
