@@ -85,6 +85,8 @@ usage: cargo xtask <task>
 
   probe         builds the program that checks a Cortex-M7, for the STM32H747's memory and for qemu's mps2-an500
   test          everything CI checks: format, lints, firmware for the board, tests, documentation
+  test --from STEP
+                the same from a step of it on, by its name in the table: after one that failed
   test --quick  for daily work: without the emulated processor, the corpus of bad input and the documentation
   python        the Python package (host/python): a wheel, installed into an environment of its own and tested there; [--wheel] only
                 the wheel, [--dist] as it is given to others, [--bench] with steps of environments per second
@@ -128,7 +130,7 @@ const USAGE_ERROR: u8 = 2;
 enum Task {
     Help,
     Probe,
-    Test(Extent),
+    Test(Extent, Option<&'static str>),
     Python(Python),
     Peers(Peers),
     Images,
@@ -160,7 +162,7 @@ fn main() -> ExitCode {
             ExitCode::SUCCESS
         }
         Ok(Task::Probe) => probe::run(&root()),
-        Ok(Task::Test(extent)) => test::run(&root(), extent),
+        Ok(Task::Test(extent, from)) => test::run(&root(), extent, from),
         Ok(Task::Python(python)) => ended(python.test(&root())),
         Ok(Task::Peers(peers)) => ended(peers.test(&root())),
         Ok(Task::Images) => ended(images::build(&root())),
@@ -211,8 +213,9 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
             | "protocol" | "release" | "miri",
             "--help" | "-h",
         ] => Ok(Task::Help),
-        ["test"] => Ok(Task::Test(Extent::Full)),
-        ["test", "--quick"] => Ok(Task::Test(Extent::Quick)),
+        ["test"] => Ok(Task::Test(Extent::Full, None)),
+        ["test", "--quick"] => Ok(Task::Test(Extent::Quick, None)),
+        ["test", "--from", step] => test::step_named(step).map(|step| Task::Test(Extent::Full, Some(step))),
         ["python", ref words @ ..] => Python::parse(words).map(Task::Python),
         ["peers", ref words @ ..] => Peers::parse(words).map(Task::Peers),
         ["images"] => Ok(Task::Images),
@@ -229,7 +232,10 @@ fn parse(arguments: &[String]) -> Result<Task, String> {
         ["size", ref words @ ..] => Size::parse(words).map(Task::Size),
         ["mutants", ref words @ ..] => Mutants::parse(words).map(Task::Mutants),
         [] => Err("no task given".into()),
-        ["test", "--quick", extra, ..] | ["test", extra, ..] => Err(format!("`test` takes no `{extra}`")),
+        ["test", "--from"] => Err("`--from` needs a step".into()),
+        ["test", "--quick", extra, ..] | ["test", "--from", _, extra, ..] | ["test", extra, ..] => {
+            Err(format!("`test` takes no `{extra}`"))
+        }
         ["probe"] => Ok(Task::Probe),
         ["licences"] => Ok(Task::Licences),
         ["package"] => Ok(Task::Package),
@@ -253,8 +259,9 @@ mod tests {
 
     #[test]
     fn command_lines_are_understood() {
-        assert_eq!(of("test"), Ok(Task::Test(Extent::Full)));
-        assert_eq!(of("test --quick"), Ok(Task::Test(Extent::Quick)));
+        assert_eq!(of("test"), Ok(Task::Test(Extent::Full, None)));
+        assert_eq!(of("test --quick"), Ok(Task::Test(Extent::Quick, None)));
+        assert_eq!(of("test --from peers"), Ok(Task::Test(Extent::Full, Some("peers"))));
         assert_eq!(of("probe"), Ok(Task::Probe));
         assert_eq!(of("python"), Ok(Task::Python(Python::default())));
         assert_eq!(of("size --protocol"), Ok(Task::Protocol { json: false }));
@@ -265,7 +272,13 @@ mod tests {
 
     #[test]
     fn others_are_refused_by_the_word_that_is_wrong() {
-        for (line, word) in [("", "no task"), ("tset", "tset"), ("test fast", "fast"), ("test --quick -x", "-x")] {
+        for (line, word) in [
+            ("", "no task"),
+            ("tset", "tset"),
+            ("test fast", "fast"),
+            ("test --quick -x", "-x"),
+            ("test --from teas", "docs"),
+        ] {
             assert!(of(line).expect_err(line).contains(word), "{line}");
         }
     }

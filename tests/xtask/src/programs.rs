@@ -1,20 +1,15 @@
-//! Test programs of the workspace, run two at a time, and their slowest tests.
+//! Test programs of the workspace, run one after the other, and their slowest tests.
 
 use std::{
-    num::NonZero,
+    io::{BufRead, BufReader},
     path::{Path, PathBuf},
     process::{Command, Stdio},
-    sync::Mutex,
-    thread,
 };
 
 use serde_json::Value;
 
 use crate::toolchain;
 
-/// Programs that run at a time, each with its share of the cores: a program ends with one long test, and only another program keeps the
-/// other cores busy meanwhile.
-const AT_A_TIME: usize = 2;
 /// Number of slow tests that are listed.
 const SLOWEST: usize = 10;
 
@@ -40,53 +35,19 @@ struct Timed {
 /// # Errors
 /// The programs with tests that failed.
 pub(crate) fn run(root: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Result<(), String> {
-    let left = Mutex::new(built(root, arguments)?.into_iter());
-    let ended = Mutex::new(Ended::default());
-    let cores = thread::available_parallelism().map_or(1, NonZero::get);
-    let work = || -> Result<(), String> {
-        loop {
-            let Some(program) = locked(&left, Iterator::next) else { return Ok(()) };
-            let (output, passed) = run_one(&program, environment, (cores / AT_A_TIME).max(1))?;
-            // In one piece, because the other program's output comes in between.
-            locked(&ended, |ended| ended.add(program, &output, passed));
+    let (mut slowest, mut failed) = (Vec::new(), Vec::new());
+    for program in built(root, arguments)? {
+        println!("\n--> {}", program.name);
+        if !run_one(&program, environment, &mut slowest)? {
+            failed.push(program.name);
         }
-    };
-    thread::scope(|scope| {
-        let workers: Vec<_> = (0..AT_A_TIME).map(|_| scope.spawn(work)).collect();
-        workers.into_iter().try_for_each(|worker| worker.join().map_err(|_| "a thread of this task panicked")?)
-    })?;
-    let Ended { mut tests, failed } = locked(&ended, std::mem::take);
-    tests.sort_by(|a: &Timed, b| b.seconds.total_cmp(&a.seconds));
+    }
+    slowest.sort_by(|a: &Timed, b| b.seconds.total_cmp(&a.seconds));
     println!("\nslowest tests, s:");
-    for test in tests.iter().take(SLOWEST) {
+    for test in slowest.iter().take(SLOWEST) {
         println!("{:>8.1}  {}", test.seconds, test.name);
     }
     if failed.is_empty() { Ok(()) } else { Err(format!("tests failed in {}, see above", failed.join("; "))) }
-}
-
-/// Outcome of the programs that have ended.
-#[derive(Default)]
-struct Ended {
-    tests: Vec<Timed>,
-    /// Names of the programs with tests that failed.
-    failed: Vec<String>,
-}
-
-impl Ended {
-    /// Prints a program's output and keeps its outcome.
-    fn add(&mut self, program: Program, output: &str, passed: bool) {
-        println!("\n--> {}\n{output}", program.name);
-        let timed = |(name, seconds): (&str, f64)| Timed { seconds, name: format!("{}: {name}", program.name) };
-        self.tests.extend(output.lines().filter_map(self::timed).map(timed));
-        if !passed {
-            self.failed.push(program.name);
-        }
-    }
-}
-
-/// Uses what a mutex guards; what another thread left when it panicked is whole, because no closure here panics halfway.
-fn locked<T, R>(mutex: &Mutex<T>, use_it: impl FnOnce(&mut T) -> R) -> R {
-    use_it(&mut mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner))
 }
 
 fn built(root: &Path, arguments: &[&str]) -> Result<Vec<Program>, String> {
@@ -121,24 +82,31 @@ fn program(message: &str) -> Option<Program> {
     })
 }
 
-/// Runs one program, and returns its output and whether all its tests passed.
-fn run_one(program: &Program, environment: &[(&str, &str)], threads: usize) -> Result<(String, bool), String> {
+/// Runs one program and returns whether all its tests passed.
+fn run_one(program: &Program, environment: &[(&str, &str)], tests: &mut Vec<Timed>) -> Result<bool, String> {
     let cannot = |error| format!("{} cannot be run: {error}", program.executable.display());
-    // Tells which program it was that does not end.
-    println!("begins: {}", program.name);
-    let output = Command::new(&program.executable)
+    let mut child = Command::new(&program.executable)
         // The pinned toolchain reports times only with unstable options:
         // https://github.com/rust-lang/rust/issues/64888.
         .env("RUSTC_BOOTSTRAP", "1")
-        .args(["-Zunstable-options", "--report-time", "--test-threads", &threads.to_string()])
+        .args(["-Zunstable-options", "--report-time"])
         .env("CARGO_MANIFEST_DIR", &program.folder)
         .envs(environment.iter().copied())
         .current_dir(&program.folder)
-        .stdin(Stdio::null())
-        .stderr(Stdio::inherit())
-        .output()
+        .stdout(Stdio::piped())
+        .spawn()
         .map_err(cannot)?;
-    Ok((String::from_utf8_lossy(&output.stdout).into_owned(), output.status.success()))
+    if let Some(stdout) = child.stdout.take() {
+        for line in BufReader::new(stdout).split(b'\n') {
+            let line = line.map_err(cannot)?;
+            let line = String::from_utf8_lossy(&line);
+            println!("{line}");
+            tests.extend(
+                timed(&line).map(|(name, seconds)| Timed { seconds, name: format!("{}: {name}", program.name) }),
+            );
+        }
+    }
+    Ok(child.wait().map_err(cannot)?.success())
 }
 
 /// Reads name and duration from a line like `test stops::dead_man ... ok <0.312s>`.

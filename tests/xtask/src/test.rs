@@ -198,12 +198,25 @@ const QUICK_TESTS: &[&str] =
 const QUICK_TESTS_BUILT: &[&str] =
     &["test", "--workspace", "--exclude", "r4-unicorn", "--exclude", "r4-emu", "--exclude", "r4-fuzz", "--no-run"];
 
-/// Runs the steps up to the first that fails, and prints the outcome of each.
-pub(crate) fn run(root: &Path, extent: Extent) -> ExitCode {
+/// Returns the name of the step of a full test that is called `name`.
+///
+/// # Errors
+/// There is none; the message lists all.
+pub(crate) fn step_named(name: &str) -> Result<&'static str, String> {
+    FULL.iter().map(|step| step.name).find(|known| *known == name).ok_or_else(|| {
+        let names: Vec<String> = FULL.iter().map(|step| format!("{:?}", step.name)).collect();
+        format!("`{name}` is no step; the steps are {}", names.join(", "))
+    })
+}
+
+/// Runs the steps up to the first that fails, from the one of a name on if there is one, and prints the outcome of each.
+pub(crate) fn run(root: &Path, extent: Extent, from: Option<&str>) -> ExitCode {
     let steps = match extent {
         Extent::Full => FULL,
         Extent::Quick => QUICK,
     };
+    let first = steps.iter().position(|step| from.is_some_and(|from| from == step.name)).unwrap_or(0);
+    let steps = &steps[first..];
     let summary = match Summary::compared(root) {
         Ok(summary) => summary,
         Err(problem) => {
@@ -214,7 +227,9 @@ pub(crate) fn run(root: &Path, extent: Extent) -> ExitCode {
     let mut begun = Begun::default();
     let (summary, problem) = run_all(steps, summary, |step| execute(step, root, &mut begun));
     println!("\n{summary}");
-    if let Err(problem) = keep(root, extent, &summary) {
+    if from.is_none()
+        && let Err(problem) = keep(root, extent, &summary)
+    {
         eprintln!("warning: {problem}");
     }
     // Flushed, so that the message on stderr comes last.
