@@ -18,9 +18,9 @@ use crate::Error;
 const CONFIDENCE: f64 = 0.999;
 
 /// Factors of the guess from which a fit begins again, in this order, while none has converged: a model with creases can send the
-/// iteration to and fro across one of them. Set on WHISKER's tuning seed 230028, of which one fold of the base model did not converge from
-/// the guess itself or 5 % and 10 % below it, and reached the same minimum (within 2e-6) from 5 % and 10 % above. With half of the distances
-/// the starts above were not tried.
+/// iteration to and fro across one of them. Set on WHISKER's seed 230028. One fold of its base model did not converge from the guess itself,
+/// nor from 5 % and 10 % below it; from 5 % and 10 % above it reached minima whose residual deviations differ by 1e-6 of themselves. Half of
+/// these distances were not tried.
 const RESTARTS: [f64; 4] = [1.05, 0.95, 1.1, 0.9];
 
 /// An effect that a base model may lack.

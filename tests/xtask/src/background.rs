@@ -8,11 +8,11 @@ use std::{
 
 use crate::firmware;
 
-/// Task of this program in a process of its own. Linking an image or unpacking Python packages keeps one core busy, so other steps use the
-/// other cores meanwhile.
+/// Task of this program in a process of its own, which ends when this is dropped.
 ///
-/// Dropped, it ends the process.
+/// Linking an image or unpacking Python packages keeps one core busy: other steps use the other cores meanwhile.
 pub(crate) struct Background {
+    task: &'static str,
     child: Child,
     log: PathBuf,
 }
@@ -22,7 +22,7 @@ impl Background {
     ///
     /// # Errors
     /// This program cannot be started again, or the file not written.
-    pub(crate) fn start(root: &Path, task: &str) -> Result<Self, String> {
+    pub(crate) fn start(root: &Path, task: &'static str) -> Result<Self, String> {
         let log = firmware::target_folder(root)?.join(format!("{task}.log"));
         let failed = |error: std::io::Error| format!("{}: {error}", log.display());
         fs::create_dir_all(log.parent().unwrap_or(root)).map_err(failed)?;
@@ -32,7 +32,7 @@ impl Background {
         command.arg(task).current_dir(root).stdin(Stdio::null());
         command.stdout(file.try_clone().map_err(failed)?).stderr(file);
         let child = command.spawn().map_err(|error| format!("this program cannot be started again: {error}"))?;
-        Ok(Self { child, log })
+        Ok(Self { task, child, log })
     }
 
     /// Waits for the end of the task and prints its output.
@@ -42,7 +42,7 @@ impl Background {
     pub(crate) fn finish(mut self) -> Result<(), String> {
         let status = self.child.wait().map_err(|error| error.to_string())?;
         print!("{}", fs::read_to_string(&self.log).unwrap_or_default());
-        if status.success() { Ok(()) } else { Err("it failed, see above".into()) }
+        if status.success() { Ok(()) } else { Err(format!("`cargo xtask {}` failed, see above", self.task)) }
     }
 }
 

@@ -73,7 +73,7 @@ impl Summary {
 
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "{:<15}{:>8}{:>13}{:>8}  result", "step", "time, s", "processor, s", "before")?;
+        writeln!(f, "{:<21}{:>8}{:>13}{:>8}  result", "step", "time, s", "processor, s", "before")?;
         let mut sum = Cost { processor: Some(Duration::ZERO), ..Cost::default() };
         for (step, outcome) in &self.rows {
             let (cost, word) = match *outcome {
@@ -86,7 +86,8 @@ impl fmt::Display for Summary {
                 sum += cost;
             }
         }
-        let before = (!self.before.is_empty()).then(|| self.before.values().sum());
+        // Of the steps in this run only, so that the sums of a part of a run are of the same steps.
+        let before = self.rows.iter().filter_map(|(step, _)| self.before.get(*step)).copied().reduce(|sum, s| sum + s);
         row(f, "together", Some(sum), before, "")?;
         let heavier = self.heavier();
         if !self.before.is_empty() && !heavier.is_empty() {
@@ -109,7 +110,7 @@ fn row(f: &mut fmt::Formatter<'_>, step: &str, cost: Option<Cost>, before_s: Opt
     let seconds = |time: Option<Duration>| time.map_or("-".into(), |time| format!("{:.1}", time.as_secs_f64()));
     let (wall, processor) = (seconds(cost.map(|cost| cost.wall)), seconds(cost.and_then(|cost| cost.processor)));
     let before = before_s.map_or("-".into(), |before| format!("{before:.0}"));
-    writeln!(f, "{}", format!("{step:<15}{wall:>8}{processor:>13}{before:>8}  {word}").trim_end())
+    writeln!(f, "{}", format!("{step:<21}{wall:>8}{processor:>13}{before:>8}  {word}").trim_end())
 }
 
 #[cfg(test)]
@@ -130,17 +131,23 @@ mod tests {
         assert_eq!(summary.failed(), Some("lints"));
         assert_eq!(
             summary.to_string(),
-            "step            time, s processor, s  before  result\n\
-             format              1.2          2.0       -  ok\n\
-             lints              75.0        140.5       -  FAILED\n\
-             tests                 -            -       -  not run\n\
-             together           76.2        142.5       -\n"
+            "step                  time, s processor, s  before  result\n\
+             format                    1.2          2.0       -  ok\n\
+             lints                    75.0        140.5       -  FAILED\n\
+             tests                       -            -       -  not run\n\
+             together                 76.2        142.5       -\n"
         );
     }
 
     #[test]
     fn steps_are_compared_with_their_figures() {
-        let before = [("format".to_owned(), 1.0), ("lints".to_owned(), 100.0), ("tests".to_owned(), 50.0)].into();
+        let before = [
+            ("format".to_owned(), 1.0),
+            ("lints".to_owned(), 100.0),
+            ("tests".to_owned(), 50.0),
+            ("docs".to_owned(), 60.0),
+        ];
+        let before = before.into();
         let mut summary = Summary { before, ..Summary::default() };
         summary.add("format", Outcome::Ok(cost(9_000, 9_900)));
         summary.add("lints", Outcome::Ok(cost(75_000, 140_500)));
@@ -150,7 +157,7 @@ mod tests {
             summary.heavier(),
             ["lints: 140 s for 100 s", "peers: 20 s, and no figure in tests/xtask/figures.toml"]
         );
-        assert!(summary.to_string().contains("\ntogether          144.0        234.4     151\n"), "{summary}");
+        assert!(summary.to_string().contains("\ntogether                144.0        234.4     151\n"), "{summary}");
         let read: BTreeMap<String, f64> = toml::from_str(&summary.figures()).expect("the format of the committed file");
         assert_eq!(read["lints"], 140.0);
     }

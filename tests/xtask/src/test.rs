@@ -147,7 +147,7 @@ const FULL: &[Step] = &[
     ),
     step("environments, begin", Run::EnvironmentsBegin),
     step("images, begin", Run::ImagesBegin),
-    // With the default features alone. Checked and not linked, so that it needs no tools of those systems.
+    // With the default features alone; tests with these are linted by `--quick`. Checked and not linked, so that it needs no tools of those systems.
     step(
         "lints, other systems",
         cargo(
@@ -209,7 +209,7 @@ pub(crate) fn step_named(name: &str) -> Result<&'static str, String> {
     })
 }
 
-/// Runs the steps up to the first that fails, from the one of a name on if there is one, and prints the outcome of each.
+/// Runs the steps, beginning with the one named `from` if it is given, up to the first that fails, and prints the outcome of each.
 pub(crate) fn run(root: &Path, extent: Extent, from: Option<&str>) -> ExitCode {
     let steps = match extent {
         Extent::Full => FULL,

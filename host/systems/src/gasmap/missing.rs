@@ -182,7 +182,7 @@ pub fn found(laps: &[Lap]) -> Result<Option<Found>, Error> {
         let mut predicted = vec![turn, 0.0];
         let (speed_m_s, size) = (laps[run].speed_m_s, parameters.get(1).copied().unwrap_or(0.0));
         match effect {
-            // No sensor leads what it measures. Without this, a sensor ahead of its drawn place is taken for one (seed 4).
+            // No sensor leads what it measures. A sensor ahead of its drawn place looks like one that does, and was named a lag (seed 4).
             Some(0) if size < 0.0 => predicted[0] = f64::NAN,
             // The lag's influence on the numbers is what its correction removes.
             Some(0) => {

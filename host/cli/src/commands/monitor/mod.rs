@@ -29,8 +29,8 @@ use draw::draw;
 use order::Order;
 use state::{Prompt, State, View};
 
-/// A board has one host at a time: while this runs, no other program can command the board, and quitting disarms it. Of a shared board
-/// (`r4 serve`) that another program commands, it is a view that changes nothing by quitting.
+/// A board has one host at a time: while this runs, no other program can command the board, and quitting disarms it. A shared board
+/// (`r4 serve`) that another program commands is left as it is.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Monitor {
     /// Samples of each channel per second
