@@ -167,6 +167,17 @@ impl Constants {
         if voltage.diodes_v > 0.0 && current_a * sign <= 0.0 { 0.0 } else { current_a }
     }
 
+    /// Current in the middle of a step, from the speed extrapolated to there.
+    fn current_half_way(&self, step: &Step, motion: &Motion, voltage: Voltage) -> f64 {
+        let sign = self.current_sign(motion, voltage);
+        if voltage.diodes_v > 0.0 && sign == 0.0 {
+            return 0.0;
+        }
+        let speed = motion.speed + 0.5 * step.step_s * motion.acceleration;
+        let settled_a = (voltage.mean_v - sign * voltage.diodes_v - self.force_per_ampere * speed) / step.circuit_ohm;
+        settled_a + (motion.current_a - settled_a) * libm::sqrt(step.current_kept)
+    }
+
     /// Motion after a step under a constant force besides the motor's, without end stops.
     fn free(&self, step: &Step, motion: &Motion, voltage: Voltage, force: f64) -> Motion {
         let sign = self.current_sign(motion, voltage);
@@ -349,7 +360,7 @@ impl DriveTrain {
         let sign = direction.sign();
         let speed_half_way = (sign * (motion.speed + 0.5 * step_s * motion.acceleration)).max(0.0);
         let position_half_way = motion.position + 0.5 * step_s * motion.speed;
-        let motor_force = constants.force_per_ampere * motion.current_a;
+        let motor_force = constants.force_per_ampere * constants.current_half_way(&step, &motion, voltage);
         let level = friction.level(direction, speed_half_way, position_half_way, motor_force)
             + constants.loss * motor_force.abs();
         let force = load - sign * level;

@@ -167,6 +167,18 @@ fn friction_by_load_takes_its_share_of_the_motors_force() {
     assert_eq!(held.speed(), 0.0); // 0.797 A of 0.8
 }
 
+/// The force that loads a friction is that of the present voltage, not of the one before it.
+#[test]
+fn friction_by_load_follows_a_step_of_the_voltage_at_once() {
+    let load = [Effect::LoadFriction(LoadFriction { share: 0.25 })];
+    let quick = DcGearMotor { inductance_h: 0.0, ..MOTOR };
+    let mut plant = motor(quick, &load);
+    run(&mut plant, Drive::with_brake(0.5), 24.0, 1000);
+    run(&mut plant, Drive::with_brake(0.75), 24.0, 10);
+    // k = R = 1: v' = 0.75 (18 - v) / 0.02. With the current of the step before, the speed is 0.02 lower.
+    assert_close(plant.speed(), 18.0 - 6.0 * (-0.75_f64 / 0.02 * 0.01).exp(), 1e-3, "speed");
+}
+
 #[test]
 fn a_cold_plant_gains_speed_as_it_warms_up() {
     let mut plant = motor(MOTOR, &[Effect::FrictionWarmUp(FrictionWarmUp { level: 2.0, warm_up_s: 1.0 })]);
