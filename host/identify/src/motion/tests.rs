@@ -76,6 +76,36 @@ fn coulomb_friction_takes_its_share_of_the_steady_speed_or_holds() {
     assert!(free_run(&model, &run, &[("coulomb-friction", &[240.1])]).iter().all(|speed| *speed == 0.0));
 }
 
+/// Friction of a share `s` of the torque `k V - e b v` slows a motor that speeds up as less voltage and more damping
+/// would. A current that lags by 1 ms has the back-EMF of 1 ms ago, which adds `s e b` times 1 ms to the inertia.
+#[test]
+fn friction_by_load_takes_its_share_of_the_torque_within_each_step() {
+    let (model, run) = stepped(0.5, 101);
+    let [share, emf] = [0.4, 0.9];
+    for lag_s in [0.0, 1e-3] {
+        let index =
+            model.catalogue().iter().position(|candidate| candidate.name == "load-friction").expect("an effect");
+        let structure = Structure {
+            base: vec![2.0, 0.05, lag_s],
+            terms: vec![Term::Known(index)],
+            added: vec![vec![share, 1.0 - emf]],
+        };
+        let mut predicted = vec![0.0; 101];
+        model.predict(&structure, &[0.0], &run, &mut predicted);
+        let inertia = 1.0 + share * emf * 20.0 * lag_s;
+        let rate = 20.0 * (1.0 - share * emf) / inertia;
+        let settled = 240.0 * (1.0 - share) / inertia / rate;
+        let off = predicted.iter().enumerate().map(|(sample, speed)| {
+            // The duty before the recording counts as its first one, so no delay shows.
+            let since_s = sample as f64 * 5e-3;
+            (speed - settled * (1.0 - (-rate * since_s).exp())).abs() / settled
+        });
+        let off = off.fold(0.0_f64, f64::max);
+        // Steps of 2.5 ms are 1/30 of the time constant: what is left of the torque's change within one is a share of its square.
+        assert!(off < 2e-4, "{lag_s} s: {off}");
+    }
+}
+
 /// A part that begins in the middle of an oscillation is predicted from the recording before it: to 3 % of the
 /// oscillation, which is its damping within the window.
 #[test]
