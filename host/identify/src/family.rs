@@ -421,6 +421,12 @@ pub trait Family: Model {
         None
     }
 
+    /// Returns the factor from each parameter of a structure to its reported value, in the order of
+    /// [`crate::fit::parameters()`]. It may depend on other parameters.
+    fn units(&self, structure: &Structure) -> Vec<f64> {
+        vec![1.0; structure.base.len() + structure.added.iter().map(Vec::len).sum::<usize>()]
+    }
+
     /// Returns values, standard errors and confidence intervals in the units of reports: of the base model, and of
     /// each term. By default they are as fitted.
     fn estimates(

@@ -7,7 +7,7 @@ mod profile;
 #[cfg(test)]
 mod tests;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Dyn, SymmetricEigen};
 use r4_maths::{
     least_squares::trust_region::{SumOfSquares, minimise},
     statistics::{QuantileRule, quantile},
@@ -722,9 +722,56 @@ impl Fit {
     }
 
     fn spreads<F: Model>(&self, family: &F, runs: &[&F::Run]) -> Vec<Option<Spread>> {
+        self.curvature(family, runs).map_or(vec![], |curvature| curvature.spreads())
+    }
+
+    /// Returns the standard error of each parameter in a unit that depends on other parameters, as a force per unit of
+    /// inertia does, over that with the unit fixed; 1 for an undetermined parameter. `units` are the factors of all
+    /// parameters. The error is that of the linearised product.
+    #[must_use]
+    pub fn unit_errors<F: Model>(
+        &self,
+        family: &F,
+        runs: &[&F::Run],
+        units: impl Fn(&Structure) -> Vec<f64>,
+    ) -> Vec<f64> {
+        let values: Vec<f64> = flat(&self.structure).collect();
+        let fixed = units(&self.structure);
+        let steps = parameters(family, &self.structure.terms).into_iter().zip(&values);
+        let moved: Vec<(f64, Vec<f64>)> = steps
+            .enumerate()
+            .map(|(place, (parameter, &value))| {
+                let step = parameter.range.small(value);
+                let mut other = values.clone();
+                other[place] += step;
+                let mut structure = self.structure.clone();
+                set_flat(&mut structure, &other);
+                (step, units(&structure))
+            })
+            .collect();
+        let is_fixed = |place: usize| moved.iter().all(|(_, units)| units[place] == fixed[place]);
+        if (0..values.len()).all(is_fixed) {
+            return vec![1.0; values.len()];
+        }
+        let Some(curvature) = self.curvature(family, runs) else { return vec![] };
+        let ratio = |place: usize| {
+            let mut along = vec![0.0; values.len()];
+            along[place] = 1.0;
+            let alone = curvature.variance_along(&along);
+            for (slope, (step, units)) in along.iter_mut().zip(&moved) {
+                *slope += values[place] * (units[place] / fixed[place] - 1.0) / step;
+            }
+            let ratio = (curvature.variance_along(&along) / alone).sqrt();
+            if ratio.is_finite() && ratio > 0.0 { ratio } else { 1.0 }
+        };
+        (0..values.len()).map(|place| if is_fixed(place) { 1.0 } else { ratio(place) }).collect()
+    }
+
+    /// Returns the curvature of the cost; `None` without parameters.
+    fn curvature<F: Model>(&self, family: &F, runs: &[&F::Run]) -> Option<Curvature> {
         let problem = Problem::new(family, runs, self.structure.clone(), self.initial.clone(), self.weights.clone());
         if problem.variables.is_empty() {
-            return vec![];
+            return None;
         }
         let mut jacobian = problem.assembled();
         let globals = problem.parameters.len();
@@ -765,9 +812,7 @@ impl Fit {
         let columns = jacobian.ncols();
         let variance = self.cost / samples.saturating_sub(columns).max(1) as f64;
         let eigen = (jacobian.transpose() * &jacobian).symmetric_eigen();
-        // Columns have length one, so smaller eigenvalues are rounding errors.
-        let known = |value: f64| value > 1e-10;
-        let inverse_values = eigen.eigenvalues.map(|value| if known(value) { 1.0 / value } else { 0.0 });
+        let inverse_values = eigen.eigenvalues.map(|value| if is_known(value) { 1.0 / value } else { 0.0 });
         let inverse = &eigen.eigenvectors * DMatrix::from_diagonal(&inverse_values) * eigen.eigenvectors.transpose();
         let clusters = (CLUSTERS / runs.len()).max(1);
         let mut spread = DMatrix::<f64>::zeros(columns, columns);
@@ -783,10 +828,50 @@ impl Fit {
         }
         // The last factor corrects for the finite number of clusters.
         let sandwich = &inverse * spread * &inverse * (count / (count - 1.0_f64).max(1.0));
-        (0..globals)
+        Some(Curvature { globals, lengths, variance, inverse, sandwich, eigen })
+    }
+}
+
+/// Returns whether an eigenvalue of normal equations, whose columns have length one, is more than rounding.
+fn is_known(eigenvalue: f64) -> bool {
+    eigenvalue > 1e-10
+}
+
+/// Curvature of the cost at the best fit: parameters and initial states, scaled so that each column of the Jacobian has
+/// length one.
+struct Curvature {
+    /// Number of the structure's parameters.
+    globals: usize,
+    /// Lengths of the columns before they were scaled.
+    lengths: Vec<f64>,
+    /// Variance of a residual.
+    variance: f64,
+    /// Inverse of the normal equations.
+    inverse: DMatrix<f64>,
+    /// Covariance by the spread of the score between stretches of the recordings.
+    sandwich: DMatrix<f64>,
+    eigen: SymmetricEigen<f64, Dyn>,
+}
+
+impl Curvature {
+    /// Returns the variance of a linear combination of the structure's parameters.
+    fn variance_along(&self, along: &[f64]) -> f64 {
+        let mut scaled = DVector::zeros(self.lengths.len());
+        for ((place, along), &length) in scaled.iter_mut().zip(along).zip(&self.lengths) {
+            *place = if length > 0.0 { along / length } else { 0.0 };
+        }
+        let by = |matrix: &DMatrix<f64>| scaled.dot(&(matrix * &scaled));
+        (self.variance * by(&self.inverse)).max(by(&self.sandwich))
+    }
+
+    /// Returns the uncertainty of each of the structure's parameters.
+    fn spreads(&self) -> Vec<Option<Spread>> {
+        let Self { globals, lengths, variance, inverse, sandwich, eigen } = self;
+        let columns = lengths.len();
+        (0..*globals)
             .map(|row| {
                 let lost: f64 = (0..columns)
-                    .filter(|&column| !known(eigen.eigenvalues[column]))
+                    .filter(|&column| !is_known(eigen.eigenvalues[column]))
                     .map(|column| eigen.eigenvectors[(row, column)].powi(2))
                     .sum();
                 // The parameter lies partly in directions that the data do not determine.

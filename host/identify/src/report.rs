@@ -83,16 +83,19 @@ const NAMELESS: f64 = 0.1;
 const NAMED: f64 = 0.5;
 
 impl Explained {
-    /// Grades a model by `left`, its NRMSE on held-out data, by whether it has an effect with a significant size (see
-    /// [`EffectReport::has_size`]), and by whether its residual is white.
+    /// Grades a model by `left`, its NRMSE on held-out data, and `alone`, that of the base model; by whether it has an
+    /// effect with a significant size (see [`EffectReport::has_size`]), and by whether its residual is white.
     #[must_use]
-    pub fn of(left: f64, has_effects: bool, is_white: bool) -> Self {
+    pub fn of([alone, left]: [f64; 2], has_effects: bool, is_white: bool) -> Self {
         // The NRMSE of a constant prediction is 1, and NaN if the recordings are constant.
         let most = if has_effects || is_white { NAMED } else { NAMELESS };
         if left.is_nan() || left > most {
             Self::Not
         } else if is_white {
             Self::ToTheNoise
+        } else if left > alone {
+            // Effects of the fitted recordings that make others worse explain nothing.
+            Self::Not
         } else {
             Self::InPart
         }
@@ -310,6 +313,8 @@ mod tests {
     fn what_explains_is_told_from_what_does_not() {
         use Explained::{InPart, Not, ToTheNoise};
         for (left, has_effects, is_white, expected) in [
+            (0.041, true, false, Not),
+            (0.041, true, true, ToTheNoise),
             (0.04, true, false, InPart),
             (0.04, false, false, InPart),
             (0.04, false, true, ToTheNoise),
@@ -320,7 +325,12 @@ mod tests {
             (1.5, true, false, Not),
             (f64::NAN, true, true, Not),
         ] {
-            assert_eq!(Explained::of(left, has_effects, is_white), expected, "{left} {has_effects} {is_white}");
+            let alone = if left == 0.041 { 0.04 } else { left };
+            assert_eq!(
+                Explained::of([alone, left], has_effects, is_white),
+                expected,
+                "{left} {has_effects} {is_white}"
+            );
         }
     }
 

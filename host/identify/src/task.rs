@@ -256,14 +256,15 @@ pub fn models() -> Vec<ModelInfo> {
 /// number.
 const SETTLE_SHARE: usize = 10;
 const SETTLE_SAMPLES: usize = 20;
-/// Returns the 95 % confidence intervals of a fit's parameters, and descriptions of exchanges of parameters that fit
-/// as well: an interval reaches from one of the two solutions to the other.
+
+/// Returns the 95 % confidence intervals of the last model's parameters, and descriptions of exchanges of parameters
+/// that fit as well: an interval reaches from one of the two solutions to the other.
 fn intervals<F: Family>(
     family: &F,
-    fitted: &Fit,
-    runs: &[&F::Run],
+    found: &Found<F::Run>,
 ) -> (Vec<Option<[f64; 2]>>, impl Iterator<Item = String> + use<F>) {
-    let mut intervals = fitted.intervals(family, runs);
+    let (fitted, runs) = (&found.fitted.0, &found.fitted.1.iter().collect::<Vec<_>>());
+    let mut intervals = found.intervals.clone();
     // Costs up to this limit lie within the 95 % confidence region of the fit.
     let unnoticed = fitted.cost * (1.0 + fit::RISE / independent(family, runs, fitted));
     let mut exchanged = Vec::new();
@@ -273,7 +274,7 @@ fn intervals<F: Family>(
         if other.cost > unnoticed {
             continue;
         }
-        for (interval, other) in intervals.iter_mut().zip(other.intervals(family, runs)) {
+        for (interval, other) in intervals.iter_mut().zip(other.with_intervals(family, runs).1) {
             *interval = interval.zip(other).map(|([low, high], [lower, higher])| [low.min(lower), high.max(higher)]);
         }
         exchanged.push(what);
@@ -375,8 +376,7 @@ fn assemble<F: Family>(
         |fit: &Fit| score(family, &held_out, &free_runs(family, &fit.structure, holdout, protocol)).rmse;
     // Held-out runs are scored only here, after the search has ended.
     let [baseline, last] = [&found.base, &found.last].map(|fit| scores(family, fit, (train, holdout), protocol));
-    tell("intervals");
-    let (intervals, exchanged) = intervals(family, &found.fitted.0, &found.fitted.1.iter().collect::<Vec<_>>());
+    let (intervals, exchanged) = intervals(family, &found);
     notes.extend(
         exchanged
             .map(|what| format!("either way round says the same of the data, and both are in the intervals: {what}")),
@@ -453,7 +453,8 @@ fn assemble<F: Family>(
     let explained = if is_early {
         Explained::Not
     } else {
-        Explained::of(last.holdout.nrmse, effects.iter().any(EffectReport::has_size), residual.white)
+        let errors = [baseline, last].map(|scores| scores.holdout.nrmse);
+        Explained::of(errors, effects.iter().any(EffectReport::has_size), residual.white)
     };
     let mut report = Report {
         model: task.model.clone(),
@@ -570,12 +571,18 @@ fn verdict(model: &str, unit: &str, effects: &[EffectReport], baseline: &Scores,
 fn not_explained(report: &Report) -> String {
     let left = report.last.holdout.nrmse;
     let compared = if left < 1.0 { "" } else { ", no less than a constant does" };
+    let alone = report.baseline.holdout.nrmse;
+    let worse = if report.effects.is_empty() || left < alone {
+        String::new()
+    } else {
+        format!(" ({:.1} % without the effects: do not use them)", 100.0 * alone)
+    };
     let likely = match report.suspicions.as_slice() {
         [] => "no likely mistake in the recordings was found: look whether model, columns and units are those of the machine".to_owned(),
         [likeliest, ..] => format!("likely {likeliest}"),
     };
     format!(
-        "Not explained: the {} model leaves {:.1} % of the held-out data{compared}; {likely}.",
+        "Not explained: the {} model leaves {:.1} % of the held-out data{worse}{compared}; {likely}.",
         report.model,
         100.0 * left
     )

@@ -594,6 +594,10 @@ impl Family for Motion {
         self.in_units(structure, deviations, intervals)
     }
 
+    fn units(&self, structure: &Structure) -> Vec<f64> {
+        self.factors(structure)
+    }
+
     fn timing(&self, name: &str) -> Option<&'static str> {
         match name {
             STAMPS_LATE => Some(STAMPS_LATE),

@@ -10,7 +10,7 @@ use r4_plants::{
 };
 
 use crate::{
-    family::{Acts, Family, Structure, Term},
+    family::{Acts, Family, Parameter, Structure, Term},
     report::Estimate,
 };
 
@@ -148,6 +148,29 @@ impl Motion {
         name != units.input_name && [units.force, units.drag, units.viscous].contains(&unit)
     }
 
+    /// Returns the factor from each parameter to its unit: the inertia for forces and dampings.
+    pub(super) fn factors(&self, structure: &Structure) -> Vec<f64> {
+        let inertia = self.physical(structure).inertia;
+        let of = |parameter: &Parameter, inertia: f64| {
+            if self.is_per_inertia(parameter.name, parameter.unit) { inertia } else { 1.0 }
+        };
+        // The base parameters of an axis are already in its units.
+        let of_base = if self.kind == Kind::Axis { 1.0 } else { inertia };
+        let mut factors: Vec<f64> = self.base.iter().map(|parameter| of(parameter, of_base)).collect();
+        for (term, values) in structure.terms.iter().zip(&structure.added) {
+            match term {
+                Term::Known(index) => {
+                    factors.extend(self.catalogue[*index].parameters.iter().map(|parameter| of(parameter, inertia)));
+                }
+                Term::Curve(curve) => {
+                    let factor = if curve.acts == Acts::Gain { 1.0 } else { inertia };
+                    factors.extend(values.iter().map(|_| factor));
+                }
+            }
+        }
+        factors
+    }
+
     #[allow(clippy::type_complexity)]
     pub(super) fn in_units(
         &self,
@@ -155,31 +178,28 @@ impl Motion {
         deviations: &[Option<f64>],
         intervals: &[Option<[f64; 2]>],
     ) -> (BTreeMap<String, Estimate>, Vec<BTreeMap<String, Estimate>>) {
-        let physical = self.physical(structure);
         let assumed = self.scale_is_assumed();
+        let mut factors = self.factors(structure).into_iter();
         let mut deviations = deviations.iter().copied().chain(std::iter::repeat(None));
         let mut intervals = intervals.iter().copied().chain(std::iter::repeat(None));
-        let mut told = |name: &str, unit: &str, value: f64, inertia: f64| {
-            let is_force = self.is_per_inertia(name, unit);
-            let scale = if is_force { inertia } else { 1.0 };
+        let mut told = |name: &str, unit: &str, value: f64| {
+            let factor = factors.next().unwrap_or(1.0);
             let estimate = Estimate {
-                value: value * scale,
-                std: deviations.next().flatten().map(|deviation| deviation * scale),
+                value: value * factor,
+                std: deviations.next().flatten().map(|deviation| deviation * factor),
                 unit: unit.to_owned(),
-                interval: intervals.next().flatten().map(|ends| ends.map(|end| end * scale)),
+                interval: intervals.next().flatten().map(|ends| ends.map(|end| end * factor)),
                 assumed: match unit {
                     // An inertia scales with the assumed force.
-                    _ if is_force || unit.starts_with("kg") => assumed.clone(),
+                    _ if self.is_per_inertia(name, unit) || unit.starts_with("kg") => assumed.clone(),
                     _ if unit.ends_with("/V") => self.supply_is_assumed(),
                     _ => None,
                 },
             };
             (name.to_owned(), estimate)
         };
-        // The base parameters of an axis are already in its units.
-        let of_base = if self.kind == Kind::Axis { 1.0 } else { physical.inertia };
         let base = self.base.iter().zip(&structure.base);
-        let base = base.map(|(parameter, &value)| told(parameter.name, parameter.unit, value, of_base)).collect();
+        let base = base.map(|(parameter, &value)| told(parameter.name, parameter.unit, value)).collect();
         let terms = structure
             .terms
             .iter()
@@ -189,10 +209,10 @@ impl Motion {
                     .parameters
                     .iter()
                     .zip(values)
-                    .map(|(parameter, &value)| told(parameter.name, parameter.unit, value, physical.inertia))
+                    .map(|(parameter, &value)| told(parameter.name, parameter.unit, value))
                     .collect(),
                 Term::Curve(_) => {
-                    values.iter().for_each(|_| drop(told("value", "1", 0.0, 1.0)));
+                    values.iter().for_each(|_| drop(told("value", "1", 0.0)));
                     BTreeMap::new()
                 }
             })

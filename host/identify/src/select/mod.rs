@@ -57,8 +57,11 @@ pub struct Found<R> {
     pub last: Fit,
     /// Last model as it was fitted, with the runs it was fitted to: the recordings, or blocks of them.
     pub fitted: (Fit, Vec<R>),
-    /// Standard errors of the last model's parameters; `None` where the data do not determine one.
+    /// Standard errors of the last model's parameters, for values in their reported units; `None` where the data do not
+    /// determine one.
     pub deviations: Vec<Option<f64>>,
+    /// Their 95 % confidence intervals.
+    pub intervals: Vec<Option<[f64; 2]>>,
     /// Terms that were tried and not accepted, or removed later, in order of their error on held-out blocks.
     pub rejected: Vec<Rejected>,
     /// True if time ran out before every effect was tried.
@@ -113,19 +116,42 @@ impl<R> Found<R> {
     fn of<F: Family<Run = R>>(
         family: &F,
         base: Fit,
-        steps: Vec<Step>,
+        mut steps: Vec<Step>,
         rejected: Vec<Rejected>,
         (train, runs): (&[R], Vec<R>),
     ) -> Self
     where
         R: Clone,
     {
-        let (last, fitted) = match steps.last() {
-            Some(step) => (step.fit.clone(), (step.own.clone(), runs)),
-            None => (base.clone(), (base.clone(), train.to_vec())),
+        let (own, runs) = match steps.last() {
+            Some(step) => (step.own.clone(), runs),
+            None => (base.clone(), train.to_vec()),
         };
-        let deviations = fitted.0.deviations(family, &fitted.1.iter().collect::<Vec<_>>());
-        Self { base, steps, last, fitted, deviations, rejected, is_cut_short: false }
+        let fitted: Vec<&R> = runs.iter().collect();
+        let before = own.cost;
+        let (own, mut intervals) = own.with_intervals(family, &fitted);
+        let mut deviations = own.deviations(family, &fitted);
+        // A reported force is a product with the inertia, whose error is often smaller than that of a factor.
+        let errors = own.unit_errors(family, &fitted, |structure| family.units(structure));
+        let ranges = fit::parameters(family, &own.structure.terms).into_iter().map(|parameter| parameter.range);
+        let values = own.structure.base.iter().chain(own.structure.added.iter().flatten());
+        for (((error, range), &value), (deviation, interval)) in
+            errors.into_iter().zip(ranges).zip(values).zip(deviations.iter_mut().zip(&mut intervals))
+        {
+            *deviation = deviation.map(|deviation| deviation * error);
+            *interval = interval.map(|ends| range.stretched(value, ends, error));
+        }
+        let (base, last) = match steps.last_mut() {
+            Some(step) => {
+                if own.cost < before {
+                    step.fit = own.over(family, &train.iter().collect::<Vec<_>>());
+                    step.own = own.clone();
+                }
+                (base, step.fit.clone())
+            }
+            None => (own.clone(), own.clone()),
+        };
+        Self { base, steps, last, fitted: (own, runs), deviations, intervals, rejected, is_cut_short: false }
     }
 }
 
@@ -276,6 +302,7 @@ impl<F: Family> Search<'_, F> {
             step.own = fit(self.family, runs, first, initial, Effort::FULL);
             step.fit = step.own.over(self.family, &self.whole);
         }
+        (self.progress)("intervals");
         let runs = runs.iter().copied().cloned().collect();
         Found::of(self.family, base.clone(), steps, rejected, (train, runs))
     }

@@ -217,14 +217,15 @@ fn report(
             .collect(),
     };
     let loadable = Loadable::Plant(map.plant_file());
-    let last = scores(chosen);
+    let [baseline, last] = [base, chosen].map(scores);
+    let errors = [baseline, last].map(|scores| scores.holdout.nrmse);
     let report = Report {
         model: NAME.to_owned(),
         // A law counts as an effect with a size: one that fits well needs no further effects.
-        explained: Explained::of(last.holdout.nrmse, true, ladder.unexplained.is_empty()),
+        explained: Explained::of(errors, true, ladder.unexplained.is_empty()),
         suspicions: Vec::new(),
         unit: ladder.unit.clone(),
-        baseline: scores(base),
+        baseline,
         effects,
         last,
         parameters: estimates,
