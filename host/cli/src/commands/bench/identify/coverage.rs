@@ -66,6 +66,8 @@ fn true_value(experiment: &Experiment, truth: &Truth, name: &str, estimate: &Est
         // Plants are driven by a duty; an axis is identified from its force.
         "input_force_n" => hidden("duty")? * experiment.input_per_duty,
         "rate_per_s" => hidden(name)? * experiment.input_per_duty,
+        // The base model of a motor has no inductance: the lag of its current is a part of the delay.
+        "delay_s" => hidden(name)? + current_lag_s(experiment),
         // The report's base model contains the forward gain.
         "backward_gain" => hidden(name)? / hidden("forward_gain")?,
         _ => hidden(name)?,
@@ -74,6 +76,14 @@ fn true_value(experiment: &Experiment, truth: &Truth, name: &str, estimate: &Est
         None => Some(value),
         Some(ASSUMED) => Some(value * torques_at_1_ohm(experiment)?),
         Some(_) => None,
+    }
+}
+
+/// Time constant of a motor's current, s; 0 for an axis, whose recorded input is a force.
+fn current_lag_s(experiment: &Experiment) -> f64 {
+    match experiment.base.model() {
+        Model::DcGearMotor(motor) => motor.inductance_h / motor.resistance_ohm,
+        Model::LinearActuator(_) => 0.0,
     }
 }
 
@@ -144,10 +154,13 @@ mod tests {
             ("forward_gain", 0.8),
             ("backward_gain", 1.0),
             ("phase_rad", 1.0),
+            ("delay_s", 0.1),
             ("torque_nm", 3.0),
         ]);
         let value = |made: &Experiment, name: &str| true_value(made, &truth, name, &estimate(None));
         assert_eq!((value(&motor, "duty"), value(&motor, "rate_per_s")), (Some(0.5), Some(2.0)));
+        assert_eq!(value(&motor, "delay_s"), Some(0.1 + current_lag_s(&motor)));
+        assert_eq!(value(&axis, "delay_s"), Some(0.1));
         assert_eq!(value(&axis, "input_force_n"), Some(0.5 * axis.input_per_duty));
         assert_eq!(value(&axis, "rate_per_s"), Some(2.0 * axis.input_per_duty));
         assert_eq!(value(&motor, "backward_gain"), Some(1.25));
