@@ -17,6 +17,12 @@ const NEAR: f64 = 0.02;
 const FITS: usize = 8;
 /// Share of the best value that stands for 0 if 0 itself is out of range.
 const NOTHING: f64 = 1e-3;
+/// Share of the cost's rise at the end of an interval by which a fit beside the best must be better to replace it. Our
+/// choice; other values were not compared.
+const BETTER: f64 = 0.01;
+/// Largest number of times that the best fit is replaced. With none, four of 24 fits of load-dependent friction (plants
+/// of seeds 700000 to 700299, two draws of noise each) ended 1.3 to 6.2 variances of a residual above the lowest cost.
+const REPLACED: usize = 4;
 
 impl Range {
     /// Returns the end of the range, and the last value before it that can be simulated; `None` for an unbounded
@@ -52,13 +58,6 @@ impl Range {
     }
 }
 
-/// Share of the cost's rise at the end of an interval by which a fit beside the best must be better to replace it. Our
-/// choice; other values were not compared.
-const BETTER: f64 = 0.01;
-/// Largest number of times that the best fit is replaced. With none, four of 24 fits of load-dependent friction (plants
-/// of seeds 700000 to 700299, two draws of noise each) ended 1.3 to 6.2 variances of a residual above the lowest cost.
-const REPLACED: usize = 4;
-
 impl Fit {
     /// Returns the 95 % confidence intervals of the structure's parameters by profile likelihood, in the order of
     /// [`super::parameters()`], and the fit that they belong to. An end is the value at which the cost, with everything
@@ -75,9 +74,8 @@ impl Fit {
         for _ in 0..REPLACED {
             let (intervals, lower) = self.profiles(family, runs);
             let Some(lower) = lower else { return (self, intervals) };
-            let mut problem = Problem::new(family, runs, lower.structure, lower.initial, lower.weights);
-            problem = problem.solved(Effort::FULL);
-            self = problem.into_fit();
+            let problem = Problem::new(family, runs, lower.structure, lower.initial, lower.weights);
+            self = problem.solved(Effort::FULL).into_fit();
         }
         let (intervals, _) = self.profiles(family, runs);
         (self, intervals)

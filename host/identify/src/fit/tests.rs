@@ -160,7 +160,7 @@ fn a_profile_that_finds_less_replaces_the_fit() {
     let (found, intervals) = stuck.clone().with_intervals(&model, &[&points]);
     let mean = points.measured.iter().sum::<f64>() / 100.0;
     let [off, left] = [&stuck, &found].map(|fit| (fit.structure.base[0] - mean).abs());
-    // The mean has a standard error of 10 mm; two ripples of it are told from none by chance only.
+    // The mean has a standard error of 10 mm: two ripples are within it.
     assert!(off > 20e-3 && left < 8e-3, "{off} {left}");
     let [low, high] = intervals[0].expect("bounded");
     assert!((low - (mean - 19.6e-3)).abs() < 8e-3 && (high - (mean + 19.6e-3)).abs() < 8e-3, "{low} to {high}");

@@ -234,7 +234,7 @@ impl Input {
                 // Simpson's rule, exact for a linear command through a smooth bridge.
                 [(first, 1.0 / 6.0), (at(0.5), 4.0 / 6.0), (last, 1.0 / 6.0)]
             } else {
-                // A held command changes once within a step, at the time that its mean tells.
+                // A held command changes once within a step, at the time that follows from its mean.
                 let share = ((mean - first) / (last - first)).clamp(0.0, 1.0);
                 [(first, 1.0 - share), (last, share), (0.0, 0.0)]
             };

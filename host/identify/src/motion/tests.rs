@@ -101,7 +101,7 @@ fn friction_by_load_takes_its_share_of_the_torque_within_each_step() {
             (speed - settled * (1.0 - (-rate * since_s).exp())).abs() / settled
         });
         let off = off.fold(0.0_f64, f64::max);
-        // Steps of 2.5 ms are 1/30 of the time constant: what is left of the torque's change within one is a share of its square.
+        // Steps of 2.5 ms are 1/30 of the time constant; the torque half-way is exact to a share of its square.
         assert!(off < 2e-4, "{lag_s} s: {off}");
     }
 }
