@@ -120,6 +120,8 @@ struct Step {
     open: FirstOrder,
     /// Share of the current that remains after the step at zero speed and voltage.
     current_kept: f64,
+    /// The same after half of the step.
+    current_kept_half_way: f64,
 }
 
 /// Electrical input over a step: the mean voltage, and the level of the diodes that opposes the current.
@@ -138,15 +140,17 @@ impl Constants {
         let k = self.force_per_ampere;
         let (coupled, settled, current_kept) = if self.is_quasi_static(circuit_ohm) {
             let rate = (self.viscous + k * k / circuit_ohm) / self.mass;
-            (SecondOrder::default(), FirstOrder::new(rate, step_s), 0.0)
+            (SecondOrder::default(), FirstOrder::new(rate, step_s), [0.0; 2])
         } else {
             let inductance_h = self.inductance_h;
             let matrix = [[-circuit_ohm / inductance_h, -k / inductance_h], [k / self.mass, -self.viscous / self.mass]];
-            let kept = libm::exp(-step_s * circuit_ohm / inductance_h);
+            let kept = |share: f64| libm::exp(-share * step_s * circuit_ohm / inductance_h);
+            let kept = [kept(1.0), kept(0.5)];
             (SecondOrder::new(matrix, step_s), FirstOrder::default(), kept)
         };
         let open = FirstOrder::new(self.viscous / self.mass, step_s);
-        Step { step_s, circuit_ohm, coupled, settled, open, current_kept }
+        let [current_kept, current_kept_half_way] = current_kept;
+        Step { step_s, circuit_ohm, coupled, settled, open, current_kept, current_kept_half_way }
     }
 
     /// Sign of the current while the diodes conduct: its own sign or, from zero, that of a voltage which exceeds the
@@ -175,7 +179,7 @@ impl Constants {
         }
         let speed = motion.speed + 0.5 * step.step_s * motion.acceleration;
         let settled_a = (voltage.mean_v - sign * voltage.diodes_v - self.force_per_ampere * speed) / step.circuit_ohm;
-        settled_a + (motion.current_a - settled_a) * libm::sqrt(step.current_kept)
+        settled_a + (motion.current_a - settled_a) * step.current_kept_half_way
     }
 
     /// Motion after a step under a constant force besides the motor's, without end stops.
