@@ -331,7 +331,7 @@ mod tests {
             let Model::LinearActuator(axis) = *spec.model() else { panic!("{spec:?}") };
             let constant = axis.torque_constant_nm_per_a * std::f64::consts::TAU / axis.lead_m_per_rev;
             assert!((constant * supply_v / axis.resistance_ohm / force_n - 1.0).abs() < 1e-12);
-            // The back-EMF adds a thousandth of the friction at most, a third of the standard error of the best recordings.
+            // The back-EMF adds a thousandth of the friction at most.
             let damping = constant * constant / axis.resistance_ohm;
             assert!(damping < 1e-3 * axis.viscous_n_s_per_m, "{damping} of {}", axis.viscous_n_s_per_m);
         }

@@ -726,17 +726,12 @@ impl Fit {
     }
 
     /// Returns the standard error of each parameter in a unit that depends on other parameters, as a force per unit of
-    /// inertia does, over that with the unit fixed; 1 for an undetermined parameter. `units` are the factors of all
-    /// parameters. The error is that of the linearised product.
+    /// inertia does, over that with the unit fixed; 1 for an undetermined parameter. The error is that of the
+    /// linearised product with [`Family::units`].
     #[must_use]
-    pub fn unit_errors<F: Model>(
-        &self,
-        family: &F,
-        runs: &[&F::Run],
-        units: impl Fn(&Structure) -> Vec<f64>,
-    ) -> Vec<f64> {
+    pub fn unit_errors<F: Family>(&self, family: &F, runs: &[&F::Run]) -> Vec<f64> {
         let values: Vec<f64> = flat(&self.structure).collect();
-        let fixed = units(&self.structure);
+        let fixed = family.units(&self.structure);
         let steps = parameters(family, &self.structure.terms).into_iter().zip(&values);
         let moved: Vec<(f64, Vec<f64>)> = steps
             .enumerate()
@@ -746,7 +741,7 @@ impl Fit {
                 other[place] += step;
                 let mut structure = self.structure.clone();
                 set_flat(&mut structure, &other);
-                (step, units(&structure))
+                (step, family.units(&structure))
             })
             .collect();
         let is_fixed = |place: usize| moved.iter().all(|(_, units)| units[place] == fixed[place]);
@@ -837,8 +832,7 @@ fn is_known(eigenvalue: f64) -> bool {
     eigenvalue > 1e-10
 }
 
-/// Curvature of the cost at the best fit: parameters and initial states, scaled so that each column of the Jacobian has
-/// length one.
+/// Curvature of the cost at the best fit, over parameters and initial states; columns of the Jacobian have length one.
 struct Curvature {
     /// Number of the structure's parameters.
     globals: usize,

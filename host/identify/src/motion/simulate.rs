@@ -69,9 +69,9 @@ impl PerStep {
 /// Product of damping and time below which the closed form of a displacement loses digits, and its series is more
 /// accurate.
 const STIFF: f64 = 1e-4;
-/// Longest lateness of the stamps that is attributed to the current of a winding, s: inductance over resistance of gear
-/// motors is 0.1 to 1 ms. Without it, shares of load-dependent friction are 0.3 to 0.9 % too large (tuning plants
-/// 700118, 700154 and 700178 at a twentieth of the noise).
+/// Longest lateness of the stamps that is attributed to the current of a winding, s: inductance over resistance is 0.1
+/// to 1 ms for the simulated plants. With none, shares of load-dependent friction are 0.3 to 0.8 % too large (tuning
+/// plants 700118, 700154 and 700178 at a twentieth of the noise). Half of it was not compared.
 const LONGEST_CURRENT_LAG_S: f64 = 2e-3;
 
 /// Share of the way to its final value that a first-order response covers in a time.

@@ -57,8 +57,7 @@ pub struct Found<R> {
     pub last: Fit,
     /// Last model as it was fitted, with the runs it was fitted to: the recordings, or blocks of them.
     pub fitted: (Fit, Vec<R>),
-    /// Standard errors of the last model's parameters, for values in their reported units; `None` where the data do not
-    /// determine one.
+    /// Standard errors of the last model's parameters, for values in their reported units; `None` if undetermined.
     pub deviations: Vec<Option<f64>>,
     /// Their 95 % confidence intervals.
     pub intervals: Vec<Option<[f64; 2]>>,
@@ -132,7 +131,7 @@ impl<R> Found<R> {
         let (own, mut intervals) = own.with_intervals(family, &fitted);
         let mut deviations = own.deviations(family, &fitted);
         // A reported force is a product with the inertia, whose error is often smaller than that of a factor.
-        let errors = own.unit_errors(family, &fitted, |structure| family.units(structure));
+        let errors = own.unit_errors(family, &fitted);
         let ranges = fit::parameters(family, &own.structure.terms).into_iter().map(|parameter| parameter.range);
         let values = own.structure.base.iter().chain(own.structure.added.iter().flatten());
         for (((error, range), &value), (deviation, interval)) in
