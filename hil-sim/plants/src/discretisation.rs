@@ -56,18 +56,23 @@ impl Polynomial {
         Self { a: self.a * other.a - square * determinant, b: self.a * other.b + self.b * other.a + square * trace }
     }
 
+    /// Product with `A` itself.
+    fn times_matrix(self, trace: f64, determinant: f64) -> Self {
+        Self { a: -self.b * determinant, b: self.a + self.b * trace }
+    }
+
     fn of(self, matrix: [[f64; 2]; 2]) -> [[f64; 2]; 2] {
         let [[m00, m01], [m10, m11]] = matrix;
         [[self.a + self.b * m00, self.b * m01], [self.b * m10, self.a + self.b * m11]]
     }
 }
 
-/// Reciprocals 1/1, 1/2 … 1/16: a multiplication is several times as fast as a division.
-const RECIPROCALS: [f64; 16] = {
-    let mut table = [1.0; 16];
+/// Reciprocals 1/3, 1/4 … 1/16: a multiplication is several times as fast as a division.
+const RECIPROCALS: [f64; 14] = {
+    let mut table = [1.0; 14];
     let mut n = 0;
     while n < table.len() {
-        table[n] = 1.0 / (n as f64 + 1.0);
+        table[n] = 1.0 / (n as f64 + 3.0);
         n += 1;
     }
     table
@@ -96,28 +101,28 @@ impl SecondOrder {
         let (trace, determinant) = (m00 + m11, m00 * m11 - m01 * m10);
         // upper bound of the eigenvalues' magnitudes: their sum is the trace, their product the determinant
         let fastest = trace.abs() + libm::sqrt(determinant.abs());
-        let (_, exponent) = libm::frexp(fastest * step_s);
-        let doublings = (exponent + 1).max(0);
-        let mut h = libm::scalbn(step_s, -doublings);
+        let (mut h, mut doublings) = (step_s, 0);
+        while fastest * h >= 0.5 {
+            h *= 0.5;
+            doublings += 1;
+        }
 
-        // Terms h^n A^n / n! of E; divided by n + 1 and n + 2 more, of P and Q. fastest · h is below 1/2, so the
-        // remainder after 15 terms is below 2^-15 / 15! = 2e-17; a short step needs fewer terms.
-        let a = Polynomial { a: 0.0, b: 1.0 };
-        let mut term = Polynomial { a: 1.0, b: 0.0 };
+        // Terms h^(n+2) A^n / (n+2)! of Q; P = h I + A Q and E = I + A P follow. fastest · h is below 1/2, so what follows the
+        // last term is below 2^-17 / 17! = 2e-20 of E; a short step needs fewer terms.
+        let mut term = Polynomial { a: 0.5 * h * h, b: 0.0 };
+        let mut q = term;
         let mut size = 1.0;
-        let mut e = Polynomial { a: 0.0, b: 0.0 };
-        let (mut p, mut q) = (e, e);
-        for pair in RECIPROCALS.windows(2) {
-            let per_n = h * pair[0];
-            e = e.plus(term);
-            p = p.plus(term.scaled(per_n));
-            q = q.plus(term.scaled(per_n * h * pair[1]));
-            term = term.times(a, trace, determinant).scaled(per_n);
+        for reciprocal in &RECIPROCALS {
+            let per_n = h * reciprocal;
+            term = term.times_matrix(trace, determinant).scaled(per_n);
+            q = q.plus(term);
             size *= fastest * per_n;
             if size < 1e-18 {
                 break;
             }
         }
+        let mut p = q.times_matrix(trace, determinant).plus(Polynomial { a: h, b: 0.0 });
+        let mut e = p.times_matrix(trace, determinant).plus(Polynomial { a: 1.0, b: 0.0 });
         // exp over 2h from exp over h; Q before P before E, because each update uses the undoubled values of the others
         for _ in 0..doublings {
             q = q.plus(p.scaled(h)).plus(e.times(q, trace, determinant));

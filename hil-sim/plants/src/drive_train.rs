@@ -27,7 +27,8 @@ use crate::{
 /// Longest step, s. Short against the changes of friction and load at the 1 kHz at which plants are controlled; the
 /// electrical time constant needs no shorter one.
 pub(crate) const MAX_STEP_S: f64 = 2.5e-4;
-/// Number of shorter step lengths whose discretisation is cached.
+/// Number of shorter step lengths whose discretisation is cached. In `r4 demo --robot openscout` 8 save 54 % of the
+/// discretisations and 32 save 65 %, which fill four times the cache of the processor.
 const PARTS: usize = 8;
 
 /// Limit of `L/R`, s, below which the current follows the voltage at once: `i = (u − k v) / R`. It settles 250 times
@@ -144,9 +145,8 @@ impl Constants {
         } else {
             let inductance_h = self.inductance_h;
             let matrix = [[-circuit_ohm / inductance_h, -k / inductance_h], [k / self.mass, -self.viscous / self.mass]];
-            let kept = |share: f64| libm::exp(-share * step_s * circuit_ohm / inductance_h);
-            let kept = [kept(1.0), kept(0.5)];
-            (SecondOrder::new(matrix, step_s), FirstOrder::default(), kept)
+            let half_way = libm::exp(-0.5 * step_s * circuit_ohm / inductance_h);
+            (SecondOrder::new(matrix, step_s), FirstOrder::default(), [half_way * half_way, half_way])
         };
         let open = FirstOrder::new(self.viscous / self.mass, step_s);
         let [current_kept, current_kept_half_way] = current_kept;
@@ -266,16 +266,45 @@ fn first_order(step: &FirstOrder, motion: &Motion, acceleration: f64) -> Motion 
     }
 }
 
-/// A base model and its state.
+/// Discretisations of the full step and of the last shorter ones, so that the linear part is not discretised anew at
+/// every step.
 #[derive(Clone, Debug)]
-pub(crate) struct DriveTrain {
-    constants: Constants,
-    /// Cached discretisations of the full step and of the last shorter ones, so that the linear part is not discretised
-    /// anew at every step.
+struct Steps {
     full: Step,
     parts: [Step; PARTS],
     /// Index of the cached part that is replaced next.
     next_part: usize,
+}
+
+impl Steps {
+    fn new() -> Self {
+        Self { full: Step::default(), parts: [Step::default(); PARTS], next_part: 0 }
+    }
+
+    fn get(&mut self, constants: &Constants, step_s: f64, circuit_ohm: f64) -> &Step {
+        let is_it = |step: &Step| step.step_s == step_s && step.circuit_ohm == circuit_ohm;
+        if step_s == MAX_STEP_S {
+            if !is_it(&self.full) {
+                self.full = constants.step(step_s, circuit_ohm);
+            }
+            return &self.full;
+        }
+        let known = self.parts.iter().position(is_it);
+        let place = known.unwrap_or_else(|| {
+            let place = self.next_part;
+            self.next_part = (place + 1) % PARTS;
+            self.parts[place] = constants.step(step_s, circuit_ohm);
+            place
+        });
+        &self.parts[place]
+    }
+}
+
+/// A base model and its state.
+#[derive(Clone, Debug)]
+pub(crate) struct DriveTrain {
+    constants: Constants,
+    steps: Steps,
     pub(crate) motion: Motion,
 }
 
@@ -285,13 +314,7 @@ impl DriveTrain {
             Model::DcGearMotor(motor) => motor.into(),
             Model::LinearActuator(actuator) => actuator.into(),
         };
-        Self {
-            constants,
-            full: Step::default(),
-            parts: [Step::default(); PARTS],
-            next_part: 0,
-            motion: Motion::default(),
-        }
+        Self { constants, steps: Steps::new(), motion: Motion::default() }
     }
 
     /// Puts the motor side at rest, without current, at this position or the end stop before it.
@@ -338,15 +361,15 @@ impl DriveTrain {
         step_s: f64,
         may_cut: bool,
     ) -> f64 {
-        let constants = self.constants;
+        let constants = &self.constants;
         let motion = self.motion;
         let winding_ohm = constants.resistance_ohm * (1.0 + terminals.winding_rise);
         let circuit_ohm = winding_ohm + terminals.duty * terminals.duty * terminals.source_ohm;
         let voltage = voltage(terminals, constants.force_per_ampere * motion.speed);
-        let step = *self.step(step_s, circuit_ohm);
+        let step = self.steps.get(constants, step_s, circuit_ohm);
 
         let direction = if motion.speed == 0.0 {
-            let current_a = constants.current_at_rest(&step, &motion, voltage);
+            let current_a = constants.current_at_rest(step, &motion, voltage);
             let motor_force = constants.force_per_ampere * current_a;
             let force = motor_force + load;
             let direction = Direction::of(force);
@@ -364,25 +387,25 @@ impl DriveTrain {
         let sign = direction.sign();
         let speed_half_way = (sign * (motion.speed + 0.5 * step_s * motion.acceleration)).max(0.0);
         let position_half_way = motion.position + 0.5 * step_s * motion.speed;
-        let motor_force = constants.force_per_ampere * constants.current_half_way(&step, &motion, voltage);
+        let motor_force = constants.force_per_ampere * constants.current_half_way(step, &motion, voltage);
         let level = friction.level(direction, speed_half_way, position_half_way, motor_force)
             + constants.loss * motor_force.abs();
         let force = load - sign * level;
-        let next = constants.free(&step, &motion, voltage, force);
+        let next = constants.free(step, &motion, voltage, force);
 
         let turns_around = next.speed * sign < 0.0;
         let sticks = || level > 0.0 || friction.level(direction.reverse(), 0.0, motion.position, motor_force) > 0.0;
         if turns_around && sticks() {
             if motion.speed == 0.0 {
                 // enough force to break away only at the end of the step: it does in the next one
-                let current_a = constants.current_at_rest(&step, &motion, voltage);
+                let current_a = constants.current_at_rest(step, &motion, voltage);
                 self.motion = Motion { current_a, acceleration: 0.0, ..motion };
                 return step_s;
             }
             let stop_s = step_s * motion.speed.abs() / (motion.speed.abs() + next.speed.abs());
             if may_cut && stop_s < step_s {
-                let step = *self.step(stop_s, circuit_ohm);
-                let at_stop = constants.free(&step, &motion, voltage, force);
+                let step = self.steps.get(constants, stop_s, circuit_ohm);
+                let at_stop = constants.free(step, &motion, voltage, force);
                 self.motion = constants.stopped(Motion { speed: 0.0, acceleration: 0.0, ..at_stop });
                 return stop_s;
             }
@@ -392,24 +415,6 @@ impl DriveTrain {
         let acceleration = (next.speed - motion.speed) / step_s;
         self.motion = constants.stopped(Motion { acceleration, ..next });
         step_s
-    }
-
-    fn step(&mut self, step_s: f64, circuit_ohm: f64) -> &Step {
-        let is_it = |step: &Step| step.step_s == step_s && step.circuit_ohm == circuit_ohm;
-        if step_s == MAX_STEP_S {
-            if !is_it(&self.full) {
-                self.full = self.constants.step(step_s, circuit_ohm);
-            }
-            return &self.full;
-        }
-        let known = self.parts.iter().position(is_it);
-        let place = known.unwrap_or_else(|| {
-            let place = self.next_part;
-            self.next_part = (place + 1) % PARTS;
-            self.parts[place] = self.constants.step(step_s, circuit_ohm);
-            place
-        });
-        &self.parts[place]
     }
 }
 
