@@ -4,6 +4,7 @@
 //! viscosity, tube resistance and delay. Each candidate adds one effect: pressure lost on reloading, pressure that
 //! relaxes, or gas that leaks. No formula of an effect is the simulator's.
 
+use r4_maths::root::{RootError, brent};
 use r4_world::ATMOSPHERE_PA;
 
 use super::{protocol::Reading, scene::Setup};
@@ -28,8 +29,12 @@ const BASE_START: [f64; 4] = [1.0, 1.0, 1.0, 0.1];
 const RELAXES_S: f64 = 2.0;
 /// Period over which readings are averaged before the fit, s.
 const EVERY_S: f64 = 0.02;
-/// Bisection steps for a stretch between 0.9 and 5: a resolution of 4e-9.
-const BISECTIONS: usize = 30;
+/// Stretches between which a membrane is in balance with the gas.
+const STRETCHES: [f64; 2] = [0.9, 5.0];
+/// Stretch in [`EVERY_S`] that is looked at first: a membrane with a radius of 6 mm stretches by 0.006 in it at 0.8 ml/s.
+const NEAR: f64 = 0.02;
+/// Resolution of a stretch.
+const RESOLUTION: f64 = 4e-9;
 
 /// Searches recordings of virgin membranes of one kind, the last of which is held out.
 ///
@@ -100,13 +105,7 @@ fn predicted(setup: &Setup, effect: Option<usize>, numbers: &[f64], run: &[Readi
         };
         let gas_pa =
             |tried: f64| gas_pa_m3 / (line.volume_m3 - reading.pushed_m3 + at_rest_m3 * tried.powi(3)) - ATMOSPHERE_PA;
-        // The pressure balance changes sign once in this bracket; bisection cannot diverge where the rubber softens.
-        let (mut low, mut high) = (0.9, 5.0);
-        for _ in 0..BISECTIONS {
-            let middle = f64::midpoint(low, high);
-            if held_pa(middle) > gas_pa(middle) { high = middle } else { low = middle }
-        }
-        let now = f64::midpoint(low, high);
+        let Some(now) = balance(|tried| held_pa(tried) - gas_pa(tried), stretch) else { break };
         let pressure_pa = gas_pa(now);
         let flow_ml_s = at_rest_m3 * (now.powi(3) - stretch.powi(3)) / step_s * 1e6;
         let line_pa = pressure_pa + tube * 100.0 * flow_ml_s;
@@ -119,4 +118,16 @@ fn predicted(setup: &Setup, effect: Option<usize>, numbers: &[f64], run: &[Readi
         farthest = farthest.max(now);
     }
     pressures_pa
+}
+
+/// Stretch at which the difference of two pressures is zero, or the end of [`STRETCHES`] that is nearest to it; `None` where it is no number.
+/// It changes sign once, most often close to the last stretch.
+fn balance(difference_pa: impl Fn(f64) -> f64, last: f64) -> Option<f64> {
+    let [low, high] = STRETCHES;
+    let near = brent(&difference_pa, (last - NEAR).max(low), (last + NEAR).min(high), RESOLUTION);
+    match near.or_else(|_| brent(&difference_pa, low, high, RESOLUTION)) {
+        Ok(stretch) => Some(stretch),
+        Err(RootError::SameSign { at_low, .. }) => Some(if at_low > 0.0 { low } else { high }),
+        Err(RootError::Input(_) | RootError::NotANumber { .. }) => None,
+    }
 }
