@@ -354,7 +354,7 @@ pub(crate) struct BenchSystems {
     /// Run few seeds, as a check that everything runs; targets are not meaningful
     #[arg(long)]
     pub(crate) quick: bool,
-    /// Number of seeds [default: 100, quick 8]
+    /// Number of seeds [default: all on which the system's results are reported, 100 for most; quick 8]
     #[arg(long, value_parser = clap::value_parser!(u64).range(2..=1_000_000))]
     pub(crate) seeds: Option<u64>,
     /// Keep each system's rows in this folder, and do not run a system again whose rows this very program left there with the

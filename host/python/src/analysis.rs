@@ -92,7 +92,7 @@ pub(crate) fn study<'py>(
     py: Python<'py>,
     system: &str,
     arms: Vec<String>,
-    first_seed: u64,
+    first_seed: Option<u64>,
     seeds: u64,
     board: Option<&str>,
     shard: Option<&str>,
@@ -104,6 +104,7 @@ pub(crate) fn study<'py>(
         None => Target::Sim(system.about().robot.to_owned()),
     };
     let shard: Shard = shard.map(str::parse).transpose().map_err(failed)?.unwrap_or_default();
+    let first_seed = first_seed.unwrap_or(system.about().reported.start);
     let study = Study { arms, first_seed, seeds, board, shard };
     let is_whole = study.shard == Shard::default();
     let run = || {

@@ -1,8 +1,13 @@
 //! Description of a system: its paper, its arms and the metrics that compare them.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use crate::Statistic;
+
+/// Seeds of reported results of most systems: constants are set on lower ones.
+pub const REPORTED: Range<u64> = 1001..1101;
 
 /// A system's paper, arms and metrics.
 #[derive(Debug)]
@@ -17,6 +22,8 @@ pub struct About {
     pub robot: &'static str,
     /// Quantities that a seed decides, each with its range and unit.
     pub sampled: &'static [&'static str],
+    /// Seeds of `r4 bench systems`, on which no constant was set; few where a trial takes tens of seconds.
+    pub reported: Range<u64>,
     /// Methods that answer the question, compared with each other.
     pub arms: &'static [Arm],
     /// Quantities measured in each trial.

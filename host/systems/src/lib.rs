@@ -38,7 +38,7 @@ pub mod tail;
 pub mod whisker;
 pub mod xrhmi;
 
-pub use about::{About, Arm, Limit, Metric, Paper, Source, Target};
+pub use about::{About, Arm, Limit, Metric, Paper, REPORTED, Source, Target};
 pub use error::Error;
 pub use figure::{Curve, Figure, Panel, View};
 pub use row::Row;

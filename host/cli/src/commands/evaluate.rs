@@ -51,7 +51,7 @@ pub(crate) struct OsmcArgs {
 
 impl Default for OsmcArgs {
     fn default() -> Self {
-        Self { seeds: 200, first_seed: system::REPORTED_FROM, naming: 30, report: None }
+        Self { seeds: 200, first_seed: r4_systems::REPORTED.start, naming: 30, report: None }
     }
 }
 

@@ -25,10 +25,7 @@ use crate::{
     table,
 };
 
-/// First seed of reported results: constants are set on lower seeds only.
-pub(crate) const REPORTED_FROM: u64 = 1001;
-/// Number of seeds of a benchmark, and of a quick one.
-const BENCH_SEEDS: u64 = 100;
+/// Number of seeds of a quick benchmark.
 const QUICK_SEEDS: u64 = 8;
 
 #[derive(Clone, Debug, clap::Subcommand)]
@@ -74,9 +71,9 @@ pub(crate) struct StudyArgs {
     /// Number of consecutive seeds
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(2..=1_000_000))]
     seeds: u64,
-    /// First of the consecutive seeds
-    #[arg(long, default_value_t = REPORTED_FROM, value_name = "SEED")]
-    from: u64,
+    /// First of the consecutive seeds [default: the first of the seeds on which the system's results are reported]
+    #[arg(long, value_name = "SEED")]
+    from: Option<u64>,
     /// Run only these arms; example: paper,ours
     #[arg(long, value_delimiter = ',', value_name = "ARMS")]
     arms: Vec<String>,
@@ -131,11 +128,11 @@ pub(crate) fn bench(args: &Args, bench: &BenchSystems) -> anyhow::Result<bool> {
     });
     let kept = kept.transpose()?;
     for system in &chosen {
-        let seeds = bench.seeds.unwrap_or(if bench.quick { QUICK_SEEDS } else { BENCH_SEEDS });
+        let reported = &system.about().reported;
         let study = Study {
             arms: Vec::new(),
-            first_seed: REPORTED_FROM,
-            seeds,
+            first_seed: reported.start,
+            seeds: bench.seeds.unwrap_or(if bench.quick { QUICK_SEEDS } else { reported.end - reported.start }),
             board: board(args, *system),
             shard: Shard::default(),
         };
@@ -226,6 +223,7 @@ fn show(args: &Args, system: &dyn System) -> anyhow::Result<bool> {
     }
     output::line(format_args!("{}: {} ({})", about.name, about.paper.title, about.paper.published))?;
     output::line(format_args!("{}\nrobot: {}", about.question, about.robot))?;
+    output::line(format_args!("reported seeds: {} to {}", about.reported.start, about.reported.end - 1))?;
     let mut arms = table::new(&["arm", "does"], 0..0);
     for arm in about.arms {
         arms.add_row([arm.name, arm.does]);
@@ -343,7 +341,7 @@ fn run_study(args: &Args, asked: &StudyArgs) -> anyhow::Result<bool> {
     let system = r4_systems::find(&asked.name)?;
     let study = Study {
         arms: asked.arms.clone(),
-        first_seed: asked.from,
+        first_seed: asked.from.unwrap_or(system.about().reported.start),
         seeds: asked.seeds,
         board: board(args, system),
         shard: asked.shard,

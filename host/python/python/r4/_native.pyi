@@ -286,7 +286,7 @@ def models() -> list[dict[str, Any]]:
     """Base models: name, summary, roles, parameters, effects."""
 
 def study(
-    system: str, *, arms: Sequence[str], first_seed: int, seeds: int, board: str | None, shard: str | None
+    system: str, *, arms: Sequence[str], first_seed: int | None, seeds: int, board: str | None, shard: str | None
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Runs a study: rows and records."""
 

@@ -150,7 +150,7 @@ def study(
     system: str,
     *,
     arms: Sequence[str] = (),
-    first_seed: int = 1001,
+    first_seed: int | None = None,
     seeds: int = 20,
     board: str | None = None,
     shard: str | None = None,
@@ -158,7 +158,8 @@ def study(
 ) -> Study:
     """Runs arms of a robot system (:func:`systems`) over seeds, as ``r4 system study`` does.
 
-    ``arms`` selects arms, all by default. ``board`` selects a board, by default the system's own. ``shard="2/4"`` runs a part of the
+    ``arms`` selects arms, all by default. ``first_seed`` is by default the first of those on which the system's results are reported.
+    ``board`` selects a board, by default the system's own. ``shard="2/4"`` runs a part of the
     trials: its result has records and no rows, and :func:`merge` combines all parts.
 
     ``engine`` is ``"threads"``, all cores of this machine, or ``"ray"``, the Ray cluster that ``ray.init`` has connected to, or a local

@@ -36,7 +36,8 @@ pub mod wall;
 use r4_rig::{Pace, Target as Board};
 
 use crate::{
-    About, Arm, Error, Figure, Limit, Metric, Paper, Row, Source, Statistic, System, Target, Trial, Values, View,
+    About, Arm, Error, Figure, Limit, Metric, Paper, REPORTED, Row, Source, Statistic, System, Target, Trial, Values,
+    View,
 };
 use action::State;
 use fleet::{Fidelity, Run};
@@ -92,6 +93,7 @@ static ABOUT: About = About {
     },
     question: "How fast can a simulation of many robots run without a change of its results?",
     robot: "openscout",
+    reported: REPORTED,
     sampled: &[
         "side of the plot 15 to 25 m; starts on its southern edge and headings; duration of a sample 3 to 7 s; uniform",
         "soil compaction: standard deviation 300 to 600 kPa, range 3 to 6 m, uniform; 2 MPa in the mean",

@@ -24,7 +24,7 @@ use r4_access::{
     token::Claims,
 };
 
-use crate::{About, Arm, Error, Limit, Metric, Paper, Row, Source, Statistic, System, Target, Trial, Values};
+use crate::{About, Arm, Error, Limit, Metric, Paper, REPORTED, Row, Source, Statistic, System, Target, Trial, Values};
 use day::{BEGIN_MS, Kind, Step};
 
 /// Robot system ACCESS, listed in [`crate::all`].
@@ -67,6 +67,7 @@ static ABOUT: About = About {
     },
     question: "Which requests to a shared robot are granted that should not be, or denied that should not be?",
     robot: "osmc-bench",
+    reported: REPORTED,
     sampled: &[
         "names of roles, items and purposes of the exhaustive space, and the order of its policies' tables",
         "60 links of four members of staff in a day, six requests each, half of them for what the role may do",

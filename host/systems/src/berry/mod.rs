@@ -21,7 +21,8 @@ pub mod trials;
 use r4_rig::{Rig, Session};
 
 use crate::{
-    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, Source, Statistic, System, Target, Trial, Values,
+    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, REPORTED, Source, Statistic, System, Target, Trial,
+    Values,
 };
 use missing::{Change, Sheet};
 use protocol::{Method, Outcome};
@@ -63,6 +64,7 @@ static ABOUT: About = About {
     paper: Paper { title: "Human evaluation of robotic grippers for berry picking", published: "TAROS 2023" },
     question: "How fast, and with how few dropped, missed and crushed berries, does a pneumatic gripper pick a bush?",
     robot: "berry-picker",
+    reported: REPORTED,
     sampled: &[
         "34 berries 40 mm apart, each 10 mm in reach and 4 mm along the row beside its place, uniform",
         "diameter 16 to 22 mm, stiffness 1.2 to 1.8 N/mm, friction 0.4 to 0.7, uniform (synthetic)",

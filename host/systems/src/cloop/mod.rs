@@ -18,7 +18,8 @@ use r4_rig::{Rig, Session};
 use r4_world::cable_loop::Hold;
 
 use crate::{
-    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, Source, Statistic, System, Target, Trial, Values,
+    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, REPORTED, Source, Statistic, System, Target, Trial,
+    Values,
 };
 use grip::{Moment, Outcome, Report, Uses};
 use scene::{Case, Setup};
@@ -63,6 +64,7 @@ static ABOUT: About = About {
     },
     question: "How often does a loop of cable that closes round a vial fail to carry it and put it down?",
     robot: "cable-loop",
+    reported: REPORTED,
     sampled: &[
         "vial: diameter 10 to 50 mm, mass 20 to 150 g, static friction 0.45 to 0.9, kinetic 0.8 to 0.95 of it, crushed at 8.5 to 12 N, uniform",
         "its place: 40 to 56 mm before the tip, 8 mm to both sides, uniform; 3 mm of clearance in its rack",

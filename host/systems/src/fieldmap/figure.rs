@@ -12,8 +12,6 @@ use super::{
 };
 use crate::{Curve, Error, Figure, Panel, Trial, View};
 
-/// Number of cells along a side of a view.
-const COLUMNS: usize = 80;
 /// Number of the path's points for each one that is drawn.
 const EVERY: usize = 50;
 
@@ -126,17 +124,12 @@ fn open(trial: &Trial) -> Result<Vec<View>, Error> {
 
 fn view(title: String, map: &Grid<f64>) -> View {
     let frame = map.frame();
-    let side_m = frame.cell_m() * frame.columns() as f64;
-    let value = |index: usize| {
-        let centre = [index % COLUMNS, index / COLUMNS].map(|cell| (cell as f64 + 0.5) * side_m / COLUMNS as f64);
-        map.at(centre).copied().unwrap_or(0.0)
-    };
     View {
         title,
         unit: "V/m",
-        side_m,
-        columns: COLUMNS,
-        values: (0..COLUMNS * COLUMNS).map(value).collect(),
+        side_m: frame.cell_m() * frame.columns() as f64,
+        columns: frame.columns(),
+        values: map.values().to_vec(),
         paths: Vec::new(),
         marks_m: Vec::new(),
         marks_name: "",

@@ -98,6 +98,7 @@ static ABOUT: About = About {
     },
     question: "How soon does a rover know where gas is in a factory, and how sure is its map?",
     robot: "gas-scout",
+    reported: 201_001..201_021,
     sampled: &[
         "leak in one of nine aisles, 9 to 27 or 33 to 47 m along it, within 0.6 m of its middle; uniform",
         "release 0.5e-4 to 2e-4 m3/s, logarithmic; puffs of 0.4 to 0.8 m at first, uniform",

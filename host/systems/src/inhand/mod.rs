@@ -18,7 +18,8 @@ pub mod scene;
 use r4_rig::{Rig, Session};
 
 use crate::{
-    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, Source, Statistic, System, Target, Trial, Values,
+    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, REPORTED, Source, Statistic, System, Target, Trial,
+    Values,
 };
 use four_bar::{Linkage, Observation};
 use protocol::{Motion, Stop};
@@ -72,6 +73,7 @@ static ABOUT: About = About {
     },
     question: "How large is an object between two fingers, and where do they touch it, by the encoders of three servos?",
     robot: "two-finger-gripper",
+    reported: REPORTED,
     sampled: &[
         "object 15 to 45 mm across, uniform; half of them discs, the others squares held across two edges of 0.05 to 0.3 of that as radius",
         "its centre 68 to 88 mm from the palm and within 2 mm of the middle, 40 to 80 g, friction 0.2 to 0.4 on the table, uniform",

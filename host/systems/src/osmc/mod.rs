@@ -34,8 +34,8 @@ use r4_boards::Robot;
 use r4_rig::{Rig, Session};
 
 use crate::{
-    About, Arm, Error, Figure, Limit, Metric, Paper, Record, Source, Statistic, System, Target, Trial, Values,
-    sampler::Sampler,
+    About, Arm, Error, Figure, Limit, Metric, Paper, REPORTED, Record, Source, Statistic, System, Target, Trial,
+    Values, sampler::Sampler,
 };
 use bench::Bench;
 use calibration::Calibration;
@@ -99,6 +99,7 @@ static ABOUT: About = About {
     },
     question: "How exactly, how fast and how steadily do motors reach their set points, whatever is hidden in them?",
     robot: "osmc-evaluation",
+    reported: REPORTED,
     sampled: &[
         "in each of the three motors one of the following or nothing, all as likely",
         "coulomb friction, 2 to 10 % of the stall torque or force at full duty",

@@ -22,7 +22,8 @@ pub mod scene;
 use r4_rig::{Rig, Session};
 
 use crate::{
-    About, Arm, Error, Figure, Limit, Metric, Paper, ResultFile, Source, Statistic, System, Target, Trial, Values,
+    About, Arm, Error, Figure, Limit, Metric, Paper, REPORTED, ResultFile, Source, Statistic, System, Target, Trial,
+    Values,
 };
 
 /// Robot system SKIDCAL, listed in [`crate::all`].
@@ -45,6 +46,7 @@ static ABOUT: About = About {
     },
     question: "Which slip compliances make a simulated skid-steer robot move as the real one, from two tests on a floor?",
     robot: "openscout",
+    reported: REPORTED,
     sampled: &[
         "c_long 0.01 to 0.03 1/N, log-uniform",
         "c_lat / c_long 2 to 12, log-uniform",

@@ -18,8 +18,8 @@ pub mod scene;
 use r4_rig::{Rig, Session};
 
 use crate::{
-    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, Sampler, Source, Statistic, System, Target, Trial,
-    Values,
+    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, REPORTED, Sampler, Source, Statistic, System,
+    Target, Trial, Values,
 };
 use law::{MIDDLE_FIRST, OUTERS_FIRST, Settings};
 use protocol::{Method, Moment, Trace};
@@ -78,6 +78,7 @@ static ABOUT: About = About {
     },
     question: "Can inflatable membranes take a suction cup off at 0.2 bar at most, without bursting?",
     robot: "suction-pad",
+    reported: REPORTED,
     sampled: &[
         "modulus 0.80 to 1.20 of the data sheet's: a batch 0.83 to 1.17, each membrane 0.03 about it, uniform",
         "radius of the membranes 5 to 7 mm, uniform: walls of a fifth to a seventh",

@@ -28,7 +28,8 @@ pub mod trunk;
 use r4_rig::{Rig, Session};
 
 use crate::{
-    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, Source, Statistic, System, Target, Trial, Values,
+    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, REPORTED, Source, Statistic, System, Target, Trial,
+    Values,
 };
 use law::Regulator;
 use protocol::{Moment, Trace};
@@ -67,6 +68,7 @@ static ABOUT: About = About {
     },
     question: "How far does a two-link tail on the back keep a person from leaning forwards who lifts 10 kg?",
     robot: "balance-tail",
+    reported: REPORTED,
     sampled: &[
         "mass of the person 60 to 90 kg, uniform",
         "ankle 1.6 to 2.0 times as stiff as gravity asks for, damping 150 to 250 N m s/rad, uniform",

@@ -16,7 +16,8 @@ pub mod scene;
 use r4_rig::{Rig, Session};
 
 use crate::{
-    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, Source, Statistic, System, Target, Trial, Values,
+    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, REPORTED, Source, Statistic, System, Target, Trial,
+    Values,
 };
 use law::{Coefficients, Law, Ours, Printed, Uses};
 use protocol::{Moment, Run};
@@ -67,6 +68,7 @@ static ABOUT: About = About {
     },
     question: "How far does a robot that narrows by its whiskers come in 5 s between boxes of three masses?",
     robot: "deformobot",
+    reported: REPORTED,
     sampled: &[
         "boxes: 140 to 180 g empty, static friction 0.35 to 0.45, each its own, kinetic 0.8 to 0.95 of it, uniform; nothing, 100 g and 10 kg in them",
         "start: 20 mm to both sides of the gap's middle, heading 0.05 rad, uniform; 0 to 0.2 s into a period of the whiskers' samples",

@@ -27,8 +27,8 @@ use r4_maths::statistics::{nearest_rank, two_sample_power};
 use r4_rig::{Rig, Session};
 
 use crate::{
-    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, ResultFile, Source, Statistic, System, Target,
-    Trial, Values,
+    About, Arm, Curve, Error, Figure, Limit, Metric, Panel, Paper, REPORTED, ResultFile, Source, Statistic, System,
+    Target, Trial, Values,
 };
 use protocol::Outcome;
 use rates::{Analysis, Rates};
@@ -90,6 +90,7 @@ static ABOUT: About = About {
     },
     question: "How soon does a cue follow a hand, and how often does a study of ten people find a difference of the paper's size?",
     robot: "cue-desk",
+    reported: REPORTED,
     sampled: &[
         "zones of the 14 commands of each trial; order of the modalities by a Williams design over the seeds",
         "pace of the synthetic person log-normal, 15 %, reaction 0.30 to 0.45 s times a log-normal of 20 %, mistakes 1, 2 and 6 % of \
