@@ -90,6 +90,9 @@ const fn cargo(folder: &'static str, arguments: &'static [&'static str]) -> Run 
 /// may try other cases.
 const SAME_CASES: &[(&str, &str)] = &[("PROPTEST_RNG_SEED", "1")];
 
+/// Features of the program that need nothing beyond the usual tools, for lints and documentation: both check the dependencies alike.
+const CHECKED: &str = "r4/dfu,r4/emu,r4/live,r4/parquet,r4/probe,r4/ros2";
+
 /// Features of the program that tests use.
 const TESTED: &str = "r4/emu,r4/live,r4/parquet,r4/ros2";
 
@@ -103,22 +106,9 @@ const FULL: &[Step] = &[
     PROTOCOL,
     step("prose", Run::Prose),
     step("licences", Run::Licences),
-    // With the features that are off by default and need nothing beyond the usual tools.
     step(
         "lints",
-        cargo(
-            ".",
-            &[
-                "clippy",
-                "--workspace",
-                "--all-targets",
-                "--features",
-                "r4/dfu,r4/emu,r4/live,r4/parquet,r4/probe,r4/ros2",
-                "--",
-                "-D",
-                "warnings",
-            ],
-        ),
+        cargo(".", &["clippy", "--workspace", "--all-targets", "--features", CHECKED, "--", "-D", "warnings"]),
     ),
     step(
         "lints, probe",
@@ -168,7 +158,7 @@ const FULL: &[Step] = &[
         "docs",
         Run::Cargo {
             folder: ".",
-            arguments: &["doc", "--workspace", "--no-deps"],
+            arguments: &["doc", "--workspace", "--no-deps", "--features", CHECKED],
             environment: &[("RUSTDOCFLAGS", "-D warnings")],
         },
     ),
