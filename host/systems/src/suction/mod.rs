@@ -69,6 +69,10 @@ const fn ours(limit: Limit, from: &'static str) -> Target {
     Target { arm: OURS, limit, from }
 }
 
+const fn at_least(arm: &'static str, share: f64) -> Target {
+    Target { arm, limit: Limit::AtLeast(share), from: "set by this project" }
+}
+
 /// Robot, arms and metrics of the system.
 static ABOUT: About = About {
     name: NAME,
@@ -123,8 +127,13 @@ static ABOUT: About = About {
         measured("stopped_by_signature", "1", Statistic::Share, &[]),
         measured("false_signature", "1", Statistic::Share, &[]),
         measured("interlocked", "1", Statistic::Share, &[]),
-        measured("effect_named", "1", Statistic::Share, &[]),
-        measured("clean_quiet", "1", Statistic::Share, &[]),
+        measured(
+            "effect_named",
+            "1",
+            Statistic::Share,
+            &[at_least(BLIND[1].0, 0.9), at_least(BLIND[2].0, 0.9), at_least(BLIND[3].0, 0.9)],
+        ),
+        measured("clean_quiet", "1", Statistic::Share, &[at_least(BLIND[0].0, 0.95)]),
         measured("effect_rmse_before", "Pa", Statistic::Quantile(0.5), &[]),
         measured("effect_rmse_after", "Pa", Statistic::Quantile(0.5), &[]),
     ],
