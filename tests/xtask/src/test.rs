@@ -395,6 +395,7 @@ mod tests {
     #[test]
     fn a_step_is_shown_as_a_person_would_type_it() {
         let docs = FULL.iter().find(|step| step.name == "docs").expect("there is one");
-        assert_eq!(docs.command_line(), "RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps");
+        let typed = format!("RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps --features {CHECKED}");
+        assert_eq!(docs.command_line(), typed);
     }
 }
