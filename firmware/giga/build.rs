@@ -2,13 +2,13 @@
 //!
 //! | variable | value | default |
 //! | --- | --- | --- |
-//! | `R4_ROBOT` | a built-in robot, or the path of its file | `osmc-bench` |
+//! | `R4_ROBOT` | a built-in robot, or the path of its file; `cargo xtask firmware` replaces its configuration by that of another robot on the same carrier | `osmc-bench` |
 //! | `R4_IMAGE` | `bare`: from the start of flash; `hosted`: behind the Arduino bootloader | `bare` |
 
 use std::{env, error::Error, fmt::Write, fs, path::PathBuf};
 
 use r4_boards::Carrier;
-use r4_protocol::image::RECORD_AT;
+use r4_protocol::image::{CODE_AT, RECORD_AT, ROBOT_AT, ROBOT_BYTES};
 
 /// Address and size of bank 1: 8 sectors of 128 KiB (RM0399, table 15). Bank 2 holds parameters and trips, and no code.
 const BANK_1: u32 = 0x0800_0000;
@@ -29,9 +29,17 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let board = r4_boards::load(&robot)?;
     board.config.validate().map_err(|problem| format!("{robot}: {problem:?}"))?;
-    fs::write(out.join("config.postcard"), postcard::to_allocvec(&board.config)?)?;
+    let mut config = postcard::to_allocvec(&board.config)?;
+    if config.len() > ROBOT_BYTES {
+        return Err(format!(
+            "{robot}: its configuration takes {} bytes, and there is room for {ROBOT_BYTES}",
+            config.len()
+        )
+        .into());
+    }
+    config.resize(ROBOT_BYTES, 0xFF);
+    fs::write(out.join("config.postcard"), config)?;
     fs::write(out.join("pins.rs"), pins(&board.carrier)?)?;
-    println!("cargo:rustc-env=R4_ROBOT_NAME={}", board.config.robot);
     println!("cargo:rustc-env=R4_IMAGE_KIND={image}");
 
     let offset = match image.as_str() {
@@ -42,7 +50,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let memory = fs::read_to_string("memory.x.in")?
         .replace("@FLASH_ORIGIN@", &format!("{:#010X}", BANK_1 + offset))
         .replace("@FLASH_LENGTH@", &format!("{:#X}", BANK_1_LEN - offset))
-        .replace("@RECORD_AT@", &format!("{RECORD_AT:#X}"));
+        .replace("@RECORD_AT@", &format!("{RECORD_AT:#X}"))
+        .replace("@ROBOT_AT@", &format!("{ROBOT_AT:#X}"))
+        .replace("@CODE_AT@", &format!("{CODE_AT:#X}"));
     fs::write(out.join("memory.x"), memory)?;
     println!("cargo:rustc-link-search={}", out.display());
     // List of tests for probe-rs, from embedded-test.

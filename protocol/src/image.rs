@@ -1,7 +1,7 @@
-//! Image of a board's firmware in flash: its identity, and the check that it is whole.
+//! Image of a board's firmware in flash: its identity, the check that it is whole, and the robot that it is for.
 //!
-//! An image has a record, one flash word, between its vector table and its code. The program that makes the image fills
-//! it in; the firmware compares it with the flash at each start.
+//! Between its vector table and its code an image has a record, one flash word, and behind that the robot's
+//! configuration ([`ROBOT_AT`]). The program that makes the image fills in both; the firmware compares the record with the flash at each start.
 //!
 //! | bytes of the record | hold |
 //! | --- | --- |
@@ -21,6 +21,13 @@ pub const RECORD_AT: usize = 0x3E0;
 pub const RECORD_BYTES: usize = 32;
 /// Offset of the CRC in the image, bytes.
 pub const CRC_AT: usize = RECORD_AT + 8;
+/// Offset of the robot's configuration in the image, bytes: a [`BoardConfig`](crate::config::BoardConfig) in postcard's format, then 0xFF. Images
+/// for robots on the same carrier differ in nothing else but the record.
+pub const ROBOT_AT: usize = RECORD_AT + RECORD_BYTES;
+/// Length of the place for the configuration, bytes. The built-in robot with the most channels takes 406.
+pub const ROBOT_BYTES: usize = 4096;
+/// Offset of the first code in the image, bytes.
+pub const CODE_AT: usize = ROBOT_AT + ROBOT_BYTES;
 /// First bytes of the record.
 pub const MAGIC: [u8; 4] = *b"R4im";
 

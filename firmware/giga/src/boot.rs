@@ -64,9 +64,6 @@ use crate::{
     watchdog,
 };
 
-/// Configuration from the robot's file, as `build.rs` packed it.
-static CONFIG: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/config.postcard"));
-
 /// SPI clock of the screen: 80 MHz / 4.
 const SCREEN_SPI: Hertz = Hertz(20_000_000);
 /// Pause before a failed link is served again.
@@ -216,7 +213,7 @@ pub(crate) fn run() -> ! {
     }
     reset::note_clock(source == clocks::Source::Crystal);
 
-    defmt::info!("R4 {} for {}, image {}", r4_firmware::FIRMWARE_VERSION, env!("R4_ROBOT_NAME"), env!("R4_IMAGE_KIND"));
+    defmt::info!("R4 {} for {=str}, image {}", r4_firmware::FIRMWARE_VERSION, robot_name(), env!("R4_IMAGE_KIND"));
     defmt::info!("start: {}, mode {}", start, start.mode());
     if start.damaged {
         defmt::error!("flash does not hold the image of {} bytes with CRC {:#010x}", image.info.bytes, image.info.crc);
@@ -245,14 +242,19 @@ pub(crate) fn run() -> ! {
     })
 }
 
-/// Configuration that the firmware was built with.
+/// Configuration that the image was made with.
 fn built_in() -> BoardConfig {
-    // `build.rs` packed it with the same types, so unpacking cannot fail; without a configuration nothing could be
-    // driven.
-    match postcard::from_bytes(CONFIG) {
+    // Packed with the same types, so unpacking cannot fail; without a configuration nothing could be driven.
+    match postcard::from_bytes(image::robot()) {
         Ok(config) => config,
         Err(_) => panic!("the configuration does not unpack"),
     }
+}
+
+/// Name in the configuration that the image was made with; saved parameters may give the board another one.
+fn robot_name() -> &'static str {
+    // The first field of the configuration. The name only labels, so that a damaged one is no reason to stop.
+    postcard::take_from_bytes(image::robot()).map_or("", |(name, _)| name)
 }
 
 /// Writes the safe state of the built-in configuration to every output chip; does so indefinitely in
@@ -613,7 +615,7 @@ async fn passthrough_task(shared: &'static Board, io: PassthroughIo<Bus, uart::R
 
 #[embassy_executor::task]
 async fn storage_task(shared: &'static Board, flash: Bank2) -> ! {
-    r4_firmware::storage::run(&shared.storage, flash, env!("R4_ROBOT_NAME")).await
+    r4_firmware::storage::run(&shared.storage, flash, robot_name()).await
 }
 
 #[embassy_executor::task]

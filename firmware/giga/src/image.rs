@@ -1,6 +1,7 @@
-//! Check of the image in flash: its record (see [`r4_protocol::image`]) against the contents of flash.
+//! What the program that makes an image fills in (see [`r4_protocol::image`]): its record, which is checked against the contents of flash, and the
+//! robot's configuration.
 //!
-//! Done at each start, right after outputs are safe and before anything else is set up, by the chip's CRC unit: 0.46
+//! The check is done at each start, right after outputs are safe and before anything else is set up, by the chip's CRC unit: 0.46
 //! million bytes at 20 instructions per 32 bytes are 0.3 million. Only the start runs before it: the vector table,
 //! `main`, the sweep.
 
@@ -13,7 +14,7 @@ use embassy_stm32::pac::{
         vals::{RevIn, RevOut},
     },
 };
-use r4_protocol::image::{CRC_AT, ImageInfo, MAGIC, RECORD_AT, RECORD_BYTES};
+use r4_protocol::image::{CRC_AT, ImageInfo, MAGIC, RECORD_AT, RECORD_BYTES, ROBOT_BYTES};
 
 use crate::bus_faults;
 
@@ -34,6 +35,24 @@ static RECORD: [u32; WORDS] = {
     record[0] = u32::from_le_bytes(MAGIC);
     record
 };
+
+/// Configuration of a robot on this carrier, as `build.rs` packed it; `cargo xtask firmware` writes that of the image's robot over it.
+#[allow(unsafe_code, reason = "a section is chosen by an unsafe attribute")]
+// SAFETY: the section is in flash and may hold any data.
+#[unsafe(link_section = ".r4_robot")]
+#[used]
+static LINKED_ROBOT: [u8; ROBOT_BYTES] = *include_bytes!(concat!(env!("OUT_DIR"), "/config.postcard"));
+
+/// Returns the configuration of the image's robot, in postcard's format, with trailing bytes.
+pub(crate) fn robot() -> &'static [u8] {
+    #[allow(unsafe_code, reason = "a symbol of the linker's")]
+    // SAFETY: `memory.x` puts it at the start of the section that holds `LINKED_ROBOT`. By that name the compiler would know the contents before
+    // they were replaced.
+    unsafe extern "C" {
+        safe static __r4_robot: [u8; ROBOT_BYTES];
+    }
+    &__r4_robot
+}
 
 /// Description of the image, and the result of its check.
 #[derive(Clone, Copy)]

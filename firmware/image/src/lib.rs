@@ -4,18 +4,21 @@
 //! | --- | --- |
 //! | `binary` | raw flash image out of an ELF file |
 //! | `elf` | the ELF file: its location and its segments |
+//! | `robot` | the configuration of the robot that an image is for |
 //! | `seal` | the record of length and CRC that shows that an image is complete |
 //! | `place` | start addresses of images, and the requirements there |
 
 mod binary;
 mod elf;
 mod place;
+mod robot;
 mod seal;
 
 pub use binary::Binary;
 pub use elf::{FileError, Image, Segment};
 pub use place::{CHIP, DFU_DEVICE, DFU_USB, Place, dfu_util};
-pub use r4_protocol::image::{RECORD_AT, RECORD_BYTES};
+pub use r4_protocol::image::{CODE_AT, RECORD_AT, RECORD_BYTES};
+pub use robot::set_robot;
 pub use seal::{Seal, seal, seal_elf};
 
 use sha2::{Digest, Sha256};
@@ -65,6 +68,20 @@ pub enum ImageError {
     NoRecord {
         /// Address at which the record belongs.
         address: u32,
+    },
+    /// The image is that of another program, or of a version into which the configuration was compiled.
+    #[error("it has no place for a robot's configuration at {address:#010x}: build it with `cargo xtask firmware`")]
+    NoRobot {
+        /// Address at which the configuration belongs.
+        address: u32,
+    },
+    /// The robot has a larger configuration than images have room for.
+    #[error(
+        "the robot's configuration takes more than the {room} bytes that an image has for it: use fewer channels or shorter names"
+    )]
+    RobotTooLarge {
+        /// Length of the place for it, bytes.
+        room: usize,
     },
     /// The image was changed since it was made, or never finished.
     #[error(

@@ -13,6 +13,9 @@ use crate::{
     toolchain::{self, TARGET},
 };
 
+/// Robot whose configuration images are linked with, for every robot on the same carrier.
+const LINKED_ROBOT: &str = "osmc-bench";
+
 /// Image to build: for which robot, and of which kind.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Firmware {
@@ -33,7 +36,7 @@ impl Firmware {
     /// # Errors
     /// The word that is no option.
     pub(crate) fn parse(words: &[&str]) -> Result<Self, String> {
-        let mut firmware = Self { robot: "osmc-bench".into(), image: "bare".into() };
+        let mut firmware = Self { robot: LINKED_ROBOT.into(), image: "bare".into() };
         let mut words = words.iter();
         while let Some(word) = words.next() {
             let mut value = || words.next().ok_or_else(|| format!("`{word}` needs a value"));
@@ -63,12 +66,16 @@ impl Firmware {
         }
     }
 
-    /// Builds the image.
+    /// Builds the image. Images for robots on the same carrier are linked once, and differ in the configuration that is written into them.
     ///
     /// # Errors
     /// The instruction for a person to solve the problem.
     pub(crate) fn build(&self, root: &Path) -> Result<Built, String> {
         toolchain::complete(root, &[])?;
+        let robot = r4_boards::load(&self.robot).map_err(|problem| problem.to_string())?;
+        let linked = r4_boards::load(LINKED_ROBOT).map_err(|problem| problem.to_string())?;
+        let linked =
+            if robot.carrier == linked.carrier { PathBuf::from(LINKED_ROBOT) } else { self.robot_for_build()? };
         let target = target_folder(root)?;
         // The folder has a workspace and a configuration of cargo of its own.
         let folder = root.join("firmware/giga");
@@ -77,12 +84,13 @@ impl Firmware {
         run(Command::new(toolchain::cargo())
             .args(["build", "--release", "--locked", "--config", &short_paths(root), "--target-dir"])
             .arg(target.join("giga"))
-            .env("R4_ROBOT", self.robot_for_build()?)
+            .env("R4_ROBOT", linked)
             .env("R4_IMAGE", &self.image)
             .current_dir(&folder))?;
         let built = target.join("giga").join(TARGET).join("release/r4-giga");
         let mut elf = fs::read(&built).map_err(|error| format!("{}: {error}", built.display()))?;
-        let seal = r4_image::seal_elf(&mut elf).map_err(|error| format!("{}: {error}", built.display()))?;
+        let seal = r4_image::set_robot(&mut elf, &robot.config).and_then(|()| r4_image::seal_elf(&mut elf));
+        let seal = seal.map_err(|error| format!("{}: {error}", built.display()))?;
         let image = Image::read(&elf).ok_or_else(|| format!("{} is no ELF file of 32 bits", built.display()))?;
         let path = self.elf(root)?;
         fs::create_dir_all(path.parent().unwrap_or(root))
