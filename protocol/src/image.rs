@@ -24,7 +24,7 @@ pub const CRC_AT: usize = RECORD_AT + 8;
 /// Offset of the robot's configuration in the image, bytes: a [`BoardConfig`](crate::config::BoardConfig) in postcard's format, then 0xFF. Images
 /// for robots on the same carrier differ in nothing else but the record.
 pub const ROBOT_AT: usize = RECORD_AT + RECORD_BYTES;
-/// Length of the place for the configuration, bytes. The built-in robot with the most channels takes 406.
+/// Length of the place for the configuration, bytes. The largest one of a built-in robot, `every-interface`, takes 1621.
 pub const ROBOT_BYTES: usize = 4096;
 /// Offset of the first code in the image, bytes.
 pub const CODE_AT: usize = ROBOT_AT + ROBOT_BYTES;

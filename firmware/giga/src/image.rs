@@ -1,5 +1,5 @@
-//! What the program that makes an image fills in (see [`r4_protocol::image`]): its record, which is checked against the contents of flash, and the
-//! robot's configuration.
+//! Record and robot's configuration of the image, which the program that makes it fills in (see
+//! [`r4_protocol::image`]), and the check of the record against the contents of flash.
 //!
 //! The check is done at each start, right after outputs are safe and before anything else is set up, by the chip's CRC unit: 0.46
 //! million bytes at 20 instructions per 32 bytes are 0.3 million. Only the start runs before it: the vector table,

@@ -101,11 +101,11 @@ fn segments(elf: &[u8]) -> Option<Vec<Segment<'_>>> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     /// ELF file with these segments: kind, physical address, content. Virtual addresses are elsewhere.
-    fn elf(segments: &[(u32, u32, &[u8])]) -> Vec<u8> {
+    pub(crate) fn elf(segments: &[(u32, u32, &[u8])]) -> Vec<u8> {
         let mut elf = vec![0; 52];
         elf[..6].copy_from_slice(b"\x7fELF\x01\x01");
         elf[0x1C] = 52;

@@ -7,12 +7,12 @@ use r4_protocol::{
 
 use crate::{Binary, ImageError};
 
-/// Writes the configuration of a robot into an ELF file that was just linked, over that of another robot on the same carrier. Its record is then
-/// out of date: [`seal_elf`](crate::seal_elf) comes next.
+/// Writes the configuration of a robot into an ELF file that was just linked, over that of another robot on the same
+/// carrier. The record of the image is then out of date: call [`seal_elf`](crate::seal_elf) next.
 ///
 /// # Errors
-/// [`ImageError::RobotTooLarge`] if there is no room for it, [`ImageError::NoRobot`] if the firmware has no such place, and those of
-/// [`Binary::of`].
+/// [`ImageError::RobotTooLarge`] if it does not fit, [`ImageError::NoRobot`] if the firmware has no place for it, and
+/// the errors of [`Binary::of`]. The file is then unchanged.
 pub fn set_robot(elf: &mut [u8], config: &BoardConfig) -> Result<(), ImageError> {
     let address = Binary::of(elf)?.start.wrapping_add(ROBOT_AT as u32);
     let place = Binary::offset_in(elf, address).and_then(|at| elf.get_mut(at..)?.get_mut(..ROBOT_BYTES));
@@ -28,15 +28,14 @@ mod tests {
     use r4_protocol::image::CODE_AT;
 
     use super::*;
+    use crate::binary::tests::elf;
 
-    /// ELF file with one segment of `bytes` zeros at 0x0800_0000.
+    /// Offset of the image in the ELF file: headers of 52 and 32 bytes are in front.
+    const IMAGE: usize = 84;
+
+    /// ELF file of an image of `bytes` zeros at 0x0800_0000.
     fn linked(bytes: usize) -> Vec<u8> {
-        let mut elf = vec![0; 84 + bytes];
-        elf[..6].copy_from_slice(b"\x7fELF\x01\x01");
-        (elf[0x1C], elf[0x2A], elf[0x2C]) = (52, 32, 1);
-        let header = [1, 84, 0x0800_0000, 0x0800_0000, bytes as u32, bytes as u32, 5, 4];
-        elf[52..84].copy_from_slice(&header.map(u32::to_le_bytes).concat());
-        elf
+        elf(&[(1, 0x0800_0000, &vec![0; bytes])])
     }
 
     #[test]
@@ -45,11 +44,12 @@ mod tests {
             let config = r4_boards::load(name).expect("built in").config;
             let mut elf = linked(CODE_AT + 32);
             // The place has another robot's configuration before.
-            elf[84 + ROBOT_AT..84 + CODE_AT].fill(0x5A);
+            elf[IMAGE + ROBOT_AT..IMAGE + CODE_AT].fill(0x5A);
             set_robot(&mut elf, &config).expect("there is room");
-            let (before, after) = (&elf[84..84 + ROBOT_AT], &elf[84 + CODE_AT..]);
+            let (before, after) = (&elf[IMAGE..IMAGE + ROBOT_AT], &elf[IMAGE + CODE_AT..]);
             assert!(before.iter().chain(after).all(|byte| *byte == 0), "{name}");
-            let (read, rest) = postcard::take_from_bytes::<BoardConfig>(&elf[84 + ROBOT_AT..84 + CODE_AT]).expect(name);
+            let (read, rest) =
+                postcard::take_from_bytes::<BoardConfig>(&elf[IMAGE + ROBOT_AT..IMAGE + CODE_AT]).expect(name);
             assert_eq!(read, config);
             assert!(rest.iter().all(|byte| *byte == 0xFF), "{name}: {} bytes left", rest.len());
         }

@@ -74,18 +74,14 @@ pub fn seal_elf(elf: &mut [u8]) -> Result<Seal, ImageError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::binary::tests::elf;
 
     const BYTES: usize = 1216;
 
     /// ELF file with one segment of 1200 bytes at 0x0804_0000; the record as it is linked.
     fn linked() -> Vec<u8> {
-        let mut elf = vec![0; 52];
-        elf[..6].copy_from_slice(b"\x7fELF\x01\x01");
-        (elf[0x1C], elf[0x2A], elf[0x2C]) = (52, 32, 1);
-        for value in [1, 84, 0x0804_0000, 0x0804_0000, 1200, 1200, 5, 4] {
-            elf.extend(u32::to_le_bytes(value));
-        }
-        elf.extend((0..1200).map(|byte| (byte % 251) as u8));
+        let content: Vec<u8> = (0..1200).map(|byte| (byte % 251) as u8).collect();
+        let mut elf = elf(&[(1, 0x0804_0000, &content)]);
         elf[84 + RECORD_AT..][..32].fill(0xFF);
         elf[84 + RECORD_AT..][..4].copy_from_slice(b"R4im");
         elf

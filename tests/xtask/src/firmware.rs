@@ -13,7 +13,7 @@ use crate::{
     toolchain::{self, TARGET},
 };
 
-/// Robot whose configuration images are linked with, for every robot on the same carrier.
+/// Robot that firmware is linked for; images for other robots on its carrier replace the configuration.
 const LINKED_ROBOT: &str = "osmc-bench";
 
 /// Image to build: for which robot, and of which kind.

@@ -219,7 +219,8 @@ fn a_cut_image_never_arms() {
 fn half_an_update_never_arms() {
     let new = image("osmc-bench", "bare");
     let front = binary(&new);
-    // The version before had a flash word less in front of its code, all of which is elsewhere since.
+    // Stands for an older version: all code is one flash word lower. Images for two robots differ in the first sector
+    // only, so that half of each could be a whole image.
     let mut back = front.clone();
     back.bytes.drain(CODE_AT..CODE_AT + RECORD_BYTES);
     for (written, erased) in [(1, 1), (2, 2), (3, 3), (1, 2), (2, 3)] {
