@@ -16,6 +16,7 @@ mod error;
 mod number;
 mod robot;
 mod source;
+mod tree;
 
 use std::path::Path;
 

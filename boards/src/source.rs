@@ -9,13 +9,16 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use serde::de::{DeserializeOwned, IntoDeserializer};
+use serde::de::DeserializeOwned;
 use toml::{
     Spanned,
     de::{DeTable, DeValue},
 };
 
-use crate::error::{BoardError, Location};
+use crate::{
+    error::{BoardError, Location},
+    tree::{Fault, Node},
+};
 
 /// Makes the list of the files that are part of the program (path below `boards/`, text), and the lists of their names that users type.
 macro_rules! built_in {
@@ -136,10 +139,10 @@ impl Source {
         &self,
         arrays: [&'static str; N],
     ) -> Result<(T, [Tables<'_>; N]), BoardError> {
-        let mut root = DeTable::parse(&self.text).map_err(|error| self.malformed(&error))?;
+        let mut root = DeTable::parse(&self.text).map_err(|error| self.malformed(error))?;
         // Removed before deserialising, or `deny_unknown_fields` of `T` would refuse them.
         let taken = arrays.map(|array| root.get_mut().remove(array));
-        let parsed = T::deserialize(root.into_deserializer()).map_err(|error| self.malformed(&error))?;
+        let parsed = T::deserialize(Node::from(root)).map_err(|fault| self.malformed(fault))?;
         let mut tables = [const { Vec::new() }; N];
         for ((tables, taken), name) in tables.iter_mut().zip(taken).zip(arrays) {
             let Some(taken) = taken else { continue };
@@ -152,13 +155,14 @@ impl Source {
         Ok((parsed, tables))
     }
 
-    pub(crate) fn malformed(&self, error: &toml::de::Error) -> BoardError {
-        let at = match error.span() {
+    pub(crate) fn malformed(&self, fault: impl Into<Fault>) -> BoardError {
+        let Fault { message, span } = fault.into();
+        let at = match span {
             Some(span) => self.location(span.start),
             // Errors without a span are about the file as a whole.
             None => Location { file: self.name.clone(), line: 1, field: String::new() },
         };
-        BoardError::Malformed { at, problem: error.message().replace('\n', ", ") }
+        BoardError::Malformed { at, problem: message.replace('\n', ", ") }
     }
 
     /// Makes the error of a field `path` that breaks a rule.

@@ -11,16 +11,14 @@ use r4_protocol::{
         WindingConfig,
     },
 };
-use serde::{
-    Deserialize, Deserializer,
-    de::{Error, IntoDeserializer},
-};
+use serde::{Deserialize, Deserializer, de::Error};
 use toml::{Spanned, de::DeValue};
 
 use crate::number::{
     Interval, analog_number, angle_number, channel, finite, not_negative, optional_analog_number, optional_duty,
     optional_force_number, optional_supply_number, positive, stop_brake_ms,
 };
+use crate::tree::{Fault, Node};
 
 /// Motor as it is in the file.
 pub(super) enum Motor {
@@ -537,14 +535,14 @@ controlled! {
 
 impl Motor {
     /// Reads the motor of one table in the array named after `kind`.
-    pub(super) fn parse(kind: ChannelKind, value: Spanned<DeValue<'_>>) -> Result<Self, toml::de::Error> {
+    pub(super) fn parse(kind: ChannelKind, value: Spanned<DeValue<'_>>) -> Result<Self, Fault> {
         let table = value.get_ref().as_table();
         let of_loop = |(name, value): (_, &Spanned<DeValue<'_>>)| name != "winding" && value.get_ref().is_table();
         let is_open =
             table.is_some_and(|table| !table.iter().map(|(name, value)| (name.get_ref().as_ref(), value)).any(of_loop));
         let has = |field: &str| table.is_some_and(|table| table.contains_key(field));
         let is_linear = has("potentiometer") || has("position_m");
-        let deserializer = value.into_deserializer();
+        let deserializer = Node::from(value);
         match kind {
             ChannelKind::Actuator => Deserialize::deserialize(deserializer).map(Self::Linear),
             _ if is_open => Deserialize::deserialize(deserializer).map(Self::Open),

@@ -343,7 +343,7 @@ impl Reader<'_> {
         let mut motors = Vec::new();
         for (kind, tables) in MOTORS.into_iter().zip(tables) {
             for (index, table) in tables.into_iter().enumerate() {
-                let motor = Motor::parse(kind, table).map_err(|error| self.source.malformed(&error))?;
+                let motor = Motor::parse(kind, table).map_err(|fault| self.source.malformed(fault))?;
                 let id = motor.channel();
                 let mut place = self.place(claims, kind, index, id)?;
                 motors.push(place.motor(motor, kind)?);
