@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    pin::pin,
+    pin::{Pin, pin},
     rc::Rc,
     sync::{
         LazyLock,
@@ -259,13 +259,22 @@ async fn logged<T>(
     session: &Session<'_>,
     work: impl Future<Output = anyhow::Result<T>>,
 ) -> anyhow::Result<T> {
-    let (Some(from), Target::Link(_)) = (args.log, session.target()) else { return work.await };
-    let mut log = LinkLog::open(session.board, session.clock.clone(), from).await?;
-    let result = match select(pin!(work), pin!(log.follow())).await {
-        Either::Left((result, _)) => result,
-        // The link ended; the error of `work` says why.
-        Either::Right(((), work)) => work.await,
+    let mut result = None;
+    log_until(args, session, pin!(async { result = Some(work.await) })).await?;
+    result.context("the work of the session did not end")?
+}
+
+/// Prints the firmware log until `work` ends, as [`logged`]. Not generic, so that it is compiled once for all work.
+async fn log_until(args: &Args, session: &Session<'_>, work: Pin<&mut dyn Future<Output = ()>>) -> anyhow::Result<()> {
+    let (Some(from), Target::Link(_)) = (args.log, session.target()) else {
+        work.await;
+        return Ok(());
     };
+    let mut log = LinkLog::open(session.board, session.clock.clone(), from).await?;
+    if let Either::Right(((), work)) = select(work, pin!(log.follow())).await {
+        // The link ended; the error of `work` says why.
+        work.await;
+    }
     log.rest();
-    result
+    Ok(())
 }

@@ -5,7 +5,7 @@ use std::{rc::Rc, time::Instant};
 use futures::future::{try_join, try_join_all};
 use r4_sim::{Pace, Simulation};
 
-use crate::{Elapsed, Error, HostClock, NotVirtual, Rig, Session};
+use crate::{Elapsed, Error, HostClock, NotVirtual, Rig, Session, work::Once};
 
 /// Virtual boards that share one event clock, and the program that coordinates them.
 ///
@@ -60,7 +60,12 @@ impl Fleet {
         let host_clock = HostClock::Virtual(clock.clone());
         let member = &member;
         let members = self.rigs.iter().zip(&boards).enumerate().map(|(number, (rig, (board, _)))| {
-            rig.session_with(Rc::clone(board), &clock, None, async move |session| member(number, session).await)
+            let clock = &clock;
+            async move {
+                let mut work = Once::new(async |session: &Session<'_>| member(number, session).await);
+                let ended = rig.session_with(Rc::clone(board), clock, None, &mut work).await;
+                work.value(ended)
+            }
         });
         let ended = simulation.block_on(try_join(work(&host_clock), try_join_all(members)));
         // Checked before the result, since a failed board is the cause of a standstill.

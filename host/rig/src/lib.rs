@@ -55,6 +55,7 @@ pub mod tune;
 pub mod twin;
 pub mod view;
 pub mod watch;
+mod work;
 
 pub use advice::next_step;
 pub use board_thread::{BoardThread, Call, Desk};

@@ -2,7 +2,7 @@
 
 use std::{cell::Cell, io::Cursor, path::PathBuf, pin::pin, rc::Rc, time::Instant};
 
-use futures::future::{Either, select};
+use futures::future::{Either, LocalBoxFuture, select};
 use r4_access::{Presenter, Source, unix_ms};
 use r4_boards::Robot;
 use r4_driver::{Clock as _, Error as DriverError, with_board};
@@ -18,6 +18,7 @@ use crate::{
     recording::{self, Listened, Output, RecordingError, SharedTap},
     session::AtEnd,
     view::{LookAtWorld, SharedLook, WorldLook},
+    work::{Once, Work},
 };
 
 /// Period of the check for an [`Interrupt`], µs on the session's clock.
@@ -259,10 +260,12 @@ impl Rig {
         tap: Option<SharedTap>,
         work: impl AsyncFnOnce(&Session<'_>) -> Result<T, E>,
     ) -> Result<(T, Elapsed), E> {
-        match &self.target {
-            Target::Link(address) => self.run_on_link(address, tap, work),
-            Target::Sim(_) | Target::Emu(_) => self.run_on_virtual(tap, work),
-        }
+        let mut work = Once::new(work);
+        let (ended, elapsed) = match &self.target {
+            Target::Link(address) => self.run_on_link(address, tap, &mut work),
+            Target::Sim(_) | Target::Emu(_) => self.run_on_virtual(tap, &mut work),
+        }?;
+        Ok((work.value(ended)?, elapsed))
     }
 
     /// Runs `work` as [`Rig::run`], recorded into memory by `tap`, which gets an [`Output::Memory`].
@@ -280,37 +283,38 @@ impl Rig {
         Recorded { result, log, log_error }
     }
 
-    fn run_on_virtual<T, E: From<Error>>(
+    /// Returns the session's own result, beside that of `work`, unless no session could be held.
+    fn run_on_virtual(
         &self,
         tap: Option<SharedTap>,
-        work: impl AsyncFnOnce(&Session<'_>) -> Result<T, E>,
-    ) -> Result<(T, Elapsed), E> {
+        work: &mut dyn Work,
+    ) -> Result<(Result<(), Error>, Elapsed), Error> {
         let mut simulation = Simulation::new(self.pace);
         let (board, file) = self.power_up(&mut simulation)?;
         let clock = simulation.clock();
         let begin = Instant::now();
-        let result = simulation.block_on(self.session_with(board.clone(), &clock, tap, work));
+        let ended = simulation.block_on(self.session_with(board.clone(), &clock, tap, work));
         // Before the result: the failure is what explains a session that stood still.
         if let Some(failure) = board.failure() {
-            return Err(Error::Stopped(failure).into());
+            return Err(Error::Stopped(failure));
         }
-        let result = result.ok_or(Error::Standstill)?;
+        let ended = ended.ok_or(Error::Standstill)?;
         let elapsed = Elapsed { simulated_s: clock.now_ns() as f64 * 1e-9, wall_s: begin.elapsed().as_secs_f64() };
         // Also after a failed session: a real board would have kept its flash.
         if let Some(file) = file {
-            file.write(&board.flash()).map_err(Error::from)?;
+            file.write(&board.flash())?;
         }
-        Ok((result?, elapsed))
+        Ok((ended, elapsed))
     }
 
     /// Connects to a powered virtual board and runs `work` in a session with it.
-    pub(crate) async fn session_with<T, E: From<Error>>(
+    pub(crate) async fn session_with(
         &self,
         board: Rc<dyn VirtualBoard>,
         clock: &r4_sim::Clock,
         tap: Option<SharedTap>,
-        work: impl AsyncFnOnce(&Session<'_>) -> Result<T, E>,
-    ) -> Result<T, E> {
+        work: &mut dyn Work,
+    ) -> Result<(), Error> {
         let port = board.connect().ok_or(Error::Connected)?;
         let (tx, cable) = Cable::new(port.tx, clock.clone());
         let host_clock = HostClock::Virtual(clock.clone());
@@ -324,7 +328,7 @@ impl Rig {
             let session =
                 Session::new(connected, &self.target, host_clock.clone(), tap, self.notify.clone(), environment);
             session.record_view(Box::new(look));
-            self.unless_interrupted(&session, work(&session)).await
+            self.unless_interrupted(&session, work.run(&session)).await
         });
         connected.await.map_err(|source| Error::Connect { board: self.target.to_string(), source })?
     }
@@ -335,15 +339,16 @@ impl Rig {
         Box::new(move || look.as_ref().and_then(SharedLook::get))
     }
 
-    fn run_on_link<T, E: From<Error>>(
+    /// Returns the session's own result, beside that of `work`.
+    fn run_on_link(
         &self,
         address: &Address,
         tap: Option<SharedTap>,
-        work: impl AsyncFnOnce(&Session<'_>) -> Result<T, E>,
-    ) -> Result<(T, Elapsed), E> {
+        work: &mut dyn Work,
+    ) -> Result<(Result<(), Error>, Elapsed), Error> {
         let begin = Instant::now();
-        let value = r4_links::block_on(async {
-            let link = r4_links::open(address, self.key.as_ref()).await.map_err(Error::from)?;
+        let ended = r4_links::block_on(async {
+            let link = r4_links::open(address, self.key.as_ref()).await?;
             let clock = HostClock::Real(RealClock);
             // Outside of the recording, which must not have a token.
             let tx = Presenter::new(link.tx, self.token.clone(), unix_ms);
@@ -351,12 +356,12 @@ impl Rig {
             let connected = with_board(rx, tx, clock.clone(), async |connected| {
                 let session = Session::new(connected, &self.target, clock.clone(), tap, self.notify.clone(), None);
                 session.record_view(self.look());
-                self.unless_interrupted(&session, work(&session)).await
+                self.unless_interrupted(&session, work.run(&session)).await
             });
             connected.await.map_err(|source| Error::Connect { board: self.target.to_string(), source })?
-        })?;
+        });
         let wall_s = begin.elapsed().as_secs_f64();
-        Ok((value, Elapsed { simulated_s: wall_s, wall_s }))
+        Ok((ended, Elapsed { simulated_s: wall_s, wall_s }))
     }
 
     /// Runs `work` in a session with a board on a link, and again each time a lost link is restored; `tell` is called
@@ -395,9 +400,10 @@ impl Rig {
                 has_session.set(true);
                 let session = Session::new(board, &self.target, clock.clone(), tap.clone(), self.notify.clone(), None);
                 session.record_view(self.look());
-                let result = self.unless_interrupted(&session, work(&session)).await.map_err(Ended::Work);
+                let mut work = Once::new(&mut work);
+                let ended = self.unless_interrupted(&session, work.run(&session)).await;
                 has_session.set(false);
-                result
+                work.value(ended).map_err(Ended::Work)
             },
             |ended| match ended {
                 Ended::Work(error) => lost(error).filter(|error| is_of_link(error)).cloned(),
@@ -426,37 +432,33 @@ impl Rig {
         })
     }
 
-    async fn unless_interrupted<T, E: From<Error>>(
-        &self,
-        session: &Session<'_>,
-        work: impl Future<Output = Result<T, E>>,
-    ) -> Result<T, E> {
+    /// Runs `work` until it ends or is interrupted; then restores what the session has to leave behind.
+    async fn unless_interrupted(&self, session: &Session<'_>, work: LocalBoxFuture<'_, ()>) -> Result<(), Error> {
         let interrupted = async {
             while !self.interrupt.is_set() {
                 session.clock.sleep_until(session.clock.now_us() + INTERRUPT_POLL_US).await;
             }
         };
-        let result = match select(pin!(work), pin!(interrupted)).await {
-            Either::Left((result, _)) => result,
+        let ended = match select(work, pin!(interrupted)).await {
+            Either::Left(((), _)) => Ok(()),
             Either::Right(((), _)) => {
                 match session.board.disarm().await {
                     // A shared board commanded by another client: disarming it is not ours to do.
                     Ok(()) | Err(DriverError::Refused(Refusal::InUse)) => {}
-                    Err(error) => return Err(Error::NotDisarmed(error).into()),
+                    Err(error) => return Err(Error::NotDisarmed(error)),
                 }
-                Err(Error::Interrupted(Interrupted).into())
+                Err(Error::Interrupted(Interrupted))
             }
         };
-        let Some(AtEnd { channel, mode, gains, tuning }) = session.take_at_end() else { return result };
+        let Some(AtEnd { channel, mode, gains, tuning }) = session.take_at_end() else { return ended };
         // Also after an error or an interrupt: the next session must not find the gains of an experiment.
         let put_back = async {
             session.board.set_gains(channel, mode, gains).await?;
             session.board.set_tuning(channel, tuning).await
         };
         let put_back = put_back.await;
-        // The error of the work takes precedence over that of the gains.
-        let value = result?;
-        put_back.map_err(|source| Error::GainsLeft { channel, source })?;
-        Ok(value)
+        // The interrupt takes precedence over the error of the gains.
+        ended?;
+        put_back.map_err(|source| Error::GainsLeft { channel, source })
     }
 }

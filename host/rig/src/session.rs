@@ -1,6 +1,11 @@
 //! Session with a board, and its state on the host.
 
-use std::{cell::Cell, convert::Infallible, pin::pin, rc::Rc};
+use std::{
+    cell::Cell,
+    convert::Infallible,
+    pin::{Pin, pin},
+    rc::Rc,
+};
 
 use futures::future::{Either, select};
 use r4_boards::Robot;
@@ -139,16 +144,22 @@ impl Session<'_> {
     /// The error of `work`; [`Error::Arm`] or [`Error::Disarm`] when the board refuses.
     pub async fn armed<T, E: From<Error>>(&self, work: impl AsyncFnOnce() -> Result<T, E>) -> Result<T, E> {
         self.board.arm().await.map_err(Error::Arm)?;
-        let result = match select(pin!(work()), pin!(self.watch_heat())).await {
-            Either::Left((result, _)) => result,
-            Either::Right((never, _)) => match never {},
-        };
-        self.notify_of_heat();
-        let disarmed = self.board.disarm().await;
+        let mut result = None;
+        let disarmed = self.until(pin!(async { result = Some(work().await) })).await;
         // The error of the work goes first: a failed disarm is often its consequence.
-        let value = result?;
+        let value = result.ok_or(Error::Standstill)??;
         disarmed.map_err(Error::Disarm)?;
         Ok(value)
+    }
+
+    /// Waits until `work` ends and disarms. Not generic, so that it is compiled once for all work.
+    async fn until(&self, work: Pin<&mut dyn Future<Output = ()>>) -> Result<(), r4_driver::Error> {
+        match select(work, pin!(self.watch_heat())).await {
+            Either::Left(((), _)) => {}
+            Either::Right((never, _)) => match never {},
+        }
+        self.notify_of_heat();
+        self.board.disarm().await
     }
 
     /// Notifies of windings that became hot since the last call.
