@@ -137,7 +137,7 @@ pub(crate) fn bench(args: &Args, bench: &BenchSystems) -> anyhow::Result<bool> {
             shard: Shard::default(),
         };
         let run = || -> anyhow::Result<part::Found> {
-            let rows = study::rows(&records(*system, &study)?)?;
+            let rows = rows_of(&records(*system, &study)?)?;
             Ok(part::Found { rows, timings: system.timings(bench.quick)? })
         };
         let part::Found { rows: found, timings } = match &kept {
@@ -328,6 +328,16 @@ pub(super) fn records(system: &dyn System, study: &Study) -> anyhow::Result<Vec<
     Ok(records?)
 }
 
+/// Rows of a study's records; prints the error of each trial that could not be run.
+fn rows_of(records: &[Record]) -> anyhow::Result<Vec<Row>> {
+    for Record { system, arm, seed, failed, .. } in records {
+        if let Some(why) = failed {
+            eprintln!("r4: {system}, arm {arm}, seed {seed} could not be run: {why}");
+        }
+    }
+    Ok(study::rows(records)?)
+}
+
 /// Figures of a study's seeds with their headings, drawn on all cores.
 pub(super) fn figures(system: &dyn System, study: &Study) -> anyhow::Result<Vec<(String, Figure)>> {
     let one_arm = Study { arms: vec!["ours".to_owned()], ..study.clone() };
@@ -354,7 +364,7 @@ fn run_study(args: &Args, asked: &StudyArgs) -> anyhow::Result<bool> {
     if let Some(path) = &asked.out {
         study::save(path, &records)?;
     }
-    if is_whole { print(args, study::rows(&records)?) } else { Ok(true) }
+    if is_whole { print(args, rows_of(&records)?) } else { Ok(true) }
 }
 
 fn merge(args: &Args, files: &[PathBuf], out: Option<&Path>) -> anyhow::Result<bool> {
@@ -363,7 +373,7 @@ fn merge(args: &Args, files: &[PathBuf], out: Option<&Path>) -> anyhow::Result<b
     if let Some(path) = out {
         study::save(path, &records)?;
     }
-    print(args, study::rows(&records)?)
+    print(args, rows_of(&records)?)
 }
 
 /// Prints rows; false where a target is missed or a trial failed to run.
@@ -398,7 +408,7 @@ fn print(args: &Args, rows: Vec<Row>) -> anyhow::Result<bool> {
     let failed: BTreeSet<_> =
         rows.iter().filter(|row| row.failed > 0).map(|row| (&row.system, &row.arm, row.failed)).collect();
     for (system, arm, trials) in failed {
-        eprintln!("r4: {system}, arm {arm}: {trials} trials could not be run; `r4 system run` prints the reason");
+        eprintln!("r4: {system}, arm {arm}: {trials} trials could not be run");
     }
     Ok(met)
 }
