@@ -60,7 +60,8 @@ impl GroundDrive {
     }
 
     /// Set points for a velocity. A velocity beyond the robot's limits is scaled down and keeps its curve; one that is
-    /// not finite becomes a standstill.
+    /// not finite becomes a standstill. The limits are those of the drive, each alone: a fast turn within both may ask a
+    /// wheel for more than its motor takes, which the board refuses.
     #[must_use]
     pub fn setpoints(&self, velocity: Velocity) -> Vec<(ChannelId, Setpoint)> {
         let is_finite = velocity.forward_m_s.is_finite() && velocity.yaw_rad_s.is_finite();

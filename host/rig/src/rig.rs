@@ -263,8 +263,8 @@ impl Rig {
         let mut work = Once::new(work);
         let (ended, elapsed) = match &self.target {
             Target::Link(address) => self.run_on_link(address, tap, &mut work),
-            Target::Sim(_) | Target::Emu(_) => self.run_on_virtual(tap, &mut work),
-        }?;
+            Target::Sim(_) | Target::Emu(_) => self.run_on_virtual(tap, &mut work)?,
+        };
         Ok((work.value(ended)?, elapsed))
     }
 
@@ -283,7 +283,8 @@ impl Rig {
         Recorded { result, log, log_error }
     }
 
-    /// Returns the session's own result, beside that of `work`, unless no session could be held.
+    /// Runs `work` in a session with a virtual board, and returns how the session ended. An error beside it takes
+    /// precedence over the result of `work`: the board's failure, or that of its files.
     fn run_on_virtual(
         &self,
         tap: Option<SharedTap>,
@@ -339,13 +340,13 @@ impl Rig {
         Box::new(move || look.as_ref().and_then(SharedLook::get))
     }
 
-    /// Returns the session's own result, beside that of `work`.
+    /// Runs `work` in a session with a board on a link, and returns how the session ended.
     fn run_on_link(
         &self,
         address: &Address,
         tap: Option<SharedTap>,
         work: &mut dyn Work,
-    ) -> Result<(Result<(), Error>, Elapsed), Error> {
+    ) -> (Result<(), Error>, Elapsed) {
         let begin = Instant::now();
         let ended = r4_links::block_on(async {
             let link = r4_links::open(address, self.key.as_ref()).await?;
@@ -361,7 +362,7 @@ impl Rig {
             connected.await.map_err(|source| Error::Connect { board: self.target.to_string(), source })?
         });
         let wall_s = begin.elapsed().as_secs_f64();
-        Ok((ended, Elapsed { simulated_s: wall_s, wall_s }))
+        (ended, Elapsed { simulated_s: wall_s, wall_s })
     }
 
     /// Runs `work` in a session with a board on a link, and again each time a lost link is restored; `tell` is called

@@ -145,15 +145,15 @@ impl Session<'_> {
     pub async fn armed<T, E: From<Error>>(&self, work: impl AsyncFnOnce() -> Result<T, E>) -> Result<T, E> {
         self.board.arm().await.map_err(Error::Arm)?;
         let mut result = None;
-        let disarmed = self.until(pin!(async { result = Some(work().await) })).await;
+        let disarmed = self.disarmed_after(pin!(async { result = Some(work().await) })).await;
         // The error of the work goes first: a failed disarm is often its consequence.
         let value = result.ok_or(Error::Standstill)??;
         disarmed.map_err(Error::Disarm)?;
         Ok(value)
     }
 
-    /// Waits until `work` ends and disarms. Not generic, so that it is compiled once for all work.
-    async fn until(&self, work: Pin<&mut dyn Future<Output = ()>>) -> Result<(), r4_driver::Error> {
+    /// Waits until `work` ends, and disarms. Not generic, so that it is compiled once for all work.
+    async fn disarmed_after(&self, work: Pin<&mut dyn Future<Output = ()>>) -> Result<(), r4_driver::Error> {
         match select(work, pin!(self.watch_heat())).await {
             Either::Left(((), _)) => {}
             Either::Right((never, _)) => match never {},

@@ -4,9 +4,9 @@ use futures::future::{FutureExt as _, LocalBoxFuture};
 
 use crate::{Error, Session};
 
-/// Work of any type that runs in a session and keeps its result.
+/// Work in a session, whatever the type of its result.
 pub(crate) trait Work {
-    /// Runs the work.
+    /// Runs the work in a session to its end, and keeps its result aside.
     fn run<'w>(&'w mut self, session: &'w Session<'_>) -> LocalBoxFuture<'w, ()>;
 }
 
