@@ -3,7 +3,7 @@ use r4_maps::{
     pose::{Pose, distance_m},
     process::Sample,
 };
-use r4_rig::Place;
+use r4_rig::{GroundDrive, Limits, Place, Velocity};
 use r4_world::Person;
 
 use super::{
@@ -202,4 +202,19 @@ fn a_survey_repeats_itself() {
         readings(&surveyed.taken, &SOUND)
     };
     assert_eq!(run(), run());
+}
+
+/// At full speed in the fastest turn no wheel is asked for more than its motor takes.
+#[test]
+fn the_swarm_turns_within_what_its_wheels_take() {
+    let robot = r4_boards::load("field-rover").expect("built in");
+    let drive = GroundDrive::new(robot.drive.expect("it drives"));
+    let Limits { speed_m_s, turn_rate_rad_s, .. } = swarm::speeds();
+    for yaw_rad_s in [-turn_rate_rad_s, turn_rate_rad_s] {
+        for (wheel, setpoint) in drive.setpoints(Velocity { forward_m_s: speed_m_s, yaw_rad_s }) {
+            let motor = robot.config.motors.iter().find(|motor| motor.id == wheel).expect("a motor");
+            let most = motor.control.expect("a loop").speed_max;
+            assert!(setpoint.value.abs() <= most, "{wheel}: {} of {most} rad/s", setpoint.value);
+        }
+    }
 }
