@@ -48,6 +48,9 @@ pub struct SkidSteer {
     /// Highest turn rate that it should be given, rad/s.
     #[serde(deserialize_with = "positive")]
     pub turn_rate_max_rad_s: f64,
+    /// Highest set point that the board takes for every wheel, rad/s: the lowest limit of their motors in the same file.
+    #[serde(skip)]
+    pub wheel_speed_max_rad_s: f64,
 }
 
 /// Car with a steered front axle.
@@ -79,6 +82,10 @@ pub struct Ackermann {
     /// Highest speed that it should be given, m/s.
     #[serde(deserialize_with = "positive")]
     pub speed_max_m_s: f64,
+    /// Highest set point that the board takes for the drive, rad/s: the limit of its motor in the same file. Infinite
+    /// for a drive without an encoder, whose set point is a duty.
+    #[serde(skip)]
+    pub wheel_speed_max_rad_s: f64,
 }
 
 /// Steering angle as a linear function of the position of the linear motor.
@@ -108,18 +115,37 @@ impl SteeringLaw {
 }
 
 impl Drive {
-    /// Checks the drive against the motors that the robot has.
-    pub(super) fn check(&self, reader: &Reader<'_>, config: &BoardConfig) -> Result<(), BoardError> {
-        match self {
-            Self::SkidSteer(drive) => drive.check(reader, config),
-            Self::Ackermann(drive) => drive.check(reader, config),
+    /// Checks the drive against the motors that the robot has, and takes the limits of its wheels from them.
+    pub(super) fn check(mut self, reader: &Reader<'_>, config: &BoardConfig) -> Result<Self, BoardError> {
+        match &mut self {
+            Self::SkidSteer(drive) => {
+                drive.check(reader, config)?;
+                drive.wheel_speed_max_rad_s = speed_max_rad_s(config, drive.left.iter().chain(&drive.right));
+            }
+            Self::Ackermann(drive) => {
+                drive.check(reader, config)?;
+                drive.wheel_speed_max_rad_s = match drive.full_speed_m_s {
+                    Some(_) => f64::INFINITY,
+                    None => speed_max_rad_s(config, [&drive.drive]),
+                };
+            }
         }
+        Ok(self)
     }
 }
 
 fn motors(config: &BoardConfig, wanted: fn(Option<Feedback>) -> bool) -> impl Iterator<Item = &ChannelId> + Clone {
     let is_wanted = move |motor: &&r4_protocol::config::MotorConfig| wanted(motor.control.map(|c| c.feedback));
     config.motors.iter().filter(is_wanted).map(|motor| &motor.id)
+}
+
+/// Lowest speed limit of some motors, rad/s; infinite without motors.
+fn speed_max_rad_s<'a>(config: &BoardConfig, wheels: impl IntoIterator<Item = &'a ChannelId>) -> f64 {
+    let limits = wheels.into_iter().filter_map(|wheel| {
+        let motor = config.motors.iter().find(|motor| motor.id == *wheel)?;
+        Some(f64::from(motor.control?.speed_max))
+    });
+    limits.fold(f64::INFINITY, f64::min)
 }
 
 fn turns(feedback: Option<Feedback>) -> bool {

@@ -116,9 +116,7 @@ pub(crate) fn read(source: &Source, folder: &Folder) -> Result<Robot, BoardError
     let carrier = carrier::read(&carrier_source)?;
     let reader = Reader { source, carrier: &carrier };
     let config = reader.config(&file, motors)?;
-    if let Some(drive) = &file.drive {
-        drive.check(&reader, &config)?;
-    }
+    let drive = file.drive.map(|drive| drive.check(&reader, &config)).transpose()?;
     let simulation = match &file.simulation {
         Some(tables) => {
             let mut simulation = tables.check(&reader, folder, &config, file.body.as_ref())?;
@@ -137,7 +135,7 @@ pub(crate) fn read(source: &Source, folder: &Folder) -> Result<Robot, BoardError
             Simulation::default()
         }
     };
-    Ok(Robot { file: source.name.clone(), config, drive: file.drive, simulation, carrier })
+    Ok(Robot { file: source.name.clone(), config, drive, simulation, carrier })
 }
 
 /// Table of the file that becomes a channel of the firmware. Its array is named as the kind of channel.

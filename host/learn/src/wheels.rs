@@ -18,8 +18,6 @@ pub(crate) struct Wheels {
     ground: GroundDrive,
     /// Channels of the left wheels, then of the right ones.
     pub(crate) channels: Vec<ChannelId>,
-    /// Highest set point of each wheel, rad/s.
-    speed_max_rad_s: f64,
 }
 
 impl Wheels {
@@ -31,23 +29,18 @@ impl Wheels {
             return Err(unfit());
         }
         let channels: Vec<ChannelId> = drive.left.iter().chain(&drive.right).copied().collect();
-        let motors = robot.config.motors.iter().filter(|motor| channels.contains(&motor.id));
-        let speeds = motors.filter_map(|motor| Some(f64::from(motor.control.as_ref()?.speed_max)));
-        let speed_max_rad_s = speeds.fold(f64::INFINITY, f64::min);
-        Ok(Self { ground: GroundDrive::new(Drive::SkidSteer(drive.clone())), drive, channels, speed_max_rad_s })
+        Ok(Self { ground: GroundDrive::new(Drive::SkidSteer(drive.clone())), drive, channels })
     }
 
-    /// Set points of the wheels in the order of `channels`, rad/s. Each is clipped to the wheel's limit, which the
-    /// outer wheels of a fast turn would exceed.
+    /// Set points of the wheels in the order of `channels`, rad/s. A turn whose outer wheels would exceed their limit is
+    /// slower and keeps its curve.
     pub(crate) fn speeds_rad_s(&self, [forward, yaw]: Action) -> Vec<f64> {
         let velocity = Velocity {
             forward_m_s: forward * self.drive.speed_max_m_s,
             yaw_rad_s: yaw * self.drive.turn_rate_max_rad_s,
         };
         // The set points are in the same order: left wheels first.
-        let setpoints = self.ground.setpoints(velocity).into_iter();
-        let most = self.speed_max_rad_s;
-        setpoints.map(|(_, setpoint)| f64::from(setpoint.value).clamp(-most, most)).collect()
+        self.ground.setpoints(velocity).into_iter().map(|(_, setpoint)| f64::from(setpoint.value)).collect()
     }
 
     /// Requested speeds of the left and the right rims for an action, m/s.

@@ -59,9 +59,8 @@ impl GroundDrive {
         &self.drive
     }
 
-    /// Set points for a velocity. A velocity beyond the robot's limits is scaled down and keeps its curve; one that is
-    /// not finite becomes a standstill. The limits are those of the drive, each alone: a fast turn within both may ask a
-    /// wheel for more than its motor takes, which the board refuses.
+    /// Set points for a velocity. A velocity beyond the robot's limits, or with which a wheel would be asked for more
+    /// than the board takes, is scaled down and keeps its curve; one that is not finite becomes a standstill.
     #[must_use]
     pub fn setpoints(&self, velocity: Velocity) -> Vec<(ChannelId, Setpoint)> {
         let is_finite = velocity.forward_m_s.is_finite() && velocity.yaw_rad_s.is_finite();
@@ -119,7 +118,11 @@ fn share(asked: f64, most: f64) -> f64 {
 
 fn skid_steer(robot: &SkidSteer, asked: Velocity) -> Vec<(ChannelId, Setpoint)> {
     let slower = share(asked.forward_m_s, robot.speed_max_m_s).min(share(asked.yaw_rad_s, robot.turn_rate_max_rad_s));
-    let Velocity { forward_m_s, yaw_rad_s } = asked.times(slower);
+    let asked = asked.times(slower);
+    // Each component may be within its limit, and their sum at an outer wheel beyond the motor's.
+    let outer_m_s = asked.forward_m_s.abs() + asked.yaw_rad_s.abs() * robot.track_m / 2.0;
+    let Velocity { forward_m_s, yaw_rad_s } =
+        asked.times(share(outer_m_s, robot.wheel_speed_max_rad_s * robot.wheel_radius_m));
     let across_m_s = yaw_rad_s * robot.track_m / 2.0;
     let speed = |rim_m_s: f64| Setpoint { mode: Mode::Speed, value: (rim_m_s / robot.wheel_radius_m) as f32 };
     let left = robot.left.iter().map(|channel| (*channel, speed(forward_m_s - across_m_s)));
@@ -129,7 +132,8 @@ fn skid_steer(robot: &SkidSteer, asked: Velocity) -> Vec<(ChannelId, Setpoint)> 
 
 /// Set points of a car. It cannot turn on the spot: it stands then, with the wheels at their largest angle.
 fn ackermann(robot: &Ackermann, asked: Velocity) -> Vec<(ChannelId, Setpoint)> {
-    let Velocity { forward_m_s, yaw_rad_s } = asked.times(share(asked.forward_m_s, robot.speed_max_m_s));
+    let most_m_s = robot.speed_max_m_s.min(robot.wheel_speed_max_rad_s * robot.wheel_radius_m);
+    let Velocity { forward_m_s, yaw_rad_s } = asked.times(share(asked.forward_m_s, most_m_s));
     let wanted_rad = if yaw_rad_s == 0.0 { 0.0 } else { (robot.wheelbase_m * yaw_rad_s / forward_m_s).atan() };
     let angle_rad = wanted_rad.clamp(robot.steering_rad.min, robot.steering_rad.max);
     let steering = Setpoint { mode: Mode::Position, value: robot.steering_law.position_m(angle_rad) as f32 };
@@ -235,6 +239,34 @@ mod tests {
         assert_eq!(values(&openscout, -0.1, -3.0), values(&openscout, -0.05, -1.5));
         assert_eq!(values(&openscout, f64::NAN, 1.0), [0.0; 4]);
         assert_eq!(values(&openscout, 0.1, f64::INFINITY), [0.0; 4]);
+    }
+
+    #[test]
+    fn no_wheel_is_asked_for_more_than_its_motor_takes() {
+        for name in r4_boards::names() {
+            let robot = r4_boards::load(name).expect("built in");
+            let most = |channel: &ChannelId| {
+                let motor = robot.config.motors.iter().find(|motor| motor.id == *channel).expect("it has the motor");
+                motor.control.as_ref().expect("with an encoder").speed_max
+            };
+            let Some(drive) = robot.drive.clone().map(GroundDrive::new) else { continue };
+            // Speeds and turn rates up to twice the limits of every built-in robot, in all quadrants.
+            for (forward, yaw) in (-8..=8).flat_map(|forward| (-8..=8).map(move |yaw| (forward, yaw))) {
+                let velocity = Velocity { forward_m_s: f64::from(forward) * 0.5, yaw_rad_s: f64::from(yaw) * 0.5 };
+                for (channel, setpoint) in drive.setpoints(velocity) {
+                    let is_speed = setpoint.mode == Mode::Speed;
+                    assert!(!is_speed || setpoint.value.abs() <= most(&channel), "{name}, {velocity:?}: {setpoint:?}");
+                }
+            }
+        }
+        // The outer wheels at their limit of 9.5 rad/s, the inner ones as far behind as the curve asks.
+        let openscout = robot("openscout");
+        let Drive::SkidSteer(SkidSteer { track_m, .. }) = openscout.drive() else { panic!() };
+        let across_m_s = 1.5 * track_m / 2.0;
+        let inner = (9.5 * (0.5 - across_m_s) / (0.5 + across_m_s)) as f32;
+        let [left, _, right, _] = values(&openscout, 0.5, 1.5)[..] else { panic!("four wheels") };
+        // f32 at 9.5 rad/s.
+        assert!((left - inner).abs() < 1e-6 && (right - 9.5).abs() < 1e-6, "{left}, {right}");
     }
 
     #[test]
