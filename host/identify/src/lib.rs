@@ -22,6 +22,7 @@ mod evidence;
 pub mod family;
 pub mod fit;
 pub mod motion;
+mod parallel;
 mod question;
 pub mod report;
 mod residual;

@@ -1,9 +1,10 @@
 //! Confidence intervals by profile likelihood: one parameter is held beside its best value, all others are fitted
 //! again.
 
-use rayon::prelude::*;
-
-use crate::family::{Model, Range, Term};
+use crate::{
+    family::{Model, Range, Term},
+    parallel,
+};
 
 use super::{Effort, Fit, Problem, Spread, flat, set_flat};
 
@@ -89,17 +90,14 @@ impl Fit {
             .chain(corners.flat_map(|(term, values)| values.iter().map(move |_| matches!(term, Term::Curve(_)))))
             .collect();
         // Both ends of all intervals are independent, so they run in parallel.
-        let sides: Vec<(Option<f64>, Option<Self>)> = (0..2 * spreads.len())
-            .into_par_iter()
-            .map(|side| {
-                let parameter = side / 2;
-                let Some(spread) = spreads[parameter].as_ref().filter(|_| !is_corner[parameter]) else {
-                    return (None, None);
-                };
-                let mut profile = Profile { fit: self, family, runs, parameter, spread, lower: None };
-                (profile.end(side % 2 == 1), profile.lower)
-            })
-            .collect();
+        let sides: Vec<(Option<f64>, Option<Self>)> = parallel::map(0..2 * spreads.len(), |side| {
+            let parameter = side / 2;
+            let Some(spread) = spreads[parameter].as_ref().filter(|_| !is_corner[parameter]) else {
+                return (None, None);
+            };
+            let mut profile = Profile { fit: self, family, runs, parameter, spread, lower: None };
+            (profile.end(side % 2 == 1), profile.lower)
+        });
         let intervals = sides.chunks(2).map(|ends| Some([ends[0].0?, ends[1].0?])).collect();
         let lower = sides.into_iter().filter_map(|(_, lower)| lower).min_by(|a, b| a.cost.total_cmp(&b.cost));
         (intervals, lower)

@@ -20,11 +20,11 @@ use std::{ops::Range, sync::Arc};
 
 use nalgebra::{DMatrix, DVector};
 use r4_maths::statistics::{QuantileRule, quantile};
-use rayon::iter::{IntoParallelIterator, ParallelIterator};
 
 use crate::{
     family::{self, Candidate, Model, Parameter, Simulated, Structure, Term},
     fit::{Effort, Fit, cost, fit, parameters},
+    parallel,
 };
 
 use super::{
@@ -514,7 +514,8 @@ impl Motion {
             fit.structure.added.push(fixed.1);
             Some((fit.structure, fit.cost))
         };
-        let best = |all: Vec<Structure>| all.into_par_iter().filter_map(guess).min_by(|a, b| a.1.total_cmp(&b.1));
+        let best =
+            |all: Vec<Structure>| parallel::filter_map(all, guess).into_iter().min_by(|a, b| a.1.total_cmp(&b.1));
         let mut found = best(starts)?;
         let mut steps_rad = FIRST_STEPS_RAD;
         for _ in 0..ROUNDS {

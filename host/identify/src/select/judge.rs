@@ -1,6 +1,5 @@
 //! Acceptance of added terms: block cross-validation, significance and size.
 
-use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 
 use super::{Search, Step, numbers, propose::Trial};
@@ -8,6 +7,7 @@ use crate::{
     evidence::{TOLD_APART, independent, price},
     family::{Family, Structure, Term},
     fit::{self, Effort, Fit, fit},
+    parallel,
     report::Rejected,
     residual::is_resolved,
 };
@@ -54,50 +54,41 @@ impl<F: Family> Search<'_, F> {
     pub(super) fn judge(&self, mut trials: Vec<Trial>) -> Vec<Judged> {
         trials.retain(|trial| trial.fit.cost.is_finite());
         promising(&mut trials, 2 * PROMISING);
-        trials = trials
-            .into_par_iter()
-            .map(|Trial { term, fit: glanced, guess }| {
-                let fit = fit(self.family, &self.runs, glanced.structure, glanced.initial, Effort::SCREEN);
-                Trial { term, fit, guess }
-            })
-            .collect();
+        trials = parallel::map(trials, |Trial { term, fit: glanced, guess }| {
+            let fit = fit(self.family, &self.runs, glanced.structure, glanced.initial, Effort::SCREEN);
+            Trial { term, fit, guess }
+        });
         promising(&mut trials, PROMISING);
         let least = trials.iter().map(|trial| trial.fit.cost).fold(f64::INFINITY, f64::min);
         trials.retain(|trial| trial.fit.cost <= IN_REACH * least);
-        let mut judged: Vec<Judged> = trials
-            .into_par_iter()
-            .map(|Trial { term, fit: screened, guess }| {
-                let fit = fit(self.family, &self.runs, screened.structure, screened.initial, Effort::COMPARE);
-                let blocked = self.blocked(&fit);
-                let deviations = fit.deviations(self.family, &self.runs);
-                Judged { trial: Trial { term, fit, guess }, blocked, deviations }
-            })
-            .collect();
+        let mut judged = parallel::map(trials, |Trial { term, fit: screened, guess }| {
+            let fit = fit(self.family, &self.runs, screened.structure, screened.initial, Effort::COMPARE);
+            let blocked = self.blocked(&fit);
+            let deviations = fit.deviations(self.family, &self.runs);
+            Judged { trial: Trial { term, fit, guess }, blocked, deviations }
+        });
         judged.sort_by(|a, b| rmse(&a.blocked).total_cmp(&rmse(&b.blocked)));
         judged
     }
 
     /// Computes the error of a structure on each block, fitted to the other half of the blocks.
     pub(super) fn blocked(&self, from: &Fit) -> Blocked {
-        let halves: Vec<_> = [(0, 1), (1, 0)]
-            .par_iter()
-            .map(|&(fitted, left_out)| {
-                let runs: Vec<&F::Run> = self.halves[fitted].iter().collect();
-                let len = |run: &F::Run| self.family.measured(run).len();
-                let initial = self.settled(&from.structure, &runs);
-                let refit = fit(self.family, &runs, from.structure.clone(), initial, Effort::SCREEN).structure;
-                let error = |run: &F::Run, samples: usize| {
-                    let residuals =
-                        fit::residuals(self.family, &refit, &fit::settle(self.family, &refit, run, samples), run);
-                    let known: Vec<f64> = residuals.into_iter().filter(|residual| !residual.is_nan()).collect();
-                    let square: f64 = known.iter().map(|residual| residual * residual).sum();
-                    (square / known.len().max(1) as f64, known.len())
-                };
-                let blocks: Vec<_> = self.halves[left_out].iter().map(|block| error(block, len(block))).collect();
-                let whole: Vec<_> = self.whole.iter().map(|run| error(run, len(run) / 4)).collect();
-                (blocks, whole)
-            })
-            .collect();
+        let halves = parallel::map([(0, 1), (1, 0)], |(fitted, left_out): (usize, usize)| {
+            let runs: Vec<&F::Run> = self.halves[fitted].iter().collect();
+            let len = |run: &F::Run| self.family.measured(run).len();
+            let initial = self.settled(&from.structure, &runs);
+            let refit = fit(self.family, &runs, from.structure.clone(), initial, Effort::SCREEN).structure;
+            let error = |run: &F::Run, samples: usize| {
+                let residuals =
+                    fit::residuals(self.family, &refit, &fit::settle(self.family, &refit, run, samples), run);
+                let known: Vec<f64> = residuals.into_iter().filter(|residual| !residual.is_nan()).collect();
+                let square: f64 = known.iter().map(|residual| residual * residual).sum();
+                (square / known.len().max(1) as f64, known.len())
+            };
+            let blocks: Vec<_> = self.halves[left_out].iter().map(|block| error(block, len(block))).collect();
+            let whole: Vec<_> = self.whole.iter().map(|run| error(run, len(run) / 4)).collect();
+            (blocks, whole)
+        });
         let whole: Vec<_> = halves.iter().flat_map(|half| half.1.iter()).collect();
         let samples: usize = whole.iter().map(|run| run.1).sum();
         Blocked {

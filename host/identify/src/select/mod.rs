@@ -15,7 +15,6 @@ use std::time::Instant;
 
 use r4_maths::statistics;
 use r4_plants::Dependence;
-use rayon::prelude::*;
 
 use self::{
     judge::{CURVE_WORTH, WORTH, rmse},
@@ -25,6 +24,7 @@ use crate::{
     evidence::{independent, price},
     family::{Acts, Family, Structure, Term},
     fit::{self, Effort, Fit, fit},
+    parallel,
     report::Rejected,
     residual::{is_rounding, is_white, largest_correlation, left},
 };
@@ -451,10 +451,9 @@ impl<F: Family> Search<'_, F> {
         let starts: Vec<_> = self.family.starts(&self.whole).into_iter().chain(self.family.declared()).collect();
         let initial = fit::guessed(self.family, &self.whole);
         let structure = |base: &Vec<f64>| Structure { base: base.clone(), ..Structure::default() };
-        let screened: Vec<Fit> = starts
-            .par_iter()
-            .map(|start| fit(self.family, &self.whole, structure(start), initial.clone(), Effort::SCREEN))
-            .collect();
+        let screened = parallel::map(&starts, |start| {
+            fit(self.family, &self.whole, structure(start), initial.clone(), Effort::SCREEN)
+        });
         let best = screened.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost));
         let (structure, initial) = best.map_or_else(
             || (structure(&vec![1.0; self.family.base().len()]), initial),

@@ -1,7 +1,5 @@
 //! Joint search for two effects whose combination resembles neither.
 
-use rayon::prelude::*;
-
 use super::{
     Search, Step,
     judge::{Blocked, LEAST_Z, WORTH, paired, rmse},
@@ -12,6 +10,7 @@ use crate::{
     evidence::{TOLD_APART, independent, price},
     family::{Family, Structure, Term},
     fit::{Effort, Fit, fit},
+    parallel,
 };
 
 /// Number of first effects to which a second one is added. Our choice, made for speed; other values were not
@@ -146,7 +145,7 @@ impl<F: Family> Search<'_, F> {
             let initial = self.settled(&structure, &self.runs);
             Some(fit(self.family, &self.runs, structure, initial, Effort::SCREEN))
         };
-        pairs.into_par_iter().filter_map(fitted).collect()
+        parallel::filter_map(pairs, fitted)
     }
 }
 

@@ -1,11 +1,10 @@
 //! Proposal of terms that may be added to a model, with their initial guesses.
 
-use rayon::prelude::*;
-
 use super::{LEAST_SAMPLES, Search};
 use crate::{
-    family::{Candidate, Family, Structure, Term},
+    family::{Candidate, Curve, Family, Structure, Term},
     fit::{self, Effort, Fit, fit},
+    parallel,
 };
 
 /// Largest cost of a candidate's initial guess, as a multiple of the lowest; others are dropped.
@@ -65,7 +64,7 @@ impl<F: Family> Search<'_, F> {
         let is_led = |(_, candidate): &(usize, &Candidate)| candidate.led_by.is_some();
         let (led, others): (Vec<_>, Vec<_>) = self.open(current).into_iter().partition(is_led);
         let begun = |all: Vec<(usize, &Candidate)>| -> Vec<Begun> {
-            all.into_par_iter().map(|(index, candidate)| self.begin(current, index, candidate)).collect()
+            parallel::map(all, |(index, candidate)| self.begin(current, index, candidate))
         };
         let mut all = begun(others);
         let leads = |led: &Candidate| {
@@ -99,7 +98,8 @@ impl<F: Family> Search<'_, F> {
     pub(super) fn refine(&self, all: &mut [Begun], current: &Fit) {
         all.sort_by(|a, b| a.guess.total_cmp(&b.guess));
         let least = all.first().map_or(f64::INFINITY, |one| one.guess);
-        all.par_iter_mut().take(REFINED).filter(|one| one.guess <= CLOSE * least).for_each(|one| {
+        let close = all.iter_mut().take(REFINED).filter(|one| one.guess <= CLOSE * least);
+        parallel::map(close, |one| {
             let guessed = if one.is_rough { ROUGH } else { one.starts.len() };
             let starts = one.starts.iter().take(guessed).map(|(structure, _)| structure.clone()).collect();
             if let Some((guessed, guess)) = self.guess(starts, current, Effort::SCREEN) {
@@ -145,8 +145,7 @@ impl<F: Family> Search<'_, F> {
             let initial = self.settled_early(&start);
             (fit::cost(self.family, &self.runs, &start, &initial), (start, initial))
         };
-        let all = starts.par_iter().map(cost);
-        all.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, start)| start)
+        parallel::map(starts, cost).into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, start)| start)
     }
 
     /// Returns the family's guess with initial states from the begin of each run, and its cost.
@@ -173,20 +172,17 @@ impl<F: Family> Search<'_, F> {
         else {
             return vec![];
         };
-        drivers
-            .par_iter()
-            .flat_map(|driver| self.family.curves(current, (driver.over, driver.period), &self.runs))
-            .filter(|curve| {
-                !current.structure.curves().any(|(other, _)| (other.over, other.acts) == (curve.over, curve.acts))
-            })
-            .map(|curve| {
-                let term = Term::Curve(curve.clone());
-                let none = self.with(current, term.clone(), &vec![0.0; curve.at.len()]);
-                let (guessed, guess) = self.guess(vec![none.clone()], current, Effort::SCREEN).unzip();
-                let starts = guessed.into_iter().chain([(none, current.initial.clone())]).collect();
-                Begun { term, starts, guess: guess.unwrap_or(f64::INFINITY), is_rough: false }
-            })
-            .collect()
+        let curves =
+            parallel::map(drivers, |driver| self.family.curves(current, (driver.over, driver.period), &self.runs));
+        let is_new = |curve: &Curve| {
+            !current.structure.curves().any(|(other, _)| (other.over, other.acts) == (curve.over, curve.acts))
+        };
+        parallel::map(curves.into_iter().flatten().filter(is_new), |curve| {
+            let none = self.with(current, Term::Curve(curve.clone()), &vec![0.0; curve.at.len()]);
+            let (guessed, guess) = self.guess(vec![none.clone()], current, Effort::SCREEN).unzip();
+            let starts = guessed.into_iter().chain([(none, current.initial.clone())]).collect();
+            Begun { term: Term::Curve(curve), starts, guess: guess.unwrap_or(f64::INFINITY), is_rough: false }
+        })
     }
 
     /// Fits the terms that no guess rules out from each of their starts, and returns the best fit of each.
@@ -204,13 +200,13 @@ impl<F: Family> Search<'_, F> {
             if self.is_over() {
                 return None;
             }
-            let fits = starts
-                .into_par_iter()
-                .map(|(structure, initial)| fit(self.family, &self.runs, structure, initial, Effort::GLANCE));
-            let fit = fits.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+            let fits = parallel::map(starts, |(structure, initial)| {
+                fit(self.family, &self.runs, structure, initial, Effort::GLANCE)
+            });
+            let fit = fits.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost))?;
             Some(Trial { term, fit, guess })
         };
-        begun.into_par_iter().filter_map(fitted).collect()
+        parallel::filter_map(begun, fitted)
     }
 }
 

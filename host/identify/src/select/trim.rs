@@ -1,8 +1,6 @@
 //! Revision of accepted terms beside later ones: fits from elsewhere, more knots, simpler terms, one term for two,
 //! removal.
 
-use rayon::prelude::*;
-
 use super::{
     Path, Search,
     judge::{CURVE_WORTH, LEAST_Z, rmse},
@@ -12,6 +10,7 @@ use crate::{
     evidence::{TOLD_APART, independent, price},
     family::{Family, Structure, Term},
     fit::{Effort, Fit, fit},
+    parallel,
     report::Rejected,
 };
 
@@ -68,12 +67,12 @@ impl<F: Family> Search<'_, F> {
     /// Returns the model fitted from elsewhere, if the data clearly prefer it.
     fn restarted(&self, current: &Fit) -> Option<Fit> {
         let begun = |start| Fit::at(self.family, &self.runs, start, current.initial.clone());
-        let begun: Vec<Fit> = self.elsewhere(&current.structure).into_par_iter().map(begun).collect();
+        let begun = parallel::map(self.elsewhere(&current.structure), begun);
         let best_fitted = |starts: Vec<Fit>, effort: Effort, count: usize| {
-            let fits = starts
-                .into_par_iter()
-                .map(|Fit { structure, initial, .. }| fit(self.family, &self.runs, structure, initial, effort));
-            lowest(fits.collect(), count)
+            let fits = parallel::map(starts, |Fit { structure, initial, .. }| {
+                fit(self.family, &self.runs, structure, initial, effort)
+            });
+            lowest(fits, count)
         };
         let glanced = best_fitted(lowest(begun, NEAREST), Effort::GLANCE, FOLLOWED);
         let screened = best_fitted(glanced, Effort::SCREEN, 1);
@@ -156,7 +155,7 @@ impl<F: Family> Search<'_, F> {
             let deviations = with.deviations(self.family, runs);
             let samples = independent(self.family, runs, with);
             let price_of = |fit: &Fit| price(samples, fit.cost, numbers(fit));
-            let without = (0..path.steps.len()).into_par_iter().filter_map(|place| {
+            let without = parallel::filter_map(0..path.steps.len(), |place| {
                 let z = self.own_size(&with.structure, &deviations, place);
                 if z.is_some_and(|z| z >= LEAST_Z) {
                     return None;
@@ -165,7 +164,7 @@ impl<F: Family> Search<'_, F> {
                 let fit = fit(self.family, runs, structure, with.initial.clone(), Effort::COMPARE);
                 (price_of(&fit) <= price_of(with)).then_some((place, fit))
             });
-            let cheapest = without.min_by(|a, b| price_of(&a.1).total_cmp(&price_of(&b.1)));
+            let cheapest = without.into_iter().min_by(|a, b| price_of(&a.1).total_cmp(&price_of(&b.1)));
             let Some((place, fit)) = cheapest else { return };
             let taken = path.steps.remove(place);
             path.rejected.insert(
@@ -184,15 +183,12 @@ impl<F: Family> Search<'_, F> {
     pub(super) fn remove(&self, path: &mut Path) {
         while path.steps.len() > 1 {
             let with = rmse(&self.blocked(&path.current));
-            let without: Vec<(usize, Fit, f64)> = (0..path.steps.len() - 1)
-                .into_par_iter()
-                .map(|place| {
-                    let structure = path.current.structure.without(place);
-                    let fit = fit(self.family, &self.runs, structure, path.current.initial.clone(), Effort::SCREEN);
-                    let error = rmse(&self.blocked(&fit));
-                    (place, fit, error)
-                })
-                .collect();
+            let without = parallel::map(0..path.steps.len() - 1, |place| {
+                let structure = path.current.structure.without(place);
+                let fit = fit(self.family, &self.runs, structure, path.current.initial.clone(), Effort::SCREEN);
+                let error = rmse(&self.blocked(&fit));
+                (place, fit, error)
+            });
             let least = without.into_iter().min_by(|a, b| a.2.total_cmp(&b.2));
             match least {
                 Some((place, fit, error)) if error <= with * (1.0 + SUPERFLUOUS) => {

@@ -5,12 +5,11 @@
 //! position, overshoot and error as degrees.
 
 use r4_maths::minimise::{Effort, Minimum, global, nelder_mead};
-use rayon::prelude::*;
 use serde::Serialize;
 
 use super::osmc::Printed;
 use super::{TableError, correlation, worse};
-use crate::report::Unexplained;
+use crate::{parallel, report::Unexplained};
 
 /// Largest duty of the rotary motor in the released code, in counts of 255.
 const CLIP: f64 = 230.0;
@@ -232,7 +231,7 @@ impl GainsEffort {
 /// An error for a table without its columns.
 pub fn loop_ladders(printed: &Printed, effort: GainsEffort, seed: u64) -> Result<GainsReport, TableError> {
     let rows = rows(printed)?;
-    let ladders: Vec<GainsLadder> = TARGETS_DEG.par_iter().map(|&target| ladder(&rows, target, effort, seed)).collect();
+    let ladders = parallel::map(TARGETS_DEG, |target| ladder(&rows, target, effort, seed));
     // No model follows every row, so their misfit is the scale on which a difference of costs is judged.
     let best = |ladder: &GainsLadder| {
         let step = ladder.steps.iter().find(|step| step.effect == ladder.chosen);
@@ -318,15 +317,12 @@ fn ladder(rows: &[Row], target: f64, effort: GainsEffort, seed: u64) -> GainsLad
                 best = other;
             }
         }
-        let left_out: Vec<f64> = (0..rows.len())
-            .into_par_iter()
-            .map(|out| {
-                let others: Vec<&Row> =
-                    rows.iter().enumerate().filter(|(row, _)| *row != out).map(|(_, row)| row).collect();
-                let refit = nelder_mead(bounds, &best.at, effort.left_out, |numbers| total(&others, numbers));
-                total(&[&rows[out]], &refit.at)
-            })
-            .collect();
+        let left_out = parallel::map(0..rows.len(), |out| {
+            let others: Vec<&Row> =
+                rows.iter().enumerate().filter(|(row, _)| *row != out).map(|(_, row)| row).collect();
+            let refit = nelder_mead(bounds, &best.at, effort.left_out, |numbers| total(&others, numbers));
+            total(&[&rows[out]], &refit.at)
+        });
         let mut step = score(effect, level, &best, rows, target);
         step.left_out_cost = left_out.iter().sum();
         (step.taken, step.reason) = match &taken {
