@@ -48,7 +48,8 @@ pub struct SkidSteer {
     /// Highest turn rate that it should be given, rad/s.
     #[serde(deserialize_with = "positive")]
     pub turn_rate_max_rad_s: f64,
-    /// Highest set point that the board takes for every wheel, rad/s: the lowest limit of their motors in the same file.
+    /// Speed limit of the wheels, rad/s: the lowest of their motors in the same file. The board refuses set points beyond
+    /// it.
     #[serde(skip)]
     pub wheel_speed_max_rad_s: f64,
 }
@@ -82,8 +83,8 @@ pub struct Ackermann {
     /// Highest speed that it should be given, m/s.
     #[serde(deserialize_with = "positive")]
     pub speed_max_m_s: f64,
-    /// Highest set point that the board takes for the drive, rad/s: the limit of its motor in the same file. Infinite
-    /// for a drive without an encoder, whose set point is a duty.
+    /// Speed limit of the drive, rad/s: that of its motor in the same file, beyond which the board refuses set points.
+    /// Infinite for a drive without an encoder, whose set point is a duty.
     #[serde(skip)]
     pub wheel_speed_max_rad_s: f64,
 }
@@ -124,10 +125,7 @@ impl Drive {
             }
             Self::Ackermann(drive) => {
                 drive.check(reader, config)?;
-                drive.wheel_speed_max_rad_s = match drive.full_speed_m_s {
-                    Some(_) => f64::INFINITY,
-                    None => speed_max_rad_s(config, [&drive.drive]),
-                };
+                drive.wheel_speed_max_rad_s = speed_max_rad_s(config, [&drive.drive]);
             }
         }
         Ok(self)
@@ -139,7 +137,7 @@ fn motors(config: &BoardConfig, wanted: fn(Option<Feedback>) -> bool) -> impl It
     config.motors.iter().filter(is_wanted).map(|motor| &motor.id)
 }
 
-/// Lowest speed limit of some motors, rad/s; infinite without motors.
+/// Lowest speed limit of some drives, rad/s; infinite for those whose speed no loop controls.
 fn speed_max_rad_s<'a>(config: &BoardConfig, wheels: impl IntoIterator<Item = &'a ChannelId>) -> f64 {
     let limits = wheels.into_iter().filter_map(|wheel| {
         let motor = config.motors.iter().find(|motor| motor.id == *wheel)?;

@@ -1,7 +1,7 @@
 //! Work on all cores, with results in the order of the items.
 //!
 //! The parallel iterators of rayon are compiled for each closure, and the closures here once more for each family of
-//! models. These functions hand rayon a `dyn` closure, so that its part is compiled once for each pair of types.
+//! models. These functions hand rayon a `dyn` closure, so that its part is compiled once.
 
 use std::sync::{Mutex, PoisonError};
 

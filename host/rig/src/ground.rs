@@ -59,8 +59,8 @@ impl GroundDrive {
         &self.drive
     }
 
-    /// Set points for a velocity. A velocity beyond the robot's limits, or with which a wheel would be asked for more
-    /// than the board takes, is scaled down and keeps its curve; one that is not finite becomes a standstill.
+    /// Set points for a velocity. A velocity beyond the robot's limits, or beyond a wheel's, is scaled down and keeps its
+    /// curve; one that is not finite becomes a standstill.
     #[must_use]
     pub fn setpoints(&self, velocity: Velocity) -> Vec<(ChannelId, Setpoint)> {
         let is_finite = velocity.forward_m_s.is_finite() && velocity.yaw_rad_s.is_finite();
@@ -250,7 +250,7 @@ mod tests {
                 motor.control.as_ref().expect("with an encoder").speed_max
             };
             let Some(drive) = robot.drive.clone().map(GroundDrive::new) else { continue };
-            // Speeds and turn rates up to twice the limits of every built-in robot, in all quadrants.
+            // To 4 m/s and 4 rad/s, at least twice the limits of every built-in robot, in all quadrants.
             for (forward, yaw) in (-8..=8).flat_map(|forward| (-8..=8).map(move |yaw| (forward, yaw))) {
                 let velocity = Velocity { forward_m_s: f64::from(forward) * 0.5, yaw_rad_s: f64::from(yaw) * 0.5 };
                 for (channel, setpoint) in drive.setpoints(velocity) {
