@@ -79,7 +79,7 @@ static ABOUT: About = About {
     },
     question: "How well does a rover with a field mill know an electric field that changes while it drives?",
     robot: "field-rover",
-    reported: 1121..1141,
+    reported: 1141..1161,
     sampled: &[
         "fair weather of 60 to 100 V/m; five space charges on 40 m by 40 m of 4 to 9 m, eight on 1 km by 1 km of 100 to 180 m, each 30 to 70 \
          V/m of either sign",
