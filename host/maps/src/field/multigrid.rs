@@ -182,6 +182,39 @@ struct Work {
     x: Vec<f64>,
 }
 
+impl Work {
+    /// Sweeps forwards from a solution of 0: later neighbours add nothing.
+    ///
+    /// A node waits for the one before. On the finest level, where that is the left neighbour or none, its share is added last.
+    fn forwards(&mut self, level: &Level) {
+        let Self { reciprocal, right, x, .. } = self;
+        for (node, (right, reciprocal)) in right.iter().zip(&*reciprocal).enumerate() {
+            x[node] = match level.four.get(node) {
+                Some([_, _, left, down]) => {
+                    (right + level.smoothness * x[*down as usize]) * reciprocal
+                        + level.smoothness * reciprocal * x[*left as usize]
+                }
+                None => (right + level.lower(node, x)) * reciprocal,
+            };
+        }
+    }
+
+    /// Sweeps backwards. On the finest level the share of the right neighbour, for which a node waits, is added last.
+    fn backwards(&mut self, level: &Level) {
+        let Self { reciprocal, right, x, .. } = self;
+        for (node, (right, reciprocal)) in right.iter().zip(&*reciprocal).enumerate().rev() {
+            x[node] = match level.four.get(node) {
+                Some([ahead, up, left, down]) => {
+                    let others = x[*up as usize] + x[*left as usize] + x[*down as usize];
+                    (right + level.smoothness * others) * reciprocal
+                        + level.smoothness * reciprocal * x[*ahead as usize]
+                }
+                None => (right + level.gathered(node, x)) * reciprocal,
+            };
+        }
+    }
+}
+
 impl Hierarchy {
     pub(super) fn new(lattice: &Lattice, smoothness: f64, prior: f64) -> Self {
         let nodes = lattice.nodes();
@@ -321,9 +354,7 @@ impl<'l> Cycle<'l> {
         let (fine, coarse) = self.works.split_at_mut(depth + 1);
         let (work, next) = (&mut fine[depth], &mut coarse[0]);
         // Gauss-Seidel forwards from 0 here, and backwards below: together symmetric, as conjugate gradients need it.
-        for node in 0..nodes {
-            work.x[node] = (work.right[node] + level.lower(node, &work.x)) * work.reciprocal[node];
-        }
+        work.forwards(level);
         next.right.fill(0.0);
         for node in 0..nodes {
             // The residual after the sweep: each node was solved without its later neighbours.
@@ -332,9 +363,7 @@ impl<'l> Cycle<'l> {
         self.level(depth + 1);
         let (fine, coarse) = self.works.split_at_mut(depth + 1);
         let (work, next) = (&mut fine[depth], &coarse[0]);
-        (0..nodes).for_each(|node| work.x[node] += next.x[level.parents[node] as usize]);
-        for node in (0..nodes).rev() {
-            work.x[node] = (work.right[node] + level.gathered(node, &work.x)) * work.reciprocal[node];
-        }
+        work.x.iter_mut().zip(&level.parents).for_each(|(x, parent)| *x += next.x[*parent as usize]);
+        work.backwards(level);
     }
 }
