@@ -227,23 +227,46 @@ impl<'de> Fields<'de> {
     fn of(table: DeTable<'de>) -> Self {
         Self { rest: table.into_iter().collect::<Vec<_>>().into_iter(), value: None }
     }
+
+    // These two are apart from the generic functions below, which are compiled for each type of a value.
+
+    /// Name of the next field, with its place.
+    fn next_name(&mut self) -> Option<(CowStrDeserializer<'de, Fault>, Range<usize>)> {
+        let (key, value) = self.rest.next()?;
+        self.value = Some(Node::from(value));
+        let span = key.span();
+        Some((CowStrDeserializer::new(key.into_inner()), span))
+    }
+
+    /// Value of the field whose name was read last, with its place.
+    fn value(&mut self) -> Result<(Node<'de>, Range<usize>), Fault> {
+        let node = self.value.take().ok_or_else(|| Fault::custom("a value is read before its key"))?;
+        let span = node.span.clone();
+        Ok((node, span))
+    }
 }
 
 impl<'de> MapAccess<'de> for Fields<'de> {
     type Error = Fault;
 
     fn next_key_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>, Fault> {
-        let Some((key, value)) = self.rest.next() else { return Ok(None) };
-        self.value = Some(Node::from(value));
-        let span = key.span();
-        let name = seed.deserialize(CowStrDeserializer::new(key.into_inner()));
-        name.map(Some).map_err(|fault: Fault| fault.within(&span))
+        match self.next_name() {
+            Some((name, span)) => match seed.deserialize(name) {
+                Ok(name) => Ok(Some(name)),
+                Err(fault) => Err(fault.within(&span)),
+            },
+            None => Ok(None),
+        }
     }
 
     fn next_value_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<S::Value, Fault> {
-        let node = self.value.take().ok_or_else(|| Fault::custom("a value is read before its key"))?;
-        let span = node.span.clone();
-        seed.deserialize(node).map_err(|fault| fault.within(&span))
+        match self.value() {
+            Ok((node, span)) => match seed.deserialize(node) {
+                Ok(value) => Ok(value),
+                Err(fault) => Err(fault.within(&span)),
+            },
+            Err(fault) => Err(fault),
+        }
     }
 
     fn size_hint(&self) -> Option<usize> {
