@@ -56,7 +56,7 @@ pub enum Protocol {
 
 impl Protocol {
     /// Returns the number of samples, of a run of `samples`, that its initial state is fitted to.
-    fn window(self, samples: usize) -> usize {
+    pub(crate) fn window(self, samples: usize) -> usize {
         let wished = match self {
             Self::FirstTenth => (samples / SETTLE_SHARE).max(SETTLE_SAMPLES),
             Self::First20 => SETTLE_SAMPLES,

@@ -3,6 +3,7 @@
 //! All four have the same mechanics (`simulate.rs`), with different names for their two parameters, and with or
 //! without a position loop. Internally everything is per unit of inertia; `physical.rs` converts to units.
 
+pub mod bench;
 mod command;
 mod curve;
 mod effect;

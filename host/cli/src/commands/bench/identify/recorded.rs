@@ -6,11 +6,8 @@ use anyhow::{Context, ensure};
 use r4_identify::{
     Task,
     data::{Mapping, Options, Run},
-    family::{Family, Model, Term},
-    fit,
-    motion::{Kind, Known, Motion},
+    motion::{Kind, Known, bench::mean_absolute},
     report::Report,
-    select,
     statics::{
         hold_out,
         hysteresis::{Gap, play},
@@ -175,33 +172,14 @@ pub(super) fn pendulum(bench: &Bench<'_>) -> anyhow::Result<Vec<Row>> {
     let known = [("duty_per_rad", DUTY_PER_RAD), ("arm_m", 0.1)];
     let known = known.map(|(name, value)| (name.to_owned(), value)).into_iter().collect();
     let known = Known::from_parameters(Kind::Servo, &known, None)?;
-    // Fit here rather than by a report: reports have squared errors only, this metric is of absolute ones.
-    let (model, train, test) = Motion::new(Kind::Servo, &known, &train, &test)?;
-    let found = select::search(&model, &train, &|step| bench.progress.set_message(step.to_owned()));
-    let [before, after] = [&found.base, &found.last].map(|fit| mean_absolute(&model, fit, &test));
-    let name = |term: &Term| match term {
-        Term::Known(index) => model.catalogue()[*index].name,
-        Term::Curve(_) => "unknown",
-    };
-    let effects: Vec<&str> = found.last.structure.terms.iter().map(name).collect();
-    let named = effects.contains(&"load-friction");
+    let found =
+        mean_absolute(Kind::Servo, &known, (&train, &test), &|step| bench.progress.set_message(step.to_owned()))?;
+    let effects = found.effects.join(", ");
+    let named = found.effects.contains(&"load-friction");
     Ok(vec![
-        Row::error(DATA, "angle, mean absolute error", "rad", [before, after, 0.061]).with(effects.join(", ")),
-        Row::claim(DATA, "friction that depends on load named", named).with(effects.join(", ")),
+        Row::error(DATA, "angle, mean absolute error", "rad", [found.before, found.after, 0.061]).with(effects.clone()),
+        Row::claim(DATA, "friction that depends on load named", named).with(effects),
     ])
-}
-
-/// Mean over the runs of their mean absolute errors; each run's initial state is fitted to its first tenth.
-fn mean_absolute<F: Family>(family: &F, fit: &fit::Fit, runs: &[F::Run]) -> f64 {
-    let of_run = |run: &F::Run| {
-        let samples = family.measured(run).len();
-        // As `Protocol::FirstTenth`: a tenth, and at least 20 samples.
-        let initial = fit::settle(family, &fit.structure, run, (samples / 10).max(20).min(samples));
-        let residuals = fit::residuals(family, &fit.structure, &initial, run);
-        let known: Vec<f64> = residuals.into_iter().filter(|residual| residual.is_finite()).map(f64::abs).collect();
-        known.iter().sum::<f64>() / known.len() as f64
-    };
-    runs.iter().map(of_run).sum::<f64>() / runs.len() as f64
 }
 
 /// Measures the micromouse: even rows to fit, odd ones held out.
