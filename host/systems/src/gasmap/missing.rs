@@ -45,7 +45,7 @@ const OF_CHANGE: u64 = 2_101;
 const UNIT_M: f64 = 0.2;
 const UNIT_SKEW_M: f64 = 0.03;
 const UNIT_PPM: f64 = 1.0;
-/// Limit of the skew of a lap, m, approached smoothly. Lags cause up to 0.2 m; a stray puff far beside the plume caused
+/// Limit of the skew of a lap, m, approached smoothly. Lags cause up to 0.18 m in the mean (seeds 301 to 304); a stray puff far beside the plume caused
 /// 1 m in one lap of seed 307, whose lag was then called a place. With half the limit all 24 effects of seeds 301 to 312 are
 /// named as well; with twice the limit the interval of one lag is much too narrow.
 const MOST_SKEW_M: f64 = 0.2;
@@ -54,7 +54,8 @@ const WHEEL_M: f64 = 0.056;
 /// Smallest changes that are claimed: the robot's turns at the ends and its pose error of some 2 cm cause as much.
 const LEAST: [f64; 3] = [0.3, 0.1, 0.1];
 /// Sizes from which the fits begin. The skew that a lag leaves first grows and then shrinks as more of it is corrected: fits
-/// from 0.1 s ended before it, and four of the seven lags of seeds 301 to 307 were called places. From 2 s none was.
+/// from 0.1 s ended before it, and four of the seven lags of seeds 301 to 307 were called places that fits from 2 s name
+/// (before the skew had a limit). Other sizes were not tried.
 const STARTS: [&[f64]; 3] = [&[2.0], &[0.1], &[0.1]];
 
 /// Names of the candidate effects, in their order.

@@ -161,7 +161,8 @@ fn each_hidden_effect_is_named_and_a_clean_sensor_has_none() {
         ] {
             let found = found.expect("an effect");
             assert_eq!(found.name, name, "seed {seed}: {found:?}");
-            // The plume's random shift of 0.1 m is 0.035 m in the mean of 17 laps: 12 % of a lag of 1 s at the mean speed.
+            // Each crossing shifts by 0.1 m at random: the distance of the centres by 0.034 m in the mean of 17 laps, which
+            // is 6 % of the 0.6 m of a lag of 1 s at the mean speed. Four of these.
             assert!((found.size / size - 1.0).abs() < 0.25 && found.after < found.before, "seed {seed}: {found:?}");
         }
         assert_eq!(of(0.0, 0.0, 0.0), None, "seed {seed}");
@@ -180,7 +181,7 @@ fn a_sensor_ahead_of_its_place_is_not_called_a_lag() {
 fn a_lag_is_named_by_its_skew_where_the_wind_hides_it() {
     let mut laps = laps(1, 2.0, 0.0, 0.0);
     for lap in laps.iter_mut().filter(|lap| lap.speed_m_s < 0.3) {
-        // The wind makes the slow laps' distances as large as those of the fast ones: 0.4 m of a lag of 2 s at 0.2 m/s to and fro.
+        // A lag of 2 s makes distances of 1.6 m at 0.4 m/s and 0.8 m at 0.2 m/s; the wind adds 0.6 m to the slow laps.
         for (crossing, way) in lap.crossings.iter_mut().zip([1.0, -1.0]) {
             crossing.iter_mut().for_each(|sample| sample.place_m += way * 0.3);
         }
