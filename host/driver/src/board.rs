@@ -24,7 +24,7 @@ use r4_protocol::{
 
 use crate::{
     Clock, Error,
-    connection::{Answer, State},
+    connection::{Answer, Pending, State},
     streams::{LogStream, SampleStream, SentStream, TelemetryStream, lock},
 };
 
@@ -182,7 +182,8 @@ impl<C: Clock> Board<C> {
         found.ok_or(Error::Refused(Refusal::UnknownChannel { channel }))
     }
 
-    /// Returns the safety state and causes of the board's last heartbeat or telemetry.
+    /// Returns the safety state and causes from the board's last message that had them: a heartbeat, telemetry, the
+    /// answer to a cycle, or the answer to arming.
     #[must_use]
     pub fn safety(&self) -> (SafetyState, Causes) {
         lock(&self.wire.state).safety.unwrap_or((SafetyState::Disarmed, Causes::NONE))
@@ -735,7 +736,7 @@ impl<C: Clock> Wire<C> {
         };
         let (clock, outgoing) = (self.clock.clone(), self.outgoing.clone());
         let begin_us = clock.now_us();
-        let waiting = self.begin(name);
+        let waiting = self.begin(name, request == Request::Arm);
         // Sending fails only after the end of the link, when no other end exists.
         let send = move |seq| drop(outgoing.unbounded_send(ToDevice::Request { seq, request: request.clone() }));
         if let Ok(waiting) = &waiting {
@@ -763,14 +764,14 @@ impl<C: Clock> Wire<C> {
     ///
     /// # Errors
     /// The error that ended the link.
-    fn begin(&self, name: &'static str) -> Result<Waiting, Error> {
+    fn begin(&self, name: &'static str, arms: bool) -> Result<Waiting, Error> {
         let seq = self.next_seq.fetch_add(1, Ordering::Relaxed);
         let (sender, answer) = oneshot::channel();
         let mut state = lock(&self.state);
         if let Some(end) = &state.end {
             return Err(end.clone());
         }
-        state.pending.insert(seq, sender);
+        state.pending.insert(seq, Pending { answer: sender, arms });
         Ok(Waiting { state: self.state.clone(), name, seq, answer })
     }
 

@@ -38,11 +38,19 @@ pub(crate) enum Answer {
     Unknown,
 }
 
+/// Request that was sent and waits for its answer.
+pub(crate) struct Pending {
+    pub(crate) answer: oneshot::Sender<Answer>,
+    /// The request arms the board.
+    pub(crate) arms: bool,
+}
+
 /// State that a [`Board`] and its connection share.
 #[derive(Default)]
 pub(crate) struct State {
-    pub(crate) pending: HashMap<u16, oneshot::Sender<Answer>>,
+    pub(crate) pending: HashMap<u16, Pending>,
     pub(crate) telemetry: Streams<Telemetry>,
+    /// Safety state and causes from the last message that had them.
     pub(crate) safety: Option<(SafetyState, Causes)>,
     /// Hot windings in the last heartbeat.
     pub(crate) hot: Vec<HotWinding>,
@@ -105,8 +113,13 @@ impl State {
 
     fn answered(&mut self, seq: u16, answer: Answer) {
         // An answer without a waiting request came after its time-out.
-        if let Some(waiting) = self.pending.remove(&seq) {
-            let _ = waiting.send(answer);
+        if let Some(pending) = self.pending.remove(&seq) {
+            // The last report is older than this answer: with it, a caller who has just armed the board would read that
+            // it is disarmed, and could not distinguish that from a board disarmed since.
+            if pending.arms && matches!(answer, Answer::Told(Ok(_))) {
+                self.safety = Some((SafetyState::Armed, Causes::NONE));
+            }
+            let _ = pending.answer.send(answer);
         }
     }
 

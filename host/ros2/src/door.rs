@@ -360,11 +360,14 @@ impl<'b, R: FnMut(Report) -> bool> Serving<'b, R> {
         if self.is_estop_engaged && safety.0 == SafetyState::Armed {
             self.stop();
         }
+        // Not only on a change: a board that trips right after arming may never be seen armed.
+        if safety.0 != SafetyState::Armed {
+            self.deactivated();
+        }
         if safety != self.safety {
             self.safety = safety;
             if safety.0 != SafetyState::Armed {
                 self.drop_trajectory();
-                self.deactivated();
             }
             self.publish_state();
             self.diagnose();

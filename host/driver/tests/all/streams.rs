@@ -6,7 +6,9 @@ use crate::simulated::{VirtualClock, simulated, simulated_link};
 use embedded_io_async::{ErrorType, Write};
 use futures::future::{join, select};
 use r4_driver::{Board, Clock, CycleCounters, Error, with_board};
-use r4_protocol::{ChannelId, ChannelKind, CycleOutcome, Mode, Refusal, Request, SafetyState, Setpoint, ToDevice};
+use r4_protocol::{
+    Causes, ChannelId, ChannelKind, CycleOutcome, Mode, Refusal, Request, SafetyState, Setpoint, ToDevice,
+};
 use r4_sim::link::Sender;
 
 const ROTARY: ChannelId = ChannelId::new(ChannelKind::Osmc, 0);
@@ -86,6 +88,17 @@ fn a_lost_request_is_sent_again_if_doing_it_twice_is_doing_it_once() {
         let tries = std::iter::from_fn(|| sent.try_next())
             .filter(|sent| matches!(sent.message, ToDevice::Request { request: Request::Set { .. }, .. }));
         assert_eq!(tries.count(), 1);
+        Ok(())
+    });
+}
+
+#[test]
+fn an_armed_board_is_armed_before_its_next_heartbeat() {
+    simulated(async |board| {
+        after_a_heartbeat(board).await;
+        assert_eq!(board.safety().0, SafetyState::Disarmed);
+        board.arm().await?;
+        assert_eq!(board.safety(), (SafetyState::Armed, Causes::NONE));
         Ok(())
     });
 }

@@ -49,6 +49,36 @@ fn a_trip_and_a_disarming_make_it_inactive() {
     }
 }
 
+/// A heartbeat that is due when the board is to be armed is sent just before that request, and the two answers arrive together: the
+/// heartbeat's, disarmed, is the first news since the trip was cleared.
+#[test]
+fn a_node_activated_together_with_a_heartbeat_stays_active() {
+    beside_node("sim:openscout", true, async |ros| {
+        let board = ros.session.board;
+        let mut answers = board.heartbeat_answers();
+        let mut sent_us = 0;
+        let mut period_us = 0;
+        for _ in 0..3 {
+            let answer = answers.next().await.expect("a heartbeat");
+            period_us = answer.host_us - sent_us;
+            sent_us = answer.host_us;
+        }
+        for ahead_us in (1..10).map(|nth| nth * 200) {
+            assert!(ros.call(Request::Stop).await.success);
+            ros.sleep_s(0.2).await;
+            let periods = (board.host_now_us() - sent_us) / period_us + 2;
+            let due_us = sent_us + periods * period_us;
+            ros.sleep_s((due_us - ahead_us - board.host_now_us()) as f64 * 1e-6).await;
+            assert!(ros.call(Request::Clear).await.success);
+            ros.sleep_s((due_us - board.host_now_us()) as f64 * 1e-6).await;
+            ros.reports.borrow_mut().clear();
+            assert!(ros.change(Transition::Activate).await);
+            ros.sleep_s(0.2).await;
+            assert!(!ros.was_deactivated(), "cleared {ahead_us} us before the heartbeat");
+        }
+    });
+}
+
 #[test]
 fn nothing_is_activated_while_the_estop_topic_is_engaged() {
     beside_node("sim:openscout", true, async |ros| {
