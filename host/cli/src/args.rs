@@ -358,7 +358,7 @@ pub(crate) struct BenchSystems {
     #[arg(long, value_parser = clap::value_parser!(u64).range(2..=1_000_000))]
     pub(crate) seeds: Option<u64>,
     /// Keep each system's rows in this folder, and do not run a system again whose rows this very program left there with the
-    /// same board and seeds. Interrupted runs continue, and runs with --only add up
+    /// same board and seeds. Interrupted runs continue at the next trial, and runs with --only add up
     #[arg(long, value_name = "FOLDER")]
     pub(crate) out: Option<PathBuf>,
 }

@@ -130,7 +130,30 @@ impl Study {
     /// [`Error::UnknownArm`], or [`Error::BadResult`] for a trial whose values do not fit the system's metrics. A trial
     /// that cannot be run gives a record with [`Record::failed`].
     pub fn run(&self, system: &dyn System, tell: impl Fn(&Record) + Sync) -> Result<Vec<Record>, Error> {
+        self.resume(system, &[], tell)
+    }
+
+    /// Runs the study's trials as [`Study::run`], except those of which `done` has a record with values. Returns the
+    /// records of all.
+    ///
+    /// # Errors
+    /// Those of [`Study::run`].
+    pub fn resume(
+        &self,
+        system: &dyn System,
+        done: &[Record],
+        tell: impl Fn(&Record) + Sync,
+    ) -> Result<Vec<Record>, Error> {
+        let done: BTreeMap<_, _> = done
+            .iter()
+            .filter(|record| record.system == system.about().name && record.failed.is_none())
+            .map(|record| ((record.arm.as_str(), record.board.as_str(), record.seed), record))
+            .collect();
         let run = |trial: &Trial| {
+            let board = kind(system.about().arm(trial.arm), &trial.board);
+            if let Some(record) = done.get(&(trial.arm, board, trial.seed)) {
+                return Ok((*record).clone());
+            }
             let record = record(system, trial)?;
             tell(&record);
             Ok(record)
@@ -342,6 +365,25 @@ mod tests {
         assert_eq!(bytes(&merged), bytes(&all));
         let conflict = merge([part(0), vec![record("ours", 0, 9.0)]]).expect_err("two results");
         assert!(matches!(conflict, Error::Conflict { seed: 0, .. }), "{conflict}");
+    }
+
+    #[test]
+    fn a_resumed_study_runs_the_other_trials_and_the_failed_ones() {
+        let system = find("xrhmi").expect("a system");
+        let arms = vec!["ours".to_owned()];
+        let board = Board::Sim(system.about().robot.to_owned());
+        let study = Study { arms, first_seed: 1, seeds: 3, board, shard: Shard::default() };
+        let all = study.run(system, |_| ()).expect("a study");
+        let mut done = all.clone();
+        done[0].failed = Some("no memory".to_owned());
+        done[1].values = Values::from([("kept".to_owned(), 1.0)]);
+        done.truncate(2);
+        let run = std::sync::Mutex::new(BTreeSet::new());
+        let resumed = study.resume(system, &done, |record| {
+            run.lock().expect("no panic").insert(record.seed);
+        });
+        assert_eq!(resumed.expect("a study"), [all[0].clone(), done[1].clone(), all[2].clone()]);
+        assert_eq!(run.into_inner().expect("no panic"), BTreeSet::from([1, 3]));
     }
 
     #[test]

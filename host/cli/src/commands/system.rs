@@ -136,8 +136,8 @@ pub(crate) fn bench(args: &Args, bench: &BenchSystems) -> anyhow::Result<bool> {
             board: board(args, *system),
             shard: Shard::default(),
         };
-        let run = || -> anyhow::Result<part::Found> {
-            let rows = rows_of(&records(*system, &study)?)?;
+        let run = |trials: Option<&part::Trials>| -> anyhow::Result<part::Found> {
+            let rows = rows_of(&resumed(*system, &study, trials)?)?;
             Ok(part::Found { rows, timings: system.timings(bench.quick)? })
         };
         let part::Found { rows: found, timings } = match &kept {
@@ -149,9 +149,9 @@ pub(crate) fn bench(args: &Args, bench: &BenchSystems) -> anyhow::Result<bool> {
                     seeds: study.seeds,
                     is_quick: bench.quick,
                 };
-                part::kept(folder, system.about().name, made, run)?
+                part::kept(folder, system.about().name, made, |trials| run(Some(trials)))?
             }
-            None => run()?,
+            None => run(None)?,
         };
         // A target without a row would otherwise count as met.
         is_complete &= has_all_targets(*system, &found);
@@ -320,10 +320,22 @@ fn write_files(system: &dyn System, trial: &Trial, folder: &Path) -> anyhow::Res
 
 /// Runs a study with a progress bar.
 pub(super) fn records(system: &dyn System, study: &Study) -> anyhow::Result<Vec<Record>> {
+    resumed(system, study, None)
+}
+
+/// Runs the trials of a study that `trials` does not have yet, and adds each to it.
+fn resumed(system: &dyn System, study: &Study, trials: Option<&part::Trials>) -> anyhow::Result<Vec<Record>> {
     let style = ProgressStyle::with_template("{msg} {bar:30} {pos}/{len}").unwrap_or(ProgressStyle::default_bar());
+    let done = trials.map_or(&[][..], |trials| &trials.done);
     let bar = ProgressBar::new(study.trials(system)?.len() as u64).with_style(style);
     bar.set_message(system.about().name);
-    let records = study.run(system, |_| bar.inc(1));
+    bar.inc(done.len() as u64);
+    let records = study.resume(system, done, |record| {
+        if let Some(trials) = trials {
+            trials.add(record);
+        }
+        bar.inc(1);
+    });
     bar.finish_and_clear();
     Ok(records?)
 }

@@ -12,7 +12,6 @@ use r4_plants::Dependence;
 use crate::data::Run;
 use crate::family::{Family, Structure, Term};
 
-pub mod bench;
 pub mod hysteresis;
 pub mod map;
 mod plant;
