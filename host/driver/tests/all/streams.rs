@@ -100,7 +100,8 @@ fn an_armed_board_is_armed_before_its_next_heartbeat() {
         board.arm().await?;
         assert_eq!(board.safety(), (SafetyState::Armed, Causes::NONE));
         Ok(())
-    });
+    })
+    .expect("a session");
 }
 
 #[test]
