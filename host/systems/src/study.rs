@@ -133,11 +133,11 @@ impl Study {
         self.resume(system, &[], tell)
     }
 
-    /// Runs the study's trials as [`Study::run`], except those of which `done` has a record with values. Returns the
-    /// records of all.
+    /// Continues an interrupted study: runs the trials of which `done` has no record, or one of a failure, and returns
+    /// the records of all trials, in the order in which [`Study::run`] returns them.
     ///
     /// # Errors
-    /// Those of [`Study::run`].
+    /// The same as those of [`Study::run`], for the trials that are run.
     pub fn resume(
         &self,
         system: &dyn System,

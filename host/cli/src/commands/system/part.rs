@@ -61,8 +61,10 @@ impl Trials {
         let is_same =
             lines.next().and_then(|line| serde_json::from_str::<Made>(line).ok()).is_some_and(|of| of == *made);
         // The last line may be half a record.
+        let records = lines.map_while(|line| serde_json::from_str(line).ok());
+        // What could not be run is run again.
         let done: Vec<Record> =
-            if is_same { lines.map_while(|line| serde_json::from_str(line).ok()).collect() } else { Vec::new() };
+            if is_same { records.filter(|record: &Record| record.failed.is_none()).collect() } else { Vec::new() };
         if !done.is_empty() {
             eprintln!(
                 "r4: {}: {} trials of this program with these settings, not run again",
