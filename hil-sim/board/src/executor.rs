@@ -137,7 +137,13 @@ impl Simulation {
     ///
     /// Returns `None` if `main` waits for something that can never happen: no task is ready and none sleeps.
     pub fn block_on<T>(&mut self, main: impl Future<Output = T>) -> Option<T> {
-        let mut main = pin!(main);
+        let mut value = None;
+        self.run(pin!(async { value = Some(main.await) }));
+        value
+    }
+
+    /// Runs until `main` is done, or waits for something that can never happen. Compiled here, once for all programs.
+    fn run(&mut self, mut main: Pin<&mut dyn Future<Output = ()>>) {
         let ready = Ready::new(&self.clock);
         let waker = Waker::from(ready.clone());
         let clock = self.clock.clone();
@@ -149,10 +155,10 @@ impl Simulation {
                 }
                 if ready.take() {
                     match main.as_mut().poll(&mut Context::from_waker(&waker)) {
-                        Poll::Ready(value) => {
+                        Poll::Ready(()) => {
                             ready.end();
                             clock.forget(&waker);
-                            return Some(value);
+                            return;
                         }
                         Poll::Pending => continue,
                     }
@@ -160,12 +166,12 @@ impl Simulation {
                 // nothing is ready, so time advances to the next wake
                 let Some(next_ns) = self.clock.next_wake() else {
                     ready.end();
-                    return None;
+                    return;
                 };
                 self.keep_pace(begin, next_ns);
                 self.clock.advance(next_ns);
             }
-        })
+        });
     }
 
     /// Polls the ready task of the highest priority; false if there is none.

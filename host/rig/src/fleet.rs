@@ -5,7 +5,7 @@ use std::{rc::Rc, time::Instant};
 use futures::future::{try_join, try_join_all};
 use r4_sim::{Pace, Simulation};
 
-use crate::{Elapsed, Error, HostClock, NotVirtual, Rig, Session, work::Once};
+use crate::{Elapsed, Error, HostClock, NotVirtual, Rig, Session};
 
 /// Virtual boards that share one event clock, and the program that coordinates them.
 ///
@@ -62,9 +62,7 @@ impl Fleet {
         let members = self.rigs.iter().zip(&boards).enumerate().map(|(number, (rig, (board, _)))| {
             let clock = &clock;
             async move {
-                let mut work = Once::new(async |session: &Session<'_>| member(number, session).await);
-                let ended = rig.session_with(Rc::clone(board), clock, None, &mut work).await;
-                work.value(ended)
+                rig.attached(Rc::clone(board), clock, async |session: &Session<'_>| member(number, session).await).await
             }
         });
         let ended = simulation.block_on(try_join(work(&host_clock), try_join_all(members)));

@@ -2,7 +2,7 @@
 
 use std::{cell::Cell, io::Cursor, path::PathBuf, pin::pin, rc::Rc, time::Instant};
 
-use futures::future::{Either, LocalBoxFuture, select};
+use futures::future::{Either, FutureExt as _, LocalBoxFuture, select};
 use r4_access::{Presenter, Source, unix_ms};
 use r4_boards::Robot;
 use r4_driver::{Clock as _, Error as DriverError, with_board};
@@ -18,7 +18,7 @@ use crate::{
     recording::{self, Listened, Output, RecordingError, SharedTap},
     session::AtEnd,
     view::{LookAtWorld, SharedLook, WorldLook},
-    work::{Once, Work},
+    work::{Again, Once, Repeated, Work},
 };
 
 /// Period of the check for an [`Interrupt`], µs on the session's clock.
@@ -100,19 +100,20 @@ pub struct Recorded<T, E> {
 }
 
 /// Errors of a session that reconnects: those of the caller's work, and those of link and driver.
-enum Ended<E> {
+enum Ended {
     Open(OpenError),
     Board(DriverError),
-    Work(E),
+    /// An error of the work, which keeps it; the driver's error of a lost link, if it comes from there.
+    Work(Option<DriverError>),
 }
 
-impl<E> From<OpenError> for Ended<E> {
+impl From<OpenError> for Ended {
     fn from(error: OpenError) -> Self {
         Self::Open(error)
     }
 }
 
-impl<E> From<DriverError> for Ended<E> {
+impl From<DriverError> for Ended {
     fn from(error: DriverError) -> Self {
         Self::Board(error)
     }
@@ -308,30 +309,53 @@ impl Rig {
         Ok((ended, elapsed))
     }
 
-    /// Connects to a powered virtual board and runs `work` in a session with it.
-    pub(crate) async fn session_with(
+    /// Runs `work` in a session with a virtual board that the caller has powered up, on its clock; the caller runs the
+    /// simulation.
+    ///
+    /// The settings for power-up have no effect.
+    ///
+    /// # Errors
+    /// [`Error::Connected`] for a board that has a host; [`Error::Connect`]; errors of `work`.
+    pub async fn attached<T, E: From<Error>>(
         &self,
         board: Rc<dyn VirtualBoard>,
         clock: &r4_sim::Clock,
+        work: impl AsyncFnOnce(&Session<'_>) -> Result<T, E>,
+    ) -> Result<T, E> {
+        let mut work = Once::new(work);
+        let ended = self.session_with(board, clock, None, &mut work).await;
+        work.value(ended)
+    }
+
+    /// Connects to a powered virtual board and runs `work` in a session with it.
+    fn session_with<'a>(
+        &'a self,
+        board: Rc<dyn VirtualBoard>,
+        clock: &r4_sim::Clock,
         tap: Option<SharedTap>,
-        work: &mut dyn Work,
-    ) -> Result<(), Error> {
-        let port = board.connect().ok_or(Error::Connected)?;
-        let (tx, cable) = Cable::new(port.tx, clock.clone());
+        work: &'a mut dyn Work,
+    ) -> LocalBoxFuture<'a, Result<(), Error>> {
         let host_clock = HostClock::Virtual(clock.clone());
-        let (rx, tx) =
-            (Listened::new(port.rx, tap.as_ref(), &host_clock), Listened::new(tx, tap.as_ref(), &host_clock));
-        let environment = Some((board.clone(), cable));
-        // Weak, because the recording may outlive the board.
-        let board = Rc::downgrade(&board);
-        let look = move || board.upgrade().map(|board| WorldLook::of(&board.world()));
-        let connected = with_board(rx, tx, host_clock.clone(), async |connected| {
-            let session =
-                Session::new(connected, &self.target, host_clock.clone(), tap, self.notify.clone(), environment);
-            session.record_view(Box::new(look));
-            self.unless_interrupted(&session, work.run(&session)).await
-        });
-        connected.await.map_err(|source| Error::Connect { board: self.target.to_string(), source })?
+        let clock = clock.clone();
+        // Boxed here: an `async fn` would be compiled again in each crate that awaits it, as that crate is optimised.
+        async move {
+            let port = board.connect().ok_or(Error::Connected)?;
+            let (tx, cable) = Cable::new(port.tx, clock);
+            let (rx, tx) =
+                (Listened::new(port.rx, tap.as_ref(), &host_clock), Listened::new(tx, tap.as_ref(), &host_clock));
+            let environment = Some((board.clone(), cable));
+            // Weak, because the recording may outlive the board.
+            let board = Rc::downgrade(&board);
+            let look = move || board.upgrade().map(|board| WorldLook::of(&board.world()));
+            let connected = with_board(rx, tx, host_clock.clone(), async |connected| {
+                let session =
+                    Session::new(connected, &self.target, host_clock.clone(), tap, self.notify.clone(), environment);
+                session.record_view(Box::new(look));
+                self.unless_interrupted(&session, work.run(&session)).await
+            });
+            connected.await.map_err(|source| Error::Connect { board: self.target.to_string(), source })?
+        }
+        .boxed_local()
     }
 
     /// Look at the world of a board on a link: there is one only where this program serves the board.
@@ -378,59 +402,82 @@ impl Rig {
         &self,
         address: &Address,
         tap: Option<SharedTap>,
-        mut work: impl AsyncFnMut(&Session<'_>) -> Result<T, E>,
+        work: impl AsyncFnMut(&Session<'_>) -> Result<T, E>,
         lost: impl Fn(&E) -> Option<&DriverError>,
-        tell: impl FnMut(Event),
+        mut tell: impl FnMut(Event),
         meanwhile: impl AsyncFnOnce(&HostClock) -> Result<T, E>,
     ) -> Result<T, E> {
         let clock = HostClock::Real(RealClock);
         let has_session = Cell::new(false);
-        let connected = with_reconnect(
-            address,
-            self.key.as_ref(),
-            clock.clone(),
-            |link| {
-                if let Some(tap) = &tap {
-                    // Marks the gap in the recording.
-                    tap.borrow_mut().reopened();
-                }
-                let tx = Presenter::new(link.tx, self.token.clone(), unix_ms);
-                (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(tx, tap.as_ref(), &clock))
-            },
-            async |board| {
-                has_session.set(true);
-                let session = Session::new(board, &self.target, clock.clone(), tap.clone(), self.notify.clone(), None);
-                session.record_view(self.look());
-                let mut work = Once::new(&mut work);
-                let ended = self.unless_interrupted(&session, work.run(&session)).await;
-                has_session.set(false);
-                work.value(ended).map_err(Ended::Work)
-            },
-            |ended| match ended {
-                Ended::Work(error) => lost(error).filter(|error| is_of_link(error)).cloned(),
-                Ended::Board(error) => Some(error).filter(|error| is_of_link(error)).cloned(),
-                Ended::Open(_) => None,
-            },
-            tell,
-        );
-        r4_links::block_on(async {
+        let mut work = Again::new(work, lost);
+        let ended = r4_links::block_on(async {
             // While a session runs, it handles the interrupt itself, because it must disarm first.
             let interrupted = async {
                 while !self.interrupt.is_set() || has_session.get() {
                     clock.sleep_until(clock.now_us() + INTERRUPT_POLL_US).await;
                 }
             };
-            match select(pin!(connected), select(pin!(interrupted), pin!(meanwhile(&clock)))).await {
-                Either::Left((Ok(value), _)) => Ok(value),
-                Either::Left((Err(Ended::Work(error)), _)) => Err(error),
-                Either::Left((Err(Ended::Open(error)), _)) => Err(Error::Open(error).into()),
-                Either::Left((Err(Ended::Board(source)), _)) => {
-                    Err(Error::Connect { board: self.target.to_string(), source }.into())
-                }
-                Either::Right((Either::Right((result, _)), _)) => result,
-                Either::Right((Either::Left(_), _)) => Err(Error::Interrupted(Interrupted).into()),
+            let connected = self.reconnecting(address, tap, &mut work, &mut tell, &has_session);
+            match select(connected, select(pin!(interrupted), pin!(meanwhile(&clock)))).await {
+                Either::Left((ended, _)) => Either::Left(ended),
+                Either::Right((Either::Right((result, _)), _)) => Either::Right(result),
+                Either::Right((Either::Left(_), _)) => Either::Right(Err(Error::Interrupted(Interrupted).into())),
             }
-        })
+        });
+        match ended {
+            Either::Left(Ok(()) | Err(Ended::Work(_))) => work.value(),
+            Either::Left(Err(Ended::Open(error))) => Err(Error::Open(error).into()),
+            Either::Left(Err(Ended::Board(source))) => {
+                Err(Error::Connect { board: self.target.to_string(), source }.into())
+            }
+            Either::Right(result) => result,
+        }
+    }
+
+    /// Runs `work` in a session with a board on a link, and again each time a lost link is restored.
+    fn reconnecting<'a>(
+        &'a self,
+        address: &'a Address,
+        tap: Option<SharedTap>,
+        work: &'a mut dyn Repeated,
+        tell: &'a mut dyn FnMut(Event),
+        has_session: &'a Cell<bool>,
+    ) -> LocalBoxFuture<'a, Result<(), Ended>> {
+        let clock = HostClock::Real(RealClock);
+        // Boxed here for the reason in `session_with`.
+        async move {
+            with_reconnect(
+                address,
+                self.key.as_ref(),
+                clock.clone(),
+                |link| {
+                    if let Some(tap) = &tap {
+                        // Marks the gap in the recording.
+                        tap.borrow_mut().reopened();
+                    }
+                    let tx = Presenter::new(link.tx, self.token.clone(), unix_ms);
+                    (Listened::new(link.rx, tap.as_ref(), &clock), Listened::new(tx, tap.as_ref(), &clock))
+                },
+                async |board| {
+                    has_session.set(true);
+                    let session =
+                        Session::new(board, &self.target, clock.clone(), tap.clone(), self.notify.clone(), None);
+                    session.record_view(self.look());
+                    let ended = self.unless_interrupted(&session, work.run(&session)).await;
+                    has_session.set(false);
+                    work.end(ended).map_err(Ended::Work)
+                },
+                |ended| match ended {
+                    Ended::Work(Some(error)) | Ended::Board(error) => {
+                        Some(error).filter(|error| is_of_link(error)).cloned()
+                    }
+                    Ended::Work(None) | Ended::Open(_) => None,
+                },
+                tell,
+            )
+            .await
+        }
+        .boxed_local()
     }
 
     /// Runs `work` until it ends or is interrupted; then restores what the session has to leave behind.

@@ -12,19 +12,19 @@ mod sim;
 
 use std::rc::Rc;
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{anyhow, bail};
 use futures::future::join_all;
 use r4_boards::Robot;
-use r4_driver::{Board, with_board};
+use r4_driver::Board;
 use r4_protocol::{ChannelId, ChannelKind, Mode, Range, Setpoint};
 use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard, stop::Outputs};
 
 use crate::{
     args::{self, Args},
     emulated,
-    session::{HostClock, Target},
+    session::{HostClock, Session, Target},
 };
-use r4_rig::cable::{Cable, CableState};
+use r4_rig::{NotVirtual, Rig, cable::CableState};
 
 /// Default robot of `--board`, which has too few outputs for these measurements.
 const DEFAULT: &str = "osmc-bench";
@@ -70,25 +70,25 @@ fn with_every_output(name: &str, kind: &str) -> anyhow::Result<Robot> {
 /// Simulated board with a connected host.
 struct Bench<'b> {
     host: &'b Board<HostClock>,
-    board: Rc<dyn VirtualBoard>,
+    board: &'b dyn VirtualBoard,
     clock: r4_sim::Clock,
-    cable: Rc<CableState>,
+    cable: &'b CableState,
 }
 
 /// Powers up a simulated board, connects a host and runs `work`.
 fn on_board<T>(robot: &Robot, seed: u64, work: impl AsyncFnOnce(&Bench<'_>) -> anyhow::Result<T>) -> anyhow::Result<T> {
     let mut simulation = Simulation::new(Pace::Free);
     let board: Rc<dyn VirtualBoard> = Rc::new(SimBoard::start(&mut simulation, robot, seed)?);
-    let port = board.connect().ok_or_else(|| anyhow!("the simulated board is already connected"))?;
-    let clock = simulation.clock();
-    let (tx, cable) = Cable::new(port.tx, clock.clone());
-    let session = with_board(port.rx, tx, HostClock::Virtual(clock.clone()), async |host| {
-        work(&Bench { host, board, clock, cable }).await
-    });
-    simulation.block_on(session).ok_or_else(|| anyhow!("the simulation came to a standstill"))?.context("no session")?
+    let (clock, rig) = (simulation.clock(), Rig::new(Target::Sim(robot.file.clone())));
+    let session = rig.attached(board, &clock, async |session| work(&Bench::of(session, clock.clone())?).await);
+    simulation.block_on(session).ok_or_else(|| anyhow!("the simulation came to a standstill"))?
 }
 
-impl Bench<'_> {
+impl<'b> Bench<'b> {
+    fn of(session: &'b Session<'_>, clock: r4_sim::Clock) -> Result<Self, NotVirtual> {
+        Ok(Self { host: session.board, board: session.virtual_board()?, clock, cable: session.cable()? })
+    }
+
     async fn sleep_ms(&self, ms: u64) {
         self.clock.sleep(ms * MS).await;
     }

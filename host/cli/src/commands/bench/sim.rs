@@ -5,12 +5,18 @@ use std::{fs, rc::Rc};
 use anyhow::{Context, anyhow, bail};
 use futures::future::join_all;
 use r4_boards::Robot;
-use r4_driver::{Board, with_board};
+use r4_driver::Board;
 use r4_protocol::{Mode, Range, SafetyState, Setpoint};
+use r4_rig::Rig;
 use r4_sim::{Pace, SimBoard, Simulation, VirtualBoard};
 use serde::Serialize;
 
-use crate::{args::Args, emulated, output, session::HostClock, table};
+use crate::{
+    args::Args,
+    emulated, output,
+    session::{HostClock, Target},
+    table,
+};
 
 /// Robots to measure: a bench of two motors, and a vehicle with four driven wheels.
 const BENCH: &str = "osmc-bench";
@@ -89,7 +95,7 @@ fn simulated(seed: u64, name: &str, boards: usize) -> anyhow::Result<Row> {
     let start = |simulation: &mut Simulation, number: usize| -> anyhow::Result<Rc<dyn VirtualBoard>> {
         Ok(Rc::new(SimBoard::start(simulation, &robot, seed.wrapping_add(number as u64))?))
     };
-    let Measured { factor, memory_mib } = measure(boards, start)?;
+    let Measured { factor, memory_mib } = measure(Target::Sim(name.to_owned()), boards, start)?;
     let mut limits = Vec::new();
     if name == FOUR_WHEELS && boards == 1 {
         limits.push(Limit { what: "x real time, at least", limit: SIM_FACTOR, held: factor >= SIM_FACTOR });
@@ -114,7 +120,7 @@ fn with_image(seed: u64, name: &str) -> anyhow::Result<Option<Row>> {
     let start = |simulation: &mut Simulation, _: usize| -> anyhow::Result<Rc<dyn VirtualBoard>> {
         emulated::start_image(simulation, &robot, seed, &image)
     };
-    let Measured { factor, memory_mib } = measure(1, start)?;
+    let Measured { factor, memory_mib } = measure(Target::Emu(name.to_owned()), 1, start)?;
     let limit = Limit { what: "x real time, at least", limit: EMU_FACTOR, held: factor >= EMU_FACTOR };
     Ok(Some(row(format!("emu:{name}"), &robot, 1, factor, memory_mib, vec![limit])))
 }
@@ -141,18 +147,18 @@ struct Measured {
 
 /// Runs boards in one simulation, each armed and moved by a host of its own.
 fn measure(
+    target: Target,
     boards: usize,
     start: impl Fn(&mut Simulation, usize) -> anyhow::Result<Rc<dyn VirtualBoard>>,
 ) -> anyhow::Result<Measured> {
     let mut simulation = Simulation::new(Pace::Free);
     let before_kib = resident_kib()?;
     let started = (0..boards).map(|number| start(&mut simulation, number)).collect::<anyhow::Result<Vec<_>>>()?;
-    let clock = simulation.clock();
-    let sessions = join_all(started.iter().map(async |board| {
-        let port = board.connect().ok_or_else(|| anyhow!("the board is already connected"))?;
-        let clock = HostClock::Virtual(clock.clone());
-        with_board(port.rx, port.tx, clock, async |host| session(host).await).await.context("no session")?
-    }));
+    let (clock, rig) = (simulation.clock(), Rig::new(target));
+    let sessions =
+        join_all(started.iter().map(async |board| {
+            rig.attached(board.clone(), &clock, async |session| measured(session.board).await).await
+        }));
     let sessions = simulation.block_on(sessions);
     if let Some(failure) = started.iter().find_map(|board| board.failure()) {
         bail!("a board stopped: {failure}");
@@ -168,7 +174,7 @@ fn measure(
 }
 
 /// Arms, moves all outputs, and returns the real-time factor.
-async fn session(host: &Board<HostClock>) -> anyhow::Result<f64> {
+async fn measured(host: &Board<HostClock>) -> anyhow::Result<f64> {
     host.arm().await?;
     for channel in host.channels() {
         host.subscribe(channel.id, TELEMETRY_MS).await?;

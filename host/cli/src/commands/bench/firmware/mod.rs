@@ -8,29 +8,23 @@ mod inputs;
 
 use std::rc::Rc;
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{anyhow, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use r4_driver::with_board;
 use r4_emu::{
     EmuBoard, Settings,
     measure::{Share, Spread, Stack, instructions, jitter_us},
 };
 use r4_image::Image;
 use r4_protocol::message::CONTROL_SHARE;
-use r4_sim::{Pace, Simulation, VirtualBoard};
+use r4_sim::{Pace, Simulation, VirtualBoard as _};
 use r4_thumb::ThumbCore;
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
 use super::DEFAULT;
-use crate::{
-    args::Args,
-    output,
-    session::{HostClock, Target},
-    table,
-};
+use crate::{args::Args, output, session::Target, table};
 use inputs::{Requests, Tormentor};
-use r4_rig::cable::Cable;
+use r4_rig::Rig;
 
 /// Limit of the stack in use, as a share of the reserved stack.
 const STACK_SHARE: f64 = 0.5;
@@ -159,19 +153,18 @@ fn tick_limit(period_us: u32) -> f64 {
     (f64::from(CONTROL_SHARE) * f64::from(period_us) * 1e-6 * CORE_HZ).round()
 }
 
-fn measure(seed: u64, robot: &str, image: &Image, seconds: f64) -> anyhow::Result<Measured> {
-    let robot = r4_boards::load(robot)?;
+fn measure(seed: u64, name: &str, image: &Image, seconds: f64) -> anyhow::Result<Measured> {
+    let robot = r4_boards::load(name)?;
     let mut simulation = Simulation::new(Pace::Free);
     let core = ThumbCore::new();
     let board = Rc::new(EmuBoard::start(&mut simulation, &robot, seed, image, core, None, Settings::default())?);
     board.start_measuring()?;
-    let port = board.connect().ok_or_else(|| anyhow!("the emulated board is already connected"))?;
-    let clock = simulation.clock();
-    let (tx, _) = Cable::new(port.tx, clock.clone());
+    let (clock, rig) = (simulation.clock(), Rig::new(Target::Emu(name.to_owned())));
     let progress = ProgressBar::new_spinner();
     progress.set_style(ProgressStyle::with_template("{spinner} {msg}").unwrap_or(ProgressStyle::default_spinner()));
     progress.enable_steady_tick(std::time::Duration::from_millis(100));
-    let session = with_board(port.rx, tx, HostClock::Virtual(clock.clone()), async |host| {
+    let session = rig.attached(board.clone(), &clock, async |session| {
+        let host = session.board;
         let tormentor = Tormentor::new(host, &board, clock.clone());
         progress.set_message("everything at random");
         tormentor.mix(&mut Pcg64::new(seed.into(), 1), seconds).await?;
@@ -215,7 +208,7 @@ fn measure(seed: u64, robot: &str, image: &Image, seconds: f64) -> anyhow::Resul
     if let Some(failure) = board.failure() {
         bail!("the emulated board stopped: {failure}");
     }
-    result.ok_or_else(|| anyhow!("the simulation came to a standstill"))?.context("no session")?
+    result.ok_or_else(|| anyhow!("the simulation came to a standstill"))?
 }
 
 /// Report of the measurements with their limits.

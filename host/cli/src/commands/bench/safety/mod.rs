@@ -552,9 +552,9 @@ impl Injections<'_> {
         let until_ns = at_ns + RUN_OUT_NS;
         while !plants.is_over(bench.clock.now_ns()) && bench.clock.now_ns() < until_ns {
             bench.sleep_ms(1).await;
-            plants.look(&bench.board);
+            plants.look(bench.board);
         }
-        let ran = plants.ran(&bench.board, bench.clock.now_ns());
+        let ran = plants.ran(bench.board, bench.clock.now_ns());
         Ok(Measured { groups: run_out::by_group(bench.board.robot(), &ran, since_ns.get()), ..Measured::default() })
     }
 
@@ -572,14 +572,14 @@ impl Injections<'_> {
         let give_up_ns = since_ns.get() + (patience_ms * 1e6) as u64;
         let appeared_ns = since_ns.get();
         let (mut rose, mut high, mut heard) = (false, false, false);
-        let (mut watch, mut plants) = (StopWatch::new(&bench.board), RunOut::new(&bench.board));
+        let (mut watch, mut plants) = (StopWatch::new(bench.board), RunOut::new(bench.board));
         let look_ns = self.event.look_ns(self.event.braked_ms(config) > 0.0);
         loop {
             bench.clock.sleep(look_ns).await;
             let now_ns = bench.clock.now_ns();
-            watch.look(&bench.board);
+            watch.look(bench.board);
             if self.run_out {
-                plants.look(&bench.board);
+                plants.look(bench.board);
             }
             if self.event == Event::Proximity && !heard {
                 let guard = config.ranges.iter().find(|range| range.stop_below_m.is_some());
@@ -593,7 +593,7 @@ impl Injections<'_> {
                     since_ns.set(now_ns);
                     drop(world);
                     // Positions count from the echo that shows the object.
-                    plants = RunOut::new(&bench.board);
+                    plants = RunOut::new(bench.board);
                 }
             }
             let safe_ns = in_reach.iter().map(|outputs| watch.safe_since_ns(*outputs)).collect::<Option<Vec<_>>>();
@@ -782,9 +782,9 @@ impl Moving {
 
 /// Checks that no output is safe before the injection, which would leave nothing to measure.
 async fn check_moving(bench: &Bench<'_>) -> anyhow::Result<()> {
-    let mut watch = StopWatch::new(&bench.board);
+    let mut watch = StopWatch::new(bench.board);
     bench.sleep_ms(5).await;
-    watch.look(&bench.board);
+    watch.look(bench.board);
     match Outputs::ALL.into_iter().find(|outputs| watch.safe_since_ns(*outputs).is_some()) {
         None => Ok(()),
         Some(outputs) => {

@@ -17,7 +17,6 @@ use std::{
 use anyhow::{Context, anyhow, bail};
 use futures::future::{Either, select};
 use r4_boards::Robot;
-use r4_driver::with_board;
 use r4_emu::{
     EmuBoard, Image, Settings,
     fault::{Fault, Lasting},
@@ -41,9 +40,9 @@ use crate::{
     args::{self, Args},
     commands::bench::with_every_output,
     output,
-    session::HostClock,
+    session::Target,
 };
-use r4_rig::cable::Cable;
+use r4_rig::Rig;
 
 /// Default number of injections of each event.
 const INJECTIONS: u32 = 4;
@@ -337,28 +336,23 @@ fn inject_once(
     let board = Rc::new(EmuBoard::start(&mut simulation, robot, seed, image, core, None, Settings::default())?);
     case.prepare(&board);
     prepare(&board)?;
-    let port = board.connect().ok_or_else(|| anyhow!("the emulated board is already connected"))?;
-    let clock = simulation.clock();
-    let (tx, cable) = Cable::new(port.tx, clock.clone());
+    let (clock, rig) = (simulation.clock(), Rig::new(Target::Emu(robot.file.clone())));
     let moving_ns = MOVING_NS + Pcg64::new(seed.into(), 1).next_u64() % MOVING_SPREAD_NS;
     let ready: RefCell<Option<anyhow::Result<()>>> = RefCell::new(None);
-    let of_session: Rc<dyn VirtualBoard> = board.clone();
-    let session_clock = clock.clone();
     // Keep the host running after the injection: a silent host would stop a board that noticed nothing else.
-    let mut session =
-        Box::pin(with_board(port.rx, tx, HostClock::Virtual(clock.clone()), async |host| -> Infallible {
-            let bench = Bench { host, board: of_session, clock: session_clock, cable };
-            ready.replace(Some(set_in_motion(&bench, moving_ns).await));
-            loop {
-                bench.sleep_ms(RETARGET_MS).await;
-                // The board refuses it once it has tripped.
-                let _ = Moving::TwoOfEach.retarget_servos(&bench).await;
-            }
-        }));
+    let mut session = Box::pin(rig.attached(board.clone(), &clock, async |session| -> anyhow::Result<Infallible> {
+        let bench = Bench::of(session, clock.clone())?;
+        ready.replace(Some(set_in_motion(&bench, moving_ns).await));
+        loop {
+            bench.sleep_ms(RETARGET_MS).await;
+            // The board refuses it once it has tripped.
+            let _ = Moving::TwoOfEach.retarget_servos(&bench).await;
+        }
+    }));
     let moving = poll_fn(|context| match session.as_mut().poll(context) {
         Poll::Ready(ended) => Poll::Ready(Err(match ended {
             Ok(never) => match never {},
-            Err(error) => anyhow!("no session: {error}"),
+            Err(error) => error.context("no session"),
         })),
         Poll::Pending => ready.borrow_mut().take().map_or(Poll::Pending, Poll::Ready),
     });
