@@ -30,6 +30,7 @@ mod fake_board;
 mod key_file;
 pub mod legacy;
 mod listener;
+pub mod measure;
 mod open;
 pub mod ports;
 #[cfg(unix)]

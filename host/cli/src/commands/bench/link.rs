@@ -4,28 +4,20 @@
 //! as to any other program.
 
 use std::{
-    cell::{Cell, RefCell},
     env,
     fmt::Display,
     fs,
     io::{BufRead, BufReader},
-    pin::pin,
     process::{Child, Command, Stdio},
-    rc::Rc,
     sync::{Arc, Mutex, PoisonError},
     thread,
-    time::{Duration, Instant},
 };
 
-use anyhow::{Context, anyhow, bail};
-use embedded_io_async::{ErrorType, Read, Write};
-use futures::future::{Either, select};
-use r4_driver::{Board, Clock, CycleReport, Cycles, Error, with_board};
-use r4_links::{Address, RealClock, monotonic_ns};
-use r4_protocol::{
-    ChannelId, CycleOutcome, FrameDecoder, Mode, ToDevice, ToHost,
-    cycle::CYCLE_CHANNELS,
-    frame::{MAX_FRAME, Message},
+use anyhow::{Context, anyhow};
+use r4_links::{
+    Address, RealClock,
+    measure::{self, Measured, Settings, Stamp, measure},
+    monotonic_ns,
 };
 use serde::{Deserialize, Serialize};
 
@@ -47,14 +39,6 @@ const ROUND_TRIP_US: f64 = 100.0;
 const CYCLES_PER_S: f64 = 10_000.0;
 /// Limit of the clock mapping's error, µs, for 99 % of the answers.
 const CLOCK_ERROR_US: f64 = 200.0;
-/// Warm-up: the clock mapping needs some heartbeats, and caches are cold.
-const WARM_UP: Duration = Duration::from_millis(500);
-/// Round trips whose bytes are counted.
-const COUNTED: usize = 256;
-/// Time to live of the stream's set points, ms.
-const TTL_MS: u16 = 100;
-/// Time after the last cycle was sent, until which answers are awaited; later ones count as lost.
-const PATIENCE: Duration = Duration::from_secs(1);
 
 #[derive(Serialize)]
 struct Report {
@@ -123,10 +107,19 @@ pub(super) fn run(args: &Args, bench: &args::BenchLink) -> anyhow::Result<bool> 
     };
     // Do not arm a board on another link: a connected machine might move.
     let arm = bench.arm || served.is_some();
-    let measured = r4_links::block_on(measure(args, &address, bench, arm))?;
+    let settings =
+        Settings { seconds: bench.seconds, window: bench.window, arm, is_interrupted: &session::is_interrupted };
+    let key = session::key(args)?;
+    let measured = r4_links::block_on(async {
+        let link = r4_links::open(&address, key.as_ref()).await?;
+        match measure(link, &settings).await {
+            Err(measure::Error::Interrupted) => Err(session::Interrupted.into()),
+            measured => measured.with_context(|| address.to_string()),
+        }
+    })?;
     // An emulated board's clock starts with its firmware, at a time unknown outside.
     let epochs = served.as_ref().filter(|_| matches!(args.board, Target::Sim(_))).map(|served| served.epochs());
-    let report = measured.report(link, bench, epochs.as_deref());
+    let report = report(measured, link, bench.window, epochs.as_deref());
     let held = report.held;
     if args.json {
         output::json(&report)?;
@@ -220,321 +213,81 @@ impl Drop for Served {
     }
 }
 
-/// Lengths of passing frames in one direction.
-#[derive(Default)]
-struct Scale {
-    on: Cell<bool>,
-    frame: RefCell<Vec<u8>>,
-    /// Longest frame that carried a cycle, bytes.
-    longest: Cell<usize>,
-}
-
-impl Scale {
-    fn weigh<T: Message>(&self, bytes: &[u8], is_cycle: fn(&T) -> bool) {
-        if !self.on.get() {
-            return;
-        }
-        let mut frame = self.frame.borrow_mut();
-        for byte in bytes {
-            frame.push(*byte);
-            if *byte != 0 {
-                // Limit the buffer: bytes without an end are no frame.
-                frame.truncate(2 * MAX_FRAME);
-                continue;
-            }
-            let mut decoder = FrameDecoder::new();
-            let message = frame.iter().find_map(|byte| decoder.push::<T>(*byte));
-            if message.is_some_and(|message| message.is_ok_and(|message| is_cycle(&message))) {
-                self.longest.set(self.longest.get().max(frame.len()));
-            }
-            frame.clear();
-        }
-    }
-}
-
-/// Link whose frame lengths are measured.
-struct Weighed<L> {
-    link: L,
-    scale: Rc<Scale>,
-}
-
-impl<L: ErrorType> ErrorType for Weighed<L> {
-    type Error = L::Error;
-}
-
-impl<L: Read> Read for Weighed<L> {
-    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, L::Error> {
-        let len = self.link.read(buffer).await?;
-        self.scale.weigh(&buffer[..len], |message| matches!(message, ToHost::Cycle(_)));
-        Ok(len)
-    }
-}
-
-impl<L: Write> Write for Weighed<L> {
-    async fn write(&mut self, bytes: &[u8]) -> Result<usize, L::Error> {
-        let len = self.link.write(bytes).await?;
-        self.scale.weigh(&bytes[..len], |message| matches!(message, ToDevice::Cycle(_)));
-        Ok(len)
-    }
-
-    async fn flush(&mut self) -> Result<(), L::Error> {
-        self.link.flush().await
-    }
-}
-
-/// Time of an answer on the board's clock, and mapped to the host's clock at that moment.
-#[derive(Clone, Copy, Debug)]
-struct Stamp {
-    device_us: u64,
-    host_us: u64,
-}
-
-#[derive(Default)]
-struct Measured {
-    cycle_bytes: usize,
-    /// Times of the round trips, µs.
-    round_trips: Vec<f64>,
-    stamps: Vec<Stamp>,
-    cycles: u64,
-    seconds: f64,
-    lost: u64,
-    armed: bool,
-    not_followed: u64,
-    clock_uncertainty_us: f64,
-}
-
-async fn measure(args: &Args, address: &Address, bench: &args::BenchLink, arm: bool) -> anyhow::Result<Measured> {
-    let link = r4_links::open(address, session::key(args)?.as_ref()).await?;
-    let (down, up) = (Rc::<Scale>::default(), Rc::<Scale>::default());
-    let rx = Weighed { link: link.rx, scale: up.clone() };
-    let tx = Weighed { link: link.tx, scale: down.clone() };
-    let connected = with_board(rx, tx, RealClock, async |board| {
-        if arm {
-            board.arm().await.context("cannot arm")?;
-        }
-        let measured = on_board(board, bench, arm, [&down, &up]).await;
-        if !arm {
-            return measured;
-        }
-        let disarmed = board.disarm().await;
-        let measured = measured?;
-        disarmed.context("cannot disarm; the board stops when its session ends")?;
-        Ok(measured)
+/// Report of a measurement beside its limits.
+fn report(mut measured: Measured, link: String, window: usize, epochs: Option<&[Epoch]>) -> Report {
+    measured.round_trips.sort_by(f64::total_cmp);
+    let round_trip = |share| quantile(&measured.round_trips, share);
+    let [p50, p99, p999, max] = [0.5, 0.99, 0.999, 1.0].map(round_trip);
+    let cycles_per_s = measured.cycles as f64 / measured.seconds.max(1e-9);
+    let clock_error = epochs.map(|epochs| {
+        let mut errors: Vec<f64> = measured.stamps.iter().map(|stamp| error_us(*stamp, epochs)).collect();
+        errors.sort_by(f64::total_cmp);
+        quantile(&errors, 0.99)
     });
-    connected.await.with_context(|| format!("cannot connect to {address}"))?
-}
-
-/// Up to four motors, each with a mode in which 0 means rest.
-fn motors(board: &Board<RealClock>) -> Vec<(ChannelId, Mode)> {
-    let resting = |mode: Mode, info: &r4_protocol::ChannelInfo| {
-        info.mode(mode).filter(|taken| taken.range.contains(0.0)).map(|_| (info.id, mode))
+    let uncertainty = measured.clock_uncertainty_us;
+    let clock = match clock_error {
+        Some(error) => Limit::new(
+            "clock error, p99",
+            format!("{error:.0} us"),
+            format!("<= {CLOCK_ERROR_US} us"),
+            error <= CLOCK_ERROR_US,
+        ),
+        None => Limit::new(
+            "clock error, as the driver thinks",
+            format!("{uncertainty:.0} us"),
+            format!("<= {CLOCK_ERROR_US} us"),
+            uncertainty <= CLOCK_ERROR_US,
+        ),
     };
-    let channels = board.channels().iter();
-    let motors = channels.filter_map(|info| resting(Mode::Duty, info).or_else(|| resting(Mode::Speed, info)));
-    motors.take(CYCLE_CHANNELS).collect()
-}
-
-async fn on_board(
-    board: &Board<RealClock>,
-    bench: &args::BenchLink,
-    armed: bool,
-    scales: [&Scale; 2],
-) -> anyhow::Result<Measured> {
-    let motors = motors(board);
-    if motors.is_empty() {
-        bail!("this board has no motor to send cycles to");
-    }
-    let rest = vec![0.0; motors.len()];
-    let mut cycles = board.stream(&motors, TTL_MS).await?;
-    let mut measured = Measured { armed, ..Measured::default() };
-
-    for scale in scales {
-        scale.on.set(true);
-    }
-    for _ in 0..COUNTED {
-        measured.one_cycle(board, &mut cycles, &rest).await?;
-    }
-    for scale in scales {
-        scale.on.set(false);
-    }
-    measured.cycle_bytes = scales.into_iter().map(|scale| scale.longest.get()).sum();
-
-    let span = Duration::from_secs_f64(bench.seconds);
-    // The first round warms up; the second one replaces its measurements.
-    for span in [WARM_UP.min(span), span] {
-        (measured.round_trips, measured.stamps) = (Vec::new(), Vec::new());
-        let begin = Instant::now();
-        while begin.elapsed() < span {
-            measured.one_cycle(board, &mut cycles, &rest).await?;
-        }
-    }
-    // The counters also contain the cycles of the round trips.
-    let before = cycles.counters();
-    let clock = RealClock;
-    let end_us = clock.now_us() + (span + PATIENCE).as_micros() as u64;
-    let outcome = {
-        let sustained = pin!(measured.sustain(board, &mut cycles, &rest, span, bench.window));
-        match select(sustained, pin!(clock.sleep_until(end_us))).await {
-            Either::Left((result, _)) => Some(result),
-            Either::Right(_) => None,
-        }
-    };
-    outcome.transpose()?;
-    let after = cycles.counters();
-    // All answers have been awaited or timed out.
-    measured.lost += (after.sent - before.sent) - (after.answered - before.answered) + (after.dropped - before.dropped);
-    Ok(measured)
-}
-
-impl Measured {
-    async fn one_cycle(
-        &mut self,
-        board: &Board<RealClock>,
-        cycles: &mut Cycles<'_, RealClock>,
-        rest: &[f64],
-    ) -> anyhow::Result<()> {
-        if session::is_interrupted() {
-            return Err(session::Interrupted.into());
-        }
-        let begin = Instant::now();
-        match cycles.cycle(rest).await {
-            Ok(report) => {
-                self.round_trips.push(begin.elapsed().as_nanos() as f64 * 1e-3);
-                self.taken(board, &report);
-                Ok(())
-            }
-            Err(Error::TimedOut { .. }) => {
-                self.lost += 1;
-                Ok(())
-            }
-            Err(error) => Err(error.into()),
-        }
-    }
-
-    /// Sends cycles continuously for `span`, with `window` in flight.
-    async fn sustain(
-        &mut self,
-        board: &Board<RealClock>,
-        cycles: &mut Cycles<'_, RealClock>,
-        rest: &[f64],
-        span: Duration,
-        window: usize,
-    ) -> anyhow::Result<()> {
-        let counters = cycles.counters();
-        // Continue the driver's numbering.
-        let mut planned = counters.sent + counters.replaced;
-        let mut answered = planned;
-        let begin = Instant::now();
-        loop {
-            let more = begin.elapsed() < span;
-            while more && planned - answered < window as u64 {
-                cycles.send(rest).await?;
-                planned += 1;
-            }
-            if answered == planned {
-                return Ok(());
-            }
-            let report = cycles.next().await?;
-            // The driver counts skipped answers as lost.
-            answered = report.number + 1;
-            self.cycles += 1;
-            self.seconds = begin.elapsed().as_secs_f64();
-            self.taken(board, &report);
-            if session::is_interrupted() {
-                return Err(session::Interrupted.into());
-            }
-        }
-    }
-
-    fn taken(&mut self, board: &Board<RealClock>, report: &CycleReport) {
-        self.not_followed += u64::from(report.outcome != CycleOutcome::Taken);
-        self.clock_uncertainty_us = self.clock_uncertainty_us.max(board.clock_uncertainty_us());
-        self.stamps.push(Stamp { device_us: report.device_us, host_us: board.host_us(report.device_us) });
-    }
-
-    fn report(mut self, link: String, bench: &args::BenchLink, epochs: Option<&[Epoch]>) -> Report {
-        self.round_trips.sort_by(f64::total_cmp);
-        let round_trip = |share| quantile(&self.round_trips, share);
-        let [p50, p99, p999, max] = [0.5, 0.99, 0.999, 1.0].map(round_trip);
-        let cycles_per_s = self.cycles as f64 / self.seconds.max(1e-9);
-        let clock_error = epochs.map(|epochs| {
-            let mut errors: Vec<f64> = self.stamps.iter().map(|stamp| stamp.error_us(epochs)).collect();
-            errors.sort_by(f64::total_cmp);
-            quantile(&errors, 0.99)
-        });
-        let uncertainty = self.clock_uncertainty_us;
-        let clock = match clock_error {
-            Some(error) => Limit::new(
-                "clock error, p99",
-                format!("{error:.0} us"),
-                format!("<= {CLOCK_ERROR_US} us"),
-                error <= CLOCK_ERROR_US,
-            ),
-            None => Limit::new(
-                "clock error, as the driver thinks",
-                format!("{uncertainty:.0} us"),
-                format!("<= {CLOCK_ERROR_US} us"),
-                uncertainty <= CLOCK_ERROR_US,
-            ),
-        };
-        let limits = vec![
-            Limit::new(
-                "bytes of a cycle",
-                self.cycle_bytes,
-                format!("<= {BYTES}"),
-                (1..=BYTES).contains(&self.cycle_bytes),
-            ),
-            Limit::new(
-                "round trip, p50",
-                format!("{p50:.1} us"),
-                format!("<= {ROUND_TRIP_US} us"),
-                p50 <= ROUND_TRIP_US,
-            ),
-            Limit::new(
-                "cycles a second",
-                format!("{cycles_per_s:.0}"),
-                format!(">= {CYCLES_PER_S}"),
-                cycles_per_s >= CYCLES_PER_S,
-            ),
-            Limit::new("lost", self.lost, 0, self.lost == 0),
-            clock,
-        ];
-        Report {
-            link,
-            cycle_bytes: self.cycle_bytes,
-            rtt_us_p50: p50,
-            rtt_us_p99: p99,
-            rtt_us_p999: p999,
-            rtt_us_max: max,
-            round_trips: self.round_trips.len(),
-            cycles_per_s,
-            cycles: self.cycles,
-            window: bench.window,
-            seconds: self.seconds,
-            lost: self.lost,
-            armed: self.armed,
-            not_followed: self.not_followed,
-            clock_error_us_p99: clock_error,
-            clock_uncertainty_us: uncertainty,
-            clock_shifts: epochs.map_or(0, |epochs| epochs.len() - 1),
-            machine: machine(),
-            processors: thread::available_parallelism().map_or(1, Into::into),
-            kernel: read("/proc/sys/kernel/osrelease"),
-            held: limits.iter().all(|limit| limit.held),
-            limits,
-        }
+    let limits = vec![
+        Limit::new(
+            "bytes of a cycle",
+            measured.cycle_bytes,
+            format!("<= {BYTES}"),
+            (1..=BYTES).contains(&measured.cycle_bytes),
+        ),
+        Limit::new("round trip, p50", format!("{p50:.1} us"), format!("<= {ROUND_TRIP_US} us"), p50 <= ROUND_TRIP_US),
+        Limit::new(
+            "cycles a second",
+            format!("{cycles_per_s:.0}"),
+            format!(">= {CYCLES_PER_S}"),
+            cycles_per_s >= CYCLES_PER_S,
+        ),
+        Limit::new("lost", measured.lost, 0, measured.lost == 0),
+        clock,
+    ];
+    Report {
+        link,
+        cycle_bytes: measured.cycle_bytes,
+        rtt_us_p50: p50,
+        rtt_us_p99: p99,
+        rtt_us_p999: p999,
+        rtt_us_max: max,
+        round_trips: measured.round_trips.len(),
+        cycles_per_s,
+        cycles: measured.cycles,
+        window,
+        seconds: measured.seconds,
+        lost: measured.lost,
+        armed: measured.armed,
+        not_followed: measured.not_followed,
+        clock_error_us_p99: clock_error,
+        clock_uncertainty_us: uncertainty,
+        clock_shifts: epochs.map_or(0, |epochs| epochs.len() - 1),
+        machine: machine(),
+        processors: thread::available_parallelism().map_or(1, Into::into),
+        kernel: read("/proc/sys/kernel/osrelease"),
+        held: limits.iter().all(|limit| limit.held),
+        limits,
     }
 }
 
-impl Stamp {
-    /// Error of the mapped time against the true time, µs; infinite before the first epoch.
-    fn error_us(self, epochs: &[Epoch]) -> f64 {
-        let epoch = epochs.iter().rfind(|epoch| epoch.from_us <= self.device_us);
-        let Some(epoch) = epoch else { return f64::INFINITY };
-        let true_ns = epoch.epoch_ns + self.device_us * 1000;
-        let told_ns = monotonic_ns(RealClock.instant(self.host_us));
-        (told_ns as f64 - true_ns as f64).abs() * 1e-3
-    }
+/// Error of the mapped time of an answer against its true time, µs; infinite before the first epoch.
+fn error_us(stamp: Stamp, epochs: &[Epoch]) -> f64 {
+    let Some(epoch) = epochs.iter().rfind(|epoch| epoch.from_us <= stamp.device_us) else { return f64::INFINITY };
+    let true_ns = epoch.epoch_ns + stamp.device_us * 1000;
+    let told_ns = monotonic_ns(RealClock.instant(stamp.host_us));
+    (told_ns as f64 - true_ns as f64).abs() * 1e-3
 }
 
 /// Quantile of sorted numbers; NaN of none.
@@ -598,31 +351,10 @@ mod tests {
             Epoch { from_us: 0, epoch_ns: zero_ns + 400_000_000 },
             Epoch { from_us: 500_000, epoch_ns: zero_ns + 405_000_000 },
         ];
-        let error = |device_us| Stamp { device_us, host_us }.error_us(&epochs);
+        let error = |device_us| error_us(Stamp { device_us, host_us }, &epochs);
         // This thread may have been preempted between the two readings of the clock.
         assert!(error(595_000) < 100_000.0, "{}", error(595_000));
         assert!((error(495_000) - error(595_000)).abs() > 50_000.0);
-        assert_eq!(Stamp { device_us: 1, host_us }.error_us(&epochs[1..]), f64::INFINITY);
-    }
-
-    /// Frames are measured with their delimiters, also when they arrive in parts; other messages are not counted.
-    #[test]
-    fn frames_of_cycles_are_weighed() {
-        let mut buffer = [0; MAX_FRAME];
-        let cycle = ToDevice::Cycle(r4_protocol::Cycle::new(1, None, Some(2), [0; CYCLE_CHANNELS]));
-        let frame = r4_protocol::encode_frame(&cycle, &mut buffer).unwrap().to_vec();
-        let heartbeat = ToDevice::Heartbeat { session: u16::MAX, host_us: u64::MAX };
-        let other = r4_protocol::encode_frame(&heartbeat, &mut buffer).unwrap().to_vec();
-        let scale = Scale::default();
-        let weigh = |bytes: &[u8]| scale.weigh(bytes, |message| matches!(message, ToDevice::Cycle(_)));
-        weigh(&frame);
-        assert_eq!(scale.longest.get(), 0, "it is not switched on");
-        scale.on.set(true);
-        weigh(&other);
-        assert_eq!(scale.longest.get(), 0);
-        weigh(&frame[..5]);
-        weigh(&frame[5..]);
-        weigh(&other);
-        assert_eq!((scale.longest.get(), frame.len()), (21, 21));
+        assert_eq!(error_us(Stamp { device_us: 1, host_us }, &epochs[1..]), f64::INFINITY);
     }
 }
