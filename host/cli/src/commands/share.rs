@@ -2,28 +2,14 @@
 
 mod page;
 
-use std::{
-    convert::Infallible,
-    future::{pending, poll_fn},
-    mem,
-    net::SocketAddr,
-    path::Path,
-    pin::{Pin, pin},
-    rc::Rc,
-    task::Poll,
-};
+use std::{convert::Infallible, future::pending, mem, net::SocketAddr, path::Path, rc::Rc};
 
 use anyhow::Context;
-use futures::{
-    Stream as _,
-    future::{Either, select},
-    stream::FuturesUnordered,
-};
-use page::{CONNECTIONS, Door};
+use page::Door;
 use r4_access::{Guard, Policy, log::Files, unix_ms};
-use r4_broker::{Broker, Guarded, Left};
-use r4_links::{Accepted, Listener};
-use r4_page::{FAREWELL_S, Page};
+use r4_broker::{Guarded, Left};
+use r4_links::Listener;
+use r4_share::{CLIENTS, Event as Change, Sharing, share};
 use r4_sim::Pace;
 use serde::Serialize;
 
@@ -33,16 +19,10 @@ use super::serve::{
     clients::{DROPPED, TURNED_AWAY},
 };
 use crate::{
-    args::{Args, Share},
+    args::{self, Args},
     output,
     session::{self, HostClock, Session, Target},
 };
-
-/// Most clients at once.
-const CLIENTS: usize = 64;
-
-/// Period of the samples in live views, ms: 20 a second are smooth to the eye, and little on any link.
-const LIVE_MS: u16 = 50;
 
 /// First line on stdout: where clients connect.
 #[derive(Serialize)]
@@ -53,16 +33,16 @@ struct FirstLine {
     http: Option<String>,
 }
 
-pub(crate) fn run(args: &Args, share: &Share) -> anyhow::Result<bool> {
-    let board = share.board.clone().unwrap_or_else(|| args.board.clone());
-    let args = Args { board, live: share.live.foxglove, ..args.clone() };
+pub(crate) fn run(args: &Args, asked: &args::Share) -> anyhow::Result<bool> {
+    let board = asked.board.clone().unwrap_or_else(|| args.board.clone());
+    let args = Args { board, live: asked.live.foxglove, ..args.clone() };
     session::catch_interrupts();
-    let guard = share.policy.as_deref().map(guard).transpose()?;
+    let guard = asked.policy.as_deref().map(guard).transpose()?;
     // Before the board, which takes longer: a port that is taken is reported at once.
-    let (socket, at) = bind(&args, share.tcp, share.public)?;
+    let (socket, at) = bind(&args, asked.tcp, asked.public)?;
     // Once: it may come through a pipe.
     let key = session::key(&args)?;
-    let door = share.http.map(|address| Door::open(&args, address, share.public, key.as_ref())).transpose()?;
+    let door = asked.http.map(|address| Door::open(&args, address, asked.public, key.as_ref())).transpose()?;
     let listening = (Listener::new(socket, key), at);
     let virtual_board = match args.board {
         Target::Link(_) => None,
@@ -92,11 +72,18 @@ fn serve(
                 eprintln!("r4: open {} in a browser", door.to_be_opened());
             }
         }
-        let broker = match guard {
-            Some(guard) => Broker::guarded(session.board, guard.clone()),
-            None => Broker::new(session.board),
+        let sharing = Sharing {
+            clients: &mut listener,
+            page: door.as_mut().map(|door| (&mut door.listener, &door.guard)),
+            policy: guard.cloned(),
+            is_live: args.live.is_some(),
+            tell: &|event| {
+                if let Some(message) = told(&event) {
+                    eprintln!("{message}");
+                }
+            },
         };
-        serve_clients(session, &broker, &mut listener, door.as_mut(), args.live.is_some()).await
+        Ok(share(session, sharing).await?)
     };
     let tell = |event| eprintln!("r4: {}", session::told(&event));
     let meanwhile = async |_: &HostClock| pending().await;
@@ -121,71 +108,14 @@ fn guard(path: &Path) -> anyhow::Result<Rc<Guarded>> {
     Ok(Rc::new(Guarded::new(guard, unix_ms)))
 }
 
-/// Serves clients until the board's link ends.
-async fn serve_clients(
-    session: &Session<'_>,
-    broker: &Broker<'_, HostClock>,
-    listener: &mut Listener,
-    door: Option<&mut Door>,
-    is_live: bool,
-) -> anyhow::Result<Infallible> {
-    if is_live {
-        for channel in session.board.channels() {
-            broker.watch(channel.id, LIVE_MS).await?;
-        }
-    }
-    let facts = page::facts(session);
-    let (mut door, page) = door.map_or((None, None), |Door { listener, guard, .. }| {
-        (Some(listener), Some(Page::new(broker, session.clock.clone(), &facts, guard)))
-    });
-    let mut browsers = FuturesUnordered::new();
-    let mut clients = FuturesUnordered::new();
-    let serving = poll_fn(|context| {
-        while let Poll::Ready(accepted) = listener.poll_accept(context) {
-            match accepted {
-                Ok(Accepted::Client(_)) if clients.len() >= CLIENTS => {
-                    eprintln!("r4: a client was turned away: {CLIENTS} are connected");
-                }
-                Ok(Accepted::Client(link)) => clients.push(broker.client(link.rx, link.tx)),
-                Ok(Accepted::Stranger) => eprintln!("{TURNED_AWAY}"),
-                Err(error) => return Poll::Ready(error),
-            }
-        }
-        while let Poll::Ready(Some(left)) = Pin::new(&mut clients).poll_next(context) {
-            match left {
-                Left::Gone => {}
-                Left::Silent => eprintln!("{DROPPED}"),
-                Left::Slow => eprintln!("r4: a client that does not read was dropped"),
-            }
-        }
-        if let (Some(door), Some(page)) = (&mut door, &page) {
-            while let Poll::Ready(accepted) = door.poll_accept(context) {
-                match accepted {
-                    // One more than there is room for finds no answer, and tries again.
-                    Ok(Accepted::Client(link)) if browsers.len() < CONNECTIONS => {
-                        browsers.push(page.serve(link.rx, link.tx));
-                    }
-                    Ok(_) => {}
-                    Err(error) => return Poll::Ready(error),
-                }
-            }
-            while let Poll::Ready(Some(left)) = Pin::new(&mut browsers).poll_next(context) {
-                if let Some(told) = page::told(&left) {
-                    eprintln!("{told}");
-                }
-            }
-        }
-        Poll::Pending
-    });
-    let mut serving = pin!(serving);
-    match select(serving.as_mut(), pin!(broker.run())).await {
-        Either::Left((error, _)) => Err(anyhow::Error::from(error).context("cannot accept clients")),
-        Either::Right((error, _)) => {
-            if let Some(page) = &page {
-                page.lose(error.to_string());
-                select(serving, pin!(session.board.sleep_s(FAREWELL_S))).await;
-            }
-            Err(error.into())
-        }
+/// Message about a change among the clients; `None` for one that has just left.
+fn told(event: &Change) -> Option<String> {
+    match event {
+        Change::Full => Some(format!("r4: a client was turned away: {CLIENTS} are connected")),
+        Change::Stranger => Some(TURNED_AWAY.to_owned()),
+        Change::Client(Left::Gone) => None,
+        Change::Client(Left::Silent) => Some(DROPPED.to_owned()),
+        Change::Client(Left::Slow) => Some("r4: a client that does not read was dropped".to_owned()),
+        Change::Browser(left) => page::told(left),
     }
 }

@@ -4,16 +4,11 @@ use std::net::SocketAddr;
 
 use anyhow::Context as _;
 use r4_links::{Key, Listener};
-use r4_page::{Facts, Guard, Kind, Left, MOST_BROWSERS, Token};
+use r4_page::{Guard, Left, MOST_BROWSERS, Token};
 
 use super::super::serve::bind;
-use crate::{
-    args::Args,
-    session::{Session, Target},
-};
+use crate::args::Args;
 
-/// Most connections at once: each browser has one for its socket, and a few for a moment.
-pub(super) const CONNECTIONS: usize = 4 * MOST_BROWSERS;
 /// What the page's token is made for, of the key.
 const PURPOSE: &str = "page";
 
@@ -49,17 +44,6 @@ impl Door {
         let token = self.guard.in_address().map_or_else(String::new, |token| format!("#{token}"));
         self.address() + &token
     }
-}
-
-/// What the page shows of a session's board that the board itself does not say.
-pub(super) fn facts(session: &Session<'_>) -> Facts {
-    let target = session.target();
-    let kind = match target {
-        Target::Sim(_) => Kind::Simulated,
-        Target::Emu(_) => Kind::Emulated,
-        Target::Link(_) => Kind::Real,
-    };
-    Facts { address: target.to_string(), kind, footprint: session.robot().as_ref().and_then(r4_rig::Footprint::of) }
 }
 
 /// Returns the message about a browser that has left; `None` for one that just closed the page.
