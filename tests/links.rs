@@ -188,6 +188,27 @@ fn a_lost_link_comes_back_and_says_why_it_was_lost() {
     assert_eq!(info["requests"]["subscribe"], 2, "once each session");
 }
 
+/// A program that shares a board opens its lost link again, and its clients are served as before.
+#[test]
+fn a_shared_board_comes_back_after_its_link_was_lost() {
+    let folder = TempDir::new().expect("a folder");
+    let how = format!("--pty={}", path(&folder.path().join("tty")));
+    let served = Served::new("osmc-bench", &how);
+    let sharing = start(command(&["serve", &served.board, "--tcp", "127.0.0.1:0"]));
+    let first = object(&next(sharing.out.as_ref().expect("stdout"), sharing.begin).expect("a first line"));
+    let shared = format!("tcp:{}", text(&first, "tcp"));
+    next(&sharing.err, sharing.begin).expect("where it is served");
+    drop(served);
+    let lost = next(&sharing.err, sharing.begin).expect("a lost link");
+    assert!(lost.contains("link failed") || lost.contains("link lost"), "{lost}");
+    let _served = Served::new("osmc-bench", &how);
+    let back = next(&sharing.err, sharing.begin).expect("a link");
+    assert!(back.contains("the link is back"), "{back}");
+    assert_eq!(text(&good_json(&["--board", &shared, "info", "--json"]), "robot"), "osmc-bench");
+    assert!(Command::new("kill").args(["-INT", &sharing.child.id().to_string()]).status().expect("kill").success());
+    sharing.finish();
+}
+
 #[test]
 fn a_name_belongs_to_one_server() {
     let folder = TempDir::new().expect("a folder");

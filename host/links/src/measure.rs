@@ -55,7 +55,7 @@ pub enum Error {
     #[error("cannot disarm; the board stops when its session ends")]
     Disarm(#[source] DriverError),
     /// The stream of cycles ended.
-    #[error(transparent)]
+    #[error("the stream of cycles ended")]
     Cycles(#[from] DriverError),
     /// [`Settings::is_interrupted`] returned true.
     #[error("interrupted")]

@@ -69,7 +69,7 @@ pub enum Error {
     #[error("cannot accept clients")]
     Accept(#[source] io::Error),
     /// The link to the board ended.
-    #[error(transparent)]
+    #[error("the link to the board ended")]
     Board(#[from] r4_driver::Error),
 }
 
