@@ -206,7 +206,7 @@ fn a_shared_board_comes_back_after_its_link_was_lost() {
     assert!(back.contains("the link is back"), "{back}");
     assert_eq!(text(&good_json(&["--board", &shared, "info", "--json"]), "robot"), "osmc-bench");
     assert!(Command::new("kill").args(["-INT", &sharing.child.id().to_string()]).status().expect("kill").success());
-    sharing.finish();
+    assert_eq!(sharing.finish().code, Some(0));
 }
 
 #[test]

@@ -29,9 +29,9 @@ const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Settings of a measurement.
 pub struct Settings<'s> {
-    /// Duration of the round trips, and then of the cycles in flight, s; not negative.
-    pub seconds: f64,
-    /// Cycles in flight.
+    /// Duration of the round trips, and then again of the cycles in flight.
+    pub span: Duration,
+    /// Number of cycles sent before the first of them is answered; with 0 no cycles are sent in flight.
     pub window: usize,
     /// True to arm the board, with its motors at rest; otherwise it refuses the set points, and answers all the same.
     pub arm: bool,
@@ -57,7 +57,7 @@ pub enum Error {
     /// The stream of cycles ended.
     #[error("the stream of cycles ended")]
     Cycles(#[from] DriverError),
-    /// [`Settings::is_interrupted`] returned true.
+    /// The caller ended it: [`Settings::is_interrupted`] returned true.
     #[error("interrupted")]
     Interrupted,
 }
@@ -71,7 +71,7 @@ pub struct Stamp {
     pub host_us: u64,
 }
 
-/// Measured link.
+/// What a link carried, and how late, as [`measure`] found it.
 #[derive(Clone, Debug, Default)]
 pub struct Measured {
     /// Most bytes of a cycle on the wire, both frames together.
@@ -152,7 +152,7 @@ async fn on_board(board: &Board<RealClock>, settings: &Settings<'_>, scales: [&S
     }
     measured.cycle_bytes = scales.into_iter().map(|scale| scale.longest.get()).sum();
 
-    let span = Duration::from_secs_f64(settings.seconds);
+    let span = settings.span;
     // The first round warms up; the second one replaces its measurements.
     for span in [WARM_UP.min(span), span] {
         (measured.round_trips, measured.stamps) = (Vec::new(), Vec::new());
@@ -164,7 +164,8 @@ async fn on_board(board: &Board<RealClock>, settings: &Settings<'_>, scales: [&S
     // The counters also contain the cycles of the round trips.
     let before = cycles.counters();
     let clock = RealClock;
-    let end_us = clock.now_us() + (span + PATIENCE).as_micros() as u64;
+    let patience_us = u64::try_from(span.saturating_add(PATIENCE).as_micros()).unwrap_or(u64::MAX);
+    let end_us = clock.now_us().saturating_add(patience_us);
     let outcome = {
         let sustained = pin!(measured.sustain(board, &mut cycles, &rest, span, settings));
         match select(sustained, pin!(clock.sleep_until(end_us))).await {

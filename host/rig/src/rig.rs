@@ -309,10 +309,9 @@ impl Rig {
         Ok((ended, elapsed))
     }
 
-    /// Runs `work` in a session with a virtual board that the caller has powered up, on its clock; the caller runs the
-    /// simulation.
+    /// Runs `work` in a session with a virtual board that the caller has powered up, on the clock of its simulation.
     ///
-    /// The settings for power-up have no effect.
+    /// The caller runs that simulation. The settings for power-up have no effect.
     ///
     /// # Errors
     /// [`Error::Connected`] for a board that has a host; [`Error::Connect`]; errors of `work`.
@@ -331,16 +330,15 @@ impl Rig {
     fn session_with<'a>(
         &'a self,
         board: Rc<dyn VirtualBoard>,
-        clock: &r4_sim::Clock,
+        clock: &'a r4_sim::Clock,
         tap: Option<SharedTap>,
         work: &'a mut dyn Work,
     ) -> LocalBoxFuture<'a, Result<(), Error>> {
-        let host_clock = HostClock::Virtual(clock.clone());
-        let clock = clock.clone();
         // Boxed here: an `async fn` would be compiled again in each crate that awaits it, as that crate is optimised.
         async move {
             let port = board.connect().ok_or(Error::Connected)?;
-            let (tx, cable) = Cable::new(port.tx, clock);
+            let (tx, cable) = Cable::new(port.tx, clock.clone());
+            let host_clock = HostClock::Virtual(clock.clone());
             let (rx, tx) =
                 (Listened::new(port.rx, tap.as_ref(), &host_clock), Listened::new(tx, tap.as_ref(), &host_clock));
             let environment = Some((board.clone(), cable));

@@ -37,9 +37,9 @@ const LIVE_MS: u16 = 50;
 
 /// Who may have a board, and where.
 pub struct Sharing<'s> {
-    /// Where clients connect.
+    /// Socket at which programs connect, with its key where it has one.
     pub clients: &'s mut Listener,
-    /// Where browsers connect, and which of them may see and use the page; `None` without a page.
+    /// Socket at which browsers connect, and which of them may see and use the page; `None` without a page.
     pub page: Option<(&'s mut Listener, &'s Guard)>,
     /// Policy by which each request is authorised; `None` where every client may do everything.
     pub policy: Option<Rc<Guarded>>,

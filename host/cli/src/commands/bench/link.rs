@@ -11,6 +11,7 @@ use std::{
     process::{Child, Command, Stdio},
     sync::{Arc, Mutex, PoisonError},
     thread,
+    time::Duration,
 };
 
 use anyhow::{Context, anyhow};
@@ -107,8 +108,8 @@ pub(super) fn run(args: &Args, bench: &args::BenchLink) -> anyhow::Result<bool> 
     };
     // Do not arm a board on another link: a connected machine might move.
     let arm = bench.arm || served.is_some();
-    let settings =
-        Settings { seconds: bench.seconds, window: bench.window, arm, is_interrupted: &session::is_interrupted };
+    let span = Duration::from_secs_f64(bench.seconds);
+    let settings = Settings { span, window: bench.window, arm, is_interrupted: &session::is_interrupted };
     let key = session::key(args)?;
     let measured = r4_links::block_on(async {
         let link = r4_links::open(&address, key.as_ref()).await?;
